@@ -1,0 +1,41 @@
+"""blocksar: focus squint-TOPS synthetic aperture radar data by angular blocks, in parallel.
+
+The functions here are the commands' twins: `simulate`, `plan`, `focus`, `quality`, `open`. They are loaded on
+first use, so that `import blocksar` costs nothing.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from blocksar.api import focus, open, plan, quality, simulate
+
+__version__ = "0.1.0"
+
+__all__ = ["__version__", "focus", "open", "plan", "quality", "simulate"]
+
+
+def __getattr__(name: str) -> Any:
+    if name in __all__:
+        return getattr(importlib.import_module("blocksar.api"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
+class _Package(ModuleType):
+    """The package as a module on which the public functions cannot be hidden by modules of the same name."""
+
+    def __setattr__(self, name: str, value: object) -> None:
+        # Importing the module blocksar.quality would bind it here as `quality`, over the function.
+        if not (name in __all__ and isinstance(value, ModuleType)):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package

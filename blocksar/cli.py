@@ -1,0 +1,453 @@
+"""The commands: words, numbers and messages for people; everything else is `blocksar.api`.
+
+Exit status: 0 done; 1 processing failed; 2 the user's input is wrong; 130 interrupted; 143 terminated.
+Tables go to stdout, progress and messages to stderr.
+"""
+
+from __future__ import annotations
+
+import errno
+import math
+import re
+import signal
+import sys
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from types import FrameType, TracebackType
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn, Protocol, Self, TypedDict, get_args
+
+import typer
+from typer.core import TyperGroup
+
+from blocksar import __version__
+from blocksar.parameters import InputError, ProcessingError
+
+if TYPE_CHECKING:
+    from rich.progress import Progress as RichProgress
+    from rich.progress import TaskID
+
+Processor = Literal["angular-division", "keystone-resampling", "high-order-phase", "backprojection"]
+Coefficients = Literal["fitted", "closed-form"]
+Axis = tuple[float, float, float]
+
+FAILED, WRONG_INPUT, INTERRUPTED, TERMINATED = 1, 2, 130, 143
+PLAIN_STEPS = 10  # progress lines a stage, where there is no terminal to draw a bar on
+PIPE_WIDTH = 240  # columns of a table that goes to no terminal: nothing may be folded there
+
+
+class Settings(TypedDict):
+    """What `plan` and `focus` share, as the api takes it."""
+
+    processor: Processor
+    blocks: int | Literal["auto"]
+    coefficients: Coefficients
+    grid: tuple[Axis, Axis] | None
+    workers: int | None
+    memory_limit: int | None  # bytes
+
+
+class Report(Protocol):
+    """What a function of the api has to tell a person."""
+
+    @property
+    def summary(self) -> Sequence[str]:
+        """Sentences that follow the tables."""
+
+    def table(self) -> Sequence[tuple[Sequence[str], Sequence[Sequence[str]]]]:
+        """Tables as (header, rows), every cell as it is to be printed."""
+
+
+class Terminated(SystemExit):
+    """SIGTERM came. Raised in the main thread, so that clusters and half-made stores are cleaned up."""
+
+
+# ---------------------------------------------------------------- what the user typed
+
+
+def parse_grid(text: str) -> tuple[Axis, Axis]:
+    """Read `x0:x1:dx,y0:y1:dy`: points x0, x0 + dx, ... < x1 in m, likewise y.
+
+    Returns
+    -------
+    ((x0, x1, dx), (y0, y1, dy)) in m
+
+    Raises
+    ------
+    InputError
+        If the text has another form, a number is not finite, or an axis would be empty.
+
+    Examples
+    --------
+    >>> parse_grid("-100:100:0.5,18e3:20e3:1")
+    ((-100.0, 100.0, 0.5), (18000.0, 20000.0, 1.0))
+    """
+    example = "give --grid x0:x1:dx,y0:y1:dy in metres, such as --grid -2500:2500:1,18000:23000:1"
+    axes = text.split(",")
+    if len(axes) != 2:
+        raise InputError(f"--grid {text!r} has {len(axes)} axes instead of two; {example}")
+    x, y = (_parse_axis(name, axis, example) for name, axis in zip("xy", axes, strict=True))
+    return x, y
+
+
+def _parse_axis(name: str, text: str, example: str) -> Axis:
+    try:
+        first, end, step = (float(number) for number in text.split(":"))
+    except ValueError:
+        raise InputError(f"--grid has {text!r} for {name}, which is not three numbers; {example}") from None
+    if not all(map(math.isfinite, (first, end, step))):
+        raise InputError(f"--grid has {text!r} for {name}, which is not finite; {example}")
+    if step <= 0:
+        raise InputError(f"--grid has a spacing of {step:g} m for {name}; give one above zero")
+    if end <= first:
+        raise InputError(f"--grid is empty: {name} runs from {first:g} to {end:g} m; let the end lie above the start")
+    return first, end, step
+
+
+def parse_memory(text: str) -> int:
+    """Read an amount of memory, such as `2GiB`, `500 MB` or `1e9`, as bytes.
+
+    Raises
+    ------
+    InputError
+        If the text is no positive number with a unit of bytes.
+
+    Examples
+    --------
+    >>> parse_memory("1.5GiB"), parse_memory("500 MB")
+    (1610612736, 500000000)
+    """
+    match = re.fullmatch(r"\s*(\d+\.?\d*(?:e\d+)?|\.\d+)\s*([kmgt]i?)?b?\s*", text, re.IGNORECASE)
+    if match is None or not float(match[1]):
+        raise InputError(f"--memory-limit {text!r} is no amount of memory; give a number with a unit, such as 2GiB")
+    unit = (match[2] or "").lower()
+    base = 1024 if unit.endswith("i") else 1000
+    return int(float(match[1]) * base ** ("", "k", "m", "g", "t").index(unit.removesuffix("i")))
+
+
+def parse_blocks(text: str) -> int | Literal["auto"]:
+    """Read `auto` or a number of blocks.
+
+    Raises
+    ------
+    InputError
+        If the text is neither.
+    """
+    if text == "auto":
+        return "auto"
+    if not (text.isascii() and text.isdigit() and int(text)):
+        raise InputError(f"--blocks {text!r} is neither 'auto' nor a whole number above zero; try --blocks auto")
+    return int(text)
+
+
+def _settings(
+    processor: Processor,
+    blocks: str,
+    coefficients: Coefficients,
+    grid: str | None,
+    workers: int | None,
+    memory_limit: str | None,
+) -> Settings:
+    return {
+        "processor": processor,
+        "blocks": parse_blocks(blocks),
+        "coefficients": coefficients,
+        "grid": None if grid is None else parse_grid(grid),
+        "workers": workers,
+        "memory_limit": None if memory_limit is None else parse_memory(memory_limit),
+    }
+
+
+# ---------------------------------------------------------------- what the user sees
+
+
+class Progress:
+    """How far each stage has come: bars on a terminal, a few plain lines elsewhere, on stderr.
+
+    A stage appears with its first update. Updates may come from any thread.
+    """
+
+    def __init__(self, *, quiet: bool = False) -> None:
+        self._quiet = quiet
+        self._lock = threading.Lock()
+        self._bars: RichProgress | None = None
+        self._tasks: dict[str, TaskID] = {}
+        self._printed: dict[str, int] = {}
+
+    def __enter__(self) -> Self:
+        if not self._quiet and sys.stderr.isatty():
+            from rich import progress
+            from rich.console import Console
+
+            self._bars = progress.Progress(
+                progress.TextColumn("{task.description}", markup=False),
+                progress.BarColumn(),
+                progress.MofNCompleteColumn(),
+                progress.TimeElapsedColumn(),
+                console=Console(stderr=True),
+            )
+            self._bars.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        with self._lock:
+            if self._bars is not None:
+                self._bars.stop()
+                self._bars = None
+
+    def update(self, stage: str, done: int, total: int) -> None:
+        """Say that `done` of `total` parts of a stage are finished."""
+        if self._quiet:
+            return
+        with self._lock:
+            if self._bars is not None:
+                if stage not in self._tasks:
+                    self._tasks[stage] = self._bars.add_task(stage, total=total)
+                self._bars.update(self._tasks[stage], completed=done, total=total)
+            else:
+                self._print(stage, done, total)
+
+    def _print(self, stage: str, done: int, total: int) -> None:
+        step = PLAIN_STEPS * done // total if total else PLAIN_STEPS
+        if step > self._printed.get(stage, -1):
+            self._printed[stage] = step
+            typer.echo(f"{stage}: {done} of {total}", err=True)
+
+
+def show(report: Report) -> None:
+    """Print a report's tables and summary on stdout."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    console = Console(width=None if sys.stdout.isatty() else PIPE_WIDTH)
+    for header, rows in report.table():
+        # Text, not str: rich would take a unit in square brackets for markup.
+        table = Table(box=box.SIMPLE_HEAD)
+        for cell in header:
+            table.add_column(Text(cell))
+        for row in rows:
+            table.add_row(*(Text(cell) for cell in row))
+        console.print(table)
+    for line in report.summary:
+        typer.echo(line)
+
+
+def complain(message: str, status: int) -> NoReturn:
+    """End the command with one message on stderr."""
+    typer.echo(f"blocksar: {message}", err=True)
+    raise typer.Exit(status)
+
+
+class Commands(TyperGroup):
+    """The group of commands, and the one place where an error becomes a message and an exit status."""
+
+    def invoke(self, ctx: Any) -> Any:  # typer gives the class of this context no public name
+        try:
+            return super().invoke(ctx)
+        except InputError as error:
+            complain(str(error), WRONG_INPUT)
+        except ProcessingError as error:
+            complain(str(error), FAILED)
+        except OSError as error:
+            # A reader that has seen enough (`blocksar plan ... | head`) is nobody's error: typer ends quietly.
+            if error.errno == errno.EPIPE:
+                raise
+            complain(str(error), FAILED)
+        except KeyboardInterrupt:
+            complain("interrupted; what was finished stays: give the same command again to go on", INTERRUPTED)
+        except Terminated:
+            complain("terminated; what was finished stays: give the same command again to go on", TERMINATED)
+
+
+# ---------------------------------------------------------------- options that several commands share
+
+Blocks = Annotated[str, typer.Option(metavar="auto|N", help="Angular blocks; auto: the fewest that serve.")]
+CoefficientsOption = Annotated[Coefficients, typer.Option(help="Fitted on time-frequency lines, or as printed.")]
+ProcessorOption = Annotated[
+    Processor,
+    typer.Option(metavar="NAME", help=f"{', '.join(get_args(Processor)[:-1])}, or the exact, slow backprojection."),
+]
+GridOption = Annotated[
+    str | None,
+    typer.Option(metavar="x0:x1:dx,y0:y1:dy", help="Image points, m; default: the lit sector at half the resolution."),
+]
+Workers = Annotated[int | None, typer.Option(min=1, help="Worker processes; default: as the machine allows.")]
+Threads = Annotated[int | None, typer.Option(min=1, help="Threads of each worker; default: as the cores allow.")]
+MemoryLimit = Annotated[
+    str | None, typer.Option(metavar="SIZE", help="Memory of each worker, such as 2GiB; default: its share.")
+]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what stands at --out.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
+
+# ---------------------------------------------------------------- commands
+
+app = typer.Typer(
+    name="blocksar",
+    cls=Commands,
+    help="Focus squint-TOPS radar data by angular blocks, in parallel, to a calibrated ground image.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode="rich",
+    # A traceback that reaches the user is a defect: print it whole and plain, so that it can be sent in.
+    pretty_exceptions_enable=False,
+)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"blocksar {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Options that stand before a command."""
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder of the run.")] = Path("demo-run"),
+    workers: Workers = None,
+    threads: Threads = None,
+    memory_limit: MemoryLimit = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+) -> None:
+    """Simulate the paper's scene, focus it, measure it, show it.
+
+    Leaves the run in the folder, with a picture of the mosaic and contour plots of nine targets.
+
+    Example: [bold]blocksar demo --out demo-run[/bold]
+    """
+    memory = None if memory_limit is None else parse_memory(memory_limit)
+
+    from blocksar import api
+
+    with Progress(quiet=quiet) as progress:
+        report = api.demo(
+            out, workers=workers, threads=threads, memory_limit=memory, overwrite=overwrite, progress=progress
+        )
+    show(report)
+
+
+@app.command()
+def simulate(
+    scene: Annotated[str, typer.Argument(metavar="SCENE.toml", help="Scene file, or the name of a shipped scene.")],
+    out: Annotated[Path, typer.Option(help="Phase-history store to write.")],
+    raw: Annotated[bool, typer.Option("--raw", help="Write a raw chirped echo over fast time.")] = False,
+    threads: Threads = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+) -> None:
+    """Simulate the phase history of a scene, with exact ranges.
+
+    Example: [bold]blocksar simulate table1 --out table1.zarr[/bold]
+    """
+    from blocksar import api
+
+    with Progress(quiet=quiet) as progress:
+        api.simulate(scene, out, raw=raw, threads=threads, overwrite=overwrite, progress=progress)
+    typer.echo(f"wrote {out}")
+
+
+@app.command()
+def plan(
+    source: Annotated[str, typer.Argument(metavar="PH.zarr|SCENE.toml", help="Phase-history store or scene.")],
+    processor: ProcessorOption = "angular-division",
+    blocks: Blocks = "auto",
+    coefficients: CoefficientsOption = "fitted",
+    grid: GridOption = None,
+    workers: Workers = None,
+    memory_limit: MemoryLimit = None,
+) -> None:
+    """Say how a collection would be focused, and how sharp its image would be.
+
+    Blocks, residual phase, predicted side lobes and widths, memory; no samples are read.
+
+    A collection that cannot be focused as asked: the reason follows, with its figure, and the exit status is 2.
+
+    Example: [bold]blocksar plan table1 --blocks 3[/bold]
+    """
+    settings = _settings(processor, blocks, coefficients, grid, workers, memory_limit)
+
+    from blocksar import api
+
+    made = api.plan(source, **settings)
+    show(made)
+    if made.refusal is not None:
+        complain(made.refusal, WRONG_INPUT)
+
+
+@app.command()
+def focus(
+    source: Annotated[Path, typer.Argument(metavar="PH.zarr", help="Phase-history store.")],
+    out: Annotated[Path, typer.Option(metavar="RUN", help="Folder of the run; an unfinished one is resumed.")],
+    processor: ProcessorOption = "angular-division",
+    blocks: Blocks = "auto",
+    coefficients: CoefficientsOption = "fitted",
+    grid: GridOption = None,
+    workers: Workers = None,
+    threads: Threads = None,
+    memory_limit: MemoryLimit = None,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="A running dask scheduler, instead of an own cluster.")
+    ] = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+) -> None:
+    """Focus a phase history to a calibrated ground image.
+
+    Example: [bold]blocksar focus table1.zarr --out run --blocks 3[/bold]
+    """
+    settings = _settings(processor, blocks, coefficients, grid, workers, memory_limit)
+
+    from blocksar import api
+
+    with Progress(quiet=quiet) as progress:
+        report = api.focus(
+            source, out, **settings, threads=threads, scheduler=scheduler, overwrite=overwrite, progress=progress
+        )
+    show(report)
+
+
+@app.command()
+def quality(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a finished run.")],
+    targets: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Targets to measure; default: those that the run knows.")
+    ] = None,
+    reference: Annotated[
+        bool, typer.Option("--reference", help="Compare chips of the image with exact back-projection.")
+    ] = False,
+) -> None:
+    """Measure side-lobe ratios, widths, position and calibration of every target.
+
+    Prints the table with its definitions, and writes it to RUN/quality.json.
+
+    Example: [bold]blocksar quality run --reference[/bold]
+    """
+    from blocksar import api
+
+    show(api.quality(run, targets=targets, reference=reference))
+
+
+def main() -> None:
+    """Entry point of `blocksar`."""
+    signal.signal(signal.SIGTERM, _terminate)
+    app(prog_name="blocksar")
+
+
+def _terminate(number: int, frame: FrameType | None) -> None:
+    raise Terminated(TERMINATED)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,289 @@
+"""Coefficients of the azimuth steps: fitted on time-frequency lines, or in closed form as paper A prints them.
+
+The fit asks two things of a block's lines after perturbation and deramp. They must be level: what is left is
+phase error. And the frequency perturbation must hardly stretch them in time: stretching is dispersion,
+which blurs the sharp ends of a dwell over sqrt(|stretch - 1| / rate) seconds, and that much of the dwell is
+lost to the focus. Lines alone do not show this loss (they are the stationary phase); weighing it in costs
+nothing, since many sets of coefficients level the lines to a milliradian.
+
+Unknowns are a time perturbation of orders 3 and 4 (with a bias chirp, order 2, that is tried at a few values), a
+frequency perturbation of orders 2 to 5 and a deramp of orders 2 to 4, per range.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.polynomial import polynomial as power
+from scipy.optimize import least_squares
+
+from blocksar.geometry import Geometry
+from blocksar.lines import Line, RowPhase, row_phase
+from blocksar.parameters import SPEED_OF_LIGHT, FloatArray
+
+DOPPLER_ORDERS = (2, 3, 4, 5)
+DERAMP_ORDERS = (2, 3, 4)
+TIME_ORDERS = (3, 4)
+SERIES_DEGREE = 6  # of the coefficients in range
+GOOD_RESIDUAL = 0.02  # rad: below this a cheaper chain is preferred to a better one
+GOOD_LOSS = 0.004  # of the dwell, lost at its ends: likewise
+STRETCH_PRICE = 0.5  # rad of phase error that a stretch of 2 is worth in the fit
+TIME_BANDWIDTH = 100.0  # of a target's line: stationary phase and a sharp spectrum need about this much
+
+
+class AzimuthPhases(NamedTuple):
+    """The three phases of the azimuth steps, cycles."""
+
+    time: RowPhase
+    doppler: RowPhase
+    deramp: RowPhase
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A kind of chain to try: with or without a time perturbation, with a bias chirp in m/s^2."""
+
+    bias: float
+    perturb_time: bool
+
+
+class _Scales(NamedTuple):
+    time_centre: float
+    time: float
+    doppler: float
+
+
+def end_loss(line: Line, rate: FloatArray) -> FloatArray:
+    """Part of each dwell that dispersion takes from its ends: 1.3 sqrt(|stretch - 1| / time-bandwidth).
+
+    `rate` is the lines' rate ahead of the frequency perturbation, Hz/s. The factor was measured on
+    single targets against their traced lines.
+    """
+    duration = line.weight.sum(axis=-1)
+    ends = np.abs(line.stretch[..., [0, -1]] - 1).max(axis=-1)
+    return np.asarray(1.3 * np.sqrt(ends / (np.abs(rate).min(axis=-1) * duration**2)))
+
+
+def _terms(x: FloatArray, orders: tuple[int, ...], z: FloatArray) -> FloatArray:
+    """sum x_k z^(order_k - 1): the slope of sum x_k z^order_k / order_k."""
+    total = np.zeros_like(z)
+    for coefficient, order in zip(x, orders, strict=True):
+        total += coefficient * z ** (order - 1)
+    return total
+
+
+def _slopes(x: FloatArray, orders: tuple[int, ...], z: FloatArray) -> FloatArray:
+    """The derivative of `_terms`."""
+    total = np.zeros_like(z)
+    for coefficient, order in zip(x, orders, strict=True):
+        total += coefficient * (order - 1) * z ** (order - 2)
+    return total
+
+
+def _fit_range(
+    time: FloatArray,
+    doppler: FloatArray,
+    rate: FloatArray,
+    weight: FloatArray,
+    scales: _Scales,
+    candidate: Candidate,
+    start: FloatArray,
+) -> FloatArray:
+    """Level the lines (n_yaw, n) of one range; unknowns are scaled to the lines' extent in time and Doppler."""
+    n_time = len(TIME_ORDERS) if candidate.perturb_time else 0
+    n_doppler = len(DOPPLER_ORDERS)
+    steep = rate * scales.time / scales.doppler
+    z_in = (time - scales.time_centre) / scales.time
+    duration = weight.sum(axis=-1, keepdims=True)
+    share = weight / duration
+
+    def uneven(x: FloatArray) -> FloatArray:
+        in_time, in_doppler, in_deramp = x[:n_time], x[n_time : n_time + n_doppler], x[n_time + n_doppler :]
+        bent = doppler / scales.doppler + _terms(in_time, TIME_ORDERS[:n_time], z_in)
+        slope = steep + _slopes(in_time, TIME_ORDERS[:n_time], z_in)
+        z = z_in - _terms(in_doppler, DOPPLER_ORDERS, bent)
+        stretch = _slopes(in_doppler, DOPPLER_ORDERS, bent) * slope
+        level = bent + _terms(in_deramp, DERAMP_ORDERS, z)
+        mean = (level * share).sum(axis=-1, keepdims=True)
+        # The Doppler error over a dwell, times its length, is about the phase error that it makes.
+        uneven = 2 * np.pi * scales.doppler * (level - mean) * duration * np.sqrt(share)
+        return np.concatenate([uneven.ravel(), (STRETCH_PRICE * np.sqrt(share) * stretch).ravel()])
+
+    return np.asarray(least_squares(uneven, start, method="lm", x_scale="jac", max_nfev=400).x)
+
+
+def fit_phases(line: Line, *, ranges: FloatArray, candidate: Candidate, wavelength: float) -> AzimuthPhases:
+    """Fit the three phases so that every line is level.
+
+    Parameters
+    ----------
+    line : Line
+        (n_range, n_yaw, n) after RCMC; row i belongs to apparent range ranges[i].
+    ranges : (n_range,) float
+        Ascending, m from the origin.
+    candidate : Candidate
+    wavelength : float
+        m.
+    """
+    time = np.broadcast_to(line.time, line.doppler.shape)
+    centre = float((time.min() + time.max()) / 2)
+    bias_rate = -4 * candidate.bias / wavelength  # Hz/s: a range acceleration of `bias`
+    doppler = line.doppler + bias_rate * (time - centre)
+    rate = line.rate + bias_rate
+    centres = (doppler.max(axis=(1, 2)) + doppler.min(axis=(1, 2))) / 2
+    half = float(np.max(doppler.max(axis=(1, 2)) - centres))
+    scales = _Scales(centre, float(np.abs(time - centre).max()), max(half, 1e-3))
+    weight = np.broadcast_to(line.weight, line.doppler.shape)
+    n_time = len(TIME_ORDERS) if candidate.perturb_time else 0
+
+    n_doppler = len(DOPPLER_ORDERS)
+    x = np.zeros(n_time + n_doppler + len(DERAMP_ORDERS))
+    slope = np.mean((doppler[0, :, -1] - doppler[0, :, 0]) / (time[0, :, -1] - time[0, :, 0]))
+    x[n_time + n_doppler] = -slope * scales.time / scales.doppler
+    solutions = []
+    for i in range(ranges.size):
+        x = _fit_range(time[i], doppler[i] - centres[i], rate[i], weight[i], scales, candidate, x)
+        solutions.append(x)
+    found = np.stack(solutions)
+
+    area = scales.time * scales.doppler  # cycles in a unit of z z
+    n_range = ranges.size
+    time_part = np.zeros((n_range, 5))
+    time_part[:, 2] = bias_rate * scales.time**2 / 2
+    for k in range(n_time):
+        time_part[:, TIME_ORDERS[k]] = area * found[:, k] / TIME_ORDERS[k]
+    doppler_part = np.zeros((n_range, 6))
+    deramp_part = np.zeros((n_range, 5))
+    for k, order in enumerate(DOPPLER_ORDERS):
+        doppler_part[:, order] = area * found[:, n_time + k] / order
+    for k, order in enumerate(DERAMP_ORDERS):
+        deramp_part[:, order] = area * found[:, n_time + n_doppler + k] / order
+    same = np.full(n_range, centre)
+    return AzimuthPhases(
+        time=row_phase(time_part, ranges=ranges, centres=same, scale=scales.time, degree=SERIES_DEGREE),
+        doppler=row_phase(doppler_part, ranges=ranges, centres=centres, scale=scales.doppler, degree=SERIES_DEGREE),
+        deramp=row_phase(deramp_part, ranges=ranges, centres=same, scale=scales.time, degree=SERIES_DEGREE),
+    )
+
+
+def range_series(geometry: Geometry, epoch_range: FloatArray, yaw: FloatArray, *, order: int) -> FloatArray:
+    """Taylor coefficients k_n of a target's range about the epoch, (..., order + 1), m/s^n (paper A (1)).
+
+    The squared range is a short polynomial in t; its square root is a power-series recursion, exact to
+    machine precision for any polynomial track.
+    """
+    track = geometry.track
+    axis = power.Polynomial([geometry.epoch - track.centre, 1.0]) / track.half
+    position = [
+        np.polynomial.Chebyshev(column).convert(kind=np.polynomial.Polynomial)(axis).coef
+        for column in track.coefficients.T
+    ]
+    point = geometry.ground_point(epoch_range, yaw)
+    squared = np.zeros((*point.shape[:-1], order + 1))
+    for i, column in enumerate(position):
+        sight = np.zeros((*point.shape[:-1], order + 1))
+        kept = min(order + 1, column.size)
+        sight[..., :kept] = -column[:kept]
+        sight[..., 0] += point[..., i]
+        for n in range(order + 1):
+            squared[..., n] += (sight[..., : n + 1] * sight[..., n::-1]).sum(axis=-1)
+    k = np.zeros_like(squared)
+    k[..., 0] = np.sqrt(squared[..., 0])
+    for n in range(1, order + 1):
+        cross = (k[..., 1:n] * k[..., n - 1 : 0 : -1]).sum(axis=-1)
+        k[..., n] = (squared[..., n] - cross) / (2 * k[..., 0])
+    return k
+
+
+def yaw_series(geometry: Geometry, epoch_range: FloatArray, yaw: float, *, order: int, half_width: float) -> FloatArray:
+    """k_nm of paper A (2): k_n(R, dtheta) = sum_m k_nm dtheta^m, (n_range, order + 1, 5).
+
+    The yaw dependence is interpolated through Chebyshev points over the block and turned into powers.
+    """
+    nodes = np.cos(np.pi * (np.arange(9) + 0.5) / 9)
+    k = range_series(geometry, epoch_range[:, None], yaw + half_width * nodes, order=order)
+    fitted = np.polynomial.chebyshev.chebfit(nodes, np.moveaxis(k, 1, 0).reshape(9, -1), 8)
+    powers = np.stack([np.polynomial.chebyshev.cheb2poly(column) for column in fitted.T])[:, :5]
+    powers = powers / half_width ** np.arange(5)
+    return powers.reshape(epoch_range.size, order + 1, 5)
+
+
+def closed_form_phases(
+    geometry: Geometry, *, epoch_range: FloatArray, ranges: FloatArray, yaw: float, half_width: float, shift: float
+) -> AzimuthPhases:
+    """Perturbation (30) and deramp (31) of paper A as printed, per range.
+
+    Errata applied: (26) is exp[j pi (alpha f^3 + beta f^4)]. Doppler counts from the block centre's
+    own k_1'' at each range, without which (29) is not the expansion of (28).
+
+    Parameters
+    ----------
+    epoch_range : (n_range,) float
+        m.
+    ranges : (n_range,) float
+        The same less the range origin.
+    yaw, half_width : float
+        Of the block, rad.
+    shift : float
+        Unified walk plus residual walk as Doppler on the carrier, Hz: what has been taken out.
+    """
+    lam = geometry.collection.wavelength
+    k = yaw_series(geometry, epoch_range, yaw, order=4, half_width=half_width)
+    k11, k12 = k[:, 1, 1], k[:, 1, 2]
+    k20, k21, k22 = k[:, 2, 0], k[:, 2, 1], k[:, 2, 2]
+    k30, k40 = k[:, 3, 0], k[:, 4, 0]
+    alpha = -(lam**2) * k21 / (24 * k11 * k20**2)
+    beta = (
+        k22 * lam**3 / (96 * k11**2 * k20**2)
+        - k21**2 * lam**3 / (48 * k11**2 * k20**3)
+        - k12 * k21 * lam**3 / (96 * k11**3 * k20**2)
+    )
+    zero = np.zeros_like(k20)
+    doppler_scale = float(np.abs(2 / lam * k11 * half_width).max())
+    time_scale = geometry.collection.pulse_interval * geometry.collection.n_pulse / 2
+    doppler_part = np.stack([zero, zero, zero, alpha / 2, beta / 2], axis=1) * doppler_scale ** np.arange(5)
+    deramp_part = np.stack(
+        [
+            zero,
+            zero,
+            2 * k20 / lam,
+            2 * k30 / lam + 32 * k20**3 * alpha / lam**3,
+            2 * k40 / lam - 128 * k20**4 * beta / lam**4,
+        ],
+        axis=1,
+    ) * time_scale ** np.arange(5)
+    centres = -2 / lam * k[:, 1, 0] - shift
+    nothing = np.zeros((ranges.size, 1))
+    return AzimuthPhases(
+        time=row_phase(nothing, ranges=ranges, centres=zero, scale=time_scale, degree=0),
+        doppler=row_phase(doppler_part, ranges=ranges, centres=centres, scale=doppler_scale, degree=SERIES_DEGREE),
+        deramp=row_phase(deramp_part, ranges=ranges, centres=zero, scale=time_scale, degree=SERIES_DEGREE),
+    )
+
+
+def candidates(line: Line, *, wavelength: float) -> list[Candidate]:
+    """Chains worth trying, cheapest first: the printed one, a time perturbation, then bias chirps.
+
+    A bias brings the lines' range acceleration to a value, of either sign, that spreads each target's
+    own line over TIME_BANDWIDTH or more.
+    """
+    duration = float(np.max(line.weight.sum(axis=-1)))
+    acceleration = float(np.mean(-line.rate * wavelength / 2)) / 2  # k_2, m/s^2
+    wanted = TIME_BANDWIDTH * wavelength / (4 * duration**2)
+    tried = [Candidate(0.0, False), Candidate(0.0, True)]
+    for factor in (1.25, 2.5, 5.0):
+        targets = sorted((factor * wanted, -factor * wanted), key=lambda k: abs(k - acceleration))
+        tried += [Candidate(k - acceleration, True) for k in targets]
+    return tried
+
+
+def range_acceleration_to_rate(acceleration: float, wavelength: float) -> float:
+    """Doppler rate of a range k_2 t^2, Hz/s."""
+    return -4 * acceleration / wavelength
+
+
+def carrier_cycles(rng: FloatArray, carrier: float) -> FloatArray:
+    """Phase of a range on the carrier, cycles: -2 fc / c rho."""
+    return -2 * carrier / SPEED_OF_LIGHT * rng

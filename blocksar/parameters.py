@@ -1,0 +1,213 @@
+"""What a collection is: radar, axes, track and beam, without a single sample.
+
+Everything downstream (simulation, planning, focusing, back-projection) is computed from a
+`Collection`, so an object that exists is one that can be trusted: it is frozen, in SI units, and
+checked at birth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+SPEED_OF_LIGHT = 299_792_458.0  # m/s
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+ComplexArray = NDArray[np.complex64]
+
+UNIFORM_TOLERANCE = 1e-3  # of one step: a sample this far from its place moves no phase that matters
+
+
+class InputError(ValueError):
+    """The user's input is wrong: one sentence with the field, the value and the remedy (exit status 2)."""
+
+
+class ProcessingError(RuntimeError):
+    """Processing failed although the input was right (exit status 1)."""
+
+
+def check_axis(axis: FloatArray, name: str, unit: str) -> None:
+    """Refuse an axis that is not finite, ascending and uniform to UNIFORM_TOLERANCE, with an InputError."""
+    if axis.ndim != 1 or axis.size < 8:
+        raise InputError(f"{name} has shape {axis.shape}, but an axis of at least 8 samples is needed")
+    if not np.isfinite(axis).all():
+        raise InputError(f"{name} has {np.count_nonzero(~np.isfinite(axis))} values that are not finite")
+    steps = np.diff(axis)
+    if not (steps > 0).all():
+        where = int(np.argmin(steps > 0))
+        raise InputError(f"{name} does not ascend at index {where + 1}: sort it, or cut it there")
+    step = (axis[-1] - axis[0]) / (axis.size - 1)
+    error = np.abs(axis - (axis[0] + step * np.arange(axis.size))) / step
+    if error.max() > UNIFORM_TOLERANCE:
+        raise InputError(
+            f"{name} is not uniform: index {int(error.argmax())} lies {error.max():.3g} steps of "
+            f"{step:.6g} {unit} from its place; resample it to a uniform axis"
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Collection:
+    """Metadata of one phase history: what the `phase_history.zarr` contract holds, less the samples.
+
+    The signal of a target of reflectivity sigma at range R(t) is
+
+        signal[pulse, f] = sigma exp(-4j pi (carrier + f) / c (R(t_pulse) - reference_range[pulse]))
+
+    while the target is lit: |theta - beam_azimuth(t)| <= beam_width / 2 with theta its yaw about the
+    platform's nadir at t = 0; always, if the beam is not steered.
+
+    Attributes
+    ----------
+    carrier : float
+        fc, Hz.
+    time : (n_pulse,) float
+        Slow time, s; uniform, ascending; t = 0 defines the polar frame.
+    range_frequency : (n_range_frequency,) float
+        Baseband range frequency, Hz; uniform, ascending.
+    reference_range : (n_pulse,) float
+        Range whose phase was removed, m.
+    antenna_position : (n_pulse, 3) float
+        Phase centre in the scene frame (x, y, z), m; z up.
+    beam_azimuth : (n_pulse,) float
+        Beam-centre yaw, rad; all NaN if the beam is not steered.
+    beam_width : float or None
+        Full width of the beam in yaw, rad; None if the beam is not steered.
+    ground_height : float
+        Height of the imaged plane in the scene frame, m.
+
+    Raises
+    ------
+    InputError
+        If an array has the wrong shape, is not finite, an axis is not uniform and ascending, or
+        beam_azimuth and beam_width do not agree.
+    """
+
+    carrier: float
+    time: FloatArray
+    range_frequency: FloatArray
+    reference_range: FloatArray
+    antenna_position: FloatArray
+    beam_azimuth: FloatArray
+    beam_width: float | None = None
+    ground_height: float = 0.0
+    title: str = ""
+
+    def __post_init__(self) -> None:
+        for name in ("time", "range_frequency", "reference_range", "antenna_position", "beam_azimuth"):
+            try:
+                array = np.array(getattr(self, name), dtype=np.float64)
+            except (TypeError, ValueError):
+                raise InputError(f"{name} must be an array of real numbers") from None
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+        check_axis(self.time, "time", "s")
+        check_axis(self.range_frequency, "range_frequency", "Hz")
+        n = self.time.size
+        self._check_shape("reference_range", (n,))
+        self._check_shape("antenna_position", (n, 3))
+        self._check_shape("beam_azimuth", (n,))
+        for name in ("reference_range", "antenna_position"):
+            bad = np.flatnonzero(~np.isfinite(getattr(self, name).reshape(n, -1)).all(axis=1))
+            if bad.size:
+                raise InputError(
+                    f"{name} is not finite at {bad.size} of {n} pulses (first: pulse {bad[0]}); "
+                    "every pulse needs a position and a reference range, also a missing one"
+                )
+        if not (np.isfinite(self.carrier) and self.carrier > 0):
+            raise InputError(f"carrier_frequency must be a positive number of Hz, got {self.carrier!r}")
+        if self.carrier + self.range_frequency[0] <= 0:
+            raise InputError(
+                f"range_frequency starts at {self.range_frequency[0]:.6g} Hz, below minus the carrier "
+                f"({self.carrier:.6g} Hz); it must be baseband, relative to carrier_frequency"
+            )
+        if not np.isfinite(self.ground_height):
+            raise InputError(f"ground_height must be a finite number of m, got {self.ground_height!r}")
+        if np.min(self.antenna_position[:, 2]) <= self.ground_height:
+            raise InputError(
+                f"antenna_position falls to z = {np.min(self.antenna_position[:, 2]):.6g} m, not above "
+                f"ground_height = {self.ground_height:.6g} m; z must point up"
+            )
+        self._check_beam()
+
+    def _check_shape(self, name: str, shape: tuple[int, ...]) -> None:
+        array = getattr(self, name)
+        if array.shape != shape:
+            raise InputError(f"{name} has shape {array.shape}, but the collection needs {shape}")
+
+    def _check_beam(self) -> None:
+        finite = np.isfinite(self.beam_azimuth)
+        if not finite.any():
+            if self.beam_width is not None:
+                raise InputError(
+                    f"beam_width is {self.beam_width:.6g} rad but beam_azimuth is NaN throughout; give the "
+                    "beam's yaw, or leave out beam_width for a beam that is not steered"
+                )
+            return
+        if not finite.all():
+            raise InputError(
+                f"beam_azimuth is NaN at {np.count_nonzero(~finite)} of {finite.size} pulses; give it for "
+                "every pulse, or NaN for all of them if the beam is not steered"
+            )
+        if self.beam_width is None or not 0 < self.beam_width < np.pi:
+            raise InputError(
+                f"beam_width must lie between 0 and pi rad where beam_azimuth is given, got {self.beam_width!r}"
+            )
+        azimuth = np.unwrap(self.beam_azimuth)
+        azimuth.flags.writeable = False
+        object.__setattr__(self, "beam_azimuth", azimuth)
+        steps = np.diff(azimuth)
+        if not ((steps >= 0).all() or (steps <= 0).all()):
+            raise InputError(
+                "beam_azimuth turns back at pulse "
+                f"{int(np.argmax(np.sign(steps) != np.sign(azimuth[-1] - azimuth[0]))) + 1}: the beam must scan "
+                "one way; cut the collection there"
+            )
+
+    @property
+    def n_pulse(self) -> int:
+        return int(self.time.size)
+
+    @property
+    def n_range_frequency(self) -> int:
+        return int(self.range_frequency.size)
+
+    @property
+    def steered(self) -> bool:
+        """Whether a target is lit for a part of the time only."""
+        return self.beam_width is not None
+
+    @cached_property
+    def pulse_interval(self) -> float:
+        return float((self.time[-1] - self.time[0]) / (self.n_pulse - 1))
+
+    @property
+    def prf(self) -> float:
+        return 1.0 / self.pulse_interval
+
+    @cached_property
+    def range_frequency_step(self) -> float:
+        return float((self.range_frequency[-1] - self.range_frequency[0]) / (self.n_range_frequency - 1))
+
+    @property
+    def bandwidth(self) -> float:
+        """n_range_frequency steps: the band of which the samples are the midpoints, Hz."""
+        return self.range_frequency_step * self.n_range_frequency
+
+    @property
+    def range_window(self) -> float:
+        """Ranges that differ by this much cannot be told apart: c / (2 step), m."""
+        return SPEED_OF_LIGHT / (2 * self.range_frequency_step)
+
+    @property
+    def wavelength(self) -> float:
+        return SPEED_OF_LIGHT / self.carrier
+
+    def as_dict(self) -> dict[str, Any]:
+        """The fields by name, as keyword arguments of another Collection."""
+        return {name: getattr(self, name) for name in self.__dataclass_fields__}

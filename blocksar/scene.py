@@ -1,0 +1,926 @@
+"""Scene files: radar, track, beam, targets and disturbances in TOML, checked as a whole before anything runs.
+
+A scene file is written by people, so angles are in degrees (in keys that end in `_deg`); everything else is SI.
+A wrong file gives one message that lists every wrong field, its value and what would do.
+
+    title = "..."
+    [radar]         carrier, bandwidth, range_sampling, prf, pulse_width (raw echo only)
+    [track]         position, velocity, acceleration, jerk | coefficients | samples | file
+    [time]          duration | pulses; start
+    [beam]          start_deg, stop_deg, dwell | width_deg          (leave out: not steered)
+    [scene]         swath, centre_yaw_deg, centre_range, ground_height, reference_range
+    [[targets]]     name, x + y | range + yaw_deg | ground_range_offset + cross_range_offset; amplitude, phase_deg
+    [matrix]        rows, columns, spacing | extent, names
+    [clutter]       scatterers, seed, range + yaw_deg | x + y, power
+    [reflectivity]  file, x0, dx, y0, dy, seed
+    [noise]         power, seed
+    [dropped]       pulses, ranges, fraction, seed
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+import tomllib
+from functools import cached_property
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError, ValidationInfo, model_validator
+
+from blocksar.geometry import Geometry
+from blocksar.parameters import SPEED_OF_LIGHT, Collection, FloatArray, InputError, IntArray
+
+RANGE_GUARD = 1.05  # the range window exceeds what lit targets need by this factor
+MAX_FAST_TIME_SAMPLES = 1 << 20
+MAX_PULSES = 1 << 22
+CHECKED_PULSES = 257  # pulses at which the range migration of lit targets is measured
+
+Positive = Annotated[float, Field(gt=0)]
+Seed = Annotated[int, Field(ge=0, lt=2**63)]
+# TOML knows lists only: let a tuple be read from one, while what is in it stays strict.
+Pair = Annotated[tuple[float, float], Field(strict=False)]
+IndexPair = Annotated[tuple[int, int], Field(strict=False)]
+Vector = Annotated[tuple[float, float, float], Field(strict=False)]
+Sample = Annotated[tuple[float, float, float, float], Field(strict=False)]
+
+
+class PointTarget(NamedTuple):
+    """A named point target on the ground plane: x, y in m in the scene frame."""
+
+    name: str
+    x: float
+    y: float
+    reflectivity: complex
+
+
+class Scatterers(NamedTuple):
+    """Many nameless scatterers: x, y (n,) m in the scene frame, reflectivity (n,) complex64."""
+
+    x: FloatArray
+    y: FloatArray
+    reflectivity: NDArray[np.complex64]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+def _require(condition: bool, message: str) -> None:
+    if not condition:
+        raise ValueError(message)
+
+
+def _either(given: list[str], one: str, other: str) -> str:
+    return f"{'both' if given else 'neither'} given: give either {one} or {other}"
+
+
+def _given(table: BaseModel, *names: str) -> list[str]:
+    return [name for name in names if getattr(table, name) is not None]
+
+
+class RadarTable(_Table):
+    carrier: Positive = Field(description="carrier frequency, Hz")
+    bandwidth: Positive = Field(description="transmitted bandwidth, Hz")
+    range_sampling: Positive = Field(description="complex fast-time sampling rate, Hz, at least the bandwidth")
+    prf: Positive = Field(description="pulse repetition frequency, Hz")
+    pulse_width: Positive | None = Field(None, description="length of the chirp, s; needed for a raw echo")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        _require(
+            self.bandwidth < 2 * self.carrier,
+            f"bandwidth = {self.bandwidth:g}: must be below twice the carrier, {2 * self.carrier:g} Hz",
+        )
+        _require(
+            self.range_sampling >= self.bandwidth,
+            f"range_sampling = {self.range_sampling:g}: must be at least the bandwidth, {self.bandwidth:g} Hz",
+        )
+        return self
+
+
+class TrackTable(_Table):
+    position: Vector | None = Field(None, description="[x, y, z] at t = 0, m")
+    velocity: Vector | None = Field(None, description="[x, y, z] at t = 0, m/s")
+    acceleration: Vector | None = Field(None, description="[x, y, z] at t = 0, m/s^2")
+    jerk: Vector | None = Field(None, description="[x, y, z], m/s^3")
+    coefficients: Annotated[tuple[Vector, ...], Field(strict=False, min_length=2)] | None = Field(
+        None, description="[x, y, z] that multiply t^0, t^1, t^2, ...: an acceleration enters as a / 2"
+    )
+    samples: Annotated[tuple[Sample, ...], Field(strict=False, min_length=4)] | None = Field(
+        None, description="rows [t, x, y, z] in s and m, at least 4, t ascending"
+    )
+    file: str | None = Field(None, description="CSV file of rows t, x, y, z in s and m; relative to the scene file")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read_file(cls, data: Any, info: ValidationInfo) -> Any:
+        if not isinstance(data, dict) or not isinstance(data.get("file"), str) or "samples" in data:
+            return data
+        path = _beside(data["file"], info)
+        try:
+            table = np.loadtxt(path, delimiter=",", ndmin=2, comments="#", skiprows=_header_lines(path))
+        except (OSError, ValueError) as error:
+            raise ValueError(f"file = {data['file']!r}: must be a readable CSV of t, x, y, z ({error})") from None
+        return {**data, "samples": table.tolist()}
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        taylor = _given(self, "position", "velocity", "acceleration", "jerk")
+        ways = [*(["position, velocity"] if taylor else []), *_given(self, "coefficients", "samples")]
+        _require(
+            len(ways) == 1,
+            f"{' and '.join(ways) or 'nothing'} given: give one of position + velocity (+ acceleration, jerk), "
+            "coefficients, samples or file",
+        )
+        if taylor:
+            missing = [name for name in ("position", "velocity") if name not in taylor]
+            _require(not missing, f"{', '.join(missing)} missing: a track needs position and velocity")
+        if self.samples is not None:
+            _require(
+                all(later[0] > earlier[0] for earlier, later in zip(self.samples, self.samples[1:], strict=False)),
+                "samples: t must ascend from row to row",
+            )
+        return self
+
+    def positions(self, time: FloatArray) -> FloatArray:
+        """Antenna phase centre (n, 3), m, at slow times (n,), s: polynomial, or cubic spline through the samples.
+
+        Raises
+        ------
+        InputError
+            If the samples do not cover `time`.
+        """
+        if self.samples is not None:
+            from scipy.interpolate import CubicSpline  # heavy, and only sampled tracks need it
+
+            rows = np.array(self.samples)
+            tolerance = 1e-9 * (rows[-1, 0] - rows[0, 0])
+            if time[0] < rows[0, 0] - tolerance or time[-1] > rows[-1, 0] + tolerance:
+                raise InputError(
+                    f"track.samples run from t = {rows[0, 0]:g} to {rows[-1, 0]:g} s, but the pulses from "
+                    f"{time[0]:g} to {time[-1]:g} s: give samples for all of that time"
+                )
+            return np.asarray(CubicSpline(rows[:, 0], rows[:, 1:])(time), dtype=np.float64)
+        if self.coefficients is not None:
+            coefficients = np.array(self.coefficients)
+        else:
+            terms = (self.position, self.velocity, self.acceleration, self.jerk)
+            factorial = np.array([1.0, 1.0, 2.0, 6.0])
+            coefficients = np.array([term or (0.0, 0.0, 0.0) for term in terms]) / factorial[:, None]
+        return np.asarray(np.polynomial.polynomial.polyval(time, coefficients).T, dtype=np.float64)
+
+
+class TimeTable(_Table):
+    duration: Positive | None = Field(None, description="length of the collection, s")
+    pulses: int | None = Field(None, ge=8, le=MAX_PULSES, description="number of pulses, odd or even")
+    start: float | None = Field(None, description="slow time of the first pulse, s; default: t = 0 is the middle pulse")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        given = _given(self, "duration", "pulses")
+        _require(len(given) == 1, _either(given, "duration (s)", "pulses"))
+        return self
+
+
+class BeamTable(_Table):
+    start_deg: float = Field(ge=-720, le=720, description="beam-centre yaw at the first pulse, degrees")
+    stop_deg: float = Field(ge=-720, le=720, description="beam-centre yaw one interval after the last pulse, degrees")
+    dwell: Positive | None = Field(None, description="time for which a target is lit, s")
+    width_deg: float | None = Field(None, gt=0, lt=180, description="full beam width in yaw, degrees")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        given = _given(self, "dwell", "width_deg")
+        _require(len(given) == 1, _either(given, "dwell (s)", "width_deg"))
+        _require(
+            self.start_deg != self.stop_deg or self.dwell is None,
+            f"dwell = {self.dwell}: a beam that stands still has no dwell, give width_deg",
+        )
+        return self
+
+
+class AreaTable(_Table):
+    swath: Pair = Field(description="[near, far] slant range at t = 0, m")
+    centre_yaw_deg: float | None = Field(
+        None, ge=-720, le=720, description="yaw of the scene centre, degrees; default: the middle of the steering"
+    )
+    centre_range: Positive | None = Field(
+        None, description="slant range of the scene centre at t = 0, m; default: the middle of the swath"
+    )
+    ground_height: float = Field(0.0, description="height of the ground plane, m")
+    reference_range: Literal["constant", "scene_centre"] | Positive = Field(
+        "constant",
+        description="the range whose phase is removed: 'constant' (the scene centre's at t = 0), "
+        "'scene_centre' (followed from pulse to pulse), or a number of m",
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        near, far = self.swath
+        _require(0 < near < far, f"swath = [{near:g}, {far:g}]: must be [near, far] with 0 < near < far, m")
+        return self
+
+
+class TargetTable(_Table):
+    name: str = Field(min_length=1, description="name of the target")
+    x: float | None = Field(None, description="scene-frame x, m")
+    y: float | None = Field(None, description="scene-frame y, m")
+    range: Positive | None = Field(None, description="slant range at t = 0, m")
+    yaw_deg: float | None = Field(None, description="yaw about the nadir at t = 0, degrees")
+    ground_range_offset: float | None = Field(None, description="from the scene centre, away from the platform, m")
+    cross_range_offset: float | None = Field(None, description="from the scene centre, towards larger yaw, m")
+    amplitude: float = Field(1.0, ge=0, description="modulus of the reflectivity")
+    phase_deg: float = Field(0.0, description="phase of the reflectivity, degrees")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        ways = {("x", "y"), ("range", "yaw_deg"), ("ground_range_offset", "cross_range_offset")}
+        given = tuple(_given(self, "x", "y", "range", "yaw_deg", "ground_range_offset", "cross_range_offset"))
+        _require(
+            given in ways,
+            f"place of {self.name!r} = {', '.join(given) or 'nothing'}: give x + y, range + yaw_deg, or "
+            "ground_range_offset + cross_range_offset",
+        )
+        return self
+
+    @property
+    def reflectivity(self) -> complex:
+        return complex(self.amplitude * np.exp(1j * np.deg2rad(self.phase_deg)))
+
+
+class MatrixTable(_Table):
+    """Unit targets about the scene centre: rows along ground range, columns across it, towards larger yaw."""
+
+    rows: int = Field(ge=1, le=10_000, description="targets along ground range")
+    columns: int = Field(ge=1, le=10_000, description="targets across it")
+    spacing: Pair | None = Field(None, description="[along ground range, across it] from target to target, m")
+    extent: Pair | None = Field(None, description="[along ground range, across it] from first to last target, m")
+    amplitude: float = Field(1.0, ge=0, description="modulus of the reflectivity")
+    names: dict[str, IndexPair] = Field({}, description="name = [row, column] counted from 0; others are Trc")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        given = _given(self, "spacing", "extent")
+        _require(len(given) == 1, _either(given, "spacing (m)", "extent (m)"))
+        size = self.spacing or self.extent or (0.0, 0.0)
+        _require(min(size) > 0, f"{given[0]} = {list(size)}: both must be greater than 0 m")
+        _require(
+            self.rows * self.columns <= 10_000,
+            f"rows x columns = {self.rows * self.columns}: at most 10000 targets; use clutter for more",
+        )
+        wrong = [
+            f"names.{name} = [{row}, {column}]"
+            for name, (row, column) in self.names.items()
+            if not (0 <= row < self.rows and 0 <= column < self.columns)
+        ]
+        _require(not wrong, f"{', '.join(wrong)}: must lie in the {self.rows} x {self.columns} matrix, from [0, 0]")
+        _require(
+            len(set(self.names.values())) == len(self.names), f"names = {self.names}: two names for one target"
+        )
+        return self
+
+    def offsets(self) -> tuple[FloatArray, FloatArray]:
+        """(along ground range, across it) from the scene centre, m, row by row."""
+        counts = (self.rows, self.columns)
+        if self.spacing is not None:
+            extents = [step * (count - 1) for step, count in zip(self.spacing, counts, strict=True)]
+        else:
+            extents = list(self.extent or ())
+        axes = [
+            np.linspace(-extent / 2, extent / 2, count) if count > 1 else np.zeros(1)
+            for extent, count in zip(extents, counts, strict=True)
+        ]
+        along, across = np.meshgrid(*axes, indexing="ij")
+        return along.ravel(), across.ravel()
+
+    def labels(self) -> list[str]:
+        """Names row by row."""
+        named = {index: name for name, index in self.names.items()}
+        wide = len(str(max(self.rows, self.columns) - 1))
+        return [
+            named.get((row, column), f"T{row:0{wide}}{column:0{wide}}")
+            for row in range(self.rows)
+            for column in range(self.columns)
+        ]
+
+
+class ClutterTable(_Table):
+    """A random field: scatterers uniform over the region's ground area, circular Gaussian reflectivity."""
+
+    scatterers: int = Field(ge=1, le=20_000_000, description="number of scatterers, usually 1e5 to 1e6")
+    seed: Seed = Field(description="seed of the random numbers")
+    power: Positive = Field(1.0, description="mean of |reflectivity|^2 of one scatterer")
+    range: Pair | None = Field(None, description="[near, far] slant range at t = 0, m; default: the swath")
+    yaw_deg: Pair | None = Field(None, description="[first, last] yaw, degrees; default: all that the beam lights")
+    x: Pair | None = Field(None, description="[first, last] scene-frame x, m")
+    y: Pair | None = Field(None, description="[first, last] scene-frame y, m")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        box, polar = _given(self, "x", "y"), _given(self, "range", "yaw_deg")
+        _require(not (box and polar), f"{', '.join(box + polar)} given: give a box x + y, or range + yaw_deg")
+        _require(len(box) != 1, f"{''.join(box)} given alone: a box needs x and y")
+        for name in box + polar:
+            first, last = getattr(self, name)
+            _require(first < last, f"{name} = [{first:g}, {last:g}]: must ascend")
+        return self
+
+
+class ReflectivityTable(_Table):
+    """A map: pixel [row, column] is a scatterer at x = x0 + dx column, y = y0 + dy row."""
+
+    file: str = Field(description=".npy file of a 2-D real or complex array; relative to the scene file")
+    x0: float = Field(description="x of the first column, m")
+    dx: float = Field(description="step from column to column, m")
+    y0: float = Field(description="y of the first row, m")
+    dy: float = Field(description="step from row to row, m")
+    seed: Seed | None = Field(None, description="seed of a random phase per pixel; left out: phases as in the file")
+
+    @model_validator(mode="after")
+    def _check(self, info: ValidationInfo) -> Self:
+        for name in ("dx", "dy"):
+            _require(getattr(self, name) != 0, f"{name} = 0: must be a step other than 0 m")
+        path = _beside(self.file, info)
+        try:
+            pixels = np.load(path, mmap_mode="r", allow_pickle=False)
+        except (OSError, ValueError, EOFError) as error:
+            raise ValueError(f"file = {self.file!r}: must be a readable .npy file ({error})") from None
+        _require(
+            isinstance(pixels, np.ndarray) and pixels.ndim == 2 and pixels.dtype.kind in "uifc" and pixels.size > 0,
+            f"file = {self.file!r}: must hold a 2-D real or complex array",
+        )
+        _require(bool(np.isfinite(pixels).all()), f"file = {self.file!r}: must hold finite numbers only")
+        object.__setattr__(self, "file", str(path))
+        return self
+
+
+class NoiseTable(_Table):
+    """Circular Gaussian noise: E|n|^2 = power in each sample.
+
+    A target of unit amplitude has modulus 1 in each sample, so its signal-to-noise ratio is 1 / power in one sample,
+    and (lit pulses x range frequencies) / power in the image.
+    """
+
+    power: float = Field(ge=0, description="mean |noise|^2 per sample, relative to a target of unit amplitude")
+    seed: Seed = Field(description="seed of the random numbers")
+
+
+class DroppedTable(_Table):
+    """Pulses that were lost: rows of NaN."""
+
+    pulses: Annotated[tuple[int, ...], Field(strict=False)] = Field((), description="indices of pulses, from 0")
+    ranges: Annotated[tuple[IndexPair, ...], Field(strict=False)] = Field(
+        (), description="[first, last] indices, both of them lost too"
+    )
+    fraction: float = Field(0.0, ge=0, lt=1, description="share of all pulses, picked at random")
+    seed: Seed | None = Field(None, description="seed of the random choice; needed with fraction")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        _require(self.fraction == 0 or self.seed is not None, "seed missing: fraction needs one")
+        for first, last in self.ranges:
+            _require(first <= last, f"ranges = [{first}, {last}]: must be [first, last] with first <= last")
+        return self
+
+
+class Scene(_Table):
+    """A scene file, checked. Read one by `Scene.read`.
+
+    Raises
+    ------
+    InputError
+        From `read` and `parse`, with every wrong field.
+    """
+
+    title: str = Field("", description="one line about the scene")
+    radar: RadarTable = Field(description="the table of the radar")
+    track: TrackTable = Field(description="the table of the platform's track")
+    time: TimeTable = Field(description="the table of the pulses' time")
+    beam: BeamTable | None = Field(None, description="the table of the steered beam")
+    area: AreaTable = Field(alias="scene", description="the table of swath and centre")
+    targets: Annotated[tuple[TargetTable, ...], Field(strict=False)] = Field((), description="point targets")
+    matrix: MatrixTable | None = Field(None, description="a matrix of point targets")
+    clutter: ClutterTable | None = Field(None, description="a random field")
+    reflectivity: ReflectivityTable | None = Field(None, description="a reflectivity map")
+    noise: NoiseTable | None = Field(None, description="receiver noise")
+    dropped: DroppedTable | None = Field(None, description="lost pulses")
+    _name: str = PrivateAttr("")
+
+    @classmethod
+    def read(cls, source: str | Path) -> Scene:
+        """Read a scene file; a name that is no file is looked up among the shipped scenes (e.g. "table1").
+
+        Raises
+        ------
+        InputError
+            If there is no such scene, it is no TOML, or fields are wrong: all of them, in one message.
+        """
+        path = Path(source)
+        if path.is_file():
+            folder, name, label = path.parent, path.stem, str(path)
+            try:
+                text = path.read_text(encoding="utf-8")
+            except (OSError, UnicodeDecodeError) as error:
+                raise InputError(f"{path} cannot be read ({error}); give a scene file in UTF-8") from None
+            return cls.parse(text, name=name, label=label, folder=folder)
+        shipped = resources.files("blocksar") / "scenes" / f"{source}.toml"
+        if path.name != str(source) or not shipped.is_file():
+            raise InputError(
+                f"scene {str(source)!r} is neither a file nor one of the shipped scenes: {', '.join(shipped_scenes())}"
+            )
+        return cls.parse(shipped.read_text(encoding="utf-8"), name=str(source), label=f"{source}.toml")
+
+    @classmethod
+    def parse(cls, text: str, *, name: str = "", label: str = "scene", folder: Path | None = None) -> Scene:
+        """Check the text of a scene file; `label` names it in messages, `folder` is where its files lie."""
+        try:
+            data = tomllib.loads(text)
+        except tomllib.TOMLDecodeError as error:
+            raise InputError(f"{label} is not TOML: {error}; mend that line") from None
+        try:
+            scene = cls.model_validate(data, context={"folder": folder})
+        except ValidationError as error:
+            raise InputError(_describe(error, data, label)) from None
+        scene._name = name
+        scene._check_whole(label)
+        return scene
+
+    @property
+    def name(self) -> str:
+        """The scene file's name without its ending, or the shipped scene's."""
+        return self._name
+
+    def _check_whole(self, label: str) -> None:
+        """Checks across tables: all that are wrong at once."""
+        problems: list[str] = []
+        if self.beam is None and self.area.centre_yaw_deg is None:
+            problems.append("scene.centre_yaw_deg is missing: a scene without [beam] needs it")
+        clutter = self.clutter
+        if self.beam is None and clutter is not None and clutter.x is None and clutter.yaw_deg is None:
+            problems.append("clutter.yaw_deg is missing: without [beam], give range + yaw_deg, or a box x + y")
+        n = self.n_pulse
+        if not 8 <= n <= MAX_PULSES:
+            problems.append(f"time.duration = {self.time.duration:g}: gives {n} pulses; must give 8 to {MAX_PULSES}")
+        if self.beam is not None and not 0 < self.beam_width_deg < 180:
+            problems.append(
+                f"beam.dwell = {self.beam.dwell}: gives a beam {self.beam_width_deg:.4g} degrees wide; "
+                "must give less than 180"
+            )
+        if self.dropped is not None:
+            lost = [*self.dropped.pulses, *(i for pair in self.dropped.ranges for i in pair)]
+            wrong = sorted({i for i in lost if not 0 <= i < n})
+            if wrong:
+                problems.append(f"dropped = {wrong[:5]}: must be indices of the {n} pulses, 0 to {n - 1}")
+        names = [target.name for target in self.targets] + (self.matrix.labels() if self.matrix else [])
+        twice = sorted({name for name in names if names.count(name) > 1}) if len(names) <= 2000 else []
+        if twice:
+            problems.append(f"targets = {twice[:5]}: names must differ from target to target")
+        if not problems:
+            problems.extend(self._check_places())
+        if problems:
+            raise InputError(_message(label, problems))
+
+    def _check_places(self) -> list[str]:
+        try:
+            height = self.origin[2] - self.area.ground_height
+        except InputError as error:
+            return [str(error)]
+        fields = {"scene.swath": self.area.swath[0], "scene.centre_range": self.area.centre_range}
+        fields |= {f"targets[{i}].range": target.range for i, target in enumerate(self.targets)}
+        if self.clutter is not None and self.clutter.range is not None:
+            fields["clutter.range"] = self.clutter.range[0]
+        return [
+            f"{field} = {value:g}: must exceed the height above ground at t = 0, {height:.6g} m"
+            for field, value in fields.items()
+            if value is not None and value <= height
+        ]
+
+    # -- pulses, track and beam -----------------------------------------------------------------------------
+
+    @property
+    def n_pulse(self) -> int:
+        if self.time.pulses is not None:
+            return self.time.pulses
+        return round((self.time.duration or 0.0) * self.radar.prf)
+
+    @cached_property
+    def pulse_times(self) -> FloatArray:
+        """Slow time (n_pulse,), s. By default the middle pulse, n_pulse // 2, is at t = 0."""
+        index = np.arange(self.n_pulse)
+        if self.time.start is None:
+            return np.asarray((index - self.n_pulse // 2) / self.radar.prf)
+        return np.asarray(self.time.start + index / self.radar.prf)
+
+    @property
+    def beam_width_deg(self) -> float:
+        beam = self.beam
+        if beam is None:
+            return 360.0
+        if beam.width_deg is not None:
+            return beam.width_deg
+        rate = abs(beam.stop_deg - beam.start_deg) * self.radar.prf / self.n_pulse
+        return rate * (beam.dwell or 0.0)
+
+    @cached_property
+    def beam_azimuth(self) -> FloatArray:
+        """Beam-centre yaw (n_pulse,), rad; NaN where not steered."""
+        if self.beam is None:
+            return np.full(self.n_pulse, np.nan)
+        start, stop = self.beam.start_deg, self.beam.stop_deg
+        return np.asarray(np.deg2rad(start + (stop - start) * np.arange(self.n_pulse) / self.n_pulse))
+
+    def _collection(self, range_frequency: FloatArray, reference_range: FloatArray) -> Collection:
+        return Collection(
+            carrier=self.radar.carrier,
+            time=self.pulse_times,
+            range_frequency=range_frequency,
+            reference_range=reference_range,
+            antenna_position=self.track.positions(self.pulse_times),
+            beam_azimuth=self.beam_azimuth,
+            beam_width=None if self.beam is None else float(np.deg2rad(self.beam_width_deg)),
+            ground_height=self.area.ground_height,
+            title=self.title,
+        )
+
+    @cached_property
+    def geometry(self) -> Geometry:
+        """Track and polar frame, as everybody downstream derives them from the store (range axis: a stand-in)."""
+        axis = np.linspace(-0.5, 0.5, 8) * self.radar.bandwidth
+        return Geometry(collection=self._collection(axis, np.zeros(self.n_pulse)))
+
+    @cached_property
+    def origin(self) -> FloatArray:
+        """Antenna position at t = 0, (3,) m."""
+        self.geometry.nadir  # noqa: B018 - refuses where t = 0 lies too far from the pulses
+        return self.geometry.track.position(np.array(0.0))
+
+    # -- places on the ground -------------------------------------------------------------------------------
+
+    @property
+    def centre_yaw(self) -> float:
+        """Yaw of the scene centre, rad."""
+        if self.area.centre_yaw_deg is not None:
+            return float(np.deg2rad(self.area.centre_yaw_deg))
+        assert self.beam is not None  # checked when read
+        return float(np.deg2rad((self.beam.start_deg + self.beam.stop_deg) / 2))
+
+    def ground_point(self, slant_range: FloatArray | float, yaw: FloatArray | float) -> tuple[FloatArray, FloatArray]:
+        """x, y (m) on the ground at slant ranges (m) and yaws (rad) at t = 0; both broadcast."""
+        height = self.origin[2] - self.area.ground_height
+        distance = np.sqrt(np.asarray(slant_range) ** 2 - height**2)
+        return self.origin[0] + distance * np.cos(yaw), self.origin[1] + distance * np.sin(yaw)
+
+    @cached_property
+    def centre(self) -> FloatArray:
+        """The scene centre, (3,) m."""
+        near, far = self.area.swath
+        x, y = self.ground_point(self.area.centre_range or (near + far) / 2, self.centre_yaw)
+        return np.array([float(x), float(y), self.area.ground_height])
+
+    def offset_point(self, along: FloatArray | float, across: FloatArray | float) -> tuple[FloatArray, FloatArray]:
+        """x, y (m) at offsets from the scene centre: along ground range there, and across it to larger yaw."""
+        cos, sin = np.cos(self.centre_yaw), np.sin(self.centre_yaw)
+        along, across = np.asarray(along), np.asarray(across)
+        return self.centre[0] + along * cos - across * sin, self.centre[1] + along * sin + across * cos
+
+    @cached_property
+    def lit_yaw(self) -> tuple[float, float]:
+        """First and last yaw (rad) that is ever lit; the scene centre's own where the beam is not steered."""
+        if self.beam is None:
+            return self.centre_yaw, self.centre_yaw
+        half = np.deg2rad(self.beam_width_deg) / 2
+        return float(self.beam_azimuth.min() - half), float(self.beam_azimuth.max() + half)
+
+    # -- what reflects --------------------------------------------------------------------------------------
+
+    def point_targets(self) -> list[PointTarget]:
+        """All point targets: the listed ones, then the matrix row by row."""
+        found: list[PointTarget] = []
+        for target in self.targets:
+            if target.x is not None and target.y is not None:
+                place = np.asarray(target.x), np.asarray(target.y)
+            elif target.range is not None and target.yaw_deg is not None:
+                place = self.ground_point(target.range, float(np.deg2rad(target.yaw_deg)))
+            else:
+                place = self.offset_point(target.ground_range_offset or 0.0, target.cross_range_offset or 0.0)
+            found.append(PointTarget(target.name, float(place[0]), float(place[1]), target.reflectivity))
+        if self.matrix is not None:
+            x, y = self.offset_point(*self.matrix.offsets())
+            amplitude = complex(self.matrix.amplitude)
+            found.extend(map(PointTarget, self.matrix.labels(), x.tolist(), y.tolist(), [amplitude] * x.size))
+        return found
+
+    def scatterers(self) -> Scatterers:
+        """The random field and the reflectivity map, as one list of scatterers (possibly empty)."""
+        parts = [self._clutter()] if self.clutter is not None else []
+        parts += [self._map()] if self.reflectivity is not None else []
+        if not parts:
+            return Scatterers(np.empty(0), np.empty(0), np.empty(0, np.complex64))
+        return Scatterers(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+    def _clutter_region(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Polar region of the random field: slant ranges (m) and yaws (rad)."""
+        assert self.clutter is not None
+        ranges = self.clutter.range or self.area.swath
+        yaws = self.clutter.yaw_deg
+        if yaws is not None:
+            return ranges, (float(np.deg2rad(yaws[0])), float(np.deg2rad(yaws[1])))
+        return ranges, self.lit_yaw
+
+    def _clutter(self) -> Scatterers:
+        clutter = self.clutter
+        assert clutter is not None
+        random = np.random.default_rng(clutter.seed)
+        u, v = random.random((2, clutter.scatterers))
+        if clutter.x is not None and clutter.y is not None:
+            x = clutter.x[0] + u * (clutter.x[1] - clutter.x[0])
+            y = clutter.y[0] + v * (clutter.y[1] - clutter.y[0])
+        else:
+            ranges, yaws = self._clutter_region()
+            # Ground area grows with the square of the distance, and that with the square of the slant range.
+            squared = ranges[0] ** 2 + u * (ranges[1] ** 2 - ranges[0] ** 2)
+            x, y = self.ground_point(np.sqrt(squared), yaws[0] + v * (yaws[1] - yaws[0]))
+        parts = random.standard_normal((2, clutter.scatterers)) * np.sqrt(clutter.power / 2)
+        return Scatterers(x, y, (parts[0] + 1j * parts[1]).astype(np.complex64))
+
+    def _map(self) -> Scatterers:
+        table = self.reflectivity
+        assert table is not None
+        pixels = np.load(table.file, allow_pickle=False)
+        row, column = np.nonzero(pixels)
+        values = pixels[row, column].astype(np.complex64)
+        if table.seed is not None:
+            # One phase for each pixel of the map, also the empty ones: editing one leaves the others alone.
+            phase = np.random.default_rng(table.seed).random(pixels.shape)[row, column]
+            values = values * np.exp(2j * np.pi * phase).astype(np.complex64)
+        x, y = table.x0 + table.dx * column.astype(np.float64), table.y0 + table.dy * row.astype(np.float64)
+        return Scatterers(x, y, values)
+
+    def dropped_pulses(self) -> IntArray:
+        """Indices of lost pulses, ascending."""
+        if self.dropped is None:
+            return np.empty(0, dtype=np.int64)
+        lost = np.zeros(self.n_pulse, dtype=bool)
+        lost[list(self.dropped.pulses)] = True
+        for first, last in self.dropped.ranges:
+            lost[first : last + 1] = True
+        count = round(self.dropped.fraction * self.n_pulse)
+        if count:
+            lost[np.random.default_rng(self.dropped.seed).permutation(self.n_pulse)[:count]] = True
+        return np.flatnonzero(lost)
+
+    # -- axes -----------------------------------------------------------------------------------------------
+
+    @cached_property
+    def reference_range(self) -> FloatArray:
+        """Range whose phase is removed, (n_pulse,) m."""
+        wish = self.area.reference_range
+        if wish == "scene_centre":
+            return np.asarray(np.linalg.norm(self.centre - self.geometry.collection.antenna_position, axis=1))
+        constant = float(np.linalg.norm(self.centre - self.origin)) if wish == "constant" else float(wish)
+        return np.full(self.n_pulse, constant)
+
+    def _outline(self) -> tuple[FloatArray, FloatArray]:
+        """x, y (m) of points between which everything lies that may be lit: swath, targets, field, map."""
+        yaw = np.linspace(*self.lit_yaw, 65)
+        near, far = self.area.swath
+        parts = [self.ground_point(np.linspace(near, far, 5)[:, None], yaw)]
+        targets = self.point_targets()
+        parts.append((np.array([t.x for t in targets]), np.array([t.y for t in targets])))
+        if self.reflectivity is not None:
+            table, shape = self.reflectivity, np.load(self.reflectivity.file, mmap_mode="r").shape
+            x_edge = np.linspace(table.x0, table.x0 + table.dx * (shape[1] - 1), 33)
+            y_edge = np.linspace(table.y0, table.y0 + table.dy * (shape[0] - 1), 33)
+            parts.append((np.tile(x_edge, y_edge.size), np.repeat(y_edge, x_edge.size)))
+        if self.clutter is not None and self.clutter.x is not None and self.clutter.y is not None:
+            x_edge, y_edge = np.linspace(*self.clutter.x, 33), np.linspace(*self.clutter.y, 33)
+            parts.append((np.tile(x_edge, y_edge.size), np.repeat(y_edge, x_edge.size)))
+        elif self.clutter is not None:
+            ranges, yaws = self._clutter_region()
+            parts.append(self.ground_point(np.linspace(*ranges, 5)[:, None], np.linspace(*yaws, 65)))
+        return (
+            np.concatenate([np.ravel(x) for x, _ in parts]),
+            np.concatenate([np.ravel(y) for _, y in parts]),
+        )
+
+    @cached_property
+    def _lit_ranges(self) -> tuple[float, float, float]:
+        """Over lit targets and pulses: largest |R - reference_range|, smallest R, largest R, m."""
+        x, y = self._outline()
+        yaw = self.geometry.yaw(x, y)
+        pulses = np.unique(np.linspace(0, self.n_pulse - 1, CHECKED_PULSES).astype(int))
+        # Half a step of the checked pulses is added to the beam, so that no target slips between two of them.
+        slack = np.ptp(self.beam_azimuth) / (pulses.size - 1) if self.beam else 0.0
+        half = np.deg2rad(self.beam_width_deg) / 2 + slack
+        largest, nearest, farthest = 0.0, np.inf, 0.0
+        for pulse in pulses:
+            lit = np.ones(x.shape, bool)
+            if self.beam is not None:
+                lit = np.abs(np.mod(yaw - self.beam_azimuth[pulse] + np.pi, 2 * np.pi) - np.pi) <= half
+            px, py, pz = self.geometry.collection.antenna_position[pulse]
+            distance = np.sqrt((x[lit] - px) ** 2 + (y[lit] - py) ** 2 + (self.area.ground_height - pz) ** 2)
+            if distance.size:
+                largest = max(largest, float(np.abs(distance - self.reference_range[pulse]).max()))
+                nearest, farthest = min(nearest, float(distance.min())), max(farthest, float(distance.max()))
+        return largest, nearest, farthest
+
+    def _fast_time_samples(self, window: float) -> int:
+        """Even, 5-smooth number of fast-time samples that span `window` metres of range."""
+        n = next_smooth_even(int(np.ceil(max(window, 0.0) * 2 * self.radar.range_sampling / SPEED_OF_LIGHT)))
+        if n > MAX_FAST_TIME_SAMPLES:
+            raise InputError(
+                f"scene.swath with scene.reference_range needs {n} fast-time samples for a window of {window:.6g} m; "
+                f"the limit is {MAX_FAST_TIME_SAMPLES}: use a smaller swath or a reference range inside it"
+            )
+        return n
+
+    @cached_property
+    def fast_time(self) -> FloatArray:
+        """Two-way delays of the raw echo's samples, (n,) s: all lit echoes over their whole length.
+
+        Raises
+        ------
+        InputError
+            If radar.pulse_width is missing.
+        """
+        if self.radar.pulse_width is None:
+            raise InputError("radar.pulse_width is missing: a raw echo needs the length of its chirp, s")
+        largest, nearest, farthest = self._lit_ranges
+        pulse = self.radar.pulse_width * SPEED_OF_LIGHT / 2
+        # Range compression leaves ranges modulo the window, about the reference: it must hold them as well.
+        window = RANGE_GUARD * max(farthest - nearest + pulse, 2 * largest)
+        n = self._fast_time_samples(window)
+        middle = (nearest + farthest) / SPEED_OF_LIGHT
+        return np.asarray(middle + (np.arange(n) - n // 2) / self.radar.range_sampling)
+
+    def range_frequency(self, *, raw: bool = False) -> FloatArray:
+        """Baseband range frequencies, Hz: the Fourier grid of the fast-time samples within the bandwidth.
+
+        The window c / (2 step) holds all lit ranges about the reference range, range migration and a guard of
+        5 % included, so no echo wraps.
+        """
+        n = self.fast_time.size if raw else self._fast_time_samples(2 * RANGE_GUARD * self._lit_ranges[0])
+        grid = np.arange(-(n // 2), n // 2) * (self.radar.range_sampling / n)
+        return np.asarray(grid[np.abs(grid) <= self.radar.bandwidth / 2])
+
+    def collection(self, *, raw: bool = False) -> Collection:
+        """The collection's metadata, as the simulated store will hold them.
+
+        Parameters
+        ----------
+        raw : bool
+            For the raw echo, whose range-frequency grid is that of `fast_time`.
+
+        Raises
+        ------
+        InputError
+            If track samples do not cover the pulses, the range window is absurd, or a raw echo has no pulse width.
+        """
+        return self._collection(self.range_frequency(raw=raw), self.reference_range)
+
+
+def shipped_scenes() -> list[str]:
+    """Names of the scenes inside the package."""
+    folder = resources.files("blocksar") / "scenes"
+    return sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml"))
+
+
+def next_smooth_even(least: int) -> int:
+    """The least even number >= max(least, 16) whose prime factors are 2, 3 and 5.
+
+    >>> next_smooth_even(2342)
+    2400
+    """
+    n = max(least + least % 2, 16)
+    while True:
+        rest = n
+        for factor in (2, 3, 5):
+            while rest % factor == 0:
+                rest //= factor
+        if rest == 1:
+            return n
+        n += 2
+
+
+# -- messages -----------------------------------------------------------------------------------------------
+
+
+def _beside(file: str, info: ValidationInfo) -> Path:
+    folder = (info.context or {}).get("folder")
+    return Path(file) if folder is None else Path(folder) / file
+
+
+def _header_lines(path: Path) -> int:
+    """1 where the first line of a CSV holds names instead of numbers."""
+    with path.open(encoding="utf-8") as lines:
+        first = lines.readline().split(",")[0].strip()
+    try:
+        float(first)
+    except ValueError:
+        return 0 if first.startswith("#") else 1
+    return 0
+
+
+def _message(label: str, problems: list[str]) -> str:
+    count = f"{len(problems)} wrong field{'s' if len(problems) > 1 else ''}"
+    return f"{label} has {count}:" + "".join(f"\n  {problem}" for problem in problems)
+
+
+def _describe(error: ValidationError, data: dict[str, Any], label: str) -> str:
+    """Every wrong field as `field = value: what would do`; alternatives of one field are joined by 'or'."""
+    found: dict[str, list[str]] = {}
+    hints: dict[str, str] = {}
+    for item in error.errors(include_url=False):
+        place, model = _locate(item["loc"], data)
+        field, value = _dotted(place), _short(item["input"])
+        text = item["msg"].replace("Input should be", "must be").removeprefix("Value error, ")
+        match item["type"]:
+            case "missing" if isinstance(item["loc"][-1], str):
+                found[f"{field} is missing"] = [f"add {_hint(model, place)}"]
+            case "extra_forbidden":
+                found[f"{field} = {value}"] = [f"unknown key; {_nearest(model, place)}"]
+            case "value_error":
+                # The checks of a whole table begin with the field that is wrong, where there is one.
+                known = _fields(_TABLES.get(str(place[0])) if place else Scene)
+                first_word = re.split(r"[^a-z_0-9]", text)[0]
+                found[f"{field}.{text}" if first_word in known else f"{field}: {text}"] = []
+            case kind:
+                text = "has too few elements" if kind == "missing" else text.replace("valid tuple", "list")
+                found.setdefault(f"{field} = {value}", []).append(text[0].lower() + text[1:])
+                hints[f"{field} = {value}"] = _hint(model, place)
+    problems = []
+    for head, remedies in found.items():
+        remedy = " or ".join(dict.fromkeys(remedies))
+        problems.append(": ".join(filter(None, (head, remedy))) + (f" ({hints[head]})" if head in hints else ""))
+    return _message(label, problems)
+
+
+def _locate(loc: tuple[int | str, ...], data: Any) -> tuple[list[int | str], type[BaseModel] | None]:
+    """The part of pydantic's location that the file's writer knows, and the table it lies in."""
+    place: list[int | str] = []
+    model: type[BaseModel] | None = Scene
+    here: Any = data
+    for i, part in enumerate(loc):
+        last = i == len(loc) - 1
+        inside = part in here if isinstance(here, dict) else isinstance(here, list) and part in range(len(here))
+        if inside:
+            here = here[part]
+        elif not (last and isinstance(here, dict)):
+            continue  # the name of one alternative of a union
+        place.append(part)
+        if not last:
+            model = _submodel(model, part)
+    return place, model
+
+
+def _submodel(model: type[BaseModel] | None, part: int | str) -> type[BaseModel] | None:
+    if model is Scene and isinstance(part, str):
+        return _TABLES.get(part)
+    return model
+
+
+_TABLES: dict[str, type[BaseModel]] = {
+    "radar": RadarTable,
+    "track": TrackTable,
+    "time": TimeTable,
+    "beam": BeamTable,
+    "scene": AreaTable,
+    "targets": TargetTable,
+    "matrix": MatrixTable,
+    "clutter": ClutterTable,
+    "reflectivity": ReflectivityTable,
+    "noise": NoiseTable,
+    "dropped": DroppedTable,
+}
+
+
+def _fields(model: type[BaseModel] | None) -> dict[str, str]:
+    """Keys of a table and what they mean."""
+    if model is None:
+        return {}
+    return {field.alias or name: field.description or "" for name, field in model.model_fields.items()}
+
+
+def _hint(model: type[BaseModel] | None, place: list[int | str]) -> str:
+    fields = _fields(model)
+    return next((fields[part] for part in reversed(place) if isinstance(part, str) and part in fields), "it")
+
+
+def _nearest(model: type[BaseModel] | None, place: list[int | str]) -> str:
+    known = list(_fields(model))
+    close = difflib.get_close_matches(str(place[-1]), known, n=1)
+    return f"did you mean {close[0]}?" if close else f"known here are {', '.join(known)}"
+
+
+def _dotted(place: list[int | str]) -> str:
+    text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place)
+    return text.removeprefix(".")
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."

@@ -1,0 +1,301 @@
+"""The command line: what is typed becomes the right call, and what goes wrong becomes one message and a status."""
+
+from __future__ import annotations
+
+import inspect
+import io
+import resource
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+
+import pytest
+from typer.testing import CliRunner, Result
+
+import blocksar
+from blocksar import cli
+from blocksar.parameters import InputError, ProcessingError
+
+COMMANDS = {
+    "demo": ["demo", "--out", "run"],
+    "simulate": ["simulate", "table1", "--out", "ph.zarr"],
+    "plan": ["plan", "table1"],
+    "focus": ["focus", "ph.zarr", "--out", "run"],
+    "quality": ["quality", "run"],
+}
+REPORT = SimpleNamespace(
+    summary=["three blocks"],
+    table=lambda: [(["target", "width [m]"], [["A1", "1.89"], ["B2", "[bold]1.90"]])],
+    refusal=None,
+)
+
+
+class Calls(ModuleType):
+    """Stands for blocksar.api: keeps what it is called with, answers or raises what it is told."""
+
+    def __init__(self) -> None:
+        super().__init__("blocksar.api")
+        self.seen: dict[str, tuple[tuple[object, ...], dict[str, object]]] = {}
+        self.answer: object = REPORT
+        self.updates: list[tuple[str, int, int]] = []
+        for name in COMMANDS:
+            setattr(self, name, lambda *args, _name=name, **kwargs: self._called(_name, args, kwargs))
+
+    def _called(self, name: str, args: tuple[object, ...], kwargs: dict[str, object]) -> object:
+        self.seen[name] = args, kwargs
+        if isinstance(self.answer, BaseException):
+            raise self.answer
+        for update in self.updates:
+            kwargs["progress"].update(*update)  # type: ignore[attr-defined]
+        return self.answer
+
+
+@pytest.fixture
+def api(monkeypatch: pytest.MonkeyPatch) -> Calls:
+    calls = Calls()
+    monkeypatch.setitem(sys.modules, "blocksar.api", calls)
+    monkeypatch.setattr(blocksar, "api", calls, raising=False)
+    return calls
+
+
+def run(*words: str) -> Result:
+    return CliRunner().invoke(cli.app, words)
+
+
+# ---------------------------------------------------------------- what is typed
+
+
+def test_focus_passes_every_option(api: Calls) -> None:
+    words = "focus ph.zarr --out run --processor high-order-phase --blocks 5 --coefficients closed-form"
+    words += (
+        " --grid -10:10:0.5,100:200:1 --workers 3 --threads 2 --memory-limit 2GiB --scheduler tcp://a:1 --overwrite"
+    )
+    assert run(*words.split()).exit_code == 0
+    args, kwargs = api.seen["focus"]
+    assert args == (Path("ph.zarr"), Path("run"))
+    assert isinstance(kwargs.pop("progress"), cli.Progress)
+    assert kwargs == {
+        "processor": "high-order-phase",
+        "blocks": 5,
+        "coefficients": "closed-form",
+        "grid": ((-10.0, 10.0, 0.5), (100.0, 200.0, 1.0)),
+        "workers": 3,
+        "threads": 2,
+        "memory_limit": 2 * 1024**3,
+        "scheduler": "tcp://a:1",
+        "overwrite": True,
+    }
+
+
+def test_defaults(api: Calls) -> None:
+    assert run("plan", "table1").exit_code == 0
+    assert api.seen["plan"] == (
+        ("table1",),
+        {
+            "processor": "angular-division",
+            "blocks": "auto",
+            "coefficients": "fitted",
+            "grid": None,
+            "workers": None,
+            "memory_limit": None,
+        },
+    )
+
+
+def test_quality_and_simulate_pass_their_options(api: Calls) -> None:
+    assert run("quality", "run", "--targets", "t.json", "--reference").exit_code == 0
+    assert api.seen["quality"] == ((Path("run"),), {"targets": Path("t.json"), "reference": True})
+    assert run("simulate", "a.toml", "--out", "p.zarr", "--raw", "--threads", "4").exit_code == 0
+    args, kwargs = api.seen["simulate"]
+    assert args == ("a.toml", Path("p.zarr"))
+    assert (kwargs["raw"], kwargs["threads"], kwargs["overwrite"]) == (True, 4, False)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_calls_fit_the_api(command: str, api: Calls, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert run(*COMMANDS[command]).exit_code == 0
+    args, kwargs = api.seen[command]
+    monkeypatch.undo()
+    real = pytest.importorskip("blocksar.api")
+    inspect.signature(getattr(real, command)).bind(*args, **kwargs)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("10", "1 axes"),
+        ("0:1,0:1:1", "'0:1' for x, which is not three numbers"),
+        ("0:1:1,0:b:1", "'0:b:1' for y"),
+        ("0:nan:1,0:1:1", "not finite"),
+        ("0:1:0,0:1:1", "spacing of 0 m for x"),
+        ("0:1:1,5:5:1", "empty: y runs from 5 to 5"),
+        ("0:1:1,0:1:1,0:1:1", "3 axes"),
+        ("", "1 axes"),
+    ],
+)
+def test_a_wrong_grid_is_named(text: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        cli.parse_grid(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "size"),
+    [("1GiB", 2**30), ("1.5 gib", 3 * 2**29), ("500MB", 500_000_000), ("4k", 4000), ("4Ki", 4096), ("1e9", 10**9),
+     (".5GB", 500_000_000), ("123", 123), ("7B", 7)],
+)  # fmt: skip
+def test_memory(text: str, size: int) -> None:
+    assert cli.parse_memory(text) == size
+
+
+@pytest.mark.parametrize("text", ["", "GiB", "-1GiB", "0", "2 Gib b", "nan", "1i", "2PiB", "1e", "auto"])
+def test_wrong_memory_is_named(text: str) -> None:
+    with pytest.raises(InputError, match="is no amount of memory"):
+        cli.parse_memory(text)
+
+
+@pytest.mark.parametrize("text", ["0", "-1", "2.5", "many", "", "²"])
+def test_wrong_blocks_are_named(text: str) -> None:
+    with pytest.raises(InputError, match="neither 'auto' nor a whole number"):
+        cli.parse_blocks(text)
+
+
+# ---------------------------------------------------------------- exit status and messages
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize(
+    ("error", "status", "message"),
+    [
+        (InputError("time is not uniform; resample it"), 2, "blocksar: time is not uniform; resample it\n"),
+        (ProcessingError("block 2 failed; run again"), 1, "blocksar: block 2 failed; run again\n"),
+        (OSError(28, "No space left on device"), 1, "blocksar: [Errno 28] No space left on device\n"),
+        (KeyboardInterrupt(), 130, "blocksar: interrupted;"),
+        (cli.Terminated(143), 143, "blocksar: terminated;"),
+    ],
+)
+def test_an_error_is_one_message_and_a_status(
+    command: str, error: BaseException, status: int, message: str, api: Calls
+) -> None:
+    api.answer = error
+    result = run(*COMMANDS[command])
+    assert result.exit_code == status
+    assert result.stderr.startswith(message)
+    assert result.stderr.count("\n") == 1
+    assert result.stdout == ""
+
+
+def test_our_own_error_keeps_its_traceback(api: Calls) -> None:
+    api.answer = ZeroDivisionError("ours")
+    assert isinstance(run(*COMMANDS["plan"]).exception, ZeroDivisionError)
+
+
+def test_a_wrong_option_runs_nothing(api: Calls) -> None:
+    for words in (
+        ["--grid", "0:1"],
+        ["--blocks", "0"],
+        ["--memory-limit", "lots"],
+        ["--workers", "0"],
+        ["--processor", "x"],
+    ):
+        result = run("focus", "ph.zarr", "--out", "run", *words)
+        assert result.exit_code == 2, words
+        assert words[0] in result.stderr
+    assert run("focus", "ph.zarr").exit_code == 2  # no --out
+    assert api.seen == {}
+
+
+def test_plan_prints_its_refusal_after_the_table(api: Calls) -> None:
+    api.answer = SimpleNamespace(summary=[], table=REPORT.table, refusal="looks along the velocity")
+    result = run("plan", "table1")
+    assert (result.exit_code, result.stderr) == (2, "blocksar: looks along the velocity\n")
+    assert "A1" in result.stdout
+
+
+# A process of its own, for real signals: the api's plan tells that it runs, then waits.
+WAITING = """
+import sys, time, types
+api = types.ModuleType("blocksar.api")
+def plan(source, **settings):
+    print("ready", flush=True)
+    time.sleep(30)
+api.plan = plan
+sys.modules["blocksar.api"] = api
+sys.argv = ["blocksar", "plan", "table1"]
+from blocksar import cli
+cli.main()
+"""
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_signals(number: int, status: int) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", WAITING], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        process.send_signal(number)
+        _, stderr = process.communicate(timeout=20)
+    assert process.returncode == status
+    assert stderr.startswith("blocksar: ") and stderr.count("\n") == 1
+
+
+# ---------------------------------------------------------------- what is shown
+
+
+def test_tables_and_summary(api: Calls) -> None:
+    output = run("quality", "run").stdout
+    assert "width [m]" in output and "[bold]1.90" in output  # nothing is taken for markup
+    assert output.endswith("three blocks\n")
+
+
+def test_no_table_is_folded_where_there_is_no_terminal(api: Calls) -> None:
+    row = [f"{i:08d}" for i in range(20)]
+    api.answer = SimpleNamespace(summary=[], table=lambda: [(row, [row])], refusal=None)
+    lines = run("plan", "table1").stdout.splitlines()
+    assert sum(all(cell in line for cell in row) for line in lines) == 2  # header and row, each on one line
+
+
+def test_plain_progress_is_a_few_lines(api: Calls) -> None:
+    api.updates = [("recover", i, 1000) for i in range(1001)] + [("mosaic", 1, 1), ("nothing", 0, 0)]
+    lines = run("focus", "ph.zarr", "--out", "run").stderr.splitlines()
+    assert lines[0] == "recover: 0 of 1000"
+    assert lines[-3:] == ["recover: 1000 of 1000", "mosaic: 1 of 1", "nothing: 0 of 0"]
+    assert len(lines) == cli.PLAIN_STEPS + 3
+    assert run("focus", "ph.zarr", "--out", "run", "--quiet").stderr == ""
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_bars_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    screen = Terminal()
+    monkeypatch.setattr(sys, "stderr", screen)
+    with cli.Progress() as progress:
+        progress.update("focus [block 1]", 1, 4)
+        progress.update("focus [block 1]", 4, 4)
+    assert "focus [block 1]" in screen.getvalue()  # nothing is taken for markup
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_has_help_with_an_example(command: str) -> None:
+    result = run(command, "--help")
+    assert result.exit_code == 0
+    assert f"Example: blocksar {command}" in result.stdout
+
+
+def test_version() -> None:
+    assert run("--version").stdout == f"blocksar {blocksar.__version__}\n"
+
+
+def test_help_is_quick() -> None:
+    def seconds() -> float:
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        subprocess.run([sys.executable, "-m", "blocksar.cli", "--help"], capture_output=True, check=True)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+    assert min(seconds() for _ in range(3)) < 0.5  # CPU; the best of three, for a busy machine
