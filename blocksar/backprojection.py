@@ -45,8 +45,8 @@ Tile = tuple[slice, slice]
 UPSAMPLING = 6  # bins a range cell: the quadratic spline then errs by -69 dB, see spline_error
 MARGIN = 2  # bins either side of the window that the spline may touch
 TILE = 64  # pixels either way: what a tile touches of a block of profiles stays in the second-level cache
-BLOCK_BYTES = 16 * 1024**2  # profiles of a block of pulses
-MAX_PULSE_BLOCK = 256
+BLOCK_BYTES = 32 * 1024**2  # profiles of a block of pulses
+MIN_PULSE_BLOCK, MAX_PULSE_BLOCK = 16, 256
 TURN = 2 * np.pi
 
 
@@ -160,10 +160,9 @@ def range_profiles(signal: ComplexArray, *, collection: Collection, pulses: slic
         group = fft_rows(group, inverse=True)
         out = values[rows]
         np.multiply(group, trail, out=out[:, MARGIN:-MARGIN])
-        # The far edge of the window is the near edge again, a whole window of range apart.
-        turn = np.exp(2j * np.pi * period * delay.step * frequency.start)
-        out[:, -MARGIN:] = out[:, MARGIN : 2 * MARGIN] * np.complex64(turn)
-        out[:, :MARGIN] = out[:, -2 * MARGIN : -MARGIN] * np.complex64(np.conj(turn))
+        # Counted from the middle frequency, a sample of the axis, the profile repeats itself after the window.
+        out[:, -MARGIN:] = out[:, MARGIN : 2 * MARGIN]
+        out[:, :MARGIN] = out[:, -2 * MARGIN : -MARGIN]
 
     run_groups(work, row_groups(signal.shape[0], period), threads)
     return Profiles(
@@ -327,7 +326,9 @@ def form_image(
 def pulse_block_size(collection: Collection) -> int:
     """Pulses in memory at a time, by default."""
     row = 8 * (_period(collection) + 2 * MARGIN)
-    return int(np.clip(BLOCK_BYTES // row, 16, MAX_PULSE_BLOCK))
+    # Whole vectors of pulses: what is left over runs one by one.
+    pulses = BLOCK_BYTES // row // MIN_PULSE_BLOCK * MIN_PULSE_BLOCK
+    return min(max(pulses, MIN_PULSE_BLOCK), MAX_PULSE_BLOCK)
 
 
 def memory(n_pixels: int, collection: Collection, *, threads: int = 1, pulse_block: int | None = None) -> int:

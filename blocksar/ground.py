@@ -115,6 +115,13 @@ class GroundMap:
         turn = self.geometry.yaw(x, y) - self.middle_yaw
         return turn - 2 * np.pi * np.rint(turn / (2 * np.pi))
 
+    def doppler_slope(self) -> FloatArray:
+        """Doppler of the focus per yaw, Hz/rad, over the block's ranges and yaws (9, 33)."""
+        rng = np.linspace(self.near, self.far, 9)
+        yaw = np.linspace(self.low, self.high, 33)
+        rng_, yaw_ = np.meshgrid(rng, yaw, indexing="ij")
+        return np.gradient(self.doppler_focus(rng_, yaw_), yaw, axis=1)
+
     def locate(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, ...]:
         """Row and Doppler index, phase (cycles), gain, relative yaw and dwell time (cycles a Doppler sample)."""
         geometry = self.geometry

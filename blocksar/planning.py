@@ -34,6 +34,10 @@ TAIL_ENERGY = 1e-3  # of a target's energy that may lie outside its block's Dopp
 TAP_ERROR = 1e-3
 KEYSTONE_ERROR = 1e-4
 WINDOW_GUARD = 8  # range cells kept free at either end of the range window
+WINDOW_EDGE = 0.05  # of the range window, at either end, that the PRF need not hold: echoes only pass through
+SINC_WIDTH = 0.8859  # -3 dB width of a sinc, in units of its first null
+MAX_BLOCKS = 64
+MEMORY_SHARE = 0.8  # of a worker's limit that a plan may fill
 PROCESS_MEMORY = 330 * 2**20  # a worker's interpreter and libraries, before any sample
 
 
@@ -231,31 +235,27 @@ def plan_recovery(geometry: Geometry, region: Region) -> Recovery:
     pulses = Axis(-collection.pulse_interval * (collection.n_pulse // 2), collection.pulse_interval, collection.n_pulse)
     to_cycles = -2 * collection.carrier / SPEED_OF_LIGHT
 
-    beam = collection.beam_azimuth if collection.steered else np.full(time.size, centre_yaw)
-    _, beam_rate = geometry.range_history(geometry.ground_point(np.full(time.size, origin), beam), time)
+    band_edge = max(abs(collection.range_frequency[0]), abs(collection.range_frequency[-1])) / collection.carrier
+    line = _lit_lines(geometry, region, origin, walk, margin=0.0)
+    inner = _lit_lines(geometry, region, origin, walk, margin=WINDOW_EDGE)
     half = pulses.extent / 2
     middle = pulses.start + pulses.step * (pulses.size - 1) / 2
-    u = (slow - middle) / half
-    beam_doppler = to_cycles * (beam_rate - walk)
-    doppler_series = chebyshev.chebfit(u, beam_doppler, min(9, time.size // 8))
-
-    band_edge = max(abs(collection.range_frequency[0]), abs(collection.range_frequency[-1])) / collection.carrier
-    ranges = np.linspace(*region.at(region.yaw), 5)
-    line = recovered_line(geometry, epoch_range=ranges, yaw=region.yaw, origin=origin, walk=walk)
-    bent = line.doppler - chebyshev.chebval((line.time - middle) / half, doppler_series)
+    u = (inner.time - middle) / half
+    series = _middle_line(u.ravel(), inner.doppler.ravel(), order=min(9, time.size // 8))
+    bent = inner.doppler - chebyshev.chebval(u, series)
     low, high = float(line.doppler.min()), float(line.doppler.max())
     derotated_low, derotated_high = float(bent.min()), float(bent.max())
     centre_band = (derotated_low + derotated_high) / 2
     spread = (derotated_high - derotated_low) * (1 + band_edge)
-    needed = 1.05 * spread
+    needed = 1.02 * spread
     if collection.prf < needed:
         raise InputError(
             f"PRF {collection.prf:.6g} Hz is too low: after nonlinear derotation the lit scene still spans "
             f"{spread:.6g} Hz of Doppler, so a PRF of at least {needed:.6g} Hz is needed; collect with a higher PRF or "
             + ("a narrower beam" if collection.steered else "image a smaller grid")
         )
-    doppler_series[0] += centre_band
-    derotation = chebyshev.chebint(doppler_series) * half
+    series[0] += centre_band
+    derotation = chebyshev.chebint(series) * half
 
     dwell = float(np.max(np.subtract(*geometry.dwell(region.yaw)[::-1])))
     margin = tail_margin(dwell)
@@ -267,6 +267,7 @@ def plan_recovery(geometry: Geometry, region: Region) -> Recovery:
     doppler = fourier.centred(np.round((low + high) / 2 * duration) / duration, 1 / duration, size)
 
     misfit = geometry.track.misfit
+    beam = collection.beam_azimuth if collection.steered else np.full(time.size, centre_yaw)
     sight = geometry.ground_point(np.full(time.size, origin), beam) - geometry.track.position(time)
     sight /= np.linalg.norm(sight, axis=1, keepdims=True)
     unmodelled = -np.einsum("ij,ij->i", sight, misfit)  # range that the polynomial track lacks
@@ -284,6 +285,30 @@ def plan_recovery(geometry: Geometry, region: Region) -> Recovery:
     )
 
 
+
+
+def _lit_lines(geometry: Geometry, region: Region, origin: float, walk: float, *, margin: float) -> Line:
+    near, far = region.at(region.yaw)
+    width = far - near
+    ranges = np.linspace(near + margin * width, far - margin * width, 5)
+    return recovered_line(geometry, epoch_range=ranges, yaw=region.yaw, origin=origin, walk=walk)
+
+
+def _middle_line(u: FloatArray, doppler: FloatArray, *, order: int) -> FloatArray:
+    """Chebyshev series through the middle of the lit band at each time u in [-1, 1]: what derotation follows.
+
+    Paper A (8) follows the beam's centre at the reference range; the middle of all that is lit at a time
+    needs a little less PRF, and is the same thing where the swath is narrow.
+    """
+    bins = np.clip(((u + 1) / 2 * 48).astype(int), 0, 47)
+    low, high, count = np.full(48, np.inf), np.full(48, -np.inf), np.zeros(48)
+    np.minimum.at(low, bins, doppler)
+    np.maximum.at(high, bins, doppler)
+    np.add.at(count, bins, 1)
+    filled = count > 0
+    # The middle of a time bin, not of its samples: a bin cut by the aperture's end would pull the fit.
+    place = ((np.arange(48) + 0.5) / 24 - 1)[filled]
+    return np.asarray(chebyshev.chebfit(place, ((low + high) / 2)[filled], min(order, int(filled.sum()) - 1)))
 
 
 class Prediction(NamedTuple):
@@ -534,7 +559,7 @@ def _predict(
     ideal = np.abs((weight * np.exp(-2j * np.pi * offsets[:, None] * time)).sum(axis=1))
     slope = np.gradient(found.doppler, yaw, axis=1)
     dwell = (line.weight * line.stretch).sum(axis=-1)
-    width = 0.8859 / np.maximum(np.abs(slope) * dwell, 1e-12)
+    width = SINC_WIDTH / np.maximum(np.abs(slope) * dwell, 1e-12)
     ground = np.sqrt(np.maximum(rng**2 - (geometry.epoch_position[2] - geometry.collection.ground_height) ** 2, 0.0))
     middle = yaw.size // 2
     return Prediction(
@@ -567,3 +592,240 @@ def _memory(n_frequency: int, n_bin: int, n_time: int, n_row: int, n_padded: int
     sizes += [n_row * n_padded] * 3
     pairs = [a + b for a, b in zip(sizes, sizes[1:], strict=False)]
     return PROCESS_MEMORY + 8 * max(pairs)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Plan:
+    """How a collection will be focused: everything the tasks need, and what to expect of them.
+
+    Attributes
+    ----------
+    seams : (n_blocks + 1,) float
+        Yaw at which blocks begin and end, rad; only blocks that the grid touches are planned.
+    refusal : str or None
+        Why the geometry cannot be focused, with the figure.
+    """
+
+    geometry: Geometry
+    grid: Grid
+    region: Region
+    recovery: Recovery
+    seams: FloatArray
+    blocks: tuple[BlockPlan, ...]
+    coefficients: Coefficients
+    refusal: str | None
+
+    @property
+    def n_blocks(self) -> int:
+        return self.seams.size - 1
+
+    @property
+    def memory(self) -> int:
+        return max(block.memory for block in self.blocks)
+
+    def within_budget(self) -> bool:
+        worst = [(b.prediction.residual_phase, b.prediction.migration) for b in self.blocks]
+        return all(phase <= PHASE_BUDGET and migration <= MIGRATION_BUDGET for phase, migration in worst)
+
+
+def plan_collection(
+    collection: Collection,
+    *,
+    blocks: int | Literal["auto"] = "auto",
+    coefficients: Coefficients = "fitted",
+    grid: Grid | None = None,
+    workers: int = 1,
+    memory_limit: int | None = None,
+) -> Plan:
+    """Plan a collection for the angular-division chain.
+
+    `auto` takes the fewest blocks that meet the phase and migration budgets and a worker's memory, and at
+    least one a worker.
+
+    Raises
+    ------
+    InputError
+        If the PRF is too low, the grid is empty or outside the swath, or no number of blocks fits the memory.
+    """
+    geometry = Geometry(collection=collection)
+    region = plan_region(geometry, grid)
+    recovery = plan_recovery(geometry, region)
+    grid = grid or default_grid(geometry, region)
+    extent = _grid_extent(geometry, region, grid)
+    if blocks != "auto":
+        plan = _plan_blocks(geometry, region, recovery, grid, extent, blocks, coefficients)
+        _check_memory(plan, memory_limit)
+        return plan
+    plan = None
+    for count in range(max(workers, 1), MAX_BLOCKS + 1):
+        plan = _plan_blocks(geometry, region, recovery, grid, extent, count, coefficients)
+        fits = memory_limit is None or plan.memory <= MEMORY_SHARE * memory_limit
+        if plan.refusal is not None or (plan.within_budget() and fits):
+            return plan
+        # More blocks than this bring nothing once they are within budget but for memory or a hard geometry.
+        if plan.within_budget() and not fits and plan.memory - PROCESS_MEMORY < 2 * recovery.pulses.size * 8:
+            break
+    assert plan is not None
+    _check_memory(plan, memory_limit)
+    return plan
+
+
+def _check_memory(plan: Plan, memory_limit: int | None) -> None:
+    if memory_limit is not None and plan.memory > MEMORY_SHARE * memory_limit:
+        mib = 2**20
+        raise InputError(
+            f"memory limit {memory_limit / mib:.0f} MiB a worker is too low for {plan.n_blocks} blocks, which need "
+            f"{plan.memory / MEMORY_SHARE / mib:.0f} MiB; raise --memory-limit, ask for more --blocks, or image a "
+            "smaller grid"
+        )
+
+
+def default_grid(geometry: Geometry, region: Region) -> Grid:
+    """The box around the lit sector, at about half the resolution of its centre, on round coordinates."""
+    yaw = np.concatenate([region.yaw, region.yaw])
+    point = geometry.ground_point(np.concatenate([region.near, region.far]), yaw)
+    x, y = point[:, 0], point[:, 1]
+    middle = region.yaw.size // 2
+    centre = (region.near[middle] + region.far[middle]) / 2
+    range_width, azimuth_width = ground_resolution(geometry, centre, float(region.yaw[middle]))
+    step = _round_step(min(range_width, azimuth_width) / 2)
+
+    def box(values: FloatArray) -> tuple[float, float, float]:
+        return float(np.floor(values.min() / step) * step), float(np.ceil(values.max() / step + 1) * step), step
+
+    x0, x1, dx = box(x)
+    y0, y1, dy = box(y)
+    return Grid(x0, x1, dx, y0, y1, dy)
+
+
+def _round_step(value: float) -> float:
+    """The nearest of 1, 1.5, 2, 3, 5, 7 times a power of ten."""
+    decade = 10.0 ** np.floor(np.log10(value))
+    steps = decade * np.array([1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0])
+    return float(f"{steps[np.argmin(np.abs(np.log(steps / value)))]:.3g}")
+
+
+def ground_resolution(geometry: Geometry, epoch_range: float, yaw: float) -> tuple[float, float]:
+    """-3 dB widths on the ground of a target with its own dwell: across iso-range lines, and along them, m."""
+    collection = geometry.collection
+    point = geometry.ground_point(np.array(epoch_range), np.array(yaw))
+    ends = np.array(geometry.dwell(np.array(yaw)))
+    sight = point - geometry.track.position(ends)
+    gradient = (sight / np.linalg.norm(sight, axis=1, keepdims=True))[:, :2]
+    mean = gradient.mean(axis=0)
+    along = np.array([-mean[1], mean[0]]) / np.linalg.norm(mean)
+    turned = abs(float((gradient[1] - gradient[0]) @ along))
+    azimuth = SINC_WIDTH * collection.wavelength / 2 / max(turned, 1e-12)
+    return SINC_WIDTH * SPEED_OF_LIGHT / (2 * collection.bandwidth) / float(np.linalg.norm(mean)), azimuth
+
+
+class _Extent(NamedTuple):
+    """Yaw and epoch range that a grid reaches, clipped to the region."""
+
+    low: float
+    high: float
+    near: float
+    far: float
+
+
+def _grid_extent(geometry: Geometry, region: Region, grid: Grid) -> _Extent:
+    x, y = _outline(grid)
+    inside_x = np.linspace(grid.x[0], grid.x[-1], 65)
+    inside_y = np.linspace(grid.y[0], grid.y[-1], 65)
+    mesh_x, mesh_y = (m.ravel() for m in np.meshgrid(inside_x, inside_y))
+    x, y = np.concatenate([x, mesh_x]), np.concatenate([y, mesh_y])
+    middle = (region.yaw[0] + region.yaw[-1]) / 2
+    turn = geometry.yaw(x, y) - middle
+    yaw = middle + turn - 2 * np.pi * np.rint(turn / (2 * np.pi))
+    rng = geometry.epoch_range(x, y)
+    near, far = region.at(yaw)
+    covered = (yaw >= region.yaw[0]) & (yaw <= region.yaw[-1]) & (rng >= near) & (rng <= far)
+    step = np.hypot((grid.x[-1] - grid.x[0]) / 64, (grid.y[-1] - grid.y[0]) / 64)
+    if not covered.any():
+        degrees = np.degrees([yaw.min(), yaw.max(), region.yaw[0], region.yaw[-1]])
+        raise InputError(
+            f"grid {grid.x0:g}:{grid.x1:g},{grid.y0:g}:{grid.y1:g} lies outside the swath: it spans yaw "
+            f"{degrees[0]:.2f} .. {degrees[1]:.2f} degrees and range {rng.min():.0f} .. {rng.max():.0f} m, but lit are "
+            f"{degrees[2]:.2f} .. {degrees[3]:.2f} degrees and {region.near.min():.0f} .. {region.far.max():.0f} m; "
+            "move the grid"
+        )
+    slack = step / np.hypot(x - geometry.nadir[0], y - geometry.nadir[1])[covered].min()
+    return _Extent(
+        low=max(float(yaw[covered].min() - slack), float(region.yaw[0])),
+        high=min(float(yaw[covered].max() + slack), float(region.yaw[-1])),
+        near=float(rng[covered].min() - step),
+        far=float(rng[covered].max() + step),
+    )
+
+
+def block_seams(geometry: Geometry, region: Region, count: int) -> FloatArray:
+    """Yaws (count + 1,) between which blocks lie, rad, ascending.
+
+    A steered collection's steering interval is divided evenly (paper A, Figure 7); the first and last block
+    reach to the ends of what is lit. One that is not steered is divided evenly from end to end.
+    """
+    collection = geometry.collection
+    low, high = region.yaw[0], region.yaw[-1]
+    if not collection.steered or np.ptp(collection.beam_azimuth) == 0:
+        return np.linspace(low, high, count + 1)
+    seams = np.linspace(collection.beam_azimuth.min(), collection.beam_azimuth.max(), count + 1)
+    seams[0], seams[-1] = low, high
+    return seams
+
+
+def _plan_blocks(
+    geometry: Geometry,
+    region: Region,
+    recovery: Recovery,
+    grid: Grid,
+    extent: _Extent,
+    count: int,
+    coefficients: Coefficients,
+) -> Plan:
+    seams = block_seams(geometry, region, count)
+    planned = []
+    for index in range(count):
+        low, high = float(seams[index]), float(seams[index + 1])
+        if high <= extent.low or low >= extent.high:
+            continue
+        near, far = region.limits(low, high)
+        near, far = max(near, extent.near), min(far, extent.far)
+        # Rows are told apart modulo the range window: a block cannot hold more than that.
+        excess = (far - near) - 0.97 * geometry.collection.range_window
+        if excess > 0:
+            near, far = near + excess / 2, far - excess / 2
+        if far <= near:
+            continue
+        # Nine ranges need some room between them for their polynomials to mean anything.
+        least = 64 * SPEED_OF_LIGHT / (2 * geometry.collection.bandwidth)
+        room = max(least - (far - near), 0.0) / 2
+        planned.append(
+            plan_block(
+                geometry, recovery, region, index=index, low=low, high=high, near=near - room, far=far + room,
+                coefficients=coefficients,
+            )
+        )  # fmt: skip
+    return Plan(
+        geometry=geometry, grid=grid, region=region, recovery=recovery, seams=seams, blocks=tuple(planned),
+        coefficients=coefficients, refusal=_refusal(geometry, planned, coefficients),
+    )  # fmt: skip
+
+
+def _refusal(geometry: Geometry, blocks: list[BlockPlan], coefficients: Coefficients) -> str | None:
+    """Looking along the velocity yaw and Doppler part company: no Fourier processor can tell yaws apart there."""
+    for block in blocks:
+        slope = block.ground.doppler_slope()
+        if slope.min() * slope.max() <= 0:
+            return (
+                f"block {block.index} (yaw {np.degrees(block.low):.2f} .. {np.degrees(block.high):.2f} degrees) looks "
+                f"along the velocity: Doppler changes by {slope.min() * np.pi / 180:.3g} .. "
+                f"{slope.max() * np.pi / 180:.3g} Hz a degree of yaw, through zero, so yaws cannot be told apart; image "
+                "ground away from the direction of flight, or use --processor backprojection"
+            )
+        if coefficients == "fitted" and not block.prediction.residual_phase < np.pi / 2:
+            return (
+                f"block {block.index} (yaw {np.degrees(block.low):.2f} .. {np.degrees(block.high):.2f} degrees) would "
+                f"keep a phase error of {block.prediction.residual_phase:.3g} rad over the dwell; ask for more --blocks, "
+                "or use --processor backprojection"
+            )
+    return None

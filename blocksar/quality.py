@@ -36,7 +36,7 @@ SEARCH_WIDTHS = 2.0  # widths searched for the peak on either side of the true p
 SAMPLES_PER_WIDTH = 64  # of a cut: a side lobe's height is then read to 0.001 dB
 
 MIN_HALF_TAPS = 12
-KAISER_BETA = 12.0  # interpolation error about exp(-12), far below complex64's side lobes of neighbours
+KAISER_BETA = 12.0  # interpolation error about exp(-12) = 6e-6 of the peak
 MIN_OVERSAMPLING = 1.2  # below it the interpolator would need ever more taps
 MAX_CHIP = 1024  # pixels a side: a target lit so briefly that it needs more has no response to speak of
 

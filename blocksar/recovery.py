@@ -4,21 +4,25 @@ Per range frequency: unified range walk (7) and nonlinear derotation (8) in one 
 in Doppler, back to the finer time grid, the derotation undone (14), and an FFT to the spectrum that is
 kept. Zero-padding lengthens: (12) and (13) print B'_a / B_a where B_a / B'_a is meant.
 
-The derotation follows the exact beam-centre line (a beam that is not steered: the reference point's own
-line), all orders of it, and scales with frequency as Doppler does, (fc + f) / fc, so that a wide band needs
-no more PRF than a narrow one.
+The derotation follows the middle of what is lit at each time, all orders of it (paper A: the beam's centre at
+the reference range), and scales with frequency as Doppler does, (fc + f) / fc, so that a wide band needs no
+more PRF than a narrow one.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+from typing import Self
+
 import numpy as np
 from numpy.polynomial import chebyshev
+from numpy.typing import NDArray
+from scipy.special import fresnel
 
 from blocksar import fourier, phase
 from blocksar.fourier import Axis
-from blocksar.parameters import ComplexArray, FloatArray
+from blocksar.parameters import SPEED_OF_LIGHT, ComplexArray, FloatArray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,3 +112,76 @@ def recover_columns(
 
     fourier.run_groups(work, fourier.row_groups(signal.shape[1], doppler.size), threads)
     return out
+
+
+def chirp_spectrum(frequency: FloatArray, *, chirp_rate: float, pulse_width: float) -> NDArray[np.complex128]:
+    """Fourier transform of exp(j pi K tau^2), |tau| <= T / 2, in closed form (Fresnel integrals), s.
+
+    P(f) = exp(-j pi f^2 / K) / sqrt(2K) [Z(u+) - Z(u-)],  u+- = sqrt(2K) (+-T/2 - f/K),  Z = C + jS.
+    A down-chirp (K < 0) is the conjugate of the up-chirp.
+    """
+    rate = abs(chirp_rate)
+    scale, centre = np.sqrt(2 * rate), frequency / rate
+    upper_sine, upper_cosine = fresnel(scale * (pulse_width / 2 - centre))
+    lower_sine, lower_cosine = fresnel(scale * (-pulse_width / 2 - centre))
+    integral = (upper_cosine - lower_cosine) + 1j * (upper_sine - lower_sine)
+    spectrum = np.exp(-1j * np.pi * frequency**2 / rate) * integral / scale
+    return np.asarray(spectrum if chirp_rate > 0 else spectrum.conj())
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RawCompression:
+    """Range compression of a raw echo to the range-frequency signal (second factor of paper A (7)).
+
+    The chirp's own spectrum is divided out, ripples and all, where (7) takes its stationary phase
+    exp(-j pi f^2 / K): a unit target's signal then has modulus 1 at every frequency of the band.
+
+    Attributes
+    ----------
+    fast_time : Axis
+        s, two-way delay.
+    first : int
+        Where the band begins on the transform's centred grid.
+    weight : (n_range_frequency,) complex
+        Sampling interval over the chirp's spectrum.
+    range_frequency : (n_range_frequency,) float
+        Hz.
+    reference_range : (n_pulse,) float
+        m; its phase is taken out of the band as it is of the carrier.
+    """
+
+    fast_time: Axis
+    first: int
+    weight: NDArray[np.complex128]
+    range_frequency: FloatArray
+    reference_range: FloatArray
+
+    @classmethod
+    def of(
+        cls,
+        *,
+        fast_time: FloatArray,
+        chirp_rate: float,
+        pulse_width: float,
+        range_frequency: FloatArray,
+        reference_range: FloatArray,
+    ) -> Self:
+        """From an echo's axes; range_frequency must be the part |f| <= band / 2 of the centred transform grid."""
+        step = float((fast_time[-1] - fast_time[0]) / (fast_time.size - 1))
+        axis = Axis(float(fast_time[0]), step, fast_time.size)
+        grid_step = 1 / axis.extent
+        return cls(
+            fast_time=axis,
+            first=fast_time.size // 2 + round(range_frequency[0] / grid_step),
+            weight=step / chirp_spectrum(range_frequency, chirp_rate=chirp_rate, pulse_width=pulse_width),
+            range_frequency=range_frequency,
+            reference_range=reference_range,
+        )
+
+    def apply(self, echo: ComplexArray, *, pulses: slice, threads: int = 1) -> ComplexArray:
+        """(n, n_fast_time) of the given pulses to (n, n_range_frequency) complex64; a row with a gap is missing."""
+        axis = Axis(-(self.fast_time.size // 2) / self.fast_time.extent, 1 / self.fast_time.extent, self.fast_time.size)
+        spectrum = fourier.transform(echo, self.fast_time, axis, inverse=False, threads=threads)
+        band = spectrum[:, self.first : self.first + self.range_frequency.size]
+        cycles = 2 / SPEED_OF_LIGHT * self.reference_range[pulses, None] * self.range_frequency
+        return (band * self.weight * fourier.unit_phasor(cycles)).astype(np.complex64)

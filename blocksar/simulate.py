@@ -22,12 +22,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy import fft  # not fourier.py: this inverse transform leads to fast time, on its own grid
-from scipy.special import fresnel
 
 from blocksar import stores
 from blocksar.geometry import Geometry
 from blocksar.parameters import SPEED_OF_LIGHT, Collection, ComplexArray, FloatArray, InputError
 from blocksar.phase import cosine, sine
+from blocksar.recovery import chirp_spectrum
 from blocksar.scene import Scene
 
 NUFFT_ACCURACY = 1e-7  # relative to the norm of the lit reflectivity: below the rounding of complex64
@@ -209,18 +209,6 @@ def raw_echo(
         out[:] = fft.ifft(fft.ifftshift(values, axes=1) * spectrum, axis=1, workers=1, overwrite_x=True)
 
     return _in_blocks(work, pulses, collection, n, threads)
-
-
-def chirp_spectrum(frequency: FloatArray, *, chirp_rate: float, pulse_width: float) -> NDArray[np.complex128]:
-    """Fourier transform of exp(j pi K tau^2), |tau| <= T / 2, in closed form (Fresnel integrals), s.
-
-    P(f) = exp(-j pi f^2 / K) / sqrt(2K) [Z(u+) - Z(u-)],  u+- = sqrt(2K) (+-T/2 - f/K),  Z = C + jS.
-    """
-    scale, centre = np.sqrt(2 * chirp_rate), frequency / chirp_rate
-    upper_sine, upper_cosine = fresnel(scale * (pulse_width / 2 - centre))
-    lower_sine, lower_cosine = fresnel(scale * (-pulse_width / 2 - centre))
-    integral = (upper_cosine - lower_cosine) + 1j * (upper_sine - lower_sine)
-    return np.asarray(np.exp(-1j * np.pi * frequency**2 / chirp_rate) * integral / scale)
 
 
 def noise(shape: tuple[int, int], *, first_pulse: int, power: float, seed: int) -> ComplexArray:

@@ -22,10 +22,9 @@ from datetime import UTC, datetime
 from itertools import product
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 import xxhash
 import zarr
 from numpy.typing import NDArray
@@ -39,6 +38,9 @@ from blocksar.parameters import (
     ProcessingError,
     check_axis,
 )
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 StorePath = str | os.PathLike[str]
 Region = tuple[slice, ...]
@@ -655,14 +657,16 @@ def _collection_attrs(collection: Collection, raw: RawEcho | None, attrs: Mappin
     }
     if raw is not None:
         own |= {"chirp_rate": raw.chirp_rate, "pulse_width": raw.pulse_width}
-    text = {"Conventions": CONVENTIONS, "title": collection.title, "history": _history(), **(attrs or {})}
+    text = {"Conventions": CONVENTIONS, "title": collection.title, "history": history_line("created by blocksar"), **(attrs or {})}
     if collection.title:
         text["title"] = collection.title
     return {**text, **{name: value for name, value in own.items() if value is not None}}
 
 
-def _history() -> str:
-    return f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} created by blocksar"
+def history_line(what: str, earlier: Any = None) -> str:
+    """The history attribute: what was done now, above what was done before."""
+    line = f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} {what}"
+    return f"{line}\n{earlier}" if earlier else line
 
 
 def open_phase_history(path: StorePath) -> PhaseHistory:
@@ -687,7 +691,7 @@ def open_phase_history(path: StorePath) -> PhaseHistory:
         collection = _read_collection(place, attrs, None if raw is None else raw.range_frequency)
         column = "range_frequency" if raw is None else "fast_time"
         columns = collection.n_range_frequency if raw is None else raw.fast_time.size
-        samples = _checked(place, names[0], ("pulse", column))
+        samples = _checked(place, names[0])
         if samples.shape != (collection.n_pulse, columns):
             raise InputError(
                 f"{names[0]} has shape {samples.shape}, but time and {column} have {collection.n_pulse} and {columns} "
@@ -720,6 +724,8 @@ def open_dataset(path: StorePath) -> xr.Dataset:
     InputError
         If there is no such store, or it is damaged.
     """
+    import xarray as xr  # half a second, and only here
+
     with _reading(path) as place:
         _open_group(place)
         return xr.open_zarr(str(place), consolidated=False, chunks=None)
@@ -816,7 +822,7 @@ def _number(attrs: Mapping[str, Any], name: str, unit: str, default: Any = ...) 
         raise InputError(f"attribute {name} is a whole number of hundreds of digits; correct it, in {unit}") from None
 
 
-def _checked(place: Path, name: str, dims: tuple[str, ...] | None = None) -> zarr.Array[Any]:
+def _checked(place: Path, name: str) -> zarr.Array[Any]:
     """Open a variable of the contract, and check what does not need its values."""
     variable = {**PHASE_HISTORY, **RAW_ECHO}[name]
     if not _metadata_file(place / name):

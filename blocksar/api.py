@@ -1,0 +1,747 @@
+"""The commands as functions: simulate, plan, focus, quality, open, demo.
+
+A run folder holds what `focus` leaves: collection.zarr (the phase history less its samples), spectrum.zarr,
+patches/, image.zarr and run.json. Units of work leave receipts in receipts/ while the run goes on; at the
+end they are gathered in run.json.
+"""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, Protocol
+
+import numpy as np
+
+import blocksar
+from blocksar import stores
+from blocksar.geometry import Geometry
+from blocksar.parameters import Collection, ComplexArray, FloatArray, InputError
+from blocksar.planning import BlockPlan, Coefficients, Grid, Plan, default_grid, plan_collection, plan_region
+from blocksar.scene import Scene, shipped_scenes
+from blocksar.simulate import simulate as _simulate
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from distributed import Client
+
+    from blocksar.graph import Receipt, Run
+    from blocksar.quality import ChipComparison, PointResponse, Response, Target
+
+__all__ = ["demo", "focus", "open", "plan", "quality", "simulate"]
+
+Processor = Literal["angular-division", "keystone-resampling", "high-order-phase", "backprojection"]
+GridLike = Grid | tuple[tuple[float, float, float], tuple[float, float, float]]
+Source = "str | Path | xr.Dataset"
+Table = tuple[Sequence[str], Sequence[Sequence[str]]]
+
+FORMAT = 1  # of run folders: a run of another format is not resumed
+OWN = ("run.json", "collection.zarr", "spectrum.zarr", "compressed.zarr", "image.zarr", "patches", "receipts", "quality.json")
+LEFT_ALONE = ("phase_history.zarr",)  # may stand in a new run's folder: `demo` puts its input there
+MIB = 2**20
+
+
+class Progress(Protocol):
+    """Told how far a stage has come."""
+
+    def update(self, stage: str, done: int, total: int) -> None: ...
+
+
+class _Silent:
+    def update(self, stage: str, done: int, total: int) -> None:
+        pass
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a command tells a person: tables, then sentences. `refusal` says why a plan cannot be carried out."""
+
+    tables: list[Table] = field(default_factory=list)
+    summary: list[str] = field(default_factory=list)
+    refusal: str | None = None
+    result: Any = None
+
+    def table(self) -> list[Table]:
+        return self.tables
+
+
+# ---------------------------------------------------------------- simulate
+
+
+def simulate(
+    scene: Scene | str | Path,
+    out: str | Path,
+    *,
+    raw: bool = False,
+    threads: int | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> Path:
+    """Write the phase history of a scene (a file, or the name of a shipped one), with exact ranges.
+
+    Raises
+    ------
+    InputError
+        If the scene is wrong, or `out` exists and `overwrite` is False.
+    """
+    told = progress or _Silent()
+    _, threads, _ = _resources(1, threads, None)
+    return _simulate(scene, out, raw=raw, threads=threads, overwrite=overwrite, progress=partial(told.update, "simulate"))
+
+
+# ---------------------------------------------------------------- plan
+
+
+def plan(
+    source: str | Path | xr.Dataset,
+    *,
+    processor: Processor = "angular-division",
+    blocks: int | Literal["auto"] = "auto",
+    coefficients: Coefficients = "fitted",
+    grid: GridLike | None = None,
+    workers: int | None = None,
+    memory_limit: int | None = None,
+) -> Report:
+    """How a collection (a phase-history store or a scene) would be focused, and how sharply; no samples are read.
+
+    Returns
+    -------
+    Report
+        `result` is the `planning.Plan`.
+
+    Raises
+    ------
+    InputError
+        If the source is no collection, the PRF is too low, or the grid is outside the swath.
+    """
+    _check_processor(processor)
+    collection = _collection(source)
+    workers, _, memory_limit = _resources(workers, None, memory_limit)
+    if processor == "backprojection":
+        return _plan_backprojection(collection, _grid(grid), workers)
+    made = plan_collection(
+        collection, blocks=blocks, coefficients=coefficients, grid=_grid(grid), workers=workers, memory_limit=memory_limit
+    )
+    return Report(tables=[_block_table(made)], summary=_plan_lines(made), refusal=made.refusal, result=made)
+
+
+def _check_processor(processor: str) -> None:
+    if processor in ("angular-division", "backprojection"):
+        return
+    raise InputError(f"processor {processor!r} is not available; use angular-division or backprojection")
+
+
+def _grid(grid: GridLike | None) -> Grid | None:
+    if grid is None or isinstance(grid, Grid):
+        return grid
+    return Grid(*grid[0], *grid[1])
+
+
+def _collection(source: str | Path | xr.Dataset) -> Collection:
+    if isinstance(source, str | Path):
+        if str(source).endswith(".toml") or (str(source) in shipped_scenes() and not Path(source).exists()):
+            return Scene.read(source).collection()
+        return stores.open_phase_history(source).collection
+    return stores.open_phase_history(_dataset_path(source)).collection
+
+
+def _dataset_path(source: xr.Dataset) -> str:
+    path = source.encoding.get("source")
+    if path is None:
+        raise InputError(
+            "source is a dataset that lies in no store; write it with to_zarr(path, zarr_format=3) and pass that path"
+        )
+    return str(path)
+
+
+def _resources(workers: int | None, threads: int | None, memory_limit: int | None) -> tuple[int, int, int]:
+    """Workers, threads a worker, bytes a worker: by default workers x threads is the number of cores."""
+    from blocksar.graph import machine  # noqa: PLC0415  (dask is slow to load, and a plan of a store needs it once)
+
+    cores, memory = machine()
+    for name, value in (("workers", workers), ("threads", threads)):
+        if value is not None and value < 1:
+            raise InputError(f"{name} must be at least 1, got {value}")
+    workers = workers or min(cores, 4)
+    threads = threads or max(cores // workers, 1)
+    return workers, threads, memory_limit or memory // workers
+
+
+def _block_table(made: Plan) -> Table:
+    header = (
+        "block", "yaw (deg)", "range (km)", "Doppler bins", "padded", "bias (m/s2)", "residual phase (rad)",
+        "PSLR (dB)", "width / limit", "azimuth width (m)", "migration (cells)", "memory (MiB)",
+    )  # fmt: skip
+    return header, [_block_row(block) for block in made.blocks]
+
+
+def _block_row(block: BlockPlan) -> list[str]:
+    low, high = np.degrees([block.low, block.high])
+    p = block.prediction
+    return [
+        str(block.index),
+        f"{low:.3f} .. {high:.3f}",
+        f"{block.ground.near / 1e3:.3f} .. {block.ground.far / 1e3:.3f}",
+        f"{block.first_bin} .. {block.first_bin + block.n_bin}",
+        str(block.ground.doppler.size),
+        f"{block.bias:.1f}",
+        f"{p.residual_phase:.4f}",
+        f"{p.pslr:.2f}",
+        f"{p.width:.3f}",
+        f"{p.resolution:.3f}",
+        f"{p.migration:.3f}",
+        f"{block.memory / MIB:.0f}",
+    ]
+
+
+def _plan_lines(made: Plan) -> list[str]:
+    recovery, collection, grid = made.recovery, made.geometry.collection, made.grid
+    spectrum = recovery.doppler.size * collection.n_range_frequency * 8
+    lines = [
+        f"{made.n_blocks} blocks, {made.coefficients} coefficients; track of order {made.geometry.track.order}, misfit "
+        f"{made.geometry.track.max_misfit:.2g} m",
+        f"derotated band {recovery.band[1] - recovery.band[0]:.0f} Hz at PRF {collection.prf:.0f} Hz; recovered spectrum "
+        f"{recovery.doppler.size} x {collection.n_range_frequency} ({spectrum / MIB:.0f} MiB), "
+        f"{recovery.doppler.extent:.0f} Hz wide",
+        f"image {grid.shape[1]} x {grid.shape[0]} pixels: x {grid.x[0]:g} .. {grid.x[-1]:g} m every {grid.dx:g}, "
+        f"y {grid.y[0]:g} .. {grid.y[-1]:g} m every {grid.dy:g}",
+    ]
+    if not made.within_budget():
+        lines.append("the predicted residual phase or migration is above its budget: more blocks, or fitted coefficients")
+    return lines
+
+
+def _plan_backprojection(collection: Collection, grid: Grid | None, workers: int) -> Report:
+    geometry = Geometry(collection=collection)
+    grid = grid or default_grid(geometry, plan_region(geometry, None))
+    pixels = grid.shape[0] * grid.shape[1]
+    lit = collection.n_pulse
+    if collection.beam_width is not None:
+        sweep = float(np.ptp(collection.beam_azimuth))
+        lit = min(lit, round(collection.n_pulse * collection.beam_width / max(sweep, 1e-9)))
+    lines = [
+        f"exact back-projection of {grid.shape[1]} x {grid.shape[0]} pixels, {lit} lit pulses each: "
+        f"{pixels * lit / 1e9:.3g} G updates at most, by {workers} workers",
+    ]
+    return Report(summary=lines, result=grid)
+
+
+# ---------------------------------------------------------------- focus
+
+
+def focus(
+    source: str | Path | xr.Dataset,
+    out: str | Path,
+    *,
+    processor: Processor = "angular-division",
+    blocks: int | Literal["auto"] = "auto",
+    coefficients: Coefficients = "fitted",
+    grid: GridLike | None = None,
+    workers: int | None = None,
+    threads: int | None = None,
+    memory_limit: int | None = None,
+    scheduler: str | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+    client: Client | None = None,
+) -> Report:
+    """Focus a phase history into the run folder `out`; an unfinished run there is resumed.
+
+    Parameters
+    ----------
+    source : path or xarray.Dataset opened from one
+        Phase-history store.
+    workers, threads : int, optional
+        Of the cluster that is started here: processes, and threads in each.
+    memory_limit : int, optional
+        Bytes a worker.
+    scheduler : str, optional
+        Address of a dask scheduler to use instead.
+    client : distributed.Client, optional
+        Likewise, already connected.
+
+    Raises
+    ------
+    InputError
+        If the input or a setting is wrong: nothing is written.
+    ProcessingError
+        If processing fails: what was finished stays, and the same call resumes.
+    """
+    from blocksar import graph  # noqa: PLC0415  (dask and numba are slow to load)
+
+    _check_processor(processor)
+    progress = progress or _Silent()
+    history = stores.open_phase_history(source if isinstance(source, str | Path) else _dataset_path(source))
+    folder = Path(out)
+    wanted_grid = _grid(grid)
+    settings = {
+        "processor": processor,
+        "blocks": blocks,
+        "coefficients": coefficients,
+        "grid": None if wanted_grid is None else _grid_record(wanted_grid),
+    }
+    fingerprint = history.fingerprint()
+    found = _existing(folder, settings, fingerprint, overwrite=overwrite)
+    if found is not None and found["status"] == "finished":
+        return Report(summary=[f"{folder} is finished already with these settings and this input: nothing to do"])
+    if client is not None or scheduler is not None:
+        with graph.open_client(scheduler=scheduler, client=client) as connected:
+            workers, memory_limit = graph.cluster_size(connected)
+    workers, threads, memory_limit = _resources(workers, threads, memory_limit)
+
+    geometry = Geometry(collection=history.collection)
+    made: Plan | None = None
+    if processor == "backprojection":
+        target_grid = wanted_grid or default_grid(geometry, plan_region(geometry, None))
+        resolved: int | None = None
+    else:
+        made = plan_collection(
+            history.collection,
+            blocks=blocks if found is None else found["plan"]["blocks"],
+            coefficients=coefficients,
+            grid=wanted_grid,
+            workers=workers,
+            memory_limit=memory_limit,
+        )
+        if made.refusal is not None:
+            raise InputError(made.refusal)
+        target_grid, resolved = made.grid, made.n_blocks
+    identity = stores.checksum(
+        np.frombuffer(repr((FORMAT, sorted(settings.items(), key=str), fingerprint, resolved)).encode(), np.uint8)
+    )
+    run = graph.Run(folder=folder, identity=identity, threads=threads)
+    record = {
+        "format": FORMAT,
+        "status": "unfinished",
+        "settings": settings,
+        "input": {"path": str(history.path.resolve()), "fingerprint": fingerprint},
+        "identity": identity,
+        "versions": _versions(),
+        "workers": workers,
+        "threads": threads,
+        "memory_limit": memory_limit,
+        "plan": {"blocks": resolved, "grid": _grid_record(target_grid), "predicted": _predicted(made)},
+    }
+    fresh = not folder.exists() or (found is None and not any(folder.iterdir()))
+    started = time.perf_counter()
+    try:
+        if overwrite and found is None:
+            _clear(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        stores.write_json(folder / "run.json", record)
+        if not (folder / "collection.zarr").exists():
+            stores.write_collection(folder / "collection.zarr", history.collection, history.attrs)
+        if not run.image.exists():
+            _create_image(run.image, target_grid, history, settings, identity, made)
+        with graph.open_client(
+            scheduler=scheduler, client=client, workers=workers, threads=threads, memory_limit=memory_limit
+        ) as connected:
+            receipts, timings = _stages(connected, history, geometry, target_grid, made, run, progress)
+    except InputError:
+        # The input lied only once its samples were read: leave nothing behind that was not there before.
+        if fresh:
+            shutil.rmtree(folder, ignore_errors=True)
+        raise
+    record |= {
+        "status": "finished",
+        "receipts": receipts,
+        "timings": timings | {"total": time.perf_counter() - started},
+        "peak_memory": max(receipt["peak_memory"] for receipt in receipts),
+    }
+    stores.write_json(folder / "run.json", record)
+    shutil.rmtree(folder / "receipts", ignore_errors=True)
+    shutil.rmtree(run.compressed, ignore_errors=True)
+    return Report(summary=_focus_lines(folder, record, made), result=record)
+
+
+def _stages(
+    client: Client,
+    history: stores.PhaseHistory,
+    geometry: Geometry,
+    grid: Grid,
+    made: Plan | None,
+    run: Run,
+    progress: Progress,
+) -> tuple[list[Receipt], dict[str, float]]:
+    from blocksar import graph  # noqa: PLC0415
+
+    clock = [time.perf_counter()]
+
+    def lap() -> float:
+        clock.append(time.perf_counter())
+        return clock[-1] - clock[-2]
+
+    if made is None:
+        receipts = graph.back_project(client, history, geometry, grid, run, progress.update)
+        return receipts, {"backprojection": lap()}
+    timings = {}
+    recovered, valid = graph.recover(client, history, made, run, progress.update)
+    timings["recover"] = lap()
+    if not valid.any():
+        raise InputError(f"{history.variable} in {history.path} holds no valid sample; is it the right store?")
+    focused = graph.focus_blocks(client, made, run, valid, progress.update)
+    timings["focus"] = lap()
+    merged = graph.mosaic(client, made, run, focused, progress.update)
+    timings["mosaic"] = lap()
+    return [*recovered, *focused, *merged], timings
+
+
+def _existing(folder: Path, settings: dict[str, Any], fingerprint: str, *, overwrite: bool) -> dict[str, Any] | None:
+    """The record of a run in this folder that may be resumed or is finished; None where a new one may begin."""
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder} is a file; choose another --out")
+    if not folder.exists() or not any(path.name not in LEFT_ALONE for path in folder.iterdir()):
+        return None
+    if not (folder / "run.json").exists():
+        raise InputError(f"{folder} exists and holds no run of blocksar; choose another --out")
+    if overwrite:
+        return None
+    try:
+        record = stores.read_json(folder / "run.json")
+        same = (
+            record["format"] == FORMAT
+            and record["settings"] == settings
+            and record["input"]["fingerprint"] == fingerprint
+        )
+        different = [name for name in settings if record["settings"].get(name) != settings[name]]
+        assert record["status"] in ("finished", "unfinished")
+    except (InputError, KeyError, TypeError, AttributeError, AssertionError):
+        raise InputError(f"{folder}/run.json cannot be read; use --overwrite, or choose another --out") from None
+    if same:
+        return dict(record)
+    why = ", ".join(f"{name} {record['settings'].get(name)!r}" for name in different) or "another input or format"
+    raise InputError(
+        f"{folder} holds a run with {why}, not what is asked for now; use --overwrite to replace it, or another --out"
+    )
+
+
+def _clear(folder: Path) -> None:
+    for name in OWN:
+        path = folder / name
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        else:
+            path.unlink(missing_ok=True)
+
+
+def _grid_record(grid: Grid) -> list[float]:
+    return [grid.x0, grid.x1, grid.dx, grid.y0, grid.y1, grid.dy]
+
+
+def _versions() -> dict[str, str]:
+    names = ("numpy", "scipy", "numba", "dask", "zarr", "xarray")
+    return {"blocksar": blocksar.__version__} | {name: metadata.version(name) for name in names}
+
+
+def _predicted(made: Plan | None) -> list[dict[str, Any]]:
+    if made is None:
+        return []
+    return [
+        {"block": b.index, "yaw": [b.low, b.high], "range": [b.ground.near, b.ground.far], "memory": b.memory,
+         "bias": b.bias, **b.prediction._asdict()}
+        for b in made.blocks
+    ]  # fmt: skip
+
+
+def _create_image(
+    path: Path, grid: Grid, history: stores.PhaseHistory, settings: dict[str, Any], identity: str, made: Plan | None
+) -> None:
+    from blocksar.graph import image_chunk  # noqa: PLC0415
+
+    side = image_chunk(grid)
+    attrs = {
+        "title": history.attrs.get("title") or history.collection.title or "blocksar image",
+        "Conventions": stores.CONVENTIONS,
+        "history": stores.history_line(f"focused by blocksar {blocksar.__version__}", history.attrs.get("history")),
+        "source": str(history.path.resolve()),
+        "settings": settings,
+        "run": identity,
+        "carrier_frequency": history.collection.carrier,
+        "ground_height": history.collection.ground_height,
+        "calibration": "a target of reflectivity 1 peaks at 1 + 0j",
+        "predicted": _predicted(made),
+        "scene": history.attrs.get("scene", ""),
+    }
+    if "georeference" in history.attrs:
+        attrs["georeference"] = history.attrs["georeference"]
+    stores.create(
+        path, stores.IMAGE, sizes={}, coords={"x": grid.x, "y": grid.y}, attrs=attrs,
+        chunks={"y": side[0], "x": side[1]},
+    )  # fmt: skip
+
+
+def _focus_lines(folder: Path, record: dict[str, Any], made: Plan | None) -> list[str]:
+    timings = record["timings"]
+    stages = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in timings.items() if name != "total")
+    lines = [f"{folder}/image.zarr is finished in {timings['total']:.1f} s ({stages})"]
+    planned = "" if made is None else f", planned {made.memory / MIB:.0f} MiB"
+    lines.append(f"peak memory of a worker {record['peak_memory'] / MIB:.0f} MiB{planned}")
+    return lines
+
+
+# ---------------------------------------------------------------- open, quality
+
+
+def open(run: str | Path) -> xr.Dataset:  # the word of the interface
+    """The image of a run as a lazily loaded dataset: `image` and `block` over y and x."""
+    folder = Path(run)
+    return stores.open_dataset(folder / "image.zarr" if (folder / "image.zarr").exists() else folder)
+
+
+@dataclass(frozen=True, eq=False)
+class _Image:
+    """A finished run's image, read by window."""
+
+    path: Path
+    x: FloatArray
+    y: FloatArray
+
+    def read(self, rows: slice, columns: slice) -> ComplexArray:
+        return stores.read_region(self.path, "image", (rows, columns))
+
+    def block(self, rows: slice, columns: slice) -> Any:
+        return stores.read_region(self.path, "block", (rows, columns))
+
+
+def _open_run(run: Path) -> tuple[_Image, Collection, dict[str, Any], dict[str, Any]]:
+    if not (run / "run.json").exists():
+        raise InputError(f"{run} holds no run.json; give the folder that `blocksar focus --out` left")
+    record = stores.read_json(run / "run.json")
+    if not isinstance(record, dict) or record.get("status") != "finished":
+        raise InputError(f"{run} is not finished; run `blocksar focus` again with the same settings")
+    collection, attrs = stores.read_collection(run / "collection.zarr")
+    x, y = (stores.read_region(run / "image.zarr", name, (slice(None),)) for name in ("x", "y"))
+    return _Image(run / "image.zarr", x, y), collection, attrs, record
+
+
+def quality(
+    run: str | Path, *, targets: str | Path | Sequence[Target] | None = None, reference: bool = False
+) -> Report:
+    """Measure a run's point targets, and compare chips with exact back-projection.
+
+    Parameters
+    ----------
+    targets : path or sequence of Target, optional
+        JSON or TOML file of {"name", "x", "y", "reflectivity"}; by default those the collection was simulated with.
+    reference : bool
+        Also back-project chips at the blocks' centres, seams and swath ends from the run's input, and compare.
+
+    Returns
+    -------
+    Report
+        `result` is what RUN/quality.json holds.
+    """
+    return _measure(Path(run), targets, reference)[0]
+
+
+def _measure(
+    folder: Path, targets: str | Path | Sequence[Target] | None, reference: bool
+) -> tuple[Report, list[Response]]:
+    from blocksar import quality as _  # noqa: F401, PLC0415
+    from blocksar.quality import DEFINITIONS, TABLE3, as_json, measure_target, read_response  # noqa: PLC0415
+
+    image, collection, attrs, record = _open_run(folder)
+    geometry = Geometry(collection=collection)
+    wanted = _targets(targets, attrs)
+    responses = [measure_target(image.read, image.x, image.y, geometry, target) for target in wanted]
+    found = as_json(responses)
+    tables = [_response_table(responses)] if responses else []
+    lines = [] if not responses else [DEFINITIONS, *_worst_lines(responses)]
+    if not responses:
+        lines.append("the collection names no targets: give --targets FILE to measure some")
+    if attrs.get("scene") == "table1" and responses:
+        found["table3"] = {name: row._asdict() for name, row in TABLE3.items()}
+        tables.append(_table3(responses))
+        lines.append("paper: Table 3 of the angular-division paper; its ISLR follows another, unstated definition")
+    shown = [r for t in wanted if t.name in TABLE3 and (r := read_response(image.read, image.x, image.y, geometry, t))]
+    if reference:
+        compared = _compare(image, geometry, record)
+        found["reference"] = [
+            {"place": name, "x": x, "y": y, "coherence": abs(c.coherence), "gain": c.gain, "phase": c.phase}
+            for name, x, y, c in compared
+        ]
+        tables.append(_reference_table(compared))
+        lines.append("reference: exact back-projection of the same samples; chips of 64 x 64 pixels")
+    stores.write_json(folder / "quality.json", found)
+    return Report(tables=tables, summary=lines, result=found), shown
+
+
+def _targets(targets: str | Path | Sequence[Target] | None, attrs: dict[str, Any]) -> list[Target]:
+    from blocksar.quality import Target  # noqa: PLC0415
+
+    if targets is None:
+        return [Target.from_record(record) for record in attrs.get("targets") or []]
+    if not isinstance(targets, str | Path):
+        return list(targets)
+    path = Path(targets)
+    if path.suffix == ".toml":
+        return [Target(*t) for t in Scene.read(path).point_targets()]
+    records = stores.read_json(path)
+    if isinstance(records, dict):
+        records = records.get("targets")
+    if not isinstance(records, list):
+        raise InputError(f"{path} holds no list of targets; give [{{\"name\": ..., \"x\": ..., \"y\": ...}}, ...]")
+    return [Target.from_record(record) for record in records]
+
+
+def _response_table(responses: Sequence[PointResponse]) -> Table:
+    header = (
+        "target", "full dwell", "range PSLR", "ISLR", "IRW (m)", "/theory", "azimuth PSLR", "ISLR", "IRW (m)",
+        "/theory", "dx (mm)", "dy (mm)", "|value|", "phase (rad)",
+    )  # fmt: skip
+    rows = []
+    for r in responses:
+        rows.append([
+            r.name, "yes" if r.full_dwell else "no", f"{r.range_pslr:.2f}", f"{r.range_islr:.2f}",
+            f"{r.range_irw:.3f}", f"{r.range_irw / r.range_irw_theory:.4f}", f"{r.azimuth_pslr:.2f}",
+            f"{r.azimuth_islr:.2f}", f"{r.azimuth_irw:.3f}", f"{r.azimuth_irw / r.azimuth_irw_theory:.4f}",
+            f"{1e3 * r.error_x:.1f}", f"{1e3 * r.error_y:.1f}", f"{abs(r.value):.4f}", f"{np.angle(r.value):.4f}",
+        ])  # fmt: skip
+    return header, rows
+
+
+def _worst_lines(responses: Sequence[PointResponse]) -> list[str]:
+    from blocksar.quality import summary  # noqa: PLC0415
+
+    found = summary(responses)
+    head = f"{found.measured} of {found.full_dwell} full-dwell targets measured ({found.targets} in all); worst of them:"
+    return [head, *(f"  {name}: {w.value:.4f} at {w.name} (ideal {w.ideal:.4f})" for name, w in found.worst.items())]
+
+
+def _table3(responses: Sequence[PointResponse]) -> Table:
+    from blocksar.quality import TABLE3  # noqa: PLC0415
+
+    header = (
+        "target", "range PSLR", "paper", "ISLR", "paper", "IRW (m)", "paper",
+        "azimuth PSLR", "paper", "ISLR", "paper", "IRW (m)", "paper",
+    )  # fmt: skip
+    rows = []
+    for r in responses:
+        if (p := TABLE3.get(r.name)) is None:
+            continue
+        rows.append([
+            r.name if r.full_dwell else f"{r.name} (part of a dwell)",
+            f"{r.range_pslr:.2f}", f"{p.range_pslr:.2f}", f"{r.range_islr:.2f}", f"{p.range_islr:.2f}",
+            f"{r.range_irw:.2f}", f"{p.range_irw:.2f}", f"{r.azimuth_pslr:.2f}", f"{p.azimuth_pslr:.2f}",
+            f"{r.azimuth_islr:.2f}", f"{p.azimuth_islr:.2f}", f"{r.azimuth_irw:.2f}", f"{p.azimuth_irw:.2f}",
+        ])  # fmt: skip
+    return header, rows
+
+
+Compared = list[tuple[str, float, float, "ChipComparison"]]
+
+
+def _compare(image: _Image, geometry: Geometry, record: dict[str, Any]) -> Compared:
+    """Chips of the image against exact back-projection of the run's input at telling places."""
+    from blocksar.backprojection import form_image  # noqa: PLC0415
+    from blocksar.graph import machine  # noqa: PLC0415
+    from blocksar.quality import coherence  # noqa: PLC0415
+
+    history = stores.open_phase_history(record["input"]["path"])
+    if history.raw is not None:
+        raise InputError("--reference needs range-frequency samples, but the run's input is a raw echo; focus a signal store")
+    half = 32
+    found: Compared = []
+    for name, x, y in _places(geometry, record):
+        column, row = round((x - image.x[0]) / (image.x[1] - image.x[0])), round((y - image.y[0]) / (image.y[1] - image.y[0]))
+        rows, columns = slice(max(row - half, 0), row + half), slice(max(column - half, 0), column + half)
+        if row < 0 or column < 0 or image.y[rows].size < half or image.x[columns].size < half:
+            continue
+        mine = image.read(rows, columns)
+        if np.isfinite(mine.real).mean() < 0.5:
+            continue
+        read = partial(_read_pulses, history)
+        exact = form_image(read, geometry, image.x[columns], image.y[rows], threads=machine()[0])
+        found.append((name, float(x), float(y), coherence(mine, exact)))
+    return found
+
+
+def _read_pulses(history: stores.PhaseHistory, pulses: slice) -> ComplexArray:
+    return history.read(pulses, slice(None))
+
+
+def _places(geometry: Geometry, record: dict[str, Any]) -> list[tuple[str, float, float]]:
+    """Block centres, seams, near and far range, and the last yaws of full dwell."""
+    predicted = record["plan"]["predicted"]
+    if not predicted:
+        x0, x1, _, y0, y1, _ = record["plan"]["grid"]
+        return [("image centre", (x0 + x1) / 2, (y0 + y1) / 2)]
+    collection = geometry.collection
+    low, high = predicted[0]["yaw"][0], predicted[-1]["yaw"][1]
+    if collection.beam_width is not None and np.ptp(collection.beam_azimuth) > collection.beam_width:
+        low = max(low, float(collection.beam_azimuth.min() + collection.beam_width / 2))
+        high = min(high, float(collection.beam_azimuth.max() - collection.beam_width / 2))
+    yaws = [(f"block {b['block']} centre", float(np.clip(sum(b["yaw"]) / 2, low, high))) for b in predicted]
+    yaws += [(f"seam {b['block']}|{b['block'] + 1}", b["yaw"][1]) for b in predicted[:-1]]
+    inset = 0.01 * (high - low)
+    yaws += [("first full dwell", low + inset), ("last full dwell", high - inset)]
+    near, far = max(b["range"][0] for b in predicted), min(b["range"][1] for b in predicted)
+    places = []
+    for name, yaw in yaws:
+        for where, share in (("near", 0.1), ("middle", 0.5), ("far", 0.9)):
+            point = geometry.ground_point(np.array(near + share * (far - near)), np.array(yaw))
+            places.append((f"{name}, {where} range", float(point[0]), float(point[1])))
+    return places
+
+
+def _reference_table(compared: Compared) -> Table:
+    header = ("place", "x (m)", "y (m)", "coherence", "gain", "phase (rad)")
+    return header, [
+        [name, f"{x:.0f}", f"{y:.0f}", f"{abs(c.coherence):.5f}", f"{c.gain:.4f}", f"{c.phase:.4f}"]
+        for name, x, y, c in compared
+    ]
+
+
+# ---------------------------------------------------------------- demo
+
+
+def demo(
+    out: str | Path,
+    *,
+    workers: int | None = None,
+    threads: int | None = None,
+    memory_limit: int | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> Report:
+    """Simulate the main paper's scene, focus it in three blocks, measure it, and draw it.
+
+    Leaves a run folder with quality.json, mosaic.png and contours.png besides.
+    """
+    folder = Path(out)
+    history = folder / "phase_history.zarr"
+    if folder.exists() and any(folder.iterdir()) and not history.exists():
+        raise InputError(f"{folder} exists and is not a demonstration run; choose another --out")
+    if overwrite or not history.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        simulate("table1", history, threads=threads, overwrite=overwrite, progress=progress)
+    focused = focus(
+        history, folder, blocks=3, workers=workers, threads=threads, memory_limit=memory_limit, overwrite=overwrite,
+        progress=progress,
+    )  # fmt: skip
+    measured, shown = _measure(folder, None, reference=False)
+    pictures = _draw(folder, shown)
+    lines = [*measured.summary, *focused.summary, f"pictures: {', '.join(str(p) for p in pictures)}"]
+    return Report(tables=measured.tables, summary=lines, result=measured.result)
+
+
+def _draw(folder: Path, shown: Sequence[Response]) -> list[Path]:
+    try:
+        from blocksar import plotting  # noqa: PLC0415  (optional, and slow to load)
+    except ModuleNotFoundError as error:
+        raise InputError(f"{error.name} is not installed, which pictures need; install blocksar[plots]") from None
+    from blocksar.quality import TABLE3  # noqa: PLC0415
+
+    image, _, attrs, _ = _open_run(folder)
+    mosaic, contours = folder / "mosaic.png", folder / "contours.png"
+    plotting.plot_mosaic(
+        image.read, image.x, image.y, mosaic, read_block=image.block, targets=_targets(None, attrs),
+        labels=list(TABLE3), title=str(attrs.get("title", "")),
+    )  # fmt: skip
+    plotting.plot_contours(shown, contours, title="impulse responses of the nine named targets")
+    return [mosaic, contours]

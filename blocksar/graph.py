@@ -1,0 +1,481 @@
+"""The task graph: recovery by column group, one chain a block, the mosaic by output chunk.
+
+The only home of dask. Tasks get paths and small constants and leave their samples in zarr; what travels is
+receipts. Keys read `step-run-block`, so that the dashboard can be read and no stale result is taken for a
+new one. A unit of work writes whole chunks that nobody else writes, then its receipt: it may be retried, and
+a run that was interrupted goes on from its receipts.
+"""
+
+from __future__ import annotations
+
+import resource
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import dask
+import numpy as np
+from distributed import Client, Future, LocalCluster, as_completed
+from dask.system import CPU_COUNT
+from distributed.system import MEMORY_LIMIT
+
+from blocksar import stores
+from blocksar.backprojection import form_image
+from blocksar.geometry import Geometry
+from blocksar.ground import GroundMap, correct
+from blocksar.parameters import ComplexArray, FloatArray, ProcessingError
+from blocksar.planning import BlockPlan, Grid, Plan, lit_pulses
+from blocksar.range_steps import Step
+from blocksar.recovery import Recovery, RawCompression, recover_columns
+
+Receipt = dict[str, Any]
+Report = Callable[[str, int, int], None]  # stage, done, total
+
+COLUMN_GROUP = 256  # range frequencies recovered at a time, and the spectrum's chunk
+DOPPLER_CHUNK = 512
+IMAGE_CHUNK = 1024
+PULSE_GROUP = 256  # pulses of a raw echo compressed at a time
+BACKPROJECTION_CHUNK = 256  # pixels a side of a back-projection task
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """Where a run keeps its things, and the hash that its keys and receipts carry."""
+
+    folder: Path
+    identity: str
+    threads: int
+
+    @property
+    def spectrum(self) -> Path:
+        return self.folder / "spectrum.zarr"
+
+    @property
+    def compressed(self) -> Path:
+        return self.folder / "compressed.zarr"
+
+    @property
+    def image(self) -> Path:
+        return self.folder / "image.zarr"
+
+    def patch(self, block: int) -> Path:
+        return self.folder / "patches" / str(block)
+
+    def receipt(self, unit: str) -> Path:
+        return self.folder / "receipts" / f"{unit}.json"
+
+    def done(self, unit: str) -> Receipt | None:
+        """The receipt of a finished unit of this very run, or None."""
+        path = self.receipt(unit)
+        if not path.exists():
+            return None
+        receipt: Receipt = stores.read_json(path)
+        return receipt if receipt.get("run") == self.identity else None
+
+    def sign(self, unit: str, started: float, **facts: Any) -> Receipt:
+        """Write a unit's receipt, after its data."""
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+        receipt = {
+            "run": self.identity, "unit": unit, "seconds": time.perf_counter() - started, "peak_memory": peak, **facts,
+        }  # fmt: skip
+        path = self.receipt(unit)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        stores.write_json(path, receipt)
+        return receipt
+
+
+def machine() -> tuple[int, int]:
+    """Cores and bytes of memory that this process may use, control groups respected."""
+    return int(CPU_COUNT), int(MEMORY_LIMIT)
+
+
+def cluster_size(client: Client) -> tuple[int, int]:
+    """Workers of a cluster, and the smallest memory limit among them, bytes.
+
+    Raises
+    ------
+    ProcessingError
+        If it has no worker.
+    """
+    workers = client.scheduler_info(n_workers=-1)["workers"]
+    if not workers:
+        raise ProcessingError("the dask scheduler has no worker; start one")
+    return len(workers), min(int(w["memory_limit"]) or machine()[1] for w in workers.values())
+
+
+@contextmanager
+def open_client(
+    *,
+    scheduler: str | None = None,
+    client: Client | None = None,
+    workers: int = 1,
+    threads: int = 1,
+    memory_limit: int | None = None,
+) -> Iterator[Client]:
+    """The client given, a client of the scheduler given, or of a cluster of our own on loopback that ends with it."""
+    if client is not None:
+        yield client
+        return
+    if scheduler is not None:
+        try:
+            client = Client(scheduler, timeout=20)
+        except (OSError, ValueError) as error:
+            raise ProcessingError(f"no dask scheduler answers at {scheduler} ({error})") from None
+        with client:
+            yield client
+        return
+    settings = {
+        # The plan keeps to the limit; spilling would only hide that it did not.
+        "distributed.worker.memory.target": False,
+        "distributed.worker.memory.spill": False,
+        "distributed.worker.memory.pause": 0.9,
+        "distributed.worker.memory.terminate": 0.98,
+        "distributed.scheduler.work-stealing": False,
+        "distributed.scheduler.worker-saturation": 1.0,
+        "distributed.nanny.pre-spawn-environ.NUMBA_NUM_THREADS": threads,
+        # Big arrays go back to the system at once, not to malloc's keeping.
+        "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": 65536,
+    }
+    with (
+        dask.config.set(settings),
+        LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=True,
+            memory_limit=memory_limit or "auto",
+            host="127.0.0.1",
+            dashboard_address=_dashboard(),
+            silence_logs=40,
+        ) as cluster,
+        Client(cluster) as client,
+    ):
+        yield client
+
+
+def _dashboard() -> str | None:
+    try:
+        import bokeh  # noqa: F401, PLC0415  (optional: only asked whether it is there)
+    except ImportError:
+        return None
+    return "127.0.0.1:0"
+
+
+# ---------------------------------------------------------------- tasks: what runs on a worker
+
+
+def compress_pulses(
+    source: stores.PhaseHistory, run: Run, unit: str, pulses: tuple[int, int], compression: RawCompression
+) -> Receipt:
+    """Range-compress some pulses of a raw echo into a phase history of the run's own."""
+    started = time.perf_counter()
+    echo = source.read(slice(*pulses), slice(None))
+    signal = compression.apply(echo, pulses=slice(*pulses), threads=run.threads)
+    stores.write_region(run.compressed, "signal", (slice(*pulses), slice(None)), signal)
+    return run.sign(unit, started, checksum=stores.checksum(signal))
+
+
+def recover_group(
+    source: stores.PhaseHistory, run: Run, unit: str, columns: tuple[int, int], recovery: Recovery
+) -> Receipt:
+    """Recover the spectrum of a column group; samples that are missing count as not lit."""
+    started = time.perf_counter()
+    part = slice(*columns)
+    signal = source.read(slice(None), part)
+    valid = np.isfinite(signal.view(np.float32)).reshape(*signal.shape, 2).all(axis=2)
+    missing = np.count_nonzero(~valid, axis=1)
+    if missing.any():
+        signal = np.where(valid, signal, np.complex64(0))
+    spectrum = recover_columns(
+        signal, range_frequency=source.collection.range_frequency[part], recovery=recovery, threads=run.threads
+    )
+    stores.write_region(run.spectrum, "spectrum", (slice(None), part), spectrum.T)
+    lost = np.flatnonzero(missing)
+    return run.sign(
+        unit, started, checksum=stores.checksum(spectrum), missing={int(p): int(missing[p]) for p in lost}
+    )
+
+
+def read_slab(run: Run, block: BlockPlan) -> ComplexArray:
+    """A block's part of the spectrum, one row a range frequency."""
+    frequency = block.chain[0].range_frequency  # type: ignore[attr-defined]
+    slab = np.empty((frequency.size, block.n_bin), np.complex64)
+    bins = slice(block.first_bin, block.first_bin + block.n_bin)
+    for first in range(0, frequency.size, COLUMN_GROUP):
+        columns = slice(first, min(first + COLUMN_GROUP, frequency.size))
+        slab[columns] = stores.read_region(run.spectrum, "spectrum", (bins, columns)).T
+    return slab
+
+
+def apply_step(step: Step, block: ComplexArray, threads: int) -> ComplexArray:
+    return step.apply(block, threads=threads)
+
+
+def write_patch(run: Run, unit: str, index: int, block: ComplexArray, ground: GroundMap, grid: Grid) -> Receipt:
+    """Geometric correction of a focused block into its own patch, chunk by chunk of the image's grid."""
+    started = time.perf_counter()
+    first_y, first_x, n_y, n_x = patch_window(ground, grid)
+    path = run.patch(index)
+    side = image_chunk(grid)
+    stores.create(
+        path, stores.PATCH, sizes={}, attrs={"title": f"block {index}"}, overwrite=True,
+        coords={"x": grid.x[first_x : first_x + n_x], "y": grid.y[first_y : first_y + n_y]},
+        chunks={"y": side[0], "x": side[1]},
+    )  # fmt: skip
+    chunks = {}
+    for y in range(0, n_y, side[0]):
+        for x in range(0, n_x, side[1]):
+            rows, columns = slice(y, min(y + side[0], n_y)), slice(x, min(x + side[1], n_x))
+            pixels = correct(
+                block, ground, threads=run.threads,
+                x=grid.x[first_x + columns.start : first_x + columns.stop],
+                y=grid.y[first_y + rows.start : first_y + rows.stop],
+            )  # fmt: skip
+            if np.isfinite(pixels.real).any():
+                stores.write_region(path, "image", (rows, columns), pixels)
+                chunks[f"{(first_y + y) // side[0]},{(first_x + x) // side[1]}"] = stores.checksum(pixels)
+    return run.sign(unit, started, origin=[first_y, first_x], chunks=chunks)
+
+
+def merge_chunk(run: Run, unit: str, cell: tuple[int, int], parts: Sequence[tuple[int, int, int]], grid: Grid) -> Receipt:
+    """One output chunk of the mosaic; `parts` are (block, first row, first column of its patch)."""
+    started = time.perf_counter()
+    side = image_chunk(grid)
+    y, x = cell[0] * side[0], cell[1] * side[1]
+    rows, columns = slice(y, min(y + side[0], grid.shape[0])), slice(x, min(x + side[1], grid.shape[1]))
+    shape = (rows.stop - rows.start, columns.stop - columns.start)
+    image = np.full(shape, np.nan + 1j * np.nan, np.complex64)
+    owner = np.full(shape, -1, np.int16)
+    for index, first_y, first_x in parts:
+        window = (slice(rows.start - first_y, rows.stop - first_y), slice(columns.start - first_x, columns.stop - first_x))
+        patch = stores.read_region(run.patch(index), "image", window)
+        mine = np.isfinite(patch.real)
+        image[mine] = patch[mine]
+        owner[mine] = index
+    stores.write_region(run.image, "image", (rows, columns), image)
+    stores.write_region(run.image, "block", (rows, columns), owner)
+    return run.sign(unit, started, checksum=[stores.checksum(image), stores.checksum(owner)])
+
+
+def back_project_chunk(
+    source: stores.PhaseHistory, run: Run, unit: str, cell: tuple[int, int], geometry: Geometry, grid: Grid
+) -> Receipt:
+    """One output chunk by exact back-projection; reads the lit pulses only."""
+    started = time.perf_counter()
+    side = image_chunk(grid)
+    y, x = cell[0] * side[0], cell[1] * side[1]
+    rows, columns = slice(y, min(y + side[0], grid.shape[0])), slice(x, min(x + side[1], grid.shape[1]))
+
+    def read(pulses: slice) -> ComplexArray:
+        return source.read(pulses, slice(None))
+
+    image = np.full((rows.stop - rows.start, columns.stop - columns.start), np.nan + 1j * np.nan, np.complex64)
+    for i in range(0, image.shape[0], BACKPROJECTION_CHUNK):
+        for j in range(0, image.shape[1], BACKPROJECTION_CHUNK):
+            part = (slice(i, i + BACKPROJECTION_CHUNK), slice(j, j + BACKPROJECTION_CHUNK))
+            image[part] = form_image(
+                read, geometry, grid.x[columns][part[1]], grid.y[rows][part[0]], threads=run.threads
+            )
+    covered = np.isfinite(image.real)
+    if covered.any():
+        stores.write_region(run.image, "image", (rows, columns), image)
+        stores.write_region(run.image, "block", (rows, columns), np.where(covered, 0, -1).astype(np.int16))
+    return run.sign(unit, started, checksum=stores.checksum(image))
+
+
+# ---------------------------------------------------------------- the graph: what is asked of the workers
+
+
+def image_chunk(grid: Grid) -> tuple[int, int]:
+    return min(IMAGE_CHUNK, grid.shape[0]), min(IMAGE_CHUNK, grid.shape[1])
+
+
+def patch_window(ground: GroundMap, grid: Grid) -> tuple[int, int, int, int]:
+    """First row, first column, rows and columns of a block's patch: whole chunks of the image around its sector."""
+    yaw = np.linspace(ground.low, ground.high, 257)
+    corners = ground.geometry.ground_point(np.array([[ground.near], [ground.far]]), yaw)
+    side = image_chunk(grid)
+    spans = []
+    for axis, values, chunk, step in ((1, grid.y, side[0], grid.dy), (0, grid.x, side[1], grid.dx)):
+        # The outline between two samples bulges by less than this.
+        bulge = ground.far * (yaw[1] - yaw[0]) ** 2 + step
+        low, high = np.nanmin(corners[..., axis]) - bulge, np.nanmax(corners[..., axis]) + bulge
+        first = int(np.clip(np.searchsorted(values, low), 0, values.size - 1)) // chunk * chunk
+        last = int(np.clip(np.searchsorted(values, high), 1, values.size))
+        spans.append((first, min(-(-last // chunk) * chunk, values.size) - first))
+    return spans[0][0], spans[1][0], spans[0][1], spans[1][1]
+
+
+def run_units(
+    client: Client, stage: str, units: Sequence[tuple[str, Callable[[], Future]]], run: Run, report: Report, *, ahead: int
+) -> list[Receipt]:
+    """Run what has no receipt yet, `ahead` units at a time, and return all receipts in order.
+
+    Admission is by the client, so that no worker ever holds more than it was planned for.
+    """
+    receipts: dict[str, Receipt] = {}
+    todo = []
+    for unit, start in units:
+        receipt = run.done(unit)
+        if receipt is None:
+            todo.append((unit, start))
+        else:
+            receipts[unit] = receipt
+    report(stage, len(receipts), len(units))
+    names: dict[str, str] = {}
+    waiting = iter(todo)
+    completed = as_completed([], with_results=False)
+
+    def admit() -> None:
+        for unit, start in waiting:
+            future = start()
+            names[future.key] = unit
+            completed.add(future)
+            return
+
+    for _ in range(ahead):
+        admit()
+    for future in completed:
+        unit = names.pop(future.key)
+        if future.status != "finished":
+            raise _failure(future, stage, unit)
+        receipts[unit] = future.result()
+        future.release()
+        report(stage, len(receipts), len(units))
+        admit()
+    return [receipts[unit] for unit, _ in units]
+
+
+def _failure(future: Future, stage: str, unit: str) -> Exception:
+    error = future.exception()
+    if isinstance(error, ValueError | ProcessingError) and not isinstance(error, UnicodeError):
+        return error  # the input's fault, or said already
+    return ProcessingError(f"{stage} of {unit} failed: {type(error).__name__}: {error}")
+
+
+def recover(client: Client, source: stores.PhaseHistory, plan: Plan, run: Run, report: Report) -> tuple[list[Receipt], FloatArray]:
+    """Phase history to spectrum.zarr. Returns the receipts and the valid fraction of each pulse, (n_pulse,)."""
+    collection = plan.geometry.collection
+    receipts: list[Receipt] = []
+    workers = cluster_size(client)[0]
+    if source.raw is not None:
+        source, receipts = _compress(client, source, run, report, ahead=2 * workers)
+    if not run.spectrum.exists():
+        stores.create(
+            run.spectrum, stores.SPECTRUM, sizes={}, attrs={"title": collection.title},
+            coords={"doppler": plan.recovery.doppler.values, "range_frequency": collection.range_frequency},
+            variables={"lit": np.full(collection.n_pulse, np.nan)},
+            chunks={"doppler": DOPPLER_CHUNK, "range_frequency": COLUMN_GROUP},
+        )  # fmt: skip
+    n = collection.n_range_frequency
+
+    def start(unit: str, columns: tuple[int, int]) -> Callable[[], Future]:
+        return lambda: client.submit(
+            recover_group, source, run, unit, columns, plan.recovery, key=f"recover-{run.identity[:8]}-{unit}", pure=False
+        )
+
+    groups = [(first, min(first + COLUMN_GROUP, n)) for first in range(0, n, COLUMN_GROUP)]
+    units = [(f"columns-{a}", start(f"columns-{a}", (a, b))) for a, b in groups]
+    groups_done = run_units(client, "recover", units, run, report, ahead=workers)
+    missing = np.zeros(collection.n_pulse)
+    for receipt in groups_done:
+        for pulse, count in receipt["missing"].items():
+            missing[int(pulse)] += count
+    valid = 1.0 - missing / n
+    stores.write_region(run.spectrum, "lit", (slice(None),), valid)
+    return receipts + groups_done, valid
+
+
+def _compress(
+    client: Client, source: stores.PhaseHistory, run: Run, report: Report, *, ahead: int
+) -> tuple[stores.PhaseHistory, list[Receipt]]:
+    assert source.raw is not None
+    collection = source.collection
+    if not run.compressed.exists():
+        stores.create_phase_history(run.compressed, collection)
+    chunk = stores.TILE[0]
+    compression = RawCompression.of(
+        fast_time=source.raw.fast_time, chirp_rate=source.raw.chirp_rate, pulse_width=source.raw.pulse_width,
+        range_frequency=collection.range_frequency, reference_range=collection.reference_range,
+    )  # fmt: skip
+
+    def start(unit: str, pulses: tuple[int, int]) -> Callable[[], Future]:
+        return lambda: client.submit(
+            compress_pulses, source, run, unit, pulses, compression, key=f"compress-{run.identity[:8]}-{unit}", pure=False
+        )
+
+    groups = [(a, min(a + chunk, collection.n_pulse)) for a in range(0, collection.n_pulse, chunk)]
+    units = [(f"pulses-{a}", start(f"pulses-{a}", (a, b))) for a, b in groups]
+    receipts = run_units(client, "range-compress", units, run, report, ahead=ahead)
+    return stores.open_phase_history(run.compressed), receipts
+
+
+def focus_blocks(client: Client, plan: Plan, run: Run, valid: FloatArray, report: Report) -> list[Receipt]:
+    """Every block by its own chain of tasks: spectrum.zarr to patches/<block>."""
+    collection = plan.geometry.collection
+    workers = cluster_size(client)[0]
+
+    def start(unit: str, block: BlockPlan) -> Callable[[], Future]:
+        ground = replace(block.ground, lit=lit_pulses(collection, block.ground.yaw_axis, valid))
+
+        def chain() -> Future:
+            tail = f"{run.identity[:8]}-{unit}"
+            # One priority a block: a worker finishes the chain it has begun before it starts another.
+            common: dict[str, Any] = {"pure": False, "priority": -block.index}
+            node = client.submit(read_slab, run, block, key=f"read-slab-{tail}", **common)
+            for step in block.chain:
+                node = client.submit(apply_step, step, node, run.threads, key=f"{step.name}-{tail}", **common)
+            return client.submit(
+                write_patch, run, unit, block.index, node, ground, plan.grid, key=f"geometric-correction-{tail}", **common
+            )
+
+        return chain
+
+    units = [(f"block-{block.index}", start(f"block-{block.index}", block)) for block in plan.blocks]
+    return run_units(client, "focus", units, run, report, ahead=workers)
+
+
+def mosaic(client: Client, plan: Plan, run: Run, patches: Sequence[Receipt], report: Report) -> list[Receipt]:
+    """Patches to image.zarr, by output chunk; chunks that no block covers are never written."""
+    workers = cluster_size(client)[0]
+    cells: dict[tuple[int, int], list[tuple[int, int, int]]] = {}
+    for block, receipt in zip(plan.blocks, patches, strict=True):
+        for name in receipt["chunks"]:
+            row, column = (int(part) for part in name.split(","))
+            cells.setdefault((row, column), []).append((block.index, *receipt["origin"]))
+
+    def start(unit: str, cell: tuple[int, int], parts: Any) -> Callable[[], Future]:
+        return lambda: client.submit(
+            merge_chunk, run, unit, cell, parts, plan.grid, key=f"mosaic-{run.identity[:8]}-{unit}", pure=False
+        )
+
+    units = []
+    for cell in sorted(cells):
+        unit = f"chunk-{cell[0]}-{cell[1]}"
+        units.append((unit, start(unit, cell, cells[cell])))
+    return run_units(client, "mosaic", units, run, report, ahead=2 * workers)
+
+
+def back_project(
+    client: Client, source: stores.PhaseHistory, geometry: Geometry, grid: Grid, run: Run, report: Report
+) -> list[Receipt]:
+    """Phase history straight to image.zarr by exact back-projection, by output chunk."""
+    workers = cluster_size(client)[0]
+    if source.raw is not None:
+        source, _ = _compress(client, source, run, report, ahead=2 * workers)
+    side = image_chunk(grid)
+
+    def start(unit: str, cell: tuple[int, int]) -> Callable[[], Future]:
+        return lambda: client.submit(
+            back_project_chunk, source, run, unit, cell, geometry, grid,
+            key=f"backprojection-{run.identity[:8]}-{unit}", pure=False,
+        )  # fmt: skip
+
+    units = []
+    for row in range(-(-grid.shape[0] // side[0])):
+        for column in range(-(-grid.shape[1] // side[1])):
+            unit = f"chunk-{row}-{column}"
+            units.append((unit, start(unit, (row, column))))
+    return run_units(client, "backprojection", units, run, report, ahead=workers)
