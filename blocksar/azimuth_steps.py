@@ -8,10 +8,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from scipy.special import fresnel
+
 from blocksar import fourier, phase
 from blocksar.fourier import Axis
 from blocksar.lines import Line, RowPhase
-from blocksar.parameters import ComplexArray
+from blocksar.parameters import ComplexArray, FloatArray
 
 
 def _rotation(phases: RowPhase, rows: Axis, along: Axis, *, sign: float = 1.0) -> fourier.RowWork:
@@ -24,8 +27,8 @@ def _rotation(phases: RowPhase, rows: Axis, along: Axis, *, sign: float = 1.0) -
     return rotate
 
 
-def _mean_range(line: Line):  # type: ignore[no-untyped-def]
-    return line.range.mean(axis=-1)
+def _mean_range(line: Line) -> FloatArray:
+    return np.asarray(line.range.mean(axis=-1))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -78,20 +81,94 @@ class Deramp:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class DwellGate:
+    """Let each Doppler of the image see its own dwell only, as back-projection does; thin out what is left.
+
+    The final transform sums over all of slow time, so the sharp ends of other targets' dwells leave side lobes
+    where back-projection, which sums over the pixel's own lit pulses, has none: on clutter that costs 0.005 of
+    coherence. Windowing time by rect((t - c(f)) / length) with a centre that moves along Doppler is a
+    convolution. With psi' = c it is, exactly where c is linear,
+
+        S(f) -> exp(-2j pi psi) F{ G(t) F^-1{ exp(2j pi psi) S } },
+        G(t) = integral of rect((t - u) / length) exp(j pi u^2 / c') / sqrt(j c') du,
+
+    a Fresnel-smoothed rectangle. Between the transforms all targets lie about t = 0, so the last one is short.
+
+    Attributes
+    ----------
+    phase : RowPhase
+        psi(r, f), cycles.
+    common : RowPhase
+        The same, one for all rows: stays taken out, so that the image can be sampled coarsely in Doppler.
+    slope : RowPhase
+        Of one coefficient: c'(r), s/Hz.
+    length : float
+        Of the dwell after all steps, s.
+    time : Axis
+        About 0; what is kept.
+    """
+
+    phase: RowPhase
+    common: RowPhase
+    slope: RowPhase
+    length: float
+    time: Axis
+
+    def window(self, slope: float) -> ComplexArray:
+        """G over `time`, (time.size,) complex64."""
+        scale = np.sqrt(2 / abs(slope))
+        upper_sine, upper_cosine = fresnel(scale * (self.time.values + self.length / 2))
+        lower_sine, lower_cosine = fresnel(scale * (self.time.values - self.length / 2))
+        window = (upper_cosine - lower_cosine + 1j * (upper_sine - lower_sine)) * np.exp(-0.25j * np.pi) / np.sqrt(2)
+        return (window if slope > 0 else window.conj()).astype(np.complex64)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class DopplerTransform:
     """The final transform: level lines become points in Doppler (paper A (32), with the target's own dwell).
 
-    Each target's spectrum stays centred on its own dwell, not on t = 0: whoever interpolates the image has to
-    take out that carrier first, as the geometric correction does.
+    Each target's spectrum stays centred on its own dwell, not on t = 0 (with a gate: on its distance from the
+    gate's common centre): whoever interpolates the image has to take out that carrier first, as the geometric
+    correction does.
     """
 
     name = "doppler-fft"
     time: Axis
     doppler: Axis
+    rows: Axis
+    gate: DwellGate | None
+
+    @property
+    def image_doppler(self) -> Axis:
+        """Doppler of the result."""
+        if self.gate is None:
+            return self.doppler
+        return fourier.dual(self.time, size=self.gate.time.size, centre=self.doppler.centre)
 
     def apply(self, block: ComplexArray, *, threads: int) -> ComplexArray:
-        """(n_row, time.size) in time to (n_row, doppler.size), focused."""
-        return fourier.to_doppler(block, self.time, self.doppler, threads=threads)
+        """(n_row, time.size) in time to (n_row, image_doppler.size), focused."""
+        if self.gate is None:
+            return fourier.to_doppler(block, self.time, self.doppler, threads=threads)
+        gate, image = self.gate, self.image_doppler
+        long = fourier.dual(self.doppler, size=self.doppler.size, centre=0.0)
+        first = round((gate.time.start - long.start) / long.step)
+        demodulate = _rotation(gate.phase, self.rows, self.doppler)
+        modulate = _rotation(gate.phase, self.rows, image, sign=-1.0)
+        common = _rotation(gate.common, self.rows, image)
+        slopes = gate.slope.coefficients(self.rows.values)[:, 0]
+        out = np.empty((block.shape[0], image.size), np.complex64)
+
+        def work(rows: slice) -> None:
+            group = fourier.to_doppler(block[rows], self.time, self.doppler)
+            demodulate(group, rows)
+            aligned = fourier.to_time(group, self.doppler, long)[:, first : first + gate.time.size]
+            aligned = aligned * gate.window(float(slopes[rows].mean()))
+            out[rows] = fourier.to_doppler(aligned, gate.time, image)
+            modulate(out[rows], rows)
+            common(out[rows], rows)
+
+        fourier.run_groups(work, fourier.row_groups(*block.shape), threads)
+        return out
 
     def trace(self, line: Line) -> Line:
         return line

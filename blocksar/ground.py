@@ -10,18 +10,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.polynomial import chebyshev
 
 from blocksar import phase
-from blocksar.fourier import Axis
+from blocksar.fourier import Axis, run_groups
 from blocksar.geometry import Geometry
-from blocksar.lines import Focus
+from blocksar.lines import Focus, RowPhase
 from blocksar.parameters import SPEED_OF_LIGHT, ComplexArray, FloatArray
 
 TILE_DEGREE = 5
 TILE_PIXELS = 64
 TILE_EXTENT = 150.0  # m: over this much, at most, the tile polynomials hold to a millicycle
+TILE_GROUP = 16  # tiles done in one go by a thread
 YAW_STEPS = 4096
 
 
@@ -75,6 +76,8 @@ class GroundMap:
     gain : Surface
     time : Surface
         Middle of the dwell after all steps, s: the carrier of a target's response along Doppler.
+    common : RowPhase or None
+        Phase that the image has been given along Doppler, the same in all rows.
     yaw_axis : (n,) float
         Uniform yaws from low to high, rad, for the two limits and the number of lit pulses.
     near_limit, far_limit : (n,) float
@@ -98,6 +101,7 @@ class GroundMap:
     phase: Surface
     gain: Surface
     time: Surface
+    common: RowPhase | None
     yaw_axis: FloatArray
     near_limit: FloatArray
     far_limit: FloatArray
@@ -132,13 +136,17 @@ class GroundMap:
         rng = offset + self.range_offset(epoch_range, yaw)
         doppler = self.doppler_focus(epoch_range, yaw)
         carrier = -2 * geometry.collection.carrier / SPEED_OF_LIGHT * offset
+        cycles, time = carrier + self.phase(epoch_range, yaw), self.time(epoch_range, yaw)
+        if self.common is not None:
+            given, rate, _ = self.common.evaluate(rng, doppler[..., None])
+            cycles, time = cycles + given[..., 0], time - rate[..., 0]
         return (
             self.rows.position(rng),
             self.doppler.position(doppler),
-            carrier + self.phase(epoch_range, yaw),
+            cycles,
             self.gain(epoch_range, yaw),
             turn,
-            self.time(epoch_range, yaw) * self.doppler.step,
+            time * self.doppler.step,
         )
 
 
@@ -196,14 +204,16 @@ def correct(
     lit[ground.lit <= 0] = np.nan
     yaw_start = float(ground.yaw_axis[0] - ground.middle_yaw)
     yaw_step = float(ground.yaw_axis[1] - ground.yaw_axis[0])
-    from numba import set_num_threads  # noqa: PLC0415  (state of the calling thread, not of the module)
+    frame = np.array([nx, ny, px, py, height2, ground.near, ground.far])
 
-    set_num_threads(threads)
-    _resample(
-        block.view(np.float32), out, tiles, coefficients, x, y, tile, range_table, doppler_table, edges,
-        np.array([nx, ny, px, py, height2, ground.near, ground.far]),
-        yaw_start, yaw_step, ground.near_limit, ground.far_limit, lit,
-    )  # fmt: skip
+    def resample(some: slice) -> None:
+        _resample(
+            block.view(np.float32), out, tiles[some], coefficients[some], x, y, tile, range_table, doppler_table,
+            edges, frame, yaw_start, yaw_step, ground.near_limit, ground.far_limit, lit,
+        )  # fmt: skip
+
+    # Python threads over groups of tiles, not numba's own: a dask worker may run several tasks in one process.
+    run_groups(resample, [slice(i, i + TILE_GROUP) for i in range(0, tiles.shape[0], TILE_GROUP)], threads)
     return out
 
 
@@ -248,7 +258,7 @@ def _side(ray_x: float, ray_y: float, x: float, y: float) -> float:
     return ray_x * y - ray_y * x
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath={"contract", "nsz"})
+@njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
 def _resample(  # type: ignore[no-untyped-def]  # noqa: PLR0913, PLR0915
     floats, out, tiles, coefficients, x, y, tile, range_table, doppler_table, edges, frame,
     yaw_start, yaw_step, near_limit, far_limit, lit,
@@ -259,10 +269,10 @@ def _resample(  # type: ignore[no-untyped-def]  # noqa: PLR0913, PLR0915
     nx, ny, px, py, height2, near, far = frame[0], frame[1], frame[2], frame[3], frame[4], frame[5], frame[6]
     half = max((tile - 1) / 2, 0.5)
     degree = coefficients.shape[2] - 1
-    for t in prange(tiles.shape[0]):
-        along = np.empty((6, degree + 1))
-        wr = np.empty(rt, np.float32)
-        line = np.empty(2 * dt, np.float32)
+    along = np.empty((6, degree + 1))
+    wr = np.empty(rt, np.float32)
+    line = np.empty(2 * dt, np.float32)
+    for t in range(tiles.shape[0]):
         i0, j0 = tiles[t, 0], tiles[t, 1]
         for i in range(i0, min(i0 + tile, out.shape[0])):
             v = (i - i0) / half - 1.0

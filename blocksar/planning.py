@@ -14,7 +14,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from blocksar import fitting, fourier
-from blocksar.azimuth_steps import Deramp, DopplerTransform, Perturbation
+from blocksar.azimuth_steps import Deramp, DopplerTransform, DwellGate, Perturbation
 from blocksar.fitting import AzimuthPhases
 from blocksar.fourier import Axis
 from blocksar.geometry import Geometry
@@ -35,6 +35,7 @@ TAP_ERROR = 1e-3
 KEYSTONE_ERROR = 1e-4
 WINDOW_GUARD = 8  # range cells kept free at either end of the range window
 WINDOW_EDGE = 0.05  # of the range window, at either end, that the PRF need not hold: echoes only pass through
+GATE_ROOM = 1.5  # dwells that the image's Doppler sampling makes room for
 SINC_WIDTH = 0.8859  # -3 dB width of a sinc, in units of its first null
 MAX_BLOCKS = 64
 MEMORY_SHARE = 0.8  # of a worker's limit that a plan may fill
@@ -434,9 +435,6 @@ def plan_block(
     reach = (row_taps[0] / 2 + 2) * row_step
     nearest, farthest = float(spots.range.min()) - reach, float(spots.range.max()) + reach
     rows = Axis(nearest, row_step, min(int(np.ceil((farthest - nearest) / row_step)) + 1, period))
-    local = min(1.3 * duration * float(focused.stretch.max()) / (n_padded * slow.step), 0.9)
-    doppler_taps = (taps_needed(local, error=TAP_ERROR), local)
-
     fine_range = near + (far - near) * (1 - np.cos(np.pi * np.arange(13) / 12)) / 2
     fine_yaw = low + (high - low) * (1 - np.cos(np.pi * np.arange(33) / 32)) / 2
     range_chain = range_steps(slow, occupancy, rows, period)
@@ -447,11 +445,17 @@ def plan_block(
         fine = step.trace(fine)
     fine = _trace_azimuth(fine, phases)
     found = focus(fine)
+    gate = _plan_gate(geometry, fine, found, fine_yaw, rows=rows, slow=long_time) if collection.steered else None
+    final = DopplerTransform(time=long_time, doppler=image_doppler, rows=rows, gate=gate)
+    image_doppler = final.image_doppler
+    common = None if gate is None else gate.common
+    local = _local_occupancy(fine, found, common, image_doppler)
+    doppler_taps = (taps_needed(local, error=TAP_ERROR), local)
     chain = (
         *range_chain,
         Perturbation(time=slow, doppler=doppler, rows=rows, time_phase=phases.time, doppler_phase=phases.doppler),
         Deramp(doppler=doppler, time=long_time, rows=rows, phases=phases.deramp),
-        DopplerTransform(time=long_time, doppler=image_doppler),
+        final,
     )
     offset, doppler_focus, phase, gain, dwell_time = surfaces(
         found, epoch_range=fine_range, yaw=fine_yaw, origin=recovery.origin, carrier=fc, degree=(9, 16)
@@ -461,7 +465,7 @@ def plan_block(
     ground = GroundMap(
         geometry=geometry, low=low, high=high, near=near, far=far, origin=recovery.origin, rows=rows,
         doppler=image_doppler, range_offset=offset, doppler_focus=doppler_focus, phase=phase, gain=gain,
-        time=dwell_time, yaw_axis=yaw_axis, near_limit=near_limit, far_limit=far_limit,
+        time=dwell_time, common=common, yaw_axis=yaw_axis, near_limit=near_limit, far_limit=far_limit,
         lit=lit_pulses(collection, yaw_axis, np.ones(collection.n_pulse)),
         scale=collection.n_range_frequency / period, range_taps=row_taps, doppler_taps=doppler_taps,
     )  # fmt: skip
@@ -471,6 +475,49 @@ def plan_block(
         index=index, low=low, high=high, first_bin=first_bin, n_bin=slab.size, chain=chain, ground=ground,
         prediction=prediction, memory=memory, bias=bias,
     )  # fmt: skip
+
+
+def _plan_gate(geometry: Geometry, line: Line, found: Focus, yaw: FloatArray, *, rows: Axis, slow: Axis) -> DwellGate:
+    """The gate that follows the middles of the dwells along Doppler, from lines (n_range, n_yaw) with full dwell.
+
+    Targets whose dwell the ends of the collection cut are gated as if it went on.
+    """
+    weight = line.weight * line.stretch
+    lengths = weight.sum(axis=-1)
+    middles = (weight * line.time).sum(axis=-1) / lengths
+    lit = line.weight.sum(axis=-1)[0]
+    full = lit >= 0.999 * lit.max()
+    if full.sum() < 6:  # a narrow block at an end of the swath: what is there has to do
+        full = np.ones_like(full)
+    doppler = found.doppler[:, full]
+    centre, scale = float((doppler.min() + doppler.max()) / 2), max(float(np.ptp(found.doppler) / 2), 1e-6)
+    near, far = rows.start, rows.start + rows.extent
+    u = (2 * found.range[:, full] - near - far) / (far - near)
+    z = (doppler - centre) / scale
+    basis = chebyshev.chebvander2d(u.ravel(), z.ravel(), [2, 3])
+    series = np.linalg.lstsq(basis, middles[:, full].ravel(), rcond=1e-10)[0].reshape(3, 4)
+    powers = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [-1, 0, 2, 0], [0, -3, 0, 4]], dtype=float)
+    series = series @ powers  # from Chebyshev to powers of z
+    integral = np.zeros((3, 5))
+    integral[:, 1:] = series / np.arange(1, 5) * scale
+    phase = RowPhase(series=integral, near=near, far=far, centre=centre, scale=scale)
+    at_middle = phase.coefficients(np.array((near + far) / 2))[None]
+    common = RowPhase(series=at_middle, near=near, far=far, centre=centre, scale=scale)
+    slope = RowPhase(series=series[:, 1:2] / scale, near=near, far=far, centre=centre, scale=scale)
+    length = float(np.median(lengths[:, full]))
+    _, own, _ = phase.evaluate(found.range, found.doppler[..., None])
+    _, shared, _ = common.evaluate(found.range, found.doppler[..., None])
+    apart = float(np.abs(own - shared).max())
+    size = min(fourier.fast_length((GATE_ROOM * length + 2 * apart) / slow.step), slow.size)
+    return DwellGate(
+        phase=phase, common=common, slope=slope, length=length, time=fourier.centred(0.0, slow.step, size)
+    )
+
+
+def _local_occupancy(line: Line, found: Focus, common: RowPhase | None, doppler: Axis) -> float:
+    """Part of the sampling that a target's response fills along Doppler once its own carrier is out."""
+    reach = np.abs(line.time - found.time[..., None]).max()
+    return float(min(2.2 * reach * doppler.step, 0.9))
 
 
 def _trace_azimuth(line: Line, phases: AzimuthPhases) -> Line:

@@ -170,10 +170,14 @@ def compress_range(values: ComplexArray, frequency: FloatArray, rng: FloatArray)
     return out
 
 
-def rows_to_frequency(values: ComplexArray, rows: Axis, period: int, frequency: FloatArray) -> Complex128Array:
-    """Range rows (n_row, n_t) back to range frequency, as if rows that are not kept were zero."""
+def rows_to_frequency(values: ComplexArray, rows: Axis, period: int) -> tuple[Complex128Array, FloatArray]:
+    """Range rows (n_row, n_t) back to range frequency, (period, n_t), and those frequencies, Hz.
+
+    Rows that are not kept count as zero. Nothing is cut from the band: phases that differ from row to row widen it.
+    """
+    frequency = (np.arange(period) - period // 2) * SPEED_OF_LIGHT / (2 * rows.step * period)
     kernel = np.exp(-4j * np.pi / SPEED_OF_LIGHT * np.multiply.outer(frequency, rows.values))
-    return kernel @ values.astype(np.complex128) * (frequency.size / period) / (frequency.size / period)
+    return kernel @ values.astype(np.complex128), frequency
 
 
 # -- measured lines -----------------------------------------------------------------------------------------
@@ -189,41 +193,33 @@ class Measured(NamedTuple):
 
 
 def measure_line(values: Complex128Array, line: Line, *, time: Axis, frequency: FloatArray, cell: float) -> Measured:
-    """Measure S(f, t) (n_frequency, time.size) where the traced line says that the target is.
+    """Measure S(f, t), (n_frequency, time.size), where the traced line says that the target is.
 
-    Phase and Doppler at the traced range: value and slope of the compressed signal's phase about the sample
-    nearest to each traced time. Range: the peak of the compressed envelope, by a parabola through its power.
+    Phase and Doppler: value and slope of the phase of the range-compressed signal, at the traced range, about the
+    sample nearest to each traced time. Range: where the envelope of a compressed column peaks.
     """
     near = np.rint(time.position(line.time)).astype(int)
-    index = near[None, :] + np.arange(-2, 3)[:, None]
+    index = near + np.arange(-2, 3)[:, None]
     assert index.min() >= 0 and index.max() < time.size
     offset = time.values[index] - line.time
-    # The traced line is continued over these few samples by its own rate: a hundredth of a millisecond.
+    # The traced line is continued over these few samples by its own rate.
     wanted = line.phase + line.doppler * offset + line.rate * offset**2 / 2
-    drift = wavelength_range(line, offset)
-    samples = np.stack(
-        [compress_range(values[:, row], frequency, (line.range + move)[None])[0] for row, move in zip(index, drift, strict=True)]
-    )
+    at = line.range + np.gradient(line.range, line.time, edge_order=2) * offset
+    samples = np.stack([compress_range(values[:, i], frequency, r[None])[0] for i, r in zip(index, at, strict=True)])
     turned = samples * np.exp(-2j * np.pi * (wanted - np.rint(wanted)))
     step = np.angle(turned[1:] * turned[:-1].conj()).mean(axis=0)
-    around = np.linspace(-0.5, 0.5, 21) * cell
-    power = np.abs(compress_range(values[:, near], frequency, line.range + around[:, None])) ** 2
-    fits = [np.polyfit(around, column / column.max(), 4) for column in power.T]
-    peaks = [_peak(fit, around) for fit in fits]
+    around = np.linspace(-0.5, 0.5, 11) * cell
+    power = np.abs(compress_range(values[:, near], frequency, at[2] + around[:, None])) ** 2
     return Measured(
         phase=np.angle(turned[2]) / (2 * np.pi),
         doppler=step / (2 * np.pi * time.step),
-        range=np.array(peaks),
+        range=np.array([peak(column, around) for column in power.T]),
         amplitude=np.abs(turned[2]),
     )
 
 
-def wavelength_range(line: Line, offset: FloatArray) -> FloatArray:
-    """How far the apparent range moves in these offsets (n, n_t): the slope of the traced ranges along the dwell."""
-    slope = np.gradient(line.range, line.time, edge_order=2)
-    return offset * slope
-
-
-def _peak(fit: FloatArray, around: FloatArray) -> float:
+def peak(power: FloatArray, around: FloatArray) -> float:
+    """Place of the maximum of a smooth hump, by a polynomial of order 6 through it."""
+    fit = np.polynomial.Polynomial.fit(around, power / power.max(), 6)
     fine = np.linspace(around[0], around[-1], 4001)
-    return float(fine[np.argmax(np.polyval(fit, fine))])
+    return float(fine[np.argmax(fit(fine))])
