@@ -175,7 +175,7 @@ def _resources(workers: int | None, threads: int | None, memory_limit: int | Non
 def _block_table(made: Plan) -> Table:
     header = (
         "block", "yaw (deg)", "range (km)", "Doppler bins", "padded", "bias (m/s2)", "residual phase (rad)",
-        "PSLR (dB)", "width / limit", "azimuth width (m)", "migration (cells)", "memory (MiB)",
+        "quadratic (rad)", "PSLR (dB)", "width / limit", "azimuth width (m)", "migration (cells)", "memory (MiB)",
     )  # fmt: skip
     return header, [_block_row(block) for block in made.blocks]
 
@@ -191,6 +191,7 @@ def _block_row(block: BlockPlan) -> list[str]:
         str(block.ground.doppler.size),
         f"{block.bias:.1f}",
         f"{p.residual_phase:.4f}",
+        f"{p.quadratic_phase:.4f}",
         f"{p.pslr:.2f}",
         f"{p.width:.3f}",
         f"{p.resolution:.3f}",

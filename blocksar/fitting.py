@@ -28,7 +28,7 @@ DERAMP_ORDERS = (2, 3, 4)
 TIME_ORDERS = (3, 4)
 SERIES_DEGREE = 6  # of the coefficients in range
 GOOD_RESIDUAL = 0.02  # rad: below this a cheaper chain is preferred to a better one
-GOOD_LOSS = 0.004  # of the dwell, lost at its ends: likewise
+GOOD_LOSS = 0.008  # of the dwell, lost at its ends: likewise
 STRETCH_PRICE = 0.5  # rad of phase error that a stretch of 2 is worth in the fit
 TIME_BANDWIDTH = 100.0  # of a target's line: stationary phase and a sharp spectrum need about this much
 
@@ -61,25 +61,21 @@ def end_loss(line: Line, rate: FloatArray) -> FloatArray:
     `rate` is the lines' rate ahead of the frequency perturbation, Hz/s. The factor was measured on
     single targets against their traced lines.
     """
-    duration = line.weight.sum(axis=-1)
+    duration = line.weight.sum(axis=-1).max()
     ends = np.abs(line.stretch[..., [0, -1]] - 1).max(axis=-1)
     return np.asarray(1.3 * np.sqrt(ends / (np.abs(rate).min(axis=-1) * duration**2)))
 
 
-def _terms(x: FloatArray, orders: tuple[int, ...], z: FloatArray) -> FloatArray:
-    """sum x_k z^(order_k - 1): the slope of sum x_k z^order_k / order_k."""
-    total = np.zeros_like(z)
-    for coefficient, order in zip(x, orders, strict=True):
-        total += coefficient * z ** (order - 1)
-    return total
+def _powers(z: FloatArray, orders: tuple[int, ...]) -> FloatArray:
+    """z^(order - 1) for each order: the slopes of z^order / order."""
+    return np.stack([z ** (order - 1) for order in orders]) if orders else np.zeros((0, *z.shape))
 
 
-def _slopes(x: FloatArray, orders: tuple[int, ...], z: FloatArray) -> FloatArray:
-    """The derivative of `_terms`."""
-    total = np.zeros_like(z)
-    for coefficient, order in zip(x, orders, strict=True):
-        total += coefficient * (order - 1) * z ** (order - 2)
-    return total
+def _slopes(z: FloatArray, orders: tuple[int, ...], derivative: int) -> FloatArray:
+    """Derivatives of `_powers`."""
+    factor = [np.prod(np.arange(order - derivative, order)) for order in orders]
+    rows = [f * z ** max(order - 1 - derivative, 0) for f, order in zip(factor, orders, strict=True)]
+    return np.stack(rows) if rows else np.zeros((0, *z.shape))
 
 
 def _fit_range(
@@ -91,27 +87,51 @@ def _fit_range(
     candidate: Candidate,
     start: FloatArray,
 ) -> FloatArray:
-    """Level the lines (n_yaw, n) of one range; unknowns are scaled to the lines' extent in time and Doppler."""
-    n_time = len(TIME_ORDERS) if candidate.perturb_time else 0
-    n_doppler = len(DOPPLER_ORDERS)
-    steep = rate * scales.time / scales.doppler
+    """Level the lines (n_yaw, n) of one range; unknowns are scaled to the lines' extent in time and Doppler.
+
+    With v = f / F + P(z), z' = z - D(v), the level is v + E(z') and the stretch 1 - D'(v) (dv/dz): sums of
+    powers P, D, E whose coefficients are sought.
+    """
+    orders = TIME_ORDERS if candidate.perturb_time else ()
+    n_time, n_doppler = len(orders), len(DOPPLER_ORDERS)
+    split = (n_time, n_time + n_doppler)
     z_in = (time - scales.time_centre) / scales.time
+    flat, steep = doppler / scales.doppler, rate * scales.time / scales.doppler
+    p_terms, p_slopes = _powers(z_in, orders), _slopes(z_in, orders, 1)
     duration = weight.sum(axis=-1, keepdims=True)
     share = weight / duration
+    # The Doppler error over a dwell, times its length, is about the phase error that it makes.
+    level_price = 2 * np.pi * scales.doppler * duration * np.sqrt(share)
+    stretch_price = STRETCH_PRICE * np.sqrt(share)
 
-    def uneven(x: FloatArray) -> FloatArray:
-        in_time, in_doppler, in_deramp = x[:n_time], x[n_time : n_time + n_doppler], x[n_time + n_doppler :]
-        bent = doppler / scales.doppler + _terms(in_time, TIME_ORDERS[:n_time], z_in)
-        slope = steep + _slopes(in_time, TIME_ORDERS[:n_time], z_in)
-        z = z_in - _terms(in_doppler, DOPPLER_ORDERS, bent)
-        stretch = _slopes(in_doppler, DOPPLER_ORDERS, bent) * slope
-        level = bent + _terms(in_deramp, DERAMP_ORDERS, z)
-        mean = (level * share).sum(axis=-1, keepdims=True)
-        # The Doppler error over a dwell, times its length, is about the phase error that it makes.
-        uneven = 2 * np.pi * scales.doppler * (level - mean) * duration * np.sqrt(share)
-        return np.concatenate([uneven.ravel(), (STRETCH_PRICE * np.sqrt(share) * stretch).ravel()])
+    def chain(x: FloatArray) -> tuple[FloatArray, ...]:
+        p, d, e = np.split(x, split)
+        v = flat + np.tensordot(p, p_terms, 1)
+        z = z_in - np.tensordot(d, _powers(v, DOPPLER_ORDERS), 1)
+        slope = steep + np.tensordot(p, p_slopes, 1)
+        return v, z, slope, np.tensordot(d, _slopes(v, DOPPLER_ORDERS, 1), 1), e, d
 
-    return np.asarray(least_squares(uneven, start, method="lm", x_scale="jac", max_nfev=400).x)
+    def centred(values: FloatArray) -> FloatArray:
+        return values - (values * share).sum(axis=-1, keepdims=True)
+
+    def faults(x: FloatArray) -> FloatArray:
+        v, z, slope, bend, e, _ = chain(x)
+        level = v + np.tensordot(e, _powers(z, DERAMP_ORDERS), 1)
+        return np.concatenate([(level_price * centred(level)).ravel(), (stretch_price * bend * slope).ravel()])
+
+    def jacobian(x: FloatArray) -> FloatArray:
+        v, z, slope, bend, e, d = chain(x)
+        e_slope = np.tensordot(e, _slopes(z, DERAMP_ORDERS, 1), 1)
+        curl = np.tensordot(d, _slopes(v, DOPPLER_ORDERS, 2), 1)
+        v_terms = _powers(v, DOPPLER_ORDERS)
+        level = np.concatenate([p_terms * (1 - e_slope * bend), -e_slope * v_terms, _powers(z, DERAMP_ORDERS)])
+        stretch = np.zeros_like(level)
+        stretch[:n_time] = curl * p_terms * slope + bend * p_slopes
+        stretch[split[0] : split[1]] = _slopes(v, DOPPLER_ORDERS, 1) * slope
+        rows = np.concatenate([level_price * centred(level), stretch_price * stretch], axis=1)
+        return rows.reshape(x.size, -1).T
+
+    return np.asarray(least_squares(faults, start, jac=jacobian, method="lm", x_scale="jac", max_nfev=100).x)
 
 
 def fit_phases(line: Line, *, ranges: FloatArray, candidate: Candidate, wavelength: float) -> AzimuthPhases:
@@ -215,8 +235,9 @@ def closed_form_phases(
 ) -> AzimuthPhases:
     """Perturbation (30) and deramp (31) of paper A as printed, per range.
 
-    Errata applied: (26) is exp[j pi (alpha f^3 + beta f^4)]. Doppler counts from the block centre's
-    own k_1'' at each range, without which (29) is not the expansion of (28).
+    Errata applied: (26) is exp[j pi (alpha f^3 + beta f^4)]. Doppler counts from the block centre at the
+    reference range, as (16) leaves it: at other ranges k_1'' is not zero at the block's middle yaw (some 400 Hz
+    on Table 1), which (29) neglects.
 
     Parameters
     ----------
@@ -254,7 +275,8 @@ def closed_form_phases(
         ],
         axis=1,
     ) * time_scale ** np.arange(5)
-    centres = -2 / lam * k[:, 1, 0] - shift
+    centre = -2 / lam * np.interp(0.0, epoch_range - epoch_range.mean(), k[:, 1, 0]) - shift
+    centres = np.full_like(k20, centre)
     nothing = np.zeros((ranges.size, 1))
     return AzimuthPhases(
         time=row_phase(nothing, ranges=ranges, centres=zero, scale=time_scale, degree=0),
@@ -273,7 +295,7 @@ def candidates(line: Line, *, wavelength: float) -> list[Candidate]:
     acceleration = float(np.mean(-line.rate * wavelength / 2)) / 2  # k_2, m/s^2
     wanted = TIME_BANDWIDTH * wavelength / (4 * duration**2)
     tried = [Candidate(0.0, False), Candidate(0.0, True)]
-    for factor in (1.25, 2.5, 5.0):
+    for factor in (1.25, 2.5, 5.0, 8.0):
         targets = sorted((factor * wanted, -factor * wanted), key=lambda k: abs(k - acceleration))
         tried += [Candidate(k - acceleration, True) for k in targets]
     return tried

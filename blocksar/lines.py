@@ -88,8 +88,9 @@ class Focus(NamedTuple):
     """Where and how a level line focuses; arrays (...) of targets.
 
     doppler (Hz), range (m from the origin) and time (s, middle of the dwell after all steps) locate it;
-    `phase` (cycles) and `gain` (complex sum over the dwell relative to the lit time, near 1) calibrate
-    it; `residual` is the largest phase error over the dwell (rad) and `migration` the range it wanders (m).
+    `phase` (cycles) and `gain` (sum over the dwell relative to the lit time, near 1) calibrate it.
+    `residual` is the largest phase error over the dwell (rad), `quadratic` the quadratic part of it at the
+    dwell's edge (rad; pi/4 is the usual limit), `migration` the range it wanders (m).
     """
 
     doppler: FloatArray
@@ -98,6 +99,7 @@ class Focus(NamedTuple):
     phase: FloatArray
     gain: FloatArray
     residual: FloatArray
+    quadratic: FloatArray
     migration: FloatArray
 
 
@@ -122,6 +124,9 @@ def focus(line: Line) -> Focus:
     phase = mean(level)
     error = 2 * np.pi * (level - phase[..., None])
     sum_ = (weight * np.exp(1j * error)).sum(axis=-1)
+    # What is left of the Doppler rate, by regression along the line, over the stretched half dwell.
+    tilt = mean((line.doppler - doppler[..., None]) * offset) / np.maximum(mean(offset**2), 1e-30)
+    half = (line.weight * line.stretch).sum(axis=-1) / 2
     return Focus(
         doppler=doppler,
         range=rng,
@@ -129,6 +134,7 @@ def focus(line: Line) -> Focus:
         phase=phase + np.angle(sum_) / (2 * np.pi),
         gain=np.abs(sum_) / line.weight.sum(axis=-1),
         residual=np.abs(error).max(axis=-1),
+        quadratic=np.abs(np.pi * tilt * half**2),
         migration=np.ptp(line.range, axis=-1),
     )
 

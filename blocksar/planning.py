@@ -248,7 +248,7 @@ def plan_recovery(geometry: Geometry, region: Region) -> Recovery:
     derotated_low, derotated_high = float(bent.min()), float(bent.max())
     centre_band = (derotated_low + derotated_high) / 2
     spread = (derotated_high - derotated_low) * (1 + band_edge)
-    needed = 1.02 * spread
+    needed = spread
     if collection.prf < needed:
         raise InputError(
             f"PRF {collection.prf:.6g} Hz is too low: after nonlinear derotation the lit scene still spans "
@@ -315,7 +315,8 @@ def _middle_line(u: FloatArray, doppler: FloatArray, *, order: int) -> FloatArra
 class Prediction(NamedTuple):
     """What a block's traced lines promise, the worst of its targets."""
 
-    residual_phase: float  # rad
+    residual_phase: float  # rad, largest over the dwell
+    quadratic_phase: float  # rad, its quadratic part at the dwell's edge
     pslr: float  # dB, azimuth
     width: float  # azimuth width over the dwell's limit
     migration: float  # range resolution cells over the dwell
@@ -470,7 +471,10 @@ def plan_block(
         scale=collection.n_range_frequency / period, range_taps=row_taps, doppler_taps=doppler_taps,
     )  # fmt: skip
     prediction = _predict(fine, found, fine_range, fine_yaw, range_cell, geometry)
-    memory = _memory(collection.n_range_frequency, slab.size, n_time, rows.size, n_padded)
+    memory = _memory(
+        n_frequency=collection.n_range_frequency, n_bin=slab.size, n_time=n_time, n_row=rows.size, n_padded=n_padded,
+        n_image=image_doppler.size,
+    )  # fmt: skip
     return BlockPlan(
         index=index, low=low, high=high, first_bin=first_bin, n_bin=slab.size, chain=chain, ground=ground,
         prediction=prediction, memory=memory, bias=bias,
@@ -561,10 +565,11 @@ def _choose(
         loss = float(fitting.end_loss(traced, biased.rate).max())
         length = np.ptp(traced.time) / np.ptp(part.time)
         fault = max(residual / fitting.GOOD_RESIDUAL, loss / fitting.GOOD_LOSS, 1.0)
-        cost = fault * max(length, 1.0)
+        growth = max(length, 1.0) * max(np.ptp(biased.doppler) / np.ptp(part.doppler), 1.0)
+        cost = fault * growth
         if best is None or cost < 0.9 * best[0]:
             best = (cost, candidate)
-        if fault <= 1.0 and length < 2.5:
+        if fault <= 1.0 and growth < 2.5:
             break
     if best is None:
         best = (np.inf, fitting.Candidate(0.0, True))
@@ -611,6 +616,7 @@ def _predict(
     middle = yaw.size // 2
     return Prediction(
         residual_phase=float(full.max()),
+        quadratic_phase=float(found.quadratic.max()),
         pslr=_pslr(response),
         width=_width(response) / _width(ideal),
         migration=float(found.migration.max() / range_cell),
@@ -633,10 +639,10 @@ def _width(response: FloatArray) -> float:
     return float(np.count_nonzero(response >= response.max() / np.sqrt(2)))
 
 
-def _memory(n_frequency: int, n_bin: int, n_time: int, n_row: int, n_padded: int) -> int:
+def _memory(*, n_frequency: int, n_bin: int, n_time: int, n_row: int, n_padded: int, n_image: int) -> int:
     """Peak of a worker over the chain: each step holds its input and its output."""
     sizes = [n_frequency * n_bin, n_frequency * n_time, n_frequency * n_time, n_row * n_time]
-    sizes += [n_row * n_padded] * 3
+    sizes += [n_row * n_padded, n_row * n_padded, n_row * n_image]
     pairs = [a + b for a, b in zip(sizes, sizes[1:], strict=False)]
     return PROCESS_MEMORY + 8 * max(pairs)
 

@@ -1,4 +1,4 @@
-"""What the tests of the processing steps share: small collections, explicit Fourier sums, and how a line is measured."""
+"""What the tests of the processing steps share: small collections, explicit Fourier sums, how a line is measured."""
 
 from __future__ import annotations
 
@@ -40,7 +40,8 @@ def collection(
     """Table 1 in small: 0.3 s of it, and a range window of 240 m that follows the scene's centre."""
     time = middle + (np.arange(n_pulse) - n_pulse // 2) / prf
     t = time[:, None]
-    position = [0.0, 0.0, 16500.0] + np.array(velocity) * t + np.array(acceleration) * t**2 / 2 + np.array(jerk) * t**3 / 6
+    position = [0.0, 0.0, 16500.0] + np.array(velocity) * t + np.array(acceleration) * t**2 / 2
+    position = position + np.array(jerk) * t**3 / 6
     yaw = np.radians(yaw_deg)
     across = np.sqrt(centre_range**2 - 16500.0**2)
     centre = np.array([across * np.cos(yaw), across * np.sin(yaw), 0.0])

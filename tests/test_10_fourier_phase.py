@@ -69,7 +69,9 @@ STARTS = [(0.0, 0.0), (-0.4137, 3977.77), (123.456, -9000.1)]
 @pytest.mark.parametrize("inverse", [False, True])
 @pytest.mark.parametrize("starts", STARTS)
 @pytest.mark.parametrize("sizes", SIZES)
-def test_a_transform_is_the_sum_that_it_says(sizes: tuple[int, int], starts: tuple[float, float], inverse: bool) -> None:
+def test_a_transform_is_the_sum_that_it_says(
+    sizes: tuple[int, int], starts: tuple[float, float], inverse: bool
+) -> None:
     source, target = pair(*sizes, step=1.25e-4, start=starts[0], dual_start=starts[1])
     x = noise(5, source.size)
     wanted = explicit_transform(x, source, target, inverse=inverse, period=target.size)
@@ -99,7 +101,8 @@ def test_forth_and_back_is_the_identity(n: int, padding: int, step: float, start
 
 @pytest.mark.parametrize("inverse", [False, True])
 @pytest.mark.parametrize(
-    ("n", "period", "kept", "n_column"), [(1, 1, 1, 1), (9, 9, 9, 33), (12, 15, 4, 5), (13, 40, 40, 32), (80, 108, 61, 77)]
+    ("n", "period", "kept", "n_column"),
+    [(1, 1, 1, 1), (9, 9, 9, 33), (12, 15, 4, 5), (13, 40, 40, 32), (80, 108, 61, 77)],
 )
 def test_a_transform_of_columns_is_padded_and_cut(n: int, period: int, kept: int, n_column: int, inverse: bool) -> None:
     source = Axis(-3.3e6, 0.625e6, n)
