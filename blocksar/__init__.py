@@ -7,8 +7,6 @@ first use, so that `import blocksar` costs nothing.
 from __future__ import annotations
 
 import importlib
-import sys
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -27,15 +25,3 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
-
-
-class _Package(ModuleType):
-    """The package as a module on which the public functions cannot be hidden by modules of the same name."""
-
-    def __setattr__(self, name: str, value: object) -> None:
-        # Importing the module blocksar.quality would bind it here as `quality`, over the function.
-        if not (name in __all__ and isinstance(value, ModuleType)):
-            super().__setattr__(name, value)
-
-
-sys.modules[__name__].__class__ = _Package

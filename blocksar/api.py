@@ -18,20 +18,31 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 
-import blocksar
-from blocksar import stores
+from blocksar import __version__, graph, simulation, stores
+from blocksar.backprojection import form_image
 from blocksar.geometry import Geometry
+from blocksar.graph import Receipt, Run, image_chunk, machine
+from blocksar.measurement import (
+    DEFINITIONS,
+    TABLE3,
+    ChipComparison,
+    PointResponse,
+    Response,
+    Target,
+    as_json,
+    coherence,
+    measure_target,
+    read_response,
+    summary,
+)
 from blocksar.parameters import Collection, ComplexArray, FloatArray, InputError
-from blocksar.planning import BlockPlan, Coefficients, Grid, Plan, default_grid, plan_collection, plan_region
+from blocksar.planning import BlockPlan, Coefficients, Plan, plan_collection
+from blocksar.region import Grid, default_grid, plan_region
 from blocksar.scene import Scene, shipped_scenes
-from blocksar.simulate import simulate as _simulate
 
 if TYPE_CHECKING:
     import xarray as xr
     from distributed import Client
-
-    from blocksar.graph import Receipt, Run
-    from blocksar.quality import ChipComparison, PointResponse, Response, Target
 
 __all__ = ["demo", "focus", "open", "plan", "quality", "simulate"]
 
@@ -41,7 +52,16 @@ Source = "str | Path | xr.Dataset"
 Table = tuple[Sequence[str], Sequence[Sequence[str]]]
 
 FORMAT = 1  # of run folders: a run of another format is not resumed
-OWN = ("run.json", "collection.zarr", "spectrum.zarr", "compressed.zarr", "image.zarr", "patches", "receipts", "quality.json")
+OWN = (
+    "run.json",
+    "collection.zarr",
+    "spectrum.zarr",
+    "compressed.zarr",
+    "image.zarr",
+    "patches",
+    "receipts",
+    "quality.json",
+)
 LEFT_ALONE = ("phase_history.zarr",)  # may stand in a new run's folder: `demo` puts its input there
 MIB = 2**20
 
@@ -91,7 +111,8 @@ def simulate(
     """
     told = progress or _Silent()
     _, threads, _ = _resources(1, threads, None)
-    return _simulate(scene, out, raw=raw, threads=threads, overwrite=overwrite, progress=partial(told.update, "simulate"))
+    told_here = partial(told.update, "simulate")
+    return simulation.simulate(scene, out, raw=raw, threads=threads, overwrite=overwrite, progress=told_here)
 
 
 # ---------------------------------------------------------------- plan
@@ -125,7 +146,12 @@ def plan(
     if processor == "backprojection":
         return _plan_backprojection(collection, _grid(grid), workers)
     made = plan_collection(
-        collection, blocks=blocks, coefficients=coefficients, grid=_grid(grid), workers=workers, memory_limit=memory_limit
+        collection,
+        blocks=blocks,
+        coefficients=coefficients,
+        grid=_grid(grid),
+        workers=workers,
+        memory_limit=memory_limit,
     )
     return Report(tables=[_block_table(made)], summary=_plan_lines(made), refusal=made.refusal, result=made)
 
@@ -161,8 +187,6 @@ def _dataset_path(source: xr.Dataset) -> str:
 
 def _resources(workers: int | None, threads: int | None, memory_limit: int | None) -> tuple[int, int, int]:
     """Workers, threads a worker, bytes a worker: by default workers x threads is the number of cores."""
-    from blocksar.graph import machine  # noqa: PLC0415  (dask is slow to load, and a plan of a store needs it once)
-
     cores, memory = machine()
     for name, value in (("workers", workers), ("threads", threads)):
         if value is not None and value < 1:
@@ -206,14 +230,16 @@ def _plan_lines(made: Plan) -> list[str]:
     lines = [
         f"{made.n_blocks} blocks, {made.coefficients} coefficients; track of order {made.geometry.track.order}, misfit "
         f"{made.geometry.track.max_misfit:.2g} m",
-        f"derotated band {recovery.band[1] - recovery.band[0]:.0f} Hz at PRF {collection.prf:.0f} Hz; recovered spectrum "
-        f"{recovery.doppler.size} x {collection.n_range_frequency} ({spectrum / MIB:.0f} MiB), "
+        f"derotated band {recovery.band[1] - recovery.band[0]:.0f} Hz at PRF {collection.prf:.0f} Hz; recovered "
+        f"spectrum {recovery.doppler.size} x {collection.n_range_frequency} ({spectrum / MIB:.0f} MiB), "
         f"{recovery.doppler.extent:.0f} Hz wide",
         f"image {grid.shape[1]} x {grid.shape[0]} pixels: x {grid.x[0]:g} .. {grid.x[-1]:g} m every {grid.dx:g}, "
         f"y {grid.y[0]:g} .. {grid.y[-1]:g} m every {grid.dy:g}",
     ]
     if not made.within_budget():
-        lines.append("the predicted residual phase or migration is above its budget: more blocks, or fitted coefficients")
+        lines.append(
+            "the predicted residual phase or migration is above its budget: more blocks, or fitted coefficients"
+        )
     return lines
 
 
@@ -273,8 +299,6 @@ def focus(
     ProcessingError
         If processing fails: what was finished stays, and the same call resumes.
     """
-    from blocksar import graph  # noqa: PLC0415  (dask and numba are slow to load)
-
     _check_processor(processor)
     progress = progress or _Silent()
     history = stores.open_phase_history(source if isinstance(source, str | Path) else _dataset_path(source))
@@ -369,8 +393,6 @@ def _stages(
     run: Run,
     progress: Progress,
 ) -> tuple[list[Receipt], dict[str, float]]:
-    from blocksar import graph  # noqa: PLC0415
-
     clock = [time.perf_counter()]
 
     def lap() -> float:
@@ -436,7 +458,7 @@ def _grid_record(grid: Grid) -> list[float]:
 
 def _versions() -> dict[str, str]:
     names = ("numpy", "scipy", "numba", "dask", "zarr", "xarray")
-    return {"blocksar": blocksar.__version__} | {name: metadata.version(name) for name in names}
+    return {"blocksar": __version__} | {name: metadata.version(name) for name in names}
 
 
 def _predicted(made: Plan | None) -> list[dict[str, Any]]:
@@ -452,13 +474,11 @@ def _predicted(made: Plan | None) -> list[dict[str, Any]]:
 def _create_image(
     path: Path, grid: Grid, history: stores.PhaseHistory, settings: dict[str, Any], identity: str, made: Plan | None
 ) -> None:
-    from blocksar.graph import image_chunk  # noqa: PLC0415
-
     side = image_chunk(grid)
     attrs = {
         "title": history.attrs.get("title") or history.collection.title or "blocksar image",
         "Conventions": stores.CONVENTIONS,
-        "history": stores.history_line(f"focused by blocksar {blocksar.__version__}", history.attrs.get("history")),
+        "history": stores.history_line(f"focused by blocksar {__version__}", history.attrs.get("history")),
         "source": str(history.path.resolve()),
         "settings": settings,
         "run": identity,
@@ -543,9 +563,6 @@ def quality(
 def _measure(
     folder: Path, targets: str | Path | Sequence[Target] | None, reference: bool
 ) -> tuple[Report, list[Response]]:
-    from blocksar import quality as _  # noqa: F401, PLC0415
-    from blocksar.quality import DEFINITIONS, TABLE3, as_json, measure_target, read_response  # noqa: PLC0415
-
     image, collection, attrs, record = _open_run(folder)
     geometry = Geometry(collection=collection)
     wanted = _targets(targets, attrs)
@@ -573,8 +590,6 @@ def _measure(
 
 
 def _targets(targets: str | Path | Sequence[Target] | None, attrs: dict[str, Any]) -> list[Target]:
-    from blocksar.quality import Target  # noqa: PLC0415
-
     if targets is None:
         return [Target.from_record(record) for record in attrs.get("targets") or []]
     if not isinstance(targets, str | Path):
@@ -586,7 +601,7 @@ def _targets(targets: str | Path | Sequence[Target] | None, attrs: dict[str, Any
     if isinstance(records, dict):
         records = records.get("targets")
     if not isinstance(records, list):
-        raise InputError(f"{path} holds no list of targets; give [{{\"name\": ..., \"x\": ..., \"y\": ...}}, ...]")
+        raise InputError(f'{path} holds no list of targets; give [{{"name": ..., "x": ..., "y": ...}}, ...]')
     return [Target.from_record(record) for record in records]
 
 
@@ -607,16 +622,14 @@ def _response_table(responses: Sequence[PointResponse]) -> Table:
 
 
 def _worst_lines(responses: Sequence[PointResponse]) -> list[str]:
-    from blocksar.quality import summary  # noqa: PLC0415
-
     found = summary(responses)
-    head = f"{found.measured} of {found.full_dwell} full-dwell targets measured ({found.targets} in all); worst of them:"
+    head = (
+        f"{found.measured} of {found.full_dwell} full-dwell targets measured ({found.targets} in all); worst of them:"
+    )
     return [head, *(f"  {name}: {w.value:.4f} at {w.name} (ideal {w.ideal:.4f})" for name, w in found.worst.items())]
 
 
 def _table3(responses: Sequence[PointResponse]) -> Table:
-    from blocksar.quality import TABLE3  # noqa: PLC0415
-
     header = (
         "target", "range PSLR", "paper", "ISLR", "paper", "IRW (m)", "paper",
         "azimuth PSLR", "paper", "ISLR", "paper", "IRW (m)", "paper",
@@ -634,22 +647,23 @@ def _table3(responses: Sequence[PointResponse]) -> Table:
     return header, rows
 
 
-Compared = list[tuple[str, float, float, "ChipComparison"]]
+Compared = list[tuple[str, float, float, ChipComparison]]
 
 
 def _compare(image: _Image, geometry: Geometry, record: dict[str, Any]) -> Compared:
     """Chips of the image against exact back-projection of the run's input at telling places."""
-    from blocksar.backprojection import form_image  # noqa: PLC0415
-    from blocksar.graph import machine  # noqa: PLC0415
-    from blocksar.quality import coherence  # noqa: PLC0415
-
     history = stores.open_phase_history(record["input"]["path"])
     if history.raw is not None:
-        raise InputError("--reference needs range-frequency samples, but the run's input is a raw echo; focus a signal store")
+        raise InputError(
+            "--reference needs range-frequency samples, but the run's input is a raw echo; focus a signal store"
+        )
     half = 32
     found: Compared = []
     for name, x, y in _places(geometry, record):
-        column, row = round((x - image.x[0]) / (image.x[1] - image.x[0])), round((y - image.y[0]) / (image.y[1] - image.y[0]))
+        column, row = (
+            round((x - image.x[0]) / (image.x[1] - image.x[0])),
+            round((y - image.y[0]) / (image.y[1] - image.y[0])),
+        )
         rows, columns = slice(max(row - half, 0), row + half), slice(max(column - half, 0), column + half)
         if row < 0 or column < 0 or image.y[rows].size < half or image.x[columns].size < half:
             continue
@@ -733,11 +747,9 @@ def demo(
 
 def _draw(folder: Path, shown: Sequence[Response]) -> list[Path]:
     try:
-        from blocksar import plotting  # noqa: PLC0415  (optional, and slow to load)
+        from blocksar import plotting  # optional, and slow to load
     except ModuleNotFoundError as error:
         raise InputError(f"{error.name} is not installed, which pictures need; install blocksar[plots]") from None
-    from blocksar.quality import TABLE3  # noqa: PLC0415
-
     image, _, attrs, _ = _open_run(folder)
     mosaic, contours = folder / "mosaic.png", folder / "contours.png"
     plotting.plot_mosaic(

@@ -12,12 +12,12 @@ frequency perturbation of orders 2 to 5 and a deramp of orders 2 to 4, per range
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import polynomial as power
-from scipy.optimize import least_squares
 
 from blocksar.geometry import Geometry
 from blocksar.lines import Line, RowPhase, row_phase
@@ -71,6 +71,14 @@ def _powers(z: FloatArray, orders: tuple[int, ...]) -> FloatArray:
     return np.stack([z ** (order - 1) for order in orders]) if orders else np.zeros((0, *z.shape))
 
 
+def _combine(x: FloatArray, terms: FloatArray) -> FloatArray:
+    """sum x_k terms_k, term by term: a BLAS product's last bit depends on where its operands lie in memory."""
+    total = np.zeros(terms.shape[1:])
+    for coefficient, term in zip(x, terms, strict=True):
+        total += coefficient * term
+    return total
+
+
 def _slopes(z: FloatArray, orders: tuple[int, ...], derivative: int) -> FloatArray:
     """Derivatives of `_powers`."""
     factor = [np.prod(np.arange(order - derivative, order)) for order in orders]
@@ -106,32 +114,97 @@ def _fit_range(
 
     def chain(x: FloatArray) -> tuple[FloatArray, ...]:
         p, d, e = np.split(x, split)
-        v = flat + np.tensordot(p, p_terms, 1)
-        z = z_in - np.tensordot(d, _powers(v, DOPPLER_ORDERS), 1)
-        slope = steep + np.tensordot(p, p_slopes, 1)
-        return v, z, slope, np.tensordot(d, _slopes(v, DOPPLER_ORDERS, 1), 1), e, d
+        v = flat + _combine(p, p_terms)
+        z = z_in - _combine(d, _powers(v, DOPPLER_ORDERS))
+        slope = steep + _combine(p, p_slopes)
+        return v, z, slope, _combine(d, _slopes(v, DOPPLER_ORDERS, 1)), e, d
 
     def centred(values: FloatArray) -> FloatArray:
         return values - (values * share).sum(axis=-1, keepdims=True)
 
     def faults(x: FloatArray) -> FloatArray:
         v, z, slope, bend, e, _ = chain(x)
-        level = v + np.tensordot(e, _powers(z, DERAMP_ORDERS), 1)
+        level = v + _combine(e, _powers(z, DERAMP_ORDERS))
         return np.concatenate([(level_price * centred(level)).ravel(), (stretch_price * bend * slope).ravel()])
 
     def jacobian(x: FloatArray) -> FloatArray:
         v, z, slope, bend, e, d = chain(x)
-        e_slope = np.tensordot(e, _slopes(z, DERAMP_ORDERS, 1), 1)
-        curl = np.tensordot(d, _slopes(v, DOPPLER_ORDERS, 2), 1)
+        e_slope = _combine(e, _slopes(z, DERAMP_ORDERS, 1))
+        curl = _combine(d, _slopes(v, DOPPLER_ORDERS, 2))
         v_terms = _powers(v, DOPPLER_ORDERS)
         level = np.concatenate([p_terms * (1 - e_slope * bend), -e_slope * v_terms, _powers(z, DERAMP_ORDERS)])
         stretch = np.zeros_like(level)
         stretch[:n_time] = curl * p_terms * slope + bend * p_slopes
         stretch[split[0] : split[1]] = _slopes(v, DOPPLER_ORDERS, 1) * slope
         rows = np.concatenate([level_price * centred(level), stretch_price * stretch], axis=1)
-        return rows.reshape(x.size, -1).T
+        return rows.reshape(x.size, -1)
 
-    return np.asarray(least_squares(faults, start, jac=jacobian, method="lm", x_scale="jac", max_nfev=100).x)
+    return levenberg_marquardt(faults, jacobian, start)
+
+
+def levenberg_marquardt(
+    faults: Callable[[FloatArray], FloatArray],
+    jacobian: Callable[[FloatArray], FloatArray],
+    start: FloatArray,
+    *,
+    iterations: int = 60,
+) -> FloatArray:
+    """Minimise the sum of squares of `faults`; the same bits every time.
+
+    Library solvers (MINPACK, LAPACK) round differently as their work arrays happen to lie in memory, and a plan
+    made anew, to resume a run, has to be the plan that the run began with. Here every sum runs in numpy's own
+    order, and the few unknowns are solved for by modified Gram-Schmidt on the damped, column-scaled system.
+
+    Parameters
+    ----------
+    faults : callable
+        (n,) to (m,).
+    jacobian : callable
+        (n,) to (n, m): one row an unknown.
+    """
+    x, damping, growth = start, 1e-3, 2.0
+    fault = faults(x)
+    cost = float((fault * fault).sum())
+    scale = np.zeros(x.size)
+    for _ in range(iterations):
+        rows = jacobian(x)
+        scale = np.maximum(scale, np.sqrt((rows * rows).sum(axis=1)))
+        size = np.where(scale > 0, scale, 1.0)
+        while True:
+            step = _damped_step(rows / size[:, None], fault, damping) / size
+            tried = faults(x + step)
+            tried_cost = float((tried * tried).sum())
+            if tried_cost < cost:
+                break
+            damping, growth = damping * growth, growth * 2
+            if damping > 1e12:
+                return x
+        gained = cost - tried_cost
+        x, fault, cost = x + step, tried, tried_cost
+        damping, growth = max(damping / 5, 1e-14), 2.0
+        if gained <= 1e-9 * cost:
+            break
+    return x
+
+
+def _damped_step(rows: FloatArray, fault: FloatArray, damping: float) -> FloatArray:
+    """Least squares of rows^T step = -fault, with sqrt(damping) step = 0 below it."""
+    n = rows.shape[0]
+    q = np.concatenate([rows, np.sqrt(damping) * np.eye(n)], axis=1)
+    right = np.concatenate([-fault, np.zeros(n)])
+    r, projected = np.zeros((n, n)), np.zeros(n)
+    for i in range(n):
+        r[i, i] = np.sqrt((q[i] * q[i]).sum())
+        q[i] /= r[i, i]
+        projected[i] = (q[i] * right).sum()
+        right = right - projected[i] * q[i]
+        for j in range(i + 1, n):
+            r[i, j] = (q[i] * q[j]).sum()
+            q[j] -= r[i, j] * q[i]
+    step = np.zeros(n)
+    for i in range(n - 1, -1, -1):
+        step[i] = (projected[i] - (r[i, i + 1 :] * step[i + 1 :]).sum()) / r[i, i]
+    return step
 
 
 def fit_phases(line: Line, *, ranges: FloatArray, candidate: Candidate, wavelength: float) -> AzimuthPhases:
@@ -225,8 +298,10 @@ def yaw_series(geometry: Geometry, epoch_range: FloatArray, yaw: float, *, order
     nodes = np.cos(np.pi * (np.arange(9) + 0.5) / 9)
     k = range_series(geometry, epoch_range[:, None], yaw + half_width * nodes, order=order)
     fitted = np.polynomial.chebyshev.chebfit(nodes, np.moveaxis(k, 1, 0).reshape(9, -1), 8)
-    powers = np.stack([np.polynomial.chebyshev.cheb2poly(column) for column in fitted.T])[:, :5]
-    powers = powers / half_width ** np.arange(5)
+    to_powers = np.zeros((9, 9))
+    for degree in range(9):
+        to_powers[degree, : degree + 1] = np.polynomial.chebyshev.cheb2poly(np.eye(9)[degree, : degree + 1])
+    powers = (fitted.T @ to_powers)[:, :5] / half_width ** np.arange(5)
     return powers.reshape(epoch_range.size, order + 1, 5)
 
 

@@ -37,7 +37,7 @@ class Axis:
 
     @property
     def values(self) -> FloatArray:
-        return self.start + self.step * np.arange(self.size)
+        return np.asarray(self.start + self.step * np.arange(self.size), dtype=np.float64)
 
     @property
     def extent(self) -> float:

@@ -54,11 +54,13 @@ class Track:
 
     def velocity(self, time: FloatArray) -> FloatArray:
         """Its rate, (..., 3) m/s."""
-        return self._series(time, chebyshev.chebder(self.coefficients, axis=0)) / self.half
+        return self._series(time, np.asarray(chebyshev.chebder(self.coefficients, axis=0), np.float64)) / self.half
 
     def acceleration(self, time: FloatArray) -> FloatArray:
         """(..., 3) m/s^2."""
-        return self._series(time, chebyshev.chebder(self.coefficients, 2, axis=0)) / self.half**2
+        return (
+            self._series(time, np.asarray(chebyshev.chebder(self.coefficients, 2, axis=0), np.float64)) / self.half**2
+        )
 
     def _series(self, time: FloatArray, coefficients: FloatArray) -> FloatArray:
         u = (np.asarray(time, dtype=np.float64) - self.centre) / self.half
@@ -93,8 +95,8 @@ def fit_track(time: FloatArray, position: FloatArray, *, accuracy: float) -> Tra
 
     misfits = [float(np.abs(position - basis[:, : n + 1] @ fitted(n)).max()) for n in range(basis.shape[1])]
     order = len(misfits) - 1
-    for n, misfit in enumerate(misfits):
-        if misfit <= accuracy or (n >= 1 and min(misfits[n:][:5]) > misfit / 2):
+    for n, largest in enumerate(misfits):
+        if largest <= accuracy or (n >= 1 and min(misfits[n:][:5]) > largest / 2):
             order = n
             break
     coefficients = fitted(order)

@@ -18,18 +18,20 @@ from typing import Any
 
 import dask
 import numpy as np
-from distributed import Client, Future, LocalCluster, as_completed
 from dask.system import CPU_COUNT
+from dask.typing import Key
+from distributed import Client, Future, LocalCluster, as_completed
 from distributed.system import MEMORY_LIMIT
 
 from blocksar import stores
 from blocksar.backprojection import form_image
 from blocksar.geometry import Geometry
 from blocksar.ground import GroundMap, correct
-from blocksar.parameters import ComplexArray, FloatArray, ProcessingError
-from blocksar.planning import BlockPlan, Grid, Plan, lit_pulses
+from blocksar.parameters import ComplexArray, FloatArray, InputError, ProcessingError
+from blocksar.planning import BlockPlan, Plan
 from blocksar.range_steps import Step
-from blocksar.recovery import Recovery, RawCompression, recover_columns
+from blocksar.recovery import RawCompression, Recovery, recover_columns
+from blocksar.region import Grid, lit_pulses
 
 Receipt = dict[str, Any]
 Report = Callable[[str, int, int], None]  # stage, done, total
@@ -38,6 +40,7 @@ COLUMN_GROUP = 256  # range frequencies recovered at a time, and the spectrum's 
 DOPPLER_CHUNK = 512
 IMAGE_CHUNK = 1024
 PULSE_GROUP = 256  # pulses of a raw echo compressed at a time
+READING_STAGES = ("range-compress", "recover", "backprojection")
 BACKPROJECTION_CHUNK = 256  # pixels a side of a back-projection task
 
 
@@ -157,7 +160,7 @@ def open_client(
 
 def _dashboard() -> str | None:
     try:
-        import bokeh  # noqa: F401, PLC0415  (optional: only asked whether it is there)
+        import bokeh  # noqa: F401  (optional: only asked whether it is there)
     except ImportError:
         return None
     return "127.0.0.1:0"
@@ -193,9 +196,7 @@ def recover_group(
     )
     stores.write_region(run.spectrum, "spectrum", (slice(None), part), spectrum.T)
     lost = np.flatnonzero(missing)
-    return run.sign(
-        unit, started, checksum=stores.checksum(spectrum), missing={int(p): int(missing[p]) for p in lost}
-    )
+    return run.sign(unit, started, checksum=stores.checksum(spectrum), missing={int(p): int(missing[p]) for p in lost})
 
 
 def read_slab(run: Run, block: BlockPlan) -> ComplexArray:
@@ -239,7 +240,9 @@ def write_patch(run: Run, unit: str, index: int, block: ComplexArray, ground: Gr
     return run.sign(unit, started, origin=[first_y, first_x], chunks=chunks)
 
 
-def merge_chunk(run: Run, unit: str, cell: tuple[int, int], parts: Sequence[tuple[int, int, int]], grid: Grid) -> Receipt:
+def merge_chunk(
+    run: Run, unit: str, cell: tuple[int, int], parts: Sequence[tuple[int, int, int]], grid: Grid
+) -> Receipt:
     """One output chunk of the mosaic; `parts` are (block, first row, first column of its patch)."""
     started = time.perf_counter()
     side = image_chunk(grid)
@@ -249,7 +252,10 @@ def merge_chunk(run: Run, unit: str, cell: tuple[int, int], parts: Sequence[tupl
     image = np.full(shape, np.nan + 1j * np.nan, np.complex64)
     owner = np.full(shape, -1, np.int16)
     for index, first_y, first_x in parts:
-        window = (slice(rows.start - first_y, rows.stop - first_y), slice(columns.start - first_x, columns.stop - first_x))
+        window = (
+            slice(rows.start - first_y, rows.stop - first_y),
+            slice(columns.start - first_x, columns.stop - first_x),
+        )
         patch = stores.read_region(run.patch(index), "image", window)
         mine = np.isfinite(patch.real)
         image[mine] = patch[mine]
@@ -309,7 +315,13 @@ def patch_window(ground: GroundMap, grid: Grid) -> tuple[int, int, int, int]:
 
 
 def run_units(
-    client: Client, stage: str, units: Sequence[tuple[str, Callable[[], Future]]], run: Run, report: Report, *, ahead: int
+    client: Client,
+    stage: str,
+    units: Sequence[tuple[str, Callable[[], Future[Any]]]],
+    run: Run,
+    report: Report,
+    *,
+    ahead: int,
 ) -> list[Receipt]:
     """Run what has no receipt yet, `ahead` units at a time, and return all receipts in order.
 
@@ -324,7 +336,7 @@ def run_units(
         else:
             receipts[unit] = receipt
     report(stage, len(receipts), len(units))
-    names: dict[str, str] = {}
+    names: dict[Key, str] = {}
     waiting = iter(todo)
     completed = as_completed([], with_results=False)
 
@@ -348,14 +360,17 @@ def run_units(
     return [receipts[unit] for unit, _ in units]
 
 
-def _failure(future: Future, stage: str, unit: str) -> Exception:
+def _failure(future: Future[Any], stage: str, unit: str) -> Exception:
     error = future.exception()
-    if isinstance(error, ValueError | ProcessingError) and not isinstance(error, UnicodeError):
-        return error  # the input's fault, or said already
+    # Only these stages read the input: what is wrong with a run's own stores is no fault of it.
+    if isinstance(error, ProcessingError) or (stage in READING_STAGES and isinstance(error, InputError)):
+        return error
     return ProcessingError(f"{stage} of {unit} failed: {type(error).__name__}: {error}")
 
 
-def recover(client: Client, source: stores.PhaseHistory, plan: Plan, run: Run, report: Report) -> tuple[list[Receipt], FloatArray]:
+def recover(
+    client: Client, source: stores.PhaseHistory, plan: Plan, run: Run, report: Report
+) -> tuple[list[Receipt], FloatArray]:
     """Phase history to spectrum.zarr. Returns the receipts and the valid fraction of each pulse, (n_pulse,)."""
     collection = plan.geometry.collection
     receipts: list[Receipt] = []
@@ -371,9 +386,16 @@ def recover(client: Client, source: stores.PhaseHistory, plan: Plan, run: Run, r
         )  # fmt: skip
     n = collection.n_range_frequency
 
-    def start(unit: str, columns: tuple[int, int]) -> Callable[[], Future]:
+    def start(unit: str, columns: tuple[int, int]) -> Callable[[], Future[Any]]:
         return lambda: client.submit(
-            recover_group, source, run, unit, columns, plan.recovery, key=f"recover-{run.identity[:8]}-{unit}", pure=False
+            recover_group,
+            source,
+            run,
+            unit,
+            columns,
+            plan.recovery,
+            key=f"recover-{run.identity[:8]}-{unit}",
+            pure=False,
         )
 
     groups = [(first, min(first + COLUMN_GROUP, n)) for first in range(0, n, COLUMN_GROUP)]
@@ -401,9 +423,16 @@ def _compress(
         range_frequency=collection.range_frequency, reference_range=collection.reference_range,
     )  # fmt: skip
 
-    def start(unit: str, pulses: tuple[int, int]) -> Callable[[], Future]:
+    def start(unit: str, pulses: tuple[int, int]) -> Callable[[], Future[Any]]:
         return lambda: client.submit(
-            compress_pulses, source, run, unit, pulses, compression, key=f"compress-{run.identity[:8]}-{unit}", pure=False
+            compress_pulses,
+            source,
+            run,
+            unit,
+            pulses,
+            compression,
+            key=f"compress-{run.identity[:8]}-{unit}",
+            pure=False,
         )
 
     groups = [(a, min(a + chunk, collection.n_pulse)) for a in range(0, collection.n_pulse, chunk)]
@@ -417,10 +446,10 @@ def focus_blocks(client: Client, plan: Plan, run: Run, valid: FloatArray, report
     collection = plan.geometry.collection
     workers = cluster_size(client)[0]
 
-    def start(unit: str, block: BlockPlan) -> Callable[[], Future]:
+    def start(unit: str, block: BlockPlan) -> Callable[[], Future[Any]]:
         ground = replace(block.ground, lit=lit_pulses(collection, block.ground.yaw_axis, valid))
 
-        def chain() -> Future:
+        def chain() -> Future[Any]:
             tail = f"{run.identity[:8]}-{unit}"
             # One priority a block: a worker finishes the chain it has begun before it starts another.
             common: dict[str, Any] = {"pure": False, "priority": -block.index}
@@ -428,7 +457,15 @@ def focus_blocks(client: Client, plan: Plan, run: Run, valid: FloatArray, report
             for step in block.chain:
                 node = client.submit(apply_step, step, node, run.threads, key=f"{step.name}-{tail}", **common)
             return client.submit(
-                write_patch, run, unit, block.index, node, ground, plan.grid, key=f"geometric-correction-{tail}", **common
+                write_patch,
+                run,
+                unit,
+                block.index,
+                node,
+                ground,
+                plan.grid,
+                key=f"geometric-correction-{tail}",
+                **common,
             )
 
         return chain
@@ -446,7 +483,7 @@ def mosaic(client: Client, plan: Plan, run: Run, patches: Sequence[Receipt], rep
             row, column = (int(part) for part in name.split(","))
             cells.setdefault((row, column), []).append((block.index, *receipt["origin"]))
 
-    def start(unit: str, cell: tuple[int, int], parts: Any) -> Callable[[], Future]:
+    def start(unit: str, cell: tuple[int, int], parts: Any) -> Callable[[], Future[Any]]:
         return lambda: client.submit(
             merge_chunk, run, unit, cell, parts, plan.grid, key=f"mosaic-{run.identity[:8]}-{unit}", pure=False
         )
@@ -467,7 +504,7 @@ def back_project(
         source, _ = _compress(client, source, run, report, ahead=2 * workers)
     side = image_chunk(grid)
 
-    def start(unit: str, cell: tuple[int, int]) -> Callable[[], Future]:
+    def start(unit: str, cell: tuple[int, int]) -> Callable[[], Future[Any]]:
         return lambda: client.submit(
             back_project_chunk, source, run, unit, cell, geometry, grid,
             key=f"backprojection-{run.identity[:8]}-{unit}", pure=False,

@@ -166,9 +166,7 @@ def surfaces(
     )
 
 
-def correct(
-    block: ComplexArray, ground: GroundMap, *, x: FloatArray, y: FloatArray, threads: int = 1
-) -> ComplexArray:
+def correct(block: ComplexArray, ground: GroundMap, *, x: FloatArray, y: FloatArray, threads: int = 1) -> ComplexArray:
     """Resample a focused block to ground pixels; NaN where this block owns none.
 
     Parameters
@@ -186,7 +184,13 @@ def correct(
         Calibrated: a unit target reads 1 + 0j at its place.
     """
     step = max(abs(x[1] - x[0]) if x.size > 1 else 0.0, abs(y[1] - y[0]) if y.size > 1 else 0.0, 1e-6)
-    tile = int(np.clip(TILE_EXTENT / step, 4, TILE_PIXELS))
+    # Tiles overlap the block's edges; a surface must not be asked for far beyond the domain that it was fitted on.
+    narrow = ground.geometry.ground_point(
+        np.array(max(ground.near, float(ground.near_limit.min()))), np.array(ground.middle_yaw)
+    )
+    across = (ground.high - ground.low) * float(np.hypot(*(narrow[:2] - ground.geometry.nadir)))
+    reach = min(TILE_EXTENT, across / 8, (ground.far - ground.near) / 8)
+    tile = int(np.clip(reach / step, 1, TILE_PIXELS))
     out = np.full((y.size, x.size), np.nan + 1j * np.nan, np.complex64)
     tiles = _tiles(ground, x, y, tile)
     if tiles.shape[0] == 0:
@@ -253,13 +257,17 @@ def _tile_polynomials(ground: GroundMap, x: FloatArray, y: FloatArray, tiles: Fl
 
 
 @njit(cache=True, nogil=True)
-def _side(ray_x: float, ray_y: float, x: float, y: float) -> float:
-    """Positive to the left of a ray. No fast arithmetic: both neighbours of a seam must get the same bits."""
-    return ray_x * y - ray_y * x
+def _left(ray_x: float, ray_y: float, x: float, y: float) -> bool:
+    """Whether a point is on a ray or to its left.
+
+    Two products are compared, not their difference with zero: the compiler fuses a difference into a
+    multiply-add, which rounds one way for one neighbour of a seam and another way for the other.
+    """
+    return ray_x * y >= ray_y * x
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
-def _resample(  # type: ignore[no-untyped-def]  # noqa: PLR0913, PLR0915
+def _resample(  # type: ignore[no-untyped-def]
     floats, out, tiles, coefficients, x, y, tile, range_table, doppler_table, edges, frame,
     yaw_start, yaw_step, near_limit, far_limit, lit,
 ):  # fmt: skip
@@ -286,7 +294,7 @@ def _resample(  # type: ignore[no-untyped-def]  # noqa: PLR0913, PLR0915
             for j in range(j0, min(j0 + tile, out.shape[1])):
                 xx = x[j]
                 rx, ry = xx - nx, yy - ny
-                if _side(edges[0], edges[1], rx, ry) < 0.0 or _side(edges[2], edges[3], rx, ry) >= 0.0:
+                if not _left(edges[0], edges[1], rx, ry) or _left(edges[2], edges[3], rx, ry):
                     continue
                 epoch_range = np.sqrt((xx - px) ** 2 + (yy - py) ** 2 + height2)
                 if epoch_range < near or epoch_range >= far:

@@ -164,7 +164,7 @@ class RowPhase:
     def coefficients(self, rng: FloatArray) -> FloatArray:
         """(..., order + 1) power coefficients at ranges of any shape."""
         u = (2 * rng - self.near - self.far) / (self.far - self.near)
-        return np.moveaxis(chebyshev.chebval(np.clip(u, -1.1, 1.1), self.series), 0, -1)
+        return np.moveaxis(np.asarray(chebyshev.chebval(np.clip(u, -1.1, 1.1), self.series), dtype=np.float64), 0, -1)
 
     def variable(self, values: FloatArray) -> FloatArray:
         return (values - self.centre) / self.scale

@@ -34,14 +34,14 @@ _C0, _C1, _C2, _C3, _C4, _C5, _C6, _C7 = (np.float32(c) for c in _C)
 
 
 @njit(inline="always")
-def sine(x: float) -> float:
+def sine(x: Any) -> Any:
     """sin(2 pi x) in float32, |x| <= 1/2."""
     s = x * x
     return x * (_S0 + s * (_S1 + s * (_S2 + s * (_S3 + s * (_S4 + s * (_S5 + s * _S6))))))
 
 
 @njit(inline="always")
-def cosine(x: float) -> float:
+def cosine(x: Any) -> Any:
     """cos(2 pi x) in float32, |x| <= 1/2."""
     s = x * x
     return _C0 + s * (_C1 + s * (_C2 + s * (_C3 + s * (_C4 + s * (_C5 + s * (_C6 + s * _C7))))))
@@ -72,8 +72,9 @@ def rotate_polynomial(values: ComplexArray, coefficients: FloatArray, z: FloatAr
 def _rotate_polynomial(values: ComplexArray, coefficients: FloatArray, z: FloatArray) -> None:
     n_row, n = values.shape
     for r in range(n_row):
-        c0, c1, c2, c3, c4 = (coefficients[r, 0], coefficients[r, 1], coefficients[r, 2], coefficients[r, 3], coefficients[r, 4])
-        c5, c6, c7, c8, c9 = (coefficients[r, 5], coefficients[r, 6], coefficients[r, 7], coefficients[r, 8], coefficients[r, 9])
+        c0, c1, c2, c3 = coefficients[r, 0], coefficients[r, 1], coefficients[r, 2], coefficients[r, 3]
+        c4, c5, c6 = coefficients[r, 4], coefficients[r, 5], coefficients[r, 6]
+        c7, c8, c9 = coefficients[r, 7], coefficients[r, 8], coefficients[r, 9]
         for i in range(n):
             u = z[i]
             cycles = c0 + u * (c1 + u * (c2 + u * (c3 + u * (c4 + u * (c5 + u * (c6 + u * (c7 + u * (c8 + u * c9))))))))

@@ -22,8 +22,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from scipy.ndimage import zoom
 
-from blocksar.parameters import ComplexArray, FloatArray
-from blocksar.quality import (
+from blocksar.measurement import (
     CUT_WIDTHS,
     SINC_WIDTH,
     Complex128Array,
@@ -34,6 +33,7 @@ from blocksar.quality import (
     measure,
     response_grid,
 )
+from blocksar.parameters import ComplexArray, FloatArray
 
 ReadImage = Callable[[slice, slice], ComplexArray]
 ReadBlock = Callable[[slice, slice], NDArray[np.int16]]

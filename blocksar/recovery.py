@@ -12,7 +12,6 @@ more PRF than a narrow one.
 from __future__ import annotations
 
 from dataclasses import dataclass
-
 from typing import Self
 
 import numpy as np

@@ -278,9 +278,7 @@ class MatrixTable(_Table):
             if not (0 <= row < self.rows and 0 <= column < self.columns)
         ]
         _require(not wrong, f"{', '.join(wrong)}: must lie in the {self.rows} x {self.columns} matrix, from [0, 0]")
-        _require(
-            len(set(self.names.values())) == len(self.names), f"names = {self.names}: two names for one target"
-        )
+        _require(len(set(self.names.values())) == len(self.names), f"names = {self.names}: two names for one target")
         return self
 
     def offsets(self) -> tuple[FloatArray, FloatArray]:

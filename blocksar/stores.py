@@ -657,7 +657,12 @@ def _collection_attrs(collection: Collection, raw: RawEcho | None, attrs: Mappin
     }
     if raw is not None:
         own |= {"chirp_rate": raw.chirp_rate, "pulse_width": raw.pulse_width}
-    text = {"Conventions": CONVENTIONS, "title": collection.title, "history": history_line("created by blocksar"), **(attrs or {})}
+    text = {
+        "Conventions": CONVENTIONS,
+        "title": collection.title,
+        "history": history_line("created by blocksar"),
+        **(attrs or {}),
+    }
     if collection.title:
         text["title"] = collection.title
     return {**text, **{name: value for name, value in own.items() if value is not None}}

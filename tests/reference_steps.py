@@ -13,9 +13,11 @@ from blocksar.fourier import Axis
 from blocksar.geometry import Geometry
 from blocksar.lines import Line
 from blocksar.parameters import SPEED_OF_LIGHT, Collection, ComplexArray, FloatArray
-from blocksar.planning import BlockPlan, Grid, Region, plan_block, plan_recovery, plan_region, recovered_line
+from blocksar.planning import BlockPlan, plan_block
 from blocksar.recovery import Recovery, recover_columns
-from blocksar.simulate import simulate_pulses
+from blocksar.recovery_plan import plan_recovery, recovered_line
+from blocksar.region import Grid, Region, plan_region
+from blocksar.simulation import simulate_pulses
 
 Complex128Array = NDArray[np.complex128]
 

@@ -175,10 +175,13 @@ def test_three_ways_to_place_one_target() -> None:
     assert np.rad2deg(geometry.yaw(polar.x, polar.y)) == pytest.approx(52.0)
     offset = np.array([polar.x, polar.y]) - scene.centre[:2]
     cos, sin = np.cos(np.deg2rad(50)), np.sin(np.deg2rad(50))
-    ways = {
-        "x": polar.x,
-        "y": polar.y,
-    }, {"ground_range_offset": offset @ [cos, sin], "cross_range_offset": offset @ [-sin, cos]}
+    ways = (
+        {
+            "x": polar.x,
+            "y": polar.y,
+        },
+        {"ground_range_offset": offset @ [cos, sin], "cross_range_offset": offset @ [-sin, cos]},
+    )
     for way in ways:
         text = "[[targets]]\nname = 'other'\n" + "\n".join(f"{key} = {float(value)!r}" for key, value in way.items())
         (other,) = Scene.parse(PLAIN + text).point_targets()

@@ -15,7 +15,7 @@ from reference_steps import Planned, collection, line_of, planned, signal_of, sl
 from blocksar.ground import GroundMap, correct, fit_surface
 from blocksar.lines import focus
 from blocksar.parameters import ComplexArray, FloatArray
-from blocksar.planning import lit_pulses
+from blocksar.region import lit_pulses
 
 LEVEL = 1300.0  # pulses light a target: images are brought to about 1 before they are compared
 

@@ -15,7 +15,7 @@ from blocksar import stores
 from blocksar.geometry import Geometry
 from blocksar.parameters import SPEED_OF_LIGHT, Collection, InputError
 from blocksar.scene import Scene
-from blocksar.simulate import (
+from blocksar.simulation import (
     DIRECT_LIMIT,
     chirp_spectrum,
     field,
@@ -73,7 +73,7 @@ SCENES = {"plain": SCENE, "across pi": turned(SCENE, 131), "negative": turned(SC
 @pytest.fixture(params=[0, 10**9], ids=["transform", "direct"])
 def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Either way of summing, whatever the number of scatterers."""
-    monkeypatch.setattr(sys.modules["blocksar.simulate"], "DIRECT_LIMIT", request.param)
+    monkeypatch.setattr(sys.modules["blocksar.simulation"], "DIRECT_LIMIT", request.param)
 
 
 @pytest.mark.usefixtures("way")

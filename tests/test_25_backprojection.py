@@ -25,7 +25,7 @@ from blocksar.backprojection import (
 )
 from blocksar.geometry import Geometry
 from blocksar.parameters import SPEED_OF_LIGHT, Collection, ComplexArray, FloatArray, InputError
-from blocksar.simulate import simulate_pulses
+from blocksar.simulation import simulate_pulses
 
 TURN = 2 * np.pi
 

@@ -14,8 +14,7 @@ from scipy.optimize import brentq, minimize_scalar
 from scipy.special import diric
 
 from blocksar.geometry import Geometry
-from blocksar.parameters import SPEED_OF_LIGHT, Collection, ComplexArray, FloatArray, InputError
-from blocksar.quality import (
+from blocksar.measurement import (
     DEFINITIONS,
     IDEAL_ISLR,
     IDEAL_PSLR,
@@ -39,6 +38,7 @@ from blocksar.quality import (
     response_grid,
     summary,
 )
+from blocksar.parameters import SPEED_OF_LIGHT, Collection, ComplexArray, FloatArray, InputError
 
 PULSE_RATE = 4000.0  # half of Table 1's, for speed: 648 pulses light a target
 STEERING = np.deg2rad(57.87 - 42.13) / 0.6

@@ -1,0 +1,184 @@
+"""Runs: resume, refuse, never half-finished; wrong input leaves nothing behind."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import zarr
+from distributed import Client
+from scenes import scene
+
+import blocksar
+from blocksar import graph, stores
+from blocksar.graph import open_client
+from blocksar.parameters import InputError, ProcessingError
+
+GRID = ((15900.0, 16300.0, 4.0), (19000.0, 19400.0, 4.0))
+
+
+@pytest.fixture(scope="module")
+def client() -> Any:
+    with open_client(workers=1, threads=1, memory_limit=3 * 2**30) as connected:
+        yield connected
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("small")
+    more = '[[targets]]\nname = "P"\nrange = 30000.0\nyaw_deg = 50.0\n'
+    (folder / "scene.toml").write_text(scene(swath=[29700.0, 30300.0], more=more))
+    return blocksar.simulate(folder / "scene.toml", folder / "phase_history.zarr")
+
+
+def checksum(run: Path) -> str:
+    return stores.checksum(blocksar.open(run).image.values)
+
+
+def test_finished_run_does_nothing(store: Path, client: Client, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    blocksar.focus(store, run, blocks=3, grid=GRID, client=client)
+    before = {p: p.stat().st_mtime_ns for p in run.rglob("*") if p.is_file()}
+    report = blocksar.focus(store, run, blocks=3, grid=GRID, client=client)
+    assert "nothing to do" in report.summary[0]
+    assert before == {p: p.stat().st_mtime_ns for p in run.rglob("*") if p.is_file()}
+    with pytest.raises(InputError, match=r"blocks 3.*--overwrite"):
+        blocksar.focus(store, run, blocks=2, grid=GRID, client=client)
+    blocksar.focus(store, run, blocks=2, grid=GRID, client=client, overwrite=True)
+    assert json.loads((run / "run.json").read_text())["plan"]["blocks"] == 2
+
+
+@pytest.mark.parametrize("stage", ["focus_blocks", "mosaic"])
+def test_interrupted_run_resumes(
+    stage: str, store: Path, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: Any) -> Any:
+        raise KeyboardInterrupt
+
+    settings: dict[str, Any] = {"blocks": 3, "client": client}
+    blocksar.focus(store, tmp_path / "whole", **settings)
+    with monkeypatch.context() as patch:
+        patch.setattr(graph, stage, interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            blocksar.focus(store, tmp_path / "run", **settings)
+    record = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert record["status"] == "unfinished"
+    done = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "run" / "receipts").iterdir()}
+    assert done
+    with pytest.raises(InputError, match="not finished"):
+        blocksar.quality(tmp_path / "run")
+    computed: list[str] = []
+    submit = client.submit
+    monkeypatch.setattr(client, "submit", lambda f, *a, **k: computed.append(k["key"]) or submit(f, *a, **k))
+    blocksar.focus(store, tmp_path / "run", **settings)
+    assert not any(name.removesuffix(".json") in key for key in computed for name in done)
+    assert checksum(tmp_path / "run") == checksum(tmp_path / "whole")
+    assert not (tmp_path / "run" / "receipts").exists()
+
+
+def test_task_that_fails_names_what_failed(
+    store: Path, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = graph.focus_blocks
+
+    def sabotaged(*args: Any) -> Any:
+        shutil.rmtree(tmp_path / "run" / "spectrum.zarr")
+        return real(*args)
+
+    monkeypatch.setattr(graph, "focus_blocks", sabotaged)
+    with pytest.raises(ProcessingError, match=r"focus of block-1 failed: .*spectrum"):
+        blocksar.focus(store, tmp_path / "run", blocks=3, grid=GRID, client=client)
+    assert (tmp_path / "run" / "receipts").exists()
+
+
+def damaged(store: Path, folder: Path, **replace: Any) -> Path:
+    """A copy of the store with arrays or attributes replaced, or removed where None."""
+    copy = folder / "damaged.zarr"
+    shutil.copytree(store, copy)
+    group = zarr.open_group(str(copy), mode="r+")
+    for name, value in replace.items():
+        if name in ("carrier_frequency", "beam_width"):
+            group.attrs[name] = value
+        elif value is None:
+            shutil.rmtree(copy / name)
+        else:
+            group[name][...] = value  # type: ignore[index]
+    metadata = json.loads((copy / "zarr.json").read_text())
+    metadata.pop("consolidated_metadata", None)
+    (copy / "zarr.json").write_text(json.dumps(metadata))
+    return copy
+
+
+def time_with_a_step(store: Path) -> Any:
+    time = np.array(zarr.open_array(str(store / "time"), mode="r")[...])
+    time[2000:] += 0.01
+    return time
+
+
+WRONG = {
+    "missing variable": (lambda s: {"reference_range": None}, r"reference_range"),
+    "non-uniform time": (lambda s: {"time": time_with_a_step(s)}, r"time is not uniform"),
+    "NaN track": (lambda s: {"antenna_position": np.nan}, r"antenna_position is not finite"),
+    "beam without width": (lambda s: {"beam_width": 0.0}, r"beam_width"),
+    "no carrier": (lambda s: {"carrier_frequency": "x"}, r"carrier_frequency"),
+    "all samples missing": (lambda s: {"signal": np.complex64(complex(np.nan, np.nan))}, r"no valid sample"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_input_is_refused_and_leaves_nothing(name: str, store: Path, client: Client, tmp_path: Path) -> None:
+    change, message = WRONG[name]
+    bad = damaged(store, tmp_path, **change(store))
+    with pytest.raises(InputError, match=message) as caught:
+        blocksar.focus(bad, tmp_path / "run", grid=GRID, client=client)
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "run").exists()
+
+
+def test_corrupt_samples_are_refused_and_leave_nothing(store: Path, client: Client, tmp_path: Path) -> None:
+    bad = damaged(store, tmp_path)
+    chunk = next(p for p in sorted((bad / "signal" / "c").rglob("*")) if p.is_file())
+    chunk.write_bytes(chunk.read_bytes()[:1000])
+    with pytest.raises(InputError, match="signal"):
+        blocksar.focus(bad, tmp_path / "run", grid=GRID, client=client)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"grid": ((0.0, 0.0, 1.0), (0.0, 10.0, 1.0))}, "empty"),
+        ({"grid": ((0.0, 100.0, -1.0), (0.0, 10.0, 1.0))}, "step above 0"),
+        ({"grid": ((5e4, 5.1e4, 1.0), (5e4, 5.1e4, 1.0))}, "outside the swath"),
+        ({"processor": "omega-k"}, "processor"),
+        ({"workers": 0}, "workers"),
+    ],
+)
+def test_wrong_settings_are_refused(settings: dict[str, Any], message: str, store: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=message):
+        blocksar.focus(store, tmp_path / "run", **settings)
+    assert not (tmp_path / "run").exists()
+
+
+def test_prf_too_low_names_the_prf_needed(tmp_path: Path) -> None:
+    (tmp_path / "scene.toml").write_text(scene(prf=3000.0))
+    with pytest.raises(InputError, match=r"PRF 3000 Hz is too low: .* at least \d+(\.\d+)? Hz is needed"):
+        blocksar.plan(tmp_path / "scene.toml")
+
+
+def test_folders_that_are_no_runs_are_left_alone(store: Path, client: Client, tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "thesis.tex").write_text("years of work")
+    for overwrite in (False, True):
+        with pytest.raises(InputError, match="no run of blocksar"):
+            blocksar.focus(store, tmp_path / "run", grid=GRID, client=client, overwrite=overwrite)
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(InputError, match="is a file"):
+        blocksar.focus(store, tmp_path / "file", grid=GRID, client=client)
+    assert (tmp_path / "run" / "thesis.tex").read_text() == "years of work"
+    with pytest.raises(InputError):
+        blocksar.quality(tmp_path / "run")
