@@ -171,9 +171,9 @@ def _grid(grid: GridLike | None) -> Grid | None:
 def _collection(source: str | Path | xr.Dataset) -> Collection:
     if isinstance(source, str | Path):
         if str(source).endswith(".toml") or (str(source) in shipped_scenes() and not Path(source).exists()):
-            return Scene.read(source).collection()
-        return stores.open_phase_history(source).collection
-    return stores.open_phase_history(_dataset_path(source)).collection
+            return Scene.read(source).collection().centred()
+        return stores.open_phase_history(source).collection.centred()
+    return stores.open_phase_history(_dataset_path(source)).collection.centred()
 
 
 def _dataset_path(source: xr.Dataset) -> str:
@@ -319,14 +319,15 @@ def focus(
             workers, memory_limit = graph.cluster_size(connected)
     workers, threads, memory_limit = _resources(workers, threads, memory_limit)
 
-    geometry = Geometry(collection=history.collection)
+    collection = history.collection.centred()
+    geometry = Geometry(collection=collection)
     made: Plan | None = None
     if processor == "backprojection":
         target_grid = wanted_grid or default_grid(geometry, plan_region(geometry, None))
         resolved: int | None = None
     else:
         made = plan_collection(
-            history.collection,
+            collection,
             blocks=blocks if found is None else found["plan"]["blocks"],
             coefficients=coefficients,
             grid=wanted_grid,
@@ -537,7 +538,7 @@ def _open_run(run: Path) -> tuple[_Image, Collection, dict[str, Any], dict[str, 
         raise InputError(f"{run} is not finished; run `blocksar focus` again with the same settings")
     collection, attrs = stores.read_collection(run / "collection.zarr")
     x, y = (stores.read_region(run / "image.zarr", name, (slice(None),)) for name in ("x", "y"))
-    return _Image(run / "image.zarr", x, y), collection, attrs, record
+    return _Image(run / "image.zarr", x, y), collection.centred(), attrs, record
 
 
 def quality(

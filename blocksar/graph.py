@@ -191,8 +191,9 @@ def recover_group(
     missing = np.count_nonzero(~valid, axis=1)
     if missing.any():
         signal = np.where(valid, signal, np.complex64(0))
+    frequency = source.collection.carrier + source.collection.range_frequency[part]
     spectrum = recover_columns(
-        signal, range_frequency=source.collection.range_frequency[part], recovery=recovery, threads=run.threads
+        signal, range_frequency=frequency - recovery.carrier, recovery=recovery, threads=run.threads
     )
     stores.write_region(run.spectrum, "spectrum", (slice(None), part), spectrum.T)
     lost = np.flatnonzero(missing)

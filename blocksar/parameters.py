@@ -208,6 +208,15 @@ class Collection:
     def wavelength(self) -> float:
         return SPEED_OF_LIGHT / self.carrier
 
+    def centred(self) -> Collection:
+        """The same collection with its carrier in the middle of the band, as processing needs it.
+
+        A signal depends on carrier + range_frequency alone, so moving both changes nothing but the names.
+        """
+        middle = float(self.range_frequency[0] + self.range_frequency[-1]) / 2
+        moved = {"carrier": self.carrier + middle, "range_frequency": self.range_frequency - middle}
+        return Collection(**{**self.as_dict(), **moved})
+
     def as_dict(self) -> dict[str, Any]:
         """The fields by name, as keyword arguments of another Collection."""
         return {name: getattr(self, name) for name in self.__dataclass_fields__}

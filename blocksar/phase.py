@@ -1,7 +1,7 @@
 """Phase multiplication and fractional delays: the compiled inner loops that every step shares.
 
 Phases are handed over in cycles, in float64; whole cycles are taken out there, and only the remainder, at
-most half a cycle, goes to a float32 polynomial for sine and cosine (error below 2e-7). Written plainly,
+most half a cycle, goes to a float32 polynomial for sine and cosine (error below 7e-7, 1.4e-7 rms). Written plainly,
 `numpy.exp(1j * phase)` takes fifty times longer than these loops.
 """
 
@@ -110,7 +110,7 @@ def interpolation_taps(n_tap: int, *, occupancy: float, n_phase: int = 256) -> F
 
     For each fraction p / n_phase the taps minimise the mean square error over frequencies
     |f| <= occupancy / 2 (cycles a sample): a small normal system of sinc values. At the same cost they err
-    two to three times less than a Kaiser-windowed sinc.
+    less than a Kaiser-windowed sinc, the more so the lower the occupancy.
 
     Parameters
     ----------

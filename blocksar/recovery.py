@@ -88,7 +88,7 @@ def recover_columns(
     Returns
     -------
     (n_column, recovery.doppler.size) complex64
-        Plain sum over pulses: a unit target lit in N pulses has a spectrum of energy N size / padded.
+        Plain sum over pulses: a unit target lit in N pulses has a spectrum of energy N recovery.padded.
     """
     factor = 1 + range_frequency / recovery.carrier
     pulses, time, doppler = recovery.pulses, recovery.time, recovery.doppler

@@ -90,8 +90,8 @@ def plan_recovery(geometry: Geometry, region: Region) -> Recovery:
     derotated_low, derotated_high = float(bent.min()), float(bent.max())
     centre_band = (derotated_low + derotated_high) / 2
     spread = (derotated_high - derotated_low) * (1 + band_edge)
-    needed = spread
-    if collection.prf < needed:
+    if collection.prf < spread:
+        needed = 10 * np.ceil(1.002 * spread / 10)  # another PRF cuts the dwells a little differently
         raise InputError(
             f"PRF {collection.prf:.6g} Hz is too low: after nonlinear derotation the lit scene still spans "
             f"{spread:.6g} Hz of Doppler, so a PRF of at least {needed:.6g} Hz is needed; collect with a higher PRF or "
