@@ -23,10 +23,11 @@ from dask.typing import Key
 from distributed import Client, Future, LocalCluster, as_completed
 from distributed.system import MEMORY_LIMIT
 
-from blocksar import stores
+from blocksar import phase, stores
 from blocksar.backprojection import form_image
 from blocksar.geometry import Geometry
 from blocksar.ground import GroundMap, correct
+from blocksar.ground import compile_kernels as compile_correction
 from blocksar.parameters import ComplexArray, FloatArray, InputError, ProcessingError
 from blocksar.planning import BlockPlan, Plan
 from blocksar.range_steps import Step
@@ -100,12 +101,12 @@ def cluster_size(client: Client) -> tuple[int, int]:
 
     Raises
     ------
-    ProcessingError
+    InputError
         If it has no worker.
     """
     workers = client.scheduler_info(n_workers=-1)["workers"]
     if not workers:
-        raise ProcessingError("the dask scheduler has no worker; start one")
+        raise InputError("the dask scheduler has no worker; start some")
     return len(workers), min(int(w["memory_limit"]) or machine()[1] for w in workers.values())
 
 
@@ -126,10 +127,13 @@ def open_client(
         try:
             client = Client(scheduler, timeout=20)
         except (OSError, ValueError) as error:
-            raise ProcessingError(f"no dask scheduler answers at {scheduler} ({error})") from None
+            raise InputError(f"no dask scheduler answers at {scheduler} ({error}); check --scheduler") from None
         with client:
             yield client
         return
+    # Compiling takes a worker more memory than a block may: done here, once, the workers load from the cache.
+    phase.compile_kernels()
+    compile_correction()
     settings = {
         # The plan keeps to the limit; spilling would only hide that it did not.
         "distributed.worker.memory.target": False,

@@ -209,11 +209,13 @@ def correct(block: ComplexArray, ground: GroundMap, *, x: FloatArray, y: FloatAr
     yaw_start = float(ground.yaw_axis[0] - ground.middle_yaw)
     yaw_step = float(ground.yaw_axis[1] - ground.yaw_axis[0])
     frame = np.array([nx, ny, px, py, height2, ground.near, ground.far])
+    # Copies: what has travelled to a worker is read-only, for which the loop would be compiled once more.
+    x, y, near_limit, far_limit = (np.array(values) for values in (x, y, ground.near_limit, ground.far_limit))
 
     def resample(some: slice) -> None:
         _resample(
             block.view(np.float32), out, tiles[some], coefficients[some], x, y, tile, range_table, doppler_table,
-            edges, frame, yaw_start, yaw_step, ground.near_limit, ground.far_limit, lit,
+            edges, frame, yaw_start, yaw_step, near_limit, far_limit, lit,
         )  # fmt: skip
 
     # Python threads over groups of tiles, not numba's own: a dask worker may run several tasks in one process.
@@ -346,3 +348,13 @@ def _resample(  # type: ignore[no-untyped-def]
                 c, s = phase.cosine(phi), phase.sine(phi)
                 amplitude = np.float32(weight / gain)
                 out[i, j] = complex(amplitude * (re * c - im * s), amplitude * (re * s + im * c))
+
+
+def compile_kernels() -> None:
+    """Compile this module's loop, or load it from numba's cache, by running it on no tiles."""
+    table = phase.interpolation_taps(4, occupancy=0.5)
+    line, tiles = np.zeros(2), np.zeros((0, 2), np.int64)
+    _resample(
+        np.zeros((1, 2), np.float32), np.zeros((1, 1), np.complex64), tiles, np.zeros((0, 6, 2, 2)), line, line, 1,
+        table, table, np.zeros(4), np.zeros(7), 0.0, 1.0, line, line, line,
+    )  # fmt: skip

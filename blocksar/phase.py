@@ -209,3 +209,11 @@ def stretch_rows(values: ComplexArray, out: ComplexArray, scale: FloatArray, mid
             for j in range(m):
                 out[r, i + j] = complex(real[j], imag[j])
             i += m
+
+
+def compile_kernels() -> None:
+    """Compile this module's loops, or load them from numba's cache, by running each on next to nothing."""
+    values, one = np.zeros((1, 8), np.complex64), np.ones(1)
+    _rotate_polynomial(values, np.zeros((1, MAX_ORDER + 1)), np.zeros(8))
+    rotate_outer(values, one, np.zeros(8))
+    stretch_rows(values, values.copy(), one, 4.0, interpolation_taps(4, occupancy=0.5))

@@ -6,6 +6,7 @@ with what phase; predicted residual phase, side lobes, width and range migration
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal, NamedTuple
@@ -45,9 +46,10 @@ MIGRATION_BUDGET = 0.25  # range resolution cells over the dwell
 TAP_ERROR = 1e-3
 KEYSTONE_ERROR = 1e-4
 GATE_ROOM = 1.5  # dwells that the image's Doppler sampling makes room for
-MAX_BLOCKS = 64
+MAX_BLOCKS = 32
 MEMORY_SHARE = 0.8  # of a worker's limit that a plan may fill
-PROCESS_MEMORY = 330 * 2**20  # a worker's interpreter and libraries, before any sample
+MIB = 2**20
+PROCESS_MEMORY = 330 * MIB  # a worker's interpreter and libraries, before any sample
 
 
 class Prediction(NamedTuple):
@@ -522,9 +524,16 @@ class Plan:
     def memory(self) -> int:
         return max(block.memory for block in self.blocks)
 
+    def excess(self, memory_limit: int | None = None) -> float:
+        """The worst of phase, migration and memory, each over what it may be: at most 1 is a good plan."""
+        worst = [b.prediction.residual_phase / PHASE_BUDGET for b in self.blocks]
+        worst += [b.prediction.migration / MIGRATION_BUDGET for b in self.blocks]
+        if memory_limit is not None:
+            worst.append(self.memory / (MEMORY_SHARE * memory_limit))
+        return max(worst)
+
     def within_budget(self) -> bool:
-        worst = [(b.prediction.residual_phase, b.prediction.migration) for b in self.blocks]
-        return all(phase <= PHASE_BUDGET and migration <= MIGRATION_BUDGET for phase, migration in worst)
+        return self.excess() <= 1.0
 
 
 def plan_collection(
@@ -551,17 +560,25 @@ def plan_collection(
     recovery = plan_recovery(geometry, region)
     grid = grid or default_grid(geometry, region)
     extent = grid_extent(geometry, region, grid)
+    if memory_limit is not None and MEMORY_SHARE * memory_limit <= PROCESS_MEMORY:
+        raise InputError(
+            f"memory limit {memory_limit / MIB:.0f} MiB a worker is too low: it takes {PROCESS_MEMORY / MIB:.0f} MiB "
+            f"before it holds a sample; give --memory-limit {2 * PROCESS_MEMORY / MIB:.0f}MiB or more"
+        )
     if blocks != "auto":
         plan = _plan_blocks(geometry, region, recovery, grid, extent, blocks, coefficients)
         _check_memory(plan, memory_limit)
         return plan
+    best, stale = math.inf, 0
     for count in range(min(max(workers, 1), MAX_BLOCKS), MAX_BLOCKS + 1):
         plan = _plan_blocks(geometry, region, recovery, grid, extent, count, coefficients)
-        fits = memory_limit is None or plan.memory <= MEMORY_SHARE * memory_limit
-        if plan.refusal is not None or (plan.within_budget() and fits):
+        excess = plan.excess(memory_limit)
+        if plan.refusal is not None or excess <= 1.0:
             return plan
-        # More blocks than this bring nothing once they are within budget but for memory or a hard geometry.
-        if plan.within_budget() and not fits and plan.memory - PROCESS_MEMORY < 2 * recovery.pulses.size * 8:
+        # Margins do not shrink with the blocks: stop once more of them have brought nothing three times.
+        stale = stale + 1 if excess > 0.97 * best else 0
+        best = min(best, excess)
+        if stale == 3:
             break
     _check_memory(plan, memory_limit)
     return plan
@@ -569,10 +586,9 @@ def plan_collection(
 
 def _check_memory(plan: Plan, memory_limit: int | None) -> None:
     if memory_limit is not None and plan.memory > MEMORY_SHARE * memory_limit:
-        mib = 2**20
         raise InputError(
-            f"memory limit {memory_limit / mib:.0f} MiB a worker is too low for {plan.n_blocks} blocks, which need "
-            f"{plan.memory / MEMORY_SHARE / mib:.0f} MiB; raise --memory-limit, ask for more --blocks, or image a "
+            f"memory limit {memory_limit / MIB:.0f} MiB a worker is too low for {plan.n_blocks} blocks, which need "
+            f"{plan.memory / MEMORY_SHARE / MIB:.0f} MiB; raise --memory-limit, ask for more --blocks, or image a "
             "smaller grid"
         )
 

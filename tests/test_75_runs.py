@@ -95,6 +95,26 @@ def test_task_that_fails_names_what_failed(
     assert (tmp_path / "run" / "receipts").exists()
 
 
+def test_given_scheduler_is_used_and_left_running(store: Path, client: Client, tmp_path: Path) -> None:
+    address = client.scheduler.address
+    report = blocksar.focus(store, tmp_path / "run", blocks=2, grid=GRID, scheduler=address, threads=1)
+    assert report.result["workers"] == 1
+    assert client.submit(lambda: 1).result() == 1
+    with pytest.raises(InputError, match="no dask scheduler"):
+        blocksar.focus(store, tmp_path / "other", grid=GRID, scheduler="nowhere:1:2")
+
+
+def test_keys_say_step_and_block(store: Path, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    keys: list[str] = []
+    submit = client.submit
+    monkeypatch.setattr(client, "submit", lambda f, *a, **k: keys.append(k["key"]) or submit(f, *a, **k))
+    report = blocksar.focus(store, tmp_path / "run", blocks=3, grid=GRID, client=client)
+    run = report.result["identity"][:8]
+    steps = ["read-slab", "residual-walk", "keystone", "rcmc-src", "perturbation", "deramp", "doppler-fft"]
+    assert [k for k in keys if "block-1" in k] == [f"{step}-{run}-block-1" for step in [*steps, "geometric-correction"]]
+    assert len(set(keys)) == len(keys)
+
+
 def damaged(store: Path, folder: Path, **replace: Any) -> Path:
     """A copy of the store with arrays or attributes replaced, or removed where None."""
     copy = folder / "damaged.zarr"
