@@ -161,7 +161,10 @@ def plan_block(
     )
     fine = _trace_azimuth(_trace(fine, range_chain), phases)
     found = focus(fine)
-    gate = _plan_gate(fine, found, rows=rows, slow=axes.long_time) if collection.steered else None
+    gate = None
+    if collection.steered:
+        gate = _plan_gate(fine, found, rows=rows, slow=axes.long_time)
+        found = found._replace(gain=found.gain * gate.kept(fine))
     image_centre = float((spots.doppler.min() + spots.doppler.max()) / 2)
     image = fourier.dual(axes.long_time, size=axes.long_time.size, centre=image_centre)
     final = DopplerTransform(time=axes.long_time, doppler=image, rows=rows, gate=gate)
@@ -367,8 +370,7 @@ def _plan_gate(line: Line, found: Focus, *, rows: Axis, slow: Axis) -> DwellGate
     at_middle = phase.coefficients(np.array((near + far) / 2))[None]
     common = RowPhase(series=at_middle, near=near, far=far, centre=centre, scale=scale)
     slope = RowPhase(series=series[:, 1:2] / scale, near=near, far=far, centre=centre, scale=scale)
-    # The longest dwell and a little: a gate that cuts a dwell costs amplitude, one that is wider only coherence.
-    length = 1.01 * float(lengths[:, full].max())
+    length = float(np.median(lengths[:, full]))
     _, own, _ = phase.evaluate(found.range, found.doppler[..., None])
     _, shared, _ = common.evaluate(found.range, found.doppler[..., None])
     apart = float(np.abs(own - shared).max())
