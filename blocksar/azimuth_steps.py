@@ -16,6 +16,8 @@ from blocksar.fourier import Axis
 from blocksar.lines import Line, RowPhase
 from blocksar.parameters import ComplexArray, FloatArray
 
+GATE_WINDOWS = 17
+
 
 def _rotation(phases: RowPhase, rows: Axis, along: Axis, *, sign: float = 1.0) -> fourier.RowWork:
     coefficients = sign * phases.coefficients(rows.values)
@@ -161,13 +163,16 @@ class DopplerTransform:
         modulate = _rotation(gate.phase, self.rows, image, sign=-1.0)
         common = _rotation(gate.common, self.rows, image)
         slopes = gate.slope.coefficients(self.rows.values)[:, 0]
+        # The slope changes by a tenth over a swath: a window for every range would cost more than the transforms.
+        known = np.linspace(slopes.min(), slopes.max(), GATE_WINDOWS)
+        windows = [gate.window(float(slope)) for slope in known]
         out = np.empty((block.shape[0], image.size), np.complex64)
 
         def work(rows: slice) -> None:
             group = fourier.to_doppler(block[rows], self.time, self.doppler)
             demodulate(group, rows)
             aligned = fourier.to_time(group, self.doppler, long)[:, first : first + gate.time.size]
-            aligned = aligned * gate.window(float(slopes[rows].mean()))
+            aligned = aligned * windows[int(np.argmin(np.abs(known - slopes[rows].mean())))]
             out[rows] = fourier.to_doppler(aligned, gate.time, image)
             modulate(out[rows], rows)
             common(out[rows], rows)

@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import scipy.fft
@@ -137,12 +138,16 @@ def to_time(x: ComplexArray, doppler: Axis, time: Axis, *, threads: int = 1) -> 
     return transform(x, doppler, time, inverse=True, threads=threads)
 
 
+@lru_cache(maxsize=32)
 def phasors(source: Axis, target: Axis, *, inverse: bool, period: int) -> tuple[ComplexArray, ComplexArray]:
-    """Factors before and after an FFT of `period` points that make it the sum of this module's heading."""
+    """Factors before and after an FFT of `period` points that make it the sum of this module's heading; read-only."""
     sign = 1.0 if inverse else -1.0
     before = unit_phasor(sign * target.start * source.values)
     after = unit_phasor(sign * (target.values - target.start) * source.start)
-    return before, after if not inverse else (after / np.float32(period)).astype(np.complex64)
+    if inverse:
+        after = (after / np.float32(period)).astype(np.complex64)
+    before.flags.writeable = after.flags.writeable = False
+    return before, after
 
 
 def row_groups(n_row: int, n_column: int) -> list[slice]:

@@ -154,20 +154,12 @@ def open_client(
             processes=True,
             memory_limit=memory_limit or "auto",
             host="127.0.0.1",
-            dashboard_address=_dashboard(),
+            dashboard_address="127.0.0.1:0",  # any free port, loopback only; needs bokeh to show more than metrics
             silence_logs=40,
         ) as cluster,
         Client(cluster) as client,
     ):
         yield client
-
-
-def _dashboard() -> str | None:
-    try:
-        import bokeh  # noqa: F401  (optional: only asked whether it is there)
-    except ImportError:
-        return None
-    return "127.0.0.1:0"
 
 
 # ---------------------------------------------------------------- tasks: what runs on a worker

@@ -20,7 +20,8 @@ from blocksar import api, stores
 from blocksar.geometry import Geometry
 from blocksar.graph import open_client
 from blocksar.parameters import InputError
-from blocksar.planning import Plan, plan_collection
+from blocksar.planning import Plan, plan_block
+from blocksar.recovery_plan import plan_recovery
 from blocksar.region import block_seams, plan_region
 from blocksar.scene import Scene
 
@@ -182,29 +183,46 @@ def test_memory_limit_is_kept(table1: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "tight").exists()
 
 
-def test_closed_form_leaves_what_the_printed_formulas_leave() -> None:
-    made = Scene.read("table1").collection()
-    bounds = {3: (0.2, 1.4), 2: (0.2, 1.4), 1: (1.5, 5.0)}  # rad at the edge of the dwell
-    for blocks, (low, high) in bounds.items():
-        closed = plan_collection(made, blocks=blocks, coefficients="closed-form")
-        fitted = plan_collection(made, blocks=blocks)
-        worst = max(block.prediction.quadratic_phase for block in closed.blocks)
-        assert low <= worst <= high, (blocks, worst)
-        assert max(block.prediction.quadratic_phase for block in fitted.blocks) < 0.02
+@pytest.mark.parametrize(("blocks", "least", "most"), [(3, 0.9, 1.4), (2, 1.2, 1.3), (1, 1.5, 5.0)])
+def test_closed_form_leaves_what_the_printed_formulas_leave(blocks: int, least: float, most: float) -> None:
+    """Quadratic phase at the edge of the dwell, rad: a study of the paper's swath found up to 1.36, 1.25 and 4.6."""
+    geometry = Geometry(collection=Scene.read("table1").collection())
+    region = plan_region(geometry, None)
+    recovery = plan_recovery(geometry, region)
+    seams = np.linspace(np.radians(42.13), np.radians(57.87), blocks + 1)
+    worst = {}
+    for coefficients in ("closed-form", "fitted"):
+        planned_blocks = [
+            plan_block(
+                geometry,
+                recovery,
+                region,
+                index=i,
+                low=float(seams[i]),
+                high=float(seams[i + 1]),
+                near=27.6e3,
+                far=32.4e3,
+                coefficients=coefficients,  # type: ignore[arg-type]
+            )
+            for i in range(blocks)
+        ]
+        worst[coefficients] = max(block.prediction.quadratic_phase for block in planned_blocks)
+    assert least <= worst["closed-form"] <= most
+    assert worst["fitted"] < 0.015
 
 
 def test_closed_form_focuses_worse_than_fitted(table1: Path, client: Client, tmp_path: Path) -> None:
     made = Scene.read("table1")
-    point = next(t for t in made.point_targets() if t.name == "C3")
+    point = next(t for t in made.point_targets() if t.name == "B1")
     grid = ((point.x - 80, point.x + 80, 1.0), (point.y - 80, point.y + 80, 1.0))
     found = {}
     for coefficients in ("closed-form", "fitted"):
         run = tmp_path / coefficients
         blocksar.focus(table1, run, blocks=1, coefficients=coefficients, grid=grid, client=client)
         responses = blocksar.quality(run).result["targets"]
-        found[coefficients] = next(t for t in responses if t["name"] == "C3")["azimuth_pslr"]
+        found[coefficients] = next(t for t in responses if t["name"] == "B1")["azimuth_pslr"]
     assert found["fitted"] == pytest.approx(-13.26, abs=0.2)
-    assert found["closed-form"] > -12.5
+    assert found["closed-form"] > -12.0
 
 
 def test_looking_along_the_velocity_is_refused(client: Client, tmp_path: Path) -> None:
