@@ -205,7 +205,7 @@ class Geometry:
         middle = (beam[0] + beam[-1]) / 2
         yaw = middle + np.mod(yaw - middle + np.pi, 2 * np.pi) - np.pi
         if beam[0] == beam[-1]:
-            lit = np.abs(yaw - middle) <= collection.beam_width / 2
+            lit = np.abs(yaw - middle) <= collection.beam_width / 2 * (1 + 1e-9)  # the very edge is lit
             return np.where(lit, first, np.inf), np.where(lit, last, -np.inf)
         sign = 1.0 if beam[-1] > beam[0] else -1.0
         low, high = yaw - sign * collection.beam_width / 2, yaw + sign * collection.beam_width / 2

@@ -161,9 +161,8 @@ def plan_block(
     )
     fine = _trace_azimuth(_trace(fine, range_chain), phases)
     found = focus(fine)
-    gate = None
-    if collection.steered:
-        gate = _plan_gate(fine, found, rows=rows, slow=axes.long_time)
+    gate = _plan_gate(fine, found, rows=rows, slow=axes.long_time)
+    if gate is not None:
         found = found._replace(gain=found.gain * gate.kept(fine))
     image_centre = float((spots.doppler.min() + spots.doppler.max()) / 2)
     image = fourier.dual(axes.long_time, size=axes.long_time.size, centre=image_centre)
@@ -343,14 +342,17 @@ def _plan_ground(
     )
 
 
-def _plan_gate(line: Line, found: Focus, *, rows: Axis, slow: Axis) -> DwellGate:
+def _plan_gate(line: Line, found: Focus, *, rows: Axis, slow: Axis) -> DwellGate | None:
     """The gate that follows the middles of the dwells along Doppler, from lines (n_range, n_yaw) with full dwell.
 
-    Targets whose dwell the ends of the collection cut are gated as if it went on.
+    Targets whose dwell the ends of the collection cut are gated as if it went on. None where all targets dwell
+    at the same time, as under a beam that is not steered: then there is nothing to tell apart.
     """
     weight = line.weight * line.stretch
     lengths = weight.sum(axis=-1)
     middles = (weight * line.time).sum(axis=-1) / lengths
+    if np.ptp(middles) < 0.02 * lengths.max():
+        return None
     lit = line.weight.sum(axis=-1)[0]
     full = lit >= 0.999 * lit.max()
     if full.sum() < 6:  # a narrow block at an end of the swath: what is there has to do
