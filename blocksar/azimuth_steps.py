@@ -116,11 +116,6 @@ class DwellGate:
     length: float
     time: Axis
 
-    def kept(self, line: Line) -> FloatArray:
-        """The part of each target's amplitude that passes: a dwell that was stretched beyond the gate is cut."""
-        dwell = (line.weight * line.stretch).sum(axis=-1)
-        return np.asarray(np.minimum(self.length / dwell, 1.0))
-
     def window(self, slope: float) -> ComplexArray:
         """G over `time`, (time.size,) complex64."""
         scale = np.sqrt(2 / abs(slope))

@@ -162,8 +162,6 @@ def plan_block(
     fine = _trace_azimuth(_trace(fine, range_chain), phases)
     found = focus(fine)
     gate = _plan_gate(fine, found, rows=rows, slow=axes.long_time)
-    if gate is not None:
-        found = found._replace(gain=found.gain * gate.kept(fine))
     image_centre = float((spots.doppler.min() + spots.doppler.max()) / 2)
     image = fourier.dual(axes.long_time, size=axes.long_time.size, centre=image_centre)
     final = DopplerTransform(time=axes.long_time, doppler=image, rows=rows, gate=gate)
@@ -372,7 +370,8 @@ def _plan_gate(line: Line, found: Focus, *, rows: Axis, slow: Axis) -> DwellGate
     at_middle = phase.coefficients(np.array((near + far) / 2))[None]
     common = RowPhase(series=at_middle, near=near, far=far, centre=centre, scale=scale)
     slope = RowPhase(series=series[:, 1:2] / scale, near=near, far=far, centre=centre, scale=scale)
-    length = float(np.median(lengths[:, full]))
+    # The longest: a gate that cuts a dwell costs width and amplitude, one a little wider only some coherence.
+    length = float(lengths[:, full].max())
     _, own, _ = phase.evaluate(found.range, found.doppler[..., None])
     _, shared, _ = common.evaluate(found.range, found.doppler[..., None])
     apart = float(np.abs(own - shared).max())

@@ -189,8 +189,7 @@ def test_a_target_focuses_where_and_as_its_line_says(name: str) -> None:
     assert abs(peak(across, around)) < 0.01
     lit = np.count_nonzero(signal[:, 0])
     value = response(np.array([spot.doppler]), np.array([spot.range]))[0, 0] / (lit * case.plan.ground.scale)
-    kept = 1.0 if final.gate is None else final.gate.kept(line)
-    value *= np.exp(-2j * np.pi * (spot.phase + given)) / (spot.gain * kept)
+    value *= np.exp(-2j * np.pi * (spot.phase + given)) / spot.gain
     assert abs(np.angle(value)) < 5e-3
     # 1e-3 of a target's energy may lie outside its block's Doppler support, and the gate's own edges are soft.
     assert abs(np.abs(value) - 1) < 4e-3
