@@ -21,7 +21,7 @@ from numpy.polynomial import polynomial as power
 
 from blocksar.geometry import Geometry
 from blocksar.lines import Line, RowPhase, row_phase
-from blocksar.parameters import SPEED_OF_LIGHT, FloatArray
+from blocksar.parameters import FloatArray
 
 DOPPLER_ORDERS = (2, 3, 4, 5)
 DERAMP_ORDERS = (2, 3, 4)
@@ -374,13 +374,3 @@ def candidates(line: Line, *, wavelength: float) -> list[Candidate]:
         targets = sorted((factor * wanted, -factor * wanted), key=lambda k: abs(k - acceleration))
         tried += [Candidate(k - acceleration, True) for k in targets]
     return tried
-
-
-def range_acceleration_to_rate(acceleration: float, wavelength: float) -> float:
-    """Doppler rate of a range k_2 t^2, Hz/s."""
-    return -4 * acceleration / wavelength
-
-
-def carrier_cycles(rng: FloatArray, carrier: float) -> FloatArray:
-    """Phase of a range on the carrier, cycles: -2 fc / c rho."""
-    return -2 * carrier / SPEED_OF_LIGHT * rng

@@ -23,12 +23,11 @@ from numpy.typing import NDArray
 from scipy.special import diric, i0
 
 from blocksar.geometry import Geometry
-from blocksar.parameters import SPEED_OF_LIGHT, BoolArray, ComplexArray, FloatArray, InputError
+from blocksar.parameters import SINC_WIDTH, SPEED_OF_LIGHT, BoolArray, ComplexArray, FloatArray, InputError
 
 Complex128Array = NDArray[np.complex128]
 ReadChip = Callable[[slice, slice], ComplexArray]  # (slice of y, slice of x) -> pixels
 
-SINC_WIDTH = 0.885893  # -3 dB width of sinc(u)^2 in u: the unweighted response's width times its bandwidth
 IDEAL_PSLR = -13.2615  # dB, of sinc^2
 IDEAL_ISLR = -10.216  # dB, of sinc^2, by the definition below
 CUT_WIDTHS = 10.0  # widths measured on either side of the peak

@@ -22,13 +22,12 @@ from blocksar.fourier import Axis
 from blocksar.geometry import Geometry
 from blocksar.ground import YAW_STEPS, GroundMap, surfaces
 from blocksar.lines import Focus, Line, RowPhase, focus
-from blocksar.parameters import SPEED_OF_LIGHT, Collection, FloatArray, InputError
+from blocksar.parameters import SINC_WIDTH, SPEED_OF_LIGHT, Collection, FloatArray, InputError
 from blocksar.phase import taps_needed
 from blocksar.range_steps import Keystone, RangeCompression, ResidualRangeWalk, Step
 from blocksar.recovery import Recovery
 from blocksar.recovery_plan import plan_recovery, recovered_line, tail_margin
 from blocksar.region import (
-    SINC_WIDTH,
     Extent,
     Grid,
     Region,
@@ -80,6 +79,8 @@ class BlockPlan:
     prediction : Prediction
     memory : int
         Peak of a worker that focuses the block, bytes.
+    bias : float
+        Range acceleration that the time perturbation adds, m/s^2.
     """
 
     index: int
@@ -188,10 +189,7 @@ def plan_block(
         n_bin=slab.doppler.size,
         chain=(
             *range_chain,
-            Perturbation(
-                time=axes.time, doppler=axes.doppler, rows=rows, time_phase=phases.time, doppler_phase=phases.doppler
-            ),
-            Deramp(doppler=axes.doppler, time=axes.long_time, rows=rows, phases=phases.deramp),
+            *_azimuth_steps(phases, time=axes.time, doppler=axes.doppler, long_time=axes.long_time, rows=rows),
             final,
         ),
         ground=ground,
@@ -391,11 +389,20 @@ def _trace(line: Line, steps: tuple[Step, ...]) -> Line:
     return line
 
 
+def _azimuth_steps(
+    phases: AzimuthPhases, *, time: Axis, doppler: Axis, long_time: Axis, rows: Axis
+) -> tuple[Perturbation, Deramp]:
+    """Perturbation and deramp; the final transform, which moves no line, follows."""
+    return (
+        Perturbation(time=time, doppler=doppler, rows=rows, time_phase=phases.time, doppler_phase=phases.doppler),
+        Deramp(doppler=doppler, time=long_time, rows=rows, phases=phases.deramp),
+    )
+
+
 def _trace_azimuth(line: Line, phases: AzimuthPhases) -> Line:
-    row = line.range.mean(axis=-1)
-    line = line.multiply_time(*phases.time.evaluate(row, line.time))
-    line = line.multiply_doppler(*phases.doppler.evaluate(row, line.doppler))
-    return line.multiply_time(*phases.deramp.evaluate(row, line.time))
+    """Lines do not ask how time, Doppler and rows are sampled."""
+    unknown = Axis(0.0, 1.0, 1)
+    return _trace(line, _azimuth_steps(phases, time=unknown, doppler=unknown, long_time=unknown, rows=unknown))
 
 
 def _choose(

@@ -24,7 +24,6 @@ from scipy.ndimage import zoom
 
 from blocksar.measurement import (
     CUT_WIDTHS,
-    SINC_WIDTH,
     Complex128Array,
     Response,
     ResponseGrid,
@@ -33,7 +32,7 @@ from blocksar.measurement import (
     measure,
     response_grid,
 )
-from blocksar.parameters import ComplexArray, FloatArray
+from blocksar.parameters import SINC_WIDTH, ComplexArray, FloatArray
 
 ReadImage = Callable[[slice, slice], ComplexArray]
 ReadBlock = Callable[[slice, slice], NDArray[np.int16]]

@@ -12,10 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from blocksar.geometry import Geometry
-from blocksar.parameters import SPEED_OF_LIGHT, Collection, FloatArray, InputError
+from blocksar.parameters import SINC_WIDTH, SPEED_OF_LIGHT, Collection, FloatArray, InputError
 
 WINDOW_GUARD = 8  # range cells kept free at either end of the range window
-SINC_WIDTH = 0.8859  # -3 dB width of a sinc, in units of its first null
 
 
 @dataclass(frozen=True)

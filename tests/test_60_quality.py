@@ -18,7 +18,6 @@ from blocksar.measurement import (
     DEFINITIONS,
     IDEAL_ISLR,
     IDEAL_PSLR,
-    SINC_WIDTH,
     TABLE3,
     Complex128Array,
     PointResponse,
@@ -38,7 +37,7 @@ from blocksar.measurement import (
     response_grid,
     summary,
 )
-from blocksar.parameters import SPEED_OF_LIGHT, Collection, ComplexArray, FloatArray, InputError
+from blocksar.parameters import SINC_WIDTH, SPEED_OF_LIGHT, Collection, ComplexArray, FloatArray, InputError
 
 PULSE_RATE = 4000.0  # half of Table 1's, for speed: 648 pulses light a target
 STEERING = np.deg2rad(57.87 - 42.13) / 0.6
