@@ -63,6 +63,7 @@ OWN = (
     "quality.json",
 )
 LEFT_ALONE = ("phase_history.zarr",)  # may stand in a new run's folder: `demo` puts its input there
+RANGES_COMPARED = (("near", 0.1), ("middle", 0.5), ("far", 0.9))  # name, share of the swath
 MIB = 2**20
 
 
@@ -208,12 +209,12 @@ def _block_row(block: BlockPlan) -> list[str]:
     low, high = np.degrees([block.low, block.high])
     p = block.prediction
     return [
-        str(block.index),
+        block.name,
         f"{low:.3f} .. {high:.3f}",
         f"{block.ground.near / 1e3:.3f} .. {block.ground.far / 1e3:.3f}",
         f"{block.first_bin} .. {block.first_bin + block.n_bin}",
         str(block.ground.doppler.size),
-        f"{block.bias:.1f}",
+        f"{block.candidate.bias:.1f}",
         f"{p.residual_phase:.4f}",
         f"{p.quadratic_phase:.4f}",
         f"{p.pslr:.2f}",
@@ -227,9 +228,10 @@ def _block_row(block: BlockPlan) -> list[str]:
 def _plan_lines(made: Plan) -> list[str]:
     recovery, collection, grid = made.recovery, made.geometry.collection, made.grid
     spectrum = recovery.doppler.size * collection.n_range_frequency * 8
+    divided = f" of {made.parts} range sub-blocks each" if made.parts > 1 else ""
     lines = [
-        f"{made.n_blocks} blocks, {made.coefficients} coefficients; track of order {made.geometry.track.order}, misfit "
-        f"{made.geometry.track.max_misfit:.2g} m",
+        f"{made.n_blocks} blocks{divided}, {made.coefficients} coefficients; "
+        f"track of order {made.geometry.track.order}, misfit {made.geometry.track.max_misfit:.2g} m",
         f"derotated band {recovery.band[1] - recovery.band[0]:.0f} Hz at PRF {collection.prf:.0f} Hz; recovered "
         f"spectrum {recovery.doppler.size} x {collection.n_range_frequency} ({spectrum / MIB:.0f} MiB), "
         f"{recovery.doppler.extent:.0f} Hz wide",
@@ -324,11 +326,12 @@ def focus(
     made: Plan | None = None
     if processor == "backprojection":
         target_grid = wanted_grid or default_grid(geometry, plan_region(geometry, None))
-        resolved: int | None = None
+        resolved: tuple[int, int] | None = None
     else:
         made = plan_collection(
             collection,
             blocks=blocks if found is None else found["plan"]["blocks"],
+            parts="auto" if found is None else found["plan"]["parts"],
             coefficients=coefficients,
             grid=wanted_grid,
             workers=workers,
@@ -336,7 +339,7 @@ def focus(
         )
         if made.refusal is not None:
             raise InputError(made.refusal)
-        target_grid, resolved = made.grid, made.n_blocks
+        target_grid, resolved = made.grid, (made.n_blocks, made.parts)
     identity = stores.checksum(
         np.frombuffer(repr((FORMAT, sorted(settings.items(), key=str), fingerprint, resolved)).encode(), np.uint8)
     )
@@ -351,7 +354,12 @@ def focus(
         "workers": workers,
         "threads": threads,
         "memory_limit": memory_limit,
-        "plan": {"blocks": resolved, "grid": _grid_record(target_grid), "predicted": _predicted(made)},
+        "plan": {
+            "blocks": made and made.n_blocks,
+            "parts": made and made.parts,
+            "grid": _grid_record(target_grid),
+            "predicted": _predicted(made),
+        },
     }
     fresh = not folder.exists() or (found is None and not any(folder.iterdir()))
     started = time.perf_counter()
@@ -466,8 +474,8 @@ def _predicted(made: Plan | None) -> list[dict[str, Any]]:
     if made is None:
         return []
     return [
-        {"block": b.index, "yaw": [b.low, b.high], "range": [b.ground.near, b.ground.far], "memory": b.memory,
-         "bias": b.bias, **b.prediction._asdict()}
+        {"block": b.index, "part": b.part, "yaw": [b.low, b.high], "range": [b.ground.near, b.ground.far],
+         "memory": b.memory, "bias": b.candidate.bias, **b.prediction._asdict()}
         for b in made.blocks
     ]  # fmt: skip
 
@@ -692,17 +700,20 @@ def _places(geometry: Geometry, record: dict[str, Any]) -> list[tuple[str, float
     if collection.beam_width is not None and np.ptp(collection.beam_azimuth) > collection.beam_width:
         low = max(low, float(collection.beam_azimuth.min() + collection.beam_width / 2))
         high = min(high, float(collection.beam_azimuth.max() - collection.beam_width / 2))
-    yaws = [(f"block {b['block']} centre", float(np.clip(sum(b["yaw"]) / 2, low, high))) for b in predicted]
-    yaws += [(f"seam {b['block']}|{b['block'] + 1}", b["yaw"][1]) for b in predicted[:-1]]
+    blocks = {b["block"]: b["yaw"] for b in predicted}
+    yaws = [(f"block {index} centre", float(np.clip(sum(yaw) / 2, low, high))) for index, yaw in blocks.items()]
+    yaws += [(f"seam {index}|{index + 1}", yaw[1]) for index, yaw in list(blocks.items())[:-1]]
     inset = 0.01 * (high - low)
     yaws += [("first full dwell", low + inset), ("last full dwell", high - inset)]
-    near, far = max(b["range"][0] for b in predicted), min(b["range"][1] for b in predicted)
-    places = []
-    for name, yaw in yaws:
-        for where, share in (("near", 0.1), ("middle", 0.5), ("far", 0.9)):
-            point = geometry.ground_point(np.array(near + share * (far - near)), np.array(yaw))
-            places.append((f"{name}, {where} range", float(point[0]), float(point[1])))
-    return places
+    parts = [[b["range"] for b in predicted if b["block"] == index] for index in blocks]
+    near, far = max(ranges[0][0] for ranges in parts), min(ranges[-1][1] for ranges in parts)
+    ranges = [(f"{where} range", near + share * (far - near)) for where, share in RANGES_COMPARED]
+    places = [(f"{name}, {where}", yaw, rng) for name, yaw in yaws for where, rng in ranges]
+    for (name, yaw), of_block in zip(yaws, parts, strict=False):  # blocks come first
+        inner = [b[1] for b in of_block[:-1]]
+        places += [(f"{name}, range seam {k}|{k + 1}", yaw, rng) for k, rng in enumerate(inner) if near < rng < far]
+    points = [geometry.ground_point(np.array(rng), np.array(yaw)) for _, yaw, rng in places]
+    return [(name, float(p[0]), float(p[1])) for (name, _, _), p in zip(places, points, strict=True)]
 
 
 def _reference_table(compared: Compared) -> Table:

@@ -11,22 +11,19 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import fresnel
 
-from blocksar import fourier, phase
+from blocksar import fourier
 from blocksar.fourier import Axis
 from blocksar.lines import Line, RowPhase
 from blocksar.parameters import ComplexArray, FloatArray
+from blocksar.phase import Phase
+from blocksar.rows import Operation, Transform, Turn, Window
+from blocksar.steps import Step
 
 GATE_WINDOWS = 17
 
 
-def _rotation(phases: RowPhase, rows: Axis, along: Axis, *, sign: float = 1.0) -> fourier.RowWork:
-    coefficients = sign * phases.coefficients(rows.values)
-    z = phases.variable(along.values)
-
-    def rotate(values: ComplexArray, which: slice) -> None:
-        phase.rotate_polynomial(values, coefficients[which], z)
-
-    return rotate
+def _turn(phases: RowPhase, rows: Axis, *, sign: float = 1.0) -> Turn:
+    return Turn(Phase(sign * phases.coefficients(rows.values), phases.centre, phases.scale))
 
 
 def _mean_range(line: Line) -> FloatArray:
@@ -34,7 +31,7 @@ def _mean_range(line: Line) -> FloatArray:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Perturbation:
+class Perturbation(Step):
     """Perturb in time, transform to Doppler, perturb there (paper A (26), orders 3 and up; time: physics).
 
     exp(2j pi p(t)) ahead of the transform is this package's addition: it lets the chain work where
@@ -49,13 +46,21 @@ class Perturbation:
     time_phase: RowPhase
     doppler_phase: RowPhase
 
-    def apply(self, block: ComplexArray, *, threads: int) -> ComplexArray:
-        """(n_row, time.size) in time to (n_row, doppler.size) in Doppler; padded in time."""
-        before = _rotation(self.time_phase, self.rows, self.time) if self.time_phase.series.any() else None
-        after = _rotation(self.doppler_phase, self.rows, self.doppler)
-        return fourier.transform(
-            block, self.time, self.doppler, inverse=False, threads=threads, before=before, after=after
-        )
+    @property
+    def source(self) -> Axis:
+        return self.time
+
+    @property
+    def n_row(self) -> int:
+        return self.rows.size
+
+    def operations(self) -> list[Operation]:
+        """Rows of time.size samples to rows of doppler.size bins, one a range; padded in time."""
+        return [
+            _turn(self.time_phase, self.rows),
+            Transform(self.time, self.doppler, inverse=False),
+            _turn(self.doppler_phase, self.rows),
+        ]
 
     def trace(self, line: Line) -> Line:
         row = _mean_range(line)
@@ -64,7 +69,7 @@ class Perturbation:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Deramp:
+class Deramp(Step):
     """Back to time; multiply by exp(2j pi d(t)): the block's common Doppler rate, orders 2 to 4 (paper A (31))."""
 
     name = "deramp"
@@ -73,10 +78,17 @@ class Deramp:
     rows: Axis
     phases: RowPhase
 
-    def apply(self, block: ComplexArray, *, threads: int) -> ComplexArray:
-        """(n_row, doppler.size) in Doppler to (n_row, time.size) in time."""
-        after = _rotation(self.phases, self.rows, self.time)
-        return fourier.transform(block, self.doppler, self.time, inverse=True, threads=threads, after=after)
+    @property
+    def source(self) -> Axis:
+        return self.doppler
+
+    @property
+    def n_row(self) -> int:
+        return self.rows.size
+
+    def operations(self) -> list[Operation]:
+        """Rows of doppler.size bins to rows of time.size samples, one a range."""
+        return [Transform(self.doppler, self.time, inverse=True), _turn(self.phases, self.rows)]
 
     def trace(self, line: Line) -> Line:
         return line.multiply_time(*self.phases.evaluate(_mean_range(line), line.time))
@@ -126,7 +138,7 @@ class DwellGate:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class DopplerTransform:
+class DopplerTransform(Step):
     """The final transform: level lines become points in Doppler (paper A (32), with the target's own dwell).
 
     Each target's spectrum stays centred on its own dwell, not on t = 0 (with a gate: on its distance from the
@@ -147,33 +159,33 @@ class DopplerTransform:
             return self.doppler
         return fourier.dual(self.time, size=self.gate.time.size, centre=self.doppler.centre)
 
-    def apply(self, block: ComplexArray, *, threads: int) -> ComplexArray:
-        """(n_row, time.size) in time to (n_row, image_doppler.size), focused."""
+    @property
+    def source(self) -> Axis:
+        return self.time
+
+    @property
+    def n_row(self) -> int:
+        return self.rows.size
+
+    def operations(self) -> list[Operation]:
+        """Rows of time.size samples to rows of image_doppler.size bins, one a range; focused."""
+        to_doppler = Transform(self.time, self.doppler, inverse=False)
         if self.gate is None:
-            return fourier.to_doppler(block, self.time, self.doppler, threads=threads)
+            return [to_doppler]
         gate, image = self.gate, self.image_doppler
-        long = fourier.dual(self.doppler, size=self.doppler.size, centre=0.0)
-        first = round((gate.time.start - long.start) / long.step)
-        demodulate = _rotation(gate.phase, self.rows, self.doppler)
-        modulate = _rotation(gate.phase, self.rows, image, sign=-1.0)
-        common = _rotation(gate.common, self.rows, image)
         slopes = gate.slope.coefficients(self.rows.values)[:, 0]
         # The slope changes by a tenth over a swath: a window for every range would cost more than the transforms.
         known = np.linspace(slopes.min(), slopes.max(), GATE_WINDOWS)
-        windows = [gate.window(float(slope)) for slope in known]
-        out = np.empty((block.shape[0], image.size), np.complex64)
-
-        def work(rows: slice) -> None:
-            group = fourier.to_doppler(block[rows], self.time, self.doppler)
-            demodulate(group, rows)
-            aligned = fourier.to_time(group, self.doppler, long)[:, first : first + gate.time.size]
-            aligned = aligned * windows[int(np.argmin(np.abs(known - slopes[rows].mean())))]
-            out[rows] = fourier.to_doppler(aligned, gate.time, image)
-            modulate(out[rows], rows)
-            common(out[rows], rows)
-
-        fourier.run_groups(work, fourier.row_groups(*block.shape), threads)
-        return out
+        windows = np.stack([gate.window(float(slope)) for slope in known])
+        return [
+            to_doppler,
+            _turn(gate.phase, self.rows),
+            Transform(self.doppler, gate.time, inverse=True),
+            Window(windows, np.abs(known - slopes[:, None]).argmin(axis=1)),
+            Transform(gate.time, image, inverse=False),
+            _turn(gate.phase, self.rows, sign=-1.0),
+            _turn(gate.common, self.rows),
+        ]
 
     def trace(self, line: Line) -> Line:
         return line

@@ -26,7 +26,7 @@ from numba import njit, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from blocksar.fourier import GROUP_BYTES, Axis, fast_length, fft_rows, phasors, row_groups, run_groups
+from blocksar.fourier import Axis, fast_length, fft_rows, unit_phasor
 from blocksar.geometry import Geometry
 from blocksar.parameters import (
     SPEED_OF_LIGHT,
@@ -38,6 +38,7 @@ from blocksar.parameters import (
     IntArray,
 )
 from blocksar.phase import cosine, sine
+from blocksar.rows import GROUP_BYTES, Transform, row_groups, run_groups
 
 ReadPulses = Callable[[slice], ComplexArray]  # (n, n_range_frequency) samples of a slice of pulses
 Tile = tuple[slice, slice]
@@ -146,8 +147,10 @@ def range_profiles(signal: ComplexArray, *, collection: Collection, pulses: slic
     step, middle = collection.range_frequency_step, n // 2
     frequency = Axis(-middle * step, step, n)
     delay = Axis(-(period // 2) / (period * step), 1 / (period * step), period)
-    lead, trail = phasors(frequency, delay, inverse=True, period=n)
-    lead = (lead / np.sinc(frequency.values / (period * step)) ** 3).astype(np.complex64)
+    before, after = Transform(frequency, delay, inverse=True).phases()
+    lead = unit_phasor(before.cycles(frequency.values)[0]) / np.sinc(frequency.values / (period * step)) ** 3
+    lead = (lead * (period / n)).astype(np.complex64)
+    trail = unit_phasor(after.cycles(delay.values)[0])
     values = np.empty((signal.shape[0], period + 2 * MARGIN), np.complex64)
     valid = np.empty(signal.shape[0], np.int64)
 
@@ -164,7 +167,7 @@ def range_profiles(signal: ComplexArray, *, collection: Collection, pulses: slic
         out[:, -MARGIN:] = out[:, MARGIN : 2 * MARGIN]
         out[:, :MARGIN] = out[:, -2 * MARGIN : -MARGIN]
 
-    run_groups(work, row_groups(signal.shape[0], period), threads)
+    run_groups(work, row_groups(0, signal.shape[0], period), threads)
     return Profiles(
         values=values,
         valid=valid,

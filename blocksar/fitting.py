@@ -29,6 +29,7 @@ TIME_ORDERS = (3, 4)
 SERIES_DEGREE = 6  # of the coefficients in range
 GOOD_RESIDUAL = 0.02  # rad: below this a cheaper chain is preferred to a better one
 GOOD_LOSS = 0.008  # of the dwell, lost at its ends: likewise
+ENOUGH = 1e-5  # of the cost: a fit that gains less by a step is done
 STRETCH_PRICE = 0.5  # rad of phase error that a stretch of 2 is worth in the fit
 TIME_BANDWIDTH = 100.0  # of a target's line: stationary phase and a sharp spectrum need about this much
 
@@ -182,7 +183,7 @@ def levenberg_marquardt(
         gained = cost - tried_cost
         x, fault, cost = x + step, tried, tried_cost
         damping, growth = max(damping / 5, 1e-14), 2.0
-        if gained <= 1e-9 * cost:
+        if gained <= ENOUGH * cost:
             break
     return x
 

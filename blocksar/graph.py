@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -23,22 +24,21 @@ from dask.typing import Key
 from distributed import Client, Future, LocalCluster, as_completed
 from distributed.system import MEMORY_LIMIT
 
-from blocksar import phase, stores
+from blocksar import stores
 from blocksar.backprojection import form_image
 from blocksar.geometry import Geometry
 from blocksar.ground import GroundMap, correct
 from blocksar.ground import compile_kernels as compile_correction
 from blocksar.parameters import ComplexArray, FloatArray, InputError, ProcessingError
 from blocksar.planning import BlockPlan, Plan
-from blocksar.range_steps import Step
+from blocksar.range_steps import Keystone
 from blocksar.recovery import RawCompression, Recovery, recover_columns
 from blocksar.region import Grid, lit_pulses
+from blocksar.steps import Stage, stages
 
 Receipt = dict[str, Any]
 Report = Callable[[str, int, int], None]  # stage, done, total
 
-COLUMN_GROUP = 256  # range frequencies recovered at a time, and the spectrum's chunk
-DOPPLER_CHUNK = 512
 IMAGE_CHUNK = 1024
 PULSE_GROUP = 256  # pulses of a raw echo compressed at a time
 READING_STAGES = ("range-compress", "recover", "backprojection")
@@ -65,8 +65,8 @@ class Run:
     def image(self) -> Path:
         return self.folder / "image.zarr"
 
-    def patch(self, block: int) -> Path:
-        return self.folder / "patches" / str(block)
+    def patch(self, block: str) -> Path:
+        return self.folder / "patches" / block
 
     def receipt(self, unit: str) -> Path:
         return self.folder / "receipts" / f"{unit}.json"
@@ -132,7 +132,6 @@ def open_client(
             yield client
         return
     # Compiling takes a worker more memory than a block may: done here, once, the workers load from the cache.
-    phase.compile_kernels()
     compile_correction()
     settings = {
         # The plan keeps to the limit; spilling would only hide that it did not.
@@ -143,8 +142,9 @@ def open_client(
         "distributed.scheduler.work-stealing": False,
         "distributed.scheduler.worker-saturation": 1.0,
         "distributed.nanny.pre-spawn-environ.NUMBA_NUM_THREADS": threads,
-        # Big arrays go back to the system at once, not to malloc's keeping.
-        "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": 65536,
+        # Blocks go back to the system at once; a group of rows stays in malloc's keeping, and in the cache.
+        "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": 4 * 2**20,
+        "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": 64 * 2**20,
     }
     with (
         dask.config.set(settings),
@@ -177,48 +177,90 @@ def compress_pulses(
 
 
 def recover_group(
-    source: stores.PhaseHistory, run: Run, unit: str, columns: tuple[int, int], recovery: Recovery
+    source: stores.PhaseHistory, run: Run, unit: str, columns: tuple[int, int], recovery: Recovery, width: int
 ) -> Receipt:
-    """Recover the spectrum of a column group; samples that are missing count as not lit."""
+    """Recover the spectrum of a column group, `width` columns at a time; samples that are missing count as not lit."""
     started = time.perf_counter()
-    part = slice(*columns)
-    signal = source.read(slice(None), part)
+    signal = source.read(slice(None), slice(*columns))
+    missing = _clear_missing(signal)
+    frequency = source.collection.carrier + source.collection.range_frequency - recovery.carrier
+    checksums = []
+    for first in range(columns[0], columns[1], width):
+        part = slice(first, min(first + width, columns[1]))
+        spectrum = recover_columns(
+            signal[:, part.start - columns[0] : part.stop - columns[0]],
+            range_frequency=frequency[part],
+            recovery=recovery,
+            threads=run.threads,
+        )
+        stores.write_region(run.spectrum, "spectrum", (slice(None), part), spectrum)
+        checksums.append(stores.checksum(spectrum))
+    return run.sign(unit, started, checksum=checksums, missing=missing)
+
+
+def _clear_missing(signal: ComplexArray) -> dict[int, int]:
+    """Zero the samples that are not numbers, in place; how many there were in which pulses."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        if np.isfinite(signal.view(np.float32).sum()):  # a cheap way of seeing that there are none
+            return {}
     valid = np.isfinite(signal.view(np.float32)).reshape(*signal.shape, 2).all(axis=2)
     missing = np.count_nonzero(~valid, axis=1)
-    if missing.any():
-        signal = np.where(valid, signal, np.complex64(0))
-    frequency = source.collection.carrier + source.collection.range_frequency[part]
-    spectrum = recover_columns(
-        signal, range_frequency=frequency - recovery.carrier, recovery=recovery, threads=run.threads
-    )
-    stores.write_region(run.spectrum, "spectrum", (slice(None), part), spectrum.T)
-    lost = np.flatnonzero(missing)
-    return run.sign(unit, started, checksum=stores.checksum(spectrum), missing={int(p): int(missing[p]) for p in lost})
+    signal[~valid] = 0
+    return {int(pulse): int(missing[pulse]) for pulse in np.flatnonzero(missing)}
 
 
-def read_slab(run: Run, block: BlockPlan) -> ComplexArray:
-    """A block's part of the spectrum, one row a range frequency."""
-    frequency = block.chain[0].range_frequency  # type: ignore[attr-defined]
-    slab = np.empty((frequency.size, block.n_bin), np.complex64)
-    bins = slice(block.first_bin, block.first_bin + block.n_bin)
-    for first in range(0, frequency.size, COLUMN_GROUP):
-        columns = slice(first, min(first + COLUMN_GROUP, frequency.size))
-        slab[columns] = stores.read_region(run.spectrum, "spectrum", (bins, columns)).T
-    return slab
+def read_slab(run: Run, block: BlockPlan, stage: Stage, chunk: tuple[int, int]) -> ComplexArray:
+    """Run a block's first stage on its part of the spectrum, a few chunks of which are read at a time."""
+    program = stage.program
+    bins = (block.first_bin, block.first_bin + block.n_bin)
+    n_frequency = block.chain[0].source.size if stage.layout == "columns" else block.chain[0].n_row
+    if stage.layout == "columns":
+        # Rows of the file are what the range gate works along: Doppler bin by Doppler bin.
+        out = np.empty((program.target.size, program.n_row), np.complex64)
+        for first, last in _chunks(*bins, chunk[0]):
+            part = stores.read_region(run.spectrum, "spectrum", (slice(first, last), slice(None)))
+            program.run(part, out=out, first=first - bins[0], store="columns", threads=run.threads)
+        return out
+    out = _buffer(block, program.target.size)
+    for first, last in _chunks(0, n_frequency, chunk[1]):
+        part = stores.read_region(run.spectrum, "spectrum", (slice(*bins), slice(first, last)))
+        program.run(part, out=out, first=first, load="columns", threads=run.threads)
+    return out
 
 
-def apply_step(step: Step, block: ComplexArray, threads: int) -> ComplexArray:
-    return step.apply(block, threads=threads)
+def _chunks(first: int, last: int, size: int) -> Iterator[tuple[int, int]]:
+    """Where whole chunks of a store divide first .. last."""
+    edges = [first, *range(first - first % size + size, last, size), last]
+    return pairwise(edges)
 
 
-def write_patch(run: Run, unit: str, index: int, block: ComplexArray, ground: GroundMap, grid: Grid) -> Receipt:
+def _buffer(block: BlockPlan, length: int) -> ComplexArray:
+    """Room for the range-frequency signal, and for the compressed one after it in the same place."""
+    rows = max(block.range_frequency.size, block.ground.rows.size)
+    return np.empty((rows, length), np.complex64)
+
+
+def run_stage(run: Run, block: BlockPlan, stage: Stage, samples: ComplexArray) -> ComplexArray:
+    """Run a stage on a block. Range compression works in place: nobody else has its input."""
+    program = stage.program
+    if stage.layout == "columns":
+        program.run(
+            samples[: program.source.size], out=samples[: program.target.size],
+            load="columns", store="columns", threads=run.threads,
+        )  # fmt: skip
+        return samples
+    out = _buffer(block, program.target.size) if isinstance(stage.steps[-1], Keystone) else None
+    return program.run(samples[: program.n_row], out=out, threads=run.threads)
+
+
+def write_patch(run: Run, unit: str, name: str, block: ComplexArray, ground: GroundMap, grid: Grid) -> Receipt:
     """Geometric correction of a focused block into its own patch, chunk by chunk of the image's grid."""
     started = time.perf_counter()
     first_y, first_x, n_y, n_x = patch_window(ground, grid)
-    path = run.patch(index)
+    path = run.patch(name)
     side = image_chunk(grid)
     stores.create(
-        path, stores.PATCH, sizes={}, attrs={"title": f"block {index}"}, overwrite=True,
+        path, stores.PATCH, sizes={}, attrs={"title": f"block {name}"}, overwrite=True,
         coords={"x": grid.x[first_x : first_x + n_x], "y": grid.y[first_y : first_y + n_y]},
         chunks={"y": side[0], "x": side[1]},
     )  # fmt: skip
@@ -238,25 +280,29 @@ def write_patch(run: Run, unit: str, index: int, block: ComplexArray, ground: Gr
 
 
 def merge_chunk(
-    run: Run, unit: str, cell: tuple[int, int], parts: Sequence[tuple[int, int, int]], grid: Grid
+    run: Run, unit: str, cell: tuple[int, int], parts: Sequence[tuple[int, str, int, int]], grid: Grid
 ) -> Receipt:
-    """One output chunk of the mosaic; `parts` are (block, first row, first column of its patch)."""
+    """One output chunk of the mosaic; `parts` are (block, name, first row and first column of its patch)."""
     started = time.perf_counter()
     side = image_chunk(grid)
     y, x = cell[0] * side[0], cell[1] * side[1]
     rows, columns = slice(y, min(y + side[0], grid.shape[0])), slice(x, min(x + side[1], grid.shape[1]))
     shape = (rows.stop - rows.start, columns.stop - columns.start)
-    image = np.full(shape, np.nan + 1j * np.nan, np.complex64)
+    image: ComplexArray | None = None
     owner = np.full(shape, -1, np.int16)
-    for index, first_y, first_x in parts:
+    for index, name, first_y, first_x in parts:
         window = (
             slice(rows.start - first_y, rows.stop - first_y),
             slice(columns.start - first_x, columns.stop - first_x),
         )
-        patch = stores.read_region(run.patch(index), "image", window)
+        patch = stores.read_region(run.patch(name), "image", window)
         mine = np.isfinite(patch.real)
-        image[mine] = patch[mine]
-        owner[mine] = index
+        np.copyto(owner, index, where=mine)
+        if image is None:
+            image = patch
+        else:
+            np.copyto(image, patch, where=mine)
+    assert image is not None
     stores.write_region(run.image, "image", (rows, columns), image)
     stores.write_region(run.image, "block", (rows, columns), owner)
     return run.sign(unit, started, checksum=[stores.checksum(image), stores.checksum(owner)])
@@ -379,7 +425,7 @@ def recover(
             run.spectrum, stores.SPECTRUM, sizes={}, attrs={"title": collection.title},
             coords={"doppler": plan.recovery.doppler.values, "range_frequency": collection.range_frequency},
             variables={"lit": np.full(collection.n_pulse, np.nan)},
-            chunks={"doppler": DOPPLER_CHUNK, "range_frequency": COLUMN_GROUP},
+            chunks=dict(zip(("doppler", "range_frequency"), plan.spectrum_chunk, strict=True)),
         )  # fmt: skip
     n = collection.n_range_frequency
 
@@ -391,11 +437,12 @@ def recover(
             unit,
             columns,
             plan.recovery,
+            plan.spectrum_chunk[1],
             key=f"recover-{run.identity[:8]}-{unit}",
             pure=False,
         )
 
-    groups = [(first, min(first + COLUMN_GROUP, n)) for first in range(0, n, COLUMN_GROUP)]
+    groups = [(first, min(first + plan.column_group, n)) for first in range(0, n, plan.column_group)]
     units = [(f"columns-{a}", start(f"columns-{a}", (a, b))) for a, b in groups]
     groups_done = run_units(client, "recover", units, run, report, ahead=workers)
     missing = np.zeros(collection.n_pulse)
@@ -443,21 +490,24 @@ def focus_blocks(client: Client, plan: Plan, run: Run, valid: FloatArray, report
     collection = plan.geometry.collection
     workers = cluster_size(client)[0]
 
-    def start(unit: str, block: BlockPlan) -> Callable[[], Future[Any]]:
+    def start(position: int, unit: str, block: BlockPlan) -> Callable[[], Future[Any]]:
         ground = replace(block.ground, lit=lit_pulses(collection, block.ground.yaw_axis, valid))
 
         def chain() -> Future[Any]:
             tail = f"{run.identity[:8]}-{unit}"
             # One priority a block: a worker finishes the chain it has begun before it starts another.
-            common: dict[str, Any] = {"pure": False, "priority": -block.index}
-            node = client.submit(read_slab, run, block, key=f"read-slab-{tail}", **common)
-            for step in block.chain:
-                node = client.submit(apply_step, step, node, run.threads, key=f"{step.name}-{tail}", **common)
+            common: dict[str, Any] = {"pure": False, "priority": -position}
+            first, *others = stages(block.chain)
+            node = client.submit(
+                read_slab, run, block, first, plan.spectrum_chunk, key=f"read-slab+{first.name}-{tail}", **common
+            )
+            for stage in others:
+                node = client.submit(run_stage, run, block, stage, node, key=f"{stage.name}-{tail}", **common)
             return client.submit(
                 write_patch,
                 run,
                 unit,
-                block.index,
+                block.name,
                 node,
                 ground,
                 plan.grid,
@@ -467,18 +517,21 @@ def focus_blocks(client: Client, plan: Plan, run: Run, valid: FloatArray, report
 
         return chain
 
-    units = [(f"block-{block.index}", start(f"block-{block.index}", block)) for block in plan.blocks]
+    units = [
+        (f"block-{block.name}", start(position, f"block-{block.name}", block))
+        for position, block in enumerate(plan.blocks)
+    ]
     return run_units(client, "focus", units, run, report, ahead=workers)
 
 
 def mosaic(client: Client, plan: Plan, run: Run, patches: Sequence[Receipt], report: Report) -> list[Receipt]:
     """Patches to image.zarr, by output chunk; chunks that no block covers are never written."""
     workers = cluster_size(client)[0]
-    cells: dict[tuple[int, int], list[tuple[int, int, int]]] = {}
+    cells: dict[tuple[int, int], list[tuple[int, str, int, int]]] = {}
     for block, receipt in zip(plan.blocks, patches, strict=True):
         for name in receipt["chunks"]:
             row, column = (int(part) for part in name.split(","))
-            cells.setdefault((row, column), []).append((block.index, *receipt["origin"]))
+            cells.setdefault((row, column), []).append((block.index, block.name, *receipt["origin"]))
 
     def start(unit: str, cell: tuple[int, int], parts: Any) -> Callable[[], Future[Any]]:
         return lambda: client.submit(

@@ -1,24 +1,49 @@
-"""Phase multiplication and fractional delays: the compiled inner loops that every step shares.
+"""Phase multiplication, fractional delays and corner turns: the compiled inner loops that every step shares.
 
-Phases are handed over in cycles, in float64; whole cycles are taken out there, and only the remainder, at
-most half a cycle, goes to a float32 polynomial for sine and cosine (error below 7e-7, 1.4e-7 rms). Written plainly,
-`numpy.exp(1j * phase)` takes fifty times longer than these loops.
+Phases are polynomials along a row, in cycles, in float64; whole cycles are taken out there, and only the remainder,
+at most half a cycle, goes to a float32 polynomial for sine and cosine (error below 4e-7, 1e-7 rms). Written plainly,
+`numpy.exp(1j * phase)` takes a hundred times longer than these loops.
+
+The loops are compiled, or loaded from numba's cache, when this module is imported. They go over LANES samples at a
+time, as `lanes` says them to the compiler.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import lru_cache
+from math import comb
 from typing import Any
 
 import numpy as np
-from numba import njit
-from numpy.polynomial import chebyshev
+from numba import njit, types
+from numpy.polynomial import chebyshev, polynomial
 from numpy.typing import NDArray
 
+from blocksar.fourier import Axis
+from blocksar.lanes import (
+    LANES,
+    count_lanes,
+    load,
+    load_imag,
+    load_real,
+    prefetch,
+    remainder,
+    spread,
+    store,
+    store_complex,
+)
 from blocksar.parameters import ComplexArray, FloatArray
 
 Float32Array = NDArray[np.float32]
 
-STRIP = 256  # samples in flight: the float64 scratch of a strip stays in the first-level cache
+MAX_ORDER = 9
+PIECE = 32 * LANES  # samples of a row that are interpolated from the first-level cache
+AHEAD = 32  # rows by which memory is asked for columns before they are needed: the strides are too long for it to guess
+LINE = 8  # complex64 samples in a cache line
+TAP_PHASES = 32  # fractions of a sample about which interpolation weights are expanded
+TAP_ORDER = 4
+TAP_REACH = 0.2  # samples from there at which the expansion is used: it errs by 1e-5
 
 
 def _fit_even(function: Any, degree: int) -> tuple[float, ...]:
@@ -27,82 +52,223 @@ def _fit_even(function: Any, degree: int) -> tuple[float, ...]:
     return tuple(float(c) for c in series.convert(kind=np.polynomial.Polynomial, domain=[-1, 1], window=[-1, 1]).coef)
 
 
-_S = _fit_even(lambda x: np.where(x > 1e-9, np.sin(2 * np.pi * x) / np.maximum(x, 1e-9), 2 * np.pi), 6)
-_C = _fit_even(lambda x: np.cos(2 * np.pi * x), 7)
-_S0, _S1, _S2, _S3, _S4, _S5, _S6 = (np.float32(c) for c in _S)
-_C0, _C1, _C2, _C3, _C4, _C5, _C6, _C7 = (np.float32(c) for c in _C)
+_S = _fit_even(lambda x: np.where(x > 1e-9, np.sin(np.pi * x) / np.maximum(x, 1e-9), np.pi), 4)
+_C = _fit_even(lambda x: np.cos(np.pi * x), 5)
+_S0, _S1, _S2, _S3, _S4 = (np.float32(c) for c in _S)
+_C0, _C1, _C2, _C3, _C4, _C5 = (np.float32(c) for c in _C)
+
+
+@njit(inline="always")
+def _half_sine(x: Any) -> Any:
+    s = x * x
+    return x * (_S0 + s * (_S1 + s * (_S2 + s * (_S3 + s * _S4))))
+
+
+@njit(inline="always")
+def _half_cosine(x: Any) -> Any:
+    s = x * x
+    return _C0 + s * (_C1 + s * (_C2 + s * (_C3 + s * (_C4 + s * _C5))))
+
+
+# Of half the angle: polynomials for the whole one have terms that cancel near half a cycle, and err twice as much.
 
 
 @njit(inline="always")
 def sine(x: Any) -> Any:
     """sin(2 pi x) in float32, |x| <= 1/2."""
-    s = x * x
-    return x * (_S0 + s * (_S1 + s * (_S2 + s * (_S3 + s * (_S4 + s * (_S5 + s * _S6))))))
+    half = _half_sine(x)
+    return (half + half) * _half_cosine(x)
 
 
 @njit(inline="always")
 def cosine(x: Any) -> Any:
     """cos(2 pi x) in float32, |x| <= 1/2."""
-    s = x * x
-    return _C0 + s * (_C1 + s * (_C2 + s * (_C3 + s * (_C4 + s * (_C5 + s * (_C6 + s * _C7))))))
+    half_sine, half_cosine = _half_sine(x), _half_cosine(x)
+    return half_cosine * half_cosine - half_sine * half_sine
 
 
-MAX_ORDER = 9
+# -- phases ---------------------------------------------------------------------------------------------------
 
 
-def rotate_polynomial(values: ComplexArray, coefficients: FloatArray, z: FloatArray) -> None:
-    """values[r, i] *= exp(2j pi sum_k coefficients[r, k] z[i]^k), in place.
+@dataclass(frozen=True, eq=False)
+class Phase:
+    """Cycles that are a polynomial along each row: sum_k coefficients[row, k] ((v - centre) / scale)^k.
+
+    coefficients (n_row, order + 1), or (1, order + 1) where all rows share them; order at most 9.
+    """
+
+    coefficients: FloatArray
+    centre: float
+    scale: float
+
+    def cycles(self, values: FloatArray) -> FloatArray:
+        """At values (n,): (n_row, n)."""
+        z = (values - self.centre) / self.scale
+        return np.asarray(polynomial.polyval(z, self.coefficients.T))
+
+    def along(self, axis: Axis) -> FloatArray:
+        """Coefficients in the axis' own variable, (index - size // 2) / (size / 2)."""
+        offset, ratio = (axis.centre - self.centre) / self.scale, axis.step * axis.size / 2 / self.scale
+        order = self.coefficients.shape[1] - 1
+        move = np.zeros((order + 1, order + 1))
+        for k in range(order + 1):
+            for j in range(k + 1):
+                move[k, j] = comb(k, j) * offset ** (k - j) * ratio**j
+        return np.asarray(self.coefficients @ move)
+
+
+@lru_cache(maxsize=32)
+def unit(n: int) -> FloatArray:
+    """An axis' own variable, (i - n // 2) / (n / 2), (n,) float64; read-only."""
+    values = np.asarray((np.arange(n) - n // 2) * (2.0 / n))
+    values.flags.writeable = False
+    return values
+
+
+def as_coefficients(coefficients: FloatArray) -> FloatArray:
+    """As the loops take them: contiguous float64.
+
+    Raises
+    ------
+    ValueError
+        If the order is above MAX_ORDER.
+    """
+    if coefficients.shape[1] - 1 > MAX_ORDER:
+        raise ValueError(f"order {coefficients.shape[1] - 1} > {MAX_ORDER}")
+    return np.ascontiguousarray(coefficients, np.float64)
+
+
+_IN = types.Array(types.complex64, 2, "C", readonly=True)
+_OUT = types.complex64[:, ::1]
+_REAL = types.Array(types.float64, 1, "C", readonly=True)
+_REALS = types.Array(types.float64, 2, "C", readonly=True)
+_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "fastmath": {"contract", "nsz"}}
+
+
+@njit(inline="always")
+def _turn(row: Any, out: Any, i: Any, cycles: Any) -> None:
+    """LANES samples from i on, by so many cycles."""
+    part = remainder(cycles)
+    cos, sin = cosine(part), sine(part)
+    real, imag = load_real(row, i), load_imag(row, i)
+    store_complex(out, i, real * cos - imag * sin, real * sin + imag * cos)
+
+
+@njit(inline="always")
+def _polynomial(c: Any, order: Any, u: Any) -> Any:
+    value = spread(c[order])
+    for k in range(order):
+        value = c[order - 1 - k] + u * value
+    return value
+
+
+@njit(inline="always")
+def _rest(values: Any) -> Any:
+    """What remains of a row after its whole vectors, with zeros to make one."""
+    rest = np.zeros(LANES, values.dtype)
+    count = values.size % LANES
+    rest[:count] = values[values.size - count :]
+    return rest
+
+
+@njit([(_IN, _OUT, _REAL, _REALS)], **_OPTIONS)
+def _rotate(values: ComplexArray, out: ComplexArray, u: FloatArray, coefficients: FloatArray) -> None:
+    n = u.size
+    whole, order = n - n % LANES, coefficients.shape[1] - 1
+    u_rest = _rest(u)
+    for r in range(values.shape[0]):
+        row, result, c = values[r, :n], out[r, :n], coefficients[r]
+        for i in range(0, whole, LANES):
+            _turn(row, result, i, _polynomial(c, order, load(u, i)))
+        if whole < n:
+            rest = _rest(row)
+            _turn(rest, rest, 0, _polynomial(c, order, load(u_rest, 0)))
+            result[whole:] = rest[: n - whole]
+
+
+def rotate(values: ComplexArray, n: int, coefficients: FloatArray, out: ComplexArray | None = None) -> None:
+    """out[r, i] = values[r, i] exp(2j pi sum_k coefficients[r, k] u_i^k), u_i = (i - n // 2) / (n / 2), i < n.
 
     Parameters
     ----------
-    values : (n_row, n) complex64, C-contiguous
+    values : (n_row, at least n) complex64, C-contiguous
     coefficients : (n_row, order + 1) float64
         Cycles; order at most 9.
-    z : (n,) float64
+    out : (n_row, at least n) complex64, C-contiguous, optional
+        By default `values` itself.
+
+    Raises
+    ------
+    ValueError
+        If the order is too high, there is not one row of coefficients a row, or an array is too small.
     """
-    if coefficients.shape[1] > MAX_ORDER + 1:
-        raise ValueError(f"order {coefficients.shape[1] - 1} > {MAX_ORDER}")
-    # A fixed order lets the compiler keep the coefficients in registers and vectorise over samples.
-    padded = np.zeros((coefficients.shape[0], MAX_ORDER + 1))
-    padded[:, : coefficients.shape[1]] = coefficients
-    _rotate_polynomial(values, padded, z)
+    out = values if out is None else out
+    if coefficients.shape[0] != values.shape[0]:
+        raise ValueError(f"{coefficients.shape=} but {values.shape=}")
+    if out.shape[0] < values.shape[0] or min(values.shape[1], out.shape[1]) < n:
+        raise ValueError(f"{values.shape=} and {out.shape=}, but {n=}")
+    _rotate(values, out, unit(n), as_coefficients(coefficients))
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
-def _rotate_polynomial(values: ComplexArray, coefficients: FloatArray, z: FloatArray) -> None:
-    n_row, n = values.shape
-    for r in range(n_row):
-        c0, c1, c2, c3 = coefficients[r, 0], coefficients[r, 1], coefficients[r, 2], coefficients[r, 3]
-        c4, c5, c6 = coefficients[r, 4], coefficients[r, 5], coefficients[r, 6]
-        c7, c8, c9 = coefficients[r, 7], coefficients[r, 8], coefficients[r, 9]
-        for i in range(n):
-            u = z[i]
-            cycles = c0 + u * (c1 + u * (c2 + u * (c3 + u * (c4 + u * (c5 + u * (c6 + u * (c7 + u * (c8 + u * c9))))))))
-            x = np.float32(cycles - np.rint(cycles))
-            cos, sin = cosine(x), sine(x)
-            v = values[r, i]
-            values[r, i] = complex(v.real * cos - v.imag * sin, v.real * sin + v.imag * cos)
-
-
-@njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
-def rotate_outer(values: ComplexArray, factor: FloatArray, cycles: FloatArray) -> None:
-    """values[r, i] *= exp(2j pi factor[r] cycles[i]), in place: a phase that scales with frequency.
+@njit([(_IN, _OUT, _REAL, _REALS, _REAL, _REAL)], **_OPTIONS)
+def rotate_scaled(
+    values: ComplexArray,
+    out: ComplexArray,
+    u: FloatArray,
+    coefficients: FloatArray,
+    factor: FloatArray,
+    cycles: FloatArray,
+) -> None:
+    """The same, plus factor[r] cycles[i]: any phase along the row, scaled from row to row as with frequency.
 
     Parameters
     ----------
-    values : (n_row, n) complex64
+    values, out : (n_row, at least n) complex64, C-contiguous
+        May be the same array.
+    u : (n,) float64
+        `unit(n)`.
+    coefficients : (n_row, 2) float64
     factor : (n_row,) float64
     cycles : (n,) float64
     """
-    n_row, n = values.shape
-    for r in range(n_row):
-        f = factor[r]
-        for i in range(n):
-            whole = f * cycles[i]
-            x = np.float32(whole - np.rint(whole))
-            cos, sin = cosine(x), sine(x)
-            v = values[r, i]
-            values[r, i] = complex(v.real * cos - v.imag * sin, v.real * sin + v.imag * cos)
+    n = u.size
+    whole = n - n % LANES
+    u_rest, cycles_rest = _rest(u), _rest(cycles)
+    for r in range(values.shape[0]):
+        row, result, c, f = values[r, :n], out[r, :n], coefficients[r], factor[r]
+        for i in range(0, whole, LANES):
+            _turn(row, result, i, f * load(cycles, i) + (c[0] + c[1] * load(u, i)))
+        if whole < n:
+            rest = _rest(row)
+            _turn(rest, rest, 0, f * load(cycles_rest, 0) + (c[0] + c[1] * load(u_rest, 0)))
+            result[whole:] = rest[: n - whole]
+
+
+@njit([(types.Array(types.complex64, 2, "A", readonly=True), types.int64, _OUT)], **_OPTIONS)
+def gather_columns(values: ComplexArray, first: int, out: ComplexArray) -> None:
+    """out[c, i] = values[i, first + c]: some columns as rows; whole cache lines at a time."""
+    count = out.shape[0]
+    for i in range(values.shape[0]):
+        for c in range(0, count, LINE):
+            prefetch(values, i + AHEAD, first + c)
+        prefetch(values, i + AHEAD, first + count - 1)
+        for c in range(count):
+            out[c, i] = values[i, first + c]
+
+
+@njit([(_IN, types.int64, types.int64, _OUT)], **_OPTIONS)
+def scatter_columns(values: ComplexArray, n: int, first: int, out: ComplexArray) -> None:
+    """out[i, first + c] = values[c, i], i < n: rows back as columns."""
+    count = values.shape[0]
+    for i in range(n):
+        for c in range(0, count, LINE):
+            prefetch(out, i + AHEAD, first + c)
+        prefetch(out, i + AHEAD, first + count - 1)
+        for c in range(count):
+            out[i, first + c] = values[c, i]
+
+
+# -- interpolation --------------------------------------------------------------------------------------------
 
 
 def interpolation_taps(n_tap: int, *, occupancy: float, n_phase: int = 256) -> Float32Array:
@@ -148,72 +314,104 @@ def taps_needed(occupancy: float, *, error: float, at_most: int = 32) -> int:
     return at_most
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
+def tap_polynomials(n_tap: int, *, occupancy: float) -> Float32Array:
+    """The same taps expanded about TAP_PHASES fractions: weight_k(q / TAP_PHASES + mu) = sum_p table[q, k, p] mu^p.
+
+    Good to |mu| <= TAP_REACH, so that a strip over which the fraction drifts needs no table look-up a sample.
+
+    Returns
+    -------
+    (TAP_PHASES + 1, n_tap, TAP_ORDER + 1) float32
+    """
+    k = np.arange(n_tap) - (n_tap // 2 - 1)
+    gram = np.sinc(occupancy * (k[:, None] - k[None, :])) + 1e-9 * np.eye(n_tap)
+    nodes = np.cos(np.pi * (np.arange(TAP_ORDER + 1) + 0.5) / (TAP_ORDER + 1))
+    fraction = np.arange(TAP_PHASES + 1)[:, None] / TAP_PHASES + TAP_REACH * nodes
+    weights = np.linalg.solve(gram, np.sinc(occupancy * (fraction.ravel() - k[:, None])))
+    weights = weights.reshape(n_tap, TAP_PHASES + 1, TAP_ORDER + 1)
+    to_power = np.linalg.inv(np.vander(TAP_REACH * nodes, increasing=True))
+    return np.ascontiguousarray(np.einsum("kqn,pn->qkp", weights, to_power), dtype=np.float32)
+
+
+@njit(inline="always")
+def _fetch(row: Any, first: Any, count: Any, real: Any, imag: Any) -> None:
+    """Real and imaginary parts of row[first : first + count], zero beyond the row's ends.
+
+    Apart, because interleaved they would have to be shuffled at every tap.
+    """
+    begin = min(max(-first, 0), count)
+    end = max(min(row.size - first, count), begin)
+    real[:begin], real[end:count], imag[:begin], imag[end:count] = 0, 0, 0, 0
+    whole = end - (end - begin) % LANES
+    for j in range(begin, whole, LANES):
+        store(real, j, load_real(row, first + j))
+        store(imag, j, load_imag(row, first + j))
+    for j in range(whole, end):
+        real[j], imag[j] = row[first + j].real, row[first + j].imag
+
+
+@njit(inline="always")
+def _window(i: Any, length: Any, n_tap: Any, middle: Any, s: Any) -> Any:
+    """Where the taps of the strip that makes samples i .. i + length - 1 begin, and the fraction of a sample over."""
+    half = (length - 1) / 2
+    position = middle + (i + half - middle) * s - half
+    whole = np.floor(position)
+    return int(min(max(whole, -1e9), 1e9)) - (n_tap // 2 - 1), position - whole
+
+
+@njit([(_IN, _OUT, _REAL, types.float64, types.Array(types.float32, 3, "C", readonly=True))], **_OPTIONS)
 def stretch_rows(values: ComplexArray, out: ComplexArray, scale: FloatArray, middle: float, taps: Float32Array) -> None:
     """out[r, i] = values[r] at position middle + (i - middle) scale[r]; zero beyond the ends.
 
-    The positions move by almost one sample a step, so over a short strip the window slides evenly and the
-    weights change linearly: both loops then run over contiguous samples.
+    The positions move by almost one sample a step, so over a short strip the window slides evenly and only the
+    fraction of a sample drifts: the weights are polynomials in it, and all loops run over contiguous samples.
 
     Parameters
     ----------
     values, out : (n_row, n) complex64
+        Not the same array.
     scale : (n_row,) float64
         Near 1.
     middle : float
         The position that stays.
-    taps : (n_phase + 1, n_tap) float32
+    taps : (TAP_PHASES + 1, n_tap, TAP_ORDER + 1) float32
+        Of `tap_polynomials`.
+
+    Raises
+    ------
+    ValueError
+        If a scale is not between 1/2 and 2.
     """
-    n_row, n = values.shape
-    n_phase, n_tap = taps.shape[0] - 1, taps.shape[1]
-    half = n_tap // 2 - 1
-    pad = STRIP + n_tap
-    padded = np.zeros(n + 2 * pad, np.complex64)
-    real = np.empty(STRIP, np.float32)
-    imag = np.empty(STRIP, np.float32)
-    for r in range(n_row):
-        padded[pad : pad + n] = values[r]
-        s = scale[r]
-        drift = abs(s - 1.0)
-        strip = STRIP if drift * STRIP < 1.0 / 64.0 else max(1, int(1.0 / (64.0 * drift)))
-        i = 0
-        while i < n:
-            position = middle + (i - middle) * s
-            whole = int(np.floor(position))
-            m = min(strip, n - i)
-            # The strip ends where the window would have to jump by a sample against the output.
-            fraction = position - whole
-            end = fraction + (m - 1) * (s - 1.0)
-            if end >= 1.0:
-                m = max(1, int((1.0 - fraction) / drift))
-            elif end < 0.0:
-                m = max(1, int(fraction / drift) + 1)
-            end = min(max(fraction + (m - 1) * (s - 1.0), 0.0), 1.0)
-            for j in range(m):
-                real[j] = np.float32(0.0)
-                imag[j] = np.float32(0.0)
-            base = whole - half + pad
-            if base >= 0 and base + n_tap + m <= n + 2 * pad:
-                a, b = fraction * n_phase, end * n_phase
-                ia, ib = min(int(a), n_phase - 1), min(int(b), n_phase - 1)
-                da, db = np.float32(a - ia), np.float32(b - ib)
-                for k in range(n_tap):
-                    wa = taps[ia, k] + da * (taps[ia + 1, k] - taps[ia, k])
-                    wb = taps[ib, k] + db * (taps[ib + 1, k] - taps[ib, k])
-                    slope = (wb - wa) / np.float32(max(m - 1, 1))
-                    for j in range(m):
-                        v = padded[base + k + j]
-                        w = wa + slope * np.float32(j)
-                        real[j] += w * v.real
-                        imag[j] += w * v.imag
-            for j in range(m):
-                out[r, i + j] = complex(real[j], imag[j])
-            i += m
-
-
-def compile_kernels() -> None:
-    """Compile this module's loops, or load them from numba's cache, by running each on next to nothing."""
-    values, one = np.zeros((1, 8), np.complex64), np.ones(1)
-    _rotate_polynomial(values, np.zeros((1, MAX_ORDER + 1)), np.zeros(8))
-    rotate_outer(values, one, np.zeros(8))
-    stretch_rows(values, values.copy(), one, 4.0, interpolation_taps(4, occupancy=0.5))
+    n = values.shape[1]
+    n_tap = taps.shape[1]
+    room = 2 * PIECE + n_tap + 2 * LANES
+    real, imag = np.empty(room, np.float32), np.empty(room, np.float32)
+    strip = np.empty(LANES, np.complex64)
+    for r in range(values.shape[0]):
+        row, result, s = values[r], out[r], scale[r]
+        if not 0.5 <= s <= 2.0:
+            raise ValueError("scale is not near 1")
+        length = LANES
+        while length > 1 and (length - 1) / 2 * abs(s - 1.0) > TAP_REACH - 0.5 / TAP_PHASES:
+            length //= 2
+        for i in range(0, n, length):
+            if i % PIECE == 0:
+                last = i + (min(PIECE, n - i) - 1) // length * length
+                origin = _window(i, length, n_tap, middle, s)[0]
+                end = _window(last, length, n_tap, middle, s)[0] + n_tap + LANES
+                _fetch(row, origin, end - origin, real, imag)
+            first, fraction = _window(i, length, n_tap, middle, s)
+            q = int(fraction * TAP_PHASES + 0.5)
+            start = fraction - q / TAP_PHASES - (length - 1) / 2 * (s - 1.0)
+            mu = np.float32(start) + np.float32(s - 1.0) * count_lanes()
+            re, im = spread(np.float32(0.0)), spread(np.float32(0.0))
+            for k in range(n_tap):
+                weight = _polynomial(taps[q, k], TAP_ORDER, mu)
+                re = re + weight * load(real, first - origin + k)
+                im = im + weight * load(imag, first - origin + k)
+            if length == LANES and i + LANES <= n:
+                store_complex(result, i, re, im)
+            else:  # the strip reaches further than it is good for, or than the row
+                kept = min(length, n - i)
+                store_complex(strip, 0, re, im)
+                result[i : i + kept] = strip[:kept]

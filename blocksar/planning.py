@@ -7,7 +7,9 @@ with what phase; predicted residual phase, side lobes, width and range migration
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from typing import Literal, NamedTuple
 
@@ -17,16 +19,16 @@ from numpy.typing import NDArray
 
 from blocksar import fitting, fourier
 from blocksar.azimuth_steps import Deramp, DopplerTransform, DwellGate, Perturbation
-from blocksar.fitting import AzimuthPhases
+from blocksar.fitting import AzimuthPhases, Candidate
 from blocksar.fourier import Axis
 from blocksar.geometry import Geometry
 from blocksar.ground import YAW_STEPS, GroundMap, surfaces
 from blocksar.lines import Focus, Line, RowPhase, focus
 from blocksar.parameters import SINC_WIDTH, SPEED_OF_LIGHT, Collection, FloatArray, InputError
 from blocksar.phase import taps_needed
-from blocksar.range_steps import Keystone, RangeCompression, ResidualRangeWalk, Step
+from blocksar.range_steps import Keystone, RangeCompression, RangeGate, ResidualRangeWalk
 from blocksar.recovery import Recovery
-from blocksar.recovery_plan import plan_recovery, recovered_line, tail_margin
+from blocksar.recovery_plan import middle_line, plan_recovery, recovered_line, tail_margin
 from blocksar.region import (
     Extent,
     Grid,
@@ -37,6 +39,8 @@ from blocksar.region import (
     lit_pulses,
     plan_region,
 )
+from blocksar.rows import GROUP_BYTES
+from blocksar.steps import Step, stages
 
 Coefficients = Literal["fitted", "closed-form"]
 
@@ -44,11 +48,27 @@ PHASE_BUDGET = 0.1  # rad at the edge of the dwell; pi/4 is the usual limit, thi
 MIGRATION_BUDGET = 0.25  # range resolution cells over the dwell
 TAP_ERROR = 1e-3
 KEYSTONE_ERROR = 1e-4
+RANGE_GUARD = 48  # range cells on either side of a sub-block, for the side lobes of what lies at its ends
 GATE_ROOM = 1.5  # dwells that the image's Doppler sampling makes room for
 MAX_BLOCKS = 32
+MAX_PARTS = 64  # range sub-blocks of a block
 MEMORY_SHARE = 0.8  # of a worker's limit that a plan may fill
 MIB = 2**20
-PROCESS_MEMORY = 330 * MIB  # a worker's interpreter and libraries, before any sample
+PROCESS_MEMORY = 256 * MIB  # a worker's interpreter and libraries, before any sample
+DOPPLER_CHUNK = 512  # Doppler bins of a chunk of the spectrum
+COLUMN_CHUNK = 256  # range frequencies of a chunk, fewer where Doppler bins are many
+SPECTRUM_BYTES = 64 * MIB  # of the spectrum written at a time
+SIGNAL_BYTES = 96 * MIB  # of the phase history read at a time
+SIGNAL_COLUMNS = 512  # at most
+
+
+@dataclass(frozen=True)
+class Transforms:
+    """FFTs of one length that a stage takes."""
+
+    stage: str
+    count: int
+    length: int
 
 
 class Prediction(NamedTuple):
@@ -69,6 +89,8 @@ class BlockPlan:
     Attributes
     ----------
     index : int
+    part : int or None
+        Which range sub-block of the block; None where the block is whole.
     low, high : float
         Yaw interval, rad.
     first_bin, n_bin : int
@@ -79,11 +101,12 @@ class BlockPlan:
     prediction : Prediction
     memory : int
         Peak of a worker that focuses the block, bytes.
-    bias : float
-        Range acceleration that the time perturbation adds, m/s^2.
+    candidate : Candidate
+        The kind of chain that was chosen: its bias is the range acceleration that the time perturbation adds, m/s^2.
     """
 
     index: int
+    part: int | None
     low: float
     high: float
     first_bin: int
@@ -92,7 +115,16 @@ class BlockPlan:
     ground: GroundMap
     prediction: Prediction
     memory: int
-    bias: float
+    candidate: Candidate
+
+    @property
+    def name(self) -> str:
+        return str(self.index) if self.part is None else f"{self.index}.{self.part}"
+
+    @property
+    def range_frequency(self) -> Axis:
+        """Of the block's own samples, Hz."""
+        return next(step.range_frequency for step in self.chain if isinstance(step, Keystone))
 
 
 def plan_block(
@@ -106,11 +138,14 @@ def plan_block(
     near: float,
     far: float,
     coefficients: Coefficients,
+    part: int | None = None,
+    candidate: Candidate | None = None,
 ) -> BlockPlan:
-    """Plan one block that owns the yaws [low, high) and the epoch ranges [near, far)."""
+    """Plan one block, or a range sub-block of it, that owns the yaws [low, high) and the epoch ranges [near, far).
+
+    The kind of chain is chosen unless it is given, as for further sub-blocks of a block.
+    """
     collection = geometry.collection
-    period = fourier.fast_length(1.3 * collection.n_range_frequency)
-    row_step = collection.range_window / period
 
     # Coarse lines through the range steps: for supports, coefficients and sampling.
     nodes = _end_nodes(near, far, 9)
@@ -123,21 +158,27 @@ def plan_block(
     )
     duration = float(line.weight.sum(axis=-1).max())
     slab = _plan_slab(collection, recovery.doppler, line, margin=tail_margin(duration))
+    frequency = Axis(
+        float(collection.range_frequency[0]), collection.range_frequency_step, collection.n_range_frequency
+    )
+    range_gate = None if part is None else _plan_range_gate(frequency, slab.doppler, line, collection.carrier)
+    if range_gate is not None:
+        frequency = range_gate.range_frequency
+    period = fourier.fast_length(1.3 * frequency.size)
+    row_step = SPEED_OF_LIGHT / (2 * frequency.step * period)
     in_range = _RangeSteps(
+        gate=range_gate,
         slab=slab.doppler,
         walk=slab.walk,
         carrier=collection.carrier,
-        range_frequency=Axis(
-            float(collection.range_frequency[0]), collection.range_frequency_step, collection.n_range_frequency
-        ),
+        range_frequency=frequency,
         reference=np.asarray(
             fitting.range_series(geometry, np.array((near + far) / 2), np.array((low + high) / 2), order=8)
         ),
-        period=period,
     )
     # Lines do not ask how time and rows are sampled, which is not known yet.
     straight = _trace(line, in_range.bound(Axis(recovery.time.start, 1.0, 1), 0.5, Axis(0.0, row_step, period)))
-    phases, bias = _choose(
+    phases, chosen = _choose(
         geometry,
         straight,
         ranges=nodes - recovery.origin,
@@ -146,11 +187,12 @@ def plan_block(
         half_width=(high - low) / 2,
         shift=-2 / collection.wavelength * recovery.walk + slab.walk,
         coefficients=coefficients,
+        candidate=candidate,
     )
     focused = _trace_azimuth(straight, phases)
     spots = focus(focused)
     axes = _plan_axes(recovery, slab, straight, focused, phases, duration=duration)
-    range_filling = collection.n_range_frequency / period
+    range_filling = frequency.size / period
     range_taps = (taps_needed(range_filling, error=TAP_ERROR), range_filling)
     rows = _plan_rows(spots, step=row_step, reach=(range_taps[0] / 2 + 2) * row_step, at_most=period)
 
@@ -183,6 +225,7 @@ def plan_block(
     )
     return BlockPlan(
         index=index,
+        part=part,
         low=low,
         high=high,
         first_bin=slab.first_bin,
@@ -195,14 +238,15 @@ def plan_block(
         ground=ground,
         prediction=_predict(fine, found, fine_range, fine_yaw, geometry),
         memory=_memory(
-            n_frequency=collection.n_range_frequency,
+            gate=range_gate,
+            frequency=frequency,
             n_bin=slab.doppler.size,
             n_time=axes.time.size,
             n_row=rows.size,
-            n_padded=axes.long_time.size,
             n_image=final.image_doppler.size,
+            length=max(axes.long_time.size, period),
         ),
-        bias=bias,
+        candidate=chosen,
     )
 
 
@@ -229,25 +273,60 @@ def _plan_slab(collection: Collection, spectrum: Axis, line: Line, *, margin: fl
     return _Slab(first_bin, spectrum.part(first_bin, last_bin - first_bin), walk, margin)
 
 
+def _plan_range_gate(full: Axis, slab: Axis, line: Line, carrier: float) -> RangeGate:
+    """The gate that holds, at each Doppler, the ranges of lines (n_range, n_yaw), and their side lobes around."""
+    u = (2 * line.doppler - slab.start - (slab.start + slab.extent)) / slab.extent
+    centre = middle_line(u.ravel(), line.range.ravel(), order=6)
+    spread = line.range - chebyshev.chebval(u, centre)
+    # At a Doppler bin the band's ends stand at other times than the carrier: a smear that SRC takes back.
+    edge = max(abs(full.start), abs(full.start + full.extent)) / carrier
+    rate = np.maximum(np.abs(line.rate), 1e-3 * np.abs(line.rate).max())
+    smear = SPEED_OF_LIGHT / (2 * carrier) * line.doppler**2 / rate * edge
+    cell = SPEED_OF_LIGHT / (2 * full.extent)
+    low = float((spread - np.abs(smear)).min()) - RANGE_GUARD * cell
+    high = float((spread + np.abs(smear)).max()) + RANGE_GUARD * cell
+    period = fourier.fast_length(full.size)
+    step = 1 / (period * full.step)
+    size, kept = _gate_length((high - low) * 2 / SPEED_OF_LIGHT / step, full.size / period, period)
+    gate = fourier.centred((low + high) / SPEED_OF_LIGHT, step, size)
+    coarse = 1 / (size * step)
+    ramp = np.clip((np.minimum(np.arange(size), np.arange(size)[::-1]) + 0.5) / (RANGE_GUARD / 2), 0, 1)
+    place = np.clip((2 * slab.values - 2 * slab.start - slab.extent) / slab.extent, u.min(), u.max())
+    return RangeGate(
+        slab=slab,
+        centre=np.asarray(chebyshev.chebval(place, centre)),
+        gate=gate,
+        window=np.sin(np.pi / 2 * ramp) ** 2,
+        full=full,
+        range_frequency=Axis(full.start - full.step / 2 + coarse / 2, coarse, kept),
+    )
+
+
+def _gate_length(needed: float, share: float, at_most: int) -> tuple[int, int]:
+    """A fast length of about `needed` samples, and how many of its frequencies fill the band best."""
+    lengths = {fourier.fast_length(n) for n in np.linspace(needed, 1.06 * needed + 8, 24)}
+    lengths = {n for n in lengths if n < at_most} or {at_most}
+    return min(((n, round(n * share)) for n in lengths), key=lambda pair: abs(pair[1] / pair[0] / share - 1))
+
+
 class _RangeSteps(NamedTuple):
     """The range steps of a block but for their sampling."""
 
+    gate: RangeGate | None
     slab: Axis
     walk: float
     carrier: float
     range_frequency: Axis
     reference: FloatArray
-    period: int
 
     def bound(self, time: Axis, occupancy: float, rows: Axis) -> tuple[Step, ...]:
         fc, f = self.carrier, self.range_frequency
         taps = taps_needed(occupancy, error=KEYSTONE_ERROR)
         return (
+            *(() if self.gate is None else (self.gate,)),
             ResidualRangeWalk(slab=self.slab, time=time, walk=self.walk, carrier=fc, range_frequency=f),
             Keystone(time=time, occupancy=occupancy, taps=taps, carrier=fc, range_frequency=f),
-            RangeCompression(
-                time=time, reference=self.reference, rows=rows, period=self.period, carrier=fc, range_frequency=f
-            ),
+            RangeCompression(time=time, reference=self.reference, rows=rows, carrier=fc, range_frequency=f),
         )
 
 
@@ -415,19 +494,26 @@ def _choose(
     half_width: float,
     shift: float,
     coefficients: Coefficients,
-) -> tuple[AzimuthPhases, float]:
+    candidate: Candidate | None,
+) -> tuple[AzimuthPhases, Candidate]:
     """The coefficients as asked; among fitted chains the cheapest whose lines end level, thick and unfolded."""
     lam = geometry.collection.wavelength
     if coefficients == "closed-form":
         phases = fitting.closed_form_phases(
             geometry, epoch_range=epoch_range, ranges=ranges, yaw=yaw, half_width=half_width, shift=shift
         )
-        return phases, 0.0
+        return phases, Candidate(0.0, False)
+    if candidate is None:
+        candidate = _cheapest(line, ranges=ranges, wavelength=lam)
+    return fitting.fit_phases(line, ranges=ranges, candidate=candidate, wavelength=lam), candidate
+
+
+def _cheapest(line: Line, *, ranges: FloatArray, wavelength: float) -> Candidate:
     some = np.array([0, ranges.size // 2, ranges.size - 1])
     part = Line(**{name: _pick(getattr(line, name), some, ranges.size) for name in Line.__dataclass_fields__})
-    best: tuple[float, fitting.Candidate] | None = None
-    for candidate in fitting.candidates(line, wavelength=lam):
-        phases = fitting.fit_phases(part, ranges=ranges[some], candidate=candidate, wavelength=lam)
+    best: tuple[float, Candidate] | None = None
+    for candidate in fitting.candidates(line, wavelength=wavelength):
+        phases = fitting.fit_phases(part, ranges=ranges[some], candidate=candidate, wavelength=wavelength)
         biased = part.multiply_time(*phases.time.evaluate(part.range.mean(axis=-1), part.time))
         traced = _trace_azimuth(part, phases)
         spread = biased.rate * part.weight.sum(axis=-1, keepdims=True) ** 2
@@ -445,10 +531,7 @@ def _choose(
             best = (cost, candidate)
         if fault <= 1.0 and growth < 2.5:
             break
-    if best is None:
-        best = (np.inf, fitting.Candidate(0.0, True))
-    phases = fitting.fit_phases(line, ranges=ranges, candidate=best[1], wavelength=lam)
-    return phases, best[1].bias
+    return Candidate(0.0, True) if best is None else best[1]
 
 
 def _pick(values: FloatArray, which: NDArray[np.intp], size: int) -> FloatArray:
@@ -497,12 +580,22 @@ def _width(response: FloatArray) -> float:
     return float(np.count_nonzero(response >= response.max() / np.sqrt(2)))
 
 
-def _memory(*, n_frequency: int, n_bin: int, n_time: int, n_row: int, n_padded: int, n_image: int) -> int:
-    """Peak of a worker over the chain: each step holds its input and its output."""
-    sizes = [n_frequency * n_bin, n_frequency * n_time, n_frequency * n_time, n_row * n_time]
-    sizes += [n_row * n_padded, n_row * n_padded, n_row * n_image]
-    pairs = [a + b for a, b in pairwise(sizes)]
-    return PROCESS_MEMORY + 8 * max(pairs)
+def _memory(
+    *, gate: RangeGate | None, frequency: Axis, n_bin: int, n_time: int, n_row: int, n_image: int, length: int
+) -> int:
+    """Peak of a worker that focuses a block, bytes: what each stage reads and writes.
+
+    Range compression works in place, so the range-frequency signal and the compressed one share their memory.
+    """
+    buffer = max(frequency.size, n_row) * n_time
+    if gate is None:
+        loaded = n_bin * COLUMN_CHUNK
+        stages_ = [2 * loaded + buffer, buffer + n_row * n_image]
+    else:
+        slab, loaded = frequency.size * n_bin, DOPPLER_CHUNK * gate.full.size
+        stages_ = [2 * loaded + slab, slab + buffer, buffer + n_row * n_image]
+    groups = 4 * max(GROUP_BYTES, 8 * 8 * length)
+    return PROCESS_MEMORY + 8 * max(stages_) + groups
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -513,6 +606,8 @@ class Plan:
     ----------
     seams : (n_blocks + 1,) float
         Yaw at which blocks begin and end, rad; only blocks that the grid touches are planned.
+    parts : int
+        Range sub-blocks of every block, 1 where blocks are whole; each is a `BlockPlan` of its own.
     refusal : str or None
         Why the geometry cannot be focused, with the figure.
     """
@@ -522,6 +617,7 @@ class Plan:
     region: Region
     recovery: Recovery
     seams: FloatArray
+    parts: int
     blocks: tuple[BlockPlan, ...]
     coefficients: Coefficients
     refusal: str | None
@@ -531,16 +627,44 @@ class Plan:
         return self.seams.size - 1
 
     @property
-    def memory(self) -> int:
-        return max(block.memory for block in self.blocks)
+    def spectrum_chunk(self) -> tuple[int, int]:
+        """Doppler bins and range frequencies of a chunk of the spectrum."""
+        column = COLUMN_CHUNK
+        while column > 16 and 8 * column * self.recovery.doppler.size > SPECTRUM_BYTES:
+            column //= 2
+        return min(DOPPLER_CHUNK, self.recovery.doppler.size), column
 
-    def excess(self, memory_limit: int | None = None) -> float:
-        """The worst of phase, migration and memory, each over what it may be: at most 1 is a good plan."""
+    @property
+    def column_group(self) -> int:
+        """Range frequencies recovered by a task, whole chunks of the spectrum."""
+        chunk = self.spectrum_chunk[1]
+        fitting_ = SIGNAL_BYTES // (8 * self.recovery.pulses.size * chunk)
+        return chunk * max(min(fitting_, SIGNAL_COLUMNS // chunk), 1)
+
+    @property
+    def recovery_memory(self) -> int:
+        """Peak of a worker that recovers the spectrum, bytes."""
+        signal = self.column_group * self.recovery.pulses.size
+        return PROCESS_MEMORY + 8 * (2 * signal + 2 * self.spectrum_chunk[1] * self.recovery.doppler.size)
+
+    @property
+    def memory(self) -> int:
+        """Peak of a worker, bytes."""
+        return max(self.recovery_memory, *(block.memory for block in self.blocks))
+
+    def transforms(self) -> list[Transforms]:
+        """All FFTs of samples that carrying out the plan takes, in order."""
+        frequency = self.geometry.collection.range_frequency
+        found = [Transforms("recover", frequency.size, n) for n in self.recovery.program(frequency).transforms]
+        for block in self.blocks:
+            for stage in stages(block.chain):
+                found += [Transforms(stage.name, stage.program.n_row, n) for n in stage.program.transforms]
+        return found
+
+    def excess(self) -> float:
+        """The worst of phase and migration, each over what it may be: at most 1 is a good plan."""
         worst = [b.prediction.residual_phase / PHASE_BUDGET for b in self.blocks]
-        worst += [b.prediction.migration / MIGRATION_BUDGET for b in self.blocks]
-        if memory_limit is not None:
-            worst.append(self.memory / (MEMORY_SHARE * memory_limit))
-        return max(worst)
+        return max(worst + [b.prediction.migration / MIGRATION_BUDGET for b in self.blocks])
 
     def within_budget(self) -> bool:
         return self.excess() <= 1.0
@@ -550,6 +674,7 @@ def plan_collection(
     collection: Collection,
     *,
     blocks: int | Literal["auto"] = "auto",
+    parts: int | Literal["auto"] = "auto",
     coefficients: Coefficients = "fitted",
     grid: Grid | None = None,
     workers: int = 1,
@@ -557,50 +682,65 @@ def plan_collection(
 ) -> Plan:
     """Plan a collection for the angular-division chain.
 
-    `auto` takes the fewest blocks that meet the phase and migration budgets and a worker's memory, and at
-    least one a worker.
+    `auto` takes the fewest blocks that meet the phase and migration budgets, at least one a worker, and the fewest
+    range sub-blocks of each that fit a worker's memory.
 
     Raises
     ------
     InputError
-        If the PRF is too low, the grid is empty or outside the swath, or no number of blocks fits the memory.
+        If the PRF is too low, the grid is empty or outside the swath, or no number of sub-blocks fits the memory.
     """
     geometry = Geometry(collection=collection)
     region = plan_region(geometry, grid)
     recovery = plan_recovery(geometry, region)
     grid = grid or default_grid(geometry, region)
     extent = grid_extent(geometry, region, grid)
-    if memory_limit is not None and MEMORY_SHARE * memory_limit <= PROCESS_MEMORY:
-        raise InputError(
-            f"memory limit {memory_limit / MIB:.0f} MiB a worker is too low: it takes {PROCESS_MEMORY / MIB:.0f} MiB "
-            f"before it holds a sample; give --memory-limit {2 * PROCESS_MEMORY / MIB:.0f}MiB or more"
-        )
-    if blocks != "auto":
-        plan = _plan_blocks(geometry, region, recovery, grid, extent, blocks, coefficients)
-        _check_memory(plan, memory_limit)
-        return plan
+
+    def plan(count: int, divided: int) -> Plan:
+        return _plan_blocks(geometry, region, recovery, grid, extent, count, divided, coefficients)
+
+    whole = 1 if parts == "auto" else parts
+    made = plan(blocks, whole) if blocks != "auto" else _fewest_blocks(partial(plan, divided=whole), workers)
+    if memory_limit is None or made.refusal is not None:
+        return made
+    return _fewest_parts(partial(plan, made.n_blocks), made, memory_limit, fixed=parts != "auto")
+
+
+def _fewest_blocks(plan: Callable[[int], Plan], workers: int) -> Plan:
     best, stale = math.inf, 0
     for count in range(min(max(workers, 1), MAX_BLOCKS), MAX_BLOCKS + 1):
-        plan = _plan_blocks(geometry, region, recovery, grid, extent, count, coefficients)
-        excess = plan.excess(memory_limit)
-        if plan.refusal is not None or excess <= 1.0:
-            return plan
+        made = plan(count)
+        excess = made.excess()
+        if made.refusal is not None or excess <= 1.0:
+            return made
         # Margins do not shrink with the blocks: stop once more of them have brought nothing three times.
         stale = stale + 1 if excess > 0.97 * best else 0
         best = min(best, excess)
         if stale == 3:
             break
-    _check_memory(plan, memory_limit)
-    return plan
+    return made
 
 
-def _check_memory(plan: Plan, memory_limit: int | None) -> None:
-    if memory_limit is not None and plan.memory > MEMORY_SHARE * memory_limit:
+def _fewest_parts(plan: Callable[[int], Plan], whole: Plan, memory_limit: int, *, fixed: bool) -> Plan:
+    """The plan with its blocks in as many range sub-blocks as a worker's memory asks for."""
+    made, room = whole, MEMORY_SHARE * memory_limit
+    needed = [made.memory]
+    while made.memory > room:
+        if fixed or made.parts == MAX_PARTS or room <= max(made.recovery_memory, PROCESS_MEMORY):
+            break
+        share = (made.memory - PROCESS_MEMORY) / (room - PROCESS_MEMORY)
+        made = plan(min(max(made.parts + 1, math.ceil(0.9 * made.parts * share)), MAX_PARTS))
+        needed.append(made.memory)
+        if len(needed) > 2 and needed[-1] > 0.97 * needed[-2]:
+            break
+    if made.memory > room:
+        least = max(min(needed), made.recovery_memory) / MEMORY_SHARE
         raise InputError(
-            f"memory limit {memory_limit / MIB:.0f} MiB a worker is too low for {plan.n_blocks} blocks, which need "
-            f"{plan.memory / MEMORY_SHARE / MIB:.0f} MiB; raise --memory-limit, ask for more --blocks, or image a "
-            "smaller grid"
+            f"memory limit {memory_limit / MIB:.0f} MiB a worker is too low: {made.n_blocks} blocks need about "
+            f"{least / MIB:.0f} MiB even in {made.parts} range sub-blocks; raise --memory-limit, ask for more "
+            "--blocks, or image a smaller grid"
         )
+    return made
 
 
 def _plan_blocks(
@@ -610,6 +750,7 @@ def _plan_blocks(
     grid: Grid,
     extent: Extent,
     count: int,
+    divided: int,
     coefficients: Coefficients,
 ) -> Plan:
     seams = block_seams(geometry, region, count)
@@ -629,15 +770,18 @@ def _plan_blocks(
         # Nine ranges need some room between them for their polynomials to mean anything.
         least = 64 * SPEED_OF_LIGHT / (2 * geometry.collection.bandwidth)
         room = max(least - (far - near), 0.0) / 2
-        planned.append(
-            plan_block(
-                geometry, recovery, region, index=index, low=low, high=high, near=near - room, far=far + room,
-                coefficients=coefficients,
-            )
-        )  # fmt: skip
+        edges = np.linspace(near - room, far + room, divided + 1)
+        candidate = None
+        for part, (nearest, farthest) in enumerate(pairwise(edges.tolist())):
+            block = plan_block(
+                geometry, recovery, region, index=index, part=part if divided > 1 else None, low=low, high=high,
+                near=nearest, far=farthest, coefficients=coefficients, candidate=candidate,
+            )  # fmt: skip
+            candidate = block.candidate
+            planned.append(block)
     return Plan(
-        geometry=geometry, grid=grid, region=region, recovery=recovery, seams=seams, blocks=tuple(planned),
-        coefficients=coefficients, refusal=_refusal(geometry, planned, coefficients),
+        geometry=geometry, grid=grid, region=region, recovery=recovery, seams=seams, parts=divided,
+        blocks=tuple(planned), coefficients=coefficients, refusal=_refusal(geometry, planned, coefficients),
     )  # fmt: skip
 
 

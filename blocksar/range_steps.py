@@ -1,4 +1,4 @@
-"""Range steps: residual range walk, keystone, RCMC with SRC. Each can be applied and traced.
+"""Range steps: range gate, residual range walk, keystone, RCMC with SRC. Each can be applied and traced.
 
 Between recovery and range compression the samples are S(f, t), one row a range frequency, with the phase
 exp(-4j pi (fc + f) / c rho(t)), rho the target's range less the origin and less the unified walk.
@@ -7,28 +7,76 @@ exp(-4j pi (fc + f) / c rho(t)), rho the target's range less the origin and less
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
+from numpy.polynomial import chebyshev
 
-from blocksar import fourier, phase
+from blocksar import phase
 from blocksar.fourier import Axis
 from blocksar.lines import Line
-from blocksar.parameters import SPEED_OF_LIGHT, ComplexArray, FloatArray
-
-
-class Step(Protocol):
-    """One step of a chain: samples to samples, lines to lines, constants bound while planning."""
-
-    name: str
-
-    def apply(self, block: ComplexArray, *, threads: int) -> ComplexArray: ...
-
-    def trace(self, line: Line) -> Line: ...
+from blocksar.parameters import SPEED_OF_LIGHT, FloatArray
+from blocksar.phase import Phase
+from blocksar.rows import Operation, Stretch, Transform, Turn, Window
+from blocksar.steps import Step
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ResidualRangeWalk:
+class RangeGate(Step):
+    """Keep some ranges of a block's slab, on as many fewer range frequencies: a block in range sub-blocks.
+
+    At each Doppler bin the targets of a sub-block lie in an interval of range, whose centre moves along Doppler with
+    their range walk. Range frequency goes to delay, about that centre; what lies beyond the gate is dropped, and what
+    is left goes back to range frequency, over the same band in coarser steps.
+
+    Attributes
+    ----------
+    slab : Axis
+        Doppler bins, Hz.
+    centre : (slab.size,) float
+        Of the gate at each bin, m from the range origin.
+    gate : Axis
+        Delays from the centre that are kept, s.
+    window : (gate.size,) float
+        1, and falling to 0 at the ends.
+    full, range_frequency : Axis
+        Before and after, Hz.
+    """
+
+    name = "range-gate"
+    layout = "columns"
+    slab: Axis
+    centre: FloatArray
+    gate: Axis
+    window: FloatArray
+    full: Axis
+    range_frequency: Axis
+
+    @property
+    def source(self) -> Axis:
+        return self.full
+
+    @property
+    def n_row(self) -> int:
+        return self.slab.size
+
+    def operations(self) -> list[Operation]:
+        """Rows of full.size to rows of range_frequency.size range frequencies, one a Doppler bin."""
+        delay = 2 / SPEED_OF_LIGHT * self.centre
+        shift = np.stack([np.zeros_like(delay), delay], axis=1)
+        return [
+            Turn(Phase(shift, 0.0, 1.0)),
+            Transform(self.full, self.gate, inverse=True),
+            Window(self.window[None].astype(np.complex64), np.zeros(self.n_row, np.intp)),
+            Transform(self.gate, self.range_frequency, inverse=False),
+            Turn(Phase(-shift, 0.0, 1.0)),
+        ]
+
+    def trace(self, line: Line) -> Line:
+        return line
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ResidualRangeWalk(Step):
     """Return a block's slab of Doppler to time, less the walk of the block's centre (paper A (16)).
 
     Multiplies by exp(-2j pi walk (fc + f) / fc t), which is (16) with
@@ -52,17 +100,21 @@ class ResidualRangeWalk:
     carrier: float
     range_frequency: Axis
 
-    def apply(self, block: ComplexArray, *, threads: int) -> ComplexArray:
-        """(n_range_frequency, slab.size) in Doppler to (n_range_frequency, time.size) in time."""
+    @property
+    def source(self) -> Axis:
+        return self.slab
+
+    @property
+    def n_row(self) -> int:
+        return self.range_frequency.size
+
+    def operations(self) -> list[Operation]:
+        """Rows of slab.size Doppler bins to rows of time.size samples, one a range frequency."""
         moved = round(self.walk / self.slab.step) * self.slab.step
         source = Axis(self.slab.start - moved, self.slab.step, self.slab.size)
         factor = self.walk * (1 + self.range_frequency.values / self.carrier) - moved
-        minus_time = -self.time.values
-
-        def walk(rows: ComplexArray, which: slice) -> None:
-            phase.rotate_outer(rows, factor[which], minus_time)
-
-        return fourier.transform(block, source, self.time, inverse=True, threads=threads, after=walk)
+        walk = np.stack([np.zeros_like(factor), -factor], axis=1)
+        return [Transform(source, self.time, inverse=True), Turn(Phase(walk, 0.0, 1.0))]
 
     def trace(self, line: Line) -> Line:
         turned = line.multiply_time(-self.walk * line.time, np.array(-self.walk), np.array(0.0))
@@ -70,7 +122,7 @@ class ResidualRangeWalk:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Keystone:
+class Keystone(Step):
     """Rescale slow time at each range frequency so that any linear range walk cancels (paper A (17)).
 
     S_out(f, t) = S(f, t fc / (fc + f)). On the carrier nothing moves; a target's apparent range becomes
@@ -84,25 +136,26 @@ class Keystone:
     occupancy: float
     taps: int
 
-    def apply(self, block: ComplexArray, *, threads: int) -> ComplexArray:
-        """(n_range_frequency, time.size); zero where the input has no data."""
+    @property
+    def source(self) -> Axis:
+        return self.time
+
+    @property
+    def n_row(self) -> int:
+        return self.range_frequency.size
+
+    def operations(self) -> list[Operation]:
+        """Rows of time.size samples, one a range frequency; zero where the input has no data."""
         scale = self.carrier / (self.carrier + self.range_frequency.values)
         middle = float(self.time.position(np.array(0.0)))
-        table = phase.interpolation_taps(self.taps, occupancy=self.occupancy)
-        out = np.empty_like(block)
-
-        def stretch(rows: slice) -> None:
-            phase.stretch_rows(block[rows], out[rows], scale[rows], middle, table)
-
-        fourier.run_groups(stretch, fourier.row_groups(*block.shape), threads)
-        return out
+        return [Stretch(scale, middle, phase.tap_polynomials(self.taps, occupancy=self.occupancy))]
 
     def trace(self, line: Line) -> Line:
         return line.shift_range(SPEED_OF_LIGHT / (2 * self.carrier) * line.doppler * line.time)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class RangeCompression:
+class RangeCompression(Step):
     """RCMC and SRC by one reference, then the transform to range (paper A (18)-(23), errata applied).
 
     Multiplies by exp{4j pi fc / c sum_n ((1 + f / fc)^(1-n) - 1) k_n t^n}, n >= 2: exact in f, where (22)
@@ -114,38 +167,62 @@ class RangeCompression:
         k_0 .. k_(n-1) of the reference target's range about the epoch, m/s^n.
     rows : Axis
         Ranges less the origin that are kept, m.
-    period : int
-        Length of the range transform.
     """
 
     name = "rcmc-src"
+    layout = "columns"
     time: Axis
     carrier: float
     range_frequency: Axis
     reference: FloatArray
     rows: Axis
-    period: int
 
-    def apply(self, block: ComplexArray, *, threads: int) -> ComplexArray:
-        """(n_range_frequency, time.size) to (rows.size, time.size)."""
-        f = self.range_frequency.values / self.carrier
-        order = np.arange(self.reference.size)
-        half = self.time.extent / 2
-        scaled = self.reference * half**order * (2 * self.carrier / SPEED_OF_LIGHT)
-        coefficients = np.where(order >= 2, ((1 + f[:, None]) ** (1 - order) - 1) * scaled, 0.0)
-        z = self.time.values / half
+    @property
+    def source(self) -> Axis:
+        return self.range_frequency
 
-        def correct(columns: ComplexArray, which: slice) -> None:
-            phase.rotate_polynomial(columns, coefficients, z[which])
+    @property
+    def n_row(self) -> int:
+        return self.time.size
 
+    def operations(self) -> list[Operation]:
+        """Rows of range_frequency.size samples to rows.size ranges, one a time: along the block's columns."""
+        return [Turn(self._migration()), self._transform]
+
+    @property
+    def _transform(self) -> Transform:
         # Two-way delay is the dual of range frequency; rows are delays in units of range.
         delay = Axis(self.rows.start * 2 / SPEED_OF_LIGHT, self.rows.step * 2 / SPEED_OF_LIGHT, self.rows.size)
-        return fourier.transform_columns(
-            block, self.range_frequency, delay, self.period, inverse=True, threads=threads, before=correct
-        )
+        return Transform(self.range_frequency, delay, inverse=True)
+
+    @property
+    def period(self) -> int:
+        """Length of the range transform."""
+        return self._transform.period
+
+    def _migration(self) -> Phase:
+        """At each time a polynomial in range frequency: interpolated at Chebyshev's nodes, exact to its order."""
+        f = self.range_frequency
+        centre, scale = f.centre, f.step * f.size / 2
+        nodes = chebyshev.chebpts1(phase.MAX_ORDER + 1)
+        ratio = 1 + (centre + scale * nodes) / self.carrier
+        order = np.arange(2, self.reference.size)
+        in_f = np.linalg.solve(np.vander(nodes, increasing=True), ratio[:, None] ** (1 - order) - 1)
+        half = self.time.extent / 2
+        in_t = self.reference[2:] * half**order * (2 * self.carrier / SPEED_OF_LIGHT)
+        z = self.time.values[:, None] / half
+        coefficients = (in_t * z**order) @ in_f.T
+        return Phase(_trimmed(coefficients), centre, scale)
 
     def trace(self, line: Line) -> Line:
         migration = np.zeros_like(line.time)
         for n in range(self.reference.size - 1, 1, -1):
             migration = (migration + (1 - n) * self.reference[n]) * line.time
         return line.shift_range(-migration * line.time)
+
+
+def _trimmed(coefficients: FloatArray) -> FloatArray:
+    """Without the highest orders that stay below a ten millionth of a cycle."""
+    size = np.abs(coefficients).max(axis=0)
+    tail = np.cumsum(size[::-1])[::-1]
+    return coefficients[:, : max(int(np.count_nonzero(tail > 1e-7)), 1)]

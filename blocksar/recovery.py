@@ -19,9 +19,10 @@ from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 from scipy.special import fresnel
 
-from blocksar import fourier, phase
+from blocksar import fourier, rows
 from blocksar.fourier import Axis
 from blocksar.parameters import SPEED_OF_LIGHT, ComplexArray, FloatArray
+from blocksar.rows import Operation, Program, ScaledTurn, Transform
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -72,6 +73,21 @@ class Recovery:
         # The guard holds no signal: there the series is only kept from running away.
         return np.asarray(chebyshev.chebval(np.clip((time - middle) / half, -1.02, 1.02), self.derotation))
 
+    def program(self, range_frequency: FloatArray) -> Program:
+        """Recovery of some range frequencies (n,), Hz: rows of pulses to rows of Doppler bins, one a frequency."""
+        factor = 1 + range_frequency / self.carrier
+        pulses, time = self.pulses, self.time
+        folded = fourier.dual(pulses, size=self.padded, centre=0.0)
+        operations: list[Operation] = [
+            ScaledTurn(factor, -(self.bulk + self.derotation_cycles(pulses.values))),
+            Transform(pulses, folded, inverse=False),
+            # The derotated band is zero-padded to the width of the whole spectrum: samples in time grow denser.
+            Transform(folded, time, inverse=True),
+            ScaledTurn(factor, self.derotation_cycles(time.values)),
+            Transform(time, self.doppler, inverse=False),
+        ]
+        return Program(operations, source=pulses, n_row=factor.size)
+
 
 def recover_columns(
     signal: ComplexArray, *, range_frequency: FloatArray, recovery: Recovery, threads: int = 1
@@ -87,30 +103,10 @@ def recover_columns(
 
     Returns
     -------
-    (n_column, recovery.doppler.size) complex64
+    (recovery.doppler.size, n_column) complex64
         Plain sum over pulses: a unit target lit in N pulses has a spectrum of energy N recovery.padded.
     """
-    factor = 1 + range_frequency / recovery.carrier
-    pulses, time, doppler = recovery.pulses, recovery.time, recovery.doppler
-    narrow = fourier.dual(pulses, size=recovery.padded, centre=0.0)
-    wide = fourier.dual(time, size=time.size, centre=0.0)
-    first = doppler.size // 2 - recovery.padded // 2
-    before = -(recovery.bulk + recovery.derotation_cycles(pulses.values))
-    after = recovery.derotation_cycles(time.values)
-    out = np.empty((signal.shape[1], doppler.size), np.complex64)
-
-    def work(rows: slice) -> None:
-        echo = np.ascontiguousarray(signal[:, rows].T)
-        phase.rotate_outer(echo, factor[rows], before)
-        folded = fourier.to_doppler(echo, pulses, narrow)
-        spread = np.zeros((echo.shape[0], doppler.size), np.complex64)
-        spread[:, first : first + recovery.padded] = folded
-        recovered = fourier.to_time(spread, wide, time)
-        phase.rotate_outer(recovered, factor[rows], after)
-        out[rows] = fourier.to_doppler(recovered, time, doppler)
-
-    fourier.run_groups(work, fourier.row_groups(signal.shape[1], doppler.size), threads)
-    return out
+    return recovery.program(range_frequency).run(signal, load="columns", store="columns", threads=threads)
 
 
 def chirp_spectrum(frequency: FloatArray, *, chirp_rate: float, pulse_width: float) -> NDArray[np.complex128]:
@@ -180,7 +176,7 @@ class RawCompression:
     def apply(self, echo: ComplexArray, *, pulses: slice, threads: int = 1) -> ComplexArray:
         """(n, n_fast_time) of the given pulses to (n, n_range_frequency) complex64; a row with a gap is missing."""
         axis = Axis(-(self.fast_time.size // 2) / self.fast_time.extent, 1 / self.fast_time.extent, self.fast_time.size)
-        spectrum = fourier.transform(echo, self.fast_time, axis, inverse=False, threads=threads)
+        spectrum = rows.transform(echo, self.fast_time, axis, inverse=False, threads=threads)
         band = spectrum[:, self.first : self.first + self.range_frequency.size]
         cycles = 2 / SPEED_OF_LIGHT * self.reference_range[pulses, None] * self.range_frequency
         return (band * self.weight * fourier.unit_phasor(cycles)).astype(np.complex64)

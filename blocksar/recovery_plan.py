@@ -84,7 +84,7 @@ def plan_recovery(geometry: Geometry, region: Region) -> Recovery:
     half = pulses.extent / 2
     middle = pulses.start + pulses.step * (pulses.size - 1) / 2
     u = (inner.time - middle) / half
-    series = _middle_line(u.ravel(), inner.doppler.ravel(), order=min(9, time.size // 8))
+    series = middle_line(u.ravel(), inner.doppler.ravel(), order=min(9, time.size // 8))
     bent = inner.doppler - chebyshev.chebval(u, series)
     low, high = float(line.doppler.min()), float(line.doppler.max())
     derotated_low, derotated_high = float(bent.min()), float(bent.max())
@@ -135,7 +135,7 @@ def _lit_lines(geometry: Geometry, region: Region, origin: float, walk: float, *
     return recovered_line(geometry, epoch_range=ranges, yaw=region.yaw, origin=origin, walk=walk)
 
 
-def _middle_line(u: FloatArray, doppler: FloatArray, *, order: int) -> FloatArray:
+def middle_line(u: FloatArray, doppler: FloatArray, *, order: int) -> FloatArray:
     """Chebyshev series through the middle of the lit band at each time u in [-1, 1]: what derotation follows.
 
     Paper A (8) follows the beam's centre at the reference range; the middle of all that is lit at a time

@@ -124,7 +124,7 @@ def signal_of(case: Planned, epoch_range: float, yaw: float, *, tapered: bool) -
 
 def slab_of(case: Planned, signal: ComplexArray) -> ComplexArray:
     """The block's part of the recovered spectrum."""
-    spectrum = recover_columns(signal, range_frequency=case.collection.range_frequency, recovery=case.recovery)
+    spectrum = recover_columns(signal, range_frequency=case.collection.range_frequency, recovery=case.recovery).T
     slab = spectrum[:, case.plan.first_bin : case.plan.first_bin + case.plan.n_bin].copy()
     slab.flags.writeable = False
     return slab

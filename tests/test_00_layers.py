@@ -20,10 +20,10 @@ PACKAGE = ROOT / "blocksar"
 # ---------------------------------------------------------------- the tables
 
 GROUND = {"parameters", "fourier", "geometry"}
-KERNELS = GROUND | {"phase", "lines"}
+KERNELS = GROUND | {"lanes", "phase", "rows", "lines"}
 STEPS = {"range_steps", "azimuth_steps"}
 MEASURES = {"recovery", "ground", "backprojection", "measurement"}
-BELOW_GRAPH = KERNELS | STEPS | MEASURES | {"fitting", "region", "recovery_plan", "planning", "stores"}
+BELOW_GRAPH = KERNELS | STEPS | MEASURES | {"steps", "fitting", "region", "recovery_plan", "planning", "stores"}
 BELOW_API = BELOW_GRAPH | {"graph", "scene", "simulation", "plotting"}
 
 ARROWS: dict[str, set[str]] = {
@@ -31,16 +31,19 @@ ARROWS: dict[str, set[str]] = {
     "fourier": {"parameters"},
     "geometry": {"parameters"},
     "scene": {"parameters", "geometry"},
-    "phase": {"parameters"},
+    "lanes": set(),
+    "phase": {"parameters", "fourier", "lanes"},
+    "rows": {"parameters", "fourier", "phase"},
     "lines": {"parameters", "geometry"},
     "fitting": {"parameters", "geometry", "lines"},
-    **dict.fromkeys(STEPS, KERNELS),
+    "steps": KERNELS,
+    **dict.fromkeys(STEPS, KERNELS | {"steps"}),
     **dict.fromkeys(MEASURES, KERNELS),
     "stores": {"parameters"},
     "simulation": GROUND | {"phase", "recovery", "scene", "stores"},
     "region": {"parameters", "geometry"},
     "recovery_plan": KERNELS | {"recovery", "region"},
-    "planning": KERNELS | STEPS | {"fitting", "ground", "recovery", "region", "recovery_plan"},
+    "planning": KERNELS | STEPS | {"steps", "fitting", "ground", "recovery", "region", "recovery_plan"},
     "graph": BELOW_GRAPH,
     "plotting": {"parameters", "geometry", "measurement"},
     "api": BELOW_API,
@@ -53,7 +56,7 @@ HOMES: dict[str, set[str] | None] = {
     "numpy": None,
     "scipy": None,
     "numba": None,
-    "llvmlite": {"backprojection"},
+    "llvmlite": {"backprojection", "lanes"},
     "finufft": {"simulation"},
     "xxhash": {"stores"},
     "zarr": {"stores"},
@@ -68,7 +71,7 @@ HOMES: dict[str, set[str] | None] = {
 }
 
 # Arrays in, arrays out: nothing here knows of files or logs.
-PURE = KERNELS | STEPS | MEASURES | {"fitting"}
+PURE = KERNELS | STEPS | MEASURES | {"steps", "fitting"}
 IMPURE_LIBRARIES = {"io", "json", "logging", "os", "pathlib", "shutil", "tempfile"}
 
 # scipy.fft outside fourier.py, where a comment beside the import says why. numpy.fft: nowhere else.

@@ -11,7 +11,7 @@ from numpy.polynomial import polynomial as power
 from numpy.polynomial.legendre import leggauss
 from reference_steps import collection
 
-from blocksar import fourier
+from blocksar import fourier, rows
 from blocksar.fitting import range_series, yaw_series
 from blocksar.fourier import Axis
 from blocksar.geometry import Geometry
@@ -87,7 +87,7 @@ def envelope(time: FloatArray, *, middle: float, dwell: float) -> FloatArray:
 def value_at(signal: np.ndarray, axis: Axis, time: FloatArray) -> np.ndarray:
     """Value of a signal between its samples, from its whole spectrum: (n,)."""
     doppler = fourier.dual(axis, size=axis.size, centre=0.0)
-    spectrum = fourier.to_doppler(signal[None], axis, doppler)[0].astype(np.complex128)
+    spectrum = rows.to_doppler(signal[None], axis, doppler)[0].astype(np.complex128)
     return np.exp(2j * np.pi * np.multiply.outer(time, doppler.values)) @ spectrum / axis.size
 
 
@@ -122,9 +122,9 @@ def test_a_chirp_through_time_and_doppler_multiplication_is_where_its_line_says(
     p, q = np.array(IN_TIME[in_time]), np.array(IN_DOPPLER[in_doppler])
     lit = envelope(t, middle=middle, dwell=dwell)
     samples = lit * np.exp(2j * np.pi * (power.polyval(t, phase) + power.polyval(t, p)))
-    spectrum = fourier.to_doppler(samples[None].astype(np.complex64), time_axis, doppler_axis)[0]
+    spectrum = rows.to_doppler(samples[None].astype(np.complex64), time_axis, doppler_axis)[0]
     turned = (spectrum * np.exp(2j * np.pi * power.polyval(f, q))).astype(np.complex64)
-    signal = fourier.to_time(turned[None], doppler_axis, time_axis)[0]
+    signal = rows.to_time(turned[None], doppler_axis, time_axis)[0]
 
     def derivatives(c: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         return power.polyval(v, c), power.polyval(v, power.polyder(c)), power.polyval(v, power.polyder(c, 2))

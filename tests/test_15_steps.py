@@ -28,7 +28,7 @@ from reference_steps import (
     taper,
 )
 
-from blocksar import fourier
+from blocksar import fourier, rows
 from blocksar.azimuth_steps import Deramp, DopplerTransform, DwellGate, Perturbation
 from blocksar.fourier import Axis
 from blocksar.lines import Line, RowPhase, focus
@@ -75,7 +75,7 @@ def as_frequency(case: Planned, step: Any, samples: Any) -> tuple[Complex128Arra
     compression = next(s for s in case.plan.chain if isinstance(s, RangeCompression))
     values, frequency = rows_to_frequency(samples, compression.rows, compression.period)
     if isinstance(step, Perturbation):
-        values = fourier.to_time(values.astype(np.complex64), step.doppler, case.plan.chain[-1].time)
+        values = rows.to_time(values.astype(np.complex64), step.doppler, case.plan.chain[-1].time)
     return values, frequency
 
 
@@ -107,7 +107,7 @@ def test_after_every_step_the_measured_line_is_the_traced_one(name: str, place: 
         assert np.abs(found.amplitude[INNER] / wanted[INNER] - 1).max() < 0.02, name
 
     walk = case.plan.chain[0]
-    recovered = fourier.to_time(slab, walk.slab, walk.time)
+    recovered = rows.to_time(slab, walk.slab, walk.time)
     check(walk, recovered, line, time=walk.time, name="recovery")
     seen = []
     for step, samples, traced in after_each_step(case, slab, line):
@@ -169,7 +169,7 @@ def test_a_target_focuses_where_and_as_its_line_says(name: str) -> None:
     # What the gate leaves along Doppler: a short signal about t = 0, under a phase that all rows share.
     final = case.plan.chain[-1]
     held = final.time if final.gate is None else final.gate.time
-    in_time = fourier.to_time(values.astype(np.complex64), final.image_doppler, held).astype(np.complex128)
+    in_time = rows.to_time(values.astype(np.complex64), final.image_doppler, held).astype(np.complex128)
     spot = focus(line)
     given, delay = 0.0, 0.0
     if final.gate is not None:
@@ -223,7 +223,7 @@ def test_each_doppler_sees_the_time_about_its_own_middle_only(slope: float) -> N
     length = 0.06
     time = fourier.centred(0.02, 1 / 1000, 500)
     doppler = fourier.dual(time, size=500, centre=0.0)
-    rows = Axis(-10.0, 5.0, 4)
+    ranges = Axis(-10.0, 5.0, 4)
     first = 0.013
     # psi' = c(f) = first + slope f, and its share that all rows keep.
     series = np.array([[0.0, first * 100, slope * 100**2 / 2]])
@@ -236,7 +236,7 @@ def test_each_doppler_sees_the_time_about_its_own_middle_only(slope: float) -> N
         length=length,
         time=fourier.centred(0.0, time.step, 400),
     )
-    step = DopplerTransform(time=time, doppler=doppler, rows=rows, gate=gate)
+    step = DopplerTransform(time=time, doppler=doppler, rows=ranges, gate=gate)
     rng = np.random.default_rng(0)
     samples = (rng.standard_normal((4, 500)) + 1j * rng.standard_normal((4, 500))).astype(np.complex64)
     image = step.image_doppler
@@ -252,7 +252,7 @@ def test_each_doppler_sees_the_time_about_its_own_middle_only(slope: float) -> N
     error = np.sqrt(np.mean(np.abs(found - wanted)[:, inner] ** 2) / np.mean(np.abs(wanted[:, inner]) ** 2))
     assert error < 0.1
     # Without a gate it is the plain transform.
-    plain = DopplerTransform(time=time, doppler=doppler, rows=rows, gate=None).apply(samples, threads=1)
+    plain = DopplerTransform(time=time, doppler=doppler, rows=ranges, gate=None).apply(samples, threads=1)
     assert np.abs(plain - explicit_transform(samples, time, doppler, inverse=False, period=500)).max() < 1e-4
 
 
@@ -299,7 +299,7 @@ def test_the_residual_walk_takes_out_a_linear_walk_of_the_whole_band() -> None:
     t = TIME.values
     speed = 37.3  # m/s
     doppler = fourier.dual(TIME, size=TIME.size, centre=-2 * CARRIER / SPEED_OF_LIGHT * speed)
-    spectrum = fourier.to_doppler(echo(1.7 + speed * t), TIME, doppler)
+    spectrum = rows.to_doppler(echo(1.7 + speed * t), TIME, doppler)
     step = ResidualRangeWalk(
         slab=doppler, time=TIME, walk=-2 * CARRIER / SPEED_OF_LIGHT * speed, carrier=CARRIER, range_frequency=FREQUENCY
     )
@@ -316,12 +316,10 @@ def test_range_compression_straightens_its_reference_exactly() -> None:
     cycles = -2 * CARRIER / SPEED_OF_LIGHT * (scaled @ t ** order[:, None])
     cell = SPEED_OF_LIGHT / (2 * BANDWIDTH)
     period = 96
-    rows = Axis(-20 * cell, cell * N_FREQUENCY / period, 60)
-    step = RangeCompression(
-        time=TIME, carrier=CARRIER, range_frequency=FREQUENCY, reference=reference, rows=rows, period=period
-    )
+    ranges = Axis(-20 * cell, cell * N_FREQUENCY / period, 60)
+    step = RangeCompression(time=TIME, carrier=CARRIER, range_frequency=FREQUENCY, reference=reference, rows=ranges)
     found = step.apply(fourier.unit_phasor(cycles), threads=1)
     # One row's profile times the carrier's own phase at every time.
-    profile = compress_range(np.ones((N_FREQUENCY, 1)), f, rows.values[:, None]) * N_FREQUENCY / period
+    profile = compress_range(np.ones((N_FREQUENCY, 1)), f, ranges.values[:, None]) * N_FREQUENCY / period
     carrier = -2 * CARRIER / SPEED_OF_LIGHT * (reference @ t ** order[:, None])
     assert np.abs(found - profile * np.exp(2j * np.pi * carrier)).max() < 1e-5

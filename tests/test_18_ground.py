@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import pickle
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
@@ -12,7 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference_steps import Planned, collection, line_of, planned, signal_of, slab_of, target_at
 
-from blocksar.ground import GroundMap, correct, fit_surface
+from blocksar import phase
+from blocksar.ground import GroundMap, Surface, correct, covers, fit_surface
 from blocksar.lines import focus
 from blocksar.parameters import ComplexArray, FloatArray
 from blocksar.region import lit_pulses
@@ -91,6 +95,74 @@ def test_every_pixel_is_the_blocks_value_where_it_focuses(step: float, yaw_deg: 
     # Taps in either direction are planned to err by 1e-3 at most, root mean square over the band.
     assert np.sqrt(np.mean(np.abs(error) ** 2)) < 1e-3
     assert np.abs(error).max() < 4e-3
+
+
+def weigh(positions: FloatArray, taps: tuple[int, float], n: int) -> tuple[FloatArray, FloatArray]:
+    """First sample and weights (n_position, n_tap) of each window; first is -1 where it leaves the n samples."""
+    table = phase.interpolation_taps(taps[0], occupancy=taps[1]).astype(np.float64)
+    whole = np.floor(positions)
+    fine = (positions - whole) * (table.shape[0] - 1)
+    row = np.minimum(fine.astype(int), table.shape[0] - 2)
+    first = whole.astype(int) - (taps[0] // 2 - 1)
+    weights = table[row] + (fine - row)[:, None] * (table[row + 1] - table[row])
+    return np.where((first >= 0) & (first + taps[0] <= n), first, -1), weights
+
+
+def tap_by_tap(block: ComplexArray, ground: GroundMap, x: FloatArray, y: FloatArray) -> np.ndarray:
+    """What `correct` computes, every pixel by its own in float64: NaN only where its window leaves the block."""
+    place = [v.ravel() for v in ground.locate(*np.meshgrid(x, y))]
+    row, doppler, cycles, gain, turn, middle = place
+    first_row, range_weights = weigh(row, ground.range_taps, block.shape[0])
+    first_doppler, doppler_weights = weigh(doppler, ground.doppler_taps, block.shape[1])
+    nearest = (ground.middle_yaw + turn - ground.yaw_axis[0]) / (ground.yaw_axis[1] - ground.yaw_axis[0])
+    lit = ground.lit[np.clip(np.floor(nearest + 0.5).astype(int), 0, ground.lit.size - 1)]
+    out = np.full(row.size, np.nan + 0j)
+    for k in np.flatnonzero((first_row >= 0) & (first_doppler >= 0)):
+        samples = first_doppler[k] + np.arange(ground.doppler_taps[0])
+        window = block[first_row[k] : first_row[k] + ground.range_taps[0], samples].astype(np.complex128)
+        carrier = np.exp(2j * np.pi * middle[k] * (samples - doppler[k]))
+        out[k] = range_weights[k] @ window @ (doppler_weights[k] * carrier) * np.exp(-2j * np.pi * cycles[k])
+    return (out / (gain * lit * ground.scale)).reshape(y.size, x.size)
+
+
+@pytest.mark.parametrize("doppler_taps", [4, 6, 8, 10, 16, 20, 32])
+@pytest.mark.parametrize("range_taps", [4, 10, 12, 16, 18, 32])
+def test_any_number_of_taps_against_one_tap_after_the_other(range_taps: int, doppler_taps: int) -> None:
+    """On noise, where no tap may be missed; also where windows meet the block's ends."""
+    case = case_of()
+    ground = replace(case.plan.ground, range_taps=(range_taps, 0.7), doppler_taps=(doppler_taps, 0.6))
+    x, y = around(case, 30e3, ground.middle_yaw, step=2.2, shape=(40, 50))
+    row, doppler = ground.locate(*np.meshgrid(x, y))[:2]
+    # The block's ends lie within the image, in either direction.
+    rows = ground.rows.part(int(row.min()) + 3, int(np.ptp(row)) - 2)
+    columns = ground.doppler.part(int(doppler.min()) + 2, int(np.ptp(doppler)) - 3)
+    ground = replace(ground, rows=rows, doppler=columns)
+    rng = np.random.default_rng(range_taps)
+    block = rng.standard_normal((rows.size, 2 * columns.size), np.float32).view(np.complex64)
+    image, slow = correct(block, ground, x=x, y=y), tap_by_tap(block, ground, x, y)
+    held = np.isfinite(slow)
+    np.testing.assert_array_equal(np.isfinite(image), held)
+    assert 0.3 < held.mean() < 0.99
+    level = np.sqrt(np.mean(np.abs(slow[held]) ** 2))
+    assert np.abs(image - slow)[held].max() < 3e-6 * level
+
+
+def test_a_block_smaller_than_a_window_is_read_no_further_than_it_goes() -> None:
+    case = case_of(swath="wide")
+    ground = case.plan.ground
+    x, y = around(case, 30e3, ground.middle_yaw, step=1.0, shape=(9, 9))
+    row, doppler = (int(v[4, 4]) for v in ground.locate(*np.meshgrid(x, y))[:2])
+    n_row, n_doppler = ground.range_taps[0], ground.doppler_taps[0]
+    exact = replace(
+        ground,
+        rows=ground.rows.part(row - (n_row // 2 - 1), n_row),
+        doppler=ground.doppler.part(doppler - (n_doppler // 2 - 1), n_doppler),
+    )
+    block = np.ones((n_row, n_doppler), np.complex64)
+    image, slow = correct(block, exact, x=x, y=y), tap_by_tap(block, exact, x, y)
+    np.testing.assert_array_equal(np.isfinite(image), np.isfinite(slow))
+    assert np.isfinite(image[4, 4])
+    np.testing.assert_allclose(image, slow, rtol=1e-4)
 
 
 @pytest.mark.parametrize("blocks", [30, 60])
@@ -203,6 +275,20 @@ def test_a_surface_goes_through_polynomials_of_its_degree() -> None:
     np.testing.assert_allclose(surface(r, v), smooth(r, v), atol=1e-10)
 
 
+def test_a_surface_is_its_series() -> None:
+    """Against numpy's evaluation, for any shape of points: none, one, and more than go through the loop at once."""
+    rng = np.random.default_rng(4)
+    for degree in ((0, 0), (1, 3), (9, 16)):
+        series = np.asfortranarray(rng.normal(0, 1, (degree[0] + 1, degree[1] + 1)))
+        series.flags.writeable = False
+        surface = Surface(series=series, near=27e3, far=33e3, low=-0.2, high=0.3)
+        for shape in ((), (0,), (1,), (64,), (7, 31)):
+            r, v = rng.uniform(26.9e3, 33.1e3, shape), rng.uniform(-0.2, 0.3, shape)
+            expected = np.polynomial.chebyshev.chebval2d((r - 30e3) / 3e3, (v - 0.05) / 0.25, series)
+            np.testing.assert_allclose(surface(r, v), expected, atol=1e-11)
+    assert surface(np.full((5, 1), 30e3), np.full(4, 0.1)).shape == (5, 4)
+
+
 # -- seams ---------------------------------------------------------------------------------------------------
 
 
@@ -300,6 +386,60 @@ def test_what_no_block_holds_is_nan() -> None:
     inside = far - ground.geometry.epoch_range(*np.meshgrid(x, y))
     held = owned(ground, x, y)
     assert held[inside > 1e-6].all() and not held[inside < -1e-6].any()
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    yaw=st.floats(-1.2, 1.2),
+    epoch_range=st.floats(27e3, 33e3),
+    step=st.floats(0.5, 8.0),
+    shape=st.tuples(st.integers(1, 60), st.integers(1, 60)),
+)
+def test_pixels_that_are_not_covered_are_nan(
+    yaw: float, epoch_range: float, step: float, shape: tuple[int, int]
+) -> None:
+    case = case_of(swath="wide")
+    ground = case.plan.ground
+    at = ground.middle_yaw + yaw * (ground.high - ground.low)
+    x, y = around(case, epoch_range, at, step=step, shape=shape)
+    assert covers(ground, x, y) or not owned(ground, x, y).any()
+
+
+def test_what_is_far_from_the_block_is_not_covered() -> None:
+    case = case_of(swath="wide")
+    ground = case.plan.ground
+    assert covers(ground, *around(case, 30e3, ground.middle_yaw, step=1.0, shape=(20, 30)))
+    for epoch_range, yaw in ((30e3, ground.high + 0.02), (30e3, ground.middle_yaw + np.pi), (34e3, ground.middle_yaw)):
+        assert not covers(ground, *around(case, epoch_range, yaw, step=1.0, shape=(20, 30)))
+
+
+def test_what_is_compiled_once_is_all_that_is_used() -> None:
+    """`compile_kernels` fills the cache for blocks, maps and pixels as they come to a worker: read-only or not."""
+    script = """
+import pickle, sys
+from blocksar import ground
+ground.compile_kernels()
+loops = ground._resample, ground._sum_series
+compiled = [len(loop.signatures) for loop in loops]
+block, cases, x, y = pickle.load(sys.stdin.buffer)
+for array in (block, x, y):
+    array.flags.writeable = False
+for case in cases:
+    ground.correct(block, case, x=x, y=y)
+assert [len(loop.signatures) for loop in loops] == compiled
+assert not any(loop.stats.cache_misses for loop in loops) or "fresh" in sys.argv
+"""
+    case = case_of(swath="wide")
+    ground = case.plan.ground
+    x, y = around(case, 30e3, ground.middle_yaw, step=1.0, shape=(3, 4))
+    cases = [
+        replace(ground, range_taps=(n, 0.6), doppler_taps=(m, 0.5)) for n in (4, 14, 22, 32) for m in (4, 10, 14, 32)
+    ]
+    block = np.ones((ground.rows.size, ground.doppler.size), np.complex64)
+    for argument in ("fresh", "cached"):
+        subprocess.run(
+            [sys.executable, "-c", script, argument], input=pickle.dumps((block, cases, x, y)), check=True
+        )  # fmt: skip
 
 
 def test_pulses_are_counted_as_they_light() -> None:

@@ -20,7 +20,7 @@ from blocksar import api, stores
 from blocksar.geometry import Geometry
 from blocksar.graph import open_client
 from blocksar.parameters import InputError
-from blocksar.planning import Plan, plan_block
+from blocksar.planning import Plan, plan_block, plan_collection
 from blocksar.recovery_plan import plan_recovery
 from blocksar.region import block_seams, plan_region
 from blocksar.scene import Scene
@@ -112,6 +112,36 @@ def test_coherence_with_back_projection_on_clutter(name: str, client: Client, tm
         assert chip["coherence"] >= least, chip
         assert chip["gain"] == pytest.approx(1.0, abs=0.02), chip
         assert abs(chip["phase"]) <= 0.02, chip
+
+
+@pytest.mark.parametrize("name", ["table1", "yaw past 90", "10 GHz, 150 MHz", "35 GHz, 100 MHz"])
+def test_range_sub_blocks_are_as_good_as_whole_blocks(
+    name: str, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Coherence with back-projection on clutter, across the seams in range too, and calibration."""
+    monkeypatch.setattr(api, "plan_collection", lambda *a, **k: plan_collection(*a, **{**k, "parts": 3}))
+    store = write_store(tmp_path, **GEOMETRIES[name], more=CLUTTER)
+    blocksar.focus(store, tmp_path / "run", blocks=2, grid=coarse_grid(store), client=client)
+    record = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert [(b["block"], b["part"]) for b in record["plan"]["predicted"]] == [(b, p) for b in (0, 1) for p in (0, 1, 2)]
+    chips = blocksar.quality(tmp_path / "run", reference=True).result["reference"]
+    assert sum("range seam" in chip["place"] for chip in chips) >= 2
+    least = 0.995 if name == "table1" else 0.99
+    for chip in chips:
+        assert chip["coherence"] >= least, chip
+        assert chip["gain"] == pytest.approx(1.0, abs=0.02), chip
+        assert abs(chip["phase"]) <= 0.02, chip
+
+
+def test_a_small_memory_divides_blocks_in_range_and_is_kept_to(table1: Path, tmp_path: Path) -> None:
+    limit = 560 * 2**20
+    blocksar.focus(table1, tmp_path / "run", blocks=2, workers=2, memory_limit=limit)
+    record = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert record["plan"]["parts"] > 1
+    assert record["peak_memory"] <= max(b["memory"] for b in record["plan"]["predicted"]) <= limit
+    check_targets(blocksar.quality(tmp_path / "run").result, 73)
+    # As many sub-blocks as the first plan made, whatever the memory is when the run goes on.
+    assert "nothing to do" in blocksar.focus(table1, tmp_path / "run", blocks=2, workers=1).summary[0]
 
 
 @pytest.mark.parametrize("blocks", [1, 3])

@@ -1,0 +1,318 @@
+"""What can be done to rows of samples, and how it is done while a few rows are in the cache.
+
+A step says what it does as a list of operations along rows: transforms, phases, windows, resampling. A `Program`
+lowers them: every phase, the linear ones that a transform between two axes asks for included, waits until the samples
+are next copied, and then all that have gathered are multiplied in one pass. Rows are worked on in fixed groups,
+one thread a group. Fixed, because the FFT library's SIMD path depends on how many rows it is given: a grouping by the
+number of threads would change the last bit of an image with it. Groups may be read from the columns of an array, and
+written to those of another, which is how a transform along the first axis is done.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from blocksar import phase
+from blocksar.fourier import Axis, fft_rows
+from blocksar.parameters import ComplexArray, FloatArray
+from blocksar.phase import Float32Array, Phase
+
+GROUP_BYTES = 768 * 1024  # rows worked on at a time: within a core's second-level cache
+GROUP_ROWS = 4  # and a multiple of so many, which the FFT library transforms at once
+
+Layout = Literal["rows", "columns"]
+
+
+@dataclass(frozen=True, eq=False)
+class Turn:
+    """Multiply by exp(2j pi phase)."""
+
+    phase: Phase
+
+
+@dataclass(frozen=True, eq=False)
+class ScaledTurn:
+    """Multiply by exp(2j pi factor[row] cycles[i]): any phase, scaled from row to row as with frequency."""
+
+    factor: FloatArray
+    cycles: FloatArray
+
+
+@dataclass(frozen=True)
+class Transform:
+    """The transform pair of `fourier`, zero-padded to its period and cut to the target's samples."""
+
+    source: Axis
+    target: Axis
+    inverse: bool
+
+    @property
+    def period(self) -> int:
+        return round(1 / (self.source.step * self.target.step))
+
+    def __post_init__(self) -> None:
+        source, target = self.source, self.target
+        whole = abs(source.step * target.step * self.period - 1) < 1e-9 if self.period else False
+        if not whole or max(source.size, target.size) > self.period:
+            raise ValueError(f"axes are no transform pair: {source=} {target=}")
+
+    def phases(self) -> tuple[Phase, Phase]:
+        """What to multiply by before and after an FFT for it to become the sum between these axes."""
+        source, target = self.source, self.target
+        sign = 1.0 if self.inverse else -1.0
+        before = np.array([[0.0, sign * target.start]])
+        after = np.array([[-sign * target.start * source.start, sign * source.start]])
+        return Phase(before, 0.0, 1.0), Phase(after, 0.0, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """Multiply row r by windows[which[r]]."""
+
+    windows: ComplexArray
+    which: NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """Resample row r at position middle + (i - middle) scale[r]; zero where the input has no data."""
+
+    scale: FloatArray
+    middle: float
+    taps: Float32Array
+
+
+Operation = Turn | ScaledTurn | Transform | Window | Stretch
+
+
+class Program:
+    """Operations along rows, lowered.
+
+    Parameters
+    ----------
+    operations : sequence of Operation
+    source : Axis
+        Of the rows that come in.
+    n_row : int
+
+    Attributes
+    ----------
+    target : Axis
+        Of the rows that come out.
+    transforms : list of int
+        Lengths of the FFTs that each row goes through.
+    """
+
+    def __init__(self, operations: Sequence[Operation], *, source: Axis, n_row: int) -> None:
+        self.source, self.target, self.n_row = source, source, n_row
+        self.transforms: list[int] = []
+        self._works: list[_Work] = []
+        self._waiting = np.zeros((n_row, 2))
+        self._scaled: ScaledTurn | None = None
+        for operation in operations:
+            match operation:
+                case Turn():
+                    self._turn(operation.phase)
+                case ScaledTurn():
+                    if self._scaled is not None:
+                        raise ValueError("two scaled phases without a transform between them")
+                    self._scaled = operation
+                case Transform():
+                    self._transform(operation)
+                case Window():
+                    if not self._works:  # never on the samples that came in
+                        self._works.append(self._settle())
+                    self._works.append(_Windowed(operation))
+                case Stretch():
+                    self._works += [self._settle(), _Stretched(operation)]
+        if self._waiting.any() or not (self._works and isinstance(self._works[-1], _Stretched)):
+            self._works.append(self._settle())  # the last one writes to where the result belongs
+
+    def _turn(self, given: Phase) -> None:
+        added = given.along(self.target)
+        waiting = np.zeros((self.n_row, max(added.shape[1], self._waiting.shape[1])))
+        waiting[:, : self._waiting.shape[1]] = self._waiting
+        waiting[:, : added.shape[1]] += added
+        self._waiting = waiting
+
+    def _settle(self, size: int | None = None) -> _Copy:
+        """Copy to rows of `size` samples, multiplied by all phases that wait, with zeros behind."""
+        kept = self.target.size
+        if self._scaled and self._waiting.shape[1] > 2:
+            raise ValueError("a scaled phase goes with linear ones only")
+        coefficients = self._waiting if self._scaled else phase.as_coefficients(self._waiting)
+        copy = _Copy(coefficients=coefficients, scaled=self._scaled, kept=kept, size=size or kept)
+        self._waiting, self._scaled = np.zeros((self.n_row, 2)), None
+        return copy
+
+    def _transform(self, operation: Transform) -> None:
+        if operation.source.size != self.target.size:
+            raise ValueError(f"rows of {self.target.size} samples do not go into {operation}")
+        before, after = operation.phases()
+        self.target = operation.source  # a step may give its samples another axis
+        self._turn(before)
+        self._works += [self._settle(operation.period), _Fft(operation.inverse)]
+        self.target = operation.target
+        self.transforms.append(operation.period)
+        self._turn(after)
+
+    def groups(self, first: int, last: int, *, columns: bool) -> list[slice]:
+        """The rows first .. last - 1 in groups that depend on nothing but the program."""
+        return row_groups(first, last, max([self.source.size, *self.transforms]), columns=columns)
+
+    def run(
+        self,
+        x: ComplexArray,
+        *,
+        out: ComplexArray | None = None,
+        first: int = 0,
+        load: Layout = "rows",
+        store: Layout = "rows",
+        threads: int = 1,
+    ) -> ComplexArray:
+        """Run on all rows of `x`, which are rows first .. of those that the program was made for.
+
+        Parameters
+        ----------
+        x : (n, source.size) complex64, or (source.size, n) if load is "columns"
+            Not changed.
+        out : complex64 array, optional
+            For the result of all rows of the program, of which these are written. If both load and store are
+            "columns", the memory may be that of x.
+
+        Returns
+        -------
+        (n, target.size) complex64, or (target.size, n) if store is "columns"
+
+        Raises
+        ------
+        ValueError
+            If x does not have that shape.
+        """
+        n, size = x.shape if load == "rows" else x.shape[::-1]
+        if size != self.source.size or first + n > self.n_row:
+            raise ValueError(f"{x.shape=}, but the program takes {self.n_row} rows of {self.source.size} as {load}")
+        written = first  # where in `out` the first row goes
+        if out is None:
+            shape = (n, self.target.size) if store == "rows" else (self.target.size, n)
+            out, written = np.empty(shape, np.complex64), 0
+
+        def work(rows: slice) -> None:
+            place = slice(rows.start - first + written, rows.stop - first + written)
+            if load == "rows":
+                group = x[rows.start - first : rows.stop - first]
+            else:
+                group = np.empty((rows.stop - rows.start, size), np.complex64)
+                phase.gather_columns(x, rows.start - first, group)
+            for step in self._works[:-1]:
+                group = step(group, rows)
+            if store == "rows":
+                self._works[-1](group, rows, out[place])
+            else:
+                phase.scatter_columns(self._works[-1](group, rows), self.target.size, place.start, out)
+
+        run_groups(work, self.groups(first, first + n, columns="columns" in (load, store)), threads)
+        return out
+
+
+class _Work(Protocol):
+    """What is done to a group of rows: in place, or into another array."""
+
+    def __call__(self, group: ComplexArray, rows: slice, out: ComplexArray | None = None) -> ComplexArray: ...
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Copy:
+    """A copy of rows, multiplied by the phases that waited, zeros behind."""
+
+    coefficients: FloatArray
+    scaled: ScaledTurn | None
+    kept: int
+    size: int
+
+    def __call__(self, group: ComplexArray, rows: slice, out: ComplexArray | None = None) -> ComplexArray:
+        if out is None:
+            out = np.empty((group.shape[0], self.size), np.complex64)
+        out[:, self.kept :] = 0
+        coefficients = self.coefficients[rows]
+        if self.scaled is None:
+            phase.rotate(group, self.kept, coefficients, out)
+        else:
+            factor, cycles = self.scaled.factor[rows], self.scaled.cycles
+            phase.rotate_scaled(group, out, phase.unit(self.kept), coefficients, factor, cycles)
+        return out
+
+
+@dataclass(frozen=True)
+class _Fft:
+    inverse: bool
+
+    def __call__(self, group: ComplexArray, rows: slice, out: ComplexArray | None = None) -> ComplexArray:
+        return fft_rows(group, inverse=self.inverse)
+
+
+@dataclass(frozen=True, eq=False)
+class _Windowed:
+    operation: Window
+
+    def __call__(self, group: ComplexArray, rows: slice, out: ComplexArray | None = None) -> ComplexArray:
+        windows, which = self.operation.windows, self.operation.which[rows]
+        group[:, : windows.shape[1]] *= windows[which]
+        return group
+
+
+@dataclass(frozen=True, eq=False)
+class _Stretched:
+    operation: Stretch
+
+    def __call__(self, group: ComplexArray, rows: slice, out: ComplexArray | None = None) -> ComplexArray:
+        if out is None:
+            out = np.empty_like(group)
+        phase.stretch_rows(group, out, self.operation.scale[rows], self.operation.middle, self.operation.taps)
+        return out
+
+
+def row_groups(first: int, last: int, length: int, *, columns: bool = False) -> list[slice]:
+    """Rows of `length` samples in groups of about GROUP_BYTES, whole cache lines of an array's columns if they are."""
+    multiple = 2 * GROUP_ROWS if columns else GROUP_ROWS
+    rows = max(GROUP_BYTES // (8 * length) // multiple, 1) * multiple
+    return [slice(i, min(i + rows, last)) for i in range(first, last, rows)]
+
+
+def run_groups(work: Callable[[slice], None], groups: list[slice], threads: int) -> None:
+    """Do `work` for every group, on as many threads."""
+    if threads == 1:
+        for group in groups:
+            work(group)
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        for _ in pool.map(work, groups):
+            pass
+
+
+def transform(x: ComplexArray, source: Axis, target: Axis, *, inverse: bool, threads: int = 1) -> ComplexArray:
+    """The rows of x (n_row, source.size) from one axis to another: (n_row, target.size) complex64.
+
+    Raises
+    ------
+    ValueError
+        If the axes are no transform pair, or x is not sampled on the source.
+    """
+    program = Program([Transform(source, target, inverse)], source=source, n_row=x.shape[0])
+    return program.run(x, threads=threads)
+
+
+def to_doppler(x: ComplexArray, time: Axis, doppler: Axis, *, threads: int = 1) -> ComplexArray:
+    """Slow time to Doppler along the last axis."""
+    return transform(x, time, doppler, inverse=False, threads=threads)
+
+
+def to_time(x: ComplexArray, doppler: Axis, time: Axis, *, threads: int = 1) -> ComplexArray:
+    """Doppler to slow time along the last axis."""
+    return transform(x, doppler, time, inverse=True, threads=threads)
