@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import dask
 import numpy as np
@@ -27,7 +27,7 @@ from distributed.system import MEMORY_LIMIT
 from blocksar import stores
 from blocksar.backprojection import form_image
 from blocksar.geometry import Geometry
-from blocksar.ground import GroundMap, correct
+from blocksar.ground import GroundMap, correct, covers
 from blocksar.ground import compile_kernels as compile_correction
 from blocksar.parameters import ComplexArray, FloatArray, InputError, ProcessingError
 from blocksar.planning import BlockPlan, Plan
@@ -209,8 +209,16 @@ def _clear_missing(signal: ComplexArray) -> dict[int, int]:
     return {int(pulse): int(missing[pulse]) for pulse in np.flatnonzero(missing)}
 
 
-def read_slab(run: Run, block: BlockPlan, stage: Stage, chunk: tuple[int, int]) -> ComplexArray:
+class Samples(NamedTuple):
+    """A block on its way, and the seconds that each of its tasks took."""
+
+    values: ComplexArray
+    seconds: dict[str, float]
+
+
+def read_slab(run: Run, block: BlockPlan, stage: Stage, chunk: tuple[int, int]) -> Samples:
     """Run a block's first stage on its part of the spectrum, a few chunks of which are read at a time."""
+    started = time.perf_counter()
     program = stage.program
     bins = (block.first_bin, block.first_bin + block.n_bin)
     n_frequency = block.chain[0].source.size if stage.layout == "columns" else block.chain[0].n_row
@@ -220,12 +228,12 @@ def read_slab(run: Run, block: BlockPlan, stage: Stage, chunk: tuple[int, int]) 
         for first, last in _chunks(*bins, chunk[0]):
             part = stores.read_region(run.spectrum, "spectrum", (slice(first, last), slice(None)))
             program.run(part, out=out, first=first - bins[0], store="columns", threads=run.threads)
-        return out
+        return Samples(out, {f"read-slab+{stage.name}": time.perf_counter() - started})
     out = _buffer(block, program.target.size)
     for first, last in _chunks(0, n_frequency, chunk[1]):
         part = stores.read_region(run.spectrum, "spectrum", (slice(*bins), slice(first, last)))
         program.run(part, out=out, first=first, load="columns", threads=run.threads)
-    return out
+    return Samples(out, {f"read-slab+{stage.name}": time.perf_counter() - started})
 
 
 def _chunks(first: int, last: int, size: int) -> Iterator[tuple[int, int]]:
@@ -240,20 +248,23 @@ def _buffer(block: BlockPlan, length: int) -> ComplexArray:
     return np.empty((rows, length), np.complex64)
 
 
-def run_stage(run: Run, block: BlockPlan, stage: Stage, samples: ComplexArray) -> ComplexArray:
+def run_stage(run: Run, block: BlockPlan, stage: Stage, given: Samples) -> Samples:
     """Run a stage on a block. Range compression works in place: nobody else has its input."""
-    program = stage.program
+    started = time.perf_counter()
+    samples, program = given.values, stage.program
     if stage.layout == "columns":
         program.run(
             samples[: program.source.size], out=samples[: program.target.size],
             load="columns", store="columns", threads=run.threads,
         )  # fmt: skip
-        return samples
-    out = _buffer(block, program.target.size) if isinstance(stage.steps[-1], Keystone) else None
-    return program.run(samples[: program.n_row], out=out, threads=run.threads)
+        out = samples
+    else:
+        room = _buffer(block, program.target.size) if isinstance(stage.steps[-1], Keystone) else None
+        out = program.run(samples[: program.n_row], out=room, threads=run.threads)
+    return Samples(out, given.seconds | {stage.name: time.perf_counter() - started})
 
 
-def write_patch(run: Run, unit: str, name: str, block: ComplexArray, ground: GroundMap, grid: Grid) -> Receipt:
+def write_patch(run: Run, unit: str, name: str, block: Samples, ground: GroundMap, grid: Grid) -> Receipt:
     """Geometric correction of a focused block into its own patch, chunk by chunk of the image's grid."""
     started = time.perf_counter()
     first_y, first_x, n_y, n_x = patch_window(ground, grid)
@@ -268,15 +279,18 @@ def write_patch(run: Run, unit: str, name: str, block: ComplexArray, ground: Gro
     for y in range(0, n_y, side[0]):
         for x in range(0, n_x, side[1]):
             rows, columns = slice(y, min(y + side[0], n_y)), slice(x, min(x + side[1], n_x))
-            pixels = correct(
-                block, ground, threads=run.threads,
-                x=grid.x[first_x + columns.start : first_x + columns.stop],
-                y=grid.y[first_y + rows.start : first_y + rows.stop],
-            )  # fmt: skip
+            place = {
+                "x": grid.x[first_x + columns.start : first_x + columns.stop],
+                "y": grid.y[first_y + rows.start : first_y + rows.stop],
+            }
+            if not covers(ground, **place):
+                continue
+            pixels = correct(block.values, ground, threads=run.threads, **place)
             if np.isfinite(pixels.real).any():
                 stores.write_region(path, "image", (rows, columns), pixels)
                 chunks[f"{(first_y + y) // side[0]},{(first_x + x) // side[1]}"] = stores.checksum(pixels)
-    return run.sign(unit, started, origin=[first_y, first_x], chunks=chunks)
+    seconds = block.seconds | {"geometric-correction": time.perf_counter() - started}
+    return run.sign(unit, started, origin=[first_y, first_x], chunks=chunks, steps=seconds)
 
 
 def merge_chunk(
@@ -288,13 +302,13 @@ def merge_chunk(
     y, x = cell[0] * side[0], cell[1] * side[1]
     rows, columns = slice(y, min(y + side[0], grid.shape[0])), slice(x, min(x + side[1], grid.shape[1]))
     shape = (rows.stop - rows.start, columns.stop - columns.start)
+    windows = [
+        tuple(slice(part.start - first, part.stop - first) for part, first in zip((rows, columns), origin, strict=True))
+        for _, _, *origin in parts
+    ]
     image: ComplexArray | None = None
     owner = np.full(shape, -1, np.int16)
-    for index, name, first_y, first_x in parts:
-        window = (
-            slice(rows.start - first_y, rows.stop - first_y),
-            slice(columns.start - first_x, columns.stop - first_x),
-        )
+    for (index, name, *_), window in zip(parts, windows, strict=True):
         patch = stores.read_region(run.patch(name), "image", window)
         mine = np.isfinite(patch.real)
         np.copyto(owner, index, where=mine)
@@ -303,7 +317,12 @@ def merge_chunk(
         else:
             np.copyto(image, patch, where=mine)
     assert image is not None
-    stores.write_region(run.image, "image", (rows, columns), image)
+    # A chunk that one block alone covers is that block's: it need not lie on the disk twice.
+    alone = len(parts) == 1 and stores.share_region(
+        run.image, "image", (rows, columns), source=run.patch(parts[0][1]), source_region=windows[0]
+    )
+    if not alone:
+        stores.write_region(run.image, "image", (rows, columns), image)
     stores.write_region(run.image, "block", (rows, columns), owner)
     return run.sign(unit, started, checksum=[stores.checksum(image), stores.checksum(owner)])
 

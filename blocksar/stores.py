@@ -391,6 +391,26 @@ def read_region(path: StorePath, name: str, region: Sequence[slice], out: Array 
     return _read(array, tuple(region), f"{name} in {os.fspath(path)}", out)
 
 
+def share_region(path: StorePath, name: str, region: Region, *, source: StorePath, source_region: Region) -> bool:
+    """Let whole chunks of a variable be those of another store's variable of that name, without copying them.
+
+    Files are hard-linked, which is safe as nobody writes into a chunk's file: a new one takes its place.
+
+    Returns
+    -------
+    bool
+        False where that cannot be done: chunks do not fall together, or the file system knows no hard links.
+    """
+    ours, theirs = _chunk_files(path, name), _chunk_files(source, name)
+    if ours is None or theirs is None:
+        return False
+    try:
+        ours.link(region, theirs, source_region)
+    except OSError:
+        return False
+    return True
+
+
 def _open_array(path: StorePath, name: str, mode: Any = "r") -> zarr.Array[Any]:
     """Open a variable by its own path: a tenth of the time of opening the group first."""
     place = os.path.join(os.path.abspath(path), name)
@@ -550,6 +570,29 @@ class ChunkFiles:
                     with suppress(OSError, AttributeError):
                         os.posix_fallocate(stream.fileno(), 0, self.row_bytes * self.chunks[0])
                 self._write_chunk(stream, values[outside], slab)
+
+    def link(self, region: Region, source: ChunkFiles, source_region: Region) -> None:
+        """Let whole chunks be the very files of another array's chunks.
+
+        Raises
+        ------
+        OSError
+            If the file system does not do that, or the chunks do not fall together.
+        """
+        ours, theirs = self._whole(region), source._whole(source_region)
+        if (self.chunks, self.dtype, *map(len, ours)) != (source.chunks, source.dtype, *map(len, theirs)):
+            raise OSError("other chunks")
+        for (file, _, _), (other, _, _) in zip(self._parts(ours), source._parts(theirs), strict=True):
+            os.makedirs(os.path.dirname(file), exist_ok=True)
+            with _replacing_file(file) as part:
+                os.link(other, part)
+
+    def _whole(self, region: Region) -> list[range]:
+        spans = [range(*part.indices(n)) for part, n in zip(region, self.shape, strict=True)]
+        for span, n, chunk in zip(spans, self.shape, self.chunks, strict=True):
+            if span.start % chunk or (span.stop % chunk and span.stop != n):
+                raise OSError("not whole chunks")
+        return spans
 
     def _parts(self, spans: Sequence[range]) -> Iterator[tuple[str, Region, Region]]:
         """File of every chunk that a region touches, what of the chunk is in the region, and where in the region."""

@@ -929,3 +929,55 @@ def test_two_writers_of_one_store_leave_one_whole_store(small_collection: Collec
 def run_together(function: Callable[[int], None], times: int) -> None:
     with ThreadPoolExecutor(3) as pool:
         list(pool.map(function, range(times)))
+
+
+# -- shared chunks ------------------------------------------------------------------------------------------
+
+
+def image_store(path: Path, shape: tuple[int, int], chunk: int) -> Path:
+    y, x = (np.arange(n, dtype=np.float64) for n in shape)
+    stores.create(path, stores.PATCH, sizes={}, coords={"x": x, "y": y}, attrs={}, chunks={"y": chunk, "x": chunk})
+    return path
+
+
+def test_chunks_are_shared_without_a_copy_and_part_when_one_is_written_anew(tmp_path: Path) -> None:
+    patch, image = image_store(tmp_path / "patch", (6, 11), 4), image_store(tmp_path / "image", (10, 11), 4)
+    values = (np.arange(66).reshape(6, 11) * (1 - 2j)).astype(np.complex64)
+    whole = (slice(None), slice(None))
+    stores.write_region(patch, "image", whole, values)
+    cell, window = (slice(4, 8), slice(8, 11)), (slice(0, 4), slice(8, 11))
+    for _ in range(2):  # a second time, as a task that is tried again
+        assert stores.share_region(image, "image", cell, source=patch, source_region=window)
+    there, here = (p / "image" / "c" / key / "2" for p, key in ((image, "1"), (patch, "0")))
+    assert os.path.samefile(there, here)
+    assert sorted(os.listdir(there.parent)) == ["2"]
+    np.testing.assert_array_equal(stores.read_region(image, "image", cell), values[window])
+    np.testing.assert_array_equal(stores.read_region(image, "image", (slice(0, 4), slice(None))).real, np.nan)
+    stores.write_region(patch, "image", whole, 2 * values)
+    np.testing.assert_array_equal(stores.read_region(image, "image", cell), values[window])
+    zarr.open_array(str(image / "image"), mode="r+")[cell] = 7
+    np.testing.assert_array_equal(stores.read_region(patch, "image", whole), 2 * values)
+
+
+def test_chunks_that_do_not_fall_together_are_not_shared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    patch, image = image_store(tmp_path / "patch", (8, 8), 4), image_store(tmp_path / "image", (8, 8), 4)
+    other = image_store(tmp_path / "other", (8, 8), 2)
+    whole = (slice(0, 8), slice(0, 8))
+    for store in (patch, other):
+        stores.write_region(store, "image", whole, np.ones((8, 8), np.complex64))
+    corner = (slice(0, 4), slice(0, 4))
+    assert not stores.share_region(image, "image", corner, source=other, source_region=corner)
+    for region, source in (
+        (corner, (slice(2, 6), slice(0, 4))),
+        ((slice(1, 5), slice(0, 4)), corner),
+        (corner, whole),
+    ):
+        assert not stores.share_region(image, "image", region, source=patch, source_region=source)
+
+    def refused(*_: Any) -> None:
+        raise OSError("no hard links here")
+
+    monkeypatch.setattr(os, "link", refused)
+    assert not stores.share_region(image, "image", corner, source=patch, source_region=corner)
+    assert np.isnan(stores.read_region(image, "image", whole).real).all()
+    assert not [p for p in image.rglob("*") if p.name.endswith(".part")]
