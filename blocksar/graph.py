@@ -218,22 +218,24 @@ class Samples(NamedTuple):
 
 def read_slab(run: Run, block: BlockPlan, stage: Stage, chunk: tuple[int, int]) -> Samples:
     """Run a block's first stage on its part of the spectrum, a few chunks of which are read at a time."""
-    started = time.perf_counter()
-    program = stage.program
-    bins = (block.first_bin, block.first_bin + block.n_bin)
-    n_frequency = block.chain[0].source.size if stage.layout == "columns" else block.chain[0].n_row
+    started, reading = time.perf_counter(), 0.0
+    program, first_bin, last_bin = stage.program, block.first_bin, block.first_bin + block.n_bin
     if stage.layout == "columns":
         # Rows of the file are what the range gate works along: Doppler bin by Doppler bin.
         out = np.empty((program.target.size, program.n_row), np.complex64)
-        for first, last in _chunks(*bins, chunk[0]):
-            part = stores.read_region(run.spectrum, "spectrum", (slice(first, last), slice(None)))
-            program.run(part, out=out, first=first - bins[0], store="columns", threads=run.threads)
-        return Samples(out, {f"read-slab+{stage.name}": time.perf_counter() - started})
-    out = _buffer(block, program.target.size)
-    for first, last in _chunks(0, n_frequency, chunk[1]):
-        part = stores.read_region(run.spectrum, "spectrum", (slice(*bins), slice(first, last)))
-        program.run(part, out=out, first=first, load="columns", threads=run.threads)
-    return Samples(out, {f"read-slab+{stage.name}": time.perf_counter() - started})
+        parts = [(slice(a, b), slice(None)) for a, b in _chunks(first_bin, last_bin, chunk[0])]
+    else:
+        out = _buffer(block, program.target.size)
+        parts = [(slice(first_bin, last_bin), slice(a, b)) for a, b in _chunks(0, program.n_row, chunk[1])]
+    for region in parts:
+        begun = time.perf_counter()
+        part = stores.read_region(run.spectrum, "spectrum", region)
+        reading += time.perf_counter() - begun
+        if stage.layout == "columns":
+            program.run(part, out=out, first=region[0].start - first_bin, store="columns", threads=run.threads)
+        else:
+            program.run(part, out=out, first=region[1].start, load="columns", threads=run.threads)
+    return Samples(out, {"read-slab": reading, stage.name: time.perf_counter() - started - reading})
 
 
 def _chunks(first: int, last: int, size: int) -> Iterator[tuple[int, int]]:

@@ -33,7 +33,7 @@ from blocksar.lanes import (
     store,
     store_complex,
 )
-from blocksar.parameters import ComplexArray, FloatArray
+from blocksar.parameters import ComplexArray, FloatArray, IntArray
 
 Float32Array = NDArray[np.float32]
 
@@ -242,6 +242,28 @@ def rotate_scaled(
             rest = _rest(row)
             _turn(rest, rest, 0, f * load(cycles_rest, 0) + (c[0] + c[1] * load(u_rest, 0)))
             result[whole:] = rest[: n - whole]
+
+
+@njit([(_OUT, _IN, types.Array(types.int64, 1, "C", readonly=True))], **_OPTIONS)
+def multiply_windows(values: ComplexArray, windows: ComplexArray, which: IntArray) -> None:
+    """values[r, i] *= windows[which[r], i], in place.
+
+    Parameters
+    ----------
+    values : (n_row, at least n) complex64, C-contiguous
+    windows : (n_window, n) complex64
+    which : (n_row,) int64
+    """
+    n = windows.shape[1]
+    whole = n - n % LANES
+    for r in range(values.shape[0]):
+        row, window = values[r, :n], windows[which[r]]
+        for i in range(0, whole, LANES):
+            real, imag = load_real(row, i), load_imag(row, i)
+            a, b = load_real(window, i), load_imag(window, i)
+            store_complex(row, i, real * a - imag * b, real * b + imag * a)
+        for i in range(whole, n):
+            row[i] *= window[i]
 
 
 @njit([(types.Array(types.complex64, 2, "A", readonly=True), types.int64, _OUT)], **_OPTIONS)

@@ -16,11 +16,10 @@ from dataclasses import dataclass
 from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from blocksar import phase
 from blocksar.fourier import Axis, fft_rows
-from blocksar.parameters import ComplexArray, FloatArray
+from blocksar.parameters import ComplexArray, FloatArray, IntArray
 from blocksar.phase import Float32Array, Phase
 
 GROUP_BYTES = 768 * 1024  # rows worked on at a time: within a core's second-level cache
@@ -76,7 +75,7 @@ class Window:
     """Multiply row r by windows[which[r]]."""
 
     windows: ComplexArray
-    which: NDArray[np.intp]
+    which: IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,8 +261,7 @@ class _Windowed:
     operation: Window
 
     def __call__(self, group: ComplexArray, rows: slice, out: ComplexArray | None = None) -> ComplexArray:
-        windows, which = self.operation.windows, self.operation.which[rows]
-        group[:, : windows.shape[1]] *= windows[which]
+        phase.multiply_windows(group, self.operation.windows, self.operation.which[rows])
         return group
 
 

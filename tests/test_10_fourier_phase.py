@@ -399,3 +399,13 @@ def test_a_second_process_compiles_nothing() -> None:
     program += " p.gather_columns, p.scatter_columns, p.stretch_rows)])"
     found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=100)
     assert found.stdout.strip() == "[0, 0, 0, 0, 0]"
+
+
+@pytest.mark.parametrize("n", [1, 31, 64, 101])
+def test_each_row_is_multiplied_by_its_window(n: int) -> None:
+    values, windows, which = noise(5, n + 3).copy(), noise(3, n, seed=2), np.array([2, 0, 0, 1, 2])
+    wanted = values.copy()
+    wanted[:, :n] *= windows[which]
+    phase.multiply_windows(values, windows, which)
+    assert np.abs(values - wanted).max() < 4 * SINGLE
+    np.testing.assert_array_equal(values[:, n:], wanted[:, n:])

@@ -134,6 +134,22 @@ def test_shares_make_the_whole(benchmark: Any, tmp_path: Path) -> None:
     assert all(set(share) == {"read input", "write patches", "read patches"} for share in found)
 
 
+def test_a_file_of_two_names_is_written_once(benchmark: Any, collected: Any, tmp_path: Path) -> None:
+    history, plan, *_ = collected
+    patch, image = tmp_path / "patches" / "0" / "image" / "c", tmp_path / "image.zarr" / "image" / "c"
+    for folder in (patch, image):
+        folder.mkdir(parents=True)
+    (patch / "0").write_bytes(bytes(1000))
+    (patch / "1").write_bytes(bytes(1000))
+    (image / "0").hardlink_to(patch / "0")
+    (image / "1").write_bytes(bytes(600))
+    found = {kind.name: kind for kind in benchmark.traffic_of(history.path, tmp_path, plan)}
+    assert set(found) == {"input", "patches", "image"}
+    assert (found["patches"].written, found["patches"].read) == (2000, 2000)
+    assert (found["image"].written, found["image"].read) == (600, 0)
+    assert found["input"].read == 8 * np.prod(history.shape)
+
+
 def test_every_group_is_transformed_once(benchmark: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     rows: list[tuple[int, int]] = []
 
