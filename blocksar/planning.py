@@ -48,6 +48,7 @@ PHASE_BUDGET = 0.1  # rad at the edge of the dwell; pi/4 is the usual limit, thi
 MIGRATION_BUDGET = 0.25  # range resolution cells over the dwell
 TAP_ERROR = 1e-3
 KEYSTONE_ERROR = 1e-4
+TIME_GUARD = 0.1  # of a dwell, kept on either side of what a block's targets are lit in
 RANGE_GUARD = 48  # range cells on either side of a sub-block, for the side lobes of what lies at its ends
 GATE_ROOM = 1.5  # dwells that the image's Doppler sampling makes room for
 MAX_BLOCKS = 32
@@ -262,15 +263,16 @@ class _Slab(NamedTuple):
     doppler: Axis
     walk: float  # Hz on the carrier: the middle of the block's Doppler
     margin: float  # Hz
+    band_edge: float  # of the range frequencies, over the carrier
 
 
 def _plan_slab(collection: Collection, spectrum: Axis, line: Line, *, margin: float) -> _Slab:
-    edge = 1 + np.array([-1, 1]) * np.abs(collection.range_frequency).max() / collection.carrier
-    band = np.outer(edge, [line.doppler.min(), line.doppler.max()])
+    band_edge = float(np.abs(collection.range_frequency).max() / collection.carrier)
+    band = np.outer([1 - band_edge, 1 + band_edge], [line.doppler.min(), line.doppler.max()])
     first_bin = max(int(np.floor(spectrum.position(np.array(band.min() - margin)))), 0)
     last_bin = min(int(np.ceil(spectrum.position(np.array(band.max() + margin)))) + 1, spectrum.size)
     walk = float((line.doppler.min() + line.doppler.max()) / 2)
-    return _Slab(first_bin, spectrum.part(first_bin, last_bin - first_bin), walk, margin)
+    return _Slab(first_bin, spectrum.part(first_bin, last_bin - first_bin), walk, margin, band_edge)
 
 
 def _plan_range_gate(full: Axis, slab: Axis, line: Line, carrier: float) -> RangeGate:
@@ -342,24 +344,35 @@ class _Axes(NamedTuple):
 def _plan_axes(
     recovery: Recovery, slab: _Slab, straight: Line, focused: Line, phases: AzimuthPhases, *, duration: float
 ) -> _Axes:
-    """Sampling for the band that the time perturbation leaves, and for the longest reach of any line in time."""
+    """Sampling for the band that the time perturbation leaves, and for the longest reach of any line in time.
+
+    Of the recovered signal only what the block's targets are lit in is kept: the rest of the aperture lit others.
+    """
     perturbed = straight.multiply_time(*phases.time.evaluate(straight.range.mean(axis=-1), straight.time))
     start = slab.doppler.start - slab.walk
     bands = [start, slab.doppler.start + slab.doppler.extent - slab.walk]
     bands += [float(perturbed.doppler.min()) - slab.margin, float(perturbed.doppler.max()) + slab.margin]
     held = max(bands) - min(bands)
     span = recovery.time.extent
-    n_time = fourier.fast_length(1.25 * span * max(held, slab.doppler.extent))
-    time = Axis(recovery.time.start, span / n_time, n_time)
+    full = fourier.fast_length(1.25 * span * max(held, slab.doppler.extent))
+    step = span / full
+    # Ends of dwells ring on; the keystone moves them by the band's share of the time from the epoch.
+    latest = float(np.abs(straight.time).max())
+    room = TIME_GUARD * duration + latest * slab.band_edge
+    first = max(math.floor((float(straight.time.min()) - room - recovery.time.start) / step), 0)
+    last = min(math.ceil((float(straight.time.max()) + room - recovery.time.start) / step), full)
+    # An odd number of cache lines a row: columns of a block then do not fall on each other's place in the cache.
+    n_time = min(math.ceil((last - first - 8) / 16) * 16 + 8, full - first)
+    time = Axis(recovery.time.start + first * step, step, n_time)
     guard = 0.05 * duration
     begin = min(float(focused.time.min()) - guard, time.start)
-    end = max(float(focused.time.max()) + guard, time.start + recovery.pulses.extent)
-    n_padded = max(fourier.fast_length((end - begin) / time.step), n_time)
+    end = max(float(focused.time.max()) + guard, time.start + time.extent)
+    n_padded = fourier.fast_length(max((end - begin) / step, n_time))
     return _Axes(
         time=time,
-        occupancy=min(span * slab.doppler.extent / n_time, 0.95),
+        occupancy=min(step * slab.doppler.extent, 0.95),
         doppler=fourier.dual(time, size=n_padded, centre=(min(bands) + max(bands)) / 2),
-        long_time=Axis(begin, time.step, n_padded),
+        long_time=Axis(begin, step, n_padded),
     )
 
 
