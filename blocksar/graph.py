@@ -30,7 +30,7 @@ from blocksar.geometry import Geometry
 from blocksar.ground import GroundMap, correct, covers
 from blocksar.ground import compile_kernels as compile_correction
 from blocksar.parameters import ComplexArray, FloatArray, InputError, ProcessingError
-from blocksar.planning import BlockPlan, Plan
+from blocksar.planning import IMAGE_CHUNK, BlockPlan, Plan
 from blocksar.range_steps import Keystone
 from blocksar.recovery import RawCompression, Recovery, recover_columns
 from blocksar.region import Grid, lit_pulses
@@ -39,7 +39,7 @@ from blocksar.steps import Stage, stages
 Receipt = dict[str, Any]
 Report = Callable[[str, int, int], None]  # stage, done, total
 
-IMAGE_CHUNK = 1024
+MOSAIC_CHUNKS = 4  # output chunks merged by a task: one takes no longer than the scheduler's answer
 PULSE_GROUP = 256  # pulses of a raw echo compressed at a time
 READING_STAGES = ("range-compress", "recover", "backprojection")
 BACKPROJECTION_CHUNK = 256  # pixels a side of a back-projection task
@@ -245,13 +245,13 @@ def _chunks(first: int, last: int, size: int) -> Iterator[tuple[int, int]]:
 
 
 def _buffer(block: BlockPlan, length: int) -> ComplexArray:
-    """Room for the range-frequency signal, and for the compressed one after it in the same place."""
+    """Room for the block at every later stage: a worker holds it once."""
     rows = max(block.range_frequency.size, block.ground.rows.size)
     return np.empty((rows, length), np.complex64)
 
 
 def run_stage(run: Run, block: BlockPlan, stage: Stage, given: Samples) -> Samples:
-    """Run a stage on a block. Range compression works in place: nobody else has its input."""
+    """Run a stage on a block, in place where the result fits: nobody else has its input."""
     started = time.perf_counter()
     samples, program = given.values, stage.program
     if stage.layout == "columns":
@@ -261,7 +261,9 @@ def run_stage(run: Run, block: BlockPlan, stage: Stage, given: Samples) -> Sampl
         )  # fmt: skip
         out = samples
     else:
-        room = _buffer(block, program.target.size) if isinstance(stage.steps[-1], Keystone) else None
+        room = samples if program.target.size <= samples.shape[1] else None
+        if isinstance(stage.steps[-1], Keystone):
+            room = _buffer(block, program.target.size)
         out = program.run(samples[: program.n_row], out=room, threads=run.threads)
     return Samples(out, given.seconds | {stage.name: time.perf_counter() - started})
 
@@ -295,11 +297,18 @@ def write_patch(run: Run, unit: str, name: str, block: Samples, ground: GroundMa
     return run.sign(unit, started, origin=[first_y, first_x], chunks=chunks, steps=seconds)
 
 
-def merge_chunk(
-    run: Run, unit: str, cell: tuple[int, int], parts: Sequence[tuple[int, str, int, int]], grid: Grid
-) -> Receipt:
-    """One output chunk of the mosaic; `parts` are (block, name, first row and first column of its patch)."""
+Parts = Sequence[tuple[int, str, int, int]]  # block, name, first row and first column of a patch
+
+
+def merge_chunks(run: Run, unit: str, cells: dict[tuple[int, int], Parts], grid: Grid) -> Receipt:
+    """Some output chunks of the mosaic."""
     started = time.perf_counter()
+    checksums = {f"{row},{column}": _merge(run, (row, column), parts, grid) for (row, column), parts in cells.items()}
+    return run.sign(unit, started, checksum=checksums)
+
+
+def _merge(run: Run, cell: tuple[int, int], parts: Parts, grid: Grid) -> list[str]:
+    """One output chunk: the checksums of its image and of its owners."""
     side = image_chunk(grid)
     y, x = cell[0] * side[0], cell[1] * side[1]
     rows, columns = slice(y, min(y + side[0], grid.shape[0])), slice(x, min(x + side[1], grid.shape[1]))
@@ -326,7 +335,7 @@ def merge_chunk(
     if not alone:
         stores.write_region(run.image, "image", (rows, columns), image)
     stores.write_region(run.image, "block", (rows, columns), owner)
-    return run.sign(unit, started, checksum=[stores.checksum(image), stores.checksum(owner)])
+    return [stores.checksum(image), stores.checksum(owner)]
 
 
 def back_project_chunk(
@@ -554,15 +563,17 @@ def mosaic(client: Client, plan: Plan, run: Run, patches: Sequence[Receipt], rep
             row, column = (int(part) for part in name.split(","))
             cells.setdefault((row, column), []).append((block.index, block.name, *receipt["origin"]))
 
-    def start(unit: str, cell: tuple[int, int], parts: Any) -> Callable[[], Future[Any]]:
+    def start(unit: str, some: dict[tuple[int, int], Parts]) -> Callable[[], Future[Any]]:
         return lambda: client.submit(
-            merge_chunk, run, unit, cell, parts, plan.grid, key=f"mosaic-{run.identity[:8]}-{unit}", pure=False
+            merge_chunks, run, unit, some, plan.grid, key=f"mosaic-{run.identity[:8]}-{unit}", pure=False
         )
 
+    ordered = sorted(cells)
+    groups = [ordered[i : i + MOSAIC_CHUNKS] for i in range(0, len(ordered), MOSAIC_CHUNKS)]
     units = []
-    for cell in sorted(cells):
-        unit = f"chunk-{cell[0]}-{cell[1]}"
-        units.append((unit, start(unit, cell, cells[cell])))
+    for group in groups:
+        unit = f"chunk-{group[0][0]}-{group[0][1]}"
+        units.append((unit, start(unit, {cell: cells[cell] for cell in group})))
     return run_units(client, "mosaic", units, run, report, ahead=2 * workers)
 
 

@@ -193,7 +193,7 @@ def correct(block: ComplexArray, ground: GroundMap, *, x: FloatArray, y: FloatAr
 
     Parameters
     ----------
-    block : (rows.size, doppler.size) complex64
+    block : (at least rows.size, at least doppler.size) complex64, C-contiguous
         Focused.
     x : (n_x,) float
         m, uniform.

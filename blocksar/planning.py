@@ -61,6 +61,8 @@ COLUMN_CHUNK = 256  # range frequencies of a chunk, fewer where Doppler bins are
 SPECTRUM_BYTES = 64 * MIB  # of the spectrum written at a time
 SIGNAL_BYTES = 96 * MIB  # of the phase history read at a time
 SIGNAL_COLUMNS = 512  # at most
+IMAGE_CHUNK = 1024  # pixels a side of an image's chunk
+IMAGE_PIXELS = IMAGE_CHUNK**2
 
 
 @dataclass(frozen=True)
@@ -598,17 +600,20 @@ def _memory(
 ) -> int:
     """Peak of a worker that focuses a block, bytes: what each stage reads and writes.
 
-    Range compression works in place, so the range-frequency signal and the compressed one share their memory.
+    Stages work in place, but for a range gate's slab, and for an image that is wider in Doppler than the signal was
+    long.
     """
     buffer = max(frequency.size, n_row) * n_time
     if gate is None:
         loaded = n_bin * COLUMN_CHUNK
-        stages_ = [2 * loaded + buffer, buffer + n_row * n_image]
+        held = [2 * loaded + buffer]
     else:
         slab, loaded = frequency.size * n_bin, DOPPLER_CHUNK * gate.full.size
-        stages_ = [2 * loaded + slab, slab + buffer, buffer + n_row * n_image]
+        held = [2 * loaded + slab, slab + buffer]
     groups = 4 * max(GROUP_BYTES, 8 * 8 * length)
-    return PROCESS_MEMORY + 8 * max(stages_) + groups
+    if n_image > n_time:
+        held.append(buffer + n_row * n_image)
+    return PROCESS_MEMORY + 8 * max(*held, buffer + 3 * IMAGE_PIXELS) + groups
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -182,8 +182,8 @@ class Program:
         x : (n, source.size) complex64, or (source.size, n) if load is "columns"
             Not changed.
         out : complex64 array, optional
-            For the result of all rows of the program, of which these are written. If both load and store are
-            "columns", the memory may be that of x.
+            For the result of all rows of the program, of which these are written; rows may be longer than the result's.
+            If load is as store, the memory may be that of x.
 
         Returns
         -------
@@ -238,7 +238,7 @@ class _Copy:
     def __call__(self, group: ComplexArray, rows: slice, out: ComplexArray | None = None) -> ComplexArray:
         if out is None:
             out = np.empty((group.shape[0], self.size), np.complex64)
-        out[:, self.kept :] = 0
+        out[:, self.kept : self.size] = 0
         coefficients = self.coefficients[rows]
         if self.scaled is None:
             phase.rotate(group, self.kept, coefficients, out)
