@@ -142,8 +142,8 @@ def open_client(
         "distributed.scheduler.work-stealing": False,
         "distributed.scheduler.worker-saturation": 1.0,
         "distributed.nanny.pre-spawn-environ.NUMBA_NUM_THREADS": threads,
-        # Blocks go back to the system at once; a group of rows stays in malloc's keeping, and in the cache.
-        "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": 4 * 2**20,
+        # Blocks go back to the system at once; groups of rows and chunks stay in malloc's keeping, and in the cache.
+        "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": 24 * 2**20,
         "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": 64 * 2**20,
     }
     with (
@@ -185,13 +185,16 @@ def recover_group(
     missing = _clear_missing(signal)
     frequency = source.collection.carrier + source.collection.range_frequency - recovery.carrier
     checksums = []
+    memory = np.empty(recovery.doppler.size * width, np.complex64)
     for first in range(columns[0], columns[1], width):
         part = slice(first, min(first + width, columns[1]))
+        shape = (recovery.doppler.size, part.stop - part.start)
         spectrum = recover_columns(
             signal[:, part.start - columns[0] : part.stop - columns[0]],
             range_frequency=frequency[part],
             recovery=recovery,
             threads=run.threads,
+            out=memory[: shape[0] * shape[1]].reshape(shape),
         )
         stores.write_region(run.spectrum, "spectrum", (slice(None), part), spectrum)
         checksums.append(stores.checksum(spectrum))
@@ -280,6 +283,7 @@ def write_patch(run: Run, unit: str, name: str, block: Samples, ground: GroundMa
         chunks={"y": side[0], "x": side[1]},
     )  # fmt: skip
     chunks = {}
+    chunk = np.empty(side[0] * side[1], np.complex64)
     for y in range(0, n_y, side[0]):
         for x in range(0, n_x, side[1]):
             rows, columns = slice(y, min(y + side[0], n_y)), slice(x, min(x + side[1], n_x))
@@ -289,7 +293,10 @@ def write_patch(run: Run, unit: str, name: str, block: Samples, ground: GroundMa
             }
             if not covers(ground, **place):
                 continue
-            pixels = correct(block.values, ground, threads=run.threads, **place)
+            shape = (rows.stop - rows.start, columns.stop - columns.start)
+            pixels = correct(
+                block.values, ground, threads=run.threads, out=chunk[: shape[0] * shape[1]].reshape(shape), **place
+            )
             if np.isfinite(pixels.real).any():
                 stores.write_region(path, "image", (rows, columns), pixels)
                 chunks[f"{(first_y + y) // side[0]},{(first_x + x) // side[1]}"] = stores.checksum(pixels)

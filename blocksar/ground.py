@@ -188,7 +188,15 @@ def covers(ground: GroundMap, x: FloatArray, y: FloatArray) -> bool:
     return _tiles(ground, x, y, _tile_side(ground, x, y)).shape[0] > 0
 
 
-def correct(block: ComplexArray, ground: GroundMap, *, x: FloatArray, y: FloatArray, threads: int = 1) -> ComplexArray:
+def correct(
+    block: ComplexArray,
+    ground: GroundMap,
+    *,
+    x: FloatArray,
+    y: FloatArray,
+    threads: int = 1,
+    out: ComplexArray | None = None,
+) -> ComplexArray:
     """Resample a focused block to ground pixels; NaN where this block owns none.
 
     Parameters
@@ -199,13 +207,16 @@ def correct(block: ComplexArray, ground: GroundMap, *, x: FloatArray, y: FloatAr
         m, uniform.
     y : (n_y,) float
         m, uniform.
+    out : (n_y, n_x) complex64, C-contiguous, optional
+        Where the pixels go, whatever it holds: fresh memory for each chunk of an image is slow to come by.
 
     Returns
     -------
     (n_y, n_x) complex64
         Calibrated: a unit target reads 1 + 0j at its place.
     """
-    out = np.full((y.size, x.size), np.nan + 1j * np.nan, np.complex64)
+    out = np.empty((y.size, x.size), np.complex64) if out is None else out
+    out[...] = np.nan + 1j * np.nan
     tile = _tile_side(ground, x, y)
     tiles = _tiles(ground, x, y, tile)
     if tiles.shape[0] == 0:

@@ -46,11 +46,13 @@ Coefficients = Literal["fitted", "closed-form"]
 
 PHASE_BUDGET = 0.1  # rad at the edge of the dwell; pi/4 is the usual limit, this costs no side lobe 0.1 dB
 MIGRATION_BUDGET = 0.25  # range resolution cells over the dwell
-TAP_ERROR = 2.5e-3  # of the interpolation in range and in Doppler, root mean square: -52 dB
+TAP_ERROR = 1e-3
 KEYSTONE_ERROR = 1e-4
 TIME_GUARD = 0.1  # of a dwell, kept on either side of what a block's targets are lit in
 RANGE_GUARD = 48  # range cells on either side of a sub-block, for the side lobes of what lies at its ends
-GATE_ROOM = 1.5  # dwells that the image's Doppler sampling makes room for
+# Oversampling of a focused block: twelve taps in range and eight in Doppler then err by less than TAP_ERROR.
+RANGE_ROOM = 1.42
+GATE_ROOM = 1.62  # dwells that the Doppler sampling makes room for
 MAX_BLOCKS = 32
 MAX_PARTS = 64  # range sub-blocks of a block
 MEMORY_SHARE = 0.8  # of a worker's limit that a plan may fill
@@ -167,7 +169,7 @@ def plan_block(
     range_gate = None if part is None else _plan_range_gate(frequency, slab.doppler, line, collection.carrier)
     if range_gate is not None:
         frequency = range_gate.range_frequency
-    period = fourier.fast_length(1.3 * frequency.size)
+    period = fourier.fast_length(RANGE_ROOM * frequency.size)
     row_step = SPEED_OF_LIGHT / (2 * frequency.step * period)
     in_range = _RangeSteps(
         gate=range_gate,

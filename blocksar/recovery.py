@@ -90,7 +90,12 @@ class Recovery:
 
 
 def recover_columns(
-    signal: ComplexArray, *, range_frequency: FloatArray, recovery: Recovery, threads: int = 1
+    signal: ComplexArray,
+    *,
+    range_frequency: FloatArray,
+    recovery: Recovery,
+    threads: int = 1,
+    out: ComplexArray | None = None,
 ) -> ComplexArray:
     """Recover the spectrum of some range frequencies.
 
@@ -100,13 +105,14 @@ def recover_columns(
         Missing samples are zero.
     range_frequency : (n_column,) float
         Hz.
+    out : (recovery.doppler.size, n_column) complex64, C-contiguous, optional
 
     Returns
     -------
     (recovery.doppler.size, n_column) complex64
         Plain sum over pulses: a unit target lit in N pulses has a spectrum of energy N recovery.padded.
     """
-    return recovery.program(range_frequency).run(signal, load="columns", store="columns", threads=threads)
+    return recovery.program(range_frequency).run(signal, out=out, load="columns", store="columns", threads=threads)
 
 
 def chirp_spectrum(frequency: FloatArray, *, chirp_rate: float, pulse_width: float) -> NDArray[np.complex128]:
