@@ -72,6 +72,7 @@ SAMPLED_PIXELS = 1e6  # of the image, at which lit pulses are counted
 CLUTTER = {"scatterers": 100_000, "seed": 3}
 NOISE = {"power": 1.0, "seed": 5}
 WIDTH = 100  # columns of the tables
+SETTLING = 5.0  # s
 
 
 # ---------------------------------------------------------------- scenes
@@ -575,8 +576,7 @@ class Bench:
 
     def focus(self, client: Client, case: Case, store: Path) -> tuple[float, dict[str, Any], Path]:
         """Focus into an empty folder; seconds from call to return, the run's record, the run."""
-        run = self.folder / str(case.scale) / "run"
-        shutil.rmtree(run, ignore_errors=True)
+        run = emptied(self.folder / str(case.scale) / "run")
         started = time.perf_counter()
         report = blocksar.focus(store, run, blocks=case.plan.n_blocks, threads=self.threads, client=client)
         return time.perf_counter() - started, report.result, run
@@ -625,9 +625,14 @@ class Bench:
 
 
 def emptied(path: Path) -> Path:
-    """A folder emptied just now, as the run's is: what is written next gets the memory that this set free."""
+    """An empty folder, some seconds after it was emptied: run and floor find memory in the same state.
+
+    A virtual machine gives memory that was set free back to its host after a while, and to get it anew costs
+    more than to write it. Whoever came first after a deletion would be served at several times the speed.
+    """
     shutil.rmtree(path, ignore_errors=True)
     path.mkdir(parents=True)
+    time.sleep(SETTLING)
     return path
 
 
