@@ -30,7 +30,7 @@ from blocksar.geometry import Geometry
 from blocksar.ground import GroundMap, correct, covers
 from blocksar.ground import compile_kernels as compile_correction
 from blocksar.parameters import ComplexArray, FloatArray, InputError, ProcessingError
-from blocksar.planning import IMAGE_CHUNK, BlockPlan, Plan
+from blocksar.planning import DOPPLER_GROUP, IMAGE_CHUNK, BlockPlan, Plan
 from blocksar.range_steps import Keystone
 from blocksar.recovery import RawCompression, Recovery, recover_columns
 from blocksar.region import Grid, lit_pulses
@@ -219,17 +219,17 @@ class Samples(NamedTuple):
     seconds: dict[str, float]
 
 
-def read_slab(run: Run, block: BlockPlan, stage: Stage, chunk: tuple[int, int]) -> Samples:
-    """Run a block's first stage on its part of the spectrum, a few chunks of which are read at a time."""
+def read_slab(run: Run, block: BlockPlan, stage: Stage, width: int) -> Samples:
+    """Run a block's first stage on its part of the spectrum, read some bins or a chunk's `width` columns at a time."""
     started, reading = time.perf_counter(), 0.0
     program, first_bin, last_bin = stage.program, block.first_bin, block.first_bin + block.n_bin
     if stage.layout == "columns":
         # Rows of the file are what the range gate works along: Doppler bin by Doppler bin.
         out = np.empty((program.target.size, program.n_row), np.complex64)
-        parts = [(slice(a, b), slice(None)) for a, b in _chunks(first_bin, last_bin, chunk[0])]
+        parts = [(slice(a, b), slice(None)) for a, b in _chunks(first_bin, last_bin, DOPPLER_GROUP)]
     else:
         out = _buffer(block, program.target.size)
-        parts = [(slice(first_bin, last_bin), slice(a, b)) for a, b in _chunks(0, program.n_row, chunk[1])]
+        parts = [(slice(first_bin, last_bin), slice(a, b)) for a, b in _chunks(0, program.n_row, width)]
     for region in parts:
         begun = time.perf_counter()
         part = stores.read_region(run.spectrum, "spectrum", region)
@@ -242,7 +242,7 @@ def read_slab(run: Run, block: BlockPlan, stage: Stage, chunk: tuple[int, int]) 
 
 
 def _chunks(first: int, last: int, size: int) -> Iterator[tuple[int, int]]:
-    """Where whole chunks of a store divide first .. last."""
+    """first .. last divided at multiples of `size`, where chunks of a store meet."""
     edges = [first, *range(first - first % size + size, last, size), last]
     return pairwise(edges)
 
@@ -536,7 +536,7 @@ def focus_blocks(client: Client, plan: Plan, run: Run, valid: FloatArray, report
             common: dict[str, Any] = {"pure": False, "priority": -position}
             first, *others = stages(block.chain)
             node = client.submit(
-                read_slab, run, block, first, plan.spectrum_chunk, key=f"read-slab+{first.name}-{tail}", **common
+                read_slab, run, block, first, plan.spectrum_chunk[1], key=f"read-slab+{first.name}-{tail}", **common
             )
             for stage in others:
                 node = client.submit(run_stage, run, block, stage, node, key=f"{stage.name}-{tail}", **common)

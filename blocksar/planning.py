@@ -7,7 +7,7 @@ with what phase; predicted residual phase, side lobes, width and range migration
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
@@ -58,8 +58,9 @@ MAX_PARTS = 64  # range sub-blocks of a block
 MEMORY_SHARE = 0.8  # of a worker's limit that a plan may fill
 MIB = 2**20
 PROCESS_MEMORY = 256 * MIB  # a worker's interpreter and libraries, before any sample
-DOPPLER_CHUNK = 512  # Doppler bins of a chunk of the spectrum
-COLUMN_CHUNK = 256  # range frequencies of a chunk, fewer where Doppler bins are many
+DOPPLER_GROUP = 512  # Doppler bins of a slab that are read at a time
+COLUMN_CHUNK = 256  # range frequencies of a chunk of the spectrum, fewer where Doppler bins are many
+CHUNK_SAMPLES = DOPPLER_GROUP * COLUMN_CHUNK  # of a chunk of the spectrum
 SPECTRUM_BYTES = 64 * MIB  # of the spectrum written at a time
 SIGNAL_BYTES = 96 * MIB  # of the phase history read at a time
 SIGNAL_COLUMNS = 512  # at most
@@ -610,7 +611,7 @@ def _memory(
         loaded = n_bin * COLUMN_CHUNK
         held = [2 * loaded + buffer]
     else:
-        slab, loaded = frequency.size * n_bin, DOPPLER_CHUNK * gate.full.size
+        slab, loaded = frequency.size * n_bin, DOPPLER_GROUP * gate.full.size
         held = [2 * loaded + slab, slab + buffer]
     groups = 4 * max(GROUP_BYTES, 8 * 8 * length)
     if n_image > n_time:
@@ -652,7 +653,7 @@ class Plan:
         column = COLUMN_CHUNK
         while column > 16 and 8 * column * self.recovery.doppler.size > SPECTRUM_BYTES:
             column //= 2
-        return min(DOPPLER_CHUNK, self.recovery.doppler.size), column
+        return min(CHUNK_SAMPLES // column, self.recovery.doppler.size), column
 
     @property
     def column_group(self) -> int:
@@ -731,7 +732,7 @@ def _fewest_blocks(plan: Callable[[int], Plan], workers: int) -> Plan:
     for count in range(min(max(workers, 1), MAX_BLOCKS), MAX_BLOCKS + 1):
         made = plan(count)
         excess = made.excess()
-        if made.refusal is not None or excess <= 1.0:
+        if excess <= 1.0 or _along_velocity(made.blocks) is not None:
             return made
         # Margins do not shrink with the blocks: stop once more of them have brought nothing three times.
         stale = stale + 1 if excess > 0.97 * best else 0
@@ -801,25 +802,37 @@ def _plan_blocks(
             planned.append(block)
     return Plan(
         geometry=geometry, grid=grid, region=region, recovery=recovery, seams=seams, parts=divided,
-        blocks=tuple(planned), coefficients=coefficients, refusal=_refusal(geometry, planned, coefficients),
+        blocks=tuple(planned), coefficients=coefficients, refusal=_refusal(planned, coefficients),
     )  # fmt: skip
 
 
-def _refusal(geometry: Geometry, blocks: list[BlockPlan], coefficients: Coefficients) -> str | None:
+def _refusal(blocks: Sequence[BlockPlan], coefficients: Coefficients) -> str | None:
+    """Why a plan cannot be carried out, if so."""
+    return _along_velocity(blocks) or (_blurred(blocks) if coefficients == "fitted" else None)
+
+
+def _along_velocity(blocks: Sequence[BlockPlan]) -> str | None:
     """Looking along the velocity yaw and Doppler part company: no Fourier processor can tell yaws apart there."""
     for block in blocks:
         slope = block.ground.doppler_slope()
         if slope.min() * slope.max() <= 0:
             return (
-                f"block {block.index} (yaw {np.degrees(block.low):.2f} .. {np.degrees(block.high):.2f} degrees) looks "
-                f"along the velocity: Doppler changes by {slope.min() * np.pi / 180:.3g} .. "
+                f"{_called(block)} looks along the velocity: Doppler changes by {slope.min() * np.pi / 180:.3g} .. "
                 f"{slope.max() * np.pi / 180:.3g} Hz a degree of yaw, through zero, so yaws cannot be told apart; "
                 "image ground away from the direction of flight, or use --processor backprojection"
             )
-        if coefficients == "fitted" and not block.prediction.residual_phase < np.pi / 2:
+    return None
+
+
+def _blurred(blocks: Sequence[BlockPlan]) -> str | None:
+    for block in blocks:
+        if not block.prediction.residual_phase < np.pi / 2:
             return (
-                f"block {block.index} (yaw {np.degrees(block.low):.2f} .. {np.degrees(block.high):.2f} degrees) would "
-                f"keep a phase error of {block.prediction.residual_phase:.3g} rad over the dwell; ask for more "
-                "--blocks, or use --processor backprojection"
+                f"{_called(block)} would keep a phase error of {block.prediction.residual_phase:.3g} rad over the "
+                "dwell; ask for more --blocks, or use --processor backprojection"
             )
     return None
+
+
+def _called(block: BlockPlan) -> str:
+    return f"block {block.name} (yaw {np.degrees(block.low):.2f} .. {np.degrees(block.high):.2f} degrees)"
