@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from distributed import Client
 from scenes import GEOMETRIES, scene
 
 import blocksar
-from blocksar import api, stores
+from blocksar import api, planning, stores
 from blocksar.geometry import Geometry
 from blocksar.graph import open_client
 from blocksar.parameters import InputError
@@ -134,7 +135,7 @@ def test_range_sub_blocks_are_as_good_as_whole_blocks(
 
 
 def test_a_small_memory_divides_blocks_in_range_and_is_kept_to(table1: Path, tmp_path: Path) -> None:
-    limit = 560 * 2**20
+    limit = 480 * 2**20
     blocksar.focus(table1, tmp_path / "run", blocks=2, workers=2, memory_limit=limit)
     record = json.loads((tmp_path / "run" / "run.json").read_text())
     assert record["plan"]["parts"] > 1
@@ -208,9 +209,24 @@ def test_memory_limit_is_kept(table1: Path, tmp_path: Path) -> None:
     assert report.result["peak_memory"] <= 2**30
     predicted = max(block["memory"] for block in report.result["plan"]["predicted"])
     assert report.result["peak_memory"] <= 1.2 * predicted
-    with pytest.raises(InputError, match=r"memory limit .* is too low"):
-        blocksar.focus(table1, tmp_path / "tight", blocks=1, workers=1, memory_limit=500 * 2**20)
+    with pytest.raises(InputError, match=r"memory limit 330 MiB .* is too low"):
+        blocksar.focus(table1, tmp_path / "tight", blocks=1, workers=1, memory_limit=330 * 2**20)
     assert not (tmp_path / "tight").exists()
+
+
+@pytest.mark.parametrize(
+    ("excess", "chosen"),
+    [
+        ({2: 90.0, 3: 4.0, 4: 0.9, 5: 0.5}, 4),  # more blocks help, though the first would blur
+        ({2: 3.0, 3: 2.9, 4: 2.95, 5: 2.99, 6: 2.89, 7: 0.1}, 6),  # three times no help: it will not come
+    ],
+)
+def test_auto_asks_for_more_blocks_as_long_as_they_help(excess: dict[int, float], chosen: int) -> None:
+    def plan(count: int) -> Any:
+        refusal = "would keep a phase error" if excess[count] > 10 else None
+        return SimpleNamespace(excess=lambda: excess[count], blocks=(), refusal=refusal, count=count)
+
+    assert planning._fewest_blocks(plan, 2).count == chosen  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize(("blocks", "least", "most"), [(3, 0.9, 1.4), (2, 1.2, 1.3), (1, 1.5, 5.0)])
