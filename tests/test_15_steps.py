@@ -342,7 +342,7 @@ def test_a_range_gate_keeps_what_lies_in_it_on_fewer_frequencies(n: int, kept: i
     step_ = RangeGate(slab=slab, centre=centre, gate=gate, window=window, full=full, range_frequency=frequency)
 
     def target(f: FloatArray, beside: float) -> np.ndarray:
-        """Spectrum of a target so many cells from the gate's centre at each bin: whole cells, so that it is one delay."""
+        """Spectrum of a target so many whole cells from the gate's centre at each bin: it is one delay."""
         cycles = -2 / SPEED_OF_LIGHT * np.multiply.outer(f, centre + beside * cell)
         return np.exp(2j * np.pi * cycles)
 

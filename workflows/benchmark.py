@@ -821,7 +821,7 @@ def _lines(result: dict[str, Any]) -> list[str]:
         f"back-projection: one process of {workers * threads} threads, "
         "range profiles counted once for the whole image, the kindest to it",
         "plan: before the cluster is asked; stores and receipts: what no stage accounts for",
-        "the chain of a block includes reading its slab where that is one pass with a step; not the correction",
+        "the chain of a block is its range and azimuth steps: neither the reading of its slab nor the correction",
     ]
     for scene in result["scenes"].values():
         lines += scene["notes"]
