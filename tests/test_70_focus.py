@@ -135,7 +135,7 @@ def test_range_sub_blocks_are_as_good_as_whole_blocks(
 
 
 def test_a_small_memory_divides_blocks_in_range_and_is_kept_to(table1: Path, tmp_path: Path) -> None:
-    limit = 480 * 2**20
+    limit = 520 * 2**20
     blocksar.focus(table1, tmp_path / "run", blocks=2, workers=2, memory_limit=limit)
     record = json.loads((tmp_path / "run" / "run.json").read_text())
     assert record["plan"]["parts"] > 1

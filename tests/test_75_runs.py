@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -202,3 +204,12 @@ def test_folders_that_are_no_runs_are_left_alone(store: Path, client: Client, tm
     assert (tmp_path / "run" / "thesis.tex").read_text() == "years of work"
     with pytest.raises(InputError):
         blocksar.quality(tmp_path / "run")
+
+
+def test_peak_memory_is_the_process_own() -> None:
+    """Not its parent's: a small process started by a large one."""
+    ballast = np.ones(400 * 2**20, np.uint8)
+    script = "from blocksar.graph import peak_memory; print(peak_memory())"
+    child = int(subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, text=True).stdout)
+    assert graph.peak_memory() > ballast.size
+    assert child < ballast.size

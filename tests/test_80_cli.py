@@ -215,7 +215,8 @@ def test_plan_prints_its_refusal_after_the_table(api: Calls) -> None:
 
 # A process of its own, for real signals: the api's plan tells that it runs, then waits.
 WAITING = """
-import sys, time, types
+import signal, sys, time, types
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job is born deaf to it
 api = types.ModuleType("blocksar.api")
 def plan(source, **settings):
     print("ready", flush=True)

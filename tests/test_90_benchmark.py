@@ -21,6 +21,7 @@ from blocksar.planning import Plan, Transforms
 from blocksar.scene import Scene
 
 SMALL = {"duration": 0.15, "steering": (48.0, 52.0), "swath": [29900.0, 30100.0]}
+SIDE = 64  # pixels of the peer's chip
 CLUTTER = "[clutter]\nscatterers = 2000\nseed = 3\n"
 
 
@@ -175,7 +176,7 @@ def collected(benchmark: Any, small: Path, tmp_path_factory: pytest.TempPathFact
     plan = blocksar.plan(store, blocks=1).result
     assert isinstance(plan, Plan)
     x, y, _ = plan.geometry.ground_point(np.array(30e3), np.radians(50.0))
-    mesh = np.meshgrid(float(x) + np.arange(64) * plan.grid.dx, float(y) + np.arange(64) * plan.grid.dy)
+    mesh = np.meshgrid(float(x) + np.arange(SIDE) * plan.grid.dx, float(y) + np.arange(SIDE) * plan.grid.dy)
     history = stores.open_phase_history(store)
     chips = benchmark.Chips(["middle"], [], *mesh)
     exact = blocksar.backprojection.form_points(
@@ -215,6 +216,7 @@ def test_the_peer_is_given_the_same_scene(benchmark: Any, collected: Any, monkey
     torchbp.ops = SimpleNamespace(backprojection_cart_2d=backprojection_cart_2d)  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "torch", torch)
     monkeypatch.setitem(sys.modules, "torchbp", torchbp)
+    monkeypatch.setattr(benchmark, "CHIP", SIDE)
     found = benchmark.run_peer(*collected, 1)
     assert found["status"] == "run"
     assert found["coherence"] > 0.8  # positions in float32 are known to a millimetre

@@ -25,7 +25,6 @@ import math
 import os
 import platform
 import re
-import resource
 import shutil
 import statistics
 import tempfile
@@ -54,7 +53,7 @@ from blocksar import stores
 from blocksar.backprojection import accumulate, form_points, lit_interval, pulse_block_size, range_profiles
 from blocksar.cli import parse_blocks, parse_memory
 from blocksar.geometry import Geometry
-from blocksar.graph import machine, open_client
+from blocksar.graph import machine, open_client, peak_memory
 from blocksar.measurement import coherence
 from blocksar.parameters import Collection, ComplexArray, FloatArray, InputError
 from blocksar.planning import MAX_BLOCKS, Plan, Transforms, plan_collection
@@ -287,11 +286,6 @@ def _write(path: Path, size: int) -> None:
 def _read(path: Path, most: int) -> int:
     """Read at most so many bytes of a file into a new array; how many there were."""
     return int(np.fromfile(path, np.uint8, count=most).size)
-
-
-def peak_memory() -> int:
-    """Of this process since it began, bytes."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
 def on_every_worker(client: Client, task: Any, *arguments: Any) -> list[Seconds]:
