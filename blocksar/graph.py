@@ -41,7 +41,6 @@ Receipt = dict[str, Any]
 Report = Callable[[str, int, int], None]  # stage, done, total
 
 MOSAIC_CHUNKS = 4  # output chunks merged by a task: one takes no longer than the scheduler's answer
-PULSE_GROUP = 256  # pulses of a raw echo compressed at a time
 READING_STAGES = ("range-compress", "recover", "backprojection")
 BACKPROJECTION_CHUNK = 256  # pixels a side of a back-projection task
 
@@ -270,6 +269,8 @@ def run_stage(run: Run, block: BlockPlan, stage: Stage, given: Samples) -> Sampl
     """Run a stage on a block, in place where the result fits: nobody else has its input."""
     started = time.perf_counter()
     samples, program = given.values, stage.program
+    if not samples.flags.writeable:  # it has travelled from another worker
+        samples = samples.copy()
     if stage.layout == "columns":
         program.run(
             samples[: program.source.size], out=samples[: program.target.size],

@@ -19,6 +19,7 @@ import blocksar
 from blocksar import graph, stores
 from blocksar.graph import open_client
 from blocksar.parameters import InputError, ProcessingError
+from blocksar.steps import stages
 
 GRID = ((15900.0, 16300.0, 4.0), (19000.0, 19400.0, 4.0))
 
@@ -213,3 +214,19 @@ def test_peak_memory_is_the_process_own() -> None:
     child = int(subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, text=True).stdout)
     assert graph.peak_memory() > ballast.size
     assert child < ballast.size
+
+
+def test_a_block_that_has_travelled_is_as_good(store: Path, tmp_path: Path) -> None:
+    """What comes from another worker may not be written to, and a stage works in place."""
+    block = blocksar.plan(store, blocks=3).result.blocks[1]
+    stage = stages(block.chain)[1]
+    rng = np.random.default_rng(2)
+    shape = (max(stage.program.source.size, stage.program.target.size), stage.program.n_row)
+    samples = (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)).astype(np.complex64)
+    fixed = samples.copy()
+    fixed.flags.writeable = False
+    run = graph.Run(folder=tmp_path, identity="x", threads=1)
+    here = graph.run_stage(run, block, stage, graph.Samples(samples, {}))
+    there = graph.run_stage(run, block, stage, graph.Samples(fixed, {}))
+    assert here.values is samples
+    np.testing.assert_array_equal(here.values, there.values)
