@@ -26,12 +26,22 @@ def _turn(phases: RowPhase, rows: Axis, *, sign: float = 1.0) -> Turn:
     return Turn(Phase(sign * phases.coefficients(rows.values), phases.centre, phases.scale))
 
 
+class _AzimuthStep(Step):
+    """Its rows lie along azimuth, one a range."""
+
+    rows: Axis
+
+    @property
+    def n_row(self) -> int:
+        return self.rows.size
+
+
 def _mean_range(line: Line) -> FloatArray:
     return np.asarray(line.range.mean(axis=-1))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Perturbation(Step):
+class Perturbation(_AzimuthStep):
     """Perturb in time, transform to Doppler, perturb there (paper A (26), orders 3 and up; time: physics).
 
     exp(2j pi p(t)) ahead of the transform is this package's addition: it lets the chain work where
@@ -50,10 +60,6 @@ class Perturbation(Step):
     def source(self) -> Axis:
         return self.time
 
-    @property
-    def n_row(self) -> int:
-        return self.rows.size
-
     def operations(self) -> list[Operation]:
         """Rows of time.size samples to rows of doppler.size bins, one a range; padded in time."""
         return [
@@ -69,7 +75,7 @@ class Perturbation(Step):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Deramp(Step):
+class Deramp(_AzimuthStep):
     """Back to time; multiply by exp(2j pi d(t)): the block's common Doppler rate, orders 2 to 4 (paper A (31))."""
 
     name = "deramp"
@@ -81,10 +87,6 @@ class Deramp(Step):
     @property
     def source(self) -> Axis:
         return self.doppler
-
-    @property
-    def n_row(self) -> int:
-        return self.rows.size
 
     def operations(self) -> list[Operation]:
         """Rows of doppler.size bins to rows of time.size samples, one a range."""
@@ -138,7 +140,7 @@ class DwellGate:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class DopplerTransform(Step):
+class DopplerTransform(_AzimuthStep):
     """The final transform: level lines become points in Doppler (paper A (32), with the target's own dwell).
 
     Each target's spectrum stays centred on its own dwell, not on t = 0 (with a gate: on its distance from the
@@ -162,10 +164,6 @@ class DopplerTransform(Step):
     @property
     def source(self) -> Axis:
         return self.time
-
-    @property
-    def n_row(self) -> int:
-        return self.rows.size
 
     def operations(self) -> list[Operation]:
         """Rows of time.size samples to rows of image_doppler.size bins, one a range; focused."""

@@ -16,7 +16,6 @@ sees the pixel outside the unambiguous window |R_xy - reference_range| <= c / (4
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -351,7 +350,7 @@ def _period(collection: Collection) -> int:
 
 
 def _run_tiles(work: Callable[[Tile], None], shape: tuple[int, ...], threads: int) -> None:
-    """Do `work` for every tile of the image. Threads of Python's, not numba's: those may not be entered twice."""
+    """Do `work` for every tile of the image."""
     height = TILE if shape[0] > 1 else 1
     width = TILE**2 // height
     tiles = [
@@ -359,13 +358,7 @@ def _run_tiles(work: Callable[[Tile], None], shape: tuple[int, ...], threads: in
         for row in range(0, shape[0], height)
         for column in range(0, shape[1], width)
     ]
-    if threads == 1:
-        for tile in tiles:
-            work(tile)
-        return
-    with ThreadPoolExecutor(threads) as pool:
-        for _ in pool.map(work, tiles):
-            pass
+    run_groups(work, tiles, threads)
 
 
 def _lit_intervals(geometry: Geometry, x: FloatArray, y: FloatArray, threads: int) -> tuple[IntArray, IntArray]:

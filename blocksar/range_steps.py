@@ -20,6 +20,16 @@ from blocksar.rows import Operation, Stretch, Transform, Turn, Window
 from blocksar.steps import Step
 
 
+class _FrequencyStep(Step):
+    """Its rows lie along azimuth, one a range frequency."""
+
+    range_frequency: Axis
+
+    @property
+    def n_row(self) -> int:
+        return self.range_frequency.size
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RangeGate(Step):
     """Keep some ranges of a block's slab, on as many fewer range frequencies: a block in range sub-blocks.
@@ -76,7 +86,7 @@ class RangeGate(Step):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ResidualRangeWalk(Step):
+class ResidualRangeWalk(_FrequencyStep):
     """Return a block's slab of Doppler to time, less the walk of the block's centre (paper A (16)).
 
     Multiplies by exp(-2j pi walk (fc + f) / fc t), which is (16) with
@@ -104,10 +114,6 @@ class ResidualRangeWalk(Step):
     def source(self) -> Axis:
         return self.slab
 
-    @property
-    def n_row(self) -> int:
-        return self.range_frequency.size
-
     def operations(self) -> list[Operation]:
         """Rows of slab.size Doppler bins to rows of time.size samples, one a range frequency."""
         moved = round(self.walk / self.slab.step) * self.slab.step
@@ -122,7 +128,7 @@ class ResidualRangeWalk(Step):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Keystone(Step):
+class Keystone(_FrequencyStep):
     """Rescale slow time at each range frequency so that any linear range walk cancels (paper A (17)).
 
     S_out(f, t) = S(f, t fc / (fc + f)). On the carrier nothing moves; a target's apparent range becomes
@@ -139,10 +145,6 @@ class Keystone(Step):
     @property
     def source(self) -> Axis:
         return self.time
-
-    @property
-    def n_row(self) -> int:
-        return self.range_frequency.size
 
     def operations(self) -> list[Operation]:
         """Rows of time.size samples, one a range frequency; zero where the input has no data."""

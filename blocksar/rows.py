@@ -10,10 +10,10 @@ written to those of another, which is how a transform along the first axis is do
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal, Protocol, TypeVar
 
 import numpy as np
 
@@ -26,6 +26,7 @@ GROUP_BYTES = 768 * 1024  # rows worked on at a time: within a core's second-lev
 GROUP_ROWS = 4  # and a multiple of so many, which the FFT library transforms at once
 
 Layout = Literal["rows", "columns"]
+Part = TypeVar("Part")  # a slice, a tile: what a thread does in one go
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,8 +284,8 @@ def row_groups(first: int, last: int, length: int, *, columns: bool = False) -> 
     return [slice(i, min(i + rows, last)) for i in range(first, last, rows)]
 
 
-def run_groups(work: Callable[[slice], None], groups: list[slice], threads: int) -> None:
-    """Do `work` for every group, on as many threads."""
+def run_groups(work: Callable[[Part], None], groups: Iterable[Part], threads: int) -> None:
+    """Do `work` for every group, on as many threads: Python's, not numba's, which may not be entered twice."""
     if threads == 1:
         for group in groups:
             work(group)
