@@ -7,21 +7,24 @@ end they are gathered in run.json.
 
 from __future__ import annotations
 
-import shutil
+import os
+import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import partial
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeGuard
 
 import numpy as np
 
-from blocksar import __version__, graph, simulation, stores
+from blocksar import __version__, cluster, graph, runs, simulation, stores
 from blocksar.backprojection import form_image
+from blocksar.cluster import machine
 from blocksar.geometry import Geometry
-from blocksar.graph import Receipt, Run, image_chunk, machine
+from blocksar.graph import image_chunk
 from blocksar.measurement import (
     DEFINITIONS,
     TABLE3,
@@ -35,9 +38,11 @@ from blocksar.measurement import (
     read_response,
     summary,
 )
-from blocksar.parameters import Collection, ComplexArray, FloatArray, InputError
+from blocksar.parameters import Collection, ComplexArray, FloatArray, InputError, ProcessingError
+from blocksar.places import Location, Place, place
 from blocksar.planning import BlockPlan, Coefficients, Plan, plan_collection
 from blocksar.region import Grid, default_grid, plan_region
+from blocksar.runs import FORMAT, Receipt, Run
 from blocksar.scene import Scene, shipped_scenes
 
 if TYPE_CHECKING:
@@ -48,21 +53,8 @@ __all__ = ["demo", "focus", "open", "plan", "quality", "simulate"]
 
 Processor = Literal["angular-division", "keystone-resampling", "high-order-phase", "backprojection"]
 GridLike = Grid | tuple[tuple[float, float, float], tuple[float, float, float]]
-Source = "str | Path | xr.Dataset"
 Table = tuple[Sequence[str], Sequence[Sequence[str]]]
 
-FORMAT = 1  # of run folders: a run of another format is not resumed
-OWN = (
-    "run.json",
-    "collection.zarr",
-    "spectrum.zarr",
-    "compressed.zarr",
-    "image.zarr",
-    "patches",
-    "receipts",
-    "quality.json",
-)
-LEFT_ALONE = ("phase_history.zarr",)  # may stand in a new run's folder: `demo` puts its input there
 RANGES_COMPARED = (("near", 0.1), ("middle", 0.5), ("far", 0.9))  # name, share of the swath
 MIB = 2**20
 
@@ -96,13 +88,13 @@ class Report:
 
 def simulate(
     scene: Scene | str | Path,
-    out: str | Path,
+    out: Location,
     *,
     raw: bool = False,
     threads: int | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
-) -> Path:
+) -> Path | Place:
     """Write the phase history of a scene (a file, or the name of a shipped one), with exact ranges.
 
     Raises
@@ -120,7 +112,7 @@ def simulate(
 
 
 def plan(
-    source: str | Path | xr.Dataset,
+    source: Location | xr.Dataset,
     *,
     processor: Processor = "angular-division",
     blocks: int | Literal["auto"] = "auto",
@@ -169,12 +161,15 @@ def _grid(grid: GridLike | None) -> Grid | None:
     return Grid(*grid[0], *grid[1])
 
 
-def _collection(source: str | Path | xr.Dataset) -> Collection:
-    if isinstance(source, str | Path):
-        if str(source).endswith(".toml") or (str(source) in shipped_scenes() and not Path(source).exists()):
-            return Scene.read(source).collection().centred()
-        return stores.open_phase_history(source).collection.centred()
-    return stores.open_phase_history(_dataset_path(source)).collection.centred()
+def _collection(source: Location | xr.Dataset) -> Collection:
+    text = str(source) if isinstance(source, str | Path) else ""
+    if text.endswith(".toml") or (text in shipped_scenes() and not Path(text).exists()):
+        return Scene.read(text).collection().centred()
+    return stores.open_phase_history(_where(source)).collection.centred()
+
+
+def _where(source: Location | xr.Dataset) -> Location:
+    return source if isinstance(source, str | os.PathLike | Place) else _dataset_path(source)
 
 
 def _dataset_path(source: xr.Dataset) -> str:
@@ -264,8 +259,8 @@ def _plan_backprojection(collection: Collection, grid: Grid | None, workers: int
 
 
 def focus(
-    source: str | Path | xr.Dataset,
-    out: str | Path,
+    source: Location | xr.Dataset,
+    out: Location,
     *,
     processor: Processor = "angular-division",
     blocks: int | Literal["auto"] = "auto",
@@ -302,163 +297,179 @@ def focus(
         If processing fails: what was finished stays, and the same call resumes.
     """
     _check_processor(processor)
-    progress = progress or _Silent()
-    history = stores.open_phase_history(source if isinstance(source, str | Path) else _dataset_path(source))
-    folder = Path(out)
-    wanted_grid = _grid(grid)
-    settings = {
+    wanted = _grid(grid)
+    settings: dict[str, Any] = {
         "processor": processor,
         "blocks": blocks,
         "coefficients": coefficients,
-        "grid": None if wanted_grid is None else _grid_record(wanted_grid),
+        "grid": None if wanted is None else _grid_record(wanted),
     }
+    history = stores.open_phase_history(_where(source))
     fingerprint = history.fingerprint()
-    found = _existing(folder, settings, fingerprint, overwrite=overwrite)
-    if found is not None and found["status"] == "finished":
-        return Report(summary=[f"{folder} is finished already with these settings and this input: nothing to do"])
-    if client is not None or scheduler is not None:
-        with graph.open_client(scheduler=scheduler, client=client) as connected:
-            workers, memory_limit = graph.cluster_size(connected)
-    workers, threads, memory_limit = _resources(workers, threads, memory_limit)
+    folder = place(out)
+    runs.refuse_overlap(place(history.path), folder)
 
+    def found() -> dict[str, Any] | None:
+        return runs.existing(folder, settings, fingerprint, overwrite=overwrite)
+
+    if _finished(record := found()):
+        return _left_alone(folder, record)
+    with ExitStack() as stack:
+        connected = None
+        if client is not None or scheduler is not None:
+            connected = stack.enter_context(cluster.open_client(scheduler=scheduler, client=client))
+            workers, memory_limit = cluster.cluster_size(connected)
+        workers, threads, memory_limit = _resources(workers, threads, memory_limit)
+        stack.enter_context(runs.claimed(folder))
+        if _finished(record := found()):  # by somebody who wrote it until now
+            return _left_alone(folder, record)
+        job = _job(history, settings, wanted, record, workers, memory_limit)
+        divided = None if job.plan is None else (job.plan.n_blocks, job.plan.parts)
+        identity = stores.checksum_bytes(
+            repr((FORMAT, sorted(settings.items(), key=str), fingerprint, divided)).encode("utf-8", "surrogateescape")
+        )
+        run = Run(folder=folder, identity=identity, threads=threads)
+        unfinished = {
+            "format": FORMAT,
+            "status": runs.UNFINISHED,
+            "settings": settings,
+            "input": {"path": str(history.path), "fingerprint": fingerprint},
+            "identity": identity,
+            "versions": _versions(),
+            "workers": workers,
+            "threads": threads,
+            "memory_limit": memory_limit,
+            "plan": {
+                "blocks": job.plan and job.plan.n_blocks,
+                "parts": job.plan and job.plan.parts,
+                "grid": _grid_record(job.grid),
+                "predicted": _predicted(job.plan),
+            },
+        }
+        try:
+            done = _carry_out(job, run, unfinished, connected, progress or _Silent(), resumed=record is not None)
+        except ProcessingError as error:
+            raise ProcessingError(f"{error}; what was finished stays, the same command goes on from there") from error
+    return Report(summary=_focus_lines(folder, done, job.plan), result=done)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Job:
+    """What is to be focused, and how; without a plan, by back-projection."""
+
+    history: stores.PhaseHistory
+    geometry: Geometry
+    grid: Grid
+    plan: Plan | None
+
+
+def _job(
+    history: stores.PhaseHistory,
+    settings: dict[str, Any],
+    grid: Grid | None,
+    record: dict[str, Any] | None,
+    workers: int,
+    memory_limit: int,
+) -> _Job:
+    """A run that goes on is divided as it was begun."""
     collection = history.collection.centred()
     geometry = Geometry(collection=collection)
-    made: Plan | None = None
-    if processor == "backprojection":
-        target_grid = wanted_grid or default_grid(geometry, plan_region(geometry, None))
-        resolved: tuple[int, int] | None = None
-    else:
-        made = plan_collection(
-            collection,
-            blocks=blocks if found is None else found["plan"]["blocks"],
-            parts="auto" if found is None else found["plan"]["parts"],
-            coefficients=coefficients,
-            grid=wanted_grid,
-            workers=workers,
-            memory_limit=memory_limit,
-        )
-        if made.refusal is not None:
-            raise InputError(made.refusal)
-        target_grid, resolved = made.grid, (made.n_blocks, made.parts)
-    identity = stores.checksum(
-        np.frombuffer(repr((FORMAT, sorted(settings.items(), key=str), fingerprint, resolved)).encode(), np.uint8)
+    if settings["processor"] == "backprojection":
+        grid = grid or default_grid(geometry, plan_region(geometry, None))
+        return _Job(history=history, geometry=geometry, grid=grid, plan=None)
+    made = plan_collection(
+        collection,
+        blocks=settings["blocks"] if record is None else record["plan"]["blocks"],
+        parts="auto" if record is None else record["plan"]["parts"],
+        coefficients=settings["coefficients"],
+        grid=grid,
+        workers=workers,
+        memory_limit=memory_limit,
     )
-    run = graph.Run(folder=folder, identity=identity, threads=threads)
-    record = {
-        "format": FORMAT,
-        "status": "unfinished",
-        "settings": settings,
-        "input": {"path": str(history.path.resolve()), "fingerprint": fingerprint},
-        "identity": identity,
-        "versions": _versions(),
-        "workers": workers,
-        "threads": threads,
-        "memory_limit": memory_limit,
-        "plan": {
-            "blocks": made and made.n_blocks,
-            "parts": made and made.parts,
-            "grid": _grid_record(target_grid),
-            "predicted": _predicted(made),
-        },
-    }
-    fresh = not folder.exists() or (found is None and not any(folder.iterdir()))
+    if made.refusal is not None:
+        raise InputError(made.refusal)
+    return _Job(history=history, geometry=geometry, grid=made.grid, plan=made)
+
+
+def _carry_out(
+    job: _Job, run: Run, record: dict[str, Any], connected: Client | None, progress: Progress, *, resumed: bool
+) -> dict[str, Any]:
+    """From the input to a finished run's record."""
     started = time.perf_counter()
-    try:
-        if overwrite and found is None:
-            _clear(folder)
-        folder.mkdir(parents=True, exist_ok=True)
-        stores.write_json(folder / "run.json", record)
-        if not (folder / "collection.zarr").exists():
-            stores.write_collection(folder / "collection.zarr", history.collection, history.attrs)
-        if not run.image.exists():
-            _create_image(run.image, target_grid, history, settings, identity, made)
-        with graph.open_client(
-            scheduler=scheduler, client=client, workers=workers, threads=threads, memory_limit=memory_limit
-        ) as connected:
-            receipts, timings = _stages(connected, history, geometry, target_grid, made, run, progress)
-    except InputError:
-        # The input lied only once its samples were read: leave nothing behind that was not there before.
-        if fresh:
-            shutil.rmtree(folder, ignore_errors=True)
-        raise
+    with ExitStack() as stack:
+        input_read = (lambda: None) if resumed else stack.enter_context(runs.begun(run.folder))
+        run.folder.sweep()
+        stores.write_json(run.folder / "run.json", record)
+        if connected is None:
+            connected = stack.enter_context(
+                cluster.open_client(
+                    workers=record["workers"],
+                    threads=record["threads"],
+                    memory_limit=record["memory_limit"],
+                    scratch=runs.scratch(run.folder),
+                )
+            )
+        receipts, timings = _stages(connected, job, run, record, progress, input_read)
     record |= {
-        "status": "finished",
         "receipts": receipts,
         "timings": timings | {"total": time.perf_counter() - started},
         "peak_memory": max(receipt["peak_memory"] for receipt in receipts),
     }
-    stores.write_json(folder / "run.json", record)
-    shutil.rmtree(folder / "receipts", ignore_errors=True)
-    shutil.rmtree(run.compressed, ignore_errors=True)
-    return Report(summary=_focus_lines(folder, record, made), result=record)
+    runs.finish(run, record)
+    return record
+
+
+def _finished(record: dict[str, Any] | None) -> TypeGuard[dict[str, Any]]:
+    return record is not None and record["status"] == runs.FINISHED
+
+
+def _left_alone(folder: Place, record: dict[str, Any]) -> Report:
+    runs.check_finished(folder, record)
+    if not runs.is_tidy(folder):
+        with runs.claimed(folder):
+            runs.tidy(folder)
+    return Report(
+        summary=[f"{folder} is finished already with these settings and this input: nothing to do"], result=record
+    )
 
 
 def _stages(
     client: Client,
-    history: stores.PhaseHistory,
-    geometry: Geometry,
-    grid: Grid,
-    made: Plan | None,
+    job: _Job,
     run: Run,
+    record: dict[str, Any],
     progress: Progress,
+    input_read: Callable[[], None],
 ) -> tuple[list[Receipt], dict[str, float]]:
+    """All receipts, and the seconds of each stage."""
     clock = [time.perf_counter()]
 
     def lap() -> float:
         clock.append(time.perf_counter())
         return clock[-1] - clock[-2]
 
-    if made is None:
-        receipts = graph.back_project(client, history, geometry, grid, run, progress.update)
+    history, plan = job.history, job.plan
+    run.establish(
+        run.folder / "collection.zarr",
+        lambda: stores.write_collection(run.folder / "collection.zarr", history.collection, history.attrs),
+    )
+    if plan is None:
+        run.establish(run.image, lambda: _create_image(run, job, record))
+        receipts = graph.back_project(client, history, job.geometry, job.grid, run, progress.update)
+        input_read()
         return receipts, {"backprojection": lap()}
     timings = {}
-    recovered, valid = graph.recover(client, history, made, run, progress.update)
+    recovered, valid = graph.recover(client, history, plan, run, progress.update)
     timings["recover"] = lap()
     if not valid.any():
         raise InputError(f"{history.variable} in {history.path} holds no valid sample; is it the right store?")
-    focused = graph.focus_blocks(client, made, run, valid, progress.update)
+    input_read()
+    run.establish(run.image, lambda: _create_image(run, job, record))
+    focused = graph.focus_blocks(client, plan, run, valid, progress.update)
     timings["focus"] = lap()
-    merged = graph.mosaic(client, made, run, focused, progress.update)
+    merged = graph.mosaic(client, plan, run, focused, progress.update)
     timings["mosaic"] = lap()
     return [*recovered, *focused, *merged], timings
-
-
-def _existing(folder: Path, settings: dict[str, Any], fingerprint: str, *, overwrite: bool) -> dict[str, Any] | None:
-    """The record of a run in this folder that may be resumed or is finished; None where a new one may begin."""
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder} is a file; choose another --out")
-    if not folder.exists() or not any(path.name not in LEFT_ALONE for path in folder.iterdir()):
-        return None
-    if not (folder / "run.json").exists():
-        raise InputError(f"{folder} exists and holds no run of blocksar; choose another --out")
-    if overwrite:
-        return None
-    try:
-        record = stores.read_json(folder / "run.json")
-        same = (
-            record["format"] == FORMAT
-            and record["settings"] == settings
-            and record["input"]["fingerprint"] == fingerprint
-        )
-        different = [name for name in settings if record["settings"].get(name) != settings[name]]
-        assert record["status"] in ("finished", "unfinished")
-    except (InputError, KeyError, TypeError, AttributeError, AssertionError):
-        raise InputError(f"{folder}/run.json cannot be read; use --overwrite, or choose another --out") from None
-    if same:
-        return dict(record)
-    why = ", ".join(f"{name} {record['settings'].get(name)!r}" for name in different) or "another input or format"
-    raise InputError(
-        f"{folder} holds a run with {why}, not what is asked for now; use --overwrite to replace it, or another --out"
-    )
-
-
-def _clear(folder: Path) -> None:
-    for name in OWN:
-        path = folder / name
-        if path.is_dir() and not path.is_symlink():
-            shutil.rmtree(path)
-        else:
-            path.unlink(missing_ok=True)
 
 
 def _grid_record(grid: Grid) -> list[float]:
@@ -480,35 +491,52 @@ def _predicted(made: Plan | None) -> list[dict[str, Any]]:
     ]  # fmt: skip
 
 
-def _create_image(
-    path: Path, grid: Grid, history: stores.PhaseHistory, settings: dict[str, Any], identity: str, made: Plan | None
-) -> None:
-    side = image_chunk(grid)
-    attrs = {
-        "title": history.attrs.get("title") or history.collection.title or "blocksar image",
+def _create_image(run: Run, job: _Job, record: dict[str, Any]) -> None:
+    side, attrs = image_chunk(job.grid), job.history.attrs
+    title = attrs.get("title") or job.history.collection.title or "blocksar image"
+    text = {
+        "title": title,
         "Conventions": stores.CONVENTIONS,
-        "history": stores.history_line(f"focused by blocksar {__version__}", history.attrs.get("history")),
-        "source": str(history.path.resolve()),
-        "settings": settings,
-        "run": identity,
-        "carrier_frequency": history.collection.carrier,
-        "ground_height": history.collection.ground_height,
+        "history": stores.history_line(f"focused by blocksar {__version__}", attrs.get("history")),
+        "source": str(job.history.path),
+        "settings": record["settings"],
+        "run": run.identity,
+        "carrier_frequency": job.history.collection.carrier,
+        "ground_height": job.history.collection.ground_height,
         "calibration": "a target of reflectivity 1 peaks at 1 + 0j",
-        "predicted": _predicted(made),
-        "scene": history.attrs.get("scene", ""),
+        "predicted": record["plan"]["predicted"],
+        "scene": attrs.get("scene", ""),
     }
-    if "georeference" in history.attrs:
-        attrs["georeference"] = history.attrs["georeference"]
+    if "georeference" in attrs:
+        text["georeference"] = attrs["georeference"]
     stores.create(
-        path, stores.IMAGE, sizes={}, coords={"x": grid.x, "y": grid.y}, attrs=attrs,
-        chunks={"y": side[0], "x": side[1]},
+        run.image, stores.IMAGE, sizes={}, coords={"x": job.grid.x, "y": job.grid.y}, attrs=text,
+        chunks={"y": side[0], "x": side[1]}, overwrite=True,
     )  # fmt: skip
 
 
-def _focus_lines(folder: Path, record: dict[str, Any], made: Plan | None) -> list[str]:
+REUSED = {"pulses": "groups of pulses", "columns": "column groups", "block": "blocks", "chunk": "parts of the mosaic"}
+
+
+def _resumed_line(receipts: Sequence[Receipt]) -> list[str]:
+    """What of an earlier, unfinished run was used again."""
+    if not any(receipt.get("reused") for receipt in receipts):
+        return []
+    counts = []
+    for prefix, what in REUSED.items():
+        units = [receipt for receipt in receipts if receipt["unit"].startswith(f"{prefix}-")]
+        if units:
+            counts.append(f"{sum('reused' in receipt for receipt in units)} of {len(units)} {what}")
+    damaged = sum("damaged" in receipt for receipt in receipts)
+    also = f"; {damaged} more were found damaged and made again" if damaged else ""
+    return [f"went on from an unfinished run: {', '.join(counts)} were used again{also}"]
+
+
+def _focus_lines(folder: Place, record: dict[str, Any], made: Plan | None) -> list[str]:
     timings = record["timings"]
     stages = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in timings.items() if name != "total")
-    lines = [f"{folder}/image.zarr is finished in {timings['total']:.1f} s ({stages})"]
+    lines = [*_resumed_line(record["receipts"])]
+    lines.append(f"{folder / 'image.zarr'} is finished in {timings['total']:.1f} s ({stages})")
     planned = "" if made is None else f", planned {made.memory / MIB:.0f} MiB"
     lines.append(f"peak memory of a worker {record['peak_memory'] / MIB:.0f} MiB{planned}")
     return lines
@@ -517,9 +545,9 @@ def _focus_lines(folder: Path, record: dict[str, Any], made: Plan | None) -> lis
 # ---------------------------------------------------------------- open, quality
 
 
-def open(run: str | Path) -> xr.Dataset:  # the word of the interface
+def open(run: Location) -> xr.Dataset:  # the word of the interface
     """The image of a run as a lazily loaded dataset: `image` and `block` over y and x."""
-    folder = Path(run)
+    folder = place(run)
     return stores.open_dataset(folder / "image.zarr" if (folder / "image.zarr").exists() else folder)
 
 
@@ -527,7 +555,7 @@ def open(run: str | Path) -> xr.Dataset:  # the word of the interface
 class _Image:
     """A finished run's image, read by window."""
 
-    path: Path
+    path: Place
     x: FloatArray
     y: FloatArray
 
@@ -538,7 +566,7 @@ class _Image:
         return stores.read_region(self.path, "block", (rows, columns))
 
 
-def _open_run(run: Path) -> tuple[_Image, Collection, dict[str, Any], dict[str, Any]]:
+def _open_run(run: Place) -> tuple[_Image, Collection, dict[str, Any], dict[str, Any]]:
     if not (run / "run.json").exists():
         raise InputError(f"{run} holds no run.json; give the folder that `blocksar focus --out` left")
     record = stores.read_json(run / "run.json")
@@ -549,9 +577,7 @@ def _open_run(run: Path) -> tuple[_Image, Collection, dict[str, Any], dict[str, 
     return _Image(run / "image.zarr", x, y), collection.centred(), attrs, record
 
 
-def quality(
-    run: str | Path, *, targets: str | Path | Sequence[Target] | None = None, reference: bool = False
-) -> Report:
+def quality(run: Location, *, targets: Location | Sequence[Target] | None = None, reference: bool = False) -> Report:
     """Measure a run's point targets, and compare chips with exact back-projection.
 
     Parameters
@@ -566,11 +592,11 @@ def quality(
     Report
         `result` is what RUN/quality.json holds.
     """
-    return _measure(Path(run), targets, reference)[0]
+    return _measure(place(run), targets, reference)[0]
 
 
 def _measure(
-    folder: Path, targets: str | Path | Sequence[Target] | None, reference: bool
+    folder: Place, targets: Location | Sequence[Target] | None, reference: bool
 ) -> tuple[Report, list[Response]]:
     image, collection, attrs, record = _open_run(folder)
     geometry = Geometry(collection=collection)
@@ -598,14 +624,14 @@ def _measure(
     return Report(tables=tables, summary=lines, result=found), shown
 
 
-def _targets(targets: str | Path | Sequence[Target] | None, attrs: dict[str, Any]) -> list[Target]:
+def _targets(targets: Location | Sequence[Target] | None, attrs: dict[str, Any]) -> list[Target]:
     if targets is None:
         return [Target.from_record(record) for record in attrs.get("targets") or []]
-    if not isinstance(targets, str | Path):
+    if not isinstance(targets, str | os.PathLike | Place):
         return list(targets)
-    path = Path(targets)
-    if path.suffix == ".toml":
-        return [Target(*t) for t in Scene.read(path).point_targets()]
+    path = place(targets)
+    if path.name.endswith(".toml"):
+        return [Target(*t) for t in Scene.read(str(path)).point_targets()]
     records = stores.read_json(path)
     if isinstance(records, dict):
         records = records.get("targets")
@@ -728,7 +754,7 @@ def _reference_table(compared: Compared) -> Table:
 
 
 def demo(
-    out: str | Path,
+    out: Location,
     *,
     workers: int | None = None,
     threads: int | None = None,
@@ -740,12 +766,11 @@ def demo(
 
     Leaves a run folder with quality.json, mosaic.png and contours.png besides.
     """
-    folder = Path(out)
-    history = folder / "phase_history.zarr"
-    if folder.exists() and any(folder.iterdir()) and not history.exists():
+    folder = place(out)
+    history = folder / runs.LEFT_ALONE[0]
+    if folder.names() and not history.exists():
         raise InputError(f"{folder} exists and is not a demonstration run; choose another --out")
     if overwrite or not history.exists():
-        folder.mkdir(parents=True, exist_ok=True)
         simulate("table1", history, threads=threads, overwrite=overwrite, progress=progress)
     focused = focus(
         history, folder, blocks=3, workers=workers, threads=threads, memory_limit=memory_limit, overwrite=overwrite,
@@ -757,16 +782,19 @@ def demo(
     return Report(tables=measured.tables, summary=lines, result=measured.result)
 
 
-def _draw(folder: Path, shown: Sequence[Response]) -> list[Path]:
+def _draw(folder: Place, shown: Sequence[Response]) -> list[Place]:
     try:
         from blocksar import plotting  # optional, and slow to load
     except ModuleNotFoundError as error:
         raise InputError(f"{error.name} is not installed, which pictures need; install blocksar[plots]") from None
     image, _, attrs, _ = _open_run(folder)
-    mosaic, contours = folder / "mosaic.png", folder / "contours.png"
-    plotting.plot_mosaic(
-        image.read, image.x, image.y, mosaic, read_block=image.block, targets=_targets(None, attrs),
-        labels=list(TABLE3), title=str(attrs.get("title", "")),
-    )  # fmt: skip
-    plotting.plot_contours(shown, contours, title="impulse responses of the nine named targets")
-    return [mosaic, contours]
+    with tempfile.TemporaryDirectory() as drawn:
+        mosaic, contours = Path(drawn, "mosaic.png"), Path(drawn, "contours.png")
+        plotting.plot_mosaic(
+            image.read, image.x, image.y, mosaic, read_block=image.block, targets=_targets(None, attrs),
+            labels=list(TABLE3), title=str(attrs.get("title", "")),
+        )  # fmt: skip
+        plotting.plot_contours(shown, contours, title="impulse responses of the nine named targets")
+        for picture in (mosaic, contours):
+            (folder / picture.name).write_bytes(picture.read_bytes())
+    return [folder / mosaic.name, folder / contours.name]

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import errno
 import math
+import os
 import re
 import signal
 import sys
 import threading
 from collections.abc import Sequence
-from pathlib import Path
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn, Protocol, Self, TypedDict, get_args
 
@@ -32,6 +32,7 @@ Coefficients = Literal["fitted", "closed-form"]
 Axis = tuple[float, float, float]
 
 FAILED, WRONG_INPUT, INTERRUPTED, TERMINATED = 1, 2, 130, 143
+GRACE = 10.0  # seconds that an interrupted command has to end in good order
 PLAIN_STEPS = 10  # progress lines a stage, where there is no terminal to draw a bar on
 PIPE_WIDTH = 240  # columns of a table that goes to no terminal: nothing may be folded there
 
@@ -258,9 +259,9 @@ class Commands(TyperGroup):
                 raise
             complain(str(error), FAILED)
         except KeyboardInterrupt:
-            complain("interrupted; what was finished stays: give the same command again to go on", INTERRUPTED)
+            complain(_stopped(INTERRUPTED), INTERRUPTED)
         except Terminated:
-            complain("terminated; what was finished stays: give the same command again to go on", TERMINATED)
+            complain(_stopped(TERMINATED), TERMINATED)
 
 
 # ---------------------------------------------------------------- options that several commands share
@@ -314,7 +315,7 @@ def options(
 
 @app.command()
 def demo(
-    out: Annotated[Path, typer.Option(help="Folder of the run.")] = Path("demo-run"),
+    out: Annotated[str, typer.Option(help="Folder of the run.")] = "demo-run",
     workers: Workers = None,
     threads: Threads = None,
     memory_limit: MemoryLimit = None,
@@ -341,7 +342,7 @@ def demo(
 @app.command()
 def simulate(
     scene: Annotated[str, typer.Argument(metavar="SCENE.toml", help="Scene file, or the name of a shipped scene.")],
-    out: Annotated[Path, typer.Option(help="Phase-history store to write.")],
+    out: Annotated[str, typer.Option(help="Phase-history store to write.")],
     raw: Annotated[bool, typer.Option("--raw", help="Write a raw chirped echo over fast time.")] = False,
     threads: Threads = None,
     overwrite: Overwrite = False,
@@ -388,8 +389,8 @@ def plan(
 
 @app.command()
 def focus(
-    source: Annotated[Path, typer.Argument(metavar="PH.zarr", help="Phase-history store.")],
-    out: Annotated[Path, typer.Option(metavar="RUN", help="Folder of the run; an unfinished one is resumed.")],
+    source: Annotated[str, typer.Argument(metavar="PH.zarr", help="Phase-history store.")],
+    out: Annotated[str, typer.Option(metavar="RUN", help="Folder of the run; an unfinished one is resumed.")],
     processor: ProcessorOption = "angular-division",
     blocks: Blocks = "auto",
     coefficients: CoefficientsOption = "fitted",
@@ -420,9 +421,9 @@ def focus(
 
 @app.command()
 def quality(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a finished run.")],
+    run: Annotated[str, typer.Argument(metavar="RUN", help="Folder of a finished run.")],
     targets: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Targets to measure; default: those that the run knows.")
+        str | None, typer.Option(metavar="FILE", help="Targets to measure; default: those that the run knows.")
     ] = None,
     reference: Annotated[
         bool, typer.Option("--reference", help="Compare chips of the image with exact back-projection.")
@@ -441,12 +442,33 @@ def quality(
 
 def main() -> None:
     """Entry point of `blocksar`."""
-    signal.signal(signal.SIGTERM, _terminate)
+    signal.signal(signal.SIGTERM, _stop)
+    # A shell starts what runs in the background with Ctrl-C ignored: so it stays.
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+        signal.signal(signal.SIGINT, _stop)
     app(prog_name="blocksar")
 
 
-def _terminate(number: int, frame: FrameType | None) -> None:
-    raise Terminated(TERMINATED)
+def _stop(number: int, frame: FrameType | None) -> None:
+    """End in good order; at once if asked again, or if that order takes longer than GRACE."""
+    status = INTERRUPTED if number == signal.SIGINT else TERMINATED
+    for each in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(each, lambda *_: _stop_at_once(status))
+    late = threading.Timer(GRACE, _stop_at_once, (status,))
+    late.daemon = True
+    late.start()
+    raise KeyboardInterrupt if status == INTERRUPTED else Terminated(TERMINATED)
+
+
+def _stop_at_once(status: int) -> None:
+    """Workers end with the process that started them; what is half-written has a name that nobody takes for whole."""
+    os.write(2, f"blocksar: {_stopped(status)}\n".encode())
+    os._exit(status)
+
+
+def _stopped(status: int) -> str:
+    how = "interrupted" if status == INTERRUPTED else "terminated"
+    return f"{how}; what was finished stays: give the same command again to go on"
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
 """The task graph: recovery by column group, one chain a block, the mosaic by output chunk.
 
-The only home of dask. Tasks get paths and small constants and leave their samples in zarr; what travels is
+Tasks get paths and small constants and leave their samples in zarr; what travels is
 receipts. Keys read `step-run-block`, so that the dashboard can be read and no stale result is taken for a
-new one. A unit of work writes whole chunks that nobody else writes, then its receipt: it may be retried, and
-a run that was interrupted goes on from its receipts.
+new one. A unit of work writes whole chunks that nobody else writes, then its receipt: a worker that is lost
+loses nothing but time, and a run that was interrupted goes on from its receipts.
 """
 
 from __future__ import annotations
@@ -11,84 +11,36 @@ from __future__ import annotations
 import resource
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import wraps
 from itertools import pairwise
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ParamSpec, TypeVar
 
-import dask
 import numpy as np
-from dask.system import CPU_COUNT
-from dask.typing import Key
-from distributed import Client, Future, LocalCluster, as_completed
-from distributed.system import MEMORY_LIMIT
+from distributed import Client, Future, KilledWorker
 
 from blocksar import stores
 from blocksar.backprojection import form_image
+from blocksar.cluster import Unit, in_turn
 from blocksar.geometry import Geometry
 from blocksar.ground import GroundMap, correct, covers
-from blocksar.ground import compile_kernels as compile_correction
 from blocksar.parameters import ComplexArray, FloatArray, InputError, ProcessingError
 from blocksar.planning import DOPPLER_GROUP, IMAGE_CHUNK, BlockPlan, Plan
 from blocksar.range_steps import Keystone
 from blocksar.recovery import RawCompression, Recovery, recover_columns
 from blocksar.region import Grid, lit_pulses
+from blocksar.runs import Receipt, Run, Written, write, written
 from blocksar.steps import Stage, stages
 
-Receipt = dict[str, Any]
 Report = Callable[[str, int, int], None]  # stage, done, total
+P = ParamSpec("P")
+R = TypeVar("R")
 
 MOSAIC_CHUNKS = 4  # output chunks merged by a task: one takes no longer than the scheduler's answer
 READING_STAGES = ("range-compress", "recover", "backprojection")
 BACKPROJECTION_CHUNK = 256  # pixels a side of a back-projection task
-
-
-@dataclass(frozen=True, kw_only=True)
-class Run:
-    """Where a run keeps its things, and the hash that its keys and receipts carry."""
-
-    folder: Path
-    identity: str
-    threads: int
-
-    @property
-    def spectrum(self) -> Path:
-        return self.folder / "spectrum.zarr"
-
-    @property
-    def compressed(self) -> Path:
-        return self.folder / "compressed.zarr"
-
-    @property
-    def image(self) -> Path:
-        return self.folder / "image.zarr"
-
-    def patch(self, block: str) -> Path:
-        return self.folder / "patches" / block
-
-    def receipt(self, unit: str) -> Path:
-        return self.folder / "receipts" / f"{unit}.json"
-
-    def done(self, unit: str) -> Receipt | None:
-        """The receipt of a finished unit of this very run, or None."""
-        path = self.receipt(unit)
-        if not path.exists():
-            return None
-        receipt: Receipt = stores.read_json(path)
-        return receipt if receipt.get("run") == self.identity else None
-
-    def sign(self, unit: str, started: float, **facts: Any) -> Receipt:
-        """Write a unit's receipt, after its data."""
-        receipt = {
-            "run": self.identity, "unit": unit, "seconds": time.perf_counter() - started,
-            "peak_memory": peak_memory(), **facts,
-        }  # fmt: skip
-        path = self.receipt(unit)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        stores.write_json(path, receipt)
-        return receipt
 
 
 def peak_memory() -> int:
@@ -103,78 +55,28 @@ def peak_memory() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
 
-def machine() -> tuple[int, int]:
-    """Cores and bytes of memory that this process may use, control groups respected."""
-    return int(CPU_COUNT), int(MEMORY_LIMIT)
-
-
-def cluster_size(client: Client) -> tuple[int, int]:
-    """Workers of a cluster, and the smallest memory limit among them, bytes.
-
-    Raises
-    ------
-    InputError
-        If it has no worker.
-    """
-    workers = client.scheduler_info(n_workers=-1)["workers"]
-    if not workers:
-        raise InputError("the dask scheduler has no worker; start some")
-    return len(workers), min(int(w["memory_limit"]) or machine()[1] for w in workers.values())
-
-
-@contextmanager
-def open_client(
-    *,
-    scheduler: str | None = None,
-    client: Client | None = None,
-    workers: int = 1,
-    threads: int = 1,
-    memory_limit: int | None = None,
-) -> Iterator[Client]:
-    """The client given, a client of the scheduler given, or of a cluster of our own on loopback that ends with it."""
-    if client is not None:
-        yield client
-        return
-    if scheduler is not None:
-        try:
-            client = Client(scheduler, timeout=20)
-        except (OSError, ValueError) as error:
-            raise InputError(f"no dask scheduler answers at {scheduler} ({error}); check --scheduler") from None
-        with client:
-            yield client
-        return
-    # Compiling takes a worker more memory than a block may: done here, once, the workers load from the cache.
-    compile_correction()
-    settings = {
-        # The plan keeps to the limit; spilling would only hide that it did not.
-        "distributed.worker.memory.target": False,
-        "distributed.worker.memory.spill": False,
-        "distributed.worker.memory.pause": 0.9,
-        "distributed.worker.memory.terminate": 0.98,
-        "distributed.scheduler.work-stealing": False,
-        "distributed.scheduler.worker-saturation": 1.0,
-        "distributed.nanny.pre-spawn-environ.NUMBA_NUM_THREADS": threads,
-        # Blocks go back to the system at once; groups of rows and chunks stay in malloc's keeping, and in the cache.
-        "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": 24 * 2**20,
-        "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": 64 * 2**20,
-    }
-    with (
-        dask.config.set(settings),
-        LocalCluster(
-            n_workers=workers,
-            threads_per_worker=1,
-            processes=True,
-            memory_limit=memory_limit or "auto",
-            host="127.0.0.1",
-            dashboard_address="127.0.0.1:0",  # any free port, loopback only; needs bokeh to show more than metrics
-            silence_logs=40,
-        ) as cluster,
-        Client(cluster) as client,
-    ):
-        yield client
+def _sign(run: Run, unit: str, started: float, written: Iterable[Written], **facts: Any) -> Receipt:
+    return run.sign(unit, started, written, peak_memory=peak_memory(), **facts)
 
 
 # ---------------------------------------------------------------- tasks: what runs on a worker
+
+
+def named(step: Callable[..., str]) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Let a task say which step of which block failed. `step` tells it from the task's arguments."""
+
+    def decorate(task: Callable[P, R]) -> Callable[P, R]:
+        @wraps(task)
+        def run(*args: P.args, **kwargs: P.kwargs) -> R:
+            try:
+                return task(*args, **kwargs)
+            except Exception as error:
+                kind = "" if isinstance(error, InputError | ProcessingError) else f"{type(error).__name__}: "
+                raise ProcessingError(f"{step(*args)} failed: {kind}{error}") from error
+
+        return run
+
+    return decorate
 
 
 def compress_pulses(
@@ -184,8 +86,8 @@ def compress_pulses(
     started = time.perf_counter()
     echo = source.read(slice(*pulses), slice(None))
     signal = compression.apply(echo, pulses=slice(*pulses), threads=run.threads)
-    stores.write_region(run.compressed, "signal", (slice(*pulses), slice(None)), signal)
-    return run.sign(unit, started, checksum=stores.checksum(signal))
+    region = (slice(*pulses), slice(0, signal.shape[1]))
+    return _sign(run, unit, started, [write(run, run.compressed, "signal", region, signal)])
 
 
 def recover_group(
@@ -196,7 +98,7 @@ def recover_group(
     signal = source.read(slice(None), slice(*columns))
     missing = _clear_missing(signal)
     frequency = source.collection.carrier + source.collection.range_frequency - recovery.carrier
-    checksums = []
+    parts = []
     memory = np.empty(recovery.doppler.size * width, np.complex64)
     for first in range(columns[0], columns[1], width):
         part = slice(first, min(first + width, columns[1]))
@@ -208,9 +110,8 @@ def recover_group(
             threads=run.threads,
             out=memory[: shape[0] * shape[1]].reshape(shape),
         )
-        stores.write_region(run.spectrum, "spectrum", (slice(None), part), spectrum)
-        checksums.append(stores.checksum(spectrum))
-    return run.sign(unit, started, checksum=checksums, missing=missing)
+        parts.append(write(run, run.spectrum, "spectrum", (slice(0, shape[0]), part), spectrum))
+    return _sign(run, unit, started, parts, missing=missing)
 
 
 def _clear_missing(signal: ComplexArray) -> dict[int, int]:
@@ -224,13 +125,23 @@ def _clear_missing(signal: ComplexArray) -> dict[int, int]:
     return {int(pulse): int(missing[pulse]) for pulse in np.flatnonzero(missing)}
 
 
-class Samples(NamedTuple):
+@dataclass
+class Samples:
     """A block on its way, and the seconds that each of its tasks took."""
 
-    values: ComplexArray
+    values: ComplexArray | None
     seconds: dict[str, float]
 
+    def take(self) -> ComplexArray:
+        """The values, to be worked on in place: who asks a second time gets none, rather than half-worked ones."""
+        values, self.values = self.values, None
+        if values is None:
+            raise ProcessingError("a block was asked to take the same step twice")
+        # What has travelled from another worker may not be written to.
+        return values if values.flags.writeable else values.copy()
 
+
+@named(lambda run, block, stage, *_: f"read-slab+{stage.name} of block {block.name}")
 def read_slab(run: Run, block: BlockPlan, stage: Stage, width: int) -> Samples:
     """Run a block's first stage on its part of the spectrum, read some bins or a chunk's `width` columns at a time."""
     started, reading = time.perf_counter(), 0.0
@@ -265,12 +176,11 @@ def _buffer(block: BlockPlan, length: int) -> ComplexArray:
     return np.empty((rows, length), np.complex64)
 
 
+@named(lambda run, block, stage, *_: f"{stage.name} of block {block.name}")
 def run_stage(run: Run, block: BlockPlan, stage: Stage, given: Samples) -> Samples:
     """Run a stage on a block, in place where the result fits: nobody else has its input."""
     started = time.perf_counter()
-    samples, program = given.values, stage.program
-    if not samples.flags.writeable:  # it has travelled from another worker
-        samples = samples.copy()
+    samples, program = given.take(), stage.program
     if stage.layout == "columns":
         program.run(
             samples[: program.source.size], out=samples[: program.target.size],
@@ -285,6 +195,7 @@ def run_stage(run: Run, block: BlockPlan, stage: Stage, given: Samples) -> Sampl
     return Samples(out, given.seconds | {stage.name: time.perf_counter() - started})
 
 
+@named(lambda run, unit, name, *_: f"geometric-correction of block {name}")
 def write_patch(run: Run, unit: str, name: str, block: Samples, ground: GroundMap, grid: Grid) -> Receipt:
     """Geometric correction of a focused block into its own patch, chunk by chunk of the image's grid."""
     started = time.perf_counter()
@@ -296,7 +207,9 @@ def write_patch(run: Run, unit: str, name: str, block: Samples, ground: GroundMa
         coords={"x": grid.x[first_x : first_x + n_x], "y": grid.y[first_y : first_y + n_y]},
         chunks={"y": side[0], "x": side[1]},
     )  # fmt: skip
-    chunks = {}
+    assert block.values is not None
+    files = run.file_checksums(path)
+    chunks = []
     chunk = np.empty(side[0] * side[1], np.complex64)
     for y in range(0, n_y, side[0]):
         for x in range(0, n_x, side[1]):
@@ -312,24 +225,24 @@ def write_patch(run: Run, unit: str, name: str, block: Samples, ground: GroundMa
                 block.values, ground, threads=run.threads, out=chunk[: shape[0] * shape[1]].reshape(shape), **place
             )
             if np.isfinite(pixels.real).any():
-                stores.write_region(path, "image", (rows, columns), pixels)
-                chunks[f"{(first_y + y) // side[0]},{(first_x + x) // side[1]}"] = stores.checksum(pixels)
+                chunks.append(write(run, path, "image", (rows, columns), pixels))
     seconds = block.seconds | {"geometric-correction": time.perf_counter() - started}
-    return run.sign(unit, started, origin=[first_y, first_x], chunks=chunks, steps=seconds)
+    return _sign(run, unit, started, chunks, origin=[first_y, first_x], files=files, steps=seconds)
 
 
 Parts = Sequence[tuple[int, str, int, int]]  # block, name, first row and first column of a patch
 
 
+@named(lambda run, unit, *_: f"mosaic of {unit}")
 def merge_chunks(run: Run, unit: str, cells: dict[tuple[int, int], Parts], grid: Grid) -> Receipt:
     """Some output chunks of the mosaic."""
     started = time.perf_counter()
-    checksums = {f"{row},{column}": _merge(run, (row, column), parts, grid) for (row, column), parts in cells.items()}
-    return run.sign(unit, started, checksum=checksums)
+    parts = [part for cell, patches in cells.items() for part in _merge(run, cell, patches, grid)]
+    return _sign(run, unit, started, parts)
 
 
-def _merge(run: Run, cell: tuple[int, int], parts: Parts, grid: Grid) -> list[str]:
-    """One output chunk: the checksums of its image and of its owners."""
+def _merge(run: Run, cell: tuple[int, int], parts: Parts, grid: Grid) -> list[Written]:
+    """One output chunk: its image and its owners."""
     side = image_chunk(grid)
     y, x = cell[0] * side[0], cell[1] * side[1]
     rows, columns = slice(y, min(y + side[0], grid.shape[0])), slice(x, min(x + side[1], grid.shape[1]))
@@ -353,10 +266,11 @@ def _merge(run: Run, cell: tuple[int, int], parts: Parts, grid: Grid) -> list[st
     alone = len(parts) == 1 and stores.share_region(
         run.image, "image", (rows, columns), source=run.patch(parts[0][1]), source_region=windows[0]
     )
-    if not alone:
-        stores.write_region(run.image, "image", (rows, columns), image)
-    stores.write_region(run.image, "block", (rows, columns), owner)
-    return [stores.checksum(image), stores.checksum(owner)]
+    store = written if alone else write
+    return [
+        store(run, run.image, "image", (rows, columns), image),
+        write(run, run.image, "block", (rows, columns), owner),
+    ]
 
 
 def back_project_chunk(
@@ -379,10 +293,14 @@ def back_project_chunk(
                 read, geometry, grid.x[columns][part[1]], grid.y[rows][part[0]], threads=run.threads
             )
     covered = np.isfinite(image.real)
+    parts = []
     if covered.any():
-        stores.write_region(run.image, "image", (rows, columns), image)
-        stores.write_region(run.image, "block", (rows, columns), np.where(covered, 0, -1).astype(np.int16))
-    return run.sign(unit, started, checksum=stores.checksum(image))
+        owner = np.where(covered, 0, -1).astype(np.int16)
+        parts = [
+            write(run, run.image, "image", (rows, columns), image),
+            write(run, run.image, "block", (rows, columns), owner),
+        ]
+    return _sign(run, unit, started, parts)
 
 
 # ---------------------------------------------------------------- the graph: what is asked of the workers
@@ -409,57 +327,54 @@ def patch_window(ground: GroundMap, grid: Grid) -> tuple[int, int, int, int]:
 
 
 def run_units(
-    client: Client,
-    stage: str,
-    units: Sequence[tuple[str, Callable[[], Future[Any]]]],
-    run: Run,
-    report: Report,
-    *,
-    ahead: int,
+    client: Client, stage: str, units: Sequence[Unit], run: Run, report: Report, *, each: int = 1
 ) -> list[Receipt]:
-    """Run what has no receipt yet, `ahead` units at a time, and return all receipts in order.
+    """Run what has no trusted receipt yet, `each` units at a time on every worker, and return all receipts in order.
 
-    Admission is by the client, so that no worker ever holds more than it was planned for.
+    Receipts of units that were not run again say `"reused": true`, those of units whose data were found damaged
+    `"damaged": true`.
+
+    Raises
+    ------
+    ProcessingError
+        If a unit fails for good, or nothing more will come of the cluster: what was finished stays.
+    InputError
+        If a unit that reads the input finds it wrong.
     """
+    claims = {unit: receipt for unit, _ in units if (receipt := run.receipt(unit)) is not None}
     receipts: dict[str, Receipt] = {}
-    todo = []
-    for unit, start in units:
-        receipt = run.done(unit)
-        if receipt is None:
-            todo.append((unit, start))
+    damaged = set()
+    # By workers: samples never come here.
+    for unit, future in in_turn(client, stage, [(unit, _verify(client, run, claims[unit])) for unit in claims], 2):
+        if _result(future, stage, unit):
+            receipts[unit] = claims[unit] | {"reused": True}
         else:
-            receipts[unit] = receipt
+            damaged.add(unit)
     report(stage, len(receipts), len(units))
-    names: dict[Key, str] = {}
-    waiting = iter(todo)
-    completed = as_completed([], with_results=False)
-
-    def admit() -> None:
-        for unit, start in waiting:
-            future = start()
-            names[future.key] = unit
-            completed.add(future)
-            return
-
-    for _ in range(ahead):
-        admit()
-    for future in completed:
-        unit = names.pop(future.key)
-        if future.status != "finished":
-            raise _failure(future, stage, unit)
-        receipts[unit] = future.result()
-        future.release()
+    for unit, future in in_turn(client, stage, [unit for unit in units if unit[0] not in receipts], each):
+        receipts[unit] = _result(future, stage, unit) | ({"damaged": True} if unit in damaged else {})
         report(stage, len(receipts), len(units))
-        admit()
     return [receipts[unit] for unit, _ in units]
 
 
-def _failure(future: Future[Any], stage: str, unit: str) -> Exception:
+def _verify(client: Client, run: Run, receipt: Receipt) -> Callable[[], Future[Any]]:
+    key = f"verify-{run.identity[:8]}-{receipt['unit']}"
+    return lambda: client.submit(run.intact, receipt, key=key, pure=False)
+
+
+def _result(future: Future[Any], stage: str, unit: str) -> Any:
+    if future.status == "finished":
+        return future.result()
     error = future.exception()
     # Only these stages read the input: what is wrong with a run's own stores is no fault of it.
     if isinstance(error, ProcessingError) or (stage in READING_STAGES and isinstance(error, InputError)):
-        return error
-    return ProcessingError(f"{stage} of {unit} failed: {type(error).__name__}: {error}")
+        raise error
+    if isinstance(error, KilledWorker):
+        raise ProcessingError(
+            f"{stage} of {unit} failed: {error.allowed_failures + 1} workers died of it, for want of memory perhaps; "
+            "give them more with --memory-limit"
+        )
+    raise ProcessingError(f"{stage} of {unit} failed: {type(error).__name__}: {error}") from error
 
 
 def recover(
@@ -468,16 +383,18 @@ def recover(
     """Phase history to spectrum.zarr. Returns the receipts and the valid fraction of each pulse, (n_pulse,)."""
     collection = plan.geometry.collection
     receipts: list[Receipt] = []
-    workers = cluster_size(client)[0]
     if source.raw is not None:
-        source, receipts = _compress(client, source, run, report, ahead=2 * workers)
-    if not run.spectrum.exists():
+        source, receipts = _compress(client, source, run, report)
+
+    def create() -> None:
         stores.create(
-            run.spectrum, stores.SPECTRUM, sizes={}, attrs={"title": collection.title},
+            run.spectrum, stores.SPECTRUM, sizes={}, attrs={"title": collection.title}, overwrite=True,
             coords={"doppler": plan.recovery.doppler.values, "range_frequency": collection.range_frequency},
             variables={"lit": np.full(collection.n_pulse, np.nan)},
             chunks=dict(zip(("doppler", "range_frequency"), plan.spectrum_chunk, strict=True)),
         )  # fmt: skip
+
+    run.establish(run.spectrum, create, volatile=["lit"])
     n = collection.n_range_frequency
 
     def start(unit: str, columns: tuple[int, int]) -> Callable[[], Future[Any]]:
@@ -495,7 +412,7 @@ def recover(
 
     groups = [(first, min(first + plan.column_group, n)) for first in range(0, n, plan.column_group)]
     units = [(f"columns-{a}", start(f"columns-{a}", (a, b))) for a, b in groups]
-    groups_done = run_units(client, "recover", units, run, report, ahead=workers)
+    groups_done = run_units(client, "recover", units, run, report)
     missing = np.zeros(collection.n_pulse)
     for receipt in groups_done:
         for pulse, count in receipt["missing"].items():
@@ -506,12 +423,11 @@ def recover(
 
 
 def _compress(
-    client: Client, source: stores.PhaseHistory, run: Run, report: Report, *, ahead: int
+    client: Client, source: stores.PhaseHistory, run: Run, report: Report
 ) -> tuple[stores.PhaseHistory, list[Receipt]]:
     assert source.raw is not None
     collection = source.collection
-    if not run.compressed.exists():
-        stores.create_phase_history(run.compressed, collection)
+    run.establish(run.compressed, lambda: stores.create_phase_history(run.compressed, collection, overwrite=True))
     chunk = stores.TILE[0]
     compression = RawCompression.of(
         fast_time=source.raw.fast_time, chirp_rate=source.raw.chirp_rate, pulse_width=source.raw.pulse_width,
@@ -532,14 +448,13 @@ def _compress(
 
     groups = [(a, min(a + chunk, collection.n_pulse)) for a in range(0, collection.n_pulse, chunk)]
     units = [(f"pulses-{a}", start(f"pulses-{a}", (a, b))) for a, b in groups]
-    receipts = run_units(client, "range-compress", units, run, report, ahead=ahead)
+    receipts = run_units(client, "range-compress", units, run, report, each=2)
     return stores.open_phase_history(run.compressed), receipts
 
 
 def focus_blocks(client: Client, plan: Plan, run: Run, valid: FloatArray, report: Report) -> list[Receipt]:
     """Every block by its own chain of tasks: spectrum.zarr to patches/<block>."""
     collection = plan.geometry.collection
-    workers = cluster_size(client)[0]
 
     def start(position: int, unit: str, block: BlockPlan) -> Callable[[], Future[Any]]:
         ground = replace(block.ground, lit=lit_pulses(collection, block.ground.yaw_axis, valid))
@@ -572,17 +487,18 @@ def focus_blocks(client: Client, plan: Plan, run: Run, valid: FloatArray, report
         (f"block-{block.name}", start(position, f"block-{block.name}", block))
         for position, block in enumerate(plan.blocks)
     ]
-    return run_units(client, "focus", units, run, report, ahead=workers)
+    return run_units(client, "focus", units, run, report)
 
 
 def mosaic(client: Client, plan: Plan, run: Run, patches: Sequence[Receipt], report: Report) -> list[Receipt]:
     """Patches to image.zarr, by output chunk; chunks that no block covers are never written."""
-    workers = cluster_size(client)[0]
+    side = image_chunk(plan.grid)
     cells: dict[tuple[int, int], list[tuple[int, str, int, int]]] = {}
     for block, receipt in zip(plan.blocks, patches, strict=True):
-        for name in receipt["chunks"]:
-            row, column = (int(part) for part in name.split(","))
-            cells.setdefault((row, column), []).append((block.index, block.name, *receipt["origin"]))
+        first_y, first_x = receipt["origin"]
+        for _, _, ((y, _), (x, _)), _ in receipt["written"]:
+            cell = ((first_y + y) // side[0], (first_x + x) // side[1])
+            cells.setdefault(cell, []).append((block.index, block.name, first_y, first_x))
 
     def start(unit: str, some: dict[tuple[int, int], Parts]) -> Callable[[], Future[Any]]:
         return lambda: client.submit(
@@ -595,16 +511,15 @@ def mosaic(client: Client, plan: Plan, run: Run, patches: Sequence[Receipt], rep
     for group in groups:
         unit = f"chunk-{group[0][0]}-{group[0][1]}"
         units.append((unit, start(unit, {cell: cells[cell] for cell in group})))
-    return run_units(client, "mosaic", units, run, report, ahead=2 * workers)
+    return run_units(client, "mosaic", units, run, report, each=2)
 
 
 def back_project(
     client: Client, source: stores.PhaseHistory, geometry: Geometry, grid: Grid, run: Run, report: Report
 ) -> list[Receipt]:
     """Phase history straight to image.zarr by exact back-projection, by output chunk."""
-    workers = cluster_size(client)[0]
     if source.raw is not None:
-        source, _ = _compress(client, source, run, report, ahead=2 * workers)
+        source, _ = _compress(client, source, run, report)
     side = image_chunk(grid)
 
     def start(unit: str, cell: tuple[int, int]) -> Callable[[], Future[Any]]:
@@ -618,4 +533,4 @@ def back_project(
         for column in range(-(-grid.shape[1] // side[1])):
             unit = f"chunk-{row}-{column}"
             units.append((unit, start(unit, (row, column))))
-    return run_units(client, "backprojection", units, run, report, ahead=workers)
+    return run_units(client, "backprojection", units, run, report)

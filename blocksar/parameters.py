@@ -23,6 +23,10 @@ BoolArray = NDArray[np.bool_]
 ComplexArray = NDArray[np.complex64]
 
 UNIFORM_TOLERANCE = 1e-3  # of one step: a sample this far from its place moves no phase that matters
+CARRIERS = (1e6, 1e15)  # Hz: from the longest waves that image the ground to beyond light
+FARTHEST = 1e9  # m: beyond the moon, and where float64 still tells a wavelength's phase
+MAX_YAW = 100.0  # rad: a beam that has turned so often is in another unit
+SPIKE = 1.0  # m: no antenna leaves its place for one pulse by as much, so that pulse's number is damaged
 
 
 class InputError(ValueError):
@@ -85,8 +89,8 @@ class Collection:
     Raises
     ------
     InputError
-        If an array has the wrong shape, is not finite, an axis is not uniform and ascending, or
-        beam_azimuth and beam_width do not agree.
+        If an array has the wrong shape, is not finite, or larger than can be meant, an axis is not uniform and
+        ascending, a single pulse lies far off its neighbours, or beam_azimuth and beam_width do not agree.
     """
 
     carrier: float
@@ -120,8 +124,16 @@ class Collection:
                     f"{name} is not finite at {bad.size} of {n} pulses (first: pulse {bad[0]}); "
                     "every pulse needs a position and a reference range, also a missing one"
                 )
+            self._check_size(name, "m", FARTHEST)
+            self._check_spikes(name)
         if not (np.isfinite(self.carrier) and self.carrier > 0):
             raise InputError(f"carrier_frequency must be a positive number of Hz, got {self.carrier!r}")
+        if not CARRIERS[0] <= self.carrier <= CARRIERS[1]:
+            raise InputError(
+                f"carrier_frequency is {self.carrier:.6g} Hz, but must lie between {CARRIERS[0]:g} and "
+                f"{CARRIERS[1]:g} Hz; correct it, or its unit"
+            )
+        self._check_size("range_frequency", "Hz", CARRIERS[1])
         if self.carrier + self.range_frequency[0] <= 0:
             raise InputError(
                 f"range_frequency starts at {self.range_frequency[0]:.6g} Hz, below minus the carrier "
@@ -141,6 +153,31 @@ class Collection:
         if array.shape != shape:
             raise InputError(f"{name} has shape {array.shape}, but the collection needs {shape}")
 
+    def _check_size(self, name: str, unit: str, largest: float) -> None:
+        array = getattr(self, name)
+        with np.errstate(invalid="ignore"):
+            worst = float(np.nanmax(np.abs(array)))
+        if worst > largest:
+            raise InputError(
+                f"{name} reaches {worst:.6g} {unit}, beyond the {largest:g} {unit} that can be meant; correct it, or "
+                "its unit"
+            )
+
+    def _check_spikes(self, name: str) -> None:
+        """Refuse a pulse far off both neighbours: steps and noise may be meant, a single pulse elsewhere is not."""
+        values = getattr(self, name).reshape(self.n_pulse, -1)
+        # Beyond either end, what its two neighbours lead one to expect.
+        before = np.concatenate([2 * values[1:2] - values[2:3], values[:-1]])
+        after = np.concatenate([values[1:], 2 * values[-2:-1] - values[-3:-2]])
+        median = np.maximum(np.minimum(before, after), np.minimum(np.maximum(before, after), values))
+        off = np.abs(values - median).max(axis=1)
+        where = int(off.argmax())
+        if off[where] > max(SPIKE, 50 * float(np.quantile(off, 0.9))):
+            raise InputError(
+                f"{name} leaves its neighbours by {off[where]:.6g} m at pulse {where} alone; correct it there, and "
+                "write the pulse's samples as NaN if they are in doubt"
+            )
+
     def _check_beam(self) -> None:
         finite = np.isfinite(self.beam_azimuth)
         if not finite.any():
@@ -159,6 +196,7 @@ class Collection:
             raise InputError(
                 f"beam_width must lie between 0 and pi rad where beam_azimuth is given, got {self.beam_width!r}"
             )
+        self._check_size("beam_azimuth", "rad", MAX_YAW)
         azimuth = np.unwrap(self.beam_azimuth)
         azimuth.flags.writeable = False
         object.__setattr__(self, "beam_azimuth", azimuth)
@@ -168,6 +206,12 @@ class Collection:
                 "beam_azimuth turns back at pulse "
                 f"{int(np.argmax(np.sign(steps) != np.sign(azimuth[-1] - azimuth[0]))) + 1}: the beam must scan "
                 "one way; cut the collection there"
+            )
+        if np.abs(steps).max() > self.beam_width:
+            where = int(np.abs(steps).argmax()) + 1
+            raise InputError(
+                f"beam_azimuth jumps by {abs(steps[where - 1]):.6g} rad at pulse {where}, more than beam_width = "
+                f"{self.beam_width:.6g} rad: yaws between are never lit; cut the collection there"
             )
 
     @property

@@ -10,6 +10,7 @@ AWS_SECRET_ACCESS_KEY, AWS_SESSION_TOKEN, AWS_REGION, AWS_ENDPOINT_URL; or from 
 
 from __future__ import annotations
 
+import ctypes
 import errno
 import fcntl
 import json
@@ -34,9 +35,7 @@ from blocksar.parameters import InputError
 
 if TYPE_CHECKING:
     from obstore.store import S3Store
-    from zarr.abc.store import Store
-
-PathLike = "str | os.PathLike[str] | Place"
+    from zarr.storage import StorePath
 
 LEASE = 60.0  # seconds: the lock of an object store that has not been renewed for so long has lost its owner
 RETRIES = 5  # of a request to an object store that is overloaded or out of reach
@@ -92,8 +91,12 @@ class Place(ABC):
         """Remove what killed processes left behind below: temporary names."""
 
     @abstractmethod
-    def zarr_store(self, *, read_only: bool = False) -> Store:
-        """The same for zarr."""
+    def settle(self) -> None:
+        """Return once all that was written below is on the disk, whatever happens to the power."""
+
+    @abstractmethod
+    def zarr_path(self) -> StorePath:
+        """The same for zarr: a store of its, and a path in it."""
 
     @abstractmethod
     @contextmanager
@@ -107,7 +110,10 @@ class Place(ABC):
         """
 
 
-def place(path: str | os.PathLike[str] | Place) -> Place:
+Location = str | os.PathLike[str] | Place  # what people give: a path, the URL of an object store, or a place
+
+
+def place(path: Location) -> Place:
     """A path, or the URL of an object store, as a place.
 
     Raises
@@ -195,18 +201,32 @@ class LocalPlace(Place):
                 with suppress(OSError):
                     os.unlink(os.path.join(parent, name))
 
-    def zarr_store(self, *, read_only: bool = False) -> Store:
-        from zarr.storage import LocalStore
+    def settle(self) -> None:
+        descriptor = os.open(self.path, os.O_RDONLY)
+        try:
+            # syncfs is Linux's own: of this file system alone.
+            flush = getattr(ctypes.CDLL(None, use_errno=True), "syncfs", None)
+            if flush is None:
+                os.sync()
+            elif flush(descriptor) != 0:
+                number = ctypes.get_errno()
+                raise OSError(number, os.strerror(number), str(self.path))
+        finally:
+            os.close(descriptor)
 
-        return LocalStore(self.path, read_only=read_only)
+    def zarr_path(self) -> StorePath:
+        from zarr.storage import LocalStore, StorePath
+
+        return StorePath(LocalStore(self.path))  # by name it would take '://' and '::' for URLs
 
     @contextmanager
     def lock(self) -> Iterator[None]:
         """The kernel's own lock: it goes with its process, however that ends."""
         descriptor = self._flock()
         try:
-            os.ftruncate(descriptor, 0)
-            os.write(descriptor, json.dumps(_owner()).encode())
+            with suppress(OSError):  # a full disk: it is a lock all the same
+                os.ftruncate(descriptor, 0)
+                os.write(descriptor, json.dumps(_owner()).encode())
             yield
         finally:
             with suppress(OSError):
@@ -279,7 +299,7 @@ class ObjectPlace(Place):
     def exists(self) -> bool:
         import obstore
 
-        with _os_errors(self):
+        with os_errors(self):
             try:
                 obstore.head(_bucket(self.bucket), self.key)
                 return True
@@ -289,7 +309,7 @@ class ObjectPlace(Place):
     def names(self) -> list[str]:
         import obstore
 
-        with _os_errors(self):
+        with os_errors(self):
             found = obstore.list_with_delimiter(_bucket(self.bucket), self.key or None)
         paths = [*found["common_prefixes"], *(entry["path"] for entry in found["objects"])]
         return sorted({path.rstrip("/").rpartition("/")[2] for path in paths})
@@ -298,7 +318,7 @@ class ObjectPlace(Place):
         import obstore
 
         first = len(self.key) + 1 if self.key else 0
-        with _os_errors(self):
+        with os_errors(self):
             for page in obstore.list(_bucket(self.bucket), self.key or None):
                 for entry in page:
                     yield entry["path"][first:], entry["size"], str(entry["e_tag"])
@@ -306,19 +326,19 @@ class ObjectPlace(Place):
     def read_bytes(self) -> bytes:
         import obstore
 
-        with _os_errors(self):
+        with os_errors(self):
             return bytes(obstore.get(_bucket(self.bucket), self.key).bytes())
 
     def write_bytes(self, data: bytes) -> None:
         import obstore
 
-        with _os_errors(self):
+        with os_errors(self):
             obstore.put(_bucket(self.bucket), self.key, data)
 
     def remove(self) -> None:
         import obstore
 
-        with _os_errors(self):
+        with os_errors(self):
             below = [f"{self.key}/{name}" if self.key else name for name, _, _ in self.files()]
             for first in range(0, len(below), 1000):
                 obstore.delete(_bucket(self.bucket), below[first : first + 1000])
@@ -329,10 +349,13 @@ class ObjectPlace(Place):
     def sweep(self) -> None:
         pass  # nothing has a temporary name
 
-    def zarr_store(self, *, read_only: bool = False) -> Store:
-        from zarr.storage import ObjectStore
+    def settle(self) -> None:
+        pass  # what an object store has acknowledged, it keeps
 
-        return ObjectStore(_bucket(self.bucket, self.key), read_only=read_only)
+    def zarr_path(self) -> StorePath:
+        from zarr.storage import ObjectStore, StorePath
+
+        return StorePath(ObjectStore(_bucket(self.bucket)), self.key)
 
     @contextmanager
     def lock(self) -> Iterator[None]:
@@ -372,14 +395,14 @@ class ObjectPlace(Place):
     def _put(self, mode: Any) -> str:
         import obstore
 
-        with _os_errors(self):
+        with os_errors(self):
             done = obstore.put(_bucket(self.bucket), self.key, json.dumps(_owner()).encode(), mode=mode)
         return str(done["e_tag"])
 
     def _current(self) -> tuple[str, datetime, bytes]:
         import obstore
 
-        with _os_errors(self):
+        with os_errors(self):
             found = obstore.get(_bucket(self.bucket), self.key)
             return str(found.meta["e_tag"]), found.meta["last_modified"], bytes(found.bytes())
 
@@ -388,7 +411,7 @@ class ObjectPlace(Place):
         import obstore
 
         probe = f"{self.key}.{secrets.token_hex(4)}"
-        with _os_errors(self):
+        with os_errors(self):
             obstore.put(_bucket(self.bucket), probe, b"")
             when = obstore.head(_bucket(self.bucket), probe)["last_modified"]
             obstore.delete(_bucket(self.bucket), probe)
@@ -396,21 +419,24 @@ class ObjectPlace(Place):
 
 
 @lru_cache(maxsize=64)
-def _bucket(bucket: str, prefix: str | None = None) -> S3Store:
+def _bucket(bucket: str) -> S3Store:
+    """One client a bucket: its connections are used again and again."""
     from obstore.store import S3Store
 
     plain = os.environ.get("AWS_ENDPOINT_URL", "").startswith("http://")  # asked for by name
     return S3Store(
         bucket,
-        prefix=prefix or None,
         client_options={"timeout": REQUEST, "connect_timeout": "5s", "allow_http": plain},
         retry_config={"max_retries": RETRIES, "retry_timeout": timedelta(seconds=PATIENCE)},
     )
 
 
 @contextmanager
-def _os_errors(where: ObjectPlace) -> Iterator[None]:
+def os_errors(where: Place) -> Iterator[None]:
     """What an object store answers, as the OSError that a file system would raise; one line of it."""
+    if not isinstance(where, ObjectPlace):
+        yield
+        return
     from obstore import exceptions
 
     try:
@@ -420,17 +446,27 @@ def _os_errors(where: ObjectPlace) -> Iterator[None]:
     except exceptions.PreconditionError as error:
         raise FileExistsError(errno.EEXIST, "somebody else has written it", str(where)) from error
     except FileNotFoundError as error:
-        raise FileNotFoundError(errno.ENOENT, "it does not exist", str(where)) from error
+        if error.errno is not None:
+            raise  # it has been through here
+        what = "the bucket does not exist" if "NoSuchBucket" in str(error) else "it does not exist"
+        raise FileNotFoundError(errno.ENOENT, what, str(where)) from error
     except (exceptions.PermissionDeniedError, exceptions.UnauthenticatedError, PermissionError) as error:
+        if isinstance(error, OSError) and error.errno is not None:
+            raise
         raise PermissionError(errno.EACCES, "the object store refuses these credentials", str(where)) from error
     except exceptions.BaseError as error:
         text = str(error)
         if "NoSuchBucket" in text:
             raise FileNotFoundError(errno.ENOENT, "the bucket does not exist", str(where)) from error
+        if re.search(r"//169\.254\.|/latest/(api|meta-data)", text):  # what it asks where the environment says nothing
+            what = "there are no credentials for it, neither in the environment nor from the machine"
+            raise PermissionError(errno.EACCES, what, str(where)) from error
+        if "403 Forbidden" in text or "401 Unauthorized" in text:  # of a list, which has no error of its own for this
+            raise PermissionError(errno.EACCES, "the object store refuses these credentials", str(where)) from error
         if "error sending request" in text:
             endpoint = os.environ.get("AWS_ENDPOINT_URL", "AWS")
             raise OSError(errno.EHOSTUNREACH, f"the object store at {endpoint} does not answer", str(where)) from error
-        sentence = " ".join(re.sub(r"<[^>]*>", " ", text.split("\n\nDebug source:")[0]).split())
+        sentence = " ".join(re.sub(r"<[^>]*>", " ", text.split("\n\nDebug source:", maxsplit=1)[0]).split())
         raise OSError(errno.EIO, sentence[:300], str(where)) from error
 
 

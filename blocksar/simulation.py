@@ -27,6 +27,7 @@ from blocksar import stores
 from blocksar.geometry import Geometry
 from blocksar.parameters import SPEED_OF_LIGHT, Collection, ComplexArray, FloatArray, InputError
 from blocksar.phase import cosine, sine
+from blocksar.places import LocalPlace, Location, Place, place
 from blocksar.recovery import chirp_spectrum
 from blocksar.scene import Scene
 
@@ -485,19 +486,19 @@ def _nodes_and_strengths(
 
 def simulate(
     scene: Scene | str | os.PathLike[str],
-    out: str | os.PathLike[str],
+    out: Location,
     *,
     raw: bool = False,
     threads: int = 1,
     overwrite: bool = False,
     progress: Progress | None = None,
-) -> Path:
+) -> Path | Place:
     """Simulate a scene into a phase-history store, chunk of pulses by chunk: the whole is never in memory.
 
     Parameters
     ----------
     scene : Scene, or path of a scene file, or name of a shipped scene
-    out : path
+    out : path, URL or Place
         Of the store to make.
     raw : bool
         Store the chirped echo over fast time instead of range-frequency samples.
@@ -511,7 +512,7 @@ def simulate(
     Returns
     -------
     Path
-        Of the store.
+        Of the store; a Place where that is no path.
 
     Raises
     ------
@@ -521,24 +522,25 @@ def simulate(
     if threads < 1:
         raise InputError(f"threads = {threads}: must be at least 1")
     scene = scene if isinstance(scene, Scene) else Scene.read(os.fspath(scene))
-    out = Path(os.path.abspath(out))
+    where = place(out)
     collection = scene.collection(raw=raw)
     echo = _echo_axes(scene) if raw else None
     n = collection.n_range_frequency if echo is None else echo.fast_time.size
     parts, lost = _reflecting(scene, collection), scene.dropped_pulses()
-    # Rows that are not yet written read as lost pulses: the store gets its name when it is complete.
-    with stores.replacing(out, overwrite=overwrite) as part:
-        stores.create_phase_history(part, collection, raw=echo, attrs=_attributes(scene))
-        rows = stores.open_phase_history(part).chunks[0]
+    rows = stores.TILE[0]
+
+    def write(store: Place) -> None:
         for first in range(0, collection.n_pulse, rows):
             pulses = slice(first, min(first + rows, collection.n_pulse))
             samples = _samples(parts, echo, n, pulses, threads)
             _disturb(samples, scene, lost, pulses)
-            region = (pulses, slice(0, n))
-            stores.write_region(part, "echo" if raw else "signal", region, samples)
+            stores.write_region(store, "echo" if raw else "signal", (pulses, slice(0, n)), samples)
             if progress is not None:
                 progress(pulses.stop, collection.n_pulse)
-    return out
+
+    # Rows that are not yet written read as lost pulses: the store gets its name when it is complete.
+    stores.create_phase_history(where, collection, raw=echo, attrs=_attributes(scene), overwrite=overwrite, fill=write)
+    return where.path if isinstance(where, LocalPlace) else where
 
 
 def _echo_axes(scene: Scene) -> stores.RawEcho:

@@ -10,16 +10,21 @@ disagreement is one `InputError`.
 
 zarr reads and writes whatever it understands. Chunks laid out as `create` lays them out are plain files, which
 `ChunkFiles` reads and writes itself, several times as fast.
+
+A store lies in a folder or below a prefix of an object store: every path may be an `s3://` URL or a `Place`.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import re
 import secrets
 import shutil
+import stat
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -33,6 +38,7 @@ import numpy as np
 import xxhash
 import zarr
 from numpy.typing import NDArray
+from zarr.storage import MemoryStore
 
 from blocksar.parameters import (
     UNIFORM_TOLERANCE,
@@ -43,11 +49,13 @@ from blocksar.parameters import (
     ProcessingError,
     check_axis,
 )
+from blocksar.places import LocalPlace, ObjectPlace, Place, os_errors, replacing_file, temporary
+from blocksar.places import place as place_of
 
 if TYPE_CHECKING:
     import xarray as xr
 
-StorePath = str | os.PathLike[str]
+StorePath = str | os.PathLike[str] | Place
 Region = tuple[slice, ...]
 Array = NDArray[Any]
 
@@ -109,9 +117,23 @@ TILE = (512, 1024)  # pulses by columns of a phase history: 4 MiB, whole in eith
 CONVENTIONS = "CF-1.11"
 RENAMES = 32  # attempts at replacing a store that others are replacing too
 MAX_AXIS = 1 << 26  # samples of one axis: metadata that claim more are damaged, and would eat the memory
+MAX_METADATA = 1 << 26  # bytes of one file of metadata: the same
+MAX_CHUNK = 1 << 34  # bytes of one chunk: the same
+MAX_CHUNKS = 1 << 15  # of a variable that is read as a whole: more take minutes, or are nowhere but in the metadata
+CODECS = {  # all that may decode a chunk: of others who knows what they do with it, such as unpickling
+    *("adler32", "bitround", "blosc", "bytes", "bz2", "crc32", "crc32c", "delta", "fixedscaleoffset", "fletcher32"),
+    *("gzip", "lz4", "lzma", "packbits", "sharding_indexed", "shuffle", "transpose", "vlen-bytes", "vlen-utf8"),
+    *("zlib", "zstd"),
+}
+METADATA = ("zarr.json", ".zgroup", ".zarray")
+GROUP_METADATA = (".zattrs", ".zgroup", ".zmetadata", "zarr.json")
+CHUNK_NAME = re.compile(r"c|(c\.)?\d+(\.\d+)*")  # what a chunk's file, or a folder of them, is called
 SLAB = 1 << 19  # bytes copied at a time between a chunk's file and memory of another layout: they stay in the L2 cache
 TURN = 64  # columns copied at a time where rows become columns: more than these touch more pages than the TLB knows
 FILLS = {"complex64": ["NaN", "NaN"], "float64": "NaN", "int16": -1}  # of the tables above, as metadata state them
+UNFINISHED = ".unfinished"  # object below a prefix while the store there is made: it names its maker
+ENVIRONMENT = "AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_REGION and AWS_ENDPOINT_URL"
+OBJECTS_AT_ONCE = 16  # chunks in flight to or from an object store, by one call: what these cost is waiting
 FILES_AT_ONCE = 2  # chunks in flight in one process: zarr's own 10 lose up to 1.7x to moving buffers about
 COLLECTION_ATTRS = ("carrier_frequency", "beam_width", "ground_height")
 RAW_ATTRS = ("chirp_rate", "pulse_width")
@@ -138,16 +160,18 @@ def create(
     chunks: Mapping[str, int],
     variables: Mapping[str, Array] | None = None,
     overwrite: bool = False,
+    fill: Callable[[Place], None] | None = None,
 ) -> None:
     """Create a store: metadata, coordinates and small variables now, large arrays empty, to be written by region.
 
-    It is written under a temporary name and renamed, so a half-made store is never taken for a finished one.
+    A half-made store is never taken for a finished one: a folder is written under a temporary name and renamed; below
+    a prefix the group's metadata come last, without which there is no store, and what is overwritten goes first.
     Samples are not compressed (noise does not compress). `xarray.open_zarr` opens it.
 
     Parameters
     ----------
     path : path
-        Directory to be; its parents are made.
+        Directory to be; its parents are made. Or prefix to be.
     schema : dict of Variable
         What it holds; one of the tables of this module.
     sizes : dict of int
@@ -160,51 +184,71 @@ def create(
         Chunk length by dimension, of the arrays that are created empty; the whole dimension where absent.
     overwrite : bool
         Replace a store that is there.
+    fill : callable (place)
+        Writes samples, by region, to the place that it is given: the store is not there before they are.
 
     Raises
     ------
     InputError
         If `path` exists and `overwrite` is False, or what is there is no zarr store, or it cannot be written.
+    ProcessingError
+        If an object store does not answer, or somebody else has begun to write the same store.
     ValueError
         If names, dimensions or shapes do not fit the schema, or an attribute is not JSON.
     """
     given = {**coords, **(variables or {})}
     lengths = _lengths(schema, sizes, given)
     text = {key: _finite(_plain(value, key)) for key, value in attrs.items()}
-    with replacing(Path(path), overwrite=overwrite) as part:
-        group = zarr.create_group(store=str(part), zarr_format=3, attributes=text)
-        for name, variable in schema.items():
-            shape = tuple(lengths[dim] for dim in variable.dims)
-            whole = tuple(max(n, 1) for n in shape)
-            tile = tuple(max(min(chunks.get(dim, n), n), 1) for dim, n in zip(variable.dims, shape, strict=True))
-            array = group.create_array(
-                name,
-                shape=shape,
-                chunks=whole if name in given else tile,
-                dtype=variable.dtype,
-                fill_value=_fill(variable.dtype),
-                compressors=None,
-                filters=None,
-                dimension_names=variable.dims,
-                attributes=_variable_attrs(name, variable, schema, coords),
-                # Comparing every chunk with the fill value costs more than writing it, and "chunk exists" then
-                # means "chunk was written".
-                config={"write_empty_chunks": True},
-            )
-            if name in given:
-                array[...] = np.asarray(given[name], dtype=variable.dtype)
-        _consolidate(part, schema)
+    kept: dict[str, Any] = {}
+    group = zarr.create_group(store=MemoryStore(kept), zarr_format=3, attributes=text)
+    for name, variable in schema.items():
+        shape = tuple(lengths[dim] for dim in variable.dims)
+        whole = tuple(max(n, 1) for n in shape)
+        tile = tuple(max(min(chunks.get(dim, n), n), 1) for dim, n in zip(variable.dims, shape, strict=True))
+        array = group.create_array(
+            name,
+            shape=shape,
+            chunks=whole if name in given else tile,
+            dtype=variable.dtype,
+            fill_value=_fill(variable.dtype),
+            compressors=None,
+            filters=None,
+            dimension_names=variable.dims,
+            attributes=_variable_attrs(name, variable, schema, coords),
+            # Comparing every chunk with the fill value costs more than writing it, and "chunk exists" then
+            # means "chunk was written".
+            config={"write_empty_chunks": True},
+        )
+        if name in given:
+            array[...] = np.asarray(given[name], dtype=variable.dtype)
+    files = {key: data.to_bytes() for key, data in kept.items() if key != "zarr.json"}
+    metadata = _consolidated(kept["zarr.json"].to_bytes(), {name: files[f"{name}/zarr.json"] for name in schema})
+    place = place_of(path)
+    if isinstance(place, ObjectPlace):
+        _create_objects(place, files, metadata, fill, overwrite=overwrite)
+        return
+    assert isinstance(place, LocalPlace)
+    with _replacing(place.path, overwrite=overwrite) as part:
+        for key, data in {**files, "zarr.json": metadata}.items():
+            _put_file(part / key, data)
+        if fill is not None:
+            fill(part)
 
 
-def _consolidate(path: Path, names: Iterable[str]) -> None:
+def _consolidated(group: bytes, variables: Mapping[str, bytes]) -> bytes:
     """Copy the variables' metadata into the group's, as zarr's own consolidation does, which warns as it does so.
 
     Without the copy xarray.open_zarr(path) warns; nothing changes metadata after creation, so it cannot go stale.
     """
-    metadata = json.loads((path / "zarr.json").read_bytes())
-    variables = {name: json.loads((path / name / "zarr.json").read_bytes()) for name in names}
-    metadata["consolidated_metadata"] = {"kind": "inline", "must_understand": False, "metadata": variables}
-    (path / "zarr.json").write_text(json.dumps(metadata, indent=2), encoding="utf-8")
+    metadata = json.loads(group)
+    inline = {name: json.loads(text) for name, text in variables.items()}
+    metadata["consolidated_metadata"] = {"kind": "inline", "must_understand": False, "metadata": inline}
+    return json.dumps(metadata, indent=2).encode()
+
+
+def _put_file(place: LocalPlace, data: bytes) -> None:
+    os.makedirs(place.path.parent, exist_ok=True)
+    place.path.write_bytes(data)
 
 
 def _lengths(schema: Mapping[str, Variable], sizes: Mapping[str, int], given: Mapping[str, Array]) -> dict[str, int]:
@@ -243,15 +287,13 @@ def _fill(dtype: str) -> Any:
 
 
 @contextmanager
-def replacing(path: Path, *, overwrite: bool) -> Iterator[Path]:
-    """A temporary name beside `path`, renamed to it when the block ends well, removed when it does not."""
-    path = Path(os.path.abspath(path))
-    token = secrets.token_hex(4)
-    part, old = (path.with_name(f".{path.name}.{token}.{suffix}") for suffix in ("part", "old"))
+def _replacing(path: Path, *, overwrite: bool) -> Iterator[LocalPlace]:
+    """A temporary name beside a folder, renamed to it when the block ends well, removed when it does not."""
+    part, old = temporary(path, "part"), temporary(path, "old")
     try:
         _refuse_existing(path, overwrite=overwrite)
         path.parent.mkdir(parents=True, exist_ok=True)
-        yield part
+        yield LocalPlace(Path(part))
         for attempt in range(RENAMES):
             if overwrite:
                 shutil.rmtree(old, ignore_errors=True)
@@ -283,7 +325,8 @@ def _refuse_existing(path: Path, *, overwrite: bool) -> None:
     if not overwrite:
         raise InputError(f"{path} exists; choose another name, or ask for it to be overwritten")
     try:
-        foreign = path.is_symlink() or not path.is_dir() or (any(path.iterdir()) and not _metadata_file(path))
+        folder = not path.is_symlink() and path.is_dir()
+        foreign = not folder or (any(path.iterdir()) and not _metadata_file(LocalPlace(path)))
     except FileNotFoundError:
         return  # another process is replacing it
     # What another process has just moved aside is no folder either.
@@ -293,6 +336,70 @@ def _refuse_existing(path: Path, *, overwrite: bool) -> None:
         )
 
 
+def _create_objects(
+    place: ObjectPlace,
+    files: Mapping[str, bytes],
+    metadata: bytes,
+    fill: Callable[[Place], None] | None,
+    *,
+    overwrite: bool,
+) -> None:
+    """As `create`, where nothing can be renamed: a store begins with a mark, and ends with the group's metadata.
+
+    A maker who does not find his own mark at the end has lost the place to another.
+    """
+    mark, token = place / UNFINISHED, secrets.token_bytes(16)
+    try:
+        _refuse_objects(place, overwrite=overwrite)
+        mark.write_bytes(token)
+        try:
+            _clear(place)
+            for key, data in files.items():
+                (place / key).write_bytes(data)
+            if fill is not None:
+                fill(place)
+            if not _holds(mark, token):
+                raise ProcessingError(f"{place} is being written by somebody else too; write each store once")
+            (place / "zarr.json").write_bytes(metadata)
+        except BaseException:
+            with suppress(OSError):
+                if _holds(mark, token):
+                    _clear(place)
+                    mark.remove()
+            raise
+        mark.remove()
+    except (FileNotFoundError, PermissionError) as error:
+        raise InputError(f"{place} cannot be written ({error.strerror}); check {ENVIRONMENT}") from error
+    except OSError as error:
+        raise ProcessingError(f"{place} cannot be written ({error.strerror or error})") from error
+
+
+def _refuse_objects(place: ObjectPlace, *, overwrite: bool) -> None:
+    names = place.names()
+    if not names and not place.exists():
+        return
+    if not overwrite:
+        found = "exists" if UNFINISHED not in names else "is being written, or was left unfinished"
+        raise InputError(f"{place} {found}; choose another name, or ask for it to be overwritten")
+    if UNFINISHED not in names and not _metadata_file(place):
+        raise InputError(
+            f"{place} exists and is not a zarr store, so it is not overwritten; remove it, or choose another name"
+        )
+
+
+def _clear(place: ObjectPlace) -> None:
+    """Remove what lies below but for the mark, the group's metadata first: the rest is no store without them."""
+    for name in sorted(place.names(), key=lambda name: name != "zarr.json"):
+        if name != UNFINISHED:
+            (place / name).remove()
+
+
+def _holds(mark: ObjectPlace, token: bytes) -> bool:
+    with suppress(FileNotFoundError):
+        return mark.read_bytes() == token
+    return False
+
+
 def _plain(value: Any, name: str) -> Any:
     """What JSON holds, of what people put into attributes: numpy numbers and real arrays, paths, tuples."""
     match value:
@@ -300,8 +407,8 @@ def _plain(value: Any, name: str) -> Any:
             return _plain(value.tolist(), name)
         case None | bool() | int() | float() | str():
             return value
-        case os.PathLike():
-            return os.fspath(value)
+        case os.PathLike() | Place():
+            return str(value)
         case Mapping():
             return {str(key): _plain(item, f"{name}.{key}") for key, item in value.items()}
         case list() | tuple():
@@ -335,7 +442,8 @@ def write_region(path: StorePath, name: str, region: Sequence[slice], values: Ar
     ProcessingError
         If it cannot be written: no room, no permission.
     """
-    array = _chunk_files(path, name) or _open_array(path, name, mode="r+")
+    place = place_of(path)
+    array = _chunk_files(place, name) or _open_array(place, name, mode="r+")
     values = np.asarray(values)
     if len(region) != array.ndim:
         raise ValueError(f"{name} has {array.ndim} dimensions, but the region {region} has {len(region)}")
@@ -355,10 +463,13 @@ def write_region(path: StorePath, name: str, region: Sequence[slice], values: Ar
         whole = tuple(slice(start, stop) for start, stop, _ in bounds)
         if isinstance(array, ChunkFiles):
             array.write(whole, values)
-        else:
+        elif isinstance(place, LocalPlace):
             array[whole] = values
+        else:
+            with os_errors(place):
+                _each_chunk(whole, chunks, lambda there, here: array.__setitem__(there, values[here]))
     except OSError as error:
-        raise ProcessingError(f"{name} in {os.fspath(path)} cannot be written ({error.strerror or error})") from error
+        raise ProcessingError(f"{name} in {place} cannot be written ({error.strerror or error})") from error
 
 
 def read_region(path: StorePath, name: str, region: Sequence[slice], out: Array | None = None) -> Array:
@@ -387,8 +498,21 @@ def read_region(path: StorePath, name: str, region: Sequence[slice], out: Array 
     InputError
         If there is no such store or variable, or a chunk is damaged: it names the chunk.
     """
-    array = _chunk_files(path, name) or _open_array(path, name)
-    return _read(array, tuple(region), f"{name} in {os.fspath(path)}", out)
+    place = place_of(path)
+    array = _chunk_files(place, name) or _open_array(place, name)
+    return _read(array, tuple(region), place, f"{name} in {place}", out)
+
+
+def chunk_shape(path: StorePath, name: str) -> tuple[int, ...]:
+    """Of one variable.
+
+    Raises
+    ------
+    InputError
+        If there is no such store or variable.
+    """
+    files = _chunk_files(place_of(path), name)
+    return files.chunks if files is not None else tuple(_open_array(place_of(path), name).chunks)
 
 
 def share_region(path: StorePath, name: str, region: Region, *, source: StorePath, source_region: Region) -> bool:
@@ -399,9 +523,10 @@ def share_region(path: StorePath, name: str, region: Region, *, source: StorePat
     Returns
     -------
     bool
-        False where that cannot be done: chunks do not fall together, or the file system knows no hard links.
+        False where that cannot be done: chunks do not fall together, the file system knows no hard links, or it is
+        an object store.
     """
-    ours, theirs = _chunk_files(path, name), _chunk_files(source, name)
+    ours, theirs = _chunk_files(place_of(path), name), _chunk_files(place_of(source), name)
     if ours is None or theirs is None:
         return False
     try:
@@ -411,36 +536,81 @@ def share_region(path: StorePath, name: str, region: Region, *, source: StorePat
     return True
 
 
-def _open_array(path: StorePath, name: str, mode: Any = "r") -> zarr.Array[Any]:
+def _open_array(path: Place, name: str, mode: Any = "r") -> zarr.Array[Any]:
     """Open a variable by its own path: a tenth of the time of opening the group first."""
-    place = os.path.join(os.path.abspath(path), name)
+    place = path / name
     try:
         found = _metadata_file(place)
+        missing = "" if found else f"it has no variable {name}" if path.exists() else "it is not there"
     except OSError as error:
-        raise InputError(f"{place} cannot be read ({error.strerror}); check its permissions") from error
-    if not found:
-        missing = "it is not there" if not os.path.lexists(os.path.abspath(path)) else f"it has no variable {name}"
-        raise InputError(f"{name} cannot be read from {os.fspath(path)}: {missing}; check the path, or write it again")
+        raise _unreachable(place, error, writing=mode != "r") from error
+    if missing:
+        raise InputError(f"{name} cannot be read from {path}: {missing}; check the path, or write it again")
     try:
-        array = zarr.open_array(store=place, mode=mode, config={"write_empty_chunks": True})
-        return array
+        with os_errors(place):
+            array = zarr.open_array(
+                store=place.zarr_path(),
+                mode=mode,
+                zarr_format=3 if found == "zarr.json" else 2,
+                config={"write_empty_chunks": True},
+            )
     except Exception as error:
+        if isinstance(error, OSError) and isinstance(place, ObjectPlace):
+            raise _unreachable(place, error, writing=mode != "r") from error
         raise InputError(f"{place} has damaged metadata ({_cause(error)}); write it again") from error
+    _refuse_codecs(array, str(place))
+    return array
 
 
-def _read(array: ChunkFiles | zarr.Array[Any], region: Region, what: str, out: Array | None = None) -> Array:
+def _unreachable(place: Place, error: OSError, *, writing: bool = False) -> InputError | ProcessingError:
+    """What a file system or an object store says when it does not do as it is told, in one sentence."""
+    if writing:
+        return ProcessingError(f"{place} cannot be written ({error.strerror or error})")
+    remedy = "its permissions" if isinstance(place, LocalPlace) else ENVIRONMENT
+    return InputError(f"{place} cannot be read ({error.strerror or error}); check {remedy}")
+
+
+def _refuse_codecs(array: zarr.Array[Any], what: str) -> None:
+    """Chunks are decoded by known codecs only: whatever else is installed here may run what a store tells it to."""
+    metadata: Any = array.metadata.to_dict()
+    stated = metadata.get("codecs") or [*(metadata.get("filters") or ()), metadata.get("compressor")]
+    for name in _codec_names(stated):
+        if name not in CODECS:
+            raise InputError(f"{what} is encoded by {name!r}, which is not decoded here; write it with zstd or plainly")
+
+
+def _codec_names(codecs: Any) -> Iterator[str]:
+    """Names of codecs in an array's metadata, of version 3 or 2; those within shards included."""
+    for codec in codecs:
+        match codec:
+            case {"name": str(name)}:
+                yield name.removeprefix("numcodecs.")
+                inner = codec.get("configuration") or {}
+                yield from _codec_names((*inner.get("codecs", ()), *inner.get("index_codecs", ())))
+            case {"id": str(name)} | str(name):
+                yield name.removeprefix("numcodecs.")
+            case other if other is not None:
+                yield str(other)
+
+
+def _read(
+    array: ChunkFiles | zarr.Array[Any], region: Region, where: Place, what: str, out: Array | None = None
+) -> Array:
     """Read a region; where that fails, find the first chunk at fault and name it."""
     if isinstance(array, ChunkFiles):
         if len(region) == array.ndim and all(part.step in (None, 1) for part in region):
             with suppress(OSError):
                 return array.read(region, out)
         # Whatever it was, zarr makes sense of it, or says what is wrong.
-        array = _open_array(*os.path.split(array.folder))
+        array = _open_array(where, os.path.basename(array.folder))
     try:
-        values = np.asarray(array[region])
+        with os_errors(where):
+            values = np.asarray(array[region]) if isinstance(where, LocalPlace) else _fetch(array, region)
     except MemoryError:
         raise
     except Exception as error:
+        if isinstance(error, OSError) and isinstance(where, ObjectPlace):
+            raise _unreachable(where, error) from error
         cause, place = error, ""
         for cell in _cells(array, region):
             try:
@@ -461,6 +631,32 @@ def _read(array: ChunkFiles | zarr.Array[Any], region: Region, what: str, out: A
     return out
 
 
+def _fetch(array: zarr.Array[Any], region: Region) -> Array:
+    """Read a region from an object store."""
+    if len(region) != array.ndim or any(part.step not in (None, 1) for part in region):
+        return np.asarray(array[region])
+    values = np.empty([len(range(*part.indices(n))) for part, n in zip(region, array.shape, strict=True)], array.dtype)
+    region = tuple(slice(*part.indices(n)) for part, n in zip(region, array.shape, strict=True))
+    _each_chunk(region, array.chunks, lambda there, here: values.__setitem__(here, array[there]))
+    return values
+
+
+def _each_chunk(region: Region, chunks: Sequence[int], move: Callable[[Region, Region], None]) -> None:
+    """Call `move` for every chunk of a region, many at a time, with where it is in the array and in the region.
+
+    zarr's own number of chunks in flight is set for files, and for all of a process.
+    """
+    spans = [range(part.start, part.stop) for part in region]
+    there = [
+        [slice(max(i, span.start), min(i + n, span.stop)) for i in range(span.start - span.start % n, span.stop, n)]
+        for span, n in zip(spans, chunks, strict=True)
+    ]
+    here = [[slice(p.start - s.start, p.stop - s.start) for p in parts] for parts, s in zip(there, spans, strict=True)]
+    with ThreadPoolExecutor(OBJECTS_AT_ONCE) as pool:
+        for _ in pool.map(move, product(*there), product(*here)):
+            pass
+
+
 def _check_out(out: Array, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
     if out.shape != shape or not np.can_cast(dtype, out.dtype, "equiv"):
         raise ValueError(f"out is {out.dtype} of shape {out.shape}, but the region is {dtype} of shape {shape}")
@@ -475,14 +671,50 @@ def _cells(array: zarr.Array[Any], region: Region) -> Iterator[Region]:
     yield from product(*spans)
 
 
-def _metadata_file(path: StorePath) -> str:
+def _metadata_file(path: Place) -> str:
     """Name of the zarr metadata in a directory, version 3 or 2; empty if there is none."""
-    for name in ("zarr.json", ".zgroup", ".zarray"):
+    if not isinstance(path, LocalPlace):
+        for name in METADATA:
+            with suppress(FileNotFoundError):
+                (path / name).read_bytes()
+                return name
+        return ""
+    found = ""
+    for name in (*METADATA, ".zattrs"):  # zarr reads all that are there
         # Not os.path.isfile: to that, a folder one may not enter is an empty one.
         with suppress(FileNotFoundError, NotADirectoryError):
-            os.stat(os.path.join(path, name))
-            return name
-    return ""
+            _refuse_odd_file(os.path.join(path.path, name))
+            found = found or name
+    return found if found != ".zattrs" else ""
+
+
+def _refuse_odd_file(path: str | os.PathLike[str], largest: int = MAX_METADATA) -> None:
+    """Refuse what is not a file, or not of a size that can be: a pipe would hang its reader, a device never end."""
+    status = os.stat(path)
+    if not stat.S_ISREG(status.st_mode):
+        raise InputError(f"{os.fspath(path)} is no regular file; put the file back, or write it again")
+    if status.st_size > largest:
+        raise InputError(f"{os.fspath(path)} has {status.st_size} bytes, which no such file has; write it again")
+
+
+def _refuse_odd_chunks(folder: str | os.PathLike[str], depth: int) -> None:
+    """Refuse pipes, devices, links to nothing, and folders where chunks should be: zarr takes these for no chunk.
+
+    Chunks are `depth` names below the variable's folder: c/0/0 is three.
+    """
+    with os.scandir(folder) as found:
+        entries = list(found)
+    for entry in entries:
+        chunk = CHUNK_NAME.fullmatch(entry.name) is not None
+        if entry.is_dir():
+            odd = chunk and depth == 1
+            if not odd and depth > 1:
+                _refuse_odd_chunks(entry.path, depth - 1)
+        else:
+            odd = not entry.is_file() or (chunk and depth > 1)
+        if odd:
+            right = "file" if depth == 1 or not chunk else "folder"
+            raise InputError(f"{entry.path} should be a {right} that can be read; put it back, or write it again")
 
 
 def _dims(array: zarr.Array[Any]) -> tuple[str | None, ...] | None:
@@ -538,6 +770,8 @@ class ChunkFiles:
         ------
         OSError
             If a file cannot be read, or is not as long as a chunk.
+        InputError
+            If it is no file at all.
         """
         spans = [range(*part.indices(n)) for part, n in zip(region, self.shape, strict=True)]
         shape = tuple(len(span) for span in spans)
@@ -546,6 +780,7 @@ class ChunkFiles:
         slab = self._slab()
         for file, inside, outside in self._parts(spans):
             try:
+                _refuse_odd_file(file, sys.maxsize)
                 with open(file, "rb") as stream:
                     self._read_chunk(stream, inside, values[outside], slab)
             except FileNotFoundError:
@@ -564,7 +799,7 @@ class ChunkFiles:
         slab = self._slab()
         for file, _, outside in self._parts(spans):
             os.makedirs(os.path.dirname(file), exist_ok=True)
-            with _replacing_file(file) as part, open(part, "wb") as stream:
+            with replacing_file(file) as part, open(part, "wb") as stream:
                 if os.path.exists(file):
                     # When a file takes another's place, ext4 sends it to the disk at once, unless it has its room.
                     with suppress(OSError, AttributeError):
@@ -584,7 +819,7 @@ class ChunkFiles:
             raise OSError("other chunks")
         for (file, _, _), (other, _, _) in zip(self._parts(ours), source._parts(theirs), strict=True):
             os.makedirs(os.path.dirname(file), exist_ok=True)
-            with _replacing_file(file) as part:
+            with replacing_file(file) as part:
                 os.link(other, part)
 
     def _whole(self, region: Region) -> list[range]:
@@ -640,11 +875,15 @@ class ChunkFiles:
         return np.empty((rows, *self.chunks[1:]), self.dtype)
 
 
-def _chunk_files(path: StorePath, name: str) -> ChunkFiles | None:
+def _chunk_files(path: Place, name: str) -> ChunkFiles | None:
     """The variable's chunk files; None where it is laid out in another way, missing or damaged: zarr knows which."""
-    folder = os.path.join(os.path.abspath(path), name)
+    if not isinstance(path, LocalPlace):
+        return None
+    folder = os.path.join(path.path, name)
+    metadata = os.path.join(folder, "zarr.json")
     try:
-        with open(os.path.join(folder, "zarr.json"), "rb") as file:
+        _refuse_odd_file(metadata)
+        with open(metadata, "rb") as file:
             layout = _layout(file.read())
     except (OSError, ValueError):
         return None
@@ -689,19 +928,6 @@ def _copy(source: Array, target: Array) -> None:
     step = TURN if turned else max(source.shape[-1], 1)
     for first in range(0, source.shape[-1], step):
         target[..., first : first + step] = source[..., first : first + step]
-
-
-@contextmanager
-def _replacing_file(path: StorePath) -> Iterator[str]:
-    """A temporary name beside `path`, renamed to it when the block ends well, removed when it does not."""
-    folder, name = os.path.split(path)
-    part = os.path.join(folder, f".{name}.{secrets.token_hex(4)}.part")
-    try:
-        yield part
-        os.replace(part, path)
-    finally:
-        with suppress(OSError):
-            os.unlink(part)
 
 
 # Phase histories
@@ -777,7 +1003,8 @@ class PhaseHistory:
 
     Attributes
     ----------
-    path : Path
+    path : Place
+        A place as its user named it is also what `str` gives.
     collection : Collection
         Of a raw echo: range_frequency is `raw.range_frequency`, what recovery compresses it to.
     raw : RawEcho or None
@@ -786,7 +1013,7 @@ class PhaseHistory:
         Attributes of the store that are not in collection or raw: title, history, targets, scene, georeference ...
     """
 
-    path: Path
+    path: Place
     collection: Collection
     raw: RawEcho | None = None
     attrs: dict[str, Any] = field(default_factory=dict)
@@ -827,14 +1054,15 @@ class PhaseHistory:
                 f"{self.variable} in {self.path} now has shape {array.shape}, not {self.shape}; it changed since it "
                 "was opened: start again"
             )
-        samples = _read(array, (pulses, columns), f"{self.variable} in {self.path}")
+        samples = _read(array, (pulses, columns), self.path, f"{self.variable} in {self.path}")
         with np.errstate(over="ignore"):
             return samples.astype(np.complex64, copy=False)
 
     def fingerprint(self) -> str:
         """Hash that tells one input from another without reading its samples.
 
-        Of metadata, axes, track and beam all the bytes; of the samples the chunks' names, sizes and times.
+        Of metadata, axes, track and beam all the bytes; of the samples the chunks' names, sizes and times, or what an
+        object store calls a version of each.
 
         Raises
         ------
@@ -842,28 +1070,28 @@ class PhaseHistory:
             If a file cannot be read.
         """
         digest = xxhash.xxh3_128()
-        schema = PHASE_HISTORY if self.raw is None else RAW_ECHO
         try:
-            for name in (".", *sorted(schema)):
-                for file in _files(self.path / name, deep=name != "."):
-                    digest.update(f"{file.relative_to(self.path)}\n".encode())
-                    if name == self.variable and file.name not in ("zarr.json", ".zarray", ".zattrs"):
-                        status = file.stat()
-                        digest.update(f"{status.st_size} {status.st_mtime_ns}\n".encode())
-                    else:
-                        digest.update(file.read_bytes())
+            for name, chunk, file in self._files():
+                digest.update(os.fsencode(f"{name}\n"))
+                if chunk:
+                    digest.update(f"{chunk}\n".encode())
+                    continue
+                if isinstance(file, LocalPlace):
+                    _refuse_odd_file(file.path, sys.maxsize)
+                digest.update(file.read_bytes())
         except OSError as error:
-            raise InputError(f"{self.path} cannot be read ({_cause(error)}); check its permissions") from error
+            raise _unreachable(self.path, error) from error
         return digest.hexdigest()
 
-
-def _files(folder: Path, *, deep: bool) -> list[Path]:
-    found = []
-    for parent, folders, names in os.walk(folder):
-        found += [Path(parent, name) for name in names]
-        if not deep:
-            folders.clear()
-    return sorted(found)
+    def _files(self) -> Iterator[tuple[str, str, Place]]:
+        """Files of the group and of every variable: name, size and version if it is a chunk of samples, and where."""
+        there = self.path.names()
+        yield from ((name, "", self.path / name) for name in GROUP_METADATA if name in there)
+        for variable in sorted(PHASE_HISTORY if self.raw is None else RAW_ECHO):
+            found = sorted((self.path / variable).files(), key=lambda file: file[0].split("/"))
+            for name, size, version in found:
+                chunk = variable == self.variable and name not in ("zarr.json", ".zarray", ".zattrs")
+                yield f"{variable}/{name}", f"{size} {version}" if chunk else "", self.path / variable / name
 
 
 def create_phase_history(
@@ -873,8 +1101,11 @@ def create_phase_history(
     raw: RawEcho | None = None,
     attrs: Mapping[str, Any] | None = None,
     overwrite: bool = False,
+    fill: Callable[[Place], None] | None = None,
 ) -> None:
-    """Create `phase_history.zarr` with all but the samples; write those by region, in chunks of `TILE`.
+    """Create `phase_history.zarr` with all but the samples: `fill` writes those by region, in chunks of `TILE`.
+
+    Without it they may be written later, and until then a store is found whose pulses are all missing.
 
     Parameters
     ----------
@@ -884,10 +1115,12 @@ def create_phase_history(
         Given for a raw echo: the samples are then `echo` over its fast_time.
     attrs : dict
         Beyond what `collection` and `raw` tell: history, targets, scene, georeference ...
+    overwrite, fill
+        As for `create`.
 
     Raises
     ------
-    InputError
+    InputError, ProcessingError
         As for `create`.
     """
     column, axis = ("range_frequency", collection.range_frequency) if raw is None else ("fast_time", raw.fast_time)
@@ -900,6 +1133,7 @@ def create_phase_history(
         attrs=_collection_attrs(collection, raw, attrs),
         chunks={"pulse": TILE[0], column: TILE[1]},
         overwrite=overwrite,
+        fill=fill,
     )
 
 
@@ -960,7 +1194,7 @@ def open_phase_history(path: StorePath) -> PhaseHistory:
         group = _open_group(place)
         names = [name for name in ("signal", "echo") if _metadata_file(place / name)]
         if len(names) != 1:
-            there = ", ".join(sorted(p.name for p in place.iterdir() if _metadata_file(p))) or "nothing"
+            there = ", ".join(name for name in place.names() if _metadata_file(place / name)) or "nothing"
             raise InputError(
                 f"it holds {'both' if names else 'neither'} signal {'and' if names else 'nor'} echo (it holds "
                 f"{there}); a phase history has the one or the other"
@@ -1006,43 +1240,60 @@ def open_dataset(path: StorePath) -> xr.Dataset:
     import xarray as xr  # half a second, and only here
 
     with _reading(path) as place:
-        _open_group(place)
-        return xr.open_zarr(str(place), consolidated=False, chunks=None)
+        group = _open_group(place)
+        for child in place.names() if isinstance(place, LocalPlace) else []:
+            _metadata_file(place / child)  # a pipe would hang zarr
+        with os_errors(place):
+            for name, array in group.arrays():
+                _refuse_codecs(array, f"{place}/{name}")
+            zarr_path = place.zarr_path()
+            dataset = xr.open_zarr(zarr_path.store, group=zarr_path.path or None, consolidated=False, chunks=None)
+        dataset.encoding["source"] = str(place)  # as xarray itself says of a path
+        return dataset
 
 
 @contextmanager
-def _reading(path: StorePath) -> Iterator[Path]:
+def _reading(path: StorePath) -> Iterator[Place]:
     """Whatever the bytes on disk do to the libraries below, one InputError that names the store comes out."""
-    place = Path(os.path.abspath(path))
+    place = place_of(path)
     try:
         yield place
     except InputError as error:
         text = str(error)
         raise InputError(text if str(place) in text else f"{place}: {text}") from error.__cause__
-    except PermissionError as error:
-        raise InputError(f"{error.filename or place} may not be read by this user; change its permissions") from error
     except Exception as error:
+        if isinstance(error, OSError) and isinstance(place, ObjectPlace):
+            raise _unreachable(place, error) from error
+        if isinstance(error, PermissionError):
+            what = error.filename or place
+            raise InputError(f"{what} may not be read by this user; change its permissions") from error
         raise InputError(f"{place} is damaged, or no store of this kind ({_cause(error)}); write it again") from error
 
 
-def _open_group(place: Path) -> zarr.Group:
-    if not os.path.lexists(place):
-        raise InputError(f"{place} does not exist; check the path")
-    if not place.is_dir():
-        raise InputError(f"{place} is not a directory; give the path of a zarr store, which is one")
-    os.listdir(place)  # PermissionError says more than the missing metadata would
+def _open_group(place: Place) -> zarr.Group:
+    if isinstance(place, LocalPlace) and place.exists():
+        if not place.path.is_dir():
+            raise InputError(f"{place} is not a directory; give the path of a zarr store, which is one")
+        os.listdir(place)  # PermissionError says more than the missing metadata would
     metadata = _metadata_file(place)
     if not metadata:
+        if not place.exists():
+            raise InputError(f"{place} does not exist; check the path")
+        if isinstance(place, ObjectPlace) and (place / UNFINISHED).exists():
+            raise InputError(f"{place} is being written, or was left unfinished; wait, or write it again")
         raise InputError(f"{place} is not a zarr store: it has no zarr.json; check the path, or write it again")
     try:
         kind = json.loads((place / metadata).read_bytes())
         if metadata == ".zarray" or kind.get("node_type", "group") != "group":
             raise InputError(f"{place} is a single zarr array, not a group; give the path of the store that holds it")
         # Consolidated metadata are a copy that may be stale.
-        return zarr.open_group(store=str(place), mode="r", use_consolidated=False)
+        with os_errors(place):
+            return zarr.open_group(store=place.zarr_path(), mode="r", use_consolidated=False)
     except (InputError, PermissionError):
         raise
     except Exception as error:
+        if isinstance(error, OSError) and isinstance(place, ObjectPlace):
+            raise
         raise InputError(f"{place / metadata} is damaged ({_cause(error)}); write the store again") from error
 
 
@@ -1051,7 +1302,7 @@ def _attrs(group: zarr.Group) -> dict[str, Any]:
     return {name: value for name, value in group.attrs.asdict().items() if name != "coordinates"}
 
 
-def _read_collection(place: Path, attrs: Mapping[str, Any], range_frequency: FloatArray | None) -> Collection:
+def _read_collection(place: Place, attrs: Mapping[str, Any], range_frequency: FloatArray | None) -> Collection:
     time = _real(place, "time")
     if not _metadata_file(place / "beam_azimuth"):
         beam_azimuth = np.full(time.shape, np.nan)
@@ -1075,7 +1326,7 @@ def _read_collection(place: Path, attrs: Mapping[str, Any], range_frequency: Flo
     )
 
 
-def _read_raw(place: Path, attrs: Mapping[str, Any]) -> RawEcho:
+def _read_raw(place: Place, attrs: Mapping[str, Any]) -> RawEcho:
     fast_time = _real(place, "fast_time")
     check_axis(fast_time, "fast_time", "s")
     return RawEcho(
@@ -1101,12 +1352,14 @@ def _number(attrs: Mapping[str, Any], name: str, unit: str, default: Any = ...) 
         raise InputError(f"attribute {name} is a whole number of hundreds of digits; correct it, in {unit}") from None
 
 
-def _checked(place: Path, name: str) -> zarr.Array[Any]:
+def _checked(place: Place, name: str) -> zarr.Array[Any]:
     """Open a variable of the contract, and check what does not need its values."""
     variable = {**PHASE_HISTORY, **RAW_ECHO}[name]
     if not _metadata_file(place / name):
         raise InputError(f"variable {name} ({', '.join(variable.dims)}) is missing; write it, in {variable.units}")
     array = _open_array(place, name)
+    if isinstance(place, LocalPlace):
+        _refuse_odd_chunks(place / name, len(array.metadata.encode_chunk_key((0,) * array.ndim).split("/")))
     found = _dims(array)
     if found != variable.dims:
         have = "none" if found is None else f"({', '.join(map(str, found))})"
@@ -1117,6 +1370,12 @@ def _checked(place: Path, name: str) -> zarr.Array[Any]:
         raise InputError(f"{name} is {array.dtype}, but must be {variable.dtype}; write it as that")
     if max(array.shape) > MAX_AXIS:
         raise InputError(f"{name} claims the shape {array.shape}, beyond {MAX_AXIS} an axis; its metadata are damaged")
+    chunks = array.shards or array.chunks
+    if not 0 < prod(chunks) * array.dtype.itemsize <= MAX_CHUNK:
+        raise InputError(f"{name} claims chunks of {chunks}; its metadata are damaged, write it again")
+    count = prod(-(-n // chunk) for n, chunk in zip(array.shape, chunks, strict=True))
+    if count > MAX_CHUNKS and name not in ("signal", "echo"):
+        raise InputError(f"{name} is in {count} chunks, but is read as a whole; write it in at most {MAX_CHUNKS}")
     attrs = array.attrs.asdict()
     units = attrs.get("units")
     if units is not None and variable.units in UNITS and str(units).strip().lower() not in UNITS[variable.units]:
@@ -1127,9 +1386,9 @@ def _checked(place: Path, name: str) -> zarr.Array[Any]:
     return array
 
 
-def _real(place: Path, name: str) -> FloatArray:
+def _real(place: Place, name: str) -> FloatArray:
     array = _checked(place, name)
-    values = _read(array, (slice(None),) * array.ndim, name)
+    values = _read(array, (slice(None),) * array.ndim, place, name)
     return np.asarray(values, dtype=np.float64)
 
 
@@ -1148,15 +1407,12 @@ def write_json(path: StorePath, obj: Any) -> None:
     ValueError
         If `obj` holds what JSON does not.
     """
-    path = Path(os.path.abspath(path))
-    text = json.dumps(_finite(_plain(obj, path.name)), indent=1, allow_nan=False)
+    place = place_of(path)
+    text = json.dumps(_finite(_plain(obj, place.name)), indent=1, allow_nan=False)
     try:
-        with _replacing_file(path) as part, open(part, "w", encoding="utf-8") as file:
-            file.write(text + "\n")
-            file.flush()
-            os.fsync(file.fileno())
+        place.write_bytes(f"{text}\n".encode())
     except OSError as error:
-        raise ProcessingError(f"{path} cannot be written ({error.strerror or error})") from error
+        raise ProcessingError(f"{place} cannot be written ({error.strerror or error})") from error
 
 
 def _finite(value: Any) -> Any:
@@ -1178,17 +1434,26 @@ def read_json(path: StorePath) -> Any:
     InputError
         If the file is missing, may not be read or is not JSON.
     """
+    place = place_of(path)
     try:
-        return json.loads(Path(path).read_bytes())
+        if isinstance(place, LocalPlace):
+            _refuse_odd_file(place.path)
+        return json.loads(place.read_bytes())
     except FileNotFoundError:
-        raise InputError(f"{os.fspath(path)} does not exist; check the path") from None
+        raise InputError(f"{path} does not exist; check the path") from None
     except OSError as error:
-        raise InputError(f"{os.fspath(path)} cannot be read ({error.strerror or error}); check the path") from error
+        remedy = "the path" if isinstance(place, LocalPlace) else ENVIRONMENT
+        raise InputError(f"{path} cannot be read ({error.strerror or error}); check {remedy}") from error
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{os.fspath(path)} is damaged ({_cause(error)}); remove it, and make it again") from error
+        raise InputError(f"{path} is damaged ({_cause(error)}); remove it, and make it again") from error
 
 
 def checksum(array: Array) -> str:
     """xxh3, 128 bits in hexadecimal, of the array's bytes in C order."""
     values = np.ascontiguousarray(array)
     return xxhash.xxh3_128(values.reshape(-1).view(np.uint8).data).hexdigest()
+
+
+def checksum_bytes(data: bytes) -> str:
+    """xxh3, 128 bits in hexadecimal."""
+    return xxhash.xxh3_128(data).hexdigest()

@@ -23,7 +23,9 @@ GROUND = {"parameters", "fourier", "geometry"}
 KERNELS = GROUND | {"lanes", "phase", "rows", "lines"}
 STEPS = {"range_steps", "azimuth_steps"}
 MEASURES = {"recovery", "ground", "backprojection", "measurement"}
-BELOW_GRAPH = KERNELS | STEPS | MEASURES | {"steps", "fitting", "region", "recovery_plan", "planning", "stores"}
+PLANS = {"fitting", "region", "recovery_plan", "planning"}
+FILES = {"places", "stores", "runs"}
+BELOW_GRAPH = KERNELS | STEPS | MEASURES | {"steps", "inspection"} | PLANS | FILES | {"cluster"}
 BELOW_API = BELOW_GRAPH | {"graph", "scene", "simulation", "plotting"}
 
 ARROWS: dict[str, set[str]] = {
@@ -39,11 +41,15 @@ ARROWS: dict[str, set[str]] = {
     "steps": KERNELS,
     **dict.fromkeys(STEPS, KERNELS | {"steps"}),
     **dict.fromkeys(MEASURES, KERNELS),
-    "stores": {"parameters"},
-    "simulation": GROUND | {"phase", "recovery", "scene", "stores"},
+    "inspection": KERNELS | {"recovery"},
+    "places": {"parameters"},
+    "stores": {"parameters", "places"},
+    "runs": {"parameters", "places", "stores"},
+    "simulation": GROUND | {"phase", "recovery", "scene", "places", "stores"},
     "region": {"parameters", "geometry"},
     "recovery_plan": KERNELS | {"recovery", "region"},
     "planning": KERNELS | STEPS | {"steps", "fitting", "ground", "recovery", "region", "recovery_plan"},
+    "cluster": {"parameters", "ground"},
     "graph": BELOW_GRAPH,
     "plotting": {"parameters", "geometry", "measurement"},
     "api": BELOW_API,
@@ -59,19 +65,21 @@ HOMES: dict[str, set[str] | None] = {
     "llvmlite": {"backprojection", "lanes"},
     "finufft": {"simulation"},
     "xxhash": {"stores"},
-    "zarr": {"stores"},
+    "zarr": {"places", "stores"},
+    "obstore": {"places"},
+    "psutil": {"places"},
     "xarray": {"stores", "api"},
-    "dask": {"graph"},
-    "distributed": {"graph", "api"},
+    "dask": {"cluster"},
+    "distributed": {"cluster", "graph", "api"},
     "typer": {"cli"},
     "rich": {"cli"},
     "matplotlib": {"plotting"},
-    "bokeh": {"graph"},  # only asked whether it is there
+    "bokeh": {"cluster"},  # only asked whether it is there
     "pydantic": {"scene"},
 }
 
 # Arrays in, arrays out: nothing here knows of files or logs.
-PURE = KERNELS | STEPS | MEASURES | {"steps", "fitting"}
+PURE = KERNELS | STEPS | MEASURES | {"steps", "inspection", "fitting"}
 IMPURE_LIBRARIES = {"io", "json", "logging", "os", "pathlib", "shutil", "tempfile"}
 
 # scipy.fft outside fourier.py, where a comment beside the import says why. numpy.fft: nowhere else.
@@ -157,7 +165,7 @@ def test_libraries_stay_at_home(module: str) -> None:
 def test_every_library_is_declared() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     optional = project["optional-dependencies"]
-    declared = " ".join([*project["dependencies"], *optional["plots"], *optional["dashboard"]])
+    declared = " ".join([*project["dependencies"], *optional["plots"], *optional["dashboard"], *optional["s3"]])
     assert not [name for name in HOMES if name not in declared]
 
 

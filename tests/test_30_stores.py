@@ -24,6 +24,7 @@ import zarr
 
 from blocksar import stores
 from blocksar.parameters import Collection, InputError, ProcessingError
+from blocksar.places import LocalPlace, place
 
 SAMPLES = stores.Variable(("pulse", "range_frequency"), "complex64", "1", "samples")
 
@@ -316,7 +317,7 @@ def test_every_variable_that_we_create_is_plain_files(tmp_path: Path, name: str)
     sizes = {dim: 5 for variable in schema.values() for dim in variable.dims}
     stores.create(tmp_path / "s.zarr", schema, sizes=sizes, coords={}, attrs={}, chunks={"y": 2, "pulse": 3})
     for variable, stated in schema.items():
-        files = stores._chunk_files(tmp_path / "s.zarr", variable)
+        files = stores._chunk_files(place(tmp_path / "s.zarr"), variable)
         array = zarr.open_array(tmp_path / "s.zarr" / variable, mode="r")
         assert files is not None and files.dtype == stated.dtype
         assert (files.shape, files.chunks, files.dtype) == (array.shape, array.chunks, array.dtype)
@@ -377,7 +378,7 @@ def test_other_layouts_are_left_to_zarr(tmp_path: Path, name: str) -> None:
     usual: dict[str, Any] = {"chunks": (8, 10), "dtype": "complex64", "fill_value": np.nan, "compressors": None}
     values = noise((23, 19))
     array = zarr.create_array(tmp_path / "s", shape=values.shape, **(usual | OTHERWISE[name]))
-    assert stores._chunk_files(tmp_path, "s") is None
+    assert stores._chunk_files(place(tmp_path), "s") is None
     stores.write_region(tmp_path, "s", np.s_[:16, :], values[:16])
     expected = np.full(values.shape, array.fill_value, array.dtype)
     expected[:16] = values[:16]
@@ -406,10 +407,10 @@ def test_other_layouts_are_left_to_zarr(tmp_path: Path, name: str) -> None:
 )
 def test_metadata_that_say_more_are_left_to_zarr(tmp_path: Path, key: str, value: Any) -> None:
     plain_store(tmp_path / "s", "complex")
-    assert stores._chunk_files(tmp_path / "s", "s") is not None
+    assert stores._chunk_files(place(tmp_path / "s"), "s") is not None
     file = tmp_path / "s" / "s" / "zarr.json"
     file.write_text(json.dumps(json.loads(file.read_text()) | {key: value}))
-    assert stores._chunk_files(tmp_path / "s", "s") is None
+    assert stores._chunk_files(place(tmp_path / "s"), "s") is None
 
 
 def test_out_must_fit(own: Path) -> None:
@@ -481,10 +482,12 @@ def test_overwriting_spares_what_is_no_store(small_collection: Collection, tmp_p
 
 
 def test_a_store_that_fails_to_be_made_leaves_nothing(tmp_path: Path, own: Path, monkeypatch: Any) -> None:
-    def fail(*_: object) -> None:
+    def fail(part: LocalPlace, _: bytes) -> None:
+        part.path.parent.mkdir(parents=True, exist_ok=True)
+        part.path.write_bytes(b"half of it")
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(stores, "_consolidate", fail)
+    monkeypatch.setattr(stores, "_put_file", fail)
     before = stores.open_phase_history(own).fingerprint()
     for path in (tmp_path / "new.zarr", own):
         with pytest.raises(KeyboardInterrupt):
@@ -913,8 +916,9 @@ def test_damaged_json_is_refused(tmp_path: Path, content: bytes) -> None:
 
 
 def test_writing_where_nothing_can_be_written(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("...")
     with pytest.raises(ProcessingError, match="cannot be written"):
-        stores.write_json(tmp_path / "no" / "run.json", {})
+        stores.write_json(tmp_path / "file" / "run.json", {})
 
 
 def test_two_writers_of_one_store_leave_one_whole_store(small_collection: Collection, tmp_path: Path) -> None:

@@ -53,7 +53,8 @@ from blocksar import stores
 from blocksar.backprojection import accumulate, form_points, lit_interval, pulse_block_size, range_profiles
 from blocksar.cli import parse_blocks, parse_memory
 from blocksar.geometry import Geometry
-from blocksar.graph import machine, open_client, peak_memory
+from blocksar.cluster import machine, open_client
+from blocksar.graph import peak_memory
 from blocksar.measurement import coherence
 from blocksar.parameters import Collection, ComplexArray, FloatArray, InputError
 from blocksar.planning import MAX_BLOCKS, Plan, Transforms, plan_collection

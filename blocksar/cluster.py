@@ -1,0 +1,214 @@
+"""The dask cluster: ours, begun and ended with a run, or a given one; and how much of it is asked at a time.
+
+Ours listens on loopback only, keeps its temporary files in the run's folder, and is gone within seconds whatever ends
+the run: nobody waits for tasks whose results are of no use any more.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError
+from contextlib import ExitStack, contextmanager, suppress
+from itertools import islice
+from typing import Any
+
+import dask
+from dask.system import CPU_COUNT
+from distributed import Client, Future, LocalCluster, wait
+from distributed.system import MEMORY_LIMIT
+
+from blocksar.ground import compile_kernels
+from blocksar.parameters import InputError, ProcessingError
+
+Unit = tuple[str, Callable[[], Future[Any]]]  # a unit of work: its name, and what submits it
+
+WORKER_TTL = 60.0  # seconds: a worker of ours that has not been heard of for so long is lost
+NO_WORKER = 120.0  # seconds without any worker
+STALL = 3600.0  # seconds in which nothing was finished
+CONNECT = 20.0  # seconds for a given scheduler to answer
+POLL = 2.0  # seconds between two looks at the cluster while nothing is finished
+
+
+def machine() -> tuple[int, int]:
+    """Cores and bytes of memory that this process may use, control groups respected."""
+    return int(CPU_COUNT), int(MEMORY_LIMIT)
+
+
+def cluster_size(client: Client) -> tuple[int, int]:
+    """Workers of a cluster, and the smallest memory limit among them, bytes.
+
+    Raises
+    ------
+    InputError
+        If it has no worker.
+    """
+    workers = client.scheduler_info(n_workers=-1)["workers"]
+    if not workers:
+        raise InputError("the dask scheduler has no worker; start some")
+    return len(workers), min(int(w["memory_limit"]) or machine()[1] for w in workers.values())
+
+
+@contextmanager
+def open_client(
+    *,
+    scheduler: str | None = None,
+    client: Client | None = None,
+    workers: int = 1,
+    threads: int = 1,
+    memory_limit: int | None = None,
+    scratch: str | None = None,
+) -> Iterator[Client]:
+    """The client given, a client of the scheduler given, or of a cluster of our own on loopback that ends with it.
+
+    `scratch` is a folder for the workers' temporary files, of our own cluster; by default one that goes with it.
+
+    Raises
+    ------
+    InputError
+        If no scheduler answers.
+    """
+    if client is not None:
+        yield client
+    elif scheduler is not None:
+        try:
+            connected = Client(scheduler, timeout=CONNECT)
+        except (OSError, ValueError, RuntimeError, TypeError) as error:
+            cause = " ".join(str(error).split()) or type(error).__name__
+            raise InputError(f"no dask scheduler answers at {scheduler} ({cause}); check --scheduler") from None
+        with connected:
+            yield connected
+    else:
+        with ExitStack() as stack:
+            if scratch is None:
+                scratch = stack.enter_context(
+                    tempfile.TemporaryDirectory(prefix="blocksar-", ignore_cleanup_errors=True)
+                )
+            yield stack.enter_context(_own(workers, threads, memory_limit, scratch))
+
+
+@contextmanager
+def _own(workers: int, threads: int, memory_limit: int | None, scratch: str) -> Iterator[Client]:
+    # Compiling takes a worker more memory than a block may: done here, once, the workers load from the cache.
+    compile_kernels()
+    settings = {
+        # The plan keeps to the limit; spilling would only hide that it did not.
+        "distributed.worker.memory.target": False,
+        "distributed.worker.memory.spill": False,
+        "distributed.worker.memory.pause": 0.9,
+        "distributed.worker.memory.terminate": 0.98,
+        "distributed.scheduler.work-stealing": False,
+        "distributed.scheduler.worker-saturation": 1.0,
+        "distributed.scheduler.worker-ttl": WORKER_TTL,
+        "distributed.nanny.pre-spawn-environ.NUMBA_NUM_THREADS": threads,
+        # Blocks go back to the system at once; groups of rows and chunks stay in malloc's keeping, and in the cache.
+        "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": 24 * 2**20,
+        "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": 64 * 2**20,
+    }
+    with (
+        dask.config.set(settings),
+        LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=True,
+            memory_limit=memory_limit or "auto",
+            host="127.0.0.1",
+            dashboard_address="127.0.0.1:0",  # any free port, loopback only; needs bokeh to show more than metrics
+            local_directory=scratch,
+            silence_logs=logging.CRITICAL,  # what a run ends with says it in one sentence
+        ) as cluster,
+        Client(cluster) as client,
+    ):
+        try:
+            yield client
+        except BaseException:
+            # Else closing waits for tasks whose results are of no use any more.
+            _kill_workers(cluster)
+            raise
+
+
+def _kill_workers(cluster: LocalCluster) -> None:
+    for nanny in cluster.workers.values():
+        nanny.auto_restart = False
+        if nanny.pid is not None:
+            with suppress(ProcessLookupError):
+                os.kill(nanny.pid, signal.SIGKILL)
+
+
+def in_turn(client: Client, stage: str, units: Sequence[Unit], each: int) -> Iterator[tuple[str, Future[Any]]]:
+    """Units as they are done, well or not, with no more of them at work than `each` a worker.
+
+    Admission is by the client, so that no worker ever holds more than it was planned for.
+
+    Raises
+    ------
+    ProcessingError
+        If nothing more will come of the cluster.
+    """
+    waiting = iter(units)
+    running: dict[Future[Any], str] = {}
+    watch = Watch(client)
+    try:
+        while True:
+            for unit, start in islice(waiting, max(each * watch.workers() - len(running), 0)):
+                running[start()] = unit
+            if not running:
+                return
+            for future in watch.first(running, stage):
+                unit = running.pop(future)
+                yield unit, future
+                future.release()
+    finally:
+        # Where a unit failed or the run was interrupted, the others are wanted no more.
+        if running and client.status == "running":
+            client.cancel(list(running), force=True)
+
+
+class Watch:
+    """Waits for a cluster, and notices when nothing more will come of it."""
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+        self._heard = self._seen = time.monotonic()
+        self._workers = 0
+
+    def workers(self) -> int:
+        """How many there are now; at least one."""
+        found = len(self._client.scheduler_info(n_workers=-1)["workers"])
+        if found:
+            self._seen = time.monotonic()
+            self._workers = found
+        return max(self._workers, 1)
+
+    def first(self, running: Mapping[Future[Any], str], stage: str) -> list[Future[Any]]:
+        """Those of the futures that are done, as soon as there is one.
+
+        Raises
+        ------
+        ProcessingError
+            If the scheduler has gone, if there has been no worker for NO_WORKER seconds, or if nothing was finished
+            for STALL seconds.
+        """
+        while True:
+            try:
+                wait(list(running), timeout=POLL, return_when="FIRST_COMPLETED")
+            except (TimeoutError, CancelledError):
+                self._check(running, stage)
+            if done := [future for future in running if future.status in ("finished", "error")]:
+                self._heard = time.monotonic()
+                return done
+
+    def _check(self, running: Mapping[Future[Any], str], stage: str) -> None:
+        units = ", ".join(running.values())
+        if self._client.status != "running" or any(future.status in ("cancelled", "lost") for future in running):
+            raise ProcessingError(f"{stage} of {units} was cut short: the dask scheduler is gone")
+        self.workers()
+        now = time.monotonic()
+        if now - self._seen > NO_WORKER:
+            raise ProcessingError(f"{stage} of {units} waits in vain: no worker for {NO_WORKER:.0f} s")
+        if now - self._heard > STALL:
+            raise ProcessingError(f"{stage} of {units} hangs: nothing was finished for {STALL:.0f} s")

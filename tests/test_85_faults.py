@@ -1,0 +1,653 @@
+"""What really goes wrong: killed and stopped processes, full and read-only disks, signals, receipts that lie.
+
+After every fault the same command is given again, and the image has to be that of an undisturbed run, to the last
+bit. Moments are drawn from seeds, which stand in the names of the tests.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import re
+import shutil
+import signal
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import dask
+import pytest
+from distributed import Client, LocalCluster, SchedulerPlugin
+from distributed.utils import get_mp_context
+from faults import (
+    PAGE,
+    SETTINGS,
+    STAGES,
+    Cluster,
+    Disk,
+    Launcher,
+    Left,
+    Process,
+    cluster,
+    computed_again,
+    digests,
+    left,
+    litter,
+    make_store,
+    read_only,
+    receipts,
+    until,
+    words,
+    workers_of,
+)
+
+import blocksar
+from blocksar.cluster import open_client
+
+OWN = ("--workers", "1", "--memory-limit", "2GiB")  # a cluster of the run's own, as small as can be
+STOPPED_WITHIN = 20.0  # s after a signal: generous, for a busy machine
+PROMPT = "give the same command again"
+
+
+@dataclass(frozen=True)
+class Undisturbed:
+    """What every run has to come to, and how long it takes from its first write to its last."""
+
+    left: Left
+    spectrum: dict[str, str]
+    run: Path
+    seconds: float
+
+
+@pytest.fixture(scope="module")
+def launcher(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Launcher]:
+    with Launcher(tmp_path_factory.mktemp("said")) as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_store(tmp_path_factory.mktemp("input") / "small")
+
+
+@pytest.fixture(scope="module")
+def dask_cluster(launcher: Launcher, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    """A cluster that the run has been given: it need not be started for each."""
+    with cluster(launcher, tmp_path_factory.mktemp("cluster") / "dask", workers=2) as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def undisturbed(
+    launcher: Launcher, store: Path, dask_cluster: Cluster, tmp_path_factory: pytest.TempPathFactory
+) -> Undisturbed:
+    """Two fresh runs, which are the same to the last bit; the second one finds everything compiled."""
+    folder = tmp_path_factory.mktemp("undisturbed")
+    given = ("--scheduler", dask_cluster.address)
+    seconds = [
+        _seconds(launcher.start("blocksar", *words(store, run, *given)), run)
+        for run in (folder / "first", folder / "second")
+    ]
+    first, second = left(folder / "first"), left(folder / "second")
+    assert first == second
+    assert len(first.chunks) >= 20 and len(first.checksums) >= 10
+    assert litter(folder / "second") == []
+    return Undisturbed(first, digests(folder / "first" / "spectrum.zarr"), folder / "first", seconds[1])
+
+
+def _seconds(process: Process, run: Path) -> float:
+    """That a run takes from its first write to its last."""
+    until(run.exists, "the first write")
+    begun = time.monotonic()
+    until(lambda: _status(run) == "finished" or process.poll(), "the last write")
+    seconds = time.monotonic() - begun
+    assert process.wait() == 0, process.stderr
+    return seconds
+
+
+def _status(run: Path) -> str | None:
+    try:
+        return str(json.loads((run / "run.json").read_text())["status"])
+    except (OSError, ValueError):
+        return None
+
+
+@pytest.fixture
+def again(
+    launcher: Launcher, store: Path, dask_cluster: Cluster, undisturbed: Undisturbed
+) -> Callable[[Path], set[str]]:
+    """Give the same command again: what it leaves is what an undisturbed run leaves, and nothing but that.
+
+    Returns the units that were computed although they had a receipt.
+    """
+
+    def resume(run: Path) -> set[str]:
+        before = {} if _status(launcher.view(run)) == "finished" else receipts(launcher.view(run))
+        process = launcher.start("blocksar", *words(store, run, "--scheduler", dask_cluster.address))
+        assert process.wait() == 0, process.stderr
+        assert left(launcher.view(run)) == undisturbed.left
+        assert litter(launcher.view(run)) == []
+        assert process.scratch == []
+        return computed_again(launcher.view(run), before)
+
+    return resume
+
+
+def one_sentence(process: Process) -> str:
+    """What a run that failed has said to its user."""
+    assert process.message.startswith("blocksar: "), process.stderr
+    assert process.message.count("\n") == 1, process.stderr
+    assert "Traceback" not in process.stderr
+    return process.message
+
+
+# ---------------------------------------------------------------- lost workers
+
+
+class Assassin(SchedulerPlugin):
+    """Sees tasks begin, and kills the worker of one of them a while after."""
+
+    name = "assassin"
+
+    def __init__(self, ours: LocalCluster) -> None:
+        self._workers = ours.workers
+        self._tasks = ours.scheduler.tasks
+        self._begun: dict[str, float] = {}
+        self.seconds: dict[str, float] = {}  # that a task takes, by name
+        self.arm("", 0.0)
+
+    def arm(self, victim: str, delay: float) -> None:
+        self._victim, self._delay = victim, delay
+        self.times = 0  # that the victim's task began
+        self.hit = False  # while it was at work
+
+    def transition(self, key: Any, start: str, finish: str, *_: Any, **__: Any) -> None:
+        name = re.sub(r"-[0-9a-f]{8}-", " ", str(key))
+        if finish == "processing":
+            self._begun[name] = time.monotonic()
+            if name == self._victim:
+                self.times += 1
+                if self.times == 1:
+                    threading.Timer(self._delay, self._kill, [key, self._tasks[key].processing_on.address]).start()
+        elif finish == "memory" and name in self._begun:
+            self.seconds[name] = time.monotonic() - self._begun[name]
+
+    def _kill(self, key: Any, address: str) -> None:
+        task = self._tasks.get(key)
+        self.hit = task is not None and task.state == "processing" and task.processing_on.address == address
+        for nanny in self._workers.values():
+            if nanny.worker_address == address:
+                os.kill(nanny.pid, signal.SIGKILL)
+
+
+def stage_of(task: str) -> str:
+    step = task.split(" ", maxsplit=1)[0]
+    return {"recover": "recover", "mosaic": "mosaic", "compress": "range-compress"}.get(step, "focus")
+
+
+@pytest.fixture(scope="module")
+def guarded() -> Iterator[tuple[Client, Assassin]]:
+    """A cluster of ours with nannies, which start a worker anew at once: by a fork of what is imported already."""
+    with dask.config.set({"distributed.worker.multiprocessing-method": "forkserver"}):
+        get_mp_context().set_forkserver_preload(["distributed", "blocksar.graph"])
+        with open_client(workers=2, threads=1, memory_limit=2 * 2**30) as client:
+            assert isinstance(client.cluster, LocalCluster)
+            assassin = Assassin(client.cluster)
+            client.cluster.scheduler.add_plugin(assassin)
+            yield client, assassin
+
+
+@pytest.mark.parametrize(("stage", "repetitions"), [("recover", 7), ("focus", 7), ("mosaic", 6), ("range-compress", 1)])
+def test_killed_worker(
+    stage: str,
+    repetitions: int,
+    store: Path,
+    undisturbed: Undisturbed,
+    guarded: tuple[Client, Assassin],
+    tmp_path: Path,
+) -> None:
+    client, assassin = guarded
+    source, expected = store, undisturbed.left
+    raw = stage == "range-compress"
+    if raw:
+        source = make_store(tmp_path / "raw", raw=True)
+    for name in ("cold", "warm"):
+        blocksar.focus(source, tmp_path / name, client=client, **SETTINGS)
+    if raw:
+        expected = left(tmp_path / "cold")
+    assert left(tmp_path / "warm") == expected
+    tasks = sorted(task for task in assassin.seconds if stage_of(task) == stage and "verify" not in task)
+    hits = 0
+    for seed in range(repetitions):
+        rng = random.Random(f"{stage} {seed}")
+        victim = rng.choice(tasks)
+        until(lambda: len(client.scheduler_info(n_workers=-1)["workers"]) == 2, "both workers")
+        assassin.arm(victim, rng.random() * 0.8 * assassin.seconds[victim])
+        blocksar.focus(source, tmp_path / f"{seed}", client=client, **SETTINGS)
+        until(lambda: not any(isinstance(t, threading.Timer) for t in threading.enumerate()), "the murder")
+        assert assassin.times >= 1 + assassin.hit, (seed, victim)
+        hits += assassin.hit
+        assert left(tmp_path / f"{seed}") == expected, (seed, victim)
+        assert litter(tmp_path / f"{seed}") == [], (seed, victim)
+    assert 2 * hits > repetitions, f"only {hits} of {repetitions} workers were killed at work"
+
+
+# ---------------------------------------------------------------- killed runs
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_killed_run(
+    seed: int,
+    launcher: Launcher,
+    store: Path,
+    dask_cluster: Cluster,
+    undisturbed: Undisturbed,
+    again: Callable[[Path], set[str]],
+    tmp_path: Path,
+) -> None:
+    """At twenty moments from the first write to the last; every fourth run has a cluster of its own."""
+    moment = (seed + random.Random(seed).random()) / 20
+    own = seed % 4 == 3
+    where = OWN if own else ("--scheduler", dask_cluster.address)
+    process = launcher.start("blocksar", *words(store, tmp_path / "run", *where))
+    until((tmp_path / "run").exists, "the first write")
+    if own:
+        process.await_line("recover: 0")  # the workers have been started: nothing is written while they are
+    time.sleep(moment * undisturbed.seconds)
+    process.send(signal.SIGKILL)
+    assert process.wait() in (-signal.SIGKILL, 0)
+    done = _status(tmp_path / "run") == "finished"
+    assert not done or moment > 0.7, f"finished at {moment}"
+    assert again(tmp_path / "run") == set()
+    process.gone()
+
+
+@pytest.mark.parametrize("attempt", range(3))
+def test_killed_at_the_first_file(
+    attempt: int,
+    launcher: Launcher,
+    store: Path,
+    dask_cluster: Cluster,
+    again: Callable[[Path], set[str]],
+    tmp_path: Path,
+) -> None:
+    """What a run leaves that was killed before it wrote run.json is taken for no stranger's."""
+    process = launcher.start("blocksar", *words(store, tmp_path / "run", "--scheduler", dask_cluster.address))
+    until(lambda: (tmp_path / "run").exists() and os.listdir(tmp_path / "run"), "the first file")
+    process.send(signal.SIGKILL)
+    process.wait()
+    again(tmp_path / "run")
+
+
+@pytest.mark.parametrize("name", [".run.json.0123abcd.part", "run.lock"])
+def test_a_temporary_file_alone_is_no_strangers(name: str, again: Callable[[Path], set[str]], tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / name).write_text("{")
+    again(tmp_path / "run")
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_killed_scheduler(
+    stage: str, launcher: Launcher, store: Path, again: Callable[[Path], set[str]], tmp_path: Path
+) -> None:
+    with cluster(launcher, tmp_path / "dask") as made:
+        process = launcher.start("blocksar", *words(store, tmp_path / "run", "--scheduler", made.address))
+        process.await_line(f"{stage}: 0")
+        made.scheduler.send(signal.SIGKILL)
+        assert process.wait() == 1, process.stderr
+        assert "scheduler" in one_sentence(process)
+    assert again(tmp_path / "run") == set()
+
+
+# ---------------------------------------------------------------- full disks
+
+
+def pages(*paths: Path) -> int:
+    """Bytes that files take on a tmpfs, each of them once."""
+    files = {p.stat().st_ino: p.stat().st_size for path in paths for p in [path, *path.rglob("*")] if p.is_file()}
+    return sum(-(-size // PAGE) * PAGE for size in files.values())
+
+
+@pytest.fixture
+def disk(launcher: Launcher, tmp_path: Path) -> Iterator[Disk]:
+    if not launcher.mounts:
+        pytest.skip("mounts nothing: this needs root, or namespaces for everybody")
+    mounted = Disk.mount(launcher, tmp_path / "disk", 64 << 20)
+    yield mounted
+    mounted.unmount()
+
+
+def sizes(run: Path) -> dict[str, int]:
+    """Sizes of a disk that fills up in each stage, bytes."""
+    spectrum, patches, image = (run / name for name in ("spectrum.zarr", "patches", "image.zarr"))
+    beginning = pages(run) - pages(spectrum, patches, image) + 64 * PAGE
+    return {
+        "recover": beginning + pages(spectrum) // 2,
+        "focus": beginning + pages(spectrum) + pages(patches) // 2,
+        "mosaic": pages(run) - pages(image / "block") // 2,
+    }
+
+
+def sleep_of_plenty(disk: Disk, process: Process) -> int:
+    """Bytes that a disk holds at most while a process runs."""
+    most = 0
+    while process.poll() is None:
+        for _ in range(100):
+            most = max(most, disk.used)
+    return most
+
+
+@pytest.mark.parametrize("stage", [*STAGES, "run.json"])
+def test_full_disk(
+    stage: str,
+    launcher: Launcher,
+    store: Path,
+    disk: Disk,
+    dask_cluster: Cluster,
+    undisturbed: Undisturbed,
+    again: Callable[[Path], set[str]],
+) -> None:
+    given = ("--scheduler", dask_cluster.address)
+    if stage == "run.json":
+        process = launcher.start("blocksar", *words(store, disk.folder / "whole", *given))
+        size = sleep_of_plenty(disk, process) - PAGE
+        assert process.wait() == 0
+        assert not launcher.call("rm", "-r", str(disk.folder / "whole"))
+    else:
+        size = sizes(undisturbed.run)[stage]
+    disk.resize(size)
+    process = launcher.start("blocksar", *words(store, disk.folder / "run", *given))
+    assert process.wait() == 1, process.stderr
+    assert "No space left on device" in one_sentence(process)
+    reached = [line.split(":")[0] for line in process.stderr.splitlines() if " of " in line][:-1][-1]
+    assert reached == ("mosaic" if stage == "run.json" else stage), process.stderr
+    assert _status(disk.view / "run") == "unfinished"
+    disk.resize(64 << 20)
+    assert again(disk.folder / "run") == set()
+
+
+def test_full_disk_from_the_start(
+    launcher: Launcher, store: Path, disk: Disk, dask_cluster: Cluster, again: Callable[[Path], set[str]]
+) -> None:
+    disk.resize(2 * PAGE)
+    given = ("--scheduler", dask_cluster.address)
+    process = launcher.start("blocksar", *words(store, disk.folder / "run", *given))
+    assert process.wait() in (1, 2), process.stderr
+    assert "No space left on device" in one_sentence(process)
+    disk.resize(64 << 20)
+    again(disk.folder / "run")
+
+
+# ---------------------------------------------------------------- read-only disks
+
+
+def test_read_only_output(launcher: Launcher, store: Path, disk: Disk) -> None:
+    with read_only(launcher, disk.folder):
+        process = launcher.start("blocksar", *words(store, disk.folder / "deep" / "run", *OWN))
+        assert process.wait() == 2, process.stderr
+        assert "Read-only file system" in one_sentence(process)
+    assert list(disk.view.iterdir()) == []
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_becomes_read_only(
+    stage: str,
+    launcher: Launcher,
+    store: Path,
+    disk: Disk,
+    dask_cluster: Cluster,
+    again: Callable[[Path], set[str]],
+) -> None:
+    process = launcher.start("blocksar", *words(store, disk.folder / "run", "--scheduler", dask_cluster.address))
+    process.await_line(f"{stage}: 0")
+    at_work = (process, *dask_cluster.workers)
+    for one in at_work:
+        one.send(signal.SIGSTOP)
+    with read_only(launcher, disk.folder):
+        for one in at_work:
+            one.send(signal.SIGCONT)
+        assert process.wait() == 1, process.stderr
+        assert "Read-only file system" in one_sentence(process)
+    assert again(disk.folder / "run") == set()
+
+
+# ---------------------------------------------------------------- hung workers
+
+
+@pytest.mark.parametrize(("stage", "workers"), [("recover", 1), ("focus", 2), ("mosaic", 1)])
+def test_hung_worker(
+    stage: str, workers: int, launcher: Launcher, store: Path, again: Callable[[Path], set[str]], tmp_path: Path
+) -> None:
+    own = ("--workers", str(workers), "--memory-limit", "2GiB")
+    process = launcher.start("blocksar", *words(store, tmp_path / "run", *own), WORKER_TTL=3, NO_WORKER=6, STALL=20)
+    process.await_line(f"{stage}: 0")
+    hung = workers_of(process.pid)[0]
+    os.kill(hung, signal.SIGSTOP)
+    status = process.wait()
+    assert status in (0, 1), process.stderr
+    if status:
+        one_sentence(process)
+    process.gone()
+    assert again(tmp_path / "run") == set()
+
+
+# ---------------------------------------------------------------- signals
+
+
+def signal_at(
+    stage: str, seed: int, send: Callable[[Process], None], launcher: Launcher, store: Path, run: Path
+) -> tuple[Process, float]:
+    """Start a run, send it something in a stage; the process, and how long it took to end, s."""
+    process = launcher.start("blocksar", *words(store, run, *OWN))
+    until(run.exists, "the first write")
+    if stage != "start":
+        process.await_line(f"{stage}: 0")
+    time.sleep(random.Random(seed).random() * {"start": 1.0, "mosaic": 0.005}.get(stage, 0.3))
+    send(process)
+    begun = time.monotonic()
+    process.wait()
+    return process, time.monotonic() - begun
+
+
+@pytest.mark.parametrize("stage", ["start", *STAGES])
+@pytest.mark.parametrize(
+    ("number", "status", "word"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")]
+)
+def test_signal(
+    stage: str,
+    number: signal.Signals,
+    status: int,
+    word: str,
+    launcher: Launcher,
+    store: Path,
+    again: Callable[[Path], set[str]],
+    tmp_path: Path,
+) -> None:
+    """As a terminal sends the one, to the whole group, and a batch system the other, to the process."""
+
+    def send(process: Process) -> None:
+        if number == signal.SIGINT:
+            process.send_all(number)
+        else:
+            process.send(number)
+
+    for attempt in range(3):
+        run = tmp_path / f"run{attempt}"
+        process, seconds = signal_at(stage, attempt, send, launcher, store, run)
+        if process.wait():
+            break  # else it was finished before
+    assert process.wait() == status, process.stderr
+    print(f"stopped within {seconds:.2f} s")
+    assert seconds < STOPPED_WITHIN
+    process.gone(within=5)
+    message = one_sentence(process)
+    assert word in message and PROMPT in message
+    assert process.scratch == []
+    assert again(run) == set()
+
+
+def test_impatient_user(launcher: Launcher, store: Path, again: Callable[[Path], set[str]], tmp_path: Path) -> None:
+    """Ctrl-C again and again."""
+
+    def send(process: Process) -> None:
+        for _ in range(5):
+            if process.poll() is None:
+                process.send_all(signal.SIGINT)
+                time.sleep(0.1)
+
+    process, seconds = signal_at("focus", 0, send, launcher, store, tmp_path / "run")
+    assert process.wait() == 130, process.stderr
+    assert seconds < STOPPED_WITHIN
+    process.gone(within=5)
+    one_sentence(process)
+    assert again(tmp_path / "run") == set()
+
+
+# ---------------------------------------------------------------- two runs at a time
+
+
+def test_two_writers(
+    launcher: Launcher,
+    store: Path,
+    dask_cluster: Cluster,
+    undisturbed: Undisturbed,
+    again: Callable[[Path], set[str]],
+    tmp_path: Path,
+) -> None:
+    typed = words(store, tmp_path / "run", "--scheduler", dask_cluster.address)
+    first = launcher.start("blocksar", *typed)
+    first.await_line("recover: 0")
+    first.send(signal.SIGSTOP)
+    for more in ((), ("--overwrite",)):
+        second = launcher.start("blocksar", *typed, *more)
+        assert second.wait() == 2, second.stderr
+        assert str(first.pid) in one_sentence(second)
+    first.send(signal.SIGCONT)
+    assert first.wait() == 0, first.stderr
+    assert left(tmp_path / "run") == undisturbed.left
+    assert litter(tmp_path / "run") == []
+
+
+def test_dead_writer(
+    launcher: Launcher,
+    store: Path,
+    dask_cluster: Cluster,
+    undisturbed: Undisturbed,
+    again: Callable[[Path], set[str]],
+    tmp_path: Path,
+) -> None:
+    """A lock that outlives its process is none, though the folder still names the owner."""
+    first = launcher.start("blocksar", *words(store, tmp_path / "run", "--scheduler", dask_cluster.address))
+    first.await_line("recover: 0")
+    first.send(signal.SIGKILL)
+    again(tmp_path / "run")  # without waiting for anything
+
+
+# ---------------------------------------------------------------- receipts that lie
+
+
+class Interrupted(Exception):
+    pass
+
+
+class UntilMerged:
+    """Ends a run when all of its work is done but for calling it finished."""
+
+    def update(self, stage: str, done: int, total: int) -> None:
+        if stage == "mosaic" and done == total:
+            raise Interrupted
+
+
+@pytest.fixture(scope="module")
+def unfinished(store: Path, guarded: tuple[Client, Assassin], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run with all its receipts that is not finished."""
+    run = tmp_path_factory.mktemp("unfinished") / "run"
+    with pytest.raises(Interrupted):
+        blocksar.focus(store, run, client=guarded[0], progress=UntilMerged(), **SETTINGS)
+    assert _status(run) == "unfinished"
+    assert len(receipts(run)) == 10
+    return run
+
+
+def flip(path: Path) -> None:
+    """One bit, where the file stands: other names of the same file see it too."""
+    with open(path, "r+b") as file:
+        file.seek(path.stat().st_size // 3)
+        byte = file.read(1)[0]
+        file.seek(-1, os.SEEK_CUR)
+        file.write(bytes([byte ^ 1]))
+
+
+def truncate(path: Path) -> None:
+    os.truncate(path, path.stat().st_size // 2)
+
+
+def garble(path: Path) -> None:
+    path.write_text('{"zarr_format": 3, "node_type": "arr')
+
+
+COLUMNS = {"columns-0", "columns-512", "columns-1024", "columns-1536"}
+BLOCKS = {"block-0", "block-1", "block-2"}
+CHUNKS = {"chunk-0-0", "chunk-0-4", "chunk-0-8"}
+DAMAGES: dict[str, tuple[Callable[[Path], Any], str, set[str]]] = {  # what is done, to what, what is computed again
+    "bit of a spectrum chunk": (flip, "spectrum.zarr/spectrum/c/0/2", {"columns-512"}),
+    "half of a spectrum chunk": (truncate, "spectrum.zarr/spectrum/c/1/6", {"columns-1536"}),
+    "spectrum chunk gone": (os.unlink, "spectrum.zarr/spectrum/c/0/0", {"columns-0"}),
+    "bit of a patch chunk that the image shares": (flip, "patches/0/image/c/0/5", {"block-0", "chunk-0-8"}),
+    "bit of a patch chunk that two blocks share": (flip, "patches/1/image/c/0/4", {"block-1"}),
+    "half of a patch chunk": (truncate, "patches/1/image/c/0/4", {"block-1"}),
+    "patch chunk gone": (os.unlink, "patches/1/image/c/0/4", {"block-1"}),
+    "patch gone": (shutil.rmtree, "patches/2", {"block-2"}),
+    "all patches gone": (shutil.rmtree, "patches", BLOCKS),
+    "patch's metadata": (garble, "patches/1/image/zarr.json", {"block-1"}),
+    "patch's group": (garble, "patches/1/zarr.json", {"block-1"}),
+    "patch's axis": (flip, "patches/1/x/c/0", {"block-1"}),
+    "bit of a chunk of owners": (flip, "image.zarr/block/c/0/0", {"chunk-0-0"}),
+    "half of a chunk of owners": (truncate, "image.zarr/block/c/0/9", {"chunk-0-8"}),
+    "image chunk gone": (os.unlink, "image.zarr/image/c/0/4", {"chunk-0-4"}),
+    "half a receipt of columns": (truncate, "receipts/columns-512.json", {"columns-512"}),
+    "half a receipt of a block": (truncate, "receipts/block-1.json", {"block-1"}),
+    "half a receipt of the mosaic": (truncate, "receipts/chunk-0-4.json", {"chunk-0-4"}),
+    "empty receipt": (lambda path: os.truncate(path, 0), "receipts/block-2.json", {"block-2"}),
+    "receipt of nothing": (lambda path: path.write_text("[1, {}]"), "receipts/block-2.json", {"block-2"}),
+    "receipts gone": (shutil.rmtree, "receipts", COLUMNS | BLOCKS | CHUNKS),
+    "spectrum's metadata": (garble, "spectrum.zarr/zarr.json", COLUMNS),
+    "spectrum's array": (garble, "spectrum.zarr/spectrum/zarr.json", COLUMNS),
+    "spectrum gone": (shutil.rmtree, "spectrum.zarr", COLUMNS),
+    "image's metadata": (garble, "image.zarr/zarr.json", CHUNKS),
+    "image's array": (garble, "image.zarr/image/zarr.json", CHUNKS),
+    "image's axis": (flip, "image.zarr/x/c/0", CHUNKS),
+    "image gone": (shutil.rmtree, "image.zarr", CHUNKS),
+    "collection's axis": (flip, "collection.zarr/time/c/0", set()),
+    "collection gone": (shutil.rmtree, "collection.zarr", set()),
+    "nothing": (lambda path: None, ".", set()),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_receipt_that_lies(
+    damage: str,
+    store: Path,
+    unfinished: Path,
+    undisturbed: Undisturbed,
+    guarded: tuple[Client, Assassin],
+    tmp_path: Path,
+) -> None:
+    """All is as in an undisturbed run, and only what was damaged is computed again."""
+    harm, name, lost = DAMAGES[damage]
+    run = tmp_path / "run"
+    subprocess.run(["cp", "-a", unfinished, run], check=True)  # which keeps hard links
+    before = receipts(run)
+    harm(run / name)
+    blocksar.focus(store, run, client=guarded[0], **SETTINGS)
+    assert left(run) == undisturbed.left
+    assert digests(run / "spectrum.zarr") == undisturbed.spectrum
+    for part in ("collection.zarr", "patches"):
+        assert digests(run / part) == digests(undisturbed.run / part)
+    assert litter(run) == []
+    assert computed_again(run, before) == lost
