@@ -22,6 +22,7 @@ from dask.system import CPU_COUNT
 from distributed import Client, Future, LocalCluster, wait
 from distributed.system import MEMORY_LIMIT
 
+from blocksar import __version__
 from blocksar.ground import compile_kernels
 from blocksar.parameters import InputError, ProcessingError
 
@@ -70,7 +71,7 @@ def open_client(
     Raises
     ------
     InputError
-        If no scheduler answers.
+        If no scheduler answers, or its workers do not have the same blocksar.
     """
     if client is not None:
         yield client
@@ -81,6 +82,7 @@ def open_client(
             cause = " ".join(str(error).split()) or type(error).__name__
             raise InputError(f"no dask scheduler answers at {scheduler} ({cause}); check --scheduler") from None
         with connected:
+            _check_versions(connected, scheduler)
             yield connected
     else:
         with ExitStack() as stack:
@@ -89,6 +91,24 @@ def open_client(
                     tempfile.TemporaryDirectory(prefix="blocksar-", ignore_cleanup_errors=True)
                 )
             yield stack.enter_context(_own(workers, threads, memory_limit, scratch))
+
+
+def _check_versions(client: Client, scheduler: str) -> None:
+    """Tasks travel by name: what is behind the names must be the same here and there."""
+    try:
+        found = client.run(_version)
+    except Exception as error:
+        raise InputError(
+            f"the workers of {scheduler} cannot run blocksar ({' '.join(str(error).split())}); "
+            f"install blocksar {__version__} there"
+        ) from error
+    for worker, version in found.items():
+        if version != __version__:
+            raise InputError(f"the worker {worker} has blocksar {version}, but here is {__version__}; install the same")
+
+
+def _version() -> str:
+    return __version__
 
 
 @contextmanager
@@ -159,11 +179,11 @@ def in_turn(client: Client, stage: str, units: Sequence[Unit], each: int) -> Ite
             if not running:
                 return
             for future in watch.first(running, stage):
-                unit = running.pop(future)
-                yield unit, future
+                yield running[future], future
+                del running[future]
                 future.release()
     finally:
-        # Where a unit failed or the run was interrupted, the others are wanted no more.
+        # Where a unit failed or the run was interrupted: the cluster shall neither go on, nor remember the failure.
         if running and client.status == "running":
             client.cancel(list(running), force=True)
 

@@ -358,7 +358,7 @@ def run_units(
 
 
 def _verify(client: Client, run: Run, receipt: Receipt) -> Callable[[], Future[Any]]:
-    key = f"verify-{run.identity[:8]}-{receipt['unit']}"
+    key = f"verify-{run.token}-{receipt['unit']}"
     return lambda: client.submit(run.intact, receipt, key=key, pure=False)
 
 
@@ -406,7 +406,7 @@ def recover(
             columns,
             plan.recovery,
             plan.spectrum_chunk[1],
-            key=f"recover-{run.identity[:8]}-{unit}",
+            key=f"recover-{run.token}-{unit}",
             pure=False,
         )
 
@@ -442,7 +442,7 @@ def _compress(
             unit,
             pulses,
             compression,
-            key=f"compress-{run.identity[:8]}-{unit}",
+            key=f"compress-{run.token}-{unit}",
             pure=False,
         )
 
@@ -460,7 +460,7 @@ def focus_blocks(client: Client, plan: Plan, run: Run, valid: FloatArray, report
         ground = replace(block.ground, lit=lit_pulses(collection, block.ground.yaw_axis, valid))
 
         def chain() -> Future[Any]:
-            tail = f"{run.identity[:8]}-{unit}"
+            tail = f"{run.token}-{unit}"
             # One priority a block: a worker finishes the chain it has begun before it starts another.
             common: dict[str, Any] = {"pure": False, "priority": -position}
             first, *others = stages(block.chain)
@@ -502,7 +502,7 @@ def mosaic(client: Client, plan: Plan, run: Run, patches: Sequence[Receipt], rep
 
     def start(unit: str, some: dict[tuple[int, int], Parts]) -> Callable[[], Future[Any]]:
         return lambda: client.submit(
-            merge_chunks, run, unit, some, plan.grid, key=f"mosaic-{run.identity[:8]}-{unit}", pure=False
+            merge_chunks, run, unit, some, plan.grid, key=f"mosaic-{run.token}-{unit}", pure=False
         )
 
     ordered = sorted(cells)
@@ -525,7 +525,7 @@ def back_project(
     def start(unit: str, cell: tuple[int, int]) -> Callable[[], Future[Any]]:
         return lambda: client.submit(
             back_project_chunk, source, run, unit, cell, geometry, grid,
-            key=f"backprojection-{run.identity[:8]}-{unit}", pure=False,
+            key=f"backprojection-{run.token}-{unit}", pure=False,
         )  # fmt: skip
 
     units = []

@@ -74,8 +74,8 @@ class Inspection:
         Samples that are neither, and not zero.
     extreme : float
         Largest modulus of a real or imaginary part among them.
-    at_extreme : int
-        Real and imaginary parts of exactly that modulus.
+    at_extreme : tuple of int
+        Real parts of exactly that modulus, and imaginary parts.
     pairs : (SEGMENTS, 3) list
         Of each segment of slow time: real and imaginary part of the sum over pairs of neighbouring pulses, and the
         energy of its pulses. Empty if nothing was expected of the Doppler.
@@ -87,7 +87,7 @@ class Inspection:
     outliers: dict[int, list[int]] = field(default_factory=dict)
     valid: int = 0
     extreme: float = 0.0
-    at_extreme: int = 0
+    at_extreme: tuple[int, int] = (0, 0)
     pairs: list[list[float]] = field(default_factory=list)
 
     @property
@@ -105,7 +105,7 @@ class Inspection:
     def from_dict(cls, plain: dict[str, Any]) -> Self:
         """From `as_dict`, through JSON or not."""
         keyed = {name: {int(pulse): found for pulse, found in plain[name].items()} for name in ("missing", "outliers")}
-        return cls(**{**plain, **keyed})
+        return cls(**{**plain, **keyed, "at_extreme": tuple(plain["at_extreme"])})
 
 
 def merge(parts: Iterable[Inspection]) -> Inspection:
@@ -135,7 +135,10 @@ def _merged(a: Inspection, b: Inspection) -> Inspection:
         outliers={p: sorted(a.outliers.get(p, []) + b.outliers.get(p, [])) for p in struck},
         valid=a.valid + b.valid,
         extreme=extreme,
-        at_extreme=sum(part.at_extreme for part in (a, b) if part.extreme == extreme),
+        at_extreme=(
+            sum(part.at_extreme[0] for part in (a, b) if part.extreme == extreme),
+            sum(part.at_extreme[1] for part in (a, b) if part.extreme == extreme),
+        ),
         pairs=[[x + y for x, y in zip(*rows, strict=True)] for rows in zip(a.pairs, b.pairs, strict=True)],
     )
 
@@ -194,6 +197,7 @@ def inspect(
         signal[missing > 0] = _finite(signal[missing > 0])
         outliers = _strike(signal, np.flatnonzero(scan.suspect.any(axis=0)))
         scan = _scan(signal, range_frequency, recovery, threads)
+    real, imag = scan.at_extreme[scan.extreme == scan.extreme.max()].sum(axis=0)
     return Inspection(
         n_pulse=n_pulse,
         n_column=n_column,
@@ -201,7 +205,7 @@ def inspect(
         outliers={p: [first_column + c for c in columns] for p, columns in outliers.items()},
         valid=int(scan.valid.sum()),
         extreme=float(scan.extreme.max().view(np.float32)),
-        at_extreme=int(scan.at_extreme[scan.extreme == scan.extreme.max()].sum()),
+        at_extreme=(int(real), int(imag)),
         pairs=scan.pairs.tolist() if recovery is not None else [],
     )
 
@@ -225,7 +229,7 @@ def _scan(signal: ComplexArray, range_frequency: FloatArray, recovery: Recovery 
         np.zeros((SEGMENTS, n_column), np.bool_),
         np.zeros(SEGMENTS, np.int64),
         np.zeros(SEGMENTS, np.int32),
-        np.zeros(SEGMENTS, np.int64),
+        np.zeros((SEGMENTS, 2), np.int64),
         np.zeros((SEGMENTS, 3)),
     )
     advance, factor = np.zeros(0), np.ones(2)
@@ -238,7 +242,8 @@ def _scan(signal: ComplexArray, range_frequency: FloatArray, recovery: Recovery 
 
     def work(k: int) -> None:
         first, last = int(edges[k]), int(edges[k + 1])
-        scan.valid[k], scan.extreme[k], scan.at_extreme[k] = _look(parts, first, last, scan.missing, scan.suspect[k])
+        seen = _look(parts, first, last, scan.missing, scan.suspect[k])
+        scan.valid[k], scan.extreme[k], scan.at_extreme[k] = seen[0], seen[1], seen[2:]
         if recovery is not None:
             _sum_pairs(signal, first, last, advance, factor, scan.pairs[k])
 
@@ -291,7 +296,7 @@ def _moduli(row: Float32Array, modulus: Float32Array) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _extent(bits: Any) -> tuple[int, int, int]:
+def _extent(bits: Any) -> tuple[Any, int, int]:
     """Of a row of moduli, as integers, which stand in the same order and are compared a vector at a time.
 
     Which one is the largest, how many are above zero, and how many below.
@@ -305,11 +310,13 @@ def _extent(bits: Any) -> tuple[int, int, int]:
 
 
 @njit(cache=True, nogil=True)
-def _count(bits: Any, modulus: int) -> int:
-    count = 0
-    for c in range(bits.size):
-        count += (bits[c] & _SIGNLESS) == modulus
-    return count
+def _count(bits: Any, modulus: int) -> tuple[int, int]:
+    """The real and the imaginary parts of a row that are of this modulus, as integers."""
+    real, imag = 0, 0
+    for c in range(bits.size // 2):
+        real += (bits[2 * c] & _SIGNLESS) == modulus
+        imag += (bits[2 * c + 1] & _SIGNLESS) == modulus
+    return real, imag
 
 
 @njit(inline="always")
@@ -331,15 +338,17 @@ def _suspects(moduli: Float32Array, p: int, suspect: BoolArray) -> None:
 
 
 @njit([(_PARTS, types.int64, types.int64, types.int64[::1], types.boolean[::1])], cache=True, nogil=True)
-def _look(parts: Float32Array, first: int, last: int, missing: IntArray, suspect: BoolArray) -> tuple[int, int, int]:
-    """Pulses first .. last - 1: the samples that hold something, the bits of the extreme part, and its number.
+def _look(
+    parts: Float32Array, first: int, last: int, missing: IntArray, suspect: BoolArray
+) -> tuple[int, int, int, int]:
+    """Pulses first .. last - 1: samples that hold something, bits of the extreme part, real and imaginary ones there.
 
     Fills in what is missing in them, and marks the columns that are suspect.
     """
     n_pulse, n_column = parts.shape[0], parts.shape[1] // 2
     moduli = np.zeros((5, n_column), np.float32)
     bits, part_bits = moduli.view(np.int32), parts.view(np.int32)
-    valid, extreme, at_extreme = 0, 0, 0
+    valid, extreme, real, imag = 0, 0, 0, 0
     for ahead in range(first - 2, last + 2):
         if 0 <= ahead < n_pulse:
             _moduli(parts[ahead], moduli[ahead % 5])
@@ -352,10 +361,11 @@ def _look(parts: Float32Array, first: int, last: int, missing: IntArray, suspect
         largest, count, missing[p] = _extent(bits[p % 5])
         valid += count
         if largest > extreme:
-            extreme, at_extreme = largest, 0
+            extreme, real, imag = largest, 0, 0
         if largest == extreme and count:
-            at_extreme += _count(part_bits[p], extreme)
-    return valid, extreme, at_extreme
+            more_real, more_imag = _count(part_bits[p], extreme)
+            real, imag = real + more_real, imag + more_imag
+    return valid, extreme, real, imag
 
 
 @njit(inline="always")
@@ -528,7 +538,10 @@ def expect(
     segments = (cuts - start) / (end - start) * SEGMENTS
     return Expectation(
         prf=collection.prf,
-        angle=(float(np.angle(vector).min() / TURN * collection.prf), float(np.angle(vector).max() / TURN * collection.prf)),
+        angle=(
+            float(np.angle(vector).min() / TURN * collection.prf),
+            float(np.angle(vector).max() / TURN * collection.prf),
+        ),
         sweep=float(np.ptp(offset, axis=1).min()),
         real=float(vector.real.min()),
         whole=(int(np.ceil(segments[0])), int(np.floor(segments[1]))),
@@ -559,13 +572,15 @@ def disagreement(found: Inspection, expected: Expectation) -> str | None:
     doubt = cut + SIGNIFICANT * float(np.hypot.reduce(noise))
     tolerance = min(MAX_OFFSET * expected.prf, expected.sweep / 4)
     check = "check antenna_position, beam_azimuth and the sign of the phase"
-    low, high = (np.array(expected.angle) + [-tolerance, tolerance]) * TURN / expected.prf
-    beyond = max(np.angle(total) - high, low - np.angle(total))
+    angle = float(np.angle(total))
+    low, high = ((expected.angle[k] + sign * tolerance) / expected.prf * TURN for k, sign in enumerate((-1, 1)))
+    beyond = max(angle - high, low - angle)
     if beyond > 0 and abs(total) * np.sin(min(beyond, np.pi / 2)) > doubt:
-        offset = float(np.angle(total)) / TURN * expected.prf
+        offset = angle / TURN * expected.prf
         return (
             f"the measured Doppler centroid lies {abs(offset):.0f} Hz ({abs(offset) / expected.prf:.2f} PRF) "
-            f"{'above' if offset > 0 else 'below'} what the track and the beam say, mean of {SEGMENTS} segments; {check}"
+            f"{'above' if offset > 0 else 'below'} what the track and the beam say, "
+            f"mean of {SEGMENTS} segments; {check}"
         )
     if _turning(sums, noise, expected):
         share = max(total.real, 0) / np.abs(sums).sum()
@@ -588,3 +603,72 @@ def _turning(sums: NDArray[np.complex128], noise: FloatArray, expected: Expectat
         if held[kept].sum() < EVEN * kept.mean() * held.sum() or sums[kept].sum().real >= least:
             return False
     return True
+
+
+# ---------------------------------------------------------------- what is said of it
+
+
+def saturated(found: Inspection) -> bool:
+    """Whether real and imaginary parts, each of them, stand at the extreme more often than chance has it.
+
+    Each, because a target that stays in phase with the reference has all its real parts at 1, and is not clipped.
+    """
+    low, high = SATURATED
+    return found.valid > 0 and all(low <= count / found.valid <= high for count in found.at_extreme)
+
+
+def refusal(found: Inspection) -> str | None:
+    """Why a whole phase history, merged, is not worth focusing: one sentence, or None."""
+    count, held = found.n_outlier, found.valid + found.n_outlier
+    if count <= MAX_OUTLIERS * held:
+        return None
+    return (
+        f"signal holds {count} impossible samples among {held} ({count / held:.1%}), {STANDS_OUT:g}-fold above their "
+        "neighbours and more: the store is damaged, or holds no complex64 phase history; write it again from its source"
+    )
+
+
+def lines(found: Inspection) -> list[str]:
+    """What was found, merged, in plain sentences; none if nothing is wrong."""
+    said = []
+    whole = sum(count == found.n_column for count in found.missing.values())
+    more = sum(found.missing.values()) - whole * found.n_column
+    missing = [f"{whole} of {found.n_pulse} pulses {'is' if whole == 1 else 'are'} missing"] if whole else []
+    if more:
+        missing.append(f"{_samples(more, ' more' if whole else '')} not {'a number' if more == 1 else 'numbers'}")
+    if missing:
+        said.append(f"{', '.join(missing)}: counted as not lit")
+    if found.outliers:
+        one = found.n_outlier == 1
+        said.append(
+            f"{found.n_outlier} {'sample stands' if one else 'samples stand'} {STANDS_OUT:g}-fold above "
+            f"{'its' if one else 'their'} neighbours: counted as not lit"
+        )
+    if saturated(found):
+        real, imag = (count / found.valid for count in found.at_extreme)
+        said.append(
+            f"saturated: {real:.1%} of the real and {imag:.1%} of the imaginary parts stand at the largest value, "
+            f"{found.extreme:g}: levels are too low there, and strong targets smeared"
+        )
+    return said
+
+
+def _samples(count: int, more: str) -> str:
+    return f"{count}{more} {'sample is' if count == 1 else 'samples are'}"
+
+
+def strike(signal: ComplexArray, found: Inspection, *, pulses: slice) -> None:
+    """Make the outliers that were found missing: NaN, in place, for who reads pulses rather than columns.
+
+    Parameters
+    ----------
+    signal : (n, n_column) complex64
+        All columns of these pulses.
+    found : Inspection
+        Merged.
+    pulses : slice
+        n of them.
+    """
+    for pulse, columns in found.outliers.items():
+        if pulses.start <= pulse < pulses.stop:
+            signal[pulse - pulses.start, columns] = np.nan

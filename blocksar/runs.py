@@ -60,6 +60,11 @@ class Run:
     threads: int
 
     @property
+    def token(self) -> str:
+        """For the keys of tasks: no other run, here or elsewhere on the cluster, has it."""
+        return stores.checksum_bytes(f"{self.identity} {self.folder}".encode("utf-8", "surrogateescape"))[:8]
+
+    @property
     def spectrum(self) -> Place:
         return self.folder / "spectrum.zarr"
 

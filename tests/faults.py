@@ -392,8 +392,7 @@ def become(order: dict[str, Any], programs: dict[str, Callable[[], Any]]) -> Non
 def main() -> None:
     from distributed.cli import dask_scheduler, dask_worker
 
-    import blocksar.api
-    from blocksar import cli, ground
+    from blocksar import api, cli, ground  # noqa: F401  (the api is what takes long to import)
 
     ground.compile_kernels()
     order = serve()

@@ -64,7 +64,7 @@ def two_machines() -> Iterator[tuple[Machine, Machine]]:
 
 @contextmanager
 def _machine(address: str, *, user: bool = False, beside: Machine | None = None) -> Iterator[Machine]:
-    """One machine; `user`: as root of a user namespace, for whom is not root; `beside` another, in its user namespace."""
+    """One machine: as root of a user namespace of its own for `user` who is not root, or in that of another."""
     prefix = [] if beside is None else [word for word in beside.enter if word != "--net"]
     unshare = [*prefix, "unshare", "--net", *(["--user", "--map-root-user"] if user else [])]
     with subprocess.Popen(

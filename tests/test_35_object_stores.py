@@ -27,6 +27,7 @@ from zarr.storage import ObjectStore
 
 import blocksar
 from blocksar import places, stores
+from blocksar.cluster import open_client
 from blocksar.parameters import Collection, InputError, ProcessingError
 from blocksar.places import LocalPlace, ObjectPlace, Place, place
 
@@ -534,7 +535,8 @@ def test_a_url_that_names_no_place(url: str) -> None:
 
 POINT = '[[targets]]\nname = "P"\nrange = 30000.0\nyaw_deg = 50.0\n'
 GRID = ((15950.0, 16250.0, 1.5), (19050.0, 19350.0, 1.5))
-FOCUS = ("--blocks", "3", "--coefficients", "closed-form", "--grid", "15950:16250:1.5,19050:19350:1.5")
+FOCUS: dict[str, Any] = {"blocks": 3, "coefficients": "closed-form", "grid": GRID}
+WORDS = ("--blocks", "3", "--coefficients", "closed-form", "--grid", "15950:16250:1.5,19050:19350:1.5")
 
 
 def command(*words: str) -> subprocess.Popen[str]:
@@ -564,21 +566,20 @@ def test_a_run_below_a_prefix_is_the_run_in_a_folder_though_it_was_killed(there:
     local = LocalPlace(tmp_path)
     for where in (there, local):
         blocksar.simulate(tmp_path / "scene.toml", where / "ph.zarr")
-    blocksar.focus(local / "ph.zarr", local / "run", blocks=3, coefficients="closed-form", grid=GRID, workers=1)
 
-    words = ("focus", f"{there}/ph.zarr", "--out", f"{there}/run", "--workers", "1", *FOCUS)
+    words = ("focus", f"{there}/ph.zarr", "--out", f"{there}/run", "--workers", "1", *WORDS)
     run = there / "run"
     with command(*words) as first:
         wait_for(lambda: "run.json" in run.names(), first)
         with pytest.raises(InputError, match=rf"is being written by process {first.pid} on "):
-            blocksar.focus(there / "ph.zarr", run, blocks=3, coefficients="closed-form", grid=GRID)
+            blocksar.focus(there / "ph.zarr", run, **FOCUS)
         wait_for(lambda: any(name.startswith("columns-") for name in (run / "receipts").names()), first)
         os.killpg(first.pid, signal.SIGKILL)
     assert stores.read_json(run / "run.json")["status"] == "unfinished"
-    with command(*words) as second:
-        said = second.communicate()[0]
-    assert second.returncode == 0, said
-    assert "went on from an unfinished run" in said
+    with open_client(workers=1, threads=1, memory_limit=3 * 2**30) as client:
+        blocksar.focus(local / "ph.zarr", local / "run", client=client, **FOCUS)
+        second = blocksar.focus(f"{there}/ph.zarr", f"{run}", client=client, **FOCUS)
+    assert "went on from an unfinished run" in second.summary[0]
 
     assert chunks(run) == chunks(local / "run")
     assert run.names() == (local / "run").names()

@@ -19,6 +19,8 @@ import blocksar
 from blocksar import graph, stores
 from blocksar.cluster import open_client
 from blocksar.parameters import InputError, ProcessingError
+from blocksar.places import place
+from blocksar.runs import Run
 from blocksar.steps import stages
 
 GRID = ((15900.0, 16300.0, 4.0), (19000.0, 19400.0, 4.0))
@@ -114,7 +116,7 @@ def test_keys_say_step_and_block(store: Path, client: Client, tmp_path: Path, mo
     submit = client.submit
     monkeypatch.setattr(client, "submit", lambda f, *a, **k: keys.append(k["key"]) or submit(f, *a, **k))
     report = blocksar.focus(store, tmp_path / "run", blocks=3, grid=GRID, client=client)
-    run = report.result["identity"][:8]
+    run = Run(folder=place(tmp_path / "run"), identity=report.result["identity"], threads=1).token
     stages = ["read-slab+residual-walk+keystone", "rcmc-src", "perturbation+deramp+doppler-fft", "geometric-correction"]
     assert [k for k in keys if "block-1" in k] == [f"{stage}-{run}-block-1" for stage in stages]
     assert len(set(keys)) == len(keys)
@@ -227,7 +229,7 @@ def test_a_block_that_has_travelled_is_as_good(store: Path, tmp_path: Path) -> N
     samples = (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)).astype(np.complex64)
     fixed = samples.copy()
     fixed.flags.writeable = False
-    run = graph.Run(folder=tmp_path, identity="x", threads=1)
+    run = Run(folder=place(tmp_path), identity="x", threads=1)
     here = graph.run_stage(run, block, stage, graph.Samples(samples, {}))
     there = graph.run_stage(run, block, stage, graph.Samples(fixed, {}))
     assert here.values is samples

@@ -155,6 +155,7 @@ class Assassin(SchedulerPlugin):
     name = "assassin"
 
     def __init__(self, ours: LocalCluster) -> None:
+        assert ours.scheduler is not None
         self._workers = ours.workers
         self._tasks = ours.scheduler.tasks
         self._begun: dict[str, float] = {}
@@ -193,10 +194,15 @@ def stage_of(task: str) -> str:
 @pytest.fixture(scope="module")
 def guarded() -> Iterator[tuple[Client, Assassin]]:
     """A cluster of ours with nannies, which start a worker anew at once: by a fork of what is imported already."""
-    with dask.config.set({"distributed.worker.multiprocessing-method": "forkserver"}):
+    settings = {
+        "distributed.worker.multiprocessing-method": "forkserver",
+        # So long after a worker was lost dask looks whether it is lost at that moment, and if so gives its nanny up.
+        "distributed.deploy.lost-worker-timeout": "1h",
+    }
+    with dask.config.set(settings):
         get_mp_context().set_forkserver_preload(["distributed", "blocksar.graph"])
         with open_client(workers=2, threads=1, memory_limit=2 * 2**30) as client:
-            assert isinstance(client.cluster, LocalCluster)
+            assert isinstance(client.cluster, LocalCluster) and client.cluster.scheduler
             assassin = Assassin(client.cluster)
             client.cluster.scheduler.add_plugin(assassin)
             yield client, assassin
