@@ -20,11 +20,12 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeGuard
 
 import numpy as np
 
-from blocksar import __version__, cluster, graph, runs, simulation, stores
+from blocksar import __version__, cluster, graph, inspection, runs, simulation, stores
 from blocksar.backprojection import form_image
 from blocksar.cluster import machine
 from blocksar.geometry import Geometry
 from blocksar.graph import image_chunk
+from blocksar.inspection import Inspection
 from blocksar.measurement import (
     DEFINITIONS,
     TABLE3,
@@ -453,23 +454,40 @@ def _stages(
         run.folder / "collection.zarr",
         lambda: stores.write_collection(run.folder / "collection.zarr", history.collection, history.attrs),
     )
+    timings: dict[str, float] = {}
     if plan is None:
-        run.establish(run.image, lambda: _create_image(run, job, record))
-        receipts = graph.back_project(client, history, job.geometry, job.grid, run, progress.update)
+        samples, looked, found = graph.look_through(client, history, run, progress.update)
+        timings["inspect"] = lap()
+        _judge(job, run, record, found)
         input_read()
-        return receipts, {"backprojection": lap()}
-    timings = {}
-    recovered, valid = graph.recover(client, history, plan, run, progress.update)
+        formed = graph.back_project(client, samples, job.geometry, job.grid, found, run, progress.update)
+        return [*looked, *formed], timings | {"backprojection": lap()}
+    recovered, found = graph.recover(client, history, plan, run, progress.update)
     timings["recover"] = lap()
-    if not valid.any():
-        raise InputError(f"{history.variable} in {history.path} holds no valid sample; is it the right store?")
+    _judge(job, run, record, found)
     input_read()
-    run.establish(run.image, lambda: _create_image(run, job, record))
-    focused = graph.focus_blocks(client, plan, run, valid, progress.update)
+    focused = graph.focus_blocks(client, plan, run, found.lit, progress.update)
     timings["focus"] = lap()
     merged = graph.mosaic(client, plan, run, focused, progress.update)
     timings["mosaic"] = lap()
     return [*recovered, *focused, *merged], timings
+
+
+def _judge(job: _Job, run: Run, record: dict[str, Any], found: Inspection) -> None:
+    """Put down what the samples told; the image carries it too."""
+    history, plan = job.history, job.plan
+    if not found.lit.any():
+        raise InputError(f"{history.variable} in {history.path} holds no valid sample; is it the right store?")
+    record["warnings"] = inspection.lines(found)
+    record["samples"] = {"missing": sum(found.missing.values()), "impossible": found.n_outlier}
+    if plan is not None:
+        region = plan.region
+        expected = inspection.expect(job.geometry, plan.recovery, yaw=region.yaw, near=region.near, far=region.far)
+        measured = inspection.centroid(found, prf=job.geometry.collection.prf)
+        record["doppler_centroid"] = {"error": measured.mean_offset, "coherence": measured.mean_coherence}
+        if expected is not None and (sentence := inspection.disagreement(found, expected)) is not None:
+            record["warnings"].append(sentence)
+    run.establish(run.image, lambda: _create_image(run, job, record))
 
 
 def _grid_record(grid: Grid) -> list[float]:
@@ -505,6 +523,7 @@ def _create_image(run: Run, job: _Job, record: dict[str, Any]) -> None:
         "ground_height": job.history.collection.ground_height,
         "calibration": "a target of reflectivity 1 peaks at 1 + 0j",
         "predicted": record["plan"]["predicted"],
+        "warnings": record["warnings"],
         "scene": attrs.get("scene", ""),
     }
     if "georeference" in attrs:
@@ -535,11 +554,11 @@ def _resumed_line(receipts: Sequence[Receipt]) -> list[str]:
 def _focus_lines(folder: Place, record: dict[str, Any], made: Plan | None) -> list[str]:
     timings = record["timings"]
     stages = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in timings.items() if name != "total")
-    lines = [*_resumed_line(record["receipts"])]
-    lines.append(f"{folder / 'image.zarr'} is finished in {timings['total']:.1f} s ({stages})")
+    said = [*(f"note: {line}" for line in record["warnings"]), *_resumed_line(record["receipts"])]
+    said.append(f"{folder / 'image.zarr'} is finished in {timings['total']:.1f} s ({stages})")
     planned = "" if made is None else f", planned {made.memory / MIB:.0f} MiB"
-    lines.append(f"peak memory of a worker {record['peak_memory'] / MIB:.0f} MiB{planned}")
-    return lines
+    said.append(f"peak memory of a worker {record['peak_memory'] / MIB:.0f} MiB{planned}")
+    return said
 
 
 # ---------------------------------------------------------------- open, quality

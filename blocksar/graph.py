@@ -26,8 +26,9 @@ from blocksar.backprojection import form_image
 from blocksar.cluster import Unit, in_turn
 from blocksar.geometry import Geometry
 from blocksar.ground import GroundMap, correct, covers
+from blocksar.inspection import Inspection, inspect, merge, refusal, strike
 from blocksar.parameters import ComplexArray, FloatArray, InputError, ProcessingError
-from blocksar.planning import DOPPLER_GROUP, IMAGE_CHUNK, BlockPlan, Plan
+from blocksar.planning import DOPPLER_GROUP, IMAGE_CHUNK, SIGNAL_BYTES, BlockPlan, Plan
 from blocksar.range_steps import Keystone
 from blocksar.recovery import RawCompression, Recovery, recover_columns
 from blocksar.region import Grid, lit_pulses
@@ -39,7 +40,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 MOSAIC_CHUNKS = 4  # output chunks merged by a task: one takes no longer than the scheduler's answer
-READING_STAGES = ("range-compress", "recover", "backprojection")
+READING_STAGES = ("range-compress", "recover", "inspect", "backprojection")
 BACKPROJECTION_CHUNK = 256  # pixels a side of a back-projection task
 
 
@@ -93,11 +94,14 @@ def compress_pulses(
 def recover_group(
     source: stores.PhaseHistory, run: Run, unit: str, columns: tuple[int, int], recovery: Recovery, width: int
 ) -> Receipt:
-    """Recover the spectrum of a column group, `width` columns at a time; samples that are missing count as not lit."""
+    """Recover the spectrum of a column group, `width` columns at a time; what is missing or impossible is not lit."""
     started = time.perf_counter()
     signal = source.read(slice(None), slice(*columns))
-    missing = _clear_missing(signal)
     frequency = source.collection.carrier + source.collection.range_frequency - recovery.carrier
+    found = inspect(
+        signal, range_frequency=frequency[slice(*columns)], recovery=recovery, first_column=columns[0],
+        threads=run.threads,
+    )  # fmt: skip
     parts = []
     memory = np.empty(recovery.doppler.size * width, np.complex64)
     for first in range(columns[0], columns[1], width):
@@ -111,18 +115,16 @@ def recover_group(
             out=memory[: shape[0] * shape[1]].reshape(shape),
         )
         parts.append(write(run, run.spectrum, "spectrum", (slice(0, shape[0]), part), spectrum))
-    return _sign(run, unit, started, parts, missing=missing)
+    return _sign(run, unit, started, parts, found=found.as_dict())
 
 
-def _clear_missing(signal: ComplexArray) -> dict[int, int]:
-    """Zero the samples that are not numbers, in place; how many there were in which pulses."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        if np.isfinite(signal.view(np.float32).sum()):  # a cheap way of seeing that there are none
-            return {}
-    valid = np.isfinite(signal.view(np.float32)).reshape(*signal.shape, 2).all(axis=2)
-    missing = np.count_nonzero(~valid, axis=1)
-    signal[~valid] = 0
-    return {int(pulse): int(missing[pulse]) for pulse in np.flatnonzero(missing)}
+def inspect_group(source: stores.PhaseHistory, run: Run, unit: str, columns: tuple[int, int]) -> Receipt:
+    """Look at a column group without recovering it: back-projection reads the samples by pulse."""
+    started = time.perf_counter()
+    signal = source.read(slice(None), slice(*columns))
+    frequency = source.collection.range_frequency[slice(*columns)]
+    found = inspect(signal, range_frequency=frequency, recovery=None, first_column=columns[0], threads=run.threads)
+    return _sign(run, unit, started, [], found=found.as_dict())
 
 
 @dataclass
@@ -274,7 +276,13 @@ def _merge(run: Run, cell: tuple[int, int], parts: Parts, grid: Grid) -> list[Wr
 
 
 def back_project_chunk(
-    source: stores.PhaseHistory, run: Run, unit: str, cell: tuple[int, int], geometry: Geometry, grid: Grid
+    source: stores.PhaseHistory,
+    run: Run,
+    unit: str,
+    cell: tuple[int, int],
+    geometry: Geometry,
+    grid: Grid,
+    found: Inspection,
 ) -> Receipt:
     """One output chunk by exact back-projection; reads the lit pulses only."""
     started = time.perf_counter()
@@ -283,7 +291,9 @@ def back_project_chunk(
     rows, columns = slice(y, min(y + side[0], grid.shape[0])), slice(x, min(x + side[1], grid.shape[1]))
 
     def read(pulses: slice) -> ComplexArray:
-        return source.read(pulses, slice(None))
+        signal = source.read(pulses, slice(None))
+        strike(signal, found, pulses=pulses)
+        return signal
 
     image = np.full((rows.stop - rows.start, columns.stop - columns.start), np.nan + 1j * np.nan, np.complex64)
     for i in range(0, image.shape[0], BACKPROJECTION_CHUNK):
@@ -379,8 +389,14 @@ def _result(future: Future[Any], stage: str, unit: str) -> Any:
 
 def recover(
     client: Client, source: stores.PhaseHistory, plan: Plan, run: Run, report: Report
-) -> tuple[list[Receipt], FloatArray]:
-    """Phase history to spectrum.zarr. Returns the receipts and the valid fraction of each pulse, (n_pulse,)."""
+) -> tuple[list[Receipt], Inspection]:
+    """Phase history to spectrum.zarr, and what was found in the samples.
+
+    Raises
+    ------
+    InputError
+        If they are no samples of a radar.
+    """
     collection = plan.geometry.collection
     receipts: list[Receipt] = []
     if source.raw is not None:
@@ -413,13 +429,16 @@ def recover(
     groups = [(first, min(first + plan.column_group, n)) for first in range(0, n, plan.column_group)]
     units = [(f"columns-{a}", start(f"columns-{a}", (a, b))) for a, b in groups]
     groups_done = run_units(client, "recover", units, run, report)
-    missing = np.zeros(collection.n_pulse)
-    for receipt in groups_done:
-        for pulse, count in receipt["missing"].items():
-            missing[int(pulse)] += count
-    valid = 1.0 - missing / n
-    stores.write_region(run.spectrum, "lit", (slice(None),), valid)
-    return receipts + groups_done, valid
+    found = _found(groups_done)
+    stores.write_region(run.spectrum, "lit", (slice(None),), found.lit)
+    return receipts + groups_done, found
+
+
+def _found(receipts: Sequence[Receipt]) -> Inspection:
+    found = merge(Inspection.from_dict(receipt["found"]) for receipt in receipts)
+    if (reason := refusal(found)) is not None:
+        raise InputError(reason)
+    return found
 
 
 def _compress(
@@ -452,12 +471,12 @@ def _compress(
     return stores.open_phase_history(run.compressed), receipts
 
 
-def focus_blocks(client: Client, plan: Plan, run: Run, valid: FloatArray, report: Report) -> list[Receipt]:
+def focus_blocks(client: Client, plan: Plan, run: Run, lit: FloatArray, report: Report) -> list[Receipt]:
     """Every block by its own chain of tasks: spectrum.zarr to patches/<block>."""
     collection = plan.geometry.collection
 
     def start(position: int, unit: str, block: BlockPlan) -> Callable[[], Future[Any]]:
-        ground = replace(block.ground, lit=lit_pulses(collection, block.ground.yaw_axis, valid))
+        ground = replace(block.ground, lit=lit_pulses(collection, block.ground.yaw_axis, lit))
 
         def chain() -> Future[Any]:
             tail = f"{run.token}-{unit}"
@@ -514,17 +533,46 @@ def mosaic(client: Client, plan: Plan, run: Run, patches: Sequence[Receipt], rep
     return run_units(client, "mosaic", units, run, report, each=2)
 
 
+def look_through(
+    client: Client, source: stores.PhaseHistory, run: Run, report: Report
+) -> tuple[stores.PhaseHistory, list[Receipt], Inspection]:
+    """Inspect a phase history that is not recovered; a raw one is compressed first. Where its samples are then.
+
+    Raises
+    ------
+    InputError
+        If they are no samples of a radar.
+    """
+    receipts: list[Receipt] = []
+    if source.raw is not None:
+        source, receipts = _compress(client, source, run, report)
+    n = source.collection.n_range_frequency
+    width = min(max(SIGNAL_BYTES // (8 * source.collection.n_pulse), 1), stores.TILE[1])
+
+    def start(unit: str, columns: tuple[int, int]) -> Callable[[], Future[Any]]:
+        key = f"inspect-{run.token}-{unit}"
+        return lambda: client.submit(inspect_group, source, run, unit, columns, key=key, pure=False)
+
+    units = [(f"columns-{a}", start(f"columns-{a}", (a, min(a + width, n)))) for a in range(0, n, width)]
+    looked = run_units(client, "inspect", units, run, report)
+    return source, receipts + looked, _found(looked)
+
+
 def back_project(
-    client: Client, source: stores.PhaseHistory, geometry: Geometry, grid: Grid, run: Run, report: Report
+    client: Client,
+    source: stores.PhaseHistory,
+    geometry: Geometry,
+    grid: Grid,
+    found: Inspection,
+    run: Run,
+    report: Report,
 ) -> list[Receipt]:
     """Phase history straight to image.zarr by exact back-projection, by output chunk."""
-    if source.raw is not None:
-        source, _ = _compress(client, source, run, report)
     side = image_chunk(grid)
 
     def start(unit: str, cell: tuple[int, int]) -> Callable[[], Future[Any]]:
         return lambda: client.submit(
-            back_project_chunk, source, run, unit, cell, geometry, grid,
+            back_project_chunk, source, run, unit, cell, geometry, grid, found,
             key=f"backprojection-{run.token}-{unit}", pure=False,
         )  # fmt: skip
 

@@ -94,6 +94,16 @@ class Inspection:
     def n_outlier(self) -> int:
         return sum(map(len, self.outliers.values()))
 
+    @property
+    def lit(self) -> FloatArray:
+        """Share of each pulse's samples that hold, (n_pulse,)."""
+        lost = np.zeros(self.n_pulse)
+        for pulse, count in self.missing.items():
+            lost[pulse] += count
+        for pulse, columns in self.outliers.items():
+            lost[pulse] += len(columns)
+        return 1 - lost / self.n_column
+
     def as_dict(self) -> dict[str, Any]:
         """For JSON, whose keys are strings."""
         plain = dict(vars(self))

@@ -10,9 +10,14 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
+import urllib.error
+import urllib.request
 import warnings
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
@@ -468,7 +473,7 @@ def test_what_does_not_exist(there: Place) -> None:
 def test_writing_to_no_bucket(small_collection: Collection, there: Place) -> None:
     where = place("s3://no-such-bucket/ph.zarr")
     for write in writers(small_collection):
-        with pytest.raises((InputError, ProcessingError)) as error:
+        with pytest.raises((InputError, ProcessingError), match="bucket does not exist") as error:
             write(where)
         assert str(where) in one_sentence(error)
 
@@ -496,6 +501,80 @@ def test_an_endpoint_that_falls_silent(small_collection: Collection, there: Plac
         for _ in _leading_to(f"http://127.0.0.1:{listener.getsockname()[1]}", monkeypatch):
             refused(lambda: found.read(*ALL), InputError, "does not answer")
             refused(found.fingerprint, InputError, "does not answer")
+
+
+@contextmanager
+def unreliable(behind: str, failures: float, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[str]]:
+    """An endpoint that fails some times to hand out chunks of samples; answers what it was asked for in vain."""
+    failed: list[str] = []
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            if "/signal/c/" in self.path and len(failed) < failures:
+                failed.append(self.path)
+                status, headers, body = 503, {}, b"<Error>\n<Code>Busy</Code>\n</Error>"
+            else:
+                try:
+                    with urllib.request.urlopen(behind + self.path) as answer:
+                        status, headers, body = answer.status, dict(answer.headers), answer.read()
+                except urllib.error.HTTPError as error:
+                    with error:
+                        status, headers, body = error.code, dict(error.headers), error.read()
+            self.send_response(status)
+            for name in ("ETag", "Last-Modified", "Content-Type"):
+                if name in headers:
+                    self.send_header(name, headers[name])
+            self.send_header("Content-Length", str(len(body)))
+            self.end_headers()
+            self.wfile.write(body)
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+        thread = threading.Thread(target=server.serve_forever, args=(0.01,))
+        thread.start()
+        for _ in _leading_to(f"http://127.0.0.1:{server.server_port}", monkeypatch):
+            yield failed
+        server.shutdown()
+        thread.join()
+
+
+def test_an_endpoint_that_fails_is_asked_again(small_collection: Collection, there: Place, monkeypatch: Any) -> None:
+    found = history(there, small_collection)
+    with unreliable(os.environ["AWS_ENDPOINT_URL"], 1, monkeypatch) as failed:
+        assert np.array_equal(found.read(*ALL), noise((256, 128)))
+    assert len(failed) == 1
+
+
+def test_samples_out_of_reach_are_not_called_damaged(
+    small_collection: Collection, there: Place, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = history(there, small_collection)
+    with unreliable(os.environ["AWS_ENDPOINT_URL"], np.inf, monkeypatch) as failed:
+        refused(lambda: found.read(slice(0, 9), slice(0, 9)), InputError, r"cannot be read .*503 .*; check AWS_")
+    assert len(failed) == 2  # the same chunk, once more
+
+
+def test_many_chunks_are_in_flight_at_once() -> None:
+    met = threading.Barrier(8)
+    moved = []
+
+    def move(there: stores.Region, here: stores.Region) -> None:
+        met.wait(20)
+        moved.append((there, here))
+
+    stores._each_chunk(np.s_[3:16, 4:8], (4, 2), move)
+    assert sorted(moved, key=repr) == sorted(
+        (
+            (
+                ((slice(a, b), slice(c, c + 2)), (slice(a - 3, b - 3), slice(c - 4, c - 2)))
+                for a, b in ((3, 4), (4, 8), (8, 12), (12, 16))
+                for c in (4, 6)
+            )
+        ),
+        key=repr,
+    )
 
 
 def test_credentials_that_are_refused(small_collection: Collection, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -392,6 +392,12 @@ def test_what_the_machine_refused_is_no_fault_of_the_bytes(cause: Exception | No
     assert post.module._passing(error, None) == passing
 
 
+def test_a_cause_behind_a_cause_counts(post: Post) -> None:
+    error, between = InputError("it cannot be read"), ValueError("of a library")
+    error.__cause__, between.__cause__ = between, OSError(113, "no route to host")
+    assert post.module._passing(error, None)
+
+
 def test_without_a_cluster_nothing_is_blamed(post: Post, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster, "CONNECT", 0.5)
     post.deliver("a", "b")
@@ -503,10 +509,39 @@ def test_signals_end_a_sweep_in_good_order(number: int, post: Post, image: dict[
     assert post.images() == dict.fromkeys("abcdef", image)
 
 
+# ---------------------------------------------------------------- a bucket
+
+
+def test_an_inbox_may_be_a_bucket(post: Post, image: dict[str, str]) -> None:
+    """Of the same rules, in the order of names: the runs lie in the local outbox all the same."""
+    for library in ("obstore", "moto", "boto3"):
+        pytest.importorskip(library)
+    import obstore
+    import s3
+
+    post.deliver("b", "a", "bad", "arriving")
+    post.damage("bad")
+    (post.inbox / "arriving.zarr" / "zarr.json").unlink()
+    with s3.server():
+        bucket = s3.make_bucket()
+        store = obstore.store.S3Store(bucket, client_options={"allow_http": True})
+        for path in sorted(path for path in post.inbox.rglob("*") if path.is_file()):
+            obstore.put(store, f"in/{path.relative_to(post.inbox)}", path)
+        # A cluster of the sweep's own: its workers know the way to the bucket.
+        sweep = (f"s3://{bucket}/in", str(post.outbox), SETTINGS, post.module.Hook([]))
+        assert post.module.sweep(*sweep, quiet=True) == post.module.QUARANTINED
+        assert post.names("done") == ["a", "b"] and set(post.records("quarantine")) == {"bad"}
+        assert post.images() == {"a": image, "b": image}
+        assert post.status()["waiting"] == ["arriving.zarr"]
+        assert post.module.sweep(*sweep, quiet=True) == post.module.DONE
+        assert post.names("done") == ["a", "b"]
+
+
 # ---------------------------------------------------------------- the soak
 
 MANY, SETTLED = 50, 10  # collections; after so many everything is loaded that ever will be
 GROWTH = 8 * 2**20  # bytes of one process in the forty after: 0.2 MiB each, less than a plan's arrays
+FEW = 4  # files or threads more: what one collection in ten would leave behind
 
 
 @dataclass(frozen=True)
@@ -545,8 +580,8 @@ def test_fifty_collections_leave_nothing_behind(post: Post, tmp_path: Path, monk
     assert set(late) == set(early), "processes came and went"
     for pid in early:
         assert late[pid].memory - early[pid].memory < GROWTH, (pid, [size[pid].memory for size in sizes])
-        assert late[pid].files <= early[pid].files, (pid, [size[pid].files for size in sizes])
-        assert late[pid].threads <= early[pid].threads + 1, (pid, [size[pid].threads for size in sizes])
+        assert late[pid].files < early[pid].files + FEW, (pid, [size[pid].files for size in sizes])
+        assert late[pid].threads < early[pid].threads + FEW, (pid, [size[pid].threads for size in sizes])
     assert set(os.listdir("/dev/shm")) <= shared
     assert os.listdir(scratch) == []
     assert not (post.outbox / "scratch").exists()

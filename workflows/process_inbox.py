@@ -518,10 +518,15 @@ class Sweep:
 
 def _passing(error: InputError, run: Path | None) -> bool:
     """Whether it is no fault of the collection: what names the run speaks of the outbox, an OSError of the machine."""
+    if run is not None and str(run) in str(error):
+        return True
     cause = error.__cause__
-    refused = isinstance(cause, OSError) and cause.errno is not None
-    absent = isinstance(cause, FileNotFoundError | NotADirectoryError | IsADirectoryError)
-    return (refused and not absent) or (run is not None and str(run) in str(error))
+    while cause is not None:
+        absent = isinstance(cause, FileNotFoundError | NotADirectoryError | IsADirectoryError)
+        if isinstance(cause, OSError) and cause.errno is not None and not absent:  # codecs raise some without a number
+            return True
+        cause = cause.__cause__
+    return False
 
 
 # ---------------------------------------------------------------- the command

@@ -1,0 +1,253 @@
+"""Whom a run talks to: two machines, TLS, loopback alone; what it leaves behind; what it never evaluates."""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+from distributed import Client
+from faults import digests, litter, until
+from machines import two_machines
+from scenes import scene
+
+import blocksar
+from blocksar import cluster
+from blocksar.parameters import InputError
+
+ROOT = Path(__file__).resolve().parents[1]
+SCENE: dict[str, Any] = {
+    "swath": [29900.0, 30100.0],
+    "prf": 4000.0,
+    "duration": 0.1,
+    "steering": (49.0, 51.0),
+    "dwell": 0.03,
+    "more": '[[targets]]\nname = "P"\nrange = 30000.0\nyaw_deg = 50.0\n',
+}
+SETTINGS: dict[str, Any] = {
+    "blocks": 3,
+    "coefficients": "closed-form",
+    "grid": ((15600.0, 16600.0, 4.0), (18600.0, 19750.0, 4.0)),
+}
+WORDS = ("--blocks", "3", "--coefficients", "closed-form", "--grid", "15600:16600:4,18600:19750:4", "--threads", "1")
+BLOCKSAR = (sys.executable, "-m", "blocksar.cli")
+SCHEDULER = (sys.executable, "-m", "distributed.cli.dask_scheduler", "--no-dashboard")
+WORKER = (sys.executable, "-m", "distributed.cli.dask_worker", "--no-dashboard", "--nthreads", "1")
+LOOPBACK = {"127.0.0.1", "::1"}
+
+
+@pytest.fixture(scope="module")
+def client() -> Iterator[Client]:
+    with cluster.open_client(workers=1, threads=1, memory_limit=2 * 2**30) as connected:
+        yield connected
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("tiny")
+    (folder / "scene.toml").write_text(scene(**SCENE))
+    return Path(str(blocksar.simulate(folder / "scene.toml", folder / "phase_history.zarr")))
+
+
+@pytest.fixture(scope="module")
+def image(store: Path, client: Client, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """What every cluster has to come to."""
+    run = tmp_path_factory.mktemp("here") / "run"
+    blocksar.focus(store, run, client=client, **SETTINGS)
+    found = digests(run / "image.zarr")
+    assert len(found) > 3
+    return found
+
+
+class Said:
+    """Programs that run beside a test, and what they say."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.stack = contextlib.ExitStack()
+
+    def __enter__(self) -> Said:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stack.close()
+
+    def start(self, start: Any, name: str, *command: str, **more: Any) -> subprocess.Popen[str]:
+        """Start a program through `start`, which is subprocess.Popen or another machine's; it ends with the block."""
+        with open(self.folder / name, "w") as output:
+            process = start(*command, stdout=output, stderr=output, **more)
+        self.stack.callback(process.wait, 30)
+        self.stack.callback(process.kill)
+        return process
+
+    def text(self, name: str) -> str:
+        return (self.folder / name).read_text()
+
+    def await_line(self, name: str, text: str) -> None:
+        until(lambda: text in self.text(name), f"{text!r} from {name}")
+
+
+def here(*command: str, **more: Any) -> subprocess.Popen[str]:
+    return subprocess.Popen(command, text=True, **more)
+
+
+# ---------------------------------------------------------------- two machines
+
+
+def test_two_machines_come_to_the_same_bytes(store: Path, image: dict[str, str], tmp_path: Path) -> None:
+    """Scheduler and main process on one, workers on the other, a folder between them."""
+    address = "tcp://10.77.0.1:8786"
+    with two_machines() as (first, second), Said(tmp_path) as said:
+        said.start(first.start, "scheduler", *SCHEDULER, "--host", first.address, "--port", "8786")
+        worker = (*WORKER, address, "--host", second.address, "--local-directory", str(tmp_path), "--memory-limit")
+        said.start(second.start, "worker", *worker, "2GiB", "--nworkers", "2")
+        until(lambda: said.text("worker").count("Registered to") == 2, "two workers")
+        command = (*BLOCKSAR, "focus", str(store), "--out", str(tmp_path / "run"), *WORDS, "--scheduler", address)
+        run = said.start(first.start, "main", *command)
+        assert run.wait(60) == 0, said.text("main")
+        assert said.text("scheduler").count(f"tcp://{second.address}:"), "the workers were elsewhere"
+    assert digests(tmp_path / "run" / "image.zarr") == image
+
+
+# ---------------------------------------------------------------- TLS
+
+
+@pytest.fixture(scope="module")
+def certificates(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """Files of an authority and of a certificate for this machine, as dask's configuration names them."""
+    trustme = pytest.importorskip("trustme")
+    folder = tmp_path_factory.mktemp("certificates")
+    authority = trustme.CA()
+    authority.cert_pem.write_to_path(str(folder / "authority.pem"))
+    authority.issue_cert("127.0.0.1").private_key_and_cert_chain_pem.write_to_path(str(folder / "machine.pem"))
+    tls, roles = "DASK_DISTRIBUTED__COMM__TLS__", ("SCHEDULER", "WORKER", "CLIENT")
+    parts = {f"{tls}{role}__{kind}": str(folder / "machine.pem") for role in roles for kind in ("CERT", "KEY")}
+    return {
+        f"{tls}CA_FILE": str(folder / "authority.pem"),
+        "DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION": "true",
+    } | parts
+
+
+ROLES = ("SCHEDULER", "WORKER", "CLIENT")
+
+
+def test_tls_by_dasks_own_configuration(
+    store: Path, image: dict[str, str], certificates: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A run with certificates is served; one without, and one that does not encrypt, are refused in a sentence."""
+    secure = os.environ | certificates
+    with Said(tmp_path) as said:
+        loopback = ("--host", "127.0.0.1", "--protocol", "tls")
+        file = tmp_path / "scheduler.json"
+        said.start(here, "scheduler", *SCHEDULER, *loopback, "--port", "0", "--scheduler-file", str(file), env=secure)
+        until(lambda: file.exists() and file.read_text().endswith("}"), "the scheduler")
+        port = said.text("scheduler").partition("tls://127.0.0.1:")[2].split()[0]
+        local = ("--local-directory", str(tmp_path), "--memory-limit", "2GiB", "--no-nanny")
+        said.start(here, "worker", *WORKER, f"tls://127.0.0.1:{port}", *loopback, *local, env=secure)
+        said.await_line("worker", "Registered to")
+
+        monkeypatch.setattr(cluster, "CONNECT", 2.0)
+        for scheme in ("tls", "tcp"):
+            with pytest.raises(InputError, match="no dask scheduler answers at") as refused:
+                blocksar.focus(store, tmp_path / "run", **SETTINGS, scheduler=f"{scheme}://127.0.0.1:{port}")
+            assert "\n" not in str(refused.value)
+            assert not (tmp_path / "run").exists()
+
+        command = (*BLOCKSAR, "focus", str(store), "--out", str(tmp_path / "run"), *WORDS)
+        run = said.start(here, "main", *command, "--scheduler", f"tls://127.0.0.1:{port}", env=secure)
+        assert run.wait(60) == 0, said.text("main")
+    assert digests(tmp_path / "run" / "image.zarr") == image
+
+
+# ---------------------------------------------------------------- a run's own cluster
+
+
+def test_an_own_cluster_listens_on_loopback_and_leaves_nothing(
+    store: Path, image: dict[str, str], tmp_path: Path
+) -> None:
+    """Watched from outside: sockets of all its processes, its temporary files while it runs and afterwards."""
+    temporary, out = tmp_path / "tmp", tmp_path / "run"
+    temporary.mkdir()
+    sockets: dict[tuple[str, int], str] = {}
+    scratch: set[str] = set()
+    strays: set[str] = set()
+    with Said(tmp_path) as said:
+        run = said.start(
+            here, "main", *BLOCKSAR, "focus", str(store), "--out", str(out), *WORDS, "--workers", "2",
+            env=os.environ | {"TMPDIR": str(temporary)},
+        )  # fmt: skip
+        main = psutil.Process(run.pid)
+        while run.poll() is None:
+            sockets |= listening(main)
+            scratch |= {path.name for path in out.glob("scratch/*/*")}
+            strays |= set(os.listdir(temporary))
+            time.sleep(0.05)
+        assert run.returncode == 0, said.text("main")
+    assert {ip for ip, _ in sockets} <= LOOPBACK, sockets
+    # The scheduler and two nannies in the main process, the two workers: none of them was missed.
+    assert len(sockets) >= 5 and len(set(sockets.values())) == 3, sockets
+    assert any(name.startswith("worker-") for name in scratch), scratch
+    assert strays == set()
+    assert litter(out) == []
+    assert digests(out / "image.zarr") == image
+
+
+def listening(main: psutil.Process) -> dict[tuple[str, int], str]:
+    """Addresses and ports at which a process and its children wait, of TCP and UDP, and whose they are."""
+    found = {}
+    with contextlib.suppress(psutil.NoSuchProcess):
+        for process in (main, *main.children(recursive=True)):
+            with contextlib.suppress(psutil.NoSuchProcess, psutil.AccessDenied):
+                for socket in process.net_connections(kind="inet"):
+                    if socket.laddr and not socket.raddr:
+                        found[socket.laddr.ip, socket.laddr.port] = str(process.pid)
+    return found
+
+
+# ---------------------------------------------------------------- what is never evaluated
+
+UNSAFE_MODULES = {"pickle", "cPickle", "_pickle", "cloudpickle", "dill", "joblib", "marshal", "shelve", "yaml", "code"}
+UNSAFE_CALLS = {"eval", "exec", "compile", "__import__", "execfile"}
+UNSAFE_METHODS = {"os.system", "os.popen", "builtins.eval", "builtins.exec"}
+MODULES = sorted([*(ROOT / "blocksar").rglob("*.py"), *(ROOT / "workflows").rglob("*.py")])
+
+
+def unsafe(text: str) -> Iterator[str]:
+    """What in a module would unpickle or evaluate what it is given, or pass it to a shell."""
+    for node in ast.walk(ast.parse(text)):
+        match node:
+            case ast.Import(names=names):
+                yield from (f"import {name.name}" for name in names if name.name.split(".")[0] in UNSAFE_MODULES)
+            case ast.ImportFrom(module=str(module)) if module.split(".")[0] in UNSAFE_MODULES:
+                yield f"from {module}"
+            case ast.Call(func=ast.Name(id=name)) if name in UNSAFE_CALLS:
+                yield name
+            case ast.Call(func=ast.Attribute() as function) if ast.unparse(function) in UNSAFE_METHODS:
+                yield ast.unparse(function)
+            case ast.keyword(arg="allow_pickle" | "shell", value=value) if ast.unparse(value) != "False":
+                yield f"{node.arg}={ast.unparse(value)}"
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_nothing_is_unpickled_or_evaluated(path: Path) -> None:
+    assert list(unsafe(path.read_text(encoding="utf-8"))) == []
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["import pickle", "from yaml import load", "def f(x):\n    return eval(x)", "np.load(x, allow_pickle=y)",
+     "subprocess.run(x, shell=True)", "import cloudpickle.x as y", "exec('x')", "os.system(x)", "__import__(x)"],
+)  # fmt: skip
+def test_the_search_finds_what_it_looks_for(text: str) -> None:
+    assert list(unsafe(text))
+    assert not list(
+        unsafe("import ast, json\nre.compile(x)\nnp.load(x, allow_pickle=False)\nsubprocess.run(x, shell=False)")
+    )
