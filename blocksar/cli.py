@@ -442,11 +442,16 @@ def quality(
 
 def main() -> None:
     """Entry point of `blocksar`."""
-    signal.signal(signal.SIGTERM, _stop)
-    # A shell starts what runs in the background with Ctrl-C ignored: so it stays.
-    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
-        signal.signal(signal.SIGINT, _stop)
+    catch_signals()
     app(prog_name="blocksar")
+
+
+def catch_signals() -> None:
+    """Let Ctrl-C raise KeyboardInterrupt and SIGTERM raise Terminated, and see to it that the process then ends."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        # A shell starts what runs in the background with Ctrl-C ignored: so it stays.
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, _stop)
 
 
 def _stop(number: int, frame: FrameType | None) -> None:

@@ -20,8 +20,12 @@ A wrong file gives one message that lists every wrong field, its value and what 
 from __future__ import annotations
 
 import difflib
+import math
+import os
 import re
 import tomllib
+import warnings
+from collections.abc import Iterator
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
@@ -37,6 +41,7 @@ from blocksar.parameters import SPEED_OF_LIGHT, Collection, FloatArray, InputErr
 RANGE_GUARD = 1.05  # the range window exceeds what lit targets need by this factor
 MAX_FAST_TIME_SAMPLES = 1 << 20
 MAX_PULSES = 1 << 22
+LARGEST, SMALLEST = 1e19, 1e-19  # numbers in any unit: beyond them nothing is meant, and arithmetic overflows
 CHECKED_PULSES = 257  # pulses at which the range migration of lit targets is measured
 
 Positive = Annotated[float, Field(gt=0)]
@@ -122,7 +127,8 @@ class TrackTable(_Table):
             return data
         path = _beside(data["file"], info)
         try:
-            table = np.loadtxt(path, delimiter=",", ndmin=2, comments="#", skiprows=_header_lines(path))
+            with warnings.catch_warnings(action="ignore", category=UserWarning):  # it is empty: said below
+                table = np.loadtxt(path, delimiter=",", ndmin=2, comments="#", skiprows=_header_lines(path))
         except (OSError, ValueError) as error:
             raise ValueError(f"file = {data['file']!r}: must be a readable CSV of t, x, y, z ({error})") from None
         return {**data, "samples": table.tolist()}
@@ -344,11 +350,11 @@ class ReflectivityTable(_Table):
             _require(getattr(self, name) != 0, f"{name} = 0: must be a step other than 0 m")
         path = _beside(self.file, info)
         try:
-            pixels = np.load(path, mmap_mode="r", allow_pickle=False)
-        except (OSError, ValueError, EOFError) as error:
+            pixels = np.lib.format.open_memmap(path, mode="r")
+        except (OSError, ValueError, OverflowError) as error:
             raise ValueError(f"file = {self.file!r}: must be a readable .npy file ({error})") from None
         _require(
-            isinstance(pixels, np.ndarray) and pixels.ndim == 2 and pixels.dtype.kind in "uifc" and pixels.size > 0,
+            pixels.ndim == 2 and pixels.dtype.kind in "uifc" and pixels.size > 0,
             f"file = {self.file!r}: must hold a 2-D real or complex array",
         )
         _require(bool(np.isfinite(pixels).all()), f"file = {self.file!r}: must hold finite numbers only")
@@ -418,18 +424,18 @@ class Scene(_Table):
             If there is no such scene, it is no TOML, or fields are wrong: all of them, in one message.
         """
         path = Path(source)
-        if path.is_file():
+        if os.path.isfile(path):
             folder, name, label = path.parent, path.stem, str(path)
             try:
                 text = path.read_text(encoding="utf-8")
             except (OSError, UnicodeDecodeError) as error:
                 raise InputError(f"{path} cannot be read ({error}); give a scene file in UTF-8") from None
             return cls.parse(text, name=name, label=label, folder=folder)
-        shipped = resources.files("blocksar") / "scenes" / f"{source}.toml"
-        if path.name != str(source) or not shipped.is_file():
+        if str(source) not in shipped_scenes():
             raise InputError(
                 f"scene {str(source)!r} is neither a file nor one of the shipped scenes: {', '.join(shipped_scenes())}"
             )
+        shipped = resources.files("blocksar") / "scenes" / f"{source}.toml"
         return cls.parse(shipped.read_text(encoding="utf-8"), name=str(source), label=f"{source}.toml")
 
     @classmethod
@@ -437,8 +443,11 @@ class Scene(_Table):
         """Check the text of a scene file; `label` names it in messages, `folder` is where its files lie."""
         try:
             data = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
+            absurd = list(_absurd(data))
+        except (ValueError, RecursionError) as error:
             raise InputError(f"{label} is not TOML: {error}; mend that line") from None
+        if absurd:
+            raise InputError(_message(label, absurd))
         try:
             scene = cls.model_validate(data, context={"folder": folder})
         except ValidationError as error:
@@ -728,13 +737,14 @@ class Scene(_Table):
 
     def _fast_time_samples(self, window: float) -> int:
         """Even, 5-smooth number of fast-time samples that span `window` metres of range."""
-        n = next_smooth_even(int(np.ceil(max(window, 0.0) * 2 * self.radar.range_sampling / SPEED_OF_LIGHT)))
-        if n > MAX_FAST_TIME_SAMPLES:
+        least = max(window, 0.0) * 2 * self.radar.range_sampling / SPEED_OF_LIGHT
+        if not least <= MAX_FAST_TIME_SAMPLES:
             raise InputError(
-                f"scene.swath with scene.reference_range needs {n} fast-time samples for a window of {window:.6g} m; "
-                f"the limit is {MAX_FAST_TIME_SAMPLES}: use a smaller swath or a reference range inside it"
+                f"scene.swath with scene.reference_range needs {least:.7g} fast-time samples for a window of "
+                f"{window:.6g} m; the limit is {MAX_FAST_TIME_SAMPLES}: use a smaller swath or a reference range "
+                "inside it"
             )
-        return n
+        return next_smooth_even(int(np.ceil(least)))
 
     @cached_property
     def fast_time(self) -> FloatArray:
@@ -809,7 +819,9 @@ def next_smooth_even(least: int) -> int:
 
 def _beside(file: str, info: ValidationInfo) -> Path:
     folder = (info.context or {}).get("folder")
-    return Path(file) if folder is None else Path(folder) / file
+    path = Path(file) if folder is None else Path(folder) / file
+    _require(not os.path.lexists(path) or os.path.isfile(path), f"file = {file!r}: must be a regular file")
+    return path
 
 
 def _header_lines(path: Path) -> int:
@@ -912,6 +924,19 @@ def _nearest(model: type[BaseModel] | None, place: list[int | str]) -> str:
     known = list(_fields(model))
     close = difflib.get_close_matches(str(place[-1]), known, n=1)
     return f"did you mean {close[0]}?" if close else f"known here are {', '.join(known)}"
+
+
+def _absurd(value: Any, place: tuple[int | str, ...] = ()) -> Iterator[str]:
+    """Numbers so large or so small that nothing can be meant by them."""
+    match value:
+        case dict():
+            for key, item in value.items():
+                yield from _absurd(item, (*place, key))
+        case list():
+            for index, item in enumerate(value):
+                yield from _absurd(item, (*place, index))
+        case int() | float() if value and not SMALLEST <= abs(value) <= LARGEST and math.isfinite(value):
+            yield f"{_dotted([*place])} = {_short(value)}: must lie between {SMALLEST:g} and {LARGEST:g} in size"
 
 
 def _dotted(place: list[int | str]) -> str:

@@ -43,7 +43,7 @@ SCENE: dict[str, Any] = {  # 400 pulses of 1777 range frequencies: four column g
 }
 RAW_SCENE = SCENE | {"prf": 16e3, "bandwidth": 100e6, "range_sampling": 120e6}  # 1600 pulses: four range-compress tasks
 NAMES = {"run.json", "collection.zarr", "spectrum.zarr", "patches", "image.zarr"}  # in a finished run, by README.md
-PATIENCE = 60  # s that anything may take on a busy machine before it counts as hung
+PATIENCE = 120  # s that anything may take on a busy machine before it counts as hung
 PAGE = 4096  # bytes of a tmpfs' unit
 TICK = 0.002  # s between two looks
 

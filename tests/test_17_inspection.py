@@ -265,6 +265,9 @@ def test_a_hundredfold_of_neighbours_and_median(times: float, found: bool, pulse
         near[-1 if pulse < 98 else 0] = 3  # two pulses off, or one where there are no two
     signal[pulse] = -1j * times * (3 if highest == "neighbour" else 1)
     assert look(signal)[0].outliers == ({pulse: [0]} if found else {})
+    # The same in a column that is looked at for something else.
+    signal[(pulse + 50) % 100] = 1e12
+    assert set(look(signal)[0].outliers) == {(pulse + 50) % 100} | ({pulse} if found else set())
 
 
 def targets(n_pulse: int, lit: list[tuple[int, int, float]]) -> ComplexArray:

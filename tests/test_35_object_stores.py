@@ -56,15 +56,21 @@ def unreached(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     """A port where nobody listens, as endpoint."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
-    yield from _leading_to(f"http://127.0.0.1:{port}", monkeypatch)
+    with endpoint(port, monkeypatch) as url:
+        yield url
 
 
-def _leading_to(url: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    monkeypatch.setattr(places, "RETRIES", 1)
-    monkeypatch.setenv("AWS_ENDPOINT_URL", url)
-    places._bucket.cache_clear()
-    yield url
-    places._bucket.cache_clear()
+@contextmanager
+def endpoint(port: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """Another one for a while, with one more try where it fails."""
+    with monkeypatch.context() as patch:
+        patch.setattr(places, "RETRIES", 1)
+        patch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{port}")
+        places._bucket.cache_clear()
+        try:
+            yield f"http://127.0.0.1:{port}"
+        finally:
+            places._bucket.cache_clear()
 
 
 def noise(shape: tuple[int, ...], seed: int = 0) -> np.ndarray:
@@ -497,10 +503,12 @@ def test_an_endpoint_that_falls_silent(small_collection: Collection, there: Plac
     found = history(there, small_collection)
     monkeypatch.setattr(places, "REQUEST", "1s")
     monkeypatch.setattr(places, "PATIENCE", 1.0)
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        for _ in _leading_to(f"http://127.0.0.1:{listener.getsockname()[1]}", monkeypatch):
-            refused(lambda: found.read(*ALL), InputError, "does not answer")
-            refused(found.fingerprint, InputError, "does not answer")
+    with (
+        socket.create_server(("127.0.0.1", 0)) as listener,
+        endpoint(listener.getsockname()[1], monkeypatch),
+    ):
+        refused(lambda: found.read(*ALL), InputError, "does not answer")
+        refused(found.fingerprint, InputError, "does not answer")
 
 
 @contextmanager
@@ -515,7 +523,8 @@ def unreliable(behind: str, failures: float, monkeypatch: pytest.MonkeyPatch) ->
                 status, headers, body = 503, {}, b"<Error>\n<Code>Busy</Code>\n</Error>"
             else:
                 try:
-                    with urllib.request.urlopen(behind + self.path) as answer:
+                    asked = urllib.request.Request(behind + self.path, headers=dict(self.headers))
+                    with urllib.request.urlopen(asked) as answer:
                         status, headers, body = answer.status, dict(answer.headers), answer.read()
                 except urllib.error.HTTPError as error:
                     with error:
@@ -534,10 +543,12 @@ def unreliable(behind: str, failures: float, monkeypatch: pytest.MonkeyPatch) ->
     with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
         thread = threading.Thread(target=server.serve_forever, args=(0.01,))
         thread.start()
-        for _ in _leading_to(f"http://127.0.0.1:{server.server_port}", monkeypatch):
-            yield failed
-        server.shutdown()
-        thread.join()
+        try:
+            with endpoint(server.server_port, monkeypatch):
+                yield failed
+        finally:
+            server.shutdown()
+            thread.join()
 
 
 def test_an_endpoint_that_fails_is_asked_again(small_collection: Collection, there: Place, monkeypatch: Any) -> None:

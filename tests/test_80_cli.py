@@ -8,7 +8,6 @@ import resource
 import signal
 import subprocess
 import sys
-from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
 import pytest
@@ -74,7 +73,7 @@ def test_focus_passes_every_option(api: Calls) -> None:
     )
     assert run(*words.split()).exit_code == 0
     args, kwargs = api.seen["focus"]
-    assert args == (Path("ph.zarr"), Path("run"))
+    assert args == ("ph.zarr", "run")
     assert isinstance(kwargs.pop("progress"), cli.Progress)
     assert kwargs == {
         "processor": "high-order-phase",
@@ -106,10 +105,10 @@ def test_defaults(api: Calls) -> None:
 
 def test_quality_and_simulate_pass_their_options(api: Calls) -> None:
     assert run("quality", "run", "--targets", "t.json", "--reference").exit_code == 0
-    assert api.seen["quality"] == ((Path("run"),), {"targets": Path("t.json"), "reference": True})
+    assert api.seen["quality"] == (("run",), {"targets": "t.json", "reference": True})
     assert run("simulate", "a.toml", "--out", "p.zarr", "--raw", "--threads", "4").exit_code == 0
     args, kwargs = api.seen["simulate"]
-    assert args == ("a.toml", Path("p.zarr"))
+    assert args == ("a.toml", "p.zarr")
     assert (kwargs["raw"], kwargs["threads"], kwargs["overwrite"]) == (True, 4, False)
 
 
@@ -220,26 +219,52 @@ signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background
 api = types.ModuleType("blocksar.api")
 def plan(source, **settings):
     print("ready", flush=True)
-    time.sleep(30)
+    try:
+        time.sleep(60)
+    finally:
+        if "hang" in sys.argv:
+            print("hanging", flush=True)
+            time.sleep(60)
 api.plan = plan
 sys.modules["blocksar.api"] = api
-sys.argv = ["blocksar", "plan", "table1"]
 from blocksar import cli
+cli.GRACE = float(sys.argv[1])
+sys.argv = ["blocksar", "plan", sys.argv[2]]
 cli.main()
 """
 
 
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_signals(number: int, status: int) -> None:
-    with subprocess.Popen(
-        [sys.executable, "-c", WAITING], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "ready\n"
-        process.send_signal(number)
-        _, stderr = process.communicate(timeout=20)
+def waiting(grace: float, source: str) -> subprocess.Popen[str]:
+    process = subprocess.Popen(
+        [sys.executable, "-c", WAITING, str(grace), source], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "ready\n"
+    return process
+
+
+def ended(process: subprocess.Popen[str], status: int) -> None:
+    _, stderr = process.communicate(timeout=30)
     assert process.returncode == status
     assert stderr.startswith("blocksar: ") and stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_signals(number: int, status: int) -> None:
+    with waiting(60, "table1") as process:
+        process.send_signal(number)
+        ended(process, status)
+
+
+@pytest.mark.parametrize("again", [True, False])
+def test_what_does_not_end_in_good_order_is_ended(again: bool) -> None:
+    with waiting(60 if again else 0.2, "hang") as process:
+        process.send_signal(signal.SIGTERM)
+        assert process.stdout is not None
+        assert process.stdout.readline() == "hanging\n"
+        if again:
+            process.send_signal(signal.SIGINT)
+        ended(process, 143)
 
 
 # ---------------------------------------------------------------- what is shown

@@ -8,6 +8,7 @@ A traceback, a hang, or a changed input is a defect. The table of outcomes is pr
 from __future__ import annotations
 
 import contextlib
+import io
 import itertools
 import json
 import os
@@ -164,7 +165,7 @@ class Bench:
         out = out or self.fresh()
         before = listing(Path(source)) if isinstance(source, str | Path) else {}
         try:
-            with deadline(60):
+            with deadline(6):
                 blocksar.focus(source, out, client=self.client, **wanted)
         except InputError as refusal:
             one_sentence(refusal)
@@ -191,12 +192,15 @@ class Bench:
             return np.inf
         return np.inf if lost.any() else float(np.abs((image - clean)[covered]).max())
 
-    def refused(self, kind: str, command: Callable[..., Any], *args: Any, **kwargs: Any) -> str:
-        """A command that may only be refused, by an InputError."""
-        with deadline(60), pytest.raises(InputError) as caught:
+    def refused(self, kind: str, command: Callable[..., Any], *args: Any, listed: bool = False, **kwargs: Any) -> str:
+        """A command that may only be refused, by an InputError; of scene files it may list many wrong fields."""
+        with deadline(6), pytest.raises(InputError) as caught:
             command(*args, **kwargs)
         self.tally[kind, "refused"] += 1
-        return one_sentence(caught.value)
+        text = str(caught.value)
+        for line in text.split("\n  ") if listed else [text]:
+            one_sentence(line)
+        return text
 
     def all(self, cases: dict[str, Callable[[], Any]]) -> None:
         """Every case, and then the defects of all of them at once."""
@@ -673,7 +677,7 @@ def foreign(bench: Bench) -> dict[str, Callable[[Path], Any]]:
         "an empty folder": lambda path: path.mkdir(),
         "a file": lambda path: path.write_text("not a store"),
         "an empty file": lambda path: path.write_bytes(b""),
-        "a pipe": lambda path: os.mkfifo(path),
+        "a pipe": os.mkfifo,
         "nothing": lambda path: None,
         "a link to nothing": lambda path: path.symlink_to("nowhere"),
         "a link to itself": lambda path: path.symlink_to(path.name),
@@ -955,7 +959,6 @@ def overlapping(bench: Bench) -> dict[str, tuple[Path, Path]]:
 @pytest.mark.parametrize("overwrite", [False, True])
 def test_the_input_is_never_destroyed(overwrite: bool, bench: Bench) -> None:
     def case(source: Path, out: Path) -> None:
-        samples = {p: p.read_bytes() for p in source.rglob("*") if p.is_file() and out not in p.parents or p == source}
         samples = {p: p.read_bytes() for p in sorted(source.rglob("*")) if p.is_file()}
         try:
             blocksar.focus(source, out, client=bench.client, overwrite=overwrite, **EXACT)
@@ -1036,7 +1039,7 @@ def test_records_of_runs_that_lie(bench: Bench, key: str, value: Any, wanted: st
 def resume(bench: Bench, run: Path, kind: str) -> None:
     before = listing(run)
     try:
-        with deadline(60):
+        with deadline(6):
             blocksar.focus(bench.store, run, client=bench.client, **EXACT)
     except (InputError, ProcessingError) as error:
         one_sentence(error)
@@ -1092,7 +1095,7 @@ def test_quality_of_damaged_runs(bench: Bench) -> None:
         run = bench.finished_run(**CHAIN)
         damage(run / name)
         try:
-            with deadline(60):
+            with deadline(6):
                 blocksar.quality(run)
             outcome = "taken at its word"
         except (InputError, ProcessingError) as error:
@@ -1122,7 +1125,7 @@ def test_targets_of_any_kind(bench: Bench, value: Any) -> None:
 def measure(bench: Bench, targets: Path) -> None:
     run = bench.run(**CHAIN)
     try:
-        with deadline(60):
+        with deadline(6):
             blocksar.quality(run, targets=targets)
         outcome = "taken at its word"
     except InputError as error:
@@ -1158,7 +1161,7 @@ def plan_scene(bench: Bench, content: bytes, kind: str) -> str:
     scene = bench.fresh(".toml")
     scene.write_bytes(content)
     try:
-        with deadline(60):
+        with deadline(6):
             blocksar.plan(scene, **EXACT)
         outcome = "taken at its word"
     except InputError as error:
@@ -1186,10 +1189,25 @@ def test_scene_files_of_any_bytes(bench: Bench, place: int, removed: int, text: 
 
 
 SCENE_KEYS = [line.split(" = ")[0] for line in SCENE.splitlines() if " = " in line]
+EXTREMES = [
+    "1e19",
+    "-1e19",
+    "1e-19",
+    "1e12",
+    "-1e5",
+    "1e-6",
+    "0.0",
+    "nan",
+    "inf",
+    "1e300",
+    "1e-300",
+    "12345678901234567",
+]
 TOML = st.one_of(
-    NUMBERS.filter(lambda n: abs(n) < 1e300 if n == n else True).map(repr), st.sampled_from(["true", "[]", "{}", '""']),
-    st.lists(st.floats(), max_size=4).map(repr), st.sampled_from(["1979-05-27", "0x10", "1e400", "-1", "0", "1e-300"]),
-)  # fmt: skip
+    NUMBERS.filter(lambda n: n != 10**400).map(repr),
+    st.sampled_from([*EXTREMES, "true", "[]", "{}", '""', "1979-05-27", "0x10", "1e400"]),
+    st.lists(st.sampled_from(EXTREMES), min_size=2, max_size=3).map(lambda items: f"[{', '.join(items)}]"),
+)
 
 
 @settings(MANY, max_examples=80)
@@ -1202,13 +1220,13 @@ def test_scene_values_of_any_kind(bench: Bench, key: str, value: str) -> None:
 SCENES: dict[str, Callable[[Path], Any]] = {
     "empty": lambda path: path.write_bytes(b""),
     "a folder": lambda path: path.mkdir(),
-    "a pipe": lambda path: os.mkfifo(path),
+    "a pipe": os.mkfifo,
     "zeros without end": lambda path: path.symlink_to("/dev/zero"),
     "a link to itself": lambda path: path.symlink_to(path.name),
     "absent": lambda path: None,
     "UTF-16": lambda path: path.write_text(SCENE, encoding="utf-16"),
     "deep": lambda path: path.write_text("a = " + "[" * 100_000),
-    "deep tables": lambda path: path.write_text(".".join(["a"] * 100_000) + " = 1"),
+    "deep tables": lambda path: path.write_text(".".join(["a"] * 2000) + " = 1"),
     "an integer of ten thousand digits": lambda path: path.write_text("a = " + "9" * 10_000),
     "a track file that is a pipe": lambda path: beside(path, '[track]\nfile = "pipe"', os.mkfifo),
     "a track file that is a folder": lambda path: beside(path, '[track]\nfile = "pipe"', os.mkdir),
@@ -1218,9 +1236,9 @@ SCENES: dict[str, Callable[[Path], Any]] = {
     "a map that is a pipe": lambda path: beside(path, MAP, os.mkfifo),
     "a map without end": lambda path: beside(path, MAP, lambda p: os.symlink("/dev/zero", p)),
     "a map of objects": lambda path: beside(
-        path, MAP, lambda p: np.save(open(p, "wb"), np.array([[Bomb(path.parent / "fuse")]]), allow_pickle=True)
+        path, MAP, lambda p: Path(p).write_bytes(npy(np.array([[Bomb(path.parent / "fuse")]], object)))
     ),
-    "a map as zip": lambda path: beside(path, MAP, lambda p: np.savez(open(p, "wb"), a=np.ones((2, 2)))),
+    "a map as zip": lambda path: beside(path, MAP, lambda p: Path(p).write_bytes(npy(np.ones((2, 2)), np.savez))),
     "a map that claims 2^50 pixels": lambda path: beside(path, MAP, claims_too_much),
 }
 MAP = '[reflectivity]\nfile = "pipe"\nx0 = 0.0\ndx = 1.0\ny0 = 0.0\ndy = 1.0'
@@ -1229,6 +1247,12 @@ MAP = '[reflectivity]\nfile = "pipe"\nx0 = 0.0\ndx = 1.0\ny0 = 0.0\ndy = 1.0'
 def beside(path: Path, table: str, make: Callable[[str], Any]) -> None:
     path.write_text(SCENE + table if "reflectivity" in table else SCENE.replace("[track]", table))
     make(str(path.parent / "pipe"))
+
+
+def npy(array: Any, save: Callable[..., Any] = np.save) -> bytes:
+    file = io.BytesIO()
+    save(file, array)
+    return file.getvalue()
 
 
 def claims_too_much(path: str) -> None:
@@ -1241,8 +1265,8 @@ def test_scenes_that_are_none(bench: Bench) -> None:
         folder = bench.fresh()
         folder.mkdir()
         make(folder / "scene.toml")
-        bench.refused("scenes", blocksar.plan, folder / "scene.toml")
-        bench.refused("scenes", blocksar.simulate, folder / "scene.toml", folder / "out.zarr")
+        bench.refused("scenes", blocksar.plan, folder / "scene.toml", listed=True)
+        bench.refused("scenes", blocksar.simulate, folder / "scene.toml", folder / "out.zarr", listed=True)
         assert not (folder / "out.zarr").exists() and not (folder / "fuse").exists()
 
     bench.all({name: lambda make=make: case(make) for name, make in SCENES.items()})

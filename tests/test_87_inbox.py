@@ -49,6 +49,7 @@ WORDS = (
     "--blocks", "1", "--coefficients", "closed-form", "--grid", "15900:16300:4,19000:19400:4", "--workers", "1",
     "--threads", "1", "--memory-limit", "2GiB",
 )  # fmt: skip
+PATIENCE = 200  # s: on a busy machine compiling takes its time
 YEAR = 365 * 86400  # s
 
 
@@ -470,7 +471,7 @@ def test_two_starts_and_a_kill(post: Post, image: dict[str, str]) -> None:
     with post.start(*address) as first:
         until(lambda: "b" in post.names("started") or first.poll() is not None, "the third collection")
         with post.start(*address) as second:
-            _, said = second.communicate(timeout=60)
+            _, said = second.communicate(timeout=PATIENCE)
         assert second.returncode == post.module.BUSY
         assert f"process {first.pid} " in said
         first.kill()
@@ -478,7 +479,7 @@ def test_two_starts_and_a_kill(post: Post, image: dict[str, str]) -> None:
     assert settled, "killed too early to say anything"
     assert post.status()["state"] == "running"  # so it has said
     with post.start(*address) as third, post.start(*address) as fourth:
-        statuses = sorted(each.wait(60) for each in (third, fourth))
+        statuses = sorted(each.wait(PATIENCE) for each in (third, fourth))
     assert statuses[1] == post.module.BUSY or post.names("done")  # one was too late to meet the other
     assert post.images() == dict.fromkeys("abcde", image)
     assert set(post.records("done")) == set("abcde") and set(post.records("quarantine")) == {"bad"}
@@ -495,7 +496,7 @@ def test_signals_end_a_sweep_in_good_order(number: int, post: Post, image: dict[
         asked = time.monotonic()
         # A terminal sends Ctrl-C to all, the workers too.
         (os.killpg if number == signal.SIGINT else os.kill)(process.pid, number)
-        _, said = process.communicate(timeout=60)
+        _, said = process.communicate(timeout=PATIENCE)
     assert time.monotonic() - asked < 20
     assert process.returncode == 128 + number
     assert "the next sweep goes on from here" in said and "Traceback" not in said

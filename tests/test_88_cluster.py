@@ -16,7 +16,7 @@ import psutil
 import pytest
 from distributed import Client
 from faults import digests, litter, until
-from machines import two_machines
+from machines import Machine, two_machines
 from scenes import scene
 
 import blocksar
@@ -42,6 +42,7 @@ BLOCKSAR = (sys.executable, "-m", "blocksar.cli")
 SCHEDULER = (sys.executable, "-m", "distributed.cli.dask_scheduler", "--no-dashboard")
 WORKER = (sys.executable, "-m", "distributed.cli.dask_worker", "--no-dashboard", "--nthreads", "1")
 LOOPBACK = {"127.0.0.1", "::1"}
+PATIENCE = 200  # s: on a busy machine compiling takes its time
 
 
 @pytest.fixture(scope="module")
@@ -102,19 +103,78 @@ def here(*command: str, **more: Any) -> subprocess.Popen[str]:
 # ---------------------------------------------------------------- two machines
 
 
-def test_two_machines_come_to_the_same_bytes(store: Path, image: dict[str, str], tmp_path: Path) -> None:
-    """Scheduler and main process on one, workers on the other, a folder between them."""
-    address = "tcp://10.77.0.1:8786"
-    with two_machines() as (first, second), Said(tmp_path) as said:
+@pytest.mark.parametrize("between", ["folder", "bucket"])
+def test_two_machines_come_to_the_same_bytes(between: str, store: Path, image: dict[str, str], tmp_path: Path) -> None:
+    """Scheduler and main process on one, workers on the other; input and run lie in a folder or a bucket of both."""
+    address, shared = "tcp://10.77.0.1:8786", str(tmp_path / "run")
+    with two_machines() as (first, second), Said(tmp_path) as said, contextlib.ExitStack() as stack:
+        env = dict(os.environ)
+        source = str(store)
+        if between == "bucket":
+            env |= stack.enter_context(bucket_on(first))
+            bucket_work(first, env, "put", source, "in.zarr")
+            source, shared = "s3://between/in.zarr", "s3://between/run"
         said.start(first.start, "scheduler", *SCHEDULER, "--host", first.address, "--port", "8786")
         worker = (*WORKER, address, "--host", second.address, "--local-directory", str(tmp_path), "--memory-limit")
-        said.start(second.start, "worker", *worker, "2GiB", "--nworkers", "2")
+        said.start(second.start, "worker", *worker, "2GiB", "--nworkers", "2", env=env)
         until(lambda: said.text("worker").count("Registered to") == 2, "two workers")
-        command = (*BLOCKSAR, "focus", str(store), "--out", str(tmp_path / "run"), *WORDS, "--scheduler", address)
-        run = said.start(first.start, "main", *command)
-        assert run.wait(60) == 0, said.text("main")
+        command = (*BLOCKSAR, "focus", source, "--out", shared, *WORDS, "--scheduler", address)
+        run = said.start(first.start, "main", *command, env=env)
+        assert run.wait(PATIENCE) == 0, said.text("main")
         assert said.text("scheduler").count(f"tcp://{second.address}:"), "the workers were elsewhere"
+        if between == "bucket":
+            bucket_work(first, env, "get", str(tmp_path / "run" / "image.zarr"), "run/image.zarr")
     assert digests(tmp_path / "run" / "image.zarr") == image
+
+
+BUCKET_WORK = """
+import pathlib, sys
+import boto3
+what, folder, prefix = sys.argv[1], pathlib.Path(sys.argv[2]), sys.argv[3]
+s3 = boto3.client("s3")
+if what == "put":
+    s3.create_bucket(Bucket="between")
+    for path in folder.rglob("*"):
+        if path.is_file():
+            s3.upload_file(str(path), "between", f"{prefix}/{path.relative_to(folder)}")
+else:
+    for page in s3.get_paginator("list_objects_v2").paginate(Bucket="between", Prefix=prefix + "/"):
+        for entry in page["Contents"]:
+            path = folder / entry["Key"].removeprefix(prefix + "/")
+            path.parent.mkdir(parents=True, exist_ok=True)
+            s3.download_file("between", entry["Key"], str(path))
+"""
+
+
+def bucket_work(machine: Machine, env: dict[str, str], *what: str) -> None:
+    """Put a folder into the bucket, or get one from it, on a machine that reaches it."""
+    with machine.start(sys.executable, "-c", BUCKET_WORK, *what, env=env, stderr=subprocess.PIPE) as process:
+        said = process.communicate(timeout=PATIENCE)[1]
+    assert process.returncode == 0, said
+
+
+@contextlib.contextmanager
+def bucket_on(machine: Machine) -> Iterator[dict[str, str]]:
+    """A server of the S3 protocol on a machine; the environment that leads to it."""
+    for library in ("obstore", "moto", "boto3"):
+        pytest.importorskip(library)
+    import s3
+
+    program = s3.SERVER.replace("127.0.0.1", machine.address)
+    pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    with machine.start(sys.executable, "-c", program, **pipes) as server:
+        assert server.stdin is not None and server.stdout is not None
+        try:
+            yield {
+                "AWS_ENDPOINT_URL": f"http://{machine.address}:{int(server.stdout.readline())}",
+                "AWS_ACCESS_KEY_ID": "testing",
+                "AWS_SECRET_ACCESS_KEY": "testing",
+                "AWS_REGION": "us-east-1",
+                "AWS_DEFAULT_REGION": "us-east-1",
+            }
+        finally:
+            server.stdin.close()  # which ends it
+            server.wait(30)
 
 
 # ---------------------------------------------------------------- TLS
@@ -163,7 +223,7 @@ def test_tls_by_dasks_own_configuration(
 
         command = (*BLOCKSAR, "focus", str(store), "--out", str(tmp_path / "run"), *WORDS)
         run = said.start(here, "main", *command, "--scheduler", f"tls://127.0.0.1:{port}", env=secure)
-        assert run.wait(60) == 0, said.text("main")
+        assert run.wait(PATIENCE) == 0, said.text("main")
     assert digests(tmp_path / "run" / "image.zarr") == image
 
 
