@@ -360,9 +360,10 @@ class ObjectPlace(Place):
     @contextmanager
     def lock(self) -> Iterator[None]:
         """An object that is created only where none is, and renewed while its owner lives."""
-        tag = self._acquire()
+        owner = json.dumps(_owner() | {"token": secrets.token_hex(8)}).encode()
+        tag = self._acquire(owner)
         ended = threading.Event()
-        renewed = threading.Thread(target=self._renew, args=(tag, ended), name="lock", daemon=True)
+        renewed = threading.Thread(target=self._renew, args=(owner, tag, ended), name="lock", daemon=True)
         renewed.start()
         try:
             yield
@@ -370,33 +371,36 @@ class ObjectPlace(Place):
             ended.set()
             renewed.join()
             with suppress(OSError):
-                self.remove()
+                if self._current()[2] == owner:  # not somebody else's, who took it for dead
+                    self.remove()
 
-    def _acquire(self) -> str:
+    def _acquire(self, owner: bytes) -> str:
         for _ in range(RETRIES):
             with suppress(FileExistsError):
-                return self._put("create")
+                return self._put(owner, "create")
             try:
-                tag, when, owner = self._current()
+                tag, when, found = self._current()
             except FileNotFoundError:
                 continue  # given back in this moment
-            if _alive(owner) and self._now() - when < timedelta(seconds=LEASE):
-                raise Held(_describe(owner))
+            if found == owner:  # put here by a request whose answer was lost, and that was sent again
+                return tag
+            if _alive(found) and self._now() - when < timedelta(seconds=LEASE):
+                raise Held(_describe(found))
             with suppress(FileExistsError):
-                return self._put({"e_tag": tag})
+                return self._put(owner, {"e_tag": tag})
         raise Held("somebody else, this very moment")
 
-    def _renew(self, tag: str, ended: threading.Event) -> None:
+    def _renew(self, owner: bytes, tag: str, ended: threading.Event) -> None:
         while not ended.wait(LEASE / 4):
             # An endpoint out of reach: tried again, until the lease is over and somebody else may have it.
             with suppress(OSError):
-                tag = self._put({"e_tag": tag})
+                tag = self._put(owner, {"e_tag": tag})
 
-    def _put(self, mode: Any) -> str:
+    def _put(self, owner: bytes, mode: Any) -> str:
         import obstore
 
         with os_errors(self):
-            done = obstore.put(_bucket(self.bucket), self.key, json.dumps(_owner()).encode(), mode=mode)
+            done = obstore.put(_bucket(self.bucket), self.key, owner, mode=mode)
         return str(done["e_tag"])
 
     def _current(self) -> tuple[str, datetime, bytes]:

@@ -203,8 +203,11 @@ def write(run: Run, store: Place, variable: str, region: tuple[slice, ...], valu
     Raises
     ------
     ProcessingError
-        If it cannot be written.
+        If it cannot be written, or another run has taken the folder.
     """
+    # A given cluster may still be at work for a process that was killed, and whose run was then overwritten.
+    if run.identity.encode() not in (run.folder / "run.json").read_bytes():
+        raise ProcessingError(f"{run.folder} has been taken by another run")
     stores.write_region(store, variable, region, values)
     return written(run, store, variable, region, values)
 

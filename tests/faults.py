@@ -44,6 +44,7 @@ SCENE: dict[str, Any] = {  # 400 pulses of 1777 range frequencies: four column g
 RAW_SCENE = SCENE | {"prf": 16e3, "bandwidth": 100e6, "range_sampling": 120e6}  # 1600 pulses: four range-compress tasks
 NAMES = {"run.json", "collection.zarr", "spectrum.zarr", "patches", "image.zarr"}  # in a finished run, by README.md
 PATIENCE = 120  # s that anything may take on a busy machine before it counts as hung
+LOOPBACK = ("--host", "127.0.0.1", "--no-dashboard")
 PAGE = 4096  # bytes of a tmpfs' unit
 TICK = 0.002  # s between two looks
 
@@ -246,9 +247,9 @@ class Launcher:
         self._process.stdin.flush()
         return json.loads(self._process.stdout.readline())
 
-    def start(self, program: str, *typed: str, **constants: float) -> Process:
-        """Start `blocksar`, a dask `scheduler` or `worker`, with other values for names of `blocksar.cluster`."""
-        pid = self.ask(start=program, words=typed, constants=constants, folder=str(self.folder))
+    def start(self, program: str, *typed: str, **values: float) -> Process:
+        """Start `blocksar`, a dask `scheduler` or `worker`, with other values of `blocksar.cluster` or dask."""
+        pid = self.ask(start=program, words=typed, values=values, folder=str(self.folder))
         process = Process(self, pid, self.folder)
         self.started.append(process)
         until((self.folder / f"{pid}.err").exists, "a process to begin")
@@ -276,9 +277,24 @@ def _may_mount(option: str) -> bool:
 class Cluster:
     """A dask scheduler and workers, each a process of its own that nobody watches over."""
 
-    address: str
+    launcher: Launcher
+    folder: Path
     scheduler: Process
-    workers: list[Process]
+    workers: list[Process] = field(default_factory=list)
+
+    @property
+    def file(self) -> Path:
+        return self.folder / "scheduler.json"
+
+    @property
+    def address(self) -> str:
+        return str(json.loads(self.file.read_text())["address"])
+
+    def add_worker(self) -> Process:
+        place = ("--scheduler-file", str(self.file), "--local-directory", str(self.folder), *LOOPBACK)
+        worker = self.launcher.start("worker", *place, "--nthreads", "1", "--memory-limit", "2GiB", "--no-nanny")
+        self.workers.append(worker)
+        return worker
 
     def kill(self) -> None:
         for process in (self.scheduler, *self.workers):
@@ -287,20 +303,16 @@ class Cluster:
 
 
 @contextmanager
-def cluster(launcher: Launcher, folder: Path, *, workers: int = 1) -> Iterator[Cluster]:
-    """A cluster that ends with the block."""
+def cluster(launcher: Launcher, folder: Path, *, workers: int = 1, **values: float) -> Iterator[Cluster]:
+    """A cluster that ends with the block; `values` are of dask's configuration, for the scheduler."""
     folder.mkdir(parents=True)
-    file, loopback = folder / "scheduler.json", ("--host", "127.0.0.1", "--no-dashboard")
-    scheduler = launcher.start("scheduler", *loopback, "--port", "0", "--scheduler-file", str(file))
-    until(lambda: file.exists() and file.read_text().endswith("}"), "the scheduler")
-    one = ("--nthreads", "1", "--memory-limit", "2GiB", "--local-directory", str(folder), "--no-nanny")
-    started = [
-        launcher.start("worker", "--scheduler-file", str(file), *loopback, *one) for _ in range(workers)
-    ]  # fmt: skip
-    for worker in started:
-        worker.await_line("Registered to")
-    made = Cluster(json.loads(file.read_text())["address"], scheduler, started)
+    file = str(folder / "scheduler.json")
+    scheduler = launcher.start("scheduler", *LOOPBACK, "--port", "0", "--scheduler-file", file, **values)
+    made = Cluster(launcher, folder, scheduler)
     try:
+        until(lambda: made.file.exists() and made.file.read_text().endswith("}"), "the scheduler")
+        for worker in [made.add_worker() for _ in range(workers)]:
+            worker.await_line("Registered to")
         yield made
     finally:
         made.kill()
@@ -372,6 +384,8 @@ def serve() -> dict[str, Any] | None:
 
 def become(order: dict[str, Any], programs: dict[str, Callable[[], Any]]) -> None:
     """Turn into the program that was ordered: session, streams, signals and temporary files of its own."""
+    import dask
+
     from blocksar import cluster
 
     os.setsid()
@@ -382,9 +396,12 @@ def become(order: dict[str, Any], programs: dict[str, Callable[[], Any]]) -> Non
     new = os.O_WRONLY | os.O_CREAT | os.O_APPEND
     for number, (path, mode) in enumerate(((os.devnull, os.O_RDONLY), (f"{here}.out", new), (f"{here}.err", new))):
         os.dup2(os.open(path, mode), number)
-    for name, value in order["constants"].items():
-        assert hasattr(cluster, name), name
-        setattr(cluster, name, value)
+    for name, value in order["values"].items():
+        if "." in name:
+            dask.config.set({name: value})
+        else:
+            assert hasattr(cluster, name), name
+            setattr(cluster, name, value)
     sys.argv = [order["start"], *order["words"]]
     programs[order["start"]]()
 

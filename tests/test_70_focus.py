@@ -18,8 +18,8 @@ from scenes import GEOMETRIES, scene
 
 import blocksar
 from blocksar import api, planning, stores
-from blocksar.geometry import Geometry
 from blocksar.cluster import open_client
+from blocksar.geometry import Geometry
 from blocksar.parameters import InputError
 from blocksar.planning import Plan, plan_block, plan_collection
 from blocksar.recovery_plan import plan_recovery

@@ -20,7 +20,7 @@ from blocksar import graph, stores
 from blocksar.cluster import open_client
 from blocksar.parameters import InputError, ProcessingError
 from blocksar.places import place
-from blocksar.runs import Run
+from blocksar.runs import Run, write
 from blocksar.steps import stages
 
 GRID = ((15900.0, 16300.0, 4.0), (19000.0, 19400.0, 4.0))
@@ -234,3 +234,15 @@ def test_a_block_that_has_travelled_is_as_good(store: Path, tmp_path: Path) -> N
     there = graph.run_stage(run, block, stage, graph.Samples(fixed, {}))
     assert here.values is samples
     np.testing.assert_array_equal(here.values, there.values)
+
+
+def test_a_task_of_a_run_that_was_replaced_writes_nothing(store: Path, client: Client, tmp_path: Path) -> None:
+    """As on a given cluster, at work for a process that is dead, while --overwrite has begun another run."""
+    run = tmp_path / "run"
+    blocksar.focus(store, run, blocks=3, grid=GRID, client=client)
+    before = {p: p.stat().st_mtime_ns for p in run.rglob("*") if p.is_file()}
+    orphan = Run(folder=place(run), identity="0" * 32, threads=1)
+    values = np.zeros((64, 64), np.complex64)
+    with pytest.raises(ProcessingError, match="taken by another run"):
+        write(orphan, orphan.image, "image", (slice(0, 64), slice(0, 64)), values)
+    assert before == {p: p.stat().st_mtime_ns for p in run.rglob("*") if p.is_file()}

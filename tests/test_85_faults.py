@@ -28,6 +28,7 @@ from faults import (
     PAGE,
     SETTINGS,
     STAGES,
+    TICK,
     Cluster,
     Disk,
     Launcher,
@@ -339,7 +340,7 @@ def sizes(run: Path) -> dict[str, int]:
     }
 
 
-def sleep_of_plenty(disk: Disk, process: Process) -> int:
+def most_used(disk: Disk, process: Process) -> int:
     """Bytes that a disk holds at most while a process runs."""
     most = 0
     while process.poll() is None:
@@ -361,7 +362,7 @@ def test_full_disk(
     given = ("--scheduler", dask_cluster.address)
     if stage == "run.json":
         process = launcher.start("blocksar", *words(store, disk.folder / "whole", *given))
-        size = sleep_of_plenty(disk, process) - PAGE
+        size = most_used(disk, process) - PAGE
         assert process.wait() == 0
         assert not launcher.call("rm", "-r", str(disk.folder / "whole"))
     else:
@@ -440,6 +441,55 @@ def test_hung_worker(
         one_sentence(process)
     process.gone()
     assert again(tmp_path / "run") == set()
+
+
+def test_worker_that_wakes_up_late(
+    launcher: Launcher,
+    store: Path,
+    undisturbed: Undisturbed,
+    again: Callable[[Path], set[str]],
+    tmp_path: Path,
+) -> None:
+    """It hung while it made a block's patch, was given up, and goes on when another has long made that patch."""
+    run = tmp_path / "run"
+    with cluster(launcher, tmp_path / "dask", **{"distributed.scheduler.worker-ttl": 4}) as made:
+        late = made.workers[0]
+        process = launcher.start("blocksar", *words(store, run, "--scheduler", made.address))
+        process.await_line("focus: 0")
+        until((run / "patches").exists, "the patches")
+        late.send(signal.SIGSTOP)
+        block = until(lambda: _patch_begun(run, late), "the first patch")
+        made.add_worker()
+        process.await_line("mosaic: 0")
+        for one in (process, made.workers[1]):
+            one.send(signal.SIGSTOP)
+        late.send(signal.SIGCONT)
+        for _ in range(300):
+            if not list((run / "patches" / block).glob("image/c/0/*")):
+                break  # it has begun to make the patch anew
+            time.sleep(TICK)
+        late.send(signal.SIGSTOP)
+        for one in (process, made.workers[1]):
+            one.send(signal.SIGCONT)
+        if process.wait() != 0:
+            assert process.wait() == 1, process.stderr
+            one_sentence(process)
+        else:
+            assert left(run) == undisturbed.left
+        late.send(signal.SIGCONT)
+    again(run)
+    assert left(run) == undisturbed.left
+
+
+def _patch_begun(run: Path, worker: Process) -> str | None:
+    """Let a stopped worker go on for a moment, until it has a patch half made; whose."""
+    for name in os.listdir(run / "patches"):
+        if found := re.fullmatch(r"\.?(\w+)(\.[0-9a-f]+\.part)?", name):
+            return found[1]
+    worker.send(signal.SIGCONT)
+    time.sleep(TICK)
+    worker.send(signal.SIGSTOP)
+    return None
 
 
 # ---------------------------------------------------------------- signals

@@ -13,6 +13,8 @@ import itertools
 import json
 import os
 import pickle
+import re
+import resource
 import shutil
 import signal
 import socket
@@ -67,7 +69,7 @@ range = 5050.0
 yaw_deg = 0.0
 """
 LIT = 60  # pulses of a dwell
-GRID = ((4040.0, 4120.0, 4.0), (-40.0, 40.0, 4.0))  # around the target, where every pixel has a full dwell
+GRID = ((4040.0, 4121.0, 3.0), (-40.0, 41.0, 3.0))  # around the target, where every pixel has a full dwell
 EXACT: dict[str, Any] = {"processor": "backprojection", "grid": GRID}  # a whole run in a tenth of a second
 CHAIN: dict[str, Any] = {"blocks": 1, "grid": GRID}  # and in half a second
 ROUNDING = 1e-5  # of images that are the same but for the order of additions
@@ -114,7 +116,7 @@ def listing(folder: Path) -> dict[str, tuple[int, int, int]]:
 
 def one_sentence(error: BaseException | str) -> str:
     text = str(error)
-    assert text and len(text) < 1000 and text.isprintable(), f"not one plain sentence: {text!r}"
+    assert text and len(re.sub("x{100,}", "x", text)) < 1000 and text.isprintable(), f"not one plain sentence: {text!r}"
     assert "Traceback" not in text
     return text
 
@@ -165,7 +167,7 @@ class Bench:
         out = out or self.fresh()
         before = listing(Path(source)) if isinstance(source, str | Path) else {}
         try:
-            with deadline(6):
+            with deadline(60):
                 blocksar.focus(source, out, client=self.client, **wanted)
         except InputError as refusal:
             one_sentence(refusal)
@@ -194,7 +196,7 @@ class Bench:
 
     def refused(self, kind: str, command: Callable[..., Any], *args: Any, listed: bool = False, **kwargs: Any) -> str:
         """A command that may only be refused, by an InputError; of scene files it may list many wrong fields."""
-        with deadline(6), pytest.raises(InputError) as caught:
+        with deadline(60), pytest.raises(InputError) as caught:
             command(*args, **kwargs)
         self.tally[kind, "refused"] += 1
         text = str(caught.value)
@@ -979,8 +981,6 @@ def test_the_input_is_never_destroyed(overwrite: bool, bench: Bench) -> None:
 @pytest.mark.parametrize("wanted", [EXACT, CHAIN], ids=["exact", "chain"])
 def test_a_bad_input_leaves_the_old_run_as_it_was(wanted: dict[str, Any], bench: Bench) -> None:
     """With --overwrite as well: also where the input is found out only when its samples are read."""
-    run = bench.finished_run(**wanted)
-    before = listing(run)
     bad: dict[str, Path] = {
         "no store": bench.fresh(),
         "no track": bench.copy(),
@@ -995,6 +995,8 @@ def test_a_bad_input_leaves_the_old_run_as_it_was(wanted: dict[str, Any], bench:
     REPLACED["a pipe"](bad["a chunk that is a pipe"] / "signal/c/0/0")
 
     def case(source: Path, overwrite: bool) -> None:
+        run = bench.finished_run(**wanted)
+        before = listing(run)
         options: dict[str, Any] = {"client": bench.client, "overwrite": overwrite, **wanted}
         bench.refused("old runs", blocksar.focus, source, run, **options)
         assert listing(run) == before, "the old run was changed"
@@ -1039,7 +1041,7 @@ def test_records_of_runs_that_lie(bench: Bench, key: str, value: Any, wanted: st
 def resume(bench: Bench, run: Path, kind: str) -> None:
     before = listing(run)
     try:
-        with deadline(6):
+        with deadline(60):
             blocksar.focus(bench.store, run, client=bench.client, **EXACT)
     except (InputError, ProcessingError) as error:
         one_sentence(error)
@@ -1095,7 +1097,7 @@ def test_quality_of_damaged_runs(bench: Bench) -> None:
         run = bench.finished_run(**CHAIN)
         damage(run / name)
         try:
-            with deadline(6):
+            with deadline(60):
                 blocksar.quality(run)
             outcome = "taken at its word"
         except (InputError, ProcessingError) as error:
@@ -1125,7 +1127,7 @@ def test_targets_of_any_kind(bench: Bench, value: Any) -> None:
 def measure(bench: Bench, targets: Path) -> None:
     run = bench.run(**CHAIN)
     try:
-        with deadline(6):
+        with deadline(60):
             blocksar.quality(run, targets=targets)
         outcome = "taken at its word"
     except InputError as error:
@@ -1161,7 +1163,7 @@ def plan_scene(bench: Bench, content: bytes, kind: str) -> str:
     scene = bench.fresh(".toml")
     scene.write_bytes(content)
     try:
-        with deadline(6):
+        with deadline(60):
             blocksar.plan(scene, **EXACT)
         outcome = "taken at its word"
     except InputError as error:
@@ -1275,8 +1277,20 @@ def test_scenes_that_are_none(bench: Bench) -> None:
 # ---------------------------------------------------------------- the command line
 
 
+@contextlib.contextmanager
+def little_memory(spare: int = 1 << 30) -> Iterator[None]:
+    """What asks for more than a GiB gets none, rather than all that the machine has."""
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (used + spare, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+
+
 def command(*words: str) -> Any:
-    with deadline(120):
+    with deadline(30), little_memory():
         return CliRunner().invoke(cli.app, words)
 
 
@@ -1376,39 +1390,51 @@ def test_processes_end_with_one_message_and_status_2(bench: Bench) -> None:
 # ---------------------------------------------------------------- permission
 
 LOCKED = ["", "zarr.json", "time", "time/c", "time/c/0", "signal/zarr.json", "signal/c/0/0"]
-AS_NOBODY = """
-import os, sys
-os.setgid(65534), os.setuid(65534)
-os.environ["NUMBA_DISABLE_JIT"] = "1"
-import blocksar
-from blocksar.parameters import InputError
-for path in sys.argv[2:]:
-    try:
-        blocksar.focus(path, sys.argv[1], client=object())
-        print("handled")
-    except InputError as error:
-        print("refused", error)
-"""
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root can become somebody else")
+@pytest.mark.skipif(os.geteuid() == 0 and not hasattr(os, "fork"), reason="root may read everything")
 def test_without_permission(bench: Bench) -> None:
-    with tempfile.TemporaryDirectory(dir="/tmp") as room:
+    with tempfile.TemporaryDirectory() as room:
         os.chmod(room, 0o755)
-        paths = []
-        for i, name in enumerate(LOCKED):
-            paths.append(str(shutil.copytree(bench.store, f"{room}/{i}.zarr")))
-            os.chmod(f"{paths[-1]}/{name}", 0)
-        done = subprocess.run(
-            [sys.executable, "-c", AS_NOBODY, f"{room}/run", *paths], capture_output=True, text=True, check=False,
-            cwd=room, timeout=120, env={**os.environ, "HOME": room, "NUMBA_CACHE_DIR": room},
-        )  # fmt: skip
-        assert done.returncode == 0, done.stderr
-        said = done.stdout.splitlines()
-        assert len(said) == len(LOCKED) and all(line.startswith("refused") for line in said), said
-        assert all("permission" in line.lower() for line in said)
+        paths = [Path(shutil.copytree(bench.store, f"{room}/{i}.zarr")) for i in range(len(LOCKED))]
+        for path, name in zip(paths, LOCKED, strict=True):
+            os.chmod(path / name, 0)
+        said = as_nobody(lambda: [refusal(path, Path(room, "run")) for path in paths])
+        for path, name in zip(paths, LOCKED, strict=True):
+            os.chmod(path / name, 0o700)
+        assert len(said) == len(LOCKED) and all("ermission" in one_sentence(text) for text in said), said
         assert not os.path.lexists(f"{room}/run")
     bench.tally["permission", "refused"] += len(LOCKED)
+
+
+def refusal(source: Path, out: Path) -> str:
+    try:
+        blocksar.focus(source, out, client=object(), **EXACT)  # type: ignore[arg-type]
+    except InputError as error:
+        return str(error)
+    except Exception as error:
+        return f"{type(error).__name__}\n{error}"
+    return "handled\n"
+
+
+def as_nobody(ask: Callable[[], list[str]]) -> list[str]:
+    """What somebody without rights is told: root becomes that in a process of its own."""
+    if os.geteuid() != 0:
+        return ask()
+    reading, writing = os.pipe()
+    with warnings.catch_warnings(action="ignore", category=DeprecationWarning):  # of forks beside threads
+        child = os.fork()
+    if child == 0:
+        os.setgroups([])
+        os.setgid(65534)
+        os.setuid(65534)
+        os.write(writing, json.dumps(ask()).encode())
+        os._exit(0)
+    os.close(writing)
+    with open(reading, "rb") as file:
+        said = file.read()
+    os.waitpid(child, 0)
+    return list(json.loads(said))
 
 
 # ---------------------------------------------------------------- the sum

@@ -52,8 +52,8 @@ import blocksar
 from blocksar import stores
 from blocksar.backprojection import accumulate, form_points, lit_interval, pulse_block_size, range_profiles
 from blocksar.cli import parse_blocks, parse_memory
-from blocksar.geometry import Geometry
 from blocksar.cluster import machine, open_client
+from blocksar.geometry import Geometry
 from blocksar.graph import peak_memory
 from blocksar.measurement import coherence
 from blocksar.parameters import Collection, ComplexArray, FloatArray, InputError
@@ -567,7 +567,8 @@ class Bench:
     def simulate(self, case: Case) -> Path:
         store = self.folder / f"{case.scale}" / "phase_history.zarr"
         tell(f"{case.scale}: simulating {case.samples / 1e6:.1f} M samples")
-        return blocksar.simulate(case.scene, store, threads=machine()[0])
+        blocksar.simulate(case.scene, store, threads=machine()[0])
+        return store
 
     def focus(self, client: Client, case: Case, store: Path) -> tuple[float, dict[str, Any], Path]:
         """Focus into an empty folder; seconds from call to return, the run's record, the run."""
