@@ -10,6 +10,7 @@ import logging
 import os
 import signal
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
@@ -32,6 +33,7 @@ WORKER_TTL = 60.0  # seconds: a worker of ours that has not been heard of for so
 NO_WORKER = 120.0  # seconds without any worker
 STALL = 3600.0  # seconds in which nothing was finished
 CONNECT = 20.0  # seconds for a given scheduler to answer
+SETTINGS = {"distributed.admin.low-level-log-length": 10}  # else what was sent to workers is kept, 1000 times
 POLL = 2.0  # seconds between two looks at the cluster while nothing is finished
 
 
@@ -48,6 +50,8 @@ def cluster_size(client: Client) -> tuple[int, int]:
     InputError
         If it has no worker.
     """
+    with suppress(TimeoutError):
+        client.wait_for_workers(1, timeout=CONNECT)  # the only one may just be starting again
     workers = client.scheduler_info(n_workers=-1)["workers"]
     if not workers:
         raise InputError("the dask scheduler has no worker; start some")
@@ -75,22 +79,40 @@ def open_client(
     """
     if client is not None:
         yield client
-    elif scheduler is not None:
-        try:
-            connected = Client(scheduler, timeout=CONNECT)
-        except (OSError, ValueError, RuntimeError, TypeError) as error:
-            cause = " ".join(str(error).split()) or type(error).__name__
-            raise InputError(f"no dask scheduler answers at {scheduler} ({cause}); check --scheduler") from None
-        with connected:
+        return
+    with ExitStack() as stack:
+        stack.enter_context(dask.config.set(SETTINGS))
+        stack.enter_context(_silent())
+        if scheduler is not None:
+            connected = stack.enter_context(_connected(scheduler))
             _check_versions(connected, scheduler)
             yield connected
-    else:
-        with ExitStack() as stack:
-            if scratch is None:
-                scratch = stack.enter_context(
-                    tempfile.TemporaryDirectory(prefix="blocksar-", ignore_cleanup_errors=True)
-                )
-            yield stack.enter_context(_own(workers, threads, memory_limit, scratch))
+            return
+        if scratch is None:
+            scratch = stack.enter_context(tempfile.TemporaryDirectory(prefix="blocksar-", ignore_cleanup_errors=True))
+        yield stack.enter_context(_own(workers, threads, memory_limit, scratch))
+
+
+def _connected(scheduler: str) -> Client:
+    try:
+        return Client(scheduler, timeout=CONNECT)
+    except (OSError, ValueError, RuntimeError, TypeError) as error:
+        cause = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"no dask scheduler answers at {scheduler} ({cause}); check --scheduler") from None
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """Not a word of dask's: what a run ends with says it in one sentence."""
+    loggers = [logging.getLogger(name) for name in logging.root.manager.loggerDict if name.startswith("distributed")]
+    before = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, before, strict=True):
+            logger.setLevel(level)
 
 
 def _check_versions(client: Client, scheduler: str) -> None:
@@ -124,31 +146,62 @@ def _own(workers: int, threads: int, memory_limit: int | None, scratch: str) -> 
         "distributed.scheduler.work-stealing": False,
         "distributed.scheduler.worker-saturation": 1.0,
         "distributed.scheduler.worker-ttl": WORKER_TTL,
+        # So long after a loss, a worker that is just starting again would be given up for good.
+        "distributed.deploy.lost-worker-timeout": "1h",
+        "temporary-directory": scratch,
         "distributed.nanny.pre-spawn-environ.NUMBA_NUM_THREADS": threads,
         # Blocks go back to the system at once; groups of rows and chunks stay in malloc's keeping, and in the cache.
         "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": 24 * 2**20,
         "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": 64 * 2**20,
     }
-    with (
-        dask.config.set(settings),
-        LocalCluster(
-            n_workers=workers,
-            threads_per_worker=1,
-            processes=True,
-            memory_limit=memory_limit or "auto",
-            host="127.0.0.1",
-            dashboard_address="127.0.0.1:0",  # any free port, loopback only; needs bokeh to show more than metrics
-            local_directory=scratch,
-            silence_logs=logging.CRITICAL,  # what a run ends with says it in one sentence
-        ) as cluster,
-        Client(cluster) as client,
-    ):
+    with ExitStack() as stack:
+        stack.enter_context(dask.config.set(settings))
+        with _signals_later():  # an interrupted start leaves a cluster that nobody can close
+            cluster = LocalCluster(
+                n_workers=0,
+                threads_per_worker=1,
+                processes=True,
+                memory_limit=memory_limit or "auto",
+                host="127.0.0.1",
+                dashboard_address="127.0.0.1:0",  # any free port, loopback only; needs bokeh to show more than metrics
+                silence_logs=logging.CRITICAL,
+            )
+            stack.enter_context(cluster)
+            cluster.sync(_deaf_to_interrupts)
+            cluster.scale(workers)
+            client = stack.enter_context(Client(cluster))
+            client.wait_for_workers(workers)
         try:
             yield client
         except BaseException:
             # Else closing waits for tasks whose results are of no use any more.
             _kill_workers(cluster)
             raise
+
+
+async def _deaf_to_interrupts() -> None:
+    """Ctrl-C in a terminal goes to all processes of a command: workers, which inherit this, leave it to the first."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+
+
+@contextmanager
+def _signals_later() -> Iterator[None]:
+    """Keep Ctrl-C and SIGTERM until the end of the block."""
+    if threading.current_thread() is not threading.main_thread():  # others do not get any
+        yield
+        return
+    came: list[int] = []
+    before = {each: signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)}
+    caught = {each: handler for each, handler in before.items() if callable(handler)}
+    for each in caught:
+        signal.signal(each, lambda number, _: came.append(number))
+    try:
+        yield
+    finally:
+        for each, handler in caught.items():
+            signal.signal(each, handler)
+    if came:
+        signal.raise_signal(came[0])
 
 
 def _kill_workers(cluster: LocalCluster) -> None:

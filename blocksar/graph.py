@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import wraps
+from functools import partial, wraps
 from itertools import pairwise
 from typing import Any, ParamSpec, TypeVar
 
@@ -204,13 +204,7 @@ def write_patch(run: Run, unit: str, name: str, block: Samples, ground: GroundMa
     first_y, first_x, n_y, n_x = patch_window(ground, grid)
     path = run.patch(name)
     side = image_chunk(grid)
-    stores.create(
-        path, stores.PATCH, sizes={}, attrs={"title": f"block {name}"}, overwrite=True,
-        coords={"x": grid.x[first_x : first_x + n_x], "y": grid.y[first_y : first_y + n_y]},
-        chunks={"y": side[0], "x": side[1]},
-    )  # fmt: skip
     assert block.values is not None
-    files = run.file_checksums(path)
     chunks = []
     chunk = np.empty(side[0] * side[1], np.complex64)
     for y in range(0, n_y, side[0]):
@@ -229,10 +223,10 @@ def write_patch(run: Run, unit: str, name: str, block: Samples, ground: GroundMa
             if np.isfinite(pixels.real).any():
                 chunks.append(write(run, path, "image", (rows, columns), pixels))
     seconds = block.seconds | {"geometric-correction": time.perf_counter() - started}
-    return _sign(run, unit, started, chunks, origin=[first_y, first_x], files=files, steps=seconds)
+    return _sign(run, unit, started, chunks, origin=[first_y, first_x], steps=seconds)
 
 
-Parts = Sequence[tuple[int, str, int, int]]  # block, name, first row and first column of a patch
+Parts = Sequence[tuple[int, str, int, int, str]]  # block, name, first row and column of its patch, checksum there
 
 
 @named(lambda run, unit, *_: f"mosaic of {unit}")
@@ -251,12 +245,14 @@ def _merge(run: Run, cell: tuple[int, int], parts: Parts, grid: Grid) -> list[Wr
     shape = (rows.stop - rows.start, columns.stop - columns.start)
     windows = [
         tuple(slice(part.start - first, part.stop - first) for part, first in zip((rows, columns), origin, strict=True))
-        for _, _, *origin in parts
+        for _, _, *origin, _ in parts
     ]
     image: ComplexArray | None = None
     owner = np.full(shape, -1, np.int16)
-    for (index, name, *_), window in zip(parts, windows, strict=True):
+    for (index, name, *_, checksum), window in zip(parts, windows, strict=True):
         patch = stores.read_region(run.patch(name), "image", window)
+        if stores.checksum(patch) != checksum:
+            raise ProcessingError(f"the patch of block {name} is no longer what was written")
         mine = np.isfinite(patch.real)
         np.copyto(owner, index, where=mine)
         if image is None:
@@ -474,6 +470,9 @@ def _compress(
 def focus_blocks(client: Client, plan: Plan, run: Run, lit: FloatArray, report: Report) -> list[Receipt]:
     """Every block by its own chain of tasks: spectrum.zarr to patches/<block>."""
     collection = plan.geometry.collection
+    # By this process, before all tasks: one that was given up, and comes too late, must not empty what another wrote.
+    for block in plan.blocks:
+        run.establish(run.patch(block.name), partial(_create_patch, run, block, plan.grid))
 
     def start(position: int, unit: str, block: BlockPlan) -> Callable[[], Future[Any]]:
         ground = replace(block.ground, lit=lit_pulses(collection, block.ground.yaw_axis, lit))
@@ -509,15 +508,25 @@ def focus_blocks(client: Client, plan: Plan, run: Run, lit: FloatArray, report: 
     return run_units(client, "focus", units, run, report)
 
 
+def _create_patch(run: Run, block: BlockPlan, grid: Grid) -> None:
+    first_y, first_x, n_y, n_x = patch_window(block.ground, grid)
+    side = image_chunk(grid)
+    stores.create(
+        run.patch(block.name), stores.PATCH, sizes={}, attrs={"title": f"block {block.name}"}, overwrite=True,
+        coords={"x": grid.x[first_x : first_x + n_x], "y": grid.y[first_y : first_y + n_y]},
+        chunks={"y": side[0], "x": side[1]},
+    )  # fmt: skip
+
+
 def mosaic(client: Client, plan: Plan, run: Run, patches: Sequence[Receipt], report: Report) -> list[Receipt]:
     """Patches to image.zarr, by output chunk; chunks that no block covers are never written."""
     side = image_chunk(plan.grid)
-    cells: dict[tuple[int, int], list[tuple[int, str, int, int]]] = {}
+    cells: dict[tuple[int, int], list[tuple[int, str, int, int, str]]] = {}
     for block, receipt in zip(plan.blocks, patches, strict=True):
         first_y, first_x = receipt["origin"]
-        for _, _, ((y, _), (x, _)), _ in receipt["written"]:
+        for _, _, ((y, _), (x, _)), checksum in receipt["written"]:
             cell = ((first_y + y) // side[0], (first_x + x) // side[1])
-            cells.setdefault(cell, []).append((block.index, block.name, first_y, first_x))
+            cells.setdefault(cell, []).append((block.index, block.name, first_y, first_x, checksum))
 
     def start(unit: str, some: dict[tuple[int, int], Parts]) -> Callable[[], Future[Any]]:
         return lambda: client.submit(

@@ -53,6 +53,7 @@ TURNING = 0.9  # of the least real part: segments that add up to less of what th
 EVEN = 0.8  # of its share that the rest must hold, whichever dwell is left out, for a scene to be lit evenly
 SIGNIFICANT = 5  # deviations of noise
 DWELL_NODES = 16  # of a target's dwell at which its Doppler is taken
+SQUARED = (1e-12, 1e15)  # samples whose squares are summed in float32 as they are
 TURN = 2 * np.pi
 
 Counts = dict[int, int]
@@ -207,6 +208,10 @@ def inspect(
         signal[missing > 0] = _finite(signal[missing > 0])
         outliers = _strike(signal, np.flatnonzero(scan.suspect.any(axis=0)))
         scan = _scan(signal, range_frequency, recovery, threads)
+    extreme = float(scan.extreme.max().view(np.float32))
+    if recovery is not None and extreme > 0 and not SQUARED[0] < extreme < SQUARED[1]:
+        exponent = np.clip(np.frexp(extreme)[1], -100, 100)
+        scan = _scan(signal, range_frequency, recovery, threads, scale=2.0 ** -float(exponent))
     real, imag = scan.at_extreme[scan.extreme == scan.extreme.max()].sum(axis=0)
     return Inspection(
         n_pulse=n_pulse,
@@ -214,7 +219,7 @@ def inspect(
         missing={int(p): int(missing[p]) for p in np.flatnonzero(missing)},
         outliers={p: [first_column + c for c in columns] for p, columns in outliers.items()},
         valid=int(scan.valid.sum()),
-        extreme=float(scan.extreme.max().view(np.float32)),
+        extreme=extreme,
         at_extreme=(int(real), int(imag)),
         pairs=scan.pairs.tolist() if recovery is not None else [],
     )
@@ -232,7 +237,15 @@ class _Scan:
     pairs: FloatArray
 
 
-def _scan(signal: ComplexArray, range_frequency: FloatArray, recovery: Recovery | None, threads: int) -> _Scan:
+def _scan(
+    signal: ComplexArray,
+    range_frequency: FloatArray,
+    recovery: Recovery | None,
+    threads: int,
+    *,
+    scale: float = 1.0,
+) -> _Scan:
+    """One pass; the pairs are summed of samples times `scale`, a power of two, and scaled back."""
     n_pulse, n_column = signal.shape
     scan = _Scan(
         np.zeros(n_pulse, np.int64),
@@ -255,7 +268,8 @@ def _scan(signal: ComplexArray, range_frequency: FloatArray, recovery: Recovery 
         seen = _look(parts, first, last, scan.missing, scan.suspect[k])
         scan.valid[k], scan.extreme[k], scan.at_extreme[k] = seen[0], seen[1], seen[2:]
         if recovery is not None:
-            _sum_pairs(signal, first, last, advance, factor, scan.pairs[k])
+            _sum_pairs(signal, np.float32(scale), first, last, advance, factor, scan.pairs[k])
+            scan.pairs[k] /= scale**2
 
     run_groups(work, range(SEGMENTS), threads)
     return scan
@@ -379,20 +393,26 @@ def _look(
 
 
 @njit(inline="always")
-def _conjugate_product(a: Any, b: Any, i: Any) -> Any:
-    """LANES samples from i on: conj(a) b, and the energy of a."""
-    ar, ai, br, bi = load_real(a, i), load_imag(a, i), load_real(b, i), load_imag(b, i)
+def _conjugate_product(a: Any, b: Any, i: Any, scale: Any) -> Any:
+    """LANES samples from i on, times `scale`: conj(a) b, and the energy of a."""
+    ar, ai, br, bi = load_real(a, i) * scale, load_imag(a, i) * scale, load_real(b, i) * scale, load_imag(b, i) * scale
     return ar * br + ai * bi, ar * bi - ai * br, ar * ar + ai * ai
 
 
 @njit(
-    [(_SAMPLES, types.int64, types.int64, types.float64[::1], types.float64[::1], types.float64[::1])],
+    [(_SAMPLES, types.float32, types.int64, types.int64, types.float64[::1], types.float64[::1], types.float64[::1])],
     cache=True,
     nogil=True,
     fastmath={"contract", "nsz"},
 )
 def _sum_pairs(
-    signal: ComplexArray, first: int, last: int, advance: FloatArray, factor: FloatArray, out: FloatArray
+    signal: ComplexArray,
+    scale: np.float32,
+    first: int,
+    last: int,
+    advance: FloatArray,
+    factor: FloatArray,
+    out: FloatArray,
 ) -> None:
     """out = sum over p of conj(s[p, c]) s[p + 1, c] exp(-2j pi (factor[0] + c factor[1]) advance[p]), and the energy.
 
@@ -409,9 +429,9 @@ def _sum_pairs(
         turn = -TURN * LANES * step
         wr, wi = np.float32(np.cos(turn)), np.float32(np.sin(turn))
         rest[: n_column - whole], rest_next[: n_column - whole] = row[whole:], after[whole:]
-        real, imag, energy = _conjugate_product(rest, rest_next, 0)
+        real, imag, energy = _conjugate_product(rest, rest_next, 0, scale)
         for k in range(whole // LANES):
-            pr, pi, more = _conjugate_product(row, after, whole - LANES * (k + 1))
+            pr, pi, more = _conjugate_product(row, after, whole - LANES * (k + 1), scale)
             real, imag = real * wr - imag * wi + pr, real * wi + imag * wr + pi
             energy = energy + more
         store(reals, 0, real)
@@ -473,7 +493,6 @@ def _sums(found: Inspection) -> tuple[NDArray[np.complex128], FloatArray]:
     if not found.pairs:
         raise ValueError("no pulse pairs were summed")
     pairs = np.array(found.pairs)
-    pairs[~np.isfinite(pairs).all(axis=1)] = 0  # samples near the ends of what float32 holds
     return pairs[:, 0] + 1j * pairs[:, 1], pairs[:, 2]
 
 
@@ -530,7 +549,7 @@ def expect(
     start, end = collection.time[[0, -1]] + collection.pulse_interval * np.array([-0.5, 0.5])
     late, early = first <= start, last >= end  # begun too late, or ended too early, to see all of them
     uncut = ~(late | early)
-    if not (collection.steered and uncut.any()):
+    if not uncut.any():  # as it is where the beam is not steered: lit from start to end
         return None
     nodes, weights = np.polynomial.legendre.leggauss(DWELL_NODES)
     first, last = first[uncut, None], last[uncut, None]
@@ -564,14 +583,13 @@ def disagreement(found: Inspection, expected: Expectation) -> str | None:
 
     Two things are looked at. The sum over all segments must lie between the vectors that targets add up to, but for
     what targets may contribute that the ends of the collection cut: no more than the moduli of the segments they can
-    be lit in. That holds for any scene. And the segments must add up at all, with any dwell left out, rather than turn
-    from one to the next as they do when the phase has the wrong sign: that takes a scene that is lit for more than a
-    dwell or two.
+    be lit in. That holds for any scene. And the segments of a scene that is lit about evenly must add up, with one dwell
+    or another left out if need be, rather than turn from one to the next as they do when the phase has the wrong sign.
 
     Not seen are errors that move Doppler by less than MAX_OFFSET or by whole PRFs; that turn or shift track and beam
-    together; along the line of sight only, as a wrong reference range does; in scenes of one or a few targets, or lit
-    for less than two dwells, such as hide behind what the collection's ends cut; and all where noise is stronger than
-    the echoes by more than the root of the number of samples.
+    together, or move both along the line of sight by a constant; in scenes of one or a few targets, a part of all
+    errors, and those of phase most; where the dwell is longer than half the collection, nothing; nor where noise is
+    stronger than the echoes by about the root of the number of samples in it.
     """
     sums, energy = _sums(found)
     pulses = np.diff(np.arange(SEGMENTS + 1) * found.n_pulse // SEGMENTS)

@@ -194,10 +194,10 @@ class LocalPlace(Place):
 
     def sweep(self) -> None:
         for parent, folders, names in os.walk(self.path):
-            for name in [n for n in folders if _is_temporary(n)]:
+            for name in [n for n in folders if is_temporary(n)]:
                 folders.remove(name)
                 shutil.rmtree(os.path.join(parent, name), ignore_errors=True)
-            for name in filter(_is_temporary, names):
+            for name in filter(is_temporary, names):
                 with suppress(OSError):
                     os.unlink(os.path.join(parent, name))
 
@@ -272,7 +272,8 @@ def temporary(path: str | os.PathLike[str], kind: str) -> str:
     return os.path.join(folder, f".{short}.{secrets.token_hex(4)}.{kind}")
 
 
-def _is_temporary(name: str) -> bool:
+def is_temporary(name: str) -> bool:
+    """Whether `temporary` gave it."""
     return re.fullmatch(r"\..*\.[0-9a-f]{8}\.(part|old)", name, re.DOTALL) is not None
 
 

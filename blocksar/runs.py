@@ -19,7 +19,7 @@ from typing import Any
 
 from blocksar import stores
 from blocksar.parameters import InputError, ProcessingError
-from blocksar.places import Held, LocalPlace, Place
+from blocksar.places import Held, LocalPlace, Place, is_temporary
 from blocksar.stores import Array
 
 Receipt = dict[str, Any]
@@ -145,7 +145,7 @@ class Run:
         ProcessingError
             If it cannot be written.
         """
-        unit = f"store-{store.name}"
+        unit = f"store-{store.name.removesuffix('.zarr')}"
         found = self.receipt(unit)
         if found is None or not self.intact(found):
             try:
@@ -277,7 +277,7 @@ def existing(folder: Place, settings: Mapping[str, Any], fingerprint: str, *, ov
         raise InputError(f"{folder} is not a folder; choose another --out")
     names = _names(folder)
     if "run.json" not in names:
-        foreign = [name for name in names if name not in (*LEFT_ALONE, LOCK, ASIDE)]
+        foreign = [name for name in names if name not in (*LEFT_ALONE, LOCK, ASIDE) and not is_temporary(name)]
         if foreign:
             raise InputError(f"{folder} exists and holds no run of blocksar (but {foreign[0]}); choose another --out")
         return None

@@ -121,7 +121,7 @@ def one_sentence(error: BaseException | str) -> str:
     return text
 
 
-@dataclass
+@dataclass(repr=False)
 class Bench:
     """A clean store, what it gives, and the cluster that everybody shares; counts what became of every case."""
 
@@ -303,7 +303,7 @@ def test_damaged_bytes(damage: Any, bench: Bench) -> None:
     def samples(store: Path) -> None:
         bench.attempt(f"bytes {damage.__name__}", store, error=1.0)
 
-    times = {truncated: 2, grown: 1}.get(damage, 4)
+    times = {truncated: 2, grown: 1}.get(damage, 3)
     bench.all({f"{name} {i}": lambda name=name, i=i: case(name, i) for name in FILES for i in range(times)})
 
 
@@ -562,7 +562,7 @@ def with_metadata(bench: Bench, name: str, change: Callable[[dict[str, Any]], An
     return store
 
 
-@settings(MANY, max_examples=60)
+@settings(MANY, max_examples=40)
 @given(name=st.sampled_from(ATTRIBUTES), value=JSON)
 def test_attributes_of_any_kind(bench: Bench, name: str, value: Any) -> None:
     store = with_metadata(bench, "", lambda m: m["attributes"].update({name: value}))
@@ -832,6 +832,13 @@ def test_sources_of_any_name(bench: Bench) -> None:
     bench.all({repr(name): lambda name=name: case(name) for name in NAMES})
 
 
+@pytest.mark.parametrize("command", [blocksar.plan, blocksar.quality, lambda path: blocksar.focus(path, "x")])
+def test_what_is_not_there_is_named_in_one_line(command: Any, bench: Bench) -> None:
+    bench.all(
+        {repr(name): lambda name=name: bench.refused("names of nothing", command, bench.room / name) for name in NAMES}
+    )
+
+
 def test_runs_of_any_name(bench: Bench) -> None:
     def case(name: str) -> None:
         out = bench.fresh() / name
@@ -1027,7 +1034,7 @@ RECORD_KEYS = [
 ]
 
 
-@settings(MANY, max_examples=60)
+@settings(MANY, max_examples=40)
 @given(key=st.sampled_from(RECORD_KEYS), value=JSON, wanted=st.sampled_from(["finished", "unfinished"]))
 def test_records_of_runs_that_lie(bench: Bench, key: str, value: Any, wanted: str) -> None:
     """A run whose record is not its own is refused, or done anew; never a wrong image, never a traceback."""
@@ -1310,7 +1317,7 @@ AXIS = st.lists(st.one_of(st.floats(), st.integers(-(10**20), 10**20)), min_size
 )
 
 
-@settings(MANY, max_examples=100)
+@settings(MANY, max_examples=60)
 @given(grid=st.one_of(WORDS, st.lists(AXIS, min_size=2, max_size=2).map(",".join)))
 def test_grids_of_any_text(bench: Bench, grid: str) -> None:
     told_well(bench, "--grid", command("plan", str(bench.store), "--processor", "backprojection", f"--grid={grid}"))
@@ -1324,10 +1331,14 @@ def test_blocks_of_any_text(bench: Bench, blocks: str) -> None:
     )
 
 
-@settings(MANY, max_examples=50)
+@settings(MANY, max_examples=40)
 @given(memory=st.one_of(WORDS, st.from_regex(r"\A[0-9]{1,3}(e[0-9]{1,4})?[kMGT]?i?B?\Z")))
 def test_memory_limits_of_any_text(bench: Bench, memory: str) -> None:
-    told_well(bench, "--memory-limit", command("plan", str(bench.store), f"--memory-limit={memory}", "--blocks=1"))
+    told_well(
+        bench,
+        "--memory-limit",
+        command("plan", str(bench.store), f"--memory-limit={memory}", "--processor=backprojection"),
+    )
 
 
 def test_settings_beyond_reason(bench: Bench) -> None:
@@ -1389,10 +1400,9 @@ def test_processes_end_with_one_message_and_status_2(bench: Bench) -> None:
 
 # ---------------------------------------------------------------- permission
 
-LOCKED = ["", "zarr.json", "time", "time/c", "time/c/0", "signal/zarr.json", "signal/c/0/0"]
+LOCKED = ["", "zarr.json", "time", "time/c", "time/c/0", "signal/zarr.json", "signal/c"]
 
 
-@pytest.mark.skipif(os.geteuid() == 0 and not hasattr(os, "fork"), reason="root may read everything")
 def test_without_permission(bench: Bench) -> None:
     with tempfile.TemporaryDirectory() as room:
         os.chmod(room, 0o755)
@@ -1445,7 +1455,7 @@ def test_there_were_hundreds_of_cases_of_every_outcome(bench: Bench, request: py
         pytest.skip("only a part of this file was asked for")
     kinds = sorted({kind for kind, _ in bench.tally})
     outcomes = ["the clean image", "within what is missing or in error", "taken at its word", "refused"]
-    print("\n" + " " * 24 + "".join(f"{outcome.split()[0]:>10}" for outcome in outcomes))
+    print("\n" + " " * 24 + "".join(f"{word:>10}" for word in ("clean", "within", "its word", "refused")))
     for kind in kinds:
         print(f"{kind:24}" + "".join(f"{bench.tally[kind, outcome]:>10}" for outcome in outcomes))
     sums = {outcome: sum(bench.tally[kind, outcome] for kind in kinds) for outcome in outcomes}

@@ -37,7 +37,6 @@ import json
 import os
 import shlex
 import shutil
-import signal
 import subprocess
 import sys
 import time
@@ -554,9 +553,7 @@ def main(
 
     Example: [bold]python workflows/process_inbox.py inbox outbox --workers 2 --notify notify-operators[/bold]
     """
-    for number in (signal.SIGINT, signal.SIGTERM):
-        if signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, cli._stop)
+    cli.catch_signals()
     try:
         settings: Settings = {
             "processor": processor,
