@@ -8,14 +8,13 @@ functions judge it and say it in sentences.
 
 Outliers
 --------
-A receiver has a dynamic range, and a scene's samples along the pulses of one range frequency change no faster than
-targets enter and leave the beam. One sample that stands STANDS_OUT-fold (40 dB) above everything near it and above
-the column's median is neither: a target of any strength is lit for many pulses; between pulses that are missing it
-still has itself for a neighbour; Rayleigh clutter exceeds its median by 40 dB once in exp(-7000) samples, a jammed
-pulse or a jammed column by less than the 40 dB that a receiver could still record beside the echoes, and a jammed
-column is its own median. A flipped exponent bit of weight 16 or more multiplies by 2^16 and more, where a component
-is below 1. Samples BEYOND_ALL-fold (160 dB) above the median are wrong in any company: those of a burst of damage,
-which shield each other, and one whose neighbours are all missing.
+A scene's samples along the pulses of one range frequency change no faster than targets enter and leave the beam: a
+strong target that comes into sight is its own neighbour at the next pulses, also where every other one is missing.
+Rayleigh clutter exceeds its median by STANDS_OUT (40 dB) in one of exp(7000) samples, a jammed column is its own
+median, and a single pulse that is jammed by more leaves nothing of its echoes that would be worth keeping. Damage
+does exceed it: flipped, one of the five highest bits of the exponent multiplies by 2^8 and more, or finds nothing to
+multiply. Samples BEYOND_ALL (160 dB) above the median are wrong in any company: those of a burst of damage, which
+shield each other, and those all of whose neighbours are missing.
 
 Pulse pairs
 -----------
@@ -167,12 +166,14 @@ def inspect(
 ) -> Inspection:
     """Look at some columns of a phase history; what is not finite or impossible becomes 0, in place.
 
-    A sample's modulus is here the larger one of its two parts. It is impossible if it exceeds STANDS_OUT times the
-    median of its column, and STANDS_OUT times the largest of its neighbours, one and two pulses before and after; or
-    if it exceeds BEYOND_ALL times that median, in a column where any sample has no neighbour at all or exceeds
-    BEYOND_ALL times those on one side. Median and neighbours count samples that are finite and not zero. The columns
-    are judged each by itself, so that it does not matter how they are grouped. Cannot be told from data: damage that
-    makes samples smaller or a little larger, and two samples damaged alike, within two pulses, by less than BEYOND_ALL.
+    A sample's modulus is here the larger one of its two parts, its neighbours are one and two pulses before and after,
+    and neighbours and median count samples that are finite and not zero. A column is suspect if any of its samples
+    exceeds STANDS_OUT times the largest of its neighbours or has none, or exceeds BEYOND_ALL times those before it or
+    those after it. In a suspect column a sample is impossible if it exceeds STANDS_OUT times the median, and as many
+    times the largest of its neighbours, of which it has some; or BEYOND_ALL times the median. Columns are judged each
+    by itself, so that it does not matter how they are grouped. Cannot be told: damage that makes samples smaller or a
+    little larger, and damage within two pulses of another's, by less than BEYOND_ALL. A target that is lit for a single
+    pulse, 40 dB above all else, is lost.
 
     Parameters
     ----------
@@ -583,8 +584,8 @@ def disagreement(found: Inspection, expected: Expectation) -> str | None:
 
     Two things are looked at. The sum over all segments must lie between the vectors that targets add up to, but for
     what targets may contribute that the ends of the collection cut: no more than the moduli of the segments they can
-    be lit in. That holds for any scene. And the segments of a scene that is lit about evenly must add up, with one dwell
-    or another left out if need be, rather than turn from one to the next as they do when the phase has the wrong sign.
+    be lit in. That holds for any scene. And the segments of a scene that is lit about evenly must add up, with one
+    dwell or another left out if need be, and not turn from one to the next as when the phase has the wrong sign.
 
     Not seen are errors that move Doppler by less than MAX_OFFSET or by whole PRFs; that turn or shift track and beam
     together, or move both along the line of sight by a constant; in scenes of one or a few targets, a part of all
