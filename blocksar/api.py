@@ -458,13 +458,13 @@ def _stages(
     if plan is None:
         samples, looked, found = graph.look_through(client, history, run, progress.update)
         timings["inspect"] = lap()
-        _judge(job, run, record, found)
+        _judge(job, run, record, looked, found)
         input_read()
         formed = graph.back_project(client, samples, job.geometry, job.grid, found, run, progress.update)
         return [*looked, *formed], timings | {"backprojection": lap()}
     recovered, found = graph.recover(client, history, plan, run, progress.update)
     timings["recover"] = lap()
-    _judge(job, run, record, found)
+    _judge(job, run, record, recovered, found)
     input_read()
     focused = graph.focus_blocks(client, plan, run, found.lit, progress.update)
     timings["focus"] = lap()
@@ -473,20 +473,23 @@ def _stages(
     return [*recovered, *focused, *merged], timings
 
 
-def _judge(job: _Job, run: Run, record: dict[str, Any], found: Inspection) -> None:
+def _judge(job: _Job, run: Run, record: dict[str, Any], receipts: Sequence[Receipt], found: Inspection) -> None:
     """Put down what the samples told; the image carries it too."""
     history, plan = job.history, job.plan
     if not found.lit.any():
         raise InputError(f"{history.variable} in {history.path} holds no valid sample; is it the right store?")
-    record["warnings"] = inspection.lines(found)
-    record["samples"] = {"missing": sum(found.missing.values()), "impossible": found.n_outlier}
+    echoes = [Inspection.from_dict(r["found"]) for r in receipts if r["unit"].startswith("pulses-")]
+    looks = [inspection.levels(echoes), found] if echoes else [found]
+    record["warnings"] = [line for look in looks for line in inspection.lines(look)]
+    record["samples"] = {"missing": sum(found.missing.values()), "impossible": sum(look.n_outlier for look in looks)}
     if plan is not None:
         region = plan.region
         expected = inspection.expect(job.geometry, plan.recovery, yaw=region.yaw, near=region.near, far=region.far)
-        measured = inspection.centroid(found, prf=job.geometry.collection.prf)
-        record["doppler_centroid"] = {"error": measured.mean_offset, "coherence": measured.mean_coherence}
-        if expected is not None and (sentence := inspection.disagreement(found, expected)) is not None:
-            record["warnings"].append(sentence)
+        if expected is not None:
+            measured = inspection.centroid(found, prf=job.geometry.collection.prf)
+            record["doppler_centroid"] = {"error": measured.mean_offset, "coherence": measured.mean_coherence}
+            if (sentence := inspection.disagreement(found, expected)) is not None:
+                record["warnings"].append(sentence)
     run.establish(run.image, lambda: _create_image(run, job, record))
 
 

@@ -83,12 +83,14 @@ def named(step: Callable[..., str]) -> Callable[[Callable[P, R]], Callable[P, R]
 def compress_pulses(
     source: stores.PhaseHistory, run: Run, unit: str, pulses: tuple[int, int], compression: RawCompression
 ) -> Receipt:
-    """Range-compress some pulses of a raw echo into a phase history of the run's own."""
+    """Range-compress some pulses of a raw echo into a phase history of the run's own; one with a gap is missing."""
     started = time.perf_counter()
     echo = source.read(slice(*pulses), slice(None))
+    found = inspect(echo, range_frequency=np.zeros(echo.shape[1]), recovery=None, threads=run.threads)
     signal = compression.apply(echo, pulses=slice(*pulses), threads=run.threads)
+    signal[list(found.missing)] = np.nan
     region = (slice(*pulses), slice(0, signal.shape[1]))
-    return _sign(run, unit, started, [write(run, run.compressed, "signal", region, signal)])
+    return _sign(run, unit, started, [write(run, run.compressed, "signal", region, signal)], found=found.as_dict())
 
 
 def recover_group(

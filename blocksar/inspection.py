@@ -153,6 +153,22 @@ def _merged(a: Inspection, b: Inspection) -> Inspection:
     )
 
 
+def levels(parts: Iterable[Inspection]) -> Inspection:
+    """What was found in a raw echo, pulses after pulses: only counts; what is missing is told of the signal."""
+    parts = list(parts)
+    extreme = max(part.extreme for part in parts)
+    counts = [part.at_extreme for part in parts if part.extreme == extreme]
+    struck = [columns for part in parts for columns in part.outliers.values()]
+    return Inspection(
+        n_pulse=sum(part.n_pulse for part in parts),
+        n_column=parts[0].n_column,
+        outliers=dict(enumerate(struck)),
+        valid=sum(part.valid for part in parts),
+        extreme=extreme,
+        at_extreme=(sum(real for real, _ in counts), sum(imag for _, imag in counts)),
+    )
+
+
 # ---------------------------------------------------------------- the pass over the samples
 
 
@@ -687,7 +703,7 @@ def _samples(count: int, more: str) -> str:
 
 
 def strike(signal: ComplexArray, found: Inspection, *, pulses: slice) -> None:
-    """Make the outliers that were found missing: NaN, in place, for who reads pulses rather than columns.
+    """Make the outliers that were found missing, and what is infinite: NaN, in place, for who reads by pulse.
 
     Parameters
     ----------
@@ -698,6 +714,7 @@ def strike(signal: ComplexArray, found: Inspection, *, pulses: slice) -> None:
     pulses : slice
         n of them.
     """
+    signal[np.isinf(signal)] = np.nan
     for pulse, columns in found.outliers.items():
         if pulses.start <= pulse < pulses.stop:
             signal[pulse - pulses.start, columns] = np.nan

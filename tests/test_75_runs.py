@@ -18,9 +18,11 @@ from scenes import scene
 import blocksar
 from blocksar import graph, stores
 from blocksar.cluster import open_client
+from blocksar.geometry import Geometry
 from blocksar.parameters import InputError, ProcessingError
 from blocksar.places import place
 from blocksar.runs import Run, write
+from blocksar.scene import Scene
 from blocksar.steps import stages
 
 GRID = ((15900.0, 16300.0, 4.0), (19000.0, 19400.0, 4.0))
@@ -246,3 +248,77 @@ def test_a_task_of_a_run_that_was_replaced_writes_nothing(store: Path, client: C
     with pytest.raises(ProcessingError, match="taken by another run"):
         write(orphan, orphan.image, "image", (slice(0, 64), slice(0, 64)), values)
     assert before == {p: p.stat().st_mtime_ns for p in run.rglob("*") if p.is_file()}
+
+
+TARGET = '[[targets]]\nname = "P"\nrange = 30000.0\nyaw_deg = 50.0\n'
+FAR = '[[targets]]\nname = "Q"\nrange = 30100.0\nyaw_deg = 51.0\namplitude = 0.5\n'
+
+
+def changed(store: Path, folder: Path, variable: str, change: Any) -> Path:
+    """A copy of the store whose samples have been through a function."""
+    shutil.copytree(store, folder / "changed.zarr")
+    samples = zarr.open_array(str(folder / "changed.zarr" / variable), mode="r+")
+    samples[...] = change(np.array(samples[...]))
+    return folder / "changed.zarr"
+
+
+def lose(signal: Any) -> Any:
+    signal[1000:1010] = np.nan
+    signal[:, 100:103] = np.inf
+    signal[2000, 7] = 1e30
+    return signal
+
+
+@pytest.mark.parametrize("processor", ["angular-division", "backprojection"])
+def test_missing_and_impossible_samples_are_not_lit_and_reported(
+    processor: Any, store: Path, client: Client, tmp_path: Path
+) -> None:
+    point = ground(30000.0, 50.0)
+    grid = tuple((at - 12.0, at + 12.0, 1.0) for at in point)
+    bad = changed(store, tmp_path, "signal", lose)
+    settings: dict[str, Any] = {"blocks": 3, "grid": grid, "client": client, "processor": processor}
+    report = blocksar.focus(bad, tmp_path / "run", **settings)
+    n = stores.open_phase_history(bad).collection.n_range_frequency
+    whole, more = 10, 3 * (4800 - 10)
+    assert report.summary[:2] == [
+        f"note: {whole} of 4800 pulses are missing, {more} more samples are not numbers: counted as not lit",
+        "note: 1 sample stands 100-fold above its neighbours: counted as not lit",
+    ]
+    assert report.result["samples"] == {"missing": whole * n + more, "impossible": 1}
+    image = blocksar.open(tmp_path / "run")
+    assert image.attrs["warnings"] == [line.removeprefix("note: ") for line in report.summary[:2]]
+    blocksar.focus(store, tmp_path / "clean", **settings)
+    np.testing.assert_allclose(image.image.values, blocksar.open(tmp_path / "clean").image.values, atol=0.02)
+    assert np.abs(image.image.values).max() == pytest.approx(1, abs=0.01)
+
+
+def test_a_track_that_does_not_belong_to_the_samples_is_pointed_out(
+    store: Path, client: Client, tmp_path: Path
+) -> None:
+    collection = stores.open_phase_history(store).collection
+    wrong = collection.antenna_position + collection.time[:, None] * np.array([0.0, 60.0, 0.0])
+    bad = damaged(store, tmp_path, antenna_position=wrong)
+    report = blocksar.focus(bad, tmp_path / "run", blocks=3, grid=GRID, client=client)
+    assert any("measured Doppler centroid" in line and "Hz" in line for line in report.summary)
+    report = blocksar.focus(store, tmp_path / "right", blocks=3, grid=GRID, client=client)
+    assert not report.result["warnings"]
+
+
+def test_a_saturated_echo_with_a_gap_is_reported(client: Client, tmp_path: Path) -> None:
+    (tmp_path / "scene.toml").write_text(scene(swath=[29900.0, 30100.0], more=TARGET + FAR))
+    raw = blocksar.simulate(tmp_path / "scene.toml", tmp_path / "raw.zarr", raw=True)
+
+    def clip(echo: Any) -> Any:
+        echo[500, 30:40] = np.nan
+        level = 0.9 * np.float32(max(np.nanmax(echo.real), np.nanmax(echo.imag)))
+        return np.clip(echo.real, -level, level) + 1j * np.clip(echo.imag, -level, level)
+
+    report = blocksar.focus(changed(raw, tmp_path, "echo", clip), tmp_path / "run", blocks=3, grid=GRID, client=client)
+    said = " ".join(report.result["warnings"])
+    assert "1 of 4800 pulses is missing" in said and "saturated" in said
+
+
+def ground(rng: float, yaw_deg: float) -> tuple[float, float]:
+    geometry = Geometry(collection=Scene.read("table1").collection().centred())
+    point = geometry.ground_point(np.array(rng), np.array(np.radians(yaw_deg)))
+    return float(point[0]), float(point[1])
