@@ -169,8 +169,11 @@ def _own(workers: int, threads: int, memory_limit: int | None, scratch: str) -> 
             stack.enter_context(cluster)
             cluster.sync(_deaf_to_interrupts)
             cluster.scale(workers)
-            client = stack.enter_context(Client(cluster))
-            client.wait_for_workers(workers)
+        client = stack.enter_context(Client(cluster))
+        try:
+            client.wait_for_workers(workers, timeout=NO_WORKER)
+        except TimeoutError:
+            raise ProcessingError(f"{workers} workers did not start within {NO_WORKER:.0f} s") from None
         try:
             yield client
         except BaseException:

@@ -87,7 +87,8 @@ class Run:
         with suppress(InputError):
             receipt = stores.read_json(self._receipt(unit))
             if isinstance(receipt, dict) and receipt.get("run") == self.identity:
-                return receipt
+                seal = receipt.pop("seal", None)
+                return receipt if seal == stores.json_checksum(receipt) else None
         return None
 
     def sign(self, unit: str, started: float, written: Iterable[Written] = (), **facts: Any) -> Receipt:
@@ -99,7 +100,7 @@ class Run:
             "written": [part.record() for part in written],
             **facts,
         }
-        stores.write_json(self._receipt(unit), receipt)
+        stores.write_json(self._receipt(unit), receipt | {"seal": stores.json_checksum(receipt)})
         return receipt
 
     def intact(self, receipt: Receipt) -> bool:

@@ -1457,3 +1457,14 @@ def checksum(array: Array) -> str:
 def checksum_bytes(data: bytes) -> str:
     """xxh3, 128 bits in hexadecimal."""
     return xxhash.xxh3_128(data).hexdigest()
+
+
+def json_checksum(obj: Any) -> str:
+    """Of what `write_json` writes and `read_json` reads, whichever way its keys stand.
+
+    Raises
+    ------
+    ValueError
+        If `obj` holds what JSON does not.
+    """
+    return checksum_bytes(json.dumps(_finite(_plain(obj, "")), sort_keys=True, allow_nan=False).encode())

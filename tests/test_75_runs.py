@@ -322,3 +322,12 @@ def ground(rng: float, yaw_deg: float) -> tuple[float, float]:
     geometry = Geometry(collection=Scene.read("table1").collection().centred())
     point = geometry.ground_point(np.array(rng), np.array(np.radians(yaw_deg)))
     return float(point[0]), float(point[1])
+
+
+def test_a_receipt_that_was_changed_is_not_trusted(tmp_path: Path) -> None:
+    run = Run(folder=place(tmp_path), identity="x", threads=1)
+    signed = run.sign("block-1", 0.0, origin=(17, 4), missing=np.nan, steps={"b": 1.5, "a": np.float64(2)})
+    assert run.receipt("block-1") == json.loads(json.dumps(signed).replace("NaN", "null"))
+    file = tmp_path / "receipts" / "block-1.json"
+    file.write_text(file.read_text().replace("17", "16"))
+    assert run.receipt("block-1") is None
