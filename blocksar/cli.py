@@ -123,7 +123,10 @@ def parse_memory(text: str) -> int:
         raise InputError(f"--memory-limit {text!r} is no amount of memory; give a number with a unit, such as 2GiB")
     unit = (match[2] or "").lower()
     base = 1024 if unit.endswith("i") else 1000
-    return int(float(match[1]) * base ** ("", "k", "m", "g", "t").index(unit.removesuffix("i")))
+    size = float(match[1]) * base ** ("", "k", "m", "g", "t").index(unit.removesuffix("i"))
+    if not 1 <= size < 2**60:
+        raise InputError(f"--memory-limit {text!r} is no memory that a machine has; give one such as 2GiB")
+    return int(size)
 
 
 def parse_blocks(text: str) -> int | Literal["auto"]:
@@ -136,8 +139,10 @@ def parse_blocks(text: str) -> int | Literal["auto"]:
     """
     if text == "auto":
         return "auto"
-    if not (text.isascii() and text.isdigit() and int(text)):
-        raise InputError(f"--blocks {text!r} is neither 'auto' nor a whole number above zero; try --blocks auto")
+    if not re.fullmatch(r"0*[1-9]\d{0,8}", text, re.ASCII):
+        raise InputError(
+            f"--blocks {text!r} is neither 'auto' nor a whole number above zero, of few digits; try --blocks auto"
+        )
     return int(text)
 
 

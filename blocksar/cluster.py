@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager, suppress
 from itertools import islice
+from multiprocessing import resource_tracker
 from typing import Any
 
 import dask
@@ -169,7 +170,7 @@ def _own(workers: int, threads: int, memory_limit: int | None, scratch: str) -> 
             stack.enter_context(cluster)
             cluster.sync(_deaf_to_interrupts)
             cluster.scale(workers)
-        client = stack.enter_context(Client(cluster))
+            client = stack.enter_context(Client(cluster))
         try:
             client.wait_for_workers(workers, timeout=NO_WORKER)
         except TimeoutError:
@@ -184,6 +185,7 @@ def _own(workers: int, threads: int, memory_limit: int | None, scratch: str) -> 
 
 async def _deaf_to_interrupts() -> None:
     """Ctrl-C in a terminal goes to all processes of a command: workers, which inherit this, leave it to the first."""
+    resource_tracker.ensure_running()  # else the first process that is started starts it, which undoes this
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
 
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.special import diric, i0
 
 from blocksar.geometry import Geometry
-from blocksar.parameters import SINC_WIDTH, SPEED_OF_LIGHT, BoolArray, ComplexArray, FloatArray, InputError
+from blocksar.parameters import FARTHEST, SINC_WIDTH, SPEED_OF_LIGHT, BoolArray, ComplexArray, FloatArray, InputError
 
 Complex128Array = NDArray[np.complex128]
 ReadChip = Callable[[slice, slice], ComplexArray]  # (slice of y, slice of x) -> pixels
@@ -83,6 +83,8 @@ class Target(NamedTuple):
             ) from None
         if not (np.isfinite([target.x, target.y]).all() and np.isfinite(target.reflectivity)):
             raise InputError(f"target {record!r} has a value that is not finite; give numbers")
+        if max(abs(target.x), abs(target.y)) > FARTHEST or not 1e-15 < abs(target.reflectivity) < 1e15:
+            raise InputError(f"target {record!r} is nowhere near a scene; give metres, and a reflectivity about 1")
         if target.reflectivity == 0:
             raise InputError(f"target {target.name} has reflectivity 0, so there is nothing to measure; leave it out")
         return target

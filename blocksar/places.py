@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING, Any
 
 import psutil
 
-from blocksar.parameters import InputError
+from blocksar.parameters import InputError, printable
 
 if TYPE_CHECKING:
     from obstore.store import S3Store
@@ -52,6 +52,10 @@ class Held(Exception):
 
 class Place(ABC):
     """A store, a run or a file in either. All methods raise OSError where reading or writing fails."""
+
+    def __format__(self, spec: str) -> str:
+        """In messages, as one line."""
+        return printable(str(self)).replace("\n", "\\n")
 
     @property
     @abstractmethod
@@ -124,6 +128,8 @@ def place(path: Location) -> Place:
     if isinstance(path, Place):
         return path
     text = os.fspath(path)
+    if "\0" in text:
+        raise InputError(f"{text} is no name: it has a zero byte")
     if (found := re.fullmatch(r"s3://([^/]*)/*(.*?)/*", text, re.DOTALL)) is None:
         return LocalPlace(Path(os.path.abspath(text)))
     if not found[1]:

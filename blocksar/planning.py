@@ -54,6 +54,7 @@ RANGE_GUARD = 48  # range cells on either side of a sub-block, for the side lobe
 RANGE_ROOM = 1.42
 GATE_ROOM = 1.62  # dwells that the Doppler sampling makes room for
 MAX_BLOCKS = 32
+MOST_BLOCKS = 1000  # that may be asked for
 MAX_PARTS = 64  # range sub-blocks of a block
 MEMORY_SHARE = 0.8  # of a worker's limit that a plan may fill
 MIB = 2**20
@@ -711,6 +712,8 @@ def plan_collection(
     InputError
         If the PRF is too low, the grid is empty or outside the swath, or no number of sub-blocks fits the memory.
     """
+    if blocks != "auto" and not 1 <= blocks <= MOST_BLOCKS:
+        raise InputError(f"blocks = {blocks}: ask for 1 to {MOST_BLOCKS}, or for 'auto'")
     geometry = Geometry(collection=collection)
     region = plan_region(geometry, grid)
     recovery = plan_recovery(geometry, region)
@@ -800,6 +803,8 @@ def _plan_blocks(
             )  # fmt: skip
             candidate = block.candidate
             planned.append(block)
+    if not planned:
+        raise InputError(f"none of {count} blocks holds a point of the grid; give it a finer step, or move it")
     return Plan(
         geometry=geometry, grid=grid, region=region, recovery=recovery, seams=seams, parts=divided,
         blocks=tuple(planned), coefficients=coefficients, refusal=_refusal(planned, coefficients),

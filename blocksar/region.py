@@ -17,6 +17,9 @@ from blocksar.parameters import SINC_WIDTH, SPEED_OF_LIGHT, Collection, FloatArr
 WINDOW_GUARD = 8  # range cells kept free at either end of the range window
 
 
+MAX_POINTS = 1 << 21  # of one axis of a grid: beyond that it is a slip of the pen
+
+
 @dataclass(frozen=True)
 class Grid:
     """Ground pixels: x0, x0 + dx, ... < x1, likewise y, in m."""
@@ -34,6 +37,11 @@ class Grid:
                 raise InputError(f"grid {name}: {low:g}:{high:g}:{step:g} needs finite ends and a step above 0 m")
             if high <= low:
                 raise InputError(f"grid {name}: {low:g}:{high:g} is empty; the end must lie above the start")
+            # In floats: these may not be.
+            if not (high - low) / step < MAX_POINTS or low + step == low or high + step == high:
+                raise InputError(
+                    f"grid {name}: {low:g}:{high:g}:{step:g} has more than {MAX_POINTS} points; give a larger step"
+                )
 
     @staticmethod
     def _axis(low: float, high: float, step: float) -> FloatArray:

@@ -62,7 +62,7 @@ class Run:
     @property
     def token(self) -> str:
         """For the keys of tasks: no other run, here or elsewhere on the cluster, has it."""
-        return stores.checksum_bytes(f"{self.identity} {self.folder}".encode("utf-8", "surrogateescape"))[:8]
+        return stores.checksum_bytes(f"{self.identity} {self.folder!s}".encode("utf-8", "surrogateescape"))[:8]
 
     @property
     def spectrum(self) -> Place:
@@ -330,7 +330,7 @@ def refuse_overlap(source: Place, folder: Place) -> None:
 
 def clear(folder: Place) -> None:
     """Remove what runs leave, and nothing else."""
-    for name in (*OWN, ASIDE):
+    for name in OWN:
         (folder / name).remove()
 
 
@@ -351,7 +351,7 @@ def begun(folder: Place) -> Iterator[Callable[[], None]]:
         yield aside.remove
     except InputError:
         clear(folder)
-        if isinstance(folder, LocalPlace) and aside.exists():
+        if aside.exists():
             _move_own(aside, folder)
         raise
     finally:
@@ -386,8 +386,9 @@ def tidy(folder: Place) -> None:
 
 
 def scratch(folder: Place) -> str | None:
-    """Where workers of our own put their temporary files; None where that is no folder."""
-    return str(folder / "scratch") if isinstance(folder, LocalPlace) else None
+    """Where workers of our own put their temporary files; None where that is no folder, or has no name in Unicode."""
+    path = str(folder / "scratch")
+    return path if isinstance(folder, LocalPlace) and path.isprintable() else None
 
 
 def is_tidy(folder: Place) -> bool:
