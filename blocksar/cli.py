@@ -10,6 +10,7 @@ import errno
 import math
 import os
 import re
+import reprlib
 import signal
 import sys
 import threading
@@ -86,18 +87,21 @@ def parse_grid(text: str) -> tuple[Axis, Axis]:
     example = "give --grid x0:x1:dx,y0:y1:dy in metres, such as --grid -2500:2500:1,18000:23000:1"
     axes = text.split(",")
     if len(axes) != 2:
-        raise InputError(f"--grid {text!r} has {len(axes)} axes instead of two; {example}")
+        raise InputError(f"--grid {quoted(text)} has {len(axes)} axes instead of two; {example}")
     x, y = (_parse_axis(name, axis, example) for name, axis in zip("xy", axes, strict=True))
     return x, y
+
+
+quoted = reprlib.Repr(maxstring=80).repr  # what was typed, for a message
 
 
 def _parse_axis(name: str, text: str, example: str) -> Axis:
     try:
         first, end, step = (float(number) for number in text.split(":"))
     except ValueError:
-        raise InputError(f"--grid has {text!r} for {name}, which is not three numbers; {example}") from None
+        raise InputError(f"--grid has {quoted(text)} for {name}, which is not three numbers; {example}") from None
     if not all(map(math.isfinite, (first, end, step))):
-        raise InputError(f"--grid has {text!r} for {name}, which is not finite; {example}")
+        raise InputError(f"--grid has {quoted(text)} for {name}, which is not finite; {example}")
     if step <= 0:
         raise InputError(f"--grid has a spacing of {step:g} m for {name}; give one above zero")
     if end <= first:
@@ -120,12 +124,14 @@ def parse_memory(text: str) -> int:
     """
     match = re.fullmatch(r"\s*(\d+\.?\d*(?:e\d+)?|\.\d+)\s*([kmgt]i?)?b?\s*", text, re.IGNORECASE)
     if match is None or not float(match[1]):
-        raise InputError(f"--memory-limit {text!r} is no amount of memory; give a number with a unit, such as 2GiB")
+        raise InputError(
+            f"--memory-limit {quoted(text)} is no amount of memory; give a number with a unit, such as 2GiB"
+        )
     unit = (match[2] or "").lower()
     base = 1024 if unit.endswith("i") else 1000
     size = float(match[1]) * base ** ("", "k", "m", "g", "t").index(unit.removesuffix("i"))
     if not 1 <= size < 2**60:
-        raise InputError(f"--memory-limit {text!r} is no memory that a machine has; give one such as 2GiB")
+        raise InputError(f"--memory-limit {quoted(text)} is no memory that a machine has; give one such as 2GiB")
     return int(size)
 
 
@@ -141,7 +147,7 @@ def parse_blocks(text: str) -> int | Literal["auto"]:
         return "auto"
     if not re.fullmatch(r"0*[1-9]\d{0,8}", text, re.ASCII):
         raise InputError(
-            f"--blocks {text!r} is neither 'auto' nor a whole number above zero, of few digits; try --blocks auto"
+            f"--blocks {quoted(text)} is neither 'auto' nor a whole number above zero, of few digits; try --blocks auto"
         )
     return int(text)
 
