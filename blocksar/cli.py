@@ -92,7 +92,11 @@ def parse_grid(text: str) -> tuple[Axis, Axis]:
     return x, y
 
 
-quoted = reprlib.Repr(maxstring=80).repr  # what was typed, for a message
+def quoted(text: str) -> str:
+    """What was typed, for a message."""
+    short = reprlib.Repr()
+    short.maxstring = 80
+    return short.repr(text)
 
 
 def _parse_axis(name: str, text: str, example: str) -> Axis:
