@@ -526,9 +526,10 @@ def mosaic(client: Client, plan: Plan, run: Run, patches: Sequence[Receipt], rep
     cells: dict[tuple[int, int], list[tuple[int, str, int, int, str]]] = {}
     for block, receipt in zip(plan.blocks, patches, strict=True):
         first_y, first_x = receipt["origin"]
-        for _, _, ((y, _), (x, _)), checksum in receipt["written"]:
+        for part in map(Written.of, receipt["written"]):
+            (y, _), (x, _) = part.region
             cell = ((first_y + y) // side[0], (first_x + x) // side[1])
-            cells.setdefault(cell, []).append((block.index, block.name, first_y, first_x, checksum))
+            cells.setdefault(cell, []).append((block.index, block.name, first_y, first_x, part.checksum))
 
     def start(unit: str, some: dict[tuple[int, int], Parts]) -> Callable[[], Future[Any]]:
         return lambda: client.submit(

@@ -83,10 +83,10 @@ class Target(NamedTuple):
             ) from None
         if not (np.isfinite([target.x, target.y]).all() and np.isfinite(target.reflectivity)):
             raise InputError(f"target {record!r} has a value that is not finite; give numbers")
-        if max(abs(target.x), abs(target.y)) > FARTHEST or not 1e-15 < abs(target.reflectivity) < 1e15:
-            raise InputError(f"target {record!r} is nowhere near a scene; give metres, and a reflectivity about 1")
         if target.reflectivity == 0:
             raise InputError(f"target {target.name} has reflectivity 0, so there is nothing to measure; leave it out")
+        if max(abs(target.x), abs(target.y)) > FARTHEST or not 1e-15 < abs(target.reflectivity) < 1e15:
+            raise InputError(f"target {record!r} is nowhere near a scene; give metres, and a reflectivity about 1")
         return target
 
 

@@ -178,12 +178,12 @@ class Written:
 
     @classmethod
     def of(cls, record: Any) -> Written:
-        store, variable, region, checksum = record
-        return cls(store, variable, tuple((first, end) for first, end in region), checksum)
+        region = tuple((first, end) for first, end in record["region"])
+        return cls(record["store"], record["variable"], region, record["checksum"])
 
-    def record(self) -> list[Any]:
+    def record(self) -> dict[str, Any]:
         """As JSON holds it."""
-        return [self.store, self.variable, self.region, self.checksum]
+        return vars(self).copy()
 
     def intact(self, folder: Place) -> bool:
         """Whether the values on disk have the checksum.

@@ -81,7 +81,7 @@ def left(run: Path) -> Left:
     """What a finished run has left."""
     record = json.loads((run / "run.json").read_text())
     assert record["status"] == "finished"
-    names = ("written", "missing", "origin")
+    names = ("written", "found", "origin")
     return Left(digests(run / "image.zarr"), {r["unit"]: [r.get(name) for name in names] for r in record["receipts"]})
 
 

@@ -218,8 +218,8 @@ import signal, sys, time, types
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job is born deaf to it
 api = types.ModuleType("blocksar.api")
 def plan(source, **settings):
-    print("ready", flush=True)
     try:
+        print("ready", flush=True)
         time.sleep(60)
     finally:
         if "hang" in sys.argv:

@@ -125,6 +125,8 @@ class Post:
         return subprocess.Popen(
             [sys.executable, str(SCRIPT), str(self.inbox), str(self.outbox), *WORDS, *more],
             stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True,
+            # What a shell runs in the background is deaf to Ctrl-C, and so would this be then.
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # noqa: PLW1509 (calls nothing else)
         )  # fmt: skip
 
     def log(self) -> list[dict[str, Any]]:

@@ -144,7 +144,7 @@ def test_a_file_of_two_names_is_written_once(benchmark: Any, collected: Any, tmp
     (patch / "1").write_bytes(bytes(1000))
     (image / "0").hardlink_to(patch / "0")
     (image / "1").write_bytes(bytes(600))
-    found = {kind.name: kind for kind in benchmark.traffic_of(history.path, tmp_path, plan)}
+    found = {kind.name: kind for kind in benchmark.traffic_of(Path(history.path), tmp_path, plan)}
     assert set(found) == {"input", "patches", "image"}
     assert (found["patches"].written, found["patches"].read) == (2000, 2000)
     assert (found["image"].written, found["image"].read) == (600, 0)
