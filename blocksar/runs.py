@@ -373,7 +373,10 @@ def finish(run: Run, record: Mapping[str, Any]) -> None:
     ProcessingError
         If it cannot be written.
     """
-    run.folder.settle()
+    try:
+        run.folder.settle()
+    except OSError as error:
+        raise ProcessingError(f"{run.folder} cannot be written ({error.strerror or error})") from error
     stores.write_json(run.folder / "run.json", {**record, "status": FINISHED})
     tidy(run.folder)
 
