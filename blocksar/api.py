@@ -11,7 +11,7 @@ import os
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
 from importlib import metadata
@@ -323,7 +323,7 @@ def focus(
         workers, threads, memory_limit = _resources(workers, threads, memory_limit)
         stack.enter_context(runs.claimed(folder))
         if _finished(record := found()):  # by somebody who wrote it until now
-            return _left_alone(folder, record)
+            return _left_alone(folder, record, claimed=True)
         job = _job(history, settings, wanted, record, workers, memory_limit)
         divided = None if job.plan is None else (job.plan.n_blocks, job.plan.parts)
         identity = stores.checksum_bytes(
@@ -424,10 +424,10 @@ def _finished(record: dict[str, Any] | None) -> TypeGuard[dict[str, Any]]:
     return record is not None and record["status"] == runs.FINISHED
 
 
-def _left_alone(folder: Place, record: dict[str, Any]) -> Report:
+def _left_alone(folder: Place, record: dict[str, Any], *, claimed: bool = False) -> Report:
     runs.check_finished(folder, record)
     if not runs.is_tidy(folder):
-        with runs.claimed(folder):
+        with nullcontext() if claimed else runs.claimed(folder):
             runs.tidy(folder)
     return Report(
         summary=[f"{folder} is finished already with these settings and this input: nothing to do"], result=record

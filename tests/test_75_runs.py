@@ -16,7 +16,7 @@ from distributed import Client
 from scenes import scene
 
 import blocksar
-from blocksar import graph, stores
+from blocksar import graph, runs, stores
 from blocksar.cluster import open_client
 from blocksar.geometry import Geometry
 from blocksar.parameters import InputError, ProcessingError
@@ -331,3 +331,17 @@ def test_a_receipt_that_was_changed_is_not_trusted(tmp_path: Path) -> None:
     file = tmp_path / "receipts" / "block-1.json"
     file.write_text(file.read_text().replace("17", "16"))
     assert run.receipt("block-1") is None
+
+
+def test_what_a_run_left_that_was_killed_at_its_very_end_goes(
+    store: Path, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run, settings = tmp_path / "run", {"blocks": 3, "grid": GRID, "client": client}
+    blocksar.focus(store, run, **settings)  # type: ignore[arg-type]
+    for first_looks in (0, 1):  # the second time another process finishes it while this one waits for the folder
+        (run / "receipts").mkdir()
+        real, looks = runs.existing, iter([None] * first_looks)
+        monkeypatch.setattr(runs, "existing", lambda *a, r=real, i=looks, **k: next(i, r(*a, **k)))
+        assert "nothing to do" in blocksar.focus(store, run, **settings).summary[0]  # type: ignore[arg-type]
+        assert not (run / "receipts").exists()
+        monkeypatch.undo()
