@@ -64,7 +64,7 @@ class Place(ABC):
 
     @abstractmethod
     def __truediv__(self, name: str) -> Place:
-        """What lies below under a name."""
+        """What lies below under a name, or under names with '/' between."""
 
     @abstractmethod
     def exists(self) -> bool:

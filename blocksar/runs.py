@@ -113,15 +113,13 @@ class Run:
             return False
 
     def _same_files(self, wanted: Mapping[str, str]) -> bool:
-        return all(
-            stores.checksum_bytes(_below(self.folder, name).read_bytes()) == value for name, value in wanted.items()
-        )
+        return all(stores.checksum_bytes((self.folder / name).read_bytes()) == value for name, value in wanted.items())
 
     def file_checksums(self, store: Place, *, volatile: Sequence[str] = ()) -> dict[str, str]:
         """Of the small files of a store that has no chunks of samples yet, metadata and coordinates, by name."""
         prefix, left_out = self.name_of(store), tuple(f"{name}/c/" for name in volatile)
         return {
-            f"{prefix}/{name}": stores.checksum_bytes(_below(store, name).read_bytes())
+            f"{prefix}/{name}": stores.checksum_bytes((store / name).read_bytes())
             for name, _, _ in store.files()
             if not name.startswith(left_out)
         }
@@ -194,7 +192,7 @@ class Written:
             If they cannot be read.
         """
         region = tuple(slice(*span) for span in self.region)
-        values = stores.read_region(_below(folder, self.store), self.variable, region)
+        values = stores.read_region(folder / self.store, self.variable, region)
         return stores.checksum(values) == self.checksum
 
 
@@ -217,12 +215,6 @@ def written(run: Run, store: Place, variable: str, region: tuple[slice, ...], va
     """What was written, for a receipt."""
     span = tuple((part.start, part.stop) for part in region)
     return Written(run.name_of(store), variable, span, stores.checksum(values))
-
-
-def _below(where: Place, name: str) -> Place:
-    for part in name.split("/"):
-        where = where / part
-    return where
 
 
 # ---------------------------------------------------------------- who may write

@@ -49,13 +49,12 @@ from blocksar.parameters import (
     ProcessingError,
     check_axis,
 )
-from blocksar.places import LocalPlace, ObjectPlace, Place, os_errors, replacing_file, temporary
+from blocksar.places import LocalPlace, Location, ObjectPlace, Place, os_errors, replacing_file, temporary
 from blocksar.places import place as place_of
 
 if TYPE_CHECKING:
     import xarray as xr
 
-StorePath = str | os.PathLike[str] | Place
 Region = tuple[slice, ...]
 Array = NDArray[Any]
 
@@ -151,7 +150,7 @@ zarr.config.set({"async.concurrency": FILES_AT_ONCE})
 
 
 def create(
-    path: StorePath,
+    path: Location,
     schema: Mapping[str, Variable],
     *,
     sizes: Mapping[str, int],
@@ -419,7 +418,7 @@ def _plain(value: Any, name: str) -> Any:
 # One region at a time
 
 
-def write_region(path: StorePath, name: str, region: Sequence[slice], values: Array) -> None:
+def write_region(path: Location, name: str, region: Sequence[slice], values: Array) -> None:
     """Write whole chunks of one variable: chunks nobody else writes need no lock, and may be written again.
 
     Parameters
@@ -472,7 +471,7 @@ def write_region(path: StorePath, name: str, region: Sequence[slice], values: Ar
         raise ProcessingError(f"{name} in {place} cannot be written ({error.strerror or error})") from error
 
 
-def read_region(path: StorePath, name: str, region: Sequence[slice], out: Array | None = None) -> Array:
+def read_region(path: Location, name: str, region: Sequence[slice], out: Array | None = None) -> Array:
     """Read a region of one variable; of the samples, only the chunks it touches are read.
 
     Parameters
@@ -503,7 +502,7 @@ def read_region(path: StorePath, name: str, region: Sequence[slice], out: Array 
     return _read(array, tuple(region), place, f"{name} in {place}", out)
 
 
-def chunk_shape(path: StorePath, name: str) -> tuple[int, ...]:
+def chunk_shape(path: Location, name: str) -> tuple[int, ...]:
     """Of one variable.
 
     Raises
@@ -515,7 +514,7 @@ def chunk_shape(path: StorePath, name: str) -> tuple[int, ...]:
     return files.chunks if files is not None else tuple(_open_array(place_of(path), name).chunks)
 
 
-def share_region(path: StorePath, name: str, region: Region, *, source: StorePath, source_region: Region) -> bool:
+def share_region(path: Location, name: str, region: Region, *, source: Location, source_region: Region) -> bool:
     """Let whole chunks of a variable be those of another store's variable of that name, without copying them.
 
     Files are hard-linked, which is safe as nobody writes into a chunk's file: a new one takes its place.
@@ -1095,7 +1094,7 @@ class PhaseHistory:
 
 
 def create_phase_history(
-    path: StorePath,
+    path: Location,
     collection: Collection,
     *,
     raw: RawEcho | None = None,
@@ -1137,7 +1136,7 @@ def create_phase_history(
     )
 
 
-def write_collection(path: StorePath, collection: Collection, attrs: Mapping[str, Any] | None = None) -> None:
+def write_collection(path: Location, collection: Collection, attrs: Mapping[str, Any] | None = None) -> None:
     """Write a phase history less the samples; a store that is there is replaced.
 
     Raises
@@ -1182,7 +1181,7 @@ def history_line(what: str, earlier: Any = None) -> str:
     return f"{line}\n{earlier}" if earlier else line
 
 
-def open_phase_history(path: StorePath) -> PhaseHistory:
+def open_phase_history(path: Location) -> PhaseHistory:
     """Open a phase history, whoever wrote it, and check all of it but the samples against the contract.
 
     Raises
@@ -1215,7 +1214,7 @@ def open_phase_history(path: StorePath) -> PhaseHistory:
         return PhaseHistory(path=place, collection=collection, raw=raw, attrs=rest)
 
 
-def read_collection(path: StorePath) -> tuple[Collection, dict[str, Any]]:
+def read_collection(path: Location) -> tuple[Collection, dict[str, Any]]:
     """Read what `write_collection` wrote: the collection, and the attributes beyond it.
 
     Raises
@@ -1229,7 +1228,7 @@ def read_collection(path: StorePath) -> tuple[Collection, dict[str, Any]]:
         return collection, {name: value for name, value in attrs.items() if name not in COLLECTION_ATTRS}
 
 
-def open_dataset(path: StorePath) -> xr.Dataset:
+def open_dataset(path: Location) -> xr.Dataset:
     """Open any store lazily, as `xarray.open_zarr` does.
 
     Raises
@@ -1253,7 +1252,7 @@ def open_dataset(path: StorePath) -> xr.Dataset:
 
 
 @contextmanager
-def _reading(path: StorePath) -> Iterator[Place]:
+def _reading(path: Location) -> Iterator[Place]:
     """Whatever the bytes on disk do to the libraries below, one InputError that names the store comes out."""
     place = place_of(path)
     try:
@@ -1395,7 +1394,7 @@ def _real(place: Place, name: str) -> FloatArray:
 # Small files
 
 
-def write_json(path: StorePath, obj: Any) -> None:
+def write_json(path: Location, obj: Any) -> None:
     """Write JSON so that whoever reads it finds the old file or the new one, never half of either.
 
     Numpy numbers and arrays become numbers and lists; NaN and infinities become null: JSON has none.
@@ -1426,7 +1425,7 @@ def _finite(value: Any) -> Any:
     return value
 
 
-def read_json(path: StorePath) -> Any:
+def read_json(path: Location) -> Any:
     """Read JSON.
 
     Raises

@@ -22,9 +22,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from scenes import scene
-
-import blocksar
+from scenes import write_store
 
 SIDE = 1024  # pixels of an image's chunk along x
 GRID = ((15620.0, 16600.0, 0.1), (18680.0, 19720.0, 140.0))  # m: ten chunks in one row, three tasks of the mosaic
@@ -52,9 +50,7 @@ TICK = 0.002  # s between two looks
 def make_store(folder: Path, *, raw: bool = False) -> Path:
     """Simulate the small scene's phase history, or the raw one's echo."""
     folder.mkdir(parents=True)
-    (folder / "scene.toml").write_text(scene(**(RAW_SCENE if raw else SCENE)))
-    blocksar.simulate(folder / "scene.toml", folder / "phase_history.zarr", raw=raw)
-    return folder / "phase_history.zarr"
+    return write_store(folder, raw=raw, **(RAW_SCENE if raw else SCENE))
 
 
 def words(store: Path, run: Path, *more: str) -> list[str]:

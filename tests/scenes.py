@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
+
+import blocksar
 
 TABLE1: dict[str, Any] = {
     "carrier": 15e9,
@@ -73,3 +76,9 @@ def scene(**changes: Any) -> str:
     lines += ["[scene]", f"swath = {s['swath']}", f"centre_yaw_deg = {s['centre']}"]
     lines += [f"reference_range = {s['reference_range']}", s["more"]]
     return "\n".join(lines)
+
+
+def write_store(folder: Path, *, raw: bool = False, **changes: Any) -> Path:
+    """The phase history of such a scene, in a folder that is there."""
+    (folder / "scene.toml").write_text(scene(**changes))
+    return Path(blocksar.simulate(folder / "scene.toml", folder / "phase_history.zarr", raw=raw))

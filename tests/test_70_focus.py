@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from distributed import Client
-from scenes import GEOMETRIES, scene
+from scenes import GEOMETRIES, scene, write_store
 
 import blocksar
 from blocksar import api, planning, stores
@@ -38,11 +38,6 @@ def client() -> Any:
 @pytest.fixture(scope="module")
 def table1(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return blocksar.simulate("table1", tmp_path_factory.mktemp("table1") / "phase_history.zarr")
-
-
-def write_store(folder: Path, **changes: Any) -> Path:
-    (folder / "scene.toml").write_text(scene(**changes))
-    return blocksar.simulate(folder / "scene.toml", folder / "phase_history.zarr")
 
 
 def planned(store: Path, **settings: Any) -> Plan:

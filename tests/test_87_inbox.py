@@ -20,7 +20,7 @@ import pytest
 import typer
 from distributed import Client
 from faults import digests, members, until
-from scenes import scene
+from scenes import write_store
 
 import blocksar
 from blocksar import cluster, graph, runs, stores
@@ -71,9 +71,7 @@ def client() -> Iterator[Client]:
 
 @pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("tiny")
-    (folder / "scene.toml").write_text(scene(**SCENE))
-    return Path(str(blocksar.simulate(folder / "scene.toml", folder / "phase_history.zarr")))
+    return write_store(tmp_path_factory.mktemp("tiny"), **SCENE)
 
 
 @pytest.fixture(scope="module")

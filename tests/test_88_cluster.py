@@ -17,7 +17,7 @@ import pytest
 from distributed import Client
 from faults import digests, litter, until
 from machines import Machine, two_machines
-from scenes import scene
+from scenes import write_store
 
 import blocksar
 from blocksar import cluster
@@ -53,9 +53,7 @@ def client() -> Iterator[Client]:
 
 @pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("tiny")
-    (folder / "scene.toml").write_text(scene(**SCENE))
-    return Path(str(blocksar.simulate(folder / "scene.toml", folder / "phase_history.zarr")))
+    return write_store(tmp_path_factory.mktemp("tiny"), **SCENE)
 
 
 @pytest.fixture(scope="module")
