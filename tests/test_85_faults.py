@@ -209,7 +209,9 @@ def guarded() -> Iterator[tuple[Client, Assassin]]:
             yield client, assassin
 
 
-@pytest.mark.parametrize(("stage", "repetitions"), [("recover", 7), ("focus", 7), ("mosaic", 6), ("range-compress", 1)])
+@pytest.mark.parametrize(
+    ("stage", "repetitions"), [("recover", 20), ("focus", 20), ("mosaic", 20), ("range-compress", 1)]
+)
 def test_killed_worker(
     stage: str,
     repetitions: int,
