@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import shutil
 import signal
 import subprocess
@@ -547,47 +548,45 @@ GROWTH = 8 * 2**20  # bytes of one process in the forty after: 0.2 MiB each, les
 FEW = 4  # files or threads more: what one collection in ten would leave behind
 
 
-@dataclass(frozen=True)
-class Size:
-    """What a process holds."""
+# The hook weighs who has started it and all whom that one has started, itself left out: a line for each collection.
+SCALES = """
+import json, os, sys
+import psutil
 
-    memory: int
-    files: int
-    threads: int
-    shared: int  # pieces of shared memory
+def size(process):
+    with process.oneshot():
+        shared = sum(part.path.startswith("/dev/shm/") for part in process.memory_maps())
+        return process.memory_full_info().uss, process.num_fds(), process.num_threads(), shared
 
-    @classmethod
-    def of(cls, process: psutil.Process) -> Size:
-        with process.oneshot():
-            shared = sum(part.path.startswith("/dev/shm/") for part in process.memory_maps())
-            return cls(process.memory_full_info().uss, process.num_fds(), process.num_threads(), shared)
+sweep = psutil.Process(os.getppid())
+family = [process for process in (sweep, *sweep.children(recursive=True)) if process.pid != os.getpid()]
+with open(sys.argv[1], "a") as log:
+    log.write(json.dumps({process.pid: size(process) for process in family}) + "\\n")
+"""
 
 
 def test_fifty_collections_leave_nothing_behind(post: Post, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In one process, on one cluster: memory, open files, threads, shared memory and temporary files do not grow."""
-    scratch = tmp_path / "tmp"
+    """In one process, on one cluster: memory, open files, threads, shared memory and temporary files do not grow.
+
+    The process is the script's own, as a timer starts it: that of the tests grows by what the tests do.
+    """
+    scratch, log = tmp_path / "tmp", tmp_path / "sizes.jsonl"
     scratch.mkdir()
+    (tmp_path / "scales.py").write_text(SCALES)
     monkeypatch.setenv("TMPDIR", str(scratch))
-    monkeypatch.setattr("tempfile.tempdir", None)
-    sizes: list[dict[int, Size]] = []
-    before = Size.of(psutil.Process())
-
-    class Scales(post.module.Hook):  # type: ignore[name-defined, misc]
-        def tell(self, event: dict[str, Any]) -> None:
-            me = psutil.Process()
-            sizes.append({p.pid: Size.of(p) for p in (me, *me.children(recursive=True))})
-
     post.deliver(*(f"{number:02}" for number in range(MANY)))
-    inbox, outbox = str(post.inbox), str(post.outbox)
-    assert post.module.sweep(inbox, outbox, SETTINGS, Scales(["x"]), quiet=True) == post.module.DONE
+    running = post.start("--notify", shlex.join([sys.executable, str(tmp_path / "scales.py"), str(log)]))
+    said = running.communicate(timeout=PATIENCE)[1]
+    assert running.returncode == post.module.DONE, said
+    sizes = [json.loads(line) for line in log.read_text().splitlines()]
     assert len(sizes) == MANY == len(post.images())
     early, late = sizes[SETTLED - 1], sizes[MANY - 1]
     assert set(late) == set(early), "processes came and went"
     for pid in early:
-        assert late[pid].memory - early[pid].memory < GROWTH, (pid, [size[pid].memory for size in sizes])
-        assert late[pid].files < early[pid].files + FEW, (pid, [size[pid].files for size in sizes])
-        assert late[pid].threads < early[pid].threads + FEW, (pid, [size[pid].threads for size in sizes])
-        assert late[pid].shared <= early[pid].shared, (pid, [size[pid].shared for size in sizes])
-    assert Size.of(psutil.Process()).shared <= before.shared
+        memory, files, threads, shared = zip(*(size[pid] for size in sizes), strict=True)
+        assert memory[-1] - memory[SETTLED - 1] < GROWTH, (pid, memory)
+        assert files[-1] < files[SETTLED - 1] + FEW, (pid, files)
+        assert threads[-1] < threads[SETTLED - 1] + FEW, (pid, threads)
+        assert shared[-1] <= shared[SETTLED - 1], (pid, shared)
     assert os.listdir(scratch) == []
     assert not (post.outbox / "scratch").exists()
