@@ -20,8 +20,9 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeGuard
 
 import numpy as np
 
-from blocksar import __version__, cluster, graph, inspection, runs, simulation, stores
+from blocksar import __version__, choice, cluster, graph, inspection, runs, simulation, stores
 from blocksar.backprojection import form_image
+from blocksar.choice import Contender
 from blocksar.cluster import machine
 from blocksar.geometry import Geometry
 from blocksar.graph import image_chunk
@@ -39,9 +40,19 @@ from blocksar.measurement import (
     read_response,
     summary,
 )
+from blocksar.method import (
+    Coefficients,
+    Derotation,
+    Method,
+    Perturbation,
+    PlannedProcessor,
+    Processor,
+    RangeModel,
+    method_of,
+)
 from blocksar.parameters import Collection, ComplexArray, FloatArray, InputError, ProcessingError
 from blocksar.places import Location, Place, place
-from blocksar.planning import BlockPlan, Coefficients, Plan, plan_collection
+from blocksar.planning import BlockPlan, Plan, plan_collection
 from blocksar.region import Grid, default_grid, plan_region
 from blocksar.runs import FORMAT, Receipt, Run
 from blocksar.scene import Scene, shipped_scenes
@@ -52,7 +63,6 @@ if TYPE_CHECKING:
 
 __all__ = ["demo", "focus", "open", "plan", "quality", "simulate"]
 
-Processor = Literal["angular-division", "keystone-resampling", "high-order-phase", "backprojection"]
 GridLike = Grid | tuple[tuple[float, float, float], tuple[float, float, float]]
 Table = tuple[Sequence[str], Sequence[Sequence[str]]]
 
@@ -115,9 +125,13 @@ def simulate(
 def plan(
     source: Location | xr.Dataset,
     *,
-    processor: Processor = "angular-division",
+    processor: PlannedProcessor = "angular-division",
     blocks: int | Literal["auto"] = "auto",
     coefficients: Coefficients = "fitted",
+    perturbation: Perturbation = "all",
+    keystone: bool = True,
+    derotation: Derotation = "nonlinear",
+    range_model: RangeModel = "polar",
     grid: GridLike | None = None,
     workers: int | None = None,
     memory_limit: int | None = None,
@@ -134,26 +148,65 @@ def plan(
     InputError
         If the source is no collection, the PRF is too low, or the grid is outside the swath.
     """
-    _check_processor(processor)
-    collection = _collection(source)
-    workers, _, memory_limit = _resources(workers, None, memory_limit)
-    if processor == "backprojection":
-        return _plan_backprojection(collection, _grid(grid), workers)
-    made = plan_collection(
-        collection,
-        blocks=blocks,
+    automatic = processor == "auto"
+    method = method_of(
+        "angular-division" if automatic else processor,
         coefficients=coefficients,
-        grid=_grid(grid),
-        workers=workers,
-        memory_limit=memory_limit,
+        perturbation=perturbation,
+        keystone=keystone,
+        derotation=derotation,
+        range_model=range_model,
     )
+    if automatic and method is not None and method.rival:
+        raise InputError(
+            f"{' and '.join(method.departures)}: processor auto compares processors as they are; leave it out"
+        )
+    collection, wanted = _collection(source), _grid(grid)
+    workers, _, memory_limit = _resources(workers, None, memory_limit)
+    if method is None:
+        return _plan_backprojection(collection, wanted, workers)
+
+    def made_for(method: Method) -> Plan:
+        return plan_collection(
+            collection, blocks=blocks, method=method, grid=wanted, workers=workers, memory_limit=memory_limit
+        )
+
+    if automatic:
+        return _plan_automatic(choice.contend(made_for))
+    made = made_for(method)
     return Report(tables=[_block_table(made)], summary=_plan_lines(made), refusal=made.refusal, result=made)
 
 
-def _check_processor(processor: str) -> None:
-    if processor in ("angular-division", "backprojection"):
-        return
-    raise InputError(f"processor {processor!r} is not available; use angular-division or backprojection")
+def _plan_automatic(contenders: list[Contender]) -> Report:
+    """All processors side by side, then the proposed one's own plan."""
+    best, reason = choice.propose(contenders)
+    least = min(c.plan.work() for c in contenders if c.plan is not None)
+    header = (
+        "processor", "blocks", "residual phase (rad)", "quadratic (rad)", "PSLR (dB)", "width / limit",
+        "migration (cells)", "work", "memory (MiB)", "within its budgets",
+    )  # fmt: skip
+    rows = [_contender_row(c, least) for c in contenders]
+    if best is None or best.plan is None:
+        return Report(tables=[(header, rows)], summary=[reason], refusal=reason)
+    made = best.plan
+    return Report(
+        tables=[(header, rows), _block_table(made)],
+        summary=[reason, *_plan_lines(made), f"to focus with it: --processor {best.processor}"],
+        refusal=made.refusal,
+        result=made,
+    )
+
+
+def _contender_row(contender: Contender, least: float) -> list[str]:
+    made = contender.plan
+    if made is None:
+        return [contender.processor, *["-"] * 8, "no"]
+    p = contender.worst.prediction
+    return [
+        contender.processor, str(made.n_blocks), f"{p.residual_phase:.4f}", f"{p.quadratic_phase:.4f}", f"{p.pslr:.2f}",
+        f"{p.width:.3f}", f"{p.migration:.3f}", f"{made.work() / least:.2f}", f"{made.memory / MIB:.0f}",
+        "yes" if contender.serves else "no",
+    ]  # fmt: skip
 
 
 def _grid(grid: GridLike | None) -> Grid | None:
@@ -226,7 +279,7 @@ def _plan_lines(made: Plan) -> list[str]:
     spectrum = recovery.doppler.size * collection.n_range_frequency * 8
     divided = f" of {made.parts} range sub-blocks each" if made.parts > 1 else ""
     lines = [
-        f"{made.n_blocks} blocks{divided}, {made.coefficients} coefficients; "
+        f"{made.n_blocks} blocks{divided}, {made.method.coefficients} coefficients; "
         f"track of order {made.geometry.track.order}, misfit {made.geometry.track.max_misfit:.2g} m",
         f"derotated band {recovery.band[1] - recovery.band[0]:.0f} Hz at PRF {collection.prf:.0f} Hz; recovered "
         f"spectrum {recovery.doppler.size} x {collection.n_range_frequency} ({spectrum / MIB:.0f} MiB), "
@@ -266,6 +319,10 @@ def focus(
     processor: Processor = "angular-division",
     blocks: int | Literal["auto"] = "auto",
     coefficients: Coefficients = "fitted",
+    perturbation: Perturbation = "all",
+    keystone: bool = True,
+    derotation: Derotation = "nonlinear",
+    range_model: RangeModel = "polar",
     grid: GridLike | None = None,
     workers: int | None = None,
     threads: int | None = None,
@@ -297,12 +354,19 @@ def focus(
     ProcessingError
         If processing fails: what was finished stays, and the same call resumes.
     """
-    _check_processor(processor)
+    method = method_of(
+        processor,
+        coefficients=coefficients,
+        perturbation=perturbation,
+        keystone=keystone,
+        derotation=derotation,
+        range_model=range_model,
+    )
     wanted = _grid(grid)
     settings: dict[str, Any] = {
+        **(Method() if method is None else method).as_settings(),
         "processor": processor,
         "blocks": blocks,
-        "coefficients": coefficients,
         "grid": None if wanted is None else _grid_record(wanted),
     }
     history = stores.open_phase_history(_where(source))
@@ -382,7 +446,7 @@ def _job(
         collection,
         blocks=settings["blocks"] if record is None else record["plan"]["blocks"],
         parts="auto" if record is None else record["plan"]["parts"],
-        coefficients=settings["coefficients"],
+        method=Method.of_settings(settings),
         grid=grid,
         workers=workers,
         memory_limit=memory_limit,

@@ -1,7 +1,7 @@
-"""Azimuth steps: perturbation, deramp, final transform. Each can be applied and traced.
+"""Azimuth steps: perturbation, resampling, deramp, final transform. Each can be applied and traced.
 
 The samples are s(r, t) or s(r, f), one row a range; every phase is a polynomial along the row whose
-coefficients change smoothly with range (`RowPhase`).
+coefficients change smoothly with range (`RowPolynomial`).
 """
 
 from __future__ import annotations
@@ -9,20 +9,23 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.polynomial import chebyshev
 from scipy.special import fresnel
 
 from blocksar import fourier
 from blocksar.fourier import Axis
-from blocksar.lines import Line, RowPhase
+from blocksar.lines import Line, RowPolynomial
 from blocksar.parameters import ComplexArray, FloatArray
-from blocksar.phase import Phase
-from blocksar.rows import Operation, Transform, Turn, Window
+from blocksar.phase import Phase, tap_polynomials
+from blocksar.rows import Operation, Resample, Transform, Turn, Window
 from blocksar.steps import Step
 
 GATE_WINDOWS = 17
+INVERSE_ORDER = 9  # of the polynomial that inverts a Doppler resampling: to a thousandth of a bin, and far below
+NEWTON_STEPS = 6
 
 
-def _turn(phases: RowPhase, rows: Axis, *, sign: float = 1.0) -> Turn:
+def _turn(phases: RowPolynomial, rows: Axis, *, sign: float = 1.0) -> Turn:
     return Turn(Phase(sign * phases.coefficients(rows.values), phases.centre, phases.scale))
 
 
@@ -41,37 +44,134 @@ def _mean_range(line: Line) -> FloatArray:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Perturbation(_AzimuthStep):
-    """Perturb in time, transform to Doppler, perturb there (paper A (26), orders 3 and up; time: physics).
+class AzimuthTransform(_AzimuthStep):
+    """Slow time to Doppler, padded in time for what the steps in Doppler will move there.
 
-    exp(2j pi p(t)) ahead of the transform is this package's addition: it lets the chain work where
-    acceleration cancels the Doppler rate, and on beams that are not steered. The frequency perturbation
-    exp(2j pi P(f)) is (26), erratum applied: exp[j pi (alpha f^3 + beta f^4)].
+    Its rows may be ranges or range frequencies: it does not ask.
     """
 
-    name = "perturbation"
+    name = "azimuth-fft"
     time: Axis
     doppler: Axis
     rows: Axis
-    time_phase: RowPhase
-    doppler_phase: RowPhase
 
     @property
     def source(self) -> Axis:
         return self.time
 
     def operations(self) -> list[Operation]:
-        """Rows of time.size samples to rows of doppler.size bins, one a range; padded in time."""
-        return [
-            _turn(self.time_phase, self.rows),
-            Transform(self.time, self.doppler, inverse=False),
-            _turn(self.doppler_phase, self.rows),
-        ]
+        """Rows of time.size samples to rows of doppler.size bins."""
+        return [Transform(self.time, self.doppler, inverse=False)]
 
     def trace(self, line: Line) -> Line:
-        row = _mean_range(line)
-        line = line.multiply_time(*self.time_phase.evaluate(row, line.time))
-        return line.multiply_doppler(*self.doppler_phase.evaluate(row, line.doppler))
+        return line
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TimePerturbation(_AzimuthStep):
+    """Multiply by exp(2j pi p(t)) ahead of the transform to Doppler.
+
+    Paper B's perturbation: orders 3 and 4 make the cubic and quartic phases alike that a target's azimuth gives it.
+    With a bias chirp (order 2), and in the angular-division chain, it is this package's addition: the chains then work
+    where acceleration cancels the Doppler rate, and on beams that are not steered.
+    """
+
+    name = "time-perturbation"
+    time: Axis
+    rows: Axis
+    phases: RowPolynomial
+
+    @property
+    def source(self) -> Axis:
+        return self.time
+
+    def operations(self) -> list[Operation]:
+        """Rows of time.size samples, one a range."""
+        return [_turn(self.phases, self.rows)]
+
+    def trace(self, line: Line) -> Line:
+        return line.multiply_time(*self.phases.evaluate(_mean_range(line), line.time))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FrequencyPerturbation(_AzimuthStep):
+    """Multiply by exp(2j pi P(f)) in Doppler, so that all targets of a range come to one Doppler rate.
+
+    Paper A (26), erratum applied: exp[j pi (alpha f^3 + beta f^4)]; paper C's high-order phase correction. Fitted
+    coefficients have orders 2 to 5.
+    """
+
+    name = "frequency-perturbation"
+    doppler: Axis
+    rows: Axis
+    phases: RowPolynomial
+
+    @property
+    def source(self) -> Axis:
+        return self.doppler
+
+    def operations(self) -> list[Operation]:
+        """Rows of doppler.size bins, one a range."""
+        return [_turn(self.phases, self.rows)]
+
+    def trace(self, line: Line) -> Line:
+        return line.multiply_doppler(*self.phases.evaluate(_mean_range(line), line.doppler))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DopplerResampling(_AzimuthStep):
+    """Resample Doppler, f -> h(f) = f + e2 f^2 + e3 f^3, so that all targets of a range come to one Doppler rate.
+
+    A target whose line has the rate k comes out with k h'^2: a spectrum that is spread by h' is a signal contracted
+    by h', about `middle`. Paper B's last correction; its abstract names the operation, the map of lines and the
+    orders are derived here (`Line.resample_doppler`). The spectrum is multiplied by 1 / sqrt(h'): energy is kept.
+
+    Attributes
+    ----------
+    shift : RowPolynomial
+        h(f) - f, Hz.
+    middle : float
+        Slow time about which signals contract, s.
+    taps : int
+    occupancy : float
+        Part of the Doppler sampling's time that the signal fills.
+    """
+
+    name = "doppler-resampling"
+    doppler: Axis
+    rows: Axis
+    shift: RowPolynomial
+    middle: float
+    taps: int
+    occupancy: float
+
+    @property
+    def source(self) -> Axis:
+        return self.doppler
+
+    def operations(self) -> list[Operation]:
+        """Rows of doppler.size bins, one a range."""
+        delay = Phase(np.array([[0.0, self.middle]]), 0.0, 1.0)
+        back = Phase(np.array([[0.0, -self.middle]]), 0.0, 1.0)
+        taps = tap_polynomials(self.taps, occupancy=self.occupancy)
+        return [Turn(delay), Resample(self.positions(), taps), Turn(back)]
+
+    def positions(self) -> FloatArray:
+        """Where each row's output bins lie in its input, in bins: (n_row, INVERSE_ORDER + 1), of `phase.unit`.
+
+        The inverse of h, by Newton's method at Chebyshev's nodes.
+        """
+        nodes = chebyshev.chebpts1(INVERSE_ORDER + 1)
+        n, ranges = self.doppler.size, self.rows.values
+        wanted = self.doppler.start + self.doppler.step * (n // 2 + nodes * (n / 2))
+        f = np.broadcast_to(wanted, (ranges.size, wanted.size)).copy()
+        for _ in range(NEWTON_STEPS):
+            offset, slope, _ = self.shift.evaluate(ranges, f)
+            f -= (f + offset - wanted) / (1.0 + slope)
+        return np.asarray(np.linalg.solve(np.vander(nodes, increasing=True), self.doppler.position(f).T).T)
+
+    def trace(self, line: Line) -> Line:
+        return line.resample_doppler(*self.shift.evaluate(_mean_range(line), line.doppler), middle=self.middle)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -82,7 +182,7 @@ class Deramp(_AzimuthStep):
     doppler: Axis
     time: Axis
     rows: Axis
-    phases: RowPhase
+    phases: RowPolynomial
 
     @property
     def source(self) -> Axis:
@@ -112,11 +212,11 @@ class DwellGate:
 
     Attributes
     ----------
-    phase : RowPhase
+    phase : RowPolynomial
         psi(r, f), cycles.
-    common : RowPhase
+    common : RowPolynomial
         The same, one for all rows: stays taken out, so that the image can be sampled coarsely in Doppler.
-    slope : RowPhase
+    slope : RowPolynomial
         Of one coefficient: c'(r), s/Hz.
     length : float
         Of the dwell after all steps, s.
@@ -124,9 +224,9 @@ class DwellGate:
         About 0; what is kept.
     """
 
-    phase: RowPhase
-    common: RowPhase
-    slope: RowPhase
+    phase: RowPolynomial
+    common: RowPolynomial
+    slope: RowPolynomial
     length: float
     time: Axis
 

@@ -22,14 +22,13 @@ import typer
 from typer.core import TyperGroup
 
 from blocksar import __version__
+from blocksar.method import Coefficients, Derotation, Perturbation, PlannedProcessor, Processor, RangeModel
 from blocksar.parameters import InputError, ProcessingError
 
 if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
     from rich.progress import TaskID
 
-Processor = Literal["angular-division", "keystone-resampling", "high-order-phase", "backprojection"]
-Coefficients = Literal["fitted", "closed-form"]
 Axis = tuple[float, float, float]
 
 FAILED, WRONG_INPUT, INTERRUPTED, TERMINATED = 1, 2, 130, 143
@@ -41,9 +40,12 @@ PIPE_WIDTH = 240  # columns of a table that goes to no terminal: nothing may be 
 class Settings(TypedDict):
     """What `plan` and `focus` share, as the api takes it."""
 
-    processor: Processor
     blocks: int | Literal["auto"]
     coefficients: Coefficients
+    perturbation: Perturbation
+    keystone: bool
+    derotation: Derotation
+    range_model: RangeModel
     grid: tuple[Axis, Axis] | None
     workers: int | None
     memory_limit: int | None  # bytes
@@ -157,17 +159,23 @@ def parse_blocks(text: str) -> int | Literal["auto"]:
 
 
 def _settings(
-    processor: Processor,
     blocks: str,
     coefficients: Coefficients,
+    perturbation: Perturbation,
+    keystone: bool,
+    derotation: Derotation,
+    range_model: RangeModel,
     grid: str | None,
     workers: int | None,
     memory_limit: str | None,
 ) -> Settings:
     return {
-        "processor": processor,
         "blocks": parse_blocks(blocks),
         "coefficients": coefficients,
+        "perturbation": perturbation,
+        "keystone": keystone,
+        "derotation": derotation,
+        "range_model": range_model,
         "grid": None if grid is None else parse_grid(grid),
         "workers": workers,
         "memory_limit": None if memory_limit is None else parse_memory(memory_limit),
@@ -282,11 +290,27 @@ class Commands(TyperGroup):
 # ---------------------------------------------------------------- options that several commands share
 
 Blocks = Annotated[str, typer.Option(metavar="auto|N", help="Angular blocks; auto: the fewest that serve.")]
-CoefficientsOption = Annotated[Coefficients, typer.Option(help="Fitted on time-frequency lines, or as printed.")]
-ProcessorOption = Annotated[
-    Processor,
-    typer.Option(metavar="NAME", help=f"{', '.join(get_args(Processor)[:-1])}, or the exact, slow backprojection."),
+RIVALS = "Rivals, to compare with"
+CoefficientsOption = Annotated[
+    Coefficients, typer.Option(help="Fitted on time-frequency lines, or as printed.", rich_help_panel=RIVALS)
 ]
+PerturbationOption = Annotated[
+    Perturbation,
+    typer.Option(help="All the processor has, one in Doppler only, or none: a deramp only.", rich_help_panel=RIVALS),
+]
+KeystoneOption = Annotated[
+    bool,
+    typer.Option("--keystone/--no-keystone", help="Without: RCMC by one reference in time.", rich_help_panel=RIVALS),
+]
+DerotationOption = Annotated[
+    Derotation, typer.Option(help="Linear: one Doppler rate only, which needs a higher PRF.", rich_help_panel=RIVALS)
+]
+RangeModelOption = Annotated[
+    RangeModel,
+    typer.Option(help="Conventional, with closed form: variables substituted after RWC.", rich_help_panel=RIVALS),
+]
+PROCESSORS = f"{', '.join(get_args(Processor)[:-1])}, or the exact, slow backprojection"
+ProcessorOption = Annotated[Processor, typer.Option(metavar="NAME", help=f"{PROCESSORS}.")]
 GridOption = Annotated[
     str | None,
     typer.Option(metavar="x0:x1:dx,y0:y1:dy", help="Image points, m; default: the lit sector at half the resolution."),
@@ -377,9 +401,16 @@ def simulate(
 @app.command()
 def plan(
     source: Annotated[str, typer.Argument(metavar="PH.zarr|SCENE.toml", help="Phase-history store or scene.")],
-    processor: ProcessorOption = "angular-division",
+    processor: Annotated[
+        PlannedProcessor,
+        typer.Option(metavar="NAME", help=f"{PROCESSORS}; auto: all chains side by side, and the best one proposed."),
+    ] = "angular-division",
     blocks: Blocks = "auto",
     coefficients: CoefficientsOption = "fitted",
+    perturbation: PerturbationOption = "all",
+    keystone: KeystoneOption = True,
+    derotation: DerotationOption = "nonlinear",
+    range_model: RangeModelOption = "polar",
     grid: GridOption = None,
     workers: Workers = None,
     memory_limit: MemoryLimit = None,
@@ -392,11 +423,13 @@ def plan(
 
     Example: [bold]blocksar plan table1 --blocks 3[/bold]
     """
-    settings = _settings(processor, blocks, coefficients, grid, workers, memory_limit)
+    settings = _settings(
+        blocks, coefficients, perturbation, keystone, derotation, range_model, grid, workers, memory_limit
+    )
 
     from blocksar import api
 
-    made = api.plan(source, **settings)
+    made = api.plan(source, processor=processor, **settings)
     show(made)
     if made.refusal is not None:
         complain(made.refusal, WRONG_INPUT)
@@ -409,6 +442,10 @@ def focus(
     processor: ProcessorOption = "angular-division",
     blocks: Blocks = "auto",
     coefficients: CoefficientsOption = "fitted",
+    perturbation: PerturbationOption = "all",
+    keystone: KeystoneOption = True,
+    derotation: DerotationOption = "nonlinear",
+    range_model: RangeModelOption = "polar",
     grid: GridOption = None,
     workers: Workers = None,
     threads: Threads = None,
@@ -423,13 +460,22 @@ def focus(
 
     Example: [bold]blocksar focus table1.zarr --out run --blocks 3[/bold]
     """
-    settings = _settings(processor, blocks, coefficients, grid, workers, memory_limit)
+    settings = _settings(
+        blocks, coefficients, perturbation, keystone, derotation, range_model, grid, workers, memory_limit
+    )
 
     from blocksar import api
 
     with Progress(quiet=quiet) as progress:
         report = api.focus(
-            source, out, **settings, threads=threads, scheduler=scheduler, overwrite=overwrite, progress=progress
+            source,
+            out,
+            processor=processor,
+            **settings,
+            threads=threads,
+            scheduler=scheduler,
+            overwrite=overwrite,
+            progress=progress,
         )
     show(report)
 

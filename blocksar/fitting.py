@@ -1,13 +1,14 @@
-"""Coefficients of the azimuth steps: fitted on time-frequency lines, or in closed form as paper A prints them.
+"""Coefficients of the azimuth steps, fitted on time-frequency lines; `closed_form` has what the papers print.
 
-The fit asks two things of a block's lines after perturbation and deramp. They must be level: what is left is
-phase error. And the frequency perturbation must hardly stretch them in time: stretching is dispersion,
+The fit asks two things of a block's lines after the last of its steps. They must be level: what is left is
+phase error. And what is done in Doppler must hardly stretch them in time: stretching is dispersion,
 which blurs the sharp ends of a dwell over sqrt(|stretch - 1| / rate) seconds, and that much of the dwell is
 lost to the focus. Lines alone do not show this loss (they are the stationary phase); weighing it in costs
 nothing, since many sets of coefficients level the lines to a milliradian.
 
-Unknowns are a time perturbation of orders 3 and 4 (with a bias chirp, order 2, that is tried at a few values), a
-frequency perturbation of orders 2 to 5 and a deramp of orders 2 to 4, per range.
+Unknowns, per range, as far as the chain has the steps: a time perturbation of orders 3 and 4 (with a bias chirp,
+order 2, that is tried at a few values), a frequency perturbation of orders 2 to 5, a Doppler resampling of orders 2 to
+4, a deramp of orders 2 to 4.
 """
 
 from __future__ import annotations
@@ -21,26 +22,44 @@ import numpy as np
 from numpy.polynomial import polynomial as power
 
 from blocksar.geometry import Geometry
-from blocksar.lines import Line, RowPhase, row_phase
+from blocksar.lines import Line, RowPolynomial, row_polynomial
 from blocksar.parameters import FloatArray
 
-DOPPLER_ORDERS = (2, 3, 4, 5)
-DERAMP_ORDERS = (2, 3, 4)
 TIME_ORDERS = (3, 4)
+DOPPLER_ORDERS = (2, 3, 4, 5)
+RESAMPLING_ORDERS = (2, 3, 4)
+DERAMP_ORDERS = (2, 3, 4)
 SERIES_DEGREE = 6  # of the coefficients in range
 GOOD_RESIDUAL = 0.02  # rad: below this a cheaper chain is preferred to a better one
 GOOD_LOSS = 0.008  # of the dwell, lost at its ends: likewise
-ENOUGH = 1e-5  # of the cost: a fit that gains less by a step is done
+# A fit is done when a step gains less than this part of the cost, or after so many steps. Order 2 in Doppler and the
+# deramp nearly cancel, which makes a long valley; to choose a kind of chain its beginning tells enough.
+ENOUGH, MOST_STEPS = 1e-7, 200
+ROUGHLY, FEW_STEPS = 1e-4, 40
+SETTLED = 100.0  # rad: what it costs to change an unknown that an earlier range has settled
 STRETCH_PRICE = 0.5  # rad of phase error that a stretch of 2 is worth in the fit
 TIME_BANDWIDTH = 100.0  # of a target's line: stationary phase and a sharp spectrum need about this much
 
 
-class AzimuthPhases(NamedTuple):
-    """The three phases of the azimuth steps, cycles."""
+class AzimuthPolynomials(NamedTuple):
+    """What the azimuth steps are bound to: phases (cycles) in time, Doppler and time, and a shift of Doppler (Hz).
 
-    time: RowPhase
-    doppler: RowPhase
-    deramp: RowPhase
+    A step that the chain does not have has a polynomial that is zero. Resampling is about `middle`, slow time, s.
+    """
+
+    time: RowPolynomial
+    doppler: RowPolynomial
+    resampling: RowPolynomial
+    deramp: RowPolynomial
+    middle: float
+
+
+class Freedom(NamedTuple):
+    """Which steps a chain has whose coefficients can be fitted, besides the deramp that all have."""
+
+    time: bool
+    doppler: bool
+    resampling: bool
 
 
 @dataclass(frozen=True)
@@ -49,6 +68,33 @@ class Candidate:
 
     bias: float
     perturb_time: bool
+
+
+class _Unknowns(NamedTuple):
+    """Orders of the unknowns: of phases in time and Doppler, of the Doppler that is shifted, of the deramp."""
+
+    time: tuple[int, ...]
+    doppler: tuple[int, ...]
+    resampling: tuple[int, ...]
+    deramp: tuple[int, ...]
+
+    @classmethod
+    def of(cls, candidate: Candidate, freedom: Freedom) -> _Unknowns:
+        return cls(
+            TIME_ORDERS if candidate.perturb_time else (),
+            DOPPLER_ORDERS if freedom.doppler else (),
+            RESAMPLING_ORDERS if freedom.resampling else (),
+            DERAMP_ORDERS,
+        )
+
+    @property
+    def ends(self) -> list[int]:
+        """Where each group but the last ends."""
+        return [sum(map(len, self[:k])) for k in (1, 2, 3)]
+
+    @property
+    def size(self) -> int:
+        return sum(map(len, self))
 
 
 class _Scales(NamedTuple):
@@ -103,20 +149,23 @@ def _fit_range(
     rate: FloatArray,
     weight: FloatArray,
     scales: _Scales,
-    candidate: Candidate,
+    unknowns: _Unknowns,
     start: FloatArray,
+    *,
+    pull: FloatArray,
+    roughly: bool,
 ) -> FloatArray:
     """Level the lines (n_yaw, n) of one range; unknowns are scaled to the lines' extent in time and Doppler.
 
-    With v = f / F + P(z), z' = z - D(v), the level is v + E(z') and the stretch 1 - D'(v) (dv/dz): sums of
-    powers P, D, E whose coefficients are sought.
+    With v = f / F + P(z), delayed to y = z - D(v) and resampled to h = v + R(v), z' = y / h'(v): the level is
+    h + E(z') and the stretch dz'/dz. P, D, R and E are sums of powers whose coefficients
+    are sought. `pull` (n_unknown,) rad holds them to where they start.
     """
-    orders = TIME_ORDERS if candidate.perturb_time else ()
-    n_time, n_doppler = len(orders), len(DOPPLER_ORDERS)
-    split = (n_time, n_time + n_doppler)
+    split = unknowns.ends
     z_in = (time - scales.time_centre) / scales.time
     flat, steep = doppler / scales.doppler, rate * scales.time / scales.doppler
-    p_terms, p_slopes = _powers(z_in, orders), _slopes(z_in, orders, 1)
+    p_terms, p_slopes = _powers(z_in, unknowns.time), _slopes(z_in, unknowns.time, 1)
+    r_orders = tuple(order + 1 for order in unknowns.resampling)  # of the powers' integrals, as the others are given
     duration = weight.sum(axis=-1, keepdims=True)
     share = weight / duration
     # The Doppler error over a dwell, times its length, is about the phase error that it makes.
@@ -124,33 +173,57 @@ def _fit_range(
     stretch_price = STRETCH_PRICE * np.sqrt(share)
 
     def chain(x: FloatArray) -> tuple[FloatArray, ...]:
-        p, d, e = np.split(x, split)
+        p, d, r, e = np.split(x, split)
         v = flat + _combine(p, p_terms)
-        z = z_in - _combine(d, _powers(v, DOPPLER_ORDERS))
         slope = steep + _combine(p, p_slopes)
-        return v, z, slope, _combine(d, _slopes(v, DOPPLER_ORDERS, 1)), e, d
+        y = z_in - _combine(d, _powers(v, unknowns.doppler))
+        bend = _combine(d, _slopes(v, unknowns.doppler, 1))
+        h = v + _combine(r, _powers(v, r_orders))
+        pace, curl = 1 + _combine(r, _slopes(v, r_orders, 1)), _combine(r, _slopes(v, r_orders, 2))
+        return v, slope, y, bend, h, pace, curl, e
 
     def centred(values: FloatArray) -> FloatArray:
         return values - (values * share).sum(axis=-1, keepdims=True)
 
     def faults(x: FloatArray) -> FloatArray:
-        v, z, slope, bend, e, _ = chain(x)
-        level = v + _combine(e, _powers(z, DERAMP_ORDERS))
-        return np.concatenate([(level_price * centred(level)).ravel(), (stretch_price * bend * slope).ravel()])
+        _, slope, y, bend, h, pace, curl, e = chain(x)
+        level = h + _combine(e, _powers(y / pace, unknowns.deramp))
+        stretch = (1 - bend * slope - y / pace * curl * slope) / pace
+        held = pull * (x - start)
+        return np.concatenate([(level_price * centred(level)).ravel(), (stretch_price * (stretch - 1)).ravel(), held])
 
     def jacobian(x: FloatArray) -> FloatArray:
-        v, z, slope, bend, e, d = chain(x)
-        e_slope = _combine(e, _slopes(z, DERAMP_ORDERS, 1))
-        curl = _combine(d, _slopes(v, DOPPLER_ORDERS, 2))
-        v_terms = _powers(v, DOPPLER_ORDERS)
-        level = np.concatenate([p_terms * (1 - e_slope * bend), -e_slope * v_terms, _powers(z, DERAMP_ORDERS)])
-        stretch = np.zeros_like(level)
-        stretch[:n_time] = curl * p_terms * slope + bend * p_slopes
-        stretch[split[0] : split[1]] = _slopes(v, DOPPLER_ORDERS, 1) * slope
-        rows = np.concatenate([level_price * centred(level), stretch_price * stretch], axis=1)
-        return rows.reshape(x.size, -1)
+        v, slope, y, bend, _, pace, curl, e = chain(x)
+        d, r = np.split(x, split)[1:3]
+        z = y / pace
+        e_slope = _combine(e, _slopes(z, unknowns.deramp, 1))
+        d_curl, r_twist = _combine(d, _slopes(v, unknowns.doppler, 2)), _combine(r, _slopes(v, r_orders, 3))
+        # By v and by slope, which only P moves, and by what each of D and R adds.
+        stretch = (1 - bend * slope - z * curl * slope) / pace
+        z_by_v = -(bend + z * curl) / pace
+        stretch_by_v = -(d_curl * slope + (z_by_v * curl + z * r_twist) * slope + stretch * curl) / pace
+        stretch_by_slope = -(bend + z * curl) / pace
+        d_terms, d_slopes = _powers(v, unknowns.doppler), _slopes(v, unknowns.doppler, 1)
+        r_terms, r_slopes, r_curls = (_powers(v, r_orders), _slopes(v, r_orders, 1), _slopes(v, r_orders, 2))
+        z_by_r = -z * r_slopes / pace
+        level_rows = [
+            (pace + e_slope * z_by_v) * p_terms,
+            -e_slope / pace * d_terms,
+            r_terms + e_slope * z_by_r,
+            _powers(z, unknowns.deramp),
+        ]
+        stretch_rows = [
+            stretch_by_v * p_terms + stretch_by_slope * p_slopes,
+            (-d_slopes * slope + d_terms / pace * curl * slope) / pace,
+            -(z_by_r * curl * slope + z * r_curls * slope + stretch * r_slopes) / pace,
+            np.zeros_like(level_rows[3]),
+        ]
+        level, stretched = np.concatenate(level_rows), np.concatenate(stretch_rows)
+        rows = np.concatenate([level_price * centred(level), stretch_price * stretched], axis=1)
+        return np.concatenate([rows.reshape(x.size, -1), np.diag(pull)], axis=1)
 
-    return levenberg_marquardt(faults, jacobian, start)
+    enough, steps = (ROUGHLY, FEW_STEPS) if roughly else (ENOUGH, MOST_STEPS)
+    return levenberg_marquardt(faults, jacobian, start, enough=enough, steps=steps)
 
 
 def levenberg_marquardt(
@@ -158,7 +231,8 @@ def levenberg_marquardt(
     jacobian: Callable[[FloatArray], FloatArray],
     start: FloatArray,
     *,
-    iterations: int = 60,
+    enough: float = ENOUGH,
+    steps: int = MOST_STEPS,
 ) -> FloatArray:
     """Minimise the sum of squares of `faults`; the same bits every time.
 
@@ -172,12 +246,16 @@ def levenberg_marquardt(
         (n,) to (m,).
     jacobian : callable
         (n,) to (n, m): one row an unknown.
+    enough : float
+        Part of the cost: who gains less by a step is done.
+    steps : int
+        At most.
     """
     x, damping, growth = start, 1e-3, 2.0
     fault = faults(x)
     cost = float((fault * fault).sum())
     scale = np.zeros(x.size)
-    for _ in range(iterations):
+    for _ in range(steps):
         rows = jacobian(x)
         scale = np.maximum(scale, np.sqrt((rows * rows).sum(axis=1)))
         size = np.where(scale > 0, scale, 1.0)
@@ -193,7 +271,7 @@ def levenberg_marquardt(
         gained = cost - tried_cost
         x, fault, cost = x + step, tried, tried_cost
         damping, growth = max(damping / 5, 1e-14), 2.0
-        if gained <= ENOUGH * cost:
+        if gained <= enough * cost:
             break
     return x
 
@@ -217,18 +295,23 @@ def _damped_step(rows: FloatArray, fault: FloatArray, damping: float) -> FloatAr
     return step
 
 
-def fit_phases(line: Line, *, ranges: FloatArray, candidate: Candidate, wavelength: float) -> AzimuthPhases:
-    """Fit the three phases so that every line is level.
+def fit(
+    line: Line, *, ranges: FloatArray, candidate: Candidate, freedom: Freedom, wavelength: float, roughly: bool = False
+) -> AzimuthPolynomials:
+    """Fit the azimuth steps so that every line is level.
 
     Parameters
     ----------
     line : Line
-        (n_range, n_yaw, n) after RCMC; row i belongs to apparent range ranges[i].
+        (n_range, n_yaw, n) after range compression; row i belongs to apparent range ranges[i].
     ranges : (n_range,) float
         Ascending, m from the origin.
     candidate : Candidate
+    freedom : Freedom
     wavelength : float
         m.
+    roughly : bool
+        Stop early, where only the kind of chain is to be chosen.
     """
     time = np.broadcast_to(line.time, line.doppler.shape)
     centre = float((time.min() + time.max()) / 2)
@@ -239,35 +322,40 @@ def fit_phases(line: Line, *, ranges: FloatArray, candidate: Candidate, waveleng
     half = float(np.max(doppler.max(axis=(1, 2)) - centres))
     scales = _Scales(centre, float(np.abs(time - centre).max()), max(half, 1e-3))
     weight = np.broadcast_to(line.weight, line.doppler.shape)
-    n_time = len(TIME_ORDERS) if candidate.perturb_time else 0
 
-    n_doppler = len(DOPPLER_ORDERS)
-    x = np.zeros(n_time + n_doppler + len(DERAMP_ORDERS))
+    unknowns = _Unknowns.of(candidate, freedom)
+    x = np.zeros(unknowns.size)
     slope = np.mean((doppler[0, :, -1] - doppler[0, :, 0]) / (time[0, :, -1] - time[0, :, 0]))
-    x[n_time + n_doppler] = -slope * scales.time / scales.doppler
+    x[unknowns.ends[-1]] = -slope * scales.time / scales.doppler
     solutions = []
+    pull = np.zeros(unknowns.size)
     for i in range(ranges.size):
-        x = _fit_range(time[i], doppler[i] - centres[i], rate[i], weight[i], scales, candidate, x)
+        x = _fit_range(
+            time[i], doppler[i] - centres[i], rate[i], weight[i], scales, unknowns, x,
+            pull=pull, roughly=roughly,
+        )  # fmt: skip
+        # Without a time perturbation order 2 in Doppler nearly does what the deramp does: one range settles it for all,
+        # since from range to range coefficients must change smoothly.
+        if unknowns.doppler and not unknowns.time:
+            pull[0] = SETTLED
         solutions.append(x)
-    found = np.stack(solutions)
+    p, d, r, e = np.split(np.stack(solutions), unknowns.ends, axis=1)
 
     area = scales.time * scales.doppler  # cycles in a unit of z z
-    n_range = ranges.size
-    time_part = np.zeros((n_range, 5))
-    time_part[:, 2] = bias_rate * scales.time**2 / 2
-    for k in range(n_time):
-        time_part[:, TIME_ORDERS[k]] = area * found[:, k] / TIME_ORDERS[k]
-    doppler_part = np.zeros((n_range, 6))
-    deramp_part = np.zeros((n_range, 5))
-    for k, order in enumerate(DOPPLER_ORDERS):
-        doppler_part[:, order] = area * found[:, n_time + k] / order
-    for k, order in enumerate(DERAMP_ORDERS):
-        deramp_part[:, order] = area * found[:, n_time + n_doppler + k] / order
-    same = np.full(n_range, centre)
-    return AzimuthPhases(
-        time=row_phase(time_part, ranges=ranges, centres=same, scale=scales.time, degree=SERIES_DEGREE),
-        doppler=row_phase(doppler_part, ranges=ranges, centres=centres, scale=scales.doppler, degree=SERIES_DEGREE),
-        deramp=row_phase(deramp_part, ranges=ranges, centres=same, scale=scales.time, degree=SERIES_DEGREE),
+    bias = np.full((ranges.size, 1), bias_rate * scales.time**2 / 2)
+    same = np.full(ranges.size, centre)
+
+    def made(orders: tuple[int, ...], values: FloatArray, centres: FloatArray, scale: float) -> RowPolynomial:
+        powers = np.zeros((ranges.size, max(orders, default=0) + 1))
+        powers[:, list(orders)] = values
+        return row_polynomial(powers, ranges=ranges, centres=centres, scale=scale, degree=SERIES_DEGREE)
+
+    return AzimuthPolynomials(
+        time=made((2, *unknowns.time), np.hstack([bias, area * p / np.array(unknowns.time)]), same, scales.time),
+        doppler=made(unknowns.doppler, area * d / np.array(unknowns.doppler), centres, scales.doppler),
+        resampling=made(unknowns.resampling, scales.doppler * r, centres, scales.doppler),
+        deramp=made(unknowns.deramp, area * e / np.array(unknowns.deramp), same, scales.time),
+        middle=centre,
     )
 
 
@@ -300,86 +388,38 @@ def range_series(geometry: Geometry, epoch_range: FloatArray, yaw: FloatArray, *
     return k
 
 
+YAW_NODES = np.cos(np.pi * (np.arange(9) + 0.5) / 9)  # over a block, -1 .. 1
+
+
 def yaw_series(geometry: Geometry, epoch_range: FloatArray, yaw: float, *, order: int, half_width: float) -> FloatArray:
     """k_nm of paper A (2): k_n(R, dtheta) = sum_m k_nm dtheta^m, (n_range, order + 1, 5).
 
-    The yaw dependence is interpolated through Chebyshev points over the block and turned into powers.
+    The yaw dependence is interpolated through Chebyshev points over the block and turned into powers. epoch_range
+    may be (n_range,), or (n_range, 9) where it changes along yaw: at yaw + half_width YAW_NODES.
     """
-    nodes = np.cos(np.pi * (np.arange(9) + 0.5) / 9)
-    k = range_series(geometry, epoch_range[:, None], yaw + half_width * nodes, order=order)
-    fitted = np.polynomial.chebyshev.chebfit(nodes, np.moveaxis(k, 1, 0).reshape(9, -1), 8)
+    epoch_range = epoch_range.reshape(epoch_range.shape[0], -1)
+    k = range_series(geometry, epoch_range, yaw + half_width * YAW_NODES, order=order)
+    fitted = np.polynomial.chebyshev.chebfit(YAW_NODES, np.moveaxis(k, 1, 0).reshape(9, -1), 8)
     to_powers = np.zeros((9, 9))
     for degree in range(9):
         to_powers[degree, : degree + 1] = np.polynomial.chebyshev.cheb2poly(np.eye(9)[degree, : degree + 1])
     powers = (fitted.T @ to_powers)[:, :5] / half_width ** np.arange(5)
-    return powers.reshape(epoch_range.size, order + 1, 5)
+    return powers.reshape(epoch_range.shape[0], order + 1, 5)
 
 
-def closed_form_phases(
-    geometry: Geometry, *, epoch_range: FloatArray, ranges: FloatArray, yaw: float, half_width: float, shift: float
-) -> AzimuthPhases:
-    """Perturbation (30) and deramp (31) of paper A as printed, per range.
-
-    Errata applied: (26) is exp[j pi (alpha f^3 + beta f^4)]. Doppler counts from the block centre at the
-    reference range, as (16) leaves it: at other ranges k_1'' is not zero at the block's middle yaw (some 400 Hz
-    on Table 1), which (29) neglects.
-
-    Parameters
-    ----------
-    epoch_range : (n_range,) float
-        m.
-    ranges : (n_range,) float
-        The same less the range origin.
-    yaw, half_width : float
-        Of the block, rad.
-    shift : float
-        Unified walk plus residual walk as Doppler on the carrier, Hz: what has been taken out.
-    """
-    lam = geometry.collection.wavelength
-    k = yaw_series(geometry, epoch_range, yaw, order=4, half_width=half_width)
-    k11, k12 = k[:, 1, 1], k[:, 1, 2]
-    k20, k21, k22 = k[:, 2, 0], k[:, 2, 1], k[:, 2, 2]
-    k30, k40 = k[:, 3, 0], k[:, 4, 0]
-    alpha = -(lam**2) * k21 / (24 * k11 * k20**2)
-    beta = (
-        k22 * lam**3 / (96 * k11**2 * k20**2)
-        - k21**2 * lam**3 / (48 * k11**2 * k20**3)
-        - k12 * k21 * lam**3 / (96 * k11**3 * k20**2)
-    )
-    zero = np.zeros_like(k20)
-    doppler_scale = float(np.abs(2 / lam * k11 * half_width).max())
-    time_scale = geometry.collection.pulse_interval * geometry.collection.n_pulse / 2
-    doppler_part = np.stack([zero, zero, zero, alpha / 2, beta / 2], axis=1) * doppler_scale ** np.arange(5)
-    deramp_part = np.stack(
-        [
-            zero,
-            zero,
-            2 * k20 / lam,
-            2 * k30 / lam + 32 * k20**3 * alpha / lam**3,
-            2 * k40 / lam - 128 * k20**4 * beta / lam**4,
-        ],
-        axis=1,
-    ) * time_scale ** np.arange(5)
-    centre = -2 / lam * np.interp(0.0, epoch_range - epoch_range.mean(), k[:, 1, 0]) - shift
-    centres = np.full_like(k20, centre)
-    nothing = np.zeros((ranges.size, 1))
-    return AzimuthPhases(
-        time=row_phase(nothing, ranges=ranges, centres=zero, scale=time_scale, degree=0),
-        doppler=row_phase(doppler_part, ranges=ranges, centres=centres, scale=doppler_scale, degree=SERIES_DEGREE),
-        deramp=row_phase(deramp_part, ranges=ranges, centres=zero, scale=time_scale, degree=SERIES_DEGREE),
-    )
-
-
-def candidates(line: Line, *, wavelength: float) -> list[Candidate]:
+def candidates(line: Line, *, wavelength: float, freedom: Freedom) -> list[Candidate]:
     """Chains worth trying, cheapest first: the printed one, a time perturbation, then bias chirps.
 
     A bias brings the lines' range acceleration to a value, of either sign, that spreads each target's
-    own line over TIME_BANDWIDTH or more.
+    own line over TIME_BANDWIDTH or more. Without a perturbation in Doppler there is nothing that it would serve.
     """
+    plain = Candidate(0.0, False)
+    if not freedom.time:
+        return [plain]
     duration = float(np.max(line.weight.sum(axis=-1)))
     acceleration = float(np.mean(-line.rate * wavelength / 2)) / 2  # k_2, m/s^2
     wanted = TIME_BANDWIDTH * wavelength / (4 * duration**2)
-    tried = [Candidate(0.0, False), Candidate(0.0, True)]
+    tried = [plain, Candidate(0.0, True)]
     for factor in (1.25, 2.5, 5.0, 8.0):
         targets = sorted((factor * wanted, -factor * wanted), key=lambda k: abs(k - acceleration))
         tried += [Candidate(k - acceleration, True) for k in targets]

@@ -29,7 +29,7 @@ from blocksar.ground import GroundMap, correct, covers
 from blocksar.inspection import Inspection, inspect, merge, refusal, strike
 from blocksar.parameters import ComplexArray, FloatArray, InputError, ProcessingError
 from blocksar.planning import DOPPLER_GROUP, IMAGE_CHUNK, SIGNAL_BYTES, BlockPlan, Plan
-from blocksar.range_steps import Keystone
+from blocksar.range_steps import ResidualRangeWalk
 from blocksar.recovery import RawCompression, Recovery, recover_columns
 from blocksar.region import Grid, lit_pulses
 from blocksar.runs import Receipt, Run, Written, write, written
@@ -193,7 +193,7 @@ def run_stage(run: Run, block: BlockPlan, stage: Stage, given: Samples) -> Sampl
         out = samples
     else:
         room = samples if program.target.size <= samples.shape[1] else None
-        if isinstance(stage.steps[-1], Keystone):
+        if isinstance(stage.steps[0], ResidualRangeWalk):  # after a range gate, whose block is another
             room = _buffer(block, program.target.size)
         out = program.run(samples[: program.n_row], out=room, threads=run.threads)
     return Samples(out, given.seconds | {stage.name: time.perf_counter() - started})

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from blocksar import phase
 from blocksar.fourier import Axis
 from blocksar.geometry import Geometry
-from blocksar.lines import Focus, RowPhase
+from blocksar.lines import Focus, RowPolynomial
 from blocksar.parameters import SPEED_OF_LIGHT, ComplexArray, FloatArray
 from blocksar.phase import Float32Array, cosine, sine
 from blocksar.rows import run_groups
@@ -93,7 +93,7 @@ class GroundMap:
     gain : Surface
     time : Surface
         Middle of the dwell after all steps, s: the carrier of a target's response along Doppler.
-    common : RowPhase or None
+    common : RowPolynomial or None
         Phase that the image has been given along Doppler, the same in all rows.
     yaw_axis : (n,) float
         Uniform yaws from low to high, rad, for the two limits and the number of lit pulses.
@@ -118,7 +118,7 @@ class GroundMap:
     phase: Surface
     gain: Surface
     time: Surface
-    common: RowPhase | None
+    common: RowPolynomial | None
     yaw_axis: FloatArray
     near_limit: FloatArray
     far_limit: FloatArray

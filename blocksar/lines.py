@@ -6,6 +6,7 @@ processor, applied to lines it predicts what the processor does to any target:
 
     multiply by exp(2j pi p(t)) in time        f += p'(t)
     multiply by exp(2j pi P(f)) in Doppler     t -= P'(f)
+    resample Doppler, f -> h(f)                f = h(f), t = t / h'(f)
     keystone                                   identity on the carrier; rho(t) -> rho - t rho' in range
 
 Phases are in cycles throughout. The line carries its phase, and by how much time was stretched along it,
@@ -75,6 +76,27 @@ class Line:
             stretch=self.stretch * bend,
         )
 
+    def resample_doppler(self, offset: FloatArray, slope: FloatArray, bend: FloatArray, *, middle: float) -> Line:
+        """After Doppler f was moved to h(f) = f + offset(f): offset and its derivatives at self.doppler.
+
+        Time contracts about `middle`: the spectrum's phase, psi(f) = phase - f (t - middle), goes with f, so that
+        its group delay is t - middle = (t_before - middle) / h'(f). Energy is kept.
+        """
+        moved, stretched = self.doppler + offset, 1.0 + slope
+        before = self.time - middle
+        time = before / stretched
+        pace = (1.0 - time * bend * self.rate) / stretched
+        with np.errstate(divide="ignore", invalid="ignore"):
+            rate = stretched * self.rate / pace
+        return replace(
+            self,
+            time=middle + time,
+            doppler=moved,
+            rate=rate,
+            phase=self.phase - self.doppler * before + moved * time,
+            stretch=self.stretch * pace,
+        )
+
     def shift_range(self, offset: FloatArray) -> Line:
         return replace(self, range=self.range + offset)
 
@@ -140,15 +162,15 @@ def focus(line: Line) -> Focus:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class RowPhase:
-    """A phase (cycles) that is a polynomial along a row and changes smoothly from row to row.
+class RowPolynomial:
+    """A polynomial along a row that changes smoothly from row to row: a phase (cycles), a shift of Doppler (Hz).
 
-    phase(r, v) = sum_k c_k(r) z^k with z = (v - centre) / scale, each c_k a Chebyshev series in range r.
+    p(r, v) = sum_k c_k(r) z^k with z = (v - centre) / scale, each c_k a Chebyshev series in range r.
 
     Attributes
     ----------
     series : (n_series, order + 1) float
-        Chebyshev coefficients in r of each power's coefficient, cycles.
+        Chebyshev coefficients in r of each power's coefficient.
     near, far : float
         Domain of r, m.
     centre, scale : float
@@ -170,7 +192,7 @@ class RowPhase:
         return (values - self.centre) / self.scale
 
     def evaluate(self, rng: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Phase and its first two derivatives along the row, at ranges (...) and values (..., n)."""
+        """Value and first two derivatives along the row, at ranges (...) and values (..., n)."""
         terms = np.moveaxis(self.coefficients(rng), -1, 0)[..., None]
         z = self.variable(values)
         value, slope, bend = (np.zeros(np.broadcast_shapes(z.shape, terms.shape[1:])) for _ in range(3))
@@ -181,15 +203,15 @@ class RowPhase:
         return value, slope / self.scale, bend / self.scale**2
 
 
-def row_phase(
+def row_polynomial(
     coefficients: FloatArray, *, ranges: FloatArray, centres: FloatArray, scale: float, degree: int
-) -> RowPhase:
-    """A `RowPhase` through polynomials given at several ranges, each about its own centre.
+) -> RowPolynomial:
+    """A `RowPolynomial` through polynomials given at several ranges, each about its own centre.
 
     Parameters
     ----------
     coefficients : (n_range, order + 1) float
-        Cycles, in z = (v - centres[i]) / scale, each about its own centre.
+        In z = (v - centres[i]) / scale, each about its own centre.
     ranges : (n_range,) float
         Ascending, m.
     degree : int
@@ -206,4 +228,4 @@ def row_phase(
     degree = min(degree, ranges.size - 1)
     u = (2 * ranges - near - far) / (far - near)
     series = chebyshev.chebfit(u, shifted, degree)
-    return RowPhase(series=np.asarray(series), near=near, far=far, centre=centre, scale=scale)
+    return RowPolynomial(series=np.asarray(series), near=near, far=far, centre=centre, scale=scale)

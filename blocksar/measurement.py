@@ -23,12 +23,20 @@ from numpy.typing import NDArray
 from scipy.special import diric, i0
 
 from blocksar.geometry import Geometry
-from blocksar.parameters import FARTHEST, SINC_WIDTH, SPEED_OF_LIGHT, BoolArray, ComplexArray, FloatArray, InputError
+from blocksar.parameters import (
+    FARTHEST,
+    SINC_PSLR,
+    SINC_WIDTH,
+    SPEED_OF_LIGHT,
+    BoolArray,
+    ComplexArray,
+    FloatArray,
+    InputError,
+)
 
 Complex128Array = NDArray[np.complex128]
 ReadChip = Callable[[slice, slice], ComplexArray]  # (slice of y, slice of x) -> pixels
 
-IDEAL_PSLR = -13.2615  # dB, of sinc^2
 IDEAL_ISLR = -10.216  # dB, of sinc^2, by the definition below
 CUT_WIDTHS = 10.0  # widths measured on either side of the peak
 SEARCH_WIDTHS = 2.0  # widths searched for the peak on either side of the true position
@@ -45,7 +53,7 @@ Both are straight, pass through the peak and are in general not at right angles.
 IRW: width of the main lobe at half power (-3 dB). Theory: {SINC_WIDTH:.4f} / bandwidth along the cut,
 in range c / (2 B), in azimuth from the line-of-sight rotation over the target's own dwell.
 PSLR: highest side lobe outside the first minima on either side of the peak and within {CUT_WIDTHS:g} theoretical
-IRW of it, relative to the peak, power in dB (unweighted ideal {IDEAL_PSLR:.2f} dB).
+IRW of it, relative to the peak, power in dB (unweighted ideal {SINC_PSLR:.2f} dB).
 ISLR: energy outside the first minima and within {CUT_WIDTHS:g} theoretical IRW on either side of the peak, over the
 energy between the first minima, along the cut, in dB (unweighted ideal {IDEAL_ISLR:.1f} dB).
 Position error: peak of the magnitude minus the true position, in x and y. Value: complex image interpolated at
@@ -751,10 +759,10 @@ class Summary(NamedTuple):
 
 
 _FIGURES: dict[str, tuple[float, Callable[[PointResponse], float]]] = {
-    "range_pslr": (IDEAL_PSLR, lambda r: r.range_pslr),
+    "range_pslr": (SINC_PSLR, lambda r: r.range_pslr),
     "range_islr": (IDEAL_ISLR, lambda r: r.range_islr),
     "range_irw_over_theory": (1.0, lambda r: r.range_irw / r.range_irw_theory),
-    "azimuth_pslr": (IDEAL_PSLR, lambda r: r.azimuth_pslr),
+    "azimuth_pslr": (SINC_PSLR, lambda r: r.azimuth_pslr),
     "azimuth_islr": (IDEAL_ISLR, lambda r: r.azimuth_islr),
     "azimuth_irw_over_theory": (1.0, lambda r: r.azimuth_irw / r.azimuth_irw_theory),
     "error_x": (0.0, lambda r: r.error_x),
@@ -785,7 +793,7 @@ def as_json(responses: Sequence[PointResponse]) -> dict[str, Any]:
     found = summary(responses)
     return {
         "definitions": DEFINITIONS,
-        "ideal": {"pslr": IDEAL_PSLR, "islr": IDEAL_ISLR},
+        "ideal": {"pslr": SINC_PSLR, "islr": IDEAL_ISLR},
         "summary": {
             "targets": found.targets,
             "full_dwell": found.full_dwell,

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 SPEED_OF_LIGHT = 299_792_458.0  # m/s
+SINC_PSLR = -13.2615  # dB, highest side lobe of sinc(u)^2
 SINC_WIDTH = 0.885893  # -3 dB width of sinc(u)^2 in u: the unweighted response's width times its bandwidth
 
 FloatArray = NDArray[np.float64]

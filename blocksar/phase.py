@@ -1,4 +1,4 @@
-"""Phase multiplication, fractional delays and corner turns: the compiled inner loops that every step shares.
+"""Phase multiplication, resampling and corner turns: the compiled inner loops that every step shares.
 
 Phases are polynomials along a row, in cycles, in float64; whole cycles are taken out there, and only the remainder,
 at most half a cycle, goes to a float32 polynomial for sine and cosine (error below 4e-7, 1e-7 rms). Written plainly,
@@ -38,7 +38,7 @@ from blocksar.parameters import ComplexArray, FloatArray, IntArray
 Float32Array = NDArray[np.float32]
 
 MAX_ORDER = 9
-PIECE = 32 * LANES  # samples of a row that are interpolated from the first-level cache
+PIECE = LANES * LANES  # samples of a row that are interpolated from the first-level cache: a vector of vectors
 AHEAD = 32  # rows by which memory is asked for columns before they are needed: the strides are too long for it to guess
 LINE = 8  # complex64 samples in a cache line
 TAP_PHASES = 32  # fractions of a sample about which interpolation weights are expanded
@@ -373,6 +373,26 @@ def _fetch(row: Any, first: Any, count: Any, real: Any, imag: Any) -> None:
 
 
 @njit(inline="always")
+def _strip_length(drift: Any) -> Any:
+    """Samples over which the fraction stays where weights are expanded, if it moves by at most `drift` a sample."""
+    length = LANES
+    while length > 1 and (length - 1) / 2 * drift > TAP_REACH - 0.5 / TAP_PHASES:
+        length //= 2
+    return length
+
+
+@njit(inline="always")
+def _weigh(real: Any, imag: Any, first: Any, weights: Any, mu: Any) -> Any:
+    """Sums over taps for LANES samples, whose windows begin at first, first + 1, ...: weights are polynomials in mu."""
+    re, im = spread(np.float32(0.0)), spread(np.float32(0.0))
+    for k in range(weights.shape[0]):
+        weight = _polynomial(weights[k], TAP_ORDER, mu)
+        re = re + weight * load(real, first + k)
+        im = im + weight * load(imag, first + k)
+    return re, im
+
+
+@njit(inline="always")
 def _window(i: Any, length: Any, n_tap: Any, middle: Any, s: Any) -> Any:
     """Where the taps of the strip that makes samples i .. i + length - 1 begin, and the fraction of a sample over."""
     half = (length - 1) / 2
@@ -413,9 +433,7 @@ def stretch_rows(values: ComplexArray, out: ComplexArray, scale: FloatArray, mid
         row, result, s = values[r], out[r], scale[r]
         if not 0.5 <= s <= 2.0:
             raise ValueError("scale is not near 1")
-        length = LANES
-        while length > 1 and (length - 1) / 2 * abs(s - 1.0) > TAP_REACH - 0.5 / TAP_PHASES:
-            length //= 2
+        length = _strip_length(abs(s - 1.0))
         for i in range(0, n, length):
             if i % PIECE == 0:
                 last = i + (min(PIECE, n - i) - 1) // length * length
@@ -426,14 +444,120 @@ def stretch_rows(values: ComplexArray, out: ComplexArray, scale: FloatArray, mid
             q = int(fraction * TAP_PHASES + 0.5)
             start = fraction - q / TAP_PHASES - (length - 1) / 2 * (s - 1.0)
             mu = np.float32(start) + np.float32(s - 1.0) * count_lanes()
-            re, im = spread(np.float32(0.0)), spread(np.float32(0.0))
-            for k in range(n_tap):
-                weight = _polynomial(taps[q, k], TAP_ORDER, mu)
-                re = re + weight * load(real, first - origin + k)
-                im = im + weight * load(imag, first - origin + k)
-            if length == LANES and i + LANES <= n:
+            re, im = _weigh(real, imag, first - origin, taps[q], mu)
+            if i + LANES <= n:  # further than a short strip is good for: the next one writes over the rest
                 store_complex(result, i, re, im)
-            else:  # the strip reaches further than it is good for, or than the row
-                kept = min(length, n - i)
+            else:
                 store_complex(strip, 0, re, im)
-                result[i : i + kept] = strip[:kept]
+                result[i:n] = strip[: n - i]
+
+
+@njit(inline="always")
+def _expand(c: Any, n: Any, terms: Any) -> Any:
+    """Taylor's terms of a polynomial in u, in steps of half a vector: c(u + x LANES / n) = sum_k terms[k](u) x^k.
+
+    Returns the last that is worth a ten millionth of a sample.
+    """
+    terms[0] = c
+    last = 1
+    for k in range(1, c.size):
+        size = 0.0
+        terms[k] = 0.0
+        for m in range(c.size - k):
+            terms[k, m] = terms[k - 1, m + 1] * ((m + 1) / k * LANES / n)
+            size += abs(terms[k, m])
+        if size > 1e-7:
+            last = k
+    return last
+
+
+@njit(inline="always")
+def _root(values: Any, middle: Any, share: Any) -> Any:
+    """Square roots of LANES values within middle (1 +- share), share at most 0.6, from the one in the middle."""
+    inverse = spread(np.float32(1.0 / np.sqrt(middle)))
+    error = 1.0 - np.sqrt(1.0 - share)
+    while error > 1e-7:  # Newton's iteration needs no division
+        inverse = inverse * (np.float32(1.5) - np.float32(0.5) * values * inverse * inverse)
+        error *= (1.5 + 0.5 * error) * error
+    return inverse * values
+
+
+@njit([(_IN, _OUT, _REALS, types.Array(types.float32, 3, "C", readonly=True))], **_OPTIONS)
+def resample_rows(values: ComplexArray, out: ComplexArray, positions: FloatArray, taps: Float32Array) -> None:
+    """out[r, i] = sqrt(dp / di) values[r] at position p = sum_k positions[r, k] u_i^k, u_i = (i - n // 2) / (n / 2).
+
+    Energy is kept; samples beyond the ends count as zero. As in `stretch_rows` the window slides evenly over a short
+    strip, but the fraction drifts along a curve: the position's polynomial, expanded about the middle of every LANES
+    samples to as many terms as matter in this row.
+
+    Parameters
+    ----------
+    values, out : (n_row, n) complex64
+        Not the same array.
+    positions : (n_row, order + 1) float64
+        In samples; order at least 1.
+    taps : (TAP_PHASES + 1, n_tap, TAP_ORDER + 1) float32
+        Of `tap_polynomials`.
+
+    Raises
+    ------
+    ValueError
+        If there is not one polynomial a row, or positions move by less than 1/2 or more than 2 samples a sample, by
+        a bound over every LANES samples: it is sharp unless the slope bends within so few.
+    """
+    n, n_tap, order = values.shape[1], taps.shape[1], positions.shape[1] - 1
+    if positions.shape[0] != values.shape[0] or order < 1:
+        raise ValueError("positions are not one polynomial a row")
+    room = 2 * PIECE + n_tap + 3 * LANES
+    real, imag = np.empty(room, np.float32), np.empty(room, np.float32)
+    terms, about = np.empty((order + 1, order + 1)), np.empty((order + 1, LANES))
+    drift, slope = np.empty(order + 1, np.float32), np.empty(order, np.float32)
+    gain, strip = np.zeros(2 * LANES, np.float32), np.empty(LANES, np.complex64)
+    middles = np.zeros(n // LANES + 1 + LANES)  # of every LANES samples, and zeros to make a vector
+    for i in range(0, n, LANES):
+        middles[i // LANES] = (i + (min(LANES, n - i) - 1) / 2 - n // 2) * (2.0 / n)
+    origin = 0
+    for r in range(values.shape[0]):
+        row, result = values[r], out[r]
+        if not np.abs(positions[r]).sum() < 1e9:
+            raise ValueError("positions are not near the row")
+        last = _expand(positions[r], n, terms)
+        for i in range(0, n, LANES):
+            block, count = i % PIECE // LANES, min(LANES, n - i)
+            if block == 0:
+                for k in range(last + 1):
+                    store(about[k], 0, _polynomial(terms[k], order, load(middles, i // LANES)))
+                origin = int(np.floor(about[0, 0])) - LANES - n_tap // 2
+                end = int(about[0, (min(PIECE, n - i) - 1) // LANES]) + 2 * LANES + n_tap
+                _fetch(row, origin, min(max(end - origin, 0), room), real, imag)
+            pace, bend, reach = about[1, block] * (2 / LANES), 0.0, 1.0
+            slope[0], drift[1] = pace, about[1, block] - LANES / 2
+            for k in range(2, last + 1):
+                drift[k] = about[k, block]
+                slope[k - 1] = k * about[k, block] * (2 / LANES)
+                reach *= count / LANES
+                bend += abs(slope[k - 1]) * reach
+            if not (pace - bend > 0.4999 and pace + bend < 2.0001):  # 1/2 and 2 themselves, but for rounding, will do
+                raise ValueError("positions do not move by 1/2 to 2 samples a sample")
+            half = (count - 1) / 2
+            along = (count_lanes() - np.float32(half)) * np.float32(2 / LANES)
+            store(gain, 0, _root(_polynomial(slope, last - 1, along), pace, bend / pace))
+            length = _strip_length(abs(pace - 1.0) + bend)
+            for j in range(0, count, length):
+                kept = min(length, count - j)
+                middle = (j + (kept - 1) / 2 - half) * (2 / LANES)
+                position = about[last, block]
+                for k in range(last):
+                    position = about[last - 1 - k, block] + middle * position
+                position -= (kept - 1) / 2
+                whole = np.floor(position)
+                q = int((position - whole) * TAP_PHASES + 0.5)
+                drift[0] = about[0, block] - half + j - whole - q / TAP_PHASES
+                mu = _polynomial(drift, last, along + np.float32(j * 2 / LANES))
+                re, im = _weigh(real, imag, int(whole) - (n_tap // 2 - 1) - origin, taps[q], mu)
+                re, im = re * load(gain, j), im * load(gain, j)
+                if i + j + LANES <= n:  # as in `stretch_rows`
+                    store_complex(result, i + j, re, im)
+                else:
+                    store_complex(strip, 0, re, im)
+                    result[i + j : n] = strip[: n - i - j]

@@ -17,16 +17,34 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
-from blocksar import fitting, fourier
-from blocksar.azimuth_steps import Deramp, DopplerTransform, DwellGate, Perturbation
-from blocksar.fitting import AzimuthPhases, Candidate
+from blocksar import closed_form, fitting, fourier
+from blocksar.azimuth_steps import (
+    AzimuthTransform,
+    Deramp,
+    DopplerResampling,
+    DopplerTransform,
+    DwellGate,
+    FrequencyPerturbation,
+    TimePerturbation,
+)
+from blocksar.chains import steps_of
+from blocksar.fitting import AzimuthPolynomials, Candidate, Freedom
 from blocksar.fourier import Axis
 from blocksar.geometry import Geometry
 from blocksar.ground import YAW_STEPS, GroundMap, surfaces
-from blocksar.lines import Focus, Line, RowPhase, focus
-from blocksar.parameters import SINC_WIDTH, SPEED_OF_LIGHT, Collection, FloatArray, InputError
+from blocksar.lines import Focus, Line, RowPolynomial, focus
+from blocksar.method import Method
+from blocksar.parameters import SINC_PSLR, SINC_WIDTH, SPEED_OF_LIGHT, Collection, FloatArray, InputError
 from blocksar.phase import taps_needed
-from blocksar.range_steps import Keystone, RangeCompression, RangeGate, ResidualRangeWalk
+from blocksar.range_steps import (
+    Compression,
+    DopplerCompression,
+    Keystone,
+    RangeCompression,
+    RangeGate,
+    ResidualRangeWalk,
+    TimeDomainCompression,
+)
 from blocksar.recovery import Recovery
 from blocksar.recovery_plan import middle_line, plan_recovery, recovered_line, tail_margin
 from blocksar.region import (
@@ -39,20 +57,24 @@ from blocksar.region import (
     lit_pulses,
     plan_region,
 )
-from blocksar.rows import GROUP_BYTES
+from blocksar.rows import GROUP_BYTES, Resample, Stretch, Transform
 from blocksar.steps import Step, stages
 
-Coefficients = Literal["fitted", "closed-form"]
-
-PHASE_BUDGET = 0.1  # rad at the edge of the dwell; pi/4 is the usual limit, this costs no side lobe 0.1 dB
+PHASE_BUDGET = 0.1  # rad at the edge of the dwell; pi/4 is the usual limit
+SIDE_LOBE_BUDGET = 0.2  # dB that the highest side lobe may change: a quartic phase does that below its budget
 MIGRATION_BUDGET = 0.25  # range resolution cells over the dwell
 TAP_ERROR = 1e-3
+DEFAULT = Method()
 KEYSTONE_ERROR = 1e-4
 TIME_GUARD = 0.1  # of a dwell, kept on either side of what a block's targets are lit in
 RANGE_GUARD = 48  # range cells on either side of a sub-block, for the side lobes of what lies at its ends
 # Oversampling of a focused block: twelve taps in range and eight in Doppler then err by less than TAP_ERROR.
 RANGE_ROOM = 1.42
 GATE_ROOM = 1.62  # dwells that the Doppler sampling makes room for
+RANGE_STEPS = 4  # of the iteration for targets that share an apparent range
+PACE_ORDER = 4  # of the pace along Doppler of the lines whose range curvature is corrected there
+PACE_FLOOR = 0.05  # of the largest Doppler: at zero Doppler nothing walks, and any pace would do
+RESAMPLING_ROOM = 1.35  # of the time to be transformed: Doppler is then sampled densely enough to interpolate
 MAX_BLOCKS = 32
 MOST_BLOCKS = 1000  # that may be asked for
 MAX_PARTS = 64  # range sub-blocks of a block
@@ -87,6 +109,15 @@ class Prediction(NamedTuple):
     width: float  # azimuth width over the dwell's limit
     migration: float  # range resolution cells over the dwell
     resolution: float  # azimuth, m
+
+    @property
+    def excess(self) -> float:
+        """The worst of phase, side lobes and migration, each over what it may be."""
+        return max(
+            self.residual_phase / PHASE_BUDGET,
+            abs(self.pslr - SINC_PSLR) / SIDE_LOBE_BUDGET,
+            self.migration / MIGRATION_BUDGET,
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -131,7 +162,7 @@ class BlockPlan:
     @property
     def range_frequency(self) -> Axis:
         """Of the block's own samples, Hz."""
-        return next(step.range_frequency for step in self.chain if isinstance(step, Keystone))
+        return next(step.range_frequency for step in self.chain if isinstance(step, ResidualRangeWalk))
 
 
 def plan_block(
@@ -144,7 +175,7 @@ def plan_block(
     high: float,
     near: float,
     far: float,
-    coefficients: Coefficients,
+    method: Method,
     part: int | None = None,
     candidate: Candidate | None = None,
 ) -> BlockPlan:
@@ -154,15 +185,12 @@ def plan_block(
     """
     collection = geometry.collection
 
+    def recovered(epoch_range: FloatArray, yaw: FloatArray) -> Line:
+        return recovered_line(geometry, epoch_range=epoch_range, yaw=yaw, origin=recovery.origin, walk=recovery.walk)
+
     # Coarse lines through the range steps: for supports, coefficients and sampling.
-    nodes = _end_nodes(near, far, 9)
-    line = recovered_line(
-        geometry,
-        epoch_range=nodes[:, None],
-        yaw=np.linspace(low, high, 15),
-        origin=recovery.origin,
-        walk=recovery.walk,
-    )
+    nodes, yaws = _end_nodes(near, far, 9), np.linspace(low, high, 15)
+    line = recovered(nodes[:, None], yaws)
     duration = float(line.weight.sum(axis=-1).max())
     slab = _plan_slab(collection, recovery.doppler, line, margin=tail_margin(duration))
     frequency = Axis(
@@ -173,43 +201,36 @@ def plan_block(
         frequency = range_gate.range_frequency
     period = fourier.fast_length(RANGE_ROOM * frequency.size)
     row_step = SPEED_OF_LIGHT / (2 * frequency.step * period)
-    in_range = _RangeSteps(
-        gate=range_gate,
-        slab=slab.doppler,
-        walk=slab.walk,
-        carrier=collection.carrier,
-        range_frequency=frequency,
-        reference=np.asarray(
-            fitting.range_series(geometry, np.array((near + far) / 2), np.array((low + high) / 2), order=8)
-        ),
+    chain = _Chain(method, range_gate, slab=slab, carrier=collection.carrier, range_frequency=frequency)
+    chain.reference = np.asarray(
+        fitting.range_series(geometry, np.array((near + far) / 2), np.array((low + high) / 2), order=8)
     )
-    # Lines do not ask how time and rows are sampled, which is not known yet.
-    straight = _trace(line, in_range.bound(Axis(recovery.time.start, 1.0, 1), 0.5, Axis(0.0, row_step, period)))
-    phases, chosen = _choose(
+    chain.follow(chain.trace_walk(line))
+    straight = chain.trace_range(line)
+    ranges, epoch_range = _common_ranges(
+        lambda at: chain.trace_range(recovered(at, yaws)), straight, nodes, origin=recovery.origin
+    )
+    shared = chain.trace_range(recovered(epoch_range, yaws))
+    chosen = _choose(
         geometry,
-        straight,
-        ranges=nodes - recovery.origin,
-        epoch_range=nodes,
-        yaw=(low + high) / 2,
-        half_width=(high - low) / 2,
+        shared,
+        chain,
+        ranges=ranges,
+        epoch_range=epoch_range,
+        yaws=yaws,
         shift=-2 / collection.wavelength * recovery.walk + slab.walk,
-        coefficients=coefficients,
         candidate=candidate,
     )
-    focused = _trace_azimuth(straight, phases)
+    focused = chain.trace_azimuth(straight)
     spots = focus(focused)
-    axes = _plan_axes(recovery, slab, straight, focused, phases, duration=duration)
+    chain.axes = axes = _plan_axes(recovery, slab, straight, focused, chain, duration=duration)
     range_filling = frequency.size / period
     range_taps = (taps_needed(range_filling, error=TAP_ERROR), range_filling)
-    rows = _plan_rows(spots, step=row_step, reach=(range_taps[0] / 2 + 2) * row_step, at_most=period)
+    chain.rows = rows = _plan_rows(spots, step=row_step, reach=(range_taps[0] / 2 + 2) * row_step, at_most=period)
 
     # Fine lines through the whole chain: for the gate, the place of every target, and the prediction.
-    range_chain = in_range.bound(axes.time, axes.occupancy, rows)
     fine_range, fine_yaw = _end_nodes(near, far, 13), _end_nodes(low, high, 33)
-    fine = recovered_line(
-        geometry, epoch_range=fine_range[:, None], yaw=fine_yaw, origin=recovery.origin, walk=recovery.walk
-    )
-    fine = _trace_azimuth(_trace(fine, range_chain), phases)
+    fine = chain.trace_azimuth(chain.trace_range(recovered(fine_range[:, None], fine_yaw)))
     found = focus(fine)
     gate = _plan_gate(fine, found, rows=rows, slow=axes.long_time)
     image_centre = float((spots.doppler.min() + spots.doppler.max()) / 2)
@@ -237,24 +258,41 @@ def plan_block(
         high=high,
         first_bin=slab.first_bin,
         n_bin=slab.doppler.size,
-        chain=(
-            *range_chain,
-            *_azimuth_steps(phases, time=axes.time, doppler=axes.doppler, long_time=axes.long_time, rows=rows),
-            final,
-        ),
+        chain=chain.bound(final),
         ground=ground,
         prediction=_predict(fine, found, fine_range, fine_yaw, geometry),
         memory=_memory(
             gate=range_gate,
             frequency=frequency,
             n_bin=slab.doppler.size,
-            n_time=axes.time.size,
+            n_column=chain.n_column,
             n_row=rows.size,
             n_image=final.image_doppler.size,
             length=max(axes.long_time.size, period),
         ),
         candidate=chosen,
     )
+
+
+def _common_ranges(
+    trace: Callable[[FloatArray], Line], line: Line, nodes: FloatArray, *, origin: float
+) -> tuple[FloatArray, FloatArray]:
+    """Apparent ranges that span all of lines (n_range, n_yaw), and the epoch range of each yaw's target there.
+
+    What shares an output row shares its coefficients, and its targets need not share the range at the epoch: range
+    curvature that is corrected at the Doppler of a target's own moves it by that curvature (paper C, below (5)).
+
+    Returns
+    -------
+    ranges : (n_range,) m from the origin, ascending
+    epoch_range : (n_range, n_yaw) m
+    """
+    apparent = line.range.mean(axis=-1)
+    ranges = _end_nodes(float(apparent.min()), float(apparent.max()), nodes.size)
+    epoch_range = origin + ranges[:, None] - np.mean(apparent - (nodes[:, None] - origin), axis=0)
+    for _ in range(RANGE_STEPS):
+        epoch_range = epoch_range + ranges[:, None] - trace(epoch_range).range.mean(axis=-1)
+    return ranges, epoch_range
 
 
 def _end_nodes(low: float, high: float, count: int) -> FloatArray:
@@ -317,25 +355,113 @@ def _gate_length(needed: float, share: float, at_most: int) -> tuple[int, int]:
     return min(((n, round(n * share)) for n in lengths), key=lambda pair: abs(pair[1] / pair[0] / share - 1))
 
 
-class _RangeSteps(NamedTuple):
-    """The range steps of a block but for their sampling."""
+class _Chain:
+    """A block's chain while it is being planned: constants are put in as they become known.
 
-    gate: RangeGate | None
-    slab: Axis
-    walk: float
-    carrier: float
-    range_frequency: Axis
-    reference: FloatArray
+    Lines do not ask how time, Doppler and rows are sampled, so they can go through steps whose axes are not known yet.
+    """
 
-    def bound(self, time: Axis, occupancy: float, rows: Axis) -> tuple[Step, ...]:
-        fc, f = self.carrier, self.range_frequency
-        taps = taps_needed(occupancy, error=KEYSTONE_ERROR)
-        return (
-            *(() if self.gate is None else (self.gate,)),
-            ResidualRangeWalk(slab=self.slab, time=time, walk=self.walk, carrier=fc, range_frequency=f),
-            Keystone(time=time, occupancy=occupancy, taps=taps, carrier=fc, range_frequency=f),
-            RangeCompression(time=time, reference=self.reference, rows=rows, carrier=fc, range_frequency=f),
-        )
+    def __init__(
+        self, method: Method, gate: RangeGate | None, *, slab: _Slab, carrier: float, range_frequency: Axis
+    ) -> None:
+        self.method, self.kinds, self.gate, self.slab = method, steps_of(method), gate, slab
+        self.carrier, self.range_frequency = carrier, range_frequency
+        unknown = Axis(0.0, 1.0, 1)
+        self.axes = _Axes(time=unknown, occupancy=0.5, doppler=unknown, long_time=unknown, filled=0.5)
+        self.rows = unknown
+        self.reference: FloatArray = np.zeros(3)
+        self.pace: FloatArray = np.zeros(1)
+        self.half = 1.0
+        none = RowPolynomial(series=np.zeros((1, 1)), near=-1.0, far=1.0, centre=0.0, scale=1.0)
+        self.polynomials = AzimuthPolynomials(none, none, none, none, 0.0)
+
+    @property
+    def freedom(self) -> Freedom:
+        kinds = self.kinds
+        return Freedom(TimePerturbation in kinds, FrequencyPerturbation in kinds, DopplerResampling in kinds)
+
+    @property
+    def in_doppler(self) -> bool:
+        """Whether ranges are compressed at each Doppler, not at each time."""
+        return DopplerCompression in self.kinds
+
+    @property
+    def n_column(self) -> int:
+        """Samples of a row when ranges are compressed."""
+        return self.axes.doppler.size if self.in_doppler else self.axes.time.size
+
+    def follow(self, line: Line) -> None:
+        """Take the range curvature that DopplerCompression corrects from lines whose walk is out.
+
+        Their pace dt/df along Doppler, by least squares over all lines, weighed by the range walk that an error makes.
+        """
+        if not self.in_doppler:
+            return
+        self.half = float(np.abs(line.doppler).max())
+        z = (line.doppler / self.half).ravel()
+        weight = np.abs(z) + PACE_FLOOR
+        with np.errstate(divide="ignore"):
+            pace = (1 / line.rate).ravel()
+        basis = np.vander(z, PACE_ORDER + 1, increasing=True)
+        self.pace = np.asarray(np.linalg.lstsq(basis * weight[:, None], pace * weight, rcond=None)[0], np.float64)
+
+    def _step(self, kind: type[Step]) -> Step:
+        fc, f, axes, p = self.carrier, self.range_frequency, self.axes, self.polynomials
+        if kind is ResidualRangeWalk:
+            return ResidualRangeWalk(
+                slab=self.slab.doppler, time=axes.time, walk=self.slab.walk, carrier=fc, range_frequency=f
+            )
+        if kind is Keystone:
+            taps = taps_needed(axes.occupancy, error=KEYSTONE_ERROR)
+            return Keystone(time=axes.time, occupancy=axes.occupancy, taps=taps, carrier=fc, range_frequency=f)
+        if kind in (RangeCompression, TimeDomainCompression):
+            return kind(time=axes.time, reference=self.reference, rows=self.rows, carrier=fc, range_frequency=f)
+        if kind is DopplerCompression:
+            return DopplerCompression(
+                doppler=axes.doppler, pace=self.pace, half=self.half, rows=self.rows, carrier=fc, range_frequency=f
+            )
+        if kind is AzimuthTransform:
+            return AzimuthTransform(time=axes.time, doppler=axes.doppler, rows=f if self.in_doppler else self.rows)
+        if kind is TimePerturbation:
+            return TimePerturbation(time=axes.time, rows=self.rows, phases=p.time)
+        if kind is FrequencyPerturbation:
+            return FrequencyPerturbation(doppler=axes.doppler, rows=self.rows, phases=p.doppler)
+        if kind is DopplerResampling:
+            taps = taps_needed(axes.filled, error=KEYSTONE_ERROR)
+            return DopplerResampling(
+                doppler=axes.doppler, rows=self.rows, shift=p.resampling, middle=p.middle, taps=taps,
+                occupancy=axes.filled,
+            )  # fmt: skip
+        if kind is Deramp:
+            return Deramp(doppler=axes.doppler, time=axes.long_time, rows=self.rows, phases=p.deramp)
+        raise ValueError(f"{kind.__name__} is not a step that is bound here")
+
+    def steps(self) -> list[Step]:
+        """All but the final transform, which moves no line."""
+        return [self._step(kind) for kind in self.kinds if kind is not DopplerTransform]
+
+    def bound(self, final: DopplerTransform) -> tuple[Step, ...]:
+        """The chain as it will be applied."""
+        return (*(() if self.gate is None else (self.gate,)), *self.steps(), final)
+
+    def trace_walk(self, line: Line) -> Line:
+        return self._step(ResidualRangeWalk).trace(line)
+
+    def trace_range(self, line: Line) -> Line:
+        """Up to range compression."""
+        for step in self.steps()[: self._compressed]:
+            line = step.trace(line)
+        return line
+
+    def trace_azimuth(self, line: Line) -> Line:
+        """After range compression."""
+        for step in self.steps()[self._compressed :]:
+            line = step.trace(line)
+        return line
+
+    @property
+    def _compressed(self) -> int:
+        return 1 + next(i for i, kind in enumerate(self.kinds) if issubclass(kind, Compression))
 
 
 class _Axes(NamedTuple):
@@ -345,19 +471,24 @@ class _Axes(NamedTuple):
     occupancy: float  # part of that sampling rate which the slab fills
     doppler: Axis
     long_time: Axis
+    filled: float  # part of the lengthened time that the samples fill
 
 
 def _plan_axes(
-    recovery: Recovery, slab: _Slab, straight: Line, focused: Line, phases: AzimuthPhases, *, duration: float
+    recovery: Recovery, slab: _Slab, straight: Line, focused: Line, chain: _Chain, *, duration: float
 ) -> _Axes:
     """Sampling for the band that the time perturbation leaves, and for the longest reach of any line in time.
 
     Of the recovered signal only what the block's targets are lit in is kept: the rest of the aperture lit others.
     """
-    perturbed = straight.multiply_time(*phases.time.evaluate(straight.range.mean(axis=-1), straight.time))
+    row, polynomials = straight.range.mean(axis=-1), chain.polynomials
+    perturbed = straight.multiply_time(*polynomials.time.evaluate(row, straight.time))
+    shift = polynomials.resampling.evaluate(row, perturbed.doppler)
+    resampled = perturbed.resample_doppler(*shift, middle=polynomials.middle)
     start = slab.doppler.start - slab.walk
     bands = [start, slab.doppler.start + slab.doppler.extent - slab.walk]
-    bands += [float(perturbed.doppler.min()) - slab.margin, float(perturbed.doppler.max()) + slab.margin]
+    for line in (perturbed, resampled):
+        bands += [float(line.doppler.min()) - slab.margin, float(line.doppler.max()) + slab.margin]
     held = max(bands) - min(bands)
     span = recovery.time.extent
     full = fourier.fast_length(1.25 * span * max(held, slab.doppler.extent))
@@ -373,12 +504,15 @@ def _plan_axes(
     guard = 0.05 * duration
     begin = min(float(focused.time.min()) - guard, time.start)
     end = max(float(focused.time.max()) + guard, time.start + time.extent)
-    n_padded = fourier.fast_length(max((end - begin) / step, n_time))
+    room = RESAMPLING_ROOM if chain.freedom.resampling else 1.0
+    n_padded = fourier.fast_length(max((end - begin) / step, room * n_time))
+    middle = polynomials.middle
     return _Axes(
         time=time,
         occupancy=min(step * slab.doppler.extent, 0.95),
         doppler=fourier.dual(time, size=n_padded, centre=(min(bands) + max(bands)) / 2),
         long_time=Axis(begin, step, n_padded),
+        filled=min(2 * max(time.start + time.extent - middle, middle - time.start) / (step * n_padded), 0.95),
     )
 
 
@@ -462,10 +596,10 @@ def _plan_gate(line: Line, found: Focus, *, rows: Axis, slow: Axis) -> DwellGate
     series = series @ powers  # from Chebyshev to powers of z
     integral = np.zeros((3, 5))
     integral[:, 1:] = series / np.arange(1, 5) * scale
-    phase = RowPhase(series=integral, near=near, far=far, centre=centre, scale=scale)
+    phase = RowPolynomial(series=integral, near=near, far=far, centre=centre, scale=scale)
     at_middle = phase.coefficients(np.array((near + far) / 2))[None]
-    common = RowPhase(series=at_middle, near=near, far=far, centre=centre, scale=scale)
-    slope = RowPhase(series=series[:, 1:2] / scale, near=near, far=far, centre=centre, scale=scale)
+    common = RowPolynomial(series=at_middle, near=near, far=far, centre=centre, scale=scale)
+    slope = RowPolynomial(series=series[:, 1:2] / scale, near=near, far=far, centre=centre, scale=scale)
     # The longest: a gate that cuts a dwell costs width and amplitude, one a little wider only some coherence.
     length = float(lengths[:, full].max())
     _, own, _ = phase.evaluate(found.range, found.doppler[..., None])
@@ -481,60 +615,44 @@ def _local_occupancy(line: Line, found: Focus, doppler: Axis) -> float:
     return float(min(2.2 * reach * doppler.step, 0.9))
 
 
-def _trace(line: Line, steps: tuple[Step, ...]) -> Line:
-    for step in steps:
-        line = step.trace(line)
-    return line
-
-
-def _azimuth_steps(
-    phases: AzimuthPhases, *, time: Axis, doppler: Axis, long_time: Axis, rows: Axis
-) -> tuple[Perturbation, Deramp]:
-    """Perturbation and deramp; the final transform, which moves no line, follows."""
-    return (
-        Perturbation(time=time, doppler=doppler, rows=rows, time_phase=phases.time, doppler_phase=phases.doppler),
-        Deramp(doppler=doppler, time=long_time, rows=rows, phases=phases.deramp),
-    )
-
-
-def _trace_azimuth(line: Line, phases: AzimuthPhases) -> Line:
-    """Lines do not ask how time, Doppler and rows are sampled."""
-    unknown = Axis(0.0, 1.0, 1)
-    return _trace(line, _azimuth_steps(phases, time=unknown, doppler=unknown, long_time=unknown, rows=unknown))
-
-
 def _choose(
     geometry: Geometry,
     line: Line,
+    chain: _Chain,
     *,
     ranges: FloatArray,
     epoch_range: FloatArray,
-    yaw: float,
-    half_width: float,
+    yaws: FloatArray,
     shift: float,
-    coefficients: Coefficients,
     candidate: Candidate | None,
-) -> tuple[AzimuthPhases, Candidate]:
-    """The coefficients as asked; among fitted chains the cheapest whose lines end level, thick and unfolded."""
-    lam = geometry.collection.wavelength
-    if coefficients == "closed-form":
-        phases = fitting.closed_form_phases(
-            geometry, epoch_range=epoch_range, ranges=ranges, yaw=yaw, half_width=half_width, shift=shift
-        )
-        return phases, Candidate(0.0, False)
-    if candidate is None:
-        candidate = _cheapest(line, ranges=ranges, wavelength=lam)
-    return fitting.fit_phases(line, ranges=ranges, candidate=candidate, wavelength=lam), candidate
+) -> Candidate:
+    """Give the chain its coefficients as asked: among fitted ones the cheapest whose lines end level and unfolded."""
+    lam, freedom = geometry.collection.wavelength, chain.freedom
+    if chain.method.coefficients == "closed-form":
+        chain.polynomials = closed_form.levelling(
+            geometry, freedom, epoch_range=epoch_range, ranges=ranges, yaws=yaws, shift=shift,
+            in_doppler=chain.in_doppler, range_model=chain.method.range_model,
+        )  # fmt: skip
+        return Candidate(0.0, False)
+    chosen = candidate or _cheapest(line, chain, ranges=ranges, wavelength=lam)
+    chain.polynomials = fitting.fit(line, ranges=ranges, candidate=chosen, freedom=freedom, wavelength=lam)
+    return chosen
 
 
-def _cheapest(line: Line, *, ranges: FloatArray, wavelength: float) -> Candidate:
+def _cheapest(line: Line, chain: _Chain, *, ranges: FloatArray, wavelength: float) -> Candidate:
+    freedom = chain.freedom
     some = np.array([0, ranges.size // 2, ranges.size - 1])
     part = Line(**{name: _pick(getattr(line, name), some, ranges.size) for name in Line.__dataclass_fields__})
     best: tuple[float, Candidate] | None = None
-    for candidate in fitting.candidates(line, wavelength=wavelength):
-        phases = fitting.fit_phases(part, ranges=ranges[some], candidate=candidate, wavelength=wavelength)
-        biased = part.multiply_time(*phases.time.evaluate(part.range.mean(axis=-1), part.time))
-        traced = _trace_azimuth(part, phases)
+    tried = fitting.candidates(line, wavelength=wavelength, freedom=freedom)
+    if len(tried) == 1:
+        return tried[0]
+    for candidate in tried:
+        chain.polynomials = fitting.fit(
+            part, ranges=ranges[some], candidate=candidate, freedom=freedom, wavelength=wavelength, roughly=True
+        )
+        biased = part.multiply_time(*chain.polynomials.time.evaluate(part.range.mean(axis=-1), part.time))
+        traced = chain.trace_azimuth(part)
         spread = biased.rate * part.weight.sum(axis=-1, keepdims=True) ** 2
         if traced.folded or not np.isfinite(traced.time).all():
             continue
@@ -550,7 +668,7 @@ def _cheapest(line: Line, *, ranges: FloatArray, wavelength: float) -> Candidate
             best = (cost, candidate)
         if fault <= 1.0 and growth < 2.5:
             break
-    return Candidate(0.0, True) if best is None else best[1]
+    return Candidate(0.0, freedom.time) if best is None else best[1]
 
 
 def _pick(values: FloatArray, which: NDArray[np.intp], size: int) -> FloatArray:
@@ -600,14 +718,14 @@ def _width(response: FloatArray) -> float:
 
 
 def _memory(
-    *, gate: RangeGate | None, frequency: Axis, n_bin: int, n_time: int, n_row: int, n_image: int, length: int
+    *, gate: RangeGate | None, frequency: Axis, n_bin: int, n_column: int, n_row: int, n_image: int, length: int
 ) -> int:
     """Peak of a worker that focuses a block, bytes: what each stage reads and writes.
 
     Stages work in place, but for a range gate's slab, and for an image that is wider in Doppler than the signal was
     long.
     """
-    buffer = max(frequency.size, n_row) * n_time
+    buffer = max(frequency.size, n_row) * n_column
     if gate is None:
         loaded = n_bin * COLUMN_CHUNK
         held = [2 * loaded + buffer]
@@ -615,7 +733,7 @@ def _memory(
         slab, loaded = frequency.size * n_bin, DOPPLER_GROUP * gate.full.size
         held = [2 * loaded + slab, slab + buffer]
     groups = 4 * max(GROUP_BYTES, 8 * 8 * length)
-    if n_image > n_time:
+    if n_image > n_column:
         held.append(buffer + n_row * n_image)
     return PROCESS_MEMORY + 8 * max(*held, buffer + 3 * IMAGE_PIXELS) + groups
 
@@ -641,7 +759,7 @@ class Plan:
     seams: FloatArray
     parts: int
     blocks: tuple[BlockPlan, ...]
-    coefficients: Coefficients
+    method: Method
     refusal: str | None
 
     @property
@@ -683,10 +801,20 @@ class Plan:
                 found += [Transforms(stage.name, stage.program.n_row, n) for n in stage.program.transforms]
         return found
 
+    def work(self) -> float:
+        """Floating-point operations of all transforms and resamplings of the blocks."""
+        total = 0.0
+        for step in (step for block in self.blocks for step in block.chain):
+            for operation in step.operations():
+                if isinstance(operation, Transform):
+                    total += step.n_row * 5 * operation.period * math.log2(operation.period)
+                elif isinstance(operation, Stretch | Resample):
+                    total += step.n_row * 4 * step.source.size * operation.taps.shape[1]
+        return total
+
     def excess(self) -> float:
-        """The worst of phase and migration, each over what it may be: at most 1 is a good plan."""
-        worst = [b.prediction.residual_phase / PHASE_BUDGET for b in self.blocks]
-        return max(worst + [b.prediction.migration / MIGRATION_BUDGET for b in self.blocks])
+        """The worst of phase, side lobes and migration, each over what it may be: at most 1 is a good plan."""
+        return max(block.prediction.excess for block in self.blocks)
 
     def within_budget(self) -> bool:
         return self.excess() <= 1.0
@@ -697,12 +825,12 @@ def plan_collection(
     *,
     blocks: int | Literal["auto"] = "auto",
     parts: int | Literal["auto"] = "auto",
-    coefficients: Coefficients = "fitted",
+    method: Method = DEFAULT,
     grid: Grid | None = None,
     workers: int = 1,
     memory_limit: int | None = None,
 ) -> Plan:
-    """Plan a collection for the angular-division chain.
+    """Plan a collection for a processor.
 
     `auto` takes the fewest blocks that meet the phase and migration budgets, at least one a worker, and the fewest
     range sub-blocks of each that fit a worker's memory.
@@ -716,12 +844,12 @@ def plan_collection(
         raise InputError(f"blocks = {blocks}: ask for 1 to {MOST_BLOCKS}, or for 'auto'")
     geometry = Geometry(collection=collection)
     region = plan_region(geometry, grid)
-    recovery = plan_recovery(geometry, region)
+    recovery = plan_recovery(geometry, region, linear=method.derotation == "linear")
     grid = grid or default_grid(geometry, region)
     extent = grid_extent(geometry, region, grid)
 
-    def plan(count: int, divided: int) -> Plan:
-        return _plan_blocks(geometry, region, recovery, grid, extent, count, divided, coefficients)
+    def plan(count: int, divided: int, *, probe: bool = False) -> Plan:
+        return _plan_blocks(geometry, region, recovery, grid, extent, count, divided, method, probe=probe)
 
     whole = 1 if parts == "auto" else parts
     made = plan(blocks, whole) if blocks != "auto" else _fewest_blocks(partial(plan, divided=whole), workers)
@@ -730,19 +858,22 @@ def plan_collection(
     return _fewest_parts(partial(plan, made.n_blocks), made, memory_limit, fixed=parts != "auto")
 
 
-def _fewest_blocks(plan: Callable[[int], Plan], workers: int) -> Plan:
+def _fewest_blocks(plan: Callable[..., Plan], workers: int) -> Plan:
+    """The first plan within its budgets; while they are far from it, the outermost blocks and the middle one tell."""
     best, stale = math.inf, 0
     for count in range(min(max(workers, 1), MAX_BLOCKS), MAX_BLOCKS + 1):
-        made = plan(count)
-        excess = made.excess()
-        if excess <= 1.0 or _along_velocity(made.blocks) is not None:
-            return made
+        made = plan(count, probe=True)
+        if made.excess() <= 1.0 and (whole := plan(count)).excess() <= 1.0:
+            return whole
+        if _along_velocity(made.blocks) is not None:
+            break
         # Margins do not shrink with the blocks: stop once more of them have brought nothing three times.
+        excess = made.excess()
         stale = stale + 1 if excess > 0.97 * best else 0
         best = min(best, excess)
         if stale == 3:
             break
-    return made
+    return plan(count)
 
 
 def _fewest_parts(plan: Callable[[int], Plan], whole: Plan, memory_limit: int, *, fixed: bool) -> Plan:
@@ -775,14 +906,18 @@ def _plan_blocks(
     extent: Extent,
     count: int,
     divided: int,
-    coefficients: Coefficients,
+    method: Method,
+    *,
+    probe: bool,
 ) -> Plan:
+    """All blocks that the grid touches; of many, as a probe, only the outermost and the one in the middle."""
     seams = block_seams(geometry, region, count)
     planned = []
-    for index in range(count):
+    touched = [i for i in range(count) if seams[i + 1] > extent.low and seams[i] < extent.high]
+    if probe:
+        touched = sorted({touched[0], touched[len(touched) // 2], touched[-1]})
+    for index in touched:
         low, high = float(seams[index]), float(seams[index + 1])
-        if high <= extent.low or low >= extent.high:
-            continue
         near, far = region.limits(low, high)
         near, far = max(near, extent.near), min(far, extent.far)
         # Rows are told apart modulo the range window: a block cannot hold more than that.
@@ -799,7 +934,7 @@ def _plan_blocks(
         for part, (nearest, farthest) in enumerate(pairwise(edges.tolist())):
             block = plan_block(
                 geometry, recovery, region, index=index, part=part if divided > 1 else None, low=low, high=high,
-                near=nearest, far=farthest, coefficients=coefficients, candidate=candidate,
+                near=nearest, far=farthest, method=method, candidate=candidate,
             )  # fmt: skip
             candidate = block.candidate
             planned.append(block)
@@ -807,13 +942,13 @@ def _plan_blocks(
         raise InputError(f"none of {count} blocks holds a point of the grid; give it a finer step, or move it")
     return Plan(
         geometry=geometry, grid=grid, region=region, recovery=recovery, seams=seams, parts=divided,
-        blocks=tuple(planned), coefficients=coefficients, refusal=_refusal(planned, coefficients),
+        blocks=tuple(planned), method=method, refusal=_refusal(planned, method),
     )  # fmt: skip
 
 
-def _refusal(blocks: Sequence[BlockPlan], coefficients: Coefficients) -> str | None:
-    """Why a plan cannot be carried out, if so."""
-    return _along_velocity(blocks) or (_blurred(blocks) if coefficients == "fitted" else None)
+def _refusal(blocks: Sequence[BlockPlan], method: Method) -> str | None:
+    """Why a plan cannot be carried out, if so. A rival's blur is what one wants to see of it."""
+    return _along_velocity(blocks) or (None if method.rival else _blurred(blocks))
 
 
 def _along_velocity(blocks: Sequence[BlockPlan]) -> str | None:
@@ -831,10 +966,16 @@ def _along_velocity(blocks: Sequence[BlockPlan]) -> str | None:
 
 def _blurred(blocks: Sequence[BlockPlan]) -> str | None:
     for block in blocks:
-        if not block.prediction.residual_phase < np.pi / 2:
+        phase, migration = block.prediction.residual_phase, block.prediction.migration
+        kept = None
+        if not phase < np.pi / 2:
+            kept = f"a phase error of {phase:.3g} rad"
+        elif not migration < 1.0:
+            kept = f"a range migration of {migration:.3g} resolution cells"
+        if kept is not None:
             return (
-                f"{_called(block)} would keep a phase error of {block.prediction.residual_phase:.3g} rad over the "
-                "dwell; ask for more --blocks, or use --processor backprojection"
+                f"{_called(block)} would keep {kept} over the dwell; ask for more --blocks, or see what "
+                "`blocksar plan --processor auto` proposes"
             )
     return None
 

@@ -58,8 +58,10 @@ def tail_margin(duration: float) -> float:
     return 1.0 / (np.pi**2 * TAIL_ENERGY * duration)
 
 
-def plan_recovery(geometry: Geometry, region: Region) -> Recovery:
+def plan_recovery(geometry: Geometry, region: Region, *, linear: bool = False) -> Recovery:
     """Unified walk, derotation, padding, and whether the PRF suffices.
+
+    `linear` derotation takes out one Doppler rate and no more (paper A, Figure 6 b): a rival that needs more PRF.
 
     Raises
     ------
@@ -84,16 +86,17 @@ def plan_recovery(geometry: Geometry, region: Region) -> Recovery:
     half = pulses.extent / 2
     middle = pulses.start + pulses.step * (pulses.size - 1) / 2
     u = (inner.time - middle) / half
-    series = middle_line(u.ravel(), inner.doppler.ravel(), order=min(9, time.size // 8))
+    series = middle_line(u.ravel(), inner.doppler.ravel(), order=1 if linear else min(9, time.size // 8))
     bent = inner.doppler - chebyshev.chebval(u, series)
     low, high = float(line.doppler.min()), float(line.doppler.max())
     derotated_low, derotated_high = float(bent.min()), float(bent.max())
     centre_band = (derotated_low + derotated_high) / 2
     spread = (derotated_high - derotated_low) * (1 + band_edge)
     if collection.prf < spread:
+        kind = "linear" if linear else "nonlinear"
         needed = 10 * np.ceil(1.002 * spread / 10)  # another PRF cuts the dwells a little differently
         raise InputError(
-            f"PRF {collection.prf:.6g} Hz is too low: after nonlinear derotation the lit scene still spans "
+            f"PRF {collection.prf:.6g} Hz is too low: after {kind} derotation the lit scene still spans "
             f"{spread:.6g} Hz of Doppler, so a PRF of at least {needed:.6g} Hz is needed; collect with a higher PRF or "
             + ("a narrower beam" if collection.steered else "image a smaller grid")
         )

@@ -88,7 +88,26 @@ class Stretch:
     taps: Float32Array
 
 
-Operation = Turn | ScaledTurn | Transform | Window | Stretch
+@dataclass(frozen=True, eq=False)
+class Resample:
+    """Resample row r at positions that are a polynomial along it, and keep its energy; zero where there is no data.
+
+    Sample i becomes sqrt(dp / di) times the row at position p = sum_k positions[r, k] u^k, in samples, with
+    u = `phase.unit`: (i - n // 2) / (n / 2). Its slope dp / di is between 1/2 and 2.
+
+    Attributes
+    ----------
+    positions : (n_row, order + 1) float64
+        Order at least 1.
+    taps : (TAP_PHASES + 1, n_tap, TAP_ORDER + 1) float32
+        Of `phase.tap_polynomials`.
+    """
+
+    positions: FloatArray
+    taps: Float32Array
+
+
+Operation = Turn | ScaledTurn | Transform | Window | Stretch | Resample
 
 
 class Program:
@@ -129,9 +148,9 @@ class Program:
                     if not self._works:  # never on the samples that came in
                         self._works.append(self._settle())
                     self._works.append(_Windowed(operation))
-                case Stretch():
-                    self._works += [self._settle(), _Stretched(operation)]
-        if self._waiting.any() or not (self._works and isinstance(self._works[-1], _Stretched)):
+                case Stretch() | Resample():
+                    self._works += [self._settle(), _Resampled(operation)]
+        if self._waiting.any() or not (self._works and isinstance(self._works[-1], _Resampled)):
             self._works.append(self._settle())  # the last one writes to where the result belongs
 
     def _turn(self, given: Phase) -> None:
@@ -267,13 +286,17 @@ class _Windowed:
 
 
 @dataclass(frozen=True, eq=False)
-class _Stretched:
-    operation: Stretch
+class _Resampled:
+    operation: Stretch | Resample
 
     def __call__(self, group: ComplexArray, rows: slice, out: ComplexArray | None = None) -> ComplexArray:
         if out is None:
             out = np.empty_like(group)
-        phase.stretch_rows(group, out, self.operation.scale[rows], self.operation.middle, self.operation.taps)
+        match self.operation:
+            case Stretch(scale, middle, taps):
+                phase.stretch_rows(group, out, scale[rows], middle, taps)
+            case Resample(positions, taps):
+                phase.resample_rows(group, out, np.ascontiguousarray(positions[rows]), taps)
         return out
 
 

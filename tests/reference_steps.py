@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from blocksar.fourier import Axis
 from blocksar.geometry import Geometry
 from blocksar.lines import Line
+from blocksar.method import Method
 from blocksar.parameters import SPEED_OF_LIGHT, Collection, ComplexArray, FloatArray
-from blocksar.planning import BlockPlan, plan_block
+from blocksar.planning import DEFAULT, BlockPlan, plan_block
 from blocksar.recovery import Recovery, recover_columns
 from blocksar.recovery_plan import plan_recovery, recovered_line
 from blocksar.region import Grid, Region, plan_region
@@ -76,7 +77,7 @@ def planned(
     *,
     blocks: int = 3,
     index: int | None = None,
-    coefficients: Any = "fitted",
+    method: Method = DEFAULT,
     patch: float = 200.0,
 ) -> Planned:
     """Plan one of `blocks` equal blocks; an unsteered collection images `patch` metres about its centre."""
@@ -91,9 +92,7 @@ def planned(
     index = blocks // 2 if index is None else index
     low, high = float(edges[index]), float(edges[index + 1])
     near, far = region.limits(low, high)
-    plan = plan_block(
-        geometry, recovery, region, index=index, low=low, high=high, near=near, far=far, coefficients=coefficients
-    )
+    plan = plan_block(geometry, recovery, region, index=index, low=low, high=high, near=near, far=far, method=method)
     return Planned(collection=collection, geometry=geometry, region=region, recovery=recovery, plan=plan)
 
 

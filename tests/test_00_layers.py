@@ -23,13 +23,14 @@ GROUND = {"parameters", "fourier", "geometry"}
 KERNELS = GROUND | {"lanes", "phase", "rows", "lines"}
 STEPS = {"range_steps", "azimuth_steps"}
 MEASURES = {"recovery", "ground", "backprojection", "measurement"}
-PLANS = {"fitting", "region", "recovery_plan", "planning"}
+PLANS = {"fitting", "closed_form", "region", "recovery_plan", "chains", "planning", "choice"}
 FILES = {"places", "stores", "runs"}
-BELOW_GRAPH = KERNELS | STEPS | MEASURES | {"steps", "inspection"} | PLANS | FILES | {"cluster"}
+BELOW_GRAPH = KERNELS | STEPS | MEASURES | {"method", "steps", "inspection"} | PLANS | FILES | {"cluster"}
 BELOW_API = BELOW_GRAPH | {"graph", "scene", "simulation", "plotting"}
 
 ARROWS: dict[str, set[str]] = {
     "parameters": set(),
+    "method": {"parameters"},
     "fourier": {"parameters"},
     "geometry": {"parameters"},
     "scene": {"parameters", "geometry"},
@@ -38,6 +39,7 @@ ARROWS: dict[str, set[str]] = {
     "rows": {"parameters", "fourier", "phase"},
     "lines": {"parameters", "geometry"},
     "fitting": {"parameters", "geometry", "lines"},
+    "closed_form": {"parameters", "geometry", "lines", "method", "fitting"},
     "steps": KERNELS,
     **dict.fromkeys(STEPS, KERNELS | {"steps"}),
     **dict.fromkeys(MEASURES, KERNELS),
@@ -48,7 +50,11 @@ ARROWS: dict[str, set[str]] = {
     "simulation": GROUND | {"phase", "recovery", "scene", "places", "stores"},
     "region": {"parameters", "geometry"},
     "recovery_plan": KERNELS | {"recovery", "region"},
-    "planning": KERNELS | STEPS | {"steps", "fitting", "ground", "recovery", "region", "recovery_plan"},
+    "chains": STEPS | {"method", "steps"},
+    "planning": KERNELS
+    | STEPS
+    | {"method", "steps", "chains", "fitting", "closed_form", "ground", "recovery", "region", "recovery_plan"},
+    "choice": {"parameters", "method", "planning"},
     "cluster": {"parameters", "ground"},
     "graph": BELOW_GRAPH,
     "plotting": {"parameters", "geometry", "measurement"},
@@ -79,7 +85,7 @@ HOMES: dict[str, set[str] | None] = {
 }
 
 # Arrays in, arrays out: nothing here knows of files or logs.
-PURE = KERNELS | STEPS | MEASURES | {"steps", "inspection", "fitting"}
+PURE = KERNELS | STEPS | MEASURES | {"steps", "inspection", "method", "fitting", "closed_form", "chains"}
 IMPURE_LIBRARIES = {"io", "json", "logging", "os", "pathlib", "shutil", "tempfile"}
 
 # scipy.fft outside fourier.py, where a comment beside the import says why. numpy.fft: nowhere else.

@@ -343,6 +343,23 @@ def test_stretched_rows_are_the_exact_signal_elsewhere(scale: float, n: int, mid
         assert np.isfinite(padded).all() and padded.max(initial=0.0) < 1.5 * np.abs(values).max()
 
 
+def nearest_sums_differ(values: ComplexArray, found: np.ndarray, position: np.ndarray, n_tap: int) -> float:
+    """From least-squares weights at occupancy 0.6, relative to the largest sample; zeros lie beyond the ends."""
+    padded = np.concatenate([np.zeros(2000), values, np.zeros(2000)])
+    k = np.arange(n_tap) - (n_tap // 2 - 1)
+    gram = np.sinc(0.6 * (k[:, None] - k)) + 1e-9 * np.eye(n_tap)
+    # The window is the one about the place, or that of a neighbour in its strip, by as much as weights are expanded.
+    error = np.full((3, position.size), np.inf)
+    for side in (-1, 0, 1):
+        whole = np.floor(position).astype(int) + side
+        fraction = np.asarray(position - whole, np.float64)
+        weights = np.linalg.solve(gram, np.sinc(0.6 * (fraction - k[:, None])))
+        nearest = padded[np.clip(whole + k[:, None] + 2000, 0, padded.size - 1)]
+        near = np.abs(fraction - 0.5) <= 0.5 + phase.TAP_REACH + 1e-9
+        error[side, near] = np.abs(found - np.sum(weights * nearest, axis=0))[near]
+    return largest(error.min(axis=0)) / largest(values)
+
+
 @settings(max_examples=60, deadline=None)
 @given(
     n=st.integers(1, 700), middle=st.floats(-300, 1000), scale=st.floats(0.6, 1.4), n_tap=st.sampled_from([2, 4, 10])
@@ -354,20 +371,8 @@ def test_stretched_rows_are_weighted_sums_of_the_nearest_samples(
     values = noise(1, n, seed=n)
     found = np.full((1, n), np.nan, np.complex64)
     phase.stretch_rows(values, found, np.array([scale]), middle, phase.tap_polynomials(n_tap, occupancy=0.6))
-    padded = np.concatenate([np.zeros(2000), values[0], np.zeros(2000)])
-    k = np.arange(n_tap) - (n_tap // 2 - 1)
-    gram = np.sinc(0.6 * (k[:, None] - k)) + 1e-9 * np.eye(n_tap)
     position = middle + (np.arange(n) - middle) * scale
-    # The window is the one about the place, or that of a neighbour in its strip, by as much as weights are expanded.
-    error = np.full((3, n), np.inf)
-    for side in (-1, 0, 1):
-        whole = np.floor(position).astype(int) + side
-        fraction = position - whole
-        weights = np.linalg.solve(gram, np.sinc(0.6 * (fraction - k[:, None])))
-        nearest = padded[np.clip(whole + k[:, None] + 2000, 0, padded.size - 1)]
-        near = np.abs(fraction - 0.5) <= 0.5 + phase.TAP_REACH + 1e-9
-        error[side, near] = np.abs(found[0] - np.sum(weights * nearest, axis=0))[near]
-    assert largest(error.min(axis=0)) < 4e-5 * largest(values) * np.sqrt(n_tap)
+    assert nearest_sums_differ(values[0], found[0], position, n_tap) < 4e-5 * np.sqrt(n_tap)
 
 
 def test_a_stretched_row_does_not_depend_on_the_others() -> None:
@@ -388,6 +393,139 @@ def test_a_scale_that_is_not_near_one_is_refused(scale: float) -> None:
         phase.stretch_rows(noise(1, 50), np.empty((1, 50), np.complex64), np.array([scale]), 25.0, taps)
 
 
+def curve(n: int, slopes: FloatArray) -> FloatArray:
+    """Positions (1, order + 1) that begin at 0.3, and move by a polynomial of u through these slopes at even steps."""
+    u, at = (np.array([0, n - 1]) - n // 2) * (2 / n), np.linspace(-1, 1, slopes.size)
+    slope = np.polynomial.Polynomial.fit(at, slopes, slopes.size - 1).convert() * (n / 2)
+    return (slope.integ(lbnd=u[0]) + 0.3).coef[None, :]
+
+
+def position_and_slope(positions: FloatArray, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Along the one row, in extended precision; the slope in samples a sample."""
+    u = np.longdouble(np.arange(n) - n // 2) * 2 / n
+    order = np.arange(1, positions.shape[1])
+    return power_sum(positions, u)[0], power_sum(positions[:, 1:] * order, u)[0] * 2 / n
+
+
+CURVES = {
+    "gentle": np.array([1.003, 0.998, 1.004]),
+    "of paper B": np.array([0.95, 1.0, 1.04]),
+    "steep": np.array([0.6, 1.3, 1.9]),
+    "winding": 1 + 0.1 * np.cos(np.arange(12.0)) * np.hanning(12),
+    "even": np.array([1.0, 1.0]),
+}
+
+
+@pytest.mark.parametrize("slopes", CURVES.values(), ids=CURVES.keys())
+@pytest.mark.parametrize("n", [90, 777, 2 * PIECE + 5])
+@pytest.mark.parametrize(("n_tap", "occupancy"), [(8, 0.5), (16, 0.7), (22, 0.8), (32, 0.9)])
+def test_resampled_rows_are_the_exact_signal_elsewhere(
+    n_tap: int, occupancy: float, n: int, slopes: FloatArray
+) -> None:
+    rng = np.random.default_rng(n)
+    f = rng.uniform(-occupancy / 2, occupancy / 2, 200)
+    tones = np.exp(2j * np.pi * rng.uniform(0, 1, 200)) / np.sqrt(200)
+
+    def signal(position: np.ndarray) -> np.ndarray:
+        return np.exp(2j * np.pi * np.multiply.outer(np.float64(position) - n / 3, f)) @ tones
+
+    positions = curve(n, slopes)
+    values = signal(np.arange(n)).astype(np.complex64)[None]
+    values.flags.writeable = positions.flags.writeable = False
+    found = np.full((1, n), np.nan, np.complex64)
+    phase.resample_rows(values, found, positions, phase.tap_polynomials(n_tap, occupancy=occupancy))
+    position, slope = position_and_slope(positions, n)
+    inside = (position >= n_tap / 2) & (position <= n - n_tap / 2 - 2)
+    outside = (position < -n_tap / 2 - 1) | (position > n + n_tap / 2)
+    assert inside.sum() > n / 3
+    assert outside.any() or slopes[-1] < 1.1
+    error = np.abs(found[0] / np.sqrt(slope) - signal(position))
+    told = phase.interpolation_error(n_tap, occupancy)
+    assert np.sqrt(np.mean(error[inside] ** 2)) < told + 1e-5
+    assert largest(error[inside]) < 4 * told + 2e-5
+    assert (found[0, outside] == 0).all()
+    assert np.isfinite(found).all() and largest(found) < 2 * np.sqrt(slopes.max()) * largest(values)
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    n=st.integers(1, 700),
+    begin=st.floats(-300, 1000),
+    slopes=st.lists(st.floats(0.85, 1.25), min_size=1, max_size=5),
+    n_tap=st.sampled_from([2, 4, 10]),
+)
+def test_resampled_rows_are_weighted_sums_of_the_nearest_samples(
+    n: int, begin: float, slopes: list[float], n_tap: int
+) -> None:
+    """Against least-squares weights one output at a time, zeros beyond the ends; any length, any curve."""
+    positions = curve(n, np.array(slopes if n > 400 else slopes[:2]))
+    positions[0, 0] += begin
+    position, slope = position_and_slope(positions, n)
+    values, found = noise(1, n, seed=n), np.full((1, n), np.nan, np.complex64)
+    phase.resample_rows(values, found, positions, phase.tap_polynomials(n_tap, occupancy=0.6))
+    assert nearest_sums_differ(values[0], found[0] / np.sqrt(slope), position, n_tap) < 4e-5 * np.sqrt(n_tap)
+
+
+@pytest.mark.parametrize("scale", [0.5, 0.93, 1.0, 1.0005, 2.0])
+def test_a_straight_curve_is_a_stretch(scale: float) -> None:
+    """But for the gain; the highest orders may be zero."""
+    n, middle = 1201, 400.25
+    values = np.fft.ifft(np.fft.fft(noise(1, n)) * (np.abs(np.fft.fftfreq(n)) < 0.25)).astype(np.complex64)
+    taps = phase.tap_polynomials(20, occupancy=0.6)
+    stretched, resampled = np.empty_like(values), np.empty_like(values)
+    phase.stretch_rows(values, stretched, np.array([scale]), middle, taps)
+    positions = np.array([[middle + (n // 2 - middle) * scale, scale * n / 2, *np.zeros(11)]])
+    phase.resample_rows(values, resampled, positions, taps)
+    position = middle + (np.arange(n) - middle) * scale
+    inside = (position > 10) & (position < n - 12)  # where the row is cut off, one sample's weights are not another's
+    assert largest((resampled - np.sqrt(scale) * stretched)[0, inside]) < 2e-5 * largest(values)
+
+
+@pytest.mark.parametrize("n", [1, 2, 31, 33, 1000, PIECE + 1])
+def test_positions_of_the_samples_give_the_samples_back(n: int) -> None:
+    values = noise(1, n)
+    found = np.empty_like(values)
+    for n_tap, occupancy in ((8, 0.5), (16, 0.8)):
+        taps = phase.tap_polynomials(n_tap, occupancy=occupancy)
+        phase.resample_rows(values, found, np.array([[n // 2, n / 2, 0.0]]), taps)
+        at_sample = np.abs(phase.interpolation_taps(n_tap, occupancy=occupancy)[0] - np.eye(n_tap)[n_tap // 2 - 1])
+        assert largest(found - values) <= (at_sample.sum() + 1e-5 * n_tap) * largest(values)
+
+
+def test_a_resampled_row_does_not_depend_on_the_others() -> None:
+    values = noise(7, 1500)
+    positions = np.concatenate([curve(1500, 1 + (k - 3) * np.array([0.03, -0.01, 0.04, 0.02])) for k in range(7)])
+    taps = phase.tap_polynomials(12, occupancy=0.7)
+    together = np.empty_like(values)
+    phase.resample_rows(values, together, positions, taps)
+    for row in range(7):
+        alone = np.full((1, 1510), 7, np.complex64)
+        phase.resample_rows(values[row : row + 1], alone, positions[row : row + 1], taps)
+        np.testing.assert_array_equal(alone[0, :1500], together[row])
+        assert (alone[0, 1500:] == 7).all()
+
+
+@pytest.mark.parametrize(
+    "slopes", [[-1.0, -1.0], [0.49, 0.49], [2.01, 2.01], [1.0, 1.0, 2.2], [0.4, 1.0, 1.0], [1.0, np.nan]]
+)
+@pytest.mark.parametrize("n", [50, 3000])
+def test_a_curve_that_is_too_steep_or_too_flat_is_refused(n: int, slopes: list[float]) -> None:
+    taps = phase.tap_polynomials(4, occupancy=0.5)
+    positions = np.full((1, 3), np.nan) if np.isnan(slopes[-1]) else curve(n, np.array(slopes))
+    with pytest.raises(ValueError, match="positions"):
+        phase.resample_rows(noise(1, n), np.empty((1, n), np.complex64), positions, taps)
+
+
+def test_positions_that_are_no_curves_of_the_rows_are_refused() -> None:
+    taps, values, out = phase.tap_polynomials(4, occupancy=0.5), noise(2, 50), np.empty((2, 50), np.complex64)
+    for positions in ([[25.0, 25.0]], [[25.0, 25.0]] * 3, [[25.0], [25.0]]):
+        with pytest.raises(ValueError, match="one polynomial a row"):
+            phase.resample_rows(values, out, np.array(positions), taps)
+    for place in (np.nan, np.inf, -1e12):
+        with pytest.raises(ValueError, match="near the row"):
+            phase.resample_rows(values, out, np.array([[25.0, 25.0], [place, 25.0]]), taps)
+
+
 # -- the compiler -------------------------------------------------------------------------------------------
 
 
@@ -396,9 +534,9 @@ def test_a_second_process_compiles_nothing() -> None:
     program = (
         "import blocksar.phase as p; print([sum(f.stats.cache_misses.values()) for f in (p._rotate, p.rotate_scaled,"
     )
-    program += " p.gather_columns, p.scatter_columns, p.stretch_rows)])"
+    program += " p.gather_columns, p.scatter_columns, p.stretch_rows, p.resample_rows)])"
     found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=100)
-    assert found.stdout.strip() == "[0, 0, 0, 0, 0]"
+    assert found.stdout.strip() == "[0, 0, 0, 0, 0, 0]"
 
 
 @pytest.mark.parametrize("n", [1, 31, 64, 101])

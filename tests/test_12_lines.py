@@ -15,15 +15,15 @@ from blocksar import fourier, rows
 from blocksar.fitting import range_series, yaw_series
 from blocksar.fourier import Axis
 from blocksar.geometry import Geometry
-from blocksar.lines import Line, RowPhase, focus, row_phase
+from blocksar.lines import Line, RowPolynomial, focus, row_polynomial
 from blocksar.parameters import SPEED_OF_LIGHT, FloatArray
 
 # -- phases along rows --------------------------------------------------------------------------------------
 
 
-def some_phase(*, order: int = 5, seed: int = 0) -> RowPhase:
+def some_phase(*, order: int = 5, seed: int = 0) -> RowPolynomial:
     rng = np.random.default_rng(seed)
-    return RowPhase(series=rng.normal(0, 100, (4, order + 1)), near=-2000.0, far=2400.0, centre=0.3, scale=0.25)
+    return RowPolynomial(series=rng.normal(0, 100, (4, order + 1)), near=-2000.0, far=2400.0, centre=0.3, scale=0.25)
 
 
 @pytest.mark.parametrize("order", [0, 1, 2, 5])
@@ -44,16 +44,16 @@ def test_derivatives_along_the_row_are_those_of_the_phase(order: int, shape: tup
     np.testing.assert_allclose(bend, bent, rtol=1e-5, atol=1e-2)
 
 
-def test_a_row_phase_goes_through_the_polynomials_that_it_is_made_of() -> None:
+def test_a_row_polynomial_goes_through_the_polynomials_that_it_is_made_of() -> None:
     """Each polynomial about its own centre, as its range says: also when the phase is about a common centre."""
     rng = np.random.default_rng(2)
     ranges = np.linspace(-1500.0, 1800.0, 6)
     coefficients, centres = rng.normal(0, 30, (6, 5)), rng.uniform(-40, 60, 6)
-    phases = row_phase(coefficients, ranges=ranges, centres=centres, scale=500.0, degree=5)
+    phases = row_polynomial(coefficients, ranges=ranges, centres=centres, scale=500.0, degree=5)
     v = np.linspace(-600, 600, 13)
     wanted = [np.polyval(c[::-1], (v - centre) / 500.0) for c, centre in zip(coefficients, centres, strict=True)]
     np.testing.assert_allclose(phases.evaluate(ranges, np.tile(v, (6, 1)))[0], wanted, atol=1e-9)
-    smooth = row_phase(coefficients[:, :1] * 0 + 3.0, ranges=ranges, centres=centres, scale=500.0, degree=9)
+    smooth = row_polynomial(coefficients[:, :1] * 0 + 3.0, ranges=ranges, centres=centres, scale=500.0, degree=9)
     np.testing.assert_allclose(smooth.evaluate(np.array(77.0), v)[0], 3.0, atol=1e-12)
 
 

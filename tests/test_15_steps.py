@@ -29,11 +29,26 @@ from reference_steps import (
 )
 
 from blocksar import fourier, rows
-from blocksar.azimuth_steps import Deramp, DopplerTransform, DwellGate, Perturbation
+from blocksar.azimuth_steps import (
+    AzimuthTransform,
+    DopplerResampling,
+    DopplerTransform,
+    DwellGate,
+    FrequencyPerturbation,
+)
+from blocksar.chains import steps_of
 from blocksar.fourier import Axis
-from blocksar.lines import Line, RowPhase, focus
+from blocksar.lines import Line, RowPolynomial, focus
+from blocksar.method import Method
 from blocksar.parameters import SPEED_OF_LIGHT, FloatArray
-from blocksar.range_steps import Keystone, RangeCompression, RangeGate, ResidualRangeWalk
+from blocksar.range_steps import (
+    Compression,
+    DopplerCompression,
+    Keystone,
+    RangeCompression,
+    RangeGate,
+    ResidualRangeWalk,
+)
 
 GEOMETRIES: dict[str, dict[str, Any]] = {
     "table 1": {},
@@ -46,8 +61,25 @@ GEOMETRIES: dict[str, dict[str, Any]] = {
     "three times the relative bandwidth": {"carrier": 10e9, "bandwidth": 150e6, "n_frequency": 240},
     "not steered": {"steering_deg": None, "prf": 12e3},
     "jerk": {"jerk": (300.0, -400.0, 200.0)},
-    "closed form": {"coefficients": "closed-form"},
 }
+METHODS: dict[str, dict[str, Any]] = {  # on Table 1's geometry, or on another one that is named
+    "closed form": {"coefficients": "closed-form"},
+    "resampling": {"processor": "keystone-resampling"},
+    "resampling, closed form": {"processor": "keystone-resampling", "coefficients": "closed-form"},
+    "resampling, scan reversed": {"processor": "keystone-resampling"},
+    "resampling, not steered": {"processor": "keystone-resampling"},
+    "resampling, acceleration cancels the Doppler rate": {"processor": "keystone-resampling"},
+    "high order phase": {"processor": "high-order-phase"},
+    "high order phase, closed form": {"processor": "high-order-phase", "coefficients": "closed-form"},
+    "high order phase, scan reversed": {"processor": "high-order-phase"},
+    "high order phase, not steered": {"processor": "high-order-phase"},
+    "high order phase, odd numbers of samples": {"processor": "high-order-phase"},
+    "high order phase, three times the relative bandwidth": {"processor": "high-order-phase"},
+    "no keystone": {"keystone": False},
+    "frequency perturbation only": {"processor": "keystone-resampling", "perturbation": "frequency"},
+    "no perturbation": {"perturbation": "none"},
+}
+EVERY = [*GEOMETRIES, *METHODS]
 # Across the block's yaws and ranges, 0 .. 1: off centre, where every coefficient counts.
 PLACES = [(0.04, 0.15), (0.93, 0.8)]
 INNER = slice(3, 13)  # of 16 nodes: an eighth of the dwell at either end is left to the ends
@@ -55,10 +87,8 @@ INNER = slice(3, 13)  # of 16 nodes: an eighth of the dwell at either end is lef
 
 @lru_cache(maxsize=2)
 def case_of(name: str) -> Planned:
-    options = dict(GEOMETRIES[name])
-    coefficients = options.pop("coefficients", "fitted")
-    scene = collection(**options)
-    return planned(scene, blocks=3 if scene.steered else 1, coefficients=coefficients)
+    scene = collection(**GEOMETRIES.get(name.split(", ", 1)[-1], {}))
+    return planned(scene, blocks=3 if scene.steered else 1, method=Method(**METHODS.get(name, {})))
 
 
 def place_of(case: Planned, place: tuple[float, float]) -> tuple[float, float]:
@@ -68,25 +98,39 @@ def place_of(case: Planned, place: tuple[float, float]) -> tuple[float, float]:
     return float(near[0] + (far[0] - near[0]) * place[1]), yaw
 
 
+DOPPLER_STEPS = (AzimuthTransform, DopplerCompression, FrequencyPerturbation, DopplerResampling)
+
+
+def compressed(case: Planned, step: Any) -> bool:
+    """Whether rows are ranges after a step, not range frequencies."""
+    chain = case.plan.chain
+    return chain.index(step) >= next(i for i, s in enumerate(chain) if isinstance(s, Compression))
+
+
 def as_frequency(case: Planned, step: Any, samples: Any) -> tuple[Complex128Array, FloatArray]:
     """Samples after a step as S(range frequency, slow time), and the frequencies."""
-    if isinstance(step, ResidualRangeWalk | Keystone):
+    if isinstance(step, DOPPLER_STEPS):
+        samples = rows.to_time(samples, step.doppler, case.plan.chain[-1].time)
+    if not compressed(case, step):
         return samples, case.collection.range_frequency
-    compression = next(s for s in case.plan.chain if isinstance(s, RangeCompression))
-    values, frequency = rows_to_frequency(samples, compression.rows, compression.period)
-    if isinstance(step, Perturbation):
-        values = rows.to_time(values.astype(np.complex64), step.doppler, case.plan.chain[-1].time)
-    return values, frequency
+    compression = next(s for s in case.plan.chain if isinstance(s, Compression))
+    return rows_to_frequency(samples, compression.rows, compression.period)
+
+
+def time_of(case: Planned, step: Any) -> Axis:
+    """Slow time of `as_frequency`."""
+    inside = isinstance(step, DOPPLER_STEPS) or step is case.plan.chain[-1]
+    return case.plan.chain[-1].time if inside else step.time
 
 
 def amplitude_of(case: Planned, step: Any) -> float:
     """Of a unit target: recovery and the transforms between axes of other lengths change it."""
     level = case.recovery.padded / case.plan.chain[0].time.size
-    return level if isinstance(step, ResidualRangeWalk | Keystone) else level * case.plan.ground.scale
+    return level * case.plan.ground.scale if compressed(case, step) else level
 
 
 @pytest.mark.parametrize("place", PLACES, ids=["near, low yaw", "far, high yaw"])
-@pytest.mark.parametrize("name", GEOMETRIES)
+@pytest.mark.parametrize("name", EVERY)
 def test_after_every_step_the_measured_line_is_the_traced_one(name: str, place: tuple[float, float]) -> None:
     case = case_of(name)
     at = place_of(case, place)
@@ -99,7 +143,7 @@ def test_after_every_step_the_measured_line_is_the_traced_one(name: str, place: 
         values, frequency = as_frequency(case, step, samples)
         found = measure_line(values, line, time=time, frequency=frequency, cell=cell)
         # Stationary phase is good to 1e-3 rad here; before SRC the range response is not quite symmetric.
-        assert np.abs(found.phase[INNER]).max() * 2 * np.pi < 5e-3, name
+        assert np.abs(found.phase[INNER]).max() * 2 * np.pi < 7e-3, name
         assert np.abs(found.doppler[INNER]).max() < 0.2, name  # Hz; the dwell resolves 6
         assert np.abs(found.range[INNER]).max() < 0.005 * cell, name
         wanted = amplitude_of(case, step) * lit / np.sqrt(line.stretch)
@@ -115,24 +159,27 @@ def test_after_every_step_the_measured_line_is_the_traced_one(name: str, place: 
         if isinstance(step, DopplerTransform):
             assert traced is line
             continue
-        in_range = isinstance(step, ResidualRangeWalk | Keystone | RangeCompression)
-        check(step, samples, traced, time=step.time if in_range else case.plan.chain[-1].time, name=step.name)
+        check(step, samples, traced, time=time_of(case, step), name=step.name)
         line = traced
-    assert seen == [ResidualRangeWalk, Keystone, RangeCompression, Perturbation, Deramp, DopplerTransform]
-    if name != "closed form":
+    method = Method(**METHODS.get(name, {}))
+    assert tuple(seen) == steps_of(method)
+    if not method.rival:
         assert np.ptp(line.doppler) < 0.5  # Hz: level, which is what the chain is for
 
 
-@pytest.mark.parametrize("name", ["table 1", "acceleration cancels the Doppler rate", "not steered"])
+@pytest.mark.parametrize(
+    "name", ["table 1", "acceleration cancels the Doppler rate", "not steered", "resampling", "high order phase"]
+)
 def test_the_perturbed_spectrum_is_the_line_read_along_doppler(name: str) -> None:
     """In Doppler itself: at f = line.doppler the phase is phase - f t +- 1/8 and the group delay t."""
-    case = case_of(name)
+    case, kind = case_of(name), DopplerResampling if name == "resampling" else FrequencyPerturbation
     at = place_of(case, PLACES[0])
     line = line_of(case, *at)
     lit = taper(case.geometry, at[1], line.time + case.geometry.epoch)
     slab = slab_of(case, signal_of(case, *at, tapered=True))
-    step, samples, line = next(each for each in after_each_step(case, slab, line) if isinstance(each[0], Perturbation))
-    values, frequency = as_frequency(case, RangeCompression, samples)  # rows to range frequency, Doppler as it is
+    step, samples, line = next(each for each in after_each_step(case, slab, line) if type(each[0]) is kind)
+    compression = next(s for s in case.plan.chain if isinstance(s, Compression))
+    values, frequency = rows_to_frequency(samples, compression.rows, compression.period)
     spectrum = compress_range(values, frequency, np.full((1, step.doppler.size), line.range.mean()))[0]
     long = case.plan.chain[-1].time
     signal = explicit_transform(spectrum[None], step.doppler, long, inverse=True, period=long.size)[0]
@@ -143,15 +190,16 @@ def test_the_perturbed_spectrum_is_the_line_read_along_doppler(name: str) -> Non
 
     wanted = line.phase - line.doppler * line.time + np.sign(line.rate) / 8
     found = at_doppler(line.doppler) * np.exp(-2j * np.pi * wanted)
-    assert np.abs(np.angle(found[4:12])).max() < 0.01
-    level = amplitude_of(case, step) * lit / np.sqrt(line.stretch * np.abs(line.rate)) / step.time.step
+    assert np.abs(np.angle(found[4:12])).max() < 0.025
+    level = amplitude_of(case, step) * lit / np.sqrt(line.stretch * np.abs(line.rate)) / case.plan.chain[0].time.step
     np.testing.assert_allclose(np.abs(found[INNER]), level[INNER], rtol=0.03)
     h = 0.01  # Hz
     delay = -np.angle(at_doppler(line.doppler + h) * at_doppler(line.doppler - h).conj()) / (4 * np.pi * h)
-    np.testing.assert_allclose(delay[INNER], line.time[INNER], atol=2e-4)
+    # Without a bias chirp lines are short, and stationary phase holds less well.
+    np.testing.assert_allclose(delay[INNER], line.time[INNER], atol=8e-4 if name == "high order phase" else 2e-4)
 
 
-@pytest.mark.parametrize("name", GEOMETRIES)
+@pytest.mark.parametrize("name", EVERY)
 def test_a_target_focuses_where_and_as_its_line_says(name: str) -> None:
     """Sharply lit, as targets are: the focused peak's place, phase and gain; its line along the way to 0.02 rad."""
     case = case_of(name)
@@ -161,9 +209,7 @@ def test_a_target_focuses_where_and_as_its_line_says(name: str) -> None:
     for step, samples, line in after_each_step(case, slab_of(case, signal), line_of(case, *at)):
         values, frequency = as_frequency(case, step, samples)
         if not isinstance(step, DopplerTransform):
-            in_range = isinstance(step, ResidualRangeWalk | Keystone | RangeCompression)
-            time = step.time if in_range else case.plan.chain[-1].time
-            found = measure_line(values, line, time=time, frequency=frequency, cell=cell)
+            found = measure_line(values, line, time=time_of(case, step), frequency=frequency, cell=cell)
             assert np.abs(found.phase[INNER]).max() * 2 * np.pi < 0.02, step.name
             assert np.abs(found.range[INNER]).max() < 0.01 * cell, step.name
     # What the gate leaves along Doppler: a short signal about t = 0, under a phase that all rows share.
@@ -192,7 +238,8 @@ def test_a_target_focuses_where_and_as_its_line_says(name: str) -> None:
     value *= np.exp(-2j * np.pi * (spot.phase + given)) / spot.gain
     assert abs(np.angle(value)) < 5e-3
     # 1e-3 of a target's energy may lie outside its block's Doppler support, and the gate's own edges are soft.
-    assert abs(np.abs(value) - 1) < 4e-3
+    # The walk that is left without keystone smears in range, which lines do not sum.
+    assert abs(np.abs(value) - 1) < (0.05 if name == "no keystone" else 4e-3)
     # The carrier along Doppler that the geometric correction takes out: the dwell's middle, less the common delay.
     behind, ahead = response(spot.doppler + np.array([-0.01, 0.01]), np.array([spot.range]))[0]
     middle = -np.angle(ahead * behind.conj()) / (2 * np.pi * 0.02)
@@ -227,12 +274,12 @@ def test_each_doppler_sees_the_time_about_its_own_middle_only(slope: float) -> N
     first = 0.013
     # psi' = c(f) = first + slope f, and its share that all rows keep.
     series = np.array([[0.0, first * 100, slope * 100**2 / 2]])
-    phases = RowPhase(series=series, near=-10.0, far=5.0, centre=0.0, scale=100.0)
-    common = RowPhase(series=series * 0.9, near=-10.0, far=5.0, centre=0.0, scale=100.0)
+    phases = RowPolynomial(series=series, near=-10.0, far=5.0, centre=0.0, scale=100.0)
+    common = RowPolynomial(series=series * 0.9, near=-10.0, far=5.0, centre=0.0, scale=100.0)
     gate = DwellGate(
         phase=phases,
         common=common,
-        slope=RowPhase(series=np.array([[slope]]), near=-10.0, far=5.0, centre=0.0, scale=100.0),
+        slope=RowPolynomial(series=np.array([[slope]]), near=-10.0, far=5.0, centre=0.0, scale=100.0),
         length=length,
         time=fourier.centred(0.0, time.step, 400),
     )

@@ -217,7 +217,7 @@ def test_memory_limit_is_kept(table1: Path, tmp_path: Path) -> None:
     ],
 )
 def test_auto_asks_for_more_blocks_as_long_as_they_help(excess: dict[int, float], chosen: int) -> None:
-    def plan(count: int) -> Any:
+    def plan(count: int, *, probe: bool = False) -> Any:
         refusal = "would keep a phase error" if excess[count] > 10 else None
         return SimpleNamespace(excess=lambda: excess[count], blocks=(), refusal=refusal, count=count)
 
