@@ -20,6 +20,7 @@ import blocksar
 from blocksar import api, planning, stores
 from blocksar.cluster import open_client
 from blocksar.geometry import Geometry
+from blocksar.method import Method
 from blocksar.parameters import InputError
 from blocksar.planning import Plan, plan_block, plan_collection
 from blocksar.recovery_plan import plan_recovery
@@ -243,7 +244,7 @@ def test_closed_form_leaves_what_the_printed_formulas_leave(blocks: int, least: 
                 high=float(seams[i + 1]),
                 near=27.6e3,
                 far=32.4e3,
-                coefficients=coefficients,  # type: ignore[arg-type]
+                method=Method(coefficients=coefficients),  # type: ignore[arg-type]
             )
             for i in range(blocks)
         ]

@@ -119,7 +119,8 @@ def test_keys_say_step_and_block(store: Path, client: Client, tmp_path: Path, mo
     monkeypatch.setattr(client, "submit", lambda f, *a, **k: keys.append(k["key"]) or submit(f, *a, **k))
     report = blocksar.focus(store, tmp_path / "run", blocks=3, grid=GRID, client=client)
     run = Run(folder=place(tmp_path / "run"), identity=report.result["identity"], threads=1).token
-    stages = ["read-slab+residual-walk+keystone", "rcmc-src", "perturbation+deramp+doppler-fft", "geometric-correction"]
+    azimuth = "time-perturbation+azimuth-fft+frequency-perturbation+deramp+doppler-fft"
+    stages = ["read-slab+residual-walk+keystone", "rcmc-src", azimuth, "geometric-correction"]
     assert [k for k in keys if "block-1" in k] == [f"{stage}-{run}-block-1" for stage in stages]
     assert len(set(keys)) == len(keys)
 

@@ -68,6 +68,7 @@ def run(*words: str) -> Result:
 
 def test_focus_passes_every_option(api: Calls) -> None:
     words = "focus ph.zarr --out run --processor high-order-phase --blocks 5 --coefficients closed-form"
+    words += " --perturbation none --no-keystone --derotation linear --range-model conventional"
     words += (
         " --grid -10:10:0.5,100:200:1 --workers 3 --threads 2 --memory-limit 2GiB --scheduler tcp://a:1 --overwrite"
     )
@@ -79,6 +80,10 @@ def test_focus_passes_every_option(api: Calls) -> None:
         "processor": "high-order-phase",
         "blocks": 5,
         "coefficients": "closed-form",
+        "perturbation": "none",
+        "keystone": False,
+        "derotation": "linear",
+        "range_model": "conventional",
         "grid": ((-10.0, 10.0, 0.5), (100.0, 200.0, 1.0)),
         "workers": 3,
         "threads": 2,
@@ -96,6 +101,10 @@ def test_defaults(api: Calls) -> None:
             "processor": "angular-division",
             "blocks": "auto",
             "coefficients": "fitted",
+            "perturbation": "all",
+            "keystone": True,
+            "derotation": "nonlinear",
+            "range_model": "polar",
             "grid": None,
             "workers": None,
             "memory_limit": None,
