@@ -1,7 +1,7 @@
 """blocksar: focus squint-TOPS synthetic aperture radar data by angular blocks, in parallel.
 
-The functions here are the commands' twins: `simulate`, `plan`, `focus`, `quality`, `open`. They are loaded on
-first use, so that `import blocksar` costs nothing.
+The functions here are the commands' twins: `simulate`, `ingest`, `plan`, `focus`, `quality`, `export`, `open`. They are
+loaded on first use, so that `import blocksar` costs nothing.
 """
 
 from __future__ import annotations
@@ -10,11 +10,11 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from blocksar.api import focus, open, plan, quality, simulate
+    from blocksar.api import export, focus, ingest, open, plan, quality, simulate
 
 __version__ = "0.1.0"
 
-__all__ = ["__version__", "focus", "open", "plan", "quality", "simulate"]
+__all__ = ["__version__", "export", "focus", "ingest", "open", "plan", "quality", "simulate"]
 
 
 def __getattr__(name: str) -> Any:

@@ -1,4 +1,4 @@
-"""The commands as functions: simulate, plan, focus, quality, open, demo.
+"""The commands as functions: simulate, ingest, plan, focus, quality, export, open, demo.
 
 A run folder holds what `focus` leaves: collection.zarr (the phase history less its samples), spectrum.zarr,
 patches/, image.zarr and run.json. Units of work leave receipts in receipts/ while the run goes on; at the
@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeGuard
 
 import numpy as np
 
-from blocksar import __version__, choice, cluster, graph, inspection, runs, simulation, stores
+from blocksar import __version__, choice, cluster, geotiff, graph, inspection, products, runs, sicd, simulation, stores
 from blocksar.backprojection import form_image
 from blocksar.choice import Contender
 from blocksar.cluster import machine
@@ -61,7 +61,7 @@ if TYPE_CHECKING:
     import xarray as xr
     from distributed import Client
 
-__all__ = ["demo", "focus", "open", "plan", "quality", "simulate"]
+__all__ = ["demo", "export", "focus", "ingest", "open", "plan", "quality", "simulate"]
 
 GridLike = Grid | tuple[tuple[float, float, float], tuple[float, float, float]]
 Table = tuple[Sequence[str], Sequence[Sequence[str]]]
@@ -102,11 +102,22 @@ def simulate(
     out: Location,
     *,
     raw: bool = False,
+    cphd: bool = False,
+    origin: tuple[float, float, float] | None = None,
     threads: int | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> Path | Place:
     """Write the phase history of a scene (a file, or the name of a shipped one), with exact ranges.
+
+    Parameters
+    ----------
+    raw : bool
+        Write a raw chirped echo instead of range-frequency samples.
+    cphd : bool
+        Write a CPHD file instead of a store.
+    origin : (latitude, longitude, height), optional
+        Of the scene's centre in a CPHD file: degrees, and m above the WGS 84 ellipsoid.
 
     Raises
     ------
@@ -116,7 +127,87 @@ def simulate(
     told = progress or _Silent()
     _, threads, _ = _resources(1, threads, None)
     told_here = partial(told.update, "simulate")
+    if cphd:
+        if raw:
+            raise InputError("raw is given together with cphd, but CPHD files hold compressed pulses; leave out one")
+        from blocksar import cphd_simulation  # optional libraries
+
+        return cphd_simulation.simulate(
+            scene, out, origin=origin or cphd_simulation.ORIGIN, threads=threads, overwrite=overwrite,
+            progress=told_here,
+        )  # fmt: skip
+    if origin is not None:
+        raise InputError(f"origin is {origin}, but only CPHD files have one; leave it out")
     return simulation.simulate(scene, out, raw=raw, threads=threads, overwrite=overwrite, progress=told_here)
+
+
+# ---------------------------------------------------------------- ingest
+
+
+def ingest(
+    kind: Literal["cphd", "gotcha"], source: Location | Sequence[Location], out: Location, **options: Any
+) -> Report:
+    """Turn measured data into a phase history: `ingest_cphd` or `ingest_gotcha`, by name."""
+    if kind == "cphd":
+        if isinstance(source, Sequence) and not isinstance(source, str):
+            raise InputError(f"source is a list of {len(source)}; a CPHD file is ingested by itself")
+        return ingest_cphd(source, out, **options)
+    if kind == "gotcha":
+        return ingest_gotcha(source, out, **options)
+    raise InputError(f"kind is {kind!r}; it must be 'cphd' or 'gotcha'")
+
+
+def ingest_cphd(
+    source: Location,
+    out: Location,
+    *,
+    channel: str | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> Report:
+    """Turn one channel of a CPHD file into a phase history, in the tangent frame at its scene's reference point.
+
+    Returns
+    -------
+    Report
+        `result` is the collection that the store holds.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged, contradicts itself or is not supported, or `out` exists and `overwrite` is False.
+    """
+    from blocksar import cphd  # optional libraries, and slow to load
+
+    told = partial((progress or _Silent()).update, "ingest")
+    made = cphd.ingest(source, out, channel=channel, overwrite=overwrite, progress=told)
+    return Report(summary=[*made.said, f"wrote {made.path}"], result=made.collection)
+
+
+def ingest_gotcha(
+    source: Location | Sequence[Location],
+    out: Location,
+    *,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> Report:
+    """Join the AFRL Gotcha set's MATLAB files in azimuth into a phase history, in their scene-centred frame.
+
+    Returns
+    -------
+    Report
+        `result` is the collection that the store holds.
+
+    Raises
+    ------
+    InputError
+        If a file is damaged, files do not belong together, or `out` exists and `overwrite` is False.
+    """
+    from blocksar import gotcha
+
+    told = partial((progress or _Silent()).update, "ingest")
+    made = gotcha.ingest(source, out, overwrite=overwrite, progress=told)
+    return Report(summary=[*made.said, f"wrote {made.path}"], result=made.collection)
 
 
 # ---------------------------------------------------------------- plan
@@ -632,9 +723,15 @@ def _focus_lines(folder: Place, record: dict[str, Any], made: Plan | None) -> li
 
 
 def open(run: Location) -> xr.Dataset:  # the word of the interface
-    """The image of a run as a lazily loaded dataset: `image` and `block` over y and x."""
+    """The image of a run as a lazily loaded dataset: `image` and `block` over y and x.
+
+    It follows CF, with a grid mapping if it is georeferenced, and has the accessor `sar` (see `blocksar.accessor`):
+    `ds.sar.db()`, `.crop()`, `.plot()`, `.cut()`.
+    """
+    from blocksar import accessor  # registers itself, and loads xarray
+
     folder = place(run)
-    return stores.open_dataset(folder / "image.zarr" if (folder / "image.zarr").exists() else folder)
+    return accessor.prepare(stores.open_dataset(folder / "image.zarr" if (folder / "image.zarr").exists() else folder))
 
 
 @dataclass(frozen=True, eq=False)
@@ -836,6 +933,57 @@ def _reference_table(compared: Compared) -> Table:
         [name, f"{x:.0f}", f"{y:.0f}", f"{abs(c.coherence):.5f}", f"{c.gain:.4f}", f"{c.phase:.4f}"]
         for name, x, y, c in compared
     ]
+
+
+# ---------------------------------------------------------------- export
+
+
+def export(
+    kind: Literal["sicd", "geotiff", "png"],
+    run: Location,
+    out: Location,
+    *,
+    content: Literal["amplitude", "complex"] | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> Report:
+    """Write the image of a finished run as one file that other programs read.
+
+    Parameters
+    ----------
+    kind : "sicd", "geotiff" or "png"
+        The complex image on its ground plane; a cloud-optimised GeoTIFF; a picture for people.
+    content : "amplitude" or "complex", optional
+        Of a GeoTIFF; amplitude by default.
+
+    Raises
+    ------
+    InputError
+        If the run is not finished, says not where it lies on the Earth though the product must, a library is not
+        installed, or something stands at `out`.
+    ProcessingError
+        If writing fails: nothing is left at `out`, or what was there.
+    """
+    folder = place(run)
+    if content is not None and kind != "geotiff":
+        raise InputError(f"content is {content!r}, but only a geotiff comes as amplitude or complex; leave it out")
+    image, collection, attrs, record = _open_run(folder)
+    source = products.Source(image.path, image.x, image.y, Geometry(collection=collection), attrs, record)
+    told = partial((progress or _Silent()).update, "export")
+    match kind:
+        case "sicd":
+            said = sicd.write(source, out, overwrite=overwrite, progress=told)
+        case "geotiff":
+            said = geotiff.write(source, out, content=content or "amplitude", overwrite=overwrite, progress=told)
+        case "png":
+            try:
+                from blocksar import quicklook  # optional, and slow to load
+            except ModuleNotFoundError as error:
+                raise InputError(f"{error.name} is not installed, which PNG needs; install blocksar[plots]") from None
+            said = quicklook.write(source, out, overwrite=overwrite, progress=told)
+        case _:
+            raise InputError(f"kind is {kind!r}; it must be 'sicd', 'geotiff' or 'png'")
+    return Report(summary=[*said, f"wrote {place(out)}"])
 
 
 # ---------------------------------------------------------------- demo

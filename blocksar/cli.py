@@ -141,6 +141,31 @@ def parse_memory(text: str) -> int:
     return int(size)
 
 
+def parse_origin(text: str) -> Axis:
+    """Read `latitude,longitude,height`, in degrees and m.
+
+    Raises
+    ------
+    InputError
+        If the text is not three finite numbers.
+
+    Examples
+    --------
+    >>> parse_origin("39.78,-84.1,300")
+    (39.78, -84.1, 300.0)
+    """
+    try:
+        latitude, longitude, height = (float(number) for number in text.split(","))
+    except ValueError:
+        latitude = longitude = height = math.nan
+    if not all(map(math.isfinite, (latitude, longitude, height))):
+        raise InputError(
+            f"--origin {quoted(text)} is not three numbers; give latitude,longitude,height in degrees and "
+            "metres, such as --origin 39.78,-84.1,300"
+        )
+    return latitude, longitude, height
+
+
 def parse_blocks(text: str) -> int | Literal["auto"]:
     """Read `auto` or a number of blocks.
 
@@ -383,6 +408,10 @@ def simulate(
     scene: Annotated[str, typer.Argument(metavar="SCENE.toml", help="Scene file, or the name of a shipped scene.")],
     out: Annotated[str, typer.Option(help="Phase-history store to write.")],
     raw: Annotated[bool, typer.Option("--raw", help="Write a raw chirped echo over fast time.")] = False,
+    cphd: Annotated[bool, typer.Option("--cphd", help="Write a CPHD 1.1.0 file instead of a store.")] = False,
+    origin: Annotated[
+        str | None, typer.Option(metavar="LAT,LON,HEIGHT", help="Of the scene's centre in the CPHD file: degrees, m.")
+    ] = None,
     threads: Threads = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
@@ -391,10 +420,14 @@ def simulate(
 
     Example: [bold]blocksar simulate table1 --out table1.zarr[/bold]
     """
+    place = None if origin is None else parse_origin(origin)
+
     from blocksar import api
 
     with Progress(quiet=quiet) as progress:
-        api.simulate(scene, out, raw=raw, threads=threads, overwrite=overwrite, progress=progress)
+        api.simulate(
+            scene, out, raw=raw, cphd=cphd, origin=place, threads=threads, overwrite=overwrite, progress=progress
+        )
     typer.echo(f"wrote {out}")
 
 
@@ -499,6 +532,112 @@ def quality(
     from blocksar import api
 
     show(api.quality(run, targets=targets, reference=reference))
+
+
+ingest = typer.Typer(name="ingest", help="Measured data to a phase history.", no_args_is_help=True)
+app.add_typer(ingest)
+
+
+@ingest.command("cphd")
+def ingest_cphd(
+    source: Annotated[str, typer.Argument(metavar="SOURCE.cphd", help="CPHD file, version 1.0.1 or 1.1.0.")],
+    out: Annotated[str, typer.Option(help="Phase-history store to write.")],
+    channel: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Which channel, where the file has several.")
+    ] = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+) -> None:
+    """Turn a CPHD file into a phase history, in the tangent frame at its scene's reference point.
+
+    Example: [bold]blocksar ingest cphd collect.cphd --out collect.zarr[/bold]
+    """
+    from blocksar import api
+
+    with Progress(quiet=quiet) as progress:
+        report = api.ingest_cphd(source, out, channel=channel, overwrite=overwrite, progress=progress)
+    show(report)
+
+
+@ingest.command("gotcha")
+def ingest_gotcha(
+    source: Annotated[list[str], typer.Argument(metavar="SOURCE.mat...", help="MATLAB files of one pass.")],
+    out: Annotated[str, typer.Option(help="Phase-history store to write.")],
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+) -> None:
+    """Join the AFRL Gotcha set's MATLAB files in azimuth into a phase history, in their scene-centred frame.
+
+    Example: [bold]blocksar ingest gotcha data_3dsar_pass1_az00*_HH.mat --out gotcha.zarr[/bold]
+    """
+    from blocksar import api
+
+    with Progress(quiet=quiet) as progress:
+        report = api.ingest_gotcha(source, out, overwrite=overwrite, progress=progress)
+    show(report)
+
+
+export = typer.Typer(name="export", help="The image of a run to a file of a standard format.", no_args_is_help=True)
+app.add_typer(export)
+
+Run = Annotated[str, typer.Argument(metavar="RUN", help="Folder of a finished run.")]
+
+
+@export.command("sicd")
+def export_sicd(
+    run: Run,
+    out: Annotated[str, typer.Option(help="SICD file (NITF) to write.")],
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write the complex image, on its ground plane, as a SICD file; the run must be georeferenced.
+
+    Example: [bold]blocksar export sicd run --out image.nitf[/bold]
+    """
+    from blocksar import api
+
+    with Progress(quiet=quiet) as progress:
+        report = api.export("sicd", run, out, overwrite=overwrite, progress=progress)
+    show(report)
+
+
+@export.command("geotiff")
+def export_geotiff(
+    run: Run,
+    out: Annotated[str, typer.Option(help="GeoTIFF to write.")],
+    content: Annotated[
+        Literal["amplitude", "complex"], typer.Option(help="What its pixels are: float32, or complex64.")
+    ] = "amplitude",
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write the image as a cloud-optimised GeoTIFF; the run must be georeferenced.
+
+    Example: [bold]blocksar export geotiff run --out image.tif[/bold]
+    """
+    from blocksar import api
+
+    with Progress(quiet=quiet) as progress:
+        report = api.export("geotiff", run, out, content=content, overwrite=overwrite, progress=progress)
+    show(report)
+
+
+@export.command("png")
+def export_png(
+    run: Run,
+    out: Annotated[str, typer.Option(help="PNG to write.")],
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+) -> None:
+    """Draw the image in decibels, with axes in metres, a scale bar, the look direction and north.
+
+    Example: [bold]blocksar export png run --out image.png[/bold]
+    """
+    from blocksar import api
+
+    with Progress(quiet=quiet) as progress:
+        report = api.export("png", run, out, overwrite=overwrite, progress=progress)
+    show(report)
 
 
 def main() -> None:

@@ -577,7 +577,8 @@ def expect(
         _, rate = geometry.range_history(point, time)
         slow, half = time - geometry.epoch, collection.pulse_interval / 2
         turned = recovery.derotation_cycles(slow + half) - recovery.derotation_cycles(slow - half)
-        offsets.append(-2 / collection.wavelength * (rate - recovery.walk) - turned * collection.prf)
+        left = rate - recovery.walk - recovery.common.at(slow, 1)
+        offsets.append(-2 / collection.wavelength * left - turned * collection.prf)
     offset = np.concatenate(offsets)
     vector = np.exp(1j * TURN / collection.prf * offset) @ weights / 2
     cuts = np.array([geometry.dwell(yaw)[1][late].max(initial=start), geometry.dwell(yaw)[0][early].min(initial=end)])

@@ -186,7 +186,14 @@ def plan_block(
     collection = geometry.collection
 
     def recovered(epoch_range: FloatArray, yaw: FloatArray) -> Line:
-        return recovered_line(geometry, epoch_range=epoch_range, yaw=yaw, origin=recovery.origin, walk=recovery.walk)
+        return recovered_line(
+            geometry,
+            epoch_range=epoch_range,
+            yaw=yaw,
+            origin=recovery.origin,
+            walk=recovery.walk,
+            common=recovery.common,
+        )
 
     # Coarse lines through the range steps: for supports, coefficients and sampling.
     nodes, yaws = _end_nodes(near, far, 9), np.linspace(low, high, 15)
@@ -202,9 +209,8 @@ def plan_block(
     period = fourier.fast_length(RANGE_ROOM * frequency.size)
     row_step = SPEED_OF_LIGHT / (2 * frequency.step * period)
     chain = _Chain(method, range_gate, slab=slab, carrier=collection.carrier, range_frequency=frequency)
-    chain.reference = np.asarray(
-        fitting.range_series(geometry, np.array((near + far) / 2), np.array((low + high) / 2), order=8)
-    )
+    reference = fitting.range_series(geometry, np.array((near + far) / 2), np.array((low + high) / 2), order=8)
+    chain.reference = np.asarray(reference - recovery.common.taylor(8))
     chain.follow(chain.trace_walk(line))
     straight = chain.trace_range(line)
     ranges, epoch_range = _common_ranges(

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.polynomial import chebyshev
+from numpy.polynomial import Chebyshev, Polynomial, chebyshev
 from numpy.typing import NDArray
 from scipy.special import fresnel
 
@@ -23,6 +23,40 @@ from blocksar import fourier, rows
 from blocksar.fourier import Axis
 from blocksar.parameters import SPEED_OF_LIGHT, ComplexArray, FloatArray
 from blocksar.rows import Operation, Program, ScaledTurn, Transform
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CommonRange:
+    """Range over slow time that the bulk correction takes out of all targets alike: a Chebyshev series.
+
+    A track that is bumpier than a quartic gives every target very nearly the same bumps. The azimuth steps, which are
+    polynomials of low orders, have no terms for them; one phase per pulse has.
+
+    Attributes
+    ----------
+    series : (order + 1,) float
+        m, in the scaled variable (t - centre) / half.
+    centre, half : float
+        s from the epoch.
+    """
+
+    series: FloatArray
+    centre: float
+    half: float
+
+    def at(self, time: FloatArray, derivative: int = 0) -> FloatArray:
+        """Range (m), its rate (m/s) or that rate's (m/s^2) at slow times from the epoch."""
+        series = chebyshev.chebder(self.series, derivative, scl=1 / self.half)
+        return np.asarray(chebyshev.chebval((time - self.centre) / self.half, series), np.float64)
+
+    def taylor(self, order: int) -> FloatArray:
+        """Its powers about the epoch, (order + 1,): what it takes from k_0 .. k_order."""
+        axis = Polynomial([-self.centre, 1.0]) / self.half
+        powers = Chebyshev(self.series).convert(kind=Polynomial)(axis).coef[: order + 1]
+        return np.asarray(np.pad(powers, (0, order + 1 - powers.size)), np.float64)
+
+
+NOTHING_IN_COMMON = CommonRange(series=np.zeros(1), centre=0.0, half=1.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -42,7 +76,7 @@ class Recovery:
     walk : float
         k_10 of the scene's reference, m/s: the unified range walk.
     bulk : (n_pulse,) float
-        Cycles on the carrier that turn the stored reference range into origin + walk t, per pulse; with
+        Cycles on the carrier that turn the stored reference range into origin + walk t + common(t), per pulse; with
         them goes the motion that the fitted track does not hold.
     derotation : (order + 1,) float
         Chebyshev series over the aperture of the derotation phase, cycles on the carrier.
@@ -50,6 +84,8 @@ class Recovery:
         Of the recovered spectrum, Hz; unambiguous.
     band : tuple of float
         Doppler of the derotated signal, its spread over all that is lit, Hz.
+    common : CommonRange
+        Range that is taken out of all targets alike.
     """
 
     carrier: float
@@ -61,6 +97,7 @@ class Recovery:
     derotation: FloatArray
     doppler: Axis
     band: tuple[float, float]
+    common: CommonRange = NOTHING_IN_COMMON
 
     @property
     def time(self) -> Axis:

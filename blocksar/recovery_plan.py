@@ -10,15 +10,25 @@ from blocksar.fourier import Axis
 from blocksar.geometry import Geometry
 from blocksar.lines import Line
 from blocksar.parameters import SPEED_OF_LIGHT, FloatArray, InputError
-from blocksar.recovery import Recovery
+from blocksar.recovery import NOTHING_IN_COMMON, CommonRange, Recovery
 from blocksar.region import Region
 
 LINE_NODES = 16
 TAIL_ENERGY = 1e-3  # of a target's energy that may lie outside its block's Doppler support
+COMMON_ORDER = 5  # of the range history: from here on it is taken out of all targets alike, azimuth steps end at 4
+COMMON_LEAST = 1e-3  # wavelengths of it, a phase of 0.013 rad: less is left where it is
 WINDOW_EDGE = 0.05  # of the range window, at either end, that the PRF need not hold: echoes only pass through
 
 
-def recovered_line(geometry: Geometry, *, epoch_range: FloatArray, yaw: FloatArray, origin: float, walk: float) -> Line:
+def recovered_line(
+    geometry: Geometry,
+    *,
+    epoch_range: FloatArray,
+    yaw: FloatArray,
+    origin: float,
+    walk: float,
+    common: CommonRange = NOTHING_IN_COMMON,
+) -> Line:
     """Lines of targets in the recovered signal, LINE_NODES samples each; the two inputs are broadcast.
 
     Dwells cut by the ends of the collection are traced as they are; targets lit for less than a
@@ -36,12 +46,12 @@ def recovered_line(geometry: Geometry, *, epoch_range: FloatArray, yaw: FloatArr
     rng, rate = geometry.range_history(point, time)
     curvature = geometry.range_curvature(point, time)
     slow = time - geometry.epoch
-    rho = rng - origin - walk * slow
+    rho = rng - origin - walk * slow - common.at(slow)
     to_cycles = -2 * collection.carrier / SPEED_OF_LIGHT
     return Line(
         time=slow,
-        doppler=to_cycles * (rate - walk),
-        rate=to_cycles * curvature,
+        doppler=to_cycles * (rate - walk - common.at(slow, 1)),
+        rate=to_cycles * (curvature - common.at(slow, 2)),
         phase=to_cycles * rho,
         range=rho,
         stretch=np.ones_like(rho),
@@ -81,8 +91,9 @@ def plan_recovery(geometry: Geometry, region: Region, *, linear: bool = False) -
     to_cycles = -2 * collection.carrier / SPEED_OF_LIGHT
 
     band_edge = max(abs(collection.range_frequency[0]), abs(collection.range_frequency[-1])) / collection.carrier
-    line = _lit_lines(geometry, region, origin, walk, margin=0.0)
-    inner = _lit_lines(geometry, region, origin, walk, margin=WINDOW_EDGE)
+    common = _common_range(geometry, centre)
+    line = _lit_lines(geometry, region, origin, walk, common, margin=0.0)
+    inner = _lit_lines(geometry, region, origin, walk, common, margin=WINDOW_EDGE)
     half = pulses.extent / 2
     middle = pulses.start + pulses.step * (pulses.size - 1) / 2
     u = (inner.time - middle) / half
@@ -117,7 +128,7 @@ def plan_recovery(geometry: Geometry, region: Region, *, linear: bool = False) -
     sight = geometry.ground_point(np.full(time.size, origin), beam) - geometry.track.position(time)
     sight /= np.linalg.norm(sight, axis=1, keepdims=True)
     unmodelled = -np.einsum("ij,ij->i", sight, misfit)  # range that the polynomial track lacks
-    bulk = to_cycles * (origin + walk * slow - collection.reference_range + unmodelled)
+    bulk = to_cycles * (origin + walk * slow + common.at(slow) - collection.reference_range + unmodelled)
     return Recovery(
         carrier=collection.carrier,
         pulses=pulses,
@@ -128,14 +139,30 @@ def plan_recovery(geometry: Geometry, region: Region, *, linear: bool = False) -
         derotation=np.asarray(derotation),
         doppler=doppler,
         band=(derotated_low, derotated_high),
+        common=common,
     )
 
 
-def _lit_lines(geometry: Geometry, region: Region, origin: float, walk: float, *, margin: float) -> Line:
+def _common_range(geometry: Geometry, centre: FloatArray) -> CommonRange:
+    """The range history of the region's centre (3,), m, from COMMON_ORDER on; nothing where that is little."""
+    track = geometry.track
+    # Range is smooth where the track is: twice its order, and some, hold it.
+    nodes = chebyshev.chebpts1(2 * track.order + 16)
+    rng, _ = geometry.range_history(centre, track.centre + track.half * nodes)
+    series = chebyshev.chebfit(nodes, rng, nodes.size - 1)
+    series[:COMMON_ORDER] = 0
+    if np.abs(series).sum() < COMMON_LEAST * geometry.collection.wavelength:
+        return NOTHING_IN_COMMON
+    return CommonRange(series=np.asarray(series), centre=track.centre - geometry.epoch, half=track.half)
+
+
+def _lit_lines(
+    geometry: Geometry, region: Region, origin: float, walk: float, common: CommonRange, *, margin: float
+) -> Line:
     near, far = region.at(region.yaw)
     width = far - near
     ranges = np.linspace(near + margin * width, far - margin * width, 5)
-    return recovered_line(geometry, epoch_range=ranges, yaw=region.yaw, origin=origin, walk=walk)
+    return recovered_line(geometry, epoch_range=ranges, yaw=region.yaw, origin=origin, walk=walk, common=common)
 
 
 def middle_line(u: FloatArray, doppler: FloatArray, *, order: int) -> FloatArray:

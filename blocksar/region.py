@@ -140,7 +140,8 @@ def plan_region(geometry: Geometry, grid: Grid | None) -> Region:
     rng = geometry.epoch_range(x, y)
     pad = 0.01 * np.ptp(yaw)
     nodes = np.linspace(yaw.min() - pad, yaw.max() + pad, 33)
-    near, far = _window(geometry, nodes, (float(rng.min()), float(rng.max())))
+    slack = float(np.hypot(grid.dx, grid.dy))  # the farthest pixel lies within, not on the edge
+    near, far = _window(geometry, nodes, (float(rng.min()) - slack, float(rng.max()) + slack))
     return Region(yaw=nodes, near=near, far=far)
 
 

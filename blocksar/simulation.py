@@ -526,14 +526,13 @@ def simulate(
     collection = scene.collection(raw=raw)
     echo = _echo_axes(scene) if raw else None
     n = collection.n_range_frequency if echo is None else echo.fast_time.size
-    parts, lost = _reflecting(scene, collection), scene.dropped_pulses()
+    sample = sampler(scene, collection, echo=echo, threads=threads)
     rows = stores.TILE[0]
 
     def write(store: Place) -> None:
         for first in range(0, collection.n_pulse, rows):
             pulses = slice(first, min(first + rows, collection.n_pulse))
-            samples = _samples(parts, echo, n, pulses, threads)
-            _disturb(samples, scene, lost, pulses)
+            samples = sample(pulses)
             stores.write_region(store, "echo" if raw else "signal", (pulses, slice(0, n)), samples)
             if progress is not None:
                 progress(pulses.stop, collection.n_pulse)
@@ -541,6 +540,24 @@ def simulate(
     # Rows that are not yet written read as lost pulses: the store gets its name when it is complete.
     stores.create_phase_history(where, collection, raw=echo, attrs=_attributes(scene), overwrite=overwrite, fill=write)
     return where.path if isinstance(where, LocalPlace) else where
+
+
+def sampler(
+    scene: Scene, collection: Collection, *, echo: stores.RawEcho | None = None, threads: int = 1
+) -> Callable[[slice], ComplexArray]:
+    """A function of a slice of pulses: their samples as stored, noise and lost pulses included.
+
+    `collection` is the scene's own, or one that differs from it in frequencies and reference range.
+    """
+    n = collection.n_range_frequency if echo is None else echo.fast_time.size
+    parts, lost = _reflecting(scene, collection), scene.dropped_pulses()
+
+    def sample(pulses: slice) -> ComplexArray:
+        samples = _samples(parts, echo, n, pulses, threads)
+        _disturb(samples, scene, lost, pulses)
+        return samples
+
+    return sample
 
 
 def _echo_axes(scene: Scene) -> stores.RawEcho:

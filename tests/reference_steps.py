@@ -137,6 +137,7 @@ def line_of(case: Planned, epoch_range: float, yaw: float) -> Line:
         yaw=np.array(yaw),
         origin=case.recovery.origin,
         walk=case.recovery.walk,
+        common=case.recovery.common,
     )
 
 

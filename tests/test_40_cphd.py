@@ -1,0 +1,1003 @@
+"""CPHD files: from a scene, through the standard's checker, and back; every convention against sums written here."""
+
+from __future__ import annotations
+
+import copy
+import logging
+import shutil
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scenes import scene as scene_text
+from typer.testing import CliRunner
+
+pytest.importorskip("sarkit", reason="the extra `formats` is not installed")
+
+from lxml import etree
+from sarkit import cphd as skcphd
+from sarkit.verification import CphdConsistency
+
+import blocksar
+from blocksar import api, cli, cphd, cphd_simulation, stores
+from blocksar.backprojection import form_image
+from blocksar.geometry import Geometry
+from blocksar.parameters import SPEED_OF_LIGHT, Collection, InputError
+from blocksar.scene import Scene
+from blocksar.simulation import simulate_pulses
+
+Array = NDArray[Any]
+
+SCENE = """
+title = "small"
+[radar]
+carrier = 10e9
+bandwidth = 100e6
+range_sampling = 120e6
+prf = 400.0
+[track]
+position = [0.0, 0.0, 5000.0]
+velocity = [10.0, 120.0, -5.0]
+acceleration = [1.0, 0.5, 0.3]
+[time]
+pulses = 160
+[scene]
+swath = [7920.0, 8080.0]
+centre_yaw_deg = 20.0
+reference_range = "constant"
+[[targets]]
+name = "one"
+ground_range_offset = 10.0
+cross_range_offset = -15.0
+[[targets]]
+name = "two"
+ground_range_offset = -30.0
+cross_range_offset = 20.0
+amplitude = 0.5
+phase_deg = 70.0
+"""
+ORIGIN = (-33.5, 151.2, 40.0)
+
+
+class Base(NamedTuple):
+    """A small CPHD file, and what is in it."""
+
+    path: Path
+    scene: Scene
+    targets: Array  # (n, 3) m, local to the scene's centre
+    sigma: Array
+
+
+@pytest.fixture(scope="session")
+def base(tmp_path_factory: pytest.TempPathFactory) -> Base:
+    folder = tmp_path_factory.mktemp("cphd")
+    (folder / "scene.toml").write_text(SCENE)
+    path = cphd_simulation.simulate(folder / "scene.toml", folder / "small.cphd", origin=ORIGIN)
+    scene = Scene.read(folder / "scene.toml")
+    points = scene.point_targets()
+    targets = np.array([[t.x, t.y, scene.area.ground_height] for t in points]) - scene.centre
+    return Base(path, scene, targets, np.array([t.reflectivity for t in points]))
+
+
+# ---------------------------------------------------------------- a CPHD's parts, changed by hand
+
+
+class Parts(NamedTuple):
+    root: Any
+    vectors: Array
+    samples: Array
+
+    def set(self, path: str, text: Any) -> None:
+        (node,) = self.root.findall("/".join(f"{{*}}{part}" for part in path.split("/")))
+        node.text = str(text)
+
+    def insert(self, path: str, before: str, text: str) -> None:
+        parent, name = path.rsplit("/", 1)
+        (node,) = self.root.findall("/".join(f"{{*}}{part}" for part in parent.split("/")))
+        (follower,) = node.findall(f"{{*}}{before}")
+        child = follower.makeelement(follower.tag.replace(before, name))
+        child.text = text
+        follower.addprevious(child)
+
+
+def parts_of(path: Path) -> Parts:
+    with open(path, "rb") as file:
+        reader = skcphd.Reader(file)
+        samples, vectors = reader.read_channel("1")
+    native = vectors.astype(vectors.dtype.newbyteorder("="))
+    return Parts(reader.metadata.xmltree.getroot(), native, samples.astype(np.complex64))
+
+
+def write(path: Path, parts: Parts, fields: dict[str, str] | None = None) -> Path:
+    """Write parts with sarkit; `fields` are per-vector parameters to be there besides, with their formats."""
+    root, vectors, samples = parts
+    names = {name: vectors.dtype[name] for name in vectors.dtype.names or ()}
+    for name, form in (fields or {}).items():
+        pvp = root.find("{*}PVP")
+        follower = pvp.find({"AmpSF": "{*}aFDOP"}[name])
+        node = follower.makeelement(follower.tag.replace("aFDOP", name))
+        follower.addprevious(node)
+        offset = int(root.findtext("{*}Data/{*}NumBytesPVP")) // 8
+        for key, value in (("Offset", offset), ("Size", 1), ("Format", form)):
+            child = etree.SubElement(node, follower.tag.replace("aFDOP", key))
+            child.text = str(value)
+        root.find("{*}Data/{*}NumBytesPVP").text = str(8 * offset + 8)
+    root.find("{*}Data/{*}Channel/{*}NumVectors").text = str(samples.shape[0])
+    root.find("{*}Data/{*}Channel/{*}NumSamples").text = str(samples.shape[1])
+    made = np.zeros(vectors.size, skcphd.get_pvp_dtype(root.getroottree()))
+    for name in names:
+        made[name] = vectors[name]
+    with open(path, "wb") as file:
+        writer = skcphd.Writer(file, skcphd.Metadata(xmltree=root.getroottree()))
+        writer.write_signal("1", np.ascontiguousarray(samples))
+        writer.write_pvp("1", made)
+    return path
+
+
+def delays(parts: Parts, base: Base) -> Array:
+    """Two-way delay of every target less that of the SRP, (n_vector, n_target) s."""
+    frame = cphd.Georeference(latitude=ORIGIN[0], longitude=ORIGIN[1], height=ORIGIN[2])
+    ground = frame.to_ecef(base.targets)
+    v = parts.vectors
+
+    def way(points: Array) -> Array:
+        out = np.linalg.norm(points - v["TxPos"][:, None], axis=-1)
+        return np.asarray((out + np.linalg.norm(points - v["RcvPos"][:, None], axis=-1)) / SPEED_OF_LIGHT)
+
+    return np.asarray(way(ground[None]) - way(v["SRPPos"][:, None]))
+
+
+def echo(fx: Array, dtoa: Array, sigma: Array, sign: int) -> Array:
+    """The standard's signal at frequencies (n_vector, n_sample): written down from its definition.
+
+    Where delays turn the phase forwards, time runs backwards: the same target has the conjugate reflectivity.
+    """
+    total = np.zeros(fx.shape, np.complex128)
+    for one, late in zip(sigma if sign < 0 else sigma.conj(), dtoa.T, strict=True):
+        total += one * np.exp(2j * np.pi * sign * fx * late[:, None])
+    return total
+
+
+def grid_of(parts: Parts) -> Array:
+    n = parts.samples.shape[1]
+    return np.asarray(parts.vectors["SC0"][:, None] + parts.vectors["SCSS"][:, None] * np.arange(n))
+
+
+def expected(collection: Collection, base: Base) -> Array:
+    """What the store must hold: the contract's own formula."""
+    return simulate_pulses(collection, base.targets[:, 0], base.targets[:, 1], base.sigma)
+
+
+def ingested(path: Path, **options: Any) -> tuple[Collection, Array, list[str], dict[str, Any]]:
+    out = path.with_suffix(".zarr")
+    made = cphd.ingest(path, out, overwrite=True, **options)
+    history = stores.open_phase_history(out)
+    return history.collection, history.read(slice(None), slice(None)), made.said, history.attrs
+
+
+def failures(path: Path) -> list[str]:
+    with open(path, "rb") as file:
+        checker = CphdConsistency.from_file(file, thorough=True)
+        checker.check()
+    assert len(checker.passes()) > 50
+    return [f"{name}: {found}" for name, found in checker.failures().items()]
+
+
+# ---------------------------------------------------------------- from a scene
+
+
+def test_the_standards_checker_finds_nothing(base: Base) -> None:
+    assert failures(base.path) == []
+
+
+def test_the_checker_sees_a_fault(base: Base, tmp_path: Path) -> None:
+    parts = parts_of(base.path)
+    parts.set("Channel/Parameters/FxC", 9e9)
+    assert any("fxc" in line for line in failures(write(tmp_path / "wrong.cphd", parts)))
+
+
+def test_a_file_comes_back_as_it_went(base: Base) -> None:
+    collection, samples, said, attrs = ingested(base.path)
+    direct = base.scene.collection()
+    np.testing.assert_allclose(collection.antenna_position + base.scene.centre, direct.antenna_position, atol=1e-6)
+    np.testing.assert_allclose(collection.time, direct.time, atol=1e-12)
+    assert collection.beam_width is None
+    assert np.isnan(collection.beam_azimuth).all()
+    np.testing.assert_allclose(
+        collection.reference_range, np.linalg.norm(collection.antenna_position, axis=1), atol=1e-6
+    )
+    np.testing.assert_allclose(samples, expected(collection, base), atol=2e-5)
+    assert any("lit all the time" in line for line in said)
+    place = attrs["georeference"]
+    assert (place["kind"], place["latitude"]) == ("ENU", pytest.approx(ORIGIN[0], abs=1e-9))
+    assert (place["longitude"], place["height"]) == pytest.approx(ORIGIN[1:], abs=1e-6)
+    assert attrs["source"]["format"] == "CPHD/1.1.0"
+    assert "ingested by blocksar from small.cphd" in attrs["history"]
+
+
+def test_positions_survive_the_way_through_the_earths_frame(base: Base) -> None:
+    """Targets at their places: latitude and longitude to ECEF by the textbook, to where the image has its peaks."""
+    collection, samples, _, attrs = ingested(base.path)
+    a, e2 = 6378137.0, (2 - 1 / 298.257223563) / 298.257223563
+    lat, lon = np.radians(ORIGIN[:2])
+    n = a / np.sqrt(1 - e2 * np.sin(lat) ** 2)
+    level = (n + ORIGIN[2]) * np.cos(lat)
+    textbook = [level * np.cos(lon), level * np.sin(lon), (n * (1 - e2) + ORIGIN[2]) * np.sin(lat)]
+    np.testing.assert_allclose(attrs["georeference"]["ecef"], textbook, atol=1e-6)
+    up = np.array([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+    np.testing.assert_allclose(attrs["georeference"]["up"], up, atol=1e-12)
+    for target, sigma in zip(base.targets, base.sigma, strict=True):
+        x, y = (target[axis] + np.linspace(-1, 1, 41) for axis in (0, 1))
+        image = form_image(lambda pulses: samples[pulses], Geometry(collection=collection), x, y, threads=1)
+        row, column = np.unravel_index(np.abs(image).argmax(), image.shape)
+        assert np.hypot(x[column] - target[0], y[row] - target[1]) <= 0.05
+        assert abs(image[20, 20] - sigma) < 0.05
+
+
+def test_the_image_is_that_of_the_direct_store(tmp_path: Path) -> None:
+    """Squint TOPS in small: simulated to a store, and to a CPHD and from there to a store; both focused."""
+    text = scene_text(
+        velocity=[0.0, 200.0, -20.0], acceleration=[0.0, 2.0, -1.0], duration=None, pulses=1200, prf=2000.0,
+        steering=(47.0, 53.0), dwell=0.2, swath=[29900.0, 30100.0],
+        reference_range='"scene_centre"', more='[clutter]\nscatterers = 4000\nseed = 1\n',
+    ).replace("duration = None\n", "")  # fmt: skip
+    (tmp_path / "scene.toml").write_text(text)
+    scene = Scene.read(tmp_path / "scene.toml")
+    direct = api.simulate(tmp_path / "scene.toml", tmp_path / "direct.zarr")
+    file = api.simulate(tmp_path / "scene.toml", tmp_path / "scene.cphd", cphd=True)
+    assert failures(Path(str(file))) == []
+    report = blocksar.ingest("cphd", file, tmp_path / "ingested.zarr")
+    ours, theirs = stores.open_phase_history(direct).collection, report.result
+    assert theirs.beam_width == pytest.approx(ours.beam_width, rel=1e-4)
+    np.testing.assert_allclose(theirs.beam_azimuth, ours.beam_azimuth, atol=1e-4 * theirs.beam_width)
+    assert any("beam steered from yaw 47.00 to 53.00 degrees" in line for line in report.summary)
+    middle = scene.centre[:2]
+    box = (-60.0, 60.0, 2.0)
+    shifted = [(low + c, high + c, step) for (low, high, step), c in zip((box, box), middle, strict=True)]
+    options: dict[str, Any] = {"blocks": 1, "workers": 1, "threads": 1, "memory_limit": 2 * 2**30}
+    api.focus(direct, tmp_path / "one", grid=(shifted[0], shifted[1]), **options)
+    api.focus(tmp_path / "ingested.zarr", tmp_path / "two", grid=(box, box), **options)
+    one, two = (blocksar.open(tmp_path / name) for name in ("one", "two"))
+    np.testing.assert_allclose(two.x + middle[0], one.x, atol=1e-6)
+    left, right = one.image.values, two.image.values
+    assert np.isfinite(left).all()
+    assert np.isfinite(right).all()
+    power = np.sqrt(np.sum(np.abs(left) ** 2) * np.sum(np.abs(right) ** 2))
+    coherence = np.sum(left * right.conj()) / power
+    assert abs(coherence) >= 0.9999
+    assert abs(np.angle(coherence)) < 1e-3
+    assert two.attrs["georeference"]["kind"] == "ENU"
+
+
+def test_the_exact_image_is_that_of_the_direct_store(base: Base) -> None:
+    """Back-projection of both, on the same frequencies: the direct store has another reference range."""
+    ours, samples, _, _ = ingested(base.path)
+    same = {"carrier": ours.carrier, "range_frequency": ours.range_frequency}
+    theirs, centre = Collection(**{**base.scene.collection().as_dict(), **same}), base.scene.centre
+    assert np.ptp(theirs.reference_range) == 0
+    points = np.array([[t.x, t.y] for t in base.scene.point_targets()])
+    direct = simulate_pulses(theirs, points[:, 0], points[:, 1], base.sigma)
+    axis = np.arange(-45.0, 45.0, 0.75)
+    one = form_image(lambda p: samples[p], Geometry(collection=ours), axis, axis, threads=1)
+    two = form_image(lambda p: direct[p], Geometry(collection=theirs), axis + centre[0], axis + centre[1], threads=1)
+    coherence = np.sum(one * two.conj()) / np.sqrt(np.sum(np.abs(one) ** 2) * np.sum(np.abs(two) ** 2))
+    assert abs(coherence) >= 0.99999
+    assert abs(np.angle(coherence)) < 1e-4
+
+
+def test_lost_pulses_stay_lost(base: Base, tmp_path: Path) -> None:
+    text = SCENE + "[dropped]\npulses = [0, 5, 6, 100]\n[noise]\npower = 0.01\nseed = 3\n"
+    path = cphd_simulation.simulate(Scene.parse(text), tmp_path / "lost.cphd", origin=ORIGIN)
+    assert failures(path) == []
+    collection, samples, said, _ = ingested(path)
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(samples).any(axis=1)), [0, 5, 6, 100])
+    assert any("4 of them missing" in line for line in said)
+    want = expected(collection, base)
+    lit = ~np.isnan(samples[:, 0])
+    assert np.mean(np.abs(samples[lit] - want[lit]) ** 2) == pytest.approx(0.01, rel=0.05)
+
+
+def test_a_scene_that_was_used_before_gives_the_same_file(base: Base, tmp_path: Path) -> None:
+    scene = Scene.parse(SCENE)
+    assert np.ptp(scene.reference_range) == 0  # derived before: must not be taken over
+    assert scene.collection().n_pulse == 160
+    parts = parts_of(cphd_simulation.simulate(scene, tmp_path / "a.cphd", origin=ORIGIN))
+    np.testing.assert_array_equal(parts.samples, parts_of(base.path).samples)
+    assert np.ptp(scene.reference_range) == 0
+
+
+def test_vectors_agree_with_each_other(base: Base) -> None:
+    v = parts_of(base.path).vectors
+    assert (1 / (v["SCSS"] * (v["TOA2"] - v["TOA1"]))).min() >= 1.2
+    rate = np.gradient(v["TxPos"], v["TxTime"], axis=0)
+    np.testing.assert_allclose(v["TxVel"][1:-1], rate[1:-1], atol=1e-3)
+    np.testing.assert_allclose(
+        v["RcvTime"] - v["TxTime"], 2 * np.linalg.norm(v["TxPos"] - v["SRPPos"], axis=1) / 3e8, rtol=1e-3
+    )
+    assert v["TxTime"][0] == 0
+
+
+# ---------------------------------------------------------------- every convention, against the direct samples
+
+
+def check(path: Path, base: Base, tolerance: float = 2e-5, inner: float = 1.0) -> tuple[Collection, list[str]]:
+    """Ingest, and compare the inner part of the band with the contract's formula."""
+    collection, samples, said, _ = ingested(path)
+    want = expected(collection, base)
+    cut = round(samples.shape[1] * (1 - inner) / 2)
+    part = slice(cut, samples.shape[1] - cut)
+    assert np.abs(want).max() > 1
+    np.testing.assert_allclose(samples[:, part], want[:, part], rtol=0, atol=tolerance)
+    return collection, said
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_sgn(base: Base, tmp_path: Path, sign: int) -> None:
+    parts = parts_of(base.path)
+    parts.set("Global/SGN", f"{sign:+d}")
+    parts.samples[...] = echo(grid_of(parts), delays(parts, base), base.sigma, sign)
+    check(write(tmp_path / "sgn.cphd", parts), base)
+
+
+@pytest.mark.parametrize("form", ["CF8", "CI4", "CI2"])
+def test_sample_formats_and_amplitude_factors(base: Base, tmp_path: Path, form: str) -> None:
+    parts = parts_of(base.path)
+    exact = echo(grid_of(parts), delays(parts, base), base.sigma, -1)
+    factor = 0.5 + np.random.default_rng(1).random(len(exact))
+    parts.set("Data/SignalArrayFormat", form)
+    vectors = np.zeros(len(exact), [*parts.vectors.dtype.descr, ("AmpSF", "f8")])
+    for name in parts.vectors.dtype.names or ():
+        vectors[name] = parts.vectors[name]
+    if form == "CF8":
+        samples = (exact / factor[:, None]).astype(np.complex64)
+        tolerance = 2e-5
+    else:
+        largest = 2 ** {"CI4": 15, "CI2": 7}[form] - 1
+        factor *= 4 / largest
+        integers = np.rint(exact / factor[:, None])
+        samples = np.zeros(exact.shape, skcphd.binary_format_string_to_dtype(form))
+        samples["real"], samples["imag"] = integers.real, integers.imag
+        tolerance = 0.71 * factor.max() + 2e-5
+    vectors["AmpSF"] = factor
+    check(write(tmp_path / "form.cphd", Parts(parts.root, vectors, samples), {"AmpSF": "F8"}), base, tolerance)
+
+
+def test_frequency_grids_that_differ(base: Base, tmp_path: Path) -> None:
+    """SC0 and SCSS wander, so that no two vectors have a grid in common."""
+    parts = parts_of(base.path)
+    rng = np.random.default_rng(2)
+    v, n = parts.vectors, parts.samples.shape[1]
+    step = v["SCSS"][0]
+    v["SCSS"] = step * (1 - 0.02 * rng.random(v.size))
+    v["SC0"] += step * 5 * rng.random(v.size)
+    v["FX1"], v["FX2"] = v["SC0"], v["SC0"] + (n - 1) * v["SCSS"]
+    parts.samples[...] = echo(grid_of(parts), delays(parts, base), base.sigma, -1)
+    path = write(tmp_path / "wandering.cphd", parts)
+    bound = cphd.ACCURACY * np.abs(base.sigma).sum()
+    collection, said = check(path, base, bound)
+    assert any("resampled to one grid, error below" in line for line in said)
+    assert collection.bandwidth > 0.85 * 100e6
+    error = ingested(path)[3]["source"]["frequency_resampling_error"]
+    assert 0 < error <= cphd.ACCURACY
+
+
+@pytest.mark.parametrize("late", [0.0, 0.3])
+def test_the_bound_of_interpolation_holds(base: Base, tmp_path: Path, late: float) -> None:
+    """One target at either end of the saved delays, where interpolation is worst: the reported error covers it."""
+    parts = parts_of(base.path)
+    v = parts.vectors
+    v["SC0"] += v["SCSS"] * np.linspace(0, 1, v.size, endpoint=False)
+    v["FX1"], v["FX2"] = v["SC0"], v["SC0"] + (parts.samples.shape[1] - 1) * v["SCSS"]
+    for edge in ("TOA1", "TOA2"):
+        v[edge] += late / v["SCSS"]  # beside the SRP
+    worst = []
+    for edge in ("TOA1", "TOA2"):
+        parts.samples[...] = echo(grid_of(parts), v[edge][:, None], np.ones(1), -1)
+        collection, samples, _, attrs = ingested(write(tmp_path / "edge.cphd", parts))
+        middle = collection.reference_range - np.linalg.norm(collection.antenna_position, axis=1)
+        away = v[edge] * SPEED_OF_LIGHT / 2 - middle
+        fx = collection.carrier + collection.range_frequency
+        want = np.exp(-4j * np.pi * fx / SPEED_OF_LIGHT * away[:, None])
+        worst.append(np.abs(samples - want).max())
+        assert worst[-1] <= attrs["source"]["frequency_resampling_error"] + 2e-5
+    assert max(worst) > 1e-4  # that it is this test which finds it
+
+
+def test_grids_that_differ_by_whole_samples_are_not_interpolated(base: Base, tmp_path: Path) -> None:
+    parts = parts_of(base.path)
+    v, n = parts.vectors, parts.samples.shape[1]
+    v["SC0"] += v["SCSS"] * np.random.default_rng(3).integers(0, 9, v.size)
+    v["FX1"], v["FX2"] = v["SC0"], v["SC0"] + (n - 1) * v["SCSS"]
+    parts.samples[...] = echo(grid_of(parts), delays(parts, base), base.sigma, -1)
+    collection, said = check(write(tmp_path / "shifted.cphd", parts), base)
+    assert collection.n_range_frequency == n - 8
+    assert "samples are taken as they are" in said
+
+
+def test_toa_domain_by_lines(base: Base, tmp_path: Path) -> None:
+    """A TOA vector that is a sum of the lines of the band: the way back is exact."""
+    parts = parts_of(base.path)
+    fx = grid_of(parts)
+    for sign in (-1, 1):
+        samples, v = lines_to_toa(parts, echo(fx, delays(parts, base), base.sigma, sign), sign, fx)
+        parts.set("Global/DomainType", "TOA")
+        parts.set("Global/SGN", f"{sign:+d}")
+        path = write(tmp_path / f"toa{sign}.cphd", Parts(copy.deepcopy(parts.root), v, samples))
+        collection, said = check(path, base, 1e-4)
+        np.testing.assert_allclose(collection.carrier + collection.range_frequency, fx[0], rtol=0, atol=1e-2)
+        assert any("TOA domain" in line for line in said)
+
+
+def lines_to_toa(parts: Parts, spectrum: Array, sign: int, fx: Array) -> tuple[Array, Array]:
+    """Time samples that are a mean of lines exp(-2j pi sign (fx - fx_C) t), and their per-vector parameters."""
+    v, n = parts.vectors.copy(), fx.shape[1]
+    count = round(1.25 * n)
+    step = 1 / (count * parts.vectors["SCSS"][0])
+    v["FX1"], v["FX2"] = fx[:, 0] - v["SCSS"] / 2, fx[:, -1] + v["SCSS"] / 2
+    v["SC0"], v["SCSS"] = -(count // 2) * step, step
+    t = v["SC0"][0] + step * np.arange(count)
+    middle = (v["FX1"] + v["FX2"]) / 2
+    samples = spectrum @ np.exp(-2j * np.pi * sign * np.outer(fx[0] - middle[0], t)) / n
+    return samples.astype(np.complex64), v
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_toa_domain_by_its_closed_form(base: Base, tmp_path: Path, sign: int) -> None:
+    """The standard's mainlobes, SC0, SCSS and fx_C of every vector its own; the window cuts side lobes off."""
+    parts = parts_of(base.path)
+    rng = np.random.default_rng(4)
+    v, n = parts.vectors, 4000
+    dtoa = delays(parts, base)
+    v["SCSS"] = (1 - 0.05 * rng.random(v.size)) / 130e6
+    v["SC0"] = -(n / 2) * v["SCSS"] + 1e-7 * rng.random(v.size)
+    shift = 2e6 * rng.random(v.size)
+    v["FX1"], v["FX2"] = 9.95e9 + shift, 10.05e9 + shift
+    t = v["SC0"][:, None] + v["SCSS"][:, None] * np.arange(n)
+    middle, band = (v["FX1"] + v["FX2"]) / 2, v["FX2"] - v["FX1"]
+    samples = np.zeros((v.size, n), np.complex64)
+    for sigma, late in zip(base.sigma if sign < 0 else base.sigma.conj(), dtoa.T, strict=True):
+        phase = np.exp(2j * np.pi * sign * middle * late)  # of the mainlobe
+        samples += (sigma * phase)[:, None] * np.sinc(band[:, None] * (t - late[:, None]))
+    parts.set("Global/DomainType", "TOA")
+    parts.set("Global/SGN", f"{sign:+d}")
+    collection, _ = check(write(tmp_path / "toa.cphd", Parts(parts.root, v, samples)), base, 0.02, inner=0.9)
+    assert collection.bandwidth == pytest.approx(98e6, rel=0.01)
+
+
+def test_the_srp_moves(base: Base, tmp_path: Path) -> None:
+    parts = parts_of(base.path)
+    v = parts.vectors
+    frame = cphd.Georeference(latitude=ORIGIN[0], longitude=ORIGIN[1], height=ORIGIN[2])
+    places = np.array([[0.0, 0, 0], [12, -5, 0], [3, 9, 1], [-8, 4, 0]])[np.arange(v.size) // 40]
+    v["SRPPos"] = frame.to_ecef(places)
+    parts.samples[...] = echo(grid_of(parts), delays(parts, base), base.sigma, -1)
+    collection, said = check(write(tmp_path / "moving.cphd", parts), base)
+    away = np.linalg.norm(collection.antenna_position - places, axis=1)
+    np.testing.assert_allclose(collection.reference_range, away, atol=1e-6)
+    assert any("the SRP moves" in line for line in said)
+    # An image needs no more than that.
+    exact, samples, _, _ = ingested(tmp_path / "moving.cphd")
+    x, y = base.targets[0, 0] + np.array([0.0, 40]), base.targets[0, 1] + np.array([0.0, 40])
+    image = form_image(lambda pulses: samples[pulses], Geometry(collection=exact), x, y, threads=1)
+    assert abs(image[0, 0] - base.sigma[0]) < 0.05
+
+
+def test_saved_delays_beside_the_srp(base: Base, tmp_path: Path) -> None:
+    """The range window is centred at what was saved, not at the SRP."""
+    parts = parts_of(base.path)
+    v = parts.vectors
+    late = 0.7 / v["SCSS"][0]
+    v["TOA1"] += late
+    v["TOA2"] += late
+    far = Base(base.path, base.scene, base.targets * 3 + [0, 0, 0], base.sigma)
+    parts.samples[...] = echo(grid_of(parts), delays(parts, far), far.sigma, -1)
+    collection, said = check(write(tmp_path / "beside.cphd", parts), far, 5e-5)
+    srp = np.linalg.norm(collection.antenna_position, axis=1)
+    np.testing.assert_allclose(collection.reference_range - srp, late * SPEED_OF_LIGHT / 2, atol=1e-6)
+    assert any("not centred at the SRP" in line for line in said)
+
+
+def test_transmitter_and_receiver_at_two_places(base: Base, tmp_path: Path) -> None:
+    parts = parts_of(base.path)
+    v = parts.vectors
+    arp = v["TxPos"].copy()
+    along = 1.5 * v["TxVel"] / np.linalg.norm(v["TxVel"], axis=1, keepdims=True)
+    v["TxPos"], v["RcvPos"] = arp - along, arp + along
+    parts.samples[...] = echo(grid_of(parts), delays(parts, base), base.sigma, -1)
+    collection, said = check(write(tmp_path / "apart.cphd", parts), base, 0.02)
+    direct = base.scene.collection().antenna_position - base.scene.centre
+    np.testing.assert_allclose(collection.antenna_position, direct, atol=1e-6)
+    assert any("up to 3 m apart" in line for line in said)
+
+
+def test_narrow_bands_are_cut_out_and_only_they_are_read(
+    base: Base, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    parts = parts_of(base.path)
+    v, n = parts.vectors, parts.samples.shape[1]
+    v["FX1"] = v["SC0"] + 10 * v["SCSS"]
+    v["FX2"] = v["SC0"] + 49 * v["SCSS"]
+    path = write(tmp_path / "narrow.cphd", parts)
+    taken: list[int] = []
+    take = cphd._File._take
+
+    def counted(self: Any, file: Any, start: int, count: int) -> Any:
+        taken.append(count)
+        return take(self, file, start, count)
+
+    monkeypatch.setattr(cphd._File, "_take", counted)
+    collection, _ = check(path, base)
+    assert collection.n_range_frequency == 40
+    assert max(taken) == 40
+    assert sum(taken) == 40 * v.size
+    taken.clear()
+    ingested(base.path)
+    assert max(taken) == cphd.PART * n or max(taken) < cphd.PART * n  # blocks of vectors
+    assert sum(taken) == n * v.size
+
+
+def test_gaps_and_vectors_without_signal_are_missing_pulses(base: Base, tmp_path: Path) -> None:
+    parts = parts_of(base.path)
+    parts.vectors["SIGNAL"][20:23] = [0, 2, 0]
+    for name in ("FX1", "FX2", "TOA1", "TOA2", "SC0", "SCSS"):
+        parts.vectors[name][20] = np.nan
+    parts.vectors["TxTime"][22] = np.nan
+    kept = np.delete(np.arange(parts.vectors.size), [7, 8, 9, 50])
+    path = write(tmp_path / "gaps.cphd", Parts(parts.root, parts.vectors[kept], parts.samples[kept]))
+    collection, samples, said, _ = ingested(path)
+    missing = [7, 8, 9, 20, 21, 22, 50]
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(samples).all(axis=1)), missing)
+    want = expected(collection, base)
+    lit = np.delete(np.arange(collection.n_pulse), missing)
+    np.testing.assert_allclose(samples[lit], want[lit], atol=2e-5)
+    direct = base.scene.collection().antenna_position - base.scene.centre
+    np.testing.assert_allclose(collection.antenna_position, direct, atol=1e-4)
+    assert any("7 of them missing" in line for line in said)
+
+
+def test_version_1_0_1(base: Base, tmp_path: Path) -> None:
+    parts = parts_of(base.path)
+    text = etree.tostring(parts.root).replace(b"schema/cphd/1.1.0", b"schema/cphd/1.0.1")
+    path = write(tmp_path / "old.cphd", parts._replace(root=etree.fromstring(text)))
+    assert path.read_bytes().startswith(b"CPHD/1.0.1\n")
+    check(path, base)
+
+
+def test_two_channels(base: Base, tmp_path: Path) -> None:
+    parts = parts_of(base.path)
+    for where in ("Data/Channel", "Channel/Parameters"):
+        (node,) = parts.root.findall("/".join(f"{{*}}{part}" for part in where.split("/")))
+        second = copy.deepcopy(node)
+        second.find("{*}Identifier").text = "2"
+        node.addnext(second)
+    data = parts.root.findall("{*}Data/{*}Channel")[1]
+    data.find("{*}SignalArrayByteOffset").text = str(8 * parts.samples.size)
+    data.find("{*}PVPArrayByteOffset").text = str(parts.vectors.nbytes)
+    path = tmp_path / "two.cphd"
+    with open(path, "wb") as file:
+        writer = skcphd.Writer(file, skcphd.Metadata(xmltree=parts.root.getroottree()))
+        for name, factor in (("1", 3), ("2", 1)):
+            writer.write_signal(name, (factor * parts.samples).astype(np.complex64))
+            writer.write_pvp(name, parts.vectors)
+    with pytest.raises(InputError, match=r"2 channels.*--channel, one of '1', '2'"):
+        ingested(path)
+    with pytest.raises(InputError, match="channel 'x' is not in it; it has '1', '2'"):
+        ingested(path, channel="x")
+    collection, samples, _, _ = ingested(path, channel="2")
+    np.testing.assert_allclose(samples, expected(collection, base), atol=2e-5)
+    assert not (tmp_path / "x.zarr").exists()
+
+
+def test_a_surface_of_constant_height(base: Base, tmp_path: Path) -> None:
+    """Dwell over an image area given in latitude and longitude: positions are the same."""
+    parts = parts_of(base.path)
+    planar = parts.root.find("{*}SceneCoordinates/{*}ReferenceSurface/{*}Planar")
+    surface = planar.getparent()
+    surface.remove(planar)
+    scale = 1 / 6.37e6
+    for name, (lat, lon) in {"uIAXLL": (0, scale / np.cos(np.radians(ORIGIN[0]))), "uIAYLL": (scale, 0)}.items():
+        hae = surface.find("{*}HAE")
+        if hae is None:
+            hae = etree.SubElement(surface, planar.tag.replace("Planar", "HAE"))
+        node = etree.SubElement(hae, planar.tag.replace("Planar", name))
+        for axis, value in (("Lat", lat), ("Lon", lon)):
+            etree.SubElement(node, planar.tag.replace("Planar", axis)).text = str(value)
+    check(write(tmp_path / "hae.cphd", parts), base)
+
+
+def uneven(base: Base) -> Parts:
+    """Times that jitter by a third of a step, positions and samples those of their times; the SRP moves, too."""
+    parts = parts_of(base.path)
+    v, track = parts.vectors, base.scene.geometry.track
+    frame = cphd.Georeference(latitude=ORIGIN[0], longitude=ORIGIN[1], height=ORIGIN[2])
+    jitter = 0.3 / 400 * np.random.default_rng(5).random(v.size)
+    position = frame.to_ecef(track.position(base.scene.pulse_times + jitter) - base.scene.centre)
+    along = 0.5 * v["TxVel"] / np.linalg.norm(v["TxVel"], axis=1, keepdims=True)
+    v["TxPos"], v["RcvPos"] = position - along, position + along
+    v["SRPPos"] = frame.to_ecef(np.array([[4.0, -3, 0], [-4, 3, 0]])[np.arange(v.size) // 40 % 2])
+    v["TxTime"] += jitter
+    v["RcvTime"] += jitter
+    parts.samples[...] = echo(grid_of(parts), delays(parts, base), base.sigma, -1)
+    return parts
+
+
+def test_uneven_times_are_resampled_within_the_reported_error(base: Base, tmp_path: Path) -> None:
+    path = write(tmp_path / "uneven.cphd", uneven(base))
+    collection, samples, said, attrs = ingested(path)
+    bound = attrs["source"]["slow_time_resampling_error"]
+    lit = ~np.isnan(samples[:, 0])
+    assert np.count_nonzero(lit) > 150
+    track = base.scene.geometry.track.position(collection.time + float(attrs["source"]["time_zero"]) - 0.2)
+    np.testing.assert_allclose(collection.antenna_position + base.scene.centre, track, atol=1e-4)
+    assert bound < 0.06
+    want = expected(collection, base)
+    error = np.abs(samples - want)[lit]
+    assert error.max() <= bound * np.abs(base.sigma).sum()
+    assert error[10:-10].max() < 2e-3  # away from the ends
+    assert any("vectors are 0.00" in line and "dB on any echo of the image area" in line for line in said)
+
+
+# ---------------------------------------------------------------- beams
+
+
+def dwell(parts: Parts, cod: dict[tuple[int, int], float], length: dict[tuple[int, int], float]) -> None:
+    for kind, table in (("COD", cod), ("Dwell", length)):
+        (node,) = parts.root.findall(f"{{*}}Dwell/{{*}}{kind}Time/{{*}}{kind}TimePoly")
+        tag = node.tag.replace(f"{kind}TimePoly", "Coef")
+        for child in list(node):
+            node.remove(child)
+        for (i, j), value in table.items():
+            etree.SubElement(node, tag, {"exponent1": str(i), "exponent2": str(j)}).text = str(value)
+        for axis in (1, 2):
+            node.set(f"order{axis}", str(max(key[axis - 1] for key in table)))
+
+
+def test_a_strip_map_is_not_said_to_be_steered(base: Base, tmp_path: Path) -> None:
+    """Its beam moves with the platform: centre of dwell depends on the place along the track, not on yaw."""
+    parts = parts_of(base.path)
+    dwell(parts, {(0, 0): 0.2, (0, 1): 1e-3, (1, 0): 2e-3}, {(0, 0): 0.05})
+    collection, said = check(write(tmp_path / "strip.cphd", parts), base)
+    assert collection.beam_width is None
+    assert any("no matter of yaw alone" in line for line in said)
+
+
+def test_a_constant_centre_of_dwell_is_not_said_to_be_steered(base: Base, tmp_path: Path) -> None:
+    parts = parts_of(base.path)
+    dwell(parts, {(0, 0): 0.2}, {(0, 0): 0.05})
+    collection, said = check(write(tmp_path / "short.cphd", parts), base)
+    assert collection.beam_width is None
+    assert any("hardly changes" in line for line in said)
+
+
+def test_polynomials_that_are_missing_leave_the_beam_open(base: Base, tmp_path: Path) -> None:
+    parts = parts_of(base.path)
+    parts.set("Channel/Parameters/DwellTimes/CODId", "nowhere")
+    collection, said = check(write(tmp_path / "none.cphd", parts), base)
+    assert collection.beam_width is None
+    assert any("cannot be used" in line for line in said)
+
+
+# ---------------------------------------------------------------- what is refused
+
+
+def refused(path: Path, match: str, **options: Any) -> str:
+    """One sentence that names the file, and nothing written."""
+    out = path.parent / "refused.zarr"
+    with pytest.raises(InputError, match=match) as caught:
+        cphd.ingest(path, out, **options)
+    text = str(caught.value)
+    assert "\n" not in text
+    assert len(text) < 500
+    assert path.name in text
+    assert not out.exists()
+    assert [p.name for p in path.parent.iterdir() if p.name.startswith(".")] == []
+    return text
+
+
+def test_times_that_are_too_uneven_are_refused_with_figures(base: Base, tmp_path: Path) -> None:
+    """Every third vector, unevenly: the image area has more Doppler than they sample."""
+    parts = uneven(base)
+    kept = np.flatnonzero(np.random.default_rng(7).random(160) < 0.3)
+    parts = Parts(parts.root, parts.vectors[kept], parts.samples[kept])
+    refused(write(tmp_path / "uneven.cphd", parts), r"not uniform: steps run from .* Doppler of [\d.]+ Hz is too wide")
+
+
+def test_bistatic_places_are_refused_with_figures(base: Base, tmp_path: Path) -> None:
+    parts = parts_of(base.path)
+    parts.vectors["RcvPos"] += [500.0, 0, 0]
+    refused(write(tmp_path / "far.cphd", parts), r"500 m apart, which changes ranges .* wavelengths: that is bistatic")
+
+
+def xml(path: str, text: Any) -> Callable[[Parts], None]:
+    return lambda parts: parts.set(path, text)
+
+
+def vectors(name: str, value: Any, where: Any = slice(None)) -> Callable[[Parts], None]:
+    def change(parts: Parts) -> None:
+        parts.vectors[name][where] = value
+
+    return change
+
+
+def without(path: str) -> Callable[[Parts], None]:
+    def change(parts: Parts) -> None:
+        (node,) = parts.root.findall("/".join(f"{{*}}{part}" for part in path.split("/")))
+        node.getparent().remove(node)
+
+    return change
+
+
+MUTATIONS: dict[str, tuple[Callable[[Parts], None], str]] = {
+    "bistatic": (xml("CollectionID/CollectType", "BISTATIC"), "'BISTATIC'; only MONOSTATIC"),
+    "no collect type": (without("CollectionID/CollectType"), "CollectType is 0 times"),
+    "other domain": (xml("Global/DomainType", "RANGE"), "DomainType is 'RANGE'; it must be FX or TOA"),
+    "sign 0": (xml("Global/SGN", 0), "SGN is '0'"),
+    "sign is text": (xml("Global/SGN", "minus"), "SGN is 'minus'"),
+    "sign missing": (without("Global/SGN"), "Global/SGN is 0 times"),
+    "IARP elsewhere": (xml("SceneCoordinates/IARP/ECF/X", 1e6), "IARP has an ECF and an LLH that lie"),
+    "IARP is text": (xml("SceneCoordinates/IARP/ECF/X", "here"), "ECF/X is 'here'; it must be a number"),
+    "IARP not finite": (xml("SceneCoordinates/IARP/LLH/Lat", "NaN"), "must be finite"),
+    "IARP beyond the pole": (xml("SceneCoordinates/IARP/LLH/Lat", 123), "latitude"),
+    "IARP missing": (without("SceneCoordinates/IARP"), "IARP/ECF/X is 0 times"),
+    "image area is text": (xml("SceneCoordinates/ImageArea/X1Y1/X", "left"), "it must be a number"),
+    "no surface": (without("SceneCoordinates/ReferenceSurface/Planar"), "damaged, or no CPHD file"),
+    "no such format of PVP": (xml("PVP/SC0/Format", "Q8"), "damaged, or no CPHD file"),
+    "PVP of single precision": (xml("PVP/SC0/Format", "F4"), "PVP/SC0 has a format of float32, but must be float64"),
+    "PVP of whole numbers": (xml("PVP/TxTime/Format", "I8"), "PVP/TxTime has a format of int64"),
+    "vector where a number is": (xml("PVP/SC0/Format", "X=F8;Y=F8;Z=F8;"), "PVP/SC0 has a format of"),
+    "PVP overlap": (xml("PVP/RcvTime/Offset", 1), "reaches to byte .* of a vector, into"),
+    "PVP beyond the vector": (xml("PVP/SCSS/Offset", 400), "damaged, or no CPHD file"),
+    "PVP offset is negative": (xml("PVP/SCSS/Offset", -1), "damaged, or no CPHD file|reaches to byte"),
+    "PVP offset is text": (xml("PVP/SCSS/Offset", "end"), "damaged, or no CPHD file"),
+    "PVP missing": (without("PVP/TOA1"), "PVP/TOA1 is missing"),
+    "times are NaN": (vectors("TxTime", np.nan), "PVP TxTime is not finite in 160 vectors"),
+    "one time is NaN": (vectors("TxTime", np.nan, 17), r"TxTime is not finite in 1 vectors .*first: vector 17"),
+    "one position is NaN": (vectors("TxPos", np.nan, 3), "PVP TxPos is not finite"),
+    "positions are infinite": (vectors("RcvPos", np.inf), "PVP RcvPos is not finite"),
+    "SRP is NaN": (vectors("SRPPos", np.nan, -1), "PVP SRPPos is not finite"),
+    "SCSS is NaN": (vectors("SCSS", np.nan, 9), "PVP SCSS is not finite"),
+    "times do not ascend": (vectors("TxTime", 0.0, 80), "TxTime does not ascend at vector 80"),
+    "all at once": (vectors("TxTime", 0.0), "TxTime does not ascend"),
+    "received before transmitted": (vectors("RcvTime", -1.0), "RcvTime is before TxTime"),
+    "platform in the Earth": (vectors("TxPos", 1.0), "TxPos lies 1.73205 .* m from the Earth's centre"),
+    "positions in km": (vectors("RcvPos", 6.4e3), "RcvPos lies"),
+    "one position off": (vectors("TxPos", [7e6, 0, 0], 40), "leaves its neighbours by .* m at pulse 40"),
+    "SRP on the other side": (vectors("SRPPos", [6.4e6, 0, 0]), "SRPPos lies up to"),
+    "SCSS negative": (vectors("SCSS", -1.0), "PVP SCSS falls to -1; it must be above 0"),
+    "SCSS absurd": (vectors("SCSS", 1e300), "only 1 frequencies|leave only|FX1 .. FX2 does not meet"),
+    "SC0 zero": (vectors("SC0", 0.0), "PVP SC0 falls to 0"),
+    "band upside down": (vectors("FX1", 11e9), "FX1 is not below FX2"),
+    "band elsewhere": (lambda p: (vectors("FX1", 1e9)(p), vectors("FX2", 2e9)(p))[0], "does not meet the samples"),
+    "bands without anything in common": (
+        lambda p: (vectors("FX2", 9.97e9, slice(80))(p), vectors("FX1", 10.02e9, slice(80, None))(p))[0],
+        "leave only 0 Hz in common",
+    ),
+    "delays upside down": (vectors("TOA1", 1.0), "TOA1 is not below TOA2"),
+    "no signal anywhere": (vectors("SIGNAL", 0), "SIGNAL is 1 in 0 of 160 vectors"),
+    "grids that cannot be resampled": (
+        lambda p: (vectors("SC0", np.linspace(9.95e9, 9.9501e9, 160))(p), vectors("TOA1", -1e-5)(p))[0],
+        "too much to resample",
+    ),
+    "compressed": (
+        lambda p: p.insert("Data/SignalCompressionID", "Channel", "zip"),
+        "compressed \\('zip'\\), which is not supported",
+    ),
+    "other samples": (xml("Data/SignalArrayFormat", "CF16"), "SignalArrayFormat is 'CF16'; it must be one of"),
+    "no identifier": (xml("Data/Channel/Identifier", "1'2"), "identifiers"),
+    "channel of another name": (xml("Channel/Parameters/Identifier", "9"), ""),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", MUTATIONS)
+def test_mutated_parts(base: Base, tmp_path: Path, name: str) -> None:
+    change, match = MUTATIONS[name]
+    parts = parts_of(base.path)
+    path = tmp_path / "mutated.cphd"
+    if "PVP" in name or name in ("vector where a number is", "compressed", "other samples", "no identifier"):
+        # sarkit would not write these: the XML of a good file is changed in its place.
+        change(parts)
+        with_xml(base.path, path, etree.tostring(parts.root))
+    else:
+        change(parts)
+        write(path, parts)
+    if match:
+        refused(path, match)
+    else:
+        ingested(path)  # what is of no use is not asked for
+
+
+def with_xml(source: Path, path: Path, text: bytes) -> None:
+    """Another XML block, everything else as it is."""
+    with open(source, "rb") as file:
+        _, header = skcphd.read_file_header(file)
+    data = source.read_bytes()
+    names = ("PVP_BLOCK", "SIGNAL_BLOCK")
+    blocks = {n: data[int(header[f"{n}_BYTE_OFFSET"]) :][: int(header[f"{n}_SIZE"])] for n in names}
+    start = 1024
+    offsets = {"PVP_BLOCK": start + len(text) + 2}
+    offsets["SIGNAL_BLOCK"] = offsets["PVP_BLOCK"] + len(blocks["PVP_BLOCK"])
+    header |= {"XML_BLOCK_SIZE": str(len(text)), "XML_BLOCK_BYTE_OFFSET": str(start)}
+    header |= {f"{n}_BYTE_OFFSET": str(offset) for n, offset in offsets.items()}
+    head = b"CPHD/1.1.0\n" + "".join(f"{k} := {v}\n" for k, v in header.items()).encode() + b"\f\n"
+    path.write_bytes(head.ljust(start, b"\0") + text + b"\f\n" + blocks["PVP_BLOCK"] + blocks["SIGNAL_BLOCK"])
+
+
+def header_line(key: str, value: str | None) -> Callable[[bytes], bytes]:
+    """Change a line of the header in place; what follows stays where it is."""
+
+    def change(data: bytes) -> bytes:
+        end = data.index(b"\f\n")
+        lines = data[:end].split(b"\n")
+        kept = [b"%s := %s" % (key.encode(), (value or "").encode()) if line.startswith(key.encode()) else line
+                for line in lines if value is not None or not line.startswith(key.encode())]  # fmt: skip
+        first = int(next(line for line in lines if line.startswith(b"XML_BLOCK_BYTE_OFFSET")).split(b" := ")[1])
+        return (b"\n".join(kept) + b"\f\n").ljust(first, b"\0")[:first] + data[first:]
+
+    return change
+
+
+BYTES: dict[str, tuple[Callable[[bytes], bytes], str]] = {
+    "empty": (lambda d: b"", "begins with ''"),
+    "one byte": (lambda d: d[:1], "begins with 'C'"),
+    "only the version": (lambda d: d[:11], "header does not end"),
+    "half a header": (lambda d: d[:100], "header does not end"),
+    "no samples": (lambda d: d[: len(d) // 2], "it was cut short"),
+    "last byte missing": (lambda d: d[:-1], "it was cut short"),
+    "another format": (lambda d: b"NITF02.10" + d[9:], "no CPHD file"),
+    "zip": (lambda d: b"PK\3\4" + d[4:], "no CPHD file"),
+    "version 0.3": (lambda d: d.replace(b"CPHD/1.1.0", b"CPHD/0.3.0", 1), "version 'CPHD/0.3.0'; supported are"),
+    "version of the header only": (lambda d: d.replace(b"CPHD/1.1.0", b"CPHD/1.0.1", 1), "make them agree"),
+    "zeros": (lambda d: bytes(len(d)), "no CPHD file"),
+    "no XML size": (header_line("XML_BLOCK_SIZE", None), "XML_BLOCK_SIZE is missing"),
+    "XML size 0": (header_line("XML_BLOCK_SIZE", "0"), "no number of bytes"),
+    "XML size huge": (header_line("XML_BLOCK_SIZE", "99999999999999"), "cut short"),
+    "XML size of hundreds of digits": (header_line("XML_BLOCK_SIZE", "9" * 30), "no number of bytes"),
+    "XML too short": (header_line("XML_BLOCK_SIZE", "500"), "damaged, or no CPHD file"),
+    "XML elsewhere": (header_line("XML_BLOCK_BYTE_OFFSET", "7"), "damaged, or no CPHD file"),
+    "offset negative": (header_line("PVP_BLOCK_BYTE_OFFSET", "-5"), "no number of bytes"),
+    "offset is text": (header_line("SIGNAL_BLOCK_BYTE_OFFSET", "here"), "no number of bytes"),
+    "PVP at the samples": (header_line("PVP_BLOCK_BYTE_OFFSET", "100000"), "."),
+    "PVP block too small": (header_line("PVP_BLOCK_SIZE", "800"), "PVP array needs bytes"),
+    "signal block too small": (header_line("SIGNAL_BLOCK_SIZE", "800"), "signal array needs bytes"),
+    "XML of other text": (lambda d: d.replace(b"<CollectionID>", b"<CollectionIQ>", 1), "damaged, or no CPHD file"),
+    "another namespace": (lambda d: d.replace(b"cphd/1.1.0", b"cphd/9.9.9", 1), "make them agree"),
+    "entities": (
+        lambda d: d.replace(b"<CPHD ", b"<!DOCTYPE a [<!ENTITY b 'c'>]><CPHD ", 1),
+        "damaged|disagree|cut short|make them",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BYTES)
+def test_mutated_bytes(base: Base, tmp_path: Path, name: str) -> None:
+    change, match = BYTES[name]
+    path = tmp_path / "mutated.cphd"
+    path.write_bytes(change(base.path.read_bytes()))
+    refused(path, match)
+
+
+def test_flipped_bytes_of_header_xml_and_vectors(base: Base, tmp_path: Path) -> None:
+    """Seeded: what a file says with one to three bytes wrong is one sentence, or a store that opens."""
+    data = base.path.read_bytes()
+    with open(base.path, "rb") as file:
+        _, header = skcphd.read_file_header(file)
+    ends = [0, *(int(header[f"{name}_BLOCK_BYTE_OFFSET"]) for name in ("XML", "PVP", "SIGNAL"))]
+    rng = np.random.default_rng(6)
+    path, out = tmp_path / "flipped.cphd", tmp_path / "flipped.zarr"
+    told = 0
+    for trial in range(150):
+        first, stop = ends[trial % 3], ends[trial % 3 + 1]
+        changed = bytearray(data)
+        for place in rng.integers(first, stop, 1 + trial % 3):
+            changed[place] ^= 1 << int(rng.integers(8)) if trial % 2 else int(rng.integers(1, 256))
+        path.write_bytes(changed)
+        try:
+            cphd.ingest(path, out, overwrite=True)
+        except InputError as error:
+            told += 1
+            assert "\n" not in str(error), trial
+            assert "Warning" not in str(error), (trial, str(error))
+            assert not out.exists(), trial
+        else:
+            stores.open_phase_history(out)
+            shutil.rmtree(out)
+    assert told > 40
+
+
+def test_truncations(base: Base, tmp_path: Path) -> None:
+    data = base.path.read_bytes()
+    for length in np.unique(np.geomspace(1, len(data) - 1, 40).astype(int)):
+        path = tmp_path / "short.cphd"
+        path.write_bytes(data[:length])
+        refused(path, ".")
+
+
+def test_a_file_that_shrinks_while_it_is_read(base: Base, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "shrinking.cphd"
+    shutil.copy(base.path, path)
+    prepare = cphd._prepare
+
+    def then_cut(file: Any) -> Any:
+        made = prepare(file)
+        path.write_bytes(base.path.read_bytes()[:-1000])
+        return made
+
+    monkeypatch.setattr(cphd, "_prepare", then_cut)
+    refused(path, "became shorter")
+
+
+def test_what_is_no_file(base: Base, tmp_path: Path) -> None:
+    for name, match in {"nowhere.cphd": "does not exist", "": "no regular file"}.items():
+        with pytest.raises(InputError, match=match):
+            cphd.ingest(tmp_path / name, tmp_path / "out.zarr")
+    with pytest.raises(InputError, match="object store"):
+        cphd_simulation.simulate(Scene.parse(SCENE), "s3://bucket/a.cphd")
+    assert not (tmp_path / "out.zarr").exists()
+
+
+def test_existing_files_are_kept(base: Base, tmp_path: Path) -> None:
+    scene, path = Scene.parse(SCENE), tmp_path / "a.cphd"
+    path.write_text("a letter")
+    with pytest.raises(InputError, match="exists; choose another name"):
+        cphd_simulation.simulate(scene, path)
+    with pytest.raises(InputError, match="is no CPHD file, so it is not overwritten"):
+        cphd_simulation.simulate(scene, path, overwrite=True)
+    assert path.read_text() == "a letter"
+    shutil.copy(base.path, path)
+    cphd_simulation.simulate(scene, path, overwrite=True, origin=ORIGIN)
+    assert parts_of(path).vectors.size == 160
+    with pytest.raises(InputError, match="origin is"):
+        cphd_simulation.simulate(scene, tmp_path / "b.cphd", origin=(95.0, 0.0, 0.0))
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.cphd"]
+    ingested(path)
+    with pytest.raises(InputError, match="exists; choose another name"):
+        cphd.ingest(path, tmp_path / "a.zarr")
+
+
+def test_without_its_library(base: Base, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "sarkit.cphd", None)
+    with pytest.raises(InputError, match=r"install blocksar\[formats\]"):
+        cphd.ingest(base.path, tmp_path / "out.zarr")
+
+
+# ---------------------------------------------------------------- the commands
+
+
+def test_the_commands(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (tmp_path / "scene.toml").write_text(SCENE)
+    runner, file, store = CliRunner(), str(tmp_path / "a.cphd"), str(tmp_path / "a.zarr")
+    words = ["simulate", str(tmp_path / "scene.toml"), "--out", file, "--cphd", "--origin", "10,20,30", "--quiet"]
+    with caplog.at_level(logging.WARNING):
+        assert runner.invoke(cli.app, words).exit_code == 0
+    assert not caplog.records  # sarkit has nothing to say either
+    done = runner.invoke(cli.app, ["ingest", "cphd", file, "--out", store])
+    assert (done.exit_code, store in done.output) == (0, True)
+    assert "latitude 10.0000000, longitude 20.0000000, height 30.00 m" in done.output
+    assert stores.open_phase_history(store).shape[0] == 160
+    for wrong, message in {
+        ("ingest", "cphd", file, "--out", store): "exists",
+        ("ingest", "cphd", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "b.zarr")): "no CPHD file",
+        ("simulate", "table1", "--out", str(tmp_path / "b"), "--origin", "1,2,3"): "only CPHD files have one",
+        ("simulate", "table1", "--out", str(tmp_path / "b"), "--cphd", "--raw"): "leave out one",
+        ("simulate", "table1", "--out", str(tmp_path / "b"), "--cphd", "--origin", "north"): "not three numbers",
+    }.items():
+        told = runner.invoke(cli.app, list(wrong))
+        assert told.exit_code == 2
+        assert message in told.output
+    with pytest.raises(InputError, match="kind is 'sicd'"):
+        blocksar.ingest("sicd", file, store)
+    with pytest.raises(InputError, match="ingested by itself"):
+        blocksar.ingest("cphd", [file, file], store)
+
+
+def test_samples_are_big_endian(base: Base) -> None:
+    """By hand: the first sample of the file."""
+    parts = parts_of(base.path)
+    data = base.path.read_bytes()
+    real, imaginary = struct.unpack(">ff", data[-8 * parts.samples.size :][:8])
+    want = echo(grid_of(parts), delays(parts, base), base.sigma, -1)[0, 0]
+    assert complex(real, imaginary) == pytest.approx(want, abs=2e-5)

@@ -1,0 +1,614 @@
+"""Gotcha files: what is simulated into them comes out of the store; what is damaged is refused in one sentence.
+
+The measured files are used where the environment variable BLOCKSAR_DATA names the folder whose subfolder gotcha/
+has them.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import struct
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.polynomial import chebyshev
+from scipy.io import savemat
+from typer.testing import CliRunner
+
+from blocksar import api, cli, gotcha, recovery_plan, stores
+from blocksar.backprojection import form_image
+from blocksar.geometry import Geometry
+from blocksar.matfile import read_struct
+from blocksar.measurement import Target, coherence
+from blocksar.parameters import SPEED_OF_LIGHT, Collection, InputError
+from blocksar.planning import plan_collection
+from blocksar.region import Grid
+from blocksar.resampling import plan_resampling
+from blocksar.simulation import simulate_pulses
+
+N_FREQUENCY = 48
+FREQUENCY = 9.6e9 + 1.5e6 * (np.arange(N_FREQUENCY) - N_FREQUENCY // 2)  # Hz
+RADIUS, HEIGHT, STEP = 7000.0, 7200.0, np.radians(0.0085)  # m, m, rad
+SCENE = (np.array([-20.0, 3.0, 31.0]), np.array([12.0, -5.0, 25.0]), np.array([1.0, 0.5j, -0.7 + 0.2j]))
+Record = dict[str, Any]
+
+
+def collection_at(position: np.ndarray) -> Collection:
+    """Pulses at positions (n, 3), with the range to the origin taken out."""
+    n = len(position)
+    return Collection(
+        carrier=9.6e9,
+        time=np.arange(n) * 0.01,
+        range_frequency=FREQUENCY - 9.6e9,
+        reference_range=np.linalg.norm(position, axis=1),
+        antenna_position=position,
+        beam_azimuth=np.full(n, np.nan),
+    )
+
+
+def circle(azimuth: np.ndarray, height: np.ndarray | float = HEIGHT) -> np.ndarray:
+    return np.stack([RADIUS * np.cos(azimuth), RADIUS * np.sin(azimuth), height + 0 * azimuth], axis=1)
+
+
+def record_of(position: np.ndarray) -> Record:
+    """The struct of a file: as the real ones, float32 rows."""
+    collection = collection_at(position)
+    away = collection.reference_range
+    fields = {
+        "x": position[:, 0],
+        "y": position[:, 1],
+        "z": position[:, 2],
+        "r0": away,
+        "th": np.mod(np.degrees(np.arctan2(position[:, 1], position[:, 0])), 360),
+        "phi": np.degrees(np.arcsin(position[:, 2] / away)),
+    }
+    record: Record = {name: values.astype(np.float32)[None, :] for name, values in fields.items()}
+    record["fp"] = simulate_pulses(collection, *SCENE).T.copy()
+    record["freq"] = FREQUENCY.astype(np.float32)[:, None]
+    record["af"] = {name: np.zeros((1, len(position)), np.float32) for name in ("r_correct", "ph_correct")}
+    return record
+
+
+def packed(record: Record, *, name: str = "data", compressed: bool = False) -> bytes:
+    stream = io.BytesIO()
+    savemat(stream, {name: record}, do_compression=compressed)
+    return stream.getvalue()
+
+
+def written(folder: Path, *positions: np.ndarray, first: int = 1) -> list[Path]:
+    """One file for each array of positions."""
+    paths = []
+    for k, position in enumerate(positions, first):
+        paths.append(folder / f"data_3dsar_pass1_az{k:03d}_HH.mat")
+        paths[-1].write_bytes(packed(record_of(position)))
+    return paths
+
+
+@pytest.fixture(scope="module")
+def record() -> Record:
+    return record_of(circle(STEP * np.arange(20)))
+
+
+AZIMUTH = STEP * np.arange(90)
+
+
+def samples(path: Path) -> np.ndarray:
+    return stores.open_phase_history(path).read(slice(None), slice(None))
+
+
+# ---------------------------------------------------------------- joined
+
+
+def test_files_in_any_order_are_joined_in_azimuth(tmp_path: Path) -> None:
+    paths = written(tmp_path, *np.split(circle(AZIMUTH), 3))
+    made = gotcha.ingest([paths[2], paths[0], paths[1]], tmp_path / "ph.zarr")
+    wanted = collection_at(circle(AZIMUTH))
+    history = stores.open_phase_history(tmp_path / "ph.zarr")
+    found = history.collection
+    assert found.n_pulse == 90
+    assert np.abs(found.antenna_position - wanted.antenna_position).max() < 3e-4  # float32
+    # The centre has no phase: not r0, which is rounded apart from x, y and z.
+    assert np.abs(found.reference_range - np.linalg.norm(found.antenna_position, axis=1)).max() < 1e-9
+    assert np.abs(found.carrier + found.range_frequency - FREQUENCY).max() < 1100  # Hz, float32 again
+    assert np.array_equal(samples(tmp_path / "ph.zarr"), simulate_pulses(wanted, *SCENE))
+    assert "3 files, 90 pulses; AFRL Gotcha, pass 1, HH" in made.said[0]
+    assert history.attrs["source"] == [paths[2].name, paths[0].name, paths[1].name]
+    assert any("af" in line and "not applied" in line for line in made.said)
+
+
+@pytest.mark.parametrize("turn", [-0.4, 3.0, 5.0])
+def test_the_circle_has_no_seam(tmp_path: Path, turn: float) -> None:
+    """Files on either side of azimuth zero are neighbours; a flight the other way round is sorted."""
+    position = circle(AZIMUTH + turn * STEP * 90)[::-1]
+    made = gotcha.ingest(written(tmp_path, *np.split(position, 2)), tmp_path / "ph.zarr")
+    assert np.abs(made.collection.antenna_position - position[::-1]).max() < 3e-4
+    assert np.array_equal(samples(tmp_path / "ph.zarr"), simulate_pulses(collection_at(position[::-1]), *SCENE))
+
+
+def test_pulses_that_are_there_twice_go_once(tmp_path: Path) -> None:
+    position = circle(AZIMUTH)
+    paths = written(tmp_path, position[:50], position[40:])
+    gotcha.ingest([*paths, paths[0]], tmp_path / "ph.zarr")
+    assert np.array_equal(samples(tmp_path / "ph.zarr"), simulate_pulses(collection_at(position), *SCENE))
+
+
+def test_a_few_lost_pulses_are_missing(tmp_path: Path) -> None:
+    position = circle(AZIMUTH)
+    made = gotcha.ingest(written(tmp_path, position[:40], position[45:]), tmp_path / "ph.zarr")
+    wanted = simulate_pulses(collection_at(position), *SCENE)
+    wanted[40:45] = np.nan
+    assert np.array_equal(samples(tmp_path / "ph.zarr"), wanted, equal_nan=True)
+    assert np.abs(made.collection.antenna_position - position).max() < 3e-4
+    assert any("5 of 90 pulses are missing" in line for line in made.said)
+
+
+def test_chunks_of_pulses_are_gathered_across_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stores, "TILE", (16, 1024))
+    told: list[tuple[int, int]] = []
+    gotcha.ingest(
+        written(tmp_path, *np.split(circle(AZIMUTH), 9)), tmp_path / "ph.zarr", progress=lambda *n: told.append(n)
+    )
+    assert np.array_equal(samples(tmp_path / "ph.zarr"), simulate_pulses(collection_at(circle(AZIMUTH)), *SCENE))
+    assert told == [(n, 90) for n in (16, 32, 48, 64, 80, 90)]
+
+
+def test_track_figures_are_told(tmp_path: Path) -> None:
+    """A wobble of 4 mm that no polynomial follows, up and down: it is the misfit, and nearly nothing is left of it."""
+    wobble = 0.004 * np.sin(2.0 * np.arange(90))
+    made = gotcha.ingest(written(tmp_path, circle(AZIMUTH, HEIGHT + wobble)), tmp_path / "ph.zarr")
+    line = next(line for line in made.said if line.startswith("track"))
+    track = Geometry(collection=made.collection).track
+    assert f"order {track.order} misses" in line
+    assert 3 < float(line.split("at most ")[1].split(" mm")[0]) < 5
+    # 46 m from the centre, seen under another angle by so much, of 4 mm.
+    assert float(line.split("leaves ")[1].split(" mm")[0]) < 0.004 * 1e3 * 90 / 10_000
+    found = samples(tmp_path / "ph.zarr")
+    assert np.array_equal(found, simulate_pulses(collection_at(circle(AZIMUTH, HEIGHT + wobble)), *SCENE))
+
+
+def test_r0_stays_where_it_is_not_the_distance(tmp_path: Path) -> None:
+    position = circle(AZIMUTH)
+    record = record_of(position)
+    record["r0"] = record["r0"].astype(np.float64) + 3.0
+    (tmp_path / "a.mat").write_bytes(packed(record))
+    made = gotcha.ingest(tmp_path / "a.mat", tmp_path / "ph.zarr")
+    assert np.abs(made.collection.reference_range - np.linalg.norm(position, axis=1) - 3).max() < 2e-3
+
+
+# ---------------------------------------------------------------- uneven pulses
+
+
+@pytest.mark.parametrize(("band", "jitter", "most"), [(0.5, 0.3, 2e-3), (0.8, 0.2, 2e-3), (0.9, 0.2, 4e-3)])
+def test_no_echo_errs_by_more_than_the_bound(band: float, jitter: float, most: float) -> None:
+    random = np.random.default_rng(7)
+    time = np.arange(300) + random.uniform(-jitter, jitter, 300)
+    uniform = np.arange(300.0)
+    made = plan_resampling(time, uniform, band=band)
+    doppler = random.uniform(-band / 2, band / 2, 64)
+    echoes = np.exp(2j * np.pi * time[:, None] * doppler).astype(np.complex64)
+    found = made.apply(echoes[made.needs(slice(0, 300))], slice(0, 300))
+    error = np.abs(found - np.exp(2j * np.pi * uniform[:, None] * doppler))
+    assert np.isnan(error[~made.good]).all() and np.count_nonzero(~made.good) <= 12
+    good = made.good
+    assert (error[good] <= made.bound[good, None] + 2e-6).all()
+    assert made.bound[good].max() <= 0.05
+    assert made.bound[20:-20].max() < most
+    # The bound is no exaggeration: echoes come near it. And taking pulses as they are would be far worse.
+    assert (error[good].max(axis=1) > 0.2 * made.bound[good] - 2e-6).mean() > 0.9
+    assert np.abs(echoes - np.exp(2j * np.pi * uniform[:, None] * doppler)).max() > 10 * error[good].max()
+
+
+def test_even_pulses_are_left_as_they_are() -> None:
+    time = np.arange(40.0)
+    made = plan_resampling(time, time, band=0.7)
+    echoes = np.exp(2j * np.pi * 0.3 * time)[:, None].astype(np.complex64)
+    assert np.abs(made.apply(echoes, slice(0, 40)) - echoes).max() < 2e-4
+    assert made.good.all()
+
+
+def test_gaps_that_neighbours_do_not_fill_are_missing() -> None:
+    time = np.delete(np.arange(120.0), slice(50, 60))
+    made = plan_resampling(time, np.arange(120.0), band=0.8)
+    assert not made.good[51:59].any()
+    assert made.good[:48].all() and made.good[62:].all()
+
+
+@pytest.mark.parametrize("wrong", [{"band": 0.0}, {"time": np.zeros(9)}])
+def test_resampling_refuses(wrong: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match="must"):
+        plan_resampling(**{"time": np.arange(9.0), "uniform": np.arange(9.0), "band": 0.5, **wrong})
+
+
+def test_uneven_pulses_become_uniform_within_the_error_told(tmp_path: Path) -> None:
+    random = np.random.default_rng(3)
+    azimuth = STEP * (np.arange(300) + random.uniform(-0.2, 0.2, 300))
+    made = gotcha.ingest(written(tmp_path, *np.split(circle(azimuth), 2)), tmp_path / "ph.zarr")
+    found = made.collection
+    steps = np.diff(np.arctan2(found.antenna_position[:, 1], found.antenna_position[:, 0]))
+    assert np.ptp(steps) < 1e-3 * STEP  # uniform now
+    line = next(line for line in made.said if line.startswith("slow time"))
+    bound = 10 ** (float(line.split("at most ")[1].split(" dB")[0]) / 20)
+    assert bound < 0.06
+    error = np.abs(samples(tmp_path / "ph.zarr") - simulate_pulses(found, *SCENE))
+    assert np.nanmax(error) < 1.1 * bound * np.abs(SCENE[2]).sum()
+    assert np.median(error[~np.isnan(error)]) < 2e-3
+    assert found.n_pulse > 285
+
+
+# ---------------------------------------------------------------- refused
+
+
+def changed(name: str, change: Callable[[np.ndarray], Any]) -> Callable[[Record], bytes]:
+    return lambda record: packed({**record, name: change(record[name])})
+
+
+def without(name: str) -> Callable[[Record], bytes]:
+    return lambda record: packed({key: value for key, value in record.items() if key != name})
+
+
+def cut(share: float) -> Callable[[Record], bytes]:
+    return lambda record: (data := packed(record))[: int(share * len(data))]
+
+
+def put(values: np.ndarray, where: Any, value: complex) -> np.ndarray:
+    values = values.copy()
+    values[where] = value
+    return values
+
+
+def patched(offset: int, what: bytes, *, compressed: bool = False) -> Callable[[Record], bytes]:
+    def make(record: Record) -> bytes:
+        data = bytearray(packed(record, compressed=compressed))
+        data[offset : offset + len(what)] = what
+        return bytes(data)
+
+    return make
+
+
+def with_rows(count: int) -> Callable[[Record], bytes]:
+    """A vector that says it has `count` rows: it would take all of the memory to hold them."""
+
+    def make(record: Record) -> bytes:
+        data = bytearray(packed(record))
+        at = data.index(struct.pack("<IIii", 5, 8, 1, 20))
+        data[at + 8 : at + 12] = struct.pack("<i", count)
+        return bytes(data)
+
+    return make
+
+
+MUTATIONS: dict[str, tuple[Callable[[Record], bytes], str]] = {
+    "empty": (lambda _: b"", "MATLAB"),
+    "text": (lambda _: b"x" * 5000, "MATLAB"),
+    "header only": (cut(0.002), "MATLAB|no variable"),
+    "half": (cut(0.5), "truncated"),
+    "nearly whole": (cut(0.99), "truncated"),
+    "half, compressed": (lambda record: packed(record, compressed=True)[:3000], "truncated|damaged"),
+    "flipped, compressed": (patched(2000, b"\x00\xff\x00\xff", compressed=True), "damaged"),
+    "version 7.3": (patched(124, b"\x00\x02"), "-v7"),
+    "no byte order": (patched(126, b"??"), "MATLAB"),
+    "other byte order": (patched(126, b"MI"), "7.3|damaged|truncated"),
+    "length of an element": (patched(132, b"\xff\xff\xff\x7f"), "truncated"),
+    "type of an element": (patched(128, b"\x63"), "damaged|no variable"),
+    "class of the array": (patched(144, b"\x06"), "damaged|struct"),
+    "dimensions": (patched(160, b"\xff\xff\xff\x7f"), "damaged"),
+    "rows of a vector": (with_rows(1 << 30), "damaged"),
+    "rows below zero": (with_rows(-1), "damaged"),
+    "another variable": (lambda record: packed(record, name="datum"), "no variable"),
+    "no struct": (lambda _: packed(np.zeros((3, 3))), "struct"),  # type: ignore[arg-type]
+    "no fp": (without("fp"), "no field fp"),
+    "no freq": (without("freq"), "no field freq"),
+    "no z": (without("z"), "no field z"),
+    "no r0": (without("r0"), "no field r0"),
+    "fp real": (changed("fp", np.real), "fp is of type float32"),
+    "fp text": (changed("fp", lambda _: "fp"), "fp is text"),
+    "fp turned": (changed("fp", np.transpose), "on its side"),
+    "fp short": (changed("fp", lambda fp: fp[:-1]), "freq has 48"),
+    "fp a cell array": (changed("fp", lambda fp: fp.astype(object)), "fp is a cell array"),
+    "fp fewer pulses": (changed("fp", lambda fp: fp[:, :-1]), "x has 20 values, but fp has 19"),
+    "fp NaN": (changed("fp", lambda fp: put(fp, (3, 7), np.nan)), "frequency 3 of pulse 7"),
+    "fp infinite": (changed("fp", lambda fp: put(fp, (0, 0), np.inf * 1j)), "frequency 0 of pulse 0"),
+    "fp with a flipped bit": (changed("fp", lambda fp: put(fp, (1, 2), 1e34)), "frequency 1 of pulse 2"),
+    "freq descending": (changed("freq", lambda f: f[::-1]), "must ascend"),
+    "freq NaN": (changed("freq", lambda f: put(f, (5, 0), np.nan)), "freq is nan at index 5"),
+    "freq uneven": (changed("freq", lambda f: put(f, (5, 0), f[5, 0] + 3e5)), "index 5"),
+    "freq negative": (changed("freq", lambda f: f - 2e10), "above 0 Hz"),
+    "freq a matrix": (changed("freq", lambda f: f.reshape(2, -1)), "must be a vector"),
+    "freq baseband": (changed("freq", lambda f: f - 9.6e9), "above 0 Hz"),
+    "x NaN": (changed("x", lambda x: put(x, (0, 4), np.nan)), "x is nan at index 4"),
+    "x complex": (changed("x", lambda x: x * 1j), "x is complex"),
+    "x in km": (changed("x", lambda x: x / 1000), "phi|th|r0"),
+    "y too many": (changed("y", lambda y: np.hstack([y, y])), "y has 40 values"),
+    "y turned": (changed("y", lambda y: -y), "th is"),
+    "z below the ground": (changed("z", lambda z: -z), "height"),
+    "z a struct": (changed("z", lambda z: {"z": z}), "z is a struct"),
+    "r0 of another collection": (changed("r0", lambda r: r + 500), "range window"),
+    "r0 infinite": (changed("r0", lambda r: put(r, (0, 0), np.inf)), "r0 is inf"),
+    "th in radians": (changed("th", lambda th: np.radians(th) + 1), "th is"),
+    "phi as azimuth": (lambda record: packed({**record, "phi": record["th"]}), "phi is"),
+    "x and y exchanged": (lambda record: packed({**record, "x": record["y"], "y": record["x"]}), "th is|phi is|r0 is"),
+    "z and r0 exchanged": (lambda record: packed({**record, "z": record["r0"], "r0": record["z"]}), "phi is|r0 is"),
+    "one place": (
+        lambda record: packed({k: v if k in ("fp", "freq", "af") else v[:, :1] + 0 * v for k, v in record.items()}),
+        "two different pulses|th is",
+    ),
+    "too few pulses": (
+        lambda record: packed({k: v if k in ("freq", "af") else v[:, :7] for k, v in record.items()}),
+        "7 pulses",
+    ),
+}
+
+
+@pytest.mark.parametrize("mutation", MUTATIONS)
+def test_a_damaged_file_is_refused_in_one_sentence(tmp_path: Path, record: Record, mutation: str) -> None:
+    make, said = MUTATIONS[mutation]
+    file = tmp_path / "az001_HH.mat"
+    file.write_bytes(make(record))
+    with pytest.raises(InputError, match=said) as refused:
+        gotcha.ingest(file, tmp_path / "ph.zarr")
+    one_sentence(str(refused.value))
+    assert "az001_HH.mat" in str(refused.value) or "source" in str(refused.value)
+    assert [path.name for path in tmp_path.iterdir()] == [file.name]
+
+
+def one_sentence(text: str) -> None:
+    assert "\n" not in text and ". " not in text and not text.endswith("."), text
+    assert len(text) < 600, text
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_flipped_bytes_never_escape(tmp_path: Path, record: Record, compressed: bool) -> None:
+    """Whatever byte changes: either what was read makes sense, or one sentence says that it does not."""
+    whole = packed(record, compressed=compressed)
+    random = np.random.default_rng(11)
+    # Of the uncompressed file those that say what is where, which are few among the samples.
+    places = random.integers(120, min(len(whole), 1500), 150) if not compressed else random.integers(0, len(whole), 100)
+    file, refused = tmp_path / "a.mat", 0
+    for at in places:
+        data = bytearray(whole)
+        data[at] ^= 1 << int(random.integers(0, 8))
+        file.write_bytes(bytes(data))
+        try:
+            gotcha.ingest(file, tmp_path / "ph.zarr", overwrite=True)
+        except InputError as error:
+            refused += 1
+            one_sentence(str(error))
+    assert refused > 50
+
+
+def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.mat")
+    for path, said in ((tmp_path, "regular file"), (tmp_path / "pipe.mat", "regular"), (tmp_path / "no", "not exist")):
+        with pytest.raises(InputError, match=said):
+            gotcha.ingest(path, tmp_path / "ph.zarr")
+    with pytest.raises(InputError, match="empty"):
+        gotcha.ingest([], tmp_path / "ph.zarr")
+
+
+def test_files_that_do_not_belong_together_are_refused(tmp_path: Path) -> None:
+    position = circle(STEP * np.arange(200))
+    first, second, far = written(tmp_path, position[:40], position[40:80], position[150:])
+    other = tmp_path / "data_3dsar_pass1_az002_VV.mat"
+    other.write_bytes(second.read_bytes())
+    another = tmp_path / "data_3dsar_pass2_az002_HH.mat"
+    another.write_bytes(second.read_bytes())
+    moved = tmp_path / "moved_HH.mat"
+    record = record_of(position[40:80])
+    moved.write_bytes(packed({**record, "freq": record["freq"] + 2e6}))
+    fewer = tmp_path / "fewer_HH.mat"
+    fewer.write_bytes(packed({**record, "freq": record["freq"][:-1], "fp": record["fp"][:-1]}))
+    over = tmp_path / "over_HH.mat"
+    over.write_bytes(packed(record_of(circle(STEP * (0.4 + np.arange(20, 60))))))
+    same = tmp_path / "same_HH.mat"
+    again = record_of(position[40:80])
+    same.write_bytes(packed({**again, "fp": 2 * again["fp"]}))
+    for files, said in (
+        ([first, other], "polarisation VV"),
+        ([first, another], "pass 2"),
+        ([first, moved], "freq from"),
+        ([first, fewer], "47 samples"),
+        ([first, over], "overlap"),
+        ([first, second, same], "overlap|two different pulses"),
+        ([first, far], "missing between"),
+    ):
+        with pytest.raises(InputError, match=said) as refused:
+            gotcha.ingest(files, tmp_path / "ph.zarr")
+        one_sentence(str(refused.value).replace(str(tmp_path), ""))
+        assert not (tmp_path / "ph.zarr").exists()
+
+
+def test_pulses_too_uneven_to_resample_are_refused(tmp_path: Path) -> None:
+    triples = 3 * np.repeat(np.arange(60), 3) + np.tile([0, 0.05, 2], 60)  # two of three are as good as one
+    with pytest.raises(InputError, match="so unevenly in azimuth"):
+        gotcha.ingest(written(tmp_path, circle(STEP * triples)), tmp_path / "ph.zarr")
+
+
+@pytest.mark.parametrize("count", [1 << 30, -1, 19])
+def test_an_array_has_the_numbers_that_its_shape_says(record: Record, count: int) -> None:
+    with pytest.raises(InputError, match="damaged"):
+        read_struct(with_rows(count)(record), "data")
+
+
+def test_a_compressed_variable_that_does_not_end_is_refused(record: Record) -> None:
+    whole = packed(record, compressed=True)
+    short = struct.pack("<II", 15, 1000) + whole[136:1136]
+    with pytest.raises(InputError, match="does not end"):
+        read_struct(whole[:128] + short, "data")
+
+
+def test_a_file_that_changes_meanwhile_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (path,) = written(tmp_path, circle(AZIMUTH))
+    lay_out = gotcha._lay_out
+
+    def meddling(joined: Any) -> Any:
+        written(tmp_path, circle(AZIMUTH + STEP))
+        return lay_out(joined)
+
+    monkeypatch.setattr(gotcha, "_lay_out", meddling)
+    with pytest.raises(InputError, match="changed while"):
+        gotcha.ingest(path, tmp_path / "ph.zarr")
+    assert not (tmp_path / "ph.zarr").exists()
+
+
+def test_the_command_says_what_it_did(tmp_path: Path) -> None:
+    paths = [str(path) for path in written(tmp_path, *np.split(circle(AZIMUTH), 3))]
+    out = str(tmp_path / "ph.zarr")
+    run = CliRunner().invoke(cli.app, ["ingest", "gotcha", *paths, "--out", out])
+    assert run.exit_code == 0, run.output
+    assert "track: a polynomial of order" in run.stdout and f"wrote {out}" in run.stdout
+    run = CliRunner().invoke(cli.app, ["ingest", "gotcha", *paths, "--out", out])
+    assert run.exit_code == 2 and "exists" in run.stderr
+    Path(paths[1]).write_bytes(b"")
+    run = CliRunner().invoke(cli.app, ["ingest", "gotcha", *paths, "--out", str(tmp_path / "other.zarr")])
+    assert run.exit_code == 2 and run.stderr.count("\n") == 1
+    assert not (tmp_path / "other.zarr").exists()
+
+
+# ---------------------------------------------------------------- what such a track asks of the plan
+
+
+@pytest.fixture(scope="module")
+def bumpy() -> Collection:
+    """A circle with 3 mm of a fifth-order bump towards the scene: every target sees it alike."""
+    n = 256
+    azimuth = np.radians(4.0) * np.linspace(-0.5, 0.5, n)
+    u = np.linspace(-1, 1, n)
+    position = (
+        circle(azimuth) * (1 + 0.003 / np.hypot(RADIUS, HEIGHT) * chebyshev.chebval(u, [0, 0, 0, 0, 0, 1]))[:, None]
+    )
+    collection = collection_at(position)
+    return replace(
+        collection, time=(np.arange(n) - n // 2) * 0.01, reference_range=np.linalg.norm(circle(azimuth), axis=1)
+    )
+
+
+GRID = Grid(-20, 20, 0.5, -20, 20, 0.5)
+
+
+def test_what_all_targets_have_in_common_is_no_phase_error(bumpy: Collection, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = plan_collection(bumpy, blocks=1, grid=GRID)
+    prediction = made.blocks[0].prediction
+    assert prediction.residual_phase < 0.01 and prediction.migration < 0.1
+    assert np.abs(made.recovery.common.series).sum() == pytest.approx(0.003, rel=0.05)
+    # Azimuth steps have no terms of such orders: left to them, it would be there in full.
+    monkeypatch.setattr(recovery_plan, "COMMON_LEAST", np.inf)
+    without = plan_collection(bumpy, blocks=1, grid=GRID).blocks[0].prediction
+    assert without.residual_phase > 0.5
+
+
+def test_lines_go_without_what_is_common(bumpy: Collection) -> None:
+    """Phase, Doppler and its rate of a line are those of one function: range less walk and the common part."""
+    geometry = Geometry(collection=bumpy)
+    common = recovery_plan.CommonRange(series=np.array([0, 0, 0, 0, 0, 2e-3, 1e-3]), centre=0.3, half=2.0)
+    where = {"epoch_range": np.array(10_030.0), "yaw": np.array(np.pi), "origin": 10_000.0, "walk": 1.0}
+    with_it = recovery_plan.recovered_line(geometry, **where, common=common)
+    plain = recovery_plan.recovered_line(geometry, **where)
+    cycles = -2 / bumpy.wavelength
+    assert np.abs(plain.range - with_it.range - common.at(plain.time)).max() < 1e-9
+    assert np.abs(with_it.phase - plain.phase + cycles * common.at(plain.time)).max() < 1e-6
+    assert np.abs(with_it.doppler - plain.doppler + cycles * common.at(plain.time, 1)).max() < 1e-9
+    assert np.abs(with_it.rate - plain.rate + cycles * common.at(plain.time, 2)).max() < 1e-9
+
+
+def test_the_common_range_is_one_function() -> None:
+    common = recovery_plan.CommonRange(series=np.array([0, 0, 0, 0, 0, 2e-3, 1e-3]), centre=0.3, half=2.0)
+    time = np.linspace(-1.5, 2.0, 7)
+    for derivative in (1, 2):
+        step = (common.at(time + 1e-4, derivative - 1) - common.at(time - 1e-4, derivative - 1)) / 2e-4
+        assert np.abs(common.at(time, derivative) - step).max() < 1e-7
+    powers = common.taylor(8)
+    assert np.abs(np.polynomial.polynomial.polyval(time, powers) - common.at(time)).max() < 1e-12
+
+
+# ---------------------------------------------------------------- measured
+
+POINTS = ((-27.8, 38.8), (-15.5, 21.6))  # m: the two that look like points
+
+
+@pytest.fixture(scope="module")
+def measured() -> list[Path]:
+    folder = os.environ.get("BLOCKSAR_DATA")
+    if not folder:
+        pytest.skip("BLOCKSAR_DATA does not say where measured data are")
+    files = sorted((Path(folder) / "gotcha").glob("*.mat"))
+    if len(files) < 4:
+        pytest.skip(f"{folder} has no gotcha/ with four files")
+    return files[:4]
+
+
+@pytest.fixture(scope="module")
+def store(measured: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("gotcha") / "ph.zarr"
+    api.ingest("gotcha", measured, path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def reference(store: Path) -> np.ndarray:
+    """Exact back-projection of the whole scene."""
+    history = stores.open_phase_history(store)
+    axis = -50 + 0.125 * np.arange(800)
+    geometry = Geometry(collection=history.collection.centred())
+    return form_image(lambda pulses: history.read(pulses, slice(None)), geometry, axis, axis, threads=1)
+
+
+def test_measured_figures(measured: list[Path], tmp_path: Path) -> None:
+    made = gotcha.ingest(measured[::-1], tmp_path / "ph.zarr")
+    assert made.collection.n_pulse == 469 and made.collection.n_range_frequency == 424
+    track = Geometry(collection=made.collection).track
+    assert track.order <= 6 and track.max_misfit < 2e-3
+    assert any("number serves as slow time" in line for line in made.said)
+    assert any("its rounding" in line for line in made.said)
+
+
+def test_measured_sign_and_reference(store: Path, reference: np.ndarray, measured: list[Path]) -> None:
+    """The two points lie where they are, and are brightest with the reference range that is written."""
+    history = stores.open_phase_history(store)
+    collection = history.collection.centred()
+    signal = history.read(slice(None), slice(None))
+    rounded = np.concatenate([gotcha._read(gotcha.place(path)).r0 for path in measured])
+    axis = -50 + 0.125 * np.arange(800)
+    for x, y in POINTS:
+        near = np.hypot(axis[None, :] - x, axis[:, None] - y) < 3
+        opposite = np.hypot(axis[None, :] + x, axis[:, None] + y) < 3
+        assert np.abs(reference[near]).max() > 10 * np.abs(reference[opposite]).max()
+
+    def power(reference_range: np.ndarray) -> float:
+        geometry = Geometry(collection=replace(collection, reference_range=reference_range))
+        offset = np.arange(-0.4, 0.4, 0.02)
+        images = (form_image(lambda p: signal[p], geometry, x + offset, y + offset, threads=1) for x, y in POINTS)
+        return float(sum(np.abs(image).max() ** 2 for image in images))
+
+    assert power(collection.reference_range) > 1.01 * power(rounded)
+
+
+@pytest.mark.parametrize("processor", ["angular-division", "keystone-resampling"])
+def test_measured_image_is_that_of_back_projection(
+    store: Path, reference: np.ndarray, tmp_path: Path, processor: Any
+) -> None:
+    axis = (-50.0, 50.0, 0.125)
+    api.focus(store, tmp_path / "run", processor=processor, grid=(axis, axis), workers=1, threads=1)
+    image = api.open(tmp_path / "run").image.values
+    assert np.isfinite(image).all()
+    found = coherence(image, reference)
+    assert abs(found.coherence) > 0.997
+    assert found.gain == pytest.approx(1, abs=0.01) and abs(found.phase) < 0.01
+    # Cars and points stand out: of one scene, much brighter than the ground's middle.
+    power = np.abs(image) ** 2
+    assert np.quantile(power, 0.999) > 100 * np.median(power)
+    targets = [Target(f"point {i}", x, y, 1.0) for i, (x, y) in enumerate(POINTS)]
+    ours = api.quality(tmp_path / "run", targets=targets).result
+    stores.write_region(tmp_path / "run" / "image.zarr", "image", (slice(0, 800), slice(0, 800)), reference)
+    theirs = api.quality(tmp_path / "run", targets=targets).result
+    for a, b in zip(ours["targets"], theirs["targets"], strict=True):
+        for width in ("range_irw", "azimuth_irw"):
+            assert a[width] == pytest.approx(b[width], rel=0.02), (a, b)
+
+
+def test_wavelength_of_the_set(store: Path) -> None:
+    assert stores.open_phase_history(store).collection.wavelength == pytest.approx(SPEED_OF_LIGHT / 9.599e9, rel=1e-3)
