@@ -423,9 +423,9 @@ def test_files_that_do_not_belong_together_are_refused(tmp_path: Path) -> None:
 
 
 def test_pulses_too_uneven_to_resample_are_refused(tmp_path: Path) -> None:
-    triples = 3 * np.repeat(np.arange(60), 3) + np.tile([0, 0.05, 2], 60)  # two of three are as good as one
+    azimuth = STEP * np.sort(np.random.default_rng(1).uniform(0, 200, 200))  # wherever chance has it
     with pytest.raises(InputError, match="so unevenly in azimuth"):
-        gotcha.ingest(written(tmp_path, circle(STEP * triples)), tmp_path / "ph.zarr")
+        gotcha.ingest(written(tmp_path, circle(azimuth)), tmp_path / "ph.zarr")
 
 
 @pytest.mark.parametrize("count", [1 << 30, -1, 19])
@@ -493,7 +493,7 @@ GRID = Grid(-20, 20, 0.5, -20, 20, 0.5)
 def test_what_all_targets_have_in_common_is_no_phase_error(bumpy: Collection, monkeypatch: pytest.MonkeyPatch) -> None:
     made = plan_collection(bumpy, blocks=1, grid=GRID)
     prediction = made.blocks[0].prediction
-    assert prediction.residual_phase < 0.01 and prediction.migration < 0.1
+    assert prediction.residual_phase < 0.01 and prediction.migration < 0.03  # cells of 2 m
     assert np.abs(made.recovery.common.series).sum() == pytest.approx(0.003, rel=0.05)
     # Azimuth steps have no terms of such orders: left to them, it would be there in full.
     monkeypatch.setattr(recovery_plan, "COMMON_LEAST", np.inf)
