@@ -34,6 +34,7 @@ from blocksar.steps import Step
 
 TAP_ERROR = 1e-4  # of the interpolation along azimuth: keystone and Doppler resampling
 PACE_ORDER = 4  # of the pace along Doppler of the lines whose range curvature is corrected there
+RATE_FLOOR = 1e-3  # of the largest Doppler rate
 PACE_FLOOR = 0.05  # of the largest Doppler: at zero Doppler nothing walks, and any pace would do
 
 
@@ -102,8 +103,8 @@ class Binding:
         self.half = float(np.abs(line.doppler).max())
         z = (line.doppler / self.half).ravel()
         weight = np.abs(z) + PACE_FLOOR
-        with np.errstate(divide="ignore"):
-            pace = (1 / line.rate).ravel()
+        # Where acceleration cancels the Doppler rate there is no pace to follow: the plan will say what that costs.
+        pace = (line.rate / np.maximum(line.rate**2, (RATE_FLOOR * np.abs(line.rate).max()) ** 2)).ravel()
         self.pace = least_squares(weight * z ** np.arange(PACE_ORDER + 1)[:, None], weight * pace)
 
     def _step(self, kind: type[Step]) -> Step:

@@ -92,4 +92,4 @@ def _figures(contender: Contender) -> str:
 
 
 def _failing(contender: Contender) -> str:
-    return contender.refusal or _figures(contender)
+    return contender.refusal or "" if contender.plan is None else _figures(contender)
