@@ -155,6 +155,10 @@ class Binding:
             line = step.trace(line)
         return line
 
+    def perturbed(self, line: Line) -> Line:
+        """After range compression and the time perturbation: what goes into Doppler."""
+        return line.multiply_time(*self.polynomials.time.evaluate(line.range.mean(axis=-1), line.time))
+
     def trace_azimuth(self, line: Line) -> Line:
         """After range compression."""
         for step in self.steps()[self._compressed :]:

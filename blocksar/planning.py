@@ -90,6 +90,7 @@ class Prediction(NamedTuple):
     width: float  # azimuth width over the dwell's limit
     migration: float  # range resolution cells over the dwell
     resolution: float  # azimuth, m
+    loss: float  # part of a dwell that dispersion takes from its ends
 
     @property
     def excess(self) -> float:
@@ -211,7 +212,8 @@ def plan_block(
 
     # Fine lines through the whole chain: for the gate, the place of every target, and the prediction.
     fine_range, fine_yaw = _end_nodes(near, far, 13), _end_nodes(low, high, 33)
-    fine = chain.trace_azimuth(chain.trace_range(recovered(fine_range[:, None], fine_yaw)))
+    compressed = chain.trace_range(recovered(fine_range[:, None], fine_yaw))
+    fine = chain.trace_azimuth(compressed)
     found = focus(fine)
     gate = _plan_gate(fine, found, rows=rows, slow=axes.long_time)
     image_centre = float((spots.doppler.min() + spots.doppler.max()) / 2)
@@ -241,7 +243,7 @@ def plan_block(
         n_bin=slab.doppler.size,
         chain=chain.bound(final),
         ground=ground,
-        prediction=_predict(fine, found, fine_range, fine_yaw, geometry),
+        prediction=_predict(fine, found, fine_range, fine_yaw, geometry, rate=chain.perturbed(compressed).rate),
         memory=_memory(
             gate=range_gate,
             frequency=frequency,
@@ -334,7 +336,7 @@ def _plan_axes(
     Of the recovered signal only what the block's targets are lit in is kept: the rest of the aperture lit others.
     """
     row, polynomials = straight.range.mean(axis=-1), chain.polynomials
-    perturbed = straight.multiply_time(*polynomials.time.evaluate(row, straight.time))
+    perturbed = chain.perturbed(straight)
     shift = polynomials.resampling.evaluate(row, perturbed.doppler)
     resampled = perturbed.resample_doppler(*shift, middle=polynomials.middle)
     start = slab.doppler.start - slab.walk
@@ -503,7 +505,7 @@ def _cheapest(line: Line, chain: Binding, *, ranges: FloatArray, wavelength: flo
         chain.polynomials = fitting.fit(
             part, ranges=ranges[some], candidate=candidate, freedom=freedom, wavelength=wavelength, roughly=True
         )
-        biased = part.multiply_time(*chain.polynomials.time.evaluate(part.range.mean(axis=-1), part.time))
+        biased = chain.perturbed(part)
         traced = chain.trace_azimuth(part)
         spread = biased.rate * part.weight.sum(axis=-1, keepdims=True) ** 2
         if traced.folded or not np.isfinite(traced.time).all():
@@ -527,7 +529,10 @@ def _pick(values: FloatArray, which: NDArray[np.intp], size: int) -> FloatArray:
     return values[which] if values.shape[0] == size else values
 
 
-def _predict(line: Line, found: Focus, rng: FloatArray, yaw: FloatArray, geometry: Geometry) -> Prediction:
+def _predict(
+    line: Line, found: Focus, rng: FloatArray, yaw: FloatArray, geometry: Geometry, *, rate: FloatArray
+) -> Prediction:
+    """The worst of traced lines; `rate` is theirs ahead of what is done in Doppler."""
     range_cell = SPEED_OF_LIGHT / (2 * geometry.collection.bandwidth)
     full = found.residual
     worst = np.unravel_index(int(np.argmax(full)), full.shape)
@@ -551,6 +556,7 @@ def _predict(line: Line, found: Focus, rng: FloatArray, yaw: FloatArray, geometr
         width=_width(response) / _width(ideal),
         migration=float(found.migration.max() / range_cell),
         resolution=float(width[rng.size // 2, middle] * ground[rng.size // 2]),
+        loss=float(fitting.end_loss(line, rate).max()),
     )
 
 
