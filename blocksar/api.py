@@ -274,7 +274,7 @@ def _plan_automatic(contenders: list[Contender]) -> Report:
     least = min(c.plan.work() for c in contenders if c.plan is not None)
     header = (
         "processor", "blocks", "residual phase (rad)", "quadratic (rad)", "PSLR (dB)", "width / limit",
-        "migration (cells)", "work", "memory (MiB)", "within its budgets",
+        "migration (cells)", "dwell lost (%)", "work", "memory (MiB)", "within its budgets",
     )  # fmt: skip
     rows = [_contender_row(c, least) for c in contenders]
     if best is None or best.plan is None:
@@ -291,12 +291,12 @@ def _plan_automatic(contenders: list[Contender]) -> Report:
 def _contender_row(contender: Contender, least: float) -> list[str]:
     made = contender.plan
     if made is None:
-        return [contender.processor, *["-"] * 8, "no"]
+        return [contender.processor, *["-"] * 9, "no"]
     p = contender.worst.prediction
     return [
         contender.processor, str(made.n_blocks), f"{p.residual_phase:.4f}", f"{p.quadratic_phase:.4f}", f"{p.pslr:.2f}",
-        f"{p.width:.3f}", f"{p.migration:.3f}", f"{made.work() / least:.2f}", f"{made.memory / MIB:.0f}",
-        "yes" if contender.serves else "no",
+        f"{p.width:.3f}", f"{p.migration:.3f}", f"{100 * contender.loss:.1f}", f"{made.work() / least:.2f}",
+        f"{made.memory / MIB:.0f}", "yes" if contender.serves else "no",
     ]  # fmt: skip
 
 

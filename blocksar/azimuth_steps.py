@@ -16,7 +16,7 @@ from blocksar import fourier
 from blocksar.fourier import Axis
 from blocksar.lines import Line, RowPolynomial
 from blocksar.parameters import ComplexArray, FloatArray
-from blocksar.phase import Phase, tap_polynomials
+from blocksar.phase import Phase, tap_polynomials, through_nodes
 from blocksar.rows import Operation, Resample, Transform, Turn, Window
 from blocksar.steps import Step
 
@@ -168,7 +168,7 @@ class DopplerResampling(_AzimuthStep):
         for _ in range(NEWTON_STEPS):
             offset, slope, _ = self.shift.evaluate(ranges, f)
             f -= (f + offset - wanted) / (1.0 + slope)
-        return np.asarray(np.linalg.solve(np.vander(nodes, increasing=True), self.doppler.position(f).T).T)
+        return through_nodes(self.doppler.position(f).T).T
 
     def trace(self, line: Line) -> Line:
         return line.resample_doppler(*self.shift.evaluate(_mean_range(line), line.doppler), middle=self.middle)

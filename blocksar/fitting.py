@@ -276,6 +276,11 @@ def levenberg_marquardt(
     return x
 
 
+def least_squares(terms: FloatArray, values: FloatArray) -> FloatArray:
+    """x of least |sum_k x_k terms_k - values|, terms (n, m) and values (m,): the same bits every time, as above."""
+    return _damped_step(terms, -values, 0.0)
+
+
 def _damped_step(rows: FloatArray, fault: FloatArray, damping: float) -> FloatArray:
     """Least squares of rows^T step = -fault, with sqrt(damping) step = 0 below it."""
     n = rows.shape[0]

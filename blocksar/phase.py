@@ -117,6 +117,25 @@ class Phase:
         return np.asarray(self.coefficients @ move)
 
 
+def through_nodes(values: FloatArray) -> FloatArray:
+    """Power coefficients (n, ...) of the polynomial through values (n, ...) at Chebyshev's nodes, `chebpts1(n)`.
+
+    Sum by sum, and not by a matrix product or a solver: their last bits depend on where operands lie in memory, and a
+    task that is done again has to give the same bytes.
+    """
+    n = values.shape[0]
+    nodes = chebyshev.chebpts1(n)
+    found = np.zeros_like(values)
+    for j in range(n):
+        along = np.polynomial.chebyshev.Chebyshev.basis(j)
+        share = np.zeros(values.shape[1:])
+        for node, value in zip(nodes, values, strict=True):
+            share = share + along(node) * value
+        for order, coefficient in enumerate(chebyshev.cheb2poly(along.coef)):
+            found[order] += coefficient * (1 if j == 0 else 2) / n * share
+    return found
+
+
 @lru_cache(maxsize=32)
 def unit(n: int) -> FloatArray:
     """An axis' own variable, (i - n // 2) / (n / 2), (n,) float64; read-only."""

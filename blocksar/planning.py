@@ -18,17 +18,9 @@ from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
 from blocksar import closed_form, fitting, fourier
-from blocksar.azimuth_steps import (
-    AzimuthTransform,
-    Deramp,
-    DopplerResampling,
-    DopplerTransform,
-    DwellGate,
-    FrequencyPerturbation,
-    TimePerturbation,
-)
-from blocksar.chains import steps_of
-from blocksar.fitting import AzimuthPolynomials, Candidate, Freedom
+from blocksar.azimuth_steps import DopplerTransform, DwellGate
+from blocksar.binding import Axes, Binding, Slab
+from blocksar.fitting import Candidate
 from blocksar.fourier import Axis
 from blocksar.geometry import Geometry
 from blocksar.ground import YAW_STEPS, GroundMap, surfaces
@@ -36,15 +28,7 @@ from blocksar.lines import Focus, Line, RowPolynomial, focus
 from blocksar.method import Method
 from blocksar.parameters import SINC_PSLR, SINC_WIDTH, SPEED_OF_LIGHT, Collection, FloatArray, InputError
 from blocksar.phase import taps_needed
-from blocksar.range_steps import (
-    Compression,
-    DopplerCompression,
-    Keystone,
-    RangeCompression,
-    RangeGate,
-    ResidualRangeWalk,
-    TimeDomainCompression,
-)
+from blocksar.range_steps import RangeGate, ResidualRangeWalk
 from blocksar.recovery import Recovery
 from blocksar.recovery_plan import middle_line, plan_recovery, recovered_line, tail_margin
 from blocksar.region import (
@@ -65,15 +49,12 @@ SIDE_LOBE_BUDGET = 0.2  # dB that the highest side lobe may change: a quartic ph
 MIGRATION_BUDGET = 0.25  # range resolution cells over the dwell
 TAP_ERROR = 1e-3
 DEFAULT = Method()
-KEYSTONE_ERROR = 1e-4
 TIME_GUARD = 0.1  # of a dwell, kept on either side of what a block's targets are lit in
 RANGE_GUARD = 48  # range cells on either side of a sub-block, for the side lobes of what lies at its ends
 # Oversampling of a focused block: twelve taps in range and eight in Doppler then err by less than TAP_ERROR.
 RANGE_ROOM = 1.42
 GATE_ROOM = 1.62  # dwells that the Doppler sampling makes room for
 RANGE_STEPS = 4  # of the iteration for targets that share an apparent range
-PACE_ORDER = 4  # of the pace along Doppler of the lines whose range curvature is corrected there
-PACE_FLOOR = 0.05  # of the largest Doppler: at zero Doppler nothing walks, and any pace would do
 RESAMPLING_ROOM = 1.35  # of the time to be transformed: Doppler is then sampled densely enough to interpolate
 MAX_BLOCKS = 32
 MOST_BLOCKS = 1000  # that may be asked for
@@ -109,6 +90,7 @@ class Prediction(NamedTuple):
     width: float  # azimuth width over the dwell's limit
     migration: float  # range resolution cells over the dwell
     resolution: float  # azimuth, m
+    loss: float  # part of a dwell that dispersion takes from its ends
 
     @property
     def excess(self) -> float:
@@ -208,7 +190,7 @@ def plan_block(
         frequency = range_gate.range_frequency
     period = fourier.fast_length(RANGE_ROOM * frequency.size)
     row_step = SPEED_OF_LIGHT / (2 * frequency.step * period)
-    chain = _Chain(method, range_gate, slab=slab, carrier=collection.carrier, range_frequency=frequency)
+    chain = Binding(method, range_gate, slab=slab, carrier=collection.carrier, range_frequency=frequency)
     reference = fitting.range_series(geometry, np.array((near + far) / 2), np.array((low + high) / 2), order=8)
     chain.reference = np.asarray(reference - recovery.common.taylor(8))
     chain.follow(chain.trace_walk(line))
@@ -236,7 +218,8 @@ def plan_block(
 
     # Fine lines through the whole chain: for the gate, the place of every target, and the prediction.
     fine_range, fine_yaw = _end_nodes(near, far, 13), _end_nodes(low, high, 33)
-    fine = chain.trace_azimuth(chain.trace_range(recovered(fine_range[:, None], fine_yaw)))
+    compressed = chain.trace_range(recovered(fine_range[:, None], fine_yaw))
+    fine = chain.trace_azimuth(compressed)
     found = focus(fine)
     gate = _plan_gate(fine, found, rows=rows, slow=axes.long_time)
     image_centre = float((spots.doppler.min() + spots.doppler.max()) / 2)
@@ -266,7 +249,7 @@ def plan_block(
         n_bin=slab.doppler.size,
         chain=chain.bound(final),
         ground=ground,
-        prediction=_predict(fine, found, fine_range, fine_yaw, geometry),
+        prediction=_predict(fine, found, fine_range, fine_yaw, geometry, rate=chain.perturbed(compressed).rate),
         memory=_memory(
             gate=range_gate,
             frequency=frequency,
@@ -306,23 +289,13 @@ def _end_nodes(low: float, high: float, count: int) -> FloatArray:
     return low + (high - low) * (1 - np.cos(np.pi * np.arange(count) / (count - 1))) / 2
 
 
-class _Slab(NamedTuple):
-    """A block's part of the recovered spectrum."""
-
-    first_bin: int
-    doppler: Axis
-    walk: float  # Hz on the carrier: the middle of the block's Doppler
-    margin: float  # Hz
-    band_edge: float  # of the range frequencies, over the carrier
-
-
-def _plan_slab(collection: Collection, spectrum: Axis, line: Line, *, margin: float) -> _Slab:
+def _plan_slab(collection: Collection, spectrum: Axis, line: Line, *, margin: float) -> Slab:
     band_edge = float(np.abs(collection.range_frequency).max() / collection.carrier)
     band = np.outer([1 - band_edge, 1 + band_edge], [line.doppler.min(), line.doppler.max()])
     first_bin = max(int(np.floor(spectrum.position(np.array(band.min() - margin)))), 0)
     last_bin = min(int(np.ceil(spectrum.position(np.array(band.max() + margin)))) + 1, spectrum.size)
     walk = float((line.doppler.min() + line.doppler.max()) / 2)
-    return _Slab(first_bin, spectrum.part(first_bin, last_bin - first_bin), walk, margin, band_edge)
+    return Slab(first_bin, spectrum.part(first_bin, last_bin - first_bin), walk, margin, band_edge)
 
 
 def _plan_range_gate(full: Axis, slab: Axis, line: Line, carrier: float) -> RangeGate:
@@ -361,134 +334,15 @@ def _gate_length(needed: float, share: float, at_most: int) -> tuple[int, int]:
     return min(((n, round(n * share)) for n in lengths), key=lambda pair: abs(pair[1] / pair[0] / share - 1))
 
 
-class _Chain:
-    """A block's chain while it is being planned: constants are put in as they become known.
-
-    Lines do not ask how time, Doppler and rows are sampled, so they can go through steps whose axes are not known yet.
-    """
-
-    def __init__(
-        self, method: Method, gate: RangeGate | None, *, slab: _Slab, carrier: float, range_frequency: Axis
-    ) -> None:
-        self.method, self.kinds, self.gate, self.slab = method, steps_of(method), gate, slab
-        self.carrier, self.range_frequency = carrier, range_frequency
-        unknown = Axis(0.0, 1.0, 1)
-        self.axes = _Axes(time=unknown, occupancy=0.5, doppler=unknown, long_time=unknown, filled=0.5)
-        self.rows = unknown
-        self.reference: FloatArray = np.zeros(3)
-        self.pace: FloatArray = np.zeros(1)
-        self.half = 1.0
-        none = RowPolynomial(series=np.zeros((1, 1)), near=-1.0, far=1.0, centre=0.0, scale=1.0)
-        self.polynomials = AzimuthPolynomials(none, none, none, none, 0.0)
-
-    @property
-    def freedom(self) -> Freedom:
-        kinds = self.kinds
-        return Freedom(TimePerturbation in kinds, FrequencyPerturbation in kinds, DopplerResampling in kinds)
-
-    @property
-    def in_doppler(self) -> bool:
-        """Whether ranges are compressed at each Doppler, not at each time."""
-        return DopplerCompression in self.kinds
-
-    @property
-    def n_column(self) -> int:
-        """Samples of a row when ranges are compressed."""
-        return self.axes.doppler.size if self.in_doppler else self.axes.time.size
-
-    def follow(self, line: Line) -> None:
-        """Take the range curvature that DopplerCompression corrects from lines whose walk is out.
-
-        Their pace dt/df along Doppler, by least squares over all lines, weighed by the range walk that an error makes.
-        """
-        if not self.in_doppler:
-            return
-        self.half = float(np.abs(line.doppler).max())
-        z = (line.doppler / self.half).ravel()
-        weight = np.abs(z) + PACE_FLOOR
-        with np.errstate(divide="ignore"):
-            pace = (1 / line.rate).ravel()
-        basis = np.vander(z, PACE_ORDER + 1, increasing=True)
-        self.pace = np.asarray(np.linalg.lstsq(basis * weight[:, None], pace * weight, rcond=None)[0], np.float64)
-
-    def _step(self, kind: type[Step]) -> Step:
-        fc, f, axes, p = self.carrier, self.range_frequency, self.axes, self.polynomials
-        if kind is ResidualRangeWalk:
-            return ResidualRangeWalk(
-                slab=self.slab.doppler, time=axes.time, walk=self.slab.walk, carrier=fc, range_frequency=f
-            )
-        if kind is Keystone:
-            taps = taps_needed(axes.occupancy, error=KEYSTONE_ERROR)
-            return Keystone(time=axes.time, occupancy=axes.occupancy, taps=taps, carrier=fc, range_frequency=f)
-        if kind in (RangeCompression, TimeDomainCompression):
-            return kind(time=axes.time, reference=self.reference, rows=self.rows, carrier=fc, range_frequency=f)
-        if kind is DopplerCompression:
-            return DopplerCompression(
-                doppler=axes.doppler, pace=self.pace, half=self.half, rows=self.rows, carrier=fc, range_frequency=f
-            )
-        if kind is AzimuthTransform:
-            return AzimuthTransform(time=axes.time, doppler=axes.doppler, rows=f if self.in_doppler else self.rows)
-        if kind is TimePerturbation:
-            return TimePerturbation(time=axes.time, rows=self.rows, phases=p.time)
-        if kind is FrequencyPerturbation:
-            return FrequencyPerturbation(doppler=axes.doppler, rows=self.rows, phases=p.doppler)
-        if kind is DopplerResampling:
-            taps = taps_needed(axes.filled, error=KEYSTONE_ERROR)
-            return DopplerResampling(
-                doppler=axes.doppler, rows=self.rows, shift=p.resampling, middle=p.middle, taps=taps,
-                occupancy=axes.filled,
-            )  # fmt: skip
-        if kind is Deramp:
-            return Deramp(doppler=axes.doppler, time=axes.long_time, rows=self.rows, phases=p.deramp)
-        raise ValueError(f"{kind.__name__} is not a step that is bound here")
-
-    def steps(self) -> list[Step]:
-        """All but the final transform, which moves no line."""
-        return [self._step(kind) for kind in self.kinds if kind is not DopplerTransform]
-
-    def bound(self, final: DopplerTransform) -> tuple[Step, ...]:
-        """The chain as it will be applied."""
-        return (*(() if self.gate is None else (self.gate,)), *self.steps(), final)
-
-    def trace_walk(self, line: Line) -> Line:
-        return self._step(ResidualRangeWalk).trace(line)
-
-    def trace_range(self, line: Line) -> Line:
-        """Up to range compression."""
-        for step in self.steps()[: self._compressed]:
-            line = step.trace(line)
-        return line
-
-    def trace_azimuth(self, line: Line) -> Line:
-        """After range compression."""
-        for step in self.steps()[self._compressed :]:
-            line = step.trace(line)
-        return line
-
-    @property
-    def _compressed(self) -> int:
-        return 1 + next(i for i, kind in enumerate(self.kinds) if issubclass(kind, Compression))
-
-
-class _Axes(NamedTuple):
-    """Sampling of a block's azimuth: as it comes out of the slab, and lengthened for deramping."""
-
-    time: Axis
-    occupancy: float  # part of that sampling rate which the slab fills
-    doppler: Axis
-    long_time: Axis
-    filled: float  # part of the lengthened time that the samples fill
-
-
 def _plan_axes(
-    recovery: Recovery, slab: _Slab, straight: Line, focused: Line, chain: _Chain, *, duration: float
-) -> _Axes:
+    recovery: Recovery, slab: Slab, straight: Line, focused: Line, chain: Binding, *, duration: float
+) -> Axes:
     """Sampling for the band that the time perturbation leaves, and for the longest reach of any line in time.
 
     Of the recovered signal only what the block's targets are lit in is kept: the rest of the aperture lit others.
     """
     row, polynomials = straight.range.mean(axis=-1), chain.polynomials
-    perturbed = straight.multiply_time(*polynomials.time.evaluate(row, straight.time))
+    perturbed = chain.perturbed(straight)
     shift = polynomials.resampling.evaluate(row, perturbed.doppler)
     resampled = perturbed.resample_doppler(*shift, middle=polynomials.middle)
     start = slab.doppler.start - slab.walk
@@ -513,7 +367,7 @@ def _plan_axes(
     room = RESAMPLING_ROOM if chain.freedom.resampling else 1.0
     n_padded = fourier.fast_length(max((end - begin) / step, room * n_time))
     middle = polynomials.middle
-    return _Axes(
+    return Axes(
         time=time,
         occupancy=min(step * slab.doppler.extent, 0.95),
         doppler=fourier.dual(time, size=n_padded, centre=(min(bands) + max(bands)) / 2),
@@ -624,7 +478,7 @@ def _local_occupancy(line: Line, found: Focus, doppler: Axis) -> float:
 def _choose(
     geometry: Geometry,
     line: Line,
-    chain: _Chain,
+    chain: Binding,
     *,
     ranges: FloatArray,
     epoch_range: FloatArray,
@@ -645,7 +499,7 @@ def _choose(
     return chosen
 
 
-def _cheapest(line: Line, chain: _Chain, *, ranges: FloatArray, wavelength: float) -> Candidate:
+def _cheapest(line: Line, chain: Binding, *, ranges: FloatArray, wavelength: float) -> Candidate:
     freedom = chain.freedom
     some = np.array([0, ranges.size // 2, ranges.size - 1])
     part = Line(**{name: _pick(getattr(line, name), some, ranges.size) for name in Line.__dataclass_fields__})
@@ -657,7 +511,7 @@ def _cheapest(line: Line, chain: _Chain, *, ranges: FloatArray, wavelength: floa
         chain.polynomials = fitting.fit(
             part, ranges=ranges[some], candidate=candidate, freedom=freedom, wavelength=wavelength, roughly=True
         )
-        biased = part.multiply_time(*chain.polynomials.time.evaluate(part.range.mean(axis=-1), part.time))
+        biased = chain.perturbed(part)
         traced = chain.trace_azimuth(part)
         spread = biased.rate * part.weight.sum(axis=-1, keepdims=True) ** 2
         if traced.folded or not np.isfinite(traced.time).all():
@@ -681,7 +535,10 @@ def _pick(values: FloatArray, which: NDArray[np.intp], size: int) -> FloatArray:
     return values[which] if values.shape[0] == size else values
 
 
-def _predict(line: Line, found: Focus, rng: FloatArray, yaw: FloatArray, geometry: Geometry) -> Prediction:
+def _predict(
+    line: Line, found: Focus, rng: FloatArray, yaw: FloatArray, geometry: Geometry, *, rate: FloatArray
+) -> Prediction:
+    """The worst of traced lines; `rate` is theirs ahead of what is done in Doppler."""
     range_cell = SPEED_OF_LIGHT / (2 * geometry.collection.bandwidth)
     full = found.residual
     worst = np.unravel_index(int(np.argmax(full)), full.shape)
@@ -705,6 +562,7 @@ def _predict(line: Line, found: Focus, rng: FloatArray, yaw: FloatArray, geometr
         width=_width(response) / _width(ideal),
         migration=float(found.migration.max() / range_cell),
         resolution=float(width[rng.size // 2, middle] * ground[rng.size // 2]),
+        loss=float(fitting.end_loss(line, rate).max()),
     )
 
 

@@ -210,8 +210,7 @@ class Compression(Step):
         centre, scale = f.centre, f.step * f.size / 2
         nodes = chebyshev.chebpts1(phase.MAX_ORDER + 1)
         cycles = function(1 + (centre + scale * nodes) / self.carrier)
-        series = np.asarray(np.linalg.solve(np.vander(nodes, increasing=True), cycles), dtype=np.float64)
-        return Phase(_trimmed(series.T), centre, scale)
+        return Phase(_trimmed(phase.through_nodes(cycles).T), centre, scale)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

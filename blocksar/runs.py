@@ -24,7 +24,7 @@ from blocksar.stores import Array
 
 Receipt = dict[str, Any]
 
-FORMAT = 2  # of run folders: a run of another format is not resumed
+FORMAT = 3  # of run folders: a run of another format is not resumed
 OWN = (
     "run.json",
     "collection.zarr",
@@ -280,17 +280,19 @@ def existing(folder: Place, settings: Mapping[str, Any], fingerprint: str, *, ov
         record = stores.read_json(folder / "run.json")
         stored = record["settings"]
         different = {name: stored.get(name) for name in settings if stored.get(name) != settings[name]}
-        same = record["format"] == FORMAT and record["input"]["fingerprint"] == fingerprint
+        form, known = record["format"], record["input"]["fingerprint"]
         divided = record["plan"]["blocks"], record["plan"]["parts"]
         sound = record["status"] in (FINISHED, UNFINISHED) and all(n is None or n >= 1 for n in divided)
     except (InputError, KeyError, TypeError, AttributeError):
         sound = False
     if not sound:
         raise InputError(f"{folder / 'run.json'} cannot be read; use --overwrite, or choose another --out")
-    if different:
+    if form != FORMAT:
+        why = f"format {form!r}"
+    elif different:
         why = ", ".join(f"{name} {value!r}" for name, value in different.items())
-    elif not same:
-        why = "another input" if record["format"] == FORMAT else f"format {record['format']!r}"
+    elif known != fingerprint:
+        why = "another input"
     else:
         return dict(record)
     raise InputError(

@@ -23,7 +23,7 @@ GROUND = {"parameters", "fourier", "geometry"}
 KERNELS = GROUND | {"lanes", "phase", "rows", "lines"}
 STEPS = {"range_steps", "azimuth_steps"}
 MEASURES = {"recovery", "ground", "backprojection", "measurement"}
-PLANS = {"fitting", "closed_form", "region", "recovery_plan", "chains", "planning", "choice"}
+PLANS = {"fitting", "closed_form", "region", "recovery_plan", "chains", "binding", "planning", "choice"}
 FILES = {"places", "stores", "runs"}
 BELOW_GRAPH = KERNELS | STEPS | MEASURES | {"method", "steps", "inspection"} | PLANS | FILES | {"cluster"}
 INGEST = {"resampling", "cphd", "matfile", "gotcha"}
@@ -64,9 +64,10 @@ ARROWS: dict[str, set[str]] = {
     "region": {"parameters", "geometry"},
     "recovery_plan": KERNELS | {"recovery", "region"},
     "chains": STEPS | {"method", "steps"},
+    "binding": KERNELS | STEPS | {"method", "steps", "chains", "fitting"},
     "planning": KERNELS
     | STEPS
-    | {"method", "steps", "chains", "fitting", "closed_form", "ground", "recovery", "region", "recovery_plan"},
+    | {"method", "steps", "binding", "fitting", "closed_form", "ground", "recovery", "region", "recovery_plan"},
     "choice": {"parameters", "method", "planning"},
     "cluster": {"parameters", "ground"},
     "graph": BELOW_GRAPH,

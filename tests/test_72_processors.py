@@ -114,7 +114,7 @@ def with_targets(text: str, at: dict[str, tuple[float, float]]) -> str:
 
 def with_clutter(text: str, plan: Plan) -> str:
     """Clutter all over the image: more than its grid would span more Doppler than the PRF of paper B holds."""
-    text += "\n[clutter]\nscatterers = 100000\nseed = 3\n"
+    text += "\n[clutter]\nscatterers = 30000\nseed = 3\n"
     if plan.geometry.collection.steered:
         return text
     return text + f"x = [{plan.grid.x0}, {plan.grid.x1}]\ny = [{plan.grid.y0}, {plan.grid.y1}]\n"

@@ -1,0 +1,269 @@
+"""Coefficients of the azimuth steps: derivatives of the fit, closed forms against what they were derived from."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from blocksar import closed_form, fitting, fourier, phase
+from blocksar.fitting import Candidate, Freedom
+from blocksar.lines import Line, focus
+from blocksar.parameters import SPEED_OF_LIGHT, FloatArray
+from blocksar.range_steps import DopplerCompression
+
+CARRIER = 15e9
+LAMBDA = SPEED_OF_LIGHT / CARRIER
+SPEED, SQUINT = 300.0, np.radians(50.0)  # m/s, from broadside
+SIN, COS = np.sin(SQUINT), np.cos(SQUINT)
+
+# ---------------------------------------------------------------- lines of a squinted straight track
+
+
+def history(time: FloatArray, crossing_range: FloatArray, place: FloatArray) -> FloatArray:
+    """R(t) of a target that the beam's centre crosses at place / SPEED, after range-walk correction."""
+    along = SPEED * time - place
+    return np.sqrt(crossing_range**2 + along**2 - 2 * crossing_range * along * SIN) + SPEED * SIN * time
+
+
+def straight_lines(cell: float, places: FloatArray, *, dwell: float = 2.0) -> Line:
+    """(n_place, 24) lines of targets that share an output range, R' = R0 + place sin(squint); all lit about t = 0."""
+    node, weight = np.polynomial.legendre.leggauss(24)
+    time = np.broadcast_to(node * dwell / 2, (places.size, node.size))
+    place = places[:, None]
+    crossing_range = cell - place * SIN
+    along = SPEED * time - place
+    distance = np.sqrt(crossing_range**2 + along**2 - 2 * crossing_range * along * SIN)
+    pace = (SPEED * along - crossing_range * SPEED * SIN) / distance  # dR/dt
+    return Line(
+        time=time,
+        doppler=-2 / LAMBDA * (pace + SPEED * SIN),
+        rate=-2 / LAMBDA * (SPEED**2 - pace**2) / distance,
+        phase=-2 / LAMBDA * (distance + SPEED * SIN * time),
+        range=np.full_like(time, cell),
+        stretch=np.ones_like(time),
+        weight=np.broadcast_to(weight * dwell / 2, time.shape),
+    )
+
+
+def straight_series(cell: float, *, half: float = 500.0) -> FloatArray:
+    """k_nm (1, 5, 5) in place, at constant output range: by interpolation through exact power series in time."""
+    u = np.cos(np.pi * (np.arange(16) + 0.5) / 16)
+    rows = []
+    for place in half * u:
+        crossing_range = cell - place * SIN
+        squared = np.array([
+            crossing_range**2 + place**2 + 2 * crossing_range * place * SIN,
+            -2 * SPEED * (place + crossing_range * SIN), SPEED**2, 0, 0,
+        ])  # fmt: skip
+        k = np.zeros(5)
+        k[0] = np.sqrt(squared[0])
+        for n in range(1, 5):
+            k[n] = (squared[n] - (k[1:n] * k[n - 1 : 0 : -1]).sum()) / (2 * k[0])
+        k[1] += SPEED * SIN
+        rows.append(k)
+    powers = np.polynomial.polynomial.polyfit(u, np.array(rows), 9)[:5] / half ** np.arange(5)[:, None]
+    return powers.T[None]
+
+
+def levelled(line: Line, found: closed_form.Levelling) -> Line:
+    """Lines through the steps that closed-form coefficients (of one range) belong to."""
+
+    def polynomial(powers: FloatArray, values: FloatArray) -> Any:
+        series = np.polynomial.Polynomial(powers)
+        return series(values), series.deriv()(values), series.deriv(2)(values)
+
+    line = line.multiply_time(*polynomial(found.time[0], line.time))
+    line = line.multiply_doppler(*polynomial(found.doppler[0], line.doppler))
+    line = line.resample_doppler(*polynomial(found.resampling[0], line.doppler), middle=0.0)
+    return line.multiply_time(*polynomial(found.deramp[0], line.time))
+
+
+# ---------------------------------------------------------------- closed forms
+
+
+def test_high_order_phase_of_the_straight_track() -> None:
+    """The general form, fed with the squinted hyperbola, is paper C's in R', v and theta_0."""
+    cell = 15e3
+    found = closed_form.corrected(straight_series(cell), wavelength=LAMBDA)
+    wanted = -cell * LAMBDA**2 * SIN / (12 * SPEED**3 * COS**4)
+    assert found.doppler[0, 3] == pytest.approx(wanted, rel=1e-6)
+    wanted = -cell * LAMBDA**3 * (3 + 7 * SIN**2) / (192 * SPEED**4 * COS**6)
+    assert found.doppler[0, 4] == pytest.approx(wanted, rel=1e-5)
+    assert found.deramp[0, 2] == pytest.approx(SPEED**2 * COS**2 / (LAMBDA * cell), rel=1e-9)
+    assert found.deramp[0, 3] == pytest.approx(SPEED**3 * SIN * COS**2 / (3 * LAMBDA * cell**2), rel=1e-6)
+    # Of paper A's (30) the cubic term is the same, in any coordinate of azimuth.
+    printed = closed_form.printed(straight_series(cell), wavelength=LAMBDA)
+    assert printed.doppler[0, 3] == pytest.approx(found.doppler[0, 3], rel=1e-6)
+
+
+@pytest.mark.parametrize(("kind", "order"), [("corrected", 3), ("resampled", 3), ("deramped", 1)])
+def test_what_a_closed_form_leaves_falls_with_the_order_it_was_made_for(kind: str, order: int) -> None:
+    """The Doppler rate that is left grows as place^order: halved places leave 2^order less."""
+    k = straight_series(15e3)
+    settings = {"half_dwell": 1.0} if kind == "resampled" else {}
+    found = getattr(closed_form, kind)(k, wavelength=LAMBDA, **settings)
+    for side in (-1.0, 1.0):
+        line = levelled(straight_lines(15e3, side * np.array([100.0, 200.0, 400.0]), dwell=2e-3), found)
+        slope = np.abs(np.ptp(line.doppler, axis=1) / np.ptp(line.time, axis=1))
+        assert (slope[1:] > 0.75 * 2**order * slope[:-1]).all(), (kind, slope)
+
+
+def test_closed_forms_level_lines_that_a_deramp_does_not() -> None:
+    """Largest phase error over a dwell of 2 s, targets within 300 m: rad."""
+    k, line = straight_series(15e3), straight_lines(15e3, np.linspace(-300, 300, 7))
+    left = {
+        "deramped": closed_form.deramped(k, wavelength=LAMBDA),
+        "printed": closed_form.printed(k, wavelength=LAMBDA),
+        "corrected": closed_form.corrected(k, wavelength=LAMBDA),
+        "resampled": closed_form.resampled(k, wavelength=LAMBDA, half_dwell=1.0),
+    }
+    errors = {name: float(focus(levelled(line, found)).residual.max()) for name, found in left.items()}
+    assert errors["deramped"] > 10
+    assert errors["printed"] < 0.5
+    assert errors["corrected"] < 0.2
+    assert errors["resampled"] < 0.2
+
+
+def test_without_variation_there_is_nothing_to_perturb() -> None:
+    """Looking broadside r1 = 0: the time perturbation would be infinite, and is left out."""
+    k = np.zeros((1, 5, 5))
+    k[0, 0, 0], k[0, 1, 1], k[0, 2, 0] = 15e3, -300.0, 3.0
+    found = closed_form.resampled(k, wavelength=LAMBDA, half_dwell=1.0)
+    assert not found.time.any() and not found.resampling.any()
+    assert found.deramp[0, 2] == pytest.approx(2 * 3.0 / LAMBDA)
+
+
+# ---------------------------------------------------------------- the fit
+
+
+@pytest.mark.parametrize(
+    "freedom",
+    [
+        Freedom(True, True, False),
+        Freedom(True, False, True),
+        Freedom(False, True, False),
+        Freedom(False, False, False),
+        Freedom(True, True, True),
+    ],
+)
+def test_the_fit_s_derivatives(freedom: Freedom, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Against differences of the faults themselves, at a place where no term is zero."""
+    checked = []
+
+    def check(faults: Any, jacobian: Any, start: FloatArray, **_: Any) -> FloatArray:
+        rng = np.random.default_rng(len(checked))
+        x = start + 0.02 * rng.standard_normal(start.size)
+        found, step = jacobian(x), 1e-6
+        for i in range(x.size):
+            moved = np.eye(x.size)[i] * step
+            wanted = (faults(x + moved) - faults(x - moved)) / (2 * step)
+            np.testing.assert_allclose(found[i], wanted, atol=1e-5 * np.abs(wanted).max() + 1e-6)
+        checked.append(x.size)
+        return start
+
+    monkeypatch.setattr(fitting, "levenberg_marquardt", check)
+    line = straight_lines(15e3, np.linspace(-300, 300, 5))
+    whole = Line(**{name: np.stack([getattr(line, name)] * 2) for name in Line.__dataclass_fields__})
+    ranges = np.array([14.9e3, 15.1e3])
+    fitting.fit(whole, ranges=ranges, candidate=Candidate(0.0, freedom.time), freedom=freedom, wavelength=LAMBDA)
+    assert checked == [2 * freedom.time + 4 * freedom.doppler + 3 * freedom.resampling + 3] * 2
+
+
+@pytest.mark.parametrize("freedom", [Freedom(False, True, False), Freedom(True, False, True)])
+def test_the_fit_levels_lines_at_least_as_well_as_the_closed_form(freedom: Freedom) -> None:
+    line = straight_lines(15e3, np.linspace(-300, 300, 7))
+    k = straight_series(15e3)
+    found = (
+        closed_form.resampled(k, wavelength=LAMBDA, half_dwell=1.0)
+        if freedom.resampling
+        else closed_form.corrected(k, wavelength=LAMBDA)
+    )
+    whole = Line(**{name: np.stack([getattr(line, name)] * 2) for name in Line.__dataclass_fields__})
+    whole = whole.shift_range(np.array([-15e3, -14.9e3])[:, None, None])
+    ranges = np.array([0.0, 100.0])
+    fitted = fitting.fit(
+        whole, ranges=ranges, candidate=Candidate(0.0, freedom.time), freedom=freedom, wavelength=LAMBDA
+    )
+    row = whole.range.mean(axis=-1)
+    after = whole.multiply_time(*fitted.time.evaluate(row, whole.time))
+    after = after.multiply_doppler(*fitted.doppler.evaluate(row, after.doppler))
+    after = after.resample_doppler(*fitted.resampling.evaluate(row, after.doppler), middle=fitted.middle)
+    after = after.multiply_time(*fitted.deramp.evaluate(row, after.time))
+    assert focus(after).residual.max() < focus(levelled(line, found)).residual.max()
+
+
+def test_least_squares_is_least_squares() -> None:
+    rng = np.random.default_rng(1)
+    terms, values = rng.standard_normal((4, 50)), rng.standard_normal(50)
+    wanted = np.linalg.lstsq(terms.T, values, rcond=None)[0]
+    np.testing.assert_allclose(fitting.least_squares(terms, values), wanted, atol=1e-12)
+
+
+def test_power_coefficients_through_nodes() -> None:
+    rng = np.random.default_rng(2)
+    wanted = rng.standard_normal((10, 3))
+    nodes = np.polynomial.chebyshev.chebpts1(10)
+    found = phase.through_nodes(np.polynomial.polynomial.polyval(nodes, wanted).T)
+    np.testing.assert_allclose(found, wanted, atol=1e-11)
+
+
+# ---------------------------------------------------------------- range curvature in the 2-D frequency domain
+
+
+def phi(order: int, doppler: FloatArray) -> FloatArray:
+    """Phi_0, Phi_1, Phi_2 of paper C (4), as derived in `DopplerCompression`."""
+    g = doppler / (2 * SPEED) + SIN * CARRIER / SPEED_OF_LIGHT
+    root = np.sqrt((CARRIER / SPEED_OF_LIGHT) ** 2 - g**2)
+    if order == 1:
+        return (CARRIER / SPEED_OF_LIGHT - g * SIN) / (SPEED_OF_LIGHT * root)
+    return root if order == 0 else -(doppler**2) / (8 * SPEED**2 * SPEED_OF_LIGHT**2 * root**3)
+
+
+def spectrum_phase(frequency: float, doppler: float, crossing_range: float, place: float) -> float:
+    """Of exact samples' transform at a range frequency and a Doppler, cycles: a plain sum under a smooth window."""
+    time = (np.arange(1 << 15) - (1 << 14)) / 3000.0
+    window = np.exp(-(((time - place / SPEED) / 3.0) ** 8))
+    cycles = -2 * (CARRIER + frequency) / SPEED_OF_LIGHT * history(time, np.array(crossing_range), np.array(place))
+    cycles -= doppler * time
+    return float(np.angle((window * fourier.unit_phasor(cycles)).sum()) / (2 * np.pi)) + 1 / 8
+
+
+@pytest.mark.parametrize("frequency", [-75e6, 75e6])
+@pytest.mark.parametrize("place", [-400.0, 0.0, 300.0])
+def test_paper_c_s_spectrum_is_that_of_exact_samples(frequency: float, place: float) -> None:
+    crossing_range = 15e3
+    for doppler in (-120.0, -40.0, 0.0, 55.0, 120.0):
+        series = sum(phi(n, np.array(doppler)) * frequency**n for n in range(3))
+        wanted = -2 * place * SIN * frequency / SPEED_OF_LIGHT - 2 * crossing_range * COS * series
+        wanted -= 2 * crossing_range * SIN**2 / SPEED_OF_LIGHT * frequency
+        wanted -= (doppler + 2 * SPEED * SIN / LAMBDA) * (crossing_range * SIN + place) / SPEED
+        error = spectrum_phase(frequency, doppler, crossing_range, place) - wanted
+        assert abs(error - np.rint(error)) * 2 * np.pi < 0.05, (doppler, error)
+
+
+def test_on_a_straight_track_the_correction_is_paper_c_s() -> None:
+    """With the pace of the hyperbola: conjugate of Phi_1's change with Doppler and of Phi_2, to second order in f."""
+    crossing_range, half = 15e3, 400.0
+    doppler = fourier.centred(0.0, 2.0, 400)
+    frequency = fourier.centred(0.0, 5e6, 64)
+    f = np.linspace(-half, half, 200)
+    root = phi(0, f)
+    pace = -crossing_range * COS * (CARRIER / SPEED_OF_LIGHT) ** 2 / (2 * SPEED**2 * root**3)  # dt/df = R0 A'(f)
+    fitted = fitting.least_squares((f / half) ** np.arange(7)[:, None], pace)
+    step = DopplerCompression(
+        doppler=doppler, carrier=CARRIER, range_frequency=frequency, pace=fitted, half=half,
+        rows=fourier.dual(frequency, size=64, centre=0.0),
+    )  # fmt: skip
+    found = step.correction().cycles(frequency.values)
+    curvature = phi(1, doppler.values) - phi(1, np.zeros(1))
+    coupling = phi(2, doppler.values)
+    wanted = curvature[:, None] * frequency.values + coupling[:, None] * frequency.values**2
+    inside = np.abs(doppler.values) < half
+    difference = (found - 2 * crossing_range * COS * wanted)[inside]
+    assert np.abs(difference).max() < 2e-3
+    assert np.abs(2 * crossing_range * COS * coupling[:, None] * frequency.values**2).max() > 20e-3  # SRC is in it
+    # And what it moves in range, as lines are told.
+    moved = -SPEED_OF_LIGHT * crossing_range * COS * curvature
+    np.testing.assert_allclose(step.curvature(doppler.values)[inside], -moved[inside], atol=2e-3)
