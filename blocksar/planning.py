@@ -729,7 +729,7 @@ def _fewest_blocks(plan: Callable[..., Plan], workers: int) -> Plan:
         made = plan(count, probe=True)
         if made.excess() <= 1.0 and (whole := plan(count)).excess() <= 1.0:
             return whole
-        if _along_velocity(made.blocks) is not None:
+        if _folded(made.blocks) is not None:
             break
         # Margins do not shrink with the blocks: stop once more of them have brought nothing three times.
         excess = made.excess()
@@ -812,20 +812,41 @@ def _plan_blocks(
 
 def _refusal(blocks: Sequence[BlockPlan], method: Method) -> str | None:
     """Why a plan cannot be carried out, if so. A rival's blur is what one wants to see of it."""
-    return _along_velocity(blocks) or (None if method.rival else _blurred(blocks))
+    return _folded(blocks) or (None if method.rival else _blurred(blocks))
 
 
-def _along_velocity(blocks: Sequence[BlockPlan]) -> str | None:
-    """Looking along the velocity yaw and Doppler part company: no Fourier processor can tell yaws apart there."""
+def _folded(blocks: Sequence[BlockPlan]) -> str | None:
+    """Why yaws of a block share their Doppler, so that no transform tells them apart, if so.
+
+    Looking along the velocity they share it in the echo itself. Where the platform's acceleration cancels the Doppler
+    rate, as on a circle, they do after a deramp that no bias chirp comes before.
+    """
     for block in blocks:
-        slope = block.ground.doppler_slope()
-        if slope.min() * slope.max() <= 0:
+        slope = block.ground.doppler_slope() * np.pi / 180
+        if slope.min() * slope.max() > 0:
+            continue
+        said = f"Doppler changes by {slope.min():.3g} .. {slope.max():.3g} Hz a degree of yaw, through zero"
+        echo = _echo_slope(block)
+        if echo.min() * echo.max() <= 0:
             return (
-                f"{_called(block)} looks along the velocity: Doppler changes by {slope.min() * np.pi / 180:.3g} .. "
-                f"{slope.max() * np.pi / 180:.3g} Hz a degree of yaw, through zero, so yaws cannot be told apart; "
-                "image ground away from the direction of flight, or use --processor backprojection"
+                f"{_called(block)} looks along the velocity: {said}, so yaws cannot be told apart; image ground away "
+                "from the direction of flight, or use --processor backprojection"
             )
+        return (
+            f"{_called(block)}: {said}, once its steps are through, as acceleration cancels the Doppler rate; use "
+            "--processor angular-division, which may add a bias chirp, or backprojection"
+        )
     return None
+
+
+def _echo_slope(block: BlockPlan) -> FloatArray:
+    """Of the range rate in the middle of the dwell per yaw, m/s per rad, over a block's ranges and yaws (9, 33)."""
+    geometry = block.ground.geometry
+    yaw = np.linspace(block.low, block.high, 33)
+    rng, yaws = np.meshgrid(np.linspace(block.ground.near, block.ground.far, 9), yaw, indexing="ij")
+    start, end = geometry.dwell(yaws)
+    _, rate = geometry.range_history(geometry.ground_point(rng, yaws), (start + end) / 2)
+    return np.gradient(rate, yaw, axis=1)
 
 
 def _blurred(blocks: Sequence[BlockPlan]) -> str | None:

@@ -610,5 +610,13 @@ def test_measured_image_is_that_of_back_projection(
             assert a[width] == pytest.approx(b[width], rel=0.02), (a, b)
 
 
+def test_a_circle_needs_a_bias_chirp(store: Path, tmp_path: Path) -> None:
+    """No Doppler rate on a circle: the chain that has no room for a bias says so, and does not blame the look."""
+    axis = (-50.0, 50.0, 0.125)
+    with pytest.raises(InputError, match="acceleration cancels the Doppler rate"):
+        api.focus(store, tmp_path / "run", processor="high-order-phase", grid=(axis, axis))
+    assert not (tmp_path / "run").exists()
+
+
 def test_wavelength_of_the_set(store: Path) -> None:
     assert stores.open_phase_history(store).collection.wavelength == pytest.approx(SPEED_OF_LIGHT / 9.599e9, rel=1e-3)
