@@ -25,6 +25,7 @@ from blocksar.backprojection import form_image
 from blocksar.choice import Contender
 from blocksar.cluster import machine
 from blocksar.geometry import Geometry
+from blocksar.georeference import Georeference
 from blocksar.graph import image_chunk
 from blocksar.inspection import Inspection
 from blocksar.measurement import (
@@ -461,6 +462,8 @@ def focus(
         "grid": None if wanted is None else _grid_record(wanted),
     }
     history = stores.open_phase_history(_where(source))
+    if "georeference" in history.attrs:
+        Georeference.from_attribute(history.attrs["georeference"])  # what the image carries on should be right
     fingerprint = history.fingerprint()
     folder = place(out)
     runs.refuse_overlap(place(history.path), folder)

@@ -6,7 +6,7 @@ frame is a point of the Earth by
 
     ecef = origin + x x_axis + y y_axis + z z_axis
 
-with nothing flattened: conversions are exact, and made by PROJ.
+with nothing flattened: conversions are exact; from there back to latitudes PROJ makes them.
 
 The attribute `georeference` of stores is `Georeference.as_attribute()`: {"kind": "ENU", "latitude", "longitude"
 (degrees), "height" (m above the ellipsoid), "rotation_deg"}, and, for whoever has no such library, "ecef" (m), "east",
@@ -15,6 +15,7 @@ The attribute `georeference` of stores is `Georeference.as_attribute()`: {"kind"
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
 SEMI_MAJOR_AXIS = 6378137.0  # m, WGS 84
 INVERSE_FLATTENING = 298.257223563
+ECCENTRICITY_2 = (2 - 1 / INVERSE_FLATTENING) / INVERSE_FLATTENING
 HEIGHTS = (-12e3, 100e3)  # m: ground of the Earth, and whatever else may be imaged
 ECEF_TOLERANCE = 0.01  # m that latitude, longitude and height may disagree with ecef
 AXIS_TOLERANCE = 1e-7  # rad: 1 mm at 10 km
@@ -83,7 +85,7 @@ class Georeference:
         if not isinstance(found, Mapping):
             raise InputError(f"georeference is {type(found).__name__} instead of a mapping; {REMEDY}")
         if found.get("kind") != "ENU":
-            raise InputError(f"georeference is of kind {found.get('kind')!r}, and only 'ENU' is known; {REMEDY}")
+            raise InputError(f"georeference is of kind {reprlib.repr(found.get('kind'))}, and only 'ENU' is known; {REMEDY}")
         names = {"latitude": "latitude", "longitude": "longitude", "height": "height", "rotation_deg": "rotation"}
         numbers = {names[key]: _number(found, key) for key in names if key != "rotation_deg" or key in found}
         made = cls(**numbers)
@@ -138,8 +140,10 @@ class Georeference:
 
     @cached_property
     def origin(self) -> FloatArray:
-        """(3,) m, ECEF."""
-        return np.array(_geodetic_of_ecef().transform(self.longitude, self.latitude, self.height))
+        """(3,) m, ECEF: (N + h) up, but for z, where N is (1 - e^2) N, with N the prime vertical's radius."""
+        up = self.east_north_up[2]
+        normal = SEMI_MAJOR_AXIS / np.sqrt(1 - ECCENTRICITY_2 * up[2] ** 2)
+        return (normal * np.array([1.0, 1.0, 1 - ECCENTRICITY_2]) + self.height) * up
 
     def to_ecef(self, points: FloatArray) -> FloatArray:
         """Points (..., 3) of the frame, in ECEF, m."""
@@ -183,9 +187,8 @@ class Georeference:
 
 
 def _mercator(latitude: float, longitude: float, height: float) -> dict[str, Any]:
-    e2 = (2 - 1 / INVERSE_FLATTENING) / INVERSE_FLATTENING
     # The mean radius of curvature, sqrt(M N).
-    radius = SEMI_MAJOR_AXIS * np.sqrt(1 - e2) / (1 - e2 * np.sin(np.radians(latitude)) ** 2)
+    radius = SEMI_MAJOR_AXIS * np.sqrt(1 - ECCENTRICITY_2) / (1 - ECCENTRICITY_2 * np.sin(np.radians(latitude)) ** 2)
     return {
         "grid_mapping_name": "transverse_mercator",
         "latitude_of_projection_origin": latitude,
@@ -222,8 +225,8 @@ def _geodetic_of_ecef() -> Transformer:
 
 def _number(found: Mapping[str, Any], name: str) -> float:
     value = found.get(name)
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError(f"georeference: {name} is {value!r} instead of a number; {REMEDY}")
+    if isinstance(value, bool) or not isinstance(value, int | float) or abs(value) > 1e9:
+        raise InputError(f"georeference: {name} is {reprlib.repr(value)} instead of a number; {REMEDY}")
     return float(value)
 
 
@@ -234,6 +237,6 @@ def _vector(found: Mapping[str, Any], name: str) -> FloatArray:
         values = np.empty(0)
     if values.shape != (3,) or not np.isfinite(values).all():
         raise InputError(
-            f"georeference: {name} is {found[name]!r} instead of three numbers; leave it out, or correct it"
+            f"georeference: {name} is {reprlib.repr(found[name])} instead of three numbers; leave it out, or correct it"
         )
     return values

@@ -422,9 +422,9 @@ def _window(i: Any, length: Any, n_tap: Any, middle: Any, s: Any) -> Any:
 
 @njit([(_IN, _OUT, _REAL, types.float64, types.Array(types.float32, 3, "C", readonly=True))], **_OPTIONS)
 def stretch_rows(values: ComplexArray, out: ComplexArray, scale: FloatArray, middle: float, taps: Float32Array) -> None:
-    """out[r, i] = values[r] at position middle + (i - middle) scale[r]; zero beyond the ends.
+    """out[r, i] = scale[r] times values[r] at position middle + (i - middle) scale[r]; zero beyond the ends.
 
-    The positions move by almost one sample a step, so over a short strip the window slides evenly and only the
+    So the sum along a row stays what it is. The positions move by almost one sample a step, so over a short strip the window slides evenly and only the
     fraction of a sample drifts: the weights are polynomials in it, and all loops run over contiguous samples.
 
     Parameters
@@ -464,6 +464,7 @@ def stretch_rows(values: ComplexArray, out: ComplexArray, scale: FloatArray, mid
             start = fraction - q / TAP_PHASES - (length - 1) / 2 * (s - 1.0)
             mu = np.float32(start) + np.float32(s - 1.0) * count_lanes()
             re, im = _weigh(real, imag, first - origin, taps[q], mu)
+            re, im = re * np.float32(s), im * np.float32(s)
             if i + LANES <= n:  # further than a short strip is good for: the next one writes over the rest
                 store_complex(result, i, re, im)
             else:

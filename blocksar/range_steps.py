@@ -139,8 +139,9 @@ class ResidualRangeWalk(_FrequencyStep):
 class Keystone(_FrequencyStep):
     """Rescale slow time at each range frequency so that any linear range walk cancels (paper A (17)).
 
-    S_out(f, t) = S(f, t fc / (fc + f)). On the carrier nothing moves; a target's apparent range becomes
-    rho - t rho', without the walk.
+    S_out(f, t) = fc / (fc + f) S(f, t fc / (fc + f)): the factor, which the paper leaves out, keeps the sum over slow
+    time, so that all range frequencies weigh the same, as in back-projection. On the carrier nothing moves; a
+    target's apparent range becomes rho - t rho', without the walk.
     """
 
     name = "keystone"

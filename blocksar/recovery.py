@@ -101,8 +101,13 @@ class Recovery:
 
     @property
     def time(self) -> Axis:
-        """Of the recovered signal, from the epoch: the padded aperture in as many samples as Doppler bins."""
-        return Axis(self.pulses.start, self.padded * self.pulses.step / self.doppler.size, self.doppler.size)
+        """Of the recovered signal, from the epoch: the padded aperture in as many samples as Doppler bins.
+
+        Room on either side: the keystone moves the early ends of dwells out as far as the late ones.
+        """
+        lead = (self.padded - self.pulses.size) // 2
+        start = self.pulses.start - lead * self.pulses.step
+        return Axis(start, self.padded * self.pulses.step / self.doppler.size, self.doppler.size)
 
     def derotation_cycles(self, time: FloatArray) -> FloatArray:
         middle = self.pulses.start + self.pulses.step * (self.pulses.size - 1) / 2

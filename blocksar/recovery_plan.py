@@ -116,7 +116,7 @@ def plan_recovery(geometry: Geometry, region: Region, *, linear: bool = False) -
 
     dwell = float(np.max(np.subtract(*geometry.dwell(region.yaw)[::-1])))
     margin = tail_margin(dwell)
-    padded = fourier.fast_length(1.02 * pulses.size + 16)
+    padded = fourier.fast_length((1.02 + band_edge) * pulses.size + 16)  # the keystone scales time by the band
     duration = padded * pulses.step
     edge = band_edge * max(abs(low), abs(high))
     size = fourier.fast_length(duration * (high - low + 2 * edge + 2 * margin))

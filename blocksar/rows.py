@@ -81,7 +81,7 @@ class Window:
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """Resample row r at position middle + (i - middle) scale[r]; zero where the input has no data."""
+    """Resample row r at position middle + (i - middle) scale[r], and keep its sum; zero where the input has no data."""
 
     scale: FloatArray
     middle: float

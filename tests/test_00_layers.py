@@ -72,7 +72,7 @@ ARROWS: dict[str, set[str]] = {
     "cluster": {"parameters", "ground"},
     "graph": BELOW_GRAPH,
     "plotting": {"parameters", "geometry", "measurement"},
-    "api": BELOW_API | PRODUCTS,
+    "api": BELOW_API | PRODUCTS | {"georeference"},
     "cli": BELOW_API | PRODUCTS | {"api"},
     "__init__": {"api"},  # loaded on first use
 }

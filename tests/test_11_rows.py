@@ -71,6 +71,7 @@ def slowly(
             case Stretch():
                 at = operation.middle + (np.arange(axis.size) - operation.middle) * operation.scale[:, None]
                 x = np.array([resampled(row, place, n_tap, occupancy) for row, place in zip(x, at, strict=True)])
+                x *= operation.scale[:, None]
             case Resample():
                 u = (np.arange(axis.size) - axis.size // 2) / (axis.size / 2)
                 curves = [np.polynomial.Polynomial(c) for c in operation.positions]

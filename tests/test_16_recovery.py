@@ -290,3 +290,11 @@ def test_a_raw_echo_compresses_to_the_signal_of_the_contract(chirp_rate: float) 
     gap = echo[:1].astype(np.complex64)
     gap[0, 17] = np.nan
     assert np.isnan(compression.apply(gap, pulses=slice(590, 591))).all()
+
+
+def test_there_is_room_on_either_side_of_the_pulses() -> None:
+    """The keystone moves ends of dwells by the band's share of their time: early ones earlier."""
+    case = case_of()
+    recovery, band = case.recovery, np.abs(case.collection.range_frequency).max() / case.collection.carrier
+    pulses, time = recovery.pulses.values, recovery.time.values
+    assert time[0] <= pulses[0] * (1 + band) and time[-1] >= pulses[-1] * (1 + band)

@@ -501,6 +501,26 @@ def test_what_all_targets_have_in_common_is_no_phase_error(bumpy: Collection, mo
     assert without.residual_phase > 0.5
 
 
+def test_a_wide_band_loses_neither_end_of_a_dwell(tmp_path: Path) -> None:
+    """768 MHz at 9.6 GHz: the keystone moves the ends of dwells by 4 %, and weighs frequencies by as much."""
+    position = circle(np.radians(4.0) * np.linspace(-0.5, 0.5, 256))
+    wide = replace(collection_at(position), range_frequency=16e6 * (np.arange(48) - 24.0)).centred()
+    x, y = np.meshgrid(np.arange(-3.0, 3.5, 1.5), np.arange(-3.0, 3.5, 1.5))
+    sigma = np.exp(1j * np.arange(x.size))
+    signal = simulate_pulses(wide, x.ravel(), y.ravel(), sigma)
+    stores.create_phase_history(
+        tmp_path / "ph.zarr", wide,
+        fill=lambda store: stores.write_region(store, "signal", (slice(0, 256), slice(0, 48)), signal),
+    )  # fmt: skip
+    axis = (-4.0, 4.0, 0.1)
+    api.focus(tmp_path / "ph.zarr", tmp_path / "run", blocks=1, grid=(axis, axis), workers=1, threads=1)
+    image = api.open(tmp_path / "run")
+    exact = form_image(lambda p: signal[p], Geometry(collection=wide), image.x.values, image.y.values, threads=1)
+    found = coherence(image.image.values, exact)
+    assert abs(found.coherence) > 0.999
+    assert found.gain == pytest.approx(1, abs=2e-3)
+
+
 def test_lines_go_without_what_is_common(bumpy: Collection) -> None:
     """Phase, Doppler and its rate of a line are those of one function: range less walk and the common part."""
     geometry = Geometry(collection=bumpy)
@@ -596,8 +616,8 @@ def test_measured_image_is_that_of_back_projection(
     image = api.open(tmp_path / "run").image.values
     assert np.isfinite(image).all()
     found = coherence(image, reference)
-    assert abs(found.coherence) > 0.997
-    assert found.gain == pytest.approx(1, abs=0.01) and abs(found.phase) < 0.01
+    assert abs(found.coherence) > 0.9995
+    assert found.gain == pytest.approx(1, abs=1e-3) and abs(found.phase) < 1e-3
     # Cars and points stand out: of one scene, much brighter than the ground's middle.
     power = np.abs(image) ** 2
     assert np.quantile(power, 0.999) > 100 * np.median(power)
@@ -607,7 +627,7 @@ def test_measured_image_is_that_of_back_projection(
     theirs = api.quality(tmp_path / "run", targets=targets).result
     for a, b in zip(ours["targets"], theirs["targets"], strict=True):
         for width in ("range_irw", "azimuth_irw"):
-            assert a[width] == pytest.approx(b[width], rel=0.02), (a, b)
+            assert a[width] == pytest.approx(b[width], rel=2e-3), (a, b)
 
 
 def test_a_circle_needs_a_bias_chirp(store: Path, tmp_path: Path) -> None:

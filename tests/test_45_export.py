@@ -580,6 +580,7 @@ GOOD = {"kind": "ENU", "latitude": 1.0, "longitude": 2.0, "height": 3.0}
         ({"kind": "ENU", "latitude": 1.0, "longitude": 2.0}, "height is None"),
         ({**GOOD, "latitude": "1 N"}, "latitude is '1 N'"),
         ({**GOOD, "latitude": True}, "latitude is True"),
+        ({**GOOD, "latitude": 10**400}, "latitude is 1000"),
         ({**GOOD, "latitude": 91.0}, "latitude is 91.0, which is not in -90 .. 90"),
         ({**GOOD, "longitude": float("nan")}, "longitude is nan"),
         ({**GOOD, "height": 1e6}, "height is 1000000.0"),
@@ -592,7 +593,15 @@ GOOD = {"kind": "ENU", "latitude": 1.0, "longitude": 2.0, "height": 3.0}
 def test_a_wrong_georeference_is_one_sentence(found: Any, said: str) -> None:
     with pytest.raises(InputError, match=said) as error:
         Georeference.from_attribute(found)
-    assert "\n" not in str(error.value)
+    assert "\n" not in str(error.value) and len(str(error.value)) < 300
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (39.78, -84.1, 300.0), (-89.9, 179.0, -50.0), (90.0, 0.0, 5e3)])
+def test_the_origin_is_where_proj_puts_it(place: tuple[float, float, float]) -> None:
+    latitude, longitude, height = place
+    exact = Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True).transform(longitude, latitude, height)
+    origin = Georeference(latitude=latitude, longitude=longitude, height=height).origin
+    assert np.abs(origin - exact).max() < 1e-6
 
 
 @pytest.mark.parametrize("height", [0.0, 2500.0])
