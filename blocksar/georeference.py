@@ -84,8 +84,8 @@ class Georeference:
         """
         if not isinstance(found, Mapping):
             raise InputError(f"georeference is {type(found).__name__} instead of a mapping; {REMEDY}")
-        if found.get("kind") != "ENU":
-            raise InputError(f"georeference is of kind {reprlib.repr(found.get('kind'))}, and only 'ENU' is known; {REMEDY}")
+        if (kind := found.get("kind")) != "ENU":
+            raise InputError(f"georeference is of kind {reprlib.repr(kind)}, and only 'ENU' is known; {REMEDY}")
         names = {"latitude": "latitude", "longitude": "longitude", "height": "height", "rotation_deg": "rotation"}
         numbers = {names[key]: _number(found, key) for key in names if key != "rotation_deg" or key in found}
         made = cls(**numbers)

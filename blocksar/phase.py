@@ -424,8 +424,9 @@ def _window(i: Any, length: Any, n_tap: Any, middle: Any, s: Any) -> Any:
 def stretch_rows(values: ComplexArray, out: ComplexArray, scale: FloatArray, middle: float, taps: Float32Array) -> None:
     """out[r, i] = scale[r] times values[r] at position middle + (i - middle) scale[r]; zero beyond the ends.
 
-    So the sum along a row stays what it is. The positions move by almost one sample a step, so over a short strip the window slides evenly and only the
-    fraction of a sample drifts: the weights are polynomials in it, and all loops run over contiguous samples.
+    So the sum along a row stays what it is. The positions move by almost one sample a step, so over a short strip the
+    window slides evenly and only the fraction of a sample drifts: the weights are polynomials in it, and all loops run
+    over contiguous samples.
 
     Parameters
     ----------
