@@ -12,10 +12,10 @@ import signal
 import tempfile
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager, suppress
-from itertools import islice
 from multiprocessing import resource_tracker
 from typing import Any
 
@@ -35,6 +35,7 @@ NO_WORKER = 120.0  # seconds without any worker
 STALL = 3600.0  # seconds in which nothing was finished
 CONNECT = 20.0  # seconds for a given scheduler to answer
 SETTINGS = {"distributed.admin.low-level-log-length": 10}  # else what was sent to workers is kept, 1000 times
+DONE = ("finished", "error")  # of a future's states; what is lost with a worker is pending again soon
 POLL = 2.0  # seconds between two looks at the cluster while nothing is finished
 
 
@@ -220,30 +221,46 @@ def _kill_workers(cluster: LocalCluster) -> None:
 def in_turn(client: Client, stage: str, units: Sequence[Unit], each: int) -> Iterator[tuple[str, Future[Any]]]:
     """Units as they are done, well or not, with no more of them at work than `each` a worker.
 
-    Admission is by the client, so that no worker ever holds more than it was planned for.
+    Admission is by the client, so that no worker ever holds more than it was planned for. A unit whose outcome went
+    with its worker is waited for again, and one that the scheduler has forgotten over that is started again.
 
     Raises
     ------
     ProcessingError
         If nothing more will come of the cluster.
     """
-    waiting = iter(units)
+    waiting = deque(units)
+    starts = dict(units)
     running: dict[Future[Any], str] = {}
     watch = Watch(client)
     try:
         while True:
-            for unit, start in islice(waiting, max(each * watch.workers() - len(running), 0)):
+            for _ in range(min(each * watch.workers() - len(running), len(waiting))):
+                unit, start = waiting.popleft()
                 running[start()] = unit
             if not running:
                 return
             for future in watch.first(running, stage):
-                yield running[future], future
+                if future.status in DONE:
+                    yield running[future], future
+                elif future.status == "cancelled" and client.status == "running":
+                    waiting.append((running[future], starts[running[future]]))
+                else:
+                    continue
                 del running[future]
-                future.release()
+                _release(client, future)
     finally:
         # Where a unit failed or the run was interrupted: the cluster shall neither go on, nor remember the failure.
         if running and client.status == "running":
             client.cancel(list(running), force=True)
+
+
+def _release(client: Client, future: Future[Any]) -> None:
+    """Forget a future, and be sure of it: a unit that is started again must not get the old one back."""
+    future.release()
+    until = time.monotonic() + POLL
+    while future.status == "cancelled" and future.key in client.futures and time.monotonic() < until:
+        time.sleep(0.01)
 
 
 class Watch:
@@ -263,7 +280,7 @@ class Watch:
         return max(self._workers, 1)
 
     def first(self, running: Mapping[Future[Any], str], stage: str) -> list[Future[Any]]:
-        """Those of the futures that are done, as soon as there is one.
+        """Those of the futures that are done or cancelled, as soon as there is one.
 
         Raises
         ------
@@ -276,13 +293,14 @@ class Watch:
                 wait(list(running), timeout=POLL, return_when="FIRST_COMPLETED")
             except (TimeoutError, CancelledError):
                 self._check(running, stage)
-            if done := [future for future in running if future.status in ("finished", "error")]:
-                self._heard = time.monotonic()
+            if done := [future for future in running if future.status in (*DONE, "cancelled")]:
+                if any(future.status in DONE for future in done):
+                    self._heard = time.monotonic()
                 return done
 
     def _check(self, running: Mapping[Future[Any], str], stage: str) -> None:
         units = ", ".join(running.values())
-        if self._client.status != "running" or any(future.status in ("cancelled", "lost") for future in running):
+        if self._client.status != "running":
             raise ProcessingError(f"{stage} of {units} was cut short: the dask scheduler is gone")
         self.workers()
         now = time.monotonic()

@@ -9,12 +9,13 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import psutil
 import pytest
-from distributed import Client
+from distributed import Client, Future
 from faults import digests, litter, until
 from machines import Machine, two_machines
 from scenes import write_store
@@ -49,6 +50,23 @@ PATIENCE = 200  # s: on a busy machine compiling takes its time
 def client() -> Iterator[Client]:
     with cluster.open_client(workers=1, threads=1, memory_limit=2 * 2**30) as connected:
         yield connected
+
+
+def test_units_that_the_scheduler_forgets_are_started_again(client: Client) -> None:
+    """As when a worker dies with an outcome that nobody has fetched yet."""
+    started: list[str] = []
+
+    def start(unit: str) -> Future[str]:
+        started.append(unit)
+        future = client.submit(lambda: time.sleep(0.2) or unit, key=f"forgotten-{unit}", pure=False)
+        if started.count(unit) < 3 and unit in "bc":
+            client.cancel([future], force=True)
+        return future
+
+    units = [(unit, partial(start, unit)) for unit in "abcd"]
+    outcomes = {unit: future.result() for unit, future in cluster.in_turn(client, "focus", units, 2)}
+    assert outcomes == {unit: unit for unit in "abcd"}
+    assert [started.count(unit) for unit in "ad"] == [1, 1] and min(started.count(unit) for unit in "bc") >= 3
 
 
 @pytest.fixture(scope="module")
