@@ -1,7 +1,8 @@
 """blocksar: focus squint-TOPS synthetic aperture radar data by angular blocks, in parallel.
 
-The functions here are the commands' twins: `simulate`, `ingest`, `plan`, `focus`, `quality`, `export`, `open`. They are
-loaded on first use, so that `import blocksar` costs nothing.
+The functions here are the commands' twins: `simulate`, `ingest`, `plan`, `focus`, `quality`, `report`, `export` and
+`open`. They are loaded on first use, so that `import blocksar` costs nothing. What they raise: `InputError` where the
+caller can mend it, `ProcessingError` where the same call may go on from what was finished.
 """
 
 from __future__ import annotations
@@ -10,16 +11,30 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from blocksar.api import export, focus, ingest, open, plan, quality, simulate
+    from blocksar.api import export, focus, ingest, open, plan, quality, report, simulate
+    from blocksar.parameters import InputError, ProcessingError
 
 __version__ = "0.1.0"
 
-__all__ = ["__version__", "export", "focus", "ingest", "open", "plan", "quality", "simulate"]
+__all__ = [
+    "InputError",
+    "ProcessingError",
+    "__version__",
+    "export",
+    "focus",
+    "ingest",
+    "open",
+    "plan",
+    "quality",
+    "report",
+    "simulate",
+]
 
 
 def __getattr__(name: str) -> Any:
     if name in __all__:
-        return getattr(importlib.import_module("blocksar.api"), name)
+        home = "parameters" if name.endswith("Error") else "api"
+        return getattr(importlib.import_module(f"blocksar.{home}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

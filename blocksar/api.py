@@ -1,4 +1,4 @@
-"""The commands as functions: simulate, ingest, plan, focus, quality, export, open, demo.
+"""The commands as functions: simulate, ingest, plan, focus, quality, report, export, open, demo.
 
 A run folder holds what `focus` leaves: collection.zarr (the phase history less its samples), spectrum.zarr,
 patches/, image.zarr and run.json. Units of work leave receipts in receipts/ while the run goes on; at the
@@ -16,11 +16,24 @@ from dataclasses import dataclass, field
 from functools import partial
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeGuard
+from typing import TYPE_CHECKING, Any, Literal, TypeGuard
 
 import numpy as np
 
-from blocksar import __version__, choice, cluster, geotiff, graph, inspection, products, runs, sicd, simulation, stores
+from blocksar import (
+    __version__,
+    choice,
+    cluster,
+    effort,
+    geotiff,
+    graph,
+    inspection,
+    products,
+    runs,
+    sicd,
+    simulation,
+    stores,
+)
 from blocksar.backprojection import form_image
 from blocksar.choice import Contender
 from blocksar.cluster import machine
@@ -52,8 +65,10 @@ from blocksar.method import (
     method_of,
 )
 from blocksar.parameters import Collection, ComplexArray, FloatArray, InputError, ProcessingError
-from blocksar.places import Location, Place, place
+from blocksar.places import LocalPlace, Location, Place, place
 from blocksar.planning import BlockPlan, Plan, plan_collection
+from blocksar.progress import NOBODY, Listener, Work, listener
+from blocksar.progress import Updated as Progress
 from blocksar.region import Grid, default_grid, plan_region
 from blocksar.runs import FORMAT, Receipt, Run
 from blocksar.scene import Scene, shipped_scenes
@@ -62,7 +77,7 @@ if TYPE_CHECKING:
     import xarray as xr
     from distributed import Client
 
-__all__ = ["demo", "export", "focus", "ingest", "open", "plan", "quality", "simulate"]
+__all__ = ["demo", "export", "focus", "ingest", "open", "plan", "quality", "report", "simulate"]
 
 GridLike = Grid | tuple[tuple[float, float, float], tuple[float, float, float]]
 Table = tuple[Sequence[str], Sequence[Sequence[str]]]
@@ -71,15 +86,11 @@ RANGES_COMPARED = (("near", 0.1), ("middle", 0.5), ("far", 0.9))  # name, share 
 MIB = 2**20
 
 
-class Progress(Protocol):
-    """Told how far a stage has come."""
-
-    def update(self, stage: str, done: int, total: int) -> None: ...
-
-
-class _Silent:
-    def update(self, stage: str, done: int, total: int) -> None:
-        pass
+def _told(progress: Progress | None, stage: str) -> Callable[[int, int], None]:
+    """A command's only stage begins: what its parts are told to."""
+    told = listener(progress)
+    told.begin(stage)
+    return partial(told.update, stage)
 
 
 @dataclass(frozen=True)
@@ -125,9 +136,8 @@ def simulate(
     InputError
         If the scene is wrong, or `out` exists and `overwrite` is False.
     """
-    told = progress or _Silent()
     _, threads, _ = _resources(1, threads, None)
-    told_here = partial(told.update, "simulate")
+    told = _told(progress, "simulate")
     if cphd:
         if raw:
             raise InputError("raw is given together with cphd, but CPHD files hold compressed pulses; leave out one")
@@ -135,11 +145,11 @@ def simulate(
 
         return cphd_simulation.simulate(
             scene, out, origin=origin or cphd_simulation.ORIGIN, threads=threads, overwrite=overwrite,
-            progress=told_here,
+            progress=told,
         )  # fmt: skip
     if origin is not None:
         raise InputError(f"origin is {origin}, but only CPHD files have one; leave it out")
-    return simulation.simulate(scene, out, raw=raw, threads=threads, overwrite=overwrite, progress=told_here)
+    return simulation.simulate(scene, out, raw=raw, threads=threads, overwrite=overwrite, progress=told)
 
 
 # ---------------------------------------------------------------- ingest
@@ -180,8 +190,7 @@ def ingest_cphd(
     """
     from blocksar import cphd  # optional libraries, and slow to load
 
-    told = partial((progress or _Silent()).update, "ingest")
-    made = cphd.ingest(source, out, channel=channel, overwrite=overwrite, progress=told)
+    made = cphd.ingest(source, out, channel=channel, overwrite=overwrite, progress=_told(progress, "ingest"))
     return Report(summary=[*made.said, f"wrote {made.path}"], result=made.collection)
 
 
@@ -206,8 +215,7 @@ def ingest_gotcha(
     """
     from blocksar import gotcha
 
-    told = partial((progress or _Silent()).update, "ingest")
-    made = gotcha.ingest(source, out, overwrite=overwrite, progress=told)
+    made = gotcha.ingest(source, out, overwrite=overwrite, progress=_told(progress, "ingest"))
     return Report(summary=[*made.said, f"wrote {made.path}"], result=made.collection)
 
 
@@ -422,6 +430,7 @@ def focus(
     scheduler: str | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
+    performance_report: str | Path | None = None,
     client: Client | None = None,
 ) -> Report:
     """Focus a phase history into the run folder `out`; an unfinished run there is resumed.
@@ -436,6 +445,10 @@ def focus(
         Bytes a worker.
     scheduler : str, optional
         Address of a dask scheduler to use instead.
+    progress : object with a method `update(stage, done, total)`, optional
+        Told how far each stage has come; a `progress.Listener` is told more.
+    performance_report : path, optional
+        HTML file for dask's performance report of this call, also where it fails.
     client : distributed.Client, optional
         Likewise, already connected.
 
@@ -446,6 +459,8 @@ def focus(
     ProcessingError
         If processing fails: what was finished stays, and the same call resumes.
     """
+    told = listener(progress)
+    profile = None if performance_report is None else Path(performance_report)
     method = method_of(
         processor,
         coefficients=coefficients,
@@ -467,22 +482,31 @@ def focus(
     fingerprint = history.fingerprint()
     folder = place(out)
     runs.refuse_overlap(place(history.path), folder)
+    if profile is not None:
+        cluster.check_recordable(profile, client)
 
     def found() -> dict[str, Any] | None:
         return runs.existing(folder, settings, fingerprint, overwrite=overwrite)
 
     if _finished(record := found()):
+        if profile is not None:
+            told.note(f"nothing was done, so there is no performance report at {profile}")
         return _left_alone(folder, record)
     with ExitStack() as stack:
         connected = None
         if client is not None or scheduler is not None:
             connected = stack.enter_context(cluster.open_client(scheduler=scheduler, client=client))
             workers, memory_limit = cluster.cluster_size(connected)
+            if profile is not None:
+                cluster.check_recordable(profile, connected)
         workers, threads, memory_limit = _resources(workers, threads, memory_limit)
         stack.enter_context(runs.claimed(folder))
         if _finished(record := found()):  # by somebody who wrote it until now
             return _left_alone(folder, record, claimed=True)
+        told.update("plan", 0, 1)
         job = _job(history, settings, wanted, record, workers, memory_limit)
+        told.expect(_effort(job), workers)
+        told.update("plan", 1, 1)
         divided = None if job.plan is None else (job.plan.n_blocks, job.plan.parts)
         identity = stores.checksum_bytes(
             repr((FORMAT, sorted(settings.items(), key=str), fingerprint, divided)).encode("utf-8", "surrogateescape")
@@ -501,12 +525,13 @@ def focus(
             "plan": {
                 "blocks": job.plan and job.plan.n_blocks,
                 "parts": job.plan and job.plan.parts,
+                "memory": job.plan and job.plan.memory,
                 "grid": _grid_record(job.grid),
                 "predicted": _predicted(job.plan),
             },
         }
         try:
-            done = _carry_out(job, run, unfinished, connected, progress or _Silent(), resumed=record is not None)
+            done = _carry_out(job, run, unfinished, connected, told, profile, resumed=record is not None)
         except ProcessingError as error:
             raise ProcessingError(f"{error}; what was finished stays, the same command goes on from there") from error
     return Report(summary=_focus_lines(folder, done, job.plan), result=done)
@@ -550,8 +575,24 @@ def _job(
     return _Job(history=history, geometry=geometry, grid=made.grid, plan=made)
 
 
+def _effort(job: _Job) -> Work:
+    """What the stages to come will cost."""
+    raw = job.history.raw
+    echo = 0 if raw is None else raw.fast_time.size * job.history.collection.n_pulse
+    if job.plan is None:
+        return effort.of_backprojection(job.geometry, job.grid, echo_samples=echo)
+    return effort.of_plan(job.plan, echo_samples=echo)
+
+
 def _carry_out(
-    job: _Job, run: Run, record: dict[str, Any], connected: Client | None, progress: Progress, *, resumed: bool
+    job: _Job,
+    run: Run,
+    record: dict[str, Any],
+    connected: Client | None,
+    told: Listener,
+    profile: Path | None,
+    *,
+    resumed: bool,
 ) -> dict[str, Any]:
     """From the input to a finished run's record."""
     started = time.perf_counter()
@@ -566,15 +607,22 @@ def _carry_out(
                     threads=record["threads"],
                     memory_limit=record["memory_limit"],
                     scratch=runs.scratch(run.folder),
+                    report=told,
                 )
             )
-        receipts, timings = _stages(connected, job, run, record, progress, input_read)
+        if (address := cluster.dashboard(connected)) is not None:
+            told.dashboard(address)
+        with cluster.recorded(connected, profile, told):
+            receipts, timings = _stages(connected, job, run, record, told, input_read)
+        told.watch((), NOBODY)
+        told.begin("finish")
     record |= {
         "receipts": receipts,
         "timings": timings | {"total": time.perf_counter() - started},
         "peak_memory": max(receipt["peak_memory"] for receipt in receipts),
     }
     runs.finish(run, record)
+    told.update("finish", 1, 1)
     return record
 
 
@@ -597,7 +645,7 @@ def _stages(
     job: _Job,
     run: Run,
     record: dict[str, Any],
-    progress: Progress,
+    told: Listener,
     input_read: Callable[[], None],
 ) -> tuple[list[Receipt], dict[str, float]]:
     """All receipts, and the seconds of each stage."""
@@ -614,24 +662,26 @@ def _stages(
     )
     timings: dict[str, float] = {}
     if plan is None:
-        samples, looked, found = graph.look_through(client, history, run, progress.update)
+        samples, looked, found = graph.look_through(client, history, run, told)
         timings["inspect"] = lap()
-        _judge(job, run, record, looked, found)
+        _judge(job, run, record, looked, found, told)
         input_read()
-        formed = graph.back_project(client, samples, job.geometry, job.grid, found, run, progress.update)
+        formed = graph.back_project(client, samples, job.geometry, job.grid, found, run, told)
         return [*looked, *formed], timings | {"backprojection": lap()}
-    recovered, found = graph.recover(client, history, plan, run, progress.update)
+    recovered, found = graph.recover(client, history, plan, run, told)
     timings["recover"] = lap()
-    _judge(job, run, record, recovered, found)
+    _judge(job, run, record, recovered, found, told)
     input_read()
-    focused = graph.focus_blocks(client, plan, run, found.lit, progress.update)
+    focused = graph.focus_blocks(client, plan, run, found.lit, told)
     timings["focus"] = lap()
-    merged = graph.mosaic(client, plan, run, focused, progress.update)
+    merged = graph.mosaic(client, plan, run, focused, told)
     timings["mosaic"] = lap()
     return [*recovered, *focused, *merged], timings
 
 
-def _judge(job: _Job, run: Run, record: dict[str, Any], receipts: Sequence[Receipt], found: Inspection) -> None:
+def _judge(
+    job: _Job, run: Run, record: dict[str, Any], receipts: Sequence[Receipt], found: Inspection, told: Listener
+) -> None:
     """Put down what the samples told; the image carries it too."""
     history, plan = job.history, job.plan
     if not found.lit.any():
@@ -648,6 +698,8 @@ def _judge(job: _Job, run: Run, record: dict[str, Any], receipts: Sequence[Recei
             record["doppler_centroid"] = {"error": measured.mean_offset, "coherence": measured.mean_coherence}
             if (sentence := inspection.disagreement(found, expected)) is not None:
                 record["warnings"].append(sentence)
+    for warning in record["warnings"]:
+        told.note(warning, again=True)
     run.establish(run.image, lambda: _create_image(run, job, record))
 
 
@@ -938,6 +990,74 @@ def _reference_table(compared: Compared) -> Table:
     ]
 
 
+# ---------------------------------------------------------------- report
+
+
+def report(
+    run: Location, *, out: Location | None = None, overwrite: bool = False, progress: Progress | None = None
+) -> Report:
+    """Write the report page of a finished run: one HTML file that needs nothing else.
+
+    It shows what RUN/quality.json holds; where there is none, the targets that the run knows are measured now.
+
+    Parameters
+    ----------
+    out : path, optional
+        The page; RUN/report.html by default, which is the run's own and is replaced.
+    overwrite : bool
+        Replace what stands at `out`.
+
+    Returns
+    -------
+    Report
+        `result` is where the page lies.
+
+    Raises
+    ------
+    InputError
+        If the run is not finished, what it says cannot be read, a library is not installed, or something stands at
+        `out`.
+    ProcessingError
+        If the page cannot be written: what stood there stays.
+    """
+    folder = place(run)
+    target = folder / "report.html" if out is None else place(out)
+    if out is not None and target.exists() and not overwrite:
+        raise InputError(f"{target} exists; choose another name, or ask for it to be overwritten")
+    if isinstance(target, LocalPlace) and target.path.is_dir():
+        raise InputError(f"{target} is a folder; give --out the name of a file")
+    image, collection, attrs, record = _open_run(folder)
+    try:
+        from blocksar import page  # optional, and slow to load
+    except ModuleNotFoundError as error:
+        library = str(error.name).partition(".")[0]
+        raise InputError(f"{library} is not installed, which reports need; install blocksar[plots]") from None
+    source = products.Source(image.path, image.x, image.y, Geometry(collection=collection), attrs, record)
+    found, why = _found(folder, source)
+    told = _told(progress, "report")
+    history = str(stores.open_dataset(image.path).attrs.get("history", ""))
+    made, verdict = page.make(source, found, folder=str(folder), history=history, why=why, progress=told)
+    try:
+        target.write_bytes(made)
+    except (PermissionError, NotADirectoryError, FileExistsError) as error:
+        raise InputError(f"{target} cannot be written ({error.strerror}); choose another --out") from error
+    except OSError as error:
+        raise ProcessingError(f"{target} cannot be written ({error.strerror or error})") from error
+    return Report(summary=["; ".join(verdict), f"wrote {target}"], result=target)
+
+
+def _found(folder: Place, source: products.Source) -> tuple[dict[str, Any] | None, str]:
+    """What quality.json holds, or would hold; or None, and why there is nothing."""
+    if (folder / "quality.json").exists():
+        return stores.read_json(folder / "quality.json"), ""
+    targets = _targets(None, source.attrs)
+    try:
+        measured = [measure_target(source.read, source.x, source.y, source.geometry, target) for target in targets]
+    except InputError as error:  # too coarse an image to measure in, but not to look at
+        return None, f"Nothing was measured: {error}."
+    return as_json(measured), ""
+
+
 # ---------------------------------------------------------------- export
 
 
@@ -972,7 +1092,7 @@ def export(
         raise InputError(f"content is {content!r}, but only a geotiff comes as amplitude or complex; leave it out")
     image, collection, attrs, record = _open_run(folder)
     source = products.Source(image.path, image.x, image.y, Geometry(collection=collection), attrs, record)
-    told = partial((progress or _Silent()).update, "export")
+    told = _told(progress, "export")
     match kind:
         case "sicd":
             said = sicd.write(source, out, overwrite=overwrite, progress=told)
@@ -1000,24 +1120,37 @@ def demo(
     memory_limit: int | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
+    performance_report: str | Path | None = None,
 ) -> Report:
     """Simulate the main paper's scene, focus it in three blocks, measure it, and draw it.
 
-    Leaves a run folder with quality.json, mosaic.png and contours.png besides.
+    Leaves a run folder with quality.json, mosaic.png, contours.png and report.html besides.
     """
+    told = listener(progress)
+    if performance_report is not None:
+        cluster.check_recordable(Path(performance_report), None)
     folder = place(out)
     history = folder / runs.LEFT_ALONE[0]
     if folder.names() and not history.exists():
         raise InputError(f"{folder} exists and is not a demonstration run; choose another --out")
-    if overwrite or not history.exists():
-        simulate("table1", history, threads=threads, overwrite=overwrite, progress=progress)
+    simulated = history.exists() and not overwrite
+    told.expect(effort.of_demo(simulated=simulated, compiled=cluster.compiled()), 1)
+    if not simulated:
+        simulate("table1", history, threads=threads, overwrite=overwrite, progress=told)
     focused = focus(
         history, folder, blocks=3, workers=workers, threads=threads, memory_limit=memory_limit, overwrite=overwrite,
-        progress=progress,
+        progress=told, performance_report=performance_report,
     )  # fmt: skip
+    told.expect(effort.FOCUS, 1)  # none of it is to come any more
+    told.update("measure", 0, 1)
     measured, shown = _measure(folder, None, reference=False)
+    told.update("measure", 1, 1)
+    told.update("draw", 0, 1)
     pictures = _draw(folder, shown)
+    told.update("draw", 1, 1)
+    page = report(folder, progress=told)
     lines = [*measured.summary, *focused.summary, f"pictures: {', '.join(str(p) for p in pictures)}"]
+    lines.append(f"report: {page.result}, for a browser")
     return Report(tables=measured.tables, summary=lines, result=measured.result)
 
 

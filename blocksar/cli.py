@@ -14,9 +14,10 @@ import reprlib
 import signal
 import sys
 import threading
-from collections.abc import Sequence
-from types import FrameType, TracebackType
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn, Protocol, Self, TypedDict, get_args
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from types import FrameType
+from typing import Annotated, Any, Literal, NoReturn, Protocol, TypedDict, get_args
 
 import typer
 from typer.core import TyperGroup
@@ -24,16 +25,12 @@ from typer.core import TyperGroup
 from blocksar import __version__
 from blocksar.method import Coefficients, Derotation, Perturbation, PlannedProcessor, Processor, RangeModel
 from blocksar.parameters import InputError, ProcessingError
-
-if TYPE_CHECKING:
-    from rich.progress import Progress as RichProgress
-    from rich.progress import TaskID
+from blocksar.progress import Progress, abandon
 
 Axis = tuple[float, float, float]
 
 FAILED, WRONG_INPUT, INTERRUPTED, TERMINATED = 1, 2, 130, 143
 GRACE = 10.0  # seconds that an interrupted command has to end in good order
-PLAIN_STEPS = 10  # progress lines a stage, where there is no terminal to draw a bar on
 PIPE_WIDTH = 240  # columns of a table that goes to no terminal: nothing may be folded there
 
 
@@ -210,61 +207,6 @@ def _settings(
 # ---------------------------------------------------------------- what the user sees
 
 
-class Progress:
-    """How far each stage has come: bars on a terminal, a few plain lines elsewhere, on stderr.
-
-    A stage appears with its first update. Updates may come from any thread.
-    """
-
-    def __init__(self, *, quiet: bool = False) -> None:
-        self._quiet = quiet
-        self._lock = threading.Lock()
-        self._bars: RichProgress | None = None
-        self._tasks: dict[str, TaskID] = {}
-        self._printed: dict[str, int] = {}
-
-    def __enter__(self) -> Self:
-        if not self._quiet and sys.stderr.isatty():
-            from rich import progress
-            from rich.console import Console
-
-            self._bars = progress.Progress(
-                progress.TextColumn("{task.description}", markup=False),
-                progress.BarColumn(),
-                progress.MofNCompleteColumn(),
-                progress.TimeElapsedColumn(),
-                console=Console(stderr=True),
-            )
-            self._bars.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        with self._lock:
-            if self._bars is not None:
-                self._bars.stop()
-                self._bars = None
-
-    def update(self, stage: str, done: int, total: int) -> None:
-        """Say that `done` of `total` parts of a stage are finished."""
-        if self._quiet:
-            return
-        with self._lock:
-            if self._bars is not None:
-                if stage not in self._tasks:
-                    self._tasks[stage] = self._bars.add_task(stage, total=total)
-                self._bars.update(self._tasks[stage], completed=done, total=total)
-            else:
-                self._print(stage, done, total)
-
-    def _print(self, stage: str, done: int, total: int) -> None:
-        step = PLAIN_STEPS * done // total if total else PLAIN_STEPS
-        if step > self._printed.get(stage, -1):
-            self._printed[stage] = step
-            typer.echo(f"{stage}: {done} of {total}", err=True)
-
-
 def show(report: Report) -> None:
     """Print a report's tables and summary on stdout."""
     from rich import box
@@ -297,19 +239,47 @@ class Commands(TyperGroup):
     def invoke(self, ctx: Any) -> Any:  # typer gives the class of this context no public name
         try:
             return super().invoke(ctx)
-        except InputError as error:
-            complain(str(error), WRONG_INPUT)
-        except ProcessingError as error:
-            complain(str(error), FAILED)
+        except (InputError, ProcessingError, KeyboardInterrupt, Terminated) as error:
+            _complain_of(error)
         except OSError as error:
             # A reader that has seen enough (`blocksar plan ... | head`) is nobody's error: typer ends quietly.
             if error.errno == errno.EPIPE:
                 raise
-            complain(str(error), FAILED)
-        except KeyboardInterrupt:
-            complain(_stopped(INTERRUPTED), INTERRUPTED)
-        except Terminated:
-            complain(_stopped(TERMINATED), TERMINATED)
+            _complain_of(error)
+
+
+def _complain_of(error: BaseException) -> NoReturn:
+    status, message = ending(error)
+    complain(message, status)
+
+
+def ending(error: BaseException) -> tuple[int, str]:
+    """The exit status of a command that ends with this, and what a person is told."""
+    match error:
+        case InputError():
+            return WRONG_INPUT, str(error)
+        case ProcessingError() | OSError():
+            return FAILED, str(error)
+        case KeyboardInterrupt():
+            return INTERRUPTED, _stopped(INTERRUPTED)
+        case Terminated():
+            return TERMINATED, _stopped(TERMINATED)
+        case _:  # ours: a traceback follows
+            return FAILED, f"{type(error).__name__}: {error}"
+
+
+@contextmanager
+def progress_of(context: typer.Context) -> Iterator[Progress]:
+    """What shows how far a command has come, and logs what it was told and how it ended."""
+    settings = context.params
+    with Progress(quiet=settings["quiet"], log=settings["json_log"]) as progress:
+        progress.start(" ".join(context.command_path.split()[1:]), settings, __version__)
+        try:
+            yield progress
+        except BaseException as error:
+            progress.end(*ending(error))
+            raise
+        progress.end(0)
 
 
 # ---------------------------------------------------------------- options that several commands share
@@ -347,13 +317,20 @@ MemoryLimit = Annotated[
 ]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what stands at --out.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
+JsonLog = Annotated[
+    str | None, typer.Option(metavar="FILE", help="Append progress as JSON, one object a line; also with --quiet.")
+]
+PerformanceReport = Annotated[
+    str | None, typer.Option(metavar="FILE.html", help="Write dask's performance report, also where the run fails.")
+]
 
 # ---------------------------------------------------------------- commands
 
 app = typer.Typer(
     name="blocksar",
     cls=Commands,
-    help="Focus squint-TOPS radar data by angular blocks, in parallel, to a calibrated ground image.",
+    help="Focus squint-TOPS radar data by angular blocks, in parallel, to a calibrated ground image."
+    "\n\nExample: [bold]blocksar demo --out demo-run[/bold]",
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode="rich",
@@ -379,16 +356,20 @@ def options(
 
 @app.command()
 def demo(
+    context: typer.Context,
     out: Annotated[str, typer.Option(help="Folder of the run.")] = "demo-run",
     workers: Workers = None,
     threads: Threads = None,
     memory_limit: MemoryLimit = None,
+    performance_report: PerformanceReport = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
+    json_log: JsonLog = None,
 ) -> None:
     """Simulate the paper's scene, focus it, measure it, show it.
 
-    Leaves the run in the folder, with a picture of the mosaic and contour plots of nine targets.
+    Leaves the run in the folder, with a picture of the mosaic, contour plots of nine targets, and report.html, a page
+    for the browser.
 
     Example: [bold]blocksar demo --out demo-run[/bold]
     """
@@ -396,15 +377,22 @@ def demo(
 
     from blocksar import api
 
-    with Progress(quiet=quiet) as progress:
+    with progress_of(context) as progress:
         report = api.demo(
-            out, workers=workers, threads=threads, memory_limit=memory, overwrite=overwrite, progress=progress
+            out,
+            workers=workers,
+            threads=threads,
+            memory_limit=memory,
+            overwrite=overwrite,
+            progress=progress,
+            performance_report=performance_report,
         )
     show(report)
 
 
 @app.command()
 def simulate(
+    context: typer.Context,
     scene: Annotated[str, typer.Argument(metavar="SCENE.toml", help="Scene file, or the name of a shipped scene.")],
     out: Annotated[str, typer.Option(help="Phase-history store to write.")],
     raw: Annotated[bool, typer.Option("--raw", help="Write a raw chirped echo over fast time.")] = False,
@@ -415,6 +403,7 @@ def simulate(
     threads: Threads = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
+    json_log: JsonLog = None,
 ) -> None:
     """Simulate the phase history of a scene, with exact ranges.
 
@@ -424,7 +413,7 @@ def simulate(
 
     from blocksar import api
 
-    with Progress(quiet=quiet) as progress:
+    with progress_of(context) as progress:
         api.simulate(
             scene, out, raw=raw, cphd=cphd, origin=place, threads=threads, overwrite=overwrite, progress=progress
         )
@@ -470,6 +459,7 @@ def plan(
 
 @app.command()
 def focus(
+    context: typer.Context,
     source: Annotated[str, typer.Argument(metavar="PH.zarr", help="Phase-history store.")],
     out: Annotated[str, typer.Option(metavar="RUN", help="Folder of the run; an unfinished one is resumed.")],
     processor: ProcessorOption = "angular-division",
@@ -486,8 +476,10 @@ def focus(
     scheduler: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="A running dask scheduler, instead of an own cluster.")
     ] = None,
+    performance_report: PerformanceReport = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
+    json_log: JsonLog = None,
 ) -> None:
     """Focus a phase history to a calibrated ground image.
 
@@ -499,7 +491,7 @@ def focus(
 
     from blocksar import api
 
-    with Progress(quiet=quiet) as progress:
+    with progress_of(context) as progress:
         report = api.focus(
             source,
             out,
@@ -509,6 +501,7 @@ def focus(
             scheduler=scheduler,
             overwrite=overwrite,
             progress=progress,
+            performance_report=performance_report,
         )
     show(report)
 
@@ -534,12 +527,40 @@ def quality(
     show(api.quality(run, targets=targets, reference=reference))
 
 
-ingest = typer.Typer(name="ingest", help="Measured data to a phase history.", no_args_is_help=True)
+@app.command()
+def report(
+    context: typer.Context,
+    run: Annotated[str, typer.Argument(metavar="RUN", help="Folder of a finished run.")],
+    out: Annotated[str | None, typer.Option(metavar="FILE", help="The page; default: RUN/report.html.")] = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    json_log: JsonLog = None,
+) -> None:
+    """Write one HTML page about a run, which opens in any browser and needs no network.
+
+    The image with zoom, block borders and targets; the plan beside what was measured; responses; times; provenance.
+
+    Example: [bold]blocksar report run[/bold]
+    """
+    from blocksar import api
+
+    with progress_of(context) as progress:
+        made = api.report(run, out=out, overwrite=overwrite, progress=progress)
+    show(made)
+
+
+ingest = typer.Typer(
+    name="ingest",
+    help="Measured data to a phase history.\n\n"
+    "Example: [bold]blocksar ingest cphd collect.cphd --out collect.zarr[/bold]",
+    no_args_is_help=True,
+)
 app.add_typer(ingest)
 
 
 @ingest.command("cphd")
 def ingest_cphd(
+    context: typer.Context,
     source: Annotated[str, typer.Argument(metavar="SOURCE.cphd", help="CPHD file, version 1.0.1 or 1.1.0.")],
     out: Annotated[str, typer.Option(help="Phase-history store to write.")],
     channel: Annotated[
@@ -547,6 +568,7 @@ def ingest_cphd(
     ] = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
+    json_log: JsonLog = None,
 ) -> None:
     """Turn a CPHD file into a phase history, in the tangent frame at its scene's reference point.
 
@@ -554,17 +576,19 @@ def ingest_cphd(
     """
     from blocksar import api
 
-    with Progress(quiet=quiet) as progress:
+    with progress_of(context) as progress:
         report = api.ingest_cphd(source, out, channel=channel, overwrite=overwrite, progress=progress)
     show(report)
 
 
 @ingest.command("gotcha")
 def ingest_gotcha(
+    context: typer.Context,
     source: Annotated[list[str], typer.Argument(metavar="SOURCE.mat...", help="MATLAB files of one pass.")],
     out: Annotated[str, typer.Option(help="Phase-history store to write.")],
     overwrite: Overwrite = False,
     quiet: Quiet = False,
+    json_log: JsonLog = None,
 ) -> None:
     """Join the AFRL Gotcha set's MATLAB files in azimuth into a phase history, in their scene-centred frame.
 
@@ -572,12 +596,17 @@ def ingest_gotcha(
     """
     from blocksar import api
 
-    with Progress(quiet=quiet) as progress:
+    with progress_of(context) as progress:
         report = api.ingest_gotcha(source, out, overwrite=overwrite, progress=progress)
     show(report)
 
 
-export = typer.Typer(name="export", help="The image of a run to a file of a standard format.", no_args_is_help=True)
+export = typer.Typer(
+    name="export",
+    help="The image of a run to a file of a standard format.\n\n"
+    "Example: [bold]blocksar export png run --out image.png[/bold]",
+    no_args_is_help=True,
+)
 app.add_typer(export)
 
 Run = Annotated[str, typer.Argument(metavar="RUN", help="Folder of a finished run.")]
@@ -585,10 +614,12 @@ Run = Annotated[str, typer.Argument(metavar="RUN", help="Folder of a finished ru
 
 @export.command("sicd")
 def export_sicd(
+    context: typer.Context,
     run: Run,
     out: Annotated[str, typer.Option(help="SICD file (NITF) to write.")],
     overwrite: Overwrite = False,
     quiet: Quiet = False,
+    json_log: JsonLog = None,
 ) -> None:
     """Write the complex image, on its ground plane, as a SICD file; the run must be georeferenced.
 
@@ -596,13 +627,14 @@ def export_sicd(
     """
     from blocksar import api
 
-    with Progress(quiet=quiet) as progress:
+    with progress_of(context) as progress:
         report = api.export("sicd", run, out, overwrite=overwrite, progress=progress)
     show(report)
 
 
 @export.command("geotiff")
 def export_geotiff(
+    context: typer.Context,
     run: Run,
     out: Annotated[str, typer.Option(help="GeoTIFF to write.")],
     content: Annotated[
@@ -610,6 +642,7 @@ def export_geotiff(
     ] = "amplitude",
     overwrite: Overwrite = False,
     quiet: Quiet = False,
+    json_log: JsonLog = None,
 ) -> None:
     """Write the image as a cloud-optimised GeoTIFF; the run must be georeferenced.
 
@@ -617,17 +650,19 @@ def export_geotiff(
     """
     from blocksar import api
 
-    with Progress(quiet=quiet) as progress:
+    with progress_of(context) as progress:
         report = api.export("geotiff", run, out, content=content, overwrite=overwrite, progress=progress)
     show(report)
 
 
 @export.command("png")
 def export_png(
+    context: typer.Context,
     run: Run,
     out: Annotated[str, typer.Option(help="PNG to write.")],
     overwrite: Overwrite = False,
     quiet: Quiet = False,
+    json_log: JsonLog = None,
 ) -> None:
     """Draw the image in decibels, with axes in metres, a scale bar, the look direction and north.
 
@@ -635,7 +670,7 @@ def export_png(
     """
     from blocksar import api
 
-    with Progress(quiet=quiet) as progress:
+    with progress_of(context) as progress:
         report = api.export("png", run, out, overwrite=overwrite, progress=progress)
     show(report)
 
@@ -667,6 +702,7 @@ def _stop(number: int, frame: FrameType | None) -> None:
 
 def _stop_at_once(status: int) -> None:
     """Workers end with the process that started them; what is half-written has a name that nobody takes for whole."""
+    abandon(status, _stopped(status))
     os.write(2, f"blocksar: {_stopped(status)}\n".encode())
     os._exit(status)
 

@@ -6,9 +6,11 @@ the run: nobody waits for tasks whose results are of no use any more.
 
 from __future__ import annotations
 
+import importlib.util
 import logging
 import os
 import signal
+import sys
 import tempfile
 import threading
 import time
@@ -17,16 +19,18 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager, suppress
 from multiprocessing import resource_tracker
+from pathlib import Path
 from typing import Any
 
 import dask
 from dask.system import CPU_COUNT
-from distributed import Client, Future, LocalCluster, wait
+from distributed import Client, Future, LocalCluster, performance_report, wait
 from distributed.system import MEMORY_LIMIT
 
-from blocksar import __version__
+from blocksar import __version__, ground
 from blocksar.ground import compile_kernels
 from blocksar.parameters import InputError, ProcessingError
+from blocksar.progress import NOBODY, Listener, Workers
 
 Unit = tuple[str, Callable[[], Future[Any]]]  # a unit of work: its name, and what submits it
 
@@ -36,6 +40,8 @@ STALL = 3600.0  # seconds in which nothing was finished
 CONNECT = 20.0  # seconds for a given scheduler to answer
 SETTINGS = {"distributed.admin.low-level-log-length": 10}  # else what was sent to workers is kept, 1000 times
 DONE = ("finished", "error")  # of a future's states; what is lost with a worker is pending again soon
+REPORT = 60.0  # seconds for a performance report to be made
+GRACE = 5.0  # likewise, where a run was interrupted
 POLL = 2.0  # seconds between two looks at the cluster while nothing is finished
 
 
@@ -69,10 +75,12 @@ def open_client(
     threads: int = 1,
     memory_limit: int | None = None,
     scratch: str | None = None,
+    report: Listener | None = None,
 ) -> Iterator[Client]:
     """The client given, a client of the scheduler given, or of a cluster of our own on loopback that ends with it.
 
     `scratch` is a folder for the workers' temporary files, of our own cluster; by default one that goes with it.
+    `report` is told how far the start of our own has come.
 
     Raises
     ------
@@ -92,7 +100,7 @@ def open_client(
             return
         if scratch is None:
             scratch = stack.enter_context(tempfile.TemporaryDirectory(prefix="blocksar-", ignore_cleanup_errors=True))
-        yield stack.enter_context(_own(workers, threads, memory_limit, scratch))
+        yield stack.enter_context(_own(workers, threads, memory_limit, scratch, report or Listener()))
 
 
 def _connected(scheduler: str) -> Client:
@@ -136,9 +144,12 @@ def _version() -> str:
 
 
 @contextmanager
-def _own(workers: int, threads: int, memory_limit: int | None, scratch: str) -> Iterator[Client]:
+def _own(workers: int, threads: int, memory_limit: int | None, scratch: str, report: Listener) -> Iterator[Client]:
+    report.update("compile", 0, 1)
     # Compiling takes a worker more memory than a block may: done here, once, the workers load from the cache.
     compile_kernels()
+    report.update("compile", 1, 1)
+    report.update("start-workers", 0, workers)
     settings = {
         # The plan keeps to the limit; spilling would only hide that it did not.
         "distributed.worker.memory.target": False,
@@ -176,12 +187,21 @@ def _own(workers: int, threads: int, memory_limit: int | None, scratch: str) -> 
             client.wait_for_workers(workers, timeout=NO_WORKER)
         except TimeoutError:
             raise ProcessingError(f"{workers} workers did not start within {NO_WORKER:.0f} s") from None
+        report.update("start-workers", workers, workers)
         try:
             yield client
         except BaseException:
             # Else closing waits for tasks whose results are of no use any more.
             _kill_workers(cluster)
             raise
+
+
+def compiled() -> bool:
+    """Whether compiled kernels are in numba's cache, as far as a look at its folder tells."""
+    folder = os.environ.get("NUMBA_CACHE_DIR")
+    name = f"{Path(ground.__file__).stem}.*.nbi"
+    found = Path(folder).rglob(name) if folder else Path(ground.__file__).parent.glob(f"__pycache__/{name}")
+    return next(found, None) is not None
 
 
 async def _deaf_to_interrupts() -> None:
@@ -218,7 +238,76 @@ def _kill_workers(cluster: LocalCluster) -> None:
                 os.kill(nanny.pid, signal.SIGKILL)
 
 
-def in_turn(client: Client, stage: str, units: Sequence[Unit], each: int) -> Iterator[tuple[str, Future[Any]]]:
+# ---------------------------------------------------------------- what can be seen of it
+
+
+def dashboard(client: Client) -> str | None:
+    """Where a cluster's dashboard can be seen, if it has one that shows more than metrics."""
+    with suppress(Exception):  # whatever is wrong with a scheduler, others say it better
+        return client.dashboard_link if _has_bokeh(client) else None
+    return None
+
+
+def check_recordable(path: Path, client: Client | None) -> None:
+    """Whether a performance report can be made of a cluster (None: of our own) and written there.
+
+    Raises
+    ------
+    InputError
+        If not.
+    """
+    if importlib.util.find_spec("bokeh") is None:
+        raise InputError("bokeh is not installed, which --performance-report needs; install blocksar[dashboard]")
+    try:
+        if path.is_dir():
+            raise IsADirectoryError(None, "it is a folder")
+        tempfile.TemporaryFile(dir=path.parent).close()
+    except (OSError, ValueError) as error:
+        why = (error.strerror if isinstance(error, OSError) else None) or error
+        raise InputError(f"--performance-report {str(path)!r} cannot be written ({why}); give another file") from None
+    if client is not None and not _has_bokeh(client):
+        raise InputError("the dask scheduler has no bokeh, which --performance-report needs; install it there")
+
+
+def _has_bokeh(client: Client) -> bool:
+    return bool(client.run_on_scheduler(lambda: importlib.util.find_spec("bokeh") is not None))
+
+
+@contextmanager
+def recorded(client: Client, path: Path | None, report: Listener) -> Iterator[None]:
+    """Write dask's performance report of all that is done in the block, however the block ends.
+
+    What stood at `path` is replaced once the report is whole; if there is none to be had, `report` is told why.
+    """
+    if path is None:
+        yield
+        return
+    made = path.with_name(f".{path.name}.part")
+    with client.as_current():
+        recorder = performance_report(filename=str(made), mode="inline")  # opens without a network
+        recorder.__enter__()
+        try:
+            yield
+        finally:
+            # Who interrupts a run does not wait for long.
+            patience = REPORT if sys.exc_info()[0] is None or isinstance(sys.exc_info()[1], Exception) else GRACE
+            try:
+                if client.status != "running":
+                    raise OSError("the dask scheduler is gone")
+                client.sync(recorder.__aexit__, None, None, None, code="blocksar", callback_timeout=patience)
+                os.replace(made, path)
+            except Exception as error:
+                report.note(f"no performance report at {path}: {' '.join(str(error).split()) or type(error).__name__}")
+            finally:
+                made.unlink(missing_ok=True)
+
+
+# ---------------------------------------------------------------- how much of it is asked
+
+
+def in_turn(
+    client: Client, stage: str, units: Sequence[Unit], each: int, report: Listener
+) -> Iterator[tuple[str, Future[Any]]]:
     """Units as they are done, well or not, with no more of them at work than `each` a worker.
 
     Admission is by the client, so that no worker ever holds more than it was planned for. A unit whose outcome went
@@ -232,16 +321,18 @@ def in_turn(client: Client, stage: str, units: Sequence[Unit], each: int) -> Ite
     waiting = deque(units)
     starts = dict(units)
     running: dict[Future[Any], str] = {}
-    watch = Watch(client)
+    watch = Watch(client, report)
     try:
         while True:
             for _ in range(min(each * watch.workers() - len(running), len(waiting))):
                 unit, start = waiting.popleft()
                 running[start()] = unit
+            watch.tell(running)
             if not running:
                 return
             for future in watch.first(running, stage):
                 if future.status in DONE:
+                    watch.tell({other: unit for other, unit in running.items() if other is not future})
                     yield running[future], future
                 elif future.status == "cancelled" and client.status == "running":
                     waiting.append((running[future], starts[running[future]]))
@@ -266,18 +357,23 @@ def _release(client: Client, future: Future[Any]) -> None:
 class Watch:
     """Waits for a cluster, and notices when nothing more will come of it."""
 
-    def __init__(self, client: Client) -> None:
-        self._client = client
+    def __init__(self, client: Client, report: Listener) -> None:
+        self._client, self._report = client, report
         self._heard = self._seen = time.monotonic()
-        self._workers = 0
+        self._workers = NOBODY
 
     def workers(self) -> int:
         """How many there are now; at least one."""
-        found = len(self._client.scheduler_info(n_workers=-1)["workers"])
+        found = self._client.scheduler_info(n_workers=-1)["workers"].values()
         if found:
             self._seen = time.monotonic()
-            self._workers = found
-        return max(self._workers, 1)
+            memory, limit = max((w["metrics"].get("memory", 0), w["memory_limit"]) for w in found)
+            self._workers = Workers(len(found), int(memory), int(limit or 0))
+        return max(self._workers.number, 1)
+
+    def tell(self, running: Mapping[Future[Any], str]) -> None:
+        """What is at work, and how the workers were when they were last looked at: costs no message."""
+        self._report.watch(list(running.values()), self._workers)
 
     def first(self, running: Mapping[Future[Any], str], stage: str) -> list[Future[Any]]:
         """Those of the futures that are done or cancelled, as soon as there is one.
@@ -303,6 +399,7 @@ class Watch:
         if self._client.status != "running":
             raise ProcessingError(f"{stage} of {units} was cut short: the dask scheduler is gone")
         self.workers()
+        self.tell(running)
         now = time.monotonic()
         if now - self._seen > NO_WORKER:
             raise ProcessingError(f"{stage} of {units} waits in vain: no worker for {NO_WORKER:.0f} s")

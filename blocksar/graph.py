@@ -27,15 +27,15 @@ from blocksar.cluster import Unit, in_turn
 from blocksar.geometry import Geometry
 from blocksar.ground import GroundMap, correct, covers
 from blocksar.inspection import Inspection, inspect, merge, refusal, strike
-from blocksar.parameters import ComplexArray, FloatArray, InputError, ProcessingError
+from blocksar.parameters import Collection, ComplexArray, FloatArray, InputError, ProcessingError
 from blocksar.planning import DOPPLER_GROUP, IMAGE_CHUNK, SIGNAL_BYTES, BlockPlan, Plan
+from blocksar.progress import Listener
 from blocksar.range_steps import ResidualRangeWalk
 from blocksar.recovery import RawCompression, Recovery, recover_columns
 from blocksar.region import Grid, lit_pulses
 from blocksar.runs import Receipt, Run, Written, write, written
 from blocksar.steps import Stage, stages
 
-Report = Callable[[str, int, int], None]  # stage, done, total
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -335,7 +335,7 @@ def patch_window(ground: GroundMap, grid: Grid) -> tuple[int, int, int, int]:
 
 
 def run_units(
-    client: Client, stage: str, units: Sequence[Unit], run: Run, report: Report, *, each: int = 1
+    client: Client, stage: str, units: Sequence[Unit], run: Run, report: Listener, *, each: int = 1
 ) -> list[Receipt]:
     """Run what has no trusted receipt yet, `each` units at a time on every worker, and return all receipts in order.
 
@@ -353,15 +353,20 @@ def run_units(
     receipts: dict[str, Receipt] = {}
     damaged = set()
     # By workers: samples never come here.
-    for unit, future in in_turn(client, stage, [(unit, _verify(client, run, claims[unit])) for unit in claims], 2):
+    checks = [(unit, _verify(client, run, claims[unit])) for unit in claims]
+    if checks:
+        report.begin(f"check-{stage}")
+    for number, (unit, future) in enumerate(in_turn(client, stage, checks, 2, report), 1):
         if _result(future, stage, unit):
             receipts[unit] = claims[unit] | {"reused": True}
         else:
             damaged.add(unit)
-    report(stage, len(receipts), len(units))
-    for unit, future in in_turn(client, stage, [unit for unit in units if unit[0] not in receipts], each):
+        report.update(f"check-{stage}", number, len(checks))
+    report.begin(stage, reused=len(receipts))
+    report.update(stage, len(receipts), len(units))
+    for unit, future in in_turn(client, stage, [unit for unit in units if unit[0] not in receipts], each, report):
         receipts[unit] = _result(future, stage, unit) | ({"damaged": True} if unit in damaged else {})
-        report(stage, len(receipts), len(units))
+        report.update(stage, len(receipts), len(units))
     return [receipts[unit] for unit, _ in units]
 
 
@@ -386,7 +391,7 @@ def _result(future: Future[Any], stage: str, unit: str) -> Any:
 
 
 def recover(
-    client: Client, source: stores.PhaseHistory, plan: Plan, run: Run, report: Report
+    client: Client, source: stores.PhaseHistory, plan: Plan, run: Run, report: Listener
 ) -> tuple[list[Receipt], Inspection]:
     """Phase history to spectrum.zarr, and what was found in the samples.
 
@@ -440,7 +445,7 @@ def _found(receipts: Sequence[Receipt]) -> Inspection:
 
 
 def _compress(
-    client: Client, source: stores.PhaseHistory, run: Run, report: Report
+    client: Client, source: stores.PhaseHistory, run: Run, report: Listener
 ) -> tuple[stores.PhaseHistory, list[Receipt]]:
     assert source.raw is not None
     collection = source.collection
@@ -469,7 +474,7 @@ def _compress(
     return stores.open_phase_history(run.compressed), receipts
 
 
-def focus_blocks(client: Client, plan: Plan, run: Run, lit: FloatArray, report: Report) -> list[Receipt]:
+def focus_blocks(client: Client, plan: Plan, run: Run, lit: FloatArray, report: Listener) -> list[Receipt]:
     """Every block by its own chain of tasks: spectrum.zarr to patches/<block>."""
     collection = plan.geometry.collection
     # By this process, before all tasks: one that was given up, and comes too late, must not empty what another wrote.
@@ -520,7 +525,7 @@ def _create_patch(run: Run, block: BlockPlan, grid: Grid) -> None:
     )  # fmt: skip
 
 
-def mosaic(client: Client, plan: Plan, run: Run, patches: Sequence[Receipt], report: Report) -> list[Receipt]:
+def mosaic(client: Client, plan: Plan, run: Run, patches: Sequence[Receipt], report: Listener) -> list[Receipt]:
     """Patches to image.zarr, by output chunk; chunks that no block covers are never written."""
     side = image_chunk(plan.grid)
     cells: dict[tuple[int, int], list[tuple[int, str, int, int, str]]] = {}
@@ -545,8 +550,13 @@ def mosaic(client: Client, plan: Plan, run: Run, patches: Sequence[Receipt], rep
     return run_units(client, "mosaic", units, run, report, each=2)
 
 
+def inspection_width(collection: Collection) -> int:
+    """Range frequencies that a task looks at."""
+    return min(max(SIGNAL_BYTES // (8 * collection.n_pulse), 1), stores.TILE[1])
+
+
 def look_through(
-    client: Client, source: stores.PhaseHistory, run: Run, report: Report
+    client: Client, source: stores.PhaseHistory, run: Run, report: Listener
 ) -> tuple[stores.PhaseHistory, list[Receipt], Inspection]:
     """Inspect a phase history that is not recovered; a raw one is compressed first. Where its samples are then.
 
@@ -559,7 +569,7 @@ def look_through(
     if source.raw is not None:
         source, receipts = _compress(client, source, run, report)
     n = source.collection.n_range_frequency
-    width = min(max(SIGNAL_BYTES // (8 * source.collection.n_pulse), 1), stores.TILE[1])
+    width = inspection_width(source.collection)
 
     def start(unit: str, columns: tuple[int, int]) -> Callable[[], Future[Any]]:
         key = f"inspect-{run.token}-{unit}"
@@ -577,7 +587,7 @@ def back_project(
     grid: Grid,
     found: Inspection,
     run: Run,
-    report: Report,
+    report: Listener,
 ) -> list[Receipt]:
     """Phase history straight to image.zarr by exact back-projection, by output chunk."""
     side = image_chunk(grid)

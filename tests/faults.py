@@ -186,7 +186,11 @@ class Process:
     @property
     def message(self) -> str:
         """Stderr without the progress."""
-        return "".join(line for line in self.stderr.splitlines(keepends=True) if not re.search(r": \d+ of \d+$", line))
+        return "".join(
+            line
+            for line in self.stderr.splitlines(keepends=True)
+            if not re.search(r": \d+ of \d+, |^dashboard: ", line)
+        )
 
     def await_line(self, text: str) -> None:
         """Until it has said that, or has ended."""

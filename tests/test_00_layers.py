@@ -25,10 +25,10 @@ STEPS = {"range_steps", "azimuth_steps"}
 MEASURES = {"recovery", "ground", "backprojection", "measurement"}
 PLANS = {"fitting", "closed_form", "region", "recovery_plan", "chains", "binding", "planning", "choice"}
 FILES = {"places", "stores", "runs"}
-BELOW_GRAPH = KERNELS | STEPS | MEASURES | {"method", "steps", "inspection"} | PLANS | FILES | {"cluster"}
+BELOW_GRAPH = KERNELS | STEPS | MEASURES | {"method", "steps", "inspection"} | PLANS | FILES | {"cluster", "progress"}
 INGEST = {"resampling", "cphd", "matfile", "gotcha"}
-BELOW_API = BELOW_GRAPH | INGEST | {"graph", "scene", "simulation", "cphd_simulation", "plotting"}
-PRODUCTS = {"products", "sicd", "geotiff", "quicklook", "accessor"}
+BELOW_API = BELOW_GRAPH | INGEST | {"graph", "effort", "scene", "simulation", "cphd_simulation", "plotting"}
+PRODUCTS = {"products", "sicd", "geotiff", "quicklook", "accessor", "facts", "picture", "page"}
 
 ARROWS: dict[str, set[str]] = {
     "parameters": set(),
@@ -59,6 +59,9 @@ ARROWS: dict[str, set[str]] = {
     "geotiff": {"parameters", "georeference", "places", "products"},
     "quicklook": {"parameters", "places", "plotting", "products"},
     "accessor": {"parameters", "georeference", "measurement", "quicklook"},
+    "facts": {"parameters", "measurement", "planning", "products"},
+    "picture": {"parameters", "measurement", "plotting", "products", "facts"},
+    "page": {"parameters", "measurement", "method", "planning", "plotting", "products", "facts", "picture"},
     "cphd": {"parameters", "georeference", "resampling", "places", "stores"},
     "cphd_simulation": GROUND | {"georeference", "places", "stores", "scene", "simulation", "cphd"},
     "region": {"parameters", "geometry"},
@@ -69,12 +72,14 @@ ARROWS: dict[str, set[str]] = {
     | STEPS
     | {"method", "steps", "binding", "fitting", "closed_form", "ground", "recovery", "region", "recovery_plan"},
     "choice": {"parameters", "method", "planning"},
-    "cluster": {"parameters", "ground"},
+    "progress": {"parameters"},
+    "cluster": {"parameters", "ground", "progress"},
+    "effort": {"geometry", "graph", "ground", "planning", "progress", "region", "stores"},
     "graph": BELOW_GRAPH,
     "plotting": {"parameters", "geometry", "measurement"},
     "api": BELOW_API | PRODUCTS | {"georeference"},
     "cli": BELOW_API | PRODUCTS | {"api"},
-    "__init__": {"api"},  # loaded on first use
+    "__init__": {"api", "parameters"},  # loaded on first use
 }
 
 # Who may import a library; None: every module. What is not here is not used.
@@ -92,8 +97,9 @@ HOMES: dict[str, set[str] | None] = {
     "dask": {"cluster"},
     "distributed": {"cluster", "graph", "api"},
     "typer": {"cli"},
-    "rich": {"cli"},
-    "matplotlib": {"plotting", "quicklook", "accessor"},
+    "rich": {"cli", "progress"},
+    "matplotlib": {"plotting", "quicklook", "accessor", "picture"},
+    "jinja2": {"page"},
     "bokeh": {"cluster"},  # only asked whether it is there
     "pydantic": {"scene"},
     "sarkit": {"cphd", "sicd"},
@@ -234,6 +240,7 @@ def test_an_unknown_name_is_refused() -> None:
 def test_the_package_carries_its_data() -> None:
     assert (PACKAGE / "py.typed").is_file()
     assert (PACKAGE / "scenes" / "table1.toml").is_file()
+    assert all((PACKAGE / "templates" / f"report.{kind}").is_file() for kind in ("html", "css", "js"))
 
 
 def test_the_project_stands_on_its_own() -> None:

@@ -23,6 +23,7 @@ from scenes import write_store
 import blocksar
 from blocksar import cluster
 from blocksar.parameters import InputError
+from blocksar.progress import Listener
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENE: dict[str, Any] = {
@@ -64,7 +65,7 @@ def test_units_that_the_scheduler_forgets_are_started_again(client: Client) -> N
         return future
 
     units = [(unit, partial(start, unit)) for unit in "abcd"]
-    outcomes = {unit: future.result() for unit, future in cluster.in_turn(client, "focus", units, 2)}
+    outcomes = {unit: future.result() for unit, future in cluster.in_turn(client, "focus", units, 2, Listener())}
     assert outcomes == {unit: unit for unit in "abcd"}
     assert [started.count(unit) for unit in "ad"] == [1, 1] and min(started.count(unit) for unit in "bc") >= 3
 

@@ -928,7 +928,10 @@ def main(
     peer: Annotated[bool, typer.Option(help="Also torchbp, where it is installed.")] = True,
     keep: Annotated[bool, typer.Option("--keep", help="Leave the working folder.")] = False,
 ) -> None:
-    """Measure blocksar against its floors and against exact back-projection."""
+    """Measure blocksar against its floors and against exact back-projection.
+
+    Example: python workflows/benchmark.py --scale 1x1,2x2 --repeats 5 --json benchmark.json
+    """
     try:
         scales = [Scale.parse(part) for part in scale.split(",")]
         limit = None if memory_limit is None else parse_memory(memory_limit)

@@ -1468,7 +1468,10 @@ def main(
     only: Annotated[str | None, typer.Option(metavar="FIG,...", help=f"Some of: {', '.join(EXHIBITS)}.")] = None,
     workers: Annotated[int, typer.Option(min=1, help="Worker processes that focus.")] = min(THREADS, 4),
 ) -> None:
-    """Reproduce figures and tables of the papers, each number beside the printed one."""
+    """Reproduce figures and tables of the papers, each number beside the printed one.
+
+    Example: python workflows/reproduce_papers.py --out reproduced --only fig2,table3
+    """
     try:
         found = reproduce(out, wanted(only), workers=workers)
     except InputError as error:

@@ -1,0 +1,371 @@
+"""What a report page knows of a run: its record, what was measured, and whether that meets the bar.
+
+Records are read here, once, and found damaged or not; runs of older formats know less, and that is no fault.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from blocksar.measurement import PointResponse, Target
+from blocksar.parameters import SINC_PSLR
+from blocksar.planning import MIB, SIDE_LOBE_BUDGET
+from blocksar.products import Source
+
+SHOWN = 9  # targets whose responses are drawn
+MOST_ROWS = 300  # of a table, and marks on the picture
+DASH, MINUS, TIMES = "\N{EN DASH}", "\N{MINUS SIGN}", "\N{MULTIPLICATION SIGN}"
+SPACE = "\N{NARROW NO-BREAK SPACE}"
+
+# ---------------------------------------------------------------- numbers for people
+
+
+def number(value: float | None, digits: int = 2) -> str:
+    """With a typographic minus sign; a dash where there is none.
+
+    Examples
+    --------
+    >>> number(-13.264), number(float("nan")), number(16413.1468, 1)
+    ('−13.26', '–', '16\u202f413.1')
+    """
+    if value is None or not np.isfinite(value):
+        return DASH
+    text = f"{value:,.{digits}f}"
+    if not float(text.replace(",", "")):
+        text = text.lstrip("-")  # minus nothing
+    return text.replace("-", MINUS).replace(",", SPACE)
+
+
+def memory(value: float | None) -> str:
+    """Bytes, in MiB."""
+    return DASH if value is None else f"{number(value / MIB, 0)} MiB"
+
+
+def together(text: str) -> str:
+    """A sentence whose numbers are not parted from their units at the end of a line.
+
+    Examples
+    --------
+    >>> together("within 1 % of 5 mm")
+    'within 1\u202f% of 5\u202fmm'
+    """
+    return re.sub(r"(?<=\d) (?=(%|dB|mm|MiB|rad)\b|%)", SPACE, text)
+
+
+def count(n: int, what: str) -> str:
+    """
+    Examples
+    --------
+    >>> count(1, "target"), count(0, "warning"), count(73, "target")
+    ('1 target', 'no warnings', '73 targets')
+    """
+    return f"{n or 'no'} {what}{'' if n == 1 else 's'}"
+
+
+# ---------------------------------------------------------------- what a target has to meet
+
+
+class Bar(NamedTuple):
+    """How far a figure may be from the ideal one: by `limit`, as a person reads it `said`."""
+
+    name: str
+    limit: float
+    said: str
+    deviation: Callable[[PointResponse], float]
+
+
+BARS = {
+    "range_pslr": Bar("range PSLR", SIDE_LOBE_BUDGET, f"{SIDE_LOBE_BUDGET:g} dB", lambda r: r.range_pslr - SINC_PSLR),
+    "range_irw": Bar("range width", 0.01, "1 %", lambda r: r.range_irw / r.range_irw_theory - 1),
+    "azimuth_pslr": Bar(
+        "azimuth PSLR", SIDE_LOBE_BUDGET, f"{SIDE_LOBE_BUDGET:g} dB", lambda r: r.azimuth_pslr - SINC_PSLR
+    ),
+    "azimuth_irw": Bar("azimuth width", 0.01, "1 %", lambda r: r.azimuth_irw / r.azimuth_irw_theory - 1),
+    "error_x": Bar("position in x", 0.05, "50 mm", lambda r: r.error_x),
+    "error_y": Bar("position in y", 0.05, "50 mm", lambda r: r.error_y),
+    "amplitude": Bar("amplitude", 0.02, "2 %", lambda r: abs(r.value) - 1),
+    "phase": Bar("phase", 0.05, "0.05 rad", lambda r: float(np.angle(r.value))),
+}
+BAR = (
+    f"side lobes within {BARS['range_pslr'].said} of {number(SINC_PSLR)} dB and widths within {BARS['range_irw'].said} "
+    f"of theory, in range and in azimuth; position within {BARS['error_x'].said} in x and in y; amplitude within "
+    f"{BARS['amplitude'].said}, phase within {BARS['phase'].said}"
+)
+
+
+def excess(response: PointResponse, figure: str) -> float:
+    """A figure's deviation over what it may be; infinite where it could not be measured."""
+    bar = BARS[figure]
+    return float(np.nan_to_num(abs(bar.deviation(response)) / bar.limit, nan=np.inf))
+
+
+def worst_excess(response: PointResponse) -> float:
+    """Of all figures: at most 1 is within the bar."""
+    return max(excess(response, figure) for figure in BARS)
+
+
+def judged(responses: Sequence[PointResponse]) -> list[PointResponse]:
+    """Those that the bar is for: lit over their full dwell, and covered."""
+    return [r for r in responses if r.full_dwell and r.covered]
+
+
+def responses_of(found: Mapping[str, Any]) -> list[PointResponse]:
+    """Targets as quality.json holds them: null stands for NaN, [re, im] for a complex number.
+
+    Raises
+    ------
+    KeyError, TypeError, ValueError
+        If it holds no such thing.
+    """
+    made = []
+    for record in found["targets"]:
+        fields = {name: _number(name, record[name]) for name in PointResponse._fields}
+        made.append(PointResponse(**fields))
+    return made
+
+
+def _number(name: str, value: Any) -> Any:
+    match name:
+        case "name":
+            return str(value)
+        case "full_dwell" | "covered":
+            return bool(value)
+        case "value":
+            real, imaginary = (np.nan if part is None else float(part) for part in value)
+            return complex(real, imaginary)
+    return np.nan if value is None else float(value)
+
+
+def spoken(r: PointResponse) -> str:
+    """A response in words, for who cannot see its pictures."""
+    parts = [
+        f"{axis} side lobes {number(getattr(r, f'{axis}_pslr'))} dB, width {number(getattr(r, f'{axis}_irw'), 3)} m "
+        f"where theory has {number(getattr(r, f'{axis}_irw_theory'), 3)} m"
+        for axis in ("range", "azimuth")
+    ]
+    return "; ".join(parts)
+
+
+# ---------------------------------------------------------------- blocks
+
+
+def block_name(block: Mapping[str, Any]) -> str:
+    """As receipts have it: `2`, or `2.0` for a range sub-block."""
+    return str(block["block"]) if block["part"] is None else f"{block['block']}.{block['part']}"
+
+
+def block_of(source: Source, predicted: Sequence[Mapping[str, Any]], x: float, y: float) -> str:
+    """Which block owns a point of the ground, by its yaw and range; a dash if none does."""
+    geometry = source.geometry
+    yaw, distance = float(geometry.yaw(np.array(x), np.array(y))), float(geometry.epoch_range(np.array(x), np.array(y)))
+    for block in predicted:
+        (low, high), (near, far) = block["yaw"], block["range"]
+        turned = (low + high) / 2 + np.mod(yaw - (low + high) / 2 + np.pi, 2 * np.pi) - np.pi
+        if low <= turned <= high and (block["part"] is None or near <= distance <= far):
+            return block_name(block)
+    return DASH
+
+
+# ---------------------------------------------------------------- what is known of a run
+
+
+class Verdict(NamedTuple):
+    """One part of the first line."""
+
+    good: bool
+    said: str
+
+
+class Facts:
+    """A run's record and what was measured, as the page needs them; runs of older formats know less.
+
+    Attributes
+    ----------
+    source : Source
+    record : dict
+        run.json.
+    predicted : list of dict
+        One a block: what the plan promised. Empty for back-projection.
+    planned_memory, peak_memory, memory_limit : float or None
+        Of a worker, bytes.
+    why : str
+        Why nothing could be measured.
+    receipts : list of dict
+        Unit, seconds, peak memory, seconds of steps, whether it was used again.
+    timings : dict of float
+        Of the stages, s.
+    chips : list of dict
+        Comparisons with back-projection.
+    responses : list of PointResponse
+    shown : list of PointResponse
+        Those in the table: all, or the worst where they are many.
+    marked : list of PointResponse or Target
+        Those marked in the picture: what was measured, or, where nothing could be, what should have been.
+    judged : list of PointResponse
+        Those that the bar is for.
+    places : dict
+        Names of the blocks that own the responses, by their id().
+    settings, input, versions : dict
+        As run.json has them, empty if it has not.
+    samples, centroid : str
+        What was found in the samples, and how far their Doppler centroid is from that of track and beam.
+    north : float or None
+        Of the x axis from east, degrees; None if nobody knows where on the Earth it is.
+    warnings : list of str
+    """
+
+    def __init__(self, source: Source, found: Mapping[str, Any] | None, why: str = "") -> None:
+        self.source, self.record = source, source.record
+        self.found, self.why = found or {}, why
+        plan = self.record.get("plan") or {}
+        self.predicted = [_block(block) for block in plan.get("predicted") or []]
+        self.planned_memory = _float(plan.get("memory")) or max((b["memory"] for b in self.predicted), default=None)
+        self.peak_memory = _float(self.record.get("peak_memory"))
+        self.memory_limit = _float(self.record.get("memory_limit"))
+        self.receipts = [_receipt(receipt) for receipt in self.record.get("receipts") or []]
+        self._by_unit = {receipt["unit"]: receipt for receipt in self.receipts}
+        self.timings = {name: float(seconds) for name, seconds in (self.record.get("timings") or {}).items()}
+        self.settings, self.input, self.versions = (
+            dict(self.record.get(name) or {}) for name in ("settings", "input", "versions")
+        )
+        where = source.attrs.get("georeference")
+        self.north = None if where is None else float(where.get("rotation_deg", 0.0))
+        self.samples, self.centroid = _samples(self.record), _centroid(self.record)
+        self.warnings = [str(line) for line in self.record.get("warnings") or []]
+        self.chips = [_chip(chip) for chip in self.found.get("reference") or []]
+        self.responses = responses_of(found) if found else []
+        self.judged = judged(self.responses)
+        worst = sorted(self.responses, key=rank)[:MOST_ROWS]
+        kept = {id(r) for r in worst}
+        self.shown = [r for r in self.responses if id(r) in kept]
+        self.marked: Sequence[PointResponse | Target] = self.shown or [
+            Target.from_record(record) for record in list(source.attrs.get("targets") or [])[:MOST_ROWS]
+        ]
+        self.places = {id(r): block_of(source, self.predicted, r.x, r.y) for r in self.responses}
+
+    def receipt(self, block: Mapping[str, Any]) -> dict[str, Any]:
+        """Of a block, empty if there is none."""
+        return self._by_unit.get(f"block-{block_name(block)}", {})
+
+    def drawn(self) -> set[str]:
+        """Names of the targets whose responses are drawn: the paper's, or the worst and others spread over the list."""
+        measured = [r.name for r in self.responses if r.covered]
+        paper = [name for name in measured if name in (self.found.get("table3") or {})]
+        worst = [r.name for r in sorted(self.judged, key=rank)[:2]]
+        even = [measured[round(i)] for i in np.linspace(0, len(measured) - 1, SHOWN)] if measured else []
+        chosen = dict.fromkeys([*paper, *worst, *even])
+        return set(list(chosen)[:SHOWN])
+
+    def subtitle(self) -> str:
+        blocks = len({b["block"] for b in self.predicted})
+        dx, dy = self.source.spacing
+        spacing = f"{dx:.4g} m" if abs(dx - dy) < 1e-9 * dx else f"{dx:.4g} m {TIMES} {dy:.4g} m"
+        size = f"{number(self.source.x.size, 0)} {TIMES} {number(self.source.y.size, 0)} pixels of {spacing}"
+        carrier = f"{self.source.geometry.collection.carrier / 1e9:.4g} GHz"
+        processor = str(self.settings.get("processor", "blocksar"))
+        return ", ".join([processor, *([count(blocks, "block")] if blocks else []), size, carrier])
+
+    def verdicts(self) -> list[Verdict]:
+        return [self._verdict_targets(), self._verdict_warnings(), self._verdict_memory()]
+
+    def _verdict_targets(self) -> Verdict:
+        if self.why:
+            return Verdict(False, "targets could not be measured")
+        if not self.responses:
+            return Verdict(True, "no targets to measure")
+        full = [r for r in self.responses if r.full_dwell]
+        within = [r for r in self.judged if worst_excess(r) <= 1]
+        if not full:
+            return Verdict(False, "no target is lit over its full dwell")
+        return Verdict(
+            len(within) == len(full), f"{len(within)} of {count(len(full), 'fully lit target')} within the bar"
+        )
+
+    def _verdict_warnings(self) -> Verdict:
+        return Verdict(not self.warnings, count(len(self.warnings), "warning"))
+
+    def _verdict_memory(self) -> Verdict:
+        peak, planned = self.peak_memory, self.planned_memory
+        if peak is None or planned is None:
+            return Verdict(True, f"peak memory of a worker {memory(peak)}")
+        return Verdict(
+            peak <= planned,
+            f"peak memory of a worker {memory(peak)}, {number(100 * peak / planned, 0)}{SPACE}% of the plan",
+        )
+
+    def memory_words(self) -> str:
+        planned, limit = self.planned_memory, self.memory_limit
+        said = [f"Peak of a worker: {memory(self.peak_memory)}"]
+        said += [f"planned: {memory(planned)}"] if planned is not None else []
+        said += [f"limit: {memory(limit)}"] if limit is not None else []
+        workers, threads = self.record.get("workers"), self.record.get("threads")
+        if workers is not None and threads is not None:
+            said.append(f"{count(workers, 'worker')} with {count(threads, 'thread')} each")
+        return f"{'; '.join(said)}."
+
+    def plan_words(self) -> str:
+        if self.predicted:
+            return (
+                "What tracing the scene's time-frequency lines promised for the worst target of each block, beside "
+                "what was measured at the fully lit targets in it. Memory is that of a worker, interpreter and "
+                "libraries included."
+            )
+        return "Exact back-projection approximates nothing, so nothing had to be predicted."
+
+
+def _float(value: Any) -> float | None:
+    return None if value is None else float(value)
+
+
+def _block(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Of a plan, as run.json holds it."""
+    numbers = ("memory", "residual_phase", "pslr", "width", "migration")
+    part = record["part"]
+    return {
+        "block": int(record["block"]),
+        "part": None if part is None else int(part),
+        **{name: (float(record[name][0]), float(record[name][1])) for name in ("yaw", "range")},
+        **{name: float(record[name]) for name in numbers},
+    }
+
+
+def _receipt(record: Mapping[str, Any]) -> dict[str, Any]:
+    steps = {str(name): float(seconds) for name, seconds in (record.get("steps") or {}).items()}
+    return {
+        "unit": str(record["unit"]),
+        # The time of a block's receipt is that of its last step.
+        "seconds": sum(steps.values()) if steps else float(record["seconds"]),
+        "peak_memory": float(record["peak_memory"]),
+        "steps": steps,
+        "reused": bool(record.get("reused")),
+    }
+
+
+def _samples(record: Mapping[str, Any]) -> str:
+    found = record.get("samples")
+    if not found:
+        return ""
+    missing, impossible = int(found["missing"]), int(found["impossible"])
+    return f"{count(missing, 'missing sample')}, {count(impossible, 'impossible sample')}"
+
+
+def _centroid(record: Mapping[str, Any]) -> str:
+    found = record.get("doppler_centroid")
+    if not found:
+        return ""
+    error, agreement = _float(found["error"]), _float(found["coherence"])
+    return f"measured {number(error, 1)} Hz from that of track and beam, coherence {number(agreement)}"
+
+
+def _chip(record: Mapping[str, Any]) -> dict[str, Any]:
+    numbers = {name: _float(record[name]) for name in ("x", "y", "coherence", "gain", "phase")}
+    return {"place": str(record["place"]), **numbers}
+
+
+def rank(response: PointResponse) -> tuple[bool, float]:
+    """The judged targets first, the worst of them before others."""
+    return not (response.full_dwell and response.covered), -worst_excess(response)

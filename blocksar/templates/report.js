@@ -1,0 +1,330 @@
+"use strict";
+// The viewer keeps one state: the middle of what is shown (m, in the picture's frame) and the metres of a CSS pixel.
+(() => {
+  const $ = (id) => document.getElementById(id);
+  const svg = $("scene"), viewer = $("viewer"), frame = $("frame");
+  const given = Object.fromEntries(Object.entries(svg.dataset).map(([name, value]) => [name, Number(value)]));
+  const places = [...svg.querySelectorAll(".place")];
+  const labels = [...svg.querySelectorAll(".label")];
+  const marks = [...svg.querySelectorAll(".mark")];
+  const ROOM = 1.02, STEP = 1.5, CELL_PIXELS = 30, NEAR = 6; // CSS pixels of the finest pixel at most; of a cell, where chips come in
+  const view = { x: 0, y: 0, scale: 1 };
+  let pressed = new Map(), returnTo = null, pointer = null, hinting = 0, follows = true;
+
+  document.documentElement.classList.add("scripted");
+
+  // ---------------------------------------------------------------- numbers
+
+  function number(value, digits) {
+    const text = Math.abs(value).toFixed(digits).replace(/\B(?=(\d{3})+(?!\d))/g, "\u202f");
+    return (value < 0 && Number(value.toFixed(digits)) !== 0 ? "\u2212" : "") + text;
+  }
+
+  function decimals(step) {
+    return Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
+  }
+
+  // The least of 1, 2 and 5 times a power of ten that is not below a value.
+  function roundUp(value) {
+    const decade = 10 ** Math.floor(Math.log10(value));
+    return [1, 2, 5, 10].find((step) => step * decade >= value * (1 - 1e-9)) * decade;
+  }
+
+  const display = (id, on) => (on ? $(id).removeAttribute("display") : $(id).setAttribute("display", "none"));
+
+  // ---------------------------------------------------------------- view
+
+  const size = () => ({ width: viewer.clientWidth || 1, height: viewer.clientHeight || 1 });
+  const widest = () => ROOM * Math.max(given.width / size().width, given.height / size().height);
+  const chips = $("chips") !== null; // whose pixels are smaller than the picture's cells
+  const closest = () => Math.min(given.pixel / CELL_PIXELS, widest() / 4);
+  const within = (value, extent, shown) => {
+    const free = Math.max(0, (extent - shown) / 2);
+    return Math.min(free, Math.max(-free, value));
+  };
+
+  function show(x, y, scale) {
+    const { width, height } = size();
+    view.scale = Math.min(widest(), Math.max(closest(), scale));
+    follows = view.scale >= widest() * (1 - 1e-9);
+    view.x = within(x, given.width, width * view.scale);
+    view.y = within(y, given.height, height * view.scale);
+    const [w, h] = [width * view.scale, height * view.scale];
+    svg.setAttribute("viewBox", `${view.x - w / 2} ${view.y - h / 2} ${w} ${h}`);
+    for (const place of places) {
+      place.setAttribute("transform", `translate(${place.dataset.x} ${place.dataset.y}) scale(${view.scale})`);
+    }
+    viewer.classList.toggle("zoomed", !follows);
+    if (chips) display("chips", view.scale < given.cell / NEAR);
+    $("zoom-out").disabled = $("reset").disabled = follows;
+    $("zoom-in").disabled = view.scale <= closest() * (1 + 1e-9);
+    name();
+    drawFrame();
+    read();
+  }
+
+  const showAll = () => show(0, 0, widest());
+  const move = (right, down) => show(view.x + right * view.scale, view.y + down * view.scale, view.scale);
+
+  // Zoom so that the point under (px, py), CSS pixels from the viewer's middle, stays where it is.
+  function zoom(factor, px = 0, py = 0) {
+    const scale = Math.min(widest(), Math.max(closest(), view.scale / factor));
+    show(view.x + px * (view.scale - scale), view.y + py * (view.scale - scale), scale);
+  }
+
+  function fromMiddle(event) {
+    const box = viewer.getBoundingClientRect();
+    return [event.clientX - box.left - box.width / 2, event.clientY - box.top - box.height / 2];
+  }
+
+  function announce() {
+    const zoomed = widest() / view.scale;
+    $("announced").textContent =
+      `Zoom ${number(zoomed, 1)}, middle at x ${number(given.x + view.x, 0)} m, y ${number(given.y - view.y, 0)} m`;
+  }
+
+  // ---------------------------------------------------------------- names, axes, scale bar
+
+  // Names that would lie on others are left out: the chosen target's first, then those whose responses are drawn.
+  function name() {
+    const taken = labels.map(({ dataset, textContent }) => {
+      const x = (dataset.x - view.x) / view.scale, y = (dataset.y - view.y) / view.scale;
+      return [x - 4 * textContent.length, y - 14, x + 4 * textContent.length, y + 4];
+    });
+    const rank = (mark) => (mark.classList.contains("chosen") ? 0 : mark.classList.contains("first") ? 1 : 2);
+    const wanted = $("toggle-names")?.getAttribute("aria-pressed") === "true";
+    for (const mark of [...marks].sort((a, b) => rank(a) - rank(b))) {
+      const x = (mark.dataset.x - view.x) / view.scale + 9, y = (mark.dataset.y - view.y) / view.scale - 6;
+      const box = [x, y - 14, x + 8 * mark.dataset.name.length + 4, y + 4];
+      const free = taken.every((t) => box[2] < t[0] || t[2] < box[0] || box[3] < t[1] || t[3] < box[1]);
+      mark.classList.toggle("named", wanted && free);
+      if (free) taken.push(box);
+    }
+  }
+
+  function draw(parent, kind, attributes, text = "") {
+    const element = document.createElementNS("http://www.w3.org/2000/svg", kind);
+    for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
+    element.textContent = text;
+    parent.append(element);
+  }
+
+  function drawFrame() {
+    const { width, height } = size();
+    frame.replaceChildren();
+    const step = roundUp(view.scale * 110);
+    const [unit, per] = step >= 1000 ? ["km", 1000] : ["m", 1];
+    const label = (value) => number(value / per, decimals(step / per));
+    const first = (edge) => Math.ceil(edge / step) * step;
+    const left = given.x + view.x - (width / 2) * view.scale, low = given.y - view.y - (height / 2) * view.scale;
+    for (let x = first(left); x < left + width * view.scale; x += step) {
+      const at = (x - left) / view.scale;
+      if (at < 90 || at > width - 30) continue;
+      draw(frame, "path", { d: `M${at} ${height}v-8`, class: "halo" });
+      draw(frame, "path", { d: `M${at} ${height}v-8` });
+      draw(frame, "text", { x: at, y: height - 12, "text-anchor": "middle" }, label(x));
+    }
+    for (let y = first(low); y < low + height * view.scale; y += step) {
+      const at = height - (y - low) / view.scale;
+      if (at < 30 || at > height - 60) continue;
+      draw(frame, "path", { d: `M0 ${at}h6`, class: "halo" });
+      draw(frame, "path", { d: `M0 ${at}h6` });
+      draw(frame, "text", { x: 16, y: at + 4 }, label(y));
+    }
+    draw(frame, "text", { x: 12, y: height - 12 }, `x, y (${unit})`);
+    const bar = roundUp(view.scale * 45), long = bar / view.scale;
+    draw(frame, "rect", { x: 12, y: 28, width: long, height: 5 });
+    draw(frame, "text", { x: 12, y: 20 }, bar >= 1000 ? `${bar / 1000} km` : `${bar} m`);
+  }
+
+  // ---------------------------------------------------------------- what is at a place
+
+  let levels = null;
+  const loaded = new Image();
+  loaded.addEventListener("load", () => {
+    const canvas = document.createElement("canvas");
+    [canvas.width, canvas.height] = [loaded.naturalWidth, loaded.naturalHeight];
+    const context = canvas.getContext("2d", { willReadFrequently: true });
+    context.drawImage(loaded, 0, 0);
+    levels = context.getImageData(0, 0, canvas.width, canvas.height);
+    read();
+  });
+  loaded.src = $("pixels").getAttribute("href");
+
+  function decibel(x, y) {
+    if (!levels) return "";
+    const column = Math.floor(((x + given.width / 2) / given.width) * levels.width);
+    const row = Math.floor(((y + given.height / 2) / given.height) * levels.height);
+    if (column < 0 || row < 0 || column >= levels.width || row >= levels.height) return "outside the image";
+    const at = 4 * (row * levels.width + column);
+    if (levels.data[at + 3] === 0) return "not covered";
+    const value = given.bottom + (levels.data[at] / 255) * (given.top - given.bottom);
+    return `${levels.data[at] === 0 ? "at most " : ""}${number(value, 1)} dB`;
+  }
+
+  function read() {
+    const [px, py] = pointer ?? [0, 0];
+    const x = view.x + px * view.scale, y = view.y + py * view.scale;
+    const digits = Math.min(3, decimals(view.scale));
+    const where = `x ${number(given.x + x, digits)} m, y ${number(given.y - y, digits)} m`;
+    $("readout").textContent = `${pointer ? "Pointer" : "Middle"}: ${where}; ${decibel(x, y)}`;
+  }
+
+  // ---------------------------------------------------------------- mouse, touch, wheel
+
+  viewer.addEventListener("pointerdown", (event) => {
+    if (event.button !== 0) return;
+    viewer.setPointerCapture(event.pointerId);
+    pressed.set(event.pointerId, fromMiddle(event));
+    viewer.classList.add("held");
+  });
+  viewer.addEventListener("pointermove", (event) => {
+    const now = fromMiddle(event);
+    pointer = now;
+    const before = pressed.get(event.pointerId);
+    if (!before) return read();
+    const other = [...pressed].find(([id]) => id !== event.pointerId)?.[1];
+    pressed.set(event.pointerId, now);
+    if (other) {
+      const apart = (p) => Math.max(Math.hypot(p[0] - other[0], p[1] - other[1]), 1);
+      move((before[0] - now[0]) / 2, (before[1] - now[1]) / 2);
+      zoom(apart(now) / apart(before), (now[0] + other[0]) / 2, (now[1] + other[1]) / 2);
+    } else {
+      move(before[0] - now[0], before[1] - now[1]);
+    }
+  });
+  for (const kind of ["pointerup", "pointercancel"]) {
+    viewer.addEventListener(kind, (event) => {
+      pressed.delete(event.pointerId);
+      viewer.classList.toggle("held", pressed.size > 0);
+    });
+  }
+  viewer.addEventListener("pointerleave", () => { pointer = null; read(); });
+  viewer.addEventListener("dblclick", (event) => zoom(2, ...fromMiddle(event)));
+  viewer.addEventListener("wheel", (event) => {
+    if (!event.ctrlKey && !event.metaKey && document.activeElement !== viewer) {
+      $("hint").classList.add("shown");
+      clearTimeout(hinting);
+      hinting = setTimeout(() => $("hint").classList.remove("shown"), 1500);
+      return;
+    }
+    event.preventDefault();
+    const lines = event.deltaMode === WheelEvent.DOM_DELTA_LINE ? 30 : 1;
+    zoom(Math.min(2, Math.max(0.5, 1.003 ** (-event.deltaY * lines))), ...fromMiddle(event));
+  }, { passive: false });
+
+  // ---------------------------------------------------------------- keys and buttons
+
+  const share = (part) => [part * size().width, part * size().height];
+  const actions = {
+    "zoom-in": () => zoom(STEP),
+    "zoom-out": () => zoom(1 / STEP),
+    reset: showAll,
+    left: () => move(-share(0.25)[0], 0),
+    right: () => move(share(0.25)[0], 0),
+    up: () => move(0, -share(0.25)[1]),
+    down: () => move(0, share(0.25)[1]),
+  };
+  const keys = {
+    "+": "zoom-in", "=": "zoom-in", "-": "zoom-out", _: "zoom-out", 0: "reset", Home: "reset",
+    ArrowLeft: "left", ArrowRight: "right", ArrowUp: "up", ArrowDown: "down",
+  };
+
+  function act(action) {
+    actions[action]();
+    announce();
+  }
+
+  for (const action of Object.keys(actions)) $(action).addEventListener("click", () => act(action));
+  viewer.addEventListener("keydown", (event) => {
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    if (event.key === "Escape" && returnTo) {
+      returnTo.focus();
+      returnTo = null;
+    } else if (keys[event.key]) {
+      event.preventDefault();
+      act(keys[event.key]);
+    }
+  });
+
+  function toggle(id, apply) {
+    const button = $(id);
+    button?.addEventListener("click", () => {
+      const on = button.getAttribute("aria-pressed") !== "true";
+      button.setAttribute("aria-pressed", String(on));
+      apply(on);
+    });
+  }
+  toggle("toggle-borders", (on) => display("borders", on));
+  toggle("toggle-marks", (on) => display("marks", on));
+  toggle("toggle-names", name);
+
+  // ---------------------------------------------------------------- grey scale
+
+  const black = $("black"), white = $("white");
+
+  function stretch(dark, bright) {
+    const slope = (given.top - given.bottom) / (bright - dark), intercept = (given.bottom - dark) / (bright - dark);
+    for (const channel of $("stretch").querySelectorAll("feFuncR, feFuncG, feFuncB")) {
+      channel.setAttribute("slope", slope);
+      channel.setAttribute("intercept", intercept);
+    }
+    for (const [input, value] of [[black, dark], [white, bright]]) {
+      input.value = value;
+      $(`${input.id}-said`).textContent = `${number(value, 0)} dB`;
+      input.setAttribute("aria-valuetext", `${number(value, 0)} decibels`);
+    }
+  }
+  black.addEventListener("input", () => stretch(Math.min(Number(black.value), Number(white.value) - 1), Number(white.value)));
+  white.addEventListener("input", () => stretch(Number(black.value), Math.max(Number(white.value), Number(black.value) + 1)));
+  $("grey-reset").addEventListener("click", () => stretch(given.black, given.white));
+
+  // ---------------------------------------------------------------- tables
+
+  for (const link of document.querySelectorAll("a.goto")) {
+    link.addEventListener("click", (event) => {
+      event.preventDefault();
+      const { x, y, name: called } = link.dataset;
+      for (const mark of marks) {
+        mark.classList.toggle("chosen", mark.dataset.x === x && mark.dataset.y === y);
+      }
+      show(Number(x), Number(y), Math.min(view.scale, chips ? 4 * closest() : Math.max(widest() / 8, 2 * closest())));
+      returnTo = link;
+      viewer.focus({ preventScroll: true });
+      viewer.scrollIntoView({ block: "nearest" });
+      $("announced").textContent = `Target ${called} is in the middle of the image. Escape goes back.`;
+    });
+  }
+
+  function sort(table, column, head) {
+    const down = head.getAttribute("aria-sort") === "ascending";
+    for (const other of table.tHead.rows[0].cells) other.removeAttribute("aria-sort");
+    head.setAttribute("aria-sort", down ? "descending" : "ascending");
+    const value = (row) => row.cells[column].dataset.sort;
+    const order = (a, b) => {
+      const [p, q] = [value(a), value(b)];
+      if (p === "" || q === "") return (p === "") - (q === ""); // what is not known comes last
+      const both = Number(p) - Number(q);
+      const found = Number.isNaN(both) ? p.localeCompare(q, "en", { numeric: true }) : both;
+      return down ? -found : found;
+    };
+    table.tBodies[0].append(...[...table.tBodies[0].rows].sort(order));
+    table.parentElement.scrollTop = 0;
+  }
+
+  for (const table of document.querySelectorAll("table.sortable")) {
+    [...table.tHead.rows[0].cells].forEach((head, column) => {
+      const button = document.createElement("button");
+      button.type = "button";
+      button.append(...head.childNodes);
+      head.append(button);
+      button.addEventListener("click", () => sort(table, column, head));
+    });
+  }
+
+  // ---------------------------------------------------------------- begin
+
+  stretch(given.black, given.white);
+  showAll();
+  new ResizeObserver(() => (follows ? showAll() : show(view.x, view.y, view.scale))).observe(viewer);
+})();

@@ -1,0 +1,264 @@
+"""Focus a phase history with workers that are Slurm jobs.
+
+    python deploy/slurm/focus_on_slurm.py PH.zarr --out RUN --jobs 8 --walltime 02:00:00 --queue compute
+
+This process is scheduler and client: it submits one job for every worker through dask-jobqueue, waits until they run,
+focuses, and cancels them. It needs one core and 2 GiB, and lives as long as the run; `focus.sbatch` makes a job of it.
+Whatever ends it, the same command goes on from there: receipts lie in RUN.
+
+Connections are encrypted, with certificates that are made for this run and are readable by you alone: others who have
+accounts on the cluster cannot talk to the scheduler. Exit statuses are those of `blocksar focus`.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+
+import typer
+
+import blocksar
+from blocksar import cli, stores
+from blocksar.parameters import InputError, ProcessingError
+from blocksar.progress import Progress
+
+if TYPE_CHECKING:
+    from dask_jobqueue.slurm import SLURMCluster
+    from distributed import Client
+
+MIB = 2**20
+NANNY = 512 * MIB  # bytes of a job beside its worker's memory limit: dask ends a worker before Slurm ends the job
+
+# What blocksar sets for a cluster of its own: the plan keeps to the memory limit, and spilling would hide that it did
+# not; a worker that has not been heard of for a minute is lost.
+SETTINGS: dict[str, object] = {
+    "distributed.admin.low-level-log-length": 10,
+    "distributed.scheduler.work-stealing": False,
+    "distributed.scheduler.worker-saturation": 1.0,
+    "distributed.scheduler.worker-ttl": 60.0,
+    "distributed.worker.memory.target": False,
+    "distributed.worker.memory.spill": False,
+    "distributed.worker.memory.pause": 0.9,
+    "distributed.worker.memory.terminate": 0.98,
+}
+# Blocks go back to the system at once; groups of rows and chunks stay in malloc's keeping.
+ENVIRONMENT = {
+    "NUMBA_NUM_THREADS": "1",
+    "MALLOC_MMAP_THRESHOLD_": str(24 * MIB),
+    "MALLOC_TRIM_THRESHOLD_": str(64 * MIB),
+}
+COMPILE = "from blocksar.ground import compile_kernels; compile_kernels()"
+
+
+def prologue() -> list[str]:
+    """Lines of a worker's job before the worker: its settings, and the compiled loops.
+
+    To compile them takes more memory than a block may: done by a process of its own, the worker finds them in numba's
+    cache.
+    """
+    named = {f"DASK_{key}".upper().replace(".", "__").replace("-", "_"): str(value) for key, value in SETTINGS.items()}
+    exports = [f"export {name}={shlex.quote(value)}" for name, value in (named | ENVIRONMENT).items()]
+    return [*exports, f"{shlex.quote(sys.executable)} -c {shlex.quote(COMPILE)}"]
+
+
+def make_cluster(
+    folder: Path,
+    *,
+    memory: int,
+    walltime: str,
+    queue: str | None = None,
+    account: str | None = None,
+    interface: str | None = None,
+    scratch: str = "${TMPDIR:-/tmp}",
+    directives: list[str] | None = None,
+) -> SLURMCluster:
+    """A scheduler in this process, and jobs of one worker with one thread each, none so far.
+
+    Parameters
+    ----------
+    folder : Path
+        Of certificates and the workers' logs; all nodes have to see it.
+    memory : int
+        Bytes of a worker.
+    interface : str, optional
+        Network that the nodes share, such as ib0.
+    scratch : str
+        Folder for temporary files, as the job's shell reads it.
+    directives : list of str, optional
+        More options of sbatch, such as `--constraint=avx512`.
+
+    Raises
+    ------
+    InputError
+        If dask-jobqueue is not installed.
+    """
+    try:
+        from dask_jobqueue.slurm import SLURMCluster
+        from distributed.security import Security
+
+        security = Security.temporary()
+    except ImportError as error:
+        raise InputError(f"{error.name} is not installed; install blocksar[slurm]") from None
+    folder.mkdir(parents=True, exist_ok=True)
+    return SLURMCluster(
+        cores=1,
+        processes=1,
+        memory=f"{memory}B",
+        job_mem=f"{(memory + NANNY) // MIB}M",
+        walltime=walltime,
+        queue=queue,
+        account=account,
+        interface=interface,
+        job_name="blocksar-worker",
+        job_extra_directives=directives or [],
+        job_script_prologue=prologue(),
+        local_directory=scratch,
+        log_directory=str(folder),
+        shared_temp_directory=str(folder),
+        death_timeout=120,
+        security=security,
+        protocol="tls://",
+        # Dashboards show all and ask nobody who he is: the scheduler's on this node only, the workers' not at all.
+        scheduler_options={"dashboard_address": "127.0.0.1:0"},
+        worker_extra_args=["--no-dashboard"],
+        silence_logs="critical",
+    )
+
+
+def check_job(script: str) -> None:
+    """Ask Slurm whether it would take such a job; none is submitted.
+
+    Raises
+    ------
+    InputError
+        If it would not.
+    """
+    if shutil.which("sbatch") is None:
+        raise InputError("there is no sbatch here; call this where Slurm takes jobs, or give --job-script")
+    asked = subprocess.run(["sbatch", "--test-only"], input=script, capture_output=True, text=True, check=False)
+    if asked.returncode:
+        said = " ".join(asked.stderr.split())
+        raise InputError(f"sbatch refuses the workers' jobs ({said}); check --queue, --account and --walltime")
+
+
+@contextmanager
+def closing(cluster: SLURMCluster) -> Iterator[None]:
+    """Cancel the jobs at the end, whatever has become of them."""
+    try:
+        yield
+    finally:
+        with suppress(AssertionError):  # dask's own, of jobs that could not be submitted: it would hide the cause
+            cluster.close()
+
+
+def gather(client: Client, jobs: int, patience: float) -> None:
+    """Wait for the workers, `patience` seconds at most; then those that run have to do.
+
+    The plan divides the scene among the workers that are there: one that comes later helps all the same.
+
+    Raises
+    ------
+    ProcessingError
+        If none runs.
+    """
+    with suppress(TimeoutError):
+        client.wait_for_workers(jobs, timeout=patience)
+    running = len(client.scheduler_info(n_workers=-1)["workers"])
+    if not running:
+        raise ProcessingError(f"none of {jobs} jobs ran within {patience:.0f} s: squeue says why; try again later")
+    typer.echo(f"{running} of {jobs} workers are running", err=True)
+
+
+def main(
+    source: Annotated[str, typer.Argument(metavar="PH.zarr", help="Phase-history store; all nodes have to see it.")],
+    out: Annotated[str, typer.Option(metavar="RUN", help="Folder of the run; all nodes have to see it.")],
+    jobs: Annotated[int, typer.Option(min=1, help="Workers, each a job with one core.")] = 4,
+    memory: Annotated[str, typer.Option(metavar="SIZE", help="Memory of each worker.")] = "3GiB",
+    walltime: Annotated[str, typer.Option(metavar="HH:MM:SS", help="Of the workers' jobs.")] = "02:00:00",
+    queue: Annotated[str | None, typer.Option(metavar="NAME", help="Partition of the workers' jobs.")] = None,
+    account: Annotated[str | None, typer.Option(metavar="NAME", help="Account that pays for them.")] = None,
+    interface: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Network that the nodes share, such as ib0.")
+    ] = None,
+    scratch: Annotated[
+        str, typer.Option(metavar="DIR", help="For temporary files, as the job's shell reads it.")
+    ] = "${TMPDIR:-/tmp}",
+    directive: Annotated[
+        list[str] | None, typer.Option(metavar="OPTION", help="More options of sbatch, such as --constraint=avx512.")
+    ] = None,
+    patience: Annotated[float, typer.Option(min=1, metavar="SECONDS", help="To wait for the jobs to start.")] = 3600,
+    processor: cli.ProcessorOption = "angular-division",
+    blocks: cli.Blocks = "auto",
+    coefficients: cli.CoefficientsOption = "fitted",
+    grid: cli.GridOption = None,
+    overwrite: cli.Overwrite = False,
+    quiet: cli.Quiet = False,
+    job_script: Annotated[
+        bool, typer.Option("--job-script", help="Print the job of a worker and end; nothing is submitted.")
+    ] = False,
+) -> None:
+    """Focus a phase history with workers that are Slurm jobs.
+
+    Example: [bold]python deploy/slurm/focus_on_slurm.py table1.zarr --out run --jobs 8 --queue compute[/bold]
+    """
+    cli.catch_signals()
+    try:
+        settings: dict[str, Any] = {
+            "processor": processor,
+            "blocks": cli.parse_blocks(blocks),
+            "coefficients": coefficients,
+            "grid": None if grid is None else cli.parse_grid(grid),
+            "overwrite": overwrite,
+        }
+        if not job_script:
+            stores.open_phase_history(source)  # before any job waits in a queue for it
+
+        import dask
+        from distributed import Client
+
+        with dask.config.set(SETTINGS):
+            cluster = make_cluster(
+                Path(f"{os.path.abspath(out)}.slurm"),
+                memory=cli.parse_memory(memory),
+                walltime=walltime,
+                queue=queue,
+                account=account,
+                interface=interface,
+                scratch=scratch,
+                directives=directive,
+            )
+            with closing(cluster):
+                if job_script:
+                    typer.echo(cluster.job_script(), nl=False)
+                    return
+                check_job(cluster.job_script())
+                with Client(cluster) as client:
+                    cluster.scale(jobs=jobs)
+                    gather(client, jobs, patience)
+                    with Progress(quiet=quiet) as progress:
+                        report = blocksar.focus(source, out, threads=1, client=client, progress=progress, **settings)
+        cli.show(report)
+    except InputError as error:
+        _end(str(error), cli.WRONG_INPUT)
+    except (ProcessingError, OSError) as error:
+        _end(str(error), cli.FAILED)
+    except KeyboardInterrupt:
+        _end("interrupted; the same command goes on from there", cli.INTERRUPTED)
+    except cli.Terminated:
+        _end("terminated; the same command goes on from there", cli.TERMINATED)
+
+
+def _end(message: str, status: int) -> NoReturn:
+    typer.echo(f"focus_on_slurm: {message}", err=True)
+    raise typer.Exit(status)
+
+
+if __name__ == "__main__":
+    typer.run(main)
