@@ -154,7 +154,7 @@ def make(
     Returns
     -------
     (bytes, list of str)
-        The page, in UTF-8, and its verdict.
+        The page, in UTF-8, and its verdict, for a terminal.
 
     Raises
     ------
@@ -199,7 +199,7 @@ def make(
         "command": repeated,
         "version": __version__,
     }
-    return _render(shown).encode("utf-8", "backslashreplace"), [v.said for v in verdicts]
+    return _render(shown).encode("utf-8", "backslashreplace"), [v.said.replace(SPACE, " ") for v in verdicts]
 
 
 def _render(shown: Mapping[str, Any]) -> str:

@@ -134,7 +134,7 @@ def test_looking_at_outputs_tells_the_truth(first: tuple[Path, str], tmp_path: P
     assert direction == pytest.approx(50, abs=1.5)
     for (level, width), theory in zip(numbers(r" the look: # dB, # m wide"), (3.2, 3.05), strict=True):
         # In range 0.886 c / 2B over the sine of the incidence; in azimuth as quality.json has it.
-        assert level == pytest.approx(0, abs=0.3) and width == pytest.approx(theory, abs=0.1)
+        assert level == pytest.approx(0, abs=0.1) and width == pytest.approx(theory, abs=0.1)
     areas = [area for (area,) in numbers(r"block(?: \d+)?: # km\^2")]
     assert sum(areas) == pytest.approx(image["block"].size * PIXEL**2 / 1e6, abs=2e-3)
     assert areas[1] == pytest.approx(int((image["block"] == 0).sum()) * PIXEL**2 / 1e6, abs=6e-4)

@@ -13,6 +13,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -79,10 +80,12 @@ def cron_command() -> list[str]:
     return shlex.split(next(iter(crontab())).command)
 
 
+@cache
 def compose() -> dict[str, Any]:
     return dict(yaml.safe_load(text("container", "compose.yaml")))
 
 
+@cache
 def manifests() -> list[dict[str, Any]]:
     """Every Kubernetes object, but the kustomization."""
     listed = yaml.safe_load(text("kubernetes", "kustomization.yaml"))["resources"]

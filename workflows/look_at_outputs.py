@@ -93,7 +93,11 @@ def look_direction(collection: xr.Dataset, point: Point) -> float:
 
 
 def cuts_through(image: xr.Dataset, point: Point, direction: float) -> dict[str, xr.DataArray]:
-    """The response of a target along the look and across it, dB."""
+    """The response of a target along the look and across it, through its peak between the pixels, dB."""
+    for azimuth in (direction, direction + 90):
+        cut = image.sar.cut(*point, azimuth=azimuth, length=AROUND / 4, samples=2001)
+        peak = cut.isel(distance=cut.argmax("distance"))
+        point = float(peak.x), float(peak.y)
     cuts = {}
     for name, azimuth in (("along the look", direction), ("across the look", direction + 90)):
         cuts[name] = image.sar.cut(*point, azimuth=azimuth, length=2 * AROUND, samples=5001)
@@ -128,8 +132,9 @@ def say_record(record: dict[str, Any]) -> None:
     print("stages:", ", ".join(f"{name} {seconds:.1f} s" for name, seconds in record["timings"].items()))
     slowest = sorted(record["receipts"], key=lambda receipt: -receipt["seconds"])[:3]
     print("slowest units of work:", ", ".join(f"{receipt['unit']} {receipt['seconds']:.2f} s" for receipt in slowest))
-    planned = max((block["memory"] for block in record["plan"]["predicted"]), default=0)
-    print(f"memory of a worker: {record['peak_memory'] / 2**20:.0f} MiB, blocks planned {planned / 2**20:.0f} MiB")
+    planned = [block["memory"] / 2**20 for block in record["plan"]["predicted"]]
+    told = f", {max(planned):.0f} MiB planned for the largest block" if planned else ""
+    print(f"memory of a worker: {record['peak_memory'] / 2**20:.0f} MiB{told}")
     for warning in record["warnings"]:
         print("warning:", warning)
 
@@ -139,9 +144,11 @@ def say_promises(run: Path, image: xr.Dataset, record: dict[str, Any]) -> None:
     targets = [t for t in blocksar.quality(run).result["targets"] if t["full_dwell"] and t["covered"]]
     at = {axis: xr.DataArray([target[axis] for target in targets], dims="target") for axis in ("x", "y")}
     blocks = image["block"].sel(at, method="nearest").values if targets else np.array([])
-    for planned in record["plan"]["predicted"]:
-        held = [target for target, block in zip(targets, blocks, strict=True) if block == planned["block"]]
-        line = f"block {planned['block']}: promised {planned['pslr']:.2f} dB, width {planned['width']:.3f} of theory"
+    for number in sorted({planned["block"] for planned in record["plan"]["predicted"]}):
+        parts = [planned for planned in record["plan"]["predicted"] if planned["block"] == number]  # range sub-blocks
+        promised = max(part["pslr"] for part in parts), max(part["width"] for part in parts)
+        held = [target for target, block in zip(targets, blocks, strict=True) if block == number]
+        line = f"block {number}: promised {promised[0]:.2f} dB, width {promised[1]:.3f} of theory"
         if held:
             lobes = max(target["azimuth_pslr"] for target in held)
             width = max(target["azimuth_irw"] / target["azimuth_irw_theory"] for target in held)
