@@ -1023,7 +1023,7 @@ def report(
     folder = place(run)
     target = folder / "report.html" if out is None else place(out)
     if out is not None and target.exists() and not overwrite:
-        raise InputError(f"{target} exists; choose another name, or ask for it to be overwritten")
+        raise InputError(f"{target} exists; choose another name, or have it overwritten (--overwrite)")
     if isinstance(target, LocalPlace) and target.path.is_dir():
         raise InputError(f"{target} is a folder; give --out the name of a file")
     image, collection, attrs, record = _open_run(folder)

@@ -186,7 +186,10 @@ def _own(workers: int, threads: int, memory_limit: int | None, scratch: str, rep
         try:
             client.wait_for_workers(workers, timeout=NO_WORKER)
         except TimeoutError:
-            raise ProcessingError(f"{workers} workers did not start within {NO_WORKER:.0f} s") from None
+            raise ProcessingError(
+                f"{workers} workers did not start within {NO_WORKER:.0f} s; in a script, call focus below "
+                '`if __name__ == "__main__":`, as workers import the script again'
+            ) from None
         report.update("start-workers", workers, workers)
         try:
             yield client

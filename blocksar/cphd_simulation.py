@@ -112,7 +112,7 @@ def _free_file(out: Location, *, overwrite: bool) -> Path:
     path = where.path
     if os.path.lexists(path):
         if not overwrite:
-            raise InputError(f"{path} exists; choose another name, or ask for it to be overwritten")
+            raise InputError(f"{path} exists; choose another name, or have it overwritten (--overwrite)")
         known = path.is_file()
         if known:
             with open(path, "rb") as file:

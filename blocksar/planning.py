@@ -743,9 +743,15 @@ def _fewest_blocks(plan: Callable[..., Plan], workers: int) -> Plan:
 def _fewest_parts(plan: Callable[[int], Plan], whole: Plan, memory_limit: int, *, fixed: bool) -> Plan:
     """The plan with its blocks in as many range sub-blocks as a worker's memory asks for."""
     made, room = whole, MEMORY_SHARE * memory_limit
+    least = max(made.recovery_memory, PROCESS_MEMORY)
+    if room <= least:
+        raise InputError(
+            f"memory limit {memory_limit / MIB:.0f} MiB a worker is too low: recovery needs about "
+            f"{math.ceil(least / MEMORY_SHARE / MIB)} MiB, however blocks are divided; raise --memory-limit"
+        )
     needed = [made.memory]
     while made.memory > room:
-        if fixed or made.parts == MAX_PARTS or room <= max(made.recovery_memory, PROCESS_MEMORY):
+        if fixed or made.parts == MAX_PARTS:
             break
         share = (made.memory - PROCESS_MEMORY) / (room - PROCESS_MEMORY)
         made = plan(min(max(made.parts + 1, math.ceil(0.9 * made.parts * share)), MAX_PARTS))
@@ -753,11 +759,10 @@ def _fewest_parts(plan: Callable[[int], Plan], whole: Plan, memory_limit: int, *
         if len(needed) > 2 and needed[-1] > 0.97 * needed[-2]:
             break
     if made.memory > room:
-        least = max(min(needed), made.recovery_memory) / MEMORY_SHARE
         raise InputError(
             f"memory limit {memory_limit / MIB:.0f} MiB a worker is too low: {made.n_blocks} blocks need about "
-            f"{least / MIB:.0f} MiB even in {made.parts} range sub-blocks; raise --memory-limit, ask for more "
-            "--blocks, or image a smaller grid"
+            f"{math.ceil(min(needed) / MEMORY_SHARE / MIB)} MiB even in {made.parts} range sub-blocks; raise "
+            "--memory-limit, ask for more --blocks, or image a smaller grid"
         )
     return made
 

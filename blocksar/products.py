@@ -153,7 +153,7 @@ def replacing(out: Location, *, overwrite: bool) -> Iterator[str]:
     if target.path.is_dir():
         raise InputError(f"{target} is a folder; give --out the name of a file")
     if target.exists() and not overwrite:
-        raise InputError(f"{target} exists; choose another name, or ask for it to be overwritten")
+        raise InputError(f"{target} exists; choose another name, or have it overwritten (--overwrite)")
     try:
         os.makedirs(target.path.parent, exist_ok=True)
         with replacing_file(target.path) as part:

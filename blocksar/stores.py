@@ -322,7 +322,7 @@ def _refuse_existing(path: Path, *, overwrite: bool) -> None:
     if not os.path.lexists(path):
         return
     if not overwrite:
-        raise InputError(f"{path} exists; choose another name, or ask for it to be overwritten")
+        raise InputError(f"{path} exists; choose another name, or have it overwritten (--overwrite)")
     try:
         folder = not path.is_symlink() and path.is_dir()
         foreign = not folder or (any(path.iterdir()) and not _metadata_file(LocalPlace(path)))
@@ -379,7 +379,7 @@ def _refuse_objects(place: ObjectPlace, *, overwrite: bool) -> None:
         return
     if not overwrite:
         found = "exists" if UNFINISHED not in names else "is being written, or was left unfinished"
-        raise InputError(f"{place} {found}; choose another name, or ask for it to be overwritten")
+        raise InputError(f"{place} {found}; choose another name, or have it overwritten (--overwrite)")
     if UNFINISHED not in names and not _metadata_file(place):
         raise InputError(
             f"{place} exists and is not a zarr store, so it is not overwritten; remove it, or choose another name"
