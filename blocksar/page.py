@@ -247,7 +247,7 @@ def _plan_table(run: Facts) -> Table | None:
         return None
     columns = [
         Column("block"),
-        Column("residual phase planned", f"rad, at most {PHASE_BUDGET:g}"),
+        Column("residual phase planned", f"rad, \N{LESS-THAN OR EQUAL TO} {PHASE_BUDGET:g}"),
         Column("azimuth PSLR planned", "dB"),
         Column("azimuth PSLR measured", "dB, the worst"),
         Column("width planned", "over its limit"),
@@ -255,7 +255,7 @@ def _plan_table(run: Facts) -> Table | None:
         Column("targets measured"),
         Column("memory planned", "MiB"),
         Column("memory measured", "MiB, worker so far"),
-        Column("migration planned", f"cells, at most {MIGRATION_BUDGET:g}"),
+        Column("migration planned", f"cells, \N{LESS-THAN OR EQUAL TO} {MIGRATION_BUDGET:g}"),
         Column("yaw", "degrees"),
         Column("range", "km"),
     ]
@@ -302,9 +302,7 @@ def _left_out(rows: Sequence[Any]) -> str:
 def _quality_table(run: Facts, drawing: Picture) -> Table:
     columns = [
         Column("target"),
-        Column("block"),
-        Column("x", "m"),
-        Column("y", "m"),
+        Column("of the bar", "%"),
         Column("range PSLR", "dB"),
         Column("range ISLR", "dB"),
         Column("range width", "m"),
@@ -317,8 +315,10 @@ def _quality_table(run: Facts, drawing: Picture) -> Table:
         Column("y error", "mm"),
         Column("amplitude"),
         Column("phase", "rad"),
-        Column("of the bar", "%"),
         Column("judged"),
+        Column("block"),
+        Column("x", "m"),
+        Column("y", "m"),
     ]
     rows = [_quality_row(run, r, drawing) for r in run.shown]
     rest = len(run.responses) - len(run.shown)
@@ -336,9 +336,7 @@ def _quality_row(run: Facts, r: PointResponse, drawing: Picture) -> Row:
     why = "yes" if judge else "not covered" if not r.covered else "lit in part"
     cells = [
         Cell(r.name, r.name),
-        Cell(run.places[id(r)], run.places[id(r)]),
-        _cell(r.x, 1),
-        _cell(r.y, 1),
+        _cell(used, 0, off=used is not None and used > 100),
         _cell(r.range_pslr, 2, off=off("range_pslr")),
         _cell(r.range_islr, 2),
         _cell(r.range_irw, 3),
@@ -351,8 +349,10 @@ def _quality_row(run: Facts, r: PointResponse, drawing: Picture) -> Row:
         _cell(r.error_y, 1, off=off("error_y"), scale=1e3),
         _cell(abs(r.value), 4, off=off("amplitude")),
         _cell(float(np.angle(r.value)), 4, off=off("phase")),
-        _cell(used, 0, off=used is not None and used > 100),
         Cell(why, why),
+        Cell(run.places[id(r)], run.places[id(r)]),
+        _cell(r.x, 1),
+        _cell(r.y, 1),
     ]
     return Row(cells, drawing.find(r.x, r.y))
 
