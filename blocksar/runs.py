@@ -24,7 +24,7 @@ from blocksar.stores import Array
 
 Receipt = dict[str, Any]
 
-FORMAT = 3  # of run folders: a run of another format is not resumed
+FORMAT = 4  # of run folders: a run of another format is not resumed
 OWN = (
     "run.json",
     "collection.zarr",
@@ -35,6 +35,9 @@ OWN = (
     "receipts",
     "scratch",
     "quality.json",
+    "report.html",
+    "mosaic.png",
+    "contours.png",
 )
 TEMPORARY = ("receipts", "compressed.zarr", "scratch")  # of those, what a finished run needs no more
 LEFT_ALONE = ("phase_history.zarr",)  # may stand in a new run's folder: `demo` puts its input there

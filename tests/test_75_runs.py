@@ -55,7 +55,9 @@ def test_finished_run_does_nothing(store: Path, client: Client, tmp_path: Path) 
     assert before == {p: p.stat().st_mtime_ns for p in run.rglob("*") if p.is_file()}
     with pytest.raises(InputError, match=r"blocks 3.*--overwrite"):
         blocksar.focus(store, run, blocks=2, grid=GRID, client=client)
+    (run / "report.html").write_text("of the run before")
     blocksar.focus(store, run, blocks=2, grid=GRID, client=client, overwrite=True)
+    assert not (run / "report.html").exists()
     assert json.loads((run / "run.json").read_text())["plan"]["blocks"] == 2
 
 

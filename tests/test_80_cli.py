@@ -24,6 +24,7 @@ COMMANDS = {
     "plan": ["plan", "table1"],
     "focus": ["focus", "ph.zarr", "--out", "run"],
     "quality": ["quality", "run"],
+    "report": ["report", "run"],
 }
 REPORT = SimpleNamespace(
     summary=["three blocks"],
