@@ -42,9 +42,9 @@ A file is read by blocks of vectors, of which only the samples in the common ban
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
@@ -54,6 +54,7 @@ from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
 from blocksar import stores
+from blocksar.foreign import Ingested, reading
 from blocksar.georeference import Georeference
 from blocksar.parameters import (
     SPEED_OF_LIGHT,
@@ -64,7 +65,6 @@ from blocksar.parameters import (
     FloatArray,
     InputError,
     IntArray,
-    ProcessingError,
     printable,
 )
 from blocksar.places import LocalPlace, Location, Place, place
@@ -171,23 +171,8 @@ def _complex(raw: NDArray[Any]) -> ComplexArray:
     return out
 
 
-@contextmanager
-def _reading(path: Place) -> Iterator[None]:
-    """Whatever the bytes of the file do to the libraries below, one InputError that names it comes out."""
-    try:
-        yield
-    except InputError as error:
-        text = str(error)
-        raise InputError(text if str(path) in text else f"{path}: {text}") from error.__cause__
-    except FileNotFoundError as error:
-        raise InputError(f"{path} does not exist; check the path") from error
-    except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror or error}); check it and its permissions") from error
-    except (MemoryError, ProcessingError):
-        raise
-    except Exception as error:
-        cause = " ".join(f"{type(error).__name__}: {error}".split())[:200]
-        raise InputError(f"{path} is damaged, or no CPHD file ({printable(cause)}); get it again") from error
+def _reading(path: Place) -> AbstractContextManager[None]:
+    return reading(path, damaged="damaged, or no CPHD file", remedy="get it again")
 
 
 def _open(file: BinaryIO, path: Path, channel: str | None) -> _File:
@@ -934,15 +919,6 @@ def _area_points(node: Any) -> tuple[FloatArray, FloatArray]:
 # ---------------------------------------------------------------- ingest
 
 
-@dataclass(frozen=True)
-class Ingested:
-    """A phase history made from a file, and what there is to say of it."""
-
-    path: Path | Place
-    collection: Collection
-    said: list[str] = field(default_factory=list)
-
-
 def ingest(
     source: Location,
     out: Location,
@@ -986,7 +962,9 @@ def ingest(
     write = _writer(file, made, progress)
     attributes = {**made.attributes, "history": stores.history_line(f"ingested by blocksar from {where.name}")}
     stores.create_phase_history(target, made.collection, attrs=attributes, overwrite=overwrite, fill=write)
-    return Ingested(target.path if isinstance(target, LocalPlace) else target, made.collection, made.said)
+    return Ingested(
+        path=target.path if isinstance(target, LocalPlace) else target, collection=made.collection, said=made.said
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -38,16 +38,16 @@ from __future__ import annotations
 import os
 import re
 import stat
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from blocksar import stores
+from blocksar.foreign import Ingested, reading
 from blocksar.geometry import TRACK_ACCURACY, Geometry, Track, fit_track
 from blocksar.matfile import Value, read_struct
 from blocksar.parameters import (
@@ -77,15 +77,6 @@ OPTIONAL = ("th", "phi")
 PASS = re.compile(r"pass(\d+)", re.IGNORECASE)  # in a file's name, which alone tells these two
 POLARISATION = re.compile(r"(?<![A-Z])(HH|HV|VH|VV)(?![A-Z])", re.IGNORECASE)
 TURN = 2 * np.pi
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Ingested:
-    """A phase history made from files, and what there is to say of it."""
-
-    path: Path | Place
-    collection: Collection
-    said: list[str]
 
 
 def ingest(
@@ -171,21 +162,8 @@ class _File:
         return samples
 
 
-@contextmanager
-def _reading(path: Place) -> Iterator[None]:
-    """Whatever the bytes of a file do to the libraries below, one InputError that names it comes out."""
-    try:
-        yield
-    except InputError as error:
-        text = str(error)
-        raise InputError(text if str(path) in text else f"{path}: {text}") from error.__cause__
-    except FileNotFoundError:
-        raise InputError(f"{path} does not exist; check the path") from None
-    except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror or error}); check its permissions") from error
-    except Exception as error:
-        cause = " ".join(f"{type(error).__name__}: {error}".split())[:200]
-        raise InputError(f"{path} is damaged ({cause}); fetch it again") from error
+def _reading(path: Place) -> AbstractContextManager[None]:
+    return reading(path, damaged="damaged", remedy="fetch it again")
 
 
 def _look(path: Place) -> _File:
