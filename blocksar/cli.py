@@ -29,6 +29,7 @@ from blocksar.progress import Progress, abandon
 
 Axis = tuple[float, float, float]
 
+UsageError: Any = typer.BadParameter.__base__  # typer gives the class of a wrong command line no public name
 FAILED, WRONG_INPUT, INTERRUPTED, TERMINATED = 1, 2, 130, 143
 GRACE = 10.0  # seconds that an interrupted command has to end in good order
 PIPE_WIDTH = 240  # columns of a table that goes to no terminal: nothing may be folded there
@@ -236,9 +237,17 @@ def complain(message: str, status: int) -> NoReturn:
 class Commands(TyperGroup):
     """The group of commands, and the one place where an error becomes a message and an exit status."""
 
+    def make_context(self, *arguments: Any, **settings: Any) -> Any:
+        try:
+            return super().make_context(*arguments, **settings)
+        except UsageError as error:
+            _complain_of_usage(error)
+
     def invoke(self, ctx: Any) -> Any:  # typer gives the class of this context no public name
         try:
             return super().invoke(ctx)
+        except UsageError as error:
+            _complain_of_usage(error)
         except (InputError, ProcessingError, KeyboardInterrupt, Terminated) as error:
             _complain_of(error)
         except OSError as error:
@@ -251,6 +260,19 @@ class Commands(TyperGroup):
 def _complain_of(error: BaseException) -> NoReturn:
     status, message = ending(error)
     complain(message, status)
+
+
+def _complain_of_usage(error: Any) -> NoReturn:
+    """A wrong command line, in one sentence like any other input."""
+    message = error.format_message().removesuffix(".").replace("Value error, ", "")
+    if not message:  # a group of commands alone, without one of them: typer has printed its help
+        raise typer.Exit(WRONG_INPUT)
+    for problem in getattr(error.__cause__, "errors", list)():  # pydantic's, whose text does not say the value
+        typed = quoted(str(problem["input"]))
+        message = message if typed in message else f"{message}, not {typed}"
+    command = "blocksar" if error.ctx is None else error.ctx.command_path
+    ending = " See" if message.endswith("?") else "; see"
+    complain(f"{message[0].lower()}{message[1:]}{ending} {command} --help", WRONG_INPUT)
 
 
 def ending(error: BaseException) -> tuple[int, str]:

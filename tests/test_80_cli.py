@@ -62,7 +62,7 @@ def api(monkeypatch: pytest.MonkeyPatch) -> Calls:
 
 
 def run(*words: str) -> Result:
-    return CliRunner().invoke(cli.app, words)
+    return CliRunner().invoke(cli.app, words, prog_name="blocksar")
 
 
 # ---------------------------------------------------------------- what is typed
@@ -215,6 +215,36 @@ def test_a_wrong_option_runs_nothing(api: Calls) -> None:
         assert words[0] in result.stderr
     assert run("focus", "ph.zarr").exit_code == 2  # no --out
     assert api.seen == {}
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        ("plan ph.zarr --processor omega", "invalid value for '--processor': 'omega' is not one of"),
+        ("plan ph.zarr --workers x", "invalid value for '--workers': Input should be a valid integer"),
+        ("plan ph.zarr --workers -3", "greater than or equal to 1, not '-3'; see blocksar plan --help"),
+        ("plan ph.zarr --bloks 3", "no such option: --bloks (Possible options: --blocks, --workers); see"),
+        ("plan", "missing argument 'PH.zarr|SCENE.toml'; see blocksar plan --help"),
+        ("focus ph.zarr --out", "option '--out' requires an argument; see blocksar --help"),
+        ("xyz", "no such command 'xyz'; see blocksar --help"),
+        ("--speed", "no such option: --speed; see blocksar --help"),
+        ("export tiff run --out a", "no such command 'tiff'. Did you mean 'geotiff'? See blocksar export --help"),
+    ],
+)
+def test_a_wrong_command_line_is_one_sentence(words: str, sentence: str, api: Calls) -> None:
+    result = run(*words.split())
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.stderr.startswith("blocksar: ")
+    assert sentence in result.stderr
+    assert result.stderr.count("\n") == 1
+    assert api.seen == {}
+
+
+@pytest.mark.parametrize("words", [(), ("export",), ("ingest",)])
+def test_a_group_alone_shows_its_commands(words: tuple[str, ...]) -> None:
+    result = run(*words)
+    assert (result.exit_code, result.stderr) == (2, "")
+    assert "Commands" in result.stdout
 
 
 def test_plan_prints_its_refusal_after_the_table(api: Calls) -> None:
