@@ -337,8 +337,7 @@ def _receipt(record: Mapping[str, Any]) -> dict[str, Any]:
     steps = {str(name): float(seconds) for name, seconds in (record.get("steps") or {}).items()}
     return {
         "unit": str(record["unit"]),
-        # The time of a block's receipt is that of its last step.
-        "seconds": sum(steps.values()) if steps else float(record["seconds"]),
+        "seconds": float(record["seconds"]),
         "peak_memory": float(record["peak_memory"]),
         "steps": steps,
         "reused": bool(record.get("reused")),

@@ -225,7 +225,8 @@ def write_patch(run: Run, unit: str, name: str, block: Samples, ground: GroundMa
             if np.isfinite(pixels.real).any():
                 chunks.append(write(run, path, "image", (rows, columns), pixels))
     seconds = block.seconds | {"geometric-correction": time.perf_counter() - started}
-    return _sign(run, unit, started, chunks, origin=[first_y, first_x], steps=seconds)
+    # The unit is the whole block: its earlier steps were tasks of their own, and left no receipt.
+    return _sign(run, unit, started - sum(block.seconds.values()), chunks, origin=[first_y, first_x], steps=seconds)
 
 
 Parts = Sequence[tuple[int, str, int, int, str]]  # block, name, first row and column of its patch, checksum there

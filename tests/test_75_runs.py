@@ -125,6 +125,9 @@ def test_keys_say_step_and_block(store: Path, client: Client, tmp_path: Path, mo
     stages = ["read-slab+residual-walk+keystone", "rcmc-src", azimuth, "geometric-correction"]
     assert [k for k in keys if "block-1" in k] == [f"{stage}-{run}-block-1" for stage in stages]
     assert len(set(keys)) == len(keys)
+    # The receipt of a block is that of all its tasks.
+    receipt = next(r for r in report.result["receipts"] if r["unit"] == "block-1")
+    assert receipt["seconds"] == pytest.approx(sum(receipt["steps"].values()), rel=0.05)
 
 
 def damaged(store: Path, folder: Path, **replace: Any) -> Path:

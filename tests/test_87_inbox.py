@@ -471,6 +471,7 @@ def test_two_starts_and_a_kill(post: Post, image: dict[str, str]) -> None:
     address = ("--scheduler", post.client.scheduler.address, "--quiet")
     with post.start(*address) as first:
         until(lambda: "b" in post.names("started") or first.poll() is not None, "the third collection")
+        first.send_signal(signal.SIGSTOP)  # on a busy machine it would be through before the second has started
         with post.start(*address) as second:
             _, said = second.communicate(timeout=PATIENCE)
         assert second.returncode == post.module.BUSY

@@ -131,7 +131,7 @@ class Trouble:
 
 def press_ctrl_c() -> None:
     print("  (Ctrl-C)")
-    signal.raise_signal(signal.SIGINT)
+    raise KeyboardInterrupt  # what the key comes to; a script that a shell runs in the background is deaf to the signal
 
 
 def kill_a_worker(client: Client) -> None:
