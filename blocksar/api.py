@@ -7,6 +7,7 @@ end they are gathered in run.json.
 
 from __future__ import annotations
 
+import math
 import os
 import tempfile
 import time
@@ -66,7 +67,7 @@ from blocksar.method import (
 )
 from blocksar.parameters import Collection, ComplexArray, FloatArray, InputError, ProcessingError
 from blocksar.places import LocalPlace, Location, Place, place
-from blocksar.planning import BlockPlan, Plan, plan_collection
+from blocksar.planning import MEMORY_SHARE, BlockPlan, Plan, plan_collection
 from blocksar.progress import NOBODY, Listener, Work, listener
 from blocksar.progress import Updated as Progress
 from blocksar.region import Grid, default_grid, plan_region
@@ -262,9 +263,9 @@ def plan(
             f"{' and '.join(method.departures)}: processor auto compares processors as they are; leave it out"
         )
     collection, wanted = _collection(source), _grid(grid)
-    workers, _, memory_limit = _resources(workers, None, memory_limit)
+    workers, threads, memory_limit = _resources(workers, None, memory_limit)
     if method is None:
-        return _plan_backprojection(collection, wanted, workers)
+        return _plan_backprojection(collection, wanted, workers, threads, memory_limit)
 
     def made_for(method: Method) -> Plan:
         return plan_collection(
@@ -394,7 +395,9 @@ def _plan_lines(made: Plan) -> list[str]:
     return lines
 
 
-def _plan_backprojection(collection: Collection, grid: Grid | None, workers: int) -> Report:
+def _plan_backprojection(
+    collection: Collection, grid: Grid | None, workers: int, threads: int, memory_limit: int
+) -> Report:
     geometry = Geometry(collection=collection)
     grid = grid or default_grid(geometry, plan_region(geometry, None))
     pixels = grid.shape[0] * grid.shape[1]
@@ -405,8 +408,20 @@ def _plan_backprojection(collection: Collection, grid: Grid | None, workers: int
     lines = [
         f"exact back-projection of {grid.shape[1]} x {grid.shape[0]} pixels, {lit} lit pulses each: "
         f"{pixels * lit / 1e9:.3g} G updates at most, by {workers} workers",
+        f"peak memory of a worker {_back_projection_memory(collection, grid, threads, memory_limit) / MIB:.0f} MiB",
     ]
     return Report(summary=lines, result=grid)
+
+
+def _back_projection_memory(collection: Collection, grid: Grid, threads: int, memory_limit: int) -> int:
+    """Peak of a worker, bytes; refuses what the limit does not hold."""
+    memory = graph.back_projection_memory(collection, grid, threads=threads)
+    if memory > MEMORY_SHARE * memory_limit:
+        raise InputError(
+            f"memory limit {memory_limit / MIB:.0f} MiB a worker is too low: back-projection needs about "
+            f"{math.ceil(memory / MEMORY_SHARE / MIB)} MiB; raise --memory-limit"
+        )
+    return memory
 
 
 # ---------------------------------------------------------------- focus
@@ -504,7 +519,7 @@ def focus(
         if _finished(record := found()):  # by somebody who wrote it until now
             return _left_alone(folder, record, claimed=True)
         told.update("plan", 0, 1)
-        job = _job(history, settings, wanted, record, workers, memory_limit)
+        job = _job(history, settings, wanted, record, workers, threads, memory_limit)
         told.expect(_effort(job), workers)
         told.update("plan", 1, 1)
         divided = None if job.plan is None else (job.plan.n_blocks, job.plan.parts)
@@ -525,7 +540,7 @@ def focus(
             "plan": {
                 "blocks": job.plan and job.plan.n_blocks,
                 "parts": job.plan and job.plan.parts,
-                "memory": job.plan and job.plan.memory,
+                "memory": job.memory,
                 "grid": _grid_record(job.grid),
                 "predicted": _predicted(job.plan),
             },
@@ -534,17 +549,24 @@ def focus(
             done = _carry_out(job, run, unfinished, connected, told, profile, resumed=record is not None)
         except ProcessingError as error:
             raise ProcessingError(f"{error}; what was finished stays, the same command goes on from there") from error
-    return Report(summary=_focus_lines(folder, done, job.plan), result=done)
+    return Report(summary=_focus_lines(folder, done, job.memory), result=done)
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Job:
-    """What is to be focused, and how; without a plan, by back-projection."""
+    """What is to be focused, and how; without a plan, by back-projection.
+
+    Attributes
+    ----------
+    memory : int
+        Predicted peak of a worker, bytes.
+    """
 
     history: stores.PhaseHistory
     geometry: Geometry
     grid: Grid
     plan: Plan | None
+    memory: int
 
 
 def _job(
@@ -553,6 +575,7 @@ def _job(
     grid: Grid | None,
     record: dict[str, Any] | None,
     workers: int,
+    threads: int,
     memory_limit: int,
 ) -> _Job:
     """A run that goes on is divided as it was begun."""
@@ -560,7 +583,8 @@ def _job(
     geometry = Geometry(collection=collection)
     if settings["processor"] == "backprojection":
         grid = grid or default_grid(geometry, plan_region(geometry, None))
-        return _Job(history=history, geometry=geometry, grid=grid, plan=None)
+        memory = _back_projection_memory(collection, grid, threads, memory_limit)
+        return _Job(history=history, geometry=geometry, grid=grid, plan=None, memory=memory)
     made = plan_collection(
         collection,
         blocks=settings["blocks"] if record is None else record["plan"]["blocks"],
@@ -572,7 +596,7 @@ def _job(
     )
     if made.refusal is not None:
         raise InputError(made.refusal)
-    return _Job(history=history, geometry=geometry, grid=made.grid, plan=made)
+    return _Job(history=history, geometry=geometry, grid=made.grid, plan=made, memory=made.memory)
 
 
 def _effort(job: _Job) -> Work:
@@ -764,13 +788,13 @@ def _resumed_line(receipts: Sequence[Receipt]) -> list[str]:
     return [f"went on from an unfinished run: {', '.join(counts)} were used again{also}"]
 
 
-def _focus_lines(folder: Place, record: dict[str, Any], made: Plan | None) -> list[str]:
+def _focus_lines(folder: Place, record: dict[str, Any], planned: int) -> list[str]:
     timings = record["timings"]
     stages = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in timings.items() if name != "total")
     said = [*(f"note: {line}" for line in record["warnings"]), *_resumed_line(record["receipts"])]
     said.append(f"{folder / 'image.zarr'} is finished in {timings['total']:.1f} s ({stages})")
-    planned = "" if made is None else f", planned {made.memory / MIB:.0f} MiB"
-    said.append(f"peak memory of a worker {record['peak_memory'] / MIB:.0f} MiB{planned}")
+    peak = record["peak_memory"]
+    said.append(f"peak memory of a worker {peak / MIB:.0f} MiB, planned {planned / MIB:.0f} MiB")
     return said
 
 

@@ -333,7 +333,7 @@ def pulse_block_size(collection: Collection) -> int:
     return min(max(pulses, MIN_PULSE_BLOCK), MAX_PULSE_BLOCK)
 
 
-def memory(n_pixels: int, collection: Collection, *, threads: int = 1, pulse_block: int | None = None) -> int:
+def image_memory(n_pixels: int, collection: Collection, *, threads: int = 1, pulse_block: int | None = None) -> int:
     """Upper bound of what forming an image of so many pixels allocates, bytes; `read`'s own result is in it."""
     n, bins = collection.n_range_frequency, _period(collection) + 2 * MARGIN
     pulses = pulse_block or pulse_block_size(collection)

@@ -8,6 +8,7 @@ loses nothing but time, and a run that was interrupted goes on from its receipts
 
 from __future__ import annotations
 
+import math
 import resource
 import sys
 import time
@@ -22,13 +23,13 @@ import numpy as np
 from distributed import Client, Future, KilledWorker
 
 from blocksar import stores
-from blocksar.backprojection import form_image
+from blocksar.backprojection import form_image, image_memory
 from blocksar.cluster import Unit, in_turn
 from blocksar.geometry import Geometry
 from blocksar.ground import GroundMap, correct, covers
 from blocksar.inspection import Inspection, inspect, merge, refusal, strike
 from blocksar.parameters import Collection, ComplexArray, FloatArray, InputError, ProcessingError
-from blocksar.planning import DOPPLER_GROUP, IMAGE_CHUNK, SIGNAL_BYTES, BlockPlan, Plan
+from blocksar.planning import DOPPLER_GROUP, IMAGE_CHUNK, PROCESS_MEMORY, SIGNAL_BYTES, BlockPlan, Plan
 from blocksar.progress import Listener
 from blocksar.range_steps import ResidualRangeWalk
 from blocksar.recovery import RawCompression, Recovery, recover_columns
@@ -579,6 +580,14 @@ def look_through(
     units = [(f"columns-{a}", start(f"columns-{a}", (a, min(a + width, n)))) for a in range(0, n, width)]
     looked = run_units(client, "inspect", units, run, report)
     return source, receipts + looked, _found(looked)
+
+
+def back_projection_memory(collection: Collection, grid: Grid, *, threads: int) -> int:
+    """Peak of a worker that looks through a phase history and back-projects it, bytes."""
+    pixels, part = math.prod(image_chunk(grid)), min(math.prod(image_chunk(grid)), BACKPROJECTION_CHUNK**2)
+    looking = 2 * 8 * inspection_width(collection) * collection.n_pulse  # as read, and as chunks give it
+    forming = 3 * 8 * pixels + image_memory(part, collection, threads=threads)  # image, covered part, bytes to write
+    return PROCESS_MEMORY + max(looking, forming)
 
 
 def back_project(

@@ -17,8 +17,8 @@ from blocksar.backprojection import (
     accumulate,
     form_image,
     form_points,
+    image_memory,
     lit_interval,
-    memory,
     pulse_block_size,
     range_profiles,
     spline_error,
@@ -315,9 +315,9 @@ def test_memory_is_bounded_as_stated() -> None:
     image()
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    bound = memory(columns.size * rows.size, c, threads=2)
+    bound = image_memory(columns.size * rows.size, c, threads=2)
     assert 0.5 * bound < peak < bound
-    assert memory(0, c) < 4 * 8 * pulse_block_size(c) * 6 * c.n_range_frequency
+    assert image_memory(0, c) < 4 * 8 * pulse_block_size(c) * 6 * c.n_range_frequency
 
 
 def test_wrong_shapes_are_refused() -> None:
