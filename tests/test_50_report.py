@@ -31,6 +31,8 @@ from typer.testing import CliRunner
 
 import blocksar
 from blocksar import api, cli, facts, page, picture, stores
+from blocksar.api import focused
+from blocksar.api.common import open_run
 from blocksar.cluster import open_client
 from blocksar.geometry import Geometry
 from blocksar.measurement import Target
@@ -60,7 +62,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Path]]:
     folder = tmp_path_factory.mktemp("report")
     store = write_scene(folder)
     with pytest.MonkeyPatch.context() as patch, open_client(workers=1, threads=1, memory_limit=3 * 2**30) as client:
-        patch.setattr(api, "plan_collection", lambda *a, **k: plan_collection(*a, **{**k, "parts": 2}))
+        patch.setattr(focused, "plan_collection", lambda *a, **k: plan_collection(*a, **{**k, "parts": 2}))
         wide = ((15000.0, 17200.0, 1.2), (18000.0, 20400.0, 1.2))
         blocksar.focus(store, folder / "run", blocks=2, grid=wide, client=client)
         coarse = ((16000.0, 16400.0, 4.0), (19100.0, 19500.0, 4.0))
@@ -104,7 +106,7 @@ def changed(path: Path, change: Callable[[Any], None]) -> None:
 
 
 def source_of(run: Path) -> Source:
-    image, collection, attrs, record = api._open_run(place(run))
+    image, collection, attrs, record = open_run(place(run))
     return Source(image.path, image.x, image.y, Geometry(collection=collection), attrs, record)
 
 

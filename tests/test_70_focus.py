@@ -18,6 +18,7 @@ from scenes import GEOMETRIES, scene, write_store
 
 import blocksar
 from blocksar import api, planning, stores
+from blocksar.api import focused
 from blocksar.cluster import open_client
 from blocksar.geometry import Geometry
 from blocksar.method import Method
@@ -116,7 +117,7 @@ def test_range_sub_blocks_are_as_good_as_whole_blocks(
     name: str, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Coherence with back-projection on clutter, across the seams in range too, and calibration."""
-    monkeypatch.setattr(api, "plan_collection", lambda *a, **k: plan_collection(*a, **{**k, "parts": 3}))
+    monkeypatch.setattr(focused, "plan_collection", lambda *a, **k: plan_collection(*a, **{**k, "parts": 3}))
     store = write_store(tmp_path, **GEOMETRIES[name], more=CLUTTER)
     blocksar.focus(store, tmp_path / "run", blocks=2, grid=coarse_grid(store), client=client)
     record = json.loads((tmp_path / "run" / "run.json").read_text())

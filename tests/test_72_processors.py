@@ -17,7 +17,8 @@ from scenes import scene
 from test_70_focus import check_targets
 
 import blocksar
-from blocksar import api, stores
+from blocksar import stores
+from blocksar.api import focused, measured
 from blocksar.backprojection import form_image
 from blocksar.cluster import open_client
 from blocksar.geometry import Geometry
@@ -71,8 +72,8 @@ def planned(path: Path, **settings: Any) -> Plan:
 def places(plan: Plan) -> dict[str, tuple[float, float]]:
     """Some places at the image's edges, on seams and at the centre of its blocks, well within it: name -> (x, y)."""
     geometry, grid = plan.geometry, plan.grid
-    record = {"plan": {"predicted": api._predicted(plan), "grid": api._grid_record(grid)}}
-    known = {name: (x, y) for name, x, y in api._places(geometry, record)}
+    record = {"plan": {"predicted": focused._predicted(plan), "grid": focused._grid_record(grid)}}
+    known = {name: (x, y) for name, x, y in measured._places(geometry, record)}
     middle = plan.n_blocks // 2
     wanted = [f"{edge} full dwell, {where} range" for edge in ("first", "last") for where in ("near", "middle", "far")]
     wanted += [f"seam {i}|{i + 1}, middle range" for i in (0, plan.n_blocks - 2)]
@@ -101,7 +102,7 @@ def chips(store: Path, run: Path, at: dict[str, tuple[float, float]], *, half: i
             int(np.argmin(np.abs(axis - value))) for axis, value in ((image.x.values, x), (image.y.values, y))
         )
         chip = image.isel(x=slice(max(column - half, 0), column + half), y=slice(max(row - half, 0), row + half))
-        read = partial(api._read_pulses, history)
+        read = partial(measured._read_pulses, history)
         exact = form_image(read, geometry, chip.x.values, chip.y.values, threads=2)
         found[name] = coherence(chip.values, exact)
     return found

@@ -1,0 +1,124 @@
+"""simulate, ingest: where phase histories come from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from blocksar import simulation
+from blocksar.api.common import Report, only_stage, resources
+from blocksar.parameters import InputError
+from blocksar.places import Location, Place
+from blocksar.progress import Updated as Progress
+from blocksar.scene import Scene
+
+if TYPE_CHECKING:
+    pass
+
+
+def simulate(
+    scene: Scene | str | Path,
+    out: Location,
+    *,
+    raw: bool = False,
+    cphd: bool = False,
+    origin: tuple[float, float, float] | None = None,
+    threads: int | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> Path | Place:
+    """Write the phase history of a scene (a file, or the name of a shipped one), with exact ranges.
+
+    Parameters
+    ----------
+    raw : bool
+        Write a raw chirped echo instead of range-frequency samples.
+    cphd : bool
+        Write a CPHD file instead of a store.
+    origin : (latitude, longitude, height), optional
+        Of the scene's centre in a CPHD file: degrees, and m above the WGS 84 ellipsoid.
+
+    Raises
+    ------
+    InputError
+        If the scene is wrong, or `out` exists and `overwrite` is False.
+    """
+    _, threads, _ = resources(1, threads, None)
+    told = only_stage(progress, "simulate")
+    if cphd:
+        if raw:
+            raise InputError("raw is given together with cphd, but CPHD files hold compressed pulses; leave out one")
+        from blocksar import cphd_simulation  # optional libraries
+
+        return cphd_simulation.simulate(
+            scene, out, origin=origin or cphd_simulation.ORIGIN, threads=threads, overwrite=overwrite,
+            progress=told,
+        )  # fmt: skip
+    if origin is not None:
+        raise InputError(f"origin is {origin}, but only CPHD files have one; leave it out")
+    return simulation.simulate(scene, out, raw=raw, threads=threads, overwrite=overwrite, progress=told)
+
+
+def ingest(
+    kind: Literal["cphd", "gotcha"], source: Location | Sequence[Location], out: Location, **options: Any
+) -> Report:
+    """Turn measured data into a phase history: `ingest_cphd` or `ingest_gotcha`, by name."""
+    if kind == "cphd":
+        if isinstance(source, Sequence) and not isinstance(source, str):
+            raise InputError(f"source is a list of {len(source)}; a CPHD file is ingested by itself")
+        return ingest_cphd(source, out, **options)
+    if kind == "gotcha":
+        return ingest_gotcha(source, out, **options)
+    raise InputError(f"kind is {kind!r}; it must be 'cphd' or 'gotcha'")
+
+
+def ingest_cphd(
+    source: Location,
+    out: Location,
+    *,
+    channel: str | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> Report:
+    """Turn one channel of a CPHD file into a phase history, in the tangent frame at its scene's reference point.
+
+    Returns
+    -------
+    Report
+        `result` is the collection that the store holds.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged, contradicts itself or is not supported, or `out` exists and `overwrite` is False.
+    """
+    from blocksar import cphd  # optional libraries, and slow to load
+
+    made = cphd.ingest(source, out, channel=channel, overwrite=overwrite, progress=only_stage(progress, "ingest"))
+    return Report(summary=[*made.said, f"wrote {made.path}"], result=made.collection)
+
+
+def ingest_gotcha(
+    source: Location | Sequence[Location],
+    out: Location,
+    *,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> Report:
+    """Join the AFRL Gotcha set's MATLAB files in azimuth into a phase history, in their scene-centred frame.
+
+    Returns
+    -------
+    Report
+        `result` is the collection that the store holds.
+
+    Raises
+    ------
+    InputError
+        If a file is damaged, files do not belong together, or `out` exists and `overwrite` is False.
+    """
+    from blocksar import gotcha
+
+    made = gotcha.ingest(source, out, overwrite=overwrite, progress=only_stage(progress, "ingest"))
+    return Report(summary=[*made.said, f"wrote {made.path}"], result=made.collection)
