@@ -25,6 +25,7 @@ import zarr
 from blocksar import stores
 from blocksar.parameters import Collection, InputError, ProcessingError
 from blocksar.places import LocalPlace, place
+from blocksar.stores import chunk_files, creation
 
 SAMPLES = stores.Variable(("pulse", "range_frequency"), "complex64", "1", "samples")
 
@@ -284,8 +285,8 @@ PLAIN = {
 @pytest.fixture(params=[1 << 19, 300, 1])
 def slab(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Slabs of a whole chunk, of several rows and of one: what the chunks of these tests are too small for."""
-    monkeypatch.setattr(stores, "SLAB", request.param)
-    monkeypatch.setattr(stores, "TURN", 3)
+    monkeypatch.setattr(chunk_files, "SLAB", request.param)
+    monkeypatch.setattr(chunk_files, "TURN", 3)
 
 
 def plain_store(path: Path, name: str) -> tuple[zarr.Array[Any], np.ndarray]:
@@ -317,7 +318,7 @@ def test_every_variable_that_we_create_is_plain_files(tmp_path: Path, name: str)
     sizes = {dim: 5 for variable in schema.values() for dim in variable.dims}
     stores.create(tmp_path / "s.zarr", schema, sizes=sizes, coords={}, attrs={}, chunks={"y": 2, "pulse": 3})
     for variable, stated in schema.items():
-        files = stores._chunk_files(place(tmp_path / "s.zarr"), variable)
+        files = chunk_files.chunk_files_of(place(tmp_path / "s.zarr"), variable)
         array = zarr.open_array(tmp_path / "s.zarr" / variable, mode="r")
         assert files is not None and files.dtype == stated.dtype
         assert (files.shape, files.chunks, files.dtype) == (array.shape, array.chunks, array.dtype)
@@ -378,7 +379,7 @@ def test_other_layouts_are_left_to_zarr(tmp_path: Path, name: str) -> None:
     usual: dict[str, Any] = {"chunks": (8, 10), "dtype": "complex64", "fill_value": np.nan, "compressors": None}
     values = noise((23, 19))
     array = zarr.create_array(tmp_path / "s", shape=values.shape, **(usual | OTHERWISE[name]))
-    assert stores._chunk_files(place(tmp_path), "s") is None
+    assert chunk_files.chunk_files_of(place(tmp_path), "s") is None
     stores.write_region(tmp_path, "s", np.s_[:16, :], values[:16])
     expected = np.full(values.shape, array.fill_value, array.dtype)
     expected[:16] = values[:16]
@@ -407,10 +408,10 @@ def test_other_layouts_are_left_to_zarr(tmp_path: Path, name: str) -> None:
 )
 def test_metadata_that_say_more_are_left_to_zarr(tmp_path: Path, key: str, value: Any) -> None:
     plain_store(tmp_path / "s", "complex")
-    assert stores._chunk_files(place(tmp_path / "s"), "s") is not None
+    assert chunk_files.chunk_files_of(place(tmp_path / "s"), "s") is not None
     file = tmp_path / "s" / "s" / "zarr.json"
     file.write_text(json.dumps(json.loads(file.read_text()) | {key: value}))
-    assert stores._chunk_files(place(tmp_path / "s"), "s") is None
+    assert chunk_files.chunk_files_of(place(tmp_path / "s"), "s") is None
 
 
 def test_out_must_fit(own: Path) -> None:
@@ -428,8 +429,8 @@ def test_a_chunk_is_the_old_one_or_the_new_one(own: Path, monkeypatch: Any, erro
         raise error
 
     with monkeypatch.context() as patch:
-        patch.setattr(stores, "_copy", full)  # half a chunk is written
-        patch.setattr(stores.os, "replace", full)  # a whole one is
+        patch.setattr(chunk_files, "_copy", full)  # half a chunk is written
+        patch.setattr(os, "replace", full)  # a whole one is
         for values in (np.zeros((128, 64), np.complex64), np.zeros((64, 128), np.complex64).T):
             with pytest.raises((ProcessingError, KeyboardInterrupt)) as found:
                 stores.write_region(own, "signal", np.s_[:128, :64], values)
@@ -487,7 +488,7 @@ def test_a_store_that_fails_to_be_made_leaves_nothing(tmp_path: Path, own: Path,
         part.path.write_bytes(b"half of it")
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(stores, "_put_file", fail)
+    monkeypatch.setattr(creation, "_put_file", fail)
     before = stores.open_phase_history(own).fingerprint()
     for path in (tmp_path / "new.zarr", own):
         with pytest.raises(KeyboardInterrupt):

@@ -35,6 +35,7 @@ from blocksar import places, stores
 from blocksar.cluster import open_client
 from blocksar.parameters import Collection, InputError, ProcessingError
 from blocksar.places import LocalPlace, ObjectPlace, Place, place
+from blocksar.stores import regions
 
 ALL = (slice(None), slice(None))
 
@@ -575,7 +576,7 @@ def test_many_chunks_are_in_flight_at_once() -> None:
         met.wait(20)
         moved.append((there, here))
 
-    stores._each_chunk(np.s_[3:16, 4:8], (4, 2), move)
+    regions._each_chunk(np.s_[3:16, 4:8], (4, 2), move)
     assert sorted(moved, key=repr) == sorted(
         (
             (

@@ -148,7 +148,8 @@ def test_a_few_lost_pulses_are_missing(tmp_path: Path) -> None:
 
 
 def test_chunks_of_pulses_are_gathered_across_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stores, "TILE", (16, 1024))
+    for holder in (stores, stores.collections):
+        monkeypatch.setattr(holder, "TILE", (16, 1024))
     told: list[tuple[int, int]] = []
     gotcha.ingest(
         written(tmp_path, *np.split(circle(AZIMUTH), 9)), tmp_path / "ph.zarr", progress=lambda *n: told.append(n)

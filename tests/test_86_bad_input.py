@@ -44,6 +44,7 @@ import blocksar
 from blocksar import cli, cluster, stores
 from blocksar.parameters import InputError, ProcessingError
 from blocksar.scene import Scene
+from blocksar.stores import regions
 
 SCENE = """
 title = "tiny"
@@ -825,9 +826,9 @@ def test_the_bomb_goes_off_where_nobody_is_careful(armed: None, bench: Bench) ->
 def test_codecs_within_shards_are_known_too(monkeypatch: pytest.MonkeyPatch, bench: Bench) -> None:
     encoding = {"signal": {"chunks": (50, 53), "shards": (100, 53)}}
     store = altered(bench, lambda d: d, encoding=encoding)
-    monkeypatch.setattr(stores, "CODECS", stores.CODECS - {"crc32c"})  # the index's
+    monkeypatch.setattr(regions, "CODECS", regions.CODECS - {"crc32c"})  # the index's
     assert "crc32c" in bench.refused("armed", blocksar.plan, store)
-    monkeypatch.setattr(stores, "CODECS", stores.CODECS - {"zstd"})  # the samples'
+    monkeypatch.setattr(regions, "CODECS", regions.CODECS - {"zstd"})  # the samples'
     assert "zstd" in bench.refused("armed", blocksar.plan, store)
 
 

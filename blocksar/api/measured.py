@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -30,9 +30,6 @@ from blocksar.measurement import (
 from blocksar.parameters import ComplexArray, InputError
 from blocksar.places import Location, Place, place
 from blocksar.scene import Scene
-
-if TYPE_CHECKING:
-    pass
 
 RANGES_COMPARED = (("near", 0.1), ("middle", 0.5), ("far", 0.9))  # name, share of the swath
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 from blocksar import simulation
 from blocksar.api.common import Report, only_stage, resources
@@ -12,9 +12,6 @@ from blocksar.parameters import InputError
 from blocksar.places import Location, Place
 from blocksar.progress import Updated as Progress
 from blocksar.scene import Scene
-
-if TYPE_CHECKING:
-    pass
 
 
 def simulate(

@@ -1,0 +1,109 @@
+"""Small records as JSON, and checksums."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from math import isfinite
+from typing import Any
+
+import numpy as np
+import xxhash
+
+from blocksar.parameters import InputError, ProcessingError
+from blocksar.places import LocalPlace, Location, Place
+from blocksar.places import place as place_of
+from blocksar.stores.chunk_files import Array, refuse_odd_file
+from blocksar.stores.regions import ENVIRONMENT, cause_of
+
+
+def write_json(path: Location, obj: Any) -> None:
+    """Write JSON so that whoever reads it finds the old file or the new one, never half of either.
+
+    Numpy numbers and arrays become numbers and lists; NaN and infinities become null: JSON has none.
+
+    Raises
+    ------
+    ProcessingError
+        If it cannot be written: no room, no permission.
+    ValueError
+        If `obj` holds what JSON does not.
+    """
+    place = place_of(path)
+    text = json.dumps(nan_to_null(plain_value(obj, place.name)), indent=1, allow_nan=False)
+    try:
+        place.write_bytes(f"{text}\n".encode())
+    except OSError as error:
+        raise ProcessingError(f"{place} cannot be written ({error.strerror or error})") from error
+
+
+def plain_value(value: Any, name: str) -> Any:
+    """What JSON holds, of what people put into attributes: numpy numbers and real arrays, paths, tuples."""
+    match value:
+        case np.generic() | np.ndarray() if value.dtype.kind in "biufU":
+            return plain_value(value.tolist(), name)
+        case None | bool() | int() | float() | str():
+            return value
+        case os.PathLike() | Place():
+            return str(value)
+        case Mapping():
+            return {str(key): plain_value(item, f"{name}.{key}") for key, item in value.items()}
+        case list() | tuple():
+            return [plain_value(item, name) for item in value]
+    raise ValueError(f"attribute {name} = {value!r} is a {type(value).__name__}, which JSON does not hold")
+
+
+def nan_to_null(value: Any) -> Any:
+    match value:
+        case float():
+            return value if isfinite(value) else None
+        case dict():
+            return {key: nan_to_null(item) for key, item in value.items()}
+        case list():
+            return [nan_to_null(item) for item in value]
+    return value
+
+
+def read_json(path: Location) -> Any:
+    """Read JSON.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, may not be read or is not JSON.
+    """
+    place = place_of(path)
+    try:
+        if isinstance(place, LocalPlace):
+            refuse_odd_file(place.path)
+        return json.loads(place.read_bytes())
+    except FileNotFoundError:
+        raise InputError(f"{path} does not exist; check the path") from None
+    except OSError as error:
+        remedy = "the path" if isinstance(place, LocalPlace) else ENVIRONMENT
+        raise InputError(f"{path} cannot be read ({error.strerror or error}); check {remedy}") from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path} is damaged ({cause_of(error)}); remove it, and make it again") from error
+
+
+def checksum(array: Array) -> str:
+    """xxh3, 128 bits in hexadecimal, of the array's bytes in C order."""
+    values = np.ascontiguousarray(array)
+    return xxhash.xxh3_128(values.reshape(-1).view(np.uint8).data).hexdigest()
+
+
+def checksum_bytes(data: bytes) -> str:
+    """xxh3, 128 bits in hexadecimal."""
+    return xxhash.xxh3_128(data).hexdigest()
+
+
+def json_checksum(obj: Any) -> str:
+    """Of what `write_json` writes and `read_json` reads, whichever way its keys stand.
+
+    Raises
+    ------
+    ValueError
+        If `obj` holds what JSON does not.
+    """
+    return checksum_bytes(json.dumps(nan_to_null(plain_value(obj, "")), sort_keys=True, allow_nan=False).encode())

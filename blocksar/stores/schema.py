@@ -1,0 +1,68 @@
+"""What every store holds: the one statement of its variables, which writing and checking both go by."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One variable of a store: its dimensions, numpy dtype, units and long name."""
+
+    dims: tuple[str, ...]
+    dtype: str
+    units: str
+    long_name: str
+
+
+TIME = Variable(("pulse",), "float64", "s", "slow time")
+FAST_TIME = Variable(("fast_time",), "float64", "s", "fast time, two-way delay")
+RANGE_FREQUENCY = Variable(("range_frequency",), "float64", "Hz", "baseband range frequency")
+DOPPLER = Variable(("doppler",), "float64", "Hz", "Doppler frequency")
+X = Variable(("x",), "float64", "m", "scene-frame x")
+Y = Variable(("y",), "float64", "m", "scene-frame y")
+TRACK_AND_BEAM = {
+    "reference_range": Variable(("pulse",), "float64", "m", "range whose phase was removed"),
+    "antenna_position": Variable(
+        ("pulse", "axis"), "float64", "m", "antenna phase centre in the scene frame (x, y, z), z up"
+    ),
+    "beam_azimuth": Variable(("pulse",), "float64", "rad", "beam-centre yaw; NaN where the beam is not steered"),
+}
+COLLECTION = {"time": TIME, "range_frequency": RANGE_FREQUENCY, **TRACK_AND_BEAM}
+PHASE_HISTORY = {
+    "signal": Variable(("pulse", "range_frequency"), "complex64", "1", "range-frequency signal; NaN where missing"),
+    **COLLECTION,
+}
+RAW_ECHO = {
+    "echo": Variable(("pulse", "fast_time"), "complex64", "1", "raw chirped echo; NaN where missing"),
+    "time": TIME,
+    "fast_time": FAST_TIME,
+    **TRACK_AND_BEAM,
+}
+SPECTRUM = {
+    "spectrum": Variable(("doppler", "range_frequency"), "complex64", "1", "recovered Doppler spectrum"),
+    "lit": Variable(("pulse",), "float64", "1", "fraction of the pulse's samples that are valid"),
+    "doppler": DOPPLER,
+    "range_frequency": RANGE_FREQUENCY,
+}
+PATCH = {
+    "image": Variable(("y", "x"), "complex64", "1", "focused block on the ground; NaN where not covered"),
+    "x": X,
+    "y": Y,
+}
+IMAGE = {
+    "image": Variable(("y", "x"), "complex64", "1", "calibrated complex image; NaN where not covered"),
+    "block": Variable(("y", "x"), "int16", "1", "angular block the pixel comes from; -1 where not covered"),
+    "x": X,
+    "y": Y,
+}
+TILE = (512, 1024)  # pulses by columns of a phase history: 4 MiB, whole in either direction of reading
+CONVENTIONS = "CF-1.11"
+COLLECTION_ATTRS = ("carrier_frequency", "beam_width", "ground_height")
+RAW_ATTRS = ("chirp_rate", "pulse_width")
+UNITS = {  # spellings that mean the contract's unit
+    "s": ("s", "sec", "second", "seconds"),
+    "Hz": ("hz", "hertz", "s-1", "1/s"),
+    "m": ("m", "metre", "metres", "meter", "meters"),
+    "rad": ("rad", "radian", "radians"),
+}
