@@ -22,7 +22,7 @@ done is done again when its bytes change, or its record and its run are removed.
     0             all that was there is done
     1             something failed that is worth another try: no room, no cluster, a hook that failed
     2             an option or a path is wrong: nothing was done
-    3             something was put into quarantine, all else is done
+    3             something was put into quarantine, all else is done; said once, if need be by a later sweep
     75            another sweep has this outbox: nothing was done
     130, 143      interrupted, terminated: the next sweep goes on from there
 
@@ -395,6 +395,7 @@ class Sweep:
     failed: list[Event] = field(default_factory=list)
     quarantined: list[str] = field(default_factory=list)  # by this sweep
     quarantine: list[Event] = field(default_factory=list)  # by this one or by another
+    unsaid: list[Record] = field(default_factory=list)  # quarantined, and no sweep has ended with 3 since
     untold: int = 0
     left: int = 0
 
@@ -419,7 +420,7 @@ class Sweep:
                 except (OSError, ProcessingError) as error:  # what is known of it could not be read or written
                     self._fail({"name": arrival.name, "source": str(arrival.store), "reason": str(error)})
                 self.left -= 1
-            status = FAILED if self.failed or self.untold else QUARANTINED if self.quarantined else DONE
+            status = FAILED if self.failed or self.untold else QUARANTINED if self.unsaid else DONE
         except Unserved as error:
             self.journal.write({"event": "no cluster", "reason": str(error)})
             status = FAILED
@@ -430,6 +431,10 @@ class Sweep:
             raise
         self._note(state="ended", exit_status=status)
         self.journal.write({"event": "end", "exit_status": status})
+        if status == QUARANTINED:
+            with suppress(ProcessingError):  # no room for it: then the next sweep says so again
+                for record in self.unsaid:
+                    self.outbox.settle(record | {"said": True})
         return status
 
     def _note(self, **changes: Any) -> None:
@@ -452,11 +457,16 @@ class Sweep:
                 return
             (self.done if event["event"] == "done" else self.quarantined).append(arrival.name)
             record["told"] = not self.hook.command
+            if event["event"] == "quarantined":
+                record["said"] = False
+            self.outbox.settle(record)
+        if not record.get("told") and self._tell(record):
+            record = record | {"told": True}
             self.outbox.settle(record)
         if record.get("event") == "quarantined":
             self.quarantine.append({"name": arrival.name, "reason": record.get("reason")})
-        if not record.get("told") and self._tell(record):
-            self.outbox.settle(record | {"told": True})
+            if not record.get("said", True):
+                self.unsaid.append(record)
 
     def _fail(self, event: Event) -> None:
         event = event | {"event": "failed"}
