@@ -882,8 +882,8 @@ def _targets(targets: Location | Sequence[Target] | None, attrs: dict[str, Any])
 
 def _response_table(responses: Sequence[PointResponse]) -> Table:
     header = (
-        "target", "full dwell", "range PSLR", "ISLR", "IRW (m)", "/theory", "azimuth PSLR", "ISLR", "IRW (m)",
-        "/theory", "dx (mm)", "dy (mm)", "|value|", "phase (rad)",
+        "target", "full dwell", "range PSLR", "range ISLR", "range IRW (m)", "range IRW / theory", "azimuth PSLR",
+        "azimuth ISLR", "azimuth IRW (m)", "azimuth IRW / theory", "dx (mm)", "dy (mm)", "|value|", "phase (rad)",
     )  # fmt: skip
     rows = []
     for r in responses:
@@ -1035,8 +1035,9 @@ def report(
     source = products.Source(image.path, image.x, image.y, Geometry(collection=collection), attrs, record)
     found, why = _found(folder, source)
     told = _told(progress, "report")
+    drawn = partial(listener(progress).update, "responses")
     history = str(stores.open_dataset(image.path).attrs.get("history", ""))
-    made, verdict = page.make(source, found, folder=str(folder), history=history, why=why, progress=told)
+    made, verdict = page.make(source, found, folder=str(folder), history=history, why=why, progress=told, drawn=drawn)
     try:
         target.write_bytes(made)
     except (PermissionError, NotADirectoryError, FileExistsError) as error:

@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -475,6 +476,16 @@ def test_a_run_in_an_object_store(runs: dict[str, Path], tmp_path: Path, quick: 
 
 
 # ---------------------------------------------------------------- wrong input, and failures
+
+
+def test_all_that_takes_time_is_told(run: Path) -> None:
+    """Drawing responses takes longer than reading the image: a display that stood at 100 % meanwhile would mislead."""
+    told: list[tuple[str, int, int]] = []
+    blocksar.report(run, progress=SimpleNamespace(update=lambda *update: told.append(update)))
+    drawn = [update for update in told if update[0] == "responses"]
+    number = drawn[-1][2]
+    assert number and drawn == [("responses", i, number) for i in range(number + 1)]
+    assert told[-number - 2][0] == "report" and told[-number - 2][1] == told[-number - 2][2]
 
 
 def test_what_stands_there_is_kept_unless_asked(run: Path, tmp_path: Path, quick: None) -> None:
