@@ -125,7 +125,7 @@ def test_what_an_earlier_run_finished_is_neither_work_nor_time() -> None:
 
 
 def test_a_first_stage_that_ends_before_workers_are_warm_is_no_measure() -> None:
-    """A small run: one unit of recovery, whose time is that of loading the code; minutes would be foretold of seconds."""
+    """One unit of recovery, in a small run: its time is that of loading the code."""
     work = WORK | {"recover": [0.1]}
     estimate = Estimate(Clock())
     estimate.expect(work, 1)
