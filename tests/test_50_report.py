@@ -326,6 +326,28 @@ def test_what_is_beyond_the_bar_is_said_and_marked(run: Path, quick: None) -> No
     assert f"! {share}" in re.sub(r"<[^>]*>", "", text)
 
 
+def test_targets_beyond_the_grid_are_no_reproach(run: Path, quick: None) -> None:
+    """As the bar is told: what the image does not cover is not judged; but a hole in the image is no good news."""
+
+    def lost(target: Any, **place: float) -> None:
+        target |= {name: None for name in target if name.endswith(("lr", "irw")) or name.startswith("error")}
+        target |= {"covered": False, "value": [None, None], **place}
+
+    changed(run / "quality.json", lambda record: lost(record["targets"][0], x=90e3))
+    assert record_names(run)[0] != "edge"
+    report = blocksar.report(run)
+    assert "3 of 3 fully lit targets within the bar" in report.summary[0]
+    assert 'class="verdict good"' in report.result.path.read_text(encoding="utf-8")
+    changed(run / "quality.json", lambda record: lost(record["targets"][0], x=16100.0, y=19200.0))
+    assert "3 of 4 fully lit targets within the bar" in blocksar.report(run).summary[0]
+    changed(run / "quality.json", lambda record: [lost(target, x=90e3) for target in record["targets"]])
+    assert "no fully lit target to judge in this image" in blocksar.report(run).summary[0]
+
+
+def record_names(run: Path) -> list[str]:
+    return [target["name"] for target in json.loads((run / "quality.json").read_text())["targets"]]
+
+
 def test_warnings_come_first(run: Path, quick: None) -> None:
     changed(run / "run.json", lambda r: r.update(warnings=["3 pulses are missing <b>", "saturated"]))
     report = blocksar.report(run)
