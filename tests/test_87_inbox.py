@@ -356,7 +356,7 @@ def test_everything_that_was_settled_is_told(post: Post, tmp_path: Path) -> None
     assert post.sweep(post.module.Hook(taking(tmp_path, status=5))) == post.module.FAILED
     assert told(tmp_path) == settled and post.status()["untold"] == 3
     assert [entry["reason"] for entry in post.log() if entry["event"] == "untold"] == ["the hook ended with 5"] * 3
-    assert post.sweep(post.module.Hook(taking(tmp_path))) == post.module.DONE  # told again, and nothing done again
+    assert post.sweep(post.module.Hook(taking(tmp_path))) == post.module.QUARANTINED  # told again, nothing done again
     assert told(tmp_path) == settled * 2
     assert post.sweep(post.module.Hook(taking(tmp_path))) == post.module.DONE
     assert told(tmp_path) == settled * 2
@@ -464,6 +464,8 @@ WRONG: dict[str, tuple[Callable[[Path], dict[str, Any]], str]] = {
     "inbox a file": (lambda folder: {"inbox": str(folder / "file")}, "file cannot be listed"),
     "outbox a file": (lambda folder: {"outbox": str(folder / "file")}, "file cannot be written"),
     "outbox a bucket": (lambda folder: {"outbox": "s3://bucket/x"}, "no local folder"),
+    "outbox the inbox": (lambda folder: {"outbox": str(folder / "inbox")}, "lies in INBOX"),
+    "outbox in the inbox": (lambda folder: {"outbox": str(folder / "inbox" / "out")}, "lies in INBOX"),
     "blocks": (lambda folder: {"blocks": "many"}, "--blocks 'many'"),
     "grid": (lambda folder: {"grid": "1:2"}, "--grid"),
     "hook": (lambda folder: {"notify": "/no/such/command"}, "--notify"),
@@ -485,6 +487,18 @@ def test_wrong_use_is_refused_and_leaves_nothing(
     said = capsys.readouterr().err
     assert message in said and said.count("\n") == 1
     assert sorted(p.name for p in post.folder.iterdir()) == ["file", "inbox"]
+
+
+@pytest.mark.parametrize("inbox", ["scratch", "elsewhere"])
+def test_no_folder_of_others_is_removed_as_scratch(inbox: str, post: Post) -> None:
+    """An outbox may be given where somebody has a folder of that name: his collections, or what he keeps."""
+    kept = post.outbox / "scratch" / "kept"
+    kept.mkdir(parents=True)
+    shutil.copytree(post.store, post.outbox / inbox / "a.zarr")
+    before = everything(post.folder)
+    with pytest.raises(InputError, match=r"scratch|among what a sweep writes"):
+        post.module.sweep(str(post.outbox / inbox), str(post.outbox), SETTINGS, post.module.Hook([]))
+    assert everything(post.folder) == before
 
 
 # ---------------------------------------------------------------- processes

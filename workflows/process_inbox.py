@@ -67,6 +67,7 @@ DONE, FAILED, USAGE, QUARANTINED, BUSY = 0, 1, 2, 3, os.EX_TEMPFAIL
 FORMAT = 1  # of records, status and log
 HOOK_SECONDS = 60.0  # a hook that takes longer is ended
 STATUS_SECONDS = 1.0  # at least, between two notes of how far a run has come
+FOLDERS = ("runs", "done", "quarantine")  # of an outbox
 NAME_BYTES = 200  # of a record: file systems end at 255, and temporary names are longer than the name
 
 Event = dict[str, Any]
@@ -155,10 +156,28 @@ class Outbox:
 
     folder: Path
 
+    @property
+    def scratch(self) -> Path:
+        """Temporary files of the workers. Whatever lies there is removed."""
+        return self.folder / "scratch"
+
+    def keep_apart(self, inbox: Path) -> None:
+        """Nothing is written to an inbox, and none is removed."""
+        source, own = Path(os.path.realpath(inbox)), Path(os.path.realpath(self.folder))
+        if own.is_relative_to(source):
+            raise InputError(f"OUTBOX {self.folder} lies in INBOX {inbox}, which is only read; give another")
+        if any(source.is_relative_to(own / name) for name in (*FOLDERS, self.scratch.name)):
+            raise InputError(
+                f"INBOX {inbox} lies among what a sweep writes in OUTBOX {self.folder}; give another OUTBOX"
+            )
+
     def prepare(self) -> None:
+        folders = [self.folder / name for name in FOLDERS]
+        if self.scratch.exists() and not all(folder.is_dir() for folder in folders):
+            raise InputError(f"OUTBOX {self.folder} holds a folder scratch that is not the workflow's; give another")
         try:
-            for name in ("runs", "done", "quarantine"):
-                (self.folder / name).mkdir(parents=True, exist_ok=True)
+            for folder in folders:
+                folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"OUTBOX {self.folder} cannot be written ({error.strerror}); give another") from None
 
@@ -604,8 +623,10 @@ def sweep(
         raise InputError(f"OUTBOX {folder} is no local folder; give one: lock and log need it")
     look_into(place(inbox))  # before anything is written
     box = Outbox(folder.path)
+    if isinstance(source := place(inbox), LocalPlace):
+        box.keep_apart(source.path)
     box.prepare()
-    with box.lock(), Cluster(settings, scheduler, box.folder / "scratch") as cluster:
+    with box.lock(), Cluster(settings, scheduler, box.scratch) as cluster:
         return Sweep(place(inbox), box, settings, cluster, hook, Journal(box, quiet=quiet)).run()
 
 
