@@ -44,6 +44,7 @@ DEMO = {
     "measure": 2.4,
     "draw": 8.0,
     "report": 2.7,
+    "responses": 6.0,
 }
 MOST_CHUNKS = 2000  # of a patch, that are looked at one by one
 COMPILE = 13.0  # where no kernel is in numba's cache yet

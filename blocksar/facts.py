@@ -17,6 +17,7 @@ from blocksar.planning import MIB, SIDE_LOBE_BUDGET
 from blocksar.products import Source
 
 SHOWN = 9  # targets whose responses are drawn
+EDGE = 16  # pixels at the rim of an image in which a response may not be measured
 MOST_ROWS = 300  # of a table, and marks on the picture
 DASH, MINUS, TIMES = "\N{EN DASH}", "\N{MINUS SIGN}", "\N{MULTIPLICATION SIGN}"
 SPACE = "\N{NARROW NO-BREAK SPACE}"
@@ -281,8 +282,19 @@ class Facts:
         within = [r for r in self.judged if worst_excess(r) <= 1]
         if not full:
             return Verdict(False, "no target is lit over its full dwell")
-        return Verdict(
-            len(within) == len(full), f"{len(within)} of {count(len(full), 'fully lit target')} within the bar"
+        counted = len(self.judged) + sum(self._in_a_gap(r) for r in full)
+        if not counted:
+            return Verdict(True, "no fully lit target to judge in this image")
+        return Verdict(len(within) == counted, f"{len(within)} of {count(counted, 'fully lit target')} within the bar")
+
+    def _in_a_gap(self, response: PointResponse) -> bool:
+        """Whether the image lacks a target's place though it reaches well around it; beyond the grid none is missed."""
+        if response.covered or np.isfinite(response.value):
+            return False
+        places = ((response.x, self.source.x), (response.y, self.source.y))
+        return all(
+            axis[0] + EDGE * step < value < axis[-1] - EDGE * step
+            for (value, axis), step in zip(places, self.source.spacing, strict=True)
         )
 
     def _verdict_warnings(self) -> Verdict:

@@ -134,6 +134,7 @@ def make(
     history: str = "",
     why: str = "",
     progress: Progress | None = None,
+    drawn: Progress | None = None,
 ) -> tuple[bytes, list[str]]:
     """Make the page of a finished run.
 
@@ -150,6 +151,8 @@ def make(
         Why nothing could be measured.
     progress : callable, optional
         Told how much of the image has been read.
+    drawn : callable, optional
+        Told how many of the responses have been drawn, if there are any.
 
     Returns
     -------
@@ -168,7 +171,7 @@ def make(
         raise InputError(
             f"run.json, quality.json or the attributes of {folder} are damaged ({error}); measure or focus anew"
         ) from None
-    drawn, verdicts = run.drawn(), run.verdicts()
+    wanted, verdicts = run.drawn(), run.verdicts()
     drawing = picture.draw(source, looks="max" if run.responses else "mean", progress=progress)
     shown = {
         "title": source.title,
@@ -177,7 +180,7 @@ def make(
         "warnings": run.warnings,
         "picture": drawing,
         "outlines": list(picture.outlines(source, run.predicted, drawing)),
-        "marks": list(picture.marks(run.marked, drawn, drawing)),
+        "marks": list(picture.marks(run.marked, wanted, drawing)),
         "chips": list(picture.chips(source, run.marked[: picture.MOST_CHIPS], drawing)),
         "pixel": max(source.spacing),
         "arrows": picture.arrows(source, drawing, run.north),
@@ -187,7 +190,7 @@ def make(
         "quality_words": [together(line) for line in _quality_words(run)],
         "definitions": DEFINITIONS.replace("\n", " ").split(". "),
         "reference": _reference_table(run),
-        "drawings": _drawings(source, [r for r in run.responses if r.name in drawn], drawing),
+        "drawings": _drawings(source, [r for r in run.responses if r.name in wanted], drawing, drawn),
         "stages": _stage_table(run),
         "units": _unit_table(run),
         "blocks": _block_table(run),
@@ -474,10 +477,14 @@ def _step_table(run: Facts) -> Table | None:
 # ---------------------------------------------------------------- responses
 
 
-def _drawings(source: Source, wanted: Sequence[PointResponse], drawing: Picture) -> list[Drawing]:
+def _drawings(
+    source: Source, wanted: Sequence[PointResponse], drawing: Picture, progress: Progress | None
+) -> list[Drawing]:
     made = []
     with tempfile.TemporaryDirectory() as folder:
-        for r in wanted:
+        for i, r in enumerate(wanted):
+            if progress is not None:
+                progress(i, len(wanted))
             target = Target(r.name, r.x, r.y)  # its reflectivity is no matter here: all is relative to the peak
             try:
                 response = read_response(source.read, source.x, source.y, source.geometry, target)
@@ -485,6 +492,8 @@ def _drawings(source: Source, wanted: Sequence[PointResponse], drawing: Picture)
                 continue
             if response is not None:
                 made.append(Drawing(r.name, drawing.find(r.x, r.y), *_draw(response, Path(folder)), spoken(r)))
+    if wanted and progress is not None:
+        progress(len(wanted), len(wanted))
     return made
 
 

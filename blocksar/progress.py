@@ -198,7 +198,7 @@ class Stage:
         if not self.made or self.heard is None or self.begun is None:
             return 0.0, 0.0
         start, ahead = self._since()
-        if self.cold and self._warm is None and not self.finished:
+        if self.cold and self._warm is None:  # also once it is finished: it was over before workers were warm
             return 0.0, 0.0
         return self.heard - start, max(self.end(self.made) - ahead, 0.0)
 

@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -327,6 +328,28 @@ def test_what_is_beyond_the_bar_is_said_and_marked(run: Path, quick: None) -> No
     assert f"! {share}" in re.sub(r"<[^>]*>", "", text)
 
 
+def test_targets_beyond_the_grid_are_no_reproach(run: Path, quick: None) -> None:
+    """As the bar is told: what the image does not cover is not judged; but a hole in the image is no good news."""
+
+    def lost(target: Any, **place: float) -> None:
+        target |= {name: None for name in target if name.endswith(("lr", "irw")) or name.startswith("error")}
+        target |= {"covered": False, "value": [None, None], **place}
+
+    changed(run / "quality.json", lambda record: lost(record["targets"][0], x=90e3))
+    assert record_names(run)[0] != "edge"
+    report = blocksar.report(run)
+    assert "3 of 3 fully lit targets within the bar" in report.summary[0]
+    assert 'class="verdict good"' in report.result.path.read_text(encoding="utf-8")
+    changed(run / "quality.json", lambda record: lost(record["targets"][0], x=16100.0, y=19200.0))
+    assert "3 of 4 fully lit targets within the bar" in blocksar.report(run).summary[0]
+    changed(run / "quality.json", lambda record: [lost(target, x=90e3) for target in record["targets"]])
+    assert "no fully lit target to judge in this image" in blocksar.report(run).summary[0]
+
+
+def record_names(run: Path) -> list[str]:
+    return [target["name"] for target in json.loads((run / "quality.json").read_text())["targets"]]
+
+
 def test_warnings_come_first(run: Path, quick: None) -> None:
     changed(run / "run.json", lambda r: r.update(warnings=["3 pulses are missing <b>", "saturated"]))
     report = blocksar.report(run)
@@ -477,6 +500,16 @@ def test_a_run_in_an_object_store(runs: dict[str, Path], tmp_path: Path, quick: 
 
 
 # ---------------------------------------------------------------- wrong input, and failures
+
+
+def test_all_that_takes_time_is_told(run: Path) -> None:
+    """Drawing responses takes longer than reading the image: a display that stood at 100 % meanwhile would mislead."""
+    told: list[tuple[str, int, int]] = []
+    blocksar.report(run, progress=SimpleNamespace(update=lambda *update: told.append(update)))
+    drawn = [update for update in told if update[0] == "responses"]
+    number = drawn[-1][2]
+    assert number and drawn == [("responses", i, number) for i in range(number + 1)]
+    assert told[-number - 2][0] == "report" and told[-number - 2][1] == told[-number - 2][2]
 
 
 def test_what_stands_there_is_kept_unless_asked(run: Path, tmp_path: Path, quick: None) -> None:

@@ -11,6 +11,7 @@ import sys
 from types import ModuleType, SimpleNamespace
 
 import pytest
+from rich.console import Console
 from typer.testing import CliRunner, Result
 
 import blocksar
@@ -323,6 +324,34 @@ def test_no_table_is_folded_where_there_is_no_terminal(api: Calls) -> None:
     api.answer = SimpleNamespace(summary=[], table=lambda: [(row, [row])], refusal=None)
     lines = run("plan", "table1").stdout.splitlines()
     assert sum(all(cell in line for cell in row) for line in lines) == 2  # header and row, each on one line
+
+
+@pytest.mark.parametrize("width", [40, 80, 120])
+def test_a_terminal_shows_every_figure_of_a_wide_table(width: int) -> None:
+    """In parts, each with its first column; titles are folded between words, nothing is cut."""
+    header = ["target", *(f"residual phase {i} (rad)" for i in range(14))]
+    rows = [[f"T{j}", *(f"-{j}.{i:04d} .. 1" for i in range(14))] for j in range(2)]
+    parts = []
+    for table in cli.tables(header, rows, width):
+        console = Console(width=width, file=io.StringIO())
+        console.print(table)
+        parts.append(console.file.getvalue())  # type: ignore[attr-defined]
+    shown = "".join(parts)
+    assert "\N{HORIZONTAL ELLIPSIS}" not in shown
+    assert all(cell in shown for row in rows for cell in row)
+    assert all("T0" in part and "T1" in part and "target" in part for part in parts)
+    assert len(parts) > 1 and max(map(len, shown.splitlines())) <= width
+    assert len(list(cli.tables(header, rows, 1000))) == 1
+
+
+def test_sentences_are_folded_between_words_on_a_terminal(api: Calls) -> None:
+    path = "/a/path-that/is-longer/than-a-narrow/terminal/is-wide.zarr"
+    line = f"  wrote {path} in 9.7 s (recover 8.0 s, focus 1.0 s, mosaic 0.2 s)"
+    api.answer = SimpleNamespace(summary=[line], table=list, refusal=None)
+    assert run("plan", "table1").stdout == f"{line}\n"
+    assert cli._wrapped(line, 40).split() == line.split()
+    assert path in cli._wrapped(line, 40) and "mosaic 0.2 s)" in cli._wrapped(line, 40).splitlines()[-1]
+    assert all(part.startswith("  ") for part in cli._wrapped(line, 40).splitlines())
 
 
 def test_plain_progress_is_a_few_lines(api: Calls) -> None:

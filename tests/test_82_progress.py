@@ -124,6 +124,18 @@ def test_what_an_earlier_run_finished_is_neither_work_nor_time() -> None:
     assert focus.rate() == pytest.approx(2 / (2.0 * (2.5 + 3.0)))
 
 
+def test_a_first_stage_that_ends_before_workers_are_warm_is_no_measure() -> None:
+    """One unit of recovery, in a small run: its time is that of loading the code."""
+    work = WORK | {"recover": [0.1]}
+    estimate = Estimate(Clock())
+    estimate.expect(work, 1)
+    told = carried_out(estimate, work, 1, dict.fromkeys(work, 1.0), cold=2.0)
+    end = told[-1][2]
+    assert told[0][:1] + told[0][3:] == ("recover", None)
+    for _, _, now, left in told[1:]:
+        assert left == pytest.approx(end - now, abs=1e-6)
+
+
 def test_a_unit_that_is_overdue_makes_time_left_grow() -> None:
     clock = Clock()
     estimate = Estimate(clock)
@@ -159,10 +171,10 @@ def test_a_stage_that_nobody_announced_counts_by_itself() -> None:
 def test_other_units_than_announced_share_the_work() -> None:
     clock = Clock()
     estimate = Estimate(clock)
-    estimate.expect({"recover": [1.0], "mosaic": [1.0, 2.0, 3.0]}, 2)
-    estimate.update("recover", 0, 1)
-    clock.now += 2.0
-    estimate.update("recover", 1, 1)
+    estimate.expect({"recover": [1.0] * 4, "mosaic": [1.0, 2.0, 3.0]}, 2)
+    for done in (0, 2, 4):
+        estimate.update("recover", done, 4)
+        clock.now += 2.0 if done < 4 else 0.0
     estimate.update("mosaic", 0, 11)
     assert estimate.left() == pytest.approx(12.0 / 11 * 6)  # by two workers, in six rounds
 

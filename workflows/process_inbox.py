@@ -22,7 +22,7 @@ done is done again when its bytes change, or its record and its run are removed.
     0             all that was there is done
     1             something failed that is worth another try: no room, no cluster, a hook that failed
     2             an option or a path is wrong: nothing was done
-    3             something was put into quarantine, all else is done
+    3             something was put into quarantine, all else is done; said once, if need be by a later sweep
     75            another sweep has this outbox: nothing was done
     130, 143      interrupted, terminated: the next sweep goes on from there
 
@@ -67,6 +67,7 @@ DONE, FAILED, USAGE, QUARANTINED, BUSY = 0, 1, 2, 3, os.EX_TEMPFAIL
 FORMAT = 1  # of records, status and log
 HOOK_SECONDS = 60.0  # a hook that takes longer is ended
 STATUS_SECONDS = 1.0  # at least, between two notes of how far a run has come
+FOLDERS = ("runs", "done", "quarantine")  # of an outbox
 NAME_BYTES = 200  # of a record: file systems end at 255, and temporary names are longer than the name
 
 Event = dict[str, Any]
@@ -155,10 +156,28 @@ class Outbox:
 
     folder: Path
 
+    @property
+    def scratch(self) -> Path:
+        """Temporary files of the workers. Whatever lies there is removed."""
+        return self.folder / "scratch"
+
+    def keep_apart(self, inbox: Path) -> None:
+        """Nothing is written to an inbox, and none is removed."""
+        source, own = Path(os.path.realpath(inbox)), Path(os.path.realpath(self.folder))
+        if own.is_relative_to(source):
+            raise InputError(f"OUTBOX {self.folder} lies in INBOX {inbox}, which is only read; give another")
+        if any(source.is_relative_to(own / name) for name in (*FOLDERS, self.scratch.name)):
+            raise InputError(
+                f"INBOX {inbox} lies among what a sweep writes in OUTBOX {self.folder}; give another OUTBOX"
+            )
+
     def prepare(self) -> None:
+        folders = [self.folder / name for name in FOLDERS]
+        if self.scratch.exists() and not all(folder.is_dir() for folder in folders):
+            raise InputError(f"OUTBOX {self.folder} holds a folder scratch that is not the workflow's; give another")
         try:
-            for name in ("runs", "done", "quarantine"):
-                (self.folder / name).mkdir(parents=True, exist_ok=True)
+            for folder in folders:
+                folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"OUTBOX {self.folder} cannot be written ({error.strerror}); give another") from None
 
@@ -395,6 +414,7 @@ class Sweep:
     failed: list[Event] = field(default_factory=list)
     quarantined: list[str] = field(default_factory=list)  # by this sweep
     quarantine: list[Event] = field(default_factory=list)  # by this one or by another
+    unsaid: list[Record] = field(default_factory=list)  # quarantined, and no sweep has ended with 3 since
     untold: int = 0
     left: int = 0
 
@@ -419,7 +439,7 @@ class Sweep:
                 except (OSError, ProcessingError) as error:  # what is known of it could not be read or written
                     self._fail({"name": arrival.name, "source": str(arrival.store), "reason": str(error)})
                 self.left -= 1
-            status = FAILED if self.failed or self.untold else QUARANTINED if self.quarantined else DONE
+            status = FAILED if self.failed or self.untold else QUARANTINED if self.unsaid else DONE
         except Unserved as error:
             self.journal.write({"event": "no cluster", "reason": str(error)})
             status = FAILED
@@ -430,6 +450,10 @@ class Sweep:
             raise
         self._note(state="ended", exit_status=status)
         self.journal.write({"event": "end", "exit_status": status})
+        if status == QUARANTINED:
+            with suppress(ProcessingError):  # no room for it: then the next sweep says so again
+                for record in self.unsaid:
+                    self.outbox.settle(record | {"said": True})
         return status
 
     def _note(self, **changes: Any) -> None:
@@ -452,11 +476,16 @@ class Sweep:
                 return
             (self.done if event["event"] == "done" else self.quarantined).append(arrival.name)
             record["told"] = not self.hook.command
+            if event["event"] == "quarantined":
+                record["said"] = False
+            self.outbox.settle(record)
+        if not record.get("told") and self._tell(record):
+            record = record | {"told": True}
             self.outbox.settle(record)
         if record.get("event") == "quarantined":
             self.quarantine.append({"name": arrival.name, "reason": record.get("reason")})
-        if not record.get("told") and self._tell(record):
-            self.outbox.settle(record | {"told": True})
+            if not record.get("said", True):
+                self.unsaid.append(record)
 
     def _fail(self, event: Event) -> None:
         event = event | {"event": "failed"}
@@ -594,8 +623,10 @@ def sweep(
         raise InputError(f"OUTBOX {folder} is no local folder; give one: lock and log need it")
     look_into(place(inbox))  # before anything is written
     box = Outbox(folder.path)
+    if isinstance(source := place(inbox), LocalPlace):
+        box.keep_apart(source.path)
     box.prepare()
-    with box.lock(), Cluster(settings, scheduler, box.folder / "scratch") as cluster:
+    with box.lock(), Cluster(settings, scheduler, box.scratch) as cluster:
         return Sweep(place(inbox), box, settings, cluster, hook, Journal(box, quiet=quiet)).run()
 
 

@@ -99,8 +99,8 @@ def targets_of(targets: Location | Sequence[Target] | None, attrs: dict[str, Any
 
 def _response_table(responses: Sequence[PointResponse]) -> Table:
     header = (
-        "target", "full dwell", "range PSLR", "ISLR", "IRW (m)", "/theory", "azimuth PSLR", "ISLR", "IRW (m)",
-        "/theory", "dx (mm)", "dy (mm)", "|value|", "phase (rad)",
+        "target", "full dwell", "range PSLR", "range ISLR", "range IRW (m)", "range IRW / theory", "azimuth PSLR",
+        "azimuth ISLR", "azimuth IRW (m)", "azimuth IRW / theory", "dx (mm)", "dy (mm)", "|value|", "phase (rad)",
     )  # fmt: skip
     rows = []
     for r in responses:

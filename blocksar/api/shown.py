@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -77,8 +78,9 @@ def report(
     source = products.Source(image.path, image.x, image.y, Geometry(collection=collection), attrs, record)
     found, why = _found(folder, source)
     told = only_stage(progress, "report")
+    drawn = partial(listener(progress).update, "responses")
     history = str(stores.open_dataset(image.path).attrs.get("history", ""))
-    made, verdict = page.make(source, found, folder=str(folder), history=history, why=why, progress=told)
+    made, verdict = page.make(source, found, folder=str(folder), history=history, why=why, progress=told, drawn=drawn)
     try:
         target.write_bytes(made)
     except (PermissionError, NotADirectoryError, FileExistsError) as error:
