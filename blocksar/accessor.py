@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import json
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,32 +20,55 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 GRID_MAPPING = "spatial_ref"  # the name that rioxarray looks for first
+UNEVEN = 1e-3  # of a pixel that its neighbours' distances may differ by
 PIECE = 32  # pixels of a cut that are interpolated with one carrier
 Span = tuple[float | None, float | None]
+_ENDS = (-np.inf, np.inf)  # of a span without
 
 
 def prepare(dataset: xr.Dataset) -> xr.Dataset:
     """Name x and y of an image as CF does, and tell its map projection if it is georeferenced.
+
+    Attributes that only JSON holds (settings, predicted, warnings, georeference) become JSON text: CF knows numbers and
+    texts only, and so do the files that xarray writes.
 
     Raises
     ------
     InputError
         If its georeference is wrong.
     """
-    if "image" not in dataset or "georeference" not in dataset.attrs:
+    if "image" not in dataset or not {"x", "y"} <= set(dataset.coords):
         return dataset
-    frame = Georeference.from_attribute(dataset.attrs["georeference"])
+    frame = _frame(dataset.attrs)
+    dataset.attrs = {
+        name: json.dumps(value) if value is None or isinstance(value, dict | list | tuple | bool) else value
+        for name, value in dataset.attrs.items()
+    }
+    for axis in "xy":
+        dataset[axis].attrs["axis"] = axis.upper()
+        dataset[axis].encoding["_FillValue"] = None  # else xarray writes one, and CF knows none of coordinates
+    if frame is None:
+        return dataset
     mapping = frame.grid_mapping(float(dataset.attrs.get("ground_height") or 0.0))
     if mapping is None:
         return dataset
+    mapping["long_name"] = "map projection whose easting and northing are x and y"
     dataset = dataset.assign_coords({GRID_MAPPING: xr.Variable((), np.int32(0), mapping)})
     for axis in "xy":
-        names = {"standard_name": f"projection_{axis}_coordinate", "axis": axis.upper()}
-        dataset[axis].attrs.update(names)
+        dataset[axis].attrs["standard_name"] = f"projection_{axis}_coordinate"
     for name in ("image", "block"):
         if name in dataset:
             dataset[name].attrs["grid_mapping"] = GRID_MAPPING
     return dataset
+
+
+def _frame(attrs: dict[str, Any]) -> Georeference | None:
+    """Where the image lies; `georeference` may be a mapping, or JSON text of one."""
+    told = attrs.get("georeference")
+    if isinstance(told, str):
+        with suppress(ValueError):  # the text itself is refused next
+            told = json.loads(told)
+    return None if told is None else Georeference.from_attribute(told)
 
 
 @xr.register_dataset_accessor("sar")  # type: ignore[no-untyped-call]
@@ -70,7 +95,9 @@ class SarAccessor:
                 return 10 * np.log10(values.real**2 + values.imag**2)
 
         image = self._image
-        power = xr.apply_ufunc(decibel, image, dask="parallelized", output_dtypes=[np.float32])
+        power = xr.apply_ufunc(
+            decibel, image, dask="parallelized", dask_gufunc_kwargs={"meta": np.empty((0, 0), np.float32)}
+        )
         power.attrs = {"units": "dB", "long_name": "power over that of unit reflectivity"}
         if "grid_mapping" in image.attrs:
             power.attrs["grid_mapping"] = image.attrs["grid_mapping"]
@@ -82,19 +109,26 @@ class SarAccessor:
         Raises
         ------
         InputError
-            If nothing is left.
+            If nothing is left, or a span is no pair of numbers.
         """
         chosen = {}
         for name, span in (("x", x), ("y", y)):
-            low, high = span
+            if name not in self._dataset.coords:
+                raise InputError(f"the dataset has no coordinate {name}; open a run, or its image.zarr")
             axis = self._dataset[name].values
-            if low is not None and high is not None and low > high:
+            try:
+                low, high = (end if given is None else float(given) for given, end in zip(span, _ENDS, strict=True))
+            except (TypeError, ValueError):
+                raise InputError(f"{name} is {span!r}; give two ends in m, the lower first, or None for one") from None
+            if low > high:
                 raise InputError(f"{name} runs from {low:g} to {high:g} m; give the lower end first")
-            chosen[name] = self._dataset.indexes[name].slice_indexer(low, high)
-            if axis[chosen[name]].size == 0:
+            inside = np.flatnonzero((axis >= low) & (axis <= high))
+            if inside.size == 0:
                 raise InputError(
-                    f"{name} from {low} to {high} m holds no pixel; the image has {axis[0]:g} .. {axis[-1]:g} m"
+                    f"{name} from {low:g} to {high:g} m holds no pixel; "
+                    f"the image has {axis.min():g} .. {axis.max():g} m"
                 )
+            chosen[name] = slice(int(inside[0]), int(inside[-1]) + 1)
         return self._dataset.isel(chosen)
 
     def plot(self, ax: Axes | None = None) -> Axes:
@@ -111,14 +145,14 @@ class SarAccessor:
             from blocksar import quicklook  # optional, and slow to load
         except ModuleNotFoundError as error:
             raise InputError(f"{error.name} is not installed, which pictures need; install blocksar[plots]") from None
-        image = self._image
-        told = self._dataset.attrs.get("georeference")
-        arrows = [] if told is None else [quicklook.north(Georeference.from_attribute(told).rotation)]
+        image = self._upright()
+        frame = _frame(self._dataset.attrs)
+        arrows = [] if frame is None else [quicklook.north(frame.rotation)]
 
         def read(rows: slice, columns: slice) -> ComplexArray:
             return np.asarray(image[rows, columns].values)
 
-        axes = quicklook.show(read, *self._axes(), axes=ax, arrows=arrows)
+        axes = quicklook.show(read, *_axes(image), axes=ax, arrows=arrows)
         axes.set_title(str(self._dataset.attrs.get("title", "")))
         return axes
 
@@ -149,9 +183,12 @@ class SarAccessor:
         InputError
             If the point lies outside the image, or length or samples are below what makes a line.
         """
-        if not length > 0 or samples < 2:
+        if not 0 < length < np.inf or samples < 2:
             raise InputError(f"a cut of {length:g} m in {samples} samples is no line; give more than 0 m and 1 sample")
-        axis_x, axis_y = self._axes()
+        if azimuth is not None and not np.isfinite(azimuth):
+            raise InputError(f"azimuth is {azimuth:g}; give degrees from the x axis towards the y axis, or None")
+        image = self._upright()
+        axis_x, axis_y = _axes(image)
         if not (axis_x[0] <= x <= axis_x[-1] and axis_y[0] <= y <= axis_y[-1]):
             raise InputError(
                 f"x = {x:g} m, y = {y:g} m lies outside the image, which has x {axis_x[0]:g} .. {axis_x[-1]:g} m and "
@@ -163,7 +200,7 @@ class SarAccessor:
         values = np.empty(samples, np.complex128)
         spacing = min((axis[-1] - axis[0]) / (axis.size - 1) for axis in (axis_x, axis_y))
         for part in np.array_split(np.arange(samples), min(samples, int(np.ceil(length / (PIECE * spacing))))):
-            values[part] = self._at(at_x[part], at_y[part])
+            values[part] = _at(image, at_x[part], at_y[part])
         with np.errstate(divide="ignore"):
             power = 20 * np.log10(np.abs(values))
         return xr.DataArray(
@@ -171,32 +208,44 @@ class SarAccessor:
             dims="distance",
             coords={
                 "distance": ("distance", distance, {"units": "m", "long_name": "distance along the cut"}),
-                "x": ("distance", at_x, {"units": "m"}),
-                "y": ("distance", at_y, {"units": "m"}),
+                "x": ("distance", at_x, {"units": "m", "long_name": "x in the scene frame"}),
+                "y": ("distance", at_y, {"units": "m", "long_name": "y in the scene frame"}),
             },
             name="power",
             attrs={"units": "dB", "long_name": "power over that of unit reflectivity"},
         )
 
-    def _axes(self) -> tuple[FloatArray, FloatArray]:
-        x, y = (np.asarray(self._dataset[name].values, np.float64) for name in "xy")
-        if x.size < 2 or y.size < 2:
-            raise InputError(f"the image has {y.size} x {x.size} pixels, which are no picture; crop less")
-        return x, y
+    def _upright(self) -> xr.DataArray:
+        """The image with x and y ascending, whichever way somebody has sorted them. Reads no pixel."""
+        image = self._image
+        back = [name for name in "xy" if image[name].size > 1 and image[name].values[0] > image[name].values[-1]]
+        return image.isel({name: slice(None, None, -1) for name in back})
 
-    def _at(self, x: FloatArray, y: FloatArray) -> Complex128Array:
-        """Pixels interpolated at points near one another, but for the phase."""
-        places, spans = [], []
-        for axis, wanted in zip(self._axes(), (x, y), strict=True):
-            index = (wanted - axis[0]) / (axis[-1] - axis[0]) * (axis.size - 1)
-            low = int(np.clip(np.floor(index.min()) - MIN_HALF_TAPS, 0, axis.size))
-            high = int(np.clip(np.ceil(index.max()) + MIN_HALF_TAPS + 1, 0, axis.size))
-            places.append(index - low)
-            spans.append(slice(low, high))
-        chip = np.asarray(self._image[spans[1], spans[0]].values, np.complex128)
-        if chip.size == 0:
-            return np.full(x.shape, np.nan + 0j)
-        return interpolate(_without_carrier(_without_carrier(chip, 0), 1), row=places[1], column=places[0])
+
+def _axes(image: xr.DataArray) -> tuple[FloatArray, FloatArray]:
+    x, y = (np.asarray(image[name].values, np.float64) for name in "xy")
+    if x.size < 2 or y.size < 2:
+        raise InputError(f"the image has {y.size} x {x.size} pixels, which are no picture; crop less")
+    for name, axis in (("x", x), ("y", y)):
+        steps = np.diff(axis)
+        if not (np.abs(steps - steps.mean()) < UNEVEN * steps.mean()).all():
+            raise InputError(f"{name} of the image is not evenly spaced; take its pixels by slices with one step")
+    return x, y
+
+
+def _at(image: xr.DataArray, x: FloatArray, y: FloatArray) -> Complex128Array:
+    """Pixels interpolated at points near one another, but for the phase."""
+    places, spans = [], []
+    for axis, wanted in zip(_axes(image), (x, y), strict=True):
+        index = (wanted - axis[0]) / (axis[-1] - axis[0]) * (axis.size - 1)
+        low = int(np.clip(np.floor(index.min()) - MIN_HALF_TAPS, 0, axis.size))
+        high = int(np.clip(np.ceil(index.max()) + MIN_HALF_TAPS + 1, 0, axis.size))
+        places.append(index - low)
+        spans.append(slice(low, high))
+    chip = np.asarray(image[spans[1], spans[0]].values, np.complex128)
+    if chip.size == 0:
+        return np.full(x.shape, np.nan + 0j)
+    return interpolate(_without_carrier(_without_carrier(chip, 0), 1), row=places[1], column=places[0])
 
 
 def _without_carrier(chip: Complex128Array, axis: int) -> Complex128Array:

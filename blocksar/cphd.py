@@ -1021,6 +1021,7 @@ def _prepare(file: _File) -> _Prepared:
     start = (file.root.findtext("{*}Global/{*}Timeline/{*}CollectionStart") or "").strip()
     error = 0.0 if evening is None else float(evening.resampling.bound[evening.resampling.good].max())
     attributes = {
+        **_collected(file),
         "georeference": frame.as_attribute(),
         "source": {
             "format": f"CPHD/{file.version}", "channel": file.channel, "domain": file.domain, "sgn": file.sign,
@@ -1036,6 +1037,21 @@ def _prepare(file: _File) -> _Prepared:
         attributes=attributes,
         said=[*said, *([evening.said] if evening else []), beam.said, _place_line(frame)],
     )  # fmt: skip
+
+
+def _collected(file: _File) -> dict[str, Any]:
+    """What products say of the collection: who collected it, how it is classified, and its polarization, if known."""
+    parameters = f"{{*}}Channel/{{*}}Parameters[{{*}}Identifier='{file.channel}']/{{*}}Polarization"
+    paths = {
+        "collector": "{*}CollectionID/{*}CollectorName",
+        "classification": "{*}CollectionID/{*}Classification",
+        "transmit": f"{parameters}/{{*}}TxPol",
+        "receive": f"{parameters}/{{*}}RcvPol",
+    }
+    found = {name: printable((file.root.findtext(path) or "").strip())[:200] for name, path in paths.items()}
+    ends = {name: found.pop(name) for name in ("transmit", "receive")}
+    known = {name: text for name, text in found.items() if text}
+    return known | ({} if {"", "UNSPECIFIED"} & set(ends.values()) else {"polarization": ends})
 
 
 def _frame(file: _File) -> Georeference:

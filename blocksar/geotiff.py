@@ -21,7 +21,7 @@ import numpy as np
 
 from blocksar import __version__
 from blocksar.georeference import Georeference
-from blocksar.parameters import FloatArray, InputError
+from blocksar.parameters import FloatArray, InputError, printable
 from blocksar.places import Location, temporary
 from blocksar.products import Progress, Source, replacing
 
@@ -32,6 +32,7 @@ Content = Literal["amplitude", "complex"]
 
 GOOD = 0.05  # pixels that a pixel may lie off
 TILE = 512
+TRAILER = 4  # bytes after each tile of GDAL's COG: its last four once more
 CACHE = 64 * 2**20  # bytes that GDAL keeps of what it writes
 
 
@@ -78,6 +79,7 @@ def write(
     """
     try:
         import rasterio
+        from rasterio._err import CPLE_BaseError  # GDAL's own errors, which rasterio lets through here and there
         from rasterio.errors import RasterioError
         from rasterio.shutil import copy
     except ModuleNotFoundError as error:
@@ -115,8 +117,13 @@ def write(
                 bigtiff="if_safer",
                 overview_resampling="average" if content == "amplitude" else "nearest",
             )
-        except RasterioError as error:
-            raise OSError(None, " ".join(str(error).split()), plain) from error
+            if (
+                lacking := _end(part) - os.path.getsize(part)
+            ) > 0:  # GDAL does not tell when the last it wrote was lost
+                raise OSError(None, f"its last {lacking} bytes were lost; is there room on the disk?", part)
+        except (RasterioError, CPLE_BaseError) as error:
+            said = printable(" ".join(str(error).split()).replace(f"{os.path.dirname(plain)}/", ""))[:200]
+            raise OSError(None, f"GDAL says: {said}; is there room on the disk?", plain) from error
         finally:
             if os.path.exists(plain):
                 os.unlink(plain)
@@ -136,6 +143,24 @@ def _write_pixels(source: Source, file: object, content: Content, progress: Prog
         made = np.abs(values) if content == "amplitude" else np.ascontiguousarray(values)
         file.write(made, 1, window=Window(0, source.y.size - rows.stop, source.x.size, len(made)))  # type: ignore[attr-defined]
         progress(done, len(strips))
+
+
+def _end(path: str) -> int:
+    """Where the last tile of a cloud-optimised GeoTIFF ends, bytes, by the file's own directories."""
+    import rasterio
+
+    ends = [0]
+    with rasterio.open(path) as file:
+        for level, factor in enumerate((1, *file.overviews(1))):
+            tiles = (-(-size // (factor * TILE)) for size in (file.width, file.height))
+            for column, row in np.ndindex(*tiles):
+                offset, size = (
+                    file.get_tag_item(f"BLOCK_{name}_{column}_{row}", "TIFF", bidx=1, ovr=level - 1 if level else None)
+                    for name in ("OFFSET", "SIZE")
+                )
+                if offset is not None and size is not None:
+                    ends.append(int(offset) + int(size) + TRAILER)
+    return max(ends)
 
 
 def _tags(source: Source, placement: Placement) -> dict[str, str]:

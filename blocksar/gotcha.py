@@ -478,7 +478,7 @@ def _lay_out(joined: _Joined) -> _Layout:
         collection=collection,
         rows=rows,
         resampling=resampling,
-        attributes={"source": [file.path.name for file in joined.files], "ingested": said},
+        attributes={"source": [file.path.name for file in joined.files], "ingested": said, **_polarization(joined)},
         said=said,
     )
 
@@ -489,6 +489,14 @@ def _title(joined: _Joined) -> str:
     parts += [f"pass {p}" for p in sorted({f.pass_ for f in joined.files if f.pass_})]
     parts += sorted({f.polarisation for f in joined.files if f.polarisation})
     return ", ".join([*parts, f"azimuth {first:.2f} to {last:.2f} degrees"])
+
+
+def _polarization(joined: _Joined) -> dict[str, Any]:
+    """The attribute `polarization`, where the files' names tell it."""
+    match sorted({f.polarisation for f in joined.files if f.polarisation}):
+        case [both]:
+            return {"polarization": {"transmit": both[0], "receive": both[1]}}
+    return {}
 
 
 def _unevenness(rows: IntArray, steps: FloatArray) -> float:

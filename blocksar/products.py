@@ -152,11 +152,15 @@ def replacing(out: Location, *, overwrite: bool) -> Iterator[str]:
         raise InputError(f"{target} is no local path, and products are written to those only; copy it there afterwards")
     if target.path.is_dir():
         raise InputError(f"{target} is a folder; give --out the name of a file")
+    if target.exists() and not target.path.is_file():
+        raise InputError(f"{target} is no regular file, and is not replaced; choose another name")
     if target.exists() and not overwrite:
         raise InputError(f"{target} exists; choose another name, or have it overwritten (--overwrite)")
     try:
         os.makedirs(target.path.parent, exist_ok=True)
         with replacing_file(target.path) as part:
+            with open(part, "xb"):
+                pass  # what cannot be written is said now, and alike whatever library writes
             yield part
             descriptor = os.open(part, os.O_RDONLY)
             try:

@@ -200,9 +200,12 @@ def _scale_bar(axes: Axes, seen: Overview) -> None:
 
 
 def _arrow(axes: Axes, arrow: Arrow, place: int) -> None:
-    """Upper right, one left of the other: as long on any page, in the direction that it has in the picture."""
+    """Upper right, one left of the other: as long on any page, in the direction that it has in the picture.
+
+    Whatever the directions, words stay within the picture and apart from one another.
+    """
     direction = arrow.direction / np.linalg.norm(arrow.direction)
-    centre = np.array([-34.0 - 56.0 * place, -34.0])  # points from the corner
+    centre = np.array([-44.0 - 78.0 * place, -40.0])  # points from the corner
     corner = OffsetFrom(axes.patch, (1.0, 1.0))
     line = axes.annotate(
         "",

@@ -51,6 +51,8 @@ MAX_ORDER = 7
 TIME_ACCURACY = 1e-3  # of a dwell, that TimeCOAPoly may be off
 BAND_ACCURACY = 1e-2  # of the bandwidth, that DeltaKCOAPoly may be off
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+MARKS = {"TOP SECRET": "T", "SECRET": "S", "CONFIDENTIAL": "C", "RESTRICTED": "R", "UNCLASSIFIED": "U"}  # NITF's letter
+POLARIZATIONS = ("V", "H", "X", "Y", "S", "E", "RHC", "LHC")
 TURNS = ((1, 0), (0, 1), (-1, 0), (0, -1))  # directions that rows of the file may run in
 
 
@@ -103,7 +105,7 @@ def write(source: Source, out: Location, *, overwrite: bool = False, progress: P
     ------
     InputError
         If the run has no georeference, its pixels are too far apart for its band, it is larger than one NITF image
-        segment, sarkit is not installed, or `out` cannot be written.
+        segment, its classification is none of NITF's, sarkit is not installed, or `out` cannot be written.
     ProcessingError
         If writing fails.
     """
@@ -118,7 +120,7 @@ def write(source: Source, out: Location, *, overwrite: bool = False, progress: P
             f"the image has {n_byte / 1e9:.3g} GB, and one SICD is written up to 10 GB; focus a smaller --grid"
         )
     made = metadata(source, frame)
-    security = sksicd.NitfSecurityFields(clas="U")
+    security = sksicd.NitfSecurityFields(clas=_mark(source))
     nitf = sksicd.NitfMetadata(
         xmltree=made.tree,
         file_header_part=sksicd.NitfFileHeaderPart(
@@ -190,7 +192,7 @@ def metadata(source: Source, frame: Georeference) -> Made:
     track, misfit = arp_polynomial(source.geometry, frame)
     notes.append(f"ARPPoly is of order {len(track) - 1} and at most {misfit:.2g} m off the track")
     sicd["Position"] = {"ARPPoly": track}
-    _radar(sicd, source.geometry)
+    _radar(sicd, source)
     root.append(etree.Element(f"{{{NAMESPACE}}}SCPCOA"))
     root.replace(root[-1], sksicd.compute_scp_coa(root.getroottree()))
     return Made(root.getroottree(), layout, notes)
@@ -473,8 +475,32 @@ def _collection_info(source: Source) -> dict[str, Any]:
         "CoreName": _ascii(f"{source.title} {source.record.get('identity', '')[:8]}".strip(), 80),
         "CollectType": "MONOSTATIC",
         "RadarMode": {"ModeType": "DYNAMIC STRIPMAP" if collection.steered else "SPOTLIGHT"},
-        "Classification": "UNCLASSIFIED",
+        "Classification": _classification(source),
     }
+
+
+def _classification(source: Source) -> str:
+    return _ascii(str(source.attrs.get("classification") or "UNCLASSIFIED"), 200)
+
+
+def _mark(source: Source) -> str:
+    """The letter that NITF headers have for the classification."""
+    text = _classification(source)
+    for word, letter in MARKS.items():
+        if text.upper().startswith(word):
+            return letter
+    raise InputError(
+        f"the classification of {source.path} is {text!r}, and NITF knows those that begin with "
+        f"{', '.join(MARKS)}; correct the phase history's attribute classification, and focus it again"
+    )
+
+
+def _polarization(source: Source) -> tuple[str, str]:
+    """Of the transmitter, and of both, as SICD names them."""
+    match source.attrs.get("polarization"):
+        case {"transmit": str(transmit), "receive": str(receive)} if {transmit, receive} <= set(POLARIZATIONS):
+            return transmit, f"{transmit}:{receive}"
+    return "UNKNOWN", "UNKNOWN"
 
 
 def _timeline(geometry: Geometry, start: datetime) -> dict[str, Any]:
@@ -488,18 +514,19 @@ def _timeline(geometry: Geometry, start: datetime) -> dict[str, Any]:
     }
 
 
-def _radar(sicd: Any, geometry: Geometry) -> None:
-    collection = geometry.collection
+def _radar(sicd: Any, source: Source) -> None:
+    collection = source.geometry.collection
+    transmit, both = _polarization(source)
     half = collection.range_frequency[-1] + (collection.range_frequency[1] - collection.range_frequency[0]) / 2
     low, high = float(collection.carrier - half), float(collection.carrier + half)
     sicd["RadarCollection"] = {
         "TxFrequency": {"Min": low, "Max": high},
-        "TxPolarization": "UNKNOWN",
-        "RcvChannels": {"@size": 1, "ChanParameters": [{"@index": 1, "TxRcvPolarization": "UNKNOWN"}]},
+        "TxPolarization": transmit,
+        "RcvChannels": {"@size": 1, "ChanParameters": [{"@index": 1, "TxRcvPolarization": both}]},
     }
     sicd["ImageFormation"] = {
         "RcvChanProc": {"NumChanProc": 1, "ChanIndex": [1]},
-        "TxRcvPolarizationProc": "UNKNOWN",
+        "TxRcvPolarizationProc": both,
         "TStartProc": 0.0,
         "TEndProc": collection.n_pulse / collection.prf,
         "TxFrequencyProc": {"MinProc": low, "MaxProc": high},

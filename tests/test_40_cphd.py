@@ -216,7 +216,23 @@ def test_a_file_comes_back_as_it_went(base: Base) -> None:
     assert (place["kind"], place["latitude"]) == ("ENU", pytest.approx(ORIGIN[0], abs=1e-9))
     assert (place["longitude"], place["height"]) == pytest.approx(ORIGIN[1:], abs=1e-6)
     assert attrs["source"]["format"] == "CPHD/1.1.0"
+    assert (attrs["collector"], attrs["classification"]) == ("blocksar", "UNCLASSIFIED")
+    assert "polarization" not in attrs  # of point targets there is none
     assert "ingested by blocksar from small.cphd" in attrs["history"]
+
+
+def test_what_products_say_of_the_collection_is_kept(base: Base, tmp_path: Path) -> None:
+    parts = parts_of(base.path)
+    for path, text in {
+        "CollectionID/CollectorName": "C-1",
+        "CollectionID/Classification": "SECRET//X",
+        "Channel/Parameters/Polarization/TxPol": "H",
+        "Channel/Parameters/Polarization/RcvPol": "V",
+    }.items():
+        parts.set(path, text)
+    *_, attrs = ingested(write(tmp_path / "known.cphd", parts))
+    assert (attrs["collector"], attrs["classification"]) == ("C-1", "SECRET//X")
+    assert attrs["polarization"] == {"transmit": "H", "receive": "V"}
 
 
 def test_positions_survive_the_way_through_the_earths_frame(base: Base) -> None:

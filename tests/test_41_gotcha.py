@@ -118,6 +118,7 @@ def test_files_in_any_order_are_joined_in_azimuth(tmp_path: Path) -> None:
     assert np.array_equal(samples(tmp_path / "ph.zarr"), simulate_pulses(wanted, *SCENE))
     assert "3 files, 90 pulses; AFRL Gotcha, pass 1, HH" in made.said[0]
     assert history.attrs["source"] == [paths[2].name, paths[0].name, paths[1].name]
+    assert history.attrs["polarization"] == {"transmit": "H", "receive": "H"}
     assert any("af" in line and "not applied" in line for line in made.said)
 
 

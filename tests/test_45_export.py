@@ -6,6 +6,8 @@ The runs are made here by exact back-projection, so what a product says is compa
 from __future__ import annotations
 
 import json
+import os
+import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +22,8 @@ import rioxarray  # noqa: F401  (registers the accessor rio)
 import sarkit.sicd as sksicd
 import sarkit.verification as skver
 import shapely
+import xarray as xr
+import zarr
 from lxml import etree
 from matplotlib.image import imread
 from pyproj import Transformer
@@ -360,6 +364,25 @@ def test_sicd_date_is_that_of_the_source(tmp_path: Path) -> None:
     )
 
 
+def test_sicd_tells_of_the_collection_what_is_known(tmp_path: Path) -> None:
+    known = {"collector": "C-1", "classification": "SECRET//X", "polarization": {"transmit": "H", "receive": "V"}}
+    run = make(tmp_path, size=(60, 50), more=known)
+    blocksar.export("sicd", run.folder, tmp_path / "a.nitf")
+    found = read_sicd(tmp_path / "a.nitf")
+    assert errors(found.checked) == []
+    assert found.load("CollectionInfo/CollectorName") == "C-1"
+    assert found.load("CollectionInfo/Classification") == "SECRET//X"
+    assert found.load("RadarCollection/TxPolarization") == "H"
+    assert found.load("ImageFormation/TxRcvPolarizationProc") == "H:V"
+    with open(tmp_path / "a.nitf", "rb") as file, sksicd.NitfReader(file) as reader:
+        assert reader.metadata.file_header_part.security.clas == "S"
+        assert reader.metadata.im_subheader_part.security.clas == "S"
+    run = make(tmp_path / "own", size=(60, 50), more={"classification": "ours", "polarization": "HV"})
+    with pytest.raises(InputError, match=r"classification of .* is 'ours', and NITF knows"):
+        blocksar.export("sicd", run.folder, tmp_path / "b.nitf")
+    assert not (tmp_path / "b.nitf").exists()
+
+
 def test_a_coarse_image_is_no_sicd(tmp_path: Path) -> None:
     run = make(tmp_path, size=(40, 40), step=2.0)
     with pytest.raises(InputError, match=r"spacing is 2 m in [xy], too coarse .* --grid of at most [\d.]+ m$"):
@@ -443,6 +466,27 @@ def test_geotiff_lands_targets_at_their_latitude_and_longitude(
         assert (file.transform.b == 0) == ((frame == DAYTON and centre == (0.0, 0.0)) or frame.latitude > 70)
 
 
+@pytest.mark.parametrize("lacking", [0.5, 0.0])
+@pytest.mark.parametrize("kind", ["sicd", "geotiff", "png"])
+def test_a_full_disk_leaves_nothing(kind: Any, lacking: float, tmp_path: Path) -> None:
+    """GDAL tells nobody when the last that it writes is lost, and has errors of its own for the rest."""
+    run = make(tmp_path / "run", size=(700, 600), step=0.1)
+    content: Any = "complex" if kind == "geotiff" else None
+    blocksar.export(kind, run.folder, tmp_path / "whole", content=content)
+    room = int((tmp_path / "whole").stat().st_size * (1 - lacking)) - 2
+    (tmp_path / "out").mkdir()
+    program = (
+        "import resource, sys, blocksar, blocksar.quicklook, blocksar.sicd, rasterio, sarkit.sicd\n"
+        "from blocksar import ProcessingError\n"
+        f"resource.setrlimit(resource.RLIMIT_FSIZE, ({room}, {room}))\n"
+        f"try: blocksar.export({kind!r}, {str(run.folder)!r}, {str(tmp_path / 'out' / 'file')!r}, {content=})\n"
+        "except ProcessingError as error: print(error)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert "cannot be written" in done.stdout, done.stderr
+    assert list((tmp_path / "out").iterdir()) == []
+
+
 # ---------------------------------------------------------------- PNG
 
 
@@ -452,6 +496,25 @@ def test_png_is_a_picture(made: Made, tmp_path: Path) -> None:
     assert picture.shape[0] > 800
     assert picture[..., :3].std() > 0.1
     assert "cells of 0.4 m x 0.4 m" in said[0]
+
+
+@pytest.mark.parametrize("degrees", [0, 45, 90, 135, 180, 225, 270, 315])
+def test_words_of_arrows_stay_within_the_picture_and_apart(degrees: int) -> None:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6, 6), dpi=100)
+    canvas = FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    turn = np.radians(degrees)
+    for place, word in enumerate(("look", "N")):
+        direction = np.array([np.cos(turn), np.sin(turn)]) * (1 - 2 * place)  # towards one another at 180
+        quicklook._arrow(axes, quicklook.Arrow(word, direction, "white"), place)
+    canvas.draw()
+    boxes = [text.get_window_extent(canvas.get_renderer()) for text in axes.texts if text.get_text()]
+    assert len(boxes) == 2
+    assert all(axes.bbox.x0 < b.x0 and b.x1 < axes.bbox.x1 and b.y1 < axes.bbox.y1 for b in boxes)
+    assert not boxes[0].overlaps(boxes[1])
 
 
 def test_north_turns_with_the_frame() -> None:
@@ -514,6 +577,35 @@ def test_bad_destinations(made: Made, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be written"):
         blocksar.export("png", made.folder, tmp_path / "file" / "image.png")
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(InputError, match="is no regular file, and is not replaced"):
+        blocksar.export("png", made.folder, tmp_path / "pipe", overwrite=True)
+    assert (tmp_path / "pipe").is_fifo()
+
+
+@pytest.mark.parametrize("kind", ["sicd", "geotiff", "png"])
+def test_a_folder_that_is_not_ours_is_wrong_input_for_all_alike(
+    kind: Any, made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """GDAL would say so in an error of its own; root may write everywhere, so the system's answer is made here."""
+
+    def refused(*_: Any, **__: Any) -> Any:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(products, "open", refused, raising=False)
+    with pytest.raises(InputError, match=r"cannot be written \(Permission denied\)"):
+        blocksar.export(kind, made.folder, tmp_path / "file")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_image_of_one_row_says_so(tmp_path: Path) -> None:
+    run = make(tmp_path, size=(40, 30))
+    stores.create(
+        run.folder / "image.zarr", stores.IMAGE, sizes={}, coords={"x": run.x, "y": run.y[:1]}, attrs={},
+        chunks={"y": 1, "x": 40}, overwrite=True,
+    )  # fmt: skip
+    with pytest.raises(InputError, match=r"has 1 x 40 pixels \(y, x\).*larger --grid$"):
+        blocksar.export("png", run.folder, tmp_path / "a.png")
 
 
 def test_bad_sources(made: Made, tmp_path: Path) -> None:
@@ -662,6 +754,69 @@ def test_a_cut_outside_is_refused(made: Made) -> None:
         with pytest.raises(InputError, match="is no line"):
             opened.sar.cut(0.0, 0.0, length=0.0)
         assert np.isnan(opened.sar.cut(made.x[0], 0.0, length=30.0).values[0])
+
+
+def test_an_image_that_runs_the_other_way_is_the_same_image(made: Made) -> None:
+    from matplotlib.figure import Figure
+
+    with blocksar.open(made.folder) as opened:
+        turned = opened.isel(y=slice(None, None, -1), x=slice(None, None, -1))
+        part, whole = (ds.sar.crop(x=(-4.1, 5.0), y=(None, 2.0)) for ds in (turned, opened))
+        assert not part["image"].variable._in_memory
+        np.testing.assert_array_equal(part["image"].values[::-1, ::-1], whole["image"])
+        assert turned.sar.cut(0.3, -0.2).equals(opened.sar.cut(0.3, -0.2))
+        axes = [ds.sar.plot(Figure().add_subplot()) for ds in (turned, opened)]
+        assert axes[0].get_ylim() == axes[1].get_ylim()
+        np.testing.assert_array_equal(axes[0].images[0].get_array(), axes[1].images[0].get_array())
+        for of in ("plot", "cut"):
+            with pytest.raises(InputError, match="x of the image is not evenly spaced"):
+                getattr(opened.isel(x=[0, 1, 5]).sar, of)(*((-31.0, 0.0) if of == "cut" else ()))
+
+
+@pytest.mark.parametrize("span", [3.0, (1.0, 2.0, 3.0), ("west", 3.0)])
+def test_a_span_is_two_numbers(span: Any, made: Made) -> None:
+    with blocksar.open(made.folder) as opened, pytest.raises(InputError, match=r"give two ends in m, the lower first"):
+        opened.sar.crop(x=span)
+    with (
+        blocksar.open(made.folder / "collection.zarr") as collection,
+        pytest.raises(InputError, match="no coordinate x"),
+    ):
+        collection.sar.crop(x=(0.0, 1.0))
+
+
+@pytest.mark.parametrize("wrong", [{"length": np.inf}, {"azimuth": np.nan}, {"azimuth": np.inf}])
+def test_a_cut_of_no_numbers_is_refused(wrong: Any, made: Made) -> None:
+    with blocksar.open(made.folder) as opened, pytest.raises(InputError, match=r"is no line|azimuth is"):
+        opened.sar.cut(0.0, 0.0, **wrong)
+
+
+@pytest.mark.filterwarnings("error")
+def test_db_of_chunks_is_lazy_and_says_nothing(made: Made) -> None:
+    with blocksar.open(made.folder) as opened:
+        power = opened.chunk(y=64).sar.db()
+        assert power.chunks
+        assert power.dtype == np.float32
+        np.testing.assert_array_equal(power.values, opened.sar.db().values)
+
+
+def test_what_is_derived_can_be_saved_as_netcdf(tmp_path: Path) -> None:
+    """CF and netCDF know attributes of numbers and text only, and no fill value of coordinates."""
+    told = {"settings": {"blocks": 3}, "predicted": [{"block": 0}], "warnings": []}
+    run = make(tmp_path / "run", size=(40, 30))
+    zarr.open_group(run.folder / "image.zarr").attrs.update(told)
+    with blocksar.open(run.folder) as opened:
+        assert json.loads(opened.attrs["settings"]) == told["settings"]
+        opened.assign(amplitude=abs(opened["image"])).drop_vars("image").to_netcdf(tmp_path / "a.nc")
+    with xr.open_dataset(tmp_path / "a.nc") as again:
+        assert {name: json.loads(again.attrs[name]) for name in told} == told
+        assert again.rio.crs == opened.rio.crs
+        assert "_FillValue" not in again["x"].encoding
+        np.testing.assert_array_equal(again["amplitude"], np.abs(run.image))
+    opened.sar.crop(x=(0.0, 3.0)).to_zarr(tmp_path / "a.zarr", consolidated=False)
+    with blocksar.open(tmp_path / "a.zarr") as again:
+        assert again.sar.plot().texts[-1].get_text() == "N"
+        assert again["image"].shape == (30, 8)
+    matplotlib.pyplot.close("all")
 
 
 def test_plot_draws_into_given_axes(made: Made) -> None:

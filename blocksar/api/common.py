@@ -122,6 +122,11 @@ def open_run(run: Place) -> tuple[Image, Collection, dict[str, Any], dict[str, A
         raise InputError(f"{run} is not finished; run `blocksar focus` again with the same settings")
     collection, attrs = stores.read_collection(run / "collection.zarr")
     x, y = (stores.read_region(run / "image.zarr", name, (slice(None),)) for name in ("x", "y"))
+    if x.size and y.size and min(x.size, y.size) < 2:
+        raise InputError(
+            f"the image of {run} has {y.size} x {x.size} pixels (y, x), and products and measurements take 2 at least "
+            "in each direction; focus on a larger --grid"
+        )
     if any(axis.size < 2 or not (np.diff(axis) > 0).all() for axis in (x, y)):
         raise InputError(f"x or y in {run / 'image.zarr'} is damaged; focus again with --overwrite")
     return Image(run / "image.zarr", x, y), collection.centred(), attrs, record
