@@ -73,7 +73,7 @@ def write(
     Raises
     ------
     InputError
-        If the run has no georeference, rasterio is not installed, or `out` cannot be written.
+        If the run has no georeference or no covered pixel, rasterio is not installed, or `out` cannot be written.
     ProcessingError
         If writing fails.
     """
@@ -86,6 +86,7 @@ def write(
         raise InputError(f"{error.name} is not installed, which GeoTIFF needs; install blocksar[geotiff]") from None
     placement = placed(source, source.placed("a GeoTIFF"))
     told = progress or (lambda done, total: None)
+    source.coverage()  # refuses an image of nothing
     profile = {
         "driver": "GTiff",
         "width": source.x.size,

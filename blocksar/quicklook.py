@@ -50,7 +50,7 @@ def write(source: Source, out: Location, *, overwrite: bool = False, progress: P
     Raises
     ------
     InputError
-        If `out` cannot be written.
+        If there is no covered pixel, or `out` cannot be written.
     ProcessingError
         If writing fails.
     """
@@ -60,6 +60,7 @@ def write(source: Source, out: Location, *, overwrite: bool = False, progress: P
             progress(min(rows.stop, source.y.size), source.y.size)
         return source.read(rows, columns)
 
+    source.coverage()  # refuses an image of nothing
     with replacing(out, overwrite=overwrite) as part:
         seen = overview(read, source.x, source.y, max_pixels=PIXELS, looks="mean", strip=STRIP)
         figure, axes = _figure(seen)

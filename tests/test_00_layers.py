@@ -80,6 +80,7 @@ ARROWS: dict[str, set[str]] = {
     "plotting": {"parameters", "geometry", "measurement"},
     "api": BELOW_API | PRODUCTS | {"georeference"},
     "cli": BELOW_API | PRODUCTS | {"api"},
+    "__main__": {"cli"},
     "__init__": {"api", "parameters"},  # loaded on first use
 }
 

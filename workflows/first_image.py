@@ -68,7 +68,7 @@ names = { near = [0, 1], centre = [1, 1], far = [2, 1] }
 
 [clutter]               # ground that is not empty
 scatterers = 20000
-power = 1e-5            # of one scatterer; a target has 1
+power = 1e-6            # of one scatterer; a target has 1
 seed = 1
 """
 

@@ -114,12 +114,24 @@ class Image:
         return stores.read_region(self.path, "block", (rows, columns))
 
 
-def open_run(run: Place) -> tuple[Image, Collection, dict[str, Any], dict[str, Any]]:
-    if not (run / "run.json").exists():
-        raise InputError(f"{run} holds no run.json; give the folder that `blocksar focus --out` left")
+def finished_record(run: Place) -> dict[str, Any]:
+    """What run.json says of a finished run.
+
+    Raises
+    ------
+    InputError
+        If the run is not finished.
+    """
     record = stores.read_json(run / "run.json")
     if not isinstance(record, dict) or record.get("status") != "finished":
         raise InputError(f"{run} is not finished; run `blocksar focus` again with the same settings")
+    return record
+
+
+def open_run(run: Place) -> tuple[Image, Collection, dict[str, Any], dict[str, Any]]:
+    if not (run / "run.json").exists():
+        raise InputError(f"{run} holds no run.json; give the folder that `blocksar focus --out` left")
+    record = finished_record(run)
     collection, attrs = stores.read_collection(run / "collection.zarr")
     x, y = (stores.read_region(run / "image.zarr", name, (slice(None),)) for name in ("x", "y"))
     if x.size and y.size and min(x.size, y.size) < 2:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from blocksar import cluster, effort, geotiff, products, runs, sicd, stores
-from blocksar.api.common import Report, only_stage, open_run
+from blocksar.api.common import Report, finished_record, only_stage, open_run
 from blocksar.api.focused import focus
 from blocksar.api.measured import measure, targets_of
 from blocksar.api.sources import simulate
@@ -29,11 +29,21 @@ def open(run: Location) -> xr.Dataset:  # the word of the interface
 
     It follows CF, with a grid mapping if it is georeferenced, and has the accessor `sar` (see `blocksar.accessor`):
     `ds.sar.db()`, `.crop()`, `.plot()`, `.cut()`.
+
+    Raises
+    ------
+    InputError
+        If there is no such store, or the run is not finished. What an unfinished one has may be looked at by its own
+        path, RUN/image.zarr.
     """
     from blocksar import accessor  # registers itself, and loads xarray
 
     folder = place(run)
-    return accessor.prepare(stores.open_dataset(folder / "image.zarr" if (folder / "image.zarr").exists() else folder))
+    if not (folder / "image.zarr").exists():
+        return accessor.prepare(stores.open_dataset(folder))
+    if (folder / "run.json").exists():
+        finished_record(folder)
+    return accessor.prepare(stores.open_dataset(folder / "image.zarr"))
 
 
 def report(

@@ -1,0 +1,5 @@
+"""`python -m blocksar` is `blocksar`."""
+
+from blocksar.cli import main
+
+main()
