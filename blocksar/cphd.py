@@ -19,7 +19,8 @@ FX vectors whose SC0 and SCSS differ are brought to one grid by local interpolat
 TOA1 to TOA2 only, less than the 1 / SCSS that the samples tell apart; of all interpolators of `TAPS` samples the one
 used here is the best for delays spread evenly over that (least squares, so that one-sided ones at the ends of the band
 serve as well). The largest error over those delays is computed, held below `ACCURACY`, and reported; a few samples at
-either end of the band, where it would not hold, are left out. Nothing is interpolated where the grids agree.
+either end of FX1 .. FX2, where it would not hold, are left out. Samples beyond FX1 and FX2, which a vector may have and
+which mean nothing there, are not used. Nothing is interpolated where the grids agree.
 
 Delays of troposphere and ionosphere up to the SRP are in the file's own reference and gone with it; what they differ
 by over the scene is left in. With SGN = +1 reflectivity comes out conjugate, too: that of time running backwards.
@@ -630,6 +631,8 @@ class _Interpolated:
     frequency: FloatArray
     start: FloatArray  # by vector: SC0
     step: FloatArray  # by vector: SCSS
+    first: IntArray  # by vector: the first sample within FX1 .. FX2; beyond them samples mean nothing
+    last: IntArray  # and the last
     samples: slice
     table: FloatArray
     margin: int
@@ -637,12 +640,16 @@ class _Interpolated:
     error: float
 
     def apply(self, rows: ComplexArray, vectors: IntArray) -> ComplexArray:
-        taps, n = self.table.shape[1], rows.shape[1]
+        taps = self.table.shape[1]
         sample = np.arange(self.samples.start, self.samples.stop)
         fx = self.start[vectors, None] + self.step[vectors, None] * sample
         centred = (rows * _turn(fx * self.middle[vectors, None])).astype(np.complex64)
         place = (self.frequency - self.start[vectors, None]) / self.step[vectors, None] - self.samples.start
-        base = np.clip(np.floor(place).astype(np.int64) - taps // 2 + 1, 0, n - taps)
+        base = np.clip(
+            np.floor(place).astype(np.int64) - taps // 2 + 1,
+            self.first[vectors, None] - self.samples.start,
+            self.last[vectors, None] - self.samples.start - taps + 1,
+        )
         step = (place - base - self.margin) * STEPS
         low = np.clip(step.astype(np.int64), 0, len(self.table) - 2)
         share = (step - low).astype(np.float32)
@@ -723,7 +730,6 @@ def _resampler(file: _File, used: IntArray, delays: _Delays) -> _Resampler:
         )
     df = float(step[used].min())
     first, last = _common(low[used], high[used])
-    whole = start[used] + (n - 1) * step[used]
     reference = used[0]
     places = (start - start[reference]) / df
     off = np.abs(places - np.rint(places))[used]
@@ -734,14 +740,18 @@ def _resampler(file: _File, used: IntArray, delays: _Delays) -> _Resampler:
         shift = np.full(start.size, begin, dtype=np.int64)
         shift[used] -= np.rint(places[used]).astype(np.int64)
         return _Picked(frequency=start[reference] + df * np.arange(begin, stop), first=shift, used=used)
-    table, margin, error = _interpolators(float(step[used].max()) * delays.extent, n)
-    first = max(first, float((start + margin * step)[used].max()))
-    last = min(last, float((whole - margin * step[used]).min()))
+    inner, outer = np.zeros(start.size, np.int64), np.zeros(start.size, np.int64)
+    inner[used] = np.ceil(((low - start) / step)[used] - 1e-9)
+    outer[used] = np.floor(((high - start) / step)[used] + 1e-9)
+    table, margin, error = _interpolators(float(step[used].max()) * delays.extent, int((outer - inner)[used].min()) + 1)
+    first = max(first, float((start + (inner + margin) * step)[used].max()))
+    last = min(last, float((start + (outer - margin) * step)[used].min()))
     count = int(np.floor((last - first) / df)) + 1
     _enough(count)
     return _Interpolated(
         frequency=np.asarray(first + df * np.arange(count), np.float64), start=start, step=step,
-        samples=slice(0, n), table=table, margin=margin, middle=delays.middle, error=error,
+        first=inner, last=outer, samples=slice(int(inner[used].min()), int(outer[used].max()) + 1),
+        table=table, margin=margin, middle=delays.middle, error=error,
     )  # fmt: skip
 
 

@@ -385,6 +385,19 @@ def test_frequency_grids_that_differ(base: Base, tmp_path: Path) -> None:
     assert 0 < error <= cphd.ACCURACY
 
 
+def test_samples_beyond_the_band_are_not_interpolated_from(base: Base, tmp_path: Path) -> None:
+    """FX1 .. FX2 is what a vector holds: rubbish in the samples on either side reaches no frequency of the store."""
+    parts = parts_of(base.path)
+    v, n = parts.vectors, parts.samples.shape[1]
+    v["SC0"] += v["SCSS"] * np.random.default_rng(6).random(v.size)
+    v["FX1"], v["FX2"] = v["SC0"] + 3.2 * v["SCSS"], v["SC0"] + (n - 5.3) * v["SCSS"]
+    fx = grid_of(parts)
+    parts.samples[...] = echo(fx, delays(parts, base), base.sigma, -1)
+    parts.samples[(fx < v["FX1"][:, None]) | (fx > v["FX2"][:, None])] = 50.0
+    _, said = check(write(tmp_path / "guard.cphd", parts), base, cphd.ACCURACY * np.abs(base.sigma).sum())
+    assert any("resampled to one grid" in line for line in said)
+
+
 @pytest.mark.parametrize("late", [0.0, 0.3])
 def test_the_bound_of_interpolation_holds(base: Base, tmp_path: Path, late: float) -> None:
     """One target at either end of the saved delays, where interpolation is worst: the reported error covers it."""
