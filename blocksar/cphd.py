@@ -95,6 +95,7 @@ ACCURACY = 1e-3  # of interpolation, over the reflectivity: -60 dB
 NOISE_GAIN = 1.5  # that interpolation may have
 LEAST_BAND = 0.5  # share of a vector's band that must be common to all
 MAX_BISTATIC = 1 / 16  # wavelengths between the bistatic and the monostatic range
+MAX_FOLD = 2.0  # saved delays over those that samples tell apart; no file is sampled so sparsely, units are wrong then
 MAX_GAPS = 1.0  # missing vectors over those that are there
 FARTHEST_SRP = 1e6  # m from the IARP
 SMALLEST_ORBIT, LARGEST_ORBIT = 6.3e6, 1e9  # m from the Earth's centre
@@ -392,6 +393,17 @@ def _pulses(file: _File) -> _Pulses:
         if name in ("TxTime", "TxPos", "RcvTime", "RcvPos", "SRPPos"):
             placed &= finite
     _check_vectors(file, normal)
+    try:
+        return _placed(file, normal, placed)
+    except InputError:
+        if normal.all():
+            raise
+        # Vectors without a signal need no place: many files have zeros there.
+        return _placed(file, normal, normal)
+
+
+def _placed(file: _File, normal: BoolArray, placed: BoolArray) -> _Pulses:
+    """Pulses of some vectors, which all have a time and positions; those that are not normal are missing."""
     vector = np.asarray(np.flatnonzero(placed), dtype=np.int64)
     time = file.parameter("TxTime", vector)
     index, step, off = _slots(time)
@@ -597,6 +609,14 @@ def _delays(file: _File, used: IntArray) -> _Delays:
     if abs(middle) < 1e-3 * extent:
         middle = 0.0
     unambiguous = 1 / file.parameter("SCSS")[used].max() if file.domain == "FX" else np.inf
+    own = late - early
+    if not own[used].max() <= MAX_FOLD * unambiguous:
+        where = int(used[own[used].argmax()])
+        raise InputError(
+            f"PVP TOA1 .. TOA2 is {own[where]:.6g} s long in vector {where}, but samples SCSS = "
+            f"{file.parameter('SCSS')[where]:.6g} Hz apart tell only {unambiguous:.6g} s of delays from one another; "
+            "correct them"
+        )
     if extent * 1.05 <= unambiguous or np.ptp(early[used]) + np.ptp(late[used]) == 0:
         return _Delays(np.full(early.size, middle), float(2 * max(last - middle, middle - first)))
     # The saved delays move too far to have one middle.
@@ -1016,17 +1036,20 @@ def _prepare(file: _File) -> _Prepared:
     name = " ".join(
         filter(None, (file.root.findtext(f"{{*}}CollectionID/{{*}}{k}") for k in ("CollectorName", "CoreName")))
     )
-    collection = Collection(
-        carrier=carrier,
-        time=pulses.time - pulses.time[pulses.time.size // 2],
-        range_frequency=resampler.frequency - carrier,
-        reference_range=reference,
-        antenna_position=position,
-        beam_azimuth=beam.azimuth,
-        beam_width=beam.width,
-        ground_height=0.0,
-        title=printable(name)[:200],
-    )
+    try:
+        collection = Collection(
+            carrier=carrier,
+            time=pulses.time - pulses.time[pulses.time.size // 2],
+            range_frequency=resampler.frequency - carrier,
+            reference_range=reference,
+            antenna_position=position,
+            beam_azimuth=beam.azimuth,
+            beam_width=beam.width,
+            ground_height=0.0,
+            title=printable(name)[:200],
+        )
+    except InputError as wrong:
+        raise InputError(f"PVP TxPos, RcvPos, SRPPos, TOA1 and TOA2 make no phase history: {wrong}") from None
     bistatic = _bistatic(file, pulses, frame, collection.wavelength)
     start = (file.root.findtext("{*}Global/{*}Timeline/{*}CollectionStart") or "").strip()
     error = 0.0 if evening is None else float(evening.resampling.bound[evening.resampling.good].max())

@@ -572,6 +572,23 @@ def test_gaps_and_vectors_without_signal_are_missing_pulses(base: Base, tmp_path
     assert any("7 of them missing" in line for line in said)
 
 
+@pytest.mark.parametrize("junk", [0.0, -1.0])
+def test_vectors_without_signal_need_no_place(base: Base, tmp_path: Path, junk: float) -> None:
+    """SIGNAL = 0: what else such a vector says is not looked at, at the ends of the collection as within."""
+    parts = parts_of(base.path)
+    where = [0, 1, 40, 41, 100, 159]
+    for name in parts.vectors.dtype.names or ():
+        parts.vectors[name][where] = junk
+    parts.vectors["SIGNAL"][where] = 0
+    collection, samples, _, _ = ingested(write(tmp_path / "junk.cphd", parts))
+    exact = expected(collection, base)
+    lost = np.isnan(samples).any(axis=1)
+    np.testing.assert_array_equal(np.flatnonzero(lost) + 2, [40, 41, 100])  # those at the ends are left out
+    assert collection.n_pulse == 157
+    assert np.abs(samples[~lost] - exact[~lost]).max() < 2e-5
+    assert np.abs(np.diff(collection.antenna_position, n=2, axis=0)).max() < 1e-3
+
+
 def test_version_1_0_1(base: Base, tmp_path: Path) -> None:
     parts = parts_of(base.path)
     text = etree.tostring(parts.root).replace(b"schema/cphd/1.1.0", b"schema/cphd/1.0.1")
@@ -778,10 +795,10 @@ MUTATIONS: dict[str, tuple[Callable[[Parts], None], str]] = {
     "received before transmitted": (vectors("RcvTime", -1.0), "RcvTime is before TxTime"),
     "platform in the Earth": (vectors("TxPos", 1.0), "TxPos lies 1.73205 .* m from the Earth's centre"),
     "positions in km": (vectors("RcvPos", 6.4e3), "RcvPos lies"),
-    "one position off": (vectors("TxPos", [7e6, 0, 0], 40), "leaves its neighbours by .* m at pulse 40"),
+    "one position off": (vectors("TxPos", [7e6, 0, 0], 40), "PVP TxPos, .* leaves its neighbours by .* m at pulse 40"),
     "SRP on the other side": (vectors("SRPPos", [6.4e6, 0, 0]), "SRPPos lies up to"),
     "SCSS negative": (vectors("SCSS", -1.0), "PVP SCSS falls to -1; it must be above 0"),
-    "SCSS absurd": (vectors("SCSS", 1e300), "only 1 frequencies|leave only|FX1 .. FX2 does not meet"),
+    "SCSS absurd": (vectors("SCSS", 1e300), "only 1 frequencies|leave only|FX1 .. FX2 does not meet|samples SCSS"),
     "SC0 zero": (vectors("SC0", 0.0), "PVP SC0 falls to 0"),
     "band upside down": (vectors("FX1", 11e9), "FX1 is not below FX2"),
     "band elsewhere": (lambda p: (vectors("FX1", 1e9)(p), vectors("FX2", 2e9)(p))[0], "does not meet the samples"),
@@ -790,9 +807,13 @@ MUTATIONS: dict[str, tuple[Callable[[Parts], None], str]] = {
         "leave only 0 Hz in common",
     ),
     "delays upside down": (vectors("TOA1", 1.0), "TOA1 is not below TOA2"),
+    "delays in microseconds": (
+        lambda p: (p.vectors["TOA1"].__imul__(1e6), p.vectors["TOA2"].__imul__(1e6))[0],
+        "TOA1 .. TOA2 is .* s long in vector 0, but samples SCSS = .* Hz apart tell only",
+    ),
     "no signal anywhere": (vectors("SIGNAL", 0), "SIGNAL is 1 in 0 of 160 vectors"),
     "grids that cannot be resampled": (
-        lambda p: (vectors("SC0", np.linspace(9.95e9, 9.9501e9, 160))(p), vectors("TOA1", -1e-5)(p))[0],
+        lambda p: (vectors("SC0", np.linspace(9.95e9, 9.9501e9, 160))(p), p.vectors["TOA1"].__imul__(2))[0],
         "too much to resample",
     ),
     "compressed": (
