@@ -83,6 +83,7 @@ MAX_HEADER = 1 << 16  # bytes
 MAX_XML = 1 << 26  # bytes: some kilobytes are usual
 MAX_VECTORS, MAX_SAMPLES = 1 << 24, 1 << 20
 FORMATS = ("CI2", "CI4", "CF8")  # all that the standard has
+POLARIZATIONS = frozenset(("V", "H", "RHC", "LHC"))  # what SICD knows of the standard's own
 NEEDED = {  # per-vector parameters, and how many numbers they are
     **{"TxTime": 1, "TxPos": 3, "RcvTime": 1, "RcvPos": 3, "SRPPos": 3},
     **{"FX1": 1, "FX2": 1, "TOA1": 1, "TOA2": 1, "SC0": 1, "SCSS": 1},
@@ -1057,7 +1058,8 @@ def _prepare(file: _File) -> _Prepared:
         "georeference": frame.as_attribute(),
         "source": {
             "format": f"CPHD/{file.version}", "channel": file.channel, "domain": file.domain, "sgn": file.sign,
-            "collection_start": printable(start)[:40], "time_zero": float(pulses.time[pulses.time.size // 2]),
+            **_polarization(file), "collection_start": printable(start)[:40],
+            "time_zero": float(pulses.time[pulses.time.size // 2]),
             "transmit_receive_separation": pulses.separation, "bistatic_range_error": bistatic,
             "frequency_resampling_error": resampler.error,
             "slow_time_resampling_error": error,
@@ -1082,6 +1084,13 @@ def _frame(file: _File) -> Georeference:
             f"SceneCoordinates/IARP has an ECF and an LLH that lie {apart:.6g} m apart; correct one of them"
         )
     return Georeference.at(ecef)
+
+
+def _polarization(file: _File) -> dict[str, str]:
+    """Transmitted and received, as "V:H"; nothing where the file does not say one of those that products know."""
+    path = f"{{*}}Channel/{{*}}Parameters[{{*}}Identifier='{file.channel}']/{{*}}Polarization/{{*}}"
+    sent, received = ((file.root.findtext(f"{path}{name}") or "").strip() for name in ("TxPol", "RcvPol"))
+    return {"polarization": f"{sent}:{received}"} if {sent, received} <= POLARIZATIONS else {}
 
 
 def _corners(file: _File) -> FloatArray:

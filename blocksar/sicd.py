@@ -26,6 +26,7 @@ either, so no WgtType is given: with one, widths would be 0.886 / ImpRespBW.
 
 from __future__ import annotations
 
+import re
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
@@ -190,7 +191,7 @@ def metadata(source: Source, frame: Georeference) -> Made:
     track, misfit = arp_polynomial(source.geometry, frame)
     notes.append(f"ARPPoly is of order {len(track) - 1} and at most {misfit:.2g} m off the track")
     sicd["Position"] = {"ARPPoly": track}
-    _radar(sicd, source.geometry)
+    _radar(sicd, source)
     root.append(etree.Element(f"{{{NAMESPACE}}}SCPCOA"))
     root.replace(root[-1], sksicd.compute_scp_coa(root.getroottree()))
     return Made(root.getroottree(), layout, notes)
@@ -488,18 +489,27 @@ def _timeline(geometry: Geometry, start: datetime) -> dict[str, Any]:
     }
 
 
-def _radar(sicd: Any, geometry: Geometry) -> None:
-    collection = geometry.collection
+def _polarization(source: Source) -> tuple[str, str]:
+    """Transmitted, and transmitted and received, of ingested data that tell it: the attribute `source` again."""
+    match source.attrs.get("source"):
+        case {"polarization": str(text)} if re.fullmatch("(V|H|RHC|LHC):(V|H|RHC|LHC)", text):
+            return text.split(":")[0], text
+    return "UNKNOWN", "UNKNOWN"
+
+
+def _radar(sicd: Any, source: Source) -> None:
+    collection = source.geometry.collection
+    sent, both = _polarization(source)
     half = collection.range_frequency[-1] + (collection.range_frequency[1] - collection.range_frequency[0]) / 2
     low, high = float(collection.carrier - half), float(collection.carrier + half)
     sicd["RadarCollection"] = {
         "TxFrequency": {"Min": low, "Max": high},
-        "TxPolarization": "UNKNOWN",
-        "RcvChannels": {"@size": 1, "ChanParameters": [{"@index": 1, "TxRcvPolarization": "UNKNOWN"}]},
+        "TxPolarization": sent,
+        "RcvChannels": {"@size": 1, "ChanParameters": [{"@index": 1, "TxRcvPolarization": both}]},
     }
     sicd["ImageFormation"] = {
         "RcvChanProc": {"NumChanProc": 1, "ChanIndex": [1]},
-        "TxRcvPolarizationProc": "UNKNOWN",
+        "TxRcvPolarizationProc": both,
         "TStartProc": 0.0,
         "TEndProc": collection.n_pulse / collection.prf,
         "TxFrequencyProc": {"MinProc": low, "MaxProc": high},

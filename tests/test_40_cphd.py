@@ -216,7 +216,15 @@ def test_a_file_comes_back_as_it_went(base: Base) -> None:
     assert (place["kind"], place["latitude"]) == ("ENU", pytest.approx(ORIGIN[0], abs=1e-9))
     assert (place["longitude"], place["height"]) == pytest.approx(ORIGIN[1:], abs=1e-6)
     assert attrs["source"]["format"] == "CPHD/1.1.0"
+    assert "polarization" not in attrs["source"]
     assert "ingested by blocksar from small.cphd" in attrs["history"]
+
+
+def test_polarization_is_kept(base: Base, tmp_path: Path) -> None:
+    parts = parts_of(base.path)
+    parts.set("Channel/Parameters/Polarization/TxPol", "V")
+    parts.set("Channel/Parameters/Polarization/RcvPol", "H")
+    assert ingested(write(tmp_path / "vh.cphd", parts))[3]["source"]["polarization"] == "V:H"
 
 
 def test_positions_survive_the_way_through_the_earths_frame(base: Base) -> None:

@@ -360,6 +360,20 @@ def test_sicd_date_is_that_of_the_source(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.parametrize(("told", "sent", "both"), [("V:H", "V", "V:H"), ("V:sideways", "UNKNOWN", "UNKNOWN")])
+def test_sicd_polarization_is_that_of_the_source(tmp_path: Path, told: str, sent: str, both: str) -> None:
+    run = make(tmp_path, size=(60, 50), more={"source": {"polarization": told}})
+    blocksar.export("sicd", run.folder, tmp_path / "a.nitf")
+    found = read_sicd(tmp_path / "a.nitf")
+    with open(tmp_path / "a.nitf", "rb") as file:
+        checked = skver.SicdConsistency.from_file(file)
+    checked.check()
+    assert not any("polar" in str(failure).lower() for failure in checked.failures().items())
+    assert found.load("RadarCollection/TxPolarization") == sent
+    assert found.load("ImageFormation/TxRcvPolarizationProc") == both
+    assert found.load("RadarCollection/RcvChannels/ChanParameters/TxRcvPolarization") == both
+
+
 def test_a_coarse_image_is_no_sicd(tmp_path: Path) -> None:
     run = make(tmp_path, size=(40, 40), step=2.0)
     with pytest.raises(InputError, match=r"spacing is 2 m in [xy], too coarse .* --grid of at most [\d.]+ m$"):
