@@ -19,7 +19,8 @@ FX vectors whose SC0 and SCSS differ are brought to one grid by local interpolat
 TOA1 to TOA2 only, less than the 1 / SCSS that the samples tell apart; of all interpolators of `TAPS` samples the one
 used here is the best for delays spread evenly over that (least squares, so that one-sided ones at the ends of the band
 serve as well). The largest error over those delays is computed, held below `ACCURACY`, and reported; a few samples at
-either end of the band, where it would not hold, are left out. Nothing is interpolated where the grids agree.
+either end of FX1 .. FX2, where it would not hold, are left out. Samples beyond FX1 and FX2, which a vector may have and
+which mean nothing there, are not used. Nothing is interpolated where the grids agree.
 
 Delays of troposphere and ionosphere up to the SRP are in the file's own reference and gone with it; what they differ
 by over the scene is left in. With SGN = +1 reflectivity comes out conjugate, too: that of time running backwards.
@@ -94,6 +95,7 @@ ACCURACY = 1e-3  # of interpolation, over the reflectivity: -60 dB
 NOISE_GAIN = 1.5  # that interpolation may have
 LEAST_BAND = 0.5  # share of a vector's band that must be common to all
 MAX_BISTATIC = 1 / 16  # wavelengths between the bistatic and the monostatic range
+MAX_FOLD = 2.0  # saved delays over those that samples tell apart; no file is sampled so sparsely, units are wrong then
 MAX_GAPS = 1.0  # missing vectors over those that are there
 FARTHEST_SRP = 1e6  # m from the IARP
 SMALLEST_ORBIT, LARGEST_ORBIT = 6.3e6, 1e9  # m from the Earth's centre
@@ -391,6 +393,17 @@ def _pulses(file: _File) -> _Pulses:
         if name in ("TxTime", "TxPos", "RcvTime", "RcvPos", "SRPPos"):
             placed &= finite
     _check_vectors(file, normal)
+    try:
+        return _placed(file, normal, placed)
+    except InputError:
+        if normal.all():
+            raise
+        # Vectors without a signal need no place: many files have zeros there.
+        return _placed(file, normal, normal)
+
+
+def _placed(file: _File, normal: BoolArray, placed: BoolArray) -> _Pulses:
+    """Pulses of some vectors, which all have a time and positions; those that are not normal are missing."""
     vector = np.asarray(np.flatnonzero(placed), dtype=np.int64)
     time = file.parameter("TxTime", vector)
     index, step, off = _slots(time)
@@ -596,6 +609,14 @@ def _delays(file: _File, used: IntArray) -> _Delays:
     if abs(middle) < 1e-3 * extent:
         middle = 0.0
     unambiguous = 1 / file.parameter("SCSS")[used].max() if file.domain == "FX" else np.inf
+    own = late - early
+    if not own[used].max() <= MAX_FOLD * unambiguous:
+        where = int(used[own[used].argmax()])
+        raise InputError(
+            f"PVP TOA1 .. TOA2 is {own[where]:.6g} s long in vector {where}, but samples SCSS = "
+            f"{file.parameter('SCSS')[where]:.6g} Hz apart tell only {unambiguous:.6g} s of delays from one another; "
+            "correct them"
+        )
     if extent * 1.05 <= unambiguous or np.ptp(early[used]) + np.ptp(late[used]) == 0:
         return _Delays(np.full(early.size, middle), float(2 * max(last - middle, middle - first)))
     # The saved delays move too far to have one middle.
@@ -630,6 +651,8 @@ class _Interpolated:
     frequency: FloatArray
     start: FloatArray  # by vector: SC0
     step: FloatArray  # by vector: SCSS
+    first: IntArray  # by vector: the first sample within FX1 .. FX2; beyond them samples mean nothing
+    last: IntArray  # and the last
     samples: slice
     table: FloatArray
     margin: int
@@ -637,12 +660,16 @@ class _Interpolated:
     error: float
 
     def apply(self, rows: ComplexArray, vectors: IntArray) -> ComplexArray:
-        taps, n = self.table.shape[1], rows.shape[1]
+        taps = self.table.shape[1]
         sample = np.arange(self.samples.start, self.samples.stop)
         fx = self.start[vectors, None] + self.step[vectors, None] * sample
         centred = (rows * _turn(fx * self.middle[vectors, None])).astype(np.complex64)
         place = (self.frequency - self.start[vectors, None]) / self.step[vectors, None] - self.samples.start
-        base = np.clip(np.floor(place).astype(np.int64) - taps // 2 + 1, 0, n - taps)
+        base = np.clip(
+            np.floor(place).astype(np.int64) - taps // 2 + 1,
+            self.first[vectors, None] - self.samples.start,
+            self.last[vectors, None] - self.samples.start - taps + 1,
+        )
         step = (place - base - self.margin) * STEPS
         low = np.clip(step.astype(np.int64), 0, len(self.table) - 2)
         share = (step - low).astype(np.float32)
@@ -723,7 +750,6 @@ def _resampler(file: _File, used: IntArray, delays: _Delays) -> _Resampler:
         )
     df = float(step[used].min())
     first, last = _common(low[used], high[used])
-    whole = start[used] + (n - 1) * step[used]
     reference = used[0]
     places = (start - start[reference]) / df
     off = np.abs(places - np.rint(places))[used]
@@ -734,14 +760,18 @@ def _resampler(file: _File, used: IntArray, delays: _Delays) -> _Resampler:
         shift = np.full(start.size, begin, dtype=np.int64)
         shift[used] -= np.rint(places[used]).astype(np.int64)
         return _Picked(frequency=start[reference] + df * np.arange(begin, stop), first=shift, used=used)
-    table, margin, error = _interpolators(float(step[used].max()) * delays.extent, n)
-    first = max(first, float((start + margin * step)[used].max()))
-    last = min(last, float((whole - margin * step[used]).min()))
+    inner, outer = np.zeros(start.size, np.int64), np.zeros(start.size, np.int64)
+    inner[used] = np.ceil(((low - start) / step)[used] - 1e-9)
+    outer[used] = np.floor(((high - start) / step)[used] + 1e-9)
+    table, margin, error = _interpolators(float(step[used].max()) * delays.extent, int((outer - inner)[used].min()) + 1)
+    first = max(first, float((start + (inner + margin) * step)[used].max()))
+    last = min(last, float((start + (outer - margin) * step)[used].min()))
     count = int(np.floor((last - first) / df)) + 1
     _enough(count)
     return _Interpolated(
         frequency=np.asarray(first + df * np.arange(count), np.float64), start=start, step=step,
-        samples=slice(0, n), table=table, margin=margin, middle=delays.middle, error=error,
+        first=inner, last=outer, samples=slice(int(inner[used].min()), int(outer[used].max()) + 1),
+        table=table, margin=margin, middle=delays.middle, error=error,
     )  # fmt: skip
 
 
@@ -1006,17 +1036,20 @@ def _prepare(file: _File) -> _Prepared:
     name = " ".join(
         filter(None, (file.root.findtext(f"{{*}}CollectionID/{{*}}{k}") for k in ("CollectorName", "CoreName")))
     )
-    collection = Collection(
-        carrier=carrier,
-        time=pulses.time - pulses.time[pulses.time.size // 2],
-        range_frequency=resampler.frequency - carrier,
-        reference_range=reference,
-        antenna_position=position,
-        beam_azimuth=beam.azimuth,
-        beam_width=beam.width,
-        ground_height=0.0,
-        title=printable(name)[:200],
-    )
+    try:
+        collection = Collection(
+            carrier=carrier,
+            time=pulses.time - pulses.time[pulses.time.size // 2],
+            range_frequency=resampler.frequency - carrier,
+            reference_range=reference,
+            antenna_position=position,
+            beam_azimuth=beam.azimuth,
+            beam_width=beam.width,
+            ground_height=0.0,
+            title=printable(name)[:200],
+        )
+    except InputError as wrong:
+        raise InputError(f"PVP TxPos, RcvPos, SRPPos, TOA1 and TOA2 make no phase history: {wrong}") from None
     bistatic = _bistatic(file, pulses, frame, collection.wavelength)
     start = (file.root.findtext("{*}Global/{*}Timeline/{*}CollectionStart") or "").strip()
     error = 0.0 if evening is None else float(evening.resampling.bound[evening.resampling.good].max())
@@ -1025,7 +1058,8 @@ def _prepare(file: _File) -> _Prepared:
         "georeference": frame.as_attribute(),
         "source": {
             "format": f"CPHD/{file.version}", "channel": file.channel, "domain": file.domain, "sgn": file.sign,
-            "collection_start": printable(start)[:40], "time_zero": float(pulses.time[pulses.time.size // 2]),
+            "collection_start": printable(start)[:40],
+            "time_zero": float(pulses.time[pulses.time.size // 2]),
             "transmit_receive_separation": pulses.separation, "bistatic_range_error": bistatic,
             "frequency_resampling_error": resampler.error,
             "slow_time_resampling_error": error,

@@ -68,6 +68,7 @@ Progress = Callable[[int, int], None]
 PULSE_INTERVAL = 0.01  # s, nominal: pulses a metre apart then come from an aircraft at 100 m/s
 UNEVEN = 0.02  # steps that a pulse may lie off the line through its neighbours: 0.06 rad at half the PRF
 MAX_GAP = 32  # pulses that may be missing in one place: a forgotten file leaves more
+MAX_JUMP = 5.0  # times the usual way between two pulses that one may lie from the last: one pass has no more
 ROUNDING = 2 * float(np.finfo(np.float32).eps)  # of a range: what float32 does to it and to three coordinates
 ANGLE_TOLERANCE = 0.01  # degrees between th, phi and the position
 LARGEST = 1e30  # of a sample: no echo, and its power would overflow
@@ -384,7 +385,7 @@ def _once(files: Sequence[_File], file: IntArray, index: IntArray, position: Flo
 
 
 def _check_runs(joined: _Joined) -> None:
-    """Refuse files that lie over one another, two pulses in one place, and gaps that a missing file leaves."""
+    """Refuse files that lie over one another, two pulses in one place, gaps that a missing file leaves, and jumps."""
     degrees = np.degrees(joined.azimuth)
 
     def called(k: int) -> str:
@@ -412,6 +413,20 @@ def _check_runs(joined: _Joined) -> None:
             f"{called(gap)} ends at azimuth {degrees[gap]:.3f} degrees and {called(gap + 1)} goes on at "
             f"{degrees[gap + 1]:.3f}: some {steps[gap] / joined.step:.0f} pulses are missing between; add the file "
             "that holds them, or ingest each side by itself"
+        )
+    way = np.linalg.norm(np.diff(joined.position, axis=0), axis=1)
+    usual = float(np.median(way / np.maximum(np.rint(steps / joined.step), 1)))
+    beyond = way / (np.maximum(steps / joined.step, 1) * usual)
+    jump = int(beyond.argmax())
+    if beyond[jump] > MAX_JUMP:
+        apart = (
+            f"{way[jump]:.4g} m apart at azimuth {degrees[jump]:.3f} degrees, where pulses are {usual:.3g} m from one "
+            "another"
+        )
+        if joined.file[jump] == joined.file[jump + 1]:
+            raise InputError(f"{called(jump)} has x, y and z {apart}; correct them, or split it there")
+        raise InputError(
+            f"{called(jump)} and {called(jump + 1)} lie {apart}, as files of two passes do; ingest each pass by itself"
         )
 
 

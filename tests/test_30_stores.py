@@ -720,7 +720,7 @@ def test_file_and_foreign_folders(tmp_path: Path) -> None:
     zarr.create_array(store=str(tmp_path / "array2"), shape=(3,), dtype="f8", zarr_format=2)
     xr.Dataset({"temperature": ("x", np.zeros(3))}).to_zarr(tmp_path / "other", consolidated=False)
     words = {
-        "file": "not a directory",
+        "file": "not a directory.*blocksar ingest",
         "folder": "not a zarr store",
         "array": "single zarr array",
         "array2": "single zarr array",

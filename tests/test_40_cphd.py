@@ -401,6 +401,19 @@ def test_frequency_grids_that_differ(base: Base, tmp_path: Path) -> None:
     assert 0 < error <= cphd.ACCURACY
 
 
+def test_samples_beyond_the_band_are_not_interpolated_from(base: Base, tmp_path: Path) -> None:
+    """FX1 .. FX2 is what a vector holds: rubbish in the samples on either side reaches no frequency of the store."""
+    parts = parts_of(base.path)
+    v, n = parts.vectors, parts.samples.shape[1]
+    v["SC0"] += v["SCSS"] * np.random.default_rng(6).random(v.size)
+    v["FX1"], v["FX2"] = v["SC0"] + 3.2 * v["SCSS"], v["SC0"] + (n - 5.3) * v["SCSS"]
+    fx = grid_of(parts)
+    parts.samples[...] = echo(fx, delays(parts, base), base.sigma, -1)
+    parts.samples[(fx < v["FX1"][:, None]) | (fx > v["FX2"][:, None])] = 50.0
+    _, said = check(write(tmp_path / "guard.cphd", parts), base, cphd.ACCURACY * np.abs(base.sigma).sum())
+    assert any("resampled to one grid" in line for line in said)
+
+
 @pytest.mark.parametrize("late", [0.0, 0.3])
 def test_the_bound_of_interpolation_holds(base: Base, tmp_path: Path, late: float) -> None:
     """One target at either end of the saved delays, where interpolation is worst: the reported error covers it."""
@@ -573,6 +586,23 @@ def test_gaps_and_vectors_without_signal_are_missing_pulses(base: Base, tmp_path
     direct = base.scene.collection().antenna_position - base.scene.centre
     np.testing.assert_allclose(collection.antenna_position, direct, atol=1e-4)
     assert any("7 of them missing" in line for line in said)
+
+
+@pytest.mark.parametrize("junk", [0.0, -1.0])
+def test_vectors_without_signal_need_no_place(base: Base, tmp_path: Path, junk: float) -> None:
+    """SIGNAL = 0: what else such a vector says is not looked at, at the ends of the collection as within."""
+    parts = parts_of(base.path)
+    where = [0, 1, 40, 41, 100, 159]
+    for name in parts.vectors.dtype.names or ():
+        parts.vectors[name][where] = junk
+    parts.vectors["SIGNAL"][where] = 0
+    collection, samples, _, _ = ingested(write(tmp_path / "junk.cphd", parts))
+    exact = expected(collection, base)
+    lost = np.isnan(samples).any(axis=1)
+    np.testing.assert_array_equal(np.flatnonzero(lost) + 2, [40, 41, 100])  # those at the ends are left out
+    assert collection.n_pulse == 157
+    assert np.abs(samples[~lost] - exact[~lost]).max() < 2e-5
+    assert np.abs(np.diff(collection.antenna_position, n=2, axis=0)).max() < 1e-3
 
 
 def test_version_1_0_1(base: Base, tmp_path: Path) -> None:
@@ -781,10 +811,10 @@ MUTATIONS: dict[str, tuple[Callable[[Parts], None], str]] = {
     "received before transmitted": (vectors("RcvTime", -1.0), "RcvTime is before TxTime"),
     "platform in the Earth": (vectors("TxPos", 1.0), "TxPos lies 1.73205 .* m from the Earth's centre"),
     "positions in km": (vectors("RcvPos", 6.4e3), "RcvPos lies"),
-    "one position off": (vectors("TxPos", [7e6, 0, 0], 40), "leaves its neighbours by .* m at pulse 40"),
+    "one position off": (vectors("TxPos", [7e6, 0, 0], 40), "PVP TxPos, .* leaves its neighbours by .* m at pulse 40"),
     "SRP on the other side": (vectors("SRPPos", [6.4e6, 0, 0]), "SRPPos lies up to"),
     "SCSS negative": (vectors("SCSS", -1.0), "PVP SCSS falls to -1; it must be above 0"),
-    "SCSS absurd": (vectors("SCSS", 1e300), "only 1 frequencies|leave only|FX1 .. FX2 does not meet"),
+    "SCSS absurd": (vectors("SCSS", 1e300), "only 1 frequencies|leave only|FX1 .. FX2 does not meet|samples SCSS"),
     "SC0 zero": (vectors("SC0", 0.0), "PVP SC0 falls to 0"),
     "band upside down": (vectors("FX1", 11e9), "FX1 is not below FX2"),
     "band elsewhere": (lambda p: (vectors("FX1", 1e9)(p), vectors("FX2", 2e9)(p))[0], "does not meet the samples"),
@@ -793,9 +823,13 @@ MUTATIONS: dict[str, tuple[Callable[[Parts], None], str]] = {
         "leave only 0 Hz in common",
     ),
     "delays upside down": (vectors("TOA1", 1.0), "TOA1 is not below TOA2"),
+    "delays in microseconds": (
+        lambda p: (p.vectors["TOA1"].__imul__(1e6), p.vectors["TOA2"].__imul__(1e6))[0],
+        "TOA1 .. TOA2 is .* s long in vector 0, but samples SCSS = .* Hz apart tell only",
+    ),
     "no signal anywhere": (vectors("SIGNAL", 0), "SIGNAL is 1 in 0 of 160 vectors"),
     "grids that cannot be resampled": (
-        lambda p: (vectors("SC0", np.linspace(9.95e9, 9.9501e9, 160))(p), vectors("TOA1", -1e-5)(p))[0],
+        lambda p: (vectors("SC0", np.linspace(9.95e9, 9.9501e9, 160))(p), p.vectors["TOA1"].__imul__(2))[0],
         "too much to resample",
     ),
     "compressed": (

@@ -404,6 +404,10 @@ def test_files_that_do_not_belong_together_are_refused(tmp_path: Path) -> None:
     moved.write_bytes(packed({**record, "freq": record["freq"] + 2e6}))
     fewer = tmp_path / "fewer_HH.mat"
     fewer.write_bytes(packed({**record, "freq": record["freq"][:-1], "fp": record["fp"][:-1]}))
+    higher = tmp_path / "higher_HH.mat"  # of another pass, which no name tells
+    higher.write_bytes(packed(record_of(circle(STEP * np.arange(40, 80), HEIGHT + 30))))
+    bump = tmp_path / "bump_HH.mat"
+    bump.write_bytes(packed(record_of(circle(STEP * np.arange(40, 80), HEIGHT + 30.0 * (np.arange(40) >= 20)))))
     over = tmp_path / "over_HH.mat"
     over.write_bytes(packed(record_of(circle(STEP * (0.4 + np.arange(20, 60))))))
     same = tmp_path / "same_HH.mat"
@@ -417,6 +421,8 @@ def test_files_that_do_not_belong_together_are_refused(tmp_path: Path) -> None:
         ([first, over], "overlap"),
         ([first, second, same], "overlap|two different pulses"),
         ([first, far], "missing between"),
+        ([first, higher], "30.* m apart at azimuth .* as files of two passes do"),
+        ([first, bump], "x, y and z 30.* m apart"),
     ):
         with pytest.raises(InputError, match=said) as refused:
             gotcha.ingest(files, tmp_path / "ph.zarr")

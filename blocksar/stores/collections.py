@@ -392,7 +392,10 @@ def _reading(path: Location) -> Iterator[Place]:
 def _open_group(place: Place) -> zarr.Group:
     if isinstance(place, LocalPlace) and place.exists():
         if not place.path.is_dir():
-            raise InputError(f"{place} is not a directory; give the path of a zarr store, which is one")
+            raise InputError(
+                f"{place} is not a directory; give the path of a zarr store, which is one (blocksar ingest makes it of "
+                "a CPHD or Gotcha file)"
+            )
         os.listdir(place)  # PermissionError says more than the missing metadata would
     metadata = metadata_file(place)
     if not metadata:
