@@ -1,4 +1,4 @@
-"""What people do next with an image that `blocksar.open` gave: `ds.sar.db()`, `.crop()`, `.plot()`, `.cut()`.
+"""What people do next with an image that `blocksar.open` gave: `ds.sar` has db, crop, plot, cut and netcdf.
 
 `blocksar.open` registers the accessor; for datasets that were opened in another way, `import blocksar.accessor` does.
 """
@@ -29,9 +29,6 @@ _ENDS = (-np.inf, np.inf)  # of a span without
 def prepare(dataset: xr.Dataset) -> xr.Dataset:
     """Name x and y of an image as CF does, and tell its map projection if it is georeferenced.
 
-    Attributes that only JSON holds (settings, predicted, warnings, georeference) become JSON text: CF knows numbers and
-    texts only, and so do the files that xarray writes.
-
     Raises
     ------
     InputError
@@ -40,10 +37,6 @@ def prepare(dataset: xr.Dataset) -> xr.Dataset:
     if "image" not in dataset or not {"x", "y"} <= set(dataset.coords):
         return dataset
     frame = _frame(dataset.attrs)
-    dataset.attrs = {
-        name: json.dumps(value) if value is None or isinstance(value, dict | list | tuple | bool) else value
-        for name, value in dataset.attrs.items()
-    }
     for axis in "xy":
         dataset[axis].attrs["axis"] = axis.upper()
         dataset[axis].encoding["_FillValue"] = None  # else xarray writes one, and CF knows none of coordinates
@@ -63,7 +56,7 @@ def prepare(dataset: xr.Dataset) -> xr.Dataset:
 
 
 def _frame(attrs: dict[str, Any]) -> Georeference | None:
-    """Where the image lies; `georeference` may be a mapping, or JSON text of one."""
+    """Where the image lies; `georeference` may be a mapping, or JSON text of one, as `SarAccessor.netcdf` leaves it."""
     told = attrs.get("georeference")
     if isinstance(told, str):
         with suppress(ValueError):  # the text itself is refused next
@@ -130,6 +123,27 @@ class SarAccessor:
                 )
             chosen[name] = slice(int(inside[0]), int(inside[-1]) + 1)
         return self._dataset.isel(chosen)
+
+    def netcdf(self) -> xr.Dataset:
+        """The dataset as netCDF can hold it, to be saved with `to_netcdf`.
+
+        `image` goes as `image_real` and `image_imag`: there are no complex numbers; attributes that are no numbers and
+        no text (settings, predicted, warnings, georeference) as JSON text. Reads what the dataset holds, unless it has
+        chunks: `crop` first.
+        """
+        image = self._image
+        made = self._dataset.drop_vars("image")
+        for name, part in (("real", image.real), ("imag", image.imag)):
+            attrs = image.attrs | {"long_name": f"{image.attrs.get('long_name', 'image')}, {name} part"}
+            made[f"image_{name}"] = part.assign_attrs(attrs)
+        return made.assign_attrs(
+            {
+                name: value
+                if isinstance(value, str | int | float) and not isinstance(value, bool)
+                else json.dumps(value)
+                for name, value in self._dataset.attrs.items()
+            }
+        )
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the image in decibels, by cells of mean power, with scale bar and, if georeferenced, north.

@@ -800,18 +800,21 @@ def test_db_of_chunks_is_lazy_and_says_nothing(made: Made) -> None:
 
 
 def test_what_is_derived_can_be_saved_as_netcdf(tmp_path: Path) -> None:
-    """CF and netCDF know attributes of numbers and text only, and no fill value of coordinates."""
+    """netCDF knows no complex numbers, and attributes of numbers and text only; CF no fill value of coordinates."""
     told = {"settings": {"blocks": 3}, "predicted": [{"block": 0}], "warnings": []}
     run = make(tmp_path / "run", size=(40, 30))
     zarr.open_group(run.folder / "image.zarr").attrs.update(told)
     with blocksar.open(run.folder) as opened:
-        assert json.loads(opened.attrs["settings"]) == told["settings"]
-        opened.assign(amplitude=abs(opened["image"])).drop_vars("image").to_netcdf(tmp_path / "a.nc")
+        assert opened.attrs["settings"] == told["settings"]
+        opened.sar.netcdf().to_netcdf(tmp_path / "a.nc")
     with xr.open_dataset(tmp_path / "a.nc") as again:
         assert {name: json.loads(again.attrs[name]) for name in told} == told
         assert again.rio.crs == opened.rio.crs
         assert "_FillValue" not in again["x"].encoding
-        np.testing.assert_array_equal(again["amplitude"], np.abs(run.image))
+        np.testing.assert_array_equal(again["image_real"] + 1j * again["image_imag"], run.image)
+        assert again["image_imag"].attrs["grid_mapping"] == "spatial_ref" and again["image_imag"].units == "1"
+        with pytest.raises(InputError, match="no image"):
+            again.sar.netcdf()
     opened.sar.crop(x=(0.0, 3.0)).to_zarr(tmp_path / "a.zarr", consolidated=False)
     with blocksar.open(tmp_path / "a.zarr") as again:
         assert again.sar.plot().texts[-1].get_text() == "N"

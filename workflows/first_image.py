@@ -37,6 +37,17 @@ import blocksar
 
 SCENE = """\
 title = "first image"
+targets = [             # reflectivity 1; no two at one range or one yaw, for side lobes add up there
+    { name = "A1", range = 29805.0, yaw_deg = 49.51 },
+    { name = "near", range = 29820.0, yaw_deg = 49.96 },
+    { name = "A3", range = 29835.0, yaw_deg = 50.41 },
+    { name = "B1", range = 29985.0, yaw_deg = 49.55 },
+    { name = "centre", range = 30000.0, yaw_deg = 50.00 },
+    { name = "B3", range = 30015.0, yaw_deg = 50.45 },
+    { name = "C1", range = 30165.0, yaw_deg = 49.59 },
+    { name = "far", range = 30180.0, yaw_deg = 50.04 },
+    { name = "C3", range = 30195.0, yaw_deg = 50.49 },
+]
 
 [radar]
 carrier = 15e9          # Hz
@@ -59,12 +70,6 @@ dwell = 0.1             # s that every target is lit: 3 m of azimuth
 
 [scene]                 # slant ranges that are recorded, m
 swath = [29700.0, 30300.0]
-
-[matrix]                # nine targets of reflectivity 1, about the middle of the swath
-rows = 3
-columns = 3
-spacing = [200.0, 200.0]  # m, in ground range and across it
-names = { near = [0, 1], centre = [1, 1], far = [2, 1] }
 
 [clutter]               # ground that is not empty
 scatterers = 20000

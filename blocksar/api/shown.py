@@ -28,7 +28,7 @@ def open(run: Location) -> xr.Dataset:  # the word of the interface
     """The image of a run as a lazily loaded dataset: `image` and `block` over y and x.
 
     It follows CF, with a grid mapping if it is georeferenced, and has the accessor `sar` (see `blocksar.accessor`):
-    `ds.sar.db()`, `.crop()`, `.plot()`, `.cut()`.
+    `ds.sar.db()`, `.crop()`, `.plot()`, `.cut()`, `.netcdf()`.
 
     Raises
     ------
