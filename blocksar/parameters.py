@@ -28,6 +28,7 @@ CARRIERS = (1e6, 1e15)  # Hz: from the longest waves that image the ground to be
 FARTHEST = 1e9  # m: beyond the moon, and where float64 still tells a wavelength's phase
 MAX_YAW = 100.0  # rad: a beam that has turned so often is in another unit
 SPIKE = 1.0  # m: no antenna leaves its place for one pulse by as much, so that pulse's number is damaged
+JUMP = 50.0  # times the usual way between two pulses that no platform moves between any two
 
 
 def printable(text: str) -> str:
@@ -138,6 +139,7 @@ class Collection:
                 )
             self._check_size(name, "m", FARTHEST)
             self._check_spikes(name)
+        self._check_jumps()
         if not (np.isfinite(self.carrier) and self.carrier > 0):
             raise InputError(f"carrier_frequency must be a positive number of Hz, got {self.carrier!r}")
         if not CARRIERS[0] <= self.carrier <= CARRIERS[1]:
@@ -188,6 +190,16 @@ class Collection:
             raise InputError(
                 f"{name} leaves its neighbours by {off[where]:.6g} m at pulse {where} alone; correct it there, and "
                 "write the pulse's samples as NaN if they are in doubt"
+            )
+
+    def _check_jumps(self) -> None:
+        """Refuse a track in two pieces: a platform does not jump, but two passes that were joined do."""
+        way = np.linalg.norm(np.diff(self.antenna_position, axis=0), axis=1)
+        usual, where = float(np.median(way)), int(way.argmax())
+        if way[where] > max(SPIKE, JUMP * usual):
+            raise InputError(
+                f"antenna_position moves {way[where]:.6g} m from pulse {where} to {where + 1}, and {usual:.3g} m between "
+                "pulses otherwise; correct it there, or give each part as a collection of its own"
             )
 
     def _check_beam(self) -> None:

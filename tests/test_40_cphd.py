@@ -812,6 +812,10 @@ MUTATIONS: dict[str, tuple[Callable[[Parts], None], str]] = {
     "platform in the Earth": (vectors("TxPos", 1.0), "TxPos lies 1.73205 .* m from the Earth's centre"),
     "positions in km": (vectors("RcvPos", 6.4e3), "RcvPos lies"),
     "one position off": (vectors("TxPos", [7e6, 0, 0], 40), "PVP TxPos, .* leaves its neighbours by .* m at pulse 40"),
+    "one track, then another": (
+        lambda p: [p.vectors[name][80:].__iadd__([300.0, 0, 0]) for name in ("TxPos", "RcvPos")][0],
+        "moves .* m from pulse 79 to 80",
+    ),
     "SRP on the other side": (vectors("SRPPos", [6.4e6, 0, 0]), "SRPPos lies up to"),
     "SCSS negative": (vectors("SCSS", -1.0), "PVP SCSS falls to -1; it must be above 0"),
     "SCSS absurd": (vectors("SCSS", 1e300), "only 1 frequencies|leave only|FX1 .. FX2 does not meet|samples SCSS"),

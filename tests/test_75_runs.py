@@ -148,6 +148,12 @@ def damaged(store: Path, folder: Path, **replace: Any) -> Path:
     return copy
 
 
+def track_with_a_step(store: Path) -> Any:
+    position = np.array(zarr.open_array(str(store / "antenna_position"), mode="r")[...])
+    position[3000:, 2] += 30.0
+    return position
+
+
 def time_with_a_step(store: Path) -> Any:
     time = np.array(zarr.open_array(str(store / "time"), mode="r")[...])
     time[2000:] += 0.01
@@ -157,6 +163,10 @@ def time_with_a_step(store: Path) -> Any:
 WRONG = {
     "missing variable": (lambda s: {"reference_range": None}, r"reference_range"),
     "non-uniform time": (lambda s: {"time": time_with_a_step(s)}, r"time is not uniform"),
+    "two tracks in one": (
+        lambda s: {"antenna_position": track_with_a_step(s)},
+        r"antenna_position moves 29\.9\S* m from pulse 2999 to 3000, and 0\.17\d m between pulses otherwise",
+    ),
     "NaN track": (lambda s: {"antenna_position": np.nan}, r"antenna_position is not finite"),
     "beam without width": (lambda s: {"beam_width": 0.0}, r"beam_width"),
     "no carrier": (lambda s: {"carrier_frequency": "x"}, r"carrier_frequency"),
