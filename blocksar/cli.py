@@ -375,8 +375,12 @@ GridOption = Annotated[
     str | None,
     typer.Option(metavar="x0:x1:dx,y0:y1:dy", help="Image points, m; default: the lit sector at half the resolution."),
 ]
-Workers = Annotated[int | None, typer.Option(min=1, help="Worker processes; default: as the machine allows.")]
-Threads = Annotated[int | None, typer.Option(min=1, help="Threads of each worker; default: as the cores allow.")]
+Workers = Annotated[
+    int | None, typer.Option(metavar="N", min=1, help="Worker processes; default: as the machine allows.")
+]
+Threads = Annotated[
+    int | None, typer.Option(metavar="N", min=1, help="Threads of each worker; default: as the cores allow.")
+]
 MemoryLimit = Annotated[
     str | None, typer.Option(metavar="SIZE", help="Memory of each worker, such as 2GiB; default: its share.")
 ]

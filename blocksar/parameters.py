@@ -198,8 +198,8 @@ class Collection:
         usual, where = float(np.median(way)), int(way.argmax())
         if way[where] > max(SPIKE, JUMP * usual):
             raise InputError(
-                f"antenna_position moves {way[where]:.6g} m from pulse {where} to {where + 1}, and {usual:.3g} m between "
-                "pulses otherwise; correct it there, or give each part as a collection of its own"
+                f"antenna_position moves {way[where]:.6g} m from pulse {where} to {where + 1}, and {usual:.3g} m "
+                "between pulses otherwise; correct it there, or give each part as a collection of its own"
             )
 
     def _check_beam(self) -> None:

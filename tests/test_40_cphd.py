@@ -813,7 +813,7 @@ MUTATIONS: dict[str, tuple[Callable[[Parts], None], str]] = {
     "positions in km": (vectors("RcvPos", 6.4e3), "RcvPos lies"),
     "one position off": (vectors("TxPos", [7e6, 0, 0], 40), "PVP TxPos, .* leaves its neighbours by .* m at pulse 40"),
     "one track, then another": (
-        lambda p: [p.vectors[name][80:].__iadd__([300.0, 0, 0]) for name in ("TxPos", "RcvPos")][0],
+        lambda p: [p.vectors[name][80:].__iadd__([300.0, 0, 0]) for name in ("TxPos", "RcvPos")].clear(),
         "moves .* m from pulse 79 to 80",
     ),
     "SRP on the other side": (vectors("SRPPos", [6.4e6, 0, 0]), "SRPPos lies up to"),
