@@ -25,7 +25,11 @@ from sarkit.verification import CphdConsistency
 import blocksar
 from blocksar import api, cli, cphd, cphd_simulation, stores
 from blocksar.backprojection import form_image
+from blocksar.cphd import ingestion
+from blocksar.cphd.files import CphdFile
+from blocksar.cphd.samples import ACCURACY
 from blocksar.geometry import Geometry
+from blocksar.georeference import Georeference
 from blocksar.parameters import SPEED_OF_LIGHT, Collection, InputError
 from blocksar.scene import Scene
 from blocksar.simulation import simulate_pulses
@@ -140,7 +144,7 @@ def write(path: Path, parts: Parts, fields: dict[str, str] | None = None) -> Pat
 
 def delays(parts: Parts, base: Base) -> Array:
     """Two-way delay of every target less that of the SRP, (n_vector, n_target) s."""
-    frame = cphd.Georeference(latitude=ORIGIN[0], longitude=ORIGIN[1], height=ORIGIN[2])
+    frame = Georeference(latitude=ORIGIN[0], longitude=ORIGIN[1], height=ORIGIN[2])
     ground = frame.to_ecef(base.targets)
     v = parts.vectors
 
@@ -393,12 +397,12 @@ def test_frequency_grids_that_differ(base: Base, tmp_path: Path) -> None:
     v["FX1"], v["FX2"] = v["SC0"], v["SC0"] + (n - 1) * v["SCSS"]
     parts.samples[...] = echo(grid_of(parts), delays(parts, base), base.sigma, -1)
     path = write(tmp_path / "wandering.cphd", parts)
-    bound = cphd.ACCURACY * np.abs(base.sigma).sum()
+    bound = ACCURACY * np.abs(base.sigma).sum()
     collection, said = check(path, base, bound)
     assert any("resampled to one grid, error below" in line for line in said)
     assert collection.bandwidth > 0.85 * 100e6
     error = ingested(path)[3]["source"]["frequency_resampling_error"]
-    assert 0 < error <= cphd.ACCURACY
+    assert 0 < error <= ACCURACY
 
 
 def test_samples_beyond_the_band_are_not_interpolated_from(base: Base, tmp_path: Path) -> None:
@@ -410,7 +414,7 @@ def test_samples_beyond_the_band_are_not_interpolated_from(base: Base, tmp_path:
     fx = grid_of(parts)
     parts.samples[...] = echo(fx, delays(parts, base), base.sigma, -1)
     parts.samples[(fx < v["FX1"][:, None]) | (fx > v["FX2"][:, None])] = 50.0
-    _, said = check(write(tmp_path / "guard.cphd", parts), base, cphd.ACCURACY * np.abs(base.sigma).sum())
+    _, said = check(write(tmp_path / "guard.cphd", parts), base, ACCURACY * np.abs(base.sigma).sum())
     assert any("resampled to one grid" in line for line in said)
 
 
@@ -500,7 +504,7 @@ def test_toa_domain_by_its_closed_form(base: Base, tmp_path: Path, sign: int) ->
 def test_the_srp_moves(base: Base, tmp_path: Path) -> None:
     parts = parts_of(base.path)
     v = parts.vectors
-    frame = cphd.Georeference(latitude=ORIGIN[0], longitude=ORIGIN[1], height=ORIGIN[2])
+    frame = Georeference(latitude=ORIGIN[0], longitude=ORIGIN[1], height=ORIGIN[2])
     places = np.array([[0.0, 0, 0], [12, -5, 0], [3, 9, 1], [-8, 4, 0]])[np.arange(v.size) // 40]
     v["SRPPos"] = frame.to_ecef(places)
     parts.samples[...] = echo(grid_of(parts), delays(parts, base), base.sigma, -1)
@@ -552,20 +556,20 @@ def test_narrow_bands_are_cut_out_and_only_they_are_read(
     v["FX2"] = v["SC0"] + 49 * v["SCSS"]
     path = write(tmp_path / "narrow.cphd", parts)
     taken: list[int] = []
-    take = cphd._File._take
+    take = CphdFile._take
 
     def counted(self: Any, file: Any, start: int, count: int) -> Any:
         taken.append(count)
         return take(self, file, start, count)
 
-    monkeypatch.setattr(cphd._File, "_take", counted)
+    monkeypatch.setattr(CphdFile, "_take", counted)
     collection, _ = check(path, base)
     assert collection.n_range_frequency == 40
     assert max(taken) == 40
     assert sum(taken) == 40 * v.size
     taken.clear()
     ingested(base.path)
-    assert max(taken) == cphd.PART * n or max(taken) < cphd.PART * n  # blocks of vectors
+    assert max(taken) == ingestion.PART * n or max(taken) < ingestion.PART * n  # blocks of vectors
     assert sum(taken) == n * v.size
 
 
@@ -659,7 +663,7 @@ def uneven(base: Base) -> Parts:
     """Times that jitter by a third of a step, positions and samples those of their times; the SRP moves, too."""
     parts = parts_of(base.path)
     v, track = parts.vectors, base.scene.geometry.track
-    frame = cphd.Georeference(latitude=ORIGIN[0], longitude=ORIGIN[1], height=ORIGIN[2])
+    frame = Georeference(latitude=ORIGIN[0], longitude=ORIGIN[1], height=ORIGIN[2])
     jitter = 0.3 / 400 * np.random.default_rng(5).random(v.size)
     position = frame.to_ecef(track.position(base.scene.pulse_times + jitter) - base.scene.centre)
     along = 0.5 * v["TxVel"] / np.linalg.norm(v["TxVel"], axis=1, keepdims=True)
@@ -973,14 +977,14 @@ def test_truncations(base: Base, tmp_path: Path) -> None:
 def test_a_file_that_shrinks_while_it_is_read(base: Base, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "shrinking.cphd"
     shutil.copy(base.path, path)
-    prepare = cphd._prepare
+    prepare = ingestion._prepare
 
     def then_cut(file: Any) -> Any:
         made = prepare(file)
         path.write_bytes(base.path.read_bytes()[:-1000])
         return made
 
-    monkeypatch.setattr(cphd, "_prepare", then_cut)
+    monkeypatch.setattr(ingestion, "_prepare", then_cut)
     refused(path, "became shorter")
 
 
