@@ -26,9 +26,9 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 import blocksar
-from blocksar import cli, cluster, progress
+from blocksar import cli, cluster
 from blocksar.parameters import InputError, ProcessingError
-from blocksar.progress import NOBODY, Estimate, Listener, Log, Progress, Work, Workers, listener
+from blocksar.progress import NOBODY, Estimate, Listener, Log, Progress, Work, Workers, display, listener
 
 GIB = 2**30
 HIDDEN, SHOWN = b"\x1b[?25l", b"\x1b[?25h"  # the cursor
@@ -257,8 +257,8 @@ def test_a_frame_fits_the_terminal(width: int) -> None:
     assert max(map(len, lines)) <= width
     assert [line.split()[0] for line in lines[:5]] == ["plan", "recover", "focus", "mosaic", "finish"]
     assert "60/120" in lines[2] and lines[2].endswith("1:06:40")
-    assert ("54/h" in lines[2]) == (width >= progress.RATE_NEEDS)
-    assert ("━" in lines[2]) == (width >= progress.BAR_NEEDS)
+    assert ("54/h" in lines[2]) == (width >= display.RATE_NEEDS)
+    assert ("━" in lines[2]) == (width >= display.BAR_NEEDS)
     assert lines[5] == "1:06:40 elapsed, about 68 min left"[:width].rstrip()  # another round, and a fiftieth
     assert lines[6].startswith("60 workers, the fullest holds 1.5 of 4.0 GiB"[:width].rstrip())
     assert lines[7].startswith("at work: block-60") and "more" in lines[7]

@@ -1,0 +1,81 @@
+"""For programs: progress as JSON lines."""
+
+from __future__ import annotations
+
+import errno
+import json
+import math
+import os
+import stat
+from collections.abc import Mapping
+from contextlib import suppress
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from blocksar.parameters import InputError
+
+
+class Log:
+    """One JSON object (RFC 8259) a line, appended and flushed. A disk that fills up costs lines, never the run.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = path
+        self.trouble: str | None = None  # the first, if any
+        try:
+            self._file = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
+        except (OSError, ValueError) as error:
+            why = error.strerror if isinstance(error, OSError) else error
+            raise InputError(f"--json-log {str(path)!r} cannot be written ({why}); give another file") from None
+        self._regular = stat.S_ISREG(os.fstat(self._file).st_mode)
+        self._broken = self._regular and self._cut_short()
+
+    def _cut_short(self) -> bool:
+        """Whether the last line has no end, as a loss of power leaves it."""
+        with suppress(OSError), open(self.path, "rb") as file:
+            if file.seek(0, os.SEEK_END):
+                file.seek(-1, os.SEEK_END)
+                return file.read(1) != b"\n"
+        return False
+
+    def write(self, event: str, **facts: Any) -> None:
+        """Append a line, whole or not at all. Takes no lock: it may be called while another thread is cut off."""
+        now = datetime.now(UTC).isoformat(timespec="milliseconds")
+        text = json.dumps(_valid({"time": now, "event": event, **facts}), allow_nan=False)
+        line = b"\n" * self._broken + text.encode() + b"\n"
+        try:
+            written = os.write(self._file, line)
+            if written < len(line):
+                self._broken = True
+                if self._regular:
+                    os.ftruncate(self._file, os.fstat(self._file).st_size - written)
+                    self._broken = False
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            self._broken = False
+        except OSError as error:
+            self.trouble = self.trouble or f"{self.path} cannot be written ({error.strerror or error})"
+
+    def close(self) -> None:
+        with suppress(OSError):
+            os.close(self._file)
+
+
+def _valid(value: Any) -> Any:
+    """As JSON can hold it: no NaN, no half of a character."""
+    match value:
+        case None | bool() | int():
+            return value
+        case float():
+            return value if math.isfinite(value) else None
+        case Mapping():
+            return {str(name): _valid(item) for name, item in value.items()}
+        case list() | tuple():
+            return [_valid(item) for item in value]
+        case _:
+            return str(value).encode("utf-8", "backslashreplace").decode()
