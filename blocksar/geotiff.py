@@ -118,9 +118,8 @@ def write(
                 bigtiff="if_safer",
                 overview_resampling="average" if content == "amplitude" else "nearest",
             )
-            if (
-                lacking := _end(part) - os.path.getsize(part)
-            ) > 0:  # GDAL does not tell when the last it wrote was lost
+            # GDAL does not tell when the last that it wrote was lost.
+            if (lacking := _end(part) - os.path.getsize(part)) > 0:
                 raise OSError(None, f"its last {lacking} bytes were lost; is there room on the disk?", part)
         except (RasterioError, CPLE_BaseError) as error:
             said = printable(" ".join(str(error).split()).replace(f"{os.path.dirname(plain)}/", ""))[:200]
