@@ -449,14 +449,10 @@ def _found(receipts: Sequence[Receipt]) -> Inspection:
 def _compress(
     client: Client, source: stores.PhaseHistory, run: Run, report: Listener
 ) -> tuple[stores.PhaseHistory, list[Receipt]]:
-    assert source.raw is not None
     collection = source.collection
     run.establish(run.compressed, lambda: stores.create_phase_history(run.compressed, collection, overwrite=True))
     chunk = stores.TILE[0]
-    compression = RawCompression.of(
-        fast_time=source.raw.fast_time, chirp_rate=source.raw.chirp_rate, pulse_width=source.raw.pulse_width,
-        range_frequency=collection.range_frequency, reference_range=collection.reference_range,
-    )  # fmt: skip
+    compression = compression_of(source)
 
     def start(unit: str, pulses: tuple[int, int]) -> Callable[[], Future[Any]]:
         return lambda: client.submit(
@@ -474,6 +470,15 @@ def _compress(
     units = [(f"pulses-{a}", start(f"pulses-{a}", (a, b))) for a, b in groups]
     receipts = run_units(client, "range-compress", units, run, report, each=2)
     return stores.open_phase_history(run.compressed), receipts
+
+
+def compression_of(source: stores.PhaseHistory) -> RawCompression:
+    """How a raw echo's pulses become range-frequency signals."""
+    assert source.raw is not None
+    return RawCompression.of(
+        fast_time=source.raw.fast_time, chirp_rate=source.raw.chirp_rate, pulse_width=source.raw.pulse_width,
+        range_frequency=source.collection.range_frequency, reference_range=source.collection.reference_range,
+    )  # fmt: skip
 
 
 def focus_blocks(client: Client, plan: Plan, run: Run, lit: FloatArray, report: Listener) -> list[Receipt]:

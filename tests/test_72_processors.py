@@ -6,7 +6,6 @@ stand follows from the plan's own blocks. Then what each paper shows, and what i
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
@@ -102,7 +101,7 @@ def chips(store: Path, run: Path, at: dict[str, tuple[float, float]], *, half: i
             int(np.argmin(np.abs(axis - value))) for axis, value in ((image.x.values, x), (image.y.values, y))
         )
         chip = image.isel(x=slice(max(column - half, 0), column + half), y=slice(max(row - half, 0), row + half))
-        read = partial(measured._read_pulses, history)
+        read = measured._pulse_reader(history)
         exact = form_image(read, geometry, chip.x.values, chip.y.values, threads=2)
         found[name] = coherence(chip.values, exact)
     return found

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
-from functools import partial
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from blocksar.api.common import Image, Report, Table, open_run
 from blocksar.backprojection import form_image
 from blocksar.cluster import machine
 from blocksar.geometry import Geometry
+from blocksar.graph import compression_of
 from blocksar.measurement import (
     DEFINITIONS,
     TABLE3,
@@ -145,10 +145,7 @@ Compared = list[tuple[str, float, float, ChipComparison]]
 def _compare(image: Image, geometry: Geometry, record: dict[str, Any]) -> Compared:
     """Chips of the image against exact back-projection of the run's input at telling places."""
     history = stores.open_phase_history(record["input"]["path"])
-    if history.raw is not None:
-        raise InputError(
-            "--reference needs range-frequency samples, but the run's input is a raw echo; focus a signal store"
-        )
+    read = _pulse_reader(history)
     half = 32
     found: Compared = []
     for name, x, y in _places(geometry, record):
@@ -162,14 +159,17 @@ def _compare(image: Image, geometry: Geometry, record: dict[str, Any]) -> Compar
         mine = image.read(rows, columns)
         if np.isfinite(mine.real).mean() < 0.5:
             continue
-        read = partial(_read_pulses, history)
         exact = form_image(read, geometry, image.x[columns], image.y[rows], threads=machine()[0])
         found.append((name, float(x), float(y), coherence(mine, exact)))
     return found
 
 
-def _read_pulses(history: stores.PhaseHistory, pulses: slice) -> ComplexArray:
-    return history.read(pulses, slice(None))
+def _pulse_reader(history: stores.PhaseHistory) -> Callable[[slice], ComplexArray]:
+    """Range-frequency samples of a slice of pulses; of a raw echo, compressed."""
+    if history.raw is None:
+        return lambda pulses: history.read(pulses, slice(None))
+    compression = compression_of(history)
+    return lambda pulses: compression.apply(history.read(pulses, slice(None)), pulses=pulses)
 
 
 def _places(geometry: Geometry, record: dict[str, Any]) -> list[tuple[str, float, float]]:
