@@ -454,7 +454,7 @@ def test_hung_worker(
     stage: str, workers: int, launcher: Launcher, store: Path, again: Callable[[Path], set[str]], tmp_path: Path
 ) -> None:
     own = ("--workers", str(workers), "--memory-limit", "2GiB")
-    process = launcher.start("blocksar", *words(store, tmp_path / "run", *own), WORKER_TTL=5, NO_WORKER=30)
+    process = launcher.start("blocksar", *words(store, tmp_path / "run", *own), WORKER_TTL=5, NO_WORKER=10)
     process.await_line(f"{stage}: 0")
     hung = workers_of(process.pid)[0]
     os.kill(hung, signal.SIGSTOP)
@@ -529,9 +529,18 @@ def signal_at(
     return process, time.monotonic() - begun
 
 
-@pytest.mark.parametrize("stage", ["start", *STAGES])
+INTERRUPTED, TERMINATED = (signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")
+
+
 @pytest.mark.parametrize(
-    ("number", "status", "word"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")]
+    ("number", "status", "word", "stage"),
+    [
+        (*INTERRUPTED, "start"),
+        (*TERMINATED, "recover"),
+        (*INTERRUPTED, "focus"),
+        (*TERMINATED, "focus"),
+        (*INTERRUPTED, "mosaic"),
+    ],
 )
 def test_signal(
     stage: str,
