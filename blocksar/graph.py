@@ -32,7 +32,7 @@ from blocksar.parameters import Collection, ComplexArray, FloatArray, InputError
 from blocksar.planning import DOPPLER_GROUP, IMAGE_CHUNK, PROCESS_MEMORY, SIGNAL_BYTES, BlockPlan, Plan
 from blocksar.progress import Listener
 from blocksar.range_steps import ResidualRangeWalk
-from blocksar.recovery import RawCompression, Recovery, recover_columns
+from blocksar.recovery import COMPRESSED_ROWS, RawCompression, Recovery, recover_columns
 from blocksar.region import Grid, lit_pulses
 from blocksar.runs import Receipt, Run, Written, write, written
 from blocksar.steps import Stage, stages
@@ -479,6 +479,15 @@ def compression_of(source: stores.PhaseHistory) -> RawCompression:
         fast_time=source.raw.fast_time, chirp_rate=source.raw.chirp_rate, pulse_width=source.raw.pulse_width,
         range_frequency=source.collection.range_frequency, reference_range=source.collection.reference_range,
     )  # fmt: skip
+
+
+def compression_memory(source: stores.PhaseHistory) -> int:
+    """Peak of a worker that range-compresses a raw echo, bytes; 0 where there is none."""
+    if source.raw is None:
+        return 0
+    echo, band = source.raw.fast_time.size, source.collection.range_frequency.size
+    pulses = 8 * stores.TILE[0] * (2 * echo + 2 * band)  # as read, and as chunks give and take them
+    return PROCESS_MEMORY + pulses + COMPRESSED_ROWS * (8 * echo + 5 * 16 * band)
 
 
 def focus_blocks(client: Client, plan: Plan, run: Run, lit: FloatArray, report: Listener) -> list[Receipt]:

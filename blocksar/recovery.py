@@ -24,6 +24,8 @@ from blocksar.fourier import Axis
 from blocksar.parameters import SPEED_OF_LIGHT, ComplexArray, FloatArray
 from blocksar.rows import Operation, Program, ScaledTurn, Transform
 
+COMPRESSED_ROWS = 32  # pulses whose spectra are held at a time, in double precision too
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CommonRange:
@@ -224,7 +226,12 @@ class RawCompression:
     def apply(self, echo: ComplexArray, *, pulses: slice, threads: int = 1) -> ComplexArray:
         """(n, n_fast_time) of the given pulses to (n, n_range_frequency) complex64; a row with a gap is missing."""
         axis = Axis(-(self.fast_time.size // 2) / self.fast_time.extent, 1 / self.fast_time.extent, self.fast_time.size)
-        spectrum = rows.transform(echo, self.fast_time, axis, inverse=False, threads=threads)
-        band = spectrum[:, self.first : self.first + self.range_frequency.size]
-        cycles = 2 / SPEED_OF_LIGHT * self.reference_range[pulses, None] * self.range_frequency
-        return (band * self.weight * fourier.unit_phasor(cycles)).astype(np.complex64)
+        reference_range = self.reference_range[pulses, None]
+        out = np.empty((echo.shape[0], self.range_frequency.size), np.complex64)
+        for first in range(0, echo.shape[0], COMPRESSED_ROWS):
+            part = slice(first, first + COMPRESSED_ROWS)
+            spectrum = rows.transform(echo[part], self.fast_time, axis, inverse=False, threads=threads)
+            band = spectrum[:, self.first : self.first + self.range_frequency.size]
+            cycles = 2 / SPEED_OF_LIGHT * reference_range[part] * self.range_frequency
+            out[part] = band * self.weight * fourier.unit_phasor(cycles)
+        return out

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tracemalloc
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,7 +16,7 @@ from blocksar import fourier, rows
 from blocksar.fourier import Axis
 from blocksar.geometry import Geometry
 from blocksar.parameters import SPEED_OF_LIGHT, Collection, ComplexArray, FloatArray, InputError
-from blocksar.recovery import RawCompression, Recovery, recover_columns
+from blocksar.recovery import COMPRESSED_ROWS, RawCompression, Recovery, recover_columns
 from blocksar.recovery_plan import plan_recovery
 from blocksar.region import Grid, plan_region
 from blocksar.simulation import simulate_pulses
@@ -290,6 +291,24 @@ def test_a_raw_echo_compresses_to_the_signal_of_the_contract(chirp_rate: float) 
     gap = echo[:1].astype(np.complex64)
     gap[0, 17] = np.nan
     assert np.isnan(compression.apply(gap, pulses=slice(590, 591))).all()
+
+
+def test_compression_holds_a_few_pulses_in_double_precision() -> None:
+    n_pulse, n_time, n_band = 512, 4000, 3001
+    band = (np.arange(n_band) - n_band // 2) / n_time * 60e6
+    compression = RawCompression.of(
+        fast_time=2e-4 + np.arange(n_time) / 60e6, chirp_rate=12.5e12, pulse_width=4e-6,
+        range_frequency=band, reference_range=np.linspace(30_000.0, 30_100.0, n_pulse),
+    )  # fmt: skip
+    rng = np.random.default_rng(2)
+    echo = (rng.standard_normal((n_pulse, n_time)) + 1j * rng.standard_normal((n_pulse, n_time))).astype(np.complex64)
+    compression.apply(echo[:40], pulses=slice(0, 40))
+    tracemalloc.start()
+    found = compression.apply(echo, pulses=slice(0, n_pulse))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak - found.nbytes <= COMPRESSED_ROWS * (2 * 8 * n_time + 5 * 16 * n_band)
+    np.testing.assert_array_equal(found[50:51], compression.apply(echo[50:51], pulses=slice(50, 51)))
 
 
 def test_there_is_room_on_either_side_of_the_pulses() -> None:

@@ -130,6 +130,16 @@ def test_keys_say_step_and_block(store: Path, client: Client, tmp_path: Path, mo
     assert receipt["seconds"] == pytest.approx(sum(receipt["steps"].values()), rel=0.05)
 
 
+def test_memory_that_does_not_hold_a_raw_echo_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "scene.toml").write_text(scene(swath=[29900.0, 30100.0]))
+    raw = blocksar.simulate(tmp_path / "scene.toml", tmp_path / "raw.zarr", raw=True)
+    needed = graph.compression_memory(stores.open_phase_history(raw))
+    monkeypatch.setattr(graph, "compression_memory", lambda source: 40 * needed)
+    with pytest.raises(InputError, match=r"memory limit 2048 MiB a worker is too low: range compression needs about"):
+        blocksar.focus(raw, tmp_path / "run", blocks=1, grid=GRID, workers=1, memory_limit=2 * 2**30)
+    assert not (tmp_path / "run").exists()
+
+
 def damaged(store: Path, folder: Path, **replace: Any) -> Path:
     """A copy of the store with arrays or attributes replaced, or removed where None."""
     copy = folder / "damaged.zarr"

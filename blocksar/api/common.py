@@ -91,9 +91,14 @@ def resources(workers: int | None, threads: int | None, memory_limit: int | None
 def back_projection_memory(collection: Collection, grid: Grid, threads: int, memory_limit: int) -> int:
     """Peak of a worker, bytes; refuses what the limit does not hold."""
     memory = graph.back_projection_memory(collection, grid, threads=threads)
+    return checked_memory("back-projection", memory, memory_limit)
+
+
+def checked_memory(what: str, memory: int, memory_limit: int) -> int:
+    """So many bytes of a worker, unless its limit does not hold them."""
     if memory > MEMORY_SHARE * memory_limit:
         raise InputError(
-            f"memory limit {memory_limit / MIB:.0f} MiB a worker is too low: back-projection needs about "
+            f"memory limit {memory_limit / MIB:.0f} MiB a worker is too low: {what} needs about "
             f"{math.ceil(memory / MEMORY_SHARE / MIB)} MiB; raise --memory-limit"
         )
     return memory

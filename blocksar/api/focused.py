@@ -16,7 +16,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeGuard
 
 from blocksar import __version__, cluster, effort, graph, inspection, runs, stores
-from blocksar.api.common import MIB, GridLike, Report, back_projection_memory, grid_of, path_of, resources
+from blocksar.api.common import (
+    MIB,
+    GridLike,
+    Report,
+    back_projection_memory,
+    checked_memory,
+    grid_of,
+    path_of,
+    resources,
+)
 from blocksar.geometry import Geometry
 from blocksar.georeference import Georeference
 from blocksar.graph import image_chunk
@@ -189,9 +198,10 @@ def _job(
     """A run that goes on is divided as it was begun."""
     collection = history.collection.centred()
     geometry = Geometry(collection=collection)
+    compression = checked_memory("range compression", graph.compression_memory(history), memory_limit)
     if settings["processor"] == "backprojection":
         grid = grid or default_grid(geometry, plan_region(geometry, None))
-        memory = back_projection_memory(collection, grid, threads, memory_limit)
+        memory = max(compression, back_projection_memory(collection, grid, threads, memory_limit))
         return _Job(history=history, geometry=geometry, grid=grid, plan=None, memory=memory)
     made = plan_collection(
         collection,
@@ -204,7 +214,8 @@ def _job(
     )
     if made.refusal is not None:
         raise InputError(made.refusal)
-    return _Job(history=history, geometry=geometry, grid=made.grid, plan=made, memory=made.memory)
+    memory = max(compression, made.memory)
+    return _Job(history=history, geometry=geometry, grid=made.grid, plan=made, memory=memory)
 
 
 def _effort(job: _Job) -> Work:
