@@ -307,7 +307,7 @@ def test_a_cluster_with_certificates(first: tuple[Path, str], modules: dict[str,
     )
     with LocalCluster(
         n_workers=1, threads_per_worker=1, memory_limit="1GiB", host="127.0.0.1", protocol="tls://",
-        security=security, dashboard_address=None, silence_logs="CRITICAL",
+        security=security, dashboard_address="127.0.0.1:0", silence_logs="CRITICAL",
     ) as cluster:  # fmt: skip
         address = cluster.scheduler_address
         assert address.startswith("tls://")
