@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from blocksar import graph, stores
+from blocksar import graph, runs, stores
 from blocksar.cluster import machine
 from blocksar.parameters import Collection, ComplexArray, FloatArray, InputError
 from blocksar.places import Location, Place
@@ -128,7 +128,7 @@ def finished_record(run: Place) -> dict[str, Any]:
         If the run is not finished.
     """
     record = stores.read_json(run / "run.json")
-    if not isinstance(record, dict) or record.get("status") != "finished":
+    if not isinstance(record, dict) or record.get("status") != runs.FINISHED:
         raise InputError(f"{run} is not finished; run `blocksar focus` again with the same settings")
     return record
 
