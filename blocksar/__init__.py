@@ -10,11 +10,11 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from blocksar.version import __version__
+
 if TYPE_CHECKING:
     from blocksar.api import export, focus, ingest, open, plan, quality, report, simulate
-    from blocksar.parameters import InputError, ProcessingError
-
-__version__ = "0.1.0"
+    from blocksar.errors import InputError, ProcessingError
 
 __all__ = [
     "InputError",
@@ -33,7 +33,7 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     if name in __all__:
-        home = "parameters" if name.endswith("Error") else "api"
+        home = "errors" if name.endswith("Error") else "api"
         return getattr(importlib.import_module(f"blocksar.{home}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 

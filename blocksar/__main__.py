@@ -1,5 +1,7 @@
 """`python -m blocksar` is `blocksar`."""
 
-from blocksar.cli import main
+from __future__ import annotations
+
+from blocksar.cli.commands import main
 
 main()

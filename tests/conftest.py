@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from blocksar.parameters import Collection
+from blocksar.collection.collection import Collection
 
 
 @pytest.fixture(scope="session")

@@ -390,7 +390,7 @@ def become(order: dict[str, Any], programs: dict[str, Callable[[], Any]]) -> Non
     """Turn into the program that was ordered: session, streams, signals and temporary files of its own."""
     import dask
 
-    from blocksar import cluster
+    from blocksar.graph import admission, cluster
 
     os.setsid()
     signal.signal(signal.SIGINT, signal.default_int_handler)  # who runs the tests in the background is deaf to it
@@ -404,8 +404,10 @@ def become(order: dict[str, Any], programs: dict[str, Callable[[], Any]]) -> Non
         if "." in name:
             dask.config.set({name: value})
         else:
-            assert hasattr(cluster, name), name
-            setattr(cluster, name, value)
+            homes = [module for module in (cluster, admission) if name in vars(module)]
+            assert homes, name
+            for module in homes:
+                setattr(module, name, value)
     sys.argv = [order["start"], *order["words"]]
     programs[order["start"]]()
 
@@ -413,9 +415,10 @@ def become(order: dict[str, Any], programs: dict[str, Callable[[], Any]]) -> Non
 def main() -> None:
     from distributed.cli import dask_scheduler, dask_worker
 
-    from blocksar import api, cli, ground  # noqa: F401  (the api is what takes long to import)
+    from blocksar import api, cli  # noqa: F401  (the api is what takes long to import)
+    from blocksar.focusing import correction
 
-    ground.compile_kernels()
+    correction.compile_kernels()
     order = serve()
     if order is not None:
         become(order, {"blocksar": cli.main, "scheduler": dask_scheduler.main, "worker": dask_worker.main})

@@ -8,8 +8,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from blocksar.geometry import Geometry
-from blocksar.parameters import SPEED_OF_LIGHT, Collection
+from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
+from blocksar.constants import SPEED_OF_LIGHT
 
 
 @lru_cache(maxsize=4)

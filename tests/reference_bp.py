@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from blocksar.geometry import Geometry
-from blocksar.parameters import Collection
+from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
 
 
 def back_projection(

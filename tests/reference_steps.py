@@ -9,16 +9,21 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from blocksar.fourier import Axis
-from blocksar.geometry import Geometry
-from blocksar.lines import Line
-from blocksar.method import Method
-from blocksar.parameters import SPEED_OF_LIGHT, Collection, ComplexArray, FloatArray
-from blocksar.planning import DEFAULT, BlockPlan, plan_block
-from blocksar.recovery import Recovery, recover_columns
-from blocksar.recovery_plan import plan_recovery, recovered_line
-from blocksar.region import Grid, Region, plan_region
-from blocksar.simulation import simulate_pulses
+from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.grid import Grid
+from blocksar.collection.region import Region, plan_region
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.focusing.lines import Line
+from blocksar.focusing.method import Method
+from blocksar.focusing.recovery import Recovery, recover_columns
+from blocksar.kernels.fourier import Axis
+from blocksar.planning.block import BlockPlan, plan_block
+from blocksar.planning.plan import DEFAULT
+from blocksar.planning.recovery import plan_recovery
+from blocksar.planning.target_lines import recovered_line
+from blocksar.simulation.scatterers import simulate_pulses
 
 Complex128Array = NDArray[np.complex128]
 

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from blocksar import places
+from blocksar.places import objects
 
 # moto is talkative; the one line that matters is the port, whichever was free.
 SERVER = """
@@ -53,12 +53,12 @@ def server(*, refusing: bool = False) -> Iterator[str]:
             environment.setenv("AWS_ENDPOINT_URL", url)
             for name in ("AWS_SESSION_TOKEN", "AWS_PROFILE", "HTTP_PROXY", "http_proxy", "ALL_PROXY", "all_proxy"):
                 environment.delenv(name, raising=False)
-            places._bucket.cache_clear()
+            objects._bucket.cache_clear()
             yield url
         finally:
             process.stdin.close()  # which ends it
             process.wait(30)
-            places._bucket.cache_clear()
+            objects._bucket.cache_clear()
 
 
 def make_bucket() -> str:

@@ -9,9 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from blocksar.geometry import Geometry
-from blocksar.parameters import SPEED_OF_LIGHT, InputError
-from blocksar.scene import Scene, next_smooth_even, shipped_scenes
+from blocksar.collection.geometry import Geometry
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.errors import InputError
+from blocksar.simulation.scene import Scene, next_smooth_even, shipped_scenes
 
 PLAIN = """
 title = "plain"

@@ -11,10 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal.windows import kaiser
 
-from blocksar import fourier, phase
-from blocksar.fourier import Axis
-from blocksar.parameters import ComplexArray, FloatArray
-from blocksar.phase import LANES, PIECE, Phase
+from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.kernels import fourier, interpolation, phase, trigonometry
+from blocksar.kernels.fourier import Axis
+from blocksar.kernels.interpolation import PIECE
+from blocksar.kernels.lanes import LANES
+from blocksar.kernels.phase import Phase
 
 SINGLE = 5e-7  # a complex64 product (1.2e-7) with a float32 sine and cosine, which are good to 3.5e-7
 
@@ -202,7 +204,7 @@ def test_rotation_at_whole_half_and_quarter_cycles() -> None:
 def test_sine_and_cosine_err_as_little_as_they_say() -> None:
     x = np.linspace(-0.5, 0.5, 20_001).astype(np.float32)
     wanted = np.exp(2j * np.pi * x.astype(np.float64))
-    found = phase.cosine(x).astype(np.float64) + 1j * phase.sine(x)
+    found = trigonometry.cosine(x).astype(np.float64) + 1j * trigonometry.sine(x)
     assert largest(found - wanted) < 4e-7
     assert np.sqrt(np.mean(np.abs(found - wanted) ** 2)) < 1.1e-7  # numpy rounds every product, the loops do not
 
@@ -255,7 +257,7 @@ def test_taps_err_as_little_as_they_say_and_no_others_err_less(n_tap: int, occup
     f = occupancy / 2 * nodes
     fraction = np.arange(257) / 256
     exact = np.exp(2j * np.pi * np.multiply.outer(fraction, f))
-    taps = phase.interpolation_taps(n_tap, occupancy=occupancy)
+    taps = interpolation.interpolation_taps(n_tap, occupancy=occupancy)
     assert taps.dtype == np.float32
 
     def worst(weights: np.ndarray) -> FloatArray:
@@ -263,7 +265,7 @@ def test_taps_err_as_little_as_they_say_and_no_others_err_less(n_tap: int, occup
         return np.sqrt(np.abs(interpolated(weights, f) - wanted) ** 2 @ share / 2)
 
     found = worst(taps)
-    told = phase.interpolation_error(n_tap, occupancy)
+    told = interpolation.interpolation_error(n_tap, occupancy)
     # What is told counts the band's edges, where the error is largest, a little too much: on the safe side.
     assert 0.7 * told - 1e-7 < found.max() < 1.01 * told + 1e-7
     # A sample's own place is nobody else's business, at either end of the table.
@@ -285,25 +287,26 @@ def test_taps_err_as_little_as_they_say_and_no_others_err_less(n_tap: int, occup
 def test_no_fewer_taps_would_do() -> None:
     for occupancy in (0.3, 0.62, 0.8):
         for wanted in (1e-2, 1e-3, 1e-4):
-            n_tap = phase.taps_needed(occupancy, error=wanted)
-            assert phase.interpolation_error(n_tap, occupancy) <= wanted
-            assert n_tap == 4 or phase.interpolation_error(n_tap - 2, occupancy) > wanted
-    assert phase.taps_needed(0.99, error=1e-6, at_most=24) == 24
+            n_tap = interpolation.taps_needed(occupancy, error=wanted)
+            assert interpolation.interpolation_error(n_tap, occupancy) <= wanted
+            assert n_tap == 4 or interpolation.interpolation_error(n_tap - 2, occupancy) > wanted
+    assert interpolation.taps_needed(0.99, error=1e-6, at_most=24) == 24
 
 
 @pytest.mark.parametrize(("n_tap", "occupancy"), [(4, 0.3), (8, 0.7), (16, 0.8), (22, 0.78)])
 def test_expanded_taps_are_the_same_taps(n_tap: int, occupancy: float) -> None:
-    fine = phase.TAP_PHASES * 40
-    taps = phase.interpolation_taps(n_tap, occupancy=occupancy, n_phase=fine)
-    table = phase.tap_polynomials(n_tap, occupancy=occupancy)
+    fine = interpolation.TAP_PHASES * 40
+    taps = interpolation.interpolation_taps(n_tap, occupancy=occupancy, n_phase=fine)
+    table = interpolation.tap_polynomials(n_tap, occupancy=occupancy)
     assert table.dtype == np.float32
-    assert table.shape == (phase.TAP_PHASES + 1, n_tap, phase.TAP_ORDER + 1)
-    for q in range(phase.TAP_PHASES + 1):
+    assert table.shape == (interpolation.TAP_PHASES + 1, n_tap, interpolation.TAP_ORDER + 1)
+    for q in range(interpolation.TAP_PHASES + 1):
         at = np.arange(
-            max(40 * q - int(phase.TAP_REACH * fine), 0), min(40 * q + int(phase.TAP_REACH * fine), fine) + 1
+            max(40 * q - int(interpolation.TAP_REACH * fine), 0),
+            min(40 * q + int(interpolation.TAP_REACH * fine), fine) + 1,
         )
-        mu = at / fine - q / phase.TAP_PHASES
-        powers = mu[:, None] ** np.arange(phase.TAP_ORDER + 1)
+        mu = at / fine - q / interpolation.TAP_PHASES
+        powers = mu[:, None] ** np.arange(interpolation.TAP_ORDER + 1)
         assert largest(powers @ table[q].T.astype(np.float64) - taps[at]) < 1e-5
 
 
@@ -323,12 +326,12 @@ def test_stretched_rows_are_the_exact_signal_elsewhere(scale: float, n: int, mid
         return tones @ np.exp(2j * np.pi * np.multiply.outer(f, position))
 
     n_tap = 16
-    taps = phase.tap_polynomials(n_tap, occupancy=0.7)
+    taps = interpolation.tap_polynomials(n_tap, occupancy=0.7)
     values = signal(np.arange(n)).astype(np.complex64)
     scales = np.array([scale, 2 - scale])
     values.flags.writeable = scales.flags.writeable = taps.flags.writeable = False
     found = np.full((2, n), np.nan, np.complex64)
-    phase.stretch_rows(values, found, scales, middle, taps)
+    interpolation.stretch_rows(values, found, scales, middle, taps)
     for row in range(2):
         position = middle + (np.arange(n) - middle) * scales[row]
         # A strip's window may lie a fraction of a sample to the side of the place that it is read at.
@@ -336,7 +339,7 @@ def test_stretched_rows_are_the_exact_signal_elsewhere(scale: float, n: int, mid
         outside = (position < -n_tap / 2 - 1) | (position > n + n_tap / 2)
         error = np.abs(found[row] / scales[row] - signal(position)[row])
         # Half-way between samples sixteen taps err by 1e-4, and nowhere by more; expanding their weights adds 1e-5.
-        assert np.sqrt(np.mean(error[inside] ** 2)) < phase.interpolation_error(n_tap, 0.7)
+        assert np.sqrt(np.mean(error[inside] ** 2)) < interpolation.interpolation_error(n_tap, 0.7)
         assert largest(error[inside]) < 3e-4
         assert (found[row, outside] == 0).all()
         padded = np.abs(found[row, ~inside & ~outside])
@@ -355,7 +358,7 @@ def nearest_sums_differ(values: ComplexArray, found: np.ndarray, position: np.nd
         fraction = np.asarray(position - whole, np.float64)
         weights = np.linalg.solve(gram, np.sinc(0.6 * (fraction - k[:, None])))
         nearest = padded[np.clip(whole + k[:, None] + 2000, 0, padded.size - 1)]
-        near = np.abs(fraction - 0.5) <= 0.5 + phase.TAP_REACH + 1e-9
+        near = np.abs(fraction - 0.5) <= 0.5 + interpolation.TAP_REACH + 1e-9
         error[side, near] = np.abs(found - np.sum(weights * nearest, axis=0))[near]
     return largest(error.min(axis=0)) / largest(values)
 
@@ -370,7 +373,9 @@ def test_stretched_rows_are_weighted_sums_of_the_nearest_samples(
     """Against least-squares weights one output at a time, zeros beyond the ends; any length, any fixed point."""
     values = noise(1, n, seed=n)
     found = np.full((1, n), np.nan, np.complex64)
-    phase.stretch_rows(values, found, np.array([scale]), middle, phase.tap_polynomials(n_tap, occupancy=0.6))
+    interpolation.stretch_rows(
+        values, found, np.array([scale]), middle, interpolation.tap_polynomials(n_tap, occupancy=0.6)
+    )
     position = middle + (np.arange(n) - middle) * scale
     assert nearest_sums_differ(values[0], found[0] / scale, position, n_tap) < 4e-5 * np.sqrt(n_tap)
 
@@ -379,26 +384,26 @@ def test_stretched_rows_are_weighted_sums_of_the_nearest_samples(
 def test_a_stretched_row_keeps_its_sum(scale: float) -> None:
     row = (np.hanning(1201) * np.exp(2e-3j * np.arange(1201)))[None].astype(np.complex64)
     found = np.empty_like(row)
-    phase.stretch_rows(row, found, np.array([scale]), 600.0, phase.tap_polynomials(12, occupancy=0.5))
+    interpolation.stretch_rows(row, found, np.array([scale]), 600.0, interpolation.tap_polynomials(12, occupancy=0.5))
     assert found.sum() == pytest.approx(row.sum(), rel=1e-4)
 
 
 def test_a_stretched_row_does_not_depend_on_the_others() -> None:
     values, scale = noise(7, 1500), np.linspace(0.96, 1.04, 7)
-    taps = phase.tap_polynomials(12, occupancy=0.7)
+    taps = interpolation.tap_polynomials(12, occupancy=0.7)
     together = np.empty_like(values)
-    phase.stretch_rows(values, together, scale, 700.0, taps)
+    interpolation.stretch_rows(values, together, scale, 700.0, taps)
     for row in range(7):
         alone = np.empty_like(values[:1])
-        phase.stretch_rows(values[row : row + 1], alone, scale[row : row + 1], 700.0, taps)
+        interpolation.stretch_rows(values[row : row + 1], alone, scale[row : row + 1], 700.0, taps)
         np.testing.assert_array_equal(alone[0], together[row])
 
 
 @pytest.mark.parametrize("scale", [-1.0, 0.4, 2.1, np.nan])
 def test_a_scale_that_is_not_near_one_is_refused(scale: float) -> None:
-    taps = phase.tap_polynomials(4, occupancy=0.5)
+    taps = interpolation.tap_polynomials(4, occupancy=0.5)
     with pytest.raises(ValueError, match="scale"):
-        phase.stretch_rows(noise(1, 50), np.empty((1, 50), np.complex64), np.array([scale]), 25.0, taps)
+        interpolation.stretch_rows(noise(1, 50), np.empty((1, 50), np.complex64), np.array([scale]), 25.0, taps)
 
 
 def curve(n: int, slopes: FloatArray) -> FloatArray:
@@ -441,14 +446,14 @@ def test_resampled_rows_are_the_exact_signal_elsewhere(
     values = signal(np.arange(n)).astype(np.complex64)[None]
     values.flags.writeable = positions.flags.writeable = False
     found = np.full((1, n), np.nan, np.complex64)
-    phase.resample_rows(values, found, positions, phase.tap_polynomials(n_tap, occupancy=occupancy))
+    interpolation.resample_rows(values, found, positions, interpolation.tap_polynomials(n_tap, occupancy=occupancy))
     position, slope = position_and_slope(positions, n)
     inside = (position >= n_tap / 2) & (position <= n - n_tap / 2 - 2)
     outside = (position < -n_tap / 2 - 1) | (position > n + n_tap / 2)
     assert inside.sum() > n / 3
     assert outside.any() or slopes[-1] < 1.1
     error = np.abs(found[0] / np.sqrt(slope) - signal(position))
-    told = phase.interpolation_error(n_tap, occupancy)
+    told = interpolation.interpolation_error(n_tap, occupancy)
     assert np.sqrt(np.mean(error[inside] ** 2)) < told + 1e-5
     assert largest(error[inside]) < 4 * told + 2e-5
     assert (found[0, outside] == 0).all()
@@ -470,7 +475,7 @@ def test_resampled_rows_are_weighted_sums_of_the_nearest_samples(
     positions[0, 0] += begin
     position, slope = position_and_slope(positions, n)
     values, found = noise(1, n, seed=n), np.full((1, n), np.nan, np.complex64)
-    phase.resample_rows(values, found, positions, phase.tap_polynomials(n_tap, occupancy=0.6))
+    interpolation.resample_rows(values, found, positions, interpolation.tap_polynomials(n_tap, occupancy=0.6))
     assert nearest_sums_differ(values[0], found[0] / np.sqrt(slope), position, n_tap) < 4e-5 * np.sqrt(n_tap)
 
 
@@ -479,11 +484,11 @@ def test_a_straight_curve_is_a_stretch(scale: float) -> None:
     """But for the gain; the highest orders may be zero."""
     n, middle = 1201, 400.25
     values = np.fft.ifft(np.fft.fft(noise(1, n)) * (np.abs(np.fft.fftfreq(n)) < 0.25)).astype(np.complex64)
-    taps = phase.tap_polynomials(20, occupancy=0.6)
+    taps = interpolation.tap_polynomials(20, occupancy=0.6)
     stretched, resampled = np.empty_like(values), np.empty_like(values)
-    phase.stretch_rows(values, stretched, np.array([scale]), middle, taps)
+    interpolation.stretch_rows(values, stretched, np.array([scale]), middle, taps)
     positions = np.array([[middle + (n // 2 - middle) * scale, scale * n / 2, *np.zeros(11)]])
-    phase.resample_rows(values, resampled, positions, taps)
+    interpolation.resample_rows(values, resampled, positions, taps)
     position = middle + (np.arange(n) - middle) * scale
     inside = (position > 10) & (position < n - 12)  # where the row is cut off, one sample's weights are not another's
     assert largest((resampled - stretched / np.sqrt(scale))[0, inside]) < 2e-5 * largest(values)
@@ -494,21 +499,23 @@ def test_positions_of_the_samples_give_the_samples_back(n: int) -> None:
     values = noise(1, n)
     found = np.empty_like(values)
     for n_tap, occupancy in ((8, 0.5), (16, 0.8)):
-        taps = phase.tap_polynomials(n_tap, occupancy=occupancy)
-        phase.resample_rows(values, found, np.array([[n // 2, n / 2, 0.0]]), taps)
-        at_sample = np.abs(phase.interpolation_taps(n_tap, occupancy=occupancy)[0] - np.eye(n_tap)[n_tap // 2 - 1])
+        taps = interpolation.tap_polynomials(n_tap, occupancy=occupancy)
+        interpolation.resample_rows(values, found, np.array([[n // 2, n / 2, 0.0]]), taps)
+        at_sample = np.abs(
+            interpolation.interpolation_taps(n_tap, occupancy=occupancy)[0] - np.eye(n_tap)[n_tap // 2 - 1]
+        )
         assert largest(found - values) <= (at_sample.sum() + 1e-5 * n_tap) * largest(values)
 
 
 def test_a_resampled_row_does_not_depend_on_the_others() -> None:
     values = noise(7, 1500)
     positions = np.concatenate([curve(1500, 1 + (k - 3) * np.array([0.03, -0.01, 0.04, 0.02])) for k in range(7)])
-    taps = phase.tap_polynomials(12, occupancy=0.7)
+    taps = interpolation.tap_polynomials(12, occupancy=0.7)
     together = np.empty_like(values)
-    phase.resample_rows(values, together, positions, taps)
+    interpolation.resample_rows(values, together, positions, taps)
     for row in range(7):
         alone = np.full((1, 1510), 7, np.complex64)
-        phase.resample_rows(values[row : row + 1], alone, positions[row : row + 1], taps)
+        interpolation.resample_rows(values[row : row + 1], alone, positions[row : row + 1], taps)
         np.testing.assert_array_equal(alone[0, :1500], together[row])
         assert (alone[0, 1500:] == 7).all()
 
@@ -518,20 +525,20 @@ def test_a_resampled_row_does_not_depend_on_the_others() -> None:
 )
 @pytest.mark.parametrize("n", [50, 3000])
 def test_a_curve_that_is_too_steep_or_too_flat_is_refused(n: int, slopes: list[float]) -> None:
-    taps = phase.tap_polynomials(4, occupancy=0.5)
+    taps = interpolation.tap_polynomials(4, occupancy=0.5)
     positions = np.full((1, 3), np.nan) if np.isnan(slopes[-1]) else curve(n, np.array(slopes))
     with pytest.raises(ValueError, match="positions"):
-        phase.resample_rows(noise(1, n), np.empty((1, n), np.complex64), positions, taps)
+        interpolation.resample_rows(noise(1, n), np.empty((1, n), np.complex64), positions, taps)
 
 
 def test_positions_that_are_no_curves_of_the_rows_are_refused() -> None:
-    taps, values, out = phase.tap_polynomials(4, occupancy=0.5), noise(2, 50), np.empty((2, 50), np.complex64)
+    taps, values, out = interpolation.tap_polynomials(4, occupancy=0.5), noise(2, 50), np.empty((2, 50), np.complex64)
     for positions in ([[25.0, 25.0]], [[25.0, 25.0]] * 3, [[25.0], [25.0]]):
         with pytest.raises(ValueError, match="one polynomial a row"):
-            phase.resample_rows(values, out, np.array(positions), taps)
+            interpolation.resample_rows(values, out, np.array(positions), taps)
     for place in (np.nan, np.inf, -1e12):
         with pytest.raises(ValueError, match="near the row"):
-            phase.resample_rows(values, out, np.array([[25.0, 25.0], [place, 25.0]]), taps)
+            interpolation.resample_rows(values, out, np.array([[25.0, 25.0], [place, 25.0]]), taps)
 
 
 # -- the compiler -------------------------------------------------------------------------------------------
@@ -540,9 +547,10 @@ def test_positions_that_are_no_curves_of_the_rows_are_refused() -> None:
 def test_a_second_process_compiles_nothing() -> None:
     """The loops come from numba's cache: nothing is saved to it that was not there."""
     program = (
-        "import blocksar.phase as p; print([sum(f.stats.cache_misses.values()) for f in (p._rotate, p.rotate_scaled,"
+        "from blocksar.kernels import interpolation as i, phase as p; "
+        "loops = p._rotate, p.rotate_scaled, p.gather_columns, p.scatter_columns, i.stretch_rows, i.resample_rows; "
+        "print([sum(f.stats.cache_misses.values()) for f in loops])"
     )
-    program += " p.gather_columns, p.scatter_columns, p.stretch_rows, p.resample_rows)])"
     found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=100)
     assert found.stdout.strip() == "[0, 0, 0, 0, 0, 0]"
 

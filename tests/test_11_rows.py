@@ -11,11 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference_steps import explicit_transform
 
-from blocksar import phase, rows
-from blocksar.fourier import Axis, centred, dual
-from blocksar.parameters import ComplexArray
-from blocksar.phase import Phase
-from blocksar.rows import Layout, Operation, Program, Resample, ScaledTurn, Stretch, Transform, Turn, Window
+from blocksar.arrays import ComplexArray
+from blocksar.kernels import groups, interpolation, rows
+from blocksar.kernels.fourier import Axis, centred, dual
+from blocksar.kernels.operations import Operation, Resample, ScaledTurn, Stretch, Transform, Turn, Window
+from blocksar.kernels.phase import Phase
+from blocksar.kernels.rows import Layout, Program
 
 ROUNDING = 5e-7  # of complex64 through a transform, relative to the largest sample's scale
 
@@ -161,7 +162,7 @@ def resampling(n_row: int, n: int) -> Resample:
     """About the middle of the row, by 0.9 to 1.1 samples a sample."""
     bend = np.random.default_rng(n).uniform(-0.02, 0.02, (n_row, 3)) / [2, 3, 4]
     positions = n / 2 * np.column_stack([np.full(n_row, 1.0), np.full(n_row, 1.01), bend])
-    return Resample(positions, phase.tap_polynomials(TAPS, occupancy=OCCUPANCY))
+    return Resample(positions, interpolation.tap_polynomials(TAPS, occupancy=OCCUPANCY))
 
 
 def long_program(n_row: int) -> tuple[list[Operation], Axis, Axis]:
@@ -184,7 +185,7 @@ def long_program(n_row: int) -> tuple[list[Operation], Axis, Axis]:
         Window(windows, rng.integers(0, 2, n_row)),
         Turn(Phase(rng.uniform(-1, 1, (n_row, 2)), centre=50.0, scale=500.0)),
         Transform(doppler, long, inverse=True),
-        Stretch(rng.uniform(0.98, 1.02, n_row), 120.0, phase.tap_polynomials(TAPS, occupancy=OCCUPANCY)),
+        Stretch(rng.uniform(0.98, 1.02, n_row), 120.0, interpolation.tap_polynomials(TAPS, occupancy=OCCUPANCY)),
         resampling(n_row, 256),
         Turn(Phase(rng.uniform(-9, 9, (n_row, 10)), centre=0.28, scale=0.2)),
         Turn(Phase(rng.uniform(-1e5, 1e5, (1, 1)), centre=0.0, scale=1.0)),
@@ -224,7 +225,7 @@ def test_a_window_comes_first_or_a_stretch_or_a_curve() -> None:
     x = np.fft.ifft(spectrum, axis=1).astype(np.complex64)
     given = x.copy()
     window = Window(noise(2, 200), np.array([0, 1, 1, 0, 1, 0]))
-    stretch = Stretch(np.linspace(0.99, 1.01, 6), 100.0, phase.tap_polynomials(TAPS, occupancy=OCCUPANCY))
+    stretch = Stretch(np.linspace(0.99, 1.01, 6), 100.0, interpolation.tap_polynomials(TAPS, occupancy=OCCUPANCY))
     curve = resampling(6, 200)
     pairs: list[list[Operation]] = [[stretch, window], [window, window], [stretch, stretch], [curve, stretch]]
     for operations in ([window], [stretch], [curve], *pairs):
@@ -381,14 +382,14 @@ def test_inputs_are_not_written_to() -> None:
 @settings(max_examples=100, deadline=None)
 @given(first=st.integers(0, 50), count=st.integers(0, 3000), length=st.integers(1, 300_000), columns=st.booleans())
 def test_groups_cover_the_rows_once_each(first: int, count: int, length: int, columns: bool) -> None:
-    groups = rows.row_groups(first, first + count, length, columns=columns)
-    assert [i for group in groups for i in range(group.start, group.stop)] == list(range(first, first + count))
-    multiple = 2 * rows.GROUP_ROWS if columns else rows.GROUP_ROWS
-    sizes = [group.stop - group.start for group in groups]
+    some = groups.row_groups(first, first + count, length, columns=columns)
+    assert [i for group in some for i in range(group.start, group.stop)] == list(range(first, first + count))
+    multiple = 2 * groups.GROUP_ROWS if columns else groups.GROUP_ROWS
+    sizes = [group.stop - group.start for group in some]
     assert all(size % multiple == 0 for size in sizes[:-1])
     assert len(set(sizes[:-1])) <= 1
-    assert all(size <= max(rows.GROUP_BYTES / (8 * length), multiple) for size in sizes)
-    assert all(one.stop == next_one.start for one, next_one in pairwise(groups))
+    assert all(size <= max(groups.GROUP_BYTES / (8 * length), multiple) for size in sizes)
+    assert all(one.stop == next_one.start for one, next_one in pairwise(some))
 
 
 @pytest.mark.parametrize("threads", [1, 4])
@@ -401,7 +402,7 @@ def test_a_failure_in_a_group_is_not_lost(threads: int) -> None:
         done.append(group.start)
 
     with pytest.raises(ZeroDivisionError):
-        rows.run_groups(work, [slice(i, i + 1) for i in range(4)], threads)
+        groups.run_groups(work, [slice(i, i + 1) for i in range(4)], threads)
     done.clear()
-    rows.run_groups(work, [slice(i, i + 1) for i in range(3, 9)], threads)
+    groups.run_groups(work, [slice(i, i + 1) for i in range(3, 9)], threads)
     assert sorted(done) == list(range(3, 9))

@@ -11,12 +11,13 @@ from numpy.polynomial import polynomial as power
 from numpy.polynomial.legendre import leggauss
 from reference_steps import collection
 
-from blocksar import fourier, rows
-from blocksar.fitting import range_series, yaw_series
-from blocksar.fourier import Axis
-from blocksar.geometry import Geometry
-from blocksar.lines import Line, RowPolynomial, focus, row_polynomial
-from blocksar.parameters import SPEED_OF_LIGHT, FloatArray
+from blocksar.arrays import FloatArray
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.range_series import range_series, yaw_series
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.focusing.lines import Line, RowPolynomial, focus, row_polynomial
+from blocksar.kernels import fourier, rows
+from blocksar.kernels.fourier import Axis
 
 # -- phases along rows --------------------------------------------------------------------------------------
 

@@ -7,11 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from blocksar import closed_form, fitting, fourier, phase
-from blocksar.fitting import Candidate, Freedom
-from blocksar.lines import Line, focus
-from blocksar.parameters import SPEED_OF_LIGHT, FloatArray
-from blocksar.range_steps import DopplerCompression
+from blocksar.arrays import FloatArray
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.focusing.lines import Line, focus
+from blocksar.focusing.range_steps import DopplerCompression
+from blocksar.kernels import fourier, solvers
+from blocksar.planning import closed_form, fitting
+from blocksar.planning.fitting import Candidate, Freedom
 
 CARRIER = 15e9
 LAMBDA = SPEED_OF_LIGHT / CARRIER
@@ -198,14 +200,14 @@ def test_least_squares_is_least_squares() -> None:
     rng = np.random.default_rng(1)
     terms, values = rng.standard_normal((4, 50)), rng.standard_normal(50)
     wanted = np.linalg.lstsq(terms.T, values, rcond=None)[0]
-    np.testing.assert_allclose(fitting.least_squares(terms, values), wanted, atol=1e-12)
+    np.testing.assert_allclose(solvers.least_squares(terms, values), wanted, atol=1e-12)
 
 
 def test_power_coefficients_through_nodes() -> None:
     rng = np.random.default_rng(2)
     wanted = rng.standard_normal((10, 3))
     nodes = np.polynomial.chebyshev.chebpts1(10)
-    found = phase.through_nodes(np.polynomial.polynomial.polyval(nodes, wanted).T)
+    found = solvers.through_nodes(np.polynomial.polynomial.polyval(nodes, wanted).T)
     np.testing.assert_allclose(found, wanted, atol=1e-11)
 
 
@@ -251,7 +253,7 @@ def test_on_a_straight_track_the_correction_is_paper_c_s() -> None:
     f = np.linspace(-half, half, 200)
     root = phi(0, f)
     pace = -crossing_range * COS * (CARRIER / SPEED_OF_LIGHT) ** 2 / (2 * SPEED**2 * root**3)  # dt/df = R0 A'(f)
-    fitted = fitting.least_squares((f / half) ** np.arange(7)[:, None], pace)
+    fitted = solvers.least_squares((f / half) ** np.arange(7)[:, None], pace)
     step = DopplerCompression(
         doppler=doppler, carrier=CARRIER, range_frequency=frequency, pace=fitted, half=half,
         rows=fourier.dual(frequency, size=64, centre=0.0),

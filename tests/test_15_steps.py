@@ -28,20 +28,19 @@ from reference_steps import (
     taper,
 )
 
-from blocksar import fourier, rows
-from blocksar.azimuth_steps import (
+from blocksar.arrays import FloatArray
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.focusing.azimuth_steps import (
     AzimuthTransform,
     DopplerResampling,
     DopplerTransform,
     DwellGate,
     FrequencyPerturbation,
 )
-from blocksar.chains import steps_of
-from blocksar.fourier import Axis
-from blocksar.lines import Line, RowPolynomial, focus
-from blocksar.method import Method
-from blocksar.parameters import SPEED_OF_LIGHT, FloatArray
-from blocksar.range_steps import (
+from blocksar.focusing.chains import steps_of
+from blocksar.focusing.lines import Line, RowPolynomial, focus
+from blocksar.focusing.method import Method
+from blocksar.focusing.range_steps import (
     Compression,
     DopplerCompression,
     Keystone,
@@ -49,6 +48,8 @@ from blocksar.range_steps import (
     RangeGate,
     ResidualRangeWalk,
 )
+from blocksar.kernels import fourier, rows
+from blocksar.kernels.fourier import Axis
 
 GEOMETRIES: dict[str, dict[str, Any]] = {
     "table 1": {},

@@ -12,14 +12,19 @@ import pytest
 import reference
 from reference_steps import collection, explicit_transform, taper, target_at
 
-from blocksar import fourier, rows
-from blocksar.fourier import Axis
-from blocksar.geometry import Geometry
-from blocksar.parameters import SPEED_OF_LIGHT, Collection, ComplexArray, FloatArray, InputError
-from blocksar.recovery import COMPRESSED_ROWS, RawCompression, Recovery, recover_columns
-from blocksar.recovery_plan import plan_recovery
-from blocksar.region import Grid, plan_region
-from blocksar.simulation import simulate_pulses
+from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.grid import Grid
+from blocksar.collection.region import plan_region
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.errors import InputError
+from blocksar.focusing.range_compression import COMPRESSED_ROWS, RawCompression
+from blocksar.focusing.recovery import Recovery, recover_columns
+from blocksar.kernels import fourier, rows
+from blocksar.kernels.fourier import Axis
+from blocksar.planning.recovery import plan_recovery
+from blocksar.simulation.scatterers import simulate_pulses
 
 COLUMNS = slice(None, None, 13)  # some range frequencies, the first and nearly the last of them
 

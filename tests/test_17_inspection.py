@@ -13,28 +13,20 @@ import scenes
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from blocksar.fourier import Axis
-from blocksar.geometry import Geometry
-from blocksar.inspection import (
-    SEGMENTS,
-    Expectation,
-    Inspection,
-    centroid,
-    disagreement,
-    expect,
-    inspect,
-    lines,
-    merge,
-    refusal,
-    saturated,
-    strike,
-)
-from blocksar.parameters import Collection, ComplexArray, FloatArray, InputError
-from blocksar.recovery import Recovery
-from blocksar.recovery_plan import plan_recovery
-from blocksar.region import Grid, Region, plan_region
-from blocksar.scene import Scene
-from blocksar.simulation import simulate_pulses
+from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.grid import Grid
+from blocksar.collection.region import Region, plan_region
+from blocksar.errors import InputError
+from blocksar.focusing.recovery import Recovery
+from blocksar.inspection.centroid import Expectation, centroid, disagreement, expect
+from blocksar.inspection.samples import SEGMENTS, Inspection, inspect, merge, strike
+from blocksar.inspection.sentences import lines, refusal, saturated
+from blocksar.kernels.fourier import Axis
+from blocksar.planning.recovery import plan_recovery
+from blocksar.simulation.scatterers import simulate_pulses
+from blocksar.simulation.scene import Scene
 
 CARRIER, STEP = 10e9, 1e6  # Hz
 N_SCATTERER = 400  # of clutter: as many as are summed directly

@@ -15,12 +15,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference_steps import Planned, collection, line_of, planned, signal_of, slab_of, target_at
 
-from blocksar import phase
-from blocksar.ground import GroundMap, Surface, correct, covers, fit_surface
-from blocksar.lines import focus
-from blocksar.parameters import ComplexArray, FloatArray
-from blocksar.planning import TAP_ERROR
-from blocksar.region import lit_pulses
+from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.collection.beam import lit_pulses
+from blocksar.focusing.correction import correct, covers
+from blocksar.focusing.ground_map import GroundMap, Surface, fit_surface
+from blocksar.focusing.lines import focus
+from blocksar.kernels import interpolation
+from blocksar.planning.block import TAP_ERROR
 
 LEVEL = 1300.0  # pulses light a target: images are brought to about 1 before they are compared
 
@@ -100,7 +101,7 @@ def test_every_pixel_is_the_blocks_value_where_it_focuses(step: float, yaw_deg: 
 
 def weigh(positions: FloatArray, taps: tuple[int, float], n: int) -> tuple[FloatArray, FloatArray]:
     """First sample and weights (n_position, n_tap) of each window; first is -1 where it leaves the n samples."""
-    table = phase.interpolation_taps(taps[0], occupancy=taps[1]).astype(np.float64)
+    table = interpolation.interpolation_taps(taps[0], occupancy=taps[1]).astype(np.float64)
     whole = np.floor(positions)
     fine = (positions - whole) * (table.shape[0] - 1)
     row = np.minimum(fine.astype(int), table.shape[0] - 2)
@@ -435,15 +436,15 @@ def test_what_is_compiled_once_is_all_that_is_used() -> None:
     """`compile_kernels` fills the cache for blocks, maps and pixels as they come to a worker: read-only or not."""
     script = """
 import pickle, sys
-from blocksar import ground
-ground.compile_kernels()
-loops = ground._resample, ground._sum_series
+from blocksar.focusing import correction, ground_map
+correction.compile_kernels()
+loops = correction._resample, ground_map.sum_series
 compiled = [len(loop.signatures) for loop in loops]
 block, cases, x, y = pickle.load(sys.stdin.buffer)
 for array in (block, x, y):
     array.flags.writeable = False
 for case in cases:
-    ground.correct(block, case, x=x, y=y)
+    correction.correct(block, case, x=x, y=y)
 assert [len(loop.signatures) for loop in loops] == compiled
 assert not any(loop.stats.cache_misses for loop in loops) or "fresh" in sys.argv
 """

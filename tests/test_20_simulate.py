@@ -12,19 +12,14 @@ import reference
 import scipy.fft
 
 from blocksar import stores
-from blocksar.geometry import Geometry
-from blocksar.parameters import SPEED_OF_LIGHT, Collection, InputError
-from blocksar.scene import Scene
-from blocksar.simulation import (
-    DIRECT_LIMIT,
-    chirp_spectrum,
-    field,
-    noise,
-    phase_history,
-    raw_echo,
-    simulate,
-    simulate_pulses,
-)
+from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.errors import InputError
+from blocksar.kernels.chirp import chirp_spectrum
+from blocksar.simulation.phase_history import noise, simulate
+from blocksar.simulation.scatterers import DIRECT_LIMIT, field, phase_history, raw_echo, simulate_pulses
+from blocksar.simulation.scene import Scene
 
 SCENE = """
 title = "small"

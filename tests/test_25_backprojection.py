@@ -12,8 +12,13 @@ import pytest
 from numba import njit
 from reference_bp import back_projection
 
-from blocksar import backprojection
-from blocksar.backprojection import (
+from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.errors import InputError
+from blocksar.focusing import backprojection
+from blocksar.focusing.backprojection import (
     accumulate,
     form_image,
     form_points,
@@ -23,9 +28,7 @@ from blocksar.backprojection import (
     range_profiles,
     spline_error,
 )
-from blocksar.geometry import Geometry
-from blocksar.parameters import SPEED_OF_LIGHT, Collection, ComplexArray, FloatArray, InputError
-from blocksar.simulation import simulate_pulses
+from blocksar.simulation.scatterers import simulate_pulses
 
 TURN = 2 * np.pi
 

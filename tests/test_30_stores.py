@@ -23,8 +23,11 @@ import xarray as xr
 import zarr
 
 from blocksar import stores
-from blocksar.parameters import Collection, InputError, ProcessingError
-from blocksar.places import LocalPlace, place
+from blocksar.collection.collection import Collection
+from blocksar.collection.raw_echo import RawEcho
+from blocksar.errors import InputError, ProcessingError
+from blocksar.places import place
+from blocksar.places.local import LocalPlace
 from blocksar.stores import chunk_files, creation
 
 SAMPLES = stores.Variable(("pulse", "range_frequency"), "complex64", "1", "samples")
@@ -85,10 +88,10 @@ def own(small_collection: Collection, tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def echo(small_collection: Collection) -> stores.RawEcho:
+def echo(small_collection: Collection) -> RawEcho:
     rate = 60e6
     fast_time = 80e-6 + np.arange(1200) / rate
-    return stores.RawEcho(fast_time=fast_time, chirp_rate=5e12, pulse_width=10e-6, sampling_rate=rate)
+    return RawEcho(fast_time=fast_time, chirp_rate=5e12, pulse_width=10e-6, sampling_rate=rate)
 
 
 def same(a: Collection, b: Collection) -> bool:
@@ -178,7 +181,7 @@ def test_xarray_opens_every_store_without_a_warning(own: Path, tmp_path: Path, o
     assert set(ds.coords) == {"time", "range_frequency"} and ds["time"].dtype == np.float64
 
 
-def test_raw_echo_comes_back(small_collection: Collection, echo: stores.RawEcho, tmp_path: Path) -> None:
+def test_raw_echo_comes_back(small_collection: Collection, echo: RawEcho, tmp_path: Path) -> None:
     fields = small_collection.as_dict() | {"range_frequency": echo.range_frequency}
     stores.create_phase_history(tmp_path / "raw.zarr", Collection(**fields), raw=echo)
     history = stores.open_phase_history(tmp_path / "raw.zarr")
@@ -191,7 +194,7 @@ def test_raw_echo_comes_back(small_collection: Collection, echo: stores.RawEcho,
     assert np.isnan(history.read(slice(0, 4), slice(1000, 1200))).all()
 
 
-def test_raw_range_frequencies_are_the_transform_grid_within_the_chirp_band(echo: stores.RawEcho) -> None:
+def test_raw_range_frequencies_are_the_transform_grid_within_the_chirp_band(echo: RawEcho) -> None:
     f = echo.range_frequency
     assert f[0] == -25e6 and f[-1] == 25e6  # the band's edge is a grid point here, and belongs to it
     assert np.allclose(np.diff(f), 60e6 / 1200) and 0.0 in f
@@ -209,10 +212,10 @@ def test_raw_range_frequencies_are_the_transform_grid_within_the_chirp_band(echo
         ({"fast_time": np.zeros(9)}, "fast_time"),
     ],
 )
-def test_raw_echo_is_checked_at_birth(echo: stores.RawEcho, change: dict[str, Any], words: str) -> None:
+def test_raw_echo_is_checked_at_birth(echo: RawEcho, change: dict[str, Any], words: str) -> None:
     fields = {name: getattr(echo, name) for name in echo.__dataclass_fields__}
     with pytest.raises(InputError, match=words):
-        stores.RawEcho(**(fields | change))
+        RawEcho(**(fields | change))
 
 
 def test_phase_history_pickles_small(own: Path) -> None:
@@ -670,7 +673,7 @@ def test_departures_from_the_contract_are_refused(name: str, small_collection: C
     ("attr", "words"), [("chirp_rate", "chirp_rate is missing"), ("pulse_width", "pulse_width is missing")]
 )
 def test_raw_echo_needs_its_chirp(
-    small_collection: Collection, echo: stores.RawEcho, tmp_path: Path, attr: str, words: str
+    small_collection: Collection, echo: RawEcho, tmp_path: Path, attr: str, words: str
 ) -> None:
     path = tmp_path / "raw.zarr"
     stores.create_phase_history(path, small_collection, raw=echo)

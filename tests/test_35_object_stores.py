@@ -12,7 +12,6 @@ import subprocess
 import sys
 import threading
 import time
-import urllib.error
 import urllib.request
 import warnings
 from collections.abc import Callable, Iterator
@@ -31,10 +30,15 @@ from scenes import scene
 from zarr.storage import ObjectStore
 
 import blocksar
-from blocksar import places, stores
-from blocksar.cluster import open_client
-from blocksar.parameters import Collection, InputError, ProcessingError
-from blocksar.places import LocalPlace, ObjectPlace, Place, place
+from blocksar import stores
+from blocksar.collection.collection import Collection
+from blocksar.collection.raw_echo import RawEcho
+from blocksar.errors import InputError, ProcessingError
+from blocksar.graph.cluster import open_client
+from blocksar.places import objects, place
+from blocksar.places.local import LocalPlace
+from blocksar.places.objects import ObjectPlace
+from blocksar.places.place import Place
 from blocksar.stores import regions
 
 ALL = (slice(None), slice(None))
@@ -65,13 +69,13 @@ def unreached(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
 def endpoint(port: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     """Another one for a while, with one more try where it fails."""
     with monkeypatch.context() as patch:
-        patch.setattr(places, "RETRIES", 1)
+        patch.setattr(objects, "RETRIES", 1)
         patch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{port}")
-        places._bucket.cache_clear()
+        objects._bucket.cache_clear()
         try:
             yield f"http://127.0.0.1:{port}"
         finally:
-            places._bucket.cache_clear()
+            objects._bucket.cache_clear()
 
 
 def noise(shape: tuple[int, ...], seed: int = 0) -> np.ndarray:
@@ -162,7 +166,7 @@ def test_regions_are_written_as_whole_chunks(there: Place) -> None:
 @pytest.mark.parametrize("raw", [False, True])
 def test_phase_history_comes_back(raw: bool, small_collection: Collection, there: Place) -> None:
     fast_time = 80e-6 + np.arange(1200) / 60e6
-    echo = stores.RawEcho(fast_time=fast_time, chirp_rate=5e12, pulse_width=10e-6, sampling_rate=60e6)
+    echo = RawEcho(fast_time=fast_time, chirp_rate=5e12, pulse_width=10e-6, sampling_rate=60e6)
     collection = small_collection
     if raw:
         collection = Collection(**small_collection.as_dict() | {"range_frequency": echo.range_frequency})
@@ -502,8 +506,8 @@ def test_an_endpoint_out_of_reach(small_collection: Collection, there: Place, un
 
 def test_an_endpoint_that_falls_silent(small_collection: Collection, there: Place, monkeypatch: Any) -> None:
     found = history(there, small_collection)
-    monkeypatch.setattr(places, "REQUEST", "1s")
-    monkeypatch.setattr(places, "PATIENCE", 1.0)
+    monkeypatch.setattr(objects, "REQUEST", "1s")
+    monkeypatch.setattr(objects, "PATIENCE", 1.0)
     with (
         socket.create_server(("127.0.0.1", 0)) as listener,
         endpoint(listener.getsockname()[1], monkeypatch),

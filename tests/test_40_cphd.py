@@ -12,27 +12,31 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from lxml import etree
 from numpy.typing import NDArray
+from sarkit import cphd as skcphd
+from sarkit.verification import CphdConsistency
 from scenes import scene as scene_text
 from typer.testing import CliRunner
 
-pytest.importorskip("sarkit", reason="the extra `formats` is not installed")
-
-from lxml import etree
-from sarkit import cphd as skcphd
-from sarkit.verification import CphdConsistency
-
 import blocksar
-from blocksar import api, cli, cphd, cphd_simulation, stores
-from blocksar.backprojection import form_image
-from blocksar.cphd import ingestion
-from blocksar.cphd.files import CphdFile
-from blocksar.cphd.samples import ACCURACY
-from blocksar.geometry import Geometry
-from blocksar.georeference import Georeference
-from blocksar.parameters import SPEED_OF_LIGHT, Collection, InputError
-from blocksar.scene import Scene
-from blocksar.simulation import simulate_pulses
+from blocksar import api, stores
+from blocksar.cli import commands
+from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.georeference import Georeference
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.errors import InputError
+from blocksar.focusing.backprojection import form_image
+from blocksar.ingestion import cphd
+from blocksar.ingestion.cphd import ingestion
+from blocksar.ingestion.cphd.files import CphdFile
+from blocksar.ingestion.cphd.samples import ACCURACY
+from blocksar.simulation import cphd as cphd_simulation
+from blocksar.simulation.scatterers import simulate_pulses
+from blocksar.simulation.scene import Scene
+
+pytest.importorskip("sarkit", reason="the extra `formats` is not installed")
 
 Array = NDArray[Any]
 
@@ -1030,9 +1034,9 @@ def test_the_commands(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     runner, file, store = CliRunner(), str(tmp_path / "a.cphd"), str(tmp_path / "a.zarr")
     words = ["simulate", str(tmp_path / "scene.toml"), "--out", file, "--cphd", "--origin", "10,20,30", "--quiet"]
     with caplog.at_level(logging.WARNING):
-        assert runner.invoke(cli.app, words).exit_code == 0
+        assert runner.invoke(commands.app, words).exit_code == 0
     assert not caplog.records  # sarkit has nothing to say either
-    done = runner.invoke(cli.app, ["ingest", "cphd", file, "--out", store])
+    done = runner.invoke(commands.app, ["ingest", "cphd", file, "--out", store])
     assert (done.exit_code, store in done.output) == (0, True)
     assert "latitude 10.0000000, longitude 20.0000000, height 30.00 m" in done.output
     assert stores.open_phase_history(store).shape[0] == 160
@@ -1043,7 +1047,7 @@ def test_the_commands(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
         ("simulate", "table1", "--out", str(tmp_path / "b"), "--cphd", "--raw"): "leave out one",
         ("simulate", "table1", "--out", str(tmp_path / "b"), "--cphd", "--origin", "north"): "not three numbers",
     }.items():
-        told = runner.invoke(cli.app, list(wrong))
+        told = runner.invoke(commands.app, list(wrong))
         assert told.exit_code == 2
         assert message in told.output
     with pytest.raises(InputError, match="kind is 'sicd'"):

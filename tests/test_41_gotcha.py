@@ -20,16 +20,24 @@ from numpy.polynomial import chebyshev
 from scipy.io import savemat
 from typer.testing import CliRunner
 
-from blocksar import api, cli, gotcha, recovery_plan, stores
-from blocksar.backprojection import form_image
-from blocksar.geometry import Geometry
-from blocksar.matfile import read_struct
-from blocksar.measurement import Target, coherence
-from blocksar.parameters import SPEED_OF_LIGHT, Collection, InputError
-from blocksar.planning import plan_collection
-from blocksar.region import Grid
-from blocksar.resampling import plan_resampling
-from blocksar.simulation import simulate_pulses
+from blocksar import api, places, stores
+from blocksar.cli import commands
+from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.grid import Grid
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.errors import InputError
+from blocksar.focusing import recovery
+from blocksar.focusing.backprojection import form_image
+from blocksar.ingestion.gotcha import files, ingestion
+from blocksar.ingestion.gotcha.matfile import read_struct
+from blocksar.ingestion.resampling import plan_resampling
+from blocksar.measurement.coherence import coherence
+from blocksar.measurement.targets import Target
+from blocksar.planning import recovery as recovery_planning
+from blocksar.planning import target_lines
+from blocksar.planning.plan import plan_collection
+from blocksar.simulation.scatterers import simulate_pulses
 
 N_FREQUENCY = 48
 FREQUENCY = 9.6e9 + 1.5e6 * (np.arange(N_FREQUENCY) - N_FREQUENCY // 2)  # Hz
@@ -106,7 +114,7 @@ def samples(path: Path) -> np.ndarray:
 
 def test_files_in_any_order_are_joined_in_azimuth(tmp_path: Path) -> None:
     paths = written(tmp_path, *np.split(circle(AZIMUTH), 3))
-    made = gotcha.ingest([paths[2], paths[0], paths[1]], tmp_path / "ph.zarr")
+    made = ingestion.ingest([paths[2], paths[0], paths[1]], tmp_path / "ph.zarr")
     wanted = collection_at(circle(AZIMUTH))
     history = stores.open_phase_history(tmp_path / "ph.zarr")
     found = history.collection
@@ -126,7 +134,7 @@ def test_files_in_any_order_are_joined_in_azimuth(tmp_path: Path) -> None:
 def test_the_circle_has_no_seam(tmp_path: Path, turn: float) -> None:
     """Files on either side of azimuth zero are neighbours; a flight the other way round is sorted."""
     position = circle(AZIMUTH + turn * STEP * 90)[::-1]
-    made = gotcha.ingest(written(tmp_path, *np.split(position, 2)), tmp_path / "ph.zarr")
+    made = ingestion.ingest(written(tmp_path, *np.split(position, 2)), tmp_path / "ph.zarr")
     assert np.abs(made.collection.antenna_position - position[::-1]).max() < 3e-4
     assert np.array_equal(samples(tmp_path / "ph.zarr"), simulate_pulses(collection_at(position[::-1]), *SCENE))
 
@@ -134,13 +142,13 @@ def test_the_circle_has_no_seam(tmp_path: Path, turn: float) -> None:
 def test_pulses_that_are_there_twice_go_once(tmp_path: Path) -> None:
     position = circle(AZIMUTH)
     paths = written(tmp_path, position[:50], position[40:])
-    gotcha.ingest([*paths, paths[0]], tmp_path / "ph.zarr")
+    ingestion.ingest([*paths, paths[0]], tmp_path / "ph.zarr")
     assert np.array_equal(samples(tmp_path / "ph.zarr"), simulate_pulses(collection_at(position), *SCENE))
 
 
 def test_a_few_lost_pulses_are_missing(tmp_path: Path) -> None:
     position = circle(AZIMUTH)
-    made = gotcha.ingest(written(tmp_path, position[:40], position[45:]), tmp_path / "ph.zarr")
+    made = ingestion.ingest(written(tmp_path, position[:40], position[45:]), tmp_path / "ph.zarr")
     wanted = simulate_pulses(collection_at(position), *SCENE)
     wanted[40:45] = np.nan
     assert np.array_equal(samples(tmp_path / "ph.zarr"), wanted, equal_nan=True)
@@ -149,10 +157,10 @@ def test_a_few_lost_pulses_are_missing(tmp_path: Path) -> None:
 
 
 def test_chunks_of_pulses_are_gathered_across_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for holder in (stores, stores.collections):
+    for holder in (ingestion, stores.phase_history):
         monkeypatch.setattr(holder, "TILE", (16, 1024))
     told: list[tuple[int, int]] = []
-    gotcha.ingest(
+    ingestion.ingest(
         written(tmp_path, *np.split(circle(AZIMUTH), 9)), tmp_path / "ph.zarr", progress=lambda *n: told.append(n)
     )
     assert np.array_equal(samples(tmp_path / "ph.zarr"), simulate_pulses(collection_at(circle(AZIMUTH)), *SCENE))
@@ -162,7 +170,7 @@ def test_chunks_of_pulses_are_gathered_across_files(tmp_path: Path, monkeypatch:
 def test_track_figures_are_told(tmp_path: Path) -> None:
     """A wobble of 4 mm that no polynomial follows, up and down: it is the misfit, and nearly nothing is left of it."""
     wobble = 0.004 * np.sin(2.0 * np.arange(90))
-    made = gotcha.ingest(written(tmp_path, circle(AZIMUTH, HEIGHT + wobble)), tmp_path / "ph.zarr")
+    made = ingestion.ingest(written(tmp_path, circle(AZIMUTH, HEIGHT + wobble)), tmp_path / "ph.zarr")
     line = next(line for line in made.said if line.startswith("track"))
     track = Geometry(collection=made.collection).track
     assert f"order {track.order} misses" in line
@@ -178,7 +186,7 @@ def test_r0_stays_where_it_is_not_the_distance(tmp_path: Path) -> None:
     record = record_of(position)
     record["r0"] = record["r0"].astype(np.float64) + 3.0
     (tmp_path / "a.mat").write_bytes(packed(record))
-    made = gotcha.ingest(tmp_path / "a.mat", tmp_path / "ph.zarr")
+    made = ingestion.ingest(tmp_path / "a.mat", tmp_path / "ph.zarr")
     assert np.abs(made.collection.reference_range - np.linalg.norm(position, axis=1) - 3).max() < 2e-3
 
 
@@ -229,7 +237,7 @@ def test_resampling_refuses(wrong: dict[str, Any]) -> None:
 def test_uneven_pulses_become_uniform_within_the_error_told(tmp_path: Path) -> None:
     random = np.random.default_rng(3)
     azimuth = STEP * (np.arange(300) + random.uniform(-0.2, 0.2, 300))
-    made = gotcha.ingest(written(tmp_path, *np.split(circle(azimuth), 2)), tmp_path / "ph.zarr")
+    made = ingestion.ingest(written(tmp_path, *np.split(circle(azimuth), 2)), tmp_path / "ph.zarr")
     found = made.collection
     steps = np.diff(np.arctan2(found.antenna_position[:, 1], found.antenna_position[:, 0]))
     assert np.ptp(steps) < 1e-3 * STEP  # uniform now
@@ -352,7 +360,7 @@ def test_a_damaged_file_is_refused_in_one_sentence(tmp_path: Path, record: Recor
     file = tmp_path / "az001_HH.mat"
     file.write_bytes(make(record))
     with pytest.raises(InputError, match=said) as refused:
-        gotcha.ingest(file, tmp_path / "ph.zarr")
+        ingestion.ingest(file, tmp_path / "ph.zarr")
     one_sentence(str(refused.value))
     assert "az001_HH.mat" in str(refused.value) or "source" in str(refused.value)
     assert [path.name for path in tmp_path.iterdir()] == [file.name]
@@ -376,7 +384,7 @@ def test_flipped_bytes_never_escape(tmp_path: Path, record: Record, compressed: 
         data[at] ^= 1 << int(random.integers(0, 8))
         file.write_bytes(bytes(data))
         try:
-            gotcha.ingest(file, tmp_path / "ph.zarr", overwrite=True)
+            ingestion.ingest(file, tmp_path / "ph.zarr", overwrite=True)
         except InputError as error:
             refused += 1
             one_sentence(str(error))
@@ -387,9 +395,9 @@ def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.mat")
     for path, said in ((tmp_path, "regular file"), (tmp_path / "pipe.mat", "regular"), (tmp_path / "no", "not exist")):
         with pytest.raises(InputError, match=said):
-            gotcha.ingest(path, tmp_path / "ph.zarr")
+            ingestion.ingest(path, tmp_path / "ph.zarr")
     with pytest.raises(InputError, match="empty"):
-        gotcha.ingest([], tmp_path / "ph.zarr")
+        ingestion.ingest([], tmp_path / "ph.zarr")
 
 
 def test_files_that_do_not_belong_together_are_refused(tmp_path: Path) -> None:
@@ -413,7 +421,7 @@ def test_files_that_do_not_belong_together_are_refused(tmp_path: Path) -> None:
     same = tmp_path / "same_HH.mat"
     again = record_of(position[40:80])
     same.write_bytes(packed({**again, "fp": 2 * again["fp"]}))
-    for files, said in (
+    for given, said in (
         ([first, other], "polarisation VV"),
         ([first, another], "pass 2"),
         ([first, moved], "freq from"),
@@ -425,7 +433,7 @@ def test_files_that_do_not_belong_together_are_refused(tmp_path: Path) -> None:
         ([first, bump], "x, y and z 30.* m apart"),
     ):
         with pytest.raises(InputError, match=said) as refused:
-            gotcha.ingest(files, tmp_path / "ph.zarr")
+            ingestion.ingest(given, tmp_path / "ph.zarr")
         one_sentence(str(refused.value).replace(str(tmp_path), ""))
         assert not (tmp_path / "ph.zarr").exists()
 
@@ -433,7 +441,7 @@ def test_files_that_do_not_belong_together_are_refused(tmp_path: Path) -> None:
 def test_pulses_too_uneven_to_resample_are_refused(tmp_path: Path) -> None:
     azimuth = STEP * np.sort(np.random.default_rng(1).uniform(0, 200, 200))  # wherever chance has it
     with pytest.raises(InputError, match="so unevenly in azimuth"):
-        gotcha.ingest(written(tmp_path, circle(azimuth)), tmp_path / "ph.zarr")
+        ingestion.ingest(written(tmp_path, circle(azimuth)), tmp_path / "ph.zarr")
 
 
 @pytest.mark.parametrize("count", [1 << 30, -1, 19])
@@ -451,28 +459,28 @@ def test_a_compressed_variable_that_does_not_end_is_refused(record: Record) -> N
 
 def test_a_file_that_changes_meanwhile_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (path,) = written(tmp_path, circle(AZIMUTH))
-    lay_out = gotcha._lay_out
+    lay_out = ingestion._lay_out
 
     def meddling(joined: Any) -> Any:
         written(tmp_path, circle(AZIMUTH + STEP))
         return lay_out(joined)
 
-    monkeypatch.setattr(gotcha, "_lay_out", meddling)
+    monkeypatch.setattr(ingestion, "_lay_out", meddling)
     with pytest.raises(InputError, match="changed while"):
-        gotcha.ingest(path, tmp_path / "ph.zarr")
+        ingestion.ingest(path, tmp_path / "ph.zarr")
     assert not (tmp_path / "ph.zarr").exists()
 
 
 def test_the_command_says_what_it_did(tmp_path: Path) -> None:
     paths = [str(path) for path in written(tmp_path, *np.split(circle(AZIMUTH), 3))]
     out = str(tmp_path / "ph.zarr")
-    run = CliRunner().invoke(cli.app, ["ingest", "gotcha", *paths, "--out", out])
+    run = CliRunner().invoke(commands.app, ["ingest", "gotcha", *paths, "--out", out])
     assert run.exit_code == 0, run.output
     assert "track: a polynomial of order" in run.stdout and f"wrote {out}" in run.stdout
-    run = CliRunner().invoke(cli.app, ["ingest", "gotcha", *paths, "--out", out])
+    run = CliRunner().invoke(commands.app, ["ingest", "gotcha", *paths, "--out", out])
     assert run.exit_code == 2 and "exists" in run.stderr
     Path(paths[1]).write_bytes(b"")
-    run = CliRunner().invoke(cli.app, ["ingest", "gotcha", *paths, "--out", str(tmp_path / "other.zarr")])
+    run = CliRunner().invoke(commands.app, ["ingest", "gotcha", *paths, "--out", str(tmp_path / "other.zarr")])
     assert run.exit_code == 2 and run.stderr.count("\n") == 1
     assert not (tmp_path / "other.zarr").exists()
 
@@ -504,7 +512,7 @@ def test_what_all_targets_have_in_common_is_no_phase_error(bumpy: Collection, mo
     assert prediction.residual_phase < 0.01 and prediction.migration < 0.03  # cells of 2 m
     assert np.abs(made.recovery.common.series).sum() == pytest.approx(0.003, rel=0.05)
     # Azimuth steps have no terms of such orders: left to them, it would be there in full.
-    monkeypatch.setattr(recovery_plan, "COMMON_LEAST", np.inf)
+    monkeypatch.setattr(recovery_planning, "COMMON_LEAST", np.inf)
     without = plan_collection(bumpy, blocks=1, grid=GRID).blocks[0].prediction
     assert without.residual_phase > 0.5
 
@@ -532,10 +540,10 @@ def test_a_wide_band_loses_neither_end_of_a_dwell(tmp_path: Path) -> None:
 def test_lines_go_without_what_is_common(bumpy: Collection) -> None:
     """Phase, Doppler and its rate of a line are those of one function: range less walk and the common part."""
     geometry = Geometry(collection=bumpy)
-    common = recovery_plan.CommonRange(series=np.array([0, 0, 0, 0, 0, 2e-3, 1e-3]), centre=0.3, half=2.0)
+    common = recovery.CommonRange(series=np.array([0, 0, 0, 0, 0, 2e-3, 1e-3]), centre=0.3, half=2.0)
     where = {"epoch_range": np.array(10_030.0), "yaw": np.array(np.pi), "origin": 10_000.0, "walk": 1.0}
-    with_it = recovery_plan.recovered_line(geometry, **where, common=common)
-    plain = recovery_plan.recovered_line(geometry, **where)
+    with_it = target_lines.recovered_line(geometry, **where, common=common)
+    plain = target_lines.recovered_line(geometry, **where)
     cycles = -2 / bumpy.wavelength
     assert np.abs(plain.range - with_it.range - common.at(plain.time)).max() < 1e-9
     assert np.abs(with_it.phase - plain.phase + cycles * common.at(plain.time)).max() < 1e-6
@@ -544,7 +552,7 @@ def test_lines_go_without_what_is_common(bumpy: Collection) -> None:
 
 
 def test_the_common_range_is_one_function() -> None:
-    common = recovery_plan.CommonRange(series=np.array([0, 0, 0, 0, 0, 2e-3, 1e-3]), centre=0.3, half=2.0)
+    common = recovery.CommonRange(series=np.array([0, 0, 0, 0, 0, 2e-3, 1e-3]), centre=0.3, half=2.0)
     time = np.linspace(-1.5, 2.0, 7)
     for derivative in (1, 2):
         step = (common.at(time + 1e-4, derivative - 1) - common.at(time - 1e-4, derivative - 1)) / 2e-4
@@ -586,7 +594,7 @@ def reference(store: Path) -> np.ndarray:
 
 
 def test_measured_figures(measured: list[Path], tmp_path: Path) -> None:
-    made = gotcha.ingest(measured[::-1], tmp_path / "ph.zarr")
+    made = ingestion.ingest(measured[::-1], tmp_path / "ph.zarr")
     assert made.collection.n_pulse == 469 and made.collection.n_range_frequency == 424
     track = Geometry(collection=made.collection).track
     assert track.order <= 6 and track.max_misfit < 2e-3
@@ -599,7 +607,7 @@ def test_measured_sign_and_reference(store: Path, reference: np.ndarray, measure
     history = stores.open_phase_history(store)
     collection = history.collection.centred()
     signal = history.read(slice(None), slice(None))
-    rounded = np.concatenate([gotcha._read(gotcha.place(path)).r0 for path in measured])
+    rounded = np.concatenate([files._read(places.place(path)).r0 for path in measured])
     axis = -50 + 0.125 * np.arange(800)
     for x, y in POINTS:
         near = np.hypot(axis[None, :] - x, axis[:, None] - y) < 3

@@ -16,9 +16,7 @@ from typing import Any
 import matplotlib
 import numpy as np
 import pytest
-import rasterio
 import rasterio.warp
-import rioxarray  # noqa: F401  (registers the accessor rio)
 import sarkit.sicd as sksicd
 import sarkit.verification as skver
 import shapely
@@ -31,12 +29,18 @@ from rio_cogeo import cog_validate
 from typer.testing import CliRunner
 
 import blocksar
-from blocksar import cli, geotiff, products, quicklook, sicd, stores
-from blocksar.backprojection import form_image
-from blocksar.geometry import Geometry
-from blocksar.georeference import Georeference
-from blocksar.measurement import Target
-from blocksar.parameters import SPEED_OF_LIGHT, Collection, InputError
+from blocksar import stores
+from blocksar.cli import commands
+from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.georeference import Georeference
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.errors import InputError
+from blocksar.focusing.backprojection import form_image
+from blocksar.measurement.targets import Target
+from blocksar.products import geotiff, sicd, writing
+from blocksar.products.pictures import quicklook
+from blocksar.runs import finished
 
 matplotlib.use("Agg")
 
@@ -58,11 +62,11 @@ class Made:
     y: Any
 
     @property
-    def source(self) -> products.Source:
+    def source(self) -> finished.Source:
         _, attrs = stores.read_collection(self.folder / "collection.zarr")
         geometry = Geometry(collection=self.collection)
         place = blocksar.places.place(self.folder / "image.zarr")  # type: ignore[attr-defined]
-        return products.Source(place, self.x, self.y, geometry, attrs, {})
+        return finished.Source(place, self.x, self.y, geometry, attrs, {})
 
     def peak(self, target: Target) -> Any:
         """Fractional (row of y, column of x) of the target's peak: its chip, transformed, padded 16 times and back."""
@@ -288,7 +292,7 @@ def test_valid_data_are_a_polygon_around_any_shape(shape: str, look: float) -> N
         spacing=(1.0, 1.0),
         shape=(40, 30) if row[0] else (30, 40),
     )
-    found = sicd.valid_data(products.Coverage(*spans), layout)
+    found = sicd.valid_data(finished.Coverage(*spans), layout)
     outline = shapely.Polygon(found)
     assert outline.is_valid
     assert outline.area > 0
@@ -394,16 +398,16 @@ def test_a_coarse_image_is_no_sicd(tmp_path: Path) -> None:
 def test_no_product_depends_on_strips(kind: Any, made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nor is more read at once than a strip."""
     blocksar.export(kind, made.folder, tmp_path / "whole")
-    largest, read = 0, products.Source.read
+    largest, read = 0, finished.Source.read
 
-    def watched(self: products.Source, rows: slice, columns: slice) -> Any:
+    def watched(self: finished.Source, rows: slice, columns: slice) -> Any:
         nonlocal largest
         values = read(self, rows, columns)
         largest = max(largest, values.size)
         return values
 
-    monkeypatch.setattr(products, "STRIP", 1000)
-    monkeypatch.setattr(products.Source, "read", watched)
+    monkeypatch.setattr(finished, "STRIP", 1000)
+    monkeypatch.setattr(finished.Source, "read", watched)
     blocksar.export(kind, made.folder, tmp_path / "strips")
     if kind != "png":  # whose picture is as small as the image here
         assert 0 < largest <= 1000
@@ -531,7 +535,7 @@ def test_north_turns_with_the_frame() -> None:
 @pytest.mark.parametrize("kind", ["sicd", "geotiff"])
 def test_without_a_georeference_nothing_is_placed(kind: Any, unplaced: Made, tmp_path: Path) -> None:
     out = tmp_path / "new" / "file"
-    done = CliRunner().invoke(cli.app, ["export", kind, str(unplaced.folder), "--out", str(out)])
+    done = CliRunner().invoke(commands.app, ["export", kind, str(unplaced.folder), "--out", str(out)])
     assert done.exit_code == 2
     assert "has no georeference" in done.stderr
     assert done.stderr.count("\n") == 1
@@ -539,7 +543,9 @@ def test_without_a_georeference_nothing_is_placed(kind: Any, unplaced: Made, tmp
 
 
 def test_a_picture_needs_no_georeference(unplaced: Made, tmp_path: Path) -> None:
-    done = CliRunner().invoke(cli.app, ["export", "png", str(unplaced.folder), "--out", str(tmp_path / "a.png"), "-q"])
+    done = CliRunner().invoke(
+        commands.app, ["export", "png", str(unplaced.folder), "--out", str(tmp_path / "a.png"), "-q"]
+    )
     assert done.exit_code == 0, done.stderr
     assert f"wrote {tmp_path / 'a.png'}" in done.stdout
     assert imread(tmp_path / "a.png").std() > 0.1
@@ -550,10 +556,10 @@ def test_what_stands_there_is_kept_unless_asked(kind: Any, made: Made, tmp_path:
     out = tmp_path / "file"
     out.write_text("mine")
     arguments = ["export", kind, str(made.folder), "--out", str(out), "--quiet"]
-    done = CliRunner().invoke(cli.app, arguments)
+    done = CliRunner().invoke(commands.app, arguments)
     assert (done.exit_code, out.read_text()) == (2, "mine")
     assert "exists; choose another name" in done.stderr
-    assert CliRunner().invoke(cli.app, [*arguments, "--overwrite"]).exit_code == 0
+    assert CliRunner().invoke(commands.app, [*arguments, "--overwrite"]).exit_code == 0
     assert out.stat().st_size > 1000
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
 
@@ -592,7 +598,7 @@ def test_a_folder_that_is_not_ours_is_wrong_input_for_all_alike(
     def refused(*_: Any, **__: Any) -> Any:
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(products, "open", refused, raising=False)
+    monkeypatch.setattr(writing, "open", refused, raising=False)
     with pytest.raises(InputError, match=r"cannot be written \(Permission denied\)"):
         blocksar.export(kind, made.folder, tmp_path / "file")
     assert list(tmp_path.iterdir()) == []

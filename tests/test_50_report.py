@@ -31,16 +31,18 @@ from scenes import scene
 from typer.testing import CliRunner
 
 import blocksar
-from blocksar import api, cli, facts, page, picture, stores
-from blocksar.api import focused
-from blocksar.api.common import open_run
-from blocksar.cluster import open_client
-from blocksar.geometry import Geometry
-from blocksar.measurement import Target
-from blocksar.parameters import InputError, ProcessingError
+from blocksar import api, constants, stores
+from blocksar.api import focusing
+from blocksar.cli import commands, endings
+from blocksar.collection.geometry import Geometry
+from blocksar.errors import InputError, ProcessingError
+from blocksar.focusing import method
+from blocksar.graph.cluster import open_client
+from blocksar.measurement.targets import Target
 from blocksar.places import place
-from blocksar.planning import plan_collection
-from blocksar.products import Source
+from blocksar.planning.plan import plan_collection
+from blocksar.products.page import facts, page, picture, tables, words
+from blocksar.runs.finished import Source, open_run
 
 HOSTILE = "</title></script><script>window.pwned = 1</script><img src=x onerror=window.pwned=1> & \u202e{{ 7 * 7 }}"
 TARGETS = {"A": (29900.0, 48.5), "B": (30100.0, 51.5), "seam": (30000.0, 50.2), "<i>D": (29950.0, 50.0)}
@@ -63,7 +65,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Path]]:
     folder = tmp_path_factory.mktemp("report")
     store = write_scene(folder)
     with pytest.MonkeyPatch.context() as patch, open_client(workers=1, threads=1, memory_limit=3 * 2**30) as client:
-        patch.setattr(focused, "plan_collection", lambda *a, **k: plan_collection(*a, **{**k, "parts": 2}))
+        patch.setattr(focusing, "plan_collection", lambda *a, **k: plan_collection(*a, **{**k, "parts": 2}))
         wide = ((15000.0, 17200.0, 1.2), (18000.0, 20400.0, 1.2))
         blocksar.focus(store, folder / "run", blocks=2, grid=wide, client=client)
         coarse = ((16000.0, 16400.0, 4.0), (19100.0, 19500.0, 4.0))
@@ -324,7 +326,7 @@ def test_what_is_beyond_the_bar_is_said_and_marked(run: Path, quick: None) -> No
     off = re.findall(r'data-sort="([^"]*)" class="off"', text)
     assert "-5.0" not in off
     assert off.count("-12.9") == 2 and "" in off  # in the plan's table too; what could not be measured is marked
-    share = facts.number(100 * abs(-12.9 - facts.SINC_PSLR) / 0.2, 0)
+    share = words.number(100 * abs(-12.9 - constants.SINC_PSLR) / 0.2, 0)
     assert f"! {share}" in re.sub(r"<[^>]*>", "", text)
 
 
@@ -379,13 +381,13 @@ def test_the_plan_stands_beside_what_was_measured(whole: Path, runs: dict[str, P
         cells = [re.sub(r"<[^>]*>", "", cell).strip() for cell in re.findall(r"<t[hd].*?</t[hd]>", row, re.DOTALL)]
         receipt = next(r for r in record["receipts"] if r["unit"] == f"block-{cells[0]}")
         assert cells[0] == facts.block_name(block)
-        assert cells[1] == facts.number(block["residual_phase"], 4)
-        assert cells[2] == facts.number(block["pslr"], 2)
-        assert cells[7] == facts.number(block["memory"] / 2**20, 0)
-        assert cells[8] == facts.number(receipt["peak_memory"] / 2**20, 0)
+        assert cells[1] == words.number(block["residual_phase"], 4)
+        assert cells[2] == words.number(block["pslr"], 2)
+        assert cells[7] == words.number(block["memory"] / 2**20, 0)
+        assert cells[8] == words.number(receipt["peak_memory"] / 2**20, 0)
         measured.append(int(cells[6]))
         if cells[6] != "0":
-            assert cells[3] in {facts.number(t["azimuth_pslr"], 2) for t in quality.values()}
+            assert cells[3] in {words.number(t["azimuth_pslr"], 2) for t in quality.values()}
     assert sum(measured) == 4
 
 
@@ -393,9 +395,9 @@ def test_times_are_those_of_the_receipts(whole: Path, runs: dict[str, Path]) -> 
     record = json.loads((runs["run"] / "run.json").read_text())
     cells = read(whole).text("td")
     for name in ("recover", "focus", "mosaic", "total"):
-        assert page._seconds(record["timings"][name]) in cells
+        assert tables._seconds(record["timings"][name]) in cells
     block = next(r for r in record["receipts"] if r["unit"] == "block-0.0")
-    assert page._seconds(sum(block["steps"].values())) in cells
+    assert tables._seconds(sum(block["steps"].values())) in cells
     bars = [float(a["width"]) for a in read(whole).all("rect") if a.get("height") == "8"]
     assert max(bars) == 100 and min(bars) >= 0
 
@@ -410,7 +412,7 @@ def test_times_are_those_of_the_receipts(whole: Path, runs: dict[str, Path]) -> 
     ],
 )
 def test_the_command_repeats_the_run(settings: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    usual = page.Method().as_settings() | {"processor": "angular-division", "blocks": "auto", "grid": None}
+    usual = method.Method().as_settings() | {"processor": "angular-division", "blocks": "auto", "grid": None}
     record = usual | settings
     if record["grid"]:
         record["grid"] = [*record["grid"][0], *record["grid"][1]]
@@ -422,7 +424,7 @@ def test_the_command_repeats_the_run(settings: dict[str, Any], monkeypatch: pyte
 
     monkeypatch.setattr(api, "focus", focus)
     words = shlex.split(page.command(record, "/in put/ph.zarr", "/out $1"))
-    assert words[0] == "blocksar" and CliRunner().invoke(cli.app, words[1:]).exit_code == 0
+    assert words[0] == "blocksar" and CliRunner().invoke(commands.app, words[1:]).exit_code == 0
     assert (seen["source"], seen["out"]) == ("/in put/ph.zarr", "/out $1")
     assert {name: seen[name] for name in usual} == usual | settings
 
@@ -515,16 +517,16 @@ def test_all_that_takes_time_is_told(run: Path) -> None:
 def test_what_stands_there_is_kept_unless_asked(run: Path, tmp_path: Path, quick: None) -> None:
     target = tmp_path / "page.html"
     target.write_text("mine")
-    told = CliRunner().invoke(cli.app, ["report", str(run), "--out", str(target), "--quiet"])
-    assert told.exit_code == cli.WRONG_INPUT and "page.html exists" in told.stderr
+    told = CliRunner().invoke(commands.app, ["report", str(run), "--out", str(target), "--quiet"])
+    assert told.exit_code == endings.WRONG_INPUT and "page.html exists" in told.stderr
     assert target.read_text() == "mine"
-    told = CliRunner().invoke(cli.app, ["report", str(run), "--out", str(target), "--overwrite"])
+    told = CliRunner().invoke(commands.app, ["report", str(run), "--out", str(target), "--overwrite"])
     assert told.exit_code == 0 and f"wrote {target}" in told.stdout and "report: " in told.stderr
     assert target.read_text(encoding="utf-8").startswith("\n<!DOCTYPE html>".strip())
 
 
 def test_help_has_an_example() -> None:
-    assert "Example: blocksar report run" in CliRunner().invoke(cli.app, ["report", "--help"]).stdout
+    assert "Example: blocksar report run" in CliRunner().invoke(commands.app, ["report", "--help"]).stdout
 
 
 @pytest.mark.parametrize("what", ["folder", "file above"])

@@ -13,31 +13,29 @@ from scipy.integrate import quad
 from scipy.optimize import brentq, minimize_scalar
 from scipy.special import diric
 
-from blocksar.geometry import Geometry
-from blocksar.measurement import (
+from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.collection.beam import has_full_dwell
+from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
+from blocksar.constants import SINC_PSLR, SINC_WIDTH, SPEED_OF_LIGHT
+from blocksar.errors import InputError
+from blocksar.measurement.coherence import coherence
+from blocksar.measurement.figures import (
     DEFINITIONS,
     IDEAL_ISLR,
-    SINC_PSLR,
-    TABLE3,
-    Complex128Array,
     PointResponse,
-    ReadChip,
-    Target,
     as_json,
-    carrier_phase,
-    coherence,
     cuts,
-    has_full_dwell,
-    ideal_response,
     measure,
     measure_target,
     profile_quality,
-    read_response,
-    response_axes,
     response_grid,
     summary,
 )
-from blocksar.parameters import SINC_WIDTH, SPEED_OF_LIGHT, Collection, ComplexArray, FloatArray, InputError
+from blocksar.measurement.ideal import ideal_response
+from blocksar.measurement.response import Complex128Array, ReadChip, carrier_phase, read_response, response_axes
+from blocksar.measurement.table3 import TABLE3
+from blocksar.measurement.targets import Target
 
 PULSE_RATE = 4000.0  # half of Table 1's, for speed: 648 pulses light a target
 STEERING = np.deg2rad(57.87 - 42.13) / 0.6
@@ -461,7 +459,7 @@ def test_agrees_with_perseo_quality(scene: Scene) -> None:
 
 
 def test_overview_streams_and_keeps_power() -> None:
-    from blocksar.plotting import overview
+    from blocksar.products.pictures.overview import overview
 
     rng = np.random.default_rng(63)
     image = (rng.standard_normal((203, 150)) + 1j * rng.standard_normal((203, 150))).astype(np.complex64)
@@ -489,7 +487,7 @@ def test_overview_streams_and_keeps_power() -> None:
 
 
 def test_stretch_suits_clutter_and_isolated_targets() -> None:
-    from blocksar.plotting import stretch
+    from blocksar.products.pictures.overview import stretch
 
     rng = np.random.default_rng(64)
     clutter = -23 + rng.standard_normal(10_000)
@@ -502,7 +500,7 @@ def test_stretch_suits_clutter_and_isolated_targets() -> None:
 
 
 def test_pictures_are_written(scene: Scene, tmp_path: Path) -> None:
-    from blocksar import plotting
+    from blocksar.products.pictures import mosaic, responses
 
     target, image_x, image_y, image = scene
     torn = image.copy()
@@ -512,12 +510,12 @@ def test_pictures_are_written(scene: Scene, tmp_path: Path) -> None:
     missing = read_response(reader(np.full_like(image, np.nan)), image_x, image_y, UNSTEERED, target)
     assert response is not None and missing is not None
     drawings: dict[str, Callable[[Path], None]] = {
-        "mosaic": lambda path: plotting.plot_mosaic(
+        "mosaic": lambda path: mosaic.plot_mosaic(
             reader(torn), image_x, image_y, path, read_block=lambda r, c: block[r, c], targets=[target]
         ),
-        "dark": lambda path: plotting.plot_mosaic(reader(np.full_like(image, np.nan)), image_x, image_y, path),
-        "contours": lambda path: plotting.plot_contours([response, missing], path),
-        "cuts": lambda path: plotting.plot_cuts([response, missing], path),
+        "dark": lambda path: mosaic.plot_mosaic(reader(np.full_like(image, np.nan)), image_x, image_y, path),
+        "contours": lambda path: responses.plot_contours([response, missing], path),
+        "cuts": lambda path: responses.plot_cuts([response, missing], path),
     }
     for name, draw in drawings.items():
         path = tmp_path / f"{name}.png"

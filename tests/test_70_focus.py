@@ -17,16 +17,17 @@ from distributed import Client
 from scenes import GEOMETRIES, scene, write_store
 
 import blocksar
-from blocksar import api, planning, stores
-from blocksar.api import focused
-from blocksar.cluster import open_client
-from blocksar.geometry import Geometry
-from blocksar.method import Method
-from blocksar.parameters import InputError
-from blocksar.planning import Plan, plan_block, plan_collection
-from blocksar.recovery_plan import plan_recovery
-from blocksar.region import block_seams, plan_region
-from blocksar.scene import Scene
+from blocksar import api, stores
+from blocksar.api import focusing
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.region import block_seams, plan_region
+from blocksar.errors import InputError
+from blocksar.focusing.method import Method
+from blocksar.graph.cluster import open_client
+from blocksar.planning.block import plan_block
+from blocksar.planning.plan import Plan, plan_collection
+from blocksar.planning.recovery import plan_recovery
+from blocksar.simulation.scene import Scene
 
 CLUTTER = "[clutter]\nscatterers = 100000\nseed = 3\n"
 
@@ -117,7 +118,7 @@ def test_range_sub_blocks_are_as_good_as_whole_blocks(
     name: str, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Coherence with back-projection on clutter, across the seams in range too, and calibration."""
-    monkeypatch.setattr(focused, "plan_collection", lambda *a, **k: plan_collection(*a, **{**k, "parts": 3}))
+    monkeypatch.setattr(focusing, "plan_collection", lambda *a, **k: plan_collection(*a, **{**k, "parts": 3}))
     store = write_store(tmp_path, **GEOMETRIES[name], more=CLUTTER)
     blocksar.focus(store, tmp_path / "run", blocks=2, grid=coarse_grid(store), client=client)
     record = json.loads((tmp_path / "run" / "run.json").read_text())
@@ -236,7 +237,7 @@ def test_auto_asks_for_more_blocks_as_long_as_they_help(excess: dict[int, float]
         refusal = "would keep a phase error" if excess[count] > 10 else None
         return SimpleNamespace(excess=lambda: excess[count], blocks=(), refusal=refusal, count=count)
 
-    assert planning._fewest_blocks(plan, 2).count == chosen  # type: ignore[attr-defined]
+    assert plan._fewest_blocks(plan, 2).count == chosen  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize(("blocks", "least", "most"), [(3, 0.9, 1.4), (2, 1.2, 1.3), (1, 1.5, 5.0)])

@@ -10,13 +10,18 @@ import pytest
 from distributed import Client
 from scenes import scene, write_store
 from test_70_focus import check_targets
-from test_72_processors import chips, client, emptied, simulated  # noqa: F401 (client is a fixture)
+from test_72_processors import (
+    chips,
+    client,  # noqa: F401 (client is a fixture)
+    emptied,
+    simulated,
+)
 
 import blocksar
-from blocksar.method import Method, method_of
-from blocksar.parameters import InputError
-from blocksar.planning import Plan
-from blocksar.scene import Scene
+from blocksar.errors import InputError
+from blocksar.focusing.method import Method, method_of
+from blocksar.planning.plan import Plan
+from blocksar.simulation.scene import Scene
 
 PAPER_B = ((10960.0, 11670.0, 0.25), (-1050.0, 1050.0, 0.25))
 PAPER_C = ((17830.0, 18830.0, 0.4), (-800.0, 800.0, 0.4))

@@ -16,14 +16,18 @@ from distributed import Client
 from scenes import scene
 
 import blocksar
-from blocksar import graph, runs, stores
-from blocksar.cluster import open_client
-from blocksar.geometry import Geometry
-from blocksar.parameters import InputError, ProcessingError
+from blocksar import stores
+from blocksar.api import focusing
+from blocksar.collection.geometry import Geometry
+from blocksar.errors import InputError, ProcessingError
+from blocksar.focusing import step
+from blocksar.graph import stages, tasks
+from blocksar.graph.cluster import open_client
 from blocksar.places import place
-from blocksar.runs import Run, write
-from blocksar.scene import Scene
-from blocksar.steps import stages
+from blocksar.planning import memory
+from blocksar.runs import folder
+from blocksar.runs.receipts import Run, write
+from blocksar.simulation.scene import Scene
 
 GRID = ((15900.0, 16300.0, 4.0), (19000.0, 19400.0, 4.0))
 
@@ -71,7 +75,7 @@ def test_interrupted_run_resumes(
     settings: dict[str, Any] = {"blocks": 3, "client": client}
     blocksar.focus(store, tmp_path / "whole", **settings)
     with monkeypatch.context() as patch:
-        patch.setattr(graph, stage, interrupted)
+        patch.setattr(stages, stage, interrupted)
         with pytest.raises(KeyboardInterrupt):
             blocksar.focus(store, tmp_path / "run", **settings)
     record = json.loads((tmp_path / "run" / "run.json").read_text())
@@ -94,13 +98,13 @@ def test_interrupted_run_resumes(
 def test_task_that_fails_names_what_failed(
     store: Path, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real = graph.focus_blocks
+    real = stages.focus_blocks
 
     def sabotaged(*args: Any) -> Any:
         shutil.rmtree(tmp_path / "run" / "spectrum.zarr")
         return real(*args)
 
-    monkeypatch.setattr(graph, "focus_blocks", sabotaged)
+    monkeypatch.setattr(stages, "focus_blocks", sabotaged)
     with pytest.raises(ProcessingError, match=r"read-slab\+residual-walk\+keystone of block 1 failed: .*spectrum"):
         blocksar.focus(store, tmp_path / "run", blocks=3, grid=GRID, client=client)
     assert (tmp_path / "run" / "receipts").exists()
@@ -122,8 +126,8 @@ def test_keys_say_step_and_block(store: Path, client: Client, tmp_path: Path, mo
     report = blocksar.focus(store, tmp_path / "run", blocks=3, grid=GRID, client=client)
     run = Run(folder=place(tmp_path / "run"), identity=report.result["identity"], threads=1).token
     azimuth = "time-perturbation+azimuth-fft+frequency-perturbation+deramp+doppler-fft"
-    stages = ["read-slab+residual-walk+keystone", "rcmc-src", azimuth, "geometric-correction"]
-    assert [k for k in keys if "block-1" in k] == [f"{stage}-{run}-block-1" for stage in stages]
+    names = ["read-slab+residual-walk+keystone", "rcmc-src", azimuth, "geometric-correction"]
+    assert [k for k in keys if "block-1" in k] == [f"{stage}-{run}-block-1" for stage in names]
     assert len(set(keys)) == len(keys)
     # The receipt of a block is that of all its tasks.
     receipt = next(r for r in report.result["receipts"] if r["unit"] == "block-1")
@@ -133,8 +137,9 @@ def test_keys_say_step_and_block(store: Path, client: Client, tmp_path: Path, mo
 def test_memory_that_does_not_hold_a_raw_echo_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "scene.toml").write_text(scene(swath=[29900.0, 30100.0]))
     raw = blocksar.simulate(tmp_path / "scene.toml", tmp_path / "raw.zarr", raw=True)
-    needed = graph.compression_memory(stores.open_phase_history(raw))
-    monkeypatch.setattr(graph, "compression_memory", lambda source: 40 * needed)
+    history = stores.open_phase_history(raw)
+    needed = memory.compression_memory(history.collection, history.raw)
+    monkeypatch.setattr(focusing, "compression_memory", lambda *_: 40 * needed)
     with pytest.raises(InputError, match=r"memory limit 2048 MiB a worker is too low: range compression needs about"):
         blocksar.focus(raw, tmp_path / "run", blocks=1, grid=GRID, workers=1, memory_limit=2 * 2**30)
     assert not (tmp_path / "run").exists()
@@ -244,22 +249,22 @@ def test_peak_memory_is_the_process_own() -> None:
     ballast = np.ones(400 * 2**20, np.uint8)
     script = "from blocksar.graph import peak_memory; print(peak_memory())"
     child = int(subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, text=True).stdout)
-    assert graph.peak_memory() > ballast.size
+    assert tasks.peak_memory() > ballast.size
     assert child < ballast.size
 
 
 def test_a_block_that_has_travelled_is_as_good(store: Path, tmp_path: Path) -> None:
     """What comes from another worker may not be written to, and a stage works in place."""
     block = blocksar.plan(store, blocks=3).result.blocks[1]
-    stage = stages(block.chain)[1]
+    stage = step.stages(block.chain)[1]
     rng = np.random.default_rng(2)
     shape = (max(stage.program.source.size, stage.program.target.size), stage.program.n_row)
     samples = (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)).astype(np.complex64)
     fixed = samples.copy()
     fixed.flags.writeable = False
     run = Run(folder=place(tmp_path), identity="x", threads=1)
-    here = graph.run_stage(run, block, stage, graph.Samples(samples, {}))
-    there = graph.run_stage(run, block, stage, graph.Samples(fixed, {}))
+    here = tasks.run_stage(run, block, stage, tasks.Samples(samples, {}))
+    there = tasks.run_stage(run, block, stage, tasks.Samples(fixed, {}))
     assert here.values is samples
     np.testing.assert_array_equal(here.values, there.values)
 
@@ -366,8 +371,8 @@ def test_what_a_run_left_that_was_killed_at_its_very_end_goes(
     blocksar.focus(store, run, **settings)  # type: ignore[arg-type]
     for first_looks in (0, 1):  # the second time another process finishes it while this one waits for the folder
         (run / "receipts").mkdir()
-        real, looks = runs.existing, iter([None] * first_looks)
-        monkeypatch.setattr(runs, "existing", lambda *a, r=real, i=looks, **k: next(i, r(*a, **k)))
+        real, looks = folder.existing, iter([None] * first_looks)
+        monkeypatch.setattr(folder, "existing", lambda *a, r=real, i=looks, **k: next(i, r(*a, **k)))
         assert "nothing to do" in blocksar.focus(store, run, **settings).summary[0]  # type: ignore[arg-type]
         assert not (run / "receipts").exists()
         monkeypatch.undo()

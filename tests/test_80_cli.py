@@ -15,9 +15,9 @@ from rich.console import Console
 from typer.testing import CliRunner, Result
 
 import blocksar
-from blocksar import cli
-from blocksar.parameters import InputError, ProcessingError
-from blocksar.progress import PLAIN_STEPS
+from blocksar.cli import commands, display, endings, parsing
+from blocksar.errors import InputError, ProcessingError
+from blocksar.progress import PLAIN_STEPS, Progress
 
 COMMANDS = {
     "demo": ["demo", "--out", "run"],
@@ -63,7 +63,7 @@ def api(monkeypatch: pytest.MonkeyPatch) -> Calls:
 
 
 def run(*words: str) -> Result:
-    return CliRunner().invoke(cli.app, words, prog_name="blocksar")
+    return CliRunner().invoke(commands.app, words, prog_name="blocksar")
 
 
 # ---------------------------------------------------------------- what is typed
@@ -78,7 +78,7 @@ def test_focus_passes_every_option(api: Calls) -> None:
     assert run(*words.split()).exit_code == 0
     args, kwargs = api.seen["focus"]
     assert args == ("ph.zarr", "run")
-    assert isinstance(kwargs.pop("progress"), cli.Progress)
+    assert isinstance(kwargs.pop("progress"), Progress)
     assert kwargs == {
         "processor": "high-order-phase",
         "blocks": 5,
@@ -149,7 +149,7 @@ def test_the_calls_fit_the_api(command: str, api: Calls, monkeypatch: pytest.Mon
 )
 def test_a_wrong_grid_is_named(text: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        cli.parse_grid(text)
+        parsing.parse_grid(text)
 
 
 @pytest.mark.parametrize(
@@ -158,19 +158,19 @@ def test_a_wrong_grid_is_named(text: str, message: str) -> None:
      (".5GB", 500_000_000), ("123", 123), ("7B", 7)],
 )  # fmt: skip
 def test_memory(text: str, size: int) -> None:
-    assert cli.parse_memory(text) == size
+    assert parsing.parse_memory(text) == size
 
 
 @pytest.mark.parametrize("text", ["", "GiB", "-1GiB", "0", "2 Gib b", "nan", "1i", "2PiB", "1e", "auto"])
 def test_wrong_memory_is_named(text: str) -> None:
     with pytest.raises(InputError, match="is no amount of memory"):
-        cli.parse_memory(text)
+        parsing.parse_memory(text)
 
 
 @pytest.mark.parametrize("text", ["0", "-1", "2.5", "many", "", "²"])
 def test_wrong_blocks_are_named(text: str) -> None:
     with pytest.raises(InputError, match="neither 'auto' nor a whole number"):
-        cli.parse_blocks(text)
+        parsing.parse_blocks(text)
 
 
 # ---------------------------------------------------------------- exit status and messages
@@ -184,7 +184,7 @@ def test_wrong_blocks_are_named(text: str) -> None:
         (ProcessingError("block 2 failed; run again"), 1, "blocksar: block 2 failed; run again\n"),
         (OSError(28, "No space left on device"), 1, "blocksar: [Errno 28] No space left on device\n"),
         (KeyboardInterrupt(), 130, "blocksar: interrupted;"),
-        (cli.Terminated(143), 143, "blocksar: terminated;"),
+        (endings.Terminated(143), 143, "blocksar: terminated;"),
     ],
 )
 def test_an_error_is_one_message_and_a_status(
@@ -332,7 +332,7 @@ def test_a_terminal_shows_every_figure_of_a_wide_table(width: int) -> None:
     header = ["target", *(f"residual phase {i} (rad)" for i in range(14))]
     rows = [[f"T{j}", *(f"-{j}.{i:04d} .. 1" for i in range(14))] for j in range(2)]
     parts = []
-    for table in cli.tables(header, rows, width):
+    for table in display.tables(header, rows, width):
         console = Console(width=width, file=io.StringIO())
         console.print(table)
         parts.append(console.file.getvalue())  # type: ignore[attr-defined]
@@ -341,7 +341,7 @@ def test_a_terminal_shows_every_figure_of_a_wide_table(width: int) -> None:
     assert all(cell in shown for row in rows for cell in row)
     assert all("T0" in part and "T1" in part and "target" in part for part in parts)
     assert len(parts) > 1 and max(map(len, shown.splitlines())) <= width
-    assert len(list(cli.tables(header, rows, 1000))) == 1
+    assert len(list(display.tables(header, rows, 1000))) == 1
 
 
 def test_sentences_are_folded_between_words_on_a_terminal(api: Calls) -> None:
@@ -349,9 +349,9 @@ def test_sentences_are_folded_between_words_on_a_terminal(api: Calls) -> None:
     line = f"  wrote {path} in 9.7 s (recover 8.0 s, focus 1.0 s, mosaic 0.2 s)"
     api.answer = SimpleNamespace(summary=[line], table=list, refusal=None)
     assert run("plan", "table1").stdout == f"{line}\n"
-    assert cli._wrapped(line, 40).split() == line.split()
-    assert path in cli._wrapped(line, 40) and "mosaic 0.2 s)" in cli._wrapped(line, 40).splitlines()[-1]
-    assert all(part.startswith("  ") for part in cli._wrapped(line, 40).splitlines())
+    assert display._wrapped(line, 40).split() == line.split()
+    assert path in display._wrapped(line, 40) and "mosaic 0.2 s)" in display._wrapped(line, 40).splitlines()[-1]
+    assert all(part.startswith("  ") for part in display._wrapped(line, 40).splitlines())
 
 
 def test_plain_progress_is_a_few_lines(api: Calls) -> None:
@@ -372,7 +372,7 @@ class Terminal(io.StringIO):
 def test_bars_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     screen = Terminal()
     monkeypatch.setattr(sys, "stderr", screen)
-    with cli.Progress() as progress:
+    with Progress() as progress:
         progress.update("focus [block 1]", 1, 4)
         progress.update("focus [block 1]", 4, 4)
     assert "focus [block 1]" in screen.getvalue()  # nothing is taken for markup

@@ -26,8 +26,9 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 import blocksar
-from blocksar import cli, cluster
-from blocksar.parameters import InputError, ProcessingError
+from blocksar.cli import commands, endings
+from blocksar.errors import InputError, ProcessingError
+from blocksar.graph import cluster, recording
 from blocksar.progress import NOBODY, Estimate, Listener, Log, Progress, Work, Workers, display, listener
 
 GIB = 2**30
@@ -386,7 +387,7 @@ def test_a_log_that_cannot_be_written_stops_a_command_before_it_begins(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, api: Fake
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    done = CliRunner().invoke(cli.app, ["focus", "ph.zarr", "--out", "run", "--json-log", name])
+    done = CliRunner().invoke(commands.app, ["focus", "ph.zarr", "--out", "run", "--json-log", name])
     assert done.exit_code == 2 and done.stderr.count("\n") == 1
     assert done.stderr.startswith("blocksar: --json-log") and done.stderr.endswith("give another file\n")
     assert not api.called and not list(tmp_path.iterdir())
@@ -444,7 +445,7 @@ def api(monkeypatch: pytest.MonkeyPatch) -> Fake:
         (ZeroDivisionError("ours"), 1, "ZeroDivisionError: ours"),
         (InputError("time is not uniform"), 2, "time is not uniform"),
         (KeyboardInterrupt(), 130, "interrupted; what was finished stays: give the same command again to go on"),
-        (cli.Terminated(143), 143, "terminated; what was finished stays: give the same command again to go on"),
+        (endings.Terminated(143), 143, "terminated; what was finished stays: give the same command again to go on"),
     ],
 )
 def test_the_log_ends_with_the_exit_status(
@@ -452,7 +453,7 @@ def test_the_log_ends_with_the_exit_status(
 ) -> None:
     api.error = error
     words = ["focus", "ph.zarr", "--out", "run", "--blocks", "3", "--quiet", "--json-log", str(tmp_path / "log")]
-    assert CliRunner().invoke(cli.app, words).exit_code == status
+    assert CliRunner().invoke(commands.app, words).exit_code == status
     start, *_, end = strictly((tmp_path / "log").read_text())
     assert (start["event"], start["command"], start["version"]) == ("start", "focus", blocksar.__version__)
     assert (start["settings"]["source"], start["settings"]["blocks"]) == ("ph.zarr", "3")
@@ -468,7 +469,7 @@ def test_every_command_that_can_be_quiet_can_log() -> None:
         if not hasattr(command, "commands"):
             yield path, {parameter.name for parameter in command.params}
 
-    found = dict(walk(get_command(cli.app)))
+    found = dict(walk(get_command(commands.app)))
     assert (
         {path for path, names in found.items() if "quiet" in names}
         == {path for path, names in found.items() if "json_log" in names}
@@ -687,7 +688,7 @@ def test_without_bokeh_there_is_no_dashboard_and_no_performance_report(
 ) -> None:
     found = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "bokeh" else found(name))
-    assert cluster.dashboard(client) is None
+    assert recording.dashboard(client) is None
     with pytest.raises(InputError, match=r"bokeh is not installed.*install blocksar\[dashboard\]"):
         blocksar.focus(store, tmp_path / "run", client=client, performance_report=tmp_path / "page.html")
     assert not list(tmp_path.iterdir())
@@ -698,7 +699,7 @@ def test_without_bokeh_there_is_no_dashboard_and_no_performance_report(
 def test_a_performance_report_that_cannot_be_written_is_refused_first(
     name: str, store: Path, client: Client, tmp_path: Path
 ) -> None:
-    address = cluster.dashboard(client)
+    address = recording.dashboard(client)
     assert address is not None and address.startswith("http://127.0.0.1:")
     for call in (
         lambda: blocksar.focus(store, tmp_path / "run", client=client, performance_report=tmp_path / name),

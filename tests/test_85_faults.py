@@ -48,7 +48,7 @@ from faults import (
 )
 
 import blocksar
-from blocksar.cluster import open_client
+from blocksar.graph.cluster import open_client
 
 OWN = ("--workers", "1", "--memory-limit", "2GiB")  # a cluster of the run's own, as small as can be
 STOPPED_WITHIN = 20.0  # s after a signal: generous, for a busy machine

@@ -41,10 +41,12 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 import blocksar
-from blocksar import cli, cluster, stores
-from blocksar.parameters import InputError, ProcessingError
-from blocksar.scene import Scene
-from blocksar.stores import regions
+from blocksar import stores
+from blocksar.cli import commands
+from blocksar.errors import InputError, ProcessingError
+from blocksar.graph import cluster
+from blocksar.simulation.scene import Scene
+from blocksar.stores import arrays
 
 SCENE = """
 title = "tiny"
@@ -826,9 +828,9 @@ def test_the_bomb_goes_off_where_nobody_is_careful(armed: None, bench: Bench) ->
 def test_codecs_within_shards_are_known_too(monkeypatch: pytest.MonkeyPatch, bench: Bench) -> None:
     encoding = {"signal": {"chunks": (50, 53), "shards": (100, 53)}}
     store = altered(bench, lambda d: d, encoding=encoding)
-    monkeypatch.setattr(regions, "CODECS", regions.CODECS - {"crc32c"})  # the index's
+    monkeypatch.setattr(arrays, "CODECS", arrays.CODECS - {"crc32c"})  # the index's
     assert "crc32c" in bench.refused("armed", blocksar.plan, store)
-    monkeypatch.setattr(regions, "CODECS", regions.CODECS - {"zstd"})  # the samples'
+    monkeypatch.setattr(arrays, "CODECS", arrays.CODECS - {"zstd"})  # the samples'
     assert "zstd" in bench.refused("armed", blocksar.plan, store)
 
 
@@ -1327,7 +1329,7 @@ def little_memory(spare: int = 1 << 30) -> Iterator[None]:
 
 def command(*words: str) -> Any:
     with deadline(30), little_memory():
-        return CliRunner().invoke(cli.app, words)
+        return CliRunner().invoke(commands.app, words)
 
 
 def told_well(bench: Bench, kind: str, result: Any) -> None:

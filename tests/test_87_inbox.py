@@ -24,9 +24,11 @@ from faults import digests, members, until
 from scenes import write_store
 
 import blocksar
-from blocksar import cluster, graph, runs, stores
-from blocksar.parameters import InputError
+from blocksar import stores
+from blocksar.errors import InputError
+from blocksar.graph import cluster, stages
 from blocksar.places import place
+from blocksar.runs import folder
 
 SCRIPT = Path(__file__).parents[1] / "workflows" / "process_inbox.py"
 SCENE: dict[str, Any] = {  # 150 pulses of 91 range frequencies
@@ -266,7 +268,7 @@ def test_an_interrupted_one_goes_on(post: Post, image: dict[str, str], monkeypat
 
     post.deliver("a", "b")
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(graph, "mosaic", interrupted)
+        patch.setattr(stages, "mosaic", interrupted)
         post.sweep()
     status = post.status()
     assert (status["state"], status["exit_status"], status["left"]) == ("interrupted", 130, 2)
@@ -287,7 +289,7 @@ def test_an_unfinished_one_that_is_not_wanted_any_more_is_begun_again(
 
     post.deliver("a")
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(graph, "mosaic", interrupted)
+        patch.setattr(stages, "mosaic", interrupted)
         post.sweep(**({"blocks": 2} if change == "options" else {}))
     if change == "bytes":
         os.utime(samples_of(post.inbox / "a.zarr"))
@@ -384,7 +386,7 @@ def test_hooks_are_no_shell_lines(post: Post, tmp_path: Path) -> None:
 def test_what_is_not_the_collections_fault_is_tried_again(post: Post, image: dict[str, str], tmp_path: Path) -> None:
     post.deliver("a", "b")
     with ExitStack() as held:
-        held.enter_context(runs.claimed(place(post.outbox / "runs" / "a")))  # somebody focuses it by hand
+        held.enter_context(folder.claimed(place(post.outbox / "runs" / "a")))  # somebody focuses it by hand
         assert post.sweep(post.module.Hook(taking(tmp_path))) == post.module.FAILED
         assert told(tmp_path) == [("failed", "a.zarr"), ("done", "b.zarr")]
         assert [entry["name"] for entry in post.status()["failed"]] == ["a.zarr"]

@@ -21,8 +21,8 @@ from machines import Machine, two_machines
 from scenes import write_store
 
 import blocksar
-from blocksar import cluster
-from blocksar.parameters import InputError
+from blocksar.errors import InputError
+from blocksar.graph import admission, cluster
 from blocksar.progress import Listener
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -65,7 +65,7 @@ def test_units_that_the_scheduler_forgets_are_started_again(client: Client) -> N
         return future
 
     units = [(unit, partial(start, unit)) for unit in "abcd"]
-    outcomes = {unit: future.result() for unit, future in cluster.in_turn(client, "focus", units, 2, Listener())}
+    outcomes = {unit: future.result() for unit, future in admission.in_turn(client, "focus", units, 2, Listener())}
     assert outcomes == {unit: unit for unit in "abcd"}
     assert [started.count(unit) for unit in "ad"] == [1, 1] and min(started.count(unit) for unit in "bc") >= 3
 

@@ -16,9 +16,10 @@ from scenes import scene
 
 import blocksar
 from blocksar import stores
-from blocksar.parameters import SPEED_OF_LIGHT, InputError
-from blocksar.planning import Plan, Transforms
-from blocksar.scene import Scene
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.errors import InputError
+from blocksar.planning.plan import Plan, Transforms
+from blocksar.simulation.scene import Scene
 
 SMALL = {"duration": 0.15, "steering": (48.0, 52.0), "swath": [29900.0, 30100.0]}
 SIDE = 64  # pixels of the peer's chip
@@ -31,8 +32,10 @@ def benchmark() -> Any:
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(Path(__file__).parents[1] / "workflows"))
         import benchmark
+        from benchmarks import back_projection, floors, scenes, tables
 
-        yield benchmark
+        parts = {"back_projection": back_projection, "floors": floors, "scenes": scenes, "tables": tables}
+        yield SimpleNamespace(main=benchmark.main, **parts)
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +63,7 @@ def test_everything_is_measured(
     assert [path.name for path in tmp_path.iterdir()] == ["result.json"]
     result = json.loads((tmp_path / "result.json").read_text())
     found = result["scenes"]["1x1"]
-    assert set(found["ratios"]) == set(benchmark.RATIOS)
+    assert set(found["ratios"]) == set(benchmark.tables.RATIOS)
     for name, ratio in every_number(found["ratios"]):
         assert math.isfinite(ratio) and ratio > 0, name
     seconds = found["seconds"]
@@ -78,16 +81,15 @@ def test_everything_is_measured(
     assert result["machine"]["cores"] >= 1
     assert result["versions"]["blocksar"] == blocksar.__version__
     printed = capsys.readouterr().out
-    assert all(label in printed for label in benchmark.RATIOS.values())
-    assert max(map(len, printed.splitlines())) <= benchmark.WIDTH
+    assert all(label in printed for label in benchmark.tables.RATIOS.values())
+    assert max(map(len, printed.splitlines())) <= benchmark.tables.WIDTH
 
 
 @pytest.mark.parametrize("source", ["table1", "small"])
 def test_a_scaled_scene_keeps_dwell_and_resolution(benchmark: Any, source: str, small: Path) -> None:
-    tables = benchmark.scene_tables(str(small) if source == "small" else source)
-    first, wide = (
-        Scene.parse(benchmark.as_toml(benchmark.scaled(tables, benchmark.Scale(a, b)))) for a, b in ((1, 1), (3, 2))
-    )
+    scenes = benchmark.scenes
+    tables = scenes.scene_tables(str(small) if source == "small" else source)
+    first, wide = (Scene.parse(scenes.as_toml(scenes.scaled(tables, scenes.Scale(a, b)))) for a, b in ((1, 1), (3, 2)))
     assert wide.beam_width_deg == pytest.approx(first.beam_width_deg)
     assert wide.radar == first.radar
     assert wide.n_pulse == 2 * first.n_pulse
@@ -101,11 +103,13 @@ def test_a_scene_file_survives(benchmark: Any) -> None:
         "title": "t", "track": {"position": [0.0, 1.0, 2e3]}, "matrix": {"rows": 2, "names": {"A1": [0, 0]}},
         "targets": [{"name": "P", "x": 1.5, "y": -2.0}, {"name": "Q", "x": 1e-7, "y": 3.0}],
     }  # fmt: skip
-    assert tomllib.loads(benchmark.as_toml(tables)) == tables
+    assert tomllib.loads(benchmark.scenes.as_toml(tables)) == tables
 
 
 def test_the_prf_is_raised_as_asked_and_no_further(benchmark: Any) -> None:
-    case = benchmark.plan_case("table1", benchmark.Scale(1, 1.5), blocks=3, workers=2, memory_limit=8 * 2**30)
+    case = benchmark.scenes.plan_case(
+        "table1", benchmark.scenes.Scale(1, 1.5), blocks=3, workers=2, memory_limit=8 * 2**30
+    )
     band = np.ptp(case.plan.recovery.band)
     assert band < case.scene.radar.prf
     if case.scene.radar.prf > 8e3:
@@ -116,7 +120,7 @@ def test_the_prf_is_raised_as_asked_and_no_further(benchmark: Any) -> None:
 @pytest.mark.parametrize("text", ["2", "2x", "0x1", "axb", "1x-1", "1.2.3x1"])
 def test_a_wrong_scale_is_refused(benchmark: Any, text: str) -> None:
     with pytest.raises(InputError, match="give pairs such as"):
-        benchmark.Scale.parse(text)
+        benchmark.scenes.Scale.parse(text)
 
 
 def test_shares_make_the_whole(benchmark: Any, tmp_path: Path) -> None:
@@ -125,12 +129,12 @@ def test_shares_make_the_whole(benchmark: Any, tmp_path: Path) -> None:
     for i in range(5):
         (source / str(i)).write_bytes(bytes(700))
     traffic = [
-        benchmark.Traffic("input", 700, 0, 3500, tuple(sorted(source.iterdir()))),
-        benchmark.Traffic("patches", 1000, 7300, 14600),
+        benchmark.floors.Traffic("input", 700, 0, 3500, tuple(sorted(source.iterdir()))),
+        benchmark.floors.Traffic("patches", 1000, 7300, 14600),
     ]
     raw = tmp_path / "raw"
     raw.mkdir()
-    found = [benchmark.io_share(raw, traffic, index, 3) for index in range(3)]
+    found = [benchmark.floors.io_share(raw, traffic, index, 3) for index in range(3)]
     assert sum(path.stat().st_size for path in raw.iterdir()) == 7300
     assert all(set(share) == {"read input", "write patches", "read patches"} for share in found)
 
@@ -144,7 +148,7 @@ def test_a_file_of_two_names_is_written_once(benchmark: Any, collected: Any, tmp
     (patch / "1").write_bytes(bytes(1000))
     (image / "0").hardlink_to(patch / "0")
     (image / "1").write_bytes(bytes(600))
-    found = {kind.name: kind for kind in benchmark.traffic_of(Path(history.path), tmp_path, plan)}
+    found = {kind.name: kind for kind in benchmark.floors.traffic_of(Path(history.path), tmp_path, plan)}
     assert set(found) == {"input", "patches", "image"}
     assert (found["patches"].written, found["patches"].read) == (2000, 2000)
     assert (found["image"].written, found["image"].read) == (600, 0)
@@ -158,9 +162,9 @@ def test_every_group_is_transformed_once(benchmark: Any, monkeypatch: pytest.Mon
         assert settings == {"axis": 1, "overwrite_x": True}
         rows.append(group.shape)
 
-    monkeypatch.setattr(benchmark.scipy.fft, "fft", count)
+    monkeypatch.setattr(benchmark.floors.scipy.fft, "fft", count)
     for index in range(2):
-        found = benchmark.fft_share([Transforms("recover", 1001, 500), Transforms("deramp", 3, 40)], 2, index, 2)
+        found = benchmark.floors.fft_share([Transforms("recover", 1001, 500), Transforms("deramp", 3, 40)], 2, index, 2)
         assert set(found) == {"recover", "deramp"}
     assert sum(n for n, length in rows if length == 500) == 1001
     assert sum(n for n, length in rows if length == 40) == 3
@@ -178,7 +182,7 @@ def collected(benchmark: Any, small: Path, tmp_path_factory: pytest.TempPathFact
     x, y, _ = plan.geometry.ground_point(np.array(30e3), np.radians(50.0))
     mesh = np.meshgrid(float(x) + np.arange(SIDE) * plan.grid.dx, float(y) + np.arange(SIDE) * plan.grid.dy)
     history = stores.open_phase_history(store)
-    chips = benchmark.Chips(["middle"], [], *mesh)
+    chips = benchmark.back_projection.Chips(["middle"], [], *mesh)
     exact = blocksar.backprojection.form_points(
         lambda pulses: history.read(pulses, slice(None)), plan.geometry, *mesh, threads=1
     )
@@ -188,9 +192,9 @@ def collected(benchmark: Any, small: Path, tmp_path_factory: pytest.TempPathFact
 def test_a_peer_that_is_not_there(benchmark: Any, collected: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torchbp", None)
     monkeypatch.setitem(sys.modules, "torch", None)
-    found = benchmark.run_peer(*collected, 1)
+    found = benchmark.back_projection.run_peer(*collected, 1)
     assert (found["name"], found["status"]) == ("torchbp", "not installed")
-    assert "not installed" in benchmark._peer_line(found)
+    assert "not installed" in benchmark.tables._peer_line(found)
 
 
 def backprojection_cart_2d(data: Any, grid: Any, fc: float, r_res: float, pos: Any, d0: float = 0.0) -> Any:
@@ -216,8 +220,8 @@ def test_the_peer_is_given_the_same_scene(benchmark: Any, collected: Any, monkey
     torchbp.ops = SimpleNamespace(backprojection_cart_2d=backprojection_cart_2d)  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "torch", torch)
     monkeypatch.setitem(sys.modules, "torchbp", torchbp)
-    monkeypatch.setattr(benchmark, "CHIP", SIDE)
-    found = benchmark.run_peer(*collected, 1)
+    monkeypatch.setattr(benchmark.back_projection, "CHIP", SIDE)
+    found = benchmark.back_projection.run_peer(*collected, 1)
     assert found["status"] == "run"
     assert found["coherence"] > 0.8  # positions in float32 are known to a millimetre
-    assert "M updates/s" in benchmark._peer_line(found)
+    assert "M updates/s" in benchmark.tables._peer_line(found)

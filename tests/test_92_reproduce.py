@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,14 +14,15 @@ import typer
 from scenes import TABLE1, scene
 
 import blocksar
-from blocksar import plotting
-from blocksar.fourier import Axis
-from blocksar.geometry import Geometry
-from blocksar.measurement import IDEAL_ISLR
-from blocksar.method import Method
-from blocksar.parameters import SPEED_OF_LIGHT, InputError, ProcessingError
-from blocksar.planning import plan_collection
-from blocksar.scene import Scene
+from blocksar.collection.geometry import Geometry
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.errors import InputError, ProcessingError
+from blocksar.focusing.method import Method
+from blocksar.kernels.fourier import Axis
+from blocksar.measurement.figures import IDEAL_ISLR
+from blocksar.planning.plan import plan_collection
+from blocksar.products.pictures import figures, panels
+from blocksar.simulation.scene import Scene
 
 # Nine targets with the paper's names, on so little ground that a run takes seconds.
 SMALL = {"duration": 0.3, "steering": (46.0, 54.0), "dwell": 0.08, "swath": [29900.0, 30100.0]}
@@ -35,8 +37,13 @@ def reproduce() -> Iterator[Any]:
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(Path(__file__).parents[1] / "workflows"))
         import reproduce_papers
+        from papers import bench, comparison, images, range_series, recovery, responses, single_targets
 
-        yield reproduce_papers
+        parts = (bench, comparison, images, range_series, recovery, responses, single_targets)
+        yield SimpleNamespace(
+            main=reproduce_papers.main, EXHIBITS=reproduce_papers.EXHIBITS,
+            **{part.__name__.rpartition(".")[2]: part for part in parts},
+        )  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +60,8 @@ def page(reproduce: Any, small: Scene, tmp_path_factory: pytest.TempPathFactory)
         raise ProcessingError("the disk is full")
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(reproduce, "scene", lambda name: small)
+        for module in (reproduce.bench, reproduce.images, reproduce.range_series, reproduce.recovery):
+            patch.setattr(module, "scene", lambda name: small)
         patch.setitem(reproduce.EXHIBITS, "fig2", fails)
         forget(reproduce)
         with pytest.raises(typer.Exit) as ended:
@@ -64,7 +72,7 @@ def page(reproduce: Any, small: Scene, tmp_path_factory: pytest.TempPathFactory)
 
 
 def forget(reproduce: Any) -> None:
-    for kept in (reproduce.geometry, reproduce.plan, reproduce.slab):
+    for kept in (reproduce.bench.geometry, reproduce.bench.plan, reproduce.single_targets.slab):
         kept.cache_clear()
 
 
@@ -155,9 +163,9 @@ def test_table_3_is_what_a_run_of_its_own_measures(page: Path, small: Scene, tmp
 
 def test_the_least_prf_is_what_a_plan_accepts(reproduce: Any, page: Path) -> None:
     for derotation in ("linear", "nonlinear"):
-        least = 1 / reproduce.least_recovery(derotation).pulses.step
+        least = 1 / reproduce.recovery.least_recovery(derotation).pulses.step
         with pytest.raises(InputError, match=r"PRF .* is too low"):
-            plan_collection(reproduce.at_prf(0.98 * least), blocks=3, method=Method(derotation=derotation))
+            plan_collection(reproduce.recovery.at_prf(0.98 * least), blocks=3, method=Method(derotation=derotation))
 
 
 @pytest.mark.parametrize("repeats", [0, 1])
@@ -166,7 +174,7 @@ def test_a_spectrogram_shows_a_chirp_where_it_is(reproduce: Any, repeats: int) -
     start, rate, centre = 900.0, 2500.0, 700.0
     time = axis.values
     chirp = np.exp(2j * np.pi * (start * time + rate * time**2 / 2)).astype(np.complex64)
-    shown = reproduce.spectrogram(chirp, axis, centre=centre, repeats=repeats)
+    shown = reproduce.recovery.spectrogram(chirp, axis, centre=centre, repeats=repeats)
     assert np.ptp(shown.y_edges) == pytest.approx(4.0 * (2 * repeats + 1))
     when, doppler = ((edges[1:] + edges[:-1]) / 2 for edges in (shown.x_edges, shown.y_edges))
     inside = np.abs(when) < 0.25
@@ -177,7 +185,7 @@ def test_a_spectrogram_shows_a_chirp_where_it_is(reproduce: Any, repeats: int) -
 
 
 def test_a_definition_is_found_for_a_printed_islr(reproduce: Any) -> None:
-    said = re.search(r"within about ([\d.]+) widths", reproduce.why_islr(IDEAL_ISLR, "it prints"))
+    said = re.search(r"within about ([\d.]+) widths", reproduce.responses.why_islr(IDEAL_ISLR, "it prints"))
     assert said is not None
     assert float(said[1]) == pytest.approx(10, abs=0.6)  # at a null hardly anything is added
 
@@ -204,7 +212,7 @@ def test_a_file_is_no_folder(reproduce: Any, tmp_path: Path, capsys: pytest.Capt
 
 
 def test_a_difference_is_told(reproduce: Any) -> None:
-    row, claim = reproduce.Row, reproduce.below(1.0, "below 1")
+    row, claim = reproduce.comparison.Row, reproduce.comparison.below(1.0, "below 1")
     found = [
         row("near: width", 1.904, "m", 1.89, 0.05),
         row("far: width", 2.1, "m", 1.89, 0.05, "far is wider"),
@@ -223,26 +231,24 @@ def test_a_difference_is_told(reproduce: Any) -> None:
         ["0.00", "not printed", ""],
         ["not measured", "20 in no unit", ""],
     ]
-    made = reproduce.Exhibit(title="t", text="", rows=found)
+    made = reproduce.comparison.Exhibit(title="t", text="", rows=found)
     assert made.verdict == "2 of 4"
     assert made.notes == ["far is wider", "far: level: the difference is not explained."]
-    assert reproduce.crossed(found).header[:4] == ["target", "width (m)", "width, printed", "difference"]
-    assert [len(line) for line in reproduce.crossed(found).lines] == [10, 10]
+    assert reproduce.comparison.crossed(found).header[:4] == ["target", "width (m)", "width, printed", "difference"]
+    assert [len(line) for line in reproduce.comparison.crossed(found).lines] == [10, 10]
     assert not row("missing", float("nan"), "dB", -13.0, 0.5).agrees
 
 
 def test_panels_share_a_scale_and_a_legend(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     kept: list[Any] = []
-    monkeypatch.setattr(plotting, "_save", lambda figure, path: kept.append(figure))
+    monkeypatch.setattr(figures, "save", lambda figure, path: kept.append(figure))
     edges, x = np.arange(5.0), np.linspace(0, 4, 9)
-    maps = [plotting.Map(np.full((4, 4), value), edges, edges, value - 30, value) for value in (0.0, -20.0)]
-    panels = [
-        plotting.Panel(
-            "map", "s", "Hz", [plotting.Trace("line", x, x, "red", style)], [plotting.Level("limit", 2.0)], shown
-        )
+    maps = [panels.Map(np.full((4, 4), value), edges, edges, value - 30, value) for value in (0.0, -20.0)]
+    drawn = [
+        panels.Panel("map", "s", "Hz", [panels.Trace("line", x, x, "red", style)], [panels.Level("limit", 2.0)], shown)
         for shown, style in zip(maps, ("--", "."), strict=True)
     ]
-    plotting.plot_panels(panels, tmp_path / "panels.png", bar="power (dB)")
+    panels.plot_panels(drawn, tmp_path / "panels.png", bar="power (dB)")
     figure = kept[0]
     assert [mesh.get_clim() for axes in figure.axes[:2] for mesh in axes.collections] == [(-50.0, 0.0)] * 2
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["line", "limit"]

@@ -18,8 +18,8 @@ import typer
 from typer.testing import CliRunner
 
 import blocksar
-from blocksar import cli
-from blocksar.parameters import InputError
+from blocksar.cli import commands, parsing
+from blocksar.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -28,10 +28,10 @@ WORKFLOWS = sorted(path.stem for path in (ROOT / "workflows").glob("*.py"))
 NOTATION = re.compile(r"[|…]|\.\.\.|COMMAND")
 # Values that are read after the parsing of the command line.
 READERS = {
-    "grid": cli.parse_grid,
-    "blocks": lambda text: cli.parse_blocks(text.split(",")[0]),  # of the study of blocks, several
-    "memory_limit": cli.parse_memory,
-    "origin": cli.parse_origin,
+    "grid": parsing.parse_grid,
+    "blocks": lambda text: parsing.parse_blocks(text.split(",")[0]),  # of the study of blocks, several
+    "memory_limit": parsing.parse_memory,
+    "origin": parsing.parse_origin,
 }
 
 
@@ -44,7 +44,7 @@ def fenced(language: str) -> list[tuple[int, str]]:
     return [(README[: m.start()].count("\n") + 2, m[1]) for m in found]
 
 
-def commands(text: str) -> Iterator[str]:
+def command_lines(text: str) -> Iterator[str]:
     """Command lines of blocksar or of a workflow in a shell text, continued lines joined."""
     for line in re.sub(r"\\\n\s*", " ", text).splitlines():
         for part in re.split(r"&&|;", line):
@@ -54,7 +54,7 @@ def commands(text: str) -> Iterator[str]:
 
 def documented() -> dict[str, str]:
     """Whole command lines, by where they are told: README's shell blocks, indented lines of module docstrings."""
-    told = {f"README.md:{line}: {command}": command for line, text in fenced("bash") for command in commands(text)}
+    told = {f"README.md:{line}: {command}": command for line, text in fenced("bash") for command in command_lines(text)}
     for path in sorted([*(ROOT / "blocksar").glob("*.py"), *(ROOT / "workflows").glob("*.py")]):
         text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
         shell = "\n".join(line for line in text.splitlines() if line.startswith("    "))
@@ -76,7 +76,7 @@ def inline() -> list[str]:
 def program(name: str) -> Any:
     """The command of `blocksar`, or of a workflow by its module's name."""
     if name == "blocksar":
-        return typer.main.get_command(cli.app)
+        return typer.main.get_command(commands.app)
     app = typer.Typer(add_completion=False)
     app.command()(importlib.import_module(name).main)
     return typer.main.get_command(app)
@@ -212,7 +212,7 @@ def examples(entry: Any) -> list[str]:
 
 @pytest.mark.parametrize("names", BLOCKSAR, ids=lambda names: " ".join(("blocksar", *names)))
 def test_help_has_an_example_that_can_be_given(names: tuple[str, ...]) -> None:
-    shown = CliRunner().invoke(cli.app, [*names, "--help"])
+    shown = CliRunner().invoke(commands.app, [*names, "--help"])
     assert shown.exit_code == 0
     assert "Example:" in shown.output
     told = examples(BLOCKSAR[names])

@@ -25,8 +25,8 @@ from distributed.security import Security
 
 import blocksar
 from blocksar import stores
-from blocksar.cli import parse_grid
-from blocksar.scene import Scene
+from blocksar.cli.parsing import parse_grid
+from blocksar.simulation.scene import Scene
 
 ROOT = Path(__file__).resolve().parents[1]
 WORKFLOWS = ROOT / "workflows"
@@ -214,7 +214,7 @@ def test_what_is_no_finished_run_is_refused(
 
 def test_the_study_of_blocks(tmp_path: Path) -> None:
     """About a target at the end of table1's scan: what is left falls with the blocks, and is what measuring finds."""
-    text = (resources.files("blocksar") / "scenes" / "table1.toml").read_text(encoding="utf-8")
+    text = (resources.files("blocksar.simulation") / "scenes" / "table1.toml").read_text(encoding="utf-8")
     text = text.replace("[27500.0, 32500.0]", "[29950.0, 30050.0]").split("[matrix]")[0]
     for yaw in (44.3, 50.0):  # the beam sweeps wholly what lies between 44.26 and 55.74; the second is not in the grid
         text += f'[[targets]]\nname = "{yaw}"\nrange = 30000.0\nyaw_deg = {yaw}\n'

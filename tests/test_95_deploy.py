@@ -19,7 +19,6 @@ from typing import Any, NamedTuple
 
 import click
 import dask
-import distributed.cli.dask_scheduler
 import distributed.cli.dask_worker
 import pytest
 import typer
@@ -29,7 +28,8 @@ from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
 
 import blocksar
-from blocksar import cli, cluster
+from blocksar.cli import endings
+from blocksar.graph import cluster
 
 ROOT = Path(__file__).resolve().parents[1]
 DEPLOY = ROOT / "deploy"
@@ -353,10 +353,10 @@ def documented(docstring: str) -> set[int]:
 def test_exit_statuses_are_those_of_the_workflow(workflow: Any) -> None:
     known = documented(workflow.__doc__)
     assert known == {
-        workflow.DONE, workflow.FAILED, workflow.USAGE, workflow.QUARANTINED, workflow.BUSY, cli.INTERRUPTED,
-        cli.TERMINATED,
+        workflow.DONE, workflow.FAILED, workflow.USAGE, workflow.QUARANTINED, workflow.BUSY, endings.INTERRUPTED,
+        endings.TERMINATED,
     }  # fmt: skip
-    well = {workflow.BUSY, cli.INTERRUPTED, cli.TERMINATED}  # beside 0
+    well = {workflow.BUSY, endings.INTERRUPTED, endings.TERMINATED}  # beside 0
     assert set(map(int, unit(SERVICE)["SuccessExitStatus"][0].split())) == well
     arms = re.findall(r"^([\d |]+)\)", text("cron", "sweep"), re.MULTILINE)
     assert {int(number) for arm in arms for number in arm.split("|")} == known
@@ -374,7 +374,7 @@ def test_a_sweep_has_time_to_end() -> None:
     waits += [service["stop_grace_period"].removesuffix("s") for service in compose()["services"].values()]
     waits += re.findall(r"--signal=B:TERM@(\d+)", text("slurm", "focus.sbatch"))
     assert len(waits) == 7
-    assert all(int(seconds) >= 2 * cli.GRACE for seconds in waits)
+    assert all(int(seconds) >= 2 * endings.GRACE for seconds in waits)
 
 
 def installation(folder: Path, python: str) -> Path:
@@ -697,7 +697,7 @@ def test_the_job_of_a_worker(tmp_path: Path) -> None:
 def test_wrong_input_is_told_before_anything_waits(tmp_path: Path) -> None:
     pytest.importorskip("dask_jobqueue")
     done = focus_on_slurm("nowhere.zarr", "--out", "run", cwd=tmp_path)
-    assert done.returncode == cli.WRONG_INPUT and "nowhere.zarr" in done.stderr
+    assert done.returncode == endings.WRONG_INPUT and "nowhere.zarr" in done.stderr
     assert not list(tmp_path.iterdir())
 
 

@@ -34,6 +34,8 @@ keystone-resampling, fitted, leave 0.01 rad with 4. Where some radians are left,
 has come apart.
 """
 
+from __future__ import annotations
+
 import csv
 import sys
 from pathlib import Path
@@ -47,9 +49,9 @@ from rich.console import Console
 from rich.table import Table
 
 import blocksar
-from blocksar.cli import parse_grid
-from blocksar.method import Chain, Coefficients
-from blocksar.planning import PHASE_BUDGET, SIDE_LOBE_BUDGET
+from blocksar.budget import PHASE_BUDGET, SIDE_LOBE_BUDGET
+from blocksar.cli.parsing import parse_grid
+from blocksar.focusing.method import Chain, Coefficients
 
 MIB = 2**20
 COLUMNS = {  # of the CSV file; of the table: title and form

@@ -27,6 +27,8 @@ The call of `main` stands below `if __name__ == "__main__":` because the workers
 processes, which import this file again. The picture needs the extra `plots`.
 """
 
+from __future__ import annotations
+
 import sys
 from pathlib import Path
 from typing import Annotated

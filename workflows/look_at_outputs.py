@@ -24,6 +24,8 @@ Runs of back-projection have neither blocks nor spectrum nor patches: what is no
 to RUN/look.png, or wherever --out says, and needs the extra `plots`.
 """
 
+from __future__ import annotations
+
 import json
 import sys
 from pathlib import Path

@@ -29,6 +29,8 @@ the tasks that it was at. A finished run is left alone.
     130           interrupted, likewise
 """
 
+from __future__ import annotations
+
 import os
 import signal
 import sys
@@ -44,7 +46,7 @@ from distributed.security import Security
 from first_image import SCENE
 
 import blocksar
-from blocksar.cli import parse_blocks, parse_grid
+from blocksar.cli.parsing import parse_blocks, parse_grid
 
 PACKAGES = ["blocksar", "dask", "distributed", "numba", "numpy", "zarr"]
 GIB = 2**30

@@ -54,13 +54,17 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn, Self
 import typer
 
 import blocksar
-from blocksar import cli, stores
-from blocksar.parameters import InputError, ProcessingError
-from blocksar.places import Held, LocalPlace, Place, place
-from blocksar.runs import ASIDE, FINISHED, LOCK, UNFINISHED
+from blocksar import stores
+from blocksar.cli import endings, options, parsing
+from blocksar.errors import InputError, ProcessingError
+from blocksar.places import place
+from blocksar.places.local import LocalPlace
+from blocksar.places.place import Held, Place
+from blocksar.runs.folder import ASIDE, FINISHED, LOCK, UNFINISHED
 
 if TYPE_CHECKING:
     from distributed import Client
+
 
 DONE, FAILED, USAGE, QUARANTINED, BUSY = 0, 1, 2, 3, os.EX_TEMPFAIL
 
@@ -371,7 +375,7 @@ class Cluster:
         Unserved
             If there is none to be had.
         """
-        from blocksar.cluster import cluster_size, machine, open_client
+        from blocksar.graph.cluster import cluster_size, machine, open_client
 
         try:
             if self._client is None:
@@ -444,7 +448,9 @@ class Sweep:
             self.journal.write({"event": "no cluster", "reason": str(error)})
             status = FAILED
         except BaseException as error:
-            status = {KeyboardInterrupt: cli.INTERRUPTED, cli.Terminated: cli.TERMINATED}.get(type(error), FAILED)
+            status = {KeyboardInterrupt: endings.INTERRUPTED, endings.Terminated: endings.TERMINATED}.get(
+                type(error), FAILED
+            )
             self._note(state="interrupted", exit_status=status)
             self.journal.write({"event": "interrupted", "reason": type(error).__name__})
             raise
@@ -563,35 +569,35 @@ def _passing(error: InputError, run: Path | None) -> bool:
 def main(
     inbox: Annotated[str, typer.Argument(metavar="INBOX", help="Folder of phase-history stores; only read.")],
     outbox: Annotated[str, typer.Argument(metavar="OUTBOX", help="Folder of runs, records, status and log.")],
-    processor: cli.ProcessorOption = "angular-division",
-    blocks: cli.Blocks = "auto",
-    coefficients: cli.CoefficientsOption = "fitted",
-    grid: cli.GridOption = None,
-    workers: cli.Workers = None,
-    threads: cli.Threads = None,
-    memory_limit: cli.MemoryLimit = None,
+    processor: options.ProcessorOption = "angular-division",
+    blocks: options.Blocks = "auto",
+    coefficients: options.CoefficientsOption = "fitted",
+    grid: options.GridOption = None,
+    workers: options.Workers = None,
+    threads: options.Threads = None,
+    memory_limit: options.MemoryLimit = None,
     scheduler: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="A running dask scheduler, instead of an own cluster.")
     ] = None,
     notify: Annotated[
         str | None, typer.Option(metavar="COMMAND", help="Called for each result, with the event as JSON on stdin.")
     ] = None,
-    quiet: cli.Quiet = False,
+    quiet: options.Quiet = False,
 ) -> None:
     """Focus every collection of an inbox exactly once, oldest first; then end, until a timer starts it again.
 
     Example: [bold]python workflows/process_inbox.py inbox outbox --workers 2 --notify notify-operators[/bold]
     """
-    cli.catch_signals()
+    endings.catch_signals()
     try:
         settings: Settings = {
             "processor": processor,
-            "blocks": cli.parse_blocks(blocks),
+            "blocks": parsing.parse_blocks(blocks),
             "coefficients": coefficients,
-            "grid": None if grid is None else [list(axis) for axis in cli.parse_grid(grid)],
+            "grid": None if grid is None else [list(axis) for axis in parsing.parse_grid(grid)],
             "workers": workers,
             "threads": threads,
-            "memory_limit": None if memory_limit is None else cli.parse_memory(memory_limit),
+            "memory_limit": None if memory_limit is None else parsing.parse_memory(memory_limit),
         }
         status = sweep(inbox, outbox, settings, Hook.parse(notify), scheduler=scheduler, quiet=quiet)
     except InputError as error:
@@ -601,9 +607,9 @@ def main(
     except (OSError, ProcessingError) as error:
         _end(str(error), FAILED)
     except KeyboardInterrupt:
-        _end("interrupted; the next sweep goes on from here", cli.INTERRUPTED)
-    except cli.Terminated:
-        _end("terminated; the next sweep goes on from here", cli.TERMINATED)
+        _end("interrupted; the next sweep goes on from here", endings.INTERRUPTED)
+    except endings.Terminated:
+        _end("terminated; the next sweep goes on from here", endings.TERMINATED)
     raise typer.Exit(status)
 
 

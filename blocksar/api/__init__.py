@@ -1,15 +1,17 @@
 """The commands as functions: simulate, ingest, plan, focus, quality, report, export, open, demo.
 
-One module a stage of the data's way: `sources`, `planned`, `focused`, `measured`, `shown`; `common` is what they share.
+One module for each stage: `sources`, `planning`, `focusing`, `measuring`, `exporting`, `demo`; they share `arguments`
+and `reports`.
 """
 
 from __future__ import annotations
 
-from blocksar.api.common import Report
-from blocksar.api.focused import focus
-from blocksar.api.measured import quality
-from blocksar.api.planned import plan
-from blocksar.api.shown import demo, export, open, report
+from blocksar.api.demo import demo
+from blocksar.api.exporting import export, open, report
+from blocksar.api.focusing import focus
+from blocksar.api.measuring import quality
+from blocksar.api.planning import plan
+from blocksar.api.reports import Report
 from blocksar.api.sources import ingest, ingest_cphd, ingest_gotcha, simulate
 
 __all__ = [

@@ -6,12 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-from blocksar import simulation
-from blocksar.api.common import Report, only_stage, resources
-from blocksar.parameters import InputError
-from blocksar.places import Location, Place
+from blocksar.api.arguments import resources
+from blocksar.api.reports import Report, only_stage
+from blocksar.errors import InputError
+from blocksar.places import Location
+from blocksar.places.place import Place
 from blocksar.progress import Updated as Progress
-from blocksar.scene import Scene
+from blocksar.simulation import phase_history
+from blocksar.simulation.scene import Scene
 
 
 def simulate(
@@ -46,15 +48,15 @@ def simulate(
     if cphd:
         if raw:
             raise InputError("raw is given together with cphd, but CPHD files hold compressed pulses; leave out one")
-        from blocksar import cphd_simulation  # optional libraries
+        from blocksar.simulation import cphd as cphd_files  # optional libraries
 
-        return cphd_simulation.simulate(
-            scene, out, origin=origin or cphd_simulation.ORIGIN, threads=threads, overwrite=overwrite,
+        return cphd_files.simulate(
+            scene, out, origin=origin or cphd_files.ORIGIN, threads=threads, overwrite=overwrite,
             progress=told,
         )  # fmt: skip
     if origin is not None:
         raise InputError(f"origin is {origin}, but only CPHD files have one; leave it out")
-    return simulation.simulate(scene, out, raw=raw, threads=threads, overwrite=overwrite, progress=told)
+    return phase_history.simulate(scene, out, raw=raw, threads=threads, overwrite=overwrite, progress=told)
 
 
 def ingest(
@@ -90,7 +92,7 @@ def ingest_cphd(
     InputError
         If the file is damaged, contradicts itself or is not supported, or `out` exists and `overwrite` is False.
     """
-    from blocksar import cphd  # optional libraries, and slow to load
+    from blocksar.ingestion import cphd  # optional libraries, and slow to load
 
     made = cphd.ingest(source, out, channel=channel, overwrite=overwrite, progress=only_stage(progress, "ingest"))
     return Report(summary=[*made.said, f"wrote {made.path}"], result=made.collection)
@@ -115,7 +117,7 @@ def ingest_gotcha(
     InputError
         If a file is damaged, files do not belong together, or `out` exists and `overwrite` is False.
     """
-    from blocksar import gotcha
+    from blocksar.ingestion.gotcha import ingestion
 
-    made = gotcha.ingest(source, out, overwrite=overwrite, progress=only_stage(progress, "ingest"))
+    made = ingestion.ingest(source, out, overwrite=overwrite, progress=only_stage(progress, "ingest"))
     return Report(summary=[*made.said, f"wrote {made.path}"], result=made.collection)

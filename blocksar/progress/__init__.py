@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from blocksar.progress.display import PLAIN_STEPS, Progress, abandon
 from blocksar.progress.estimate import Estimate
-from blocksar.progress.listening import NOBODY, Listener, Updated, Work, Workers, listener
+from blocksar.progress.listening import NOBODY, Callback, Listener, Updated, Work, Workers, listener
 from blocksar.progress.log import Log
 
 __all__ = [
     "NOBODY",
     "PLAIN_STEPS",
+    "Callback",
     "Estimate",
     "Listener",
     "Log",

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderableType
     from rich.live import Live
 
+
 PLAIN_STEPS = 10  # progress lines a stage, where there is no terminal
 FRAMES = 4  # a second, of the live display
 LOG_SECONDS = 1.0  # at least, between two progress lines of a stage in the log but its first and last

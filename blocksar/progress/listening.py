@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple, Protocol
 
+Callback = Callable[[int, int], None]  # called with the parts done and the parts in all
 Work = Mapping[str, Sequence[float]]  # of stages to come: predicted seconds of each unit
 
 

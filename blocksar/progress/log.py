@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from blocksar.parameters import InputError
+from blocksar.errors import InputError
 
 
 class Log:

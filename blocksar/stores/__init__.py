@@ -5,7 +5,7 @@ created once, before any task (`creation`); after that each task writes whole ch
 (`regions`), so there are no locks. A chunk that was never written reads as NaN (-1 for integers), never as zero:
 "not there" is not "dark".
 
-`phase_history.zarr` is a public contract, and other programs write it: reading it (`collections`) trusts nothing.
+`phase_history.zarr` is a public contract, and other programs write it: reading it (`phase_history`) trusts nothing.
 Chunking, compression, attribute types and extra variables are theirs to choose; what the contract fixes is checked, and
 every disagreement is one `InputError`.
 
@@ -18,9 +18,9 @@ A store lies in a folder or below a prefix of an object store: every path may be
 from __future__ import annotations
 
 from blocksar.stores.chunk_files import Array, Region
-from blocksar.stores.collections import (
+from blocksar.stores.creation import UNFINISHED, create
+from blocksar.stores.phase_history import (
     PhaseHistory,
-    RawEcho,
     create_phase_history,
     history_line,
     open_dataset,
@@ -28,7 +28,6 @@ from blocksar.stores.collections import (
     read_collection,
     write_collection,
 )
-from blocksar.stores.creation import UNFINISHED, create
 from blocksar.stores.records import checksum, checksum_bytes, json_checksum, read_json, write_json
 from blocksar.stores.regions import chunk_shape, read_region, share_region, write_region
 from blocksar.stores.schema import (
@@ -39,7 +38,6 @@ from blocksar.stores.schema import (
     PHASE_HISTORY,
     RAW_ECHO,
     SPECTRUM,
-    TILE,
     TRACK_AND_BEAM,
     Variable,
 )
@@ -52,12 +50,10 @@ __all__ = [
     "PHASE_HISTORY",
     "RAW_ECHO",
     "SPECTRUM",
-    "TILE",
     "TRACK_AND_BEAM",
     "UNFINISHED",
     "Array",
     "PhaseHistory",
-    "RawEcho",
     "Region",
     "Variable",
     "checksum",

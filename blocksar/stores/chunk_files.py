@@ -17,8 +17,9 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from blocksar.parameters import InputError
-from blocksar.places import LocalPlace, Place, replacing_file
+from blocksar.errors import InputError
+from blocksar.places.local import LocalPlace, replacing_file
+from blocksar.places.place import Place
 
 Region = tuple[slice, ...]
 Array = NDArray[Any]

@@ -15,12 +15,16 @@ import numpy as np
 import zarr
 from zarr.storage import MemoryStore
 
-from blocksar.parameters import InputError, ProcessingError
-from blocksar.places import LocalPlace, Location, ObjectPlace, Place, temporary
+from blocksar.errors import InputError, ProcessingError
+from blocksar.places import Location
 from blocksar.places import place as place_of
+from blocksar.places.local import LocalPlace, temporary
+from blocksar.places.objects import ObjectPlace
+from blocksar.places.place import Place
+from blocksar.stores.arrays import metadata_file
 from blocksar.stores.chunk_files import Array, fill_value
+from blocksar.stores.faults import ENVIRONMENT
 from blocksar.stores.records import nan_to_null, plain_value
-from blocksar.stores.regions import ENVIRONMENT, metadata_file
 from blocksar.stores.schema import Variable
 
 RENAMES = 32  # attempts at replacing a store that others are replacing too

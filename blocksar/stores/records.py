@@ -11,11 +11,13 @@ from typing import Any
 import numpy as np
 import xxhash
 
-from blocksar.parameters import InputError, ProcessingError
-from blocksar.places import LocalPlace, Location, Place
+from blocksar.errors import InputError, ProcessingError
+from blocksar.places import Location
 from blocksar.places import place as place_of
+from blocksar.places.local import LocalPlace
+from blocksar.places.place import Place
 from blocksar.stores.chunk_files import Array, refuse_odd_file
-from blocksar.stores.regions import ENVIRONMENT, cause_of
+from blocksar.stores.faults import ENVIRONMENT, cause_of
 
 
 def write_json(path: Location, obj: Any) -> None:

@@ -56,7 +56,6 @@ IMAGE = {
     "x": X,
     "y": Y,
 }
-TILE = (512, 1024)  # pulses by columns of a phase history: 4 MiB, whole in either direction of reading
 CONVENTIONS = "CF-1.11"
 COLLECTION_ATTRS = ("carrier_frequency", "beam_width", "ground_height")
 RAW_ATTRS = ("chirp_rate", "pulse_width")

@@ -25,13 +25,15 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 import typer
 
 import blocksar
-from blocksar import cli, stores
-from blocksar.parameters import InputError, ProcessingError
+from blocksar import stores
+from blocksar.cli import display, endings, options, parsing
+from blocksar.errors import InputError, ProcessingError
 from blocksar.progress import Progress
 
 if TYPE_CHECKING:
     from dask_jobqueue.slurm import SLURMCluster
     from distributed import Client
+
 
 MIB = 2**20
 NANNY = 512 * MIB  # bytes of a job beside its worker's memory limit: dask ends a worker before Slurm ends the job
@@ -194,12 +196,12 @@ def main(
         list[str] | None, typer.Option(metavar="OPTION", help="More options of sbatch, such as --constraint=avx512.")
     ] = None,
     patience: Annotated[float, typer.Option(min=1, metavar="SECONDS", help="To wait for the jobs to start.")] = 3600,
-    processor: cli.ProcessorOption = "angular-division",
-    blocks: cli.Blocks = "auto",
-    coefficients: cli.CoefficientsOption = "fitted",
-    grid: cli.GridOption = None,
-    overwrite: cli.Overwrite = False,
-    quiet: cli.Quiet = False,
+    processor: options.ProcessorOption = "angular-division",
+    blocks: options.Blocks = "auto",
+    coefficients: options.CoefficientsOption = "fitted",
+    grid: options.GridOption = None,
+    overwrite: options.Overwrite = False,
+    quiet: options.Quiet = False,
     job_script: Annotated[
         bool, typer.Option("--job-script", help="Print the job of a worker and end; nothing is submitted.")
     ] = False,
@@ -208,13 +210,13 @@ def main(
 
     Example: [bold]python deploy/slurm/focus_on_slurm.py table1.zarr --out run --jobs 8 --queue compute[/bold]
     """
-    cli.catch_signals()
+    endings.catch_signals()
     try:
         settings: dict[str, Any] = {
             "processor": processor,
-            "blocks": cli.parse_blocks(blocks),
+            "blocks": parsing.parse_blocks(blocks),
             "coefficients": coefficients,
-            "grid": None if grid is None else cli.parse_grid(grid),
+            "grid": None if grid is None else parsing.parse_grid(grid),
             "overwrite": overwrite,
         }
         if not job_script:
@@ -226,7 +228,7 @@ def main(
         with dask.config.set(SETTINGS):
             cluster = make_cluster(
                 Path(f"{os.path.abspath(out)}.slurm"),
-                memory=cli.parse_memory(memory),
+                memory=parsing.parse_memory(memory),
                 walltime=walltime,
                 queue=queue,
                 account=account,
@@ -244,15 +246,15 @@ def main(
                     gather(client, jobs, patience)
                     with Progress(quiet=quiet) as progress:
                         report = blocksar.focus(source, out, threads=1, client=client, progress=progress, **settings)
-        cli.show(report)
+        display.show(report)
     except InputError as error:
-        _end(str(error), cli.WRONG_INPUT)
+        _end(str(error), endings.WRONG_INPUT)
     except (ProcessingError, OSError) as error:
-        _end(str(error), cli.FAILED)
+        _end(str(error), endings.FAILED)
     except KeyboardInterrupt:
-        _end("interrupted; the same command goes on from there", cli.INTERRUPTED)
-    except cli.Terminated:
-        _end("terminated; the same command goes on from there", cli.TERMINATED)
+        _end("interrupted; the same command goes on from there", endings.INTERRUPTED)
+    except endings.Terminated:
+        _end("terminated; the same command goes on from there", endings.TERMINATED)
 
 
 def _end(message: str, status: int) -> NoReturn:

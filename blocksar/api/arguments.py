@@ -1,0 +1,59 @@
+"""What the commands share: how they answer, what they take for a source, a grid, the resources of a machine."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from blocksar import stores
+from blocksar.collection.collection import Collection
+from blocksar.collection.grid import Grid
+from blocksar.errors import InputError
+from blocksar.graph.cluster import machine
+from blocksar.places import Location
+from blocksar.places.place import Place
+from blocksar.simulation.scene import Scene, shipped_scenes
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+
+GridLike = Grid | tuple[tuple[float, float, float], tuple[float, float, float]]
+
+
+def grid_of(grid: GridLike | None) -> Grid | None:
+    if grid is None or isinstance(grid, Grid):
+        return grid
+    return Grid(*grid[0], *grid[1])
+
+
+def collection_of(source: Location | xr.Dataset) -> Collection:
+    text = str(source) if isinstance(source, str | Path) else ""
+    if text.endswith(".toml") or (text in shipped_scenes() and not Path(text).exists()):
+        return Scene.read(text).collection().centred()
+    return stores.open_phase_history(path_of(source)).collection.centred()
+
+
+def path_of(source: Location | xr.Dataset) -> Location:
+    return source if isinstance(source, str | os.PathLike | Place) else _dataset_path(source)
+
+
+def _dataset_path(source: xr.Dataset) -> str:
+    path = source.encoding.get("source")
+    if path is None:
+        raise InputError(
+            "source is a dataset that lies in no store; write it with to_zarr(path, zarr_format=3) and pass that path"
+        )
+    return str(path)
+
+
+def resources(workers: int | None, threads: int | None, memory_limit: int | None) -> tuple[int, int, int]:
+    """Workers, threads a worker, bytes a worker: by default workers x threads is the number of cores."""
+    cores, memory = machine()
+    for name, value in (("workers", workers), ("threads", threads)):
+        if value is not None and value < 1:
+            raise InputError(f"{name} must be at least 1, got {value}")
+    workers = workers or min(cores, 4)
+    threads = threads or max(cores // workers, 1)
+    return workers, threads, memory_limit or memory // workers

@@ -1,0 +1,84 @@
+"""The demonstration: simulate the paper's scene, focus it, measure it, draw it."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from blocksar.api.exporting import report
+from blocksar.api.focusing import focus
+from blocksar.api.measuring import measure, targets_of
+from blocksar.api.reports import Report
+from blocksar.api.sources import simulate
+from blocksar.errors import InputError
+from blocksar.graph import cluster, recording
+from blocksar.measurement.response import Response
+from blocksar.measurement.table3 import TABLE3
+from blocksar.places import Location, place
+from blocksar.places.place import Place
+from blocksar.planning import effort
+from blocksar.progress import Updated as Progress
+from blocksar.progress import listener
+from blocksar.runs import folder as run_folder
+from blocksar.runs.finished import open_run
+
+
+def demo(
+    out: Location,
+    *,
+    workers: int | None = None,
+    threads: int | None = None,
+    memory_limit: int | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+    performance_report: str | Path | None = None,
+) -> Report:
+    """Simulate the main paper's scene, focus it in three blocks, measure it, and draw it.
+
+    Leaves a run folder with quality.json, mosaic.png, contours.png and report.html besides.
+    """
+    told = listener(progress)
+    if performance_report is not None:
+        recording.check_recordable(Path(performance_report), None)
+    folder = place(out)
+    history = folder / run_folder.LEFT_ALONE[0]
+    if folder.names() and not history.exists():
+        raise InputError(f"{folder} exists and is not a demonstration run; choose another --out")
+    simulated = history.exists() and not overwrite
+    told.expect(effort.of_demo(simulated=simulated, compiled=cluster.compiled()), 1)
+    if not simulated:
+        simulate("table1", history, threads=threads, overwrite=overwrite, progress=told)
+    focused = focus(
+        history, folder, blocks=3, workers=workers, threads=threads, memory_limit=memory_limit, overwrite=overwrite,
+        progress=told, performance_report=performance_report,
+    )  # fmt: skip
+    told.expect(effort.FOCUS, 1)  # none of it is to come any more
+    told.update("measure", 0, 1)
+    measured, shown = measure(folder, None, reference=False)
+    told.update("measure", 1, 1)
+    told.update("draw", 0, 1)
+    pictures = _draw(folder, shown)
+    told.update("draw", 1, 1)
+    page = report(folder, progress=told)
+    lines = [*measured.summary, *focused.summary, f"pictures: {', '.join(str(p) for p in pictures)}"]
+    lines.append(f"report: {page.result}, for a browser")
+    return Report(tables=measured.tables, summary=lines, result=measured.result)
+
+
+def _draw(folder: Place, shown: Sequence[Response]) -> list[Place]:
+    try:
+        from blocksar.products.pictures import mosaic, responses  # optional, and slow to load
+    except ModuleNotFoundError as error:
+        raise InputError(f"{error.name} is not installed, which pictures need; install blocksar[plots]") from None
+    image, _, attrs, _ = open_run(folder)
+    with tempfile.TemporaryDirectory() as drawn:
+        pictures = [Path(drawn, "mosaic.png"), Path(drawn, "contours.png")]
+        mosaic.plot_mosaic(
+            image.read, image.x, image.y, pictures[0], read_block=image.block, targets=targets_of(None, attrs),
+            labels=list(TABLE3), title=str(attrs.get("title", "")),
+        )  # fmt: skip
+        responses.plot_contours(shown, pictures[1], title="impulse responses of the nine named targets")
+        for picture in pictures:
+            (folder / picture.name).write_bytes(picture.read_bytes())
+    return [folder / picture.name for picture in pictures]

@@ -1,0 +1,188 @@
+"""plan: how a collection would be focused, and how sharp its image would be."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from blocksar.api.arguments import GridLike, collection_of, grid_of, resources
+from blocksar.api.reports import Report, Table
+from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.grid import Grid
+from blocksar.collection.region import default_grid, plan_region
+from blocksar.constants import MIB
+from blocksar.errors import InputError
+from blocksar.focusing.method import (
+    Coefficients,
+    Derotation,
+    Method,
+    Perturbation,
+    PlannedProcessor,
+    RangeModel,
+    method_of,
+)
+from blocksar.places import Location
+from blocksar.planning import choice
+from blocksar.planning.block import BlockPlan
+from blocksar.planning.choice import Contender
+from blocksar.planning.memory import checked_back_projection_memory
+from blocksar.planning.plan import Plan, plan_collection
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+
+def plan(
+    source: Location | xr.Dataset,
+    *,
+    processor: PlannedProcessor = "angular-division",
+    blocks: int | Literal["auto"] = "auto",
+    coefficients: Coefficients = "fitted",
+    perturbation: Perturbation = "all",
+    keystone: bool = True,
+    derotation: Derotation = "nonlinear",
+    range_model: RangeModel = "polar",
+    grid: GridLike | None = None,
+    workers: int | None = None,
+    memory_limit: int | None = None,
+) -> Report:
+    """How a collection (a phase-history store or a scene) would be focused, and how sharply; no samples are read.
+
+    Returns
+    -------
+    Report
+        `result` is the `planning.Plan`.
+
+    Raises
+    ------
+    InputError
+        If the source is no collection, the PRF is too low, or the grid is outside the swath.
+    """
+    automatic = processor == "auto"
+    method = method_of(
+        "angular-division" if automatic else processor,
+        coefficients=coefficients,
+        perturbation=perturbation,
+        keystone=keystone,
+        derotation=derotation,
+        range_model=range_model,
+    )
+    if automatic and method is not None and method.rival:
+        raise InputError(
+            f"{' and '.join(method.departures)}: processor auto compares processors as they are; leave it out"
+        )
+    collection, wanted = collection_of(source), grid_of(grid)
+    workers, threads, memory_limit = resources(workers, None, memory_limit)
+    if method is None:
+        return _plan_backprojection(collection, wanted, workers, threads, memory_limit)
+
+    def made_for(method: Method) -> Plan:
+        return plan_collection(
+            collection, blocks=blocks, method=method, grid=wanted, workers=workers, memory_limit=memory_limit
+        )
+
+    if automatic:
+        return _plan_automatic(choice.contend(made_for))
+    made = made_for(method)
+    return Report(tables=[_block_table(made)], summary=_plan_lines(made), refusal=made.refusal, result=made)
+
+
+def _plan_automatic(contenders: list[Contender]) -> Report:
+    """All processors side by side, then the proposed one's own plan."""
+    best, reason = choice.propose(contenders)
+    least = min(c.plan.work() for c in contenders if c.plan is not None)
+    header = (
+        "processor", "blocks", "residual phase (rad)", "quadratic (rad)", "PSLR (dB)", "width / limit",
+        "migration (cells)", "dwell lost (%)", "work", "memory (MiB)", "within its budgets",
+    )  # fmt: skip
+    rows = [_contender_row(c, least) for c in contenders]
+    if best is None or best.plan is None:
+        return Report(tables=[(header, rows)], summary=[reason], refusal=reason)
+    made = best.plan
+    return Report(
+        tables=[(header, rows), _block_table(made)],
+        summary=[reason, *_plan_lines(made), f"to focus with it: --processor {best.processor}"],
+        refusal=made.refusal,
+        result=made,
+    )
+
+
+def _contender_row(contender: Contender, least: float) -> list[str]:
+    made = contender.plan
+    if made is None:
+        return [contender.processor, *["-"] * 9, "no"]
+    p = contender.worst.prediction
+    return [
+        contender.processor, str(made.n_blocks), f"{p.residual_phase:.4f}", f"{p.quadratic_phase:.4f}", f"{p.pslr:.2f}",
+        f"{p.width:.3f}", f"{p.migration:.3f}", f"{100 * contender.loss:.1f}", f"{made.work() / least:.2f}",
+        f"{made.memory / MIB:.0f}", "yes" if contender.serves else "no",
+    ]  # fmt: skip
+
+
+def _block_table(made: Plan) -> Table:
+    header = (
+        "block", "yaw (deg)", "range (km)", "Doppler bins", "padded", "bias (m/s2)", "residual phase (rad)",
+        "quadratic (rad)", "PSLR (dB)", "width / limit", "azimuth width (m)", "migration (cells)", "memory (MiB)",
+    )  # fmt: skip
+    return header, [_block_row(block) for block in made.blocks]
+
+
+def _block_row(block: BlockPlan) -> list[str]:
+    low, high = np.degrees([block.low, block.high])
+    p = block.prediction
+    return [
+        block.name,
+        f"{low:.3f} .. {high:.3f}",
+        f"{block.ground.near / 1e3:.3f} .. {block.ground.far / 1e3:.3f}",
+        f"{block.first_bin} .. {block.first_bin + block.n_bin}",
+        str(block.ground.doppler.size),
+        f"{block.candidate.bias:.1f}",
+        f"{p.residual_phase:.4f}",
+        f"{p.quadratic_phase:.4f}",
+        f"{p.pslr:.2f}",
+        f"{p.width:.3f}",
+        f"{p.resolution:.3f}",
+        f"{p.migration:.3f}",
+        f"{block.memory / MIB:.0f}",
+    ]
+
+
+def _plan_lines(made: Plan) -> list[str]:
+    recovery, collection, grid = made.recovery, made.geometry.collection, made.grid
+    spectrum = recovery.doppler.size * collection.n_range_frequency * 8
+    divided = f" of {made.parts} range sub-blocks each" if made.parts > 1 else ""
+    lines = [
+        f"{made.n_blocks} blocks{divided}, {made.method.coefficients} coefficients; "
+        f"track of order {made.geometry.track.order}, misfit {made.geometry.track.max_misfit:.2g} m",
+        f"derotated band {recovery.band[1] - recovery.band[0]:.0f} Hz at PRF {collection.prf:.0f} Hz; recovered "
+        f"spectrum {recovery.doppler.size} x {collection.n_range_frequency} ({spectrum / MIB:.0f} MiB), "
+        f"{recovery.doppler.extent:.0f} Hz wide",
+        f"image {grid.shape[1]} x {grid.shape[0]} pixels: x {grid.x[0]:g} .. {grid.x[-1]:g} m every {grid.dx:g}, "
+        f"y {grid.y[0]:g} .. {grid.y[-1]:g} m every {grid.dy:g}",
+    ]
+    if not made.within_budget():
+        lines.append(
+            "the predicted residual phase or migration is above its budget: more blocks, or fitted coefficients"
+        )
+    return lines
+
+
+def _plan_backprojection(
+    collection: Collection, grid: Grid | None, workers: int, threads: int, memory_limit: int
+) -> Report:
+    geometry = Geometry(collection=collection)
+    grid = grid or default_grid(geometry, plan_region(geometry, None))
+    pixels = grid.shape[0] * grid.shape[1]
+    lit = collection.n_pulse
+    if collection.beam_width is not None:
+        sweep = float(np.ptp(collection.beam_azimuth))
+        lit = min(lit, round(collection.n_pulse * collection.beam_width / max(sweep, 1e-9)))
+    memory = checked_back_projection_memory(collection, grid, threads, memory_limit)
+    lines = [
+        f"exact back-projection of {grid.shape[1]} x {grid.shape[0]} pixels, {lit} lit pulses each: "
+        f"{pixels * lit / 1e9:.3g} G updates at most, by {workers} workers",
+        f"peak memory of a worker {memory / MIB:.0f} MiB",
+    ]
+    return Report(summary=lines, result=grid)

@@ -1,0 +1,34 @@
+"""Types of arrays, and checks of uniform axes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from blocksar.errors import InputError
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+ComplexArray = NDArray[np.complex64]
+
+UNIFORM_TOLERANCE = 1e-3  # of one step: a sample this far from its place moves no phase that matters
+
+
+def check_axis(axis: FloatArray, name: str, unit: str) -> None:
+    """Refuse an axis that is not finite, ascending and uniform to UNIFORM_TOLERANCE, with an InputError."""
+    if axis.ndim != 1 or axis.size < 8:
+        raise InputError(f"{name} has shape {axis.shape}, but an axis of at least 8 samples is needed")
+    if not np.isfinite(axis).all():
+        raise InputError(f"{name} has {np.count_nonzero(~np.isfinite(axis))} values that are not finite")
+    steps = np.diff(axis)
+    if not (steps > 0).all():
+        where = int(np.argmin(steps > 0))
+        raise InputError(f"{name} does not ascend at index {where + 1}: sort it, or cut it there")
+    step = (axis[-1] - axis[0]) / (axis.size - 1)
+    error = np.abs(axis - (axis[0] + step * np.arange(axis.size))) / step
+    if error.max() > UNIFORM_TOLERANCE:
+        raise InputError(
+            f"{name} is not uniform: index {int(error.argmax())} lies {error.max():.3g} steps of "
+            f"{step:.6g} {unit} from its place; resample it to a uniform axis"
+        )

@@ -1,0 +1,414 @@
+"""The commands: words, numbers and messages for people; everything else is `blocksar.api`.
+
+Exit status: 0 done; 1 processing failed; 2 the user's input is wrong; 130 interrupted; 143 terminated.
+Tables go to stdout, progress and messages to stderr.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Annotated, Literal
+
+import typer
+
+from blocksar.cli.display import show
+from blocksar.cli.endings import WRONG_INPUT, Commands, catch_signals, complain, ending
+from blocksar.cli.options import (
+    PROCESSORS,
+    Blocks,
+    CoefficientsOption,
+    DerotationOption,
+    GridOption,
+    JsonLog,
+    KeystoneOption,
+    MemoryLimit,
+    Overwrite,
+    PerformanceReport,
+    PerturbationOption,
+    ProcessorOption,
+    Quiet,
+    RangeModelOption,
+    Threads,
+    Workers,
+    settings_of,
+)
+from blocksar.cli.parsing import parse_memory, parse_origin
+from blocksar.focusing.method import PlannedProcessor
+from blocksar.progress import Progress
+from blocksar.version import __version__
+
+
+@contextmanager
+def progress_of(context: typer.Context) -> Iterator[Progress]:
+    """What shows how far a command has come, and logs what it was told and how it ended."""
+    settings = context.params
+    with Progress(quiet=settings["quiet"], log=settings["json_log"]) as progress:
+        progress.start(" ".join(context.command_path.split()[1:]), settings, __version__)
+        try:
+            yield progress
+        except BaseException as error:
+            progress.end(*ending(error))
+            raise
+        progress.end(0)
+
+
+# ---------------------------------------------------------------- commands
+
+app = typer.Typer(
+    name="blocksar",
+    cls=Commands,
+    help="Focus squint-TOPS radar data by angular blocks, in parallel, to a calibrated ground image."
+    "\n\nExample: [bold]blocksar demo --out demo-run[/bold]",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode="rich",
+    # A traceback that reaches the user is a defect: print it whole and plain, so that it can be sent in.
+    pretty_exceptions_enable=False,
+)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"blocksar {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Options that stand before a command."""
+
+
+@app.command()
+def demo(
+    context: typer.Context,
+    out: Annotated[str, typer.Option(help="Folder of the run.")] = "demo-run",
+    workers: Workers = None,
+    threads: Threads = None,
+    memory_limit: MemoryLimit = None,
+    performance_report: PerformanceReport = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    json_log: JsonLog = None,
+) -> None:
+    """Simulate the paper's scene, focus it, measure it, show it.
+
+    Leaves the run in the folder, with a picture of the mosaic, contour plots of nine targets, and report.html, a page
+    for the browser.
+
+    Example: [bold]blocksar demo --out demo-run[/bold]
+    """
+    memory = None if memory_limit is None else parse_memory(memory_limit)
+
+    from blocksar import api
+
+    with progress_of(context) as progress:
+        report = api.demo(
+            out,
+            workers=workers,
+            threads=threads,
+            memory_limit=memory,
+            overwrite=overwrite,
+            progress=progress,
+            performance_report=performance_report,
+        )
+    show(report)
+
+
+@app.command()
+def simulate(
+    context: typer.Context,
+    scene: Annotated[str, typer.Argument(metavar="SCENE.toml", help="Scene file, or the name of a shipped scene.")],
+    out: Annotated[str, typer.Option(help="Phase-history store to write.")],
+    raw: Annotated[bool, typer.Option("--raw", help="Write a raw chirped echo over fast time.")] = False,
+    cphd: Annotated[bool, typer.Option("--cphd", help="Write a CPHD 1.1.0 file instead of a store.")] = False,
+    origin: Annotated[
+        str | None, typer.Option(metavar="LAT,LON,HEIGHT", help="Of the scene's centre in the CPHD file: degrees, m.")
+    ] = None,
+    threads: Threads = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    json_log: JsonLog = None,
+) -> None:
+    """Simulate the phase history of a scene, with exact ranges.
+
+    Example: [bold]blocksar simulate table1 --out table1.zarr[/bold]
+    """
+    place = None if origin is None else parse_origin(origin)
+
+    from blocksar import api
+
+    with progress_of(context) as progress:
+        api.simulate(
+            scene, out, raw=raw, cphd=cphd, origin=place, threads=threads, overwrite=overwrite, progress=progress
+        )
+    typer.echo(f"wrote {out}")
+
+
+@app.command()
+def plan(
+    source: Annotated[str, typer.Argument(metavar="PH.zarr|SCENE.toml", help="Phase-history store or scene.")],
+    processor: Annotated[
+        PlannedProcessor,
+        typer.Option(metavar="NAME", help=f"{PROCESSORS}; auto: all chains side by side, and the best one proposed."),
+    ] = "angular-division",
+    blocks: Blocks = "auto",
+    coefficients: CoefficientsOption = "fitted",
+    perturbation: PerturbationOption = "all",
+    keystone: KeystoneOption = True,
+    derotation: DerotationOption = "nonlinear",
+    range_model: RangeModelOption = "polar",
+    grid: GridOption = None,
+    workers: Workers = None,
+    memory_limit: MemoryLimit = None,
+) -> None:
+    """Say how a collection would be focused, and how sharp its image would be.
+
+    Blocks, residual phase, predicted side lobes and widths, memory; no samples are read.
+
+    A collection that cannot be focused as asked: the reason follows, with its figure, and the exit status is 2.
+
+    Example: [bold]blocksar plan table1 --blocks 3[/bold]
+    """
+    settings = settings_of(
+        blocks, coefficients, perturbation, keystone, derotation, range_model, grid, workers, memory_limit
+    )
+
+    from blocksar import api
+
+    made = api.plan(source, processor=processor, **settings)
+    show(made)
+    if made.refusal is not None:
+        complain(made.refusal, WRONG_INPUT)
+
+
+@app.command()
+def focus(
+    context: typer.Context,
+    source: Annotated[str, typer.Argument(metavar="PH.zarr", help="Phase-history store.")],
+    out: Annotated[str, typer.Option(metavar="RUN", help="Folder of the run; an unfinished one is resumed.")],
+    processor: ProcessorOption = "angular-division",
+    blocks: Blocks = "auto",
+    coefficients: CoefficientsOption = "fitted",
+    perturbation: PerturbationOption = "all",
+    keystone: KeystoneOption = True,
+    derotation: DerotationOption = "nonlinear",
+    range_model: RangeModelOption = "polar",
+    grid: GridOption = None,
+    workers: Workers = None,
+    threads: Threads = None,
+    memory_limit: MemoryLimit = None,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="A running dask scheduler, instead of an own cluster.")
+    ] = None,
+    performance_report: PerformanceReport = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    json_log: JsonLog = None,
+) -> None:
+    """Focus a phase history to a calibrated ground image.
+
+    Example: [bold]blocksar focus table1.zarr --out run --blocks 3[/bold]
+    """
+    settings = settings_of(
+        blocks, coefficients, perturbation, keystone, derotation, range_model, grid, workers, memory_limit
+    )
+
+    from blocksar import api
+
+    with progress_of(context) as progress:
+        report = api.focus(
+            source,
+            out,
+            processor=processor,
+            **settings,
+            threads=threads,
+            scheduler=scheduler,
+            overwrite=overwrite,
+            progress=progress,
+            performance_report=performance_report,
+        )
+    show(report)
+
+
+@app.command()
+def quality(
+    run: Annotated[str, typer.Argument(metavar="RUN", help="Folder of a finished run.")],
+    targets: Annotated[
+        str | None, typer.Option(metavar="FILE", help="Targets to measure; default: those that the run knows.")
+    ] = None,
+    reference: Annotated[
+        bool, typer.Option("--reference", help="Compare chips of the image with exact back-projection.")
+    ] = False,
+) -> None:
+    """Measure side-lobe ratios, widths, position and calibration of every target.
+
+    Prints the table with its definitions, and writes it to RUN/quality.json.
+
+    Example: [bold]blocksar quality run --reference[/bold]
+    """
+    from blocksar import api
+
+    show(api.quality(run, targets=targets, reference=reference))
+
+
+@app.command()
+def report(
+    context: typer.Context,
+    run: Annotated[str, typer.Argument(metavar="RUN", help="Folder of a finished run.")],
+    out: Annotated[str | None, typer.Option(metavar="FILE", help="The page; default: RUN/report.html.")] = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    json_log: JsonLog = None,
+) -> None:
+    """Write one HTML page about a run, which opens in any browser and needs no network.
+
+    The image with zoom, block borders and targets; the plan beside what was measured; responses; times; provenance.
+
+    Example: [bold]blocksar report run[/bold]
+    """
+    from blocksar import api
+
+    with progress_of(context) as progress:
+        made = api.report(run, out=out, overwrite=overwrite, progress=progress)
+    show(made)
+
+
+ingest = typer.Typer(
+    name="ingest",
+    help="Measured data to a phase history.\n\n"
+    "Example: [bold]blocksar ingest cphd collect.cphd --out collect.zarr[/bold]",
+    no_args_is_help=True,
+)
+app.add_typer(ingest)
+
+
+@ingest.command("cphd")
+def ingest_cphd(
+    context: typer.Context,
+    source: Annotated[str, typer.Argument(metavar="SOURCE.cphd", help="CPHD file, version 1.0.1 or 1.1.0.")],
+    out: Annotated[str, typer.Option(help="Phase-history store to write.")],
+    channel: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Which channel, where the file has several.")
+    ] = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    json_log: JsonLog = None,
+) -> None:
+    """Turn a CPHD file into a phase history, in the tangent frame at its scene's reference point.
+
+    Example: [bold]blocksar ingest cphd collect.cphd --out collect.zarr[/bold]
+    """
+    from blocksar import api
+
+    with progress_of(context) as progress:
+        report = api.ingest_cphd(source, out, channel=channel, overwrite=overwrite, progress=progress)
+    show(report)
+
+
+@ingest.command("gotcha")
+def ingest_gotcha(
+    context: typer.Context,
+    source: Annotated[list[str], typer.Argument(metavar="SOURCE.mat...", help="MATLAB files of one pass.")],
+    out: Annotated[str, typer.Option(help="Phase-history store to write.")],
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    json_log: JsonLog = None,
+) -> None:
+    """Join the AFRL Gotcha set's MATLAB files in azimuth into a phase history, in their scene-centred frame.
+
+    Example: [bold]blocksar ingest gotcha data_3dsar_pass1_az00*_HH.mat --out gotcha.zarr[/bold]
+    """
+    from blocksar import api
+
+    with progress_of(context) as progress:
+        report = api.ingest_gotcha(source, out, overwrite=overwrite, progress=progress)
+    show(report)
+
+
+export = typer.Typer(
+    name="export",
+    help="The image of a run to a file of a standard format.\n\n"
+    "Example: [bold]blocksar export png run --out image.png[/bold]",
+    no_args_is_help=True,
+)
+app.add_typer(export)
+
+Run = Annotated[str, typer.Argument(metavar="RUN", help="Folder of a finished run.")]
+
+
+@export.command("sicd")
+def export_sicd(
+    context: typer.Context,
+    run: Run,
+    out: Annotated[str, typer.Option(help="SICD file (NITF) to write.")],
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    json_log: JsonLog = None,
+) -> None:
+    """Write the complex image, on its ground plane, as a SICD file; the run must be georeferenced.
+
+    Example: [bold]blocksar export sicd run --out image.nitf[/bold]
+    """
+    from blocksar import api
+
+    with progress_of(context) as progress:
+        report = api.export("sicd", run, out, overwrite=overwrite, progress=progress)
+    show(report)
+
+
+@export.command("geotiff")
+def export_geotiff(
+    context: typer.Context,
+    run: Run,
+    out: Annotated[str, typer.Option(help="GeoTIFF to write.")],
+    content: Annotated[
+        Literal["amplitude", "complex"], typer.Option(help="What its pixels are: float32, or complex64.")
+    ] = "amplitude",
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    json_log: JsonLog = None,
+) -> None:
+    """Write the image as a cloud-optimised GeoTIFF; the run must be georeferenced.
+
+    Example: [bold]blocksar export geotiff run --out image.tif[/bold]
+    """
+    from blocksar import api
+
+    with progress_of(context) as progress:
+        report = api.export("geotiff", run, out, content=content, overwrite=overwrite, progress=progress)
+    show(report)
+
+
+@export.command("png")
+def export_png(
+    context: typer.Context,
+    run: Run,
+    out: Annotated[str, typer.Option(help="PNG to write.")],
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    json_log: JsonLog = None,
+) -> None:
+    """Draw the image in decibels, with axes in metres, a scale bar, the look direction and north.
+
+    Example: [bold]blocksar export png run --out image.png[/bold]
+    """
+    from blocksar import api
+
+    with progress_of(context) as progress:
+        report = api.export("png", run, out, overwrite=overwrite, progress=progress)
+    show(report)
+
+
+def main() -> None:
+    """Entry point of `blocksar`."""
+    catch_signals()
+    app(prog_name="blocksar")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,129 @@
+"""Options as people write them: grids, sizes of memory, numbers of blocks."""
+
+from __future__ import annotations
+
+import math
+import re
+import reprlib
+from typing import Literal
+
+from blocksar.errors import InputError
+
+Axis = tuple[float, float, float]
+
+
+# ---------------------------------------------------------------- what the user typed
+
+
+def parse_grid(text: str) -> tuple[Axis, Axis]:
+    """Read `x0:x1:dx,y0:y1:dy`: points x0, x0 + dx, ... < x1 in m, likewise y.
+
+    Returns
+    -------
+    ((x0, x1, dx), (y0, y1, dy)) in m
+
+    Raises
+    ------
+    InputError
+        If the text has another form, a number is not finite, or an axis would be empty.
+
+    Examples
+    --------
+    >>> parse_grid("-100:100:0.5,18e3:20e3:1")
+    ((-100.0, 100.0, 0.5), (18000.0, 20000.0, 1.0))
+    """
+    example = "give --grid x0:x1:dx,y0:y1:dy in metres, such as --grid -2500:2500:1,18000:23000:1"
+    axes = text.split(",")
+    if len(axes) != 2:
+        raise InputError(f"--grid {quoted(text)} has {len(axes)} axes instead of two; {example}")
+    x, y = (_parse_axis(name, axis, example) for name, axis in zip("xy", axes, strict=True))
+    return x, y
+
+
+def quoted(text: str) -> str:
+    """What was typed, for a message."""
+    short = reprlib.Repr()
+    short.maxstring = 80
+    return short.repr(text)
+
+
+def _parse_axis(name: str, text: str, example: str) -> Axis:
+    try:
+        first, end, step = (float(number) for number in text.split(":"))
+    except ValueError:
+        raise InputError(f"--grid has {quoted(text)} for {name}, which is not three numbers; {example}") from None
+    if not all(map(math.isfinite, (first, end, step))):
+        raise InputError(f"--grid has {quoted(text)} for {name}, which is not finite; {example}")
+    if step <= 0:
+        raise InputError(f"--grid has a spacing of {step:g} m for {name}; give one above zero")
+    if end <= first:
+        raise InputError(f"--grid is empty: {name} runs from {first:g} to {end:g} m; let the end lie above the start")
+    return first, end, step
+
+
+def parse_memory(text: str) -> int:
+    """Read an amount of memory, such as `2GiB`, `500 MB` or `1e9`, as bytes.
+
+    Raises
+    ------
+    InputError
+        If the text is no positive number with a unit of bytes.
+
+    Examples
+    --------
+    >>> parse_memory("1.5GiB"), parse_memory("500 MB")
+    (1610612736, 500000000)
+    """
+    match = re.fullmatch(r"\s*(\d+\.?\d*(?:e\d+)?|\.\d+)\s*([kmgt]i?)?b?\s*", text, re.IGNORECASE)
+    if match is None or not float(match[1]):
+        raise InputError(
+            f"--memory-limit {quoted(text)} is no amount of memory; give a number with a unit, such as 2GiB"
+        )
+    unit = (match[2] or "").lower()
+    base = 1024 if unit.endswith("i") else 1000
+    size = float(match[1]) * base ** ("", "k", "m", "g", "t").index(unit.removesuffix("i"))
+    if not 1 <= size < 2**60:
+        raise InputError(f"--memory-limit {quoted(text)} is no memory that a machine has; give one such as 2GiB")
+    return int(size)
+
+
+def parse_origin(text: str) -> Axis:
+    """Read `latitude,longitude,height`, in degrees and m.
+
+    Raises
+    ------
+    InputError
+        If the text is not three finite numbers.
+
+    Examples
+    --------
+    >>> parse_origin("39.78,-84.1,300")
+    (39.78, -84.1, 300.0)
+    """
+    try:
+        latitude, longitude, height = (float(number) for number in text.split(","))
+    except ValueError:
+        latitude = longitude = height = math.nan
+    if not all(map(math.isfinite, (latitude, longitude, height))):
+        raise InputError(
+            f"--origin {quoted(text)} is not three numbers; give latitude,longitude,height in degrees and "
+            "metres, such as --origin 39.78,-84.1,300"
+        )
+    return latitude, longitude, height
+
+
+def parse_blocks(text: str) -> int | Literal["auto"]:
+    """Read `auto` or a number of blocks.
+
+    Raises
+    ------
+    InputError
+        If the text is neither.
+    """
+    if text == "auto":
+        return "auto"
+    if not re.fullmatch(r"0*[1-9]\d{0,8}", text, re.ASCII):
+        raise InputError(
+            f"--blocks {quoted(text)} is neither 'auto' nor a whole number above zero, of few digits; try --blocks auto"
+        )
+    return int(text)

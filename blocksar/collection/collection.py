@@ -1,0 +1,246 @@
+"""What a collection is: radar, axes, track and beam, without a single sample.
+
+Everything downstream (simulation, planning, focusing, back-projection) is computed from a
+`Collection`, so an object that exists is one that can be trusted: it is frozen, in SI units, and
+checked at birth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from blocksar.arrays import FloatArray, check_axis
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.errors import InputError
+
+CARRIERS = (1e6, 1e15)  # Hz: from the longest waves that image the ground to beyond light
+FARTHEST = 1e9  # m: beyond the moon, and where float64 still tells a wavelength's phase
+MAX_YAW = 100.0  # rad: a beam that has turned so often is in another unit
+SPIKE = 1.0  # m: no antenna leaves its place for one pulse by as much, so that pulse's number is damaged
+JUMP = 50.0  # times the usual way between two pulses that no platform moves between any two
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Collection:
+    """Metadata of one phase history: what the `phase_history.zarr` contract holds, less the samples.
+
+    The signal of a target of reflectivity sigma at range R(t) is
+
+        signal[pulse, f] = sigma exp(-4j pi (carrier + f) / c (R(t_pulse) - reference_range[pulse]))
+
+    while the target is lit: |theta - beam_azimuth(t)| <= beam_width / 2 with theta its yaw about the
+    platform's nadir at t = 0; always, if the beam is not steered.
+
+    Attributes
+    ----------
+    carrier : float
+        fc, Hz.
+    time : (n_pulse,) float
+        Slow time, s; uniform, ascending; t = 0 defines the polar frame.
+    range_frequency : (n_range_frequency,) float
+        Baseband range frequency, Hz; uniform, ascending.
+    reference_range : (n_pulse,) float
+        Range whose phase was removed, m.
+    antenna_position : (n_pulse, 3) float
+        Phase centre in the scene frame (x, y, z), m; z up.
+    beam_azimuth : (n_pulse,) float
+        Beam-centre yaw, rad; all NaN if the beam is not steered.
+    beam_width : float or None
+        Full width of the beam in yaw, rad; None if the beam is not steered.
+    ground_height : float
+        Height of the imaged plane in the scene frame, m.
+
+    Raises
+    ------
+    InputError
+        If an array has the wrong shape, is not finite, or larger than can be meant, an axis is not uniform and
+        ascending, a single pulse lies far off its neighbours, or beam_azimuth and beam_width do not agree.
+    """
+
+    carrier: float
+    time: FloatArray
+    range_frequency: FloatArray
+    reference_range: FloatArray
+    antenna_position: FloatArray
+    beam_azimuth: FloatArray
+    beam_width: float | None = None
+    ground_height: float = 0.0
+    title: str = ""
+
+    def __post_init__(self) -> None:
+        for name in ("time", "range_frequency", "reference_range", "antenna_position", "beam_azimuth"):
+            try:
+                array = np.array(getattr(self, name), dtype=np.float64)
+            except (TypeError, ValueError):
+                raise InputError(f"{name} must be an array of real numbers") from None
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+        check_axis(self.time, "time", "s")
+        check_axis(self.range_frequency, "range_frequency", "Hz")
+        n = self.time.size
+        self._check_shape("reference_range", (n,))
+        self._check_shape("antenna_position", (n, 3))
+        self._check_shape("beam_azimuth", (n,))
+        for name in ("reference_range", "antenna_position"):
+            bad = np.flatnonzero(~np.isfinite(getattr(self, name).reshape(n, -1)).all(axis=1))
+            if bad.size:
+                raise InputError(
+                    f"{name} is not finite at {bad.size} of {n} pulses (first: pulse {bad[0]}); "
+                    "every pulse needs a position and a reference range, also a missing one"
+                )
+            self._check_size(name, "m", FARTHEST)
+            self._check_spikes(name)
+        self._check_jumps()
+        if not (np.isfinite(self.carrier) and self.carrier > 0):
+            raise InputError(f"carrier_frequency must be a positive number of Hz, got {self.carrier!r}")
+        if not CARRIERS[0] <= self.carrier <= CARRIERS[1]:
+            raise InputError(
+                f"carrier_frequency is {self.carrier:.6g} Hz, but must lie between {CARRIERS[0]:g} and "
+                f"{CARRIERS[1]:g} Hz; correct it, or its unit"
+            )
+        self._check_size("range_frequency", "Hz", CARRIERS[1])
+        if self.carrier + self.range_frequency[0] <= 0:
+            raise InputError(
+                f"range_frequency starts at {self.range_frequency[0]:.6g} Hz, below minus the carrier "
+                f"({self.carrier:.6g} Hz); it must be baseband, relative to carrier_frequency"
+            )
+        if not np.isfinite(self.ground_height):
+            raise InputError(f"ground_height must be a finite number of m, got {self.ground_height!r}")
+        if np.min(self.antenna_position[:, 2]) <= self.ground_height:
+            raise InputError(
+                f"antenna_position falls to z = {np.min(self.antenna_position[:, 2]):.6g} m, not above "
+                f"ground_height = {self.ground_height:.6g} m; z must point up"
+            )
+        self._check_beam()
+
+    def _check_shape(self, name: str, shape: tuple[int, ...]) -> None:
+        array = getattr(self, name)
+        if array.shape != shape:
+            raise InputError(f"{name} has shape {array.shape}, but the collection needs {shape}")
+
+    def _check_size(self, name: str, unit: str, largest: float) -> None:
+        array = getattr(self, name)
+        with np.errstate(invalid="ignore"):
+            worst = float(np.nanmax(np.abs(array)))
+        if worst > largest:
+            raise InputError(
+                f"{name} reaches {worst:.6g} {unit}, beyond the {largest:g} {unit} that can be meant; correct it, or "
+                "its unit"
+            )
+
+    def _check_spikes(self, name: str) -> None:
+        """Refuse a pulse far off both neighbours: steps and noise may be meant, a single pulse elsewhere is not."""
+        values = getattr(self, name).reshape(self.n_pulse, -1)
+        # Beyond either end, what its two neighbours lead one to expect.
+        before = np.concatenate([2 * values[1:2] - values[2:3], values[:-1]])
+        after = np.concatenate([values[1:], 2 * values[-2:-1] - values[-3:-2]])
+        median = np.maximum(np.minimum(before, after), np.minimum(np.maximum(before, after), values))
+        off = np.abs(values - median).max(axis=1)
+        where = int(off.argmax())
+        if off[where] > max(SPIKE, 50 * float(np.quantile(off, 0.9))):
+            raise InputError(
+                f"{name} leaves its neighbours by {off[where]:.6g} m at pulse {where} alone; correct it there, and "
+                "write the pulse's samples as NaN if they are in doubt"
+            )
+
+    def _check_jumps(self) -> None:
+        """Refuse a track in two pieces: a platform does not jump, but two passes that were joined do."""
+        way = np.linalg.norm(np.diff(self.antenna_position, axis=0), axis=1)
+        usual, where = float(np.median(way)), int(way.argmax())
+        if way[where] > max(SPIKE, JUMP * usual):
+            raise InputError(
+                f"antenna_position moves {way[where]:.6g} m from pulse {where} to {where + 1}, and {usual:.3g} m "
+                "between pulses otherwise; correct it there, or give each part as a collection of its own"
+            )
+
+    def _check_beam(self) -> None:
+        finite = np.isfinite(self.beam_azimuth)
+        if not finite.any():
+            if self.beam_width is not None:
+                raise InputError(
+                    f"beam_width is {self.beam_width:.6g} rad but beam_azimuth is NaN throughout; give the "
+                    "beam's yaw, or leave out beam_width for a beam that is not steered"
+                )
+            return
+        if not finite.all():
+            raise InputError(
+                f"beam_azimuth is NaN at {np.count_nonzero(~finite)} of {finite.size} pulses; give it for "
+                "every pulse, or NaN for all of them if the beam is not steered"
+            )
+        if self.beam_width is None or not 0 < self.beam_width < np.pi:
+            raise InputError(
+                f"beam_width must lie between 0 and pi rad where beam_azimuth is given, got {self.beam_width!r}"
+            )
+        self._check_size("beam_azimuth", "rad", MAX_YAW)
+        azimuth = np.unwrap(self.beam_azimuth)
+        azimuth.flags.writeable = False
+        object.__setattr__(self, "beam_azimuth", azimuth)
+        steps = np.diff(azimuth)
+        if not ((steps >= 0).all() or (steps <= 0).all()):
+            raise InputError(
+                "beam_azimuth turns back at pulse "
+                f"{int(np.argmax(np.sign(steps) != np.sign(azimuth[-1] - azimuth[0]))) + 1}: the beam must scan "
+                "one way; cut the collection there"
+            )
+        if np.abs(steps).max() > self.beam_width:
+            where = int(np.abs(steps).argmax()) + 1
+            raise InputError(
+                f"beam_azimuth jumps by {abs(steps[where - 1]):.6g} rad at pulse {where}, more than beam_width = "
+                f"{self.beam_width:.6g} rad: yaws between are never lit; cut the collection there"
+            )
+
+    @property
+    def n_pulse(self) -> int:
+        return int(self.time.size)
+
+    @property
+    def n_range_frequency(self) -> int:
+        return int(self.range_frequency.size)
+
+    @property
+    def steered(self) -> bool:
+        """Whether a target is lit for a part of the time only."""
+        return self.beam_width is not None
+
+    @cached_property
+    def pulse_interval(self) -> float:
+        return float((self.time[-1] - self.time[0]) / (self.n_pulse - 1))
+
+    @property
+    def prf(self) -> float:
+        return 1.0 / self.pulse_interval
+
+    @cached_property
+    def range_frequency_step(self) -> float:
+        return float((self.range_frequency[-1] - self.range_frequency[0]) / (self.n_range_frequency - 1))
+
+    @property
+    def bandwidth(self) -> float:
+        """n_range_frequency steps: the band of which the samples are the midpoints, Hz."""
+        return self.range_frequency_step * self.n_range_frequency
+
+    @property
+    def range_window(self) -> float:
+        """Ranges that differ by this much cannot be told apart: c / (2 step), m."""
+        return SPEED_OF_LIGHT / (2 * self.range_frequency_step)
+
+    @property
+    def wavelength(self) -> float:
+        return SPEED_OF_LIGHT / self.carrier
+
+    def centred(self) -> Collection:
+        """The same collection with its carrier in the middle of the band, as processing needs it.
+
+        A signal depends on carrier + range_frequency alone, so moving both changes nothing but the names.
+        """
+        middle = float(self.range_frequency[0] + self.range_frequency[-1]) / 2
+        moved = {"carrier": self.carrier + middle, "range_frequency": self.range_frequency - middle}
+        return Collection(**{**self.as_dict(), **moved})
+
+    def as_dict(self) -> dict[str, Any]:
+        """The fields by name, as keyword arguments of another Collection."""
+        return {name: getattr(self, name) for name in self.__dataclass_fields__}

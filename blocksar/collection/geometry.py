@@ -1,0 +1,220 @@
+"""Track, range history and ground: everything exact, no Taylor series but where one is asked for.
+
+Two epochs matter. The scene's polar frame (R, theta) is taken about the platform's nadir at t = 0, and
+the beam is described in it. Processing counts time from the middle of the aperture, the *epoch*, where
+keystone scaling does least harm; a target's *epoch range* is its range there. Where t = 0 is the middle,
+the two are one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.polynomial import chebyshev
+
+from blocksar.arrays import FloatArray
+from blocksar.collection.collection import Collection
+from blocksar.errors import InputError
+
+MAX_TRACK_ORDER = 12
+TRACK_ACCURACY = 1e-5  # wavelengths of track misfit that no image can show
+MAX_EXTRAPOLATION = 2.0  # aperture lengths that t = 0 may lie outside the collection
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Track:
+    """A polynomial track: Chebyshev series over the collection's time, one column an axis.
+
+    Attributes
+    ----------
+    coefficients : (order + 1, 3) float
+        m, in the scaled variable u = (t - centre) / half.
+    centre, half : float
+        s.
+    misfit : (n_pulse, 3) float
+        Sampled minus polynomial position, m.
+    """
+
+    coefficients: FloatArray
+    centre: float
+    half: float
+    misfit: FloatArray
+
+    @property
+    def order(self) -> int:
+        return self.coefficients.shape[0] - 1
+
+    @property
+    def max_misfit(self) -> float:
+        return float(np.abs(self.misfit).max())
+
+    def position(self, time: FloatArray) -> FloatArray:
+        """Antenna phase centre, (..., 3) m, at slow times of any shape."""
+        return self._series(time, self.coefficients)
+
+    def velocity(self, time: FloatArray) -> FloatArray:
+        """Its rate, (..., 3) m/s."""
+        return self._series(time, np.asarray(chebyshev.chebder(self.coefficients, axis=0), np.float64)) / self.half
+
+    def acceleration(self, time: FloatArray) -> FloatArray:
+        """(..., 3) m/s^2."""
+        return (
+            self._series(time, np.asarray(chebyshev.chebder(self.coefficients, 2, axis=0), np.float64)) / self.half**2
+        )
+
+    def _series(self, time: FloatArray, coefficients: FloatArray) -> FloatArray:
+        u = (np.asarray(time, dtype=np.float64) - self.centre) / self.half
+        return np.stack([chebyshev.chebval(u, column) for column in coefficients.T], axis=-1)
+
+
+def fit_track(time: FloatArray, position: FloatArray, *, accuracy: float) -> Track:
+    """Fit sampled positions by a polynomial; the order is the lowest that serves.
+
+    The order grows until the largest misfit is below `accuracy`, or until four more orders no longer
+    halve it: what is left then is motion that is no polynomial, and is kept per pulse as `misfit`.
+
+    Parameters
+    ----------
+    time : (n_pulse,) float
+        s, ascending.
+    position : (n_pulse, 3) float
+        m.
+    accuracy : float
+        m.
+    """
+    centre, half = (time[0] + time[-1]) / 2, (time[-1] - time[0]) / 2
+    u = (time - centre) / half
+    basis = chebyshev.chebvander(u, min(MAX_TRACK_ORDER, time.size // 2 - 1))
+    # QR once: every lower order is a leading part of the same orthogonal basis.
+    q, r = np.linalg.qr(basis)
+    projection = q.T @ position
+
+    def fitted(order: int) -> FloatArray:
+        head = slice(0, order + 1)
+        return np.asarray(np.linalg.solve(r[head, head], projection[head]))
+
+    misfits = [float(np.abs(position - basis[:, : n + 1] @ fitted(n)).max()) for n in range(basis.shape[1])]
+    order = len(misfits) - 1
+    for n, largest in enumerate(misfits):
+        if largest <= accuracy or (n >= 1 and min(misfits[n:][:5]) > largest / 2):
+            order = n
+            break
+    coefficients = fitted(order)
+    misfit = position - basis[:, : order + 1] @ coefficients
+    return Track(coefficients=coefficients, centre=float(centre), half=float(half), misfit=misfit)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Geometry:
+    """A collection's fitted track and its two polar frames."""
+
+    collection: Collection
+
+    @cached_property
+    def track(self) -> Track:
+        collection = self.collection
+        accuracy = TRACK_ACCURACY * collection.wavelength
+        return fit_track(collection.time, collection.antenna_position, accuracy=accuracy)
+
+    @cached_property
+    def epoch(self) -> float:
+        """The middle pulse's slow time, s: processing counts time from here."""
+        return float(self.collection.time[self.collection.n_pulse // 2])
+
+    @cached_property
+    def nadir(self) -> FloatArray:
+        """Origin of the yaw, (2,) m: below the platform at t = 0.
+
+        Raises
+        ------
+        InputError
+            If t = 0 lies so far outside the collection that the track there is a guess.
+        """
+        time = self.collection.time
+        outside = max(time[0], -time[-1], 0.0) / (time[-1] - time[0])
+        if outside > MAX_EXTRAPOLATION:
+            raise InputError(
+                f"time runs from {time[0]:.6g} to {time[-1]:.6g} s: t = 0, which defines the polar frame, lies "
+                f"{outside:.3g} aperture lengths outside; shift time so that t = 0 is in or near the collection"
+            )
+        return self.track.position(np.array(0.0))[:2]
+
+    @cached_property
+    def epoch_position(self) -> FloatArray:
+        """Antenna position at the epoch, (3,) m."""
+        return self.track.position(np.array(self.epoch))
+
+    def yaw(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """theta = atan2(y - y0, x - x0) about the nadir at t = 0, rad (erratum of paper A (33): not atan)."""
+        return np.arctan2(y - self.nadir[1], x - self.nadir[0])
+
+    def epoch_range(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Range from the antenna at the epoch to ground points, m."""
+        px, py, pz = self.epoch_position
+        return np.sqrt((x - px) ** 2 + (y - py) ** 2 + (self.collection.ground_height - pz) ** 2)
+
+    def ground_point(self, epoch_range: FloatArray, yaw: FloatArray) -> FloatArray:
+        """Ground points (..., 3), m, at given epoch ranges (m) and yaws (rad); NaN where there is none.
+
+        The point lies on the ray of that yaw from the nadir at t = 0, at the given distance from the
+        antenna at the epoch: one quadratic.
+        """
+        epoch_range, yaw = np.broadcast_arrays(epoch_range, yaw)
+        px, py, pz = self.epoch_position
+        height = self.collection.ground_height
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        dx, dy = px - self.nadir[0], py - self.nadir[1]
+        along = cos * dx + sin * dy
+        across2 = dx**2 + dy**2 - along**2
+        with np.errstate(invalid="ignore"):
+            distance = along + np.sqrt(epoch_range**2 - (height - pz) ** 2 - across2)
+        distance = np.where(distance > 0, distance, np.nan)
+        point = np.empty((*yaw.shape, 3))
+        point[..., 0] = self.nadir[0] + distance * cos
+        point[..., 1] = self.nadir[1] + distance * sin
+        point[..., 2] = height
+        return point
+
+    def range_history(self, point: FloatArray, time: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Exact range (m) and its rate (m/s) of points (..., 3) at absolute slow times (broadcast with ...)."""
+        sight = point - self.track.position(time)
+        distance = np.sqrt(np.einsum("...i,...i->...", sight, sight))
+        rate = -np.einsum("...i,...i->...", sight, self.track.velocity(time)) / distance
+        return distance, rate
+
+    def range_curvature(self, point: FloatArray, time: FloatArray) -> FloatArray:
+        """Second derivative of the range, m/s^2: (v.v - s.a - rate^2) / range with s the line of sight."""
+        sight, velocity = point - self.track.position(time), self.track.velocity(time)
+        distance, rate = self.range_history(point, time)
+        speed2 = np.einsum("...i,...i->...", velocity, velocity)
+        pull = np.einsum("...i,...i->...", sight, self.track.acceleration(time))
+        return (speed2 - pull - rate**2) / distance
+
+    def dwell(self, yaw: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """First and last lit slow time of targets at a yaw, s; start > end where never lit.
+
+        A pulse stands for the half interval on either side of it, so N lit pulses dwell for N intervals.
+        """
+        collection = self.collection
+        half_pulse = collection.pulse_interval / 2
+        first, last = collection.time[0] - half_pulse, collection.time[-1] + half_pulse
+        yaw = np.asarray(yaw, dtype=np.float64)
+        if collection.beam_width is None:
+            return np.full(yaw.shape, first), np.full(yaw.shape, last)
+        beam, time = collection.beam_azimuth, collection.time
+        middle = (beam[0] + beam[-1]) / 2
+        yaw = middle + np.mod(yaw - middle + np.pi, 2 * np.pi) - np.pi
+        if beam[0] == beam[-1]:
+            lit = np.abs(yaw - middle) <= collection.beam_width / 2 * (1 + 1e-9)  # the very edge is lit
+            return np.where(lit, first, np.inf), np.where(lit, last, -np.inf)
+        sign = 1.0 if beam[-1] > beam[0] else -1.0
+        low, high = yaw - sign * collection.beam_width / 2, yaw + sign * collection.beam_width / 2
+
+        def crossing(level: FloatArray) -> FloatArray:
+            inside = np.interp(sign * level, sign * beam, time)
+            slope = (time[-1] - time[0]) / (beam[-1] - beam[0])
+            return inside + slope * (level - np.clip(level, min(beam[0], beam[-1]), max(beam[0], beam[-1])))
+
+        return np.maximum(crossing(low), first), np.minimum(crossing(high), last)

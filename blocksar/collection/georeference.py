@@ -1,0 +1,244 @@
+"""Where on the Earth a scene frame lies: its origin and axes, what comes from them, and a map projection for its plane.
+
+A scene frame is Cartesian, with its origin at a geodetic position on WGS 84 and z along the ellipsoid's normal there. x
+points east and y north, or both are turned from there by `rotation`, counter-clockwise seen from above. A point of the
+frame is a point of the Earth by
+
+    ecef = origin + x x_axis + y y_axis + z z_axis
+
+with nothing flattened: conversions are exact; from there back to latitudes PROJ makes them.
+
+The attribute `georeference` of stores is `Georeference.as_attribute()`: {"kind": "ENU", "latitude", "longitude"
+(degrees), "height" (m above the ellipsoid), "rotation_deg"}, and, for whoever has no such library, "ecef" (m), "east",
+"north" and "up" (unit vectors), which say the same.
+"""
+
+from __future__ import annotations
+
+import reprlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache, cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from blocksar.arrays import FloatArray
+from blocksar.errors import InputError
+
+if TYPE_CHECKING:
+    from pyproj import CRS, Transformer
+
+
+SEMI_MAJOR_AXIS = 6378137.0  # m, WGS 84
+INVERSE_FLATTENING = 298.257223563
+ECCENTRICITY_2 = (2 - 1 / INVERSE_FLATTENING) / INVERSE_FLATTENING
+HEIGHTS = (-12e3, 100e3)  # m: ground of the Earth, and whatever else may be imaged
+ECEF_TOLERANCE = 0.01  # m that latitude, longitude and height may disagree with ecef
+AXIS_TOLERANCE = 1e-7  # rad: 1 mm at 10 km
+REMEDY = 'give {"kind": "ENU", "latitude": degrees, "longitude": degrees, "height": m above WGS 84}'
+
+
+@dataclass(frozen=True, kw_only=True)
+class Georeference:
+    """Origin and axes of a scene frame.
+
+    Attributes
+    ----------
+    latitude, longitude : float
+        Of the origin, geodetic, WGS 84, degrees.
+    height : float
+        Of the origin above the ellipsoid, m.
+    rotation : float
+        Of the x axis from east, counter-clockwise seen from above, degrees.
+
+    Raises
+    ------
+    InputError
+        If a number is missing from the Earth: not finite, or out of its range.
+    """
+
+    latitude: float
+    longitude: float
+    height: float
+    rotation: float = 0.0
+
+    def __post_init__(self) -> None:
+        limits = {
+            "latitude": (-90.0, 90.0),
+            "longitude": (-360.0, 360.0),
+            "height": HEIGHTS,
+            "rotation": (-360.0, 360.0),
+        }
+        for name, (low, high) in limits.items():
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise InputError(f"georeference: {name} is {value!r}, which is not in {low:g} .. {high:g}; {REMEDY}")
+
+    @classmethod
+    def from_attribute(cls, found: Any) -> Georeference:
+        """Read the attribute `georeference` of a store.
+
+        Raises
+        ------
+        InputError
+            If it is no such mapping, or says one thing in two ways that do not agree.
+        """
+        if not isinstance(found, Mapping):
+            raise InputError(f"georeference is {type(found).__name__} instead of a mapping; {REMEDY}")
+        if (kind := found.get("kind")) != "ENU":
+            raise InputError(f"georeference is of kind {reprlib.repr(kind)}, and only 'ENU' is known; {REMEDY}")
+        names = {"latitude": "latitude", "longitude": "longitude", "height": "height", "rotation_deg": "rotation"}
+        numbers = {names[key]: _number(found, key) for key in names if key != "rotation_deg" or key in found}
+        made = cls(**numbers)
+        for name, axis in zip(("east", "north", "up"), made.east_north_up, strict=True):
+            if name in found and not np.allclose(_vector(found, name), axis, rtol=0, atol=AXIS_TOLERANCE):
+                raise InputError(f"georeference: {name} is not that of its latitude and longitude; leave {name} out")
+        if "ecef" in found:
+            apart = float(np.linalg.norm(_vector(found, "ecef") - made.origin))
+            if not apart <= ECEF_TOLERANCE:
+                raise InputError(
+                    f"georeference: ecef lies {apart:.4g} m from its latitude, longitude and height; leave ecef out"
+                )
+        return made
+
+    @classmethod
+    def at(cls, ecef: FloatArray, *, rotation: float = 0.0) -> Georeference:
+        """The frame at a point (3,) of the Earth, ECEF, m."""
+        x, y, z = (float(value) for value in ecef)
+        longitude, latitude, height = _geodetic_of_ecef().transform(x, y, z, direction="INVERSE")
+        return cls(latitude=float(latitude), longitude=float(longitude), height=float(height), rotation=rotation)
+
+    def as_attribute(self) -> dict[str, Any]:
+        """What stores keep, as JSON holds it."""
+        east, north, up = (axis.tolist() for axis in self.east_north_up)
+        return {
+            "kind": "ENU",
+            "latitude": self.latitude,
+            "longitude": self.longitude,
+            "height": self.height,
+            "rotation_deg": self.rotation,
+            "ecef": self.origin.tolist(),
+            "east": east,
+            "north": north,
+            "up": up,
+        }
+
+    @cached_property
+    def east_north_up(self) -> FloatArray:
+        """Unit vectors at the origin, one a row, (3, 3), ECEF."""
+        lat, lon = np.radians([self.latitude, self.longitude])
+        return np.array([
+            [-np.sin(lon), np.cos(lon), 0.0],
+            [-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)],
+            [np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)],
+        ])  # fmt: skip
+
+    @cached_property
+    def axes(self) -> FloatArray:
+        """Unit vectors of x, y and z, one a row, (3, 3), ECEF."""
+        cos, sin = np.cos(np.radians(self.rotation)), np.sin(np.radians(self.rotation))
+        return np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]]) @ self.east_north_up
+
+    @cached_property
+    def origin(self) -> FloatArray:
+        """(3,) m, ECEF: (N + h) up, but for z, where N is (1 - e^2) N, with N the prime vertical's radius."""
+        up = self.east_north_up[2]
+        normal = SEMI_MAJOR_AXIS / np.sqrt(1 - ECCENTRICITY_2 * up[2] ** 2)
+        return (normal * np.array([1.0, 1.0, 1 - ECCENTRICITY_2]) + self.height) * up
+
+    def to_ecef(self, points: FloatArray) -> FloatArray:
+        """Points (..., 3) of the frame, in ECEF, m."""
+        return self.origin + np.asarray(points, np.float64) @ self.axes
+
+    def from_ecef(self, points: FloatArray) -> FloatArray:
+        """Points (..., 3) given in ECEF, in the frame, m."""
+        return (np.asarray(points, np.float64) - self.origin) @ self.axes.T
+
+    def to_geodetic(self, points: FloatArray) -> FloatArray:
+        """Latitude, longitude (degrees) and height (m) of points (..., 3) of the frame: (..., 3)."""
+        x, y, z = np.moveaxis(self.to_ecef(points), -1, 0)
+        longitude, latitude, height = _geodetic_of_ecef().transform(x, y, z, direction="INVERSE")
+        return np.stack([latitude, longitude, height], axis=-1)
+
+    def grid_mapping(self, ground_height: float = 0.0) -> dict[str, Any] | None:
+        """A map projection whose easting and northing are x and y of the plane z = ground_height, as CF names it.
+
+        It is the transverse Mercator projection about the origin, scaled to the plane's height. A plane that touches
+        the Earth is no map, so the two differ, by d^3 / (3 R^2) at the distance d: 8 mm at 10 km, 0.2 m at 30 km.
+        CF has no word for axes that are turned from east and north: None then.
+        """
+        if self.rotation % 360:
+            return None
+        return _mercator(self.latitude, self.longitude, self.height + ground_height)
+
+    def projection(self, x: float, y: float, ground_height: float) -> CRS:
+        """The same about the point (x, y) of the plane."""
+        if (x, y) == (0.0, 0.0):
+            return _crs(_mercator(self.latitude, self.longitude, self.height + ground_height))
+        latitude, longitude, height = self.to_geodetic(np.array([x, y, ground_height]))
+        return _crs(_mercator(float(latitude), float(longitude), float(height)))
+
+    def project(self, crs: CRS, points: FloatArray) -> FloatArray:
+        """Easting and northing (..., 2), m, of points (..., 3) of the frame in such a projection."""
+        from pyproj import Transformer
+
+        geodetic = self.to_geodetic(points)
+        to_map = Transformer.from_crs("EPSG:4326", crs, always_xy=True)
+        return np.stack(to_map.transform(geodetic[..., 1], geodetic[..., 0]), axis=-1)
+
+
+def _mercator(latitude: float, longitude: float, height: float) -> dict[str, Any]:
+    # The mean radius of curvature, sqrt(M N).
+    radius = SEMI_MAJOR_AXIS * np.sqrt(1 - ECCENTRICITY_2) / (1 - ECCENTRICITY_2 * np.sin(np.radians(latitude)) ** 2)
+    return {
+        "grid_mapping_name": "transverse_mercator",
+        "latitude_of_projection_origin": latitude,
+        "longitude_of_central_meridian": longitude,
+        "scale_factor_at_central_meridian": float(1 + height / radius),
+        "false_easting": 0.0,
+        "false_northing": 0.0,
+        "semi_major_axis": SEMI_MAJOR_AXIS,
+        "inverse_flattening": INVERSE_FLATTENING,
+        "reference_ellipsoid_name": "WGS 84",
+        "horizontal_datum_name": "World Geodetic System 1984",
+        "geographic_crs_name": "WGS 84",
+        "projected_crs_name": "transverse Mercator about the scene",
+        "prime_meridian_name": "Greenwich",
+        "longitude_of_prime_meridian": 0.0,
+    }
+
+
+def _crs(mapping: dict[str, Any]) -> CRS:
+    from pyproj import CRS
+
+    return CRS.from_cf(mapping)
+
+
+@cache
+def _geodetic_of_ecef() -> Transformer:
+    """From longitude, latitude (degrees) and height to ECEF; its inverse is the way back."""
+    try:
+        from pyproj import Transformer
+    except ModuleNotFoundError:
+        raise InputError("pyproj is not installed, which georeferences need; install blocksar[formats]") from None
+    return Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
+
+
+def _number(found: Mapping[str, Any], name: str) -> float:
+    value = found.get(name)
+    if isinstance(value, bool) or not isinstance(value, int | float) or abs(value) > 1e9:
+        raise InputError(f"georeference: {name} is {reprlib.repr(value)} instead of a number; {REMEDY}")
+    return float(value)
+
+
+def _vector(found: Mapping[str, Any], name: str) -> FloatArray:
+    try:
+        values = np.array(found[name], np.float64)
+    except (TypeError, ValueError):
+        values = np.empty(0)
+    if values.shape != (3,) or not np.isfinite(values).all():
+        raise InputError(
+            f"georeference: {name} is {reprlib.repr(found[name])} instead of three numbers; leave it out, or correct it"
+        )
+    return values

@@ -1,0 +1,75 @@
+"""The fast-time side of a raw echo: its axis and its chirp."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import isfinite
+
+import numpy as np
+
+from blocksar.arrays import UNIFORM_TOLERANCE, FloatArray, check_axis
+from blocksar.errors import InputError
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RawEcho:
+    """What a raw echo has beyond a `Collection`. The pulse is rect(tau / T) exp(j pi K tau^2), about the delay 2 R / c.
+
+    Attributes
+    ----------
+    fast_time : (n_fast_time,) float
+        Two-way delay, s; uniform, ascending.
+    chirp_rate : float
+        K, Hz/s; negative for a down-chirp.
+    pulse_width : float
+        T, s.
+    sampling_rate : float
+        Hz.
+
+    Raises
+    ------
+    InputError
+        If fast_time is not uniform, is shorter than the pulse, or sampled more slowly than the chirp is wide.
+    """
+
+    fast_time: FloatArray
+    chirp_rate: float
+    pulse_width: float
+    sampling_rate: float
+
+    def __post_init__(self) -> None:
+        time = np.array(self.fast_time, dtype=np.float64)
+        time.flags.writeable = False
+        object.__setattr__(self, "fast_time", time)
+        check_axis(time, "fast_time", "s")
+        if not (isfinite(self.chirp_rate) and self.chirp_rate):
+            raise InputError(f"chirp_rate must be a finite number of Hz/s other than 0, got {self.chirp_rate!r}")
+        span = float(time[-1] - time[0])
+        if not 0 < self.pulse_width <= span:
+            raise InputError(
+                f"pulse_width is {self.pulse_width:.6g} s, but must be above 0 and within the {span:.6g} s of fast_time"
+            )
+        # Not half a step off over the whole axis, else the frequencies below are not those of the samples.
+        if not abs(self.sampling_rate * span - (time.size - 1)) < 0.5:
+            raise InputError(
+                f"sampling_rate is {self.sampling_rate:.9g} Hz, but fast_time is sampled at "
+                f"{(time.size - 1) / span:.9g} Hz; make them agree"
+            )
+        if self.bandwidth > self.sampling_rate * (1 + UNIFORM_TOLERANCE):
+            raise InputError(
+                f"chirp_rate times pulse_width is {self.bandwidth:.6g} Hz, but fast_time is sampled at only "
+                f"{self.sampling_rate:.6g} Hz; sample faster, or correct chirp_rate or pulse_width"
+            )
+
+    @property
+    def bandwidth(self) -> float:
+        """Of the chirp, Hz."""
+        return abs(self.chirp_rate) * self.pulse_width
+
+    @property
+    def range_frequency(self) -> FloatArray:
+        """Grid of the transform over fast_time, centred at 0 and cut to the chirp's band, Hz."""
+        n = self.fast_time.size
+        grid = (np.arange(n) - n // 2) * (self.sampling_rate / n)
+        # The band's edge may itself be a grid point: rounding must not decide whether it is in.
+        return grid[np.abs(grid) <= self.bandwidth / 2 * (1 + 1e-9)]

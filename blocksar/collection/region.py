@@ -1,0 +1,189 @@
+"""Where an image can lie: ground pixels, what the beam lights of them, and where blocks divide it.
+
+Everything is told in the polar frame at the epoch: yaw, and range from the epoch's antenna position.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from blocksar.arrays import FloatArray
+from blocksar.collection.beam import lit_yaw
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.grid import Grid, ground_resolution, outline
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.errors import InputError
+
+WINDOW_GUARD = 8  # range cells kept free at either end of the range window
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Region:
+    """What can be imaged: yaws that are lit, and at each the epoch ranges that the range window holds.
+
+    yaw (n,), rad, ascending, ends included; near, far (n,), m.
+    """
+
+    yaw: FloatArray
+    near: FloatArray
+    far: FloatArray
+
+    def limits(self, low: float, high: float) -> tuple[float, float]:
+        """Nearest and farthest range anywhere between two yaws."""
+        yaw = np.concatenate([[low], self.yaw[(self.yaw > low) & (self.yaw < high)], [high]])
+        near, far = self.at(yaw)
+        return float(near.min()), float(far.max())
+
+    def at(self, yaw: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return np.interp(yaw, self.yaw, self.near), np.interp(yaw, self.yaw, self.far)
+
+
+class Extent(NamedTuple):
+    """A box in yaw and epoch range, rad and m."""
+
+    low: float
+    high: float
+    near: float
+    far: float
+
+
+def plan_region(geometry: Geometry, grid: Grid | None) -> Region:
+    """The yaws and ranges to plan for.
+
+    Raises
+    ------
+    InputError
+        If an unsteered collection comes without a grid, or the grid is not on the imaged ground.
+    """
+    collection = geometry.collection
+    if collection.steered:
+        low, high = lit_yaw(collection)
+        near, far = _window(geometry, np.linspace(low, high, 65), None)
+        return Region(yaw=np.linspace(low, high, 65), near=near, far=far)
+    if grid is None:
+        raise InputError(
+            "grid is missing: a collection whose beam is not steered lights everything, so give --grid "
+            "x0:x1:dx,y0:y1:dy for the ground to image"
+        )
+    x, y = outline(grid)
+    if grid.x0 <= geometry.nadir[0] <= grid.x1 and grid.y0 <= geometry.nadir[1] <= grid.y1:
+        raise InputError(
+            f"grid {grid.x0:g}:{grid.x1:g},{grid.y0:g}:{grid.y1:g} holds the platform's nadir "
+            f"({geometry.nadir[0]:.6g}, {geometry.nadir[1]:.6g}) m, about which yaw has no meaning; move it aside"
+        )
+    yaw = np.unwrap(geometry.yaw(x, y))
+    rng = geometry.epoch_range(x, y)
+    pad = 0.01 * np.ptp(yaw)
+    nodes = np.linspace(yaw.min() - pad, yaw.max() + pad, 33)
+    slack = float(np.hypot(grid.dx, grid.dy))  # the farthest pixel lies within, not on the edge
+    near, far = _window(geometry, nodes, (float(rng.min()) - slack, float(rng.max()) + slack))
+    return Region(yaw=nodes, near=near, far=far)
+
+
+def _window(geometry: Geometry, yaw: FloatArray, within: tuple[float, float] | None) -> tuple[FloatArray, FloatArray]:
+    """Epoch ranges at each yaw whose echo stays inside the unambiguous window while it is lit."""
+    collection = geometry.collection
+    half = collection.range_window / 2 - WINDOW_GUARD * SPEED_OF_LIGHT / (2 * collection.bandwidth)
+    reference = np.interp(geometry.epoch, collection.time, collection.reference_range)
+    floor = float(geometry.epoch_position[2] - collection.ground_height)
+    spread = np.ptp(collection.reference_range) + np.ptp(geometry.track.position(collection.time), axis=0).max()
+    low = max(reference - half - spread, floor * 1.0005)
+    trial = np.linspace(low, reference + half + spread, 41)
+    first, last = geometry.dwell(yaw)
+    u = np.linspace(0, 1, 9)
+    time = first[:, None] + (last - first)[:, None] * u
+    point = geometry.ground_point(trial[None, :], yaw[:, None])
+    rng, _ = geometry.range_history(point[:, :, None, :], time[:, None, :])
+    held = rng - np.interp(time, collection.time, collection.reference_range)[:, None, :]
+    nearest, farthest = held.min(axis=2), held.max(axis=2)
+    near = np.array([np.interp(-half, row[np.isfinite(row)], trial[np.isfinite(row)]) for row in nearest])
+    far = np.array([np.interp(half, row[np.isfinite(row)], trial[np.isfinite(row)]) for row in farthest])
+    if within is not None:
+        near, far = np.maximum(near, within[0]), np.minimum(far, within[1])
+    if not (far > near).all():
+        shown = "" if within is None else f" (the grid's ranges are {within[0]:.6g} .. {within[1]:.6g} m)"
+        raise InputError(
+            f"grid lies outside the swath: the range window of {collection.range_window:.6g} m about the reference "
+            f"range {reference:.6g} m holds none of it{shown}; move the grid"
+        )
+    return near, far
+
+
+def grid_extent(geometry: Geometry, region: Region, grid: Grid) -> Extent:
+    """What of the region the grid reaches.
+
+    Raises
+    ------
+    InputError
+        If that is nothing: the message says where the grid lies and what is lit.
+    """
+    x, y = outline(grid)
+    inside_x = np.linspace(grid.x[0], grid.x[-1], 65)
+    inside_y = np.linspace(grid.y[0], grid.y[-1], 65)
+    mesh_x, mesh_y = (m.ravel() for m in np.meshgrid(inside_x, inside_y))
+    x, y = np.concatenate([x, mesh_x]), np.concatenate([y, mesh_y])
+    middle = (region.yaw[0] + region.yaw[-1]) / 2
+    turn = geometry.yaw(x, y) - middle
+    yaw = middle + turn - 2 * np.pi * np.rint(turn / (2 * np.pi))
+    rng = geometry.epoch_range(x, y)
+    near, far = region.at(yaw)
+    covered = (yaw >= region.yaw[0]) & (yaw <= region.yaw[-1]) & (rng >= near) & (rng <= far)
+    step = np.hypot((grid.x[-1] - grid.x[0]) / 64, (grid.y[-1] - grid.y[0]) / 64)
+    if not covered.any():
+        degrees = np.degrees([yaw.min(), yaw.max(), region.yaw[0], region.yaw[-1]])
+        raise InputError(
+            f"grid {grid.x0:g}:{grid.x1:g},{grid.y0:g}:{grid.y1:g} lies outside the swath: it spans yaw "
+            f"{degrees[0]:.2f} .. {degrees[1]:.2f} degrees and range {rng.min():.0f} .. {rng.max():.0f} m, but lit are "
+            f"{degrees[2]:.2f} .. {degrees[3]:.2f} degrees and {region.near.min():.0f} .. {region.far.max():.0f} m; "
+            "move the grid"
+        )
+    slack = step / np.hypot(x - geometry.nadir[0], y - geometry.nadir[1])[covered].min()
+    return Extent(
+        low=max(float(yaw[covered].min() - slack), float(region.yaw[0])),
+        high=min(float(yaw[covered].max() + slack), float(region.yaw[-1])),
+        near=float(rng[covered].min() - step),
+        far=float(rng[covered].max() + step),
+    )
+
+
+def default_grid(geometry: Geometry, region: Region) -> Grid:
+    """The box around the lit sector, at about half the resolution of its centre, on round coordinates."""
+    yaw = np.concatenate([region.yaw, region.yaw])
+    point = geometry.ground_point(np.concatenate([region.near, region.far]), yaw)
+    x, y = point[:, 0], point[:, 1]
+    middle = region.yaw.size // 2
+    centre = (region.near[middle] + region.far[middle]) / 2
+    range_width, azimuth_width = ground_resolution(geometry, centre, float(region.yaw[middle]))
+    step = _round_step(min(range_width, azimuth_width) / 2)
+
+    def box(values: FloatArray) -> tuple[float, float, float]:
+        return float(np.floor(values.min() / step) * step), float(np.ceil(values.max() / step + 1) * step), step
+
+    x0, x1, dx = box(x)
+    y0, y1, dy = box(y)
+    return Grid(x0, x1, dx, y0, y1, dy)
+
+
+def _round_step(value: float) -> float:
+    """The nearest of 1, 1.5, 2, 3, 5, 7 times a power of ten."""
+    decade = 10.0 ** np.floor(np.log10(value))
+    steps = decade * np.array([1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0])
+    return float(f"{steps[np.argmin(np.abs(np.log(steps / value)))]:.3g}")
+
+
+def block_seams(geometry: Geometry, region: Region, count: int) -> FloatArray:
+    """Yaws (count + 1,) between which blocks lie, rad, ascending.
+
+    A steered collection's steering interval is divided evenly (paper A, Figure 7); the first and last block
+    reach to the ends of what is lit. One that is not steered is divided evenly from end to end.
+    """
+    collection = geometry.collection
+    low, high = region.yaw[0], region.yaw[-1]
+    if not collection.steered or np.ptp(collection.beam_azimuth) == 0:
+        return np.linspace(low, high, count + 1)
+    seams = np.linspace(collection.beam_azimuth.min(), collection.beam_azimuth.max(), count + 1)
+    seams[0], seams[-1] = low, high
+    return seams

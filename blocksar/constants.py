@@ -1,0 +1,11 @@
+"""Physical constants, and numbers that follow from them."""
+
+from __future__ import annotations
+
+import math
+
+SPEED_OF_LIGHT = 299_792_458.0  # m/s
+TURN = 2 * math.pi  # rad
+SINC_PSLR = -13.2615  # dB, highest side lobe of sinc(u)^2
+SINC_WIDTH = 0.885893  # -3 dB width of sinc(u)^2 in u: the unweighted response's width times its bandwidth
+MIB = 2**20  # bytes

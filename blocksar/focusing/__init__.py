@@ -1,0 +1,1 @@
+"""The signal processing: lines, steps, chains, recovery, geometric correction and back-projection."""

@@ -1,0 +1,501 @@
+"""Exact back-projection: the fourth processor, and the judge of the other three.
+
+    image(x, y) = mean over lit pulses p and frequencies f of
+                  signal[p, f] exp(+4j pi (fc + f) / c (R_xy(p) - reference_range[p]))
+
+The mean over frequencies is one inverse transform a pulse, the range profile, read off at R_xy - reference_range;
+only that reading is an interpolation. Ranges and phases are float64 and exact at every pixel and pulse: no far
+field, no Taylor series, no mean velocity.
+
+A pulse lights a pixel while |theta - beam_azimuth| <= beam_width / 2 with theta the pixel's yaw about the nadir at
+t = 0. The beam scans one way, so that a pixel's lit pulses are an interval, and the loop over them needs no test.
+Samples that are NaN are left out of the mean. The image is NaN where no valid sample is lit, and where a lit pulse
+sees the pixel outside the unambiguous window |R_xy - reference_range| <= c / (4 df); a missing pulse sees it too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from llvmlite import ir  # type: ignore[import-untyped, unused-ignore]
+from numba import njit, types
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
+from blocksar.constants import SPEED_OF_LIGHT, TURN
+from blocksar.errors import InputError
+from blocksar.kernels.fourier import Axis, fast_length, fft_rows, unit_phasor
+from blocksar.kernels.groups import GROUP_BYTES, row_groups, run_groups
+from blocksar.kernels.operations import Transform
+from blocksar.kernels.trigonometry import cosine, sine
+
+ReadPulses = Callable[[slice], ComplexArray]  # (n, n_range_frequency) samples of a slice of pulses
+Tile = tuple[slice, slice]
+
+UPSAMPLING = 6  # bins a range cell: the quadratic spline then errs by -69 dB, see spline_error
+MARGIN = 2  # bins either side of the window that the spline may touch
+TILE = 64  # pixels either way: what a tile touches of a block of profiles stays in the second-level cache
+BLOCK_BYTES = 32 * 1024**2  # profiles of a block of pulses
+MIN_PULSE_BLOCK, MAX_PULSE_BLOCK = 16, 256
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Profiles:
+    """Range profiles of a block of pulses, upsampled and ready for the quadratic spline.
+
+    Attributes
+    ----------
+    values : (n, n_bin) complex64
+        Spline coefficients: bin b lies at R - reference_range = (b - centre) * spacing. The phase of the middle
+        frequency, exp(4j pi (fc + f_middle) / c (R - reference_range)), is left out: it turns too fast to
+        interpolate.
+    valid : (n,) int
+        Samples of each pulse that are not NaN.
+    pulses : slice
+        Which pulses of the collection these are.
+    centre : int
+    spacing : float
+        m.
+    """
+
+    values: ComplexArray
+    valid: IntArray
+    pulses: slice
+    centre: int
+    spacing: float
+
+
+def lit_interval(geometry: Geometry, x: FloatArray, y: FloatArray) -> tuple[IntArray, IntArray]:
+    """The pulses first <= p < last that light each pixel: exactly those with |theta - beam_azimuth| <= beam_width / 2.
+
+    Parameters
+    ----------
+    geometry : Geometry
+    x, y : (...) float
+        m, scene frame; of one shape.
+
+    Returns
+    -------
+    first, last : (...) int
+        Both 0 where a pixel is never lit.
+
+    Raises
+    ------
+    InputError
+        If the beam scans so far round that a pixel could be lit twice.
+    """
+    collection = geometry.collection
+    yaw = np.asarray(geometry.yaw(np.asarray(x, np.float64), np.asarray(y, np.float64)))
+    first, last = np.zeros(yaw.shape, np.int64), np.full(yaw.shape, collection.n_pulse, np.int64)
+    if collection.beam_width is None:
+        return first, last
+    beam, width = collection.beam_azimuth, collection.beam_width
+    scan = abs(beam[-1] - beam[0])
+    if scan + width >= TURN:
+        raise InputError(
+            f"beam_azimuth scans {scan:.4g} rad with a beam_width of {width:.4g} rad, all round: a target would be "
+            "lit twice; cut the collection"
+        )
+    _lit_interval(yaw.ravel(), beam, width / 2, first.reshape(-1), last.reshape(-1))
+    return first, last
+
+
+def range_profiles(signal: ComplexArray, *, collection: Collection, pulses: slice, threads: int) -> Profiles:
+    """Mean over frequency of signal exp(4j pi (f - f_middle) d / c) on a fine grid of d = R - reference_range.
+
+    The zero-padded samples are divided by the quadratic spline's own frequency response, sinc(f / f_bins)^3: the
+    spline made of the transformed bins then gives the band its exact level, and only errs by its images.
+
+    Parameters
+    ----------
+    signal : (n, n_range_frequency) complex64
+        Not changed. NaN samples count as missing.
+    collection : Collection
+    pulses : slice
+        Of the collection, n of them.
+    threads : int
+        The result does not depend on it.
+
+    Returns
+    -------
+    Profiles
+
+    Raises
+    ------
+    ValueError
+        If the shapes disagree.
+
+    References
+    ----------
+    Unser, "Splines: a perfect fit for signal and image processing", IEEE Signal Processing Magazine 16(6), 1999.
+    """
+    n, period = collection.n_range_frequency, _period(collection)
+    if signal.shape != (pulses.stop - pulses.start, n):
+        raise ValueError(f"{signal.shape=} but {pulses=} of {n} range frequencies")
+    step, middle = collection.range_frequency_step, n // 2
+    frequency = Axis(-middle * step, step, n)
+    delay = Axis(-(period // 2) / (period * step), 1 / (period * step), period)
+    before, after = Transform(frequency, delay, inverse=True).phases()
+    lead = unit_phasor(before.cycles(frequency.values)[0]) / np.sinc(frequency.values / (period * step)) ** 3
+    lead = (lead * (period / n)).astype(np.complex64)
+    trail = unit_phasor(after.cycles(delay.values)[0])
+    values = np.empty((signal.shape[0], period + 2 * MARGIN), np.complex64)
+    valid = np.empty(signal.shape[0], np.int64)
+
+    def work(rows: slice) -> None:
+        missing = np.isnan(signal[rows])
+        valid[rows] = n - np.count_nonzero(missing, axis=1)
+        group = np.zeros((rows.stop - rows.start, period), np.complex64)
+        np.multiply(signal[rows], lead, out=group[:, :n])
+        group[:, :n][missing] = 0
+        group = fft_rows(group, inverse=True)
+        out = values[rows]
+        np.multiply(group, trail, out=out[:, MARGIN:-MARGIN])
+        # Counted from the middle frequency, a sample of the axis, the profile repeats itself after the window.
+        out[:, -MARGIN:] = out[:, MARGIN : 2 * MARGIN]
+        out[:, :MARGIN] = out[:, -2 * MARGIN : -MARGIN]
+
+    run_groups(work, row_groups(0, signal.shape[0], period), threads)
+    return Profiles(
+        values=values,
+        valid=valid,
+        pulses=pulses,
+        centre=period // 2 + MARGIN,
+        spacing=collection.range_window / period,
+    )
+
+
+def spline_error(*, upsampling: float) -> float:
+    """Root mean square relative error of the quadratic spline over a band 1 / upsampling of the sampling rate.
+
+    The spline repeats a frequency f (cycles a bin) at f + k, weaker by (sinc(f + k) / sinc(f))^3.
+    """
+    f = np.linspace(-0.5, 0.5, 129) / upsampling
+    k = np.delete(np.arange(-8, 9), 8)
+    images = (np.sinc(f[:, None] + k) / np.sinc(f[:, None])) ** 3
+    return float(np.sqrt(np.mean(np.sum(images**2, axis=1))))
+
+
+def accumulate(
+    image: ComplexArray,
+    outside: BoolArray,
+    profiles: Profiles,
+    *,
+    geometry: Geometry,
+    x: FloatArray,
+    y: FloatArray,
+    first: IntArray,
+    last: IntArray,
+    threads: int,
+) -> None:
+    """Add a block of pulses to the image, in place: image += sum over lit pulses of the profile at the pixel's range.
+
+    Parameters
+    ----------
+    image : (n_row, n_column) complex64
+    outside : (n_row, n_column) bool
+        Set where a lit pulse sees the pixel outside the unambiguous window.
+    profiles : Profiles
+    geometry : Geometry
+    x, y : (n_row, n_column) float
+        m, scene frame.
+    first, last : (n_row, n_column) int
+        Lit pulses, from `lit_interval`.
+    threads : int
+        The result does not depend on it: each pixel's sum is one thread's, in one order.
+    """
+    collection = geometry.collection
+    middle = collection.range_frequency[collection.n_range_frequency // 2]
+    pulses = profiles.pulses
+    position = np.ascontiguousarray(collection.antenna_position[pulses].T)
+    # A complex64 sample is fetched as one word of 64 bits: gathers cost by the piece, not by the byte.
+    words = profiles.values.view(np.uint64)
+
+    def work(tile: Tile) -> None:
+        rows, columns = tile
+        _accumulate(
+            image,
+            outside,
+            rows.start,
+            rows.stop,
+            columns.start,
+            columns.stop,
+            words,
+            x,
+            y,
+            first,
+            last,
+            pulses.start,
+            position[0],
+            position[1],
+            collection.ground_height - position[2],
+            collection.reference_range[pulses],
+            collection.range_window / 2,
+            2 * (collection.carrier + middle) / SPEED_OF_LIGHT,
+            1 / profiles.spacing,
+            profiles.centre + 0.5,
+        )
+
+    _run_tiles(work, image.shape, threads)
+
+
+def form_points(
+    read: ReadPulses,
+    geometry: Geometry,
+    x: FloatArray,
+    y: FloatArray,
+    *,
+    threads: int,
+    pulse_block: int | None = None,
+) -> ComplexArray:
+    """Back-project to any points on the ground plane.
+
+    Parameters
+    ----------
+    read : callable
+        Gives the samples (n, n_range_frequency) complex64 of a slice of pulses. Asked for lit pulses only, once each,
+        in ascending order.
+    geometry : Geometry
+    x, y : (...) float
+        m, scene frame; of one shape. Neighbours in the array should be neighbours on the ground, for the cache.
+    threads : int
+        The result does not depend on it.
+    pulse_block : int, optional
+        Pulses in memory at a time.
+
+    Returns
+    -------
+    (...) complex64
+        1 + 0j at a target of reflectivity 1. NaN where no valid sample is lit, or outside the unambiguous window.
+
+    Raises
+    ------
+    ValueError
+        If x and y are not finite or differ in shape, or `read` gives another shape.
+    InputError
+        From `lit_interval`.
+    """
+    collection = geometry.collection
+    if np.shape(x) != np.shape(y):
+        raise ValueError(f"{np.shape(x)=} but {np.shape(y)=}")
+    shape = np.shape(x)
+    rows = (-1, shape[-1]) if len(shape) > 1 and shape[-1] else (1, -1)
+    x, y = (np.ascontiguousarray(axis, np.float64).reshape(rows) for axis in (x, y))
+    if not (np.isfinite(x).all() and np.isfinite(y).all()):
+        raise ValueError("x and y must be finite")
+    first, last = _lit_intervals(geometry, x, y, threads)
+    image, outside = np.zeros(x.shape, np.complex64), np.zeros(x.shape, np.bool_)
+    valid = np.zeros(collection.n_pulse, np.int64)
+    for pulses in _blocks(_lit_pulses(first, last, collection.n_pulse), pulse_block or pulse_block_size(collection)):
+        profiles = range_profiles(read(pulses), collection=collection, pulses=pulses, threads=threads)
+        valid[pulses] = profiles.valid
+        accumulate(image, outside, profiles, geometry=geometry, x=x, y=y, first=first, last=last, threads=threads)
+        del profiles  # before the next block is read: two would be in memory else
+    _normalise(image, outside, first, last, np.concatenate(([0], np.cumsum(valid))), collection.n_range_frequency)
+    return image.reshape(shape)
+
+
+def form_image(
+    read: ReadPulses,
+    geometry: Geometry,
+    x: FloatArray,
+    y: FloatArray,
+    *,
+    threads: int,
+    pulse_block: int | None = None,
+) -> ComplexArray:
+    """Back-project to the grid of columns `x` (n_column,) and rows `y` (n_row,), m: `form_points` on their mesh.
+
+    Returns
+    -------
+    (n_row, n_column) complex64
+    """
+    mesh_x, mesh_y = np.meshgrid(np.asarray(x, np.float64), np.asarray(y, np.float64))
+    return form_points(read, geometry, mesh_x, mesh_y, threads=threads, pulse_block=pulse_block)
+
+
+def pulse_block_size(collection: Collection) -> int:
+    """Pulses in memory at a time, by default."""
+    row = 8 * (_period(collection) + 2 * MARGIN)
+    # Whole vectors of pulses: what is left over runs one by one.
+    pulses = BLOCK_BYTES // row // MIN_PULSE_BLOCK * MIN_PULSE_BLOCK
+    return min(max(pulses, MIN_PULSE_BLOCK), MAX_PULSE_BLOCK)
+
+
+def image_memory(n_pixels: int, collection: Collection, *, threads: int = 1, pulse_block: int | None = None) -> int:
+    """Upper bound of what forming an image of so many pixels allocates, bytes; `read`'s own result is in it."""
+    n, bins = collection.n_range_frequency, _period(collection) + 2 * MARGIN
+    pulses = pulse_block or pulse_block_size(collection)
+    pixel = 8 * 5 + 1 + 2  # x, y, first, last, image; outside and a mask
+    scratch = 4 * (GROUP_BYTES + 8 * bins) + 16 * 8 * TILE**2
+    return n_pixels * pixel + pulses * 8 * (n + bins) + threads * scratch + 16 * 8 * (bins + collection.n_pulse)
+
+
+# -- pieces -------------------------------------------------------------------------------------------------
+
+
+def _period(collection: Collection) -> int:
+    return fast_length(UPSAMPLING * collection.n_range_frequency)
+
+
+def _run_tiles(work: Callable[[Tile], None], shape: tuple[int, ...], threads: int) -> None:
+    """Do `work` for every tile of the image."""
+    height = TILE if shape[0] > 1 else 1
+    width = TILE**2 // height
+    tiles = [
+        (slice(row, min(row + height, shape[0])), slice(column, min(column + width, shape[1])))
+        for row in range(0, shape[0], height)
+        for column in range(0, shape[1], width)
+    ]
+    run_groups(work, tiles, threads)
+
+
+def _lit_intervals(geometry: Geometry, x: FloatArray, y: FloatArray, threads: int) -> tuple[IntArray, IntArray]:
+    """`lit_interval` by tiles, so that its temporary arrays stay small."""
+    first, last = np.empty(x.shape, np.int64), np.empty(x.shape, np.int64)
+
+    def work(tile: Tile) -> None:
+        first[tile], last[tile] = lit_interval(geometry, x[tile], y[tile])
+
+    _run_tiles(work, x.shape, threads)
+    return first, last
+
+
+def _lit_pulses(first: IntArray, last: IntArray, n_pulse: int) -> BoolArray:
+    """Which pulses light any pixel."""
+    begins = np.bincount(first.ravel(), minlength=n_pulse + 1)
+    ends = np.bincount(last.ravel(), minlength=n_pulse + 1)
+    return np.asarray(np.cumsum(begins - ends)[:-1] > 0)
+
+
+def _blocks(lit: BoolArray, pulse_block: int) -> list[slice]:
+    """Slices of at most `pulse_block` pulses that hold all lit ones, on fixed borders, less the unlit at the ends."""
+    blocks = []
+    for start in range(0, lit.size, pulse_block):
+        inside = start + np.flatnonzero(lit[start : start + pulse_block])
+        if inside.size:
+            blocks.append(slice(int(inside[0]), int(inside[-1]) + 1))
+    return blocks
+
+
+@njit(cache=True, nogil=True)
+def _lit_interval(yaw: FloatArray, beam: FloatArray, half_width: float, first: IntArray, last: IntArray) -> None:
+    """Two binary searches a pixel, with the very inequality of the contract: no fastmath, so no other rounding."""
+    n = beam.size
+    ascends = beam[n - 1] >= beam[0]
+    middle = (beam[0] + beam[n - 1]) / 2
+    for i in range(yaw.size):
+        turns = TURN * np.rint((yaw[i] - middle) / TURN)
+        for end in range(2):
+            # The beam has reached the pixel, or (end = 1) has passed it, from pulse `low` on.
+            low, high = 0, n
+            while low < high:
+                p = (low + high) // 2
+                away = (yaw[i] - beam[p]) - turns
+                ahead = away if ascends else -away
+                reached = ahead <= half_width if end == 0 else ahead < -half_width
+                if reached:
+                    high = p
+                else:
+                    low = p + 1
+            if end == 0:
+                first[i] = low
+            else:
+                last[i] = low
+        if first[i] >= last[i]:
+            first[i], last[i] = 0, 0
+
+
+def _float_in_word(shift: int) -> Any:
+    """A compiled function: the float32 in bits shift .. shift + 31 of a 64-bit word."""
+
+    def extract(typing_context: Any, word: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            shifted = builder.lshr(arguments[0], ir.Constant(ir.IntType(64), shift))
+            return builder.bitcast(builder.trunc(shifted, ir.IntType(32)), ir.FloatType())
+
+        return types.float32(types.uint64), generate
+
+    return intrinsic(extract)
+
+
+_real, _imag = _float_in_word(0), _float_in_word(32)  # of a complex64, little-endian
+
+
+# "reassoc" lets the sum over pulses run in vector lanes: another order than written, but one order always.
+@njit(cache=True, nogil=True, fastmath={"contract", "nsz", "reassoc"})
+def _accumulate(
+    image: ComplexArray,
+    outside: BoolArray,
+    row_start: int,
+    row_stop: int,
+    column_start: int,
+    column_stop: int,
+    words: NDArray[np.uint64],
+    x: FloatArray,
+    y: FloatArray,
+    first: IntArray,
+    last: IntArray,
+    start: int,
+    antenna_x: FloatArray,
+    antenna_y: FloatArray,
+    below: FloatArray,
+    reference: FloatArray,
+    half_window: float,
+    cycles_per_metre: float,
+    bins_per_metre: float,
+    origin: float,
+) -> None:
+    one, half = np.float32(1.0), np.float32(0.5)
+    n_pulse = words.shape[0]
+    n_bin, next_bin = np.uint64(words.shape[1]), np.uint64(1)
+    flat = words.reshape(words.size)
+    for row in range(row_start, row_stop):
+        for column in range(column_start, column_stop):
+            begin, end = max(first[row, column] - start, 0), min(last[row, column] - start, n_pulse)
+            px, py = x[row, column], y[row, column]
+            real, imag, beyond = np.float32(0.0), np.float32(0.0), 0
+            # Pulses are the inner loop: their interval is the pixel's own, and the next pixel finds its profiles'
+            # cache lines already there. Indices are unsigned: the test for a negative one would turn every load
+            # into a gather, at half the speed.
+            for p in range(np.uint64(begin), np.uint64(max(begin, end))):
+                dx, dy, dz = px - antenna_x[p], py - antenna_y[p], below[p]
+                away = np.sqrt(dx * dx + dy * dy + dz * dz) - reference[p]
+                beyond += abs(away) > half_window
+                cycles = cycles_per_metre * away
+                part: Any = np.float32(cycles - np.rint(cycles))
+                cos, sin = cosine(part), sine(part)
+                position = min(max(away, -half_window), half_window) * bins_per_metre + origin
+                nearest = np.int32(position)
+                right = np.float32(position - nearest)  # distance from the left border of the nearest bin, 0..1
+                left = one - right
+                before, after = half * left * left, half * right * right
+                at = one - before - after
+                k = p * n_bin + np.uint64(nearest)
+                w0, w1, w2 = flat[k - next_bin], flat[k], flat[k + next_bin]
+                value_real = before * _real(w0) + at * _real(w1) + after * _real(w2)
+                value_imag = before * _imag(w0) + at * _imag(w1) + after * _imag(w2)
+                real += value_real * cos - value_imag * sin
+                imag += value_real * sin + value_imag * cos
+            image[row, column] += complex(real, imag)
+            outside[row, column] |= beyond > 0
+
+
+@njit(cache=True, nogil=True)
+def _normalise(
+    image: ComplexArray, outside: BoolArray, first: IntArray, last: IntArray, valid_before: IntArray, n_frequency: int
+) -> None:
+    """Sum to mean: divide by the lit pulses, each counted by the part of its samples that is valid."""
+    for row in range(image.shape[0]):
+        for column in range(image.shape[1]):
+            count = valid_before[last[row, column]] - valid_before[first[row, column]]
+            if outside[row, column] or count == 0:
+                image[row, column] = complex(np.nan, np.nan)
+            else:
+                image[row, column] *= np.float32(n_frequency / count)

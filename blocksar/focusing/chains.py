@@ -1,0 +1,60 @@
+"""The processors: each is a list of steps over one engine, and its rivals are the same list with one step changed.
+
+    angular-division     paper A: keystone, RCMC, frequency perturbation, deramp
+    keystone-resampling  paper B: keystone, RCMC, time perturbation, Doppler resampling, deramp
+    high-order-phase     paper C: RCMC in the 2-D frequency domain, frequency perturbation, deramp
+
+This is the only place that knows the order of steps. Planning binds their constants, graphs apply them, lines go
+through them; none asks which processor it is.
+"""
+
+from __future__ import annotations
+
+from blocksar.focusing.azimuth_steps import (
+    AzimuthTransform,
+    Deramp,
+    DopplerResampling,
+    DopplerTransform,
+    FrequencyPerturbation,
+    TimePerturbation,
+)
+from blocksar.focusing.method import Chain, Method
+from blocksar.focusing.range_steps import (
+    DopplerCompression,
+    Keystone,
+    RangeCompression,
+    ResidualRangeWalk,
+    TimeDomainCompression,
+)
+from blocksar.focusing.step import Step
+
+Steps = tuple[type[Step], ...]
+
+CHAINS: dict[Chain, Steps] = {
+    "angular-division": (
+        ResidualRangeWalk, Keystone, RangeCompression,
+        TimePerturbation, AzimuthTransform, FrequencyPerturbation, Deramp, DopplerTransform,
+    ),
+    "keystone-resampling": (
+        ResidualRangeWalk, Keystone, RangeCompression,
+        TimePerturbation, AzimuthTransform, DopplerResampling, Deramp, DopplerTransform,
+    ),
+    "high-order-phase": (
+        ResidualRangeWalk, AzimuthTransform, DopplerCompression,
+        FrequencyPerturbation, Deramp, DopplerTransform,
+    ),
+}  # fmt: skip
+
+
+def steps_of(method: Method) -> Steps:
+    """The kinds of steps in order; a block in range sub-blocks has a range gate before them."""
+    chain = CHAINS[method.processor]
+    if not method.keystone:
+        chain = tuple(TimeDomainCompression if s is RangeCompression else s for s in chain if s is not Keystone)
+    if method.perturbation == "frequency":
+        chain = tuple(FrequencyPerturbation if s is DopplerResampling else s for s in chain)
+    if method.perturbation == "none":
+        chain = tuple(s for s in chain if s not in (DopplerResampling, FrequencyPerturbation))
+    if method.perturbation != "all":
+        chain = tuple(s for s in chain if s is not TimePerturbation)
+    return chain

@@ -1,0 +1,201 @@
+"""From image pixels to places in a focused block: surfaces of range, Doppler, phase and amplitude."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.polynomial import chebyshev
+
+from blocksar.arrays import FloatArray
+from blocksar.collection.geometry import Geometry
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.focusing.lines import Focus, RowPolynomial
+from blocksar.kernels.fourier import Axis
+
+YAW_STEPS = 4096
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Surface:
+    """A smooth function of (epoch range, yaw): a tensor Chebyshev series."""
+
+    series: FloatArray
+    near: float
+    far: float
+    low: float
+    high: float
+
+    def __call__(self, epoch_range: FloatArray, yaw: FloatArray) -> FloatArray:
+        epoch_range, yaw = np.broadcast_arrays(epoch_range, yaw)
+        u = (2 * epoch_range - self.near - self.far) / (self.far - self.near)
+        v = (2 * yaw - self.low - self.high) / (self.high - self.low)
+        values = np.empty(u.size)
+        sum_series(np.array(self.series, order="C"), u.ravel(), v.ravel(), values)
+        return values.reshape(u.shape)
+
+
+def fit_surface(values: FloatArray, *, epoch_range: FloatArray, yaw: FloatArray, degree: tuple[int, int]) -> Surface:
+    """Least-squares tensor series through values (n_range, n_yaw) on a grid that spans the domain."""
+    near, far, low, high = epoch_range[0], epoch_range[-1], yaw[0], yaw[-1]
+    u = (2 * epoch_range - near - far) / (far - near)
+    v = (2 * yaw - low - high) / (high - low)
+    in_range = chebyshev.chebfit(u, values, min(degree[0], u.size - 1))
+    series = chebyshev.chebfit(v, in_range.T, min(degree[1], v.size - 1)).T
+    return Surface(series=np.asarray(series), near=float(near), far=float(far), low=float(low), high=float(high))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GroundMap:
+    """Where a block's image holds each ground point, and its complex value there for a unit target.
+
+    Attributes
+    ----------
+    geometry : Geometry
+    low, high : float
+        Yaw interval that this block owns, [low, high), rad.
+    near, far : float
+        Epoch ranges that it owns, [near, far), m.
+    origin : float
+        Range origin, m.
+    rows, doppler : Axis
+        Of the focused block.
+    range_offset : Surface
+        Apparent range of the focus less (epoch range - origin), m.
+    doppler_focus : Surface
+        Hz.
+    phase : Surface
+        Of the focus, cycles, less the carrier's -2 fc / c (epoch range - origin).
+    gain : Surface
+    time : Surface
+        Middle of the dwell after all steps, s: the carrier of a target's response along Doppler.
+    common : RowPolynomial or None
+        Phase that the image has been given along Doppler, the same in all rows.
+    yaw_axis : (n,) float
+        Uniform yaws from low to high, rad, for the two limits and the number of lit pulses.
+    near_limit, far_limit : (n,) float
+        Epoch ranges that the range window holds at each yaw, m.
+    lit : (n,) float
+        Lit valid pulses at each yaw.
+    scale : float
+        n_range_frequency / period of the range transform.
+    """
+
+    geometry: Geometry
+    low: float
+    high: float
+    near: float
+    far: float
+    origin: float
+    rows: Axis
+    doppler: Axis
+    range_offset: Surface
+    doppler_focus: Surface
+    phase: Surface
+    gain: Surface
+    time: Surface
+    common: RowPolynomial | None
+    yaw_axis: FloatArray
+    near_limit: FloatArray
+    far_limit: FloatArray
+    lit: FloatArray
+    scale: float
+    range_taps: tuple[int, float]
+    doppler_taps: tuple[int, float]
+
+    @property
+    def middle_yaw(self) -> float:
+        return (self.low + self.high) / 2
+
+    def relative_yaw(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Yaw less the block's middle, wrapped to +-pi."""
+        turn = self.geometry.yaw(x, y) - self.middle_yaw
+        return turn - 2 * np.pi * np.rint(turn / (2 * np.pi))
+
+    def doppler_slope(self) -> FloatArray:
+        """Doppler of the focus per yaw, Hz/rad, over the block's ranges and yaws (9, 33)."""
+        rng = np.linspace(self.near, self.far, 9)
+        yaw = np.linspace(self.low, self.high, 33)
+        rng_, yaw_ = np.meshgrid(rng, yaw, indexing="ij")
+        return np.gradient(self.doppler_focus(rng_, yaw_), yaw, axis=1)
+
+    def locate(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, ...]:
+        """Row and Doppler index, phase (cycles), gain, relative yaw and dwell time (cycles a Doppler sample)."""
+        geometry = self.geometry
+        epoch_range = geometry.epoch_range(x, y)
+        turn = self.relative_yaw(x, y)
+        yaw = self.middle_yaw + turn
+        offset = epoch_range - self.origin
+        rng = offset + self.range_offset(epoch_range, yaw)
+        doppler = self.doppler_focus(epoch_range, yaw)
+        carrier = -2 * geometry.collection.carrier / SPEED_OF_LIGHT * offset
+        cycles, time = carrier + self.phase(epoch_range, yaw), self.time(epoch_range, yaw)
+        if self.common is not None:
+            given, rate, _ = self.common.evaluate(rng, doppler[..., None])
+            cycles, time = cycles + given[..., 0], time - rate[..., 0]
+        return (
+            self.rows.position(rng),
+            self.doppler.position(doppler),
+            cycles,
+            self.gain(epoch_range, yaw),
+            turn,
+            time * self.doppler.step,
+        )
+
+
+def surfaces(
+    focus: Focus, *, epoch_range: FloatArray, yaw: FloatArray, origin: float, carrier: float, degree: tuple[int, int]
+) -> tuple[Surface, Surface, Surface, Surface, Surface]:
+    """Range offset, Doppler, phase, gain and time over (epoch range, yaw) from traced and focused lines."""
+    offset = (epoch_range - origin)[:, None]
+    carrier_cycles = -2 * carrier / SPEED_OF_LIGHT * offset
+    grid = {"epoch_range": epoch_range, "yaw": yaw, "degree": degree}
+    return (
+        fit_surface(focus.range - offset, **grid),  # type: ignore[arg-type]
+        fit_surface(focus.doppler, **grid),  # type: ignore[arg-type]
+        fit_surface(focus.phase - carrier_cycles, **grid),  # type: ignore[arg-type]
+        fit_surface(focus.gain, **grid),  # type: ignore[arg-type]
+        fit_surface(focus.time, **grid),  # type: ignore[arg-type]
+    )
+
+
+# ---------------------------------------------------------------- compiled loops
+#
+# Rows of pixels lie in arrays as long as a tile's side, made once a call: a view made in a loop would be counted
+# in and out each time, by locked instructions. Where a signed index could be negative for all the compiler knows,
+# it gathers one by one: hence the unsigned ones.
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
+def sum_series(series: FloatArray, u: FloatArray, v: FloatArray, values: FloatArray) -> None:
+    """values[k] = sum_ij series[i, j] T_i(u[k]) T_j(v[k]), some points at a time so that the T stay in cache."""
+    strip = 64
+    tu, tv = np.empty((max(series.shape[0], 2), strip)), np.empty((max(series.shape[1], 2), strip))
+    total, inner = np.empty(strip), np.empty(strip)
+    for first in range(0, u.size, strip):
+        n = min(strip, u.size - first)
+        _chebyshev(u[first : first + n], tu)
+        _chebyshev(v[first : first + n], tv)
+        total[:] = 0.0
+        for j in range(series.shape[1]):
+            inner[:] = 0.0
+            for i in range(series.shape[0]):
+                c = series[i, j]
+                for k in range(strip):
+                    inner[k] += c * tu[i, k]
+            for k in range(strip):
+                total[k] += inner[k] * tv[j, k]
+        values[first : first + n] = total[:n]
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
+def _chebyshev(u: FloatArray, t: FloatArray) -> None:
+    """t[i, k] = T_i(u[k]) in all of its rows, two at least; zeros beyond the end of u."""
+    t[:] = 0.0
+    for k in range(u.size):
+        t[0, k] = 1.0
+        t[1, k] = u[k]
+    for i in range(2, t.shape[0]):
+        for k in range(u.size):
+            t[i, k] = 2 * u[k] * t[i - 1, k] - t[i - 2, k]

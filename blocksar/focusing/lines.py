@@ -1,0 +1,231 @@
+"""Time-frequency lines: what every operation on the samples does to a target.
+
+To stationary phase, a target's azimuth signal is a line (t, f(t)) in the time-frequency plane. Operations on
+samples map lines exactly, so one description of a step serves twice: applied to samples it is the
+processor, applied to lines it predicts what the processor does to any target:
+
+    multiply by exp(2j pi p(t)) in time        f += p'(t)
+    multiply by exp(2j pi P(f)) in Doppler     t -= P'(f)
+    resample Doppler, f -> h(f)                f = h(f), t = t / h'(f)
+    keystone                                   identity on the carrier; rho(t) -> rho - t rho' in range
+
+Phases are in cycles throughout. The line carries its phase, and by how much time was stretched along it,
+which gives the complex value at which the target focuses: geometric correction and calibration follow
+from the traced line with no further approximation.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.polynomial import chebyshev
+
+from blocksar.arrays import FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Line:
+    """Lines of targets, sampled along their dwells at Gauss-Legendre nodes.
+
+    Attributes
+    ----------
+    time : (..., n) float
+        Slow time from the epoch, s.
+    doppler : (..., n) float
+        Hz.
+    rate : (..., n) float
+        d doppler / d time along the line, Hz/s.
+    phase : (..., n) float
+        Of the signal in time, cycles.
+    range : (..., n) float
+        Apparent range less the range origin, m.
+    stretch : (..., n) float
+        d time / d (time when the target was lit).
+    weight : (..., n) float
+        Quadrature weights: seconds of lit time.
+    """
+
+    time: FloatArray
+    doppler: FloatArray
+    rate: FloatArray
+    phase: FloatArray
+    range: FloatArray
+    stretch: FloatArray
+    weight: FloatArray
+
+    def multiply_time(self, cycles: FloatArray, rate: FloatArray, curvature: FloatArray) -> Line:
+        """After multiplication by exp(2j pi cycles(t)): value, first and second derivative at self.time."""
+        return replace(self, phase=self.phase + cycles, doppler=self.doppler + rate, rate=self.rate + curvature)
+
+    def multiply_doppler(self, cycles: FloatArray, rate: FloatArray, curvature: FloatArray) -> Line:
+        """After multiplication by exp(2j pi cycles(f)) in Doppler: value and derivatives at self.doppler.
+
+        Stationary phase there and back: phase(t') = phase(t) - f t + cycles(f) + f t'; the two quarter
+        turns cancel as long as the line is not folded over (dt'/dt > 0).
+        """
+        time = self.time - rate
+        bend = 1.0 - curvature * self.rate
+        return replace(
+            self,
+            time=time,
+            phase=self.phase - self.doppler * self.time + cycles + self.doppler * time,
+            rate=self.rate / bend,
+            stretch=self.stretch * bend,
+        )
+
+    def resample_doppler(self, offset: FloatArray, slope: FloatArray, bend: FloatArray, *, middle: float) -> Line:
+        """After Doppler f was moved to h(f) = f + offset(f): offset and its derivatives at self.doppler.
+
+        Time contracts about `middle`: the spectrum's phase, psi(f) = phase - f (t - middle), goes with f, so that
+        its group delay is t - middle = (t_before - middle) / h'(f). Energy is kept.
+        """
+        moved, stretched = self.doppler + offset, 1.0 + slope
+        before = self.time - middle
+        time = before / stretched
+        pace = (1.0 - time * bend * self.rate) / stretched
+        with np.errstate(divide="ignore", invalid="ignore"):
+            rate = stretched * self.rate / pace
+        return replace(
+            self,
+            time=middle + time,
+            doppler=moved,
+            rate=rate,
+            phase=self.phase - self.doppler * before + moved * time,
+            stretch=self.stretch * pace,
+        )
+
+    def shift_range(self, offset: FloatArray) -> Line:
+        return replace(self, range=self.range + offset)
+
+    @property
+    def folded(self) -> bool:
+        """Whether time turns back somewhere along a line: stationary phase then no longer holds."""
+        return bool((self.stretch <= 0.02).any() or not np.isfinite(self.stretch).all())
+
+
+class Focus(NamedTuple):
+    """Where and how a level line focuses; arrays (...) of targets.
+
+    doppler (Hz), range (m from the origin) and time (s, middle of the dwell after all steps) locate it;
+    `phase` (cycles) and `gain` (sum over the dwell relative to the lit time, near 1) calibrate it.
+    `residual` is the largest phase error over the dwell (rad), `quadratic` the quadratic part of it at the
+    dwell's edge (rad; pi/4 is the usual limit), `migration` the range it wanders (m).
+    """
+
+    doppler: FloatArray
+    range: FloatArray
+    time: FloatArray
+    phase: FloatArray
+    gain: FloatArray
+    residual: FloatArray
+    quadratic: FloatArray
+    migration: FloatArray
+
+
+def focus(line: Line) -> Focus:
+    """Sum a levelled line: its mean Doppler is where the final transform peaks."""
+    with np.errstate(invalid="ignore"):
+        # A signal stretched in time by s keeps its energy: its amplitude falls as 1 / sqrt(s), ds = s dt.
+        weight = line.weight * np.sqrt(np.maximum(line.stretch, 0.0))
+    total = weight.sum(axis=-1)
+
+    def mean(values: FloatArray) -> FloatArray:
+        return np.asarray((values * weight).sum(axis=-1) / total)
+
+    time, rng = mean(line.time), mean(line.range)
+    # The peak of |sum| lies where the linear part of the phase vanishes: a regression of phase on time.
+    doppler = mean(line.doppler)
+    level = line.phase - doppler[..., None] * line.time
+    offset = line.time - time[..., None]
+    slope = mean(level * offset) / np.maximum(mean(offset**2), 1e-30)
+    doppler = doppler + slope
+    level = level - slope[..., None] * line.time
+    phase = mean(level)
+    error = 2 * np.pi * (level - phase[..., None])
+    sum_ = (weight * np.exp(1j * error)).sum(axis=-1)
+    # What is left of the Doppler rate, by regression along the line, over the stretched half dwell.
+    tilt = mean((line.doppler - doppler[..., None]) * offset) / np.maximum(mean(offset**2), 1e-30)
+    half = (line.weight * line.stretch).sum(axis=-1) / 2
+    return Focus(
+        doppler=doppler,
+        range=rng,
+        time=time,
+        phase=phase + np.angle(sum_) / (2 * np.pi),
+        gain=np.abs(sum_) / line.weight.sum(axis=-1),
+        residual=np.abs(error).max(axis=-1),
+        quadratic=np.abs(np.pi * tilt * half**2),
+        migration=np.ptp(line.range, axis=-1),
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RowPolynomial:
+    """A polynomial along a row that changes smoothly from row to row: a phase (cycles), a shift of Doppler (Hz).
+
+    p(r, v) = sum_k c_k(r) z^k with z = (v - centre) / scale, each c_k a Chebyshev series in range r.
+
+    Attributes
+    ----------
+    series : (n_series, order + 1) float
+        Chebyshev coefficients in r of each power's coefficient.
+    near, far : float
+        Domain of r, m.
+    centre, scale : float
+        Of the variable along the row (s or Hz).
+    """
+
+    series: FloatArray
+    near: float
+    far: float
+    centre: float
+    scale: float
+
+    def coefficients(self, rng: FloatArray) -> FloatArray:
+        """(..., order + 1) power coefficients at ranges of any shape."""
+        u = (2 * rng - self.near - self.far) / (self.far - self.near)
+        return np.moveaxis(np.asarray(chebyshev.chebval(np.clip(u, -1.1, 1.1), self.series), dtype=np.float64), 0, -1)
+
+    def variable(self, values: FloatArray) -> FloatArray:
+        return (values - self.centre) / self.scale
+
+    def evaluate(self, rng: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Value and first two derivatives along the row, at ranges (...) and values (..., n)."""
+        terms = np.moveaxis(self.coefficients(rng), -1, 0)[..., None]
+        z = self.variable(values)
+        value, slope, bend = (np.zeros(np.broadcast_shapes(z.shape, terms.shape[1:])) for _ in range(3))
+        for term in terms[::-1]:
+            bend = bend * z + 2 * slope
+            slope = slope * z + value
+            value = value * z + term
+        return value, slope / self.scale, bend / self.scale**2
+
+
+def row_polynomial(
+    coefficients: FloatArray, *, ranges: FloatArray, centres: FloatArray, scale: float, degree: int
+) -> RowPolynomial:
+    """A `RowPolynomial` through polynomials given at several ranges, each about its own centre.
+
+    Parameters
+    ----------
+    coefficients : (n_range, order + 1) float
+        In z = (v - centres[i]) / scale, each about its own centre.
+    ranges : (n_range,) float
+        Ascending, m.
+    degree : int
+        Of the series in range, fitted by least squares.
+    """
+    centre = float(np.mean(centres))
+    order = coefficients.shape[1] - 1
+    move = (centre - centres) / scale  # z about its own centre = z about the common one + move
+    shifted = np.zeros_like(coefficients)
+    for k in range(order + 1):
+        for j in range(k + 1):
+            shifted[:, j] += coefficients[:, k] * math.comb(k, j) * move ** (k - j)
+    near, far = float(ranges[0]), float(ranges[-1])
+    degree = min(degree, ranges.size - 1)
+    u = (2 * ranges - near - far) / (far - near)
+    series = chebyshev.chebfit(u, shifted, degree)
+    return RowPolynomial(series=np.asarray(series), near=near, far=far, centre=centre, scale=scale)

@@ -1,0 +1,104 @@
+"""What a collection can be focused by: a processor and its options, the words of commands and settings."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, fields
+from typing import Any, Literal, get_args, get_type_hints
+
+from blocksar.errors import InputError
+
+Chain = Literal["angular-division", "keystone-resampling", "high-order-phase"]
+Processor = Literal["angular-division", "keystone-resampling", "high-order-phase", "backprojection"]
+PlannedProcessor = Literal[Processor, "auto"]  # auto: see what would be best
+Coefficients = Literal["fitted", "closed-form"]
+Perturbation = Literal["all", "frequency", "none"]
+Derotation = Literal["nonlinear", "linear"]
+RangeModel = Literal["polar", "conventional"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Method:
+    """A chain and its options. What is not the default is a rival: built to compare with, not to be used.
+
+    Attributes
+    ----------
+    processor : {"angular-division", "keystone-resampling", "high-order-phase"}
+    coefficients : {"fitted", "closed-form"}
+        Fitted on time-frequency lines, or expanded about the block's centre as the papers print them.
+    perturbation : {"all", "frequency", "none"}
+        "frequency": a perturbation in Doppler only, in place of perturbation in time and resampling (the stand-in for
+        the FDPF column of paper B's Table 2, a method which it only names). "none": a deramp only (paper A, Figure
+        9 a).
+    keystone : bool
+        False: RCMC in the time domain by one reference, no keystone (paper A, Figure 11 a-c).
+    derotation : {"nonlinear", "linear"}
+        "linear": the recovery takes out one Doppler rate only (paper A, Figure 6 b), and needs a higher PRF.
+    range_model : {"polar", "conventional"}
+        "conventional": closed-form coefficients from a range model whose variables are substituted after range-walk
+        correction; with one block, the reference method of paper A's Table 2 and Figure 14 (`fitting.conventional`).
+
+    Raises
+    ------
+    InputError
+        If a word is unknown, or options do not go together.
+    """
+
+    processor: Chain = "angular-division"
+    coefficients: Coefficients = "fitted"
+    perturbation: Perturbation = "all"
+    keystone: bool = True
+    derotation: Derotation = "nonlinear"
+    range_model: RangeModel = "polar"
+
+    def __post_init__(self) -> None:
+        hints = get_type_hints(type(self))
+        for field in fields(self):
+            value, known = getattr(self, field.name), get_args(hints[field.name]) or (True, False)
+            if value not in known:
+                raise InputError(f"{field.name} {value!r} is unknown; use {', '.join(map(str, known))}")
+        if not self.keystone and self.processor == "high-order-phase":
+            raise InputError(
+                "keystone = False: high-order-phase has no keystone to leave out; ask for angular-division or "
+                "keystone-resampling"
+            )
+        closed = self.coefficients == "closed-form" and self.processor == "angular-division"
+        if self.range_model == "conventional" and not closed:
+            raise InputError(
+                "range_model conventional makes closed-form coefficients for angular-division; ask for coefficients "
+                "closed-form and that processor with it"
+            )
+
+    @property
+    def departures(self) -> list[str]:
+        """Names of the options that are not the default, the processor aside."""
+        return [f.name for f in fields(self) if f.name != "processor" and getattr(self, f.name) != f.default]
+
+    @property
+    def rival(self) -> bool:
+        """Whether its residuals are the point, and no reason to refuse."""
+        return bool(self.departures)
+
+    def as_settings(self) -> dict[str, Any]:
+        return asdict(self)
+
+    @classmethod
+    def of_settings(cls, settings: dict[str, Any]) -> Method:
+        """The method that a run's settings name."""
+        return cls(**{field.name: settings[field.name] for field in fields(cls)})
+
+
+def method_of(processor: str, **options: Any) -> Method | None:
+    """What is asked for, checked; None for back-projection, which has no options.
+
+    Raises
+    ------
+    InputError
+        As `Method`, and if options are given for back-projection.
+    """
+    if processor not in get_args(Processor):
+        raise InputError(f"processor {processor!r} is unknown; use {', '.join(get_args(Processor))}")
+    if processor != "backprojection":
+        return Method(processor=processor, **options)  # type: ignore[arg-type]  # checked there
+    if departures := Method(**options).departures:
+        raise InputError(f"processor backprojection has no {' or '.join(departures)} to choose; leave it out")
+    return None

@@ -1,0 +1,90 @@
+"""Range compression of a raw echo, in groups of pulses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.collection.collection import Collection
+from blocksar.collection.raw_echo import RawEcho
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.kernels import fourier, rows
+from blocksar.kernels.chirp import chirp_spectrum
+from blocksar.kernels.fourier import Axis
+
+COMPRESSED_ROWS = 32  # pulses whose spectra are held at a time, in double precision too
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RawCompression:
+    """Range compression of a raw echo to the range-frequency signal (second factor of paper A (7)).
+
+    The chirp's own spectrum is divided out, ripples and all, where (7) takes its stationary phase
+    exp(-j pi f^2 / K): a unit target's signal then has modulus 1 at every frequency of the band.
+
+    Attributes
+    ----------
+    fast_time : Axis
+        s, two-way delay.
+    first : int
+        Where the band begins on the transform's centred grid.
+    weight : (n_range_frequency,) complex
+        Sampling interval over the chirp's spectrum.
+    range_frequency : (n_range_frequency,) float
+        Hz.
+    reference_range : (n_pulse,) float
+        m; its phase is taken out of the band as it is of the carrier.
+    """
+
+    fast_time: Axis
+    first: int
+    weight: NDArray[np.complex128]
+    range_frequency: FloatArray
+    reference_range: FloatArray
+
+    @classmethod
+    def of(
+        cls,
+        *,
+        fast_time: FloatArray,
+        chirp_rate: float,
+        pulse_width: float,
+        range_frequency: FloatArray,
+        reference_range: FloatArray,
+    ) -> Self:
+        """From an echo's axes; range_frequency must be the part |f| <= band / 2 of the centred transform grid."""
+        step = float((fast_time[-1] - fast_time[0]) / (fast_time.size - 1))
+        axis = Axis(float(fast_time[0]), step, fast_time.size)
+        grid_step = 1 / axis.extent
+        return cls(
+            fast_time=axis,
+            first=fast_time.size // 2 + round(range_frequency[0] / grid_step),
+            weight=step / chirp_spectrum(range_frequency, chirp_rate=chirp_rate, pulse_width=pulse_width),
+            range_frequency=range_frequency,
+            reference_range=reference_range,
+        )
+
+    @classmethod
+    def of_echo(cls, raw: RawEcho, collection: Collection) -> Self:
+        """The compression of a collection's raw echo."""
+        return cls.of(
+            fast_time=raw.fast_time, chirp_rate=raw.chirp_rate, pulse_width=raw.pulse_width,
+            range_frequency=collection.range_frequency, reference_range=collection.reference_range,
+        )  # fmt: skip
+
+    def apply(self, echo: ComplexArray, *, pulses: slice, threads: int = 1) -> ComplexArray:
+        """(n, n_fast_time) of the given pulses to (n, n_range_frequency) complex64; a row with a gap is missing."""
+        axis = Axis(-(self.fast_time.size // 2) / self.fast_time.extent, 1 / self.fast_time.extent, self.fast_time.size)
+        reference_range = self.reference_range[pulses, None]
+        out = np.empty((echo.shape[0], self.range_frequency.size), np.complex64)
+        for first in range(0, echo.shape[0], COMPRESSED_ROWS):
+            part = slice(first, first + COMPRESSED_ROWS)
+            spectrum = rows.transform(echo[part], self.fast_time, axis, inverse=False, threads=threads)
+            band = spectrum[:, self.first : self.first + self.range_frequency.size]
+            cycles = 2 / SPEED_OF_LIGHT * reference_range[part] * self.range_frequency
+            out[part] = band * self.weight * fourier.unit_phasor(cycles)
+        return out

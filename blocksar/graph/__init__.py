@@ -1,0 +1,1 @@
+"""dask: tasks, stages, the cluster."""

@@ -1,0 +1,304 @@
+"""Tasks: what runs on a worker. Each reads paths, writes whole chunks, and returns a receipt."""
+
+from __future__ import annotations
+
+import resource
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import wraps
+from itertools import pairwise
+from typing import Any, ParamSpec, TypeVar
+
+import numpy as np
+
+from blocksar import stores
+from blocksar.arrays import ComplexArray
+from blocksar.chunks import BACKPROJECTION_CHUNK, DOPPLER_GROUP
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.grid import Grid
+from blocksar.errors import InputError, ProcessingError
+from blocksar.focusing.backprojection import form_image
+from blocksar.focusing.correction import correct, covers
+from blocksar.focusing.ground_map import GroundMap
+from blocksar.focusing.range_compression import RawCompression
+from blocksar.focusing.range_steps import ResidualRangeWalk
+from blocksar.focusing.recovery import Recovery, recover_columns
+from blocksar.focusing.step import Stage
+from blocksar.inspection.samples import Inspection, inspect, strike
+from blocksar.planning.block import BlockPlan
+from blocksar.planning.tiling import image_chunk, patch_window
+from blocksar.runs.receipts import Receipt, Run, Written, write, written
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def peak_memory() -> int:
+    """Of this process since it began, bytes.
+
+    Linux's own high-water mark: getrusage there also counts what the parent held when it made this process.
+    """
+    with suppress(OSError), open("/proc/self/status", encoding="ascii") as status:
+        for line in status:
+            if line.startswith("VmHWM:"):
+                return int(line.split()[1]) * 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+
+
+def _sign(run: Run, unit: str, started: float, written: Iterable[Written], **facts: Any) -> Receipt:
+    return run.sign(unit, started, written, peak_memory=peak_memory(), **facts)
+
+
+# ---------------------------------------------------------------- tasks: what runs on a worker
+
+
+def named(step: Callable[..., str]) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Let a task say which step of which block failed. `step` tells it from the task's arguments."""
+
+    def decorate(task: Callable[P, R]) -> Callable[P, R]:
+        @wraps(task)
+        def run(*args: P.args, **kwargs: P.kwargs) -> R:
+            try:
+                return task(*args, **kwargs)
+            except Exception as error:
+                kind = "" if isinstance(error, InputError | ProcessingError) else f"{type(error).__name__}: "
+                raise ProcessingError(f"{step(*args)} failed: {kind}{error}") from error
+
+        return run
+
+    return decorate
+
+
+def compress_pulses(
+    source: stores.PhaseHistory, run: Run, unit: str, pulses: tuple[int, int], compression: RawCompression
+) -> Receipt:
+    """Range-compress some pulses of a raw echo into a phase history of the run's own; one with a gap is missing."""
+    started = time.perf_counter()
+    echo = source.read(slice(*pulses), slice(None))
+    found = inspect(echo, range_frequency=np.zeros(echo.shape[1]), recovery=None, threads=run.threads)
+    signal = compression.apply(echo, pulses=slice(*pulses), threads=run.threads)
+    signal[list(found.missing)] = np.nan
+    region = (slice(*pulses), slice(0, signal.shape[1]))
+    return _sign(run, unit, started, [write(run, run.compressed, "signal", region, signal)], found=found.as_dict())
+
+
+def recover_group(
+    source: stores.PhaseHistory, run: Run, unit: str, columns: tuple[int, int], recovery: Recovery, width: int
+) -> Receipt:
+    """Recover the spectrum of a column group, `width` columns at a time; what is missing or impossible is not lit."""
+    started = time.perf_counter()
+    signal = source.read(slice(None), slice(*columns))
+    frequency = source.collection.carrier + source.collection.range_frequency - recovery.carrier
+    found = inspect(
+        signal, range_frequency=frequency[slice(*columns)], recovery=recovery, first_column=columns[0],
+        threads=run.threads,
+    )  # fmt: skip
+    parts = []
+    memory = np.empty(recovery.doppler.size * width, np.complex64)
+    for first in range(columns[0], columns[1], width):
+        part = slice(first, min(first + width, columns[1]))
+        shape = (recovery.doppler.size, part.stop - part.start)
+        spectrum = recover_columns(
+            signal[:, part.start - columns[0] : part.stop - columns[0]],
+            range_frequency=frequency[part],
+            recovery=recovery,
+            threads=run.threads,
+            out=memory[: shape[0] * shape[1]].reshape(shape),
+        )
+        parts.append(write(run, run.spectrum, "spectrum", (slice(0, shape[0]), part), spectrum))
+    return _sign(run, unit, started, parts, found=found.as_dict())
+
+
+def inspect_group(source: stores.PhaseHistory, run: Run, unit: str, columns: tuple[int, int]) -> Receipt:
+    """Look at a column group without recovering it: back-projection reads the samples by pulse."""
+    started = time.perf_counter()
+    signal = source.read(slice(None), slice(*columns))
+    frequency = source.collection.range_frequency[slice(*columns)]
+    found = inspect(signal, range_frequency=frequency, recovery=None, first_column=columns[0], threads=run.threads)
+    return _sign(run, unit, started, [], found=found.as_dict())
+
+
+@dataclass
+class Samples:
+    """A block on its way, and the seconds that each of its tasks took."""
+
+    values: ComplexArray | None
+    seconds: dict[str, float]
+
+    def take(self) -> ComplexArray:
+        """The values, to be worked on in place: who asks a second time gets none, rather than half-worked ones."""
+        values, self.values = self.values, None
+        if values is None:
+            raise ProcessingError("a block was asked to take the same step twice")
+        # What has travelled from another worker may not be written to.
+        return values if values.flags.writeable else values.copy()
+
+
+@named(lambda run, block, stage, *_: f"read-slab+{stage.name} of block {block.name}")
+def read_slab(run: Run, block: BlockPlan, stage: Stage, width: int) -> Samples:
+    """Run a block's first stage on its part of the spectrum, read some bins or a chunk's `width` columns at a time."""
+    started, reading = time.perf_counter(), 0.0
+    program, first_bin, last_bin = stage.program, block.first_bin, block.first_bin + block.n_bin
+    if stage.layout == "columns":
+        # Rows of the file are what the range gate works along: Doppler bin by Doppler bin.
+        out = np.empty((program.target.size, program.n_row), np.complex64)
+        parts = [(slice(a, b), slice(None)) for a, b in _chunks(first_bin, last_bin, DOPPLER_GROUP)]
+    else:
+        out = _buffer(block, program.target.size)
+        parts = [(slice(first_bin, last_bin), slice(a, b)) for a, b in _chunks(0, program.n_row, width)]
+    for region in parts:
+        begun = time.perf_counter()
+        part = stores.read_region(run.spectrum, "spectrum", region)
+        reading += time.perf_counter() - begun
+        if stage.layout == "columns":
+            program.run(part, out=out, first=region[0].start - first_bin, store="columns", threads=run.threads)
+        else:
+            program.run(part, out=out, first=region[1].start, load="columns", threads=run.threads)
+    return Samples(out, {"read-slab": reading, stage.name: time.perf_counter() - started - reading})
+
+
+def _chunks(first: int, last: int, size: int) -> Iterator[tuple[int, int]]:
+    """first .. last divided at multiples of `size`, where chunks of a store meet."""
+    edges = [first, *range(first - first % size + size, last, size), last]
+    return pairwise(edges)
+
+
+def _buffer(block: BlockPlan, length: int) -> ComplexArray:
+    """Room for the block at every later stage: a worker holds it once."""
+    rows = max(block.range_frequency.size, block.ground.rows.size)
+    return np.empty((rows, length), np.complex64)
+
+
+@named(lambda run, block, stage, *_: f"{stage.name} of block {block.name}")
+def run_stage(run: Run, block: BlockPlan, stage: Stage, given: Samples) -> Samples:
+    """Run a stage on a block, in place where the result fits: nobody else has its input."""
+    started = time.perf_counter()
+    samples, program = given.take(), stage.program
+    if stage.layout == "columns":
+        program.run(
+            samples[: program.source.size], out=samples[: program.target.size],
+            load="columns", store="columns", threads=run.threads,
+        )  # fmt: skip
+        out = samples
+    else:
+        room = samples if program.target.size <= samples.shape[1] else None
+        if isinstance(stage.steps[0], ResidualRangeWalk):  # after a range gate, whose block is another
+            room = _buffer(block, program.target.size)
+        out = program.run(samples[: program.n_row], out=room, threads=run.threads)
+    return Samples(out, given.seconds | {stage.name: time.perf_counter() - started})
+
+
+@named(lambda run, unit, name, *_: f"geometric-correction of block {name}")
+def write_patch(run: Run, unit: str, name: str, block: Samples, ground: GroundMap, grid: Grid) -> Receipt:
+    """Geometric correction of a focused block into its own patch, chunk by chunk of the image's grid."""
+    started = time.perf_counter()
+    first_y, first_x, n_y, n_x = patch_window(ground, grid)
+    path = run.patch(name)
+    side = image_chunk(grid)
+    assert block.values is not None
+    chunks = []
+    chunk = np.empty(side[0] * side[1], np.complex64)
+    for y in range(0, n_y, side[0]):
+        for x in range(0, n_x, side[1]):
+            rows, columns = slice(y, min(y + side[0], n_y)), slice(x, min(x + side[1], n_x))
+            place = {
+                "x": grid.x[first_x + columns.start : first_x + columns.stop],
+                "y": grid.y[first_y + rows.start : first_y + rows.stop],
+            }
+            if not covers(ground, **place):
+                continue
+            shape = (rows.stop - rows.start, columns.stop - columns.start)
+            pixels = correct(
+                block.values, ground, threads=run.threads, out=chunk[: shape[0] * shape[1]].reshape(shape), **place
+            )
+            if np.isfinite(pixels.real).any():
+                chunks.append(write(run, path, "image", (rows, columns), pixels))
+    seconds = block.seconds | {"geometric-correction": time.perf_counter() - started}
+    # The unit is the whole block: its earlier steps were tasks of their own, and left no receipt.
+    return _sign(run, unit, started - sum(block.seconds.values()), chunks, origin=[first_y, first_x], steps=seconds)
+
+
+Parts = Sequence[tuple[int, str, int, int, str]]  # block, name, first row and column of its patch, checksum there
+
+
+@named(lambda run, unit, *_: f"mosaic of {unit}")
+def merge_chunks(run: Run, unit: str, cells: dict[tuple[int, int], Parts], grid: Grid) -> Receipt:
+    """Some output chunks of the mosaic."""
+    started = time.perf_counter()
+    parts = [part for cell, patches in cells.items() for part in _merge(run, cell, patches, grid)]
+    return _sign(run, unit, started, parts)
+
+
+def _merge(run: Run, cell: tuple[int, int], parts: Parts, grid: Grid) -> list[Written]:
+    """One output chunk: its image and its owners."""
+    side = image_chunk(grid)
+    y, x = cell[0] * side[0], cell[1] * side[1]
+    rows, columns = slice(y, min(y + side[0], grid.shape[0])), slice(x, min(x + side[1], grid.shape[1]))
+    shape = (rows.stop - rows.start, columns.stop - columns.start)
+    windows = [
+        tuple(slice(part.start - first, part.stop - first) for part, first in zip((rows, columns), origin, strict=True))
+        for _, _, *origin, _ in parts
+    ]
+    image: ComplexArray | None = None
+    owner = np.full(shape, -1, np.int16)
+    for (index, name, *_, checksum), window in zip(parts, windows, strict=True):
+        patch = stores.read_region(run.patch(name), "image", window)
+        if stores.checksum(patch) != checksum:
+            raise ProcessingError(f"the patch of block {name} is no longer what was written")
+        mine = np.isfinite(patch.real)
+        np.copyto(owner, index, where=mine)
+        if image is None:
+            image = patch
+        else:
+            np.copyto(image, patch, where=mine)
+    assert image is not None
+    # A chunk that one block alone covers is that block's: it need not lie on the disk twice.
+    alone = len(parts) == 1 and stores.share_region(
+        run.image, "image", (rows, columns), source=run.patch(parts[0][1]), source_region=windows[0]
+    )
+    store = written if alone else write
+    return [
+        store(run, run.image, "image", (rows, columns), image),
+        write(run, run.image, "block", (rows, columns), owner),
+    ]
+
+
+def back_project_chunk(
+    source: stores.PhaseHistory,
+    run: Run,
+    unit: str,
+    cell: tuple[int, int],
+    geometry: Geometry,
+    grid: Grid,
+    found: Inspection,
+) -> Receipt:
+    """One output chunk by exact back-projection; reads the lit pulses only."""
+    started = time.perf_counter()
+    side = image_chunk(grid)
+    y, x = cell[0] * side[0], cell[1] * side[1]
+    rows, columns = slice(y, min(y + side[0], grid.shape[0])), slice(x, min(x + side[1], grid.shape[1]))
+
+    def read(pulses: slice) -> ComplexArray:
+        signal = source.read(pulses, slice(None))
+        strike(signal, found, pulses=pulses)
+        return signal
+
+    image = np.full((rows.stop - rows.start, columns.stop - columns.start), np.nan + 1j * np.nan, np.complex64)
+    for i in range(0, image.shape[0], BACKPROJECTION_CHUNK):
+        for j in range(0, image.shape[1], BACKPROJECTION_CHUNK):
+            part = (slice(i, i + BACKPROJECTION_CHUNK), slice(j, j + BACKPROJECTION_CHUNK))
+            image[part] = form_image(
+                read, geometry, grid.x[columns][part[1]], grid.y[rows][part[0]], threads=run.threads
+            )
+    covered = np.isfinite(image.real)
+    parts = []
+    if covered.any():
+        owner = np.where(covered, 0, -1).astype(np.int16)
+        parts = [
+            write(run, run.image, "image", (rows, columns), image),
+            write(run, run.image, "block", (rows, columns), owner),
+        ]
+    return _sign(run, unit, started, parts)

@@ -1,0 +1,1 @@
+"""Files of others to a phase history: CPHD and Gotcha."""

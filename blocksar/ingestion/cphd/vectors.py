@@ -1,0 +1,255 @@
+"""Vectors to pulses: which vector is which pulse, and pulses at uniform times."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from blocksar.arrays import UNIFORM_TOLERANCE, BoolArray, FloatArray, IntArray
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.errors import InputError
+from blocksar.ingestion.cphd.files import NEEDED, CphdFile
+from blocksar.ingestion.resampling import OCCUPIED, Resampling, plan_resampling
+
+MAX_GAPS = 1.0  # missing vectors over those that are there
+SMALLEST_ORBIT, LARGEST_ORBIT = 6.3e6, 1e9  # m from the Earth's centre
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Pulses:
+    """Which vector is which pulse. A pulse that no vector fills, or whose vector is not normal, is missing.
+
+    Attributes
+    ----------
+    vector : (n_pulse,) int
+        -1 where missing.
+    time, reference_time : (n_pulse,) float
+        Of transmission, and of the standard's reference time, s.
+    even : bool
+        Whether time is uniform; if it is not, every pulse is a vector with a normal signal.
+    position, reference_point : (n_pulse, 3) float
+        ARP and SRP, Earth-centred, m.
+    """
+
+    vector: IntArray
+    time: FloatArray
+    reference_time: FloatArray
+    position: FloatArray
+    reference_point: FloatArray
+    separation: float  # largest |TxPos - RcvPos|, m
+    even: bool = True
+
+
+def pulses_of(file: CphdFile) -> Pulses:
+    normal = _normal(file)
+    placed = np.ones(file.shape[0], bool)
+    for name in NEEDED:
+        values = file.parameter(name).reshape(file.shape[0], -1)
+        finite: BoolArray = np.asarray(np.isfinite(values).all(axis=1))
+        if not finite[normal].all():
+            first = int(np.argmin(finite | ~normal))
+            raise InputError(
+                f"PVP {name} is not finite in {np.count_nonzero(~finite & normal)} vectors whose signal is normal "
+                f"(first: vector {first}); correct it, or mark them with SIGNAL = 0"
+            )
+        if name in ("TxTime", "TxPos", "RcvTime", "RcvPos", "SRPPos"):
+            placed &= finite
+    _check_vectors(file, normal)
+    try:
+        return _placed(file, normal, placed)
+    except InputError:
+        if normal.all():
+            raise
+        # Vectors without a signal need no place: many files have zeros there.
+        return _placed(file, normal, normal)
+
+
+def _placed(file: CphdFile, normal: BoolArray, placed: BoolArray) -> Pulses:
+    """Pulses of some vectors, which all have a time and positions; those that are not normal are missing."""
+    vector = np.asarray(np.flatnonzero(placed), dtype=np.int64)
+    time = file.parameter("TxTime", vector)
+    index, step, off = _slots(time)
+    if off > UNIFORM_TOLERANCE:
+        vector = vector[normal[vector]]
+        time = file.parameter("TxTime", vector)
+        index = np.arange(vector.size)
+    transmitter, receiver, srp = (file.parameter(name, vector) for name in ("TxPos", "RcvPos", "SRPPos"))
+    for name, positions in (("TxPos", transmitter), ("RcvPos", receiver)):
+        radius = np.linalg.norm(positions, axis=1)
+        if not ((radius > SMALLEST_ORBIT) & (radius < LARGEST_ORBIT)).all():
+            raise InputError(
+                f"PVP {name} lies {radius.min():.6g} .. {radius.max():.6g} m from the Earth's centre, which no antenna "
+                "does; it must be Earth-centred, in m"
+            )
+    out, back = np.linalg.norm(transmitter - srp, axis=1), np.linalg.norm(receiver - srp, axis=1)
+    moment = time + out / (out + back) * (file.parameter("RcvTime", vector) - time)
+    separation = float(np.linalg.norm(transmitter - receiver, axis=1).max())
+    if off > UNIFORM_TOLERANCE:
+        return Pulses(
+            vector=vector, time=time, reference_time=moment, position=(transmitter + receiver) / 2,
+            reference_point=srp, separation=separation, even=False,
+        )  # fmt: skip
+    where = np.full(index[-1] + 1, -1, dtype=np.int64)
+    where[index] = np.where(normal[vector], vector, -1)
+    slots = np.arange(where.size)
+    return Pulses(
+        vector=where,
+        time=time if slots.size == time.size else time[0] + step * slots,
+        reference_time=np.interp(slots, index, moment),
+        position=_filled(slots, index, (transmitter + receiver) / 2),
+        reference_point=np.stack([np.interp(slots, index, column) for column in srp.T], axis=1),
+        separation=separation,
+    )
+
+
+def _normal(file: CphdFile) -> BoolArray:
+    """Vectors that hold a normal signal."""
+    if "SIGNAL" not in (file.vectors.dtype.names or ()):
+        return np.ones(file.shape[0], bool)
+    normal = np.asarray(file.vectors["SIGNAL"] == 1)
+    if np.count_nonzero(normal) < 8:
+        raise InputError(
+            f"PVP SIGNAL is 1 in {np.count_nonzero(normal)} of {normal.size} vectors; at least 8 are needed"
+        )
+    return normal
+
+
+def _check_vectors(file: CphdFile, normal: BoolArray) -> None:
+    """Refuse parameters that cannot be meant."""
+    for name in ("SCSS", "FX1", *(("SC0",) if file.domain == "FX" else ())):
+        values = file.parameter(name)[normal]
+        if not (values > 0).all():
+            raise InputError(f"PVP {name} falls to {values.min():.6g}; it must be above 0")
+    for low, high in (("FX1", "FX2"), ("TOA1", "TOA2")):
+        if not (file.parameter(low)[normal] < file.parameter(high)[normal]).all():
+            raise InputError(f"PVP {low} is not below {high} in every vector; correct them")
+    later = file.parameter("RcvTime") - file.parameter("TxTime")
+    if not (later[normal] >= 0).all():
+        raise InputError("PVP RcvTime is before TxTime in some vectors; correct them")
+    if "AmpSF" in (file.vectors.dtype.names or ()):
+        scale = file.parameter("AmpSF")[normal]
+        with np.errstate(over="ignore"):
+            if not (np.isfinite(scale.astype(np.float32)) & (scale > 0)).all():
+                raise InputError("PVP AmpSF is not a finite number above 0 in every vector; correct it")
+
+
+def _slots(time: FloatArray) -> tuple[IntArray, float, float]:
+    """Index of every vector's pulse on the uniform axis of slow time, its step, s, and how many steps it lies off.
+
+    Raises
+    ------
+    InputError
+        If times do not ascend, or leave most of the axis empty.
+    """
+    if time.size < 8:
+        raise InputError(f"only {time.size} vectors have a time and positions; at least 8 are needed")
+    steps = np.diff(time)
+    if not (steps > 0).all():
+        raise InputError(f"PVP TxTime does not ascend at vector {int(np.argmin(steps > 0)) + 1}; sort the vectors")
+    step = float(np.median(steps))
+    for _ in range(3):
+        index = np.rint((time - time[0]) / step)
+        step = float((time[-1] - time[0]) / index[-1]) if index[-1] > 0 else step
+    off = float(np.abs((time - time[0]) / step - index).max())
+    if not (np.diff(index) > 0).all():
+        off = 1.0
+    if index[-1] + 1 > (1 + MAX_GAPS) * time.size:
+        raise InputError(
+            f"PVP TxTime has {time.size} vectors on an axis of {index[-1] + 1:.0f} pulses {step:.6g} s apart: most are "
+            "missing; cut the collection at its gaps"
+        )
+    return index.astype(np.int64), step, off
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Evening:
+    """From vectors at uneven times to pulses at even ones, once their signals have one reference.
+
+    Attributes
+    ----------
+    vector : (n_vector,) int
+        Those that are summed.
+    moved : (n_vector,) float
+        What is to be added to their reference range for that, m.
+    """
+
+    vector: IntArray
+    moved: FloatArray
+    resampling: Resampling
+    said: str
+
+
+def evened(
+    file: CphdFile, pulses: Pulses, reference: FloatArray, ground: FloatArray, highest: float
+) -> tuple[Pulses, FloatArray, Evening]:
+    """Pulses at uniform times, their reference range, and how they come of the vectors.
+
+    Parameters
+    ----------
+    reference : (n_vector,) float
+        Reference range of the vectors, m.
+    ground : (n, 3) float
+        Points all over the image area, Earth-centred, m.
+    highest : float
+        Frequency, Hz.
+
+    Raises
+    ------
+    InputError
+        If the image area has more Doppler than the vectors sample, or they leave more than half of the pulses open.
+    """
+    from scipy.interpolate import CubicSpline
+
+    time, steps = pulses.time, np.diff(pulses.time)
+    n = round((time[-1] - time[0]) / float(np.mean(steps))) + 1
+    uniform = np.linspace(time[0], time[-1], n)
+    interval = float(uniform[1] - uniform[0])
+    point = pulses.reference_point.mean(axis=0)
+    offset = float(np.mean(reference - np.linalg.norm(pulses.position - pulses.reference_point, axis=1)))
+    common = np.linalg.norm(pulses.position - point, axis=1) + offset
+    rate = 0.0
+    for place_ in ground:
+        apart = np.linalg.norm(pulses.position - place_, axis=1) - common
+        rate = max(rate, float(np.abs(np.diff(apart) / steps).max()))
+    band, prf = 4 * highest / SPEED_OF_LIGHT * rate, 1 / interval
+    uneven = f"PVP TxTime is not uniform: steps run from {steps.min():.6g} to {steps.max():.6g} s"
+    if not band <= OCCUPIED * prf:
+        raise InputError(
+            f"{uneven}, and the image area's Doppler of {band:.6g} Hz is too wide to resample at {prf:.6g} Hz "
+            "on average; resample the vectors to uniform times"
+        )
+    made = plan_resampling(time, uniform, band=band)
+    good = np.flatnonzero(made.good)
+    if good.size < max(8, n // 2):
+        raise InputError(
+            f"{uneven}, so that {n - good.size} of {n} uniform pulses cannot be made of them; "
+            "cut the collection at its gaps"
+        )
+    kept = slice(int(good[0]), int(good[-1]) + 1)
+    made, uniform = made.part(kept), uniform[kept]
+    position, moment = (
+        np.asarray(CubicSpline(time, values, axis=0)(uniform)) for values in (pulses.position, pulses.reference_time)
+    )
+    nearest = np.rint(np.interp(uniform, time, np.arange(time.size))).astype(np.int64)
+    even = Pulses(
+        vector=np.where(made.good, pulses.vector[nearest], -1), time=uniform, reference_time=moment, position=position,
+        reference_point=np.tile(point, (uniform.size, 1)), separation=pulses.separation,
+    )  # fmt: skip
+    bound, spread = (20 * np.log10(error[made.good].max()) for error in (made.bound, made.spread))
+    said = (
+        f"vectors are {steps.min():.6g} to {steps.max():.6g} s apart: resampled to {uniform.size} pulses, one every "
+        f"{interval:.6g} s, with an error of at most {bound:.0f} dB on any echo of the image area, {spread:.0f} dB "
+        f"r.m.s. over all of them ({band:.4g} Hz of Doppler)"
+    )
+    evening = Evening(vector=pulses.vector, moved=common - reference, resampling=made, said=said)
+    return even, np.linalg.norm(position - point, axis=1) + offset, evening
+
+
+def _filled(slots: IntArray, index: IntArray, values: FloatArray) -> FloatArray:
+    """Positions of all pulses, smoothly through those that are known."""
+    if slots.size == index.size:
+        return values
+    from scipy.interpolate import CubicSpline
+
+    return np.asarray(CubicSpline(index, values, axis=0)(slots))

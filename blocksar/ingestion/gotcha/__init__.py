@@ -1,0 +1,1 @@
+"""The Gotcha volumetric data set (MAT files) to a phase history."""

@@ -1,0 +1,220 @@
+"""One Gotcha file: its fields, read and checked."""
+
+from __future__ import annotations
+
+import os
+import re
+import stat
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+
+import numpy as np
+
+from blocksar import stores
+from blocksar.arrays import UNIFORM_TOLERANCE, ComplexArray, FloatArray
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.errors import InputError
+from blocksar.ingestion.gotcha.matfile import Value, read_struct
+from blocksar.ingestion.reading import reading
+from blocksar.places.local import LocalPlace
+from blocksar.places.place import Place
+
+ROUNDING = 2 * float(np.finfo(np.float32).eps)  # of a range: what float32 does to it and to three coordinates
+ANGLE_TOLERANCE = 0.01  # degrees between th, phi and the position
+LARGEST = 1e30  # of a sample: no echo, and its power would overflow
+MAX_FILE = 1 << 28  # bytes: a degree has 400 kB
+VECTORS = ("x", "y", "z", "r0")
+OPTIONAL = ("th", "phi")
+PASS = re.compile(r"pass(\d+)", re.IGNORECASE)  # in a file's name, which alone tells these two
+POLARISATION = re.compile(r"(?<![A-Z])(HH|HV|VH|VV)(?![A-Z])", re.IGNORECASE)
+
+
+# ---------------------------------------------------------------- one file
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Contents:
+    """What a file holds: samples (n_pulse, n_frequency), frequency (Hz), position (n_pulse, 3) and r0 (m)."""
+
+    samples: ComplexArray
+    frequency: FloatArray
+    position: FloatArray
+    r0: FloatArray
+    autofocus: bool
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class File:
+    """A file that was looked through: all but its samples, of which checksums are kept, one a pulse."""
+
+    path: Place
+    pass_: str
+    polarisation: str
+    frequency: FloatArray
+    position: FloatArray
+    r0: FloatArray
+    autofocus: bool
+    checksums: list[str]
+
+    def samples(self) -> ComplexArray:
+        """(n_pulse, n_frequency), read again.
+
+        Raises
+        ------
+        InputError
+            If the file has changed since.
+        """
+        with _reading(self.path):
+            samples = _read(self.path).samples
+            if _checksums(samples) != self.checksums:
+                raise InputError("it changed while it was read; start again when nobody writes it")
+        return samples
+
+
+def _reading(path: Place) -> AbstractContextManager[None]:
+    return reading(path, damaged="damaged", remedy="fetch it again")
+
+
+def read_headers(path: Place) -> File:
+    with _reading(path):
+        found = _read(path)
+        checksums = _checksums(found.samples)
+    return File(
+        path=path,
+        pass_="".join(PASS.findall(path.name)[:1]),
+        polarisation="".join(POLARISATION.findall(path.name)[-1:]).upper(),
+        frequency=found.frequency,
+        position=found.position,
+        r0=found.r0,
+        autofocus=found.autofocus,
+        checksums=checksums,
+    )
+
+
+def _checksums(samples: ComplexArray) -> list[str]:
+    return [stores.checksum(pulse) for pulse in samples]
+
+
+def _read(path: Place) -> _Contents:
+    """Read a file, and check it by itself."""
+    fields = _fields(_bytes(path))
+    frequency = _frequency(_numbers(fields, "freq"))
+    samples = _samples(fields["fp"], frequency.size)
+    n = samples.shape[0]
+    vectors = {name: _numbers(fields, name, n) for name in VECTORS}
+    position = np.stack([vectors[name] for name in "xyz"], axis=1)
+    away = np.linalg.norm(position, axis=1)
+    if not away.min() > 0:
+        raise InputError(f"x, y and z are 0 at pulse {int(away.argmin())}; they must be the antenna's, in m")
+    if not position[:, 2].min() > 0:
+        raise InputError(f"z is {position[:, 2].min():.6g} m; it must be the antenna's height above the scene's centre")
+    _check_angles(fields, position, away)
+    window = SPEED_OF_LIGHT / (2 * (frequency[1] - frequency[0]))
+    apart = np.abs(vectors["r0"] - away)
+    if not apart.max() <= window / 2:
+        where = int(apart.argmax())
+        raise InputError(
+            f"r0 is {vectors['r0'][where]:.8g} m at pulse {where}, but x, y and z lie {away[where]:.8g} m from the "
+            f"scene's centre, more than half the range window of {window:.4g} m away; correct r0, or the position"
+        )
+    return _Contents(
+        samples=samples, frequency=frequency, position=position, r0=vectors["r0"], autofocus="af" in fields
+    )
+
+
+def _bytes(path: Place) -> bytes:
+    if isinstance(path, LocalPlace):
+        status = os.stat(path.path)
+        if not stat.S_ISREG(status.st_mode):
+            raise InputError("it is no regular file; give the path of a MATLAB file")
+        if status.st_size > MAX_FILE:
+            raise InputError(f"it has {status.st_size} bytes, which no file of the set has; give one of those")
+    return path.read_bytes()
+
+
+def _fields(data: bytes) -> dict[str, Value]:
+    """Fields of the struct `data`."""
+    fields = read_struct(data, "data")
+    missing = [name for name in ("fp", "freq", *VECTORS) if name not in fields]
+    if missing:
+        raise InputError(f"data has no field {', '.join(missing)}; give one of the set's own files")
+    return fields
+
+
+def _numbers(fields: dict[str, Value], name: str, count: int | None = None) -> FloatArray:
+    """A vector of finite real numbers, one a pulse."""
+    values = fields[name]
+    if isinstance(values, str) or values.dtype.kind not in "iuf":
+        raise InputError(f"{name} is {_called(values)}; it must be real numbers")
+    if values.size != max(values.shape, default=0) or values.size == 0:
+        raise InputError(f"{name} has shape {values.shape}; it must be a vector")
+    if count is not None and values.size != count:
+        raise InputError(f"{name} has {values.size} values, but fp has {count} pulses; make them agree")
+    vector = values.astype(np.float64).ravel()
+    if not np.isfinite(vector).all():
+        where = int(np.argmin(np.isfinite(vector)))
+        raise InputError(f"{name} is {vector[where]} at index {where}; it must be finite")
+    return vector
+
+
+def _called(values: Value) -> str:
+    if isinstance(values, str):
+        return values
+    return "complex" if values.dtype.kind == "c" else f"of type {values.dtype}"
+
+
+def _frequency(values: FloatArray) -> FloatArray:
+    """The uniform grid of which the values are roundings."""
+    if values.size < 8:
+        raise InputError(f"freq has {values.size} values; at least 8 are needed")
+    step = (values[-1] - values[0]) / (values.size - 1)
+    if not step > 0 or not values[0] > 0:
+        raise InputError(f"freq runs from {values[0]:.6g} to {values[-1]:.6g} Hz; it must ascend, above 0 Hz")
+    grid = values[0] + step * np.arange(values.size)
+    off = np.abs(values - grid)
+    if off.max() > UNIFORM_TOLERANCE * step + ROUNDING / 2 * values[-1]:
+        where = int(off.argmax())
+        raise InputError(
+            f"freq is {values[where]:.10g} Hz at index {where}, {off[where] / step:.3g} steps from its place on a "
+            "uniform grid; resample fp to one"
+        )
+    return grid
+
+
+def _samples(values: Value, n_frequency: int) -> ComplexArray:
+    """(n_pulse, n_frequency), finite."""
+    if isinstance(values, str) or values.dtype.kind != "c":
+        raise InputError(f"fp is {_called(values)}; it must be complex numbers")
+    if values.ndim != 2 or values.shape[0] != n_frequency or values.shape[1] < 1:
+        turned = " turned on its side" if values.shape[::-1][:1] == (n_frequency,) else ""
+        raise InputError(
+            f"fp has shape {values.shape}{turned}, but freq has {n_frequency} values; it must be frequency by pulse"
+        )
+    with np.errstate(invalid="ignore"):
+        bad = ~(np.maximum(np.abs(values.real), np.abs(values.imag)) <= LARGEST)
+    if bad.any():
+        frequency, pulse = (int(i) for i in np.argwhere(bad)[0])
+        raise InputError(
+            f"fp is {values[frequency, pulse]} at frequency {frequency} of pulse {pulse}, which is no echo; fetch the "
+            "file again, or take the pulse out of all fields"
+        )
+    return np.ascontiguousarray(values.T, np.complex64)
+
+
+def _check_angles(fields: dict[str, Value], position: FloatArray, away: FloatArray) -> None:
+    """Azimuth and elevation tell whether x, y and z are what their names say."""
+    angles = {
+        "th": np.degrees(np.arctan2(position[:, 1], position[:, 0])),
+        "phi": np.degrees(np.arcsin(np.clip(position[:, 2] / away, -1, 1))),
+    }
+    for name in OPTIONAL:
+        if name not in fields:
+            continue
+        told = _numbers(fields, name, away.size)
+        apart = np.abs(np.mod(told - angles[name] + 180, 360) - 180)
+        if apart.max() > ANGLE_TOLERANCE:
+            where = int(apart.argmax())
+            raise InputError(
+                f"{name} is {told[where]:.6g} degrees at pulse {where}, but x, y and z say {angles[name][where]:.6g}; "
+                "make them agree"
+            )

@@ -1,0 +1,1 @@
+"""What the samples tell: missing pulses, outliers, saturation, and the Doppler centroid."""

@@ -1,0 +1,1 @@
+"""Arrays in, arrays out: transforms, phases, interpolation and programs along rows. Nothing here knows of files."""

@@ -1,0 +1,92 @@
+"""Operations along rows: phase multiplication, transform, window, scaling, resampling."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from blocksar.arrays import ComplexArray, FloatArray, IntArray
+from blocksar.kernels.fourier import Axis
+from blocksar.kernels.phase import Float32Array, Phase
+
+
+@dataclass(frozen=True, eq=False)
+class Turn:
+    """Multiply by exp(2j pi phase)."""
+
+    phase: Phase
+
+
+@dataclass(frozen=True, eq=False)
+class ScaledTurn:
+    """Multiply by exp(2j pi factor[row] cycles[i]): any phase, scaled from row to row as with frequency."""
+
+    factor: FloatArray
+    cycles: FloatArray
+
+
+@dataclass(frozen=True)
+class Transform:
+    """The transform pair of `fourier`, zero-padded to its period and cut to the target's samples."""
+
+    source: Axis
+    target: Axis
+    inverse: bool
+
+    @property
+    def period(self) -> int:
+        return round(1 / (self.source.step * self.target.step))
+
+    def __post_init__(self) -> None:
+        source, target = self.source, self.target
+        whole = abs(source.step * target.step * self.period - 1) < 1e-9 if self.period else False
+        if not whole or max(source.size, target.size) > self.period:
+            raise ValueError(f"axes are no transform pair: {source=} {target=}")
+
+    def phases(self) -> tuple[Phase, Phase]:
+        """What to multiply by before and after an FFT for it to become the sum between these axes."""
+        source, target = self.source, self.target
+        sign = 1.0 if self.inverse else -1.0
+        before = np.array([[0.0, sign * target.start]])
+        after = np.array([[-sign * target.start * source.start, sign * source.start]])
+        return Phase(before, 0.0, 1.0), Phase(after, 0.0, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """Multiply row r by windows[which[r]]."""
+
+    windows: ComplexArray
+    which: IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """Resample row r at position middle + (i - middle) scale[r], and keep its sum; zero where the input has no data."""
+
+    scale: FloatArray
+    middle: float
+    taps: Float32Array
+
+
+@dataclass(frozen=True, eq=False)
+class Resample:
+    """Resample row r at positions that are a polynomial along it, and keep its energy; zero where there is no data.
+
+    Sample i becomes sqrt(dp / di) times the row at position p = sum_k positions[r, k] u^k, in samples, with
+    u = `phase.unit`: (i - n // 2) / (n / 2). Its slope dp / di is between 1/2 and 2.
+
+    Attributes
+    ----------
+    positions : (n_row, order + 1) float64
+        Order at least 1.
+    taps : (TAP_PHASES + 1, n_tap, TAP_ORDER + 1) float32
+        Of `phase.tap_polynomials`.
+    """
+
+    positions: FloatArray
+    taps: Float32Array
+
+
+Operation = Turn | ScaledTurn | Transform | Window | Stretch | Resample

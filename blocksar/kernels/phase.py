@@ -1,0 +1,221 @@
+"""Phase multiplication, resampling and corner turns: the compiled inner loops that every step shares.
+
+Phases are polynomials along a row, in cycles, in float64; whole cycles are taken out there, and only the remainder,
+at most half a cycle, goes to a float32 polynomial for sine and cosine (error below 4e-7, 1e-7 rms). Written plainly,
+`numpy.exp(1j * phase)` takes a hundred times longer than these loops.
+
+The loops are compiled, or loaded from numba's cache, when this module is imported. They go over LANES samples at a
+time, as `lanes` says them to the compiler.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from math import comb
+from typing import Any
+
+import numpy as np
+from numba import njit, types
+from numpy.polynomial import polynomial
+from numpy.typing import NDArray
+
+from blocksar.arrays import ComplexArray, FloatArray, IntArray
+from blocksar.kernels.fourier import Axis
+from blocksar.kernels.lanes import LANES, load, load_imag, load_real, prefetch, remainder, store_complex
+from blocksar.kernels.signatures import COMPILED, REAL_ROW, REAL_ROWS, SAMPLES_IN, SAMPLES_OUT
+from blocksar.kernels.trigonometry import cosine, horner, sine
+
+Float32Array = NDArray[np.float32]
+
+MAX_ORDER = 9
+AHEAD = 32  # rows by which memory is asked for columns before they are needed: the strides are too long for it to guess
+LINE = 8  # complex64 samples in a cache line
+
+
+# -- phases ---------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Phase:
+    """Cycles that are a polynomial along each row: sum_k coefficients[row, k] ((v - centre) / scale)^k.
+
+    coefficients (n_row, order + 1), or (1, order + 1) where all rows share them; order at most 9.
+    """
+
+    coefficients: FloatArray
+    centre: float
+    scale: float
+
+    def cycles(self, values: FloatArray) -> FloatArray:
+        """At values (n,): (n_row, n)."""
+        z = (values - self.centre) / self.scale
+        return np.asarray(polynomial.polyval(z, self.coefficients.T))
+
+    def along(self, axis: Axis) -> FloatArray:
+        """Coefficients in the axis' own variable, (index - size // 2) / (size / 2)."""
+        offset, ratio = (axis.centre - self.centre) / self.scale, axis.step * axis.size / 2 / self.scale
+        order = self.coefficients.shape[1] - 1
+        move = np.zeros((order + 1, order + 1))
+        for k in range(order + 1):
+            for j in range(k + 1):
+                move[k, j] = comb(k, j) * offset ** (k - j) * ratio**j
+        return np.asarray(self.coefficients @ move)
+
+
+@lru_cache(maxsize=32)
+def unit(n: int) -> FloatArray:
+    """An axis' own variable, (i - n // 2) / (n / 2), (n,) float64; read-only."""
+    values = np.asarray((np.arange(n) - n // 2) * (2.0 / n))
+    values.flags.writeable = False
+    return values
+
+
+def as_coefficients(coefficients: FloatArray) -> FloatArray:
+    """As the loops take them: contiguous float64.
+
+    Raises
+    ------
+    ValueError
+        If the order is above MAX_ORDER.
+    """
+    if coefficients.shape[1] - 1 > MAX_ORDER:
+        raise ValueError(f"order {coefficients.shape[1] - 1} > {MAX_ORDER}")
+    return np.ascontiguousarray(coefficients, np.float64)
+
+
+@njit(inline="always")
+def _turn(row: Any, out: Any, i: Any, cycles: Any) -> None:
+    """LANES samples from i on, by so many cycles."""
+    part = remainder(cycles)
+    cos, sin = cosine(part), sine(part)
+    real, imag = load_real(row, i), load_imag(row, i)
+    store_complex(out, i, real * cos - imag * sin, real * sin + imag * cos)
+
+
+@njit(inline="always")
+def _rest(values: Any) -> Any:
+    """What remains of a row after its whole vectors, with zeros to make one."""
+    rest = np.zeros(LANES, values.dtype)
+    count = values.size % LANES
+    rest[:count] = values[values.size - count :]
+    return rest
+
+
+@njit([(SAMPLES_IN, SAMPLES_OUT, REAL_ROW, REAL_ROWS)], **COMPILED)
+def _rotate(values: ComplexArray, out: ComplexArray, u: FloatArray, coefficients: FloatArray) -> None:
+    n = u.size
+    whole, order = n - n % LANES, coefficients.shape[1] - 1
+    u_rest = _rest(u)
+    for r in range(values.shape[0]):
+        row, result, c = values[r, :n], out[r, :n], coefficients[r]
+        for i in range(0, whole, LANES):
+            _turn(row, result, i, horner(c, order, load(u, i)))
+        if whole < n:
+            rest = _rest(row)
+            _turn(rest, rest, 0, horner(c, order, load(u_rest, 0)))
+            result[whole:] = rest[: n - whole]
+
+
+def rotate(values: ComplexArray, n: int, coefficients: FloatArray, out: ComplexArray | None = None) -> None:
+    """out[r, i] = values[r, i] exp(2j pi sum_k coefficients[r, k] u_i^k), u_i = (i - n // 2) / (n / 2), i < n.
+
+    Parameters
+    ----------
+    values : (n_row, at least n) complex64, C-contiguous
+    coefficients : (n_row, order + 1) float64
+        Cycles; order at most 9.
+    out : (n_row, at least n) complex64, C-contiguous, optional
+        By default `values` itself.
+
+    Raises
+    ------
+    ValueError
+        If the order is too high, there is not one row of coefficients a row, or an array is too small.
+    """
+    out = values if out is None else out
+    if coefficients.shape[0] != values.shape[0]:
+        raise ValueError(f"{coefficients.shape=} but {values.shape=}")
+    if out.shape[0] < values.shape[0] or min(values.shape[1], out.shape[1]) < n:
+        raise ValueError(f"{values.shape=} and {out.shape=}, but {n=}")
+    _rotate(values, out, unit(n), as_coefficients(coefficients))
+
+
+@njit([(SAMPLES_IN, SAMPLES_OUT, REAL_ROW, REAL_ROWS, REAL_ROW, REAL_ROW)], **COMPILED)
+def rotate_scaled(
+    values: ComplexArray,
+    out: ComplexArray,
+    u: FloatArray,
+    coefficients: FloatArray,
+    factor: FloatArray,
+    cycles: FloatArray,
+) -> None:
+    """The same, plus factor[r] cycles[i]: any phase along the row, scaled from row to row as with frequency.
+
+    Parameters
+    ----------
+    values, out : (n_row, at least n) complex64, C-contiguous
+        May be the same array.
+    u : (n,) float64
+        `unit(n)`.
+    coefficients : (n_row, 2) float64
+    factor : (n_row,) float64
+    cycles : (n,) float64
+    """
+    n = u.size
+    whole = n - n % LANES
+    u_rest, cycles_rest = _rest(u), _rest(cycles)
+    for r in range(values.shape[0]):
+        row, result, c, f = values[r, :n], out[r, :n], coefficients[r], factor[r]
+        for i in range(0, whole, LANES):
+            _turn(row, result, i, f * load(cycles, i) + (c[0] + c[1] * load(u, i)))
+        if whole < n:
+            rest = _rest(row)
+            _turn(rest, rest, 0, f * load(cycles_rest, 0) + (c[0] + c[1] * load(u_rest, 0)))
+            result[whole:] = rest[: n - whole]
+
+
+@njit([(SAMPLES_OUT, SAMPLES_IN, types.Array(types.int64, 1, "C", readonly=True))], **COMPILED)
+def multiply_windows(values: ComplexArray, windows: ComplexArray, which: IntArray) -> None:
+    """values[r, i] *= windows[which[r], i], in place.
+
+    Parameters
+    ----------
+    values : (n_row, at least n) complex64, C-contiguous
+    windows : (n_window, n) complex64
+    which : (n_row,) int64
+    """
+    n = windows.shape[1]
+    whole = n - n % LANES
+    for r in range(values.shape[0]):
+        row, window = values[r, :n], windows[which[r]]
+        for i in range(0, whole, LANES):
+            real, imag = load_real(row, i), load_imag(row, i)
+            a, b = load_real(window, i), load_imag(window, i)
+            store_complex(row, i, real * a - imag * b, real * b + imag * a)
+        for i in range(whole, n):
+            row[i] *= window[i]
+
+
+@njit([(types.Array(types.complex64, 2, "A", readonly=True), types.int64, SAMPLES_OUT)], **COMPILED)
+def gather_columns(values: ComplexArray, first: int, out: ComplexArray) -> None:
+    """out[c, i] = values[i, first + c]: some columns as rows; whole cache lines at a time."""
+    count = out.shape[0]
+    for i in range(values.shape[0]):
+        for c in range(0, count, LINE):
+            prefetch(values, i + AHEAD, first + c)
+        prefetch(values, i + AHEAD, first + count - 1)
+        for c in range(count):
+            out[c, i] = values[i, first + c]
+
+
+@njit([(SAMPLES_IN, types.int64, types.int64, SAMPLES_OUT)], **COMPILED)
+def scatter_columns(values: ComplexArray, n: int, first: int, out: ComplexArray) -> None:
+    """out[i, first + c] = values[c, i], i < n: rows back as columns."""
+    count = values.shape[0]
+    for i in range(n):
+        for c in range(0, count, LINE):
+            prefetch(out, i + AHEAD, first + c)
+        prefetch(out, i + AHEAD, first + count - 1)
+        for c in range(count):
+            out[i, first + c] = values[c, i]

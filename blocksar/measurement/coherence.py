@@ -1,0 +1,44 @@
+"""Complex coherence, gain and phase between two images of the same pixels."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from blocksar.arrays import ComplexArray
+
+
+class ChipComparison(NamedTuple):
+    """How an image chip a compares with a reference chip b over the pixels that both hold.
+
+    coherence = <a, b> / (|a| |b|), complex; gain = |<a, b>| / <b, b>; phase of a against b, rad; pixels used.
+    """
+
+    coherence: complex
+    gain: float
+    phase: float
+    pixels: int
+
+
+def coherence(a: ComplexArray, b: ComplexArray) -> ChipComparison:
+    """Compare a chip with a reference of the same shape; all NaN if they share no pixel or one is all zero.
+
+    <a, b> = sum a conj(b), over pixels finite in both, in float64.
+
+    Raises
+    ------
+    ValueError
+        If the shapes differ.
+    """
+    if a.shape != b.shape:
+        raise ValueError(f"chips must have one shape, got {a.shape} and {b.shape}")
+    both = np.isfinite(a) & np.isfinite(b)
+    first, second = a[both].astype(np.complex128), b[both].astype(np.complex128)
+    inner = complex(np.vdot(second, first))
+    energy_a, energy_b = float(np.vdot(first, first).real), float(np.vdot(second, second).real)
+    if energy_a == 0 or energy_b == 0:
+        nan = float("nan")
+        return ChipComparison(complex(nan, nan), nan, nan, int(both.sum()))
+    normalised = inner / float(np.sqrt(energy_a) * np.sqrt(energy_b))
+    return ChipComparison(normalised, abs(inner) / energy_b, float(np.angle(inner)), int(both.sum()))

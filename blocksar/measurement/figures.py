@@ -1,0 +1,323 @@
+"""Measure a calibrated complex ground image: impulse responses of point targets, coherence of chips.
+
+The stored image carries the true carrier phase. About a target q, lit around t_m, it is an envelope times
+exp(+4j pi fc/c (R_p(t_m) - R_q(t_m))), tens of cycles a metre on the ground, far beyond the pixel spacing.
+Every measurement therefore first takes that phase off, exactly and in float64. What is left is limited to
+the wedge k(f, t) = 2 (fc + f)/c grad R(t) less its centre, so it can be interpolated; at q the phase taken
+off is zero, so the value there keeps its true phase.
+
+The response's own axes are neither x and y nor at right angles. Its range cut runs along constant Doppler
+(across the direction in which grad R turns during the dwell), its azimuth cut along constant range (across
+grad R at t_m).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from blocksar.arrays import FloatArray
+from blocksar.collection.beam import has_full_dwell
+from blocksar.collection.geometry import Geometry
+from blocksar.constants import SINC_PSLR, SINC_WIDTH
+from blocksar.measurement.response import CUT_WIDTHS, Complex128Array, ReadChip, Response, read_response, response_axes
+from blocksar.measurement.targets import Target
+
+IDEAL_ISLR = -10.216  # dB, of sinc^2, by the definition below
+SAMPLES_PER_WIDTH = 64  # of a cut: a side lobe's height is then read to 0.001 dB
+
+DEFINITIONS = f"""\
+Range cut: along constant Doppler, in slant range. Azimuth cut: along constant range, on the ground.
+Both are straight, pass through the peak and are in general not at right angles.
+IRW: width of the main lobe at half power (-3 dB). Theory: {SINC_WIDTH:.4f} / bandwidth along the cut,
+in range c / (2 B), in azimuth from the line-of-sight rotation over the target's own dwell.
+PSLR: highest side lobe outside the first minima on either side of the peak and within {CUT_WIDTHS:g} theoretical
+IRW of it, relative to the peak, power in dB (unweighted ideal {SINC_PSLR:.2f} dB).
+ISLR: energy outside the first minima and within {CUT_WIDTHS:g} theoretical IRW on either side of the peak, over the
+energy between the first minima, along the cut, in dB (unweighted ideal {IDEAL_ISLR:.1f} dB).
+Position error: peak of the magnitude minus the true position, in x and y. Value: complex image interpolated at
+the true position, divided by the target's reflectivity (ideal 1 + 0j). Full dwell: the beam swept wholly over
+the target. Covered: no pixel is missing in what was measured; figures that touch missing pixels are NaN."""
+
+
+class PointResponse(NamedTuple):
+    """What was measured at one target; `DEFINITIONS` says how. NaN where it could not be measured.
+
+    PSLR and ISLR in dB; range widths in m of slant range, azimuth widths in m along the cut; positions and
+    errors in m of the scene frame; value relative to the reflectivity, ideally 1 + 0j.
+    """
+
+    name: str
+    x: float
+    y: float
+    range_pslr: float
+    range_islr: float
+    range_irw: float
+    range_irw_theory: float
+    azimuth_pslr: float
+    azimuth_islr: float
+    azimuth_irw: float
+    azimuth_irw_theory: float
+    error_x: float
+    error_y: float
+    value: complex
+    full_dwell: bool
+    covered: bool
+
+
+class Cuts(NamedTuple):
+    """The two cuts through the peak: offsets in m from it, complex response (NaN = missing)."""
+
+    range_offset: FloatArray
+    range_profile: Complex128Array
+    azimuth_offset: FloatArray
+    azimuth_profile: Complex128Array
+
+
+def cuts(response: Response) -> Cuts:
+    """Sample the range cut (offsets in slant range, growing away from the radar) and the azimuth cut.
+
+    Both reach half a width beyond what is measured, at 64 samples a theoretical width.
+    """
+    axes, peak = response.axes, response.peak
+    n = int((CUT_WIDTHS + 0.5) * SAMPLES_PER_WIDTH)
+    widths = np.arange(-n, n + 1) / SAMPLES_PER_WIDTH
+    along_range, along_azimuth = widths * axes.range_width, widths * axes.azimuth_width
+    if not np.isfinite(peak).all():
+        nothing = np.full(widths.shape, np.nan + 0j)
+        return Cuts(along_range, nothing, along_azimuth, nothing.copy())
+    zero = np.zeros(1)
+    return Cuts(
+        range_offset=along_range,
+        range_profile=response.at_own(peak, along_range, zero),
+        azimuth_offset=along_azimuth,
+        azimuth_profile=response.at_own(peak, zero, along_azimuth),
+    )
+
+
+class ResponseGrid(NamedTuple):
+    """A response about its peak on its own axes: offsets in m, complex values (n_azimuth, n_range)."""
+
+    range_offset: FloatArray
+    azimuth_offset: FloatArray
+    values: Complex128Array
+
+
+def response_grid(response: Response, *, widths: float = 5.0, samples_per_width: int = 12) -> ResponseGrid:
+    """Resample a response on its own axes, `widths` theoretical widths to either side of the peak (for contours)."""
+    axes = response.axes
+    n = int(widths * samples_per_width)
+    u = np.arange(-n, n + 1) / samples_per_width
+    along_range, along_azimuth = u * axes.range_width, u * axes.azimuth_width
+    if np.isfinite(response.peak).all():
+        values = response.at_own(response.peak, along_range[None, :], along_azimuth[:, None])
+    else:
+        values = np.full((u.size, u.size), np.nan + 0j)
+    return ResponseGrid(range_offset=along_range, azimuth_offset=along_azimuth, values=values)
+
+
+class ProfileQuality(NamedTuple):
+    """-3 dB width in the unit of the offsets; side lobe ratios in dB."""
+
+    irw: float
+    pslr: float
+    islr: float
+
+
+def profile_quality(offset: FloatArray, profile: Complex128Array, *, width: float) -> ProfileQuality:
+    """IRW, PSLR and ISLR of a cut, as `DEFINITIONS` has them.
+
+    Parameters
+    ----------
+    offset : (n,) float
+        Uniform, ascending; the peak lies at 0. At least 10 widths on either side.
+    profile : (n,) complex
+        NaN = missing.
+    width : float
+        Theoretical IRW, unit of `offset`.
+
+    Returns
+    -------
+    ProfileQuality
+        The IRW is NaN if the main lobe does not fall to half power within 10 widths or is not all there;
+        PSLR and ISLR are NaN if anything within 10 widths is missing, or if no minimum lies there.
+    """
+    nothing = ProfileQuality(float("nan"), float("nan"), float("nan"))
+    used = np.abs(offset) <= CUT_WIDTHS * width * (1 + 1e-9)
+    offset, power = offset[used], np.abs(profile[used]) ** 2
+    top = int(np.argmin(np.abs(offset)))
+    if not np.isfinite(power[top]) or power[top] == 0:
+        return nothing
+    power = power / power[top]
+    right = _lobe_edge(power[top:])
+    left = _lobe_edge(power[top::-1])
+    if right is None or left is None:
+        return nothing
+    step = float(offset[1] - offset[0])
+    irw = (right.half_power + left.half_power) * step
+    if right.minimum is None or left.minimum is None or not np.isfinite(power).all():
+        return ProfileQuality(irw, float("nan"), float("nan"))
+    low, high = top - left.minimum, top + right.minimum
+    side = np.concatenate([power[:low], power[high + 1 :]])
+    if side.size == 0:
+        return ProfileQuality(irw, float("nan"), float("nan"))
+    main_energy = np.trapezoid(power[low : high + 1])
+    side_energy = np.trapezoid(power[: low + 1]) + np.trapezoid(power[high:])
+    return ProfileQuality(irw, float(10 * np.log10(side.max())), float(10 * np.log10(side_energy / main_energy)))
+
+
+class _LobeEdge(NamedTuple):
+    half_power: float  # samples from the peak, fractional
+    minimum: int | None  # samples from the peak
+
+
+def _lobe_edge(power: FloatArray) -> _LobeEdge | None:
+    """Half-power point and first minimum beyond it, going outwards from the peak at index 0."""
+    below = np.flatnonzero(~(power > 0.5))
+    if below.size == 0 or not np.isfinite(power[below[0]]):
+        return None
+    i = int(below[0])
+    half_power = i - 1 + (power[i - 1] - 0.5) / (power[i - 1] - power[i])
+    rising = np.flatnonzero(~(power[i + 1 :] <= power[i:-1]))
+    minimum = i + int(rising[0]) if rising.size and np.isfinite(power[i + int(rising[0]) + 1]) else None
+    return _LobeEdge(float(half_power), minimum)
+
+
+def measure(response: Response) -> PointResponse:
+    """Measure a response that has been read: see `DEFINITIONS`."""
+    axes, target = response.axes, response.target
+    sampled = cuts(response)
+    along_range = profile_quality(sampled.range_offset, sampled.range_profile, width=axes.range_width)
+    along_azimuth = profile_quality(sampled.azimuth_offset, sampled.azimuth_profile, width=axes.azimuth_width)
+    value = complex(response.at(np.array(target.x), np.array(target.y)))
+    x, y = response.peak
+    within = [
+        profile[np.abs(offset) <= CUT_WIDTHS * width]
+        for offset, profile, width in (
+            (sampled.range_offset, sampled.range_profile, axes.range_width),
+            (sampled.azimuth_offset, sampled.azimuth_profile, axes.azimuth_width),
+        )
+    ]
+    covered = bool(np.isfinite(value) and all(np.isfinite(profile).all() for profile in within))
+    return PointResponse(
+        name=target.name,
+        x=float(target.x),
+        y=float(target.y),
+        range_pslr=along_range.pslr,
+        range_islr=along_range.islr,
+        range_irw=along_range.irw,
+        range_irw_theory=axes.range_width,
+        azimuth_pslr=along_azimuth.pslr,
+        azimuth_islr=along_azimuth.islr,
+        azimuth_irw=along_azimuth.irw,
+        azimuth_irw_theory=axes.azimuth_width,
+        error_x=float(x - target.x),
+        error_y=float(y - target.y),
+        value=value,
+        full_dwell=response.full_dwell,
+        covered=covered,
+    )
+
+
+def measure_target(
+    read_chip: ReadChip, image_x: FloatArray, image_y: FloatArray, geometry: Geometry, target: Target
+) -> PointResponse:
+    """Measure one target in the image: `read_response`, then `measure`; all NaN and not covered if there is none."""
+    response = read_response(read_chip, image_x, image_y, geometry, target)
+    if response is not None:
+        return measure(response)
+    axes, nan = response_axes(geometry, target.x, target.y), float("nan")
+    return PointResponse(
+        name=target.name,
+        x=float(target.x),
+        y=float(target.y),
+        range_pslr=nan,
+        range_islr=nan,
+        range_irw=nan,
+        range_irw_theory=axes.range_width if axes else nan,
+        azimuth_pslr=nan,
+        azimuth_islr=nan,
+        azimuth_irw=nan,
+        azimuth_irw_theory=axes.azimuth_width if axes else nan,
+        error_x=nan,
+        error_y=nan,
+        value=complex(nan, nan),
+        full_dwell=axes is not None and has_full_dwell(geometry, target.x, target.y),
+        covered=False,
+    )
+
+
+class Worst(NamedTuple):
+    """The value farthest from the ideal one, and whose it is."""
+
+    name: str
+    value: float
+    ideal: float
+
+
+class Summary(NamedTuple):
+    """Worst cases over the targets with full dwell and full coverage, by figure."""
+
+    targets: int
+    full_dwell: int
+    measured: int
+    worst: dict[str, Worst]
+
+
+_FIGURES: dict[str, tuple[float, Callable[[PointResponse], float]]] = {
+    "range_pslr": (SINC_PSLR, lambda r: r.range_pslr),
+    "range_islr": (IDEAL_ISLR, lambda r: r.range_islr),
+    "range_irw_over_theory": (1.0, lambda r: r.range_irw / r.range_irw_theory),
+    "azimuth_pslr": (SINC_PSLR, lambda r: r.azimuth_pslr),
+    "azimuth_islr": (IDEAL_ISLR, lambda r: r.azimuth_islr),
+    "azimuth_irw_over_theory": (1.0, lambda r: r.azimuth_irw / r.azimuth_irw_theory),
+    "error_x": (0.0, lambda r: r.error_x),
+    "error_y": (0.0, lambda r: r.error_y),
+    "amplitude": (1.0, lambda r: abs(r.value)),
+    "phase": (0.0, lambda r: float(np.angle(r.value))),
+}
+
+
+def summary(responses: Sequence[PointResponse]) -> Summary:
+    """Worst cases: dB, ratios, m, and rad; a figure that is NaN counts as the worst of all.
+
+    `worst` is empty if no target is both fully lit and covered.
+    """
+    measured = [r for r in responses if r.full_dwell and r.covered]
+    worst = {}
+    for figure, (ideal, value) in _FIGURES.items():
+        if measured:
+            values = np.array([value(r) for r in measured])
+            # A target that is covered but has no main lobe is a failure, and must not drop out of the worst case.
+            i = int(np.argmax(np.nan_to_num(np.abs(values - ideal), nan=np.inf)))
+            worst[figure] = Worst(measured[i].name, float(values[i]), ideal)
+    return Summary(len(responses), sum(r.full_dwell for r in responses), len(measured), worst)
+
+
+def as_json(responses: Sequence[PointResponse]) -> dict[str, Any]:
+    """Everything as JSON values: definitions, summary, one record a target; NaN becomes null, complex [re, im]."""
+    found = summary(responses)
+    return {
+        "definitions": DEFINITIONS,
+        "ideal": {"pslr": SINC_PSLR, "islr": IDEAL_ISLR},
+        "summary": {
+            "targets": found.targets,
+            "full_dwell": found.full_dwell,
+            "measured": found.measured,
+            "worst": {figure: _plain(worst._asdict()) for figure, worst in found.worst.items()},
+        },
+        "targets": [_plain(r._asdict()) for r in responses],
+    }
+
+
+def _plain(record: Mapping[str, Any]) -> dict[str, Any]:
+    def plain(value: Any) -> Any:
+        if isinstance(value, complex):
+            return [plain(value.real), plain(value.imag)]
+        if isinstance(value, (float, np.floating)):
+            return float(value) if np.isfinite(value) else None
+        return value
+
+    return {name: plain(value) for name, value in record.items()}

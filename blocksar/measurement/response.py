@@ -1,0 +1,350 @@
+"""A point target's response: its chip, band-limited interpolation, and the directions of range and azimuth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import i0
+
+from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.collection.beam import has_full_dwell
+from blocksar.collection.geometry import Geometry
+from blocksar.constants import SINC_WIDTH, SPEED_OF_LIGHT
+from blocksar.errors import InputError
+from blocksar.measurement.targets import Target
+
+Complex128Array = NDArray[np.complex128]
+ReadChip = Callable[[slice, slice], ComplexArray]  # (slice of y, slice of x) -> pixels
+CUT_WIDTHS = 10.0  # widths measured on either side of the peak
+SEARCH_WIDTHS = 2.0  # widths searched for the peak on either side of the true position
+
+MIN_HALF_TAPS = 12
+KAISER_BETA = 12.0  # interpolation error about exp(-12) = 6e-6 of the peak
+MIN_OVERSAMPLING = 1.2  # below it the interpolator would need ever more taps
+MAX_CHIP = 1024  # pixels a side: a target lit so briefly that it needs more has no response to speak of
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResponseAxes:
+    """Directions and theoretical widths of one target's response.
+
+    Attributes
+    ----------
+    time : float
+        t_m, the middle of the dwell, s.
+    range_direction, azimuth_direction : (2,) float
+        Ground step (dx, dy) in m for 1 m of slant range along constant Doppler, and for 1 m along constant
+        range. The second is a unit vector; the first is longer than one.
+    range_width, azimuth_width : float
+        Theoretical IRW, m of slant range and m along the cut.
+    band : (2,) float
+        Largest |wavenumber| in x and y, cycles/m, of the response once its carrier is taken off.
+    """
+
+    time: float
+    range_direction: FloatArray
+    azimuth_direction: FloatArray
+    range_width: float
+    azimuth_width: float
+    band: FloatArray
+
+    def ground_offset(self, range_offset: FloatArray, azimuth_offset: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(dx, dy) in m on the ground, at offsets in m along the two axes (broadcast)."""
+        (rx, ry), (ax, ay) = self.range_direction, self.azimuth_direction
+        return range_offset * rx + azimuth_offset * ax, range_offset * ry + azimuth_offset * ay
+
+    def own_offset(self, dx: FloatArray, dy: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Inverse of `ground_offset`."""
+        (rx, ry), (ax, ay) = self.range_direction, self.azimuth_direction
+        area = rx * ay - ry * ax
+        return (dx * ay - dy * ax) / area, (rx * dy - ry * dx) / area
+
+
+def _range_gradient(geometry: Geometry, point: FloatArray, time: FloatArray) -> FloatArray:
+    """grad_xy R of a ground point (3,) at slow times (n,): (n, 2)."""
+    sight = point - geometry.track.position(time)
+    return np.asarray(sight[:, :2] / np.linalg.norm(sight, axis=1, keepdims=True))
+
+
+def response_axes(geometry: Geometry, x: float, y: float) -> ResponseAxes | None:
+    """Axes of the response of a target at x, y (m); None where it is never lit or its axes fall together.
+
+    The azimuth band is exact for a ground gradient that turns uniformly over the dwell: it is taken between
+    the first and the last lit pulse edge (`Geometry.dwell`), at the carrier.
+    """
+    collection = geometry.collection
+    start, end = (float(edge) for edge in geometry.dwell(geometry.yaw(np.array(x), np.array(y))))
+    if not start < end:
+        return None
+    point = np.array([x, y, collection.ground_height])
+    first, middle, last = _range_gradient(geometry, point, np.array([start, (start + end) / 2, end]))
+    turn = last - first
+    length, turned = float(np.hypot(*middle)), float(np.hypot(*turn))
+    if length == 0 or turned == 0:
+        return None
+    azimuth = np.array([-middle[1], middle[0]]) / length
+    along_doppler = np.array([-turn[1], turn[0]]) / turned
+    slope = float(along_doppler @ middle)  # dR/ds; its sign makes the cut run away from the radar
+    extent = 2 * collection.carrier / SPEED_OF_LIGHT * abs(float(turn @ azimuth))
+    # Both vanish together, where the line of sight turns along itself: no two-dimensional image there.
+    if abs(slope) < 1e-6 * length or extent == 0:
+        return None
+    carrier, half_band = collection.carrier, collection.bandwidth / 2
+    corners = [2 * (carrier + f) / SPEED_OF_LIGHT * k for f in (-half_band, half_band) for k in (first, middle, last)]
+    band = np.abs(np.array(corners) - 2 * carrier / SPEED_OF_LIGHT * middle).max(axis=0)
+    return ResponseAxes(
+        time=(start + end) / 2,
+        range_direction=along_doppler / slope,
+        azimuth_direction=azimuth,
+        range_width=SINC_WIDTH * SPEED_OF_LIGHT / (2 * collection.bandwidth),
+        azimuth_width=SINC_WIDTH / extent,
+        band=band,
+    )
+
+
+def carrier_phase(
+    geometry: Geometry, time: float, x: float, y: float, *, at_x: FloatArray, at_y: FloatArray
+) -> FloatArray:
+    """4 pi fc/c (R_p(time) - R_q(time)) in rad, of points p = (at_x, at_y) (broadcast) against q = (x, y)."""
+    collection = geometry.collection
+    at_x, at_y = np.broadcast_arrays(at_x, at_y)
+    point = np.stack([at_x, at_y, np.full(at_x.shape, collection.ground_height)], axis=-1)
+    origin = np.array([x, y, collection.ground_height])
+    when = np.array(time)
+    difference = geometry.range_history(point, when)[0] - geometry.range_history(origin, when)[0]
+    return 4 * np.pi * collection.carrier / SPEED_OF_LIGHT * difference
+
+
+def interpolate(
+    values: Complex128Array, *, row: FloatArray, column: FloatArray, half_taps: int = MIN_HALF_TAPS
+) -> Complex128Array:
+    """Interpolate a band-limited chip by a Kaiser-windowed sinc.
+
+    Parameters
+    ----------
+    values : (n_row, n_column) complex
+        Samples; NaN = missing. Largest |wavenumber| at most 1/2 - 12 / (2 pi half_taps) cycles/sample, for an
+        error of about 1e-5 of the strongest sample.
+    row, column : (n,) float
+        Fractional indices.
+    half_taps : int
+        Taps on either side.
+
+    Returns
+    -------
+    (n,) complex128
+        NaN where a tap falls on a missing sample or outside.
+    """
+    row, column = np.asarray(row, dtype=np.float64), np.asarray(column, dtype=np.float64)
+    bordered = np.pad(values, half_taps, constant_values=np.nan)
+    missing = ~np.isfinite(bordered)
+    bordered[missing] = 0
+    out = np.full(row.shape, np.nan + 0j)
+    inside = (row >= 0) & (row <= values.shape[0] - 1) & (column >= 0) & (column <= values.shape[1] - 1)
+    where = np.flatnonzero(inside)
+    for batch in np.array_split(where, max(1, where.size // 2048)):  # bounds the gathered taps to some 20 MB
+        rows, row_weight = _taps(row[batch], half_taps)
+        columns, column_weight = _taps(column[batch], half_taps)
+        pick = (rows[:, :, None], columns[:, None, :])
+        found = np.einsum("ni,nij,nj->n", row_weight, bordered[pick], column_weight, optimize=True)
+        found[missing[pick].any(axis=(1, 2))] = np.nan
+        out[batch] = found
+    return out
+
+
+def _taps(index: FloatArray, half_taps: int) -> tuple[NDArray[np.intp], FloatArray]:
+    """Sample numbers in the bordered chip and weights, both (n, 2 half_taps)."""
+    base = np.floor(index).astype(np.intp)
+    offset = np.arange(1 - half_taps, half_taps + 1)
+    u = index[:, None] - (base[:, None] + offset)
+    window = i0(KAISER_BETA * np.sqrt(np.maximum(1 - (u / half_taps) ** 2, 0))) / i0(KAISER_BETA)
+    return base[:, None] + offset + half_taps, np.sinc(u) * window
+
+
+def _half_taps(band: float) -> int:
+    """Taps on either side that interpolate a band of `band` cycles/sample to the accuracy of the Kaiser window."""
+    return max(MIN_HALF_TAPS, int(np.ceil(KAISER_BETA / (np.pi * (1 - 2 * band)))))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Response:
+    """The chip about one target with its carrier taken off, ready to be interpolated anywhere.
+
+    Attributes
+    ----------
+    target : Target
+    axes : ResponseAxes
+    values : (n_y, n_x) complex128
+        Demodulated and divided by the target's reflectivity; NaN = missing.
+    x, y : (n_x,), (n_y,) float
+        Pixel positions, m, uniform; they may reach beyond the image.
+    full_dwell : bool
+    """
+
+    target: Target
+    axes: ResponseAxes
+    values: Complex128Array
+    x: FloatArray
+    y: FloatArray
+    full_dwell: bool
+
+    @cached_property
+    def spacing(self) -> tuple[float, float]:
+        """(dx, dy), m."""
+        return float(self.x[1] - self.x[0]), float(self.y[1] - self.y[0])
+
+    @cached_property
+    def half_taps(self) -> int:
+        dx, dy = self.spacing
+        return _half_taps(max(self.axes.band[0] * abs(dx), self.axes.band[1] * abs(dy)))
+
+    def at(self, x: FloatArray, y: FloatArray) -> Complex128Array:
+        """Interpolated response at scene positions (broadcast, m); NaN where pixels are missing."""
+        x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
+        dx, dy = self.spacing
+        row, column = (y.ravel() - self.y[0]) / dy, (x.ravel() - self.x[0]) / dx
+        return interpolate(self.values, row=row, column=column, half_taps=self.half_taps).reshape(x.shape)
+
+    def at_own(
+        self, centre: tuple[float, float], range_offset: FloatArray, azimuth_offset: FloatArray
+    ) -> Complex128Array:
+        """Response at offsets (m) from `centre` = (x, y) along its own axes (broadcast)."""
+        dx, dy = self.axes.ground_offset(range_offset, azimuth_offset)
+        return self.at(centre[0] + dx, centre[1] + dy)
+
+    @cached_property
+    def peak(self) -> tuple[float, float]:
+        """(x, y) of the greatest magnitude near the target, m; NaN if its surroundings are missing.
+
+        The strongest pixel within 2 widths, then the strongest of a fine grid about it, then Newton steps on
+        the interpolated power.
+        """
+        axes, target = self.axes, self.target
+        own = axes.own_offset(self.x[None, :] - target.x, self.y[:, None] - target.y)
+        near = (np.abs(own[0]) <= SEARCH_WIDTHS * axes.range_width) & (
+            np.abs(own[1]) <= SEARCH_WIDTHS * axes.azimuth_width
+        )
+        power = np.where(near & np.isfinite(self.values), np.abs(self.values) ** 2, -1.0)
+        row, column = np.unravel_index(int(power.argmax()), power.shape)
+        if power[row, column] <= 0:
+            return float("nan"), float("nan")
+        fine = np.linspace(-1, 1, 9)
+        x, y = np.meshgrid(self.x[column] + self.spacing[0] * fine, self.y[row] + self.spacing[1] * fine)
+        power = np.nan_to_num(np.abs(self.at(x, y)), nan=-1.0)
+        best = np.unravel_index(int(power.argmax()), power.shape)
+        if power[best] < 0:
+            return float("nan"), float("nan")
+        return self._climb(float(x[best]), float(y[best]))
+
+    def _climb(self, x: float, y: float) -> tuple[float, float]:
+        """Newton's method for the maximum of |response|^2, in units of the theoretical widths."""
+        axes = self.axes
+        unit = np.array([axes.range_width, axes.azimuth_width])
+        h = 0.02  # widths: small against the main lobe, large against the samples' rounding
+        stencil = h * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1], [1, 1], [-1, -1], [1, -1], [-1, 1]])
+        for _ in range(8):
+            p = np.abs(self.at_own((x, y), stencil[:, 0] * unit[0], stencil[:, 1] * unit[1])) ** 2
+            if not np.isfinite(p).all():
+                return float("nan"), float("nan")
+            gradient = np.array([p[1] - p[2], p[3] - p[4]]) / (2 * h)
+            cross = (p[5] + p[6] - p[7] - p[8]) / (4 * h * h)
+            hessian = np.array([[p[1] + p[2] - 2 * p[0], 0], [0, p[3] + p[4] - 2 * p[0]]]) / h**2
+            hessian[0, 1] = hessian[1, 0] = cross
+            if hessian[0, 0] >= 0 or np.linalg.det(hessian) <= 0:
+                break  # not the top of anything smooth: the strongest point of the fine grid has to do
+            step = np.clip(-np.linalg.solve(hessian, gradient), -0.25, 0.25)
+            dx, dy = axes.ground_offset(*(step * unit))
+            x, y = x + float(dx), y + float(dy)
+            if np.abs(step).max() < 1e-6:
+                break
+        return x, y
+
+
+class _Window(NamedTuple):
+    """A run of pixels along one axis, with the part of it that the image holds."""
+
+    position: FloatArray  # m, of every pixel, in the image or not
+    image: slice
+    chip: slice
+
+
+def _window(axis: FloatArray, centre: float, reach: float) -> _Window:
+    step = float(axis[-1] - axis[0]) / (axis.size - 1)
+    first = int(np.floor((centre - reach - axis[0]) / step))
+    last = int(np.ceil((centre + reach - axis[0]) / step)) + 1
+    low, high = max(first, 0), min(last, axis.size)
+    high = max(low, high)
+    position = float(axis[0]) + step * np.arange(first, last, dtype=np.float64)
+    return _Window(position=position, image=slice(low, high), chip=slice(low - first, high - first))
+
+
+def read_response(
+    read_chip: ReadChip, image_x: FloatArray, image_y: FloatArray, geometry: Geometry, target: Target
+) -> Response | None:
+    """Read the chip about a target and take its carrier off.
+
+    Parameters
+    ----------
+    read_chip : callable
+        (slice of y, slice of x) -> complex pixels of the calibrated image, NaN where not covered. Only the
+        part that the cuts need is asked for.
+    image_x, image_y : (n_x,), (n_y,) float
+        Pixel positions, m; uniform, ascending.
+    geometry : Geometry
+    target : Target
+
+    Returns
+    -------
+    Response or None
+        None if the target was never lit, lies outside the image, or was lit so briefly that its response
+        spreads over more than 1024 pixels.
+
+    Raises
+    ------
+    InputError
+        If the pixels are too far apart to hold the response.
+    """
+    if image_x.size < 2 or image_y.size < 2:
+        raise InputError(f"image has {image_y.size} x {image_x.size} pixels, but a response needs at least 2 x 2")
+    axes = response_axes(geometry, target.x, target.y)
+    if axes is None:
+        return None
+    spacing = np.array([image_x[-1] - image_x[0], image_y[-1] - image_y[0]]) / (image_x.size - 1, image_y.size - 1)
+    band = axes.band * spacing
+    if (2 * band * MIN_OVERSAMPLING > 1).any():
+        needed = 1 / (2 * MIN_OVERSAMPLING * axes.band)
+        raise InputError(
+            f"the image's spacing is {spacing[0]:.4g} m in x and {spacing[1]:.4g} m in y, too coarse for the response "
+            f"of target {target.name}; focus on a grid of at most {needed[0]:.4g} m and {needed[1]:.4g} m"
+        )
+    # The peak may lie off the true position by the search width, and the cuts run from the peak.
+    along_range = axes.range_width * np.abs(axes.range_direction)
+    along_azimuth = axes.azimuth_width * np.abs(axes.azimuth_direction)
+    reach = SEARCH_WIDTHS * (along_range + along_azimuth) + (CUT_WIDTHS + 0.5) * np.maximum(along_range, along_azimuth)
+    reach = reach + (_half_taps(float(band.max())) + 1) * spacing
+    if (2 * reach / spacing > MAX_CHIP).any():
+        return None
+    columns = _window(image_x, target.x, float(reach[0]))
+    rows = _window(image_y, target.y, float(reach[1]))
+    if columns.image.start == columns.image.stop or rows.image.start == rows.image.stop:
+        return None
+    values = np.full((rows.position.size, columns.position.size), np.nan + 0j)
+    values[rows.chip, columns.chip] = read_chip(rows.image, columns.image)
+    at_x, at_y = columns.position[None, :], rows.position[:, None]
+    phase = carrier_phase(geometry, axes.time, target.x, target.y, at_x=at_x, at_y=at_y)
+    missing = ~np.isfinite(values)
+    values = np.where(missing, 0, values) * np.exp(-1j * phase) / target.reflectivity
+    values[missing] = np.nan
+    return Response(
+        target=target,
+        axes=axes,
+        values=values,
+        x=columns.position,
+        y=rows.position,
+        full_dwell=has_full_dwell(geometry, target.x, target.y),
+    )

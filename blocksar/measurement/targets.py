@@ -1,0 +1,48 @@
+"""Point targets whose places are known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from blocksar.collection.collection import FARTHEST
+from blocksar.errors import InputError
+
+
+class Target(NamedTuple):
+    """A point target on the ground plane: scene-frame x, y in m, complex reflectivity."""
+
+    name: str
+    x: float
+    y: float
+    reflectivity: complex = 1.0
+
+    @classmethod
+    def from_record(cls, record: Mapping[str, Any]) -> Target:
+        """From a store's `targets` attribute: {"name", "x", "y", "reflectivity": [re, im]}; the last may be absent.
+
+        Raises
+        ------
+        InputError
+            If a field is missing, is no number, or the reflectivity is zero.
+        """
+        try:
+            reflectivity = record.get("reflectivity", 1.0)
+            if not isinstance(reflectivity, (int, float, complex)):
+                real, imaginary = reflectivity
+                reflectivity = complex(float(real), float(imaginary))
+            target = cls(str(record["name"]), float(record["x"]), float(record["y"]), complex(reflectivity))
+        except (KeyError, TypeError, ValueError, AttributeError):
+            raise InputError(
+                f"target {record!r} cannot be read; give it name, x and y in m and, if it is not 1, "
+                "reflectivity as [real, imaginary]"
+            ) from None
+        if not (np.isfinite([target.x, target.y]).all() and np.isfinite(target.reflectivity)):
+            raise InputError(f"target {record!r} has a value that is not finite; give numbers")
+        if target.reflectivity == 0:
+            raise InputError(f"target {target.name} has reflectivity 0, so there is nothing to measure; leave it out")
+        if max(abs(target.x), abs(target.y)) > FARTHEST or not 1e-15 < abs(target.reflectivity) < 1e15:
+            raise InputError(f"target {record!r} is nowhere near a scene; give metres, and a reflectivity about 1")
+        return target

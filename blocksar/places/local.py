@@ -1,0 +1,163 @@
+"""Places in a local file system."""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import fcntl
+import json
+import os
+import re
+import secrets
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from blocksar.places.owners import describe_owner, this_process
+from blocksar.places.place import Held, Place
+
+if TYPE_CHECKING:
+    from zarr.storage import StorePath
+
+
+# ---------------------------------------------------------------- local
+
+
+@dataclass(frozen=True)
+class LocalPlace(Place):
+    """A file or folder. It is itself a path: os and pathlib take it."""
+
+    path: Path
+
+    def __fspath__(self) -> str:
+        return str(self.path)
+
+    def __str__(self) -> str:
+        return str(self.path)
+
+    @property
+    def name(self) -> str:
+        return self.path.name
+
+    def __truediv__(self, name: str) -> LocalPlace:
+        return LocalPlace(self.path / name)
+
+    def exists(self) -> bool:
+        return os.path.lexists(self.path)
+
+    def names(self) -> list[str]:
+        with suppress(FileNotFoundError, NotADirectoryError):
+            return sorted(os.listdir(self.path))
+        return []
+
+    def files(self) -> Iterator[tuple[str, int, str]]:
+        for parent, folders, names in os.walk(self.path):
+            folders.sort()
+            for name in sorted(names):
+                file = os.path.join(parent, name)
+                status = os.stat(file)
+                yield os.path.relpath(file, self.path), status.st_size, str(status.st_mtime_ns)
+
+    def read_bytes(self) -> bytes:
+        return self.path.read_bytes()
+
+    def write_bytes(self, data: bytes) -> None:
+        os.makedirs(self.path.parent, exist_ok=True)
+        with replacing_file(self.path) as part, open(part, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+
+    def remove(self) -> None:
+        if self.path.is_dir() and not self.path.is_symlink():
+            with suppress(FileNotFoundError):
+                shutil.rmtree(self.path)
+        else:
+            self.path.unlink(missing_ok=True)
+
+    def sweep(self) -> None:
+        for parent, folders, names in os.walk(self.path):
+            for name in [n for n in folders if is_temporary(n)]:
+                folders.remove(name)
+                shutil.rmtree(os.path.join(parent, name), ignore_errors=True)
+            for name in filter(is_temporary, names):
+                with suppress(OSError):
+                    os.unlink(os.path.join(parent, name))
+
+    def settle(self) -> None:
+        descriptor = os.open(self.path, os.O_RDONLY)
+        try:
+            # syncfs is Linux's own: of this file system alone.
+            flush = getattr(ctypes.CDLL(None, use_errno=True), "syncfs", None)
+            if flush is None:
+                os.sync()
+            elif flush(descriptor) != 0:
+                number = ctypes.get_errno()
+                raise OSError(number, os.strerror(number), str(self.path))
+        finally:
+            os.close(descriptor)
+
+    def zarr_path(self) -> StorePath:
+        from zarr.storage import LocalStore, StorePath
+
+        return StorePath(LocalStore(self.path))  # by name it would take '://' and '::' for URLs
+
+    @contextmanager
+    def lock(self) -> Iterator[None]:
+        """The kernel's own lock: it goes with its process, however that ends."""
+        descriptor = self._flock()
+        try:
+            with suppress(OSError):  # a full disk: it is a lock all the same
+                os.ftruncate(descriptor, 0)
+                os.write(descriptor, json.dumps(this_process()).encode())
+            yield
+        finally:
+            with suppress(OSError):
+                os.unlink(self.path)
+            os.close(descriptor)
+
+    def _flock(self) -> int:
+        while True:
+            descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT, 0o666)
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                # Its last owner may have removed the file after it was opened here: that lock locks nothing.
+                if os.path.samestat(os.fstat(descriptor), os.stat(self.path)):
+                    return descriptor
+            except FileNotFoundError:
+                pass
+            except OSError as error:
+                owner = os.pread(descriptor, 4096, 0)
+                os.close(descriptor)
+                if error.errno in (errno.EWOULDBLOCK, errno.EACCES):
+                    raise Held(describe_owner(owner)) from None
+                raise
+            os.close(descriptor)
+
+
+@contextmanager
+def replacing_file(path: str | os.PathLike[str]) -> Iterator[str]:
+    """A temporary name beside `path`, renamed to it when the block ends well, removed when it does not."""
+    part = temporary(path, "part")
+    try:
+        yield part
+        os.replace(part, path)
+    finally:
+        with suppress(OSError):
+            os.unlink(part)
+
+
+def temporary(path: str | os.PathLike[str], kind: str) -> str:
+    """A name beside `path` that nobody has, and that `Place.sweep` knows: kind is part or old."""
+    folder, name = os.path.split(path)
+    # The name is there for people: a long one must not make this longer than a file system takes.
+    short = os.fsdecode(os.fsencode(name)[:200])
+    return os.path.join(folder, f".{short}.{secrets.token_hex(4)}.{kind}")
+
+
+def is_temporary(name: str) -> bool:
+    """Whether `temporary` gave it."""
+    return re.fullmatch(r"\..*\.[0-9a-f]{8}\.(part|old)", name, re.DOTALL) is not None

@@ -1,0 +1,227 @@
+"""Places in an object store (S3)."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import re
+import secrets
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+from blocksar.places.owners import describe_owner, is_alive, this_process
+from blocksar.places.place import Held, Place
+
+if TYPE_CHECKING:
+    from obstore.store import S3Store
+    from zarr.storage import StorePath
+
+
+LEASE = 60.0  # seconds: the lock of an object store that has not been renewed for so long has lost its owner
+RETRIES = 5  # of a request to an object store that is overloaded or out of reach
+PATIENCE = 30.0  # seconds over all of them
+REQUEST = "20s"  # of one
+
+
+# ---------------------------------------------------------------- object stores
+
+
+@dataclass(frozen=True)
+class ObjectPlace(Place):
+    """An object, or all objects below a prefix. An object is put as a whole or not at all."""
+
+    bucket: str
+    key: str
+
+    def __str__(self) -> str:
+        return f"s3://{self.bucket}/{self.key}"
+
+    @property
+    def name(self) -> str:
+        return self.key.rpartition("/")[2]
+
+    def __truediv__(self, name: str) -> ObjectPlace:
+        return ObjectPlace(self.bucket, f"{self.key}/{name}" if self.key else name)
+
+    def exists(self) -> bool:
+        import obstore
+
+        with os_errors(self):
+            try:
+                obstore.head(_bucket(self.bucket), self.key)
+                return True
+            except FileNotFoundError:
+                return bool(self.names())
+
+    def names(self) -> list[str]:
+        import obstore
+
+        with os_errors(self):
+            found = obstore.list_with_delimiter(_bucket(self.bucket), self.key or None)
+        paths = [*found["common_prefixes"], *(entry["path"] for entry in found["objects"])]
+        return sorted({path.rstrip("/").rpartition("/")[2] for path in paths})
+
+    def files(self) -> Iterator[tuple[str, int, str]]:
+        import obstore
+
+        first = len(self.key) + 1 if self.key else 0
+        with os_errors(self):
+            for page in obstore.list(_bucket(self.bucket), self.key or None):
+                for entry in page:
+                    yield entry["path"][first:], entry["size"], str(entry["e_tag"])
+
+    def read_bytes(self) -> bytes:
+        import obstore
+
+        with os_errors(self):
+            return bytes(obstore.get(_bucket(self.bucket), self.key).bytes())
+
+    def write_bytes(self, data: bytes) -> None:
+        import obstore
+
+        with os_errors(self):
+            obstore.put(_bucket(self.bucket), self.key, data)
+
+    def remove(self) -> None:
+        import obstore
+
+        with os_errors(self):
+            below = [f"{self.key}/{name}" if self.key else name for name, _, _ in self.files()]
+            for first in range(0, len(below), 1000):
+                obstore.delete(_bucket(self.bucket), below[first : first + 1000])
+            if self.key:
+                with suppress(FileNotFoundError):
+                    obstore.delete(_bucket(self.bucket), self.key)
+
+    def sweep(self) -> None:
+        pass  # nothing has a temporary name
+
+    def settle(self) -> None:
+        pass  # what an object store has acknowledged, it keeps
+
+    def zarr_path(self) -> StorePath:
+        from zarr.storage import ObjectStore, StorePath
+
+        return StorePath(ObjectStore(_bucket(self.bucket)), self.key)
+
+    @contextmanager
+    def lock(self) -> Iterator[None]:
+        """An object that is created only where none is, and renewed while its owner lives."""
+        owner = json.dumps(this_process() | {"token": secrets.token_hex(8)}).encode()
+        tag = self._acquire(owner)
+        ended = threading.Event()
+        renewed = threading.Thread(target=self._renew, args=(owner, tag, ended), name="lock", daemon=True)
+        renewed.start()
+        try:
+            yield
+        finally:
+            ended.set()
+            renewed.join()
+            with suppress(OSError):
+                if self._current()[2] == owner:  # not somebody else's, who took it for dead
+                    self.remove()
+
+    def _acquire(self, owner: bytes) -> str:
+        for _ in range(RETRIES):
+            with suppress(FileExistsError):
+                return self._put(owner, "create")
+            try:
+                tag, when, found = self._current()
+            except FileNotFoundError:
+                continue  # given back in this moment
+            if found == owner:  # put here by a request whose answer was lost, and that was sent again
+                return tag
+            if is_alive(found) and self._now() - when < timedelta(seconds=LEASE):
+                raise Held(describe_owner(found))
+            with suppress(FileExistsError):
+                return self._put(owner, {"e_tag": tag})
+        raise Held("somebody else, this very moment")
+
+    def _renew(self, owner: bytes, tag: str, ended: threading.Event) -> None:
+        while not ended.wait(LEASE / 4):
+            # An endpoint out of reach: tried again, until the lease is over and somebody else may have it.
+            with suppress(OSError):
+                tag = self._put(owner, {"e_tag": tag})
+
+    def _put(self, owner: bytes, mode: Any) -> str:
+        import obstore
+
+        with os_errors(self):
+            done = obstore.put(_bucket(self.bucket), self.key, owner, mode=mode)
+        return str(done["e_tag"])
+
+    def _current(self) -> tuple[str, datetime, bytes]:
+        import obstore
+
+        with os_errors(self):
+            found = obstore.get(_bucket(self.bucket), self.key)
+            return str(found.meta["e_tag"]), found.meta["last_modified"], bytes(found.bytes())
+
+    def _now(self) -> datetime:
+        """By the object store's clock, which dates its objects."""
+        import obstore
+
+        probe = f"{self.key}.{secrets.token_hex(4)}"
+        with os_errors(self):
+            obstore.put(_bucket(self.bucket), probe, b"")
+            when = obstore.head(_bucket(self.bucket), probe)["last_modified"]
+            obstore.delete(_bucket(self.bucket), probe)
+        return when
+
+
+@lru_cache(maxsize=64)
+def _bucket(bucket: str) -> S3Store:
+    """One client a bucket: its connections are used again and again."""
+    from obstore.store import S3Store
+
+    plain = os.environ.get("AWS_ENDPOINT_URL", "").startswith("http://")  # asked for by name
+    return S3Store(
+        bucket,
+        client_options={"timeout": REQUEST, "connect_timeout": "5s", "allow_http": plain},
+        retry_config={"max_retries": RETRIES, "retry_timeout": timedelta(seconds=PATIENCE)},
+    )
+
+
+@contextmanager
+def os_errors(where: Place) -> Iterator[None]:
+    """What an object store answers, as the OSError that a file system would raise; one line of it."""
+    if not isinstance(where, ObjectPlace):
+        yield
+        return
+    from obstore import exceptions
+
+    try:
+        yield
+    except exceptions.AlreadyExistsError as error:
+        raise FileExistsError(errno.EEXIST, "it exists already", str(where)) from error
+    except exceptions.PreconditionError as error:
+        raise FileExistsError(errno.EEXIST, "somebody else has written it", str(where)) from error
+    except FileNotFoundError as error:
+        if error.errno is not None:
+            raise  # it has been through here
+        what = "the bucket does not exist" if "NoSuchBucket" in str(error) else "it does not exist"
+        raise FileNotFoundError(errno.ENOENT, what, str(where)) from error
+    except (exceptions.PermissionDeniedError, exceptions.UnauthenticatedError, PermissionError) as error:
+        if isinstance(error, OSError) and error.errno is not None:
+            raise
+        raise PermissionError(errno.EACCES, "the object store refuses these credentials", str(where)) from error
+    except exceptions.BaseError as error:
+        text = str(error)
+        if "NoSuchBucket" in text:
+            raise FileNotFoundError(errno.ENOENT, "the bucket does not exist", str(where)) from error
+        if re.search(r"//169\.254\.|/latest/(api|meta-data)", text):  # what it asks where the environment says nothing
+            what = "there are no credentials for it, neither in the environment nor from the machine"
+            raise PermissionError(errno.EACCES, what, str(where)) from error
+        if "403 Forbidden" in text or "401 Unauthorized" in text:  # of a list, which has no error of its own for this
+            raise PermissionError(errno.EACCES, "the object store refuses these credentials", str(where)) from error
+        if "error sending request" in text:
+            endpoint = os.environ.get("AWS_ENDPOINT_URL", "AWS")
+            raise OSError(errno.EHOSTUNREACH, f"the object store at {endpoint} does not answer", str(where)) from error
+        sentence = " ".join(re.sub(r"<[^>]*>", " ", text.split("\n\nDebug source:", maxsplit=1)[0]).split())
+        raise OSError(errno.EIO, sentence[:300], str(where)) from error

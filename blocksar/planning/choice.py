@@ -1,0 +1,103 @@
+"""Which processor: every chain's plan side by side, and the one to propose with its reason.
+
+All plans are made of the same geometry, so the residuals that their traced lines predict can be compared, and so
+can the work: floating-point operations of their transforms and resamplings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import get_args
+
+from blocksar.budget import LOSS_BUDGET, MIGRATION_BUDGET, PHASE_BUDGET, SIDE_LOBE_BUDGET
+from blocksar.errors import InputError
+from blocksar.focusing.method import Chain, Method
+from blocksar.planning.block import BlockPlan
+from blocksar.planning.plan import Plan
+
+ALIKE = 1.1  # times the least work: within that, the sharper one is taken
+
+
+@dataclass(frozen=True)
+class Contender:
+    """A processor with its plan, or with the reason why there is none."""
+
+    processor: Chain
+    plan: Plan | None
+    refusal: str | None
+
+    @property
+    def worst(self) -> BlockPlan:
+        assert self.plan is not None
+        return max(self.plan.blocks, key=lambda block: block.prediction.excess)
+
+    @property
+    def serves(self) -> bool:
+        return self.plan is not None and self.refusal is None and self.plan.within_budget() and self.loss <= LOSS_BUDGET
+
+    @property
+    def loss(self) -> float:
+        assert self.plan is not None
+        return max(block.prediction.loss for block in self.plan.blocks)
+
+
+def contend(plan: Callable[[Method], Plan]) -> list[Contender]:
+    """Every processor's plan.
+
+    Raises
+    ------
+    InputError
+        If none can be planned: what the first one said.
+    """
+    found, refused = [], []
+    for processor in get_args(Chain):
+        try:
+            made = plan(Method(processor=processor))
+            found.append(Contender(processor, made, made.refusal))
+        except InputError as error:
+            refused.append(error)
+            found.append(Contender(processor, None, str(error)))
+    if len(refused) == len(found):
+        raise refused[0]
+    return found
+
+
+def propose(contenders: list[Contender]) -> tuple[Contender | None, str]:
+    """Who is to be taken, and why; None if nobody will do."""
+    able = [c for c in contenders if c.plan is not None and c.refusal is None]
+    if not able:
+        reasons = "; ".join(f"{c.processor}: {c.refusal}" for c in contenders)
+        return None, f"no chain focuses this collection ({reasons}); backprojection does"
+    good = [c for c in able if c.serves]
+    if not good:
+        best = min(able, key=_excess)
+        return best, f"no processor stays within the budgets; {best.processor} comes closest: {_figures(best)}"
+    least = min(_work(c) for c in good)
+    best = min((c for c in good if _work(c) <= ALIKE * least), key=_excess)
+    others = [f"{c.processor} takes {_work(c) / _work(best):.2f} times its work" for c in good if c is not best]
+    others += [f"{c.processor} does not ({_failing(c)})" for c in contenders if c not in good]
+    return best, f"{best.processor} is proposed: it stays within the budgets ({_figures(best)}); " + ", ".join(others)
+
+
+def _excess(contender: Contender) -> float:
+    assert contender.plan is not None
+    return contender.plan.excess()
+
+
+def _work(contender: Contender) -> float:
+    assert contender.plan is not None
+    return contender.plan.work()
+
+
+def _figures(contender: Contender) -> str:
+    worst = contender.worst.prediction
+    return (
+        f"phase {worst.residual_phase:.3g} of {PHASE_BUDGET:g} rad, side lobes {worst.pslr:.2f} dB, allowed "
+        f"-13.26 +- {SIDE_LOBE_BUDGET:g}, migration {worst.migration:.2g} of {MIGRATION_BUDGET:g} cells, "
+        f"{100 * contender.loss:.1f} of {100 * LOSS_BUDGET:g} % of the dwell lost at its ends"
+    )
+
+
+def _failing(contender: Contender) -> str:
+    return contender.refusal or "" if contender.plan is None else _figures(contender)

@@ -1,0 +1,75 @@
+"""Predicted peak memory of a worker, stage by stage."""
+
+from __future__ import annotations
+
+import math
+
+from blocksar.chunks import BACKPROJECTION_CHUNK, COLUMN_CHUNK, DOPPLER_GROUP, IMAGE_PIXELS, TILE
+from blocksar.collection.collection import Collection
+from blocksar.collection.grid import Grid
+from blocksar.collection.raw_echo import RawEcho
+from blocksar.constants import MIB
+from blocksar.errors import InputError
+from blocksar.focusing.backprojection import image_memory
+from blocksar.focusing.range_compression import COMPRESSED_ROWS
+from blocksar.focusing.range_steps import RangeGate
+from blocksar.kernels.fourier import Axis
+from blocksar.kernels.groups import GROUP_BYTES
+from blocksar.planning.tiling import image_chunk, inspection_width
+
+MEMORY_SHARE = 0.8  # of a worker's limit that a plan may fill
+PROCESS_MEMORY = 288 * MIB  # a worker's interpreter and libraries, before any sample
+
+
+def checked_back_projection_memory(collection: Collection, grid: Grid, threads: int, memory_limit: int) -> int:
+    """Peak of a worker, bytes; refuses what the limit does not hold."""
+    memory = back_projection_memory(collection, grid, threads=threads)
+    return checked_memory("back-projection", memory, memory_limit)
+
+
+def checked_memory(what: str, memory: int, memory_limit: int) -> int:
+    """So many bytes of a worker, unless its limit does not hold them."""
+    if memory > MEMORY_SHARE * memory_limit:
+        raise InputError(
+            f"memory limit {memory_limit / MIB:.0f} MiB a worker is too low: {what} needs about "
+            f"{math.ceil(memory / MEMORY_SHARE / MIB)} MiB; raise --memory-limit"
+        )
+    return memory
+
+
+def compression_memory(collection: Collection, raw: RawEcho | None) -> int:
+    """Peak of a worker that range-compresses a raw echo, bytes; 0 where there is none."""
+    if raw is None:
+        return 0
+    echo, band = raw.fast_time.size, collection.range_frequency.size
+    pulses = 8 * TILE[0] * (2 * echo + 2 * band)  # as read, and as chunks give and take them
+    return PROCESS_MEMORY + pulses + COMPRESSED_ROWS * (8 * echo + 5 * 16 * band)
+
+
+def back_projection_memory(collection: Collection, grid: Grid, *, threads: int) -> int:
+    """Peak of a worker that looks through a phase history and back-projects it, bytes."""
+    pixels, part = math.prod(image_chunk(grid)), min(math.prod(image_chunk(grid)), BACKPROJECTION_CHUNK**2)
+    looking = 2 * 8 * inspection_width(collection) * collection.n_pulse  # as read, and as chunks give it
+    forming = 3 * 8 * pixels + image_memory(part, collection, threads=threads)  # image, covered part, bytes to write
+    return PROCESS_MEMORY + max(looking, forming)
+
+
+def block_memory(
+    *, gate: RangeGate | None, frequency: Axis, n_bin: int, n_column: int, n_row: int, n_image: int, length: int
+) -> int:
+    """Peak of a worker that focuses a block, bytes: what each stage reads and writes.
+
+    Stages work in place, but for a range gate's slab, and for an image that is wider in Doppler than the signal was
+    long.
+    """
+    buffer = max(frequency.size, n_row) * n_column
+    if gate is None:
+        loaded = n_bin * COLUMN_CHUNK
+        held = [2 * loaded + buffer]
+    else:
+        slab, loaded = frequency.size * n_bin, DOPPLER_GROUP * gate.full.size
+        held = [2 * loaded + slab, slab + buffer]
+    groups = 4 * max(GROUP_BYTES, 8 * 8 * length)
+    if n_image > n_column:
+        held.append(buffer + n_row * n_image)
+    return PROCESS_MEMORY + 8 * max(*held, buffer + 3 * IMAGE_PIXELS) + groups

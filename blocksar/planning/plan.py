@@ -1,0 +1,260 @@
+"""From a collection's metadata to everything that focusing needs: no sample is read.
+
+Blocks with their Doppler supports, margins, padding and coefficients; where every target will focus and
+with what phase; predicted residual phase, side lobes, width and range migration; memory of a task.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+
+from blocksar.arrays import FloatArray
+from blocksar.chunks import CHUNK_SAMPLES, COLUMN_CHUNK, SIGNAL_BYTES, SIGNAL_COLUMNS, SPECTRUM_BYTES
+from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.grid import Grid
+from blocksar.collection.region import Extent, Region, block_seams, default_grid, grid_extent, plan_region
+from blocksar.constants import MIB, SPEED_OF_LIGHT
+from blocksar.errors import InputError
+from blocksar.focusing.method import Method
+from blocksar.focusing.recovery import Recovery
+from blocksar.focusing.step import stages
+from blocksar.kernels.operations import Resample, Stretch, Transform
+from blocksar.planning.block import BlockPlan, plan_block
+from blocksar.planning.memory import MEMORY_SHARE, PROCESS_MEMORY
+from blocksar.planning.recovery import plan_recovery
+from blocksar.planning.refusal import folded, refusal_of
+
+DEFAULT = Method()
+MAX_BLOCKS = 32
+MOST_BLOCKS = 1000  # that may be asked for
+MAX_PARTS = 64  # range sub-blocks of a block
+
+
+@dataclass(frozen=True)
+class Transforms:
+    """FFTs of one length that a stage takes."""
+
+    stage: str
+    count: int
+    length: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Plan:
+    """How a collection will be focused: everything the tasks need, and what to expect of them.
+
+    Attributes
+    ----------
+    seams : (n_blocks + 1,) float
+        Yaw at which blocks begin and end, rad; only blocks that the grid touches are planned.
+    parts : int
+        Range sub-blocks of every block, 1 where blocks are whole; each is a `BlockPlan` of its own.
+    refusal : str or None
+        Why the geometry cannot be focused, with the figure.
+    """
+
+    geometry: Geometry
+    grid: Grid
+    region: Region
+    recovery: Recovery
+    seams: FloatArray
+    parts: int
+    blocks: tuple[BlockPlan, ...]
+    method: Method
+    refusal: str | None
+
+    @property
+    def n_blocks(self) -> int:
+        return self.seams.size - 1
+
+    @property
+    def spectrum_chunk(self) -> tuple[int, int]:
+        """Doppler bins and range frequencies of a chunk of the spectrum."""
+        column = COLUMN_CHUNK
+        while column > 16 and 8 * column * self.recovery.doppler.size > SPECTRUM_BYTES:
+            column //= 2
+        return min(CHUNK_SAMPLES // column, self.recovery.doppler.size), column
+
+    @property
+    def column_group(self) -> int:
+        """Range frequencies recovered by a task, whole chunks of the spectrum."""
+        chunk = self.spectrum_chunk[1]
+        fitting_ = SIGNAL_BYTES // (8 * self.recovery.pulses.size * chunk)
+        return chunk * max(min(fitting_, SIGNAL_COLUMNS // chunk), 1)
+
+    @property
+    def recovery_memory(self) -> int:
+        """Peak of a worker that recovers the spectrum, bytes."""
+        signal = self.column_group * self.recovery.pulses.size
+        return PROCESS_MEMORY + 8 * (2 * signal + 2 * self.spectrum_chunk[1] * self.recovery.doppler.size)
+
+    @property
+    def memory(self) -> int:
+        """Peak of a worker, bytes."""
+        return max(self.recovery_memory, *(block.memory for block in self.blocks))
+
+    def transforms(self) -> list[Transforms]:
+        """All FFTs of samples that carrying out the plan takes, in order."""
+        frequency = self.geometry.collection.range_frequency
+        found = [Transforms("recover", frequency.size, n) for n in self.recovery.program(frequency).transforms]
+        for block in self.blocks:
+            for stage in stages(block.chain):
+                found += [Transforms(stage.name, stage.program.n_row, n) for n in stage.program.transforms]
+        return found
+
+    def work(self) -> float:
+        """Floating-point operations of all transforms and resamplings of the blocks."""
+        total = 0.0
+        for step in (step for block in self.blocks for step in block.chain):
+            for operation in step.operations():
+                if isinstance(operation, Transform):
+                    total += step.n_row * 5 * operation.period * math.log2(operation.period)
+                elif isinstance(operation, Stretch | Resample):
+                    total += step.n_row * 4 * step.source.size * operation.taps.shape[1]
+        return total
+
+    def excess(self) -> float:
+        """The worst of phase, side lobes and migration, each over what it may be: at most 1 is a good plan."""
+        return max(block.prediction.excess for block in self.blocks)
+
+    def within_budget(self) -> bool:
+        return self.excess() <= 1.0
+
+
+def plan_collection(
+    collection: Collection,
+    *,
+    blocks: int | Literal["auto"] = "auto",
+    parts: int | Literal["auto"] = "auto",
+    method: Method = DEFAULT,
+    grid: Grid | None = None,
+    workers: int = 1,
+    memory_limit: int | None = None,
+) -> Plan:
+    """Plan a collection for a processor.
+
+    `auto` takes the fewest blocks that meet the phase and migration budgets, at least one a worker, and the fewest
+    range sub-blocks of each that fit a worker's memory.
+
+    Raises
+    ------
+    InputError
+        If the PRF is too low, the grid is empty or outside the swath, or no number of sub-blocks fits the memory.
+    """
+    if blocks != "auto" and not 1 <= blocks <= MOST_BLOCKS:
+        raise InputError(f"blocks = {blocks}: ask for 1 to {MOST_BLOCKS}, or for 'auto'")
+    geometry = Geometry(collection=collection)
+    region = plan_region(geometry, grid)
+    recovery = plan_recovery(geometry, region, linear=method.derotation == "linear")
+    grid = grid or default_grid(geometry, region)
+    extent = grid_extent(geometry, region, grid)
+
+    def plan(count: int, divided: int, *, probe: bool = False) -> Plan:
+        return _plan_blocks(geometry, region, recovery, grid, extent, count, divided, method, probe=probe)
+
+    whole = 1 if parts == "auto" else parts
+    made = plan(blocks, whole) if blocks != "auto" else _fewest_blocks(partial(plan, divided=whole), workers)
+    if memory_limit is None or made.refusal is not None:
+        return made
+    return _fewest_parts(partial(plan, made.n_blocks), made, memory_limit, fixed=parts != "auto")
+
+
+def _fewest_blocks(plan: Callable[..., Plan], workers: int) -> Plan:
+    """The first plan within its budgets; while they are far from it, the outermost blocks and the middle one tell."""
+    best, stale = math.inf, 0
+    for count in range(min(max(workers, 1), MAX_BLOCKS), MAX_BLOCKS + 1):
+        made = plan(count, probe=True)
+        if made.excess() <= 1.0 and (whole := plan(count)).excess() <= 1.0:
+            return whole
+        if folded(made.blocks) is not None:
+            break
+        # Margins do not shrink with the blocks: stop once more of them have brought nothing three times.
+        excess = made.excess()
+        stale = stale + 1 if excess > 0.97 * best else 0
+        best = min(best, excess)
+        if stale == 3:
+            break
+    return plan(count)
+
+
+def _fewest_parts(plan: Callable[[int], Plan], whole: Plan, memory_limit: int, *, fixed: bool) -> Plan:
+    """The plan with its blocks in as many range sub-blocks as a worker's memory asks for."""
+    made, room = whole, MEMORY_SHARE * memory_limit
+    least = max(made.recovery_memory, PROCESS_MEMORY)
+    if room <= least:
+        raise InputError(
+            f"memory limit {memory_limit / MIB:.0f} MiB a worker is too low: recovery needs about "
+            f"{math.ceil(least / MEMORY_SHARE / MIB)} MiB, however blocks are divided; raise --memory-limit"
+        )
+    needed = [made.memory]
+    while made.memory > room:
+        if fixed or made.parts == MAX_PARTS:
+            break
+        share = (made.memory - PROCESS_MEMORY) / (room - PROCESS_MEMORY)
+        made = plan(min(max(made.parts + 1, math.ceil(0.9 * made.parts * share)), MAX_PARTS))
+        needed.append(made.memory)
+        if len(needed) > 2 and needed[-1] > 0.97 * needed[-2]:
+            break
+    if made.memory > room:
+        raise InputError(
+            f"memory limit {memory_limit / MIB:.0f} MiB a worker is too low: {made.n_blocks} blocks need about "
+            f"{math.ceil(min(needed) / MEMORY_SHARE / MIB)} MiB even in {made.parts} range sub-blocks; raise "
+            "--memory-limit, ask for more --blocks, or image a smaller grid"
+        )
+    return made
+
+
+def _plan_blocks(
+    geometry: Geometry,
+    region: Region,
+    recovery: Recovery,
+    grid: Grid,
+    extent: Extent,
+    count: int,
+    divided: int,
+    method: Method,
+    *,
+    probe: bool,
+) -> Plan:
+    """All blocks that the grid touches; of many, as a probe, only the outermost and the one in the middle."""
+    seams = block_seams(geometry, region, count)
+    planned = []
+    touched = [i for i in range(count) if seams[i + 1] > extent.low and seams[i] < extent.high]
+    if probe:
+        touched = sorted({touched[0], touched[len(touched) // 2], touched[-1]})
+    for index in touched:
+        low, high = float(seams[index]), float(seams[index + 1])
+        near, far = region.limits(low, high)
+        near, far = max(near, extent.near), min(far, extent.far)
+        # Rows are told apart modulo the range window: a block cannot hold more than that.
+        excess = (far - near) - 0.97 * geometry.collection.range_window
+        if excess > 0:
+            near, far = near + excess / 2, far - excess / 2
+        if far <= near:
+            continue
+        # Nine ranges need some room between them for their polynomials to mean anything.
+        least = 64 * SPEED_OF_LIGHT / (2 * geometry.collection.bandwidth)
+        room = max(least - (far - near), 0.0) / 2
+        edges = np.linspace(near - room, far + room, divided + 1)
+        candidate = None
+        for part, (nearest, farthest) in enumerate(pairwise(edges.tolist())):
+            block = plan_block(
+                geometry, recovery, region, index=index, part=part if divided > 1 else None, low=low, high=high,
+                near=nearest, far=farthest, method=method, candidate=candidate,
+            )  # fmt: skip
+            candidate = block.candidate
+            planned.append(block)
+    if not planned:
+        raise InputError(f"none of {count} blocks holds a point of the grid; give it a finer step, or move it")
+    return Plan(
+        geometry=geometry, grid=grid, region=region, recovery=recovery, seams=seams, parts=divided,
+        blocks=tuple(planned), method=method, refusal=refusal_of(planned, method),
+    )  # fmt: skip

@@ -1,0 +1,80 @@
+"""Time-frequency lines of targets in the recovered spectrum."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.polynomial import chebyshev
+
+from blocksar.arrays import FloatArray
+from blocksar.collection.geometry import Geometry
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.focusing.lines import Line
+from blocksar.focusing.recovery import NOTHING_IN_COMMON, CommonRange
+
+LINE_NODES = 16
+TAIL_ENERGY = 1e-3  # of a target's energy that may lie outside its block's Doppler support
+
+
+def recovered_line(
+    geometry: Geometry,
+    *,
+    epoch_range: FloatArray,
+    yaw: FloatArray,
+    origin: float,
+    walk: float,
+    common: CommonRange = NOTHING_IN_COMMON,
+) -> Line:
+    """Lines of targets in the recovered signal, LINE_NODES samples each; the two inputs are broadcast.
+
+    Dwells cut by the ends of the collection are traced as they are; targets lit for less than a
+    twentieth of a dwell are traced over that much, inside the collection.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(LINE_NODES)
+    epoch_range, yaw = np.broadcast_arrays(epoch_range, yaw)
+    first, last = geometry.dwell(yaw)
+    collection = geometry.collection
+    shortest = 0.05 * float(np.max(last - first))
+    middle = np.clip((first + last) / 2, collection.time[0] + shortest / 2, collection.time[-1] - shortest / 2)
+    length = np.maximum(last - first, shortest)[..., None]
+    time = middle[..., None] + length / 2 * nodes
+    point = geometry.ground_point(epoch_range, yaw)[..., None, :]
+    rng, rate = geometry.range_history(point, time)
+    curvature = geometry.range_curvature(point, time)
+    slow = time - geometry.epoch
+    rho = rng - origin - walk * slow - common.at(slow)
+    to_cycles = -2 * collection.carrier / SPEED_OF_LIGHT
+    return Line(
+        time=slow,
+        doppler=to_cycles * (rate - walk - common.at(slow, 1)),
+        rate=to_cycles * (curvature - common.at(slow, 2)),
+        phase=to_cycles * rho,
+        range=rho,
+        stretch=np.ones_like(rho),
+        weight=length / 2 * weights,
+    )
+
+
+def tail_margin(duration: float) -> float:
+    """Doppler beyond a line's ends that holds all but TAIL_ENERGY of a target lit for `duration`, Hz.
+
+    A chirp that starts and stops sharply has spectral tails 1 / (2 pi f) from either end; the energy
+    beyond f is 1 / (pi^2 f duration) of the whole.
+    """
+    return 1.0 / (np.pi**2 * TAIL_ENERGY * duration)
+
+
+def middle_line(u: FloatArray, doppler: FloatArray, *, order: int) -> FloatArray:
+    """Chebyshev series through the middle of the lit band at each time u in [-1, 1]: what derotation follows.
+
+    Paper A (8) follows the beam's centre at the reference range; the middle of all that is lit at a time
+    needs a little less PRF, and is the same thing where the swath is narrow.
+    """
+    bins = np.clip(((u + 1) / 2 * 48).astype(int), 0, 47)
+    low, high, count = np.full(48, np.inf), np.full(48, -np.inf), np.zeros(48)
+    np.minimum.at(low, bins, doppler)
+    np.maximum.at(high, bins, doppler)
+    np.add.at(count, bins, 1)
+    filled = count > 0
+    # The middle of a time bin, not of its samples: a bin cut by the aperture's end would pull the fit.
+    place = ((np.arange(48) + 0.5) / 24 - 1)[filled]
+    return np.asarray(chebyshev.chebfit(place, (low[filled] + high[filled]) / 2, min(order, int(filled.sum()) - 1)))

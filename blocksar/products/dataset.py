@@ -1,0 +1,272 @@
+"""What people do next with an image that `blocksar.open` gave: `ds.sar` has db, crop, plot, cut and netcdf.
+
+`blocksar.open` registers the accessor; for datasets that were opened in another way, `import blocksar.accessor` does.
+"""
+
+from __future__ import annotations
+
+import json
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+
+from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.collection.georeference import Georeference
+from blocksar.errors import InputError
+from blocksar.measurement.response import MIN_HALF_TAPS, Complex128Array, interpolate
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+GRID_MAPPING = "spatial_ref"  # the name that rioxarray looks for first
+UNEVEN = 1e-3  # of a pixel that its neighbours' distances may differ by
+PIECE = 32  # pixels of a cut that are interpolated with one carrier
+Span = tuple[float | None, float | None]
+_ENDS = (-np.inf, np.inf)  # of a span without
+
+
+def prepare(dataset: xr.Dataset) -> xr.Dataset:
+    """Name x and y of an image as CF does, and tell its map projection if it is georeferenced.
+
+    Raises
+    ------
+    InputError
+        If its georeference is wrong.
+    """
+    if "image" not in dataset or not {"x", "y"} <= set(dataset.coords):
+        return dataset
+    frame = _frame(dataset.attrs)
+    for axis in "xy":
+        dataset[axis].attrs["axis"] = axis.upper()
+        dataset[axis].encoding["_FillValue"] = None  # else xarray writes one, and CF knows none of coordinates
+    if frame is None:
+        return dataset
+    mapping = frame.grid_mapping(float(dataset.attrs.get("ground_height") or 0.0))
+    if mapping is None:
+        return dataset
+    mapping["long_name"] = "map projection whose easting and northing are x and y"
+    dataset = dataset.assign_coords({GRID_MAPPING: xr.Variable((), np.int32(0), mapping)})
+    for axis in "xy":
+        dataset[axis].attrs["standard_name"] = f"projection_{axis}_coordinate"
+    for name in ("image", "block"):
+        if name in dataset:
+            dataset[name].attrs["grid_mapping"] = GRID_MAPPING
+    return dataset
+
+
+def _frame(attrs: dict[str, Any]) -> Georeference | None:
+    """Where the image lies; `georeference` may be a mapping, or JSON text of one, as `SarAccessor.netcdf` leaves it."""
+    told = attrs.get("georeference")
+    if isinstance(told, str):
+        with suppress(ValueError):  # the text itself is refused next
+            told = json.loads(told)
+    return None if told is None else Georeference.from_attribute(told)
+
+
+@xr.register_dataset_accessor("sar")  # type: ignore[no-untyped-call]
+class SarAccessor:
+    """Of a dataset that holds `image` (y, x), complex, over x and y in m."""
+
+    def __init__(self, dataset: xr.Dataset) -> None:
+        self._dataset = dataset
+
+    @property
+    def _image(self) -> xr.DataArray:
+        if "image" not in self._dataset or self._dataset["image"].dims != ("y", "x"):
+            raise InputError("the dataset holds no image (y, x); open a run, or its image.zarr, with blocksar.open")
+        return self._dataset["image"]
+
+    def db(self) -> xr.DataArray:
+        """Power in dB, 0 being that of a target of reflectivity 1; NaN where not covered, -inf where there is nothing.
+
+        Reads what the dataset holds: `crop` first, or give the dataset chunks (`ds.chunk()`), and it is lazy.
+        """
+
+        def decibel(values: ComplexArray) -> Any:
+            with np.errstate(divide="ignore"):
+                return 10 * np.log10(values.real**2 + values.imag**2)
+
+        image = self._image
+        power = xr.apply_ufunc(
+            decibel, image, dask="parallelized", dask_gufunc_kwargs={"meta": np.empty((0, 0), np.float32)}
+        )
+        power.attrs = {"units": "dB", "long_name": "power over that of unit reflectivity"}
+        if "grid_mapping" in image.attrs:
+            power.attrs["grid_mapping"] = image.attrs["grid_mapping"]
+        return power.rename("power")
+
+    def crop(self, x: Span = (None, None), y: Span = (None, None)) -> xr.Dataset:
+        """The pixels between ground coordinates, m, ends included; None is the image's own end. Reads no pixel.
+
+        Raises
+        ------
+        InputError
+            If nothing is left, or a span is no pair of numbers.
+        """
+        chosen = {}
+        for name, span in (("x", x), ("y", y)):
+            if name not in self._dataset.coords:
+                raise InputError(f"the dataset has no coordinate {name}; open a run, or its image.zarr")
+            axis = self._dataset[name].values
+            try:
+                low, high = (end if given is None else float(given) for given, end in zip(span, _ENDS, strict=True))
+            except (TypeError, ValueError):
+                raise InputError(f"{name} is {span!r}; give two ends in m, the lower first, or None for one") from None
+            if low > high:
+                raise InputError(f"{name} runs from {low:g} to {high:g} m; give the lower end first")
+            inside = np.flatnonzero((axis >= low) & (axis <= high))
+            if inside.size == 0:
+                raise InputError(
+                    f"{name} from {low:g} to {high:g} m holds no pixel; "
+                    f"the image has {axis.min():g} .. {axis.max():g} m"
+                )
+            chosen[name] = slice(int(inside[0]), int(inside[-1]) + 1)
+        return self._dataset.isel(chosen)
+
+    def netcdf(self) -> xr.Dataset:
+        """The dataset as netCDF can hold it, to be saved with `to_netcdf`.
+
+        `image` goes as `image_real` and `image_imag`: there are no complex numbers; attributes that are no numbers and
+        no text (settings, predicted, warnings, georeference) as JSON text. Reads what the dataset holds, unless it has
+        chunks: `crop` first.
+        """
+        image = self._image
+        made = self._dataset.drop_vars("image")
+        for name, part in (("real", image.real), ("imag", image.imag)):
+            attrs = image.attrs | {"long_name": f"{image.attrs.get('long_name', 'image')}, {name} part"}
+            made[f"image_{name}"] = part.assign_attrs(attrs)
+        return made.assign_attrs(
+            {
+                name: value
+                if isinstance(value, str | int | float) and not isinstance(value, bool)
+                else json.dumps(value)
+                for name, value in self._dataset.attrs.items()
+            }
+        )
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the image in decibels, by cells of mean power, with scale bar and, if georeferenced, north.
+
+        Strips of the image are read one after another. Without `ax`, in a new figure of pyplot.
+
+        Raises
+        ------
+        InputError
+            If matplotlib is not installed.
+        """
+        try:
+            from blocksar.products.pictures import quicklook  # optional, and slow to load
+        except ModuleNotFoundError as error:
+            raise InputError(f"{error.name} is not installed, which pictures need; install blocksar[plots]") from None
+        image = self._upright()
+        frame = _frame(self._dataset.attrs)
+        arrows = [] if frame is None else [quicklook.north(frame.rotation)]
+
+        def read(rows: slice, columns: slice) -> ComplexArray:
+            return np.asarray(image[rows, columns].values)
+
+        axes = quicklook.show(read, *_axes(image), axes=ax, arrows=arrows)
+        axes.set_title(str(self._dataset.attrs.get("title", "")))
+        return axes
+
+    def cut(
+        self, x: float, y: float, *, azimuth: float | None = None, length: float = 20.0, samples: int = 401
+    ) -> xr.DataArray:
+        """Power along a straight line through a point, dB.
+
+        Parameters
+        ----------
+        x, y : float
+            m, the middle of the cut.
+        azimuth : float, optional
+            Direction in degrees, from the x axis towards the y axis; along x if None.
+        length : float
+            m, from end to end.
+        samples : int
+            Interpolated, band-limited, from the pixels about the line, which alone are read. The image has kept its
+            carrier, folded into the band of its pixels: it is taken off piece by piece.
+
+        Returns
+        -------
+        DataArray
+            Over `distance` from the point, m, with coordinates x and y; NaN outside and near what is not covered.
+
+        Raises
+        ------
+        InputError
+            If the point lies outside the image, or length or samples are below what makes a line.
+        """
+        if not 0 < length < np.inf or samples < 2:
+            raise InputError(f"a cut of {length:g} m in {samples} samples is no line; give more than 0 m and 1 sample")
+        if azimuth is not None and not np.isfinite(azimuth):
+            raise InputError(f"azimuth is {azimuth:g}; give degrees from the x axis towards the y axis, or None")
+        image = self._upright()
+        axis_x, axis_y = _axes(image)
+        if not (axis_x[0] <= x <= axis_x[-1] and axis_y[0] <= y <= axis_y[-1]):
+            raise InputError(
+                f"x = {x:g} m, y = {y:g} m lies outside the image, which has x {axis_x[0]:g} .. {axis_x[-1]:g} m and "
+                f"y {axis_y[0]:g} .. {axis_y[-1]:g} m"
+            )
+        distance = np.linspace(-length / 2, length / 2, samples)
+        turn = np.radians(azimuth or 0.0)
+        at_x, at_y = x + distance * np.cos(turn), y + distance * np.sin(turn)
+        values = np.empty(samples, np.complex128)
+        spacing = min((axis[-1] - axis[0]) / (axis.size - 1) for axis in (axis_x, axis_y))
+        for part in np.array_split(np.arange(samples), min(samples, int(np.ceil(length / (PIECE * spacing))))):
+            values[part] = _at(image, at_x[part], at_y[part])
+        with np.errstate(divide="ignore"):
+            power = 20 * np.log10(np.abs(values))
+        return xr.DataArray(
+            power,
+            dims="distance",
+            coords={
+                "distance": ("distance", distance, {"units": "m", "long_name": "distance along the cut"}),
+                "x": ("distance", at_x, {"units": "m", "long_name": "x in the scene frame"}),
+                "y": ("distance", at_y, {"units": "m", "long_name": "y in the scene frame"}),
+            },
+            name="power",
+            attrs={"units": "dB", "long_name": "power over that of unit reflectivity"},
+        )
+
+    def _upright(self) -> xr.DataArray:
+        """The image with x and y ascending, whichever way somebody has sorted them. Reads no pixel."""
+        image = self._image
+        back = [name for name in "xy" if image[name].size > 1 and image[name].values[0] > image[name].values[-1]]
+        return image.isel({name: slice(None, None, -1) for name in back})
+
+
+def _axes(image: xr.DataArray) -> tuple[FloatArray, FloatArray]:
+    x, y = (np.asarray(image[name].values, np.float64) for name in "xy")
+    if x.size < 2 or y.size < 2:
+        raise InputError(f"the image has {y.size} x {x.size} pixels, which are no picture; crop less")
+    for name, axis in (("x", x), ("y", y)):
+        steps = np.diff(axis)
+        if not (np.abs(steps - steps.mean()) < UNEVEN * steps.mean()).all():
+            raise InputError(f"{name} of the image is not evenly spaced; take its pixels by slices with one step")
+    return x, y
+
+
+def _at(image: xr.DataArray, x: FloatArray, y: FloatArray) -> Complex128Array:
+    """Pixels interpolated at points near one another, but for the phase."""
+    places, spans = [], []
+    for axis, wanted in zip(_axes(image), (x, y), strict=True):
+        index = (wanted - axis[0]) / (axis[-1] - axis[0]) * (axis.size - 1)
+        low = int(np.clip(np.floor(index.min()) - MIN_HALF_TAPS, 0, axis.size))
+        high = int(np.clip(np.ceil(index.max()) + MIN_HALF_TAPS + 1, 0, axis.size))
+        places.append(index - low)
+        spans.append(slice(low, high))
+    chip = np.asarray(image[spans[1], spans[0]].values, np.complex128)
+    if chip.size == 0:
+        return np.full(x.shape, np.nan + 0j)
+    return interpolate(_without_carrier(_without_carrier(chip, 0), 1), row=places[1], column=places[0])
+
+
+def _without_carrier(chip: Complex128Array, axis: int) -> Complex128Array:
+    """Turn a chip's phase back by the mean step from pixel to pixel along an axis, so that its band is about zero."""
+    chip = np.moveaxis(chip, axis, 0)
+    known = np.where(np.isfinite(chip), chip, 0)
+    step = np.angle((known[1:] * known[:-1].conj()).sum())
+    return np.moveaxis(chip * np.exp(-1j * step * np.arange(len(chip)))[:, None], 0, axis)

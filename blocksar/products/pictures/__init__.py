@@ -1,0 +1,1 @@
+"""Pictures: mosaic, responses, panels and quick looks."""

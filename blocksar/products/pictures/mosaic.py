@@ -1,0 +1,133 @@
+"""A picture of the mosaic: magnitude, block borders and named targets."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from matplotlib import patheffects
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from blocksar.arrays import FloatArray
+from blocksar.measurement.targets import Target
+from blocksar.products.pictures.figures import MARK, new_figure, save
+from blocksar.products.pictures.overview import NOT_COVERED, ReadBlock, ReadImage, overview, stretch
+
+BORDER = "#ffb000"
+
+
+def plot_mosaic(
+    read_image: ReadImage,
+    image_x: FloatArray,
+    image_y: FloatArray,
+    path: str | Path,
+    *,
+    read_block: ReadBlock | None = None,
+    targets: Sequence[Target] = (),
+    labels: Sequence[str] | None = None,
+    title: str = "",
+    looks: Literal["max", "mean"] = "max",
+    max_pixels: int = 1400,
+) -> None:
+    """Write a PNG of the mosaic: dB against km, block borders, target marks, colour bar.
+
+    Parameters
+    ----------
+    read_image, image_x, image_y, read_block, looks, max_pixels
+        See `overview`; the image is read in strips and never held whole.
+    path : path
+        PNG to write.
+    targets : sequence of Target
+        All are marked if there are no more than 200.
+    labels : sequence of str, optional
+        Names of the targets to write out; by default all of them, if there are no more than 12.
+    title : str
+    """
+    seen = overview(read_image, image_x, image_y, read_block=read_block, max_pixels=max_pixels, looks=looks)
+    with np.errstate(divide="ignore"):
+        decibel = 10 * np.log10(seen.power)
+    low, high = stretch(decibel)
+    x_km, y_km = seen.x_edges / 1e3, seen.y_edges / 1e3
+    width, height = float(np.ptp(x_km)), float(np.ptp(y_km))
+    scale = 8.5 / max(width, height)
+    figure = new_figure(max(4.0, width * scale) + 2.0, max(3.0, height * scale) + 1.0)
+    axes = figure.add_subplot()
+    axes.set_facecolor(NOT_COVERED)
+    shown = np.ma.masked_invalid(np.where(np.isneginf(decibel), low, decibel))
+    picture = axes.imshow(
+        shown,
+        extent=(x_km[0], x_km[-1], y_km[0], y_km[-1]),
+        origin="lower",
+        cmap="gray",
+        vmin=low,
+        vmax=high,
+        interpolation="nearest",
+    )
+    if seen.block is not None:
+        borders = _borders(seen.block, x_km, y_km)
+        axes.add_collection(LineCollection(borders, colors=BORDER, linewidths=0.8, label="block border"))
+    if 0 < len(targets) <= 200:
+        axes.scatter(
+            [t.x / 1e3 for t in targets],
+            [t.y / 1e3 for t in targets],
+            s=70,
+            facecolors="none",
+            edgecolors=MARK,
+            linewidths=0.6,
+            label="target",
+        )
+    if labels is None:
+        labels = [t.name for t in targets] if len(targets) <= 12 else []
+    for target in targets:
+        if target.name in labels:
+            _name(axes, target)
+    axes.set(xlabel="x (km)", ylabel="y (km)", title=title or "Mosaic")
+    axes.set_xlim(x_km[0], x_km[-1])
+    axes.set_ylim(y_km[0], y_km[-1])
+    bar = figure.colorbar(picture, ax=axes, extend="both", shrink=0.85, pad=0.02)
+    bar.set_label("power (dB, unit reflectivity = 0)" + (", strongest pixel of a cell" if looks == "max" else ""))
+    handles, labels = axes.get_legend_handles_labels()
+    if np.isnan(seen.power).any():
+        handles.append(Patch(facecolor=NOT_COVERED))
+        labels.append("not covered")
+    if handles:
+        axes.legend(handles, labels, loc="upper left", fontsize=8, framealpha=0.85)
+    save(figure, path)
+
+
+def _name(axes: Axes, target: Target) -> None:
+    text = axes.annotate(
+        target.name,
+        (target.x / 1e3, target.y / 1e3),
+        xytext=(6, 5),
+        textcoords="offset points",
+        color=MARK,
+        fontsize=10,
+    )
+    text.set_path_effects([patheffects.withStroke(linewidth=2.5, foreground="black")])
+
+
+def _borders(block: NDArray[np.int16], x_edges: FloatArray, y_edges: FloatArray) -> list[FloatArray]:
+    """Line pieces (2, 2) along the cell edges where two different blocks meet; the coverage's rim is no border."""
+
+    def runs(change: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
+        steps = np.flatnonzero(np.diff(np.concatenate([[False], change, [False]]).astype(np.int8)))
+        yield from zip(steps[::2].tolist(), steps[1::2].tolist(), strict=True)
+
+    pieces = []
+    across = (block[:, 1:] != block[:, :-1]) & (block[:, 1:] >= 0) & (block[:, :-1] >= 0)
+    for column in np.flatnonzero(across.any(axis=0)):
+        for first, last in runs(across[:, column]):
+            x = x_edges[column + 1]
+            pieces.append(np.array([[x, y_edges[first]], [x, y_edges[last]]]))
+    along = (block[1:] != block[:-1]) & (block[1:] >= 0) & (block[:-1] >= 0)
+    for row in np.flatnonzero(along.any(axis=1)):
+        for first, last in runs(along[row]):
+            y = y_edges[row + 1]
+            pieces.append(np.array([[x_edges[first], y], [x_edges[last], y]]))
+    return pieces

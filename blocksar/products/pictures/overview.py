@@ -1,0 +1,101 @@
+"""An image or a block map reduced to the size of a picture, read chunk by chunk."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from blocksar.arrays import ComplexArray, FloatArray
+
+ReadImage = Callable[[slice, slice], ComplexArray]
+ReadBlock = Callable[[slice, slice], NDArray[np.int16]]
+NOT_COVERED = "#39506b"  # slate blue: cannot be read as dark ground
+
+
+class Overview(NamedTuple):
+    """A decimated image. power (n_y, n_x), NaN = not covered; block likewise or None; cell edges in m."""
+
+    power: FloatArray
+    block: NDArray[np.int16] | None
+    x_edges: FloatArray
+    y_edges: FloatArray
+
+
+def overview(
+    read_image: ReadImage,
+    image_x: FloatArray,
+    image_y: FloatArray,
+    *,
+    read_block: ReadBlock | None = None,
+    max_pixels: int = 1400,
+    looks: Literal["max", "mean"] = "max",
+    strip: int = 2**22,
+) -> Overview:
+    """Decimate |image|^2 to at most `max_pixels` a side, reading a bounded strip of samples at a time.
+
+    Parameters
+    ----------
+    read_image : callable
+        (slice of y, slice of x) -> complex pixels, NaN where not covered.
+    image_x, image_y : (n_x,), (n_y,) float
+        Pixel positions, m; uniform.
+    read_block : callable, optional
+        Likewise -> block index, -1 where not covered.
+    max_pixels : int
+        Of the longer side of the result.
+    looks : "max" or "mean"
+        Strongest pixel of each cell, which never loses a point target, or mean power, which has least speckle.
+    strip : int
+        Pixels read at once, at most (one row of cells at least).
+    """
+    factor = max(1, -(-max(image_x.size, image_y.size) // max_pixels))
+    n_y, n_x = -(-image_y.size // factor), -(-image_x.size // factor)
+    power = np.full((n_y, n_x), np.nan)
+    block = np.full((n_y, n_x), -1, dtype=np.int16) if read_block is not None else None
+    rows_at_once = max(1, strip // (factor * image_x.size))
+    for first in range(0, n_y, rows_at_once):
+        cells = slice(first, min(first + rows_at_once, n_y))
+        rows = slice(cells.start * factor, min(cells.stop * factor, image_y.size))
+        pixels = read_image(rows, slice(0, image_x.size))
+        power[cells] = _reduce(pixels.real**2 + pixels.imag**2, factor, looks)
+        if block is not None and read_block is not None:
+            block[cells] = _reduce(read_block(rows, slice(0, image_x.size)), factor, "max")
+    return Overview(power, block, _edges(image_x, n_x, factor), _edges(image_y, n_y, factor))
+
+
+def _reduce(values: NDArray[np.float32] | NDArray[np.int16], factor: int, looks: Literal["max", "mean"]) -> FloatArray:
+    """Cells of factor x factor pixels, the last ones maybe smaller; NaN only where a whole cell is."""
+    padded = np.pad(
+        values.astype(np.float32), [(0, -n % factor) for n in values.shape], constant_values=np.float32(np.nan)
+    )
+    cells = padded.reshape(padded.shape[0] // factor, factor, padded.shape[1] // factor, factor)
+    present = np.isfinite(cells)
+    count = present.sum(axis=(1, 3))
+    if looks == "max":
+        found = np.where(present, cells, -np.inf).max(axis=(1, 3))
+    else:
+        found = np.where(present, cells, 0).sum(axis=(1, 3), dtype=np.float64) / np.maximum(count, 1)
+    return np.where(count > 0, found, np.nan)
+
+
+def _edges(axis: FloatArray, cells: int, factor: int) -> FloatArray:
+    step = float(axis[-1] - axis[0]) / max(axis.size - 1, 1)
+    return np.asarray(axis[0] - step / 2 + step * factor * np.arange(cells + 1))
+
+
+def stretch(power_db: FloatArray) -> tuple[float, float]:
+    """Darkest and brightest dB of a grey scale, for clutter and for isolated targets alike.
+
+    The top is the 99.9th percentile, but at least 12 dB over the median, so that even clutter is mid-grey, and
+    at most 20 dB under the strongest cell; the bottom is the 2nd percentile, but at least 25 and at most 60 dB
+    under the top.
+    """
+    finite = power_db[np.isfinite(power_db)]
+    if finite.size == 0:
+        return -60.0, 0.0
+    low, median, high = (float(v) for v in np.percentile(finite, [2, 50, 99.9]))
+    high = max(high, median + 12, float(finite.max()) - 20)
+    return float(np.clip(low, high - 60, high - 25)), high

@@ -1,0 +1,122 @@
+"""Pictures: the mosaic in decibels, contours of point responses and their cuts, and panels of curves and maps.
+
+Drawn with matplotlib's object interface on the Agg canvas, so no display and no global state is needed.
+Import this module where a picture is wanted, not before: matplotlib is slow to load.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
+from scipy.ndimage import zoom
+
+from blocksar.arrays import FloatArray
+from blocksar.constants import SINC_WIDTH
+from blocksar.measurement.figures import ResponseGrid, cuts, measure, response_grid
+from blocksar.measurement.response import CUT_WIDTHS, Complex128Array, Response
+from blocksar.products.pictures.figures import (
+    LEVEL_COLOURS,
+    Curve,
+    draw_legend,
+    label_outer_axes,
+    minus,
+    new_panels,
+    save,
+)
+
+PANEL_WIDTHS = 4.5  # median theoretical widths that a contour panel shows on either side
+CONTOUR_ZOOM = 4
+CONTOUR_LEVELS = (-30.0, -15.0, -3.0)  # dB, as in the paper's Figure 15
+
+
+def plot_contours(responses: Sequence[Response], path: str | Path, *, title: str = "") -> None:
+    """Write a PNG of contours at -3, -15 and -30 dB, one panel a target, on the response's own axes in metres.
+
+    Three panels a row, like the paper's Figure 15; nine targets give its 3 x 3. All panels have one scale, along
+    both axes, so that widths can be compared by eye.
+    """
+    figure, panels = new_panels(len(responses), columns=3, size=(3.1, 3.1), title=title)
+    reach = PANEL_WIDTHS * max(
+        float(np.median([getattr(r.axes, f"{axis}_width") for r in responses])) for axis in ("range", "azimuth")
+    )
+    for axes, response in zip(panels, responses, strict=True):
+        axes.set_title(response.target.name, fontsize=11)
+        axes.set_xlim(-reach, reach)
+        axes.set_ylim(-reach, reach)
+        axes.set_aspect("equal")
+        axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
+        axes.yaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
+        axes.grid(color="#e4e7ec", linewidth=0.5)
+        axes.set_axisbelow(True)
+        widths = 1.05 * reach / min(response.axes.range_width, response.axes.azimuth_width)
+        # Beyond what was read of a response there is nothing to fill a panel with.
+        _draw_contours(axes, response_grid(response, widths=min(widths, CUT_WIDTHS)))
+    label_outer_axes(panels, 3, "slant range (m)", "azimuth (m)")
+    levels = zip(CONTOUR_LEVELS, LEVEL_COLOURS, strict=True)
+    draw_legend(figure, [Curve(minus(f"{level:g} dB"), colour, "-") for level, colour in levels])
+    save(figure, path)
+
+
+def _draw_contours(axes: Axes, grid: ResponseGrid) -> None:
+    if not np.isfinite(grid.values).any():
+        axes.text(0.5, 0.5, "not covered", ha="center", va="center", transform=axes.transAxes, color="#5a6676")
+        return
+    values = grid.values
+    if np.isfinite(values).all():
+        # The nulls below -30 dB are a twentieth of a width across; a spline through complex values finds them.
+        values = zoom(values.real, CONTOUR_ZOOM) + 1j * zoom(values.imag, CONTOUR_ZOOM)
+    with np.errstate(divide="ignore"):
+        decibel = 20 * np.log10(np.abs(values) / np.nanmax(np.abs(values)))
+    axes.contour(
+        np.linspace(grid.range_offset[0], grid.range_offset[-1], values.shape[1]),
+        np.linspace(grid.azimuth_offset[0], grid.azimuth_offset[-1], values.shape[0]),
+        np.ma.masked_invalid(np.maximum(decibel, -100)),
+        levels=CONTOUR_LEVELS,
+        colors=LEVEL_COLOURS,
+        linewidths=1.0,
+        linestyles="solid",
+    )
+
+
+def plot_cuts(responses: Sequence[Response], path: str | Path, *, title: str = "") -> None:
+    """Write a PNG of the range and azimuth cuts in dB over the ideal sinc, two panels a target, three targets a row.
+
+    Offsets are in m from the peak; each panel tells its PSLR and width.
+    """
+    figure, panels = new_panels(2 * len(responses), columns=6, size=(2.35, 2.5), title=title)
+    for (left, right), response in zip(zip(panels[::2], panels[1::2], strict=True), responses, strict=True):
+        sampled, found, name = cuts(response), measure(response), response.target.name
+        left.set_title(_caption(f"{name} range", found.range_pslr, found.range_irw), fontsize=8)
+        _draw_cut(left, sampled.range_offset, sampled.range_profile, found.range_irw_theory, "#2f6db3")
+        right.set_title(_caption(f"{name} azimuth", found.azimuth_pslr, found.azimuth_irw), fontsize=8)
+        _draw_cut(right, sampled.azimuth_offset, sampled.azimuth_profile, found.azimuth_irw_theory, "#b3202c")
+    label_outer_axes(panels, 6, "offset (m)", "power (dB)")
+    draw_legend(
+        figure,
+        [
+            Curve("range cut", "#2f6db3", "-"),
+            Curve("azimuth cut", "#b3202c", "-"),
+            Curve("ideal sinc", "#1d242d", ":"),
+        ],
+    )
+    save(figure, path)
+
+
+def _draw_cut(axes: Axes, offset: FloatArray, profile: Complex128Array, width: float, colour: str) -> None:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ideal = 20 * np.log10(np.abs(np.sinc(offset / width * SINC_WIDTH)))
+        measured = 20 * np.log10(np.abs(profile / profile[profile.size // 2]))
+    axes.plot(offset, measured, color=colour, linewidth=1.1)
+    # Over the measured curve, so that neither hides the other where they agree.
+    axes.plot(offset, ideal, color="#1d242d", linestyle=":", linewidth=0.8)
+    axes.set_xlim(-CUT_WIDTHS * width, CUT_WIDTHS * width)
+    axes.set_ylim(-45, 2)
+    axes.grid(color="#e4e7ec", linewidth=0.5)
+
+
+def _caption(name: str, pslr: float, irw: float) -> str:
+    return minus(f"{name}: {pslr:.2f} dB, {irw:.2f} m") if np.isfinite([pslr, irw]).all() else f"{name}: not covered"

@@ -1,0 +1,1 @@
+"""The run folder: its receipts, its record, and finished runs."""

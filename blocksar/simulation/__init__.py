@@ -1,0 +1,1 @@
+"""Scene files to phase histories, raw echoes and CPHD files."""

@@ -1,0 +1,121 @@
+"""A scene file's errors in sentences: the field, the value, and the nearest known name."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from collections.abc import Iterator
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+
+from blocksar.simulation.tables import LARGEST, SMALLEST
+
+
+def message_of(label: str, problems: list[str]) -> str:
+    count = f"{len(problems)} wrong field{'s' if len(problems) > 1 else ''}"
+    return f"{label} has {count}:" + "".join(f"\n  {problem}" for problem in problems)
+
+
+def describe_error(error: ValidationError, data: dict[str, Any], label: str, root: type[BaseModel]) -> str:
+    """Every wrong field as `field = value: what would do`; alternatives of one field are joined by 'or'."""
+    found: dict[str, list[str]] = {}
+    hints: dict[str, str] = {}
+    for item in error.errors(include_url=False):
+        place, model = _locate(item["loc"], data, root)
+        field, value = _dotted(place), _short(item["input"])
+        text = item["msg"].replace("Input should be", "must be").removeprefix("Value error, ")
+        match item["type"]:
+            case "missing" if isinstance(item["loc"][-1], str):
+                found[f"{field} is missing"] = [f"add {_hint(model, place)}"]
+            case "extra_forbidden":
+                found[f"{field} = {value}"] = [f"unknown key; {_nearest(model, place)}"]
+            case "value_error":
+                # The checks of a whole table begin with the field that is wrong, where there is one.
+                known = _fields(_tables(root).get(str(place[0])) if place else root)
+                first_word = re.split(r"[^a-z_0-9]", text)[0]
+                found[f"{field}.{text}" if first_word in known else f"{field}: {text}"] = []
+            case kind:
+                text = "has too few elements" if kind == "missing" else text.replace("valid tuple", "list")
+                found.setdefault(f"{field} = {value}", []).append(text[0].lower() + text[1:])
+                hints[f"{field} = {value}"] = _hint(model, place)
+    problems = []
+    for head, remedies in found.items():
+        remedy = " or ".join(dict.fromkeys(remedies))
+        problems.append(": ".join(filter(None, (head, remedy))) + (f" ({hints[head]})" if head in hints else ""))
+    return message_of(label, problems)
+
+
+def _locate(
+    loc: tuple[int | str, ...], data: Any, root: type[BaseModel]
+) -> tuple[list[int | str], type[BaseModel] | None]:
+    """The part of pydantic's location that the file's writer knows, and the table it lies in."""
+    place: list[int | str] = []
+    model: type[BaseModel] | None = root
+    here: Any = data
+    for i, part in enumerate(loc):
+        last = i == len(loc) - 1
+        inside = part in here if isinstance(here, dict) else isinstance(here, list) and part in range(len(here))
+        if inside:
+            here = here[part]
+        elif not (last and isinstance(here, dict)):
+            continue  # the name of one alternative of a union
+        place.append(part)
+        if not last and model is root and isinstance(part, str):
+            model = _tables(root).get(part)
+    return place, model
+
+
+def _tables(root: type[BaseModel]) -> dict[str, type[BaseModel]]:
+    """The tables of a scene file by key."""
+    found = {(field.alias or name): _models_in(field.annotation) for name, field in root.model_fields.items()}
+    return {key: models[0] for key, models in found.items() if models}
+
+
+def _models_in(annotation: Any) -> list[type[BaseModel]]:
+    """The tables in an annotation, which may be optional or a list of tables."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for part in get_args(annotation) for model in _models_in(part)]
+
+
+def _fields(model: type[BaseModel] | None) -> dict[str, str]:
+    """Keys of a table and what they mean."""
+    if model is None:
+        return {}
+    return {field.alias or name: field.description or "" for name, field in model.model_fields.items()}
+
+
+def _hint(model: type[BaseModel] | None, place: list[int | str]) -> str:
+    fields = _fields(model)
+    return next((fields[part] for part in reversed(place) if isinstance(part, str) and part in fields), "it")
+
+
+def _nearest(model: type[BaseModel] | None, place: list[int | str]) -> str:
+    known = list(_fields(model))
+    close = difflib.get_close_matches(str(place[-1]), known, n=1)
+    return f"did you mean {close[0]}?" if close else f"known here are {', '.join(known)}"
+
+
+def impossible_values(value: Any, place: tuple[int | str, ...] = ()) -> Iterator[str]:
+    """Numbers so large or so small that nothing can be meant by them."""
+    match value:
+        case dict():
+            for key, item in value.items():
+                yield from impossible_values(item, (*place, key))
+        case list():
+            for index, item in enumerate(value):
+                yield from impossible_values(item, (*place, index))
+        case int() | float() if value and not SMALLEST <= abs(value) <= LARGEST and math.isfinite(value):
+            yield f"{_dotted([*place])} = {_short(value)}: must lie between {SMALLEST:g} and {LARGEST:g} in size"
+
+
+def _dotted(place: list[int | str]) -> str:
+    text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place)
+    return text.removeprefix(".")
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."

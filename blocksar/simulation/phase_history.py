@@ -1,0 +1,191 @@
+"""Known targets to phase history or raw echo, with exact ranges: no series anywhere.
+
+Point targets are summed directly. Random fields and maps of up to millions of scatterers go through a non-uniform
+Fourier transform: in one pulse, the signal over range frequency is the Fourier transform of reflectivity over range,
+and range is not on a grid. Ranges and phases are float64 throughout, samples complex64.
+
+Every pulse is computed by itself, in blocks whose size is fixed: the samples do not depend on the number of threads,
+nor on how the pulses are cut into chunks.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from blocksar import stores
+from blocksar.arrays import ComplexArray
+from blocksar.chunks import TILE
+from blocksar.collection.collection import Collection
+from blocksar.collection.raw_echo import RawEcho
+from blocksar.errors import InputError
+from blocksar.places import Location, place
+from blocksar.places.local import LocalPlace
+from blocksar.places.place import Place
+from blocksar.progress.listening import Callback
+from blocksar.simulation.scatterers import Field, field, phase_history, raw_echo
+from blocksar.simulation.scene import Scene
+
+MAX_NAMED_TARGETS = 2000  # more are not listed in the store's attributes
+
+
+def noise(shape: tuple[int, int], *, first_pulse: int, power: float, seed: int) -> ComplexArray:
+    """Circular Gaussian noise, E|n|^2 = power: (n_pulse, n) complex64.
+
+    The generator is keyed by (seed, pulse), so a pulse's noise is the same however the pulses are cut.
+    """
+    out = np.empty(shape, np.complex64)
+    scale = np.float32(np.sqrt(power / 2))
+    for row in range(shape[0]):
+        random = np.random.Generator(np.random.Philox(key=np.array([seed, first_pulse + row], dtype=np.uint64)))
+        out[row] = (random.standard_normal(2 * shape[1], dtype=np.float32) * scale).view(np.complex64)
+    return out
+
+
+# -- scene to store -----------------------------------------------------------------------------------------
+
+
+def simulate(
+    scene: Scene | str | os.PathLike[str],
+    out: Location,
+    *,
+    raw: bool = False,
+    threads: int = 1,
+    overwrite: bool = False,
+    progress: Callback | None = None,
+) -> Path | Place:
+    """Simulate a scene into a phase-history store, chunk of pulses by chunk: the whole is never in memory.
+
+    Parameters
+    ----------
+    scene : Scene, or path of a scene file, or name of a shipped scene
+    out : path, URL or Place
+        Of the store to make.
+    raw : bool
+        Store the chirped echo over fast time instead of range-frequency samples.
+    threads : int
+        The samples do not depend on it.
+    overwrite : bool
+        Replace a store that is there.
+    progress : callable (done, total)
+        Told after each chunk, in pulses.
+
+    Returns
+    -------
+    Path
+        Of the store; a Place where that is no path.
+
+    Raises
+    ------
+    InputError
+        If the scene is wrong, or `out` exists and overwrite is False.
+    """
+    if threads < 1:
+        raise InputError(f"threads = {threads}: must be at least 1")
+    scene = scene if isinstance(scene, Scene) else Scene.read(os.fspath(scene))
+    where = place(out)
+    collection = scene.collection(raw=raw)
+    echo = _echo_axes(scene) if raw else None
+    n = collection.n_range_frequency if echo is None else echo.fast_time.size
+    sample = sampler(scene, collection, echo=echo, threads=threads)
+    rows = TILE[0]
+
+    def write(store: Place) -> None:
+        for first in range(0, collection.n_pulse, rows):
+            pulses = slice(first, min(first + rows, collection.n_pulse))
+            samples = sample(pulses)
+            stores.write_region(store, "echo" if raw else "signal", (pulses, slice(0, n)), samples)
+            if progress is not None:
+                progress(pulses.stop, collection.n_pulse)
+
+    # Rows that are not yet written read as lost pulses: the store gets its name when it is complete.
+    stores.create_phase_history(where, collection, raw=echo, attrs=_attributes(scene), overwrite=overwrite, fill=write)
+    return where.path if isinstance(where, LocalPlace) else where
+
+
+def sampler(
+    scene: Scene, collection: Collection, *, echo: RawEcho | None = None, threads: int = 1
+) -> Callable[[slice], ComplexArray]:
+    """A function of a slice of pulses: their samples as stored, noise and lost pulses included.
+
+    `collection` is the scene's own, or one that differs from it in frequencies and reference range.
+    """
+    n = collection.n_range_frequency if echo is None else echo.fast_time.size
+    parts, lost = _reflecting(scene, collection), scene.dropped_pulses()
+
+    def sample(pulses: slice) -> ComplexArray:
+        samples = _samples(parts, echo, n, pulses, threads)
+        _disturb(samples, scene, lost, pulses)
+        return samples
+
+    return sample
+
+
+def _echo_axes(scene: Scene) -> RawEcho:
+    fast_time, pulse_width = scene.fast_time, scene.radar.pulse_width
+    assert pulse_width is not None  # fast_time has refused that
+    return RawEcho(
+        fast_time=fast_time,
+        chirp_rate=scene.radar.bandwidth / pulse_width,
+        pulse_width=pulse_width,
+        sampling_rate=scene.radar.range_sampling,
+    )
+
+
+def _reflecting(scene: Scene, collection: Collection) -> list[tuple[Field, bool]]:
+    """What reflects, and whether its raw echo is evaluated exactly: point targets, and field and map."""
+    points, many = scene.point_targets(), scene.scatterers()
+    parts = []
+    if points:
+        _, x, y, sigma = zip(*points, strict=True)
+        parts.append((field(collection, np.array(x), np.array(y), np.array(sigma)), True))
+    if many.x.size:
+        parts.append((field(collection, many.x, many.y, many.reflectivity), False))
+    return parts
+
+
+def _samples(
+    parts: list[tuple[Field, bool]], echo: RawEcho | None, n: int, pulses: slice, threads: int
+) -> ComplexArray:
+    """The sum over what reflects, (n_pulses, n) complex64."""
+    total = np.zeros((pulses.stop - pulses.start, n), np.complex64)
+    for scatterers, exact in parts:
+        if echo is None:
+            total += phase_history(scatterers, pulses=pulses, threads=threads)
+        else:
+            total += raw_echo(
+                scatterers,
+                fast_time=echo.fast_time,
+                chirp_rate=echo.chirp_rate,
+                pulse_width=echo.pulse_width,
+                pulses=pulses,
+                threads=threads,
+                exact=exact,
+            )
+    return total
+
+
+def _disturb(samples: ComplexArray, scene: Scene, lost: NDArray[np.int64], pulses: slice) -> None:
+    """Add noise to samples that nobody else has seen yet, and make rows of lost pulses NaN."""
+    if scene.noise is not None and scene.noise.power > 0:
+        samples += noise(samples.shape, first_pulse=pulses.start, power=scene.noise.power, seed=scene.noise.seed)
+    samples[lost[(lost >= pulses.start) & (lost < pulses.stop)] - pulses.start] = complex(np.nan, np.nan)
+
+
+def _attributes(scene: Scene) -> dict[str, Any]:
+    """What the store tells about its scene: name, targets (where there are few), noise and seeds."""
+    attrs: dict[str, Any] = {"scene": scene.name, "noise": scene.noise.power if scene.noise else 0.0}
+    tables = (scene.clutter, scene.reflectivity, scene.noise, scene.dropped)
+    named = zip(("clutter", "reflectivity", "noise", "dropped"), tables, strict=True)
+    attrs["seed"] = {name: table.seed for name, table in named if table is not None and table.seed is not None}
+    targets = scene.point_targets()
+    if len(targets) <= MAX_NAMED_TARGETS:
+        attrs["targets"] = [
+            {"name": name, "x": x, "y": y, "reflectivity": [sigma.real, sigma.imag]} for name, x, y, sigma in targets
+        ]
+    return attrs

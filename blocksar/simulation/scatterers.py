@@ -1,0 +1,453 @@
+"""Echoes of scatterers: summed one by one, or by a non-uniform transform where there are many."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import finufft
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy import fft  # not fourier.py: this inverse transform leads to fast time, on its own grid
+
+from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
+from blocksar.constants import SPEED_OF_LIGHT, TURN
+from blocksar.kernels.chirp import chirp_spectrum
+from blocksar.kernels.trigonometry import cosine, sine
+
+NUFFT_ACCURACY = 1e-7  # relative to the norm of the lit reflectivity: below the rounding of complex64
+DIRECT_LIMIT = 400  # scatterers from which the non-uniform transform is the faster one
+BLOCK = 16  # pulses that one thread takes at a time
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Field:
+    """Scatterers of one collection, sorted by yaw, so that the lit ones are a slice.
+
+    Attributes
+    ----------
+    collection : Collection
+    x, y : (n,) float
+        m, scene frame, on the ground plane.
+    yaw : (n,) float
+        Ascending, in [-pi, pi], rad.
+    reflectivity : (n,) complex128
+    """
+
+    collection: Collection
+    x: FloatArray
+    y: FloatArray
+    yaw: FloatArray
+    reflectivity: NDArray[np.complex128]
+
+    def lit_slices(self, pulse: int) -> list[tuple[int, int]]:
+        """Slices that hold all scatterers lit at a pulse, and perhaps one on either side that is not.
+
+        Two where the beam looks across yaw = +-pi.
+        """
+        width = self.collection.beam_width
+        if width is None:
+            return [(0, self.yaw.size)]
+        half = width / 2 * (1 + 1e-12) + 1e-12
+        azimuth = wrapped(self.collection.beam_azimuth[pulse])
+        found = []
+        for beam in (azimuth - TURN, azimuth, azimuth + TURN):
+            first, last = np.searchsorted(self.yaw, [beam - half, beam + half])
+            if last > first:
+                found.append((int(first), int(last)))
+        return found
+
+
+def field(collection: Collection, x: FloatArray, y: FloatArray, reflectivity: NDArray[Any]) -> Field:
+    """Scatterers of any shape, ready for `phase_history` and `raw_echo`.
+
+    Raises
+    ------
+    ValueError
+        If x, y and reflectivity differ in size, or are not finite.
+    """
+    x = np.atleast_1d(np.asarray(x, dtype=np.float64)).ravel()
+    y = np.atleast_1d(np.asarray(y, dtype=np.float64)).ravel()
+    sigma = np.atleast_1d(np.asarray(reflectivity, dtype=np.complex128)).ravel()
+    if not x.size == y.size == sigma.size:
+        raise ValueError(f"{x.size=}, {y.size=} and {sigma.size=} must agree")
+    if not (np.isfinite(x).all() and np.isfinite(y).all() and np.isfinite(sigma).all()):
+        raise ValueError("x, y and reflectivity must be finite")
+    yaw = np.asarray(Geometry(collection=collection).yaw(x, y), dtype=np.float64)
+    order = np.argsort(yaw, kind="stable")
+    return Field(collection=collection, x=x[order], y=y[order], yaw=yaw[order], reflectivity=sigma[order])
+
+
+def simulate_pulses(
+    collection: Collection,
+    x: FloatArray,
+    y: FloatArray,
+    reflectivity: NDArray[Any],
+    *,
+    pulses: slice = slice(None),
+    threads: int = 1,
+) -> ComplexArray:
+    """Range-frequency samples of scatterers on the ground plane, exact ranges.
+
+    signal[p, f] = sum over lit scatterers of sigma exp(-4j pi (fc + f) / c (R(t_p) - reference_range[p]))
+
+    Parameters
+    ----------
+    collection : Collection
+        Its ground_height is the scatterers' height.
+    x, y : (n,) float
+        m, scene frame.
+    reflectivity : (n,) complex
+    pulses : slice
+        Of the collection's pulses, step 1.
+    threads : int
+        The result does not depend on it.
+
+    Returns
+    -------
+    (n_pulses, n_range_frequency) complex64
+    """
+    return phase_history(field(collection, x, y, reflectivity), pulses=pulses, threads=threads)
+
+
+def phase_history(scatterers: Field, *, pulses: slice, threads: int = 1) -> ComplexArray:
+    """As `simulate_pulses`, of scatterers that are prepared once for many calls.
+
+    Few are summed directly (error below 1e-7 each), many by a non-uniform Fourier transform (error below 1e-6 of
+    the root sum square of the lit reflectivity).
+    """
+    collection = scatterers.collection
+    if scatterers.yaw.size > DIRECT_LIMIT:
+        n = collection.n_range_frequency
+        grid = _Grid(
+            n=n,
+            middle=float(collection.range_frequency[n // 2]),
+            step=collection.range_frequency_step,
+            envelope_range=collection.reference_range,
+        )
+        return _in_blocks(lambda block, out: _transform(scatterers, grid, block, out), pulses, collection, n, threads)
+    return _in_blocks(
+        lambda block, out: _direct(scatterers, block, out), pulses, collection, collection.n_range_frequency, threads
+    )
+
+
+def raw_echo(
+    scatterers: Field,
+    *,
+    fast_time: FloatArray,
+    chirp_rate: float,
+    pulse_width: float,
+    pulses: slice,
+    threads: int = 1,
+    exact: bool = True,
+) -> ComplexArray:
+    """Chirped echo over fast time.
+
+    echo[p, tau] = sum over lit scatterers of sigma p(tau - 2R/c) exp(-4j pi fc / c (R - reference_range[p])),
+    p(tau) = exp(j pi chirp_rate tau^2) for |tau| <= pulse_width / 2.
+
+    Parameters
+    ----------
+    scatterers : Field
+    fast_time : (n_fast_time,) float
+        Two-way delay, s; uniform.
+    chirp_rate : float
+        Hz/s.
+    pulse_width : float
+        s.
+    pulses : slice
+    threads : int
+    exact : bool
+        True: p is evaluated at every sample of every scatterer. False, for many scatterers: the samples are built
+        from the chirp's spectrum within half the sampling rate, on the Fourier grid of the fast-time samples. That
+        is what a receiver with an ideal anti-alias filter records; it differs from the exact samples by the chirp's
+        spectral tails, chiefly at the two ends of the pulse.
+
+    Returns
+    -------
+    (n_pulses, n_fast_time) complex64
+    """
+    collection, n = scatterers.collection, fast_time.size
+    interval = (fast_time[-1] - fast_time[0]) / (n - 1)
+    if exact:
+        start, half = float(fast_time[0]), pulse_width / 2
+        return _in_blocks(
+            lambda block, out: _direct_echo(scatterers, block, start, interval, half, chirp_rate, out),
+            pulses,
+            collection,
+            n,
+            threads,
+        )
+    envelope = np.full(collection.n_pulse, fast_time[0] * SPEED_OF_LIGHT / 2)
+    grid = _Grid(n=n, middle=0.0, step=1 / (n * interval), envelope_range=envelope)
+    frequency = np.asarray((np.arange(n) - n // 2) * grid.step, dtype=np.float64)
+    spectrum = chirp_spectrum(frequency, chirp_rate=chirp_rate, pulse_width=pulse_width)
+    spectrum = fft.ifftshift(spectrum / interval)
+
+    def work(block: range, out: NDArray[Any]) -> None:
+        values = np.empty(out.shape, np.complex128)
+        _transform(scatterers, grid, block, values)
+        out[:] = fft.ifft(fft.ifftshift(values, axes=1) * spectrum, axis=1, workers=1, overwrite_x=True)
+
+    return _in_blocks(work, pulses, collection, n, threads)
+
+
+# -- blocks of pulses ---------------------------------------------------------------------------------------
+
+
+def wrapped(angle: float) -> float:
+    """The same angle in [-pi, pi]."""
+    return float(angle - TURN * np.rint(angle / TURN))
+
+
+def _in_blocks(
+    work: Callable[[range, ComplexArray], None], pulses: slice, collection: Collection, n: int, threads: int
+) -> ComplexArray:
+    """Let `work` fill (len(block), n) rows for every block of pulses, by threads; compiled code drops the GIL."""
+    first, stop, step = pulses.indices(collection.n_pulse)
+    if step != 1:
+        raise ValueError(f"{pulses=}: the step must be 1")
+    out = np.empty((max(stop - first, 0), n), np.complex64)
+    blocks = [range(start, min(start + BLOCK, stop)) for start in range(first, stop, BLOCK)]
+    jobs = [(block, out[block.start - first : block.stop - first]) for block in blocks]
+    if threads == 1:
+        for job in jobs:
+            work(*job)
+    else:
+        with ThreadPoolExecutor(threads) as pool:
+            list(pool.map(lambda job: work(*job), jobs))
+    return out
+
+
+def _beam(collection: Collection, pulse: int) -> tuple[float, float]:
+    """Yaw of the beam centre and half its width, rad; infinite half width where the beam is not steered."""
+    if collection.beam_width is None:
+        return 0.0, np.inf
+    return float(collection.beam_azimuth[pulse]), collection.beam_width / 2
+
+
+@njit(inline="always")
+def _lit(yaw: float, beam: float, half_width: float) -> bool:
+    away = yaw - beam
+    return abs(away - TURN * np.rint(away / TURN)) <= half_width
+
+
+# -- few scatterers: direct sums ----------------------------------------------------------------------------
+
+
+def _direct(scatterers: Field, block: range, out: ComplexArray) -> None:
+    collection = scatterers.collection
+    n = collection.n_range_frequency
+    stride = int(np.ceil(np.sqrt(n)))
+    for row, pulse in enumerate(block):
+        beam, half_width = _beam(collection, pulse)
+        _direct_pulse(
+            scatterers.x,
+            scatterers.y,
+            scatterers.yaw,
+            scatterers.reflectivity,
+            collection.antenna_position[pulse],
+            collection.ground_height,
+            beam,
+            half_width,
+            collection.reference_range[pulse],
+            2 * (collection.carrier + collection.range_frequency[0]) / SPEED_OF_LIGHT,
+            2 * collection.range_frequency_step / SPEED_OF_LIGHT,
+            stride,
+            out[row],
+        )
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
+def _direct_pulse(
+    x: FloatArray,
+    y: FloatArray,
+    yaw: FloatArray,
+    reflectivity: NDArray[np.complex128],
+    antenna: FloatArray,
+    height: float,
+    beam: float,
+    half_width: float,
+    reference: float,
+    cycles_first: float,
+    cycles_step: float,
+    stride: int,
+    out: ComplexArray,
+) -> None:
+    """out[k] = sum sigma exp(-2j pi (cycles_first + k cycles_step) (R - reference)).
+
+    With k = a stride + b the exponential is a product of one in a and one in b: 2 sqrt(n) sines and cosines instead
+    of n, all of them of float64 phases, and a plain outer product.
+    """
+    n = out.size
+    rows = (n + stride - 1) // stride
+    total_real, total_imag = np.zeros((rows, stride)), np.zeros((rows, stride))
+    fine_real, fine_imag = np.empty(stride), np.empty(stride)
+    for i in range(x.size):
+        if not _lit(yaw[i], beam, half_width):
+            continue
+        dx, dy, dz = x[i] - antenna[0], y[i] - antenna[1], height - antenna[2]
+        away = np.sqrt(dx * dx + dy * dy + dz * dz) - reference
+        for b in range(stride):
+            phase = -TURN * (cycles_step * b * away)
+            fine_real[b], fine_imag[b] = np.cos(phase), np.sin(phase)
+        for a in range(rows):
+            cycles = (cycles_first + cycles_step * (a * stride)) * away
+            phase = -TURN * (cycles - np.rint(cycles))
+            coarse = reflectivity[i] * complex(np.cos(phase), np.sin(phase))
+            cr, ci = coarse.real, coarse.imag
+            for b in range(stride):
+                total_real[a, b] += cr * fine_real[b] - ci * fine_imag[b]
+                total_imag[a, b] += cr * fine_imag[b] + ci * fine_real[b]
+    for k in range(n):
+        a, b = k // stride, k % stride
+        out[k] = complex(np.float32(total_real[a, b]), np.float32(total_imag[a, b]))
+
+
+def _direct_echo(
+    scatterers: Field, block: range, start: float, interval: float, half: float, chirp_rate: float, out: ComplexArray
+) -> None:
+    collection = scatterers.collection
+    for row, pulse in enumerate(block):
+        beam, half_width = _beam(collection, pulse)
+        _direct_echo_pulse(
+            scatterers.x,
+            scatterers.y,
+            scatterers.yaw,
+            scatterers.reflectivity,
+            collection.antenna_position[pulse],
+            collection.ground_height,
+            beam,
+            half_width,
+            collection.reference_range[pulse],
+            2 * collection.carrier / SPEED_OF_LIGHT,
+            start,
+            interval,
+            half,
+            chirp_rate,
+            out[row],
+        )
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
+def _direct_echo_pulse(
+    x: FloatArray,
+    y: FloatArray,
+    yaw: FloatArray,
+    reflectivity: NDArray[np.complex128],
+    antenna: FloatArray,
+    height: float,
+    beam: float,
+    half_width: float,
+    reference: float,
+    cycles_per_metre: float,
+    start: float,
+    interval: float,
+    half: float,
+    chirp_rate: float,
+    out: ComplexArray,
+) -> None:
+    n = out.size
+    total = np.zeros(n, np.complex128)
+    for i in range(x.size):
+        if not _lit(yaw[i], beam, half_width):
+            continue
+        dx, dy, dz = x[i] - antenna[0], y[i] - antenna[1], height - antenna[2]
+        distance = np.sqrt(dx * dx + dy * dy + dz * dz)
+        delay = 2 * distance / SPEED_OF_LIGHT - start
+        carrier_cycles = -cycles_per_metre * (distance - reference)
+        first = max(int(np.ceil((delay - half) / interval)), 0)
+        last = min(int(np.floor((delay + half) / interval)), n - 1)
+        for k in range(first, last + 1):
+            tau = k * interval - delay
+            cycles = carrier_cycles + chirp_rate / 2 * tau * tau
+            phase = TURN * (cycles - np.rint(cycles))
+            total[k] += reflectivity[i] * complex(np.cos(phase), np.sin(phase))
+    for k in range(n):
+        out[k] = complex(np.float32(total[k].real), np.float32(total[k].imag))
+
+
+# -- many scatterers: non-uniform transform -----------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Grid:
+    """Frequencies middle + (k - n // 2) step, Hz, of ranges counted from envelope_range (n_pulse,), m."""
+
+    n: int
+    middle: float
+    step: float
+    envelope_range: FloatArray
+
+
+def _transform(scatterers: Field, grid: _Grid, block: range, out: NDArray[Any]) -> None:
+    """out[row, k] = sum sigma exp(-4j pi / c [fc (R - reference_range) + f_k (R - envelope_range)])."""
+    collection = scatterers.collection
+    # The fine grid of one transform fits in the cache: sorting the scatterers by range would cost more than it saves.
+    plan = finufft.Plan(1, (grid.n,), eps=NUFFT_ACCURACY, isign=-1, dtype="complex128", nthreads=1, spread_sort=0)
+    nodes, strengths = np.empty(scatterers.yaw.size), np.empty(scatterers.yaw.size, np.complex128)
+    for row, pulse in enumerate(block):
+        beam, half_width = _beam(collection, pulse)
+        n = 0
+        for first, last in scatterers.lit_slices(pulse):
+            _nodes_and_strengths(
+                scatterers.x[first:last],
+                scatterers.y[first:last],
+                scatterers.yaw[first:last],
+                scatterers.reflectivity[first:last],
+                collection.antenna_position[pulse],
+                collection.ground_height,
+                beam,
+                half_width,
+                collection.reference_range[pulse],
+                grid.envelope_range[pulse],
+                2 * collection.carrier / SPEED_OF_LIGHT,
+                2 * grid.middle / SPEED_OF_LIGHT,
+                2 * grid.step / SPEED_OF_LIGHT,
+                nodes[n : n + last - first],
+                strengths[n : n + last - first],
+            )
+            n += last - first
+        if n == 0:
+            out[row] = 0
+            continue
+        plan.setpts(nodes[:n])
+        out[row] = plan.execute(strengths[:n])
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
+def _nodes_and_strengths(
+    x: FloatArray,
+    y: FloatArray,
+    yaw: FloatArray,
+    reflectivity: NDArray[np.complex128],
+    antenna: FloatArray,
+    height: float,
+    beam: float,
+    half_width: float,
+    reference: float,
+    envelope: float,
+    carrier_cycles: float,
+    middle_cycles: float,
+    step_cycles: float,
+    nodes: FloatArray,
+    strengths: NDArray[np.complex128],
+) -> None:
+    ax, ay, dz = antenna[0], antenna[1], height - antenna[2]
+    for i in range(x.size):
+        dx, dy = x[i] - ax, y[i] - ay
+        distance = np.sqrt(dx * dx + dy * dy + dz * dz)
+        away = distance - envelope
+        turns = step_cycles * away
+        nodes[i] = TURN * (turns - np.rint(turns))
+        cycles = -(carrier_cycles * (distance - reference) + middle_cycles * away)
+        part = np.float32(cycles - np.rint(cycles))
+        lit = 1.0 if _lit(yaw[i], beam, half_width) else 0.0
+        cos, sin = lit * cosine(part), lit * sine(part)
+        sigma = reflectivity[i]
+        strengths[i] = complex(sigma.real * cos - sigma.imag * sin, sigma.real * sin + sigma.imag * cos)

@@ -1,0 +1,497 @@
+"""Scene files: radar, track, beam, targets and disturbances in TOML, checked as a whole before anything runs.
+
+A scene file is written by people, so angles are in degrees (in keys that end in `_deg`); everything else is SI.
+A wrong file gives one message that lists every wrong field, its value and what would do.
+
+    title = "..."
+    [radar]         carrier, bandwidth, range_sampling, prf, pulse_width (raw echo only)
+    [track]         position, velocity, acceleration, jerk | coefficients | samples | file
+    [time]          duration | pulses; start
+    [beam]          start_deg, stop_deg, dwell | width_deg          (leave out: not steered)
+    [scene]         swath, centre_yaw_deg, centre_range, ground_height, reference_range
+    [[targets]]     name, x + y | range + yaw_deg | ground_range_offset + cross_range_offset; amplitude, phase_deg
+    [matrix]        rows, columns, spacing | extent, names
+    [clutter]       scatterers, seed, range + yaw_deg | x + y, power
+    [reflectivity]  file, x0, dx, y0, dy, seed
+    [noise]         power, seed
+    [dropped]       pulses, ranges, fraction, seed
+"""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from functools import cached_property
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, PrivateAttr, ValidationError
+
+from blocksar.arrays import FloatArray, IntArray
+from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.errors import InputError
+from blocksar.simulation.messages import describe_error, impossible_values, message_of
+from blocksar.simulation.tables import (
+    MAX_PULSES,
+    AreaTable,
+    BeamTable,
+    ClutterTable,
+    DroppedTable,
+    MatrixTable,
+    NoiseTable,
+    RadarTable,
+    ReflectivityTable,
+    Table,
+    TargetTable,
+    TimeTable,
+    TrackTable,
+)
+
+RANGE_GUARD = 1.05  # the range window exceeds what lit targets need by this factor
+MAX_FAST_TIME_SAMPLES = 1 << 20
+CHECKED_PULSES = 257  # pulses at which the range migration of lit targets is measured
+
+
+class PointTarget(NamedTuple):
+    """A named point target on the ground plane: x, y in m in the scene frame."""
+
+    name: str
+    x: float
+    y: float
+    reflectivity: complex
+
+
+class Scatterers(NamedTuple):
+    """Many nameless scatterers: x, y (n,) m in the scene frame, reflectivity (n,) complex64."""
+
+    x: FloatArray
+    y: FloatArray
+    reflectivity: NDArray[np.complex64]
+
+
+class Scene(Table):
+    """A scene file, checked. Read one by `Scene.read`.
+
+    Raises
+    ------
+    InputError
+        From `read` and `parse`, with every wrong field.
+    """
+
+    title: str = Field("", description="one line about the scene")
+    radar: RadarTable = Field(description="the table of the radar")
+    track: TrackTable = Field(description="the table of the platform's track")
+    time: TimeTable = Field(description="the table of the pulses' time")
+    beam: BeamTable | None = Field(None, description="the table of the steered beam")
+    area: AreaTable = Field(alias="scene", description="the table of swath and centre")
+    targets: Annotated[tuple[TargetTable, ...], Field(strict=False)] = Field((), description="point targets")
+    matrix: MatrixTable | None = Field(None, description="a matrix of point targets")
+    clutter: ClutterTable | None = Field(None, description="a random field")
+    reflectivity: ReflectivityTable | None = Field(None, description="a reflectivity map")
+    noise: NoiseTable | None = Field(None, description="receiver noise")
+    dropped: DroppedTable | None = Field(None, description="lost pulses")
+    _name: str = PrivateAttr("")
+
+    @classmethod
+    def read(cls, source: str | Path) -> Scene:
+        """Read a scene file; a name that is no file is looked up among the shipped scenes (e.g. "table1").
+
+        Raises
+        ------
+        InputError
+            If there is no such scene, it is no TOML, or fields are wrong: all of them, in one message.
+        """
+        path = Path(source)
+        if os.path.isfile(path):
+            folder, name, label = path.parent, path.stem, str(path)
+            try:
+                text = path.read_text(encoding="utf-8")
+            except (OSError, UnicodeDecodeError) as error:
+                raise InputError(f"{path} cannot be read ({error}); give a scene file in UTF-8") from None
+            return cls.parse(text, name=name, label=label, folder=folder)
+        if str(source) not in shipped_scenes():
+            raise InputError(
+                f"scene {str(source)!r} is neither a file nor one of the shipped scenes: {', '.join(shipped_scenes())}"
+            )
+        shipped = resources.files("blocksar.simulation") / "scenes" / f"{source}.toml"
+        return cls.parse(shipped.read_text(encoding="utf-8"), name=str(source), label=f"{source}.toml")
+
+    @classmethod
+    def parse(cls, text: str, *, name: str = "", label: str = "scene", folder: Path | None = None) -> Scene:
+        """Check the text of a scene file; `label` names it in messages, `folder` is where its files lie."""
+        try:
+            data = tomllib.loads(text)
+            absurd = list(impossible_values(data))
+        except (ValueError, RecursionError) as error:
+            raise InputError(f"{label} is not TOML: {error}; mend that line") from None
+        if absurd:
+            raise InputError(message_of(label, absurd))
+        try:
+            scene = cls.model_validate(data, context={"folder": folder})
+        except ValidationError as error:
+            raise InputError(describe_error(error, data, label, cls)) from None
+        scene._name = name
+        scene._check_whole(label)
+        return scene
+
+    @property
+    def name(self) -> str:
+        """The scene file's name without its ending, or the shipped scene's."""
+        return self._name
+
+    def _check_whole(self, label: str) -> None:
+        """Checks across tables: all that are wrong at once."""
+        problems: list[str] = []
+        if self.beam is None and self.area.centre_yaw_deg is None:
+            problems.append("scene.centre_yaw_deg is missing: a scene without [beam] needs it")
+        clutter = self.clutter
+        if self.beam is None and clutter is not None and clutter.x is None and clutter.yaw_deg is None:
+            problems.append("clutter.yaw_deg is missing: without [beam], give range + yaw_deg, or a box x + y")
+        n = self.n_pulse
+        if not 8 <= n <= MAX_PULSES:
+            problems.append(f"time.duration = {self.time.duration:g}: gives {n} pulses; must give 8 to {MAX_PULSES}")
+        if self.beam is not None and not 0 < self.beam_width_deg < 180:
+            problems.append(
+                f"beam.dwell = {self.beam.dwell}: gives a beam {self.beam_width_deg:.4g} degrees wide; "
+                "must give less than 180"
+            )
+        if self.dropped is not None:
+            lost = [*self.dropped.pulses, *(i for pair in self.dropped.ranges for i in pair)]
+            wrong = sorted({i for i in lost if not 0 <= i < n})
+            if wrong:
+                problems.append(f"dropped = {wrong[:5]}: must be indices of the {n} pulses, 0 to {n - 1}")
+        names = [target.name for target in self.targets] + (self.matrix.labels() if self.matrix else [])
+        twice = sorted({name for name in names if names.count(name) > 1}) if len(names) <= 2000 else []
+        if twice:
+            problems.append(f"targets = {twice[:5]}: names must differ from target to target")
+        if not problems:
+            problems.extend(self._check_places())
+        if problems:
+            raise InputError(message_of(label, problems))
+
+    def _check_places(self) -> list[str]:
+        try:
+            height = self.origin[2] - self.area.ground_height
+        except InputError as error:
+            return [str(error)]
+        fields = {"scene.swath": self.area.swath[0], "scene.centre_range": self.area.centre_range}
+        fields |= {f"targets[{i}].range": target.range for i, target in enumerate(self.targets)}
+        if self.clutter is not None and self.clutter.range is not None:
+            fields["clutter.range"] = self.clutter.range[0]
+        return [
+            f"{field} = {value:g}: must exceed the height above ground at t = 0, {height:.6g} m"
+            for field, value in fields.items()
+            if value is not None and value <= height
+        ]
+
+    # -- pulses, track and beam -----------------------------------------------------------------------------
+
+    @property
+    def n_pulse(self) -> int:
+        if self.time.pulses is not None:
+            return self.time.pulses
+        return round((self.time.duration or 0.0) * self.radar.prf)
+
+    @cached_property
+    def pulse_times(self) -> FloatArray:
+        """Slow time (n_pulse,), s. By default the middle pulse, n_pulse // 2, is at t = 0."""
+        index = np.arange(self.n_pulse)
+        if self.time.start is None:
+            return np.asarray((index - self.n_pulse // 2) / self.radar.prf)
+        return np.asarray(self.time.start + index / self.radar.prf)
+
+    @property
+    def beam_width_deg(self) -> float:
+        beam = self.beam
+        if beam is None:
+            return 360.0
+        if beam.width_deg is not None:
+            return beam.width_deg
+        rate = abs(beam.stop_deg - beam.start_deg) * self.radar.prf / self.n_pulse
+        return rate * (beam.dwell or 0.0)
+
+    @cached_property
+    def beam_azimuth(self) -> FloatArray:
+        """Beam-centre yaw (n_pulse,), rad; NaN where not steered."""
+        if self.beam is None:
+            return np.full(self.n_pulse, np.nan)
+        start, stop = self.beam.start_deg, self.beam.stop_deg
+        return np.asarray(np.deg2rad(start + (stop - start) * np.arange(self.n_pulse) / self.n_pulse))
+
+    def _collection(self, range_frequency: FloatArray, reference_range: FloatArray) -> Collection:
+        return Collection(
+            carrier=self.radar.carrier,
+            time=self.pulse_times,
+            range_frequency=range_frequency,
+            reference_range=reference_range,
+            antenna_position=self.track.positions(self.pulse_times),
+            beam_azimuth=self.beam_azimuth,
+            beam_width=None if self.beam is None else float(np.deg2rad(self.beam_width_deg)),
+            ground_height=self.area.ground_height,
+            title=self.title,
+        )
+
+    @cached_property
+    def geometry(self) -> Geometry:
+        """Track and polar frame, as everybody downstream derives them from the store (range axis: a stand-in)."""
+        axis = np.linspace(-0.5, 0.5, 8) * self.radar.bandwidth
+        return Geometry(collection=self._collection(axis, np.zeros(self.n_pulse)))
+
+    @cached_property
+    def origin(self) -> FloatArray:
+        """Antenna position at t = 0, (3,) m."""
+        self.geometry.nadir  # noqa: B018 - refuses where t = 0 lies too far from the pulses
+        return self.geometry.track.position(np.array(0.0))
+
+    # -- places on the ground -------------------------------------------------------------------------------
+
+    @property
+    def centre_yaw(self) -> float:
+        """Yaw of the scene centre, rad."""
+        if self.area.centre_yaw_deg is not None:
+            return float(np.deg2rad(self.area.centre_yaw_deg))
+        assert self.beam is not None  # checked when read
+        return float(np.deg2rad((self.beam.start_deg + self.beam.stop_deg) / 2))
+
+    def ground_point(self, slant_range: FloatArray | float, yaw: FloatArray | float) -> tuple[FloatArray, FloatArray]:
+        """x, y (m) on the ground at slant ranges (m) and yaws (rad) at t = 0; both broadcast."""
+        height = self.origin[2] - self.area.ground_height
+        distance = np.sqrt(np.asarray(slant_range) ** 2 - height**2)
+        return self.origin[0] + distance * np.cos(yaw), self.origin[1] + distance * np.sin(yaw)
+
+    @cached_property
+    def centre(self) -> FloatArray:
+        """The scene centre, (3,) m."""
+        near, far = self.area.swath
+        x, y = self.ground_point(self.area.centre_range or (near + far) / 2, self.centre_yaw)
+        return np.array([float(x), float(y), self.area.ground_height])
+
+    def offset_point(self, along: FloatArray | float, across: FloatArray | float) -> tuple[FloatArray, FloatArray]:
+        """x, y (m) at offsets from the scene centre: along ground range there, and across it to larger yaw."""
+        cos, sin = np.cos(self.centre_yaw), np.sin(self.centre_yaw)
+        along, across = np.asarray(along), np.asarray(across)
+        return self.centre[0] + along * cos - across * sin, self.centre[1] + along * sin + across * cos
+
+    @cached_property
+    def lit_yaw(self) -> tuple[float, float]:
+        """First and last yaw (rad) that is ever lit; the scene centre's own where the beam is not steered."""
+        if self.beam is None:
+            return self.centre_yaw, self.centre_yaw
+        half = np.deg2rad(self.beam_width_deg) / 2
+        return float(self.beam_azimuth.min() - half), float(self.beam_azimuth.max() + half)
+
+    # -- what reflects --------------------------------------------------------------------------------------
+
+    def point_targets(self) -> list[PointTarget]:
+        """All point targets: the listed ones, then the matrix row by row."""
+        found: list[PointTarget] = []
+        for target in self.targets:
+            if target.x is not None and target.y is not None:
+                place = np.asarray(target.x), np.asarray(target.y)
+            elif target.range is not None and target.yaw_deg is not None:
+                place = self.ground_point(target.range, float(np.deg2rad(target.yaw_deg)))
+            else:
+                place = self.offset_point(target.ground_range_offset or 0.0, target.cross_range_offset or 0.0)
+            found.append(PointTarget(target.name, float(place[0]), float(place[1]), target.reflectivity))
+        if self.matrix is not None:
+            x, y = self.offset_point(*self.matrix.offsets())
+            amplitude = complex(self.matrix.amplitude)
+            found.extend(map(PointTarget, self.matrix.labels(), x.tolist(), y.tolist(), [amplitude] * x.size))
+        return found
+
+    def scatterers(self) -> Scatterers:
+        """The random field and the reflectivity map, as one list of scatterers (possibly empty)."""
+        parts = [self._clutter()] if self.clutter is not None else []
+        parts += [self._map()] if self.reflectivity is not None else []
+        if not parts:
+            return Scatterers(np.empty(0), np.empty(0), np.empty(0, np.complex64))
+        return Scatterers(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+    def _clutter_region(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Polar region of the random field: slant ranges (m) and yaws (rad)."""
+        assert self.clutter is not None
+        ranges = self.clutter.range or self.area.swath
+        yaws = self.clutter.yaw_deg
+        if yaws is not None:
+            return ranges, (float(np.deg2rad(yaws[0])), float(np.deg2rad(yaws[1])))
+        return ranges, self.lit_yaw
+
+    def _clutter(self) -> Scatterers:
+        clutter = self.clutter
+        assert clutter is not None
+        random = np.random.default_rng(clutter.seed)
+        u, v = random.random((2, clutter.scatterers))
+        if clutter.x is not None and clutter.y is not None:
+            x = clutter.x[0] + u * (clutter.x[1] - clutter.x[0])
+            y = clutter.y[0] + v * (clutter.y[1] - clutter.y[0])
+        else:
+            ranges, yaws = self._clutter_region()
+            # Ground area grows with the square of the distance, and that with the square of the slant range.
+            squared = ranges[0] ** 2 + u * (ranges[1] ** 2 - ranges[0] ** 2)
+            x, y = self.ground_point(np.sqrt(squared), yaws[0] + v * (yaws[1] - yaws[0]))
+        parts = random.standard_normal((2, clutter.scatterers)) * np.sqrt(clutter.power / 2)
+        return Scatterers(x, y, (parts[0] + 1j * parts[1]).astype(np.complex64))
+
+    def _map(self) -> Scatterers:
+        table = self.reflectivity
+        assert table is not None
+        pixels = np.load(table.file, allow_pickle=False)
+        row, column = np.nonzero(pixels)
+        values = pixels[row, column].astype(np.complex64)
+        if table.seed is not None:
+            # One phase for each pixel of the map, also the empty ones: editing one leaves the others alone.
+            phase = np.random.default_rng(table.seed).random(pixels.shape)[row, column]
+            values = values * np.exp(2j * np.pi * phase).astype(np.complex64)
+        x, y = table.x0 + table.dx * column.astype(np.float64), table.y0 + table.dy * row.astype(np.float64)
+        return Scatterers(x, y, values)
+
+    def dropped_pulses(self) -> IntArray:
+        """Indices of lost pulses, ascending."""
+        if self.dropped is None:
+            return np.empty(0, dtype=np.int64)
+        lost = np.zeros(self.n_pulse, dtype=bool)
+        lost[list(self.dropped.pulses)] = True
+        for first, last in self.dropped.ranges:
+            lost[first : last + 1] = True
+        count = round(self.dropped.fraction * self.n_pulse)
+        if count:
+            lost[np.random.default_rng(self.dropped.seed).permutation(self.n_pulse)[:count]] = True
+        return np.flatnonzero(lost)
+
+    # -- axes -----------------------------------------------------------------------------------------------
+
+    @cached_property
+    def reference_range(self) -> FloatArray:
+        """Range whose phase is removed, (n_pulse,) m."""
+        wish = self.area.reference_range
+        if wish == "scene_centre":
+            return np.asarray(np.linalg.norm(self.centre - self.geometry.collection.antenna_position, axis=1))
+        constant = float(np.linalg.norm(self.centre - self.origin)) if wish == "constant" else float(wish)
+        return np.full(self.n_pulse, constant)
+
+    def _outline(self) -> tuple[FloatArray, FloatArray]:
+        """x, y (m) of points between which everything lies that may be lit: swath, targets, field, map."""
+        yaw = np.linspace(*self.lit_yaw, 65)
+        near, far = self.area.swath
+        parts = [self.ground_point(np.linspace(near, far, 5)[:, None], yaw)]
+        targets = self.point_targets()
+        parts.append((np.array([t.x for t in targets]), np.array([t.y for t in targets])))
+        if self.reflectivity is not None:
+            table, shape = self.reflectivity, np.load(self.reflectivity.file, mmap_mode="r").shape
+            x_edge = np.linspace(table.x0, table.x0 + table.dx * (shape[1] - 1), 33)
+            y_edge = np.linspace(table.y0, table.y0 + table.dy * (shape[0] - 1), 33)
+            parts.append((np.tile(x_edge, y_edge.size), np.repeat(y_edge, x_edge.size)))
+        if self.clutter is not None and self.clutter.x is not None and self.clutter.y is not None:
+            x_edge, y_edge = np.linspace(*self.clutter.x, 33), np.linspace(*self.clutter.y, 33)
+            parts.append((np.tile(x_edge, y_edge.size), np.repeat(y_edge, x_edge.size)))
+        elif self.clutter is not None:
+            ranges, yaws = self._clutter_region()
+            parts.append(self.ground_point(np.linspace(*ranges, 5)[:, None], np.linspace(*yaws, 65)))
+        return (
+            np.concatenate([np.ravel(x) for x, _ in parts]),
+            np.concatenate([np.ravel(y) for _, y in parts]),
+        )
+
+    @cached_property
+    def _lit_ranges(self) -> tuple[float, float, float]:
+        """Over lit targets and pulses: largest |R - reference_range|, smallest R, largest R, m."""
+        x, y = self._outline()
+        yaw = self.geometry.yaw(x, y)
+        pulses = np.unique(np.linspace(0, self.n_pulse - 1, CHECKED_PULSES).astype(int))
+        # Half a step of the checked pulses is added to the beam, so that no target slips between two of them.
+        slack = np.ptp(self.beam_azimuth) / (pulses.size - 1) if self.beam else 0.0
+        half = np.deg2rad(self.beam_width_deg) / 2 + slack
+        largest, nearest, farthest = 0.0, np.inf, 0.0
+        for pulse in pulses:
+            lit = np.ones(x.shape, bool)
+            if self.beam is not None:
+                lit = np.abs(np.mod(yaw - self.beam_azimuth[pulse] + np.pi, 2 * np.pi) - np.pi) <= half
+            px, py, pz = self.geometry.collection.antenna_position[pulse]
+            distance = np.sqrt((x[lit] - px) ** 2 + (y[lit] - py) ** 2 + (self.area.ground_height - pz) ** 2)
+            if distance.size:
+                largest = max(largest, float(np.abs(distance - self.reference_range[pulse]).max()))
+                nearest, farthest = min(nearest, float(distance.min())), max(farthest, float(distance.max()))
+        return largest, nearest, farthest
+
+    def _fast_time_samples(self, window: float) -> int:
+        """Even, 5-smooth number of fast-time samples that span `window` metres of range."""
+        least = max(window, 0.0) * 2 * self.radar.range_sampling / SPEED_OF_LIGHT
+        if not least <= MAX_FAST_TIME_SAMPLES:
+            raise InputError(
+                f"scene.swath with scene.reference_range needs {least:.7g} fast-time samples for a window of "
+                f"{window:.6g} m; the limit is {MAX_FAST_TIME_SAMPLES}: use a smaller swath or a reference range "
+                "inside it"
+            )
+        return next_smooth_even(int(np.ceil(least)))
+
+    @cached_property
+    def fast_time(self) -> FloatArray:
+        """Two-way delays of the raw echo's samples, (n,) s: all lit echoes over their whole length.
+
+        Raises
+        ------
+        InputError
+            If radar.pulse_width is missing.
+        """
+        if self.radar.pulse_width is None:
+            raise InputError("radar.pulse_width is missing: a raw echo needs the length of its chirp, s")
+        largest, nearest, farthest = self._lit_ranges
+        pulse = self.radar.pulse_width * SPEED_OF_LIGHT / 2
+        # Range compression leaves ranges modulo the window, about the reference: it must hold them as well.
+        window = RANGE_GUARD * max(farthest - nearest + pulse, 2 * largest)
+        n = self._fast_time_samples(window)
+        middle = (nearest + farthest) / SPEED_OF_LIGHT
+        return np.asarray(middle + (np.arange(n) - n // 2) / self.radar.range_sampling)
+
+    def range_frequency(self, *, raw: bool = False) -> FloatArray:
+        """Baseband range frequencies, Hz: the Fourier grid of the fast-time samples within the bandwidth.
+
+        The window c / (2 step) holds all lit ranges about the reference range, range migration and a guard of
+        5 % included, so no echo wraps.
+        """
+        n = self.fast_time.size if raw else self._fast_time_samples(2 * RANGE_GUARD * self._lit_ranges[0])
+        grid = np.arange(-(n // 2), n // 2) * (self.radar.range_sampling / n)
+        return np.asarray(grid[np.abs(grid) <= self.radar.bandwidth / 2])
+
+    def collection(self, *, raw: bool = False) -> Collection:
+        """The collection's metadata, as the simulated store will hold them.
+
+        Parameters
+        ----------
+        raw : bool
+            For the raw echo, whose range-frequency grid is that of `fast_time`.
+
+        Raises
+        ------
+        InputError
+            If track samples do not cover the pulses, the range window is absurd, or a raw echo has no pulse width.
+        """
+        return self._collection(self.range_frequency(raw=raw), self.reference_range)
+
+
+def shipped_scenes() -> list[str]:
+    """Names of the scenes inside the package."""
+    folder = resources.files("blocksar.simulation") / "scenes"
+    return sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml"))
+
+
+def next_smooth_even(least: int) -> int:
+    """The least even number >= max(least, 16) whose prime factors are 2, 3 and 5.
+
+    >>> next_smooth_even(2342)
+    2400
+    """
+    n = max(least + least % 2, 16)
+    while True:
+        rest = n
+        for factor in (2, 3, 5):
+            while rest % factor == 0:
+                rest //= factor
+        if rest == 1:
+            return n
+        n += 2

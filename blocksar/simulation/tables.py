@@ -1,0 +1,367 @@
+"""The tables of a scene file, and their limits."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, model_validator
+
+from blocksar.arrays import FloatArray
+from blocksar.errors import InputError
+
+MAX_PULSES = 1 << 22
+LARGEST, SMALLEST = 1e19, 1e-19  # numbers in any unit: beyond them nothing is meant, and arithmetic overflows
+
+Positive = Annotated[float, Field(gt=0)]
+Seed = Annotated[int, Field(ge=0, lt=2**63)]
+# TOML knows lists only: let a tuple be read from one, while what is in it stays strict.
+Pair = Annotated[tuple[float, float], Field(strict=False)]
+IndexPair = Annotated[tuple[int, int], Field(strict=False)]
+Vector = Annotated[tuple[float, float, float], Field(strict=False)]
+Sample = Annotated[tuple[float, float, float, float], Field(strict=False)]
+
+
+class Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+def _require(condition: bool, message: str) -> None:
+    if not condition:
+        raise ValueError(message)
+
+
+def _either(given: list[str], one: str, other: str) -> str:
+    return f"{'both' if given else 'neither'} given: give either {one} or {other}"
+
+
+def _given(table: BaseModel, *names: str) -> list[str]:
+    return [name for name in names if getattr(table, name) is not None]
+
+
+class RadarTable(Table):
+    carrier: Positive = Field(description="carrier frequency, Hz")
+    bandwidth: Positive = Field(description="transmitted bandwidth, Hz")
+    range_sampling: Positive = Field(description="complex fast-time sampling rate, Hz, at least the bandwidth")
+    prf: Positive = Field(description="pulse repetition frequency, Hz")
+    pulse_width: Positive | None = Field(None, description="length of the chirp, s; needed for a raw echo")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        _require(
+            self.bandwidth < 2 * self.carrier,
+            f"bandwidth = {self.bandwidth:g}: must be below twice the carrier, {2 * self.carrier:g} Hz",
+        )
+        _require(
+            self.range_sampling >= self.bandwidth,
+            f"range_sampling = {self.range_sampling:g}: must be at least the bandwidth, {self.bandwidth:g} Hz",
+        )
+        return self
+
+
+class TrackTable(Table):
+    position: Vector | None = Field(None, description="[x, y, z] at t = 0, m")
+    velocity: Vector | None = Field(None, description="[x, y, z] at t = 0, m/s")
+    acceleration: Vector | None = Field(None, description="[x, y, z] at t = 0, m/s^2")
+    jerk: Vector | None = Field(None, description="[x, y, z], m/s^3")
+    coefficients: Annotated[tuple[Vector, ...], Field(strict=False, min_length=2)] | None = Field(
+        None, description="[x, y, z] that multiply t^0, t^1, t^2, ...: an acceleration enters as a / 2"
+    )
+    samples: Annotated[tuple[Sample, ...], Field(strict=False, min_length=4)] | None = Field(
+        None, description="rows [t, x, y, z] in s and m, at least 4, t ascending"
+    )
+    file: str | None = Field(None, description="CSV file of rows t, x, y, z in s and m; relative to the scene file")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read_file(cls, data: Any, info: ValidationInfo) -> Any:
+        if not isinstance(data, dict) or not isinstance(data.get("file"), str) or "samples" in data:
+            return data
+        path = _beside(data["file"], info)
+        try:
+            with warnings.catch_warnings(action="ignore", category=UserWarning):  # it is empty: said below
+                table = np.loadtxt(path, delimiter=",", ndmin=2, comments="#", skiprows=_header_lines(path))
+        except (OSError, ValueError) as error:
+            raise ValueError(f"file = {data['file']!r}: must be a readable CSV of t, x, y, z ({error})") from None
+        return {**data, "samples": table.tolist()}
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        taylor = _given(self, "position", "velocity", "acceleration", "jerk")
+        ways = [*(["position, velocity"] if taylor else []), *_given(self, "coefficients", "samples")]
+        _require(
+            len(ways) == 1,
+            f"{' and '.join(ways) or 'nothing'} given: give one of position + velocity (+ acceleration, jerk), "
+            "coefficients, samples or file",
+        )
+        if taylor:
+            missing = [name for name in ("position", "velocity") if name not in taylor]
+            _require(not missing, f"{', '.join(missing)} missing: a track needs position and velocity")
+        if self.samples is not None:
+            _require(
+                all(later[0] > earlier[0] for earlier, later in zip(self.samples, self.samples[1:], strict=False)),
+                "samples: t must ascend from row to row",
+            )
+        return self
+
+    def positions(self, time: FloatArray) -> FloatArray:
+        """Antenna phase centre (n, 3), m, at slow times (n,), s: polynomial, or cubic spline through the samples.
+
+        Raises
+        ------
+        InputError
+            If the samples do not cover `time`.
+        """
+        if self.samples is not None:
+            from scipy.interpolate import CubicSpline  # heavy, and only sampled tracks need it
+
+            rows = np.array(self.samples)
+            tolerance = 1e-9 * (rows[-1, 0] - rows[0, 0])
+            if time[0] < rows[0, 0] - tolerance or time[-1] > rows[-1, 0] + tolerance:
+                raise InputError(
+                    f"track.samples run from t = {rows[0, 0]:g} to {rows[-1, 0]:g} s, but the pulses from "
+                    f"{time[0]:g} to {time[-1]:g} s: give samples for all of that time"
+                )
+            return np.asarray(CubicSpline(rows[:, 0], rows[:, 1:])(time), dtype=np.float64)
+        if self.coefficients is not None:
+            coefficients = np.array(self.coefficients)
+        else:
+            terms = (self.position, self.velocity, self.acceleration, self.jerk)
+            factorial = np.array([1.0, 1.0, 2.0, 6.0])
+            coefficients = np.array([term or (0.0, 0.0, 0.0) for term in terms]) / factorial[:, None]
+        return np.asarray(np.polynomial.polynomial.polyval(time, coefficients).T, dtype=np.float64)
+
+
+class TimeTable(Table):
+    duration: Positive | None = Field(None, description="length of the collection, s")
+    pulses: int | None = Field(None, ge=8, le=MAX_PULSES, description="number of pulses, odd or even")
+    start: float | None = Field(None, description="slow time of the first pulse, s; default: t = 0 is the middle pulse")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        given = _given(self, "duration", "pulses")
+        _require(len(given) == 1, _either(given, "duration (s)", "pulses"))
+        return self
+
+
+class BeamTable(Table):
+    start_deg: float = Field(ge=-720, le=720, description="beam-centre yaw at the first pulse, degrees")
+    stop_deg: float = Field(ge=-720, le=720, description="beam-centre yaw one interval after the last pulse, degrees")
+    dwell: Positive | None = Field(None, description="time for which a target is lit, s")
+    width_deg: float | None = Field(None, gt=0, lt=180, description="full beam width in yaw, degrees")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        given = _given(self, "dwell", "width_deg")
+        _require(len(given) == 1, _either(given, "dwell (s)", "width_deg"))
+        _require(
+            self.start_deg != self.stop_deg or self.dwell is None,
+            f"dwell = {self.dwell}: a beam that stands still has no dwell, give width_deg",
+        )
+        return self
+
+
+class AreaTable(Table):
+    swath: Pair = Field(description="[near, far] slant range at t = 0, m")
+    centre_yaw_deg: float | None = Field(
+        None, ge=-720, le=720, description="yaw of the scene centre, degrees; default: the middle of the steering"
+    )
+    centre_range: Positive | None = Field(
+        None, description="slant range of the scene centre at t = 0, m; default: the middle of the swath"
+    )
+    ground_height: float = Field(0.0, description="height of the ground plane, m")
+    reference_range: Literal["constant", "scene_centre"] | Positive = Field(
+        "constant",
+        description="the range whose phase is removed: 'constant' (the scene centre's at t = 0), "
+        "'scene_centre' (followed from pulse to pulse), or a number of m",
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        near, far = self.swath
+        _require(0 < near < far, f"swath = [{near:g}, {far:g}]: must be [near, far] with 0 < near < far, m")
+        return self
+
+
+class TargetTable(Table):
+    name: str = Field(min_length=1, description="name of the target")
+    x: float | None = Field(None, description="scene-frame x, m")
+    y: float | None = Field(None, description="scene-frame y, m")
+    range: Positive | None = Field(None, description="slant range at t = 0, m")
+    yaw_deg: float | None = Field(None, description="yaw about the nadir at t = 0, degrees")
+    ground_range_offset: float | None = Field(None, description="from the scene centre, away from the platform, m")
+    cross_range_offset: float | None = Field(None, description="from the scene centre, towards larger yaw, m")
+    amplitude: float = Field(1.0, ge=0, description="modulus of the reflectivity")
+    phase_deg: float = Field(0.0, description="phase of the reflectivity, degrees")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        ways = {("x", "y"), ("range", "yaw_deg"), ("ground_range_offset", "cross_range_offset")}
+        given = tuple(_given(self, "x", "y", "range", "yaw_deg", "ground_range_offset", "cross_range_offset"))
+        _require(
+            given in ways,
+            f"place of {self.name!r} = {', '.join(given) or 'nothing'}: give x + y, range + yaw_deg, or "
+            "ground_range_offset + cross_range_offset",
+        )
+        return self
+
+    @property
+    def reflectivity(self) -> complex:
+        return complex(self.amplitude * np.exp(1j * np.deg2rad(self.phase_deg)))
+
+
+class MatrixTable(Table):
+    """Unit targets about the scene centre: rows along ground range, columns across it, towards larger yaw."""
+
+    rows: int = Field(ge=1, le=10_000, description="targets along ground range")
+    columns: int = Field(ge=1, le=10_000, description="targets across it")
+    spacing: Pair | None = Field(None, description="[along ground range, across it] from target to target, m")
+    extent: Pair | None = Field(None, description="[along ground range, across it] from first to last target, m")
+    amplitude: float = Field(1.0, ge=0, description="modulus of the reflectivity")
+    names: dict[str, IndexPair] = Field({}, description="name = [row, column] counted from 0; others are Trc")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        given = _given(self, "spacing", "extent")
+        _require(len(given) == 1, _either(given, "spacing (m)", "extent (m)"))
+        size = self.spacing or self.extent or (0.0, 0.0)
+        _require(min(size) > 0, f"{given[0]} = {list(size)}: both must be greater than 0 m")
+        _require(
+            self.rows * self.columns <= 10_000,
+            f"rows x columns = {self.rows * self.columns}: at most 10000 targets; use clutter for more",
+        )
+        wrong = [
+            f"names.{name} = [{row}, {column}]"
+            for name, (row, column) in self.names.items()
+            if not (0 <= row < self.rows and 0 <= column < self.columns)
+        ]
+        _require(not wrong, f"{', '.join(wrong)}: must lie in the {self.rows} x {self.columns} matrix, from [0, 0]")
+        _require(len(set(self.names.values())) == len(self.names), f"names = {self.names}: two names for one target")
+        return self
+
+    def offsets(self) -> tuple[FloatArray, FloatArray]:
+        """(along ground range, across it) from the scene centre, m, row by row."""
+        counts = (self.rows, self.columns)
+        if self.spacing is not None:
+            extents = [step * (count - 1) for step, count in zip(self.spacing, counts, strict=True)]
+        else:
+            extents = list(self.extent or ())
+        axes = [
+            np.linspace(-extent / 2, extent / 2, count) if count > 1 else np.zeros(1)
+            for extent, count in zip(extents, counts, strict=True)
+        ]
+        along, across = np.meshgrid(*axes, indexing="ij")
+        return along.ravel(), across.ravel()
+
+    def labels(self) -> list[str]:
+        """Names row by row."""
+        named = {index: name for name, index in self.names.items()}
+        wide = len(str(max(self.rows, self.columns) - 1))
+        return [
+            named.get((row, column), f"T{row:0{wide}}{column:0{wide}}")
+            for row in range(self.rows)
+            for column in range(self.columns)
+        ]
+
+
+class ClutterTable(Table):
+    """A random field: scatterers uniform over the region's ground area, circular Gaussian reflectivity."""
+
+    scatterers: int = Field(ge=1, le=20_000_000, description="number of scatterers, usually 1e5 to 1e6")
+    seed: Seed = Field(description="seed of the random numbers")
+    power: Positive = Field(1.0, description="mean of |reflectivity|^2 of one scatterer")
+    range: Pair | None = Field(None, description="[near, far] slant range at t = 0, m; default: the swath")
+    yaw_deg: Pair | None = Field(None, description="[first, last] yaw, degrees; default: all that the beam lights")
+    x: Pair | None = Field(None, description="[first, last] scene-frame x, m")
+    y: Pair | None = Field(None, description="[first, last] scene-frame y, m")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        box, polar = _given(self, "x", "y"), _given(self, "range", "yaw_deg")
+        _require(not (box and polar), f"{', '.join(box + polar)} given: give a box x + y, or range + yaw_deg")
+        _require(len(box) != 1, f"{''.join(box)} given alone: a box needs x and y")
+        for name in box + polar:
+            first, last = getattr(self, name)
+            _require(first < last, f"{name} = [{first:g}, {last:g}]: must ascend")
+        return self
+
+
+class ReflectivityTable(Table):
+    """A map: pixel [row, column] is a scatterer at x = x0 + dx column, y = y0 + dy row."""
+
+    file: str = Field(description=".npy file of a 2-D real or complex array; relative to the scene file")
+    x0: float = Field(description="x of the first column, m")
+    dx: float = Field(description="step from column to column, m")
+    y0: float = Field(description="y of the first row, m")
+    dy: float = Field(description="step from row to row, m")
+    seed: Seed | None = Field(None, description="seed of a random phase per pixel; left out: phases as in the file")
+
+    @model_validator(mode="after")
+    def _check(self, info: ValidationInfo) -> Self:
+        for name in ("dx", "dy"):
+            _require(getattr(self, name) != 0, f"{name} = 0: must be a step other than 0 m")
+        path = _beside(self.file, info)
+        try:
+            pixels = np.lib.format.open_memmap(path, mode="r")
+        except (OSError, ValueError, OverflowError) as error:
+            raise ValueError(f"file = {self.file!r}: must be a readable .npy file ({error})") from None
+        _require(
+            pixels.ndim == 2 and pixels.dtype.kind in "uifc" and pixels.size > 0,
+            f"file = {self.file!r}: must hold a 2-D real or complex array",
+        )
+        _require(bool(np.isfinite(pixels).all()), f"file = {self.file!r}: must hold finite numbers only")
+        object.__setattr__(self, "file", str(path))
+        return self
+
+
+class NoiseTable(Table):
+    """Circular Gaussian noise: E|n|^2 = power in each sample.
+
+    A target of unit amplitude has modulus 1 in each sample, so its signal-to-noise ratio is 1 / power in one sample,
+    and (lit pulses x range frequencies) / power in the image.
+    """
+
+    power: float = Field(ge=0, description="mean |noise|^2 per sample, relative to a target of unit amplitude")
+    seed: Seed = Field(description="seed of the random numbers")
+
+
+class DroppedTable(Table):
+    """Pulses that were lost: rows of NaN."""
+
+    pulses: Annotated[tuple[int, ...], Field(strict=False)] = Field((), description="indices of pulses, from 0")
+    ranges: Annotated[tuple[IndexPair, ...], Field(strict=False)] = Field(
+        (), description="[first, last] indices, both of them lost too"
+    )
+    fraction: float = Field(0.0, ge=0, lt=1, description="share of all pulses, picked at random")
+    seed: Seed | None = Field(None, description="seed of the random choice; needed with fraction")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        _require(self.fraction == 0 or self.seed is not None, "seed missing: fraction needs one")
+        for first, last in self.ranges:
+            _require(first <= last, f"ranges = [{first}, {last}]: must be [first, last] with first <= last")
+        return self
+
+
+# -- messages -----------------------------------------------------------------------------------------------
+
+
+def _beside(file: str, info: ValidationInfo) -> Path:
+    folder = (info.context or {}).get("folder")
+    path = Path(file) if folder is None else Path(folder) / file
+    _require(not os.path.lexists(path) or os.path.isfile(path), f"file = {file!r}: must be a regular file")
+    return path
+
+
+def _header_lines(path: Path) -> int:
+    """1 where the first line of a CSV holds names instead of numbers."""
+    with path.open(encoding="utf-8") as lines:
+        first = lines.readline().split(",")[0].strip()
+    try:
+        float(first)
+    except ValueError:
+        return 0 if first.startswith("#") else 1
+    return 0

@@ -1,0 +1,450 @@
+"""Phase histories and collections: a public contract that other programs write too; reading it trusts nothing."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from math import prod
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xxhash
+import zarr
+
+from blocksar.arrays import ComplexArray, FloatArray, check_axis
+from blocksar.chunks import TILE
+from blocksar.collection.collection import Collection
+from blocksar.collection.raw_echo import RawEcho
+from blocksar.errors import InputError
+from blocksar.places import Location
+from blocksar.places import place as place_of
+from blocksar.places.local import LocalPlace
+from blocksar.places.objects import ObjectPlace, os_errors
+from blocksar.places.place import Place
+from blocksar.stores.arrays import dimension_names, metadata_file, open_array, refuse_codecs, refuse_odd_chunks
+from blocksar.stores.chunk_files import chunk_files_of, refuse_odd_file
+from blocksar.stores.creation import UNFINISHED, create
+from blocksar.stores.faults import cause_of, unreachable
+from blocksar.stores.regions import read_array
+from blocksar.stores.schema import (
+    COLLECTION,
+    COLLECTION_ATTRS,
+    CONVENTIONS,
+    PHASE_HISTORY,
+    RAW_ATTRS,
+    RAW_ECHO,
+    TRACK_AND_BEAM,
+    UNITS,
+)
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+
+MAX_AXIS = 1 << 26  # samples of one axis: metadata that claim more are damaged, and would eat the memory
+MAX_CHUNK = 1 << 34  # bytes of one chunk: the same
+MAX_CHUNKS = 1 << 15  # of a variable that is read as a whole: more take minutes, or are nowhere but in the metadata
+GROUP_METADATA = (".zattrs", ".zgroup", ".zmetadata", "zarr.json")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PhaseHistory:
+    """An open phase history: its collection, and its samples on demand. Holds no file open, and pickles small.
+
+    Attributes
+    ----------
+    path : Place
+        A place as its user named it is also what `str` gives.
+    collection : Collection
+        Of a raw echo: range_frequency is `raw.range_frequency`, what recovery compresses it to.
+    raw : RawEcho or None
+        None where the samples are `signal`, over range frequency; else they are `echo`, over fast time.
+    attrs : dict
+        Attributes of the store that are not in collection or raw: title, history, targets, scene, georeference ...
+    """
+
+    path: Place
+    collection: Collection
+    raw: RawEcho | None = None
+    attrs: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def variable(self) -> str:
+        """Name of the samples: `signal` or `echo`."""
+        return "signal" if self.raw is None else "echo"
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Pulses, and columns: range frequencies, or fast-time samples of a raw echo."""
+        columns = self.collection.range_frequency if self.raw is None else self.raw.fast_time
+        return self.collection.n_pulse, int(columns.size)
+
+    @property
+    def chunks(self) -> tuple[int, int]:
+        """Pulses and columns of one chunk."""
+        pulse, column = open_array(self.path, self.variable).chunks
+        return int(pulse), int(column)
+
+    def read(self, pulses: slice, columns: slice) -> ComplexArray:
+        """Samples of some pulses and columns.
+
+        Returns
+        -------
+        (n_pulse, n_column) complex64
+            NaN rows where pulses are missing.
+
+        Raises
+        ------
+        InputError
+            If a chunk is damaged (it names the chunk), or the store has changed since it was opened.
+        """
+        array = chunk_files_of(self.path, self.variable) or open_array(self.path, self.variable)
+        if array.shape != self.shape:
+            raise InputError(
+                f"{self.variable} in {self.path} now has shape {array.shape}, not {self.shape}; it changed since it "
+                "was opened: start again"
+            )
+        samples = read_array(array, (pulses, columns), self.path, f"{self.variable} in {self.path}")
+        with np.errstate(over="ignore"):
+            return samples.astype(np.complex64, copy=False)
+
+    def fingerprint(self) -> str:
+        """Hash that tells one input from another without reading its samples.
+
+        Of metadata, axes, track and beam all the bytes; of the samples the chunks' names, sizes and times, or what an
+        object store calls a version of each.
+
+        Raises
+        ------
+        InputError
+            If a file cannot be read.
+        """
+        digest = xxhash.xxh3_128()
+        try:
+            for name, chunk, file in self._files():
+                digest.update(os.fsencode(f"{name}\n"))
+                if chunk:
+                    digest.update(f"{chunk}\n".encode())
+                    continue
+                if isinstance(file, LocalPlace):
+                    refuse_odd_file(file.path, sys.maxsize)
+                digest.update(file.read_bytes())
+        except OSError as error:
+            raise unreachable(self.path, error) from error
+        return digest.hexdigest()
+
+    def _files(self) -> Iterator[tuple[str, str, Place]]:
+        """Files of the group and of every variable: name, size and version if it is a chunk of samples, and where."""
+        there = self.path.names()
+        yield from ((name, "", self.path / name) for name in GROUP_METADATA if name in there)
+        for variable in sorted(PHASE_HISTORY if self.raw is None else RAW_ECHO):
+            found = sorted((self.path / variable).files(), key=lambda file: file[0].split("/"))
+            for name, size, version in found:
+                chunk = variable == self.variable and name not in ("zarr.json", ".zarray", ".zattrs")
+                yield f"{variable}/{name}", f"{size} {version}" if chunk else "", self.path / variable / name
+
+
+def create_phase_history(
+    path: Location,
+    collection: Collection,
+    *,
+    raw: RawEcho | None = None,
+    attrs: Mapping[str, Any] | None = None,
+    overwrite: bool = False,
+    fill: Callable[[Place], None] | None = None,
+) -> None:
+    """Create `phase_history.zarr` with all but the samples: `fill` writes those by region, in chunks of `TILE`.
+
+    Without it they may be written later, and until then a store is found whose pulses are all missing.
+
+    Parameters
+    ----------
+    path : path
+    collection : Collection
+    raw : RawEcho, optional
+        Given for a raw echo: the samples are then `echo` over its fast_time.
+    attrs : dict
+        Beyond what `collection` and `raw` tell: history, targets, scene, georeference ...
+    overwrite, fill
+        As for `create`.
+
+    Raises
+    ------
+    InputError, ProcessingError
+        As for `create`.
+    """
+    column, axis = ("range_frequency", collection.range_frequency) if raw is None else ("fast_time", raw.fast_time)
+    create(
+        path,
+        PHASE_HISTORY if raw is None else RAW_ECHO,
+        sizes={},
+        coords={"time": collection.time, column: axis},
+        variables={name: getattr(collection, name) for name in TRACK_AND_BEAM},
+        attrs=_collection_attrs(collection, raw, attrs),
+        chunks={"pulse": TILE[0], column: TILE[1]},
+        overwrite=overwrite,
+        fill=fill,
+    )
+
+
+def write_collection(path: Location, collection: Collection, attrs: Mapping[str, Any] | None = None) -> None:
+    """Write a phase history less the samples; a store that is there is replaced.
+
+    Raises
+    ------
+    InputError
+        As for `create`.
+    """
+    create(
+        path,
+        COLLECTION,
+        sizes={},
+        coords={"time": collection.time, "range_frequency": collection.range_frequency},
+        variables={name: getattr(collection, name) for name in TRACK_AND_BEAM},
+        attrs=_collection_attrs(collection, None, attrs),
+        chunks={},
+        overwrite=True,
+    )
+
+
+def _collection_attrs(collection: Collection, raw: RawEcho | None, attrs: Mapping[str, Any] | None) -> dict[str, Any]:
+    own: dict[str, Any] = {
+        "carrier_frequency": collection.carrier,
+        "beam_width": collection.beam_width,
+        "ground_height": collection.ground_height,
+    }
+    if raw is not None:
+        own |= {"chirp_rate": raw.chirp_rate, "pulse_width": raw.pulse_width}
+    text = {
+        "Conventions": CONVENTIONS,
+        "title": collection.title,
+        "history": history_line("created by blocksar"),
+        **(attrs or {}),
+    }
+    if collection.title:
+        text["title"] = collection.title
+    return {**text, **{name: value for name, value in own.items() if value is not None}}
+
+
+def history_line(what: str, earlier: Any = None) -> str:
+    """The history attribute: what was done now, above what was done before."""
+    line = f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} {what}"
+    return f"{line}\n{earlier}" if earlier else line
+
+
+def open_phase_history(path: Location) -> PhaseHistory:
+    """Open a phase history, whoever wrote it, and check all of it but the samples against the contract.
+
+    Raises
+    ------
+    InputError
+        If there is no such store, it is damaged, or it departs from the contract: one sentence that says where.
+    """
+    with _reading(path) as place:
+        group = _open_group(place)
+        names = [name for name in ("signal", "echo") if metadata_file(place / name)]
+        if len(names) != 1:
+            there = ", ".join(name for name in place.names() if metadata_file(place / name)) or "nothing"
+            raise InputError(
+                f"it holds {'both' if names else 'neither'} signal {'and' if names else 'nor'} echo (it holds "
+                f"{there}); a phase history has the one or the other"
+            )
+        attrs = _attrs(group)
+        raw = _read_raw(place, attrs) if names == ["echo"] else None
+        collection = _read_collection(place, attrs, None if raw is None else raw.range_frequency)
+        column = "range_frequency" if raw is None else "fast_time"
+        columns = collection.n_range_frequency if raw is None else raw.fast_time.size
+        samples = _checked(place, names[0])
+        if samples.shape != (collection.n_pulse, columns):
+            raise InputError(
+                f"{names[0]} has shape {samples.shape}, but time and {column} have {collection.n_pulse} and {columns} "
+                "values; make them agree"
+            )
+        own = (*COLLECTION_ATTRS, *(RAW_ATTRS if raw is not None else ()))
+        rest = {name: value for name, value in attrs.items() if name not in own}
+        return PhaseHistory(path=place, collection=collection, raw=raw, attrs=rest)
+
+
+def read_collection(path: Location) -> tuple[Collection, dict[str, Any]]:
+    """Read what `write_collection` wrote: the collection, and the attributes beyond it.
+
+    Raises
+    ------
+    InputError
+        As for `open_phase_history`.
+    """
+    with _reading(path) as place:
+        attrs = _attrs(_open_group(place))
+        collection = _read_collection(place, attrs, None)
+        return collection, {name: value for name, value in attrs.items() if name not in COLLECTION_ATTRS}
+
+
+def open_dataset(path: Location) -> xr.Dataset:
+    """Open any store lazily, as `xarray.open_zarr` does.
+
+    Raises
+    ------
+    InputError
+        If there is no such store, or it is damaged.
+    """
+    import xarray as xr  # half a second, and only here
+
+    with _reading(path) as place:
+        group = _open_group(place)
+        for child in place.names() if isinstance(place, LocalPlace) else []:
+            metadata_file(place / child)  # a pipe would hang zarr
+        with os_errors(place):
+            for name, array in group.arrays():
+                refuse_codecs(array, f"{place}/{name}")
+            zarr_path = place.zarr_path()
+            dataset = xr.open_zarr(zarr_path.store, group=zarr_path.path or None, consolidated=False, chunks=None)
+        dataset.encoding["source"] = str(place)  # as xarray itself says of a path
+        return dataset
+
+
+@contextmanager
+def _reading(path: Location) -> Iterator[Place]:
+    """Whatever the bytes on disk do to the libraries below, one InputError that names the store comes out."""
+    place = place_of(path)
+    try:
+        yield place
+    except InputError as error:
+        text = str(error)
+        raise InputError(text if str(place) in text else f"{place}: {text}") from error.__cause__
+    except Exception as error:
+        if isinstance(error, OSError) and isinstance(place, ObjectPlace):
+            raise unreachable(place, error) from error
+        if isinstance(error, PermissionError):
+            what = error.filename or place
+            raise InputError(f"{what} may not be read by this user; change its permissions") from error
+        raise InputError(f"{place} is damaged, or no store of this kind ({cause_of(error)}); write it again") from error
+
+
+def _open_group(place: Place) -> zarr.Group:
+    if isinstance(place, LocalPlace) and place.exists():
+        if not place.path.is_dir():
+            raise InputError(
+                f"{place} is not a directory; give the path of a zarr store, which is one (blocksar ingest makes it of "
+                "a CPHD or Gotcha file)"
+            )
+        os.listdir(place)  # PermissionError says more than the missing metadata would
+    metadata = metadata_file(place)
+    if not metadata:
+        if not place.exists():
+            raise InputError(f"{place} does not exist; check the path")
+        if isinstance(place, ObjectPlace) and (place / UNFINISHED).exists():
+            raise InputError(f"{place} is being written, or was left unfinished; wait, or write it again")
+        raise InputError(f"{place} is not a zarr store: it has no zarr.json; check the path, or write it again")
+    try:
+        kind = json.loads((place / metadata).read_bytes())
+        if metadata == ".zarray" or kind.get("node_type", "group") != "group":
+            raise InputError(f"{place} is a single zarr array, not a group; give the path of the store that holds it")
+        # Consolidated metadata are a copy that may be stale.
+        with os_errors(place):
+            return zarr.open_group(store=place.zarr_path(), mode="r", use_consolidated=False)
+    except (InputError, PermissionError):
+        raise
+    except Exception as error:
+        if isinstance(error, OSError) and isinstance(place, ObjectPlace):
+            raise
+        raise InputError(f"{place / metadata} is damaged ({cause_of(error)}); write the store again") from error
+
+
+def _attrs(group: zarr.Group) -> dict[str, Any]:
+    # xarray lists names of variables here; they mean nothing in another store.
+    return {name: value for name, value in group.attrs.asdict().items() if name != "coordinates"}
+
+
+def _read_collection(place: Place, attrs: Mapping[str, Any], range_frequency: FloatArray | None) -> Collection:
+    time = _real(place, "time")
+    if not metadata_file(place / "beam_azimuth"):
+        beam_azimuth = np.full(time.shape, np.nan)
+    else:
+        beam_azimuth = _real(place, "beam_azimuth")
+    beam_width = _number(attrs, "beam_width", "rad", None)
+    if beam_width is not None and np.isnan(beam_width) and np.isnan(beam_azimuth).all():
+        beam_width = None
+    carrier = _number(attrs, "carrier_frequency", "Hz")
+    ground_height = _number(attrs, "ground_height", "m", 0.0)
+    return Collection(
+        carrier=carrier,
+        time=time,
+        range_frequency=_real(place, "range_frequency") if range_frequency is None else range_frequency,
+        reference_range=_real(place, "reference_range"),
+        antenna_position=_real(place, "antenna_position"),
+        beam_azimuth=beam_azimuth,
+        beam_width=beam_width,
+        ground_height=ground_height,
+        title=str(attrs.get("title") or ""),
+    )
+
+
+def _read_raw(place: Place, attrs: Mapping[str, Any]) -> RawEcho:
+    fast_time = _real(place, "fast_time")
+    check_axis(fast_time, "fast_time", "s")
+    return RawEcho(
+        fast_time=fast_time,
+        chirp_rate=_number(attrs, "chirp_rate", "Hz/s"),
+        pulse_width=_number(attrs, "pulse_width", "s"),
+        sampling_rate=float((fast_time.size - 1) / (fast_time[-1] - fast_time[0])),
+    )
+
+
+def _number(attrs: Mapping[str, Any], name: str, unit: str, default: Any = ...) -> Any:
+    """A number among the attributes; without a default it must be there."""
+    value = attrs.get(name)
+    if value is None:
+        if default is not ...:
+            return default
+        raise InputError(f"attribute {name} is missing; add it, in {unit}")
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(f"attribute {name} is {value!r}; it must be a number, in {unit}")
+    try:
+        return float(value)
+    except OverflowError:
+        raise InputError(f"attribute {name} is a whole number of hundreds of digits; correct it, in {unit}") from None
+
+
+def _checked(place: Place, name: str) -> zarr.Array[Any]:
+    """Open a variable of the contract, and check what does not need its values."""
+    variable = {**PHASE_HISTORY, **RAW_ECHO}[name]
+    if not metadata_file(place / name):
+        raise InputError(f"variable {name} ({', '.join(variable.dims)}) is missing; write it, in {variable.units}")
+    array = open_array(place, name)
+    if isinstance(place, LocalPlace):
+        refuse_odd_chunks(place / name, len(array.metadata.encode_chunk_key((0,) * array.ndim).split("/")))
+    found = dimension_names(array)
+    if found != variable.dims:
+        have = "none" if found is None else f"({', '.join(map(str, found))})"
+        remedy = "transpose it" if found and sorted(map(str, found)) == sorted(variable.dims) else "name them so"
+        raise InputError(f"{name} has dimensions {have}, but must have ({', '.join(variable.dims)}); {remedy}")
+    kinds = "c" if variable.dtype == "complex64" else "fiu"
+    if array.dtype.kind not in kinds:
+        raise InputError(f"{name} is {array.dtype}, but must be {variable.dtype}; write it as that")
+    if max(array.shape) > MAX_AXIS:
+        raise InputError(f"{name} claims the shape {array.shape}, beyond {MAX_AXIS} an axis; its metadata are damaged")
+    chunks = array.shards or array.chunks
+    if not 0 < prod(chunks) * array.dtype.itemsize <= MAX_CHUNK:
+        raise InputError(f"{name} claims chunks of {chunks}; its metadata are damaged, write it again")
+    count = prod(-(-n // chunk) for n, chunk in zip(array.shape, chunks, strict=True))
+    if count > MAX_CHUNKS and name not in ("signal", "echo"):
+        raise InputError(f"{name} is in {count} chunks, but is read as a whole; write it in at most {MAX_CHUNKS}")
+    attrs = array.attrs.asdict()
+    units = attrs.get("units")
+    if units is not None and variable.units in UNITS and str(units).strip().lower() not in UNITS[variable.units]:
+        raise InputError(f"{name} is in {units!r}, but must be in {variable.units}; convert it")
+    packed = [key for key, idle in (("scale_factor", 1), ("add_offset", 0)) if attrs.get(key, idle) != idle]
+    if packed:
+        raise InputError(f"{name} is packed with {packed[0]} = {attrs[packed[0]]!r}; write its values as they are")
+    return array
+
+
+def _real(place: Place, name: str) -> FloatArray:
+    array = _checked(place, name)
+    values = read_array(array, (slice(None),) * array.ndim, place, name)
+    return np.asarray(values, dtype=np.float64)

@@ -1,0 +1,223 @@
+"""The layers of the package, stated once; every import is held to them."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from graphlib import TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+import blocksar
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = ROOT / "blocksar"
+
+# ---------------------------------------------------------------- the layers
+
+# From the ground up. A room is a folder or a module right under blocksar/; it imports from lower layers only, and from
+# no other room of its own layer.
+LAYERS = (
+    {"errors", "constants", "budget", "version"},
+    {"places", "progress", "arrays", "chunks"},
+    {"collection", "kernels"},
+    {"stores", "measurement", "focusing"},
+    {"ingestion", "runs", "planning", "inspection"},
+    {"simulation", "graph", "products"},
+    {"api"},
+    {"cli", "accessor", "__init__"},
+    {"__main__"},
+)
+
+# Where a library may be imported; None: everywhere. A library that is not listed is not used.
+HOMES: dict[str, set[str] | None] = {
+    "numpy": None,
+    "scipy": None,
+    "numba": {"kernels", "focusing", "inspection", "simulation"},
+    "llvmlite": {"kernels", "focusing"},
+    "finufft": {"simulation"},
+    "pydantic": {"simulation"},
+    "zarr": {"places", "stores"},
+    "obstore": {"places"},
+    "psutil": {"places"},
+    "xxhash": {"stores"},
+    "xarray": {"stores", "products", "api"},
+    "dask": {"graph"},
+    "distributed": {"graph", "api"},  # api: types
+    "typer": {"cli"},
+    "rich": {"cli", "progress"},
+    "matplotlib": {"products"},
+    "jinja2": {"products"},
+    "rasterio": {"products"},
+    "shapely": {"products"},
+    "sarkit": {"ingestion", "products"},
+    "lxml": {"simulation", "products"},
+    "pyproj": {"collection", "products"},  # products: types
+}
+
+# Arrays, numbers and frozen objects only: no files, no logging, no graphs.
+PURE = {"kernels", "collection", "focusing", "inspection", "planning", "measurement"}
+IMPURE_LIBRARIES = {"io", "json", "logging", "os", "pathlib", "shutil", "tempfile"}
+
+# scipy.fft outside kernels/fourier.py, where a comment beside the import gives the reason. numpy.fft: nowhere.
+OWN_TRANSFORMS = {"simulation/scatterers.py"}
+
+# Libraries that `import blocksar` and `blocksar --help` must not load.
+HEAVY = ("dask", "distributed", "finufft", "matplotlib", "numba", "scipy", "xarray", "zarr")
+
+# ---------------------------------------------------------------- reading the modules
+
+MODULES = sorted(PACKAGE.rglob("*.py"))
+LAYER = {room: number for number, rooms in enumerate(LAYERS) for room in rooms}
+EVERY = pytest.mark.parametrize("room", sorted(LAYER))
+
+
+def room_of(path: Path) -> str:
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+def modules_of(room: str) -> list[Path]:
+    return [path for path in MODULES if room_of(path) == room]
+
+
+def name_of(path: Path) -> str:
+    return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+
+
+def imports(path: Path) -> Iterator[tuple[str, int]]:
+    """Every dotted name that a file imports, also inside functions and under TYPE_CHECKING, with its line."""
+    package = list(path.relative_to(ROOT).parts[:-1])
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))):
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, node.lineno) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else []
+            origin = ".".join([*base, *filter(None, [node.module])])
+            yield from ((f"{origin}.{alias.name}", node.lineno) for alias in node.names)
+
+
+def imports_of(room: str) -> Iterator[tuple[Path, str, int]]:
+    yield from ((path, name, line) for path in modules_of(room) for name, line in imports(path))
+
+
+def line_in(path: Path, line: int) -> str:
+    return f"{path.relative_to(ROOT)}:{line}"
+
+
+# ---------------------------------------------------------------- tests
+
+
+def test_every_room_has_a_layer() -> None:
+    assert {room_of(path) for path in MODULES} == set(LAYER)
+
+
+@EVERY
+def test_imports_point_to_lower_layers(room: str) -> None:
+    wrong = []
+    for path, name, line in imports_of(room):
+        parts = name.split(".")
+        if parts[0] == PACKAGE.name:
+            target = parts[1] if parts[1:] and parts[1] in LAYER else "__init__"
+            if target != room and LAYER[target] >= LAYER[room]:
+                wrong.append(f"{line_in(path, line)}: {room} (layer {LAYER[room] + 1}) imports {target}")
+    assert not wrong, "\n".join(wrong)
+
+
+def test_modules_form_no_circle() -> None:
+    names = {name_of(path) for path in MODULES}
+    arrows = {}
+    for path in MODULES:
+        found = {name if name in names else name.rpartition(".")[0] for name, _ in imports(path)}
+        arrows[name_of(path)] = found & names - {name_of(path)}
+    assert set(TopologicalSorter(arrows).static_order()) == names
+
+
+@EVERY
+def test_libraries_stay_at_home(room: str) -> None:
+    wrong = []
+    for path, name, line in imports_of(room):
+        library = name.split(".")[0]
+        if library == PACKAGE.name or library in sys.stdlib_module_names:
+            allowed = room not in PURE or library not in IMPURE_LIBRARIES
+        else:
+            home = HOMES.get(library, set())
+            allowed = home is None or room in home
+        if not allowed:
+            wrong.append(f"{line_in(path, line)}: {room} may not import {library}")
+    assert not wrong, "\n".join(wrong)
+
+
+def test_every_library_is_used_and_declared() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    optional = project["optional-dependencies"]
+    extras = [name for extra in optional if extra != "test" for name in optional[extra]]
+    declared = " ".join([*project["dependencies"], *extras])
+    assert not [name for name in HOMES if name not in declared]
+    used = {(name.split(".")[0], room_of(path)) for path in MODULES for name, _ in imports(path)}
+    unused = [
+        (library, room) for library, rooms in HOMES.items() for room in rooms or () if (library, room) not in used
+    ]
+    assert not unused
+
+
+@EVERY
+def test_one_home_for_the_fourier_transform(room: str) -> None:
+    wrong = []
+    for path in modules_of(room):
+        place, text = path.relative_to(PACKAGE).as_posix(), path.read_text(encoding="utf-8")
+        lines = text.splitlines()
+        for name, line in imports(path):
+            if name.split(".")[:2] in (["numpy", "fft"], ["scipy", "fft"], ["scipy", "fftpack"]):
+                reason = "#" in lines[line - 1] or lines[line - 2].lstrip().startswith("#")
+                home = place == "kernels/fourier.py" or (place in OWN_TRANSFORMS and reason)
+                if not (home and name.startswith("scipy.fft")):
+                    wrong.append(f"{line_in(path, line)}: import {name}")
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.Attribute) and ast.unparse(node) in ("np.fft", "numpy.fft"):
+                wrong.append(f"{line_in(path, node.lineno)}: {ast.unparse(node)}")
+    assert not wrong, "call blocksar.kernels.fourier instead:\n" + "\n".join(wrong)
+
+
+@pytest.mark.parametrize("module", ["blocksar", "blocksar.cli"])
+def test_the_import_is_light(module: str) -> None:
+    code = f"import {module}, sys; print(*(name for name in {HEAVY!r} if name in sys.modules))"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert run.stdout.split() == []
+
+
+def test_no_room_is_named_as_a_public_function() -> None:
+    # Importing it would hide the function.
+    assert not set(blocksar.__all__) & set(LAYER)
+
+
+def test_an_unknown_name_is_refused() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'defocus'"):
+        _ = blocksar.defocus
+
+
+def test_the_package_carries_its_data() -> None:
+    assert (PACKAGE / "py.typed").is_file()
+    assert (PACKAGE / "simulation" / "scenes" / "table1.toml").is_file()
+    assert all(
+        (PACKAGE / "products" / "page" / "templates" / f"report.{kind}").is_file() for kind in ("html", "css", "js")
+    )
+
+
+def test_the_project_stands_on_its_own() -> None:
+    # Put together here, so that this file does not hold the words it looks for.
+    outside = {"/" + "work/": [], "../" + "shared": [".ci/run"], "/tmp/" + "venv": []}
+    files = [path for path in ROOT.iterdir() if path.is_file()]
+    for folder in (".ci", "blocksar", "deploy", "tests", "workflows"):
+        files += [path for path in (ROOT / folder).rglob("*") if path.is_file() and "__pycache__" not in path.parts]
+    wrong = []
+    for path in files:
+        text = path.read_bytes().decode("utf-8", errors="replace")
+        place = path.relative_to(ROOT).as_posix()
+        wrong += [
+            f"{place} mentions {word}" for word, allowed in outside.items() if word in text and place not in allowed
+        ]
+    assert not wrong, "\n".join(wrong)

@@ -1,0 +1,1 @@
+"""The parts of `workflows/reproduce_papers.py`."""
