@@ -24,7 +24,6 @@ from blocksar.focusing.backprojection import form_image
 from blocksar.focusing.correction import correct, covers
 from blocksar.focusing.ground_map import GroundMap
 from blocksar.focusing.range_compression import RawCompression
-from blocksar.focusing.range_steps import ResidualRangeWalk
 from blocksar.focusing.recovery import Recovery, recover_columns
 from blocksar.focusing.step import Stage
 from blocksar.inspection.samples import Inspection, inspect, strike
@@ -147,7 +146,7 @@ def read_slab(run: Run, block: BlockPlan, stage: Stage, width: int) -> Samples:
         out = np.empty((program.target.size, program.n_row), np.complex64)
         parts = [(slice(a, b), slice(None)) for a, b in _chunks(first_bin, last_bin, DOPPLER_GROUP)]
     else:
-        out = _buffer(block, program.target.size)
+        out = np.empty((block.sampling.n_buffer_row, program.target.size), np.complex64)
         parts = [(slice(first_bin, last_bin), slice(a, b)) for a, b in _chunks(0, program.n_row, width)]
     for region in parts:
         begun = time.perf_counter()
@@ -166,12 +165,6 @@ def _chunks(first: int, last: int, size: int) -> Iterator[tuple[int, int]]:
     return pairwise(edges)
 
 
-def _buffer(block: BlockPlan, length: int) -> ComplexArray:
-    """Room for the block at every later stage: a worker holds it once."""
-    rows = max(block.range_frequency.size, block.ground.rows.size)
-    return np.empty((rows, length), np.complex64)
-
-
 @named(lambda run, block, stage, *_: f"{stage.name} of block {block.name}")
 def run_stage(run: Run, block: BlockPlan, stage: Stage, given: Samples) -> Samples:
     """Run a stage on a block, in place where the result fits: nobody else has its input."""
@@ -184,9 +177,9 @@ def run_stage(run: Run, block: BlockPlan, stage: Stage, given: Samples) -> Sampl
         )  # fmt: skip
         out = samples
     else:
-        room = samples if program.target.size <= samples.shape[1] else None
-        if isinstance(stage.steps[0], ResidualRangeWalk):  # after a range gate, whose block is another
-            room = _buffer(block, program.target.size)
+        room: ComplexArray | None = samples if program.target.size <= samples.shape[1] else None
+        if samples.shape[0] < block.sampling.n_buffer_row:  # a range gate leaves too few rows for the later stages
+            room = np.empty((block.sampling.n_buffer_row, program.target.size), np.complex64)
         out = program.run(samples[: program.n_row], out=room, threads=run.threads)
     return Samples(out, given.seconds | {stage.name: time.perf_counter() - started})
 

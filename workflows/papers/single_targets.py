@@ -103,14 +103,15 @@ def migrations(name: str, made: Plan, block: BlockPlan, place: Place) -> list[Mi
 def _migration(line: Line, samples: ComplexArray, compression: RangeCompression) -> Migration:
     """Compress some pulses of samples (range frequency, time) about the line, finely, and look for their peaks."""
     line = Line(**{name: np.ravel(getattr(line, name)) for name in Line.__dataclass_fields__})
-    time, coarse = compression.time, compression.rows.step
+    time, coarse = compression.axes.time, compression.axes.rows.step
     first, last = np.searchsorted(time.values, [line.time.min(), line.time.max()])
     every = max(int(last - first) // PULSES, 1)
     pulses = Axis(float(time.values[first]), time.step * every, len(range(first, last, every)))
     reach = np.ptp(line.range) / 2 + 4 * coarse
     around = Axis(float(line.range.mean() - reach), coarse / FINE, int(2 * reach / coarse * FINE) + 1)
     some = np.ascontiguousarray(samples[:, first:last:every])
-    profiles = replace(compression, time=pulses, rows=around).apply(some, threads=THREADS)
+    fine = compression.sampled(replace(compression.axes, time=pulses, rows=around))
+    profiles = fine.apply(some, threads=THREADS)
     return Migration(line, pulses.values, _peaks(around, np.abs(profiles) ** 2))
 
 
