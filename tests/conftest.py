@@ -1,11 +1,17 @@
-"""What more than one test file needs."""
+"""Fixtures that several folders of tests share."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from pathlib import Path
+
 import numpy as np
 import pytest
+from distributed import Client
 
+import blocksar
 from blocksar.collection.collection import Collection
+from blocksar.graph.cluster import open_client
 
 
 @pytest.fixture(scope="session")
@@ -25,3 +31,16 @@ def small_collection() -> Collection:
         ground_height=0.0,
         title="small squint-TOPS collection",
     )
+
+
+@pytest.fixture(scope="session")
+def client() -> Iterator[Client]:
+    """A dask cluster of two workers, one for all tests of a pytest process."""
+    with open_client(workers=2, threads=1, memory_limit=3 * 2**30) as connected:
+        yield connected
+
+
+@pytest.fixture(scope="session")
+def table1(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The phase history of the shipped scene table1."""
+    return Path(blocksar.simulate("table1", tmp_path_factory.mktemp("table1") / "phase_history.zarr"))

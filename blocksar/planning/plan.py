@@ -160,13 +160,13 @@ def plan_collection(
         return _plan_blocks(geometry, region, recovery, grid, extent, count, divided, method, probe=probe)
 
     whole = 1 if parts == "auto" else parts
-    made = plan(blocks, whole) if blocks != "auto" else _fewest_blocks(partial(plan, divided=whole), workers)
+    made = plan(blocks, whole) if blocks != "auto" else fewest_blocks(partial(plan, divided=whole), workers)
     if memory_limit is None or made.refusal is not None:
         return made
     return _fewest_parts(partial(plan, made.n_blocks), made, memory_limit, fixed=parts != "auto")
 
 
-def _fewest_blocks(plan: Callable[..., Plan], workers: int) -> Plan:
+def fewest_blocks(plan: Callable[..., Plan], workers: int) -> Plan:
     """The first plan within its budgets; while they are far from it, the outermost blocks and the middle one tell."""
     best, stale = math.inf, 0
     for count in range(min(max(workers, 1), MAX_BLOCKS), MAX_BLOCKS + 1):

@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 import pytest
-from reference_steps import collection, line_of, planned, signal_of, slab_of
+from steps import collection, line_of, planned, signal_of, slab_of
 
 from blocksar.arrays import FloatArray
 from blocksar.focusing import chains

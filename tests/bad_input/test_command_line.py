@@ -1,0 +1,136 @@
+"""Options of any text, and processes from outside."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import resource
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from bad_input import MANY, REPLACED, Bench, deadline, seeded, truncated
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from typer.testing import CliRunner
+
+from blocksar.cli import commands
+
+# ---------------------------------------------------------------- the command line
+
+
+@contextlib.contextmanager
+def little_memory(spare: int = 1 << 30) -> Iterator[None]:
+    """What asks for more than a GiB gets none, rather than all that the machine has."""
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (used + spare, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+
+
+def command(*words: str) -> Any:
+    with deadline(30), little_memory():
+        return CliRunner().invoke(commands.app, words)
+
+
+def told_well(bench: Bench, kind: str, result: Any) -> None:
+    """Done, or refused with exit status 2 and one message."""
+    assert result.exit_code in (0, 2), (result.exit_code, result.output, result.exception)
+    if result.exit_code == 2:
+        assert "Traceback" not in result.stderr and result.stderr.strip()
+        if result.stderr.startswith("blocksar: "):
+            assert len(result.stderr) < 1000 and result.stderr.count("\n") == 1
+    bench.tally[kind, "refused" if result.exit_code else "taken at its word"] += 1
+
+
+WORDS = st.text(alphabet="0123456789.:,-+einfax \u00b2\u0663", max_size=24) | st.text(max_size=12)
+AXIS = st.lists(st.one_of(st.floats(), st.integers(-(10**20), 10**20)), min_size=3, max_size=3).map(
+    lambda numbers: ":".join(map(repr, numbers))
+)
+
+
+@settings(MANY, max_examples=60)
+@given(grid=st.one_of(WORDS, st.lists(AXIS, min_size=2, max_size=2).map(",".join)))
+def test_grids_of_any_text(bench: Bench, grid: str) -> None:
+    told_well(bench, "--grid", command("plan", str(bench.store), "--processor", "backprojection", f"--grid={grid}"))
+
+
+@settings(MANY, max_examples=50)
+@given(blocks=st.one_of(WORDS, st.integers(-3, 10**30).map(str), st.just("9" * 5000)))
+def test_blocks_of_any_text(bench: Bench, blocks: str) -> None:
+    told_well(
+        bench, "--blocks", command("plan", str(bench.store), "--processor", "backprojection", f"--blocks={blocks}")
+    )
+
+
+@settings(MANY, max_examples=40)
+@given(memory=st.one_of(WORDS, st.from_regex(r"\A[0-9]{1,3}(e[0-9]{1,4})?[kMGT]?i?B?\Z")))
+def test_memory_limits_of_any_text(bench: Bench, memory: str) -> None:
+    told_well(
+        bench,
+        "--memory-limit",
+        command("plan", str(bench.store), f"--memory-limit={memory}", "--processor=backprojection"),
+    )
+
+
+def test_settings_beyond_reason(bench: Bench) -> None:
+    """They end, and soon."""
+    words = {
+        "a thousand million blocks": ["--blocks=1000000000"],
+        "more blocks than there are numbers": ["--blocks=" + "9" * 30],
+        "a grid of 10^18 pixels": ["--grid=4000:4000000:0.001,0:1000000:0.001"],
+        "a grid of 10^18 pixels, exact": ["--grid=4000:4000000:0.001,0:1000000:0.001", "--processor=backprojection"],
+        "more pixels than there are numbers": ["--grid=0:1e308:1e-308,0:1:1"],
+        "a step beyond the grid": ["--grid=4040:4120:1e9,-40:40:1e9", "--blocks=1"],
+        "pixels too close to tell apart": ["--grid=4040:4040.0000000001:1e-11,0:1e-10:1e-11", "--blocks=1"],
+        "no memory to speak of": ["--memory-limit=1B"],
+        "memory beyond floats": ["--memory-limit=1e999T"],
+        "all the workers of the world": ["--workers=1000000000", "--blocks=1"],
+        "a negative number of workers": ["--workers=-1"],
+    }
+    bench.all(
+        {
+            name: lambda more=more: told_well(bench, "beyond reason", command("plan", str(bench.store), *more))
+            for name, more in words.items()
+        }
+    )
+
+
+def process(*words: str | bytes, **options: Any) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "blocksar", *words], capture_output=True, text=True, timeout=120, check=False,
+        errors="surrogateescape", **options,
+    )  # fmt: skip
+
+
+def test_processes_end_with_one_message_and_status_2(bench: Bench) -> None:
+    """The same through the front door, samples read by workers of their own included."""
+    damaged = bench.copy()
+    truncated(damaged / "signal/c/0/0", seeded("process"))
+    piped = bench.copy()
+    REPLACED["a pipe"](piped / "zarr.json")
+    odd = Path(shutil.copytree(bench.store, bench.fresh() / os.fsdecode(b"\xff \xe2\x82\xac [bold]")))
+    small = ["--processor=backprojection", "--grid=4040:4120:4,-40:40:4", "--workers=1", "--threads=1"]
+    out = bench.fresh()
+    cases: dict[str, tuple[list[str | bytes], int]] = {
+        "samples that cannot be read": (["focus", str(damaged), "--out", str(out), "--quiet", *small], 2),
+        "a pipe for a store": (["focus", str(piped), "--out", str(out), *small], 2),
+        "an undecodable name": (["focus", os.fsencode(odd), "--out", os.fsencode(str(odd) + ".run"), *small], 0),
+        "an undecodable name of nothing": (["plan", b"\xff\xfe"], 2),
+    }
+
+    def case(words: list[str | bytes], status: int) -> None:
+        done = process(*words)
+        assert done.returncode == status, done
+        assert "Traceback" not in done.stderr and not out.exists()
+        if status == 2:
+            assert done.stderr.startswith("blocksar: ") and done.stderr.count("\n") == 1, done.stderr
+        bench.tally["processes", "refused" if status else "the clean image"] += 1
+
+    bench.all({name: lambda case_=case_: case(*case_) for name, case_ in cases.items()})

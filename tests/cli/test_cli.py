@@ -1,0 +1,400 @@
+"""The command line: what is typed becomes the right call, and what goes wrong becomes one message and a status."""
+
+from __future__ import annotations
+
+import inspect
+import io
+import resource
+import signal
+import subprocess
+import sys
+from types import ModuleType, SimpleNamespace
+
+import pytest
+from rich.console import Console
+from typer.testing import CliRunner, Result
+
+import blocksar
+from blocksar.cli import commands, display, endings, parsing
+from blocksar.errors import InputError, ProcessingError
+from blocksar.progress import PLAIN_STEPS, Progress
+
+COMMANDS = {
+    "demo": ["demo", "--out", "run"],
+    "simulate": ["simulate", "table1", "--out", "ph.zarr"],
+    "plan": ["plan", "table1"],
+    "focus": ["focus", "ph.zarr", "--out", "run"],
+    "quality": ["quality", "run"],
+    "report": ["report", "run"],
+}
+REPORT = SimpleNamespace(
+    summary=["three blocks"],
+    table=lambda: [(["target", "width [m]"], [["A1", "1.89"], ["B2", "[bold]1.90"]])],
+    refusal=None,
+)
+
+
+class Calls(ModuleType):
+    """Stands for blocksar.api: keeps what it is called with, answers or raises what it is told."""
+
+    def __init__(self) -> None:
+        super().__init__("blocksar.api")
+        self.seen: dict[str, tuple[tuple[object, ...], dict[str, object]]] = {}
+        self.answer: object = REPORT
+        self.updates: list[tuple[str, int, int]] = []
+        for name in COMMANDS:
+            setattr(self, name, lambda *args, _name=name, **kwargs: self._called(_name, args, kwargs))
+
+    def _called(self, name: str, args: tuple[object, ...], kwargs: dict[str, object]) -> object:
+        self.seen[name] = args, kwargs
+        if isinstance(self.answer, BaseException):
+            raise self.answer
+        for update in self.updates:
+            kwargs["progress"].update(*update)  # type: ignore[attr-defined]
+        return self.answer
+
+
+@pytest.fixture
+def api(monkeypatch: pytest.MonkeyPatch) -> Calls:
+    calls = Calls()
+    monkeypatch.setitem(sys.modules, "blocksar.api", calls)
+    monkeypatch.setattr(blocksar, "api", calls, raising=False)
+    return calls
+
+
+def run(*words: str) -> Result:
+    return CliRunner().invoke(commands.app, words, prog_name="blocksar")
+
+
+# ---------------------------------------------------------------- what is typed
+
+
+def test_focus_passes_every_option(api: Calls) -> None:
+    words = "focus ph.zarr --out run --processor high-order-phase --blocks 5 --coefficients closed-form"
+    words += " --perturbation none --no-keystone --derotation linear --range-model conventional"
+    words += (
+        " --grid -10:10:0.5,100:200:1 --workers 3 --threads 2 --memory-limit 2GiB --scheduler tcp://a:1 --overwrite"
+    )
+    assert run(*words.split()).exit_code == 0
+    args, kwargs = api.seen["focus"]
+    assert args == ("ph.zarr", "run")
+    assert isinstance(kwargs.pop("progress"), Progress)
+    assert kwargs == {
+        "processor": "high-order-phase",
+        "blocks": 5,
+        "coefficients": "closed-form",
+        "perturbation": "none",
+        "keystone": False,
+        "derotation": "linear",
+        "range_model": "conventional",
+        "grid": ((-10.0, 10.0, 0.5), (100.0, 200.0, 1.0)),
+        "workers": 3,
+        "threads": 2,
+        "memory_limit": 2 * 1024**3,
+        "scheduler": "tcp://a:1",
+        "overwrite": True,
+        "performance_report": None,
+    }
+
+
+def test_defaults(api: Calls) -> None:
+    assert run("plan", "table1").exit_code == 0
+    assert api.seen["plan"] == (
+        ("table1",),
+        {
+            "processor": "angular-division",
+            "blocks": "auto",
+            "coefficients": "fitted",
+            "perturbation": "all",
+            "keystone": True,
+            "derotation": "nonlinear",
+            "range_model": "polar",
+            "grid": None,
+            "workers": None,
+            "memory_limit": None,
+        },
+    )
+
+
+def test_quality_and_simulate_pass_their_options(api: Calls) -> None:
+    assert run("quality", "run", "--targets", "t.json", "--reference").exit_code == 0
+    assert api.seen["quality"] == (("run",), {"targets": "t.json", "reference": True})
+    assert run("simulate", "a.toml", "--out", "p.zarr", "--raw", "--threads", "4").exit_code == 0
+    args, kwargs = api.seen["simulate"]
+    assert args == ("a.toml", "p.zarr")
+    assert (kwargs["raw"], kwargs["threads"], kwargs["overwrite"]) == (True, 4, False)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_calls_fit_the_api(command: str, api: Calls, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert run(*COMMANDS[command]).exit_code == 0
+    args, kwargs = api.seen[command]
+    monkeypatch.undo()
+    real = pytest.importorskip("blocksar.api")
+    inspect.signature(getattr(real, command)).bind(*args, **kwargs)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("10", "1 axes"),
+        ("0:1,0:1:1", "'0:1' for x, which is not three numbers"),
+        ("0:1:1,0:b:1", "'0:b:1' for y"),
+        ("0:nan:1,0:1:1", "not finite"),
+        ("0:1:0,0:1:1", "spacing of 0 m for x"),
+        ("0:1:1,5:5:1", "empty: y runs from 5 to 5"),
+        ("0:1:1,0:1:1,0:1:1", "3 axes"),
+        ("", "1 axes"),
+    ],
+)
+def test_a_wrong_grid_is_named(text: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        parsing.parse_grid(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "size"),
+    [("1GiB", 2**30), ("1.5 gib", 3 * 2**29), ("500MB", 500_000_000), ("4k", 4000), ("4Ki", 4096), ("1e9", 10**9),
+     (".5GB", 500_000_000), ("123", 123), ("7B", 7)],
+)  # fmt: skip
+def test_memory(text: str, size: int) -> None:
+    assert parsing.parse_memory(text) == size
+
+
+@pytest.mark.parametrize("text", ["", "GiB", "-1GiB", "0", "2 Gib b", "nan", "1i", "2PiB", "1e", "auto"])
+def test_wrong_memory_is_named(text: str) -> None:
+    with pytest.raises(InputError, match="is no amount of memory"):
+        parsing.parse_memory(text)
+
+
+@pytest.mark.parametrize("text", ["0", "-1", "2.5", "many", "", "²"])
+def test_wrong_blocks_are_named(text: str) -> None:
+    with pytest.raises(InputError, match="neither 'auto' nor a whole number"):
+        parsing.parse_blocks(text)
+
+
+# ---------------------------------------------------------------- exit status and messages
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize(
+    ("error", "status", "message"),
+    [
+        (InputError("time is not uniform; resample it"), 2, "blocksar: time is not uniform; resample it\n"),
+        (ProcessingError("block 2 failed; run again"), 1, "blocksar: block 2 failed; run again\n"),
+        (OSError(28, "No space left on device"), 1, "blocksar: [Errno 28] No space left on device\n"),
+        (KeyboardInterrupt(), 130, "blocksar: interrupted;"),
+        (endings.Terminated(143), 143, "blocksar: terminated;"),
+    ],
+)
+def test_an_error_is_one_message_and_a_status(
+    command: str, error: BaseException, status: int, message: str, api: Calls
+) -> None:
+    api.answer = error
+    result = run(*COMMANDS[command])
+    assert result.exit_code == status
+    assert result.stderr.startswith(message)
+    assert result.stderr.count("\n") == 1
+    assert result.stdout == ""
+
+
+def test_our_own_error_keeps_its_traceback(api: Calls) -> None:
+    api.answer = ZeroDivisionError("ours")
+    assert isinstance(run(*COMMANDS["plan"]).exception, ZeroDivisionError)
+
+
+def test_a_wrong_option_runs_nothing(api: Calls) -> None:
+    for words in (
+        ["--grid", "0:1"],
+        ["--blocks", "0"],
+        ["--memory-limit", "lots"],
+        ["--workers", "0"],
+        ["--processor", "x"],
+    ):
+        result = run("focus", "ph.zarr", "--out", "run", *words)
+        assert result.exit_code == 2, words
+        assert words[0] in result.stderr
+    assert run("focus", "ph.zarr").exit_code == 2  # no --out
+    assert api.seen == {}
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        ("plan ph.zarr --processor omega", "invalid value for '--processor': 'omega' is not one of"),
+        ("plan ph.zarr --workers x", "invalid value for '--workers': Input should be a valid integer"),
+        ("plan ph.zarr --workers -3", "greater than or equal to 1, not '-3'; see blocksar plan --help"),
+        ("plan ph.zarr --bloks 3", "no such option: --bloks (Possible options: --blocks, --workers); see"),
+        ("plan", "missing argument 'PH.zarr|SCENE.toml'; see blocksar plan --help"),
+        ("focus ph.zarr --out", "option '--out' requires an argument; see blocksar --help"),
+        ("xyz", "no such command 'xyz'; see blocksar --help"),
+        ("--speed", "no such option: --speed; see blocksar --help"),
+        ("export tiff run --out a", "no such command 'tiff'. Did you mean 'geotiff'? See blocksar export --help"),
+    ],
+)
+def test_a_wrong_command_line_is_one_sentence(words: str, sentence: str, api: Calls) -> None:
+    result = run(*words.split())
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.stderr.startswith("blocksar: ")
+    assert sentence in result.stderr
+    assert result.stderr.count("\n") == 1
+    assert api.seen == {}
+
+
+@pytest.mark.parametrize("words", [(), ("export",), ("ingest",)])
+def test_a_group_alone_shows_its_commands(words: tuple[str, ...]) -> None:
+    result = run(*words)
+    assert (result.exit_code, result.stderr) == (2, "")
+    assert "Commands" in result.stdout
+
+
+def test_plan_prints_its_refusal_after_the_table(api: Calls) -> None:
+    api.answer = SimpleNamespace(summary=[], table=REPORT.table, refusal="looks along the velocity")
+    result = run("plan", "table1")
+    assert (result.exit_code, result.stderr) == (2, "blocksar: looks along the velocity\n")
+    assert "A1" in result.stdout
+
+
+# A process of its own, for real signals: the api's plan tells that it runs, then waits.
+WAITING = """
+import signal, sys, time, types
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job is born deaf to it
+api = types.ModuleType("blocksar.api")
+def plan(source, **settings):
+    try:
+        print("ready", flush=True)
+        time.sleep(60)
+    finally:
+        if "hang" in sys.argv:
+            print("hanging", flush=True)
+            time.sleep(60)
+api.plan = plan
+sys.modules["blocksar.api"] = api
+from blocksar import cli
+from blocksar.cli import endings
+endings.GRACE = float(sys.argv[1])
+sys.argv = ["blocksar", "plan", sys.argv[2]]
+cli.main()
+"""
+
+
+def waiting(grace: float, source: str) -> subprocess.Popen[str]:
+    process = subprocess.Popen(
+        [sys.executable, "-c", WAITING, str(grace), source], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "ready\n"
+    return process
+
+
+def ended(process: subprocess.Popen[str], status: int) -> None:
+    _, stderr = process.communicate(timeout=30)
+    assert process.returncode == status
+    assert stderr.startswith("blocksar: ") and stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_signals(number: int, status: int) -> None:
+    with waiting(60, "table1") as process:
+        process.send_signal(number)
+        ended(process, status)
+
+
+@pytest.mark.parametrize("again", [True, False])
+def test_what_does_not_end_in_good_order_is_ended(again: bool) -> None:
+    with waiting(60 if again else 0.2, "hang") as process:
+        process.send_signal(signal.SIGTERM)
+        assert process.stdout is not None
+        assert process.stdout.readline() == "hanging\n"
+        if again:
+            process.send_signal(signal.SIGINT)
+        ended(process, 143)
+
+
+# ---------------------------------------------------------------- what is shown
+
+
+def test_tables_and_summary(api: Calls) -> None:
+    output = run("quality", "run").stdout
+    assert "width [m]" in output and "[bold]1.90" in output  # nothing is taken for markup
+    assert output.endswith("three blocks\n")
+
+
+def test_no_table_is_folded_where_there_is_no_terminal(api: Calls) -> None:
+    row = [f"{i:08d}" for i in range(20)]
+    api.answer = SimpleNamespace(summary=[], table=lambda: [(row, [row])], refusal=None)
+    lines = run("plan", "table1").stdout.splitlines()
+    assert sum(all(cell in line for cell in row) for line in lines) == 2  # header and row, each on one line
+
+
+@pytest.mark.parametrize("width", [40, 80, 120])
+def test_a_terminal_shows_every_figure_of_a_wide_table(width: int) -> None:
+    """In parts, each with its first column; titles are folded between words, nothing is cut."""
+    header = ["target", *(f"residual phase {i} (rad)" for i in range(14))]
+    rows = [[f"T{j}", *(f"-{j}.{i:04d} .. 1" for i in range(14))] for j in range(2)]
+    parts = []
+    for table in display.tables(header, rows, width):
+        console = Console(width=width, file=io.StringIO())
+        console.print(table)
+        parts.append(console.file.getvalue())  # type: ignore[attr-defined]
+    shown = "".join(parts)
+    assert "\N{HORIZONTAL ELLIPSIS}" not in shown
+    assert all(cell in shown for row in rows for cell in row)
+    assert all("T0" in part and "T1" in part and "target" in part for part in parts)
+    assert len(parts) > 1 and max(map(len, shown.splitlines())) <= width
+    assert len(list(display.tables(header, rows, 1000))) == 1
+
+
+def test_sentences_are_folded_between_words_on_a_terminal(api: Calls) -> None:
+    path = "/a/path-that/is-longer/than-a-narrow/terminal/is-wide.zarr"
+    line = f"  wrote {path} in 9.7 s (recover 8.0 s, focus 1.0 s, mosaic 0.2 s)"
+    api.answer = SimpleNamespace(summary=[line], table=list, refusal=None)
+    assert run("plan", "table1").stdout == f"{line}\n"
+    assert display._wrapped(line, 40).split() == line.split()
+    assert path in display._wrapped(line, 40) and "mosaic 0.2 s)" in display._wrapped(line, 40).splitlines()[-1]
+    assert all(part.startswith("  ") for part in display._wrapped(line, 40).splitlines())
+
+
+def test_plain_progress_is_a_few_lines(api: Calls) -> None:
+    api.updates = [("recover", i, 1000) for i in range(1001)] + [("mosaic", 1, 1), ("nothing", 0, 0)]
+    lines = run("focus", "ph.zarr", "--out", "run").stderr.splitlines()
+    told = [line.split(",")[0] for line in lines]
+    assert told[0] == "recover: 0 of 1000"
+    assert told[-3:] == ["recover: 1000 of 1000", "mosaic: 1 of 1", "nothing: 0 of 0"]
+    assert len(lines) == PLAIN_STEPS + 3
+    assert run("focus", "ph.zarr", "--out", "run", "--quiet").stderr == ""
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_bars_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    screen = Terminal()
+    monkeypatch.setattr(sys, "stderr", screen)
+    with Progress() as progress:
+        progress.update("focus [block 1]", 1, 4)
+        progress.update("focus [block 1]", 4, 4)
+    assert "focus [block 1]" in screen.getvalue()  # nothing is taken for markup
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_has_help_with_an_example(command: str) -> None:
+    result = run(command, "--help")
+    assert result.exit_code == 0
+    assert f"Example: blocksar {command}" in result.stdout
+
+
+def test_version() -> None:
+    assert run("--version").stdout == f"blocksar {blocksar.__version__}\n"
+
+
+def test_help_is_quick() -> None:
+    def seconds() -> float:
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        subprocess.run([sys.executable, "-m", "blocksar", "--help"], capture_output=True, check=True)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+    assert min(seconds() for _ in range(3)) < 0.5  # CPU; the best of three, for a busy machine

@@ -1,0 +1,330 @@
+"""Whom a run talks to: two machines, TLS, loopback alone; what it leaves behind; what it never evaluates."""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+from distributed import Client, Future
+from faults import digests, litter, until
+from machines import Machine, two_machines
+from repository import ROOT
+from scenes import write_store
+
+import blocksar
+from blocksar.errors import InputError
+from blocksar.graph import admission, cluster
+from blocksar.progress import Listener
+
+SCENE: dict[str, Any] = {
+    "swath": [29900.0, 30100.0],
+    "prf": 4000.0,
+    "duration": 0.1,
+    "steering": (49.0, 51.0),
+    "dwell": 0.03,
+    "more": '[[targets]]\nname = "P"\nrange = 30000.0\nyaw_deg = 50.0\n',
+}
+SETTINGS: dict[str, Any] = {
+    "blocks": 3,
+    "coefficients": "closed-form",
+    "grid": ((15600.0, 16600.0, 4.0), (18600.0, 19750.0, 4.0)),
+}
+WORDS = ("--blocks", "3", "--coefficients", "closed-form", "--grid", "15600:16600:4,18600:19750:4", "--threads", "1")
+BLOCKSAR = (sys.executable, "-m", "blocksar")
+SCHEDULER = (sys.executable, "-m", "distributed.cli.dask_scheduler", "--no-dashboard")
+WORKER = (sys.executable, "-m", "distributed.cli.dask_worker", "--no-dashboard", "--nthreads", "1")
+LOOPBACK = {"127.0.0.1", "::1"}
+PATIENCE = 200  # s: on a busy machine compiling takes its time
+
+
+@pytest.fixture(scope="module")
+def client() -> Iterator[Client]:
+    with cluster.open_client(workers=1, threads=1, memory_limit=2 * 2**30) as connected:
+        yield connected
+
+
+def test_units_that_the_scheduler_forgets_are_started_again(client: Client) -> None:
+    """As when a worker dies with an outcome that nobody has fetched yet."""
+    started: list[str] = []
+
+    def start(unit: str) -> Future[str]:
+        started.append(unit)
+        future = client.submit(lambda: time.sleep(0.2) or unit, key=f"forgotten-{unit}", pure=False)
+        if started.count(unit) < 3 and unit in "bc":
+            client.cancel([future], force=True)
+        return future
+
+    units = [(unit, partial(start, unit)) for unit in "abcd"]
+    outcomes = {unit: future.result() for unit, future in admission.in_turn(client, "focus", units, 2, Listener())}
+    assert outcomes == {unit: unit for unit in "abcd"}
+    assert [started.count(unit) for unit in "ad"] == [1, 1] and min(started.count(unit) for unit in "bc") >= 3
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_store(tmp_path_factory.mktemp("tiny"), **SCENE)
+
+
+@pytest.fixture(scope="module")
+def image(store: Path, client: Client, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """What every cluster has to come to."""
+    run = tmp_path_factory.mktemp("here") / "run"
+    blocksar.focus(store, run, client=client, **SETTINGS)
+    found = digests(run / "image.zarr")
+    assert len(found) > 3
+    return found
+
+
+class Said:
+    """Programs that run beside a test, and what they say."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.stack = contextlib.ExitStack()
+
+    def __enter__(self) -> Said:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stack.close()
+
+    def start(self, start: Any, name: str, *command: str, **more: Any) -> subprocess.Popen[str]:
+        """Start a program through `start`, which is subprocess.Popen or another machine's; it ends with the block."""
+        with open(self.folder / name, "w") as output:
+            process = start(*command, stdout=output, stderr=output, **more)
+        self.stack.callback(process.wait, 30)
+        self.stack.callback(process.kill)
+        return process
+
+    def text(self, name: str) -> str:
+        return (self.folder / name).read_text()
+
+    def await_line(self, name: str, text: str) -> None:
+        until(lambda: text in self.text(name), f"{text!r} from {name}")
+
+
+def here(*command: str, **more: Any) -> subprocess.Popen[str]:
+    return subprocess.Popen(command, text=True, **more)
+
+
+# ---------------------------------------------------------------- two machines
+
+
+@pytest.mark.parametrize("between", ["folder", "bucket"])
+def test_two_machines_come_to_the_same_bytes(between: str, store: Path, image: dict[str, str], tmp_path: Path) -> None:
+    """Scheduler and main process on one, workers on the other; input and run lie in a folder or a bucket of both."""
+    address, shared = "tcp://10.77.0.1:8786", str(tmp_path / "run")
+    with two_machines() as (first, second), Said(tmp_path) as said, contextlib.ExitStack() as stack:
+        env = dict(os.environ)
+        source = str(store)
+        if between == "bucket":
+            env |= stack.enter_context(bucket_on(first))
+            bucket_work(first, env, "put", source, "in.zarr")
+            source, shared = "s3://between/in.zarr", "s3://between/run"
+        said.start(first.start, "scheduler", *SCHEDULER, "--host", first.address, "--port", "8786")
+        worker = (*WORKER, address, "--host", second.address, "--local-directory", str(tmp_path), "--memory-limit")
+        said.start(second.start, "worker", *worker, "2GiB", "--nworkers", "2", env=env)
+        until(lambda: said.text("worker").count("Registered to") == 2, "two workers")
+        command = (*BLOCKSAR, "focus", source, "--out", shared, *WORDS, "--scheduler", address)
+        run = said.start(first.start, "main", *command, env=env)
+        assert run.wait(PATIENCE) == 0, said.text("main")
+        assert said.text("scheduler").count(f"tcp://{second.address}:"), "the workers were elsewhere"
+        if between == "bucket":
+            bucket_work(first, env, "get", str(tmp_path / "run" / "image.zarr"), "run/image.zarr")
+    assert digests(tmp_path / "run" / "image.zarr") == image
+
+
+BUCKET_WORK = """
+import pathlib, sys
+import boto3
+what, folder, prefix = sys.argv[1], pathlib.Path(sys.argv[2]), sys.argv[3]
+s3 = boto3.client("s3")
+if what == "put":
+    s3.create_bucket(Bucket="between")
+    for path in folder.rglob("*"):
+        if path.is_file():
+            s3.upload_file(str(path), "between", f"{prefix}/{path.relative_to(folder)}")
+else:
+    for page in s3.get_paginator("list_objects_v2").paginate(Bucket="between", Prefix=prefix + "/"):
+        for entry in page["Contents"]:
+            path = folder / entry["Key"].removeprefix(prefix + "/")
+            path.parent.mkdir(parents=True, exist_ok=True)
+            s3.download_file("between", entry["Key"], str(path))
+"""
+
+
+def bucket_work(machine: Machine, env: dict[str, str], *what: str) -> None:
+    """Put a folder into the bucket, or get one from it, on a machine that reaches it."""
+    with machine.start(sys.executable, "-c", BUCKET_WORK, *what, env=env, stderr=subprocess.PIPE) as process:
+        said = process.communicate(timeout=PATIENCE)[1]
+    assert process.returncode == 0, said
+
+
+@contextlib.contextmanager
+def bucket_on(machine: Machine) -> Iterator[dict[str, str]]:
+    """A server of the S3 protocol on a machine; the environment that leads to it."""
+    for library in ("obstore", "moto", "boto3"):
+        pytest.importorskip(library)
+    import s3
+
+    program = s3.SERVER.replace("127.0.0.1", machine.address)
+    pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    with machine.start(sys.executable, "-c", program, **pipes) as server:
+        assert server.stdin is not None and server.stdout is not None
+        try:
+            yield {
+                "AWS_ENDPOINT_URL": f"http://{machine.address}:{int(server.stdout.readline())}",
+                "AWS_ACCESS_KEY_ID": "testing",
+                "AWS_SECRET_ACCESS_KEY": "testing",
+                "AWS_REGION": "us-east-1",
+                "AWS_DEFAULT_REGION": "us-east-1",
+            }
+        finally:
+            server.stdin.close()  # which ends it
+            server.wait(30)
+
+
+# ---------------------------------------------------------------- TLS
+
+
+@pytest.fixture(scope="module")
+def certificates(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """Files of an authority and of a certificate for this machine, as dask's configuration names them."""
+    trustme = pytest.importorskip("trustme")
+    folder = tmp_path_factory.mktemp("certificates")
+    authority = trustme.CA()
+    authority.cert_pem.write_to_path(str(folder / "authority.pem"))
+    authority.issue_cert("127.0.0.1").private_key_and_cert_chain_pem.write_to_path(str(folder / "machine.pem"))
+    tls, roles = "DASK_DISTRIBUTED__COMM__TLS__", ("SCHEDULER", "WORKER", "CLIENT")
+    parts = {f"{tls}{role}__{kind}": str(folder / "machine.pem") for role in roles for kind in ("CERT", "KEY")}
+    return {
+        f"{tls}CA_FILE": str(folder / "authority.pem"),
+        "DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION": "true",
+    } | parts
+
+
+ROLES = ("SCHEDULER", "WORKER", "CLIENT")
+
+
+def test_tls_by_dasks_own_configuration(
+    store: Path, image: dict[str, str], certificates: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A run with certificates is served; one without, and one that does not encrypt, are refused in a sentence."""
+    secure = os.environ | certificates
+    with Said(tmp_path) as said:
+        loopback = ("--host", "127.0.0.1", "--protocol", "tls")
+        file = tmp_path / "scheduler.json"
+        said.start(here, "scheduler", *SCHEDULER, *loopback, "--port", "0", "--scheduler-file", str(file), env=secure)
+        until(lambda: file.exists() and file.read_text().endswith("}"), "the scheduler")
+        port = said.text("scheduler").partition("tls://127.0.0.1:")[2].split()[0]
+        local = ("--local-directory", str(tmp_path), "--memory-limit", "2GiB", "--no-nanny")
+        said.start(here, "worker", *WORKER, f"tls://127.0.0.1:{port}", *loopback, *local, env=secure)
+        said.await_line("worker", "Registered to")
+
+        monkeypatch.setattr(cluster, "CONNECT", 2.0)
+        for scheme in ("tls", "tcp"):
+            with pytest.raises(InputError, match="no dask scheduler answers at") as refused:
+                blocksar.focus(store, tmp_path / "run", **SETTINGS, scheduler=f"{scheme}://127.0.0.1:{port}")
+            assert "\n" not in str(refused.value)
+            assert not (tmp_path / "run").exists()
+
+        command = (*BLOCKSAR, "focus", str(store), "--out", str(tmp_path / "run"), *WORDS)
+        run = said.start(here, "main", *command, "--scheduler", f"tls://127.0.0.1:{port}", env=secure)
+        assert run.wait(PATIENCE) == 0, said.text("main")
+    assert digests(tmp_path / "run" / "image.zarr") == image
+
+
+# ---------------------------------------------------------------- a run's own cluster
+
+
+def test_an_own_cluster_listens_on_loopback_and_leaves_nothing(
+    store: Path, image: dict[str, str], tmp_path: Path
+) -> None:
+    """Watched from outside: sockets of all its processes, its temporary files while it runs and afterwards."""
+    temporary, out = tmp_path / "tmp", tmp_path / "run"
+    temporary.mkdir()
+    sockets: dict[tuple[str, int], str] = {}
+    scratch: set[str] = set()
+    strays: set[str] = set()
+    with Said(tmp_path) as said:
+        run = said.start(
+            here, "main", *BLOCKSAR, "focus", str(store), "--out", str(out), *WORDS, "--workers", "2",
+            env=os.environ | {"TMPDIR": str(temporary)},
+        )  # fmt: skip
+        main = psutil.Process(run.pid)
+        while run.poll() is None:
+            sockets |= listening(main)
+            scratch |= {path.name for path in out.glob("scratch/*/*")}
+            strays |= set(os.listdir(temporary))
+            time.sleep(0.05)
+        assert run.returncode == 0, said.text("main")
+    assert {ip for ip, _ in sockets} <= LOOPBACK, sockets
+    # The scheduler and two nannies in the main process, the two workers: none of them was missed.
+    assert len(sockets) >= 5 and len(set(sockets.values())) == 3, sockets
+    assert any(name.startswith("worker-") for name in scratch), scratch
+    assert strays == set()
+    assert litter(out) == []
+    assert digests(out / "image.zarr") == image
+
+
+def listening(main: psutil.Process) -> dict[tuple[str, int], str]:
+    """Addresses and ports at which a process and its children wait, of TCP and UDP, and whose they are."""
+    found = {}
+    with contextlib.suppress(psutil.NoSuchProcess):
+        for process in (main, *main.children(recursive=True)):
+            with contextlib.suppress(psutil.NoSuchProcess, psutil.AccessDenied):
+                for socket in process.net_connections(kind="inet"):
+                    if socket.laddr and not socket.raddr:
+                        found[socket.laddr.ip, socket.laddr.port] = str(process.pid)
+    return found
+
+
+# ---------------------------------------------------------------- what is never evaluated
+
+UNSAFE_MODULES = {"pickle", "cPickle", "_pickle", "cloudpickle", "dill", "joblib", "marshal", "shelve", "yaml", "code"}
+UNSAFE_CALLS = {"eval", "exec", "compile", "__import__", "execfile"}
+UNSAFE_METHODS = {"os.system", "os.popen", "builtins.eval", "builtins.exec"}
+MODULES = sorted([*(ROOT / "blocksar").rglob("*.py"), *(ROOT / "workflows").rglob("*.py")])
+
+
+def unsafe(text: str) -> Iterator[str]:
+    """What in a module would unpickle or evaluate what it is given, or pass it to a shell."""
+    for node in ast.walk(ast.parse(text)):
+        match node:
+            case ast.Import(names=names):
+                yield from (f"import {name.name}" for name in names if name.name.split(".")[0] in UNSAFE_MODULES)
+            case ast.ImportFrom(module=str(module)) if module.split(".")[0] in UNSAFE_MODULES:
+                yield f"from {module}"
+            case ast.Call(func=ast.Name(id=name)) if name in UNSAFE_CALLS:
+                yield name
+            case ast.Call(func=ast.Attribute() as function) if ast.unparse(function) in UNSAFE_METHODS:
+                yield ast.unparse(function)
+            case ast.keyword(arg="allow_pickle" | "shell", value=value) if ast.unparse(value) != "False":
+                yield f"{node.arg}={ast.unparse(value)}"
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_nothing_is_unpickled_or_evaluated(path: Path) -> None:
+    assert list(unsafe(path.read_text(encoding="utf-8"))) == []
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["import pickle", "from yaml import load", "def f(x):\n    return eval(x)", "np.load(x, allow_pickle=y)",
+     "subprocess.run(x, shell=True)", "import cloudpickle.x as y", "exec('x')", "os.system(x)", "__import__(x)"],
+)  # fmt: skip
+def test_the_search_finds_what_it_looks_for(text: str) -> None:
+    assert list(unsafe(text))
+    assert not list(
+        unsafe("import ast, json\nre.compile(x)\nnp.load(x, allow_pickle=False)\nsubprocess.run(x, shell=False)")
+    )

@@ -1,0 +1,241 @@
+"""End to end: scene file to measured image, against theory and against exact back-projection.
+
+Tolerances are those of the project's quality bar, not of what the chain happens to reach.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+from distributed import Client
+from quality_bar import check_targets
+from scenes import GEOMETRIES, scene, write_store
+
+import blocksar
+from blocksar import api, stores
+from blocksar.api import focusing
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.region import block_seams, plan_region
+from blocksar.errors import InputError
+from blocksar.planning.plan import Plan, plan_collection
+from blocksar.simulation.scene import Scene
+
+CLUTTER = "[clutter]\nscatterers = 100000\nseed = 3\n"
+
+
+def planned(store: Path, **settings: Any) -> Plan:
+    plan = blocksar.plan(store, **settings).result
+    assert isinstance(plan, Plan)
+    return plan
+
+
+def coarse_grid(store: Path, step: float = 4.0) -> Any:
+    """Pixels to compare complex values at: they need not sample the image."""
+    grid = planned(store, blocks=3).grid
+    return ((grid.x0, grid.x1, step), (grid.y0, grid.y1, step))
+
+
+@pytest.mark.parametrize("blocks", [3, 1, 5, "auto"])
+def test_every_full_dwell_target_of_table1(blocks: Any, table1: Path, client: Client, tmp_path: Path) -> None:
+    blocksar.focus(table1, tmp_path / "run", blocks=blocks, client=client)
+    found = blocksar.quality(tmp_path / "run").result
+    check_targets(found, 73)
+    assert found["table3"]["B2"]["azimuth_irw"] == 1.89
+
+
+def test_targets_on_seams(client: Client, tmp_path: Path) -> None:
+    made = Scene.parse(scene()).collection()
+    geometry = Geometry(collection=made)
+    seams = block_seams(geometry, plan_region(geometry, None), 3)[1:-1]
+    rows = []
+    for i, yaw in enumerate(seams):
+        for j, distance in enumerate((29300.0, 30000.0, 30700.0)):
+            x, y, _ = geometry.ground_point(np.array(distance), np.array(yaw))
+            rows.append(f'[[targets]]\nname = "S{i}{j}"\nx = {x!r}\ny = {y!r}\n'.replace("np.float64", ""))
+    store = write_store(tmp_path, more="\n".join(rows).replace("(", "").replace(")", ""))
+    blocksar.focus(store, tmp_path / "run", blocks=3, client=client)
+    check_targets(blocksar.quality(tmp_path / "run").result, 6)
+    image = blocksar.open(tmp_path / "run")
+    owners = {int(image.block.sel(x=t["x"], y=t["y"], method="nearest")) for t in targets(tmp_path / "run")}
+    assert owners <= {0, 1, 2}
+
+
+def targets(run: Path) -> list[dict[str, Any]]:
+    return list(json.loads((run / "quality.json").read_text())["targets"])
+
+
+@pytest.mark.parametrize("name", GEOMETRIES)
+def test_coherence_with_back_projection_on_clutter(name: str, client: Client, tmp_path: Path) -> None:
+    store = write_store(tmp_path, **GEOMETRIES[name], more=CLUTTER)
+    blocksar.focus(store, tmp_path / "run", blocks=3, grid=coarse_grid(store), client=client)
+    chips = blocksar.quality(tmp_path / "run", reference=True).result["reference"]
+    assert len(chips) >= 15  # block centres, seams and swath ends, each at near, middle and far range
+    least = 0.995 if name == "table1" else 0.99
+    for chip in chips:
+        assert chip["coherence"] >= least, chip
+        assert chip["gain"] == pytest.approx(1.0, abs=0.02), chip
+        assert abs(chip["phase"]) <= 0.02, chip
+
+
+@pytest.mark.parametrize("name", ["table1", "35 GHz, 100 MHz"])
+def test_range_sub_blocks_are_as_good_as_whole_blocks(
+    name: str, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Coherence with back-projection on clutter, across the seams in range too, and calibration."""
+    monkeypatch.setattr(focusing, "plan_collection", lambda *a, **k: plan_collection(*a, **{**k, "parts": 3}))
+    store = write_store(tmp_path, **GEOMETRIES[name], more=CLUTTER)
+    blocksar.focus(store, tmp_path / "run", blocks=2, grid=coarse_grid(store), client=client)
+    record = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert [(b["block"], b["part"]) for b in record["plan"]["predicted"]] == [(b, p) for b in (0, 1) for p in (0, 1, 2)]
+    chips = blocksar.quality(tmp_path / "run", reference=True).result["reference"]
+    assert sum("range seam" in chip["place"] for chip in chips) >= 2
+    least = 0.995 if name == "table1" else 0.99
+    for chip in chips:
+        assert chip["coherence"] >= least, chip
+        assert chip["gain"] == pytest.approx(1.0, abs=0.02), chip
+        assert abs(chip["phase"]) <= 0.02, chip
+
+
+def test_a_small_memory_divides_blocks_in_range_and_is_kept_to(table1: Path, tmp_path: Path) -> None:
+    limit = 520 * 2**20
+    blocksar.focus(table1, tmp_path / "run", blocks=2, workers=2, memory_limit=limit)
+    record = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert record["plan"]["parts"] > 1
+    assert record["peak_memory"] <= max(b["memory"] for b in record["plan"]["predicted"]) <= limit
+    check_targets(blocksar.quality(tmp_path / "run").result, 73)
+    # As many sub-blocks as the first plan made, whatever the memory is when the run goes on.
+    assert "nothing to do" in blocksar.focus(table1, tmp_path / "run", blocks=2, workers=1).summary[0]
+
+
+@pytest.mark.parametrize("blocks", [1, 3])
+def test_unsteered_beam(blocks: int, client: Client, tmp_path: Path) -> None:
+    clutter = "[clutter]\nscatterers = 30000\nseed = 5\nx = [15306.0, 16906.0]\ny = [18394.0, 19994.0]\n"
+    store = write_store(tmp_path, steering=None, prf=12e3, more=clutter)
+    grid = ((15506.0, 16706.0, 3.0), (18594.0, 19794.0, 3.0))
+    blocksar.focus(store, tmp_path / "run", blocks=blocks, grid=grid, client=client)
+    chips = blocksar.quality(tmp_path / "run", reference=True).result["reference"]
+    assert min(chip["coherence"] for chip in chips) >= 0.995
+    with pytest.raises(InputError, match="grid is missing"):
+        blocksar.focus(store, tmp_path / "other", client=client)
+
+
+def test_raw_echo_with_dropped_pulses(client: Client, tmp_path: Path) -> None:
+    more = (
+        '[[targets]]\nname = "P"\nrange = 30000.0\nyaw_deg = 50.5\n'
+        "[dropped]\nfraction = 0.05\nseed = 2\n[noise]\npower = 1e-4\nseed = 1\n"
+    )
+    (tmp_path / "scene.toml").write_text(scene(more=more))
+    store = blocksar.simulate(tmp_path / "scene.toml", tmp_path / "raw.zarr", raw=True)
+    blocksar.focus(store, tmp_path / "run", blocks=2, client=client)
+    (target,) = blocksar.quality(tmp_path / "run").result["targets"]
+    # Dropping every twentieth pulse at random raises side lobes by its own noise, and must not move the rest.
+    assert abs(complex(*target["value"])) == pytest.approx(1.0, abs=0.02)
+    assert np.hypot(target["error_x"], target["error_y"]) <= 0.05
+    assert target["azimuth_irw"] == pytest.approx(target["azimuth_irw_theory"], rel=0.01)
+    assert not (tmp_path / "run" / "compressed.zarr").exists()
+    compared = blocksar.quality(tmp_path / "run", reference=True).result["reference"]
+    # Away from the target there is nothing but its side lobes and noise.
+    assert min(chip["coherence"] for chip in compared) > 0.95
+
+
+def test_back_projection_processor_writes_the_same_store(client: Client, tmp_path: Path) -> None:
+    store = write_store(tmp_path, more='[[targets]]\nname = "P"\nrange = 30000.0\nyaw_deg = 50.5\n')
+    made = Scene.read(tmp_path / "scene.toml")
+    (point,) = made.point_targets()
+    grid = ((point.x - 80, point.x + 80, 1.0), (point.y - 80, point.y + 80, 1.0))
+    blocksar.focus(store, tmp_path / "fft", blocks=2, grid=grid, client=client)
+    blocksar.focus(store, tmp_path / "bp", processor="backprojection", grid=grid, client=client)
+    fft, bp = blocksar.open(tmp_path / "fft"), blocksar.open(tmp_path / "bp")
+    assert fft.image.dims == bp.image.dims == ("y", "x")
+    assert np.array_equal(fft.x, bp.x)
+    a, b = fft.image.values, bp.image.values
+    assert np.isfinite(a.real).all()
+    assert abs(np.vdot(b, a)) / np.linalg.norm(a) / np.linalg.norm(b) >= 0.995
+    check_targets(blocksar.quality(tmp_path / "bp").result, 1)
+    check_targets(blocksar.quality(tmp_path / "fft").result, 1)
+
+
+def test_bits_do_not_depend_on_workers_or_threads(tmp_path: Path) -> None:
+    store = write_store(tmp_path, swath=[29800.0, 30200.0], more=CLUTTER.replace("100000", "2000"))
+    grid = coarse_grid(store, 8.0)
+    sums = set()
+    for workers, threads in ((1, 1), (1, 3), (3, 1)):
+        run = tmp_path / f"run-{workers}-{threads}"
+        blocksar.focus(store, run, blocks=3, grid=grid, workers=workers, threads=threads)
+        image = blocksar.open(run)
+        sums.add((stores.checksum(image.image.values), stores.checksum(image.block.values)))
+    assert len(sums) == 1
+
+
+def test_memory_limit_is_kept(table1: Path, tmp_path: Path) -> None:
+    report = blocksar.focus(
+        table1, tmp_path / "run", workers=2, threads=1, memory_limit=2**30, grid=coarse_grid(table1)
+    )
+    assert report.result["peak_memory"] <= 2**30
+    predicted = max(block["memory"] for block in report.result["plan"]["predicted"])
+    assert report.result["peak_memory"] <= 1.2 * predicted
+    with pytest.raises(InputError, match=r"memory limit 330 MiB .* is too low"):
+        blocksar.focus(table1, tmp_path / "tight", blocks=1, workers=1, memory_limit=330 * 2**20)
+    assert not (tmp_path / "tight").exists()
+
+
+def test_memory_of_back_projection_is_predicted_and_kept(table1: Path, tmp_path: Path) -> None:
+    grid = ((15900.0, 16900.0, 2.0), (19000.0, 20000.0, 2.0))
+    settings: dict[str, Any] = {"processor": "backprojection", "grid": grid, "workers": 1, "threads": 2}
+    record = blocksar.focus(table1, tmp_path / "run", **settings).result
+    assert 0.5 * record["plan"]["memory"] < record["peak_memory"] <= record["plan"]["memory"]
+    with pytest.raises(InputError, match=r"memory limit 330 MiB .* is too low: back-projection needs about \d+ MiB"):
+        blocksar.focus(table1, tmp_path / "tight", memory_limit=330 * 2**20, **settings)
+    assert not (tmp_path / "tight").exists()
+
+
+def test_closed_form_focuses_worse_than_fitted(table1: Path, client: Client, tmp_path: Path) -> None:
+    made = Scene.read("table1")
+    point = next(t for t in made.point_targets() if t.name == "B1")
+    grid = ((point.x - 80, point.x + 80, 1.0), (point.y - 80, point.y + 80, 1.0))
+    found = {}
+    for coefficients in ("closed-form", "fitted"):
+        run = tmp_path / coefficients
+        blocksar.focus(table1, run, blocks=1, coefficients=coefficients, grid=grid, client=client)
+        responses = blocksar.quality(run).result["targets"]
+        found[coefficients] = next(t for t in responses if t["name"] == "B1")["azimuth_pslr"]
+    assert found["fitted"] == pytest.approx(-13.26, abs=0.2)
+    assert found["closed-form"] > -12.0
+
+
+def test_dataset_in_and_dataset_out(table1: Path, client: Client, tmp_path: Path) -> None:
+    grid = ((16000.0, 16200.0, 1.0), (19100.0, 19300.0, 1.0))
+    with xr.open_zarr(table1) as source:
+        blocksar.focus(source, tmp_path / "run", blocks=3, grid=grid, client=client)
+    image = blocksar.open(tmp_path / "run")
+    assert image.image.dtype == np.complex64
+    assert image.block.dtype == np.int16
+    assert image.image.attrs["units"] == "1"
+    assert image.x.attrs["long_name"]
+    assert set(np.unique(image.block)) == {1}
+
+
+def test_phase_history_of_another_program(client: Client, tmp_path: Path) -> None:
+    """Written by xarray, in its own chunks, with compression: the contract is all that counts."""
+    (tmp_path / "scene.toml").write_text(scene(more='[[targets]]\nname = "P"\nrange = 30000.0\nyaw_deg = 50.5\n'))
+    ours = blocksar.simulate(tmp_path / "scene.toml", tmp_path / "ours.zarr")
+    with xr.open_zarr(ours) as source:
+        chunks = {"signal": {"chunks": (700, 999)}}
+        source.load().drop_encoding().to_zarr(
+            tmp_path / "foreign.zarr", zarr_format=3, encoding=chunks, consolidated=False
+        )
+    grid = ((15500.0, 16500.0, 4.0), (18700.0, 19700.0, 4.0))
+    images = []
+    for name in ("ours", "foreign"):
+        blocksar.focus(tmp_path / f"{name}.zarr", tmp_path / name, blocks=2, grid=grid, client=client)
+        images.append(blocksar.open(tmp_path / name).image.values)
+    assert np.array_equal(images[0], images[1], equal_nan=True)
+
+
+def test_api_names_are_the_commands() -> None:
+    assert set(api.__all__) >= {"simulate", "plan", "focus", "quality", "open", "demo"}

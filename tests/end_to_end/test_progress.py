@@ -1,0 +1,261 @@
+"""Progress of real runs: what a terminal, a listener and a log get, and how each ends."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import pty
+import re
+import signal
+import subprocess
+import sys
+import termios
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+from distributed import Client
+from fake_clock import GIB, HIDDEN, SHOWN, strictly
+from faults import SETTINGS, make_store, until, words
+
+import blocksar
+from blocksar.errors import InputError, ProcessingError
+from blocksar.graph import cluster, recording
+from blocksar.progress import Listener, Work, Workers
+
+needs_bokeh = pytest.mark.skipif(importlib.util.find_spec("bokeh") is None, reason="bokeh is not installed")
+
+
+# ---------------------------------------------------------------- real runs
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_store(tmp_path_factory.mktemp("progress") / "store")
+
+
+@contextmanager
+def in_terminal(*command: str) -> Iterator[tuple[subprocess.Popen[bytes], Callable[[], bytes]]]:
+    """A program whose stderr is a terminal of 80 columns, and what it has written there so far, or to its end."""
+    ours, theirs = pty.openpty()
+    termios.tcsetwinsize(theirs, (24, 80))
+    environment = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "NO_COLOR")}
+    seen = bytearray()
+
+    def read() -> bytes:
+        with suppress(OSError):  # how Linux says that the other end is closed
+            while True:
+                data = os.read(ours, 65536)
+                seen.extend(data)
+        return bytes(seen)
+
+    os.set_blocking(ours, False)
+    with subprocess.Popen(
+        command, stderr=theirs, stdout=subprocess.DEVNULL, env=environment | {"TERM": "xterm"}, start_new_session=True
+    ) as process:
+        os.close(theirs)
+        try:
+            yield process, read
+        finally:
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)
+            os.close(ours)
+
+
+BLOCKSAR = (
+    sys.executable, "-c",
+    "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a background job is born deaf to it
+    "from blocksar import cli; cli.main()",
+)  # fmt: skip
+
+
+def frames(written: bytes) -> list[list[str]]:
+    """What a terminal was shown, frame by frame: rich goes back to a frame's first line by erasing its lines."""
+    texts = re.split(r"(?:\r?\x1b\[2K(?:\x1b\[1A)?)+", written.decode())
+    plain = [re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", text) for text in texts]
+    return [text.replace("\r", "").splitlines() for text in plain if text.strip()]
+
+
+@needs_bokeh
+def test_a_run_in_a_terminal(store: Path, tmp_path: Path) -> None:
+    log, page = tmp_path / "log.jsonl", tmp_path / "page.html"
+    typed = words(store, tmp_path / "run", "--workers", "1", "--json-log", str(log), "--performance-report", str(page))
+    with in_terminal(*BLOCKSAR, *typed) as (process, read):
+        until(lambda: (read(), process.poll() is not None)[1], "the run to end")
+        written = read()
+    assert process.returncode == 0, written.decode()
+    assert written.count(HIDDEN) == written.count(SHOWN) == 1 and written.find(HIDDEN) < written.find(SHOWN)
+    shown = frames(written)
+    assert max(len(line) for frame in shown for line in frame) <= 80
+    names = ["plan", "compile", "start-workers", "recover", "focus", "mosaic", "finish"]
+    assert [line.split()[0] for line in shown[-1][:7]] == names
+    assert re.fullmatch(r"focus +━+ +3/3 .*\d:\d\d *", shown[-1][4])
+    assert any("the worker holds 0." in line for frame in shown for line in frame)
+    addresses = {line for frame in shown for line in frame if line.startswith("dashboard: ")}
+    events = strictly(log.read_text())
+    assert addresses == {f"dashboard: {line['address']}" for line in events if line["event"] == "dashboard"}
+    assert [line["stage"] for line in events if line["event"] == "stage"] == names
+    memory = [line["memory"] for line in events if line.get("memory")]
+    assert memory and all(2**20 < each < 2**40 for each in memory)
+    assert events[-1]["status"] == 0
+    assert "<html" in page.read_text() and [p.name for p in tmp_path.glob(".*")] == []
+
+
+def test_ctrl_c_leaves_the_terminal_and_the_log_in_order(store: Path, tmp_path: Path) -> None:
+    log = tmp_path / "log.jsonl"
+    typed = words(store, tmp_path / "run", "--workers", "1", "--json-log", str(log))
+    with in_terminal(*BLOCKSAR, *typed) as (process, read):
+        until(lambda: (read(), log.exists() and '"stage": "recover"' in log.read_text())[1], "recovery to begin")
+        process.send_signal(signal.SIGINT)
+        until(lambda: (read(), process.poll() is not None)[1], "the run to end")
+        written = read()
+    assert process.returncode == 130
+    assert written.rfind(SHOWN) > written.rfind(HIDDEN) >= 0
+    assert b"blocksar: interrupted" in written[written.rfind(SHOWN) :]
+    last = strictly(log.read_text())[-1]
+    assert (last["event"], last["status"]) == ("end", 130)
+
+
+HANGING = """
+import sys, time, types
+api = types.ModuleType("blocksar.api")
+def focus(source, out, progress, **settings):
+    progress.update("recover", 1, 4)
+    try:
+        time.sleep(60)
+    finally:
+        time.sleep(60)
+api.focus = focus
+sys.modules["blocksar.api"] = api
+from blocksar import cli
+from blocksar.cli import endings
+endings.GRACE = 0.2
+cli.main()
+"""
+
+
+def test_a_run_that_does_not_end_in_good_order_gives_the_terminal_back(tmp_path: Path) -> None:
+    log = tmp_path / "log.jsonl"
+    typed = ("focus", "ph.zarr", "--out", "run", "--json-log", str(log))
+    with in_terminal(sys.executable, "-c", HANGING, *typed) as (process, read):
+        until(lambda: log.exists() and "recover" in log.read_text(), "the run to begin")
+        process.send_signal(signal.SIGTERM)
+        until(lambda: (read(), process.poll() is not None)[1], "the run to end")
+        written = read()
+    assert process.returncode == 143
+    assert written.rfind(SHOWN) > written.rfind(HIDDEN) >= 0
+    last = strictly(log.read_text())[-1]
+    assert (last["event"], last["status"]) == ("end", 143)
+
+
+class Heard(Listener):
+    """Keeps what it is told; fails a run when a block is finished."""
+
+    def __init__(self, *, fail: bool) -> None:
+        self.fail = fail
+        self.work: Work = {}
+        self.totals: dict[str, int] = {}
+        self.begun: dict[str, int] = {}
+        self.units: set[str] = set()
+        self.memory = 0
+        self.notes: list[str] = []
+
+    def expect(self, work: Work, workers: int) -> None:
+        assert workers == 1
+        self.work = work
+
+    def begin(self, stage: str, reused: int = 0) -> None:
+        self.begun[stage] = reused
+
+    def update(self, stage: str, done: int, total: int) -> None:
+        self.totals[stage] = total
+        if self.fail and (stage, done) == ("focus", 1):
+            raise ProcessingError("out of luck")
+
+    def watch(self, units: Sequence[str], workers: Workers) -> None:
+        self.units |= set(units)
+        self.memory = max(self.memory, workers.memory)
+
+    def note(self, text: str, *, again: bool = False) -> None:
+        self.notes.append(text)
+
+
+@pytest.fixture(scope="module")
+def client() -> Iterator[Client]:
+    with cluster.open_client(workers=1, threads=1, memory_limit=2 * GIB) as connected:
+        yield connected
+
+
+@needs_bokeh
+def test_what_a_listener_hears_of_a_run_that_fails_and_goes_on(store: Path, client: Client, tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    page.write_text("of an earlier run")
+    failing = Heard(fail=True)
+    settings: dict[str, Any] = {"client": client, "performance_report": page, **SETTINGS}
+    with pytest.raises(ProcessingError, match="out of luck"):
+        blocksar.focus(store, tmp_path / "run", progress=failing, **settings)
+    assert "<html" in page.read_text()
+    page.unlink()
+    going_on = Heard(fail=False)
+    blocksar.focus(store, tmp_path / "run", progress=going_on, **settings)
+    assert "<html" in page.read_text() and not going_on.notes
+    assert going_on.begun["recover"] == failing.totals["recover"] == 4
+    assert 1 <= going_on.begun["focus"] < 3 and going_on.totals["check-recover"] == 4
+    # What was predicted is what was done, unit by unit.
+    assert {stage: len(costs) for stage, costs in going_on.work.items()} == {
+        stage: going_on.totals[stage] for stage in ("recover", "focus", "mosaic", "finish")
+    }
+    assert all(cost > 0 for costs in going_on.work.values() for cost in costs)
+    assert {"block-0", "block-1", "block-2"} <= failing.units | going_on.units
+    assert 2**20 < going_on.memory < 2 * GIB
+    again = Heard(fail=False)
+    blocksar.focus(store, tmp_path / "run", progress=again, **settings)
+    assert again.notes == [f"nothing was done, so there is no performance report at {page}"]
+
+
+@pytest.mark.parametrize(
+    ("processor", "more", "stages"),
+    [
+        ("angular-division", {"blocks": 3, "coefficients": "closed-form"}, ["recover", "focus", "mosaic"]),
+        ("backprojection", {}, ["inspect", "backprojection"]),
+    ],
+)
+def test_units_of_raw_echo_and_back_projection_are_predicted(
+    processor: Any, more: dict[str, Any], stages: list[str], client: Client, tmp_path: Path
+) -> None:
+    raw = make_store(tmp_path / "raw", raw=True)
+    heard = Heard(fail=False)
+    grid = ((15900.0, 16300.0, 8.0), (19000.0, 19400.0, 8.0))
+    blocksar.focus(raw, tmp_path / "run", progress=heard, processor=processor, client=client, grid=grid, **more)
+    stages = ["range-compress", *stages, "finish"]
+    assert list(heard.work) == stages
+    assert {stage: len(heard.work[stage]) for stage in stages} == {stage: heard.totals[stage] for stage in stages}
+
+
+def test_without_bokeh_there_is_no_dashboard_and_no_performance_report(
+    store: Path, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "bokeh" else found(name))
+    assert recording.dashboard(client) is None
+    with pytest.raises(InputError, match=r"bokeh is not installed.*install blocksar\[dashboard\]"):
+        blocksar.focus(store, tmp_path / "run", client=client, performance_report=tmp_path / "page.html")
+    assert not list(tmp_path.iterdir())
+
+
+@needs_bokeh
+@pytest.mark.parametrize("name", [".", "no/such/folder/page.html"])
+def test_a_performance_report_that_cannot_be_written_is_refused_first(
+    name: str, store: Path, client: Client, tmp_path: Path
+) -> None:
+    address = recording.dashboard(client)
+    assert address is not None and address.startswith("http://127.0.0.1:")
+    for call in (
+        lambda: blocksar.focus(store, tmp_path / "run", client=client, performance_report=tmp_path / name),
+        lambda: blocksar.api.demo(tmp_path / "run", performance_report=tmp_path / name),
+    ):
+        with pytest.raises(InputError, match=r"cannot be written.*give another file"):
+            call()
+    assert not list(tmp_path.iterdir())

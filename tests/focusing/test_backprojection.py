@@ -1,0 +1,347 @@
+"""Back-projection against the obvious double loop, and its own promises: exact phase, exact beam, same bits."""
+
+from __future__ import annotations
+
+import platform
+import re
+import tracemalloc
+from typing import Any
+
+import numpy as np
+import pytest
+from numba import njit
+from slow_twins import back_projection
+
+from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.errors import InputError
+from blocksar.focusing import backprojection
+from blocksar.focusing.backprojection import (
+    accumulate,
+    form_image,
+    form_points,
+    image_memory,
+    lit_interval,
+    pulse_block_size,
+    range_profiles,
+    spline_error,
+)
+from blocksar.simulation.scatterers import simulate_pulses
+
+TURN = 2 * np.pi
+
+
+def collection(
+    *,
+    bandwidth: float = 60e6,
+    n_frequency: int = 384,
+    n_pulse: int = 240,
+    duration: float = 0.6,
+    middle: float = 0.0,
+    yaw: float = np.deg2rad(50.0),
+    steering: float = np.deg2rad(26.23),
+    steered: bool = True,
+    reference: str = "constant",
+    carrier: float = 15e9,
+    height: float = 16500.0,
+    ground: float = 25055.0,
+    frequency_offset: float = 0.0,
+    ground_height: float = 0.0,
+) -> Collection:
+    """Table 1's diving, turning platform at a low PRF; the scene centre is lit at the aperture's middle."""
+    time = middle + duration * (np.arange(n_pulse) - n_pulse // 2) / n_pulse
+    position = np.array([0.0, 0.0, height]) + time[:, None] * [-40.0, 1300.0, -600.0]
+    position = position + time[:, None] ** 2 / 2 * [-15.0, -30.0, -35.0]
+    centre = np.array([ground * np.cos(yaw), ground * np.sin(yaw), ground_height])
+    distance = np.linalg.norm(centre - position, axis=1)
+    beam = yaw + steering * (time - middle) if steered else np.full(n_pulse, np.nan)
+    step = bandwidth / n_frequency
+    return Collection(
+        carrier=carrier,
+        time=time,
+        range_frequency=frequency_offset + (np.arange(n_frequency) - n_frequency / 2 + 0.5) * step,
+        reference_range=distance if reference == "tracked" else np.full(n_pulse, distance[n_pulse // 2]),
+        antenna_position=position,
+        beam_azimuth=beam,
+        beam_width=abs(steering) * 0.162 if steered else None,
+        ground_height=ground_height,
+    )
+
+
+def around(collection: Collection, along: Any, across: Any) -> tuple[FloatArray, FloatArray]:
+    """Ground points at offsets (m) from the point the beam, or the reference range, is on at the middle pulse."""
+    geometry, p = Geometry(collection=collection), collection.n_pulse // 2
+    yaw = collection.beam_azimuth[p] if collection.steered else np.deg2rad(50.0)
+    x, y = geometry.ground_point(np.array(collection.reference_range[p]), np.array(yaw))[:2]
+    along, across = np.asarray(along, np.float64), np.asarray(across, np.float64)
+    return x + along * np.cos(yaw) - across * np.sin(yaw), y + along * np.sin(yaw) + across * np.cos(yaw)
+
+
+def noise(collection: Collection, seed: int = 0) -> ComplexArray:
+    shape = (collection.n_pulse, 2 * collection.n_range_frequency)
+    signal = np.random.default_rng(seed).standard_normal(shape, dtype=np.float32).view(np.complex64)
+    signal.flags.writeable = False
+    return signal
+
+
+def form(collection: Collection, signal: ComplexArray, x: FloatArray, y: FloatArray, **options: Any) -> ComplexArray:
+    geometry = Geometry(collection=collection)
+    return form_points(lambda pulses: signal[pulses], geometry, x, y, **{"threads": 2, **options})
+
+
+COLLECTIONS: dict[str, dict[str, Any]] = {
+    "Table 1": {},
+    "unsteered": {"steered": False, "duration": 0.15, "n_pulse": 61},
+    "varying reference range": {"reference": "tracked", "n_frequency": 128},
+    "t = 0 off the middle, odd number of pulses": {"middle": 0.4, "n_pulse": 241},
+    "600 MHz": {"bandwidth": 600e6, "n_frequency": 768, "n_pulse": 120, "reference": "tracked"},
+    "baseband not centred": {"frequency_offset": 40e6},
+    "scan reversed, negative yaw": {"yaw": np.deg2rad(-50.0), "steering": np.deg2rad(-26.23), "n_frequency": 768},
+    "high ground": {"ground_height": 800.0},
+    "looking across yaw = pi": {"yaw": np.deg2rad(179.5), "reference": "tracked", "n_frequency": 128},
+}
+
+
+@pytest.mark.parametrize("name", COLLECTIONS)
+def test_it_is_the_double_loop(name: str) -> None:
+    """White noise fills the whole band at every range: no error of the interpolation can hide."""
+    c = collection(**COLLECTIONS[name])
+    rng = np.random.default_rng(1)
+    x, y = around(c, rng.uniform(-60, 60, 60), rng.uniform(-300, 300, 60))
+    expected = back_projection(c, noise(c), x, y)
+    image = form(c, noise(c), x, y)
+    np.testing.assert_array_equal(np.isnan(image), np.isnan(expected))
+    assert np.count_nonzero(~np.isnan(image)) >= 20
+    error = np.sqrt(np.nanmean(np.abs(image - expected) ** 2) / np.nanmean(np.abs(expected) ** 2))
+    assert error < 5e-4  # the spline's -69 dB, 3.5e-4, on few pixels
+
+
+@pytest.mark.parametrize("name", COLLECTIONS)
+def test_a_unit_target_is_one(name: str) -> None:
+    c = collection(**COLLECTIONS[name])
+    sigma = np.array([1.0, 0.5j, -1.0])
+    tx, ty = around(c, [3.3, -41.0, 30.0], [-2.1, -20.0, 70.0])
+    signal = simulate_pulses(c, tx, ty, sigma)
+    alone = form(c, simulate_pulses(c, tx[:1], ty[:1], sigma[:1]), tx[:1], ty[:1])
+    assert abs(alone[0] - 1) < 2e-3
+    x, y = (t[:, None] + np.random.default_rng(2).uniform(-4, 4, (3, 9)) for t in (tx, ty))
+    x[:, 0], y[:, 0] = tx, ty
+    image, expected = form(c, signal, x, y), back_projection(c, signal, x, y)
+    assert np.abs(image - expected).max() < 1e-3  # of the peak, at every pixel: -60 dB
+
+
+def test_missing_pulses_and_samples_leave_the_mean_alone() -> None:
+    c = collection()
+    rng = np.random.default_rng(3)
+    tx, ty = around(c, [0.0], [0.0])
+    signal = simulate_pulses(c, tx, ty, np.ones(1))
+    first, last = (int(bound[0]) for bound in lit_interval(Geometry(collection=c), tx, ty))
+    signal[rng.choice(np.arange(first, last), 20, replace=False)] = np.nan
+    signal[rng.random(signal.shape) < 0.05] = np.nan
+    signal[first + 3, ::2] = complex(1.0, np.nan)
+    signal.flags.writeable = False
+    x, y = tx + rng.uniform(-4, 4, 20), ty + rng.uniform(-4, 4, 20)
+    image, expected = form(c, signal, x, y), back_projection(c, signal, x, y)
+    assert np.abs(image - expected).max() < 1e-3
+    assert abs(form(c, signal, tx, ty)[0] - 1) < 2e-3
+
+
+def test_nothing_valid_lit_is_nan() -> None:
+    c = collection()
+    signal = noise(c).copy()
+    x, y = around(c, np.zeros(2), [0.0, 12e3])  # the second is far outside the scan
+    assert np.isnan(form(c, signal, x, y)).tolist() == [False, True]
+    signal[:] = np.nan
+    assert np.isnan(form(c, signal, x, y)).all()
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_the_window_ends_where_ranges_become_ambiguous(side: int) -> None:
+    """Right up to its edge, where the spline reaches round the end, the image is exact; beyond, it is NaN."""
+    c = collection(reference="tracked", n_frequency=96, n_pulse=60)
+    half = c.range_window / 2
+    x, y = around(c, side * np.linspace(0.9, 1.4, 2001) * half, np.zeros(2001))
+    geometry, signal = Geometry(collection=c), noise(c)
+    first, last = lit_interval(geometry, x, y)
+    away = np.linalg.norm(np.stack([x, y, 0 * x], -1)[:, None] - c.antenna_position, axis=-1) - c.reference_range
+    lit = (np.arange(c.n_pulse) >= first[:, None]) & (np.arange(c.n_pulse) < last[:, None])
+    farthest = np.where(lit, np.abs(away), 0).max(axis=1)
+    image = form(c, signal, x, y)
+    np.testing.assert_array_equal(np.isnan(image), farthest > half)
+    edge = np.flatnonzero(farthest <= half)[-3:]
+    assert 0.99 < farthest[edge[-1]] / half <= 1
+    expected = back_projection(c, signal, x[edge], y[edge])
+    assert np.abs(image[edge] - expected).max() < 2e-3 * np.abs(expected).max()
+
+
+def test_phase_is_exact_at_900_km() -> None:
+    """With one frequency there is nothing to interpolate: what is left is the phase, 6e7 cycles of it."""
+    c = collection(height=600e3, ground=670e3, carrier=35e9, reference="tracked", n_pulse=100)
+    middle = c.n_range_frequency // 2
+    signal = np.zeros((c.n_pulse, c.n_range_frequency), np.complex64)
+    signal[:, middle] = np.exp(1j * np.random.default_rng(4).uniform(0, TURN, c.n_pulse))
+    x, y = around(c, np.linspace(-100, 100, 30), np.linspace(-100, 100, 30))
+    image = form(c, signal, x, y) * np.float32(c.n_range_frequency)
+    expected = back_projection(c, signal, x, y) * c.n_range_frequency
+    assert np.abs(image - expected).max() < 1e-6
+
+
+def test_interpolation_errs_by_less_than_60_db() -> None:
+    """One pulse, many ranges: measured, and as the spline's frequency response predicts."""
+    c = collection(reference="tracked", n_frequency=500)
+    geometry, p = Geometry(collection=c), c.n_pulse // 2
+    x, y = around(c, np.linspace(-500, 500, 2000)[None], np.zeros((1, 2000)))
+    signal = noise(c)[p : p + 1]
+    profiles = range_profiles(signal, collection=c, pulses=slice(p, p + 1), threads=1)
+    image, outside = np.zeros(x.shape, np.complex64), np.zeros(x.shape, np.bool_)
+    first, last = np.full(x.shape, p), np.full(x.shape, p + 1)
+    accumulate(image, outside, profiles, geometry=geometry, x=x, y=y, first=first, last=last, threads=1)
+    distance = np.linalg.norm(np.stack([x, y, 0 * x], -1)[0] - c.antenna_position[p], axis=1) - c.reference_range[p]
+    steering = np.exp(4j * np.pi / SPEED_OF_LIGHT * np.multiply.outer(distance, c.carrier + c.range_frequency))
+    expected = steering @ signal[0].astype(np.complex128) / c.n_range_frequency
+    error = np.sqrt(np.mean(np.abs(image[0] - expected) ** 2) / np.mean(np.abs(expected) ** 2))
+    predicted = spline_error(upsampling=backprojection.UPSAMPLING)
+    assert predicted < 1e-3
+    assert 0.8 * predicted < error < 1.2 * predicted
+
+
+@pytest.mark.parametrize("steering", [26.23, -26.23, 0.0])
+@pytest.mark.parametrize("yaw", [50.0, -50.0, 179.5, -178.0, 3 * 180.0])
+def test_lit_interval_is_the_inequality(yaw: float, steering: float) -> None:
+    c = collection(yaw=np.deg2rad(yaw), steering=np.deg2rad(26.23), n_frequency=16)
+    geometry = Geometry(collection=c)
+    rng = np.random.default_rng(5)
+    width, scan = 2.0**-4, np.sign(steering) * np.linspace(-0.14, 0.14, c.n_pulse)
+    beam = np.deg2rad(yaw) + scan
+    theta = np.concatenate([np.deg2rad(yaw) + rng.uniform(-0.3, 0.3, 400), rng.uniform(-np.pi, np.pi, 200)])
+    x, y = 2e4 * np.cos(theta) + geometry.nadir[0], 2e4 * np.sin(theta) + geometry.nadir[1]
+    exact = geometry.yaw(x, y)
+    if steering:
+        # Put the beam's edge on a pixel, to the last bit, at many pulses, and let it rest there for a few.
+        branch = TURN * np.rint((np.deg2rad(yaw) - exact[:100]) / TURN)
+        beam[::6][:40] = exact[:40] + branch[:40] + width / 2
+        beam[3::6][:40] = exact[40:80] + branch[40:80] - width / 2
+        beam = np.sort(beam)[:: int(np.sign(steering))]
+        beam[100:104] = beam[100]
+    c = Collection(**{**c.as_dict(), "beam_azimuth": beam, "beam_width": width})
+    first, last = lit_interval(Geometry(collection=c), x, y)
+    away = exact[:, None] - c.beam_azimuth
+    lit = np.abs(away - TURN * np.rint(away / TURN)) <= width / 2
+    pulse = np.arange(c.n_pulse)
+    np.testing.assert_array_equal((pulse >= first[:, None]) & (pulse < last[:, None]), lit)
+    if steering and abs(yaw) < 57:
+        assert np.count_nonzero(np.abs(away) == width / 2) > 20  # nothing was rounded: an equality is lit
+    assert lit.any() and not lit.any(axis=1).all()
+    assert ((first < last) | ((first == 0) & (last == 0))).all()
+
+
+def test_lit_interval_without_steering_is_all() -> None:
+    c = collection(steered=False, n_frequency=16)
+    first, last = lit_interval(Geometry(collection=c), np.zeros((2, 3)), np.ones((2, 3)))
+    assert (first == 0).all() and (last == c.n_pulse).all() and first.shape == (2, 3)
+
+
+def test_a_beam_that_goes_all_round_is_refused() -> None:
+    c = collection(n_frequency=16)
+    c = Collection(**{**c.as_dict(), "beam_azimuth": np.linspace(0.0, 6.28, c.n_pulse)})
+    with pytest.raises(InputError, match=r"beam_azimuth scans 6\.28 rad .* cut the collection"):
+        lit_interval(Geometry(collection=c), np.zeros(1), np.ones(1))
+
+
+def test_same_bits_for_any_number_of_threads() -> None:
+    c = collection(n_frequency=256, reference="tracked")
+    x, y = around(c, 0.0, 0.0)
+    columns, rows = x + np.arange(-75, 75) * 1.5, y + np.arange(-70, 71) * 1.5
+    signal, geometry = noise(c), Geometry(collection=c)
+    images = [form_image(lambda p: signal[p], geometry, columns, rows, threads=n) for n in (1, 2, 5)]
+    assert images[0].shape == (141, 150)
+    assert images[0].tobytes() == images[1].tobytes() == images[2].tobytes()
+    small = form_image(lambda p: signal[p], geometry, columns, rows, threads=2, pulse_block=13)
+    assert np.nanmax(np.abs(small - images[0])) < 1e-6 * np.nanmax(np.abs(images[0]))  # float32 sums in another order
+
+
+def test_form_image_lays_columns_along_x() -> None:
+    c = collection(reference="tracked", n_frequency=128)
+    tx, ty = around(c, 6.0, 10.0)
+    signal = simulate_pulses(c, np.atleast_1d(tx), np.atleast_1d(ty), np.ones(1))
+    columns, rows = tx + np.arange(-3, 9) * 2.0, ty + np.arange(-5, 4) * 2.0
+    image = form_image(lambda p: signal[p], Geometry(collection=c), columns, rows, threads=1)
+    assert np.unravel_index(np.abs(image).argmax(), image.shape) == (5, 3)
+    mesh = form(c, signal, *np.meshgrid(columns, rows))
+    assert image.tobytes() == mesh.tobytes()
+
+
+@pytest.mark.parametrize("shape", [(), (0,), (3, 0), (5,), (2, 3, 2)])
+def test_points_of_any_shape(shape: tuple[int, ...]) -> None:
+    c = collection(reference="tracked", n_frequency=64)
+    rng = np.random.default_rng(6)
+    x, y = around(c, rng.uniform(-9, 9, shape), rng.uniform(-9, 9, shape))
+    image = form(c, noise(c), x, y)
+    assert image.shape == shape and not np.isnan(image).any()
+    flat = form(c, noise(c), x.ravel(), y.ravel())
+    assert image.tobytes() == flat.tobytes()
+
+
+def test_only_lit_pulses_are_read_once_in_order() -> None:
+    c = collection(n_frequency=64, n_pulse=480, reference="tracked")
+    geometry = Geometry(collection=c)
+    # Two chips whose dwells do not meet: the pulses between them are nobody's.
+    x, y = around(c, np.zeros(2), [-1800.0, 1800.0])
+    first, last = lit_interval(geometry, x, y)
+    assert 0 < last[0] < first[1]
+    asked: list[slice] = []
+
+    def read(pulses: slice) -> ComplexArray:
+        asked.append(pulses)
+        return noise(c)[pulses]
+
+    form_points(read, geometry, x, y, threads=1, pulse_block=20)
+    read_pulses = np.concatenate([np.arange(s.start, s.stop) for s in asked])
+    assert max(s.stop - s.start for s in asked) <= 20
+    lit = np.concatenate([np.arange(*interval) for interval in zip(first, last, strict=True)])
+    np.testing.assert_array_equal(read_pulses, lit)
+
+
+def test_memory_is_bounded_as_stated() -> None:
+    c = collection(n_frequency=400, n_pulse=1200, reference="tracked")
+    signal, geometry = noise(c), Geometry(collection=c)
+    x, y = around(c, 0.0, 0.0)
+    columns, rows = x + np.arange(600) * 0.2, y + np.arange(500) * 0.2
+
+    def image() -> ComplexArray:
+        return form_image(lambda p: signal[p].copy(), geometry, columns, rows, threads=2)
+
+    form_points(lambda p: signal[p], geometry, np.array(x), np.array(y), threads=2)  # compiles
+    tracemalloc.start()
+    image()
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    bound = image_memory(columns.size * rows.size, c, threads=2)
+    assert 0.5 * bound < peak < bound
+    assert image_memory(0, c) < 4 * 8 * pulse_block_size(c) * 6 * c.n_range_frequency
+
+
+def test_wrong_shapes_are_refused() -> None:
+    c = collection(n_frequency=64)
+    geometry = Geometry(collection=c)
+    x, y = around(c, np.zeros(4), np.zeros(4))
+    with pytest.raises(ValueError, match=r"shape\(x\)"):
+        form(c, noise(c), x, y[:3])
+    with pytest.raises(ValueError, match="finite"):
+        form(c, noise(c), np.full(4, np.nan), y)
+    with pytest.raises(ValueError, match="range frequencies"):
+        form_points(lambda p: noise(c)[p, :5], geometry, x, y, threads=1)
+
+
+@pytest.mark.skipif(platform.machine() not in {"x86_64", "AMD64"}, reason="reads x86 assembly")
+def test_the_inner_loop_runs_in_vector_lanes() -> None:
+    """Compiled afresh, for assembly is not kept with the cache: packed square roots show that all vectorised."""
+    c = collection(n_frequency=64, reference="tracked")
+    form(c, noise(c), *around(c, np.zeros((2, 2)), np.zeros((2, 2))))
+    kernel = backprojection._accumulate
+    fresh = njit(nogil=True, fastmath=kernel.targetoptions["fastmath"])(kernel.py_func)
+    fresh.compile(kernel.signatures[0])
+    (assembly,) = fresh.inspect_asm().values()
+    assert re.search(r"sqrtpd", assembly)

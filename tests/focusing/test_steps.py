@@ -1,0 +1,417 @@
+"""One property for every step: simulate a target, apply the step, and the line that is measured is the line traced.
+
+Lines are stationary phase, so they are measured on a target that is lit smoothly (sin^2 over its dwell): sharp ends
+ring, and would hide the last digits. A sharply lit target is then focused, and must be what `focus` says of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import pytest
+from steps import (
+    Complex128Array,
+    Planned,
+    after_each_step,
+    collection,
+    compress_range,
+    explicit_transform,
+    line_of,
+    measure_line,
+    peak,
+    planned,
+    rows_to_frequency,
+    sampling,
+    signal_of,
+    slab_of,
+    taper,
+)
+
+from blocksar.arrays import FloatArray
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.focusing.azimuth_steps import (
+    AzimuthTransform,
+    Deramp,
+    DopplerResampling,
+    DopplerTransform,
+    FrequencyPerturbation,
+)
+from blocksar.focusing.chains import steps_of
+from blocksar.focusing.dwell_gate import DwellGate
+from blocksar.focusing.lines import Line, RowPolynomial, focus
+from blocksar.focusing.method import Method
+from blocksar.focusing.range_steps import (
+    Compression,
+    DopplerCompression,
+    Keystone,
+    RangeCompression,
+    RangeGate,
+    ResidualRangeWalk,
+)
+from blocksar.kernels import fourier, rows
+from blocksar.kernels.fourier import Axis
+
+GEOMETRIES: dict[str, dict[str, Any]] = {
+    "table 1": {},
+    "scan reversed": {"steering_deg": -26.23},
+    "mirrored": {"yaw_deg": -50.0, "velocity": (-40.0, -1300.0, -600.0)},
+    "acceleration cancels the Doppler rate": {"yaw_deg": -50.0},
+    "backwards": {"yaw_deg": 130.0},
+    "t = 0 off centre": {"middle": 0.11},
+    "odd numbers of samples": {"n_pulse": 2401, "n_frequency": 81},
+    "three times the relative bandwidth": {"carrier": 10e9, "bandwidth": 150e6, "n_frequency": 240},
+    "not steered": {"steering_deg": None, "prf": 12e3},
+    "jerk": {"jerk": (300.0, -400.0, 200.0)},
+}
+METHODS: dict[str, dict[str, Any]] = {  # on Table 1's geometry, or on another one that is named
+    "closed form": {"coefficients": "closed-form"},
+    "resampling": {"processor": "keystone-resampling"},
+    "resampling, closed form": {"processor": "keystone-resampling", "coefficients": "closed-form"},
+    "resampling, scan reversed": {"processor": "keystone-resampling"},
+    "resampling, not steered": {"processor": "keystone-resampling"},
+    "resampling, acceleration cancels the Doppler rate": {"processor": "keystone-resampling"},
+    "high order phase": {"processor": "high-order-phase"},
+    "high order phase, closed form": {"processor": "high-order-phase", "coefficients": "closed-form"},
+    "high order phase, scan reversed": {"processor": "high-order-phase"},
+    "high order phase, not steered": {"processor": "high-order-phase"},
+    "high order phase, odd numbers of samples": {"processor": "high-order-phase"},
+    "high order phase, three times the relative bandwidth": {"processor": "high-order-phase"},
+    "no keystone": {"keystone": False},
+    "frequency perturbation only": {"processor": "keystone-resampling", "perturbation": "frequency"},
+    "no perturbation": {"perturbation": "none"},
+}
+EVERY = [*GEOMETRIES, *METHODS]
+# Across the block's yaws and ranges, 0 .. 1: off centre, where every coefficient counts.
+PLACES = [(0.04, 0.15), (0.93, 0.8)]
+INNER = slice(3, 13)  # of 16 nodes: an eighth of the dwell at either end is left to the ends
+
+
+@lru_cache(maxsize=2)
+def case_of(name: str) -> Planned:
+    scene = collection(**GEOMETRIES.get(name.split(", ", 1)[-1], {}))
+    return planned(scene, blocks=3 if scene.steered else 1, method=Method(**METHODS.get(name, {})))
+
+
+def place_of(case: Planned, place: tuple[float, float]) -> tuple[float, float]:
+    """(epoch range, yaw) of a target."""
+    yaw = case.plan.low + (case.plan.high - case.plan.low) * place[0]
+    near, far = case.region.at(np.array([yaw]))
+    return float(near[0] + (far[0] - near[0]) * place[1]), yaw
+
+
+DOPPLER_STEPS = (AzimuthTransform, DopplerCompression, FrequencyPerturbation, DopplerResampling)
+
+
+def compressed(case: Planned, step: Any) -> bool:
+    """Whether rows are ranges after a step, not range frequencies."""
+    chain = case.plan.chain
+    return chain.index(step) >= next(i for i, s in enumerate(chain) if isinstance(s, Compression))
+
+
+def as_frequency(case: Planned, step: Any, samples: Any) -> tuple[Complex128Array, FloatArray]:
+    """Samples after a step as S(range frequency, slow time), and the frequencies."""
+    if isinstance(step, DOPPLER_STEPS):
+        samples = rows.to_time(samples, case.plan.sampling.doppler, case.plan.sampling.long_time)
+    if not compressed(case, step):
+        return samples, case.collection.range_frequency
+    compression = next(s for s in case.plan.chain if isinstance(s, Compression))
+    return rows_to_frequency(samples, case.plan.sampling.rows, compression.period)
+
+
+def time_of(case: Planned, step: Any) -> Axis:
+    """Slow time of `as_frequency`."""
+    inside = isinstance(step, (*DOPPLER_STEPS, Deramp, DopplerTransform))
+    return case.plan.sampling.long_time if inside else case.plan.sampling.time
+
+
+def amplitude_of(case: Planned, step: Any) -> float:
+    """Of a unit target: recovery and the transforms between axes of other lengths change it."""
+    level = case.recovery.padded / case.plan.sampling.time.size
+    return level * case.plan.ground.scale if compressed(case, step) else level
+
+
+@pytest.mark.parametrize("place", PLACES, ids=["near, low yaw", "far, high yaw"])
+@pytest.mark.parametrize("name", EVERY)
+def test_after_every_step_the_measured_line_is_the_traced_one(name: str, place: tuple[float, float]) -> None:
+    case = case_of(name)
+    at = place_of(case, place)
+    cell = SPEED_OF_LIGHT / (2 * case.collection.bandwidth)
+    line = line_of(case, *at)
+    lit = taper(case.geometry, at[1], line.time + case.geometry.epoch)
+    slab = slab_of(case, signal_of(case, *at, tapered=True))
+
+    def check(step: Any, samples: Any, line: Line, *, time: Axis, name: str) -> None:
+        values, frequency = as_frequency(case, step, samples)
+        found = measure_line(values, line, time=time, frequency=frequency, cell=cell)
+        # Stationary phase is good to 1e-3 rad here; before SRC the range response is not quite symmetric.
+        assert np.abs(found.phase[INNER]).max() * 2 * np.pi < 7e-3, name
+        assert np.abs(found.doppler[INNER]).max() < 0.2, name  # Hz; the dwell resolves 6
+        assert np.abs(found.range[INNER]).max() < 0.005 * cell, name
+        wanted = amplitude_of(case, step) * lit / np.sqrt(line.stretch)
+        # The taper is read at the sample nearest to the node.
+        assert np.abs(found.amplitude[INNER] / wanted[INNER] - 1).max() < 0.025, name
+
+    axes = case.plan.sampling
+    recovered = rows.to_time(slab, axes.slab, axes.time)
+    check(case.plan.chain[0], recovered, line, time=axes.time, name="recovery")
+    seen = []
+    for step, samples, traced in after_each_step(case, slab, line):
+        seen.append(type(step))
+        if isinstance(step, DopplerTransform):
+            assert traced is line
+            continue
+        check(step, samples, traced, time=time_of(case, step), name=step.name)
+        line = traced
+    method = Method(**METHODS.get(name, {}))
+    assert tuple(seen) == steps_of(method)
+    if not method.rival:
+        assert np.ptp(line.doppler) < 0.5  # Hz: level, which is what the chain is for
+
+
+@pytest.mark.parametrize(
+    "name", ["table 1", "acceleration cancels the Doppler rate", "not steered", "resampling", "high order phase"]
+)
+def test_the_perturbed_spectrum_is_the_line_read_along_doppler(name: str) -> None:
+    """In Doppler itself: at f = line.doppler the phase is phase - f t +- 1/8 and the group delay t."""
+    case, kind = case_of(name), DopplerResampling if name == "resampling" else FrequencyPerturbation
+    at = place_of(case, PLACES[0])
+    line = line_of(case, *at)
+    lit = taper(case.geometry, at[1], line.time + case.geometry.epoch)
+    slab = slab_of(case, signal_of(case, *at, tapered=True))
+    step, samples, line = next(each for each in after_each_step(case, slab, line) if type(each[0]) is kind)
+    compression = next(s for s in case.plan.chain if isinstance(s, Compression))
+    axes = case.plan.sampling
+    values, frequency = rows_to_frequency(samples, axes.rows, compression.period)
+    spectrum = compress_range(values, frequency, np.full((1, axes.doppler.size), line.range.mean()))[0]
+    long = axes.long_time
+    signal = explicit_transform(spectrum[None], axes.doppler, long, inverse=True, period=long.size)[0]
+
+    def at_doppler(f: FloatArray) -> Complex128Array:
+        cycles = np.multiply.outer(f, long.values)
+        return np.exp(-2j * np.pi * (cycles - np.rint(cycles))) @ signal
+
+    wanted = line.phase - line.doppler * line.time + np.sign(line.rate) / 8
+    found = at_doppler(line.doppler) * np.exp(-2j * np.pi * wanted)
+    assert np.abs(np.angle(found[4:12])).max() < 0.025
+    level = amplitude_of(case, step) * lit / np.sqrt(line.stretch * np.abs(line.rate)) / axes.time.step
+    np.testing.assert_allclose(np.abs(found[INNER]), level[INNER], rtol=0.03)
+    h = 0.01  # Hz
+    delay = -np.angle(at_doppler(line.doppler + h) * at_doppler(line.doppler - h).conj()) / (4 * np.pi * h)
+    # Without a bias chirp lines are short, and stationary phase holds less well.
+    np.testing.assert_allclose(delay[INNER], line.time[INNER], atol=8e-4 if name == "high order phase" else 2e-4)
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_a_target_focuses_where_and_as_its_line_says(name: str) -> None:
+    """Sharply lit, as targets are: the focused peak's place, phase and gain; its line along the way to 0.02 rad."""
+    case = case_of(name)
+    at = place_of(case, (0.3, 0.6))
+    cell = SPEED_OF_LIGHT / (2 * case.collection.bandwidth)
+    signal = signal_of(case, *at, tapered=False)
+    for step, samples, line in after_each_step(case, slab_of(case, signal), line_of(case, *at)):
+        values, frequency = as_frequency(case, step, samples)
+        if not isinstance(step, DopplerTransform):
+            found = measure_line(values, line, time=time_of(case, step), frequency=frequency, cell=cell)
+            assert np.abs(found.phase[INNER]).max() * 2 * np.pi < 0.02, step.name
+            assert np.abs(found.range[INNER]).max() < 0.01 * cell, step.name
+    # What the gate leaves along Doppler: a short signal about t = 0, under a phase that all rows share.
+    final = case.plan.sampling
+    held = final.long_time if final.gate is None else final.gate.time
+    in_time = rows.to_time(values.astype(np.complex64), final.image_doppler, held).astype(np.complex128)
+    spot = focus(line)
+    given, delay = 0.0, 0.0
+    if final.gate is not None:
+        given, delay, _ = (v.item() for v in final.gate.common.evaluate(spot.range, spot.doppler[None]))
+    dwell = np.sum(line.weight * line.stretch)
+
+    def response(doppler: FloatArray, rng: FloatArray) -> Complex128Array:
+        cycles = np.multiply.outer(held.values, doppler)
+        cut = in_time @ np.exp(-2j * np.pi * (cycles - np.rint(cycles)))
+        return np.exp(4j * np.pi / SPEED_OF_LIGHT * np.multiply.outer(rng, frequency)) @ cut / frequency.size
+
+    around = np.linspace(-0.4, 0.4, 17)
+    along = np.abs(response(spot.doppler + around / dwell, np.array([spot.range])))[0] ** 2
+    across = np.abs(response(np.array([spot.doppler]), spot.range + around * cell))[:, 0] ** 2
+    # A hundredth of a resolution cell: at 1.9 m and 3 m that is 2 and 3 cm.
+    assert abs(peak(along, around)) < 0.01
+    assert abs(peak(across, around)) < 0.01
+    lit = np.count_nonzero(signal[:, 0])
+    value = response(np.array([spot.doppler]), np.array([spot.range]))[0, 0] / (lit * case.plan.ground.scale)
+    value *= np.exp(-2j * np.pi * (spot.phase + given)) / spot.gain
+    assert abs(np.angle(value)) < 5e-3
+    # 1e-3 of a target's energy may lie outside its block's Doppler support, and the gate's own edges are soft.
+    # The walk that is left without keystone smears in range, which lines do not sum.
+    assert abs(np.abs(value) - 1) < (0.05 if name == "no keystone" else 4e-3)
+    # The carrier along Doppler that the geometric correction takes out: the dwell's middle, less the common delay.
+    behind, ahead = response(spot.doppler + np.array([-0.01, 0.01]), np.array([spot.range]))[0]
+    middle = -np.angle(ahead * behind.conj()) / (2 * np.pi * 0.02)
+    assert middle == pytest.approx(spot.time - delay, abs=0.01 * dwell)
+
+
+@pytest.mark.parametrize("name", ["table 1", "odd numbers of samples"])
+def test_no_step_depends_on_the_number_of_threads_or_writes_into_its_input(name: str) -> None:
+    case = case_of(name)
+    rng = np.random.default_rng(5)
+    shape = (case.collection.n_range_frequency, case.plan.n_bin)
+    samples = (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)).astype(np.complex64)
+    for step in case.plan.chain:
+        samples.flags.writeable = False
+        one = step.apply(samples, threads=1)
+        for threads in (2, 3):
+            np.testing.assert_array_equal(step.apply(samples, threads=threads), one)
+        assert one.dtype == np.complex64
+        samples = one
+
+
+# -- the gate -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("slope", [-2e-4, 1.5e-4])  # s/Hz: the dwell's middle over 800 Hz of Doppler moves by 0.16 s
+def test_each_doppler_sees_the_time_about_its_own_middle_only(slope: float) -> None:
+    """S(f) = sum over |t - c(f)| <= length / 2 of x(t) exp(-2j pi f t), for c linear: sample by sample, slowly."""
+    length = 0.06
+    time = fourier.centred(0.02, 1 / 1000, 500)
+    doppler = fourier.dual(time, size=500, centre=0.0)
+    ranges = Axis(-10.0, 5.0, 4)
+    first = 0.013
+    # psi' = c(f) = first + slope f, and its share that all rows keep.
+    series = np.array([[0.0, first * 100, slope * 100**2 / 2]])
+    phases = RowPolynomial(series=series, near=-10.0, far=5.0, centre=0.0, scale=100.0)
+    common = RowPolynomial(series=series * 0.9, near=-10.0, far=5.0, centre=0.0, scale=100.0)
+    gate = DwellGate(
+        phase=phases,
+        common=common,
+        slope=RowPolynomial(series=np.array([[slope]]), near=-10.0, far=5.0, centre=0.0, scale=100.0),
+        length=length,
+        time=fourier.centred(0.0, time.step, 400),
+    )
+    axes = sampling(long_time=time, focused_doppler=doppler, rows=ranges, gate=gate)
+    step = DopplerTransform(sampling=axes)
+    rng = np.random.default_rng(0)
+    samples = (rng.standard_normal((4, 500)) + 1j * rng.standard_normal((4, 500))).astype(np.complex64)
+    image = axes.image_doppler
+    assert image.size == 400 and image.extent == pytest.approx(doppler.extent)
+    found = step.apply(samples, threads=1)
+    f, t = image.values, time.values
+    given = common.evaluate(np.array(0.0), f)[0]
+    kernel = np.exp(-2j * np.pi * np.multiply.outer(t, f))
+    # A sharp gate cannot be sampled: between samples it is the share of the sample that is lit.
+    edge = (length / 2 - np.abs(t[:, None] - (first + slope * f))) / time.step + 0.5
+    wanted = samples @ (kernel * np.clip(edge, 0, 1)) * np.exp(2j * np.pi * given)
+    inner = np.abs(f) < 300  # the windows of the outermost Dopplers reach beyond the samples' time, or wrap in Doppler
+    error = np.sqrt(np.mean(np.abs(found - wanted)[:, inner] ** 2) / np.mean(np.abs(wanted[:, inner]) ** 2))
+    assert error < 0.1
+    # Without a gate it is the plain transform.
+    plain = DopplerTransform(sampling=replace(axes, gate=None)).apply(samples, threads=1)
+    assert np.abs(plain - explicit_transform(samples, time, doppler, inverse=False, period=500)).max() < 1e-4
+
+
+# -- single steps, without a plan ---------------------------------------------------------------------------
+
+CARRIER, BANDWIDTH, N_FREQUENCY = 10e9, 400e6, 64
+FREQUENCY = fourier.centred(0.0, BANDWIDTH / N_FREQUENCY, N_FREQUENCY)
+TIME = fourier.centred(0.0, 1 / 60e3, 6000)  # 0.1 s, at a rate that holds the Doppler of 300 m/s
+
+
+def echo(rng: FloatArray) -> np.ndarray:
+    """S(f, t) of a range history less the origin."""
+    cycles = -2 / SPEED_OF_LIGHT * np.multiply.outer(CARRIER + FREQUENCY.values, rng)
+    samples = fourier.unit_phasor(cycles)
+    samples.flags.writeable = False
+    return samples
+
+
+def peaks(samples: np.ndarray, times: np.ndarray, near: FloatArray) -> FloatArray:
+    """Range of the envelope's peak at some time samples, m."""
+    around = np.linspace(-0.2, 0.2, 41)
+    power = np.abs(compress_range(samples[:, times], FREQUENCY.values, near + around[:, None])) ** 2
+    return near + np.array([peak(column, around) for column in power.T])
+
+
+@pytest.mark.parametrize("speed", [-300.0, -20.0, 0.0, 45.0, 290.0])  # m/s: up to 30 m, 80 cells, in the dwell
+def test_the_keystone_straightens_any_linear_walk(speed: float) -> None:
+    t, cell = TIME.values, SPEED_OF_LIGHT / (2 * BANDWIDTH)
+    samples = echo(1.7 + speed * t)
+    axes = sampling(time=TIME, range_frequency=FREQUENCY, time_occupancy=0.75)
+    keystone = Keystone(carrier=CARRIER, sampling=axes)
+    straight = keystone.apply(samples, threads=1)
+    times = np.arange(200, 5800, 400)  # the outermost 2 % come from beyond the ends at half of the frequencies
+    assert np.ptp(peaks(straight, times, np.full(times.size, 1.7))) < 0.01 * cell
+    middle = N_FREQUENCY // 2  # f = 0: on the carrier nothing moves
+    assert np.abs(straight[middle] - samples[middle])[20:-20].max() < 1e-3
+    # Nothing wraps: what would come from beyond an end is zero.
+    scale = CARRIER / (CARRIER + FREQUENCY.values[0])
+    beyond = np.abs(t * scale) > np.abs(t[0]) + 10 * TIME.step
+    assert beyond.any() and (straight[0, beyond] == 0).all()
+
+
+def test_the_residual_walk_takes_out_a_linear_walk_of_the_whole_band() -> None:
+    """From Doppler to time with the walk gone at each frequency: not only on the carrier."""
+    t = TIME.values
+    speed = 37.3  # m/s
+    doppler = fourier.dual(TIME, size=TIME.size, centre=-2 * CARRIER / SPEED_OF_LIGHT * speed)
+    spectrum = rows.to_doppler(echo(1.7 + speed * t), TIME, doppler)
+    step = ResidualRangeWalk(
+        walk=-2 * CARRIER / SPEED_OF_LIGHT * speed, carrier=CARRIER,
+        sampling=sampling(slab=doppler, time=TIME, range_frequency=FREQUENCY),
+    )  # fmt: skip
+    assert np.abs(step.apply(spectrum, threads=1) - echo(1.7 + 0 * t)).max() < 1e-4
+
+
+def test_range_compression_straightens_its_reference_exactly() -> None:
+    """All orders at once, without expanding in f / fc: the keystoned reference becomes one row, phase and all."""
+    reference = np.array([0.0, 0.0, 18.0, -40.0, 300.0])
+    t, f = TIME.values, FREQUENCY.values
+    # After keystone, order n of the range has become (fc + f) (fc / (fc + f))^n: paper A (18).
+    order = np.arange(5)
+    scaled = ((1 + f / CARRIER)[:, None] ** (1 - order)) * reference
+    cycles = -2 * CARRIER / SPEED_OF_LIGHT * (scaled @ t ** order[:, None])
+    cell = SPEED_OF_LIGHT / (2 * BANDWIDTH)
+    period = 96
+    ranges = Axis(-20 * cell, cell * N_FREQUENCY / period, 60)
+    axes = sampling(time=TIME, range_frequency=FREQUENCY, rows=ranges)
+    step = RangeCompression(carrier=CARRIER, reference=reference, sampling=axes)
+    found = step.apply(fourier.unit_phasor(cycles), threads=1)
+    # One row's profile times the carrier's own phase at every time.
+    profile = compress_range(np.ones((N_FREQUENCY, 1)), f, ranges.values[:, None]) * N_FREQUENCY / period
+    carrier = -2 * CARRIER / SPEED_OF_LIGHT * (reference @ t ** order[:, None])
+    assert np.abs(found - profile * np.exp(2j * np.pi * carrier)).max() < 1e-5
+
+
+@pytest.mark.parametrize(("n", "kept"), [(200, 84), (187, 61)])
+def test_a_range_gate_keeps_what_lies_in_it_on_fewer_frequencies(n: int, kept: int) -> None:
+    """A target's spectrum over the coarser frequencies, or nothing, by where it lies about the moving centre."""
+    full = Axis(-20e6, 40e6 / n, n)
+    cell = SPEED_OF_LIGHT / (2 * full.extent)
+    step = 1 / full.extent
+    size = kept  # the band is as full of frequencies before as after
+    gate = fourier.centred(0.0, step, size)
+    coarse = full.extent / size
+    slab = Axis(-300.0, 25.0, 24)
+    centre = 900.0 + 40.0 * np.cos(np.arange(24) / 9)
+    edge = np.minimum(np.arange(size), np.arange(size)[::-1])
+    window = np.sin(np.pi / 2 * np.clip((edge + 0.5) / 12, 0, 1)) ** 2
+    frequency = Axis(full.start - full.step / 2 + coarse / 2, coarse, size)
+    step_ = RangeGate(slab=slab, centre=centre, gate=gate, window=window, full=full, range_frequency=frequency)
+
+    def target(f: FloatArray, beside: float) -> np.ndarray:
+        """Spectrum of a target so many whole cells from the gate's centre at each bin: it is one delay."""
+        cycles = -2 / SPEED_OF_LIGHT * np.multiply.outer(f, centre + beside * cell)
+        return np.exp(2j * np.pi * cycles)
+
+    for beside in (0.0, 9.0, -14.0):
+        found = step_.apply(target(full.values, beside).astype(np.complex64), threads=1)
+        assert found.shape == (size, 24)
+        # One delay, a sample of the gate: its spectrum is the same phase ramp wherever it is sampled, but for the
+        # half step between the two grids' edges.
+        wanted = target(frequency.values, beside)
+        turned = found * wanted.conj()
+        assert np.abs(turned - turned.mean(axis=0)).max() < 2e-4
+        np.testing.assert_allclose(np.abs(turned.mean(axis=0)), 1.0, atol=2e-4)
+        assert np.abs(np.angle(turned.mean(axis=0))).max() < 1e-3
+    for beside in (size / 2 + 3, -size / 2 - 9):
+        outside = np.round(beside)
+        assert np.abs(step_.apply(target(full.values, outside).astype(np.complex64), threads=2)).max() < 1e-4

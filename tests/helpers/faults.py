@@ -1,0 +1,428 @@
+"""Processes that can be hurt, disks that fill up, and a scene small enough to be focused a hundred times.
+
+Run as a program it is a launcher: it imports everything once, then forks a process for each order that comes on its
+standard input. Such a process is the command line to the last bit, but begins at once, and in a mount namespace
+where the launcher may mount what the rest of the machine never sees, and which ends with it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from scenes import write_store
+
+SIDE = 1024  # pixels of an image's chunk along x
+GRID = ((15620.0, 16600.0, 0.1), (18680.0, 19720.0, 140.0))  # m: ten chunks in one row, three tasks of the mosaic
+SETTINGS: dict[str, Any] = {"blocks": 3, "coefficients": "closed-form", "grid": GRID}  # the plan takes no time
+STAGES = ("recover", "focus", "mosaic")
+SCENE: dict[str, Any] = {  # 400 pulses of 1777 range frequencies: four column groups, three blocks
+    "carrier": 10e9,
+    "bandwidth": 800e6,
+    "range_sampling": 900e6,
+    "prf": 4e3,
+    "duration": 0.1,
+    "steering": (49.0, 51.0),
+    "dwell": 0.03,
+    "swath": [29900.0, 30100.0],
+    "more": '[[targets]]\nname = "P"\nrange = 30000.0\nyaw_deg = 50.0\n',
+}
+RAW_SCENE = SCENE | {"prf": 16e3, "bandwidth": 100e6, "range_sampling": 120e6}  # 1600 pulses: four range-compress tasks
+NAMES = {"run.json", "collection.zarr", "spectrum.zarr", "patches", "image.zarr"}  # in a finished run, by README.md
+PATIENCE = 120  # s that anything may take on a busy machine before it counts as hung
+LOOPBACK = ("--host", "127.0.0.1", "--no-dashboard")
+PAGE = 4096  # bytes of a tmpfs' unit
+TICK = 0.002  # s between two looks
+
+
+def make_store(folder: Path, *, raw: bool = False) -> Path:
+    """Simulate the small scene's phase history, or the raw one's echo."""
+    folder.mkdir(parents=True)
+    return write_store(folder, raw=raw, **(RAW_SCENE if raw else SCENE))
+
+
+def words(store: Path, run: Path, *more: str) -> list[str]:
+    """What is typed to focus the small scene."""
+    axes = ",".join(":".join(str(number) for number in axis) for axis in GRID)
+    return [
+        "focus", str(store), "--out", str(run), "--blocks", "3", "--coefficients", "closed-form", "--grid", axes,
+        "--threads", "1", *more,
+    ]  # fmt: skip
+
+
+# ---------------------------------------------------------------- what a run has left
+
+
+@dataclass(frozen=True)
+class Left:
+    """What two runs have to have in common, to the last bit: the image's chunk files, and all checksums."""
+
+    chunks: dict[str, str]
+    checksums: dict[str, Any]
+
+
+def left(run: Path) -> Left:
+    """What a finished run has left."""
+    record = json.loads((run / "run.json").read_text())
+    assert record["status"] == "finished"
+    names = ("written", "found", "origin")
+    return Left(digests(run / "image.zarr"), {r["unit"]: [r.get(name) for name in names] for r in record["receipts"]})
+
+
+def digests(store: Path) -> dict[str, str]:
+    """Every chunk's file of a store, and a hash of its bytes."""
+    files = sorted(p for p in store.rglob("*") if p.is_file() and "c" in p.relative_to(store).parts)
+    return {str(p.relative_to(store)): hashlib.blake2b(p.read_bytes(), digest_size=16).hexdigest() for p in files}
+
+
+def receipts(run: Path) -> dict[str, Any]:
+    """The receipts of an unfinished run's units of work, by unit: none is half-written."""
+    found = [json.loads(path.read_text()) for path in sorted((run / "receipts").glob("[!.]*.json"))]
+    return {receipt["unit"]: receipt for receipt in found if not receipt["unit"].startswith("store-")}
+
+
+def computed_again(run: Path, before: dict[str, Any]) -> set[str]:
+    """Units whose receipts the finished run has not kept: who computes a unit signs another time."""
+    after = {r["unit"]: r for r in json.loads((run / "run.json").read_text())["receipts"]}
+    return {
+        unit
+        for unit, receipt in before.items()
+        if any(after[unit].get(k) != v for k, v in receipt.items() if k != "seal")
+    }
+
+
+def litter(run: Path) -> list[str]:
+    """What lies in a finished run that does not belong there."""
+    strange = [p.name for p in run.iterdir() if p.name not in NAMES]
+    return strange + [str(p) for p in run.rglob("*") if p.name.startswith(".") or p.suffix in (".part", ".old")]
+
+
+# ---------------------------------------------------------------- processes
+
+
+def until(met: Callable[[], Any], what: str, *, within: float = PATIENCE) -> Any:
+    """Look again and again until there is something, and return it."""
+    end = time.monotonic() + within
+    while not (found := met()):
+        assert time.monotonic() < end, f"waited {within} s for {what}"
+        time.sleep(TICK)
+    return found
+
+
+def members(session: int) -> list[int]:
+    """Processes of a session that are alive."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        if not entry.name.isdigit():
+            continue
+        try:
+            state, _, _, of = (entry / "stat").read_text().rpartition(")")[2].split()[:4]
+        except OSError:
+            continue  # it has ended in the meantime
+        if int(of) == session and state not in "ZX":
+            found.append(int(entry.name))
+    return found
+
+
+def workers_of(session: int) -> list[int]:
+    """Dask workers of a session, which its main process has spawned."""
+    found = []
+    for pid in members(session):
+        try:
+            command = Path(f"/proc/{pid}/cmdline").read_bytes()
+        except OSError:
+            continue
+        if b"spawn_main" in command:
+            found.append(pid)
+    return found
+
+
+@dataclass(frozen=True)
+class Process:
+    """A process that a launcher started: leader of a session and a process group of its own."""
+
+    launcher: Launcher
+    pid: int
+    folder: Path
+
+    def poll(self) -> int | None:
+        """Its exit status, negative for a signal; None while it runs."""
+        if self.pid not in self.launcher.ended:
+            status = self.launcher.ask(poll=self.pid)
+            if status is None:
+                return None
+            self.launcher.ended[self.pid] = status
+        return self.launcher.ended[self.pid]
+
+    def wait(self, within: float = PATIENCE) -> int:
+        until(lambda: self.poll() is not None, f"the end of {self.pid}, which said {self.stderr!r}", within=within)
+        return self.launcher.ended[self.pid]
+
+    @property
+    def stdout(self) -> str:
+        return (self.folder / f"{self.pid}.out").read_text()
+
+    @property
+    def stderr(self) -> str:
+        return (self.folder / f"{self.pid}.err").read_text()
+
+    @property
+    def scratch(self) -> list[str]:
+        """What it has left in its folder of temporary files."""
+        return os.listdir(self.folder / f"{self.pid}.tmp")
+
+    @property
+    def message(self) -> str:
+        """Stderr without the progress."""
+        return "".join(
+            line
+            for line in self.stderr.splitlines(keepends=True)
+            if not re.search(r": \d+ of \d+, |^dashboard: ", line)
+        )
+
+    def await_line(self, text: str) -> None:
+        """Until it has said that, or has ended."""
+        until(lambda: text in self.stderr or self.poll() is not None, repr(text))
+        assert text in self.stderr, f"ended with {self.poll()} before {text!r}: {self.stderr}"
+
+    def send(self, number: int) -> None:
+        """A signal to this process alone."""
+        os.kill(self.pid, number)
+
+    def send_all(self, number: int) -> None:
+        """A signal to its group, as a terminal sends it."""
+        os.killpg(self.pid, number)
+
+    def gone(self, within: float = PATIENCE) -> None:
+        """Until nothing that it started is left."""
+        until(lambda: not members(self.pid), f"processes of {self.pid} to end", within=within)
+
+
+@dataclass
+class Launcher:
+    """Starts processes in a mount namespace of its own, where there are any.
+
+    Attributes
+    ----------
+    folder : Path
+        Where what its processes say is kept.
+    mounts : bool
+        Whether it may mount something.
+    """
+
+    folder: Path
+    mounts: bool = False
+    ended: dict[int, int] = field(default_factory=dict)
+    started: list[Process] = field(default_factory=list)
+
+    def __enter__(self) -> Launcher:
+        namespace = next((option for option in ("-m", "-Urm") if _may_mount(option)), None)
+        self.mounts = namespace is not None
+        unshare = ["unshare", namespace] if namespace else []
+        self._process = subprocess.Popen(
+            [*unshare, sys.executable, __file__], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for process in self.started:
+            for pid in members(process.pid):
+                os.kill(pid, signal.SIGKILL)
+        assert self._process.stdin is not None and self._process.stdout is not None
+        self._process.stdin.close()
+        self._process.wait(PATIENCE)
+        self._process.stdout.close()
+
+    def ask(self, **order: Any) -> Any:
+        assert self._process.stdin is not None and self._process.stdout is not None
+        self._process.stdin.write(json.dumps(order) + "\n")
+        self._process.stdin.flush()
+        return json.loads(self._process.stdout.readline())
+
+    def start(self, program: str, *typed: str, **values: float) -> Process:
+        """Start `blocksar`, a dask `scheduler` or `worker`, with other values of `blocksar.graph.cluster` or dask."""
+        pid = self.ask(start=program, words=typed, values=values, folder=str(self.folder))
+        process = Process(self, pid, self.folder)
+        self.started.append(process)
+        until((self.folder / f"{pid}.err").exists, "a process to begin")
+        return process
+
+    def call(self, *typed: str) -> str:
+        """Run a program to its end in the namespace; what it complained of, empty if nothing."""
+        return str(self.ask(call=typed))
+
+    def view(self, path: Path) -> Path:
+        """A path of the namespace, as this process sees it."""
+        return Path(f"/proc/{self._process.pid}/root{path}")
+
+
+def _may_mount(option: str) -> bool:
+    try:
+        return not subprocess.run(
+            ["unshare", option, "mount", "-t", "tmpfs", "none", "/mnt"], capture_output=True, check=False
+        ).returncode
+    except OSError:
+        return False
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """A dask scheduler and workers, each a process of its own that nobody watches over."""
+
+    launcher: Launcher
+    folder: Path
+    scheduler: Process
+    workers: list[Process] = field(default_factory=list)
+
+    @property
+    def file(self) -> Path:
+        return self.folder / "scheduler.json"
+
+    @property
+    def address(self) -> str:
+        return str(json.loads(self.file.read_text())["address"])
+
+    def add_worker(self) -> Process:
+        place = ("--scheduler-file", str(self.file), "--local-directory", str(self.folder), *LOOPBACK)
+        worker = self.launcher.start("worker", *place, "--nthreads", "1", "--memory-limit", "2GiB", "--no-nanny")
+        self.workers.append(worker)
+        return worker
+
+    def kill(self) -> None:
+        for process in (self.scheduler, *self.workers):
+            if process.poll() is None:
+                process.send(signal.SIGKILL)
+
+
+@contextmanager
+def cluster(launcher: Launcher, folder: Path, *, workers: int = 1, **values: float) -> Iterator[Cluster]:
+    """A cluster that ends with the block; `values` are of dask's configuration, for the scheduler."""
+    folder.mkdir(parents=True)
+    file = str(folder / "scheduler.json")
+    scheduler = launcher.start("scheduler", *LOOPBACK, "--port", "0", "--scheduler-file", file, **values)
+    made = Cluster(launcher, folder, scheduler)
+    try:
+        until(lambda: made.file.exists() and made.file.read_text().endswith("}"), "the scheduler")
+        for worker in [made.add_worker() for _ in range(workers)]:
+            worker.await_line("Registered to")
+        yield made
+    finally:
+        made.kill()
+
+
+@dataclass(frozen=True)
+class Disk:
+    """A small file system in a launcher's namespace."""
+
+    launcher: Launcher
+    folder: Path
+
+    @classmethod
+    def mount(cls, launcher: Launcher, folder: Path, size: int) -> Disk:
+        folder.mkdir(parents=True)
+        assert not launcher.call("mount", "-t", "tmpfs", "-o", f"size={size}", "none", str(folder))
+        return cls(launcher, folder)
+
+    @property
+    def view(self) -> Path:
+        return self.launcher.view(self.folder)
+
+    @property
+    def used(self) -> int:
+        """Bytes, whole pages."""
+        found = os.statvfs(self.view)
+        return (found.f_blocks - found.f_bfree) * found.f_frsize
+
+    def resize(self, size: int) -> None:
+        assert not self.launcher.call("mount", "-o", f"remount,size={size}", str(self.folder))
+
+    def unmount(self) -> None:
+        assert not self.launcher.call("umount", "-l", str(self.folder))
+
+
+@contextmanager
+def read_only(launcher: Launcher, folder: Path) -> Iterator[None]:
+    """A folder that new files cannot be opened in; what is open may still be written to."""
+    assert not launcher.call("mount", "--bind", str(folder), str(folder))
+    until(lambda: not launcher.call("mount", "-o", "remount,bind,ro", str(folder)), f"{folder} to be read-only")
+    try:
+        yield
+    finally:
+        assert not launcher.call("umount", "-l", str(folder))
+
+
+# ---------------------------------------------------------------- the launcher itself
+
+
+def serve() -> dict[str, Any] | None:
+    """Obey the orders on standard input to their end; in a process that was forked, return its order."""
+    for line in sys.stdin:
+        order: dict[str, Any] = json.loads(line)
+        answer: Any = None
+        match order:
+            case {"start": _}:
+                answer = os.fork()
+                if not answer:
+                    return order
+            case {"poll": pid}:
+                found, status = os.waitpid(pid, os.WNOHANG)
+                answer = os.waitstatus_to_exitcode(status) if found else None
+            case {"call": typed}:
+                done = subprocess.run(typed, capture_output=True, text=True, check=False)
+                answer = (done.stderr or f"status {done.returncode}") if done.returncode else ""
+        print(json.dumps(answer), flush=True)
+    return None
+
+
+def become(order: dict[str, Any], programs: dict[str, Callable[[], Any]]) -> None:
+    """Turn into the program that was ordered: session, streams, signals and temporary files of its own."""
+    import dask
+
+    from blocksar.graph import admission, cluster
+
+    os.setsid()
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # who runs the tests in the background is deaf to it
+    here = Path(order["folder"]) / str(os.getpid())
+    tempfile.tempdir = os.environ["TMPDIR"] = f"{here}.tmp"
+    os.mkdir(tempfile.tempdir)
+    new = os.O_WRONLY | os.O_CREAT | os.O_APPEND
+    for number, (path, mode) in enumerate(((os.devnull, os.O_RDONLY), (f"{here}.out", new), (f"{here}.err", new))):
+        os.dup2(os.open(path, mode), number)
+    for name, value in order["values"].items():
+        if "." in name:
+            dask.config.set({name: value})
+        else:
+            homes = [module for module in (cluster, admission) if name in vars(module)]
+            assert homes, name
+            for module in homes:
+                setattr(module, name, value)
+    sys.argv = [order["start"], *order["words"]]
+    programs[order["start"]]()
+
+
+def main() -> None:
+    from distributed.cli import dask_scheduler, dask_worker
+
+    from blocksar import api, cli  # noqa: F401  (the api is what takes long to import)
+    from blocksar.focusing import correction
+
+    correction.compile_kernels()
+    order = serve()
+    if order is not None:
+        become(order, {"blocksar": cli.main, "scheduler": dask_scheduler.main, "worker": dask_worker.main})
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,116 @@
+"""Slow twins: obviously right loops that fast code is compared with."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
+from blocksar.constants import SPEED_OF_LIGHT
+
+
+@lru_cache(maxsize=4)
+def geometry(collection: Collection) -> Geometry:
+    return Geometry(collection=collection)
+
+
+def lit(collection: Collection, pulse: int, x: float, y: float) -> bool:
+    """Whether the beam lights a ground point at a pulse, by the definition of the store."""
+    if collection.beam_width is None:
+        return True
+    yaw = float(geometry(collection).yaw(np.array(x), np.array(y)))
+    away = yaw - collection.beam_azimuth[pulse]
+    away = np.arctan2(np.sin(away), np.cos(away))
+    return bool(abs(away) <= collection.beam_width / 2)
+
+
+def distance(collection: Collection, pulse: int, x: float, y: float) -> float:
+    point = np.array([x, y, collection.ground_height])
+    return float(np.linalg.norm(point - collection.antenna_position[pulse]))
+
+
+def phase_history(
+    collection: Collection, targets: Iterable[tuple[float, float, complex]], pulses: Iterable[int] | None = None
+) -> NDArray[np.complex128]:
+    """Samples of targets (x, y, reflectivity), (n_pulse, n_range_frequency), straight from the contract."""
+    chosen, targets = list(range(collection.n_pulse) if pulses is None else pulses), list(targets)
+    signal = np.zeros((len(chosen), collection.n_range_frequency), np.complex128)
+    wavenumber = 4 * np.pi * (collection.carrier + collection.range_frequency) / SPEED_OF_LIGHT
+    for row, pulse in enumerate(chosen):
+        for x, y, sigma in targets:
+            if lit(collection, pulse, x, y):
+                away = distance(collection, pulse, x, y) - collection.reference_range[pulse]
+                signal[row] += sigma * np.exp(-1j * wavenumber * away)
+    return signal
+
+
+def raw_echo(
+    collection: Collection,
+    targets: Iterable[tuple[float, float, complex]],
+    *,
+    fast_time: NDArray[np.float64],
+    chirp_rate: float,
+    pulse_width: float,
+    pulses: Iterable[int],
+) -> NDArray[np.complex128]:
+    """Chirped echo of targets over fast time, (n_pulse, n_fast_time)."""
+    chosen, targets = list(pulses), list(targets)
+    echo = np.zeros((len(chosen), fast_time.size), np.complex128)
+    for row, pulse in enumerate(chosen):
+        for x, y, sigma in targets:
+            if lit(collection, pulse, x, y):
+                r = distance(collection, pulse, x, y)
+                tau = fast_time - 2 * r / SPEED_OF_LIGHT
+                chirp = np.where(np.abs(tau) <= pulse_width / 2, np.exp(1j * np.pi * chirp_rate * tau**2), 0)
+                away = r - collection.reference_range[pulse]
+                echo[row] += sigma * chirp * np.exp(-4j * np.pi * collection.carrier * away / SPEED_OF_LIGHT)
+    return echo
+
+
+def back_projection(
+    collection: Collection, signal: NDArray[Any], x: NDArray[Any], y: NDArray[Any]
+) -> NDArray[np.complex128]:
+    """Mean over lit pulses and all frequencies of signal exp(+4j pi (fc + f) / c (R - reference_range)).
+
+    NaN samples are left out of the mean. The image is NaN where nothing valid is lit, or where a lit pulse sees the
+    pixel outside |R - reference_range| <= c / (4 df).
+
+    Parameters
+    ----------
+    collection : Collection
+    signal : (n_pulse, n_range_frequency) complex
+    x, y : (...) float
+        m, of one shape.
+
+    Returns
+    -------
+    (...) complex128
+    """
+    light = 299_792_458.0
+    frequency = collection.carrier + collection.range_frequency
+    half_window = light / (4 * collection.range_frequency_step)
+    theta = Geometry(collection=collection).yaw(x, y)
+    image = np.empty(x.shape, np.complex128)
+    for pixel in np.ndindex(x.shape):
+        total, count, outside = 0j, 0, False
+        for pulse in range(collection.n_pulse):
+            if collection.beam_width is not None:
+                away = theta[pixel] - collection.beam_azimuth[pulse]
+                away = away - 2 * np.pi * np.rint(away / (2 * np.pi))
+                if not abs(away) <= collection.beam_width / 2:
+                    continue
+            point = np.array([x[pixel], y[pixel], collection.ground_height])
+            distance = np.linalg.norm(point - collection.antenna_position[pulse])
+            distance -= collection.reference_range[pulse]
+            outside = outside or abs(distance) > half_window
+            terms = signal[pulse] * np.exp(4j * np.pi * frequency / light * distance)
+            valid = ~np.isnan(terms)
+            total += terms[valid].sum()
+            count += np.count_nonzero(valid)
+        image[pixel] = total / count if count and not outside else np.nan
+    return image

@@ -1,0 +1,134 @@
+"""A small run made by exact back-projection: what is known of its scene is what a product must say."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import blocksar
+from blocksar import stores
+from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.georeference import Georeference
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.focusing.backprojection import form_image
+from blocksar.measurement.targets import Target
+from blocksar.runs import finished
+
+DAYTON = Georeference(latitude=39.78, longitude=-84.09, height=250.0)
+TARGETS = [Target("A", 0.3, -0.2), Target("B", 20.1, 11.3), Target("C", -17.7, 13.9), Target("D", -12.2, -15.9)]
+
+
+@dataclass(frozen=True)
+class Made:
+    """A run, and what is known of it."""
+
+    folder: Path
+    collection: Collection
+    image: Any
+    x: Any
+    y: Any
+
+    @property
+    def source(self) -> finished.Source:
+        _, attrs = stores.read_collection(self.folder / "collection.zarr")
+        geometry = Geometry(collection=self.collection)
+        place = blocksar.places.place(self.folder / "image.zarr")  # type: ignore[attr-defined]
+        return finished.Source(place, self.x, self.y, geometry, attrs, {})
+
+    def peak(self, target: Target) -> Any:
+        """Fractional (row of y, column of x) of the target's peak: its chip, transformed, padded 16 times and back."""
+        at = [round((v - axis[0]) / (axis[1] - axis[0])) for v, axis in ((target.y, self.y), (target.x, self.x))]
+        chip = self.image[at[0] - 12 : at[0] + 12, at[1] - 12 : at[1] + 12]
+        return np.array(at) - 12 + upsampled_peak(chip)
+
+
+def upsampled_peak(chip: Any, factor: int = 16) -> Any:
+    steps = [np.angle((chip[1:] * chip[:-1].conj()).sum()), np.angle((chip[:, 1:] * chip[:, :-1].conj()).sum())]
+    for axis, step in enumerate(steps):
+        ramp = np.exp(-1j * step * np.arange(chip.shape[axis]))
+        chip = chip * (ramp[:, None] if axis == 0 else ramp)
+    n = chip.shape[0]
+    spectrum = np.zeros((n * factor, n * factor), np.complex128)
+    half = n // 2
+    spectrum[:n, :n] = np.roll(np.fft.fft2(chip), (half, half), (0, 1))
+    fine = np.abs(np.fft.ifft2(spectrum))
+    return np.array(np.unravel_index(fine.argmax(), fine.shape)) / factor
+
+
+def make(
+    folder: Path,
+    *,
+    look: float = 0.9,
+    steered: bool = False,
+    frame: Georeference | None = DAYTON,
+    centre: tuple[float, float] = (0.0, 0.0),
+    size: tuple[int, int] = (150, 130),
+    step: float = 0.4,
+    hole: bool = True,
+    more: dict[str, Any] | None = None,
+) -> Made:
+    """A finished run over targets about `centre`; a corner in the south-west and rows in the north are not covered."""
+    n = 160
+    time = (np.arange(n) - n // 2) / 60.0 + 0.5
+    cos, sin = np.cos(look), np.sin(look)
+    t = time[:, None]
+    track = np.array([-6000 * cos, -6000 * sin, 4000.0]) + t * np.array([-sin, cos, 0.0]) * 60 + t * [30 * cos, 9, -4]
+    track = track + t**2 * np.array([1.0, 0.5, 0.2]) + np.array([*centre, 0.0])
+    frequency = (np.arange(96) - 48) * 1.5e6
+    nadir = track[0] + (track[-1] - track[0]) * (0.0 - time[0]) / (time[-1] - time[0])
+    middle = np.arctan2(centre[1] - nadir[1], centre[0] - nadir[0])
+    collection = Collection(
+        carrier=9.6e9,
+        time=time,
+        range_frequency=frequency,
+        reference_range=np.linalg.norm(track - [*centre, 0.0], axis=1),
+        antenna_position=track,
+        beam_azimuth=middle + 0.012 * (time - 0.5) if steered else np.full(n, np.nan),
+        beam_width=0.02 if steered else None,
+        title="small scene, é",
+    ).centred()
+    geometry = Geometry(collection=collection)
+    targets = [Target(t.name, t.x + centre[0], t.y + centre[1]) for t in TARGETS]
+    signal = np.zeros((n, frequency.size), np.complex128)
+    for target in targets:
+        distance = np.linalg.norm([target.x, target.y, 0.0] - track, axis=1) - collection.reference_range
+        phase = np.outer(distance, collection.carrier + collection.range_frequency) * 4 * np.pi / SPEED_OF_LIGHT
+        signal += np.exp(-1j * phase)
+    x, y = (c + (np.arange(k) - k // 2) * step for c, k in zip(centre, size, strict=True))
+    image = form_image(lambda pulses: signal[pulses].astype(np.complex64), geometry, x, y, threads=1)
+    if hole:
+        image[:20, :30] = np.nan
+        image[-9:] = np.nan
+    attrs: dict[str, Any] = {"targets": [t._asdict() | {"reflectivity": [1.0, 0.0]} for t in targets], **(more or {})}
+    if frame is not None:
+        attrs["georeference"] = frame.as_attribute()
+    stores.write_collection(folder / "collection.zarr", collection, attrs)
+    whole = (slice(0, y.size), slice(0, x.size))
+    told = {name: attrs[name] for name in ("georeference",) if name in attrs}
+    image_attrs = {"title": collection.title, "Conventions": stores.CONVENTIONS, "ground_height": 0.0, **told}
+
+    def fill(place: Any) -> None:
+        for name, values in (("image", image), ("block", np.where(np.isfinite(image), 0, -1).astype(np.int16))):
+            for first in range(0, y.size, 64):
+                rows = slice(first, min(first + 64, y.size))
+                stores.write_region(place, name, (rows, whole[1]), values[rows])
+
+    stores.create(
+        folder / "image.zarr",
+        stores.IMAGE,
+        sizes={},
+        coords={"x": x, "y": y},
+        attrs=image_attrs,
+        chunks={"y": 64, "x": x.size},
+        fill=fill,
+    )
+    stores.write_json(folder / "run.json", {"status": "finished", "identity": "0123456789abcdef"})
+    return Made(folder, collection, image, x, y)
+
+
+def index(axis: Any, value: float) -> float:
+    return float((value - axis[0]) / (axis[1] - axis[0]))

@@ -1,0 +1,312 @@
+"""Interpolation along rows: taps, stretched rows and resampled rows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from samples import largest, noise, power_sum
+from scipy.signal.windows import kaiser
+
+from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.kernels import interpolation
+from blocksar.kernels.interpolation import PIECE
+
+# -- interpolation ------------------------------------------------------------------------------------------
+
+
+def interpolated(taps: np.ndarray, f: FloatArray) -> np.ndarray:
+    """What taps (n_fraction, n_tap) make of exp(2j pi f n): (n_fraction, n_f)."""
+    k = np.arange(taps.shape[1]) - (taps.shape[1] // 2 - 1)
+    return taps @ np.exp(2j * np.pi * np.multiply.outer(k, f))
+
+
+@pytest.mark.parametrize(("n_tap", "occupancy"), [(4, 0.3), (8, 0.7), (12, 0.7), (16, 0.8), (20, 0.8)])
+def test_taps_err_as_little_as_they_say_and_no_others_err_less(n_tap: int, occupancy: float) -> None:
+    nodes, share = np.polynomial.legendre.leggauss(200)
+    f = occupancy / 2 * nodes
+    fraction = np.arange(257) / 256
+    exact = np.exp(2j * np.pi * np.multiply.outer(fraction, f))
+    taps = interpolation.interpolation_taps(n_tap, occupancy=occupancy)
+    assert taps.dtype == np.float32
+
+    def worst(weights: np.ndarray) -> FloatArray:
+        wanted = exact if weights.shape[0] == 257 else exact[::64]
+        return np.sqrt(np.abs(interpolated(weights, f) - wanted) ** 2 @ share / 2)
+
+    found = worst(taps)
+    told = interpolation.interpolation_error(n_tap, occupancy)
+    # What is told counts the band's edges, where the error is largest, a little too much: on the safe side.
+    assert 0.7 * told - 1e-7 < found.max() < 1.01 * told + 1e-7
+    # A sample's own place is nobody else's business, at either end of the table.
+    assert found[[0, -1]].max() < 0.3 * told + 3e-7
+
+    # Slow twin: the same least squares over sampled frequencies instead of sinc integrals.
+    k = np.arange(n_tap) - (n_tap // 2 - 1)
+    tones = np.exp(2j * np.pi * np.multiply.outer(f, k)) * np.sqrt(share / 2)[:, None]
+    aims = exact[::64].T * np.sqrt(share / 2)[:, None]
+    best = np.linalg.lstsq(np.vstack([tones.real, tones.imag]), np.vstack([aims.real, aims.imag]), rcond=1e-14)[0].T
+    np.testing.assert_allclose(worst(taps[::64]), worst(best), rtol=1e-3, atol=2e-7)
+    # Any windowed sinc is one more candidate; the best Kaiser window comes within a few per cent at high occupancy.
+    distance = fraction[::64, None] - k
+    for beta in np.linspace(0, 12, 25):
+        window = np.interp(np.abs(distance) / (n_tap / 2), np.linspace(0, 1, 501), kaiser(1001, beta)[500:])
+        assert worst(best).max() <= worst(np.sinc(distance) * window).max()
+
+
+def test_no_fewer_taps_would_do() -> None:
+    for occupancy in (0.3, 0.62, 0.8):
+        for wanted in (1e-2, 1e-3, 1e-4):
+            n_tap = interpolation.taps_needed(occupancy, error=wanted)
+            assert interpolation.interpolation_error(n_tap, occupancy) <= wanted
+            assert n_tap == 4 or interpolation.interpolation_error(n_tap - 2, occupancy) > wanted
+    assert interpolation.taps_needed(0.99, error=1e-6, at_most=24) == 24
+
+
+@pytest.mark.parametrize(("n_tap", "occupancy"), [(4, 0.3), (8, 0.7), (16, 0.8), (22, 0.78)])
+def test_expanded_taps_are_the_same_taps(n_tap: int, occupancy: float) -> None:
+    fine = interpolation.TAP_PHASES * 40
+    taps = interpolation.interpolation_taps(n_tap, occupancy=occupancy, n_phase=fine)
+    table = interpolation.tap_polynomials(n_tap, occupancy=occupancy)
+    assert table.dtype == np.float32
+    assert table.shape == (interpolation.TAP_PHASES + 1, n_tap, interpolation.TAP_ORDER + 1)
+    for q in range(interpolation.TAP_PHASES + 1):
+        at = np.arange(
+            max(40 * q - int(interpolation.TAP_REACH * fine), 0),
+            min(40 * q + int(interpolation.TAP_REACH * fine), fine) + 1,
+        )
+        mu = at / fine - q / interpolation.TAP_PHASES
+        powers = mu[:, None] ** np.arange(interpolation.TAP_ORDER + 1)
+        assert largest(powers @ table[q].T.astype(np.float64) - taps[at]) < 1e-5
+
+
+SCALES = [0.9, 0.97, 0.999, 0.99993, 1.0, 1.00001, 1.001, 1.03, 1.3]
+PLACES = [(2000, 1000.0), (1201, 600.0), (777, 300.37), (600, -200.0), (600, 900.5), (3 * PIECE + 5, 1700.0)]
+
+
+@pytest.mark.parametrize("scale", SCALES)
+@pytest.mark.parametrize(("n", "middle"), PLACES)
+def test_stretched_rows_are_the_exact_signal_elsewhere(scale: float, n: int, middle: float) -> None:
+    """A signal of 200 tones over 0.7 of the band is known at any place between samples."""
+    rng = np.random.default_rng(n)
+    f = rng.uniform(-0.35, 0.35, 200)
+    tones = np.exp(2j * np.pi * rng.uniform(0, 1, (2, 200))) / np.sqrt(200)
+
+    def signal(position: FloatArray) -> np.ndarray:
+        return tones @ np.exp(2j * np.pi * np.multiply.outer(f, position))
+
+    n_tap = 16
+    taps = interpolation.tap_polynomials(n_tap, occupancy=0.7)
+    values = signal(np.arange(n)).astype(np.complex64)
+    scales = np.array([scale, 2 - scale])
+    values.flags.writeable = scales.flags.writeable = taps.flags.writeable = False
+    found = np.full((2, n), np.nan, np.complex64)
+    interpolation.stretch_rows(values, found, scales, middle, taps)
+    for row in range(2):
+        position = middle + (np.arange(n) - middle) * scales[row]
+        # A strip's window may lie a fraction of a sample to the side of the place that it is read at.
+        inside = (position >= n_tap / 2) & (position <= n - n_tap / 2 - 2)
+        outside = (position < -n_tap / 2 - 1) | (position > n + n_tap / 2)
+        error = np.abs(found[row] / scales[row] - signal(position)[row])
+        # Half-way between samples sixteen taps err by 1e-4, and nowhere by more; expanding their weights adds 1e-5.
+        assert np.sqrt(np.mean(error[inside] ** 2)) < interpolation.interpolation_error(n_tap, 0.7)
+        assert largest(error[inside]) < 3e-4
+        assert (found[row, outside] == 0).all()
+        padded = np.abs(found[row, ~inside & ~outside])
+        assert np.isfinite(padded).all() and padded.max(initial=0.0) < 1.5 * np.abs(values).max()
+
+
+def nearest_sums_differ(values: ComplexArray, found: np.ndarray, position: np.ndarray, n_tap: int) -> float:
+    """From least-squares weights at occupancy 0.6, relative to the largest sample; zeros lie beyond the ends."""
+    padded = np.concatenate([np.zeros(2000), values, np.zeros(2000)])
+    k = np.arange(n_tap) - (n_tap // 2 - 1)
+    gram = np.sinc(0.6 * (k[:, None] - k)) + 1e-9 * np.eye(n_tap)
+    # The window is the one about the place, or that of a neighbour in its strip, by as much as weights are expanded.
+    error = np.full((3, position.size), np.inf)
+    for side in (-1, 0, 1):
+        whole = np.floor(position).astype(int) + side
+        fraction = np.asarray(position - whole, np.float64)
+        weights = np.linalg.solve(gram, np.sinc(0.6 * (fraction - k[:, None])))
+        nearest = padded[np.clip(whole + k[:, None] + 2000, 0, padded.size - 1)]
+        near = np.abs(fraction - 0.5) <= 0.5 + interpolation.TAP_REACH + 1e-9
+        error[side, near] = np.abs(found - np.sum(weights * nearest, axis=0))[near]
+    return largest(error.min(axis=0)) / largest(values)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    n=st.integers(1, 700), middle=st.floats(-300, 1000), scale=st.floats(0.6, 1.4), n_tap=st.sampled_from([2, 4, 10])
+)
+def test_stretched_rows_are_weighted_sums_of_the_nearest_samples(
+    n: int, middle: float, scale: float, n_tap: int
+) -> None:
+    """Against least-squares weights one output at a time, zeros beyond the ends; any length, any fixed point."""
+    values = noise(1, n, seed=n)
+    found = np.full((1, n), np.nan, np.complex64)
+    interpolation.stretch_rows(
+        values, found, np.array([scale]), middle, interpolation.tap_polynomials(n_tap, occupancy=0.6)
+    )
+    position = middle + (np.arange(n) - middle) * scale
+    assert nearest_sums_differ(values[0], found[0] / scale, position, n_tap) < 4e-5 * np.sqrt(n_tap)
+
+
+@pytest.mark.parametrize("scale", [0.95, 1.0, 1.03])
+def test_a_stretched_row_keeps_its_sum(scale: float) -> None:
+    row = (np.hanning(1201) * np.exp(2e-3j * np.arange(1201)))[None].astype(np.complex64)
+    found = np.empty_like(row)
+    interpolation.stretch_rows(row, found, np.array([scale]), 600.0, interpolation.tap_polynomials(12, occupancy=0.5))
+    assert found.sum() == pytest.approx(row.sum(), rel=1e-4)
+
+
+def test_a_stretched_row_does_not_depend_on_the_others() -> None:
+    values, scale = noise(7, 1500), np.linspace(0.96, 1.04, 7)
+    taps = interpolation.tap_polynomials(12, occupancy=0.7)
+    together = np.empty_like(values)
+    interpolation.stretch_rows(values, together, scale, 700.0, taps)
+    for row in range(7):
+        alone = np.empty_like(values[:1])
+        interpolation.stretch_rows(values[row : row + 1], alone, scale[row : row + 1], 700.0, taps)
+        np.testing.assert_array_equal(alone[0], together[row])
+
+
+@pytest.mark.parametrize("scale", [-1.0, 0.4, 2.1, np.nan])
+def test_a_scale_that_is_not_near_one_is_refused(scale: float) -> None:
+    taps = interpolation.tap_polynomials(4, occupancy=0.5)
+    with pytest.raises(ValueError, match="scale"):
+        interpolation.stretch_rows(noise(1, 50), np.empty((1, 50), np.complex64), np.array([scale]), 25.0, taps)
+
+
+def curve(n: int, slopes: FloatArray) -> FloatArray:
+    """Positions (1, order + 1) that begin at 0.3, and move by a polynomial of u through these slopes at even steps."""
+    u, at = (np.array([0, n - 1]) - n // 2) * (2 / n), np.linspace(-1, 1, slopes.size)
+    slope = np.polynomial.Polynomial.fit(at, slopes, slopes.size - 1).convert() * (n / 2)
+    return (slope.integ(lbnd=u[0]) + 0.3).coef[None, :]
+
+
+def position_and_slope(positions: FloatArray, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Along the one row, in extended precision; the slope in samples a sample."""
+    u = np.longdouble(np.arange(n) - n // 2) * 2 / n
+    order = np.arange(1, positions.shape[1])
+    return power_sum(positions, u)[0], power_sum(positions[:, 1:] * order, u)[0] * 2 / n
+
+
+CURVES = {
+    "gentle": np.array([1.003, 0.998, 1.004]),
+    "of paper B": np.array([0.95, 1.0, 1.04]),
+    "steep": np.array([0.6, 1.3, 1.9]),
+    "winding": 1 + 0.1 * np.cos(np.arange(12.0)) * np.hanning(12),
+    "even": np.array([1.0, 1.0]),
+}
+
+
+@pytest.mark.parametrize("slopes", CURVES.values(), ids=CURVES.keys())
+@pytest.mark.parametrize("n", [90, 777, 2 * PIECE + 5])
+@pytest.mark.parametrize(("n_tap", "occupancy"), [(8, 0.5), (16, 0.7), (22, 0.8), (32, 0.9)])
+def test_resampled_rows_are_the_exact_signal_elsewhere(
+    n_tap: int, occupancy: float, n: int, slopes: FloatArray
+) -> None:
+    rng = np.random.default_rng(n)
+    f = rng.uniform(-occupancy / 2, occupancy / 2, 200)
+    tones = np.exp(2j * np.pi * rng.uniform(0, 1, 200)) / np.sqrt(200)
+
+    def signal(position: np.ndarray) -> np.ndarray:
+        return np.exp(2j * np.pi * np.multiply.outer(np.float64(position) - n / 3, f)) @ tones
+
+    positions = curve(n, slopes)
+    values = signal(np.arange(n)).astype(np.complex64)[None]
+    values.flags.writeable = positions.flags.writeable = False
+    found = np.full((1, n), np.nan, np.complex64)
+    interpolation.resample_rows(values, found, positions, interpolation.tap_polynomials(n_tap, occupancy=occupancy))
+    position, slope = position_and_slope(positions, n)
+    inside = (position >= n_tap / 2) & (position <= n - n_tap / 2 - 2)
+    outside = (position < -n_tap / 2 - 1) | (position > n + n_tap / 2)
+    assert inside.sum() > n / 3
+    assert outside.any() or slopes[-1] < 1.1
+    error = np.abs(found[0] / np.sqrt(slope) - signal(position))
+    told = interpolation.interpolation_error(n_tap, occupancy)
+    assert np.sqrt(np.mean(error[inside] ** 2)) < told + 1e-5
+    assert largest(error[inside]) < 4 * told + 2e-5
+    assert (found[0, outside] == 0).all()
+    assert np.isfinite(found).all() and largest(found) < 2 * np.sqrt(slopes.max()) * largest(values)
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    n=st.integers(1, 700),
+    begin=st.floats(-300, 1000),
+    slopes=st.lists(st.floats(0.85, 1.25), min_size=1, max_size=5),
+    n_tap=st.sampled_from([2, 4, 10]),
+)
+def test_resampled_rows_are_weighted_sums_of_the_nearest_samples(
+    n: int, begin: float, slopes: list[float], n_tap: int
+) -> None:
+    """Against least-squares weights one output at a time, zeros beyond the ends; any length, any curve."""
+    positions = curve(n, np.array(slopes if n > 400 else slopes[:2]))
+    positions[0, 0] += begin
+    position, slope = position_and_slope(positions, n)
+    values, found = noise(1, n, seed=n), np.full((1, n), np.nan, np.complex64)
+    interpolation.resample_rows(values, found, positions, interpolation.tap_polynomials(n_tap, occupancy=0.6))
+    assert nearest_sums_differ(values[0], found[0] / np.sqrt(slope), position, n_tap) < 4e-5 * np.sqrt(n_tap)
+
+
+@pytest.mark.parametrize("scale", [0.5, 0.93, 1.0, 1.0005, 2.0])
+def test_a_straight_curve_is_a_stretch(scale: float) -> None:
+    """But for the gain; the highest orders may be zero."""
+    n, middle = 1201, 400.25
+    values = np.fft.ifft(np.fft.fft(noise(1, n)) * (np.abs(np.fft.fftfreq(n)) < 0.25)).astype(np.complex64)
+    taps = interpolation.tap_polynomials(20, occupancy=0.6)
+    stretched, resampled = np.empty_like(values), np.empty_like(values)
+    interpolation.stretch_rows(values, stretched, np.array([scale]), middle, taps)
+    positions = np.array([[middle + (n // 2 - middle) * scale, scale * n / 2, *np.zeros(11)]])
+    interpolation.resample_rows(values, resampled, positions, taps)
+    position = middle + (np.arange(n) - middle) * scale
+    inside = (position > 10) & (position < n - 12)  # where the row is cut off, one sample's weights are not another's
+    assert largest((resampled - stretched / np.sqrt(scale))[0, inside]) < 2e-5 * largest(values)
+
+
+@pytest.mark.parametrize("n", [1, 2, 31, 33, 1000, PIECE + 1])
+def test_positions_of_the_samples_give_the_samples_back(n: int) -> None:
+    values = noise(1, n)
+    found = np.empty_like(values)
+    for n_tap, occupancy in ((8, 0.5), (16, 0.8)):
+        taps = interpolation.tap_polynomials(n_tap, occupancy=occupancy)
+        interpolation.resample_rows(values, found, np.array([[n // 2, n / 2, 0.0]]), taps)
+        at_sample = np.abs(
+            interpolation.interpolation_taps(n_tap, occupancy=occupancy)[0] - np.eye(n_tap)[n_tap // 2 - 1]
+        )
+        assert largest(found - values) <= (at_sample.sum() + 1e-5 * n_tap) * largest(values)
+
+
+def test_a_resampled_row_does_not_depend_on_the_others() -> None:
+    values = noise(7, 1500)
+    positions = np.concatenate([curve(1500, 1 + (k - 3) * np.array([0.03, -0.01, 0.04, 0.02])) for k in range(7)])
+    taps = interpolation.tap_polynomials(12, occupancy=0.7)
+    together = np.empty_like(values)
+    interpolation.resample_rows(values, together, positions, taps)
+    for row in range(7):
+        alone = np.full((1, 1510), 7, np.complex64)
+        interpolation.resample_rows(values[row : row + 1], alone, positions[row : row + 1], taps)
+        np.testing.assert_array_equal(alone[0, :1500], together[row])
+        assert (alone[0, 1500:] == 7).all()
+
+
+@pytest.mark.parametrize(
+    "slopes", [[-1.0, -1.0], [0.49, 0.49], [2.01, 2.01], [1.0, 1.0, 2.2], [0.4, 1.0, 1.0], [1.0, np.nan]]
+)
+@pytest.mark.parametrize("n", [50, 3000])
+def test_a_curve_that_is_too_steep_or_too_flat_is_refused(n: int, slopes: list[float]) -> None:
+    taps = interpolation.tap_polynomials(4, occupancy=0.5)
+    positions = np.full((1, 3), np.nan) if np.isnan(slopes[-1]) else curve(n, np.array(slopes))
+    with pytest.raises(ValueError, match="positions"):
+        interpolation.resample_rows(noise(1, n), np.empty((1, n), np.complex64), positions, taps)
+
+
+def test_positions_that_are_no_curves_of_the_rows_are_refused() -> None:
+    taps, values, out = interpolation.tap_polynomials(4, occupancy=0.5), noise(2, 50), np.empty((2, 50), np.complex64)
+    for positions in ([[25.0, 25.0]], [[25.0, 25.0]] * 3, [[25.0], [25.0]]):
+        with pytest.raises(ValueError, match="one polynomial a row"):
+            interpolation.resample_rows(values, out, np.array(positions), taps)
+    for place in (np.nan, np.inf, -1e12):
+        with pytest.raises(ValueError, match="near the row"):
+            interpolation.resample_rows(values, out, np.array([[25.0, 25.0], [place, 25.0]]), taps)

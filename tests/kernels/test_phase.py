@@ -1,0 +1,209 @@
+"""Rotations by phases, and columns that become rows: against formulas in extended precision."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from samples import SINGLE, largest, noise, power_sum
+
+from blocksar.arrays import ComplexArray
+from blocksar.kernels import phase, trigonometry
+from blocksar.kernels.fourier import Axis
+from blocksar.kernels.lanes import LANES
+from blocksar.kernels.phase import Phase
+
+# -- phases -------------------------------------------------------------------------------------------------
+
+SIZES = [1, 7, LANES - 1, LANES, LANES + 1, 1000]
+
+
+def turned(values: ComplexArray, cycles: np.ndarray) -> np.ndarray:
+    return values.astype(np.complex128) * np.exp(2j * np.pi * np.asarray(cycles - np.rint(cycles), np.float64))
+
+
+def test_a_phase_is_the_polynomial_that_it_says() -> None:
+    given = Phase(np.array([[1.0, 2.0, 3.0], [0.0, -1.0, 0.5]]), centre=10.0, scale=4.0)
+    z = (np.array([6.0, 10.0, 18.0]) - 10.0) / 4.0
+    np.testing.assert_allclose(given.cycles(np.array([6.0, 10.0, 18.0])), [1 + 2 * z + 3 * z**2, -z + 0.5 * z**2])
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    n=st.integers(1, 50),
+    start=st.floats(-100, 100),
+    step=st.floats(0.01, 10),
+    centre=st.floats(-100, 100),
+    order=st.integers(0, 9),
+)
+def test_a_phase_along_an_axis_is_the_same_phase(n: int, start: float, step: float, centre: float, order: int) -> None:
+    rng = np.random.default_rng(order)
+    axis = Axis(start, step, n)
+    scale = 1.0 + np.abs(axis.values - centre).max()
+    given = Phase(rng.uniform(-1, 1, (2, order + 1)), centre=centre, scale=float(scale))
+    along = given.along(axis)
+    assert along.shape == (2, order + 1)
+    # Moved and scaled, the powers add up to what they were but for the rounding of terms up to 2^order as large.
+    np.testing.assert_allclose(
+        np.asarray(power_sum(along, phase.unit(n)), np.float64),
+        given.cycles(axis.values),
+        rtol=0,
+        atol=1e-12 * 2**order,
+    )
+
+
+@pytest.mark.parametrize("n", [1, 2, 7, 8])
+def test_the_own_variable_of_an_axis(n: int) -> None:
+    np.testing.assert_array_equal(phase.unit(n), (np.arange(n) - n // 2) / (n / 2))
+    assert not phase.unit(n).flags.writeable
+
+
+@pytest.mark.parametrize("order", [0, 1, 2, 4, 5, 9])
+@pytest.mark.parametrize("n", SIZES)
+def test_rotation_by_a_polynomial_of_millions_of_cycles(order: int, n: int) -> None:
+    coefficients = np.random.default_rng(order).uniform(-1, 1, (5, order + 1)) * 1e7
+    values = noise(5, n)
+    wanted = turned(values, power_sum(coefficients, phase.unit(n)))
+    found = values.copy()
+    phase.rotate(found, n, coefficients)
+    # Ten terms of 1e7 cycles: float64 holds their sum to some 1e-8 of a cycle.
+    assert largest(found - wanted) < SINGLE * largest(values)
+
+    # Into another array, wider at that, the same bits; no more than n samples of it, and the source as it was.
+    wide, out = np.pad(values, ((0, 0), (0, 3))), np.full((5, n + 5), 7, np.complex64)
+    wide.flags.writeable = coefficients.flags.writeable = False
+    phase.rotate(wide, n, coefficients, out)
+    np.testing.assert_array_equal(out[:, :n], found)
+    assert (out[:, n:] == 7).all()
+
+    # In place in a wider array, one row at a time: neither the other rows nor the rest of its own matter.
+    for row in range(5):
+        alone = np.full((1, n + 3), 7, np.complex64)
+        alone[:, :n] = values[row]
+        phase.rotate(alone, n, coefficients[row : row + 1])
+        np.testing.assert_array_equal(alone[0, :n], found[row])
+        assert (alone[0, n:] == 7).all()
+
+
+def test_rotations_that_make_no_sense_are_refused() -> None:
+    values = noise(2, 4).copy()
+    with pytest.raises(ValueError, match="order 10"):
+        phase.rotate(values, 4, np.zeros((2, 11)))
+    with pytest.raises(ValueError, match="order 10"):
+        phase.as_coefficients(np.zeros((2, 11)))
+    with pytest.raises(ValueError, match=r"coefficients\.shape"):
+        phase.rotate(values, 4, np.zeros((1, 2)))
+    with pytest.raises(ValueError, match="n=5"):
+        phase.rotate(values, 5, np.zeros((2, 2)))
+    with pytest.raises(ValueError, match=r"out\.shape"):
+        phase.rotate(values, 4, np.zeros((2, 2)), values[:1])
+
+
+def test_coefficients_need_not_be_contiguous() -> None:
+    coefficients, values = np.random.default_rng(1).uniform(-5, 5, (6, 3)), noise(3, 50)
+    one, other = values.copy(), values.copy()
+    phase.rotate(one, 50, coefficients[::2])
+    phase.rotate(other, 50, phase.as_coefficients(coefficients[::2]))
+    np.testing.assert_array_equal(one, other)
+    assert largest(one - turned(values, power_sum(coefficients[::2], phase.unit(50)))) < SINGLE * largest(values)
+
+
+@pytest.mark.parametrize("n", SIZES)
+def test_rotation_by_a_scaled_phase_of_millions_of_cycles(n: int) -> None:
+    rng = np.random.default_rng(n)
+    factor, cycles = rng.uniform(0.97, 1.03, 6), rng.uniform(-1e7, 1e7, n)
+    coefficients = rng.uniform(-1e6, 1e6, (6, 2))
+    values = noise(6, n)
+    for array in (factor, cycles, coefficients):
+        array.flags.writeable = False
+    found = np.full((6, n + 2), 7, np.complex64)
+    phase.rotate_scaled(values, found, phase.unit(n), coefficients, factor, cycles)
+    scaled = np.longdouble(factor)[:, None] * np.longdouble(cycles)
+    wanted = turned(values, scaled + power_sum(coefficients, phase.unit(n)))
+    assert largest(found[:, :n] - wanted) < SINGLE * largest(values)
+    assert (found[:, n:] == 7).all()
+    for row in range(6):
+        alone = values[row : row + 1].copy()
+        one = slice(row, row + 1)
+        phase.rotate_scaled(alone, alone, phase.unit(n), coefficients[one], factor[one], cycles)
+        np.testing.assert_array_equal(alone[0], found[row, :n])
+
+
+def test_rotation_at_whole_half_and_quarter_cycles() -> None:
+    cycles = np.arange(-8, 9) / 4
+    wanted = np.array([1, 1j, -1, -1j] * 4 + [1])
+    ones, out = np.ones((1, cycles.size), np.complex64), np.empty((1, cycles.size), np.complex64)
+    phase.rotate_scaled(ones, out, phase.unit(cycles.size), np.zeros((1, 2)), np.ones(1), cycles)
+    assert largest(out[0] - wanted) < SINGLE
+    rows = np.ones((cycles.size, 40), np.complex64)
+    phase.rotate(rows, 40, cycles[:, None])
+    assert largest(rows - wanted[:, None]) < SINGLE
+
+
+def test_sine_and_cosine_err_as_little_as_they_say() -> None:
+    x = np.linspace(-0.5, 0.5, 20_001).astype(np.float32)
+    wanted = np.exp(2j * np.pi * x.astype(np.float64))
+    found = trigonometry.cosine(x).astype(np.float64) + 1j * trigonometry.sine(x)
+    assert largest(found - wanted) < 4e-7
+    assert np.sqrt(np.mean(np.abs(found - wanted) ** 2)) < 1.1e-7  # numpy rounds every product, the loops do not
+
+
+def test_missing_samples_stay_missing_and_spread_no_further() -> None:
+    values = noise(2, 100).copy()
+    values[1, 40] = np.nan
+    phase.rotate(values, 100, np.full((2, 3), 0.3))
+    assert np.isnan(values[1, 40])
+    assert np.isnan(values).sum() == 1
+
+
+# -- columns ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("n", "first", "count"), [(1, 0, 1), (5, 2, 8), (130, 3, 7), (64, 40, 16), (300, 1, 33)])
+def test_columns_become_rows_and_go_back(n: int, first: int, count: int) -> None:
+    values = noise(n, first + count + 2)
+    rows = np.empty((count, n), np.complex64)
+    wanted = values[:, first : first + count].T
+    for array in (values, np.asfortranarray(values), np.repeat(values, 2, axis=1)[:, ::2]):
+        rows[:] = 0
+        phase.gather_columns(array, first, rows)
+        np.testing.assert_array_equal(rows, wanted)
+
+    back = np.full((n + 3, first + count + 2), 7, np.complex64)
+    rows.flags.writeable = False
+    phase.scatter_columns(rows, n, first, back)
+    np.testing.assert_array_equal(back[:n, first : first + count], wanted.T)
+    back[:n, first : first + count] = 7
+    assert (back == 7).all()
+    short = np.full((n, first + count), 7, np.complex64)
+    phase.scatter_columns(rows, n // 2, first, short)
+    np.testing.assert_array_equal(short[: n // 2, first:], wanted.T[: n // 2])
+    assert (short[n // 2 :] == 7).all()
+
+
+# -- the compiler -------------------------------------------------------------------------------------------
+
+
+def test_a_second_process_compiles_nothing() -> None:
+    """The loops come from numba's cache: nothing is saved to it that was not there."""
+    program = (
+        "from blocksar.kernels import interpolation as i, phase as p; "
+        "loops = p._rotate, p.rotate_scaled, p.gather_columns, p.scatter_columns, i.stretch_rows, i.resample_rows; "
+        "print([sum(f.stats.cache_misses.values()) for f in loops])"
+    )
+    found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=100)
+    assert found.stdout.strip() == "[0, 0, 0, 0, 0, 0]"
+
+
+@pytest.mark.parametrize("n", [1, 31, 64, 101])
+def test_each_row_is_multiplied_by_its_window(n: int) -> None:
+    values, windows, which = noise(5, n + 3).copy(), noise(3, n, seed=2), np.array([2, 0, 0, 1, 2])
+    wanted = values.copy()
+    wanted[:, :n] *= windows[which]
+    phase.multiply_windows(values, windows, which)
+    assert np.abs(values - wanted).max() < 4 * SINGLE
+    np.testing.assert_array_equal(values[:, n:], wanted[:, n:])

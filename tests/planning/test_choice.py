@@ -1,0 +1,103 @@
+"""Which processor is proposed, and what closed forms and rivals leave in a plan."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from scenes import PAPERS, scene
+
+import blocksar
+from blocksar.errors import InputError
+from blocksar.planning.plan import Plan
+
+
+def test_the_frequency_perturbation_alone_does_not_focus_paper_b() -> None:
+    """The stand-in for the FDPF column of paper B's Table 2: -3.98 dB and -4.78 dB at its edges."""
+    processor, grid = PAPERS["paper_b"]
+    plans = {
+        kind: blocksar.plan("paper_b", processor=processor, blocks=1, perturbation=kind, grid=grid).result
+        for kind in ("all", "frequency")
+    }
+    assert plans["all"].blocks[0].prediction.pslr == pytest.approx(-13.26, abs=0.3)
+    assert plans["frequency"].blocks[0].prediction.pslr > -11.0
+
+
+def test_without_keystone_range_walk_stays() -> None:
+    """Paper A, Figure 11: much more than a range cell, against a fraction of one."""
+    plans = {kept: blocksar.plan("table1", blocks=3, keystone=kept).result for kept in (True, False)}
+    worst = {kept: max(block.prediction.migration for block in plan.blocks) for kept, plan in plans.items()}
+    assert worst[True] < 0.05
+    assert worst[False] > 1.5
+
+
+# ---------------------------------------------------------------- closed form
+
+
+@pytest.mark.parametrize(
+    ("name", "processor", "blocks", "most"),
+    [
+        ("table1", "angular-division", 3, 1.4),
+        ("paper_b", "keystone-resampling", 1, 0.2),
+        ("paper_b", "keystone-resampling", 3, 0.05),
+        ("paper_c", "high-order-phase", 1, 3.0),
+        ("paper_c", "high-order-phase", 4, 0.05),
+    ],
+)
+def test_closed_form_against_fitted_and_against_a_deramp_alone(
+    name: str, processor: Any, blocks: int, most: float
+) -> None:
+    """Quadratic phase at the edge of the dwell, rad. Table 1 in the printed formulas, the others as derived here."""
+    grid = PAPERS[name][1] if name in PAPERS else None
+    left = {}
+    for kind, settings in {
+        "closed": {"coefficients": "closed-form"},
+        "fitted": {},
+        "deramp": {"coefficients": "closed-form", "perturbation": "none"},
+    }.items():
+        plan = blocksar.plan(name, processor=processor, blocks=blocks, grid=grid, **settings).result
+        left[kind] = max(block.prediction.quadratic_phase for block in plan.blocks)
+    assert left["fitted"] < left["closed"] < most
+    assert left["deramp"] > 4 * left["closed"]
+
+
+# ---------------------------------------------------------------- which processor
+
+
+@pytest.mark.parametrize("name", ["table1", "paper_c"])
+def test_auto_sets_the_processors_side_by_side(name: str) -> None:
+    grid = PAPERS[name][1] if name in PAPERS else None
+    report = blocksar.plan(name, processor="auto", grid=grid)
+    (header, rows), _ = report.tables
+    assert [row[0] for row in rows] == ["angular-division", "keystone-resampling", "high-order-phase"]
+    assert isinstance(report.result, Plan)
+    assert report.result.within_budget()
+    chosen = report.result.method.processor
+    assert report.summary[0].startswith(f"{chosen} is proposed")
+    by_name = {row[0]: dict(zip(header, row, strict=True)) for row in rows}
+    assert by_name[chosen]["within its budgets"] == "yes"
+    works = [float(row["work"]) for row in by_name.values() if row["within its budgets"] == "yes"]
+    assert float(by_name[chosen]["work"]) <= 1.1 * min(works) + 0.01
+    own = blocksar.plan(name, processor=chosen, grid=grid).result
+    assert by_name[chosen]["blocks"] == str(own.n_blocks) == str(report.result.n_blocks)
+    worst = max(block.prediction.residual_phase for block in own.blocks)
+    assert float(by_name[chosen]["residual phase (rad)"]) <= worst + 1e-4
+
+
+def test_auto_says_why_a_processor_does_not_serve(tmp_path: Path) -> None:
+    """Where acceleration cancels the Doppler rate a chain without time perturbation has nothing to work on."""
+    from scenes import GEOMETRIES
+
+    (tmp_path / "scene.toml").write_text(scene(**GEOMETRIES["acceleration cancels the Doppler rate"]))
+    report = blocksar.plan(tmp_path / "scene.toml", processor="auto", blocks=3)
+    assert report.result.method.processor in ("angular-division", "keystone-resampling")
+    assert "high-order-phase does not (" in report.summary[0]
+    refused = blocksar.plan(tmp_path / "scene.toml", processor="high-order-phase", blocks=3)
+    assert refused.refusal is not None
+    assert "would keep" in refused.refusal
+
+
+def test_auto_and_rivals_do_not_go_together() -> None:
+    with pytest.raises(InputError, match="keystone and derotation: processor auto compares processors as they are"):
+        blocksar.plan("table1", processor="auto", keystone=False, derotation="linear")

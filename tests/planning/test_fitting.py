@@ -1,0 +1,72 @@
+"""The fit of the coefficients, on a squinted straight track."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from straight_track import LAMBDA, levelled, straight_lines, straight_series
+
+from blocksar.arrays import FloatArray
+from blocksar.focusing.lines import Line, focus
+from blocksar.planning import closed_form, fitting
+from blocksar.planning.fitting import Candidate, Freedom
+
+# ---------------------------------------------------------------- the fit
+
+
+@pytest.mark.parametrize(
+    "freedom",
+    [
+        Freedom(True, True, False),
+        Freedom(True, False, True),
+        Freedom(False, True, False),
+        Freedom(False, False, False),
+        Freedom(True, True, True),
+    ],
+)
+def test_the_fit_s_derivatives(freedom: Freedom, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Against differences of the faults themselves, at a place where no term is zero."""
+    checked = []
+
+    def check(faults: Any, jacobian: Any, start: FloatArray, **_: Any) -> FloatArray:
+        rng = np.random.default_rng(len(checked))
+        x = start + 0.02 * rng.standard_normal(start.size)
+        found, step = jacobian(x), 1e-6
+        for i in range(x.size):
+            moved = np.eye(x.size)[i] * step
+            wanted = (faults(x + moved) - faults(x - moved)) / (2 * step)
+            np.testing.assert_allclose(found[i], wanted, atol=1e-5 * np.abs(wanted).max() + 1e-6)
+        checked.append(x.size)
+        return start
+
+    monkeypatch.setattr(fitting, "levenberg_marquardt", check)
+    line = straight_lines(15e3, np.linspace(-300, 300, 5))
+    whole = Line(**{name: np.stack([getattr(line, name)] * 2) for name in Line.__dataclass_fields__})
+    ranges = np.array([14.9e3, 15.1e3])
+    fitting.fit(whole, ranges=ranges, candidate=Candidate(0.0, freedom.time), freedom=freedom, wavelength=LAMBDA)
+    assert checked == [2 * freedom.time + 4 * freedom.doppler + 3 * freedom.resampling + 3] * 2
+
+
+@pytest.mark.parametrize("freedom", [Freedom(False, True, False), Freedom(True, False, True)])
+def test_the_fit_levels_lines_at_least_as_well_as_the_closed_form(freedom: Freedom) -> None:
+    line = straight_lines(15e3, np.linspace(-300, 300, 7))
+    k = straight_series(15e3)
+    found = (
+        closed_form.resampled(k, wavelength=LAMBDA, half_dwell=1.0)
+        if freedom.resampling
+        else closed_form.corrected(k, wavelength=LAMBDA)
+    )
+    whole = Line(**{name: np.stack([getattr(line, name)] * 2) for name in Line.__dataclass_fields__})
+    whole = whole.shift_range(np.array([-15e3, -14.9e3])[:, None, None])
+    ranges = np.array([0.0, 100.0])
+    fitted = fitting.fit(
+        whole, ranges=ranges, candidate=Candidate(0.0, freedom.time), freedom=freedom, wavelength=LAMBDA
+    )
+    row = whole.range.mean(axis=-1)
+    after = whole.multiply_time(*fitted.time.evaluate(row, whole.time))
+    after = after.multiply_doppler(*fitted.doppler.evaluate(row, after.doppler))
+    after = after.resample_doppler(*fitted.resampling.evaluate(row, after.doppler), middle=fitted.middle)
+    after = after.multiply_time(*fitted.deramp.evaluate(row, after.time))
+    assert focus(after).residual.max() < focus(levelled(line, found)).residual.max()

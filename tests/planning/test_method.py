@@ -1,0 +1,38 @@
+"""Methods and their options."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import blocksar
+from blocksar.errors import InputError
+from blocksar.focusing.method import Method, method_of
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"processor": "omega-k"}, "processor 'omega-k' is unknown; use angular-division"),
+        ({"perturbation": "some"}, "perturbation 'some' is unknown; use all, frequency, none"),
+        ({"keystone": 3}, "keystone 3 is unknown; use True, False"),
+        ({"processor": "high-order-phase", "keystone": False}, "high-order-phase has no keystone to leave out"),
+        ({"range_model": "conventional"}, "conventional makes closed-form coefficients for angular-division"),
+        ({"processor": "backprojection", "derotation": "linear"}, "backprojection has no derotation to choose"),
+    ],
+)
+def test_options_that_mean_nothing_are_refused(options: dict[str, Any], message: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=message):
+        method_of(**{"processor": "angular-division", **options})
+    with pytest.raises(InputError, match=message):
+        blocksar.plan("table1", **options)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_method_is_what_its_settings_say() -> None:
+    method = Method(processor="keystone-resampling", perturbation="frequency", derotation="linear")
+    assert Method.of_settings({**method.as_settings(), "blocks": 3}) == method
+    assert method.departures == ["perturbation", "derotation"]
+    assert method.rival and not Method(processor="high-order-phase").rival

@@ -1,0 +1,86 @@
+"""Plans: how many blocks, what the closed forms leave, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from distributed import Client
+from quality_bar import planned
+from scenes import scene
+
+import blocksar
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.region import plan_region
+from blocksar.errors import InputError
+from blocksar.focusing.method import Method
+from blocksar.planning.block import plan_block
+from blocksar.planning.plan import fewest_blocks
+from blocksar.planning.recovery import plan_recovery
+from blocksar.simulation.scene import Scene
+
+
+@pytest.mark.parametrize(
+    ("excess", "chosen"),
+    [
+        ({2: 90.0, 3: 4.0, 4: 0.9, 5: 0.5}, 4),  # more blocks help, though the first would blur
+        ({2: 3.0, 3: 2.9, 4: 2.95, 5: 2.99, 6: 2.89, 7: 0.1}, 6),  # three times no help: it will not come
+    ],
+)
+def test_auto_asks_for_more_blocks_as_long_as_they_help(excess: dict[int, float], chosen: int) -> None:
+    def plan(count: int, *, probe: bool = False) -> Any:
+        refusal = "would keep a phase error" if excess[count] > 10 else None
+        return SimpleNamespace(excess=lambda: excess[count], blocks=(), refusal=refusal, count=count)
+
+    assert fewest_blocks(plan, 2).count == chosen
+
+
+@pytest.mark.parametrize(("blocks", "least", "most"), [(3, 0.9, 1.4), (2, 1.2, 1.3), (1, 1.5, 5.0)])
+def test_closed_form_leaves_what_the_printed_formulas_leave(blocks: int, least: float, most: float) -> None:
+    """Quadratic phase at the edge of the dwell, rad: a study of the paper's swath found up to 1.36, 1.25 and 4.6."""
+    geometry = Geometry(collection=Scene.read("table1").collection())
+    region = plan_region(geometry, None)
+    recovery = plan_recovery(geometry, region)
+    seams = np.linspace(np.radians(42.13), np.radians(57.87), blocks + 1)
+    worst = {}
+    for coefficients in ("closed-form", "fitted"):
+        planned_blocks = [
+            plan_block(
+                geometry,
+                recovery,
+                region,
+                index=i,
+                low=float(seams[i]),
+                high=float(seams[i + 1]),
+                near=27.6e3,
+                far=32.4e3,
+                method=Method(coefficients=coefficients),  # type: ignore[arg-type]
+            )
+            for i in range(blocks)
+        ]
+        worst[coefficients] = max(block.prediction.quadratic_phase for block in planned_blocks)
+    assert least <= worst["closed-form"] <= most
+    assert worst["fitted"] < 0.015
+
+
+def test_looking_along_the_velocity_is_refused(client: Client, tmp_path: Path) -> None:
+    (tmp_path / "scene.toml").write_text(scene(steering=(85.0, 101.0), centre=93.0))
+    report = blocksar.plan(tmp_path / "scene.toml", blocks=3)
+    assert report.refusal is not None
+    assert "along the velocity" in report.refusal
+    store = blocksar.simulate(tmp_path / "scene.toml", tmp_path / "phase_history.zarr")
+    with pytest.raises(InputError, match="along the velocity"):
+        blocksar.focus(store, tmp_path / "run", client=client)
+    assert not (tmp_path / "run").exists()
+
+
+def test_plan_reads_no_samples_and_is_made_of_a_scene_or_a_store(table1: Path) -> None:
+    from_scene, from_store = planned("table1", blocks=3), planned(table1, blocks=3)  # type: ignore[arg-type]
+    assert [b.first_bin for b in from_scene.blocks] == [b.first_bin for b in from_store.blocks]
+    assert planned(table1, blocks="auto", workers=2).n_blocks >= 2
+    header, rows = blocksar.plan(table1, blocks=3).table()[0]
+    assert len(rows) == 3
+    assert all(len(row) == len(header) for row in rows)

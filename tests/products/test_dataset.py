@@ -1,0 +1,176 @@
+"""What `blocksar.open` gives, and its xarray accessor."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+import pytest
+import rasterio.warp
+import xarray as xr
+import zarr
+from small_run import DAYTON, TARGETS, Made, make
+
+import blocksar
+from blocksar.collection.georeference import Georeference
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.errors import InputError
+from blocksar.products import geotiff
+
+pytestmark = pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")  # by rioxarray, of affine
+
+# ---------------------------------------------------------------- xarray
+
+
+def test_db_is_that_of_the_pixels(made: Made) -> None:
+    with blocksar.open(made.folder) as opened:
+        power = opened.sar.db()
+        assert power.attrs["units"] == "dB"
+        np.testing.assert_allclose(power.values, 20 * np.log10(np.abs(made.image)), rtol=0, atol=1e-4)
+
+
+def test_crop_is_by_ground_coordinates_and_lazy(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
+    with blocksar.open(made.folder) as opened:
+        part = opened.sar.crop(x=(-4.1, 5.0), y=(None, 2.0))
+        assert not part["image"].variable._in_memory
+        inside = (made.x >= -4.1) & (made.x <= 5.0)
+        np.testing.assert_array_equal(part.x, made.x[inside])
+        np.testing.assert_array_equal(part["image"], made.image[made.y <= 2.0][:, inside])
+        for wrong, said in (({"x": (3.0, 1.0)}, "lower end first"), ({"y": (1e3, None)}, "holds no pixel")):
+            with pytest.raises(InputError, match=said):
+                opened.sar.crop(**wrong)
+
+
+@pytest.mark.parametrize("azimuth", [None, 37.0, 90.0])
+def test_a_cut_is_the_response(azimuth: float | None, made: Made) -> None:
+    """Against back-projection right at the points of the line."""
+    target = TARGETS[0]
+    with blocksar.open(made.folder) as opened:
+        cut = opened.sar.cut(target.x, target.y, azimuth=azimuth, length=8.0, samples=41)
+    signal = np.zeros((made.collection.n_pulse, made.collection.n_range_frequency), np.complex128)
+    frequency = made.collection.carrier + made.collection.range_frequency
+    for other in TARGETS:
+        distance = np.linalg.norm([other.x, other.y, 0.0] - made.collection.antenna_position, axis=1)
+        signal += np.exp(-4j * np.pi / SPEED_OF_LIGHT * np.outer(distance, frequency))
+    for i in range(0, 41, 5):
+        turn = np.radians(azimuth or 0.0)
+        point = [target.x + cut.distance.values[i] * np.cos(turn), target.y + cut.distance.values[i] * np.sin(turn), 0]
+        distance = np.linalg.norm(point - made.collection.antenna_position, axis=1)
+        exact = np.abs((signal * np.exp(4j * np.pi / SPEED_OF_LIGHT * np.outer(distance, frequency))).mean())
+        assert 10 ** (cut.values[i] / 20) == pytest.approx(exact, abs=3e-3)
+    assert cut.values[20] == pytest.approx(0.0, abs=0.1)  # side lobes of the others included
+
+
+def test_a_cut_outside_is_refused(made: Made) -> None:
+    with blocksar.open(made.folder) as opened:
+        with pytest.raises(InputError, match="lies outside the image"):
+            opened.sar.cut(500.0, 0.0)
+        with pytest.raises(InputError, match="is no line"):
+            opened.sar.cut(0.0, 0.0, length=0.0)
+        assert np.isnan(opened.sar.cut(made.x[0], 0.0, length=30.0).values[0])
+
+
+def test_an_image_that_runs_the_other_way_is_the_same_image(made: Made) -> None:
+    from matplotlib.figure import Figure
+
+    with blocksar.open(made.folder) as opened:
+        turned = opened.isel(y=slice(None, None, -1), x=slice(None, None, -1))
+        part, whole = (ds.sar.crop(x=(-4.1, 5.0), y=(None, 2.0)) for ds in (turned, opened))
+        assert not part["image"].variable._in_memory
+        np.testing.assert_array_equal(part["image"].values[::-1, ::-1], whole["image"])
+        assert turned.sar.cut(0.3, -0.2).equals(opened.sar.cut(0.3, -0.2))
+        axes = [ds.sar.plot(Figure().add_subplot()) for ds in (turned, opened)]
+        assert axes[0].get_ylim() == axes[1].get_ylim()
+        np.testing.assert_array_equal(axes[0].images[0].get_array(), axes[1].images[0].get_array())
+        for of in ("plot", "cut"):
+            with pytest.raises(InputError, match="x of the image is not evenly spaced"):
+                getattr(opened.isel(x=[0, 1, 5]).sar, of)(*((-31.0, 0.0) if of == "cut" else ()))
+
+
+@pytest.mark.parametrize("span", [3.0, (1.0, 2.0, 3.0), ("west", 3.0)])
+def test_a_span_is_two_numbers(span: Any, made: Made) -> None:
+    with blocksar.open(made.folder) as opened, pytest.raises(InputError, match=r"give two ends in m, the lower first"):
+        opened.sar.crop(x=span)
+    with (
+        blocksar.open(made.folder / "collection.zarr") as collection,
+        pytest.raises(InputError, match="no coordinate x"),
+    ):
+        collection.sar.crop(x=(0.0, 1.0))
+
+
+@pytest.mark.parametrize("wrong", [{"length": np.inf}, {"azimuth": np.nan}, {"azimuth": np.inf}])
+def test_a_cut_of_no_numbers_is_refused(wrong: Any, made: Made) -> None:
+    with blocksar.open(made.folder) as opened, pytest.raises(InputError, match=r"is no line|azimuth is"):
+        opened.sar.cut(0.0, 0.0, **wrong)
+
+
+@pytest.mark.filterwarnings("error")
+def test_db_of_chunks_is_lazy_and_says_nothing(made: Made) -> None:
+    with blocksar.open(made.folder) as opened:
+        power = opened.chunk(y=64).sar.db()
+        assert power.chunks
+        assert power.dtype == np.float32
+        np.testing.assert_array_equal(power.values, opened.sar.db().values)
+
+
+def test_what_is_derived_can_be_saved_as_netcdf(tmp_path: Path) -> None:
+    """netCDF knows no complex numbers, and attributes of numbers and text only; CF no fill value of coordinates."""
+    told = {"settings": {"blocks": 3}, "predicted": [{"block": 0}], "warnings": []}
+    run = make(tmp_path / "run", size=(40, 30))
+    zarr.open_group(run.folder / "image.zarr").attrs.update(told)
+    with blocksar.open(run.folder) as opened:
+        assert opened.attrs["settings"] == told["settings"]
+        opened.sar.netcdf().to_netcdf(tmp_path / "a.nc")
+    with xr.open_dataset(tmp_path / "a.nc") as again:
+        assert {name: json.loads(again.attrs[name]) for name in told} == told
+        assert again.rio.crs == opened.rio.crs
+        assert "_FillValue" not in again["x"].encoding
+        np.testing.assert_array_equal(again["image_real"] + 1j * again["image_imag"], run.image)
+        assert again["image_imag"].attrs["grid_mapping"] == "spatial_ref" and again["image_imag"].units == "1"
+        with pytest.raises(InputError, match="no image"):
+            again.sar.netcdf()
+    opened.sar.crop(x=(0.0, 3.0)).to_zarr(tmp_path / "a.zarr", consolidated=False)
+    with blocksar.open(tmp_path / "a.zarr") as again:
+        assert again.sar.plot().texts[-1].get_text() == "N"
+        assert again["image"].shape == (30, 8)
+    matplotlib.pyplot.close("all")
+
+
+def test_plot_draws_into_given_axes(made: Made) -> None:
+    from matplotlib.figure import Figure
+
+    axes = Figure().add_subplot()
+    with blocksar.open(made.folder) as opened:
+        assert opened.sar.plot(ax=axes) is axes
+        assert opened.sar.crop(x=(0.0, 10.0)).sar.plot().get_xlim() == pytest.approx((-0.2, 10.2), abs=0.4)
+    assert axes.get_title() == "small scene, é"
+    assert axes.images[0].get_clim()[1] > axes.images[0].get_clim()[0] + 20
+    matplotlib.pyplot.close("all")
+
+
+def test_rioxarray_reads_the_grid_mapping(made: Made, unplaced: Made) -> None:
+    with blocksar.open(made.folder) as opened:
+        assert opened["image"].rio.crs is not None
+        assert opened.x.attrs["standard_name"] == "projection_x_coordinate"
+        target = TARGETS[1]
+        latitude, longitude, _ = DAYTON.to_geodetic(np.array([target.x, target.y, 0.0]))
+        (east,), (north,) = rasterio.warp.transform("EPSG:4326", opened.rio.crs, [longitude], [latitude])
+        assert (east, north) == pytest.approx((target.x, target.y), abs=0.01)
+        # What is derived keeps it.
+        assert opened.sar.db().rio.crs == opened.rio.crs
+        assert opened.sar.db().attrs["grid_mapping"] == "spatial_ref"
+    with blocksar.open(unplaced.folder) as opened:
+        assert "spatial_ref" not in opened.coords
+
+
+def test_a_turned_frame_has_no_grid_mapping(tmp_path: Path) -> None:
+    run = make(tmp_path, size=(40, 40), frame=Georeference(latitude=1.0, longitude=2.0, height=3.0, rotation=10.0))
+    with blocksar.open(run.folder) as opened:
+        assert "spatial_ref" not in opened.coords
+
+
+def test_the_default_projection_is_kept_where_it_is_good(made: Made) -> None:
+    assert geotiff.placed(made.source, DAYTON).offset.tolist() == [0.0, 0.0]

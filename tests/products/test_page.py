@@ -1,0 +1,467 @@
+"""The report page: what it says is what is known of the run, and nothing in it can run but its own script."""
+
+from __future__ import annotations
+
+import base64
+import errno
+import hashlib
+import io
+import json
+import os
+import re
+import shlex
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import s3
+from matplotlib.image import imread
+from missing_library import hide
+from report_page import HOSTILE, borrowed, changed, read, source_of
+from typer.testing import CliRunner
+
+import blocksar
+from blocksar import api, constants, stores
+from blocksar.cli import commands, endings
+from blocksar.errors import InputError, ProcessingError
+from blocksar.focusing import method
+from blocksar.measurement.targets import Target
+from blocksar.places import place
+from blocksar.products.page import facts, page, picture, tables, words
+from blocksar.runs.finished import Source
+
+# ---------------------------------------------------------------- what the page is
+
+
+def test_the_page_stands_by_itself(whole: Path) -> None:
+    text = whole.read_text(encoding="utf-8")
+    found = read(whole)
+    assert len(text) < 5e6
+    links = [value for _, attrs in found.elements for name, value in attrs.items() if name in ("src", "href")]
+    assert links and all(link.startswith(("data:image/", "#")) for link in links)
+    assert "@import" not in text and "@font-face" not in text and not re.search(r"url\((?!#)", text)
+    anchors = {attrs.get("id") for _, attrs in found.elements}
+    assert {link[1:] for link in links if link.startswith("#")} <= anchors
+    ids = [attrs["id"] for _, attrs in found.elements if "id" in attrs]
+    assert len(ids) == len(set(ids))
+
+
+def test_only_its_own_script_and_style_may_run(whole: Path) -> None:
+    found = read(whole)
+    policy = found.all("meta")[1]["content"]
+    assert policy.startswith("default-src 'none'; img-src data:;") and "unsafe" not in policy
+    assert len(found.all("script")) == len(found.all("style")) == 1
+    for kind in ("script", "style"):
+        inside = next(text for tag, text in found.texts if tag == kind)
+        assert base64.b64encode(hashlib.sha256(inside.encode()).digest()).decode() in policy
+    assert not [attrs for _, attrs in found.elements if any(name == "style" or name.startswith("on") for name in attrs)]
+
+
+def test_what_comes_from_files_is_text(whole: Path) -> None:
+    found = read(whole)
+    heading = found.text("h1")
+    assert heading == HOSTILE.replace("\u202e", "\\u202e")  # what would turn the text around is shown as an escape
+    assert found.text("title").startswith(heading)
+    assert not [attrs for attrs in found.all("img") if not attrs["src"].startswith("data:image/png")]
+    assert not found.all("i") and "<i>D" in found.text("a")
+    assert "49" not in heading
+
+
+def test_twice_is_the_same_and_missing_measurements_are_made(run: Path, runs: dict[str, Path], quick: None) -> None:
+    first = Path(str(blocksar.report(run).result)).read_bytes()
+    (run / "quality.json").unlink()
+    report = blocksar.report(run)
+    assert report.result.path.read_bytes() == first
+    assert not (run / "quality.json").exists()  # a report looks, and changes nothing
+    assert report.summary[-1] == f"wrote {run / 'report.html'}"
+
+
+def test_the_picture_is_the_image(runs: dict[str, Path]) -> None:
+    source = source_of(runs["run"])
+    made = picture.draw(source, looks="max")
+    decoded = imread(io.BytesIO(base64.b64decode(made.data.partition(",")[2])), format="webp")
+    factor = -(-max(source.x.size, source.y.size) // picture.PIXELS)
+    assert factor > 1  # else nothing is decimated here
+    whole = (slice(0, source.y.size), slice(0, source.x.size))
+    power = np.abs(source.read(*whole)).astype(np.float64) ** 2
+    rng = np.random.default_rng(0)
+    covered = np.argwhere(np.isfinite(power))[:: power.size // 1000]
+    for row, column in [*covered, *rng.integers(0, power.shape, (200, 2))]:
+        i, j = row // factor, column // factor
+        cell = power[i * factor : (i + 1) * factor, j * factor : (j + 1) * factor]
+        level, _, _, there = decoded[decoded.shape[0] - 1 - i, j]
+        assert (there == 255) == bool(np.isfinite(cell).any())
+        if there:
+            said = made.bottom + level / 255 * (made.top - made.bottom)
+            true = max(10 * np.log10(max(np.nanmax(cell), 1e-30)), made.bottom)
+            assert said == pytest.approx(true, abs=0.51 * (made.top - made.bottom) / 255)
+    x, y = made.place(source.x[0], source.y[-1])  # upper left pixel of a picture whose rows go down
+    assert float(x) == pytest.approx(-made.width / 2 + source.spacing[0] / 2, abs=1e-3)
+    assert float(y) >= -made.height / 2
+
+
+class Wide(Source):
+    """A scene of 80 million pixels that is nowhere; keeps what was read at once."""
+
+    sizes: list[int] = []  # noqa: RUF012  (one test uses it)
+
+    def read(self, rows: slice, columns: slice) -> Any:
+        self.sizes.append((rows.stop - rows.start) * (columns.stop - columns.start))
+        return np.full((rows.stop - rows.start, columns.stop - columns.start), 0.5 + 0j, np.complex64)
+
+
+def test_the_image_is_read_by_strips(runs: dict[str, Path]) -> None:
+    real = source_of(runs["run"])
+    made = Wide(real.path, np.arange(20000.0), np.arange(4000.0), real.geometry, {}, {})
+    told: list[tuple[int, int]] = []
+    drawn = picture.draw(made, looks="mean", progress=lambda *at: told.append(at))
+    assert max(made.sizes) <= 2**22 and sum(made.sizes) == 80_000_000
+    assert told[-1] == (4000, 4000)
+    assert len(drawn.data) < 100_000
+
+
+def test_pixels_about_targets_lie_where_they_are(runs: dict[str, Path]) -> None:
+    source = source_of(runs["run"])
+    drawn = picture.draw(source, looks="max")
+    dx, dy = source.spacing
+    middle = Target("middle", *(float(axis[axis.size // 2]) for axis in (source.x, source.y)))
+    corner = Target("corner", float(source.x[-1]), float(source.y[0]))
+    outside = Target("outside", float(source.x[0]) - 100.0, 0.0)
+    first, last = picture.chips(source, [middle, corner, outside], drawn)
+    assert (float(first.width), float(first.height)) == pytest.approx((64 * dx, 64 * dy))
+    assert (float(last.width), float(last.height)) == pytest.approx((33 * dx, 32 * dy), abs=1.01 * dx)
+    right, low = float(last.x) + float(last.width), float(last.y) + float(last.height)
+    at = drawn.place(corner.x + dx / 2, corner.y - dy / 2)
+    assert (right, low) == pytest.approx((float(at[0]), float(at[1])), abs=0.01)
+    pixels = imread(io.BytesIO(base64.b64decode(first.data.partition(",")[2])), format="webp")
+    row, column = source.y.size // 2, source.x.size // 2
+    true = source.read(slice(row - 32, row + 32), slice(column - 32, column + 32))
+    said = drawn.bottom + pixels[::-1, :, 0] / 255 * (drawn.top - drawn.bottom)
+    expected = np.maximum(20 * np.log10(np.abs(true)), drawn.bottom)
+    assert np.abs(said - expected)[np.isfinite(true)].max() < 0.51 * (drawn.top - drawn.bottom) / 255
+
+
+def test_the_worst_picture_leaves_a_page_below_five_megabytes() -> None:
+    rng = np.random.default_rng(1)
+    noise = rng.uniform(-100, 0, (picture.PIXELS, picture.PIXELS))
+    assert len(picture.data_uri("webp", picture._grey(noise, -100.0, 0.0))) < 3.6e6
+    chips = [len(picture.data_uri("webp", picture._grey(noise[:64, i : i + 64], -100.0, 0.0))) for i in range(3)]
+    assert max(chips) * picture.MOST_CHIPS < 0.7e6
+
+
+def test_blocks_own_what_the_image_says(runs: dict[str, Path]) -> None:
+    source = source_of(runs["run"])
+    predicted = source.record["plan"]["predicted"]
+    assert [facts.block_name(b) for b in predicted] == ["0.0", "0.1", "1.0", "1.1"]
+    block = stores.read_region(source.path, "block", (slice(0, source.y.size), slice(0, source.x.size)))
+    rng = np.random.default_rng(2)
+    found = set()
+    for row, column in rng.permutation(np.argwhere(block >= 0))[:400]:
+        name = facts.block_of(source, predicted, float(source.x[column]), float(source.y[row]))
+        assert name.partition(".")[0] == str(block[row, column])
+        found.add(name)
+    assert found == {"0.0", "0.1", "1.0", "1.1"}
+
+
+def test_outlines_bound_the_blocks(runs: dict[str, Path]) -> None:
+    source = source_of(runs["run"])
+    predicted, geometry = facts.Facts(source, None).predicted, source.geometry
+    drawn = picture.draw(source, looks="max")
+    for outline, block in zip(picture.outlines(source, predicted, drawn), predicted, strict=True):
+        numbers = np.array(re.findall(r"-?\d+\.\d+", outline.path), float).reshape(-1, 2)
+        x, y = numbers[:, 0] + drawn.centre[0], drawn.centre[1] - numbers[:, 1]
+        ranges, yaws = geometry.epoch_range(x, y), geometry.yaw(x, y)
+        assert (ranges.min(), ranges.max()) == pytest.approx(block["range"], abs=0.01)
+        assert (yaws.min(), yaws.max()) == pytest.approx(block["yaw"], abs=1e-6)
+        assert outline.label is not None
+
+
+# ---------------------------------------------------------------- what it says
+
+
+def test_a_good_run_says_so(whole: Path) -> None:
+    said = read(whole).text()
+    assert "4 of 4 fully lit targets within the bar" in said
+    assert "no warnings" in said and "% of the plan" in said
+    assert "5 targets, 4 of them lit over their full dwell" in said
+    assert "Warnings" not in said
+    assert 'class="off"' not in whole.read_text()
+
+
+def test_what_is_beyond_the_bar_is_said_and_marked(run: Path, quick: None) -> None:
+    def spoil(record: Any) -> None:
+        found = {t["name"]: t for t in record["targets"]}
+        found["A"]["azimuth_pslr"] = -12.9
+        found["B"]["error_x"] = None
+        found["edge"]["azimuth_pslr"] = -5.0  # not judged: lit in part
+
+    changed(run / "quality.json", spoil)
+    report = blocksar.report(run)
+    text = report.result.path.read_text(encoding="utf-8")
+    assert "2 of 4 fully lit targets within the bar" in report.summary[0]
+    assert 'class="verdict attention"' in text
+    off = re.findall(r'data-sort="([^"]*)" class="off"', text)
+    assert "-5.0" not in off
+    assert off.count("-12.9") == 2 and "" in off  # in the plan's table too; what could not be measured is marked
+    share = words.number(100 * abs(-12.9 - constants.SINC_PSLR) / 0.2, 0)
+    assert f"! {share}" in re.sub(r"<[^>]*>", "", text)
+
+
+def test_targets_beyond_the_grid_are_no_reproach(run: Path, quick: None) -> None:
+    """As the bar is told: what the image does not cover is not judged; but a hole in the image is no good news."""
+
+    def lost(target: Any, **place: float) -> None:
+        target |= {name: None for name in target if name.endswith(("lr", "irw")) or name.startswith("error")}
+        target |= {"covered": False, "value": [None, None], **place}
+
+    changed(run / "quality.json", lambda record: lost(record["targets"][0], x=90e3))
+    assert record_names(run)[0] != "edge"
+    report = blocksar.report(run)
+    assert "3 of 3 fully lit targets within the bar" in report.summary[0]
+    assert 'class="verdict good"' in report.result.path.read_text(encoding="utf-8")
+    changed(run / "quality.json", lambda record: lost(record["targets"][0], x=16100.0, y=19200.0))
+    assert "3 of 4 fully lit targets within the bar" in blocksar.report(run).summary[0]
+    changed(run / "quality.json", lambda record: [lost(target, x=90e3) for target in record["targets"]])
+    assert "no fully lit target to judge in this image" in blocksar.report(run).summary[0]
+
+
+def record_names(run: Path) -> list[str]:
+    return [target["name"] for target in json.loads((run / "quality.json").read_text())["targets"]]
+
+
+def test_warnings_come_first(run: Path, quick: None) -> None:
+    changed(run / "run.json", lambda r: r.update(warnings=["3 pulses are missing <b>", "saturated"]))
+    report = blocksar.report(run)
+    found = read(report.result)
+    assert 'class="verdict attention"' in report.result.path.read_text(encoding="utf-8")
+    headings = [text for tag, text in found.texts if tag == "h2"]
+    assert headings[:2] == ["Warnings", "Image"]
+    assert "3 pulses are missing <b>" in found.text("li")
+    assert "2 warnings" in found.text()
+
+
+def test_more_memory_than_planned_is_no_good_news(run: Path, quick: None) -> None:
+    changed(run / "run.json", lambda r: r.update(peak_memory=2 * r["plan"]["memory"]))
+    report = blocksar.report(run)
+    assert "200 % of the plan" in report.summary[0]
+    assert 'class="verdict attention"' in report.result.path.read_text(encoding="utf-8")
+
+
+def test_the_plan_stands_beside_what_was_measured(whole: Path, runs: dict[str, Path]) -> None:
+    record = json.loads((runs["run"] / "run.json").read_text())
+    quality = {t["name"]: t for t in json.loads((runs["run"] / "quality.json").read_text())["targets"]}
+    text = whole.read_text(encoding="utf-8")
+    rows = text[text.index('<table id="plan"') :].partition("</table>")[0].split("<tr>")[2:]
+    assert len(rows) == 4
+    measured: list[int] = []
+    for row, block in zip(rows, record["plan"]["predicted"], strict=True):
+        cells = [re.sub(r"<[^>]*>", "", cell).strip() for cell in re.findall(r"<t[hd].*?</t[hd]>", row, re.DOTALL)]
+        receipt = next(r for r in record["receipts"] if r["unit"] == f"block-{cells[0]}")
+        assert cells[0] == facts.block_name(block)
+        assert cells[1] == words.number(block["residual_phase"], 4)
+        assert cells[2] == words.number(block["pslr"], 2)
+        assert cells[7] == words.number(block["memory"] / 2**20, 0)
+        assert cells[8] == words.number(receipt["peak_memory"] / 2**20, 0)
+        measured.append(int(cells[6]))
+        if cells[6] != "0":
+            assert cells[3] in {words.number(t["azimuth_pslr"], 2) for t in quality.values()}
+    assert sum(measured) == 4
+
+
+def test_times_are_those_of_the_receipts(whole: Path, runs: dict[str, Path]) -> None:
+    record = json.loads((runs["run"] / "run.json").read_text())
+    cells = read(whole).text("td")
+    for name in ("recover", "focus", "mosaic", "total"):
+        assert tables._seconds(record["timings"][name]) in cells
+    block = next(r for r in record["receipts"] if r["unit"] == "block-0.0")
+    assert tables._seconds(sum(block["steps"].values())) in cells
+    bars = [float(a["width"]) for a in read(whole).all("rect") if a.get("height") == "8"]
+    assert max(bars) == 100 and min(bars) >= 0
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"blocks": 3},
+        {"processor": "keystone-resampling", "coefficients": "closed-form", "perturbation": "none"},
+        {"keystone": False, "derotation": "linear", "grid": ((-10.0, 10.5, 0.25), (1e4, 1.2e4, 1.0))},
+        {"range_model": "conventional", "coefficients": "closed-form", "blocks": 1},
+    ],
+)
+def test_the_command_repeats_the_run(settings: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    usual = method.Method().as_settings() | {"processor": "angular-division", "blocks": "auto", "grid": None}
+    record = usual | settings
+    if record["grid"]:
+        record["grid"] = [*record["grid"][0], *record["grid"][1]]
+    seen: dict[str, Any] = {}
+
+    def focus(source: str, out: str, **options: Any) -> api.Report:
+        seen.update(options, source=source, out=out)
+        return api.Report()
+
+    monkeypatch.setattr(api, "focus", focus)
+    words = shlex.split(page.command(record, "/in put/ph.zarr", "/out $1"))
+    assert words[0] == "blocksar" and CliRunner().invoke(commands.app, words[1:]).exit_code == 0
+    assert (seen["source"], seen["out"]) == ("/in put/ph.zarr", "/out $1")
+    assert {name: seen[name] for name in usual} == usual | settings
+
+
+def test_many_targets_are_the_worst_of_them(run: Path, quick: None) -> None:
+    def copy(record: Any) -> None:
+        one = record["targets"][0]
+        record["targets"] = [one | {"name": f"N{i}", "error_x": 1e-5 * i} for i in range(3000)]
+
+    changed(run / "quality.json", copy)
+    path = blocksar.report(run).result.path
+    text = path.read_text(encoding="utf-8")
+    rows = text[text.index('<table id="targets"') :].partition("</table>")[0].count("<tr>") - 1
+    assert rows == facts.MOST_ROWS
+    assert ">N2999</a>" in text and ">N100</a>" not in text
+    assert f"The {facts.MOST_ROWS} worst; 2\u202f700 more are in quality.json." in text
+    assert path.stat().st_size < 5e6
+
+
+# ---------------------------------------------------------------- other runs
+
+
+def test_back_projection_and_an_image_too_coarse(runs: dict[str, Path], tmp_path: Path, quick: None) -> None:
+    report = blocksar.report(runs["exact"], out=tmp_path / "new" / "exact.html")
+    found = read(report.result)
+    said = found.text()
+    assert "Exact back-projection approximates nothing" in said
+    assert "targets could not be measured" in said and "too coarse for the response" in said
+    marks = [a["data-name"] for a in found.all("g") if "mark" in a.get("class", "")]
+    assert marks == ["seam", "<i>D"]  # where they should be; the others lie outside this image
+    assert not any(a.get("id") in ("borders", "toggle-borders") for _, a in found.elements)
+
+
+def test_no_targets_and_a_place_on_the_earth(run: Path, tmp_path: Path) -> None:
+    where = {"kind": "ENU", "latitude": 39.78, "longitude": -84.09, "height": 250.0, "rotation_deg": 30.0}
+
+    def place_it(metadata: Any) -> None:
+        metadata["attributes"]["targets"] = []
+        metadata["attributes"]["georeference"] = where
+
+    changed(run / "collection.zarr" / "zarr.json", place_it)
+    (run / "quality.json").unlink()
+    found = read(blocksar.report(run).result)
+    said = found.text()
+    assert "no targets to measure" in said and "names no targets" in said
+    assert "latitude 39.78°, longitude -84.09°, height 250.0 m, x turned 30.0° from east" in said
+    turns = [a["transform"] for a in found.all("g") if a.get("transform", "").startswith("rotate")]
+    assert turns[1] == "rotate(-60.0)"  # x points 30 degrees from east towards north, so north is 60 degrees up from it
+    assert "mean power" in said
+
+
+def test_a_run_that_says_little(run: Path, quick: None) -> None:
+    (run / "run.json").write_text(json.dumps({"status": "finished"}))
+    said = read(blocksar.report(run).result).text()
+    assert "Provenance" in said and "To repeat it" not in said
+
+
+def test_a_run_in_an_object_store(runs: dict[str, Path], tmp_path: Path, quick: None) -> None:
+    run = borrowed(runs["exact"], tmp_path / "run")
+    with s3.server():
+        there = place(f"s3://{s3.make_bucket()}/run")
+        for parent, _, names in os.walk(run, followlinks=True):
+            for name in names:
+                file = Path(parent, name)
+                (there / file.relative_to(run).as_posix()).write_bytes(file.read_bytes())
+        blocksar.report(str(there))
+        page_there = (there / "report.html").read_bytes()
+        blocksar.report(str(there), out=tmp_path / "local.html")
+        with pytest.raises(InputError, match=r"report.html exists; choose another name"):
+            blocksar.report(str(there), out=f"{there}/report.html")
+    assert page_there == (tmp_path / "local.html").read_bytes()
+    assert page_there.replace(str(there).encode(), b"") == blocksar.report(run).result.read_bytes().replace(
+        str(run).encode(), b""
+    )
+
+
+# ---------------------------------------------------------------- wrong input, and failures
+
+
+def test_all_that_takes_time_is_told(run: Path) -> None:
+    """Drawing responses takes longer than reading the image: a display that stood at 100 % meanwhile would mislead."""
+    told: list[tuple[str, int, int]] = []
+    blocksar.report(run, progress=SimpleNamespace(update=lambda *update: told.append(update)))
+    drawn = [update for update in told if update[0] == "responses"]
+    number = drawn[-1][2]
+    assert number and drawn == [("responses", i, number) for i in range(number + 1)]
+    assert told[-number - 2][0] == "report" and told[-number - 2][1] == told[-number - 2][2]
+
+
+def test_what_stands_there_is_kept_unless_asked(run: Path, tmp_path: Path, quick: None) -> None:
+    target = tmp_path / "page.html"
+    target.write_text("mine")
+    told = CliRunner().invoke(commands.app, ["report", str(run), "--out", str(target), "--quiet"])
+    assert told.exit_code == endings.WRONG_INPUT and "page.html exists" in told.stderr
+    assert target.read_text() == "mine"
+    told = CliRunner().invoke(commands.app, ["report", str(run), "--out", str(target), "--overwrite"])
+    assert told.exit_code == 0 and f"wrote {target}" in told.stdout and "report: " in told.stderr
+    assert target.read_text(encoding="utf-8").startswith("\n<!DOCTYPE html>".strip())
+
+
+def test_help_has_an_example() -> None:
+    assert "Example: blocksar report run" in CliRunner().invoke(commands.app, ["report", "--help"]).stdout
+
+
+@pytest.mark.parametrize("what", ["folder", "file above"])
+def test_bad_destinations(what: str, run: Path, tmp_path: Path, quick: None) -> None:
+    if what == "folder":
+        (tmp_path / "out").mkdir()
+        with pytest.raises(InputError, match="out exists"):
+            blocksar.report(run, out=tmp_path / "out")
+        with pytest.raises(InputError, match="out is a folder"):
+            blocksar.report(run, out=tmp_path / "out", overwrite=True)
+    else:
+        (tmp_path / "out").write_text("")
+        with pytest.raises(InputError, match="cannot be written"):
+            blocksar.report(run, out=tmp_path / "out" / "page.html")
+
+
+def test_a_full_disk_leaves_what_was_there(run: Path, quick: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    (run / "report.html").write_text("earlier")
+
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(ProcessingError, match=r"report.html cannot be written \(No space left"):
+        blocksar.report(run)
+    assert (run / "report.html").read_text() == "earlier"
+    assert not [path for path in run.iterdir() if path.name.endswith(".part")]
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("quality.json", "{", "quality.json is damaged"),
+        ("quality.json", "[1]", "quality.json or the attributes of .* are damaged"),
+        ("quality.json", '{"targets": [{"name": "A"}]}', "are damaged"),
+        ("run.json", '{"status": "finished", "plan": {"predicted": [3]}}', "are damaged"),
+        ("run.json", '{"status": "finished", "timings": {"focus": "x"}}', "are damaged"),
+        ("run.json", '{"status": "unfinished"}', "not finished"),
+    ],
+)
+def test_damaged_records_are_named(name: str, text: str, message: str, run: Path, quick: None) -> None:
+    (run / name).write_text(text)
+    with pytest.raises(InputError, match=message):
+        blocksar.report(run)
+    assert not (run / "report.html").exists()
+
+
+def test_a_damaged_place_on_the_earth_is_named(run: Path, quick: None) -> None:
+    where = {"kind": "ENU", "rotation_deg": "east"}
+    changed(run / "collection.zarr" / "zarr.json", lambda metadata: metadata["attributes"].update(georeference=where))
+    with pytest.raises(InputError, match=r"the attributes of .* are damaged \(could not convert"):
+        blocksar.report(run)
+
+
+@pytest.mark.parametrize("library", ["jinja2", "matplotlib"])
+def test_a_missing_library_is_named_with_its_extra(library: str, run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    hide(library, "blocksar.products.page", "blocksar.products.pictures", patch=monkeypatch)
+    with pytest.raises(InputError, match=rf"{library} is not installed.*install blocksar\[plots\]$"):
+        blocksar.report(run)

@@ -1,0 +1,62 @@
+"""PNG pictures of a small run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+from small_run import Made
+from typer.testing import CliRunner
+
+import blocksar
+from blocksar.cli import commands
+from blocksar.collection.georeference import Georeference
+from blocksar.products.pictures import quicklook
+
+# ---------------------------------------------------------------- PNG
+
+
+def test_png_is_a_picture(made: Made, tmp_path: Path) -> None:
+    said = blocksar.export("png", made.folder, tmp_path / "image.png").summary
+    picture = imread(tmp_path / "image.png")
+    assert picture.shape[0] > 800
+    assert picture[..., :3].std() > 0.1
+    assert "cells of 0.4 m x 0.4 m" in said[0]
+
+
+@pytest.mark.parametrize("degrees", [0, 45, 90, 135, 180, 225, 270, 315])
+def test_words_of_arrows_stay_within_the_picture_and_apart(degrees: int) -> None:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6, 6), dpi=100)
+    canvas = FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    turn = np.radians(degrees)
+    for place, word in enumerate(("look", "N")):
+        direction = np.array([np.cos(turn), np.sin(turn)]) * (1 - 2 * place)  # towards one another at 180
+        quicklook._arrow(axes, quicklook.Arrow(word, direction, "white"), place)
+    canvas.draw()
+    boxes = [text.get_window_extent(canvas.get_renderer()) for text in axes.texts if text.get_text()]
+    assert len(boxes) == 2
+    assert all(axes.bbox.x0 < b.x0 and b.x1 < axes.bbox.x1 and b.y1 < axes.bbox.y1 for b in boxes)
+    assert not boxes[0].overlaps(boxes[1])
+
+
+def test_north_turns_with_the_frame() -> None:
+    frame = Georeference(latitude=10.0, longitude=20.0, height=0.0, rotation=30.0)
+    arrow = quicklook.north(30.0).direction
+    tip = frame.to_geodetic(np.array([100 * arrow[0], 100 * arrow[1], 0.0]))
+    assert tip[0] > 10.0
+    assert tip[1] == pytest.approx(20.0, abs=1e-9)
+
+
+def test_a_picture_needs_no_georeference(unplaced: Made, tmp_path: Path) -> None:
+    done = CliRunner().invoke(
+        commands.app, ["export", "png", str(unplaced.folder), "--out", str(tmp_path / "a.png"), "-q"]
+    )
+    assert done.exit_code == 0, done.stderr
+    assert f"wrote {tmp_path / 'a.png'}" in done.stdout
+    assert imread(tmp_path / "a.png").std() > 0.1

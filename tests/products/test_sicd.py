@@ -1,0 +1,217 @@
+"""SICD files of a small run, read back by sarkit and held to its checker."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+import pytest
+import sarkit.sicd as sksicd
+import sarkit.verification as skver
+import shapely
+from lxml import etree
+from sicd_files import Sicd, errors, read_sicd
+from small_run import DAYTON, TARGETS, Made, make, upsampled_peak
+
+import blocksar
+from blocksar.collection.geometry import Geometry
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.errors import InputError
+from blocksar.products import sicd
+from blocksar.runs import finished
+
+LOOKS = [0.1, 0.9, 2.6, -1.9, -0.2]  # rad: rows of the file run along each of the four directions
+
+
+@pytest.fixture(scope="module", params=[*((look, False) for look in LOOKS), (0.9, True)], ids=str)
+def exported(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Made, Sicd]:
+    look, steered = request.param
+    run = make(tmp_path_factory.mktemp("sicd"), look=look, steered=steered, hole=not steered)
+    blocksar.export("sicd", run.folder, run.folder / "image.nitf")
+    return run, read_sicd(run.folder / "image.nitf")
+
+
+def test_sicd_passes_the_checker_with_no_error(exported: tuple[Made, Sicd]) -> None:
+    assert errors(exported[1].checked) == []
+    assert len(exported[1].checked.passes()) > 40
+
+
+def test_the_checker_finds_what_is_wrong(exported: tuple[Made, Sicd]) -> None:
+    spoiled = etree.fromstring(etree.tostring(exported[1].tree)).getroottree()
+    spoiled.find("{*}Grid/{*}Row/{*}SS").text = "3.0"
+    checked = skver.SicdConsistency.from_parts(spoiled)
+    checked.check()
+    assert errors(checked)
+
+
+def test_sicd_metadata_project_targets_to_their_peaks(exported: tuple[Made, Sicd]) -> None:
+    run, found = exported
+    layout = sicd.lay_out(run.source)
+    for target in TARGETS:
+        ecef = DAYTON.to_ecef(np.array([target.x, target.y, 0.0]))
+        place, _, success = sksicd.scene_to_image(found.tree, ecef)
+        assert success
+        row, column = sksicd.xrowycol_to_rowcol(found.tree, place)
+        middle = np.rint([row, column]).astype(int)
+        chip = found.pixels[middle[0] - 12 : middle[0] + 12, middle[1] - 12 : middle[1] + 12]
+        assert np.abs(middle - 12 + upsampled_peak(chip) - [row, column]).max() < 0.1
+        assert layout.point(row, column)[:2] == pytest.approx([target.x, target.y], abs=0.01)
+        # Back to the ground: range and Doppler contour through the pixel meet the plane where the target is.
+        ground, _, success = sksicd.image_to_ground_plane(found.tree, place, ecef, DAYTON.axes[2])
+        assert success
+        assert ground == pytest.approx(ecef, abs=0.01)
+
+
+def test_sicd_pixels_are_those_of_the_image(exported: tuple[Made, Sicd]) -> None:
+    run, found = exported
+    layout = sicd.lay_out(run.source)
+    rows, columns = (v.astype(float).ravel() for v in np.indices(found.pixels.shape))
+    points = layout.point(rows, columns)
+    j, i = np.rint([(points[:, 0] - run.x[0]) / 0.4, (points[:, 1] - run.y[0]) / 0.4]).astype(int)
+    np.testing.assert_array_equal(found.pixels.ravel(), np.nan_to_num(run.image[i, j], nan=0.0))
+
+
+def test_sicd_valid_data_bound_what_is_covered(exported: tuple[Made, Sicd]) -> None:
+    _, found = exported
+    outline = matplotlib.path.Path(found.load("ImageData/ValidData"))
+    covered = np.argwhere(found.pixels != 0)
+    assert (
+        outline.contains_points(covered, radius=1.5).mean() + outline.contains_points(covered, radius=-1.5).mean() > 1.9
+    )
+    inside = outline.contains_points(np.argwhere(np.ones(found.pixels.shape)), radius=0.0).sum()
+    assert inside == pytest.approx(len(covered), rel=0.03)
+
+
+SHAPES = {
+    "one pixel": lambda i, j: (i == 7) & (j == 3),
+    "last pixel": lambda i, j: (i == 29) & (j == 39),
+    "one row": lambda i, j: i == 4,
+    "one column": lambda i, j: j == 39,
+    "slanted": lambda i, j: abs(i - j) < 4,
+    "ring": lambda i, j: (np.hypot(i - 15, j - 20) < 14) & (np.hypot(i - 15, j - 20) > 6),
+    "spike": lambda i, j: (j < 20) | (i == 9),
+    "two": lambda i, j: (j < 10) | (j > 30),
+    "all": lambda i, j: i >= 0,
+}
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("look", [0.1, 1.6, 3.1, -1.5])
+def test_valid_data_are_a_polygon_around_any_shape(shape: str, look: float) -> None:
+    covered = SHAPES[shape](*np.indices((30, 40)))
+    some = covered.any(axis=1), covered.any(axis=0)
+    spans = []
+    for axis, n in ((1, 40), (0, 30)):
+        turned = covered if axis == 1 else covered.T
+        spans += [np.where(some[1 - axis], turned.argmax(axis=1), n)]
+        spans += [np.where(some[1 - axis], n - 1 - turned[:, ::-1].argmax(axis=1), -1)]
+    row = np.rint([np.cos(look), np.sin(look)])
+    layout = sicd.Layout(
+        row=row,
+        column=np.array([-row[1], row[0]]),
+        first=np.zeros(3),
+        spacing=(1.0, 1.0),
+        shape=(40, 30) if row[0] else (30, 40),
+    )
+    found = sicd.valid_data(finished.Coverage(*spans), layout)
+    outline = shapely.Polygon(found)
+    assert outline.is_valid
+    assert outline.area > 0
+    assert not outline.exterior.is_ccw
+    assert (found >= 0).all()
+    assert (found < layout.shape).all()
+    assert tuple(found[0]) == min(tuple(vertex) for vertex in found)
+    pixels = shapely.points(np.argwhere(layout.turned(covered)))
+    assert outline.buffer(1.01).contains(pixels).all()
+
+
+def test_sicd_spatial_frequencies_are_those_of_targets(exported: tuple[Made, Sicd]) -> None:
+    """The mean step of phase from pixel to pixel about a target is DeltaKCOAPoly there, but for whole turns.
+
+    And KCtr with it is 2 fc / c times the line of sight.
+    """
+    run, found = exported
+    target = DAYTON.to_ecef(np.array([TARGETS[0].x, TARGETS[0].y, 0.0]))
+    place, _, _ = sksicd.scene_to_image(found.tree, target)
+    row, column = np.rint(sksicd.xrowycol_to_rowcol(found.tree, place)).astype(int)
+    antenna = DAYTON.to_ecef(run.collection.antenna_position[run.collection.n_pulse // 2])
+    sight = (target - antenna) / np.linalg.norm(target - antenna) * 2 * run.collection.carrier / SPEED_OF_LIGHT
+    chip = found.pixels[row - 16 : row + 16, column - 16 : column + 16]
+    for axis, name in enumerate(("Row", "Col")):
+        spacing, band = found.load(f"Grid/{name}/SS"), found.load(f"Grid/{name}/ImpRespBW")
+        along = np.moveaxis(chip, axis, 0)
+        stepped = np.angle((along[1:] * along[:-1].conj()).sum()) / (2 * np.pi)
+        said = np.polynomial.polynomial.polyval2d(*place, found.load(f"Grid/{name}/DeltaKCOAPoly")) * spacing
+        stepped *= -found.load(f"Grid/{name}/Sgn")
+        assert abs((stepped - said + 0.5) % 1 - 0.5) < 0.05 * band * spacing
+        there = found.load(f"Grid/{name}/KCtr") * spacing + said
+        assert there == pytest.approx(sight @ found.load(f"Grid/{name}/UVectECF") * spacing, abs=0.05 * band * spacing)
+        assert found.load(f"Grid/{name}/KCtr") * spacing == pytest.approx(
+            round(found.load(f"Grid/{name}/KCtr") * spacing)
+        )
+        # The cut through the target, upsampled along the axis.
+        cut = np.abs(np.fft.ifft(np.pad(np.roll(np.fft.fft(_line(found.pixels, row, column, axis)), 32), (0, 64 * 31))))
+        width = (cut > cut.max() / np.sqrt(2)).sum() / 32 * spacing
+        assert found.load(f"Grid/{name}/ImpRespWid") == pytest.approx(width, rel=0.1)
+
+
+def _line(pixels: Any, row: int, column: int, axis: int) -> Any:
+    line = pixels[row - 32 : row + 32, column] if axis == 0 else pixels[row, column - 32 : column + 32]
+    step = np.angle((line[1:] * line[:-1].conj()).sum())
+    return line * np.exp(-1j * step * np.arange(line.size))
+
+
+def test_sicd_track_and_times(exported: tuple[Made, Sicd]) -> None:
+    run, found = exported
+    collection, time = run.collection, run.collection.time - run.collection.time[0]
+    there = np.polynomial.polynomial.polyval(time, found.load("Position/ARPPoly")).T
+    assert there == pytest.approx(DAYTON.to_ecef(collection.antenna_position), abs=1e-3)
+    place, _, _ = sksicd.scene_to_image(found.tree, DAYTON.to_ecef(np.array([TARGETS[1].x, TARGETS[1].y, 0.0])))
+    said = np.polynomial.polynomial.polyval2d(*place, found.load("Grid/TimeCOAPoly"))
+    nadir = Geometry(collection=collection).nadir
+    yaw = np.arctan2(TARGETS[1].y - nadir[1], TARGETS[1].x - nadir[0])
+    lit = np.ones(time.size, bool)
+    if collection.beam_width is not None:
+        lit = np.abs(yaw - collection.beam_azimuth) <= collection.beam_width / 2
+        assert lit.mean() < 0.8
+    assert said == pytest.approx(time[lit].mean(), abs=1.5 / collection.prf)
+    assert found.load("Timeline/CollectDuration") == pytest.approx(160 / 60)
+
+
+def test_sicd_date_is_that_of_the_source(tmp_path: Path) -> None:
+    date = {"collection_start": "2024-05-06T07:08:09.5Z", "time_zero": 1.25}
+    run = make(tmp_path, size=(60, 50), more={"source": date})
+    blocksar.export("sicd", run.folder, tmp_path / "a.nitf")
+    start = read_sicd(tmp_path / "a.nitf").load("Timeline/CollectStart")
+    first = 7 * 3600 + 8 * 60 + 9.5 + 1.25 + run.collection.time[0]
+    assert start.hour * 3600 + start.minute * 60 + start.second + start.microsecond / 1e6 == pytest.approx(
+        first, abs=1e-5
+    )
+
+
+def test_sicd_tells_of_the_collection_what_is_known(tmp_path: Path) -> None:
+    known = {"collector": "C-1", "classification": "SECRET//X", "polarization": {"transmit": "H", "receive": "V"}}
+    run = make(tmp_path, size=(60, 50), more=known)
+    blocksar.export("sicd", run.folder, tmp_path / "a.nitf")
+    found = read_sicd(tmp_path / "a.nitf")
+    assert errors(found.checked) == []
+    assert found.load("CollectionInfo/CollectorName") == "C-1"
+    assert found.load("CollectionInfo/Classification") == "SECRET//X"
+    assert found.load("RadarCollection/TxPolarization") == "H"
+    assert found.load("ImageFormation/TxRcvPolarizationProc") == "H:V"
+    with open(tmp_path / "a.nitf", "rb") as file, sksicd.NitfReader(file) as reader:
+        assert reader.metadata.file_header_part.security.clas == "S"
+        assert reader.metadata.im_subheader_part.security.clas == "S"
+    run = make(tmp_path / "own", size=(60, 50), more={"classification": "ours", "polarization": "HV"})
+    with pytest.raises(InputError, match=r"classification of .* is 'ours', and NITF knows"):
+        blocksar.export("sicd", run.folder, tmp_path / "b.nitf")
+    assert not (tmp_path / "b.nitf").exists()
+
+
+def test_a_coarse_image_is_no_sicd(tmp_path: Path) -> None:
+    run = make(tmp_path, size=(40, 40), step=2.0)
+    with pytest.raises(InputError, match=r"spacing is 2 m in [xy], too coarse .* --grid of at most [\d.]+ m$"):
+        blocksar.export("sicd", run.folder, tmp_path / "a.nitf")
+    assert not (tmp_path / "a.nitf").exists()

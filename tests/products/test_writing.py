@@ -1,0 +1,181 @@
+"""What holds for every product: strips, full disks, what is kept and what is refused."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from missing_library import hide
+from sicd_files import read_sicd
+from small_run import Made, make
+from typer.testing import CliRunner
+
+import blocksar
+from blocksar import stores
+from blocksar.cli import commands
+from blocksar.errors import InputError
+from blocksar.products import writing
+from blocksar.runs import finished
+
+pytestmark = pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")  # by rioxarray, of affine
+
+
+@pytest.mark.parametrize("kind", ["sicd", "geotiff", "png"])
+def test_no_product_depends_on_strips(kind: Any, made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor is more read at once than a strip."""
+    blocksar.export(kind, made.folder, tmp_path / "whole")
+    largest, read = 0, finished.Source.read
+
+    def watched(self: finished.Source, rows: slice, columns: slice) -> Any:
+        nonlocal largest
+        values = read(self, rows, columns)
+        largest = max(largest, values.size)
+        return values
+
+    monkeypatch.setattr(finished, "STRIP", 1000)
+    monkeypatch.setattr(finished.Source, "read", watched)
+    blocksar.export(kind, made.folder, tmp_path / "strips")
+    if kind != "png":  # whose picture is as small as the image here
+        assert 0 < largest <= 1000
+    if kind == "sicd":
+        np.testing.assert_array_equal(read_sicd(tmp_path / "whole").pixels, read_sicd(tmp_path / "strips").pixels)
+    else:
+        assert (tmp_path / "whole").read_bytes() == (tmp_path / "strips").read_bytes()
+
+
+def test_coverage_is_that_of_the_pixels(made: Made) -> None:
+    found, covered = made.source.coverage(), np.isfinite(made.image)
+    for first, last, along in ((*found[:2], covered), (*found[2:], covered.T)):
+        for i, line in enumerate(along):
+            there = np.flatnonzero(line)
+            assert (first[i], last[i]) == ((there[0], there[-1]) if there.size else (line.size, -1))
+
+
+@pytest.mark.parametrize("lacking", [0.5, 0.0])
+@pytest.mark.parametrize("kind", ["sicd", "geotiff", "png"])
+def test_a_full_disk_leaves_nothing(kind: Any, lacking: float, tmp_path: Path) -> None:
+    """GDAL tells nobody when the last that it writes is lost, and has errors of its own for the rest."""
+    run = make(tmp_path / "run", size=(700, 600), step=0.1)
+    content: Any = "complex" if kind == "geotiff" else None
+    blocksar.export(kind, run.folder, tmp_path / "whole", content=content)
+    room = int((tmp_path / "whole").stat().st_size * (1 - lacking)) - 2
+    (tmp_path / "out").mkdir()
+    program = (
+        "import resource, sys, blocksar, blocksar.products.pictures.quicklook, blocksar.products.sicd\n"
+        "import rasterio, sarkit.sicd\n"
+        "from blocksar.errors import ProcessingError\n"
+        f"resource.setrlimit(resource.RLIMIT_FSIZE, ({room}, {room}))\n"
+        f"try: blocksar.export({kind!r}, {str(run.folder)!r}, {str(tmp_path / 'out' / 'file')!r}, {content=})\n"
+        "except ProcessingError as error: print(error)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert "cannot be written" in done.stdout, done.stderr
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+# ---------------------------------------------------------------- what is refused
+
+
+@pytest.mark.parametrize("kind", ["sicd", "geotiff"])
+def test_without_a_georeference_nothing_is_placed(kind: Any, unplaced: Made, tmp_path: Path) -> None:
+    out = tmp_path / "new" / "file"
+    done = CliRunner().invoke(commands.app, ["export", kind, str(unplaced.folder), "--out", str(out)])
+    assert done.exit_code == 2
+    assert "has no georeference" in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not out.parent.exists()
+
+
+@pytest.mark.parametrize("kind", ["sicd", "geotiff", "png"])
+def test_what_stands_there_is_kept_unless_asked(kind: Any, made: Made, tmp_path: Path) -> None:
+    out = tmp_path / "file"
+    out.write_text("mine")
+    arguments = ["export", kind, str(made.folder), "--out", str(out), "--quiet"]
+    done = CliRunner().invoke(commands.app, arguments)
+    assert (done.exit_code, out.read_text()) == (2, "mine")
+    assert "exists; choose another name" in done.stderr
+    assert CliRunner().invoke(commands.app, [*arguments, "--overwrite"]).exit_code == 0
+    assert out.stat().st_size > 1000
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
+
+
+@pytest.mark.parametrize("kind", ["sicd", "geotiff", "png"])
+def test_a_damaged_chunk_leaves_what_was_there(kind: Any, tmp_path: Path) -> None:
+    run = make(tmp_path / "run", size=(60, 140))
+    chunk = run.folder / "image.zarr" / "image" / "c" / "1" / "0"
+    chunk.write_bytes(chunk.read_bytes()[:-8])
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "file").write_text("mine")
+    with pytest.raises(InputError, match="damaged"):
+        blocksar.export(kind, run.folder, tmp_path / "out" / "file", overwrite=True)
+    assert [(p.name, p.read_text()) for p in (tmp_path / "out").iterdir()] == [("file", "mine")]
+
+
+def test_bad_destinations(made: Made, tmp_path: Path) -> None:
+    for out, said in ((tmp_path, "is a folder"), ("s3://bucket/image.png", "is no local path")):
+        with pytest.raises(InputError, match=said):
+            blocksar.export("png", made.folder, out)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot be written"):
+        blocksar.export("png", made.folder, tmp_path / "file" / "image.png")
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(InputError, match="is no regular file, and is not replaced"):
+        blocksar.export("png", made.folder, tmp_path / "pipe", overwrite=True)
+    assert (tmp_path / "pipe").is_fifo()
+
+
+@pytest.mark.parametrize("kind", ["sicd", "geotiff", "png"])
+def test_a_folder_that_is_not_ours_is_wrong_input_for_all_alike(
+    kind: Any, made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """GDAL would say so in an error of its own; root may write everywhere, so the system's answer is made here."""
+
+    def refused(*_: Any, **__: Any) -> Any:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(writing, "open", refused, raising=False)
+    with pytest.raises(InputError, match=r"cannot be written \(Permission denied\)"):
+        blocksar.export(kind, made.folder, tmp_path / "file")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_image_of_one_row_says_so(tmp_path: Path) -> None:
+    run = make(tmp_path, size=(40, 30))
+    stores.create(
+        run.folder / "image.zarr", stores.IMAGE, sizes={}, coords={"x": run.x, "y": run.y[:1]}, attrs={},
+        chunks={"y": 1, "x": 40}, overwrite=True,
+    )  # fmt: skip
+    with pytest.raises(InputError, match=r"has 1 x 40 pixels \(y, x\).*larger --grid$"):
+        blocksar.export("png", run.folder, tmp_path / "a.png")
+
+
+def test_bad_sources(made: Made, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"holds no run\.json"):
+        blocksar.export("png", tmp_path, tmp_path / "a.png")
+    with pytest.raises(InputError, match="kind is 'jpeg'"):
+        blocksar.export("jpeg", made.folder, tmp_path / "a.jpeg")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="only a geotiff"):
+        blocksar.export("png", made.folder, tmp_path / "a.png", content="complex")
+    empty = make(tmp_path / "empty", size=(40, 40))
+    whole = (slice(0, 40), slice(0, 40))
+    stores.write_region(empty.folder / "image.zarr", "block", whole, np.full((40, 40), -1, np.int16))
+    with pytest.raises(InputError, match="has no covered pixel"):
+        blocksar.export("sicd", empty.folder, tmp_path / "a.nitf")
+
+
+@pytest.mark.parametrize(
+    ("kind", "library", "extra"),
+    [("sicd", "sarkit", "formats"), ("geotiff", "rasterio", "geotiff"), ("png", "matplotlib", "plots")],
+)
+def test_a_missing_library_is_named_with_its_extra(
+    kind: Any, library: str, extra: str, made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hide(library, "blocksar.products.pictures", patch=monkeypatch)
+    with pytest.raises(InputError, match=rf"{library} is not installed.*install blocksar\[{extra}\]$"):
+        blocksar.export(kind, made.folder, tmp_path / "file")
+    assert not (tmp_path / "file").exists()

@@ -1,0 +1,33 @@
+"""Listeners."""
+
+from __future__ import annotations
+
+from fake_clock import WORK
+
+from blocksar.progress import NOBODY, Listener, listener
+
+# ---------------------------------------------------------------- who is told what
+
+
+class Plain:
+    """What a script may give as progress."""
+
+    def __init__(self) -> None:
+        self.told: list[tuple[str, int, int]] = []
+
+    def update(self, stage: str, done: int, total: int) -> None:
+        self.told.append((stage, done, total))
+
+
+def test_an_object_with_update_alone_will_do() -> None:
+    plain = Plain()
+    told = listener(plain)
+    told.expect(WORK, 1)
+    told.begin("focus", reused=1)
+    told.update("focus", 1, 3)
+    told.watch(["block-1"], NOBODY)
+    told.dashboard("http://127.0.0.1:8787/status")
+    told.note("a note")
+    assert plain.told == [("focus", 1, 3)]
+    assert isinstance(listener(None), Listener)
+    assert listener(told) is told

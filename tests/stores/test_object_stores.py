@@ -1,0 +1,692 @@
+"""Object stores: what is true of a store in a folder is true below a prefix, on a real server of the S3 protocol."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import re
+import secrets
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import urllib.request
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import s3
+import xarray as xr
+import zarr
+from obstore.store import S3Store
+from scenes import scene
+from zarr.storage import ObjectStore
+
+import blocksar
+from blocksar import stores
+from blocksar.collection.collection import Collection
+from blocksar.collection.raw_echo import RawEcho
+from blocksar.errors import InputError, ProcessingError
+from blocksar.graph.cluster import open_client
+from blocksar.places import objects, place
+from blocksar.places.local import LocalPlace
+from blocksar.places.objects import ObjectPlace
+from blocksar.places.place import Place
+from blocksar.stores import regions
+
+ALL = (slice(None), slice(None))
+
+
+@pytest.fixture(scope="module")
+def bucket() -> Iterator[str]:
+    with s3.server():
+        yield s3.make_bucket()
+
+
+@pytest.fixture
+def there(bucket: str) -> Place:
+    """A prefix that nobody has."""
+    return place(f"s3://{bucket}/{secrets.token_hex(4)}")
+
+
+@pytest.fixture
+def unreached(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """A port where nobody listens, as endpoint."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+    with endpoint(port, monkeypatch) as url:
+        yield url
+
+
+@contextmanager
+def endpoint(port: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """Another one for a while, with one more try where it fails."""
+    with monkeypatch.context() as patch:
+        patch.setattr(objects, "RETRIES", 1)
+        patch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{port}")
+        objects._bucket.cache_clear()
+        try:
+            yield f"http://127.0.0.1:{port}"
+        finally:
+            objects._bucket.cache_clear()
+
+
+def noise(shape: tuple[int, ...], seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)).astype(np.complex64)
+
+
+def contents(where: Place) -> dict[str, bytes]:
+    """All files, or all objects, with their bytes."""
+    return {name: (where / name).read_bytes() for name, _, _ in where.files()}
+
+
+def history(where: Any, collection: Collection, **options: Any) -> stores.PhaseHistory:
+    """A phase history with samples in chunks of 128 by 64."""
+    stores.create(
+        where,
+        stores.PHASE_HISTORY,
+        sizes={},
+        coords={"time": collection.time, "range_frequency": collection.range_frequency},
+        variables={name: getattr(collection, name) for name in stores.TRACK_AND_BEAM},
+        attrs={"carrier_frequency": collection.carrier, "beam_width": collection.beam_width, "title": collection.title},
+        chunks={"pulse": 128, "range_frequency": 64},
+        **options,
+    )
+    stores.write_region(where, "signal", ALL, noise((collection.n_pulse, collection.n_range_frequency)))
+    return stores.open_phase_history(where)
+
+
+def one_sentence(error: pytest.ExceptionInfo[Exception]) -> str:
+    text = str(error.value)
+    assert "\n" not in text and "Debug" not in text and len(text) < 500, text
+    return text
+
+
+# ---------------------------------------------------------------- the same as in a folder
+
+
+@pytest.mark.parametrize("name", ["PHASE_HISTORY", "RAW_ECHO", "COLLECTION", "SPECTRUM", "PATCH", "IMAGE"])
+def test_every_store_has_the_bytes_that_it_has_in_a_folder(name: str, there: Place, tmp_path: Path) -> None:
+    schema = getattr(stores, name)
+    sizes = dict.fromkeys({dim for variable in schema.values() for dim in variable.dims}, 5)
+    coords = {"x": np.arange(5.0), "y": np.arange(5.0)} if "x" in schema else {}
+    for where in (there, LocalPlace(tmp_path / "s.zarr")):
+        stores.create(where, schema, sizes=sizes, coords=coords, attrs={"a": [1, np.nan]}, chunks={"y": 2, "pulse": 3})
+        for variable, stated in schema.items():
+            if variable not in coords:
+                values = noise((5,) * len(stated.dims))
+                whole = (slice(None),) * values.ndim
+                real = stated.dtype != "complex64"
+                stores.write_region(where, variable, whole, values.real.astype(stated.dtype) if real else values)
+    assert contents(there) == contents(LocalPlace(tmp_path / "s.zarr"))
+
+
+def test_regions_are_read_as_from_a_folder(small_collection: Collection, there: Place, tmp_path: Path) -> None:
+    local = LocalPlace(tmp_path / "ph.zarr")
+    for where in (there, local):
+        history(where, small_collection)
+        (where / "signal" / "c" / "1" / "0").remove()  # a chunk that was never written
+    rng = np.random.default_rng(3)
+    regions = [tuple(slice(*rng.integers(-2, n + 2, 2)) for n in (256, 128)) for _ in range(12)]
+    for region in (*regions, ALL, np.s_[1::2, ::3], np.s_[5:5, :], np.s_[127:129, 63:65]):
+        expected = stores.read_region(local, "signal", region)
+        for out in (None, np.zeros_like(expected), np.zeros(expected.shape[::-1], np.complex64).T):
+            found = stores.read_region(str(there), "signal", region, out=out)
+            assert out is None or found is out
+            assert found.dtype == expected.dtype and np.array_equal(found, expected, equal_nan=True)
+    with pytest.raises(ValueError, match="out is"):
+        stores.read_region(there, "signal", np.s_[:3, :3], out=np.zeros((3, 4), np.complex64))
+
+
+def test_regions_are_written_as_whole_chunks(there: Place) -> None:
+    schema = {"s": stores.Variable(("pulse", "range_frequency"), "complex64", "1", "samples")}
+    chunks = {"pulse": 4, "range_frequency": 5}
+    stores.create(there, schema, sizes={"pulse": 10, "range_frequency": 7}, coords={}, attrs={}, chunks=chunks)
+    values = noise((10, 7))
+    for rows in (slice(0, 8), slice(8, 10)):
+        stores.write_region(there, "s", (rows, slice(None)), values[rows].astype(np.complex128))
+    assert np.array_equal(stores.read_region(there, "s", ALL), values)
+    for region in (np.s_[1:4, :], np.s_[:6, :], np.s_[:, :6], np.s_[::2, :]):
+        with pytest.raises(ValueError, match="whole chunks"):
+            stores.write_region(there, "s", region, values[region])
+    with pytest.raises(ValueError, match="does not go into"):
+        stores.write_region(there, "s", ALL, np.full((10, 7), "no"))
+    with pytest.raises(InputError, match="no variable t"):
+        stores.write_region(there, "t", ALL, values)
+
+
+@pytest.mark.parametrize("raw", [False, True])
+def test_phase_history_comes_back(raw: bool, small_collection: Collection, there: Place) -> None:
+    fast_time = 80e-6 + np.arange(1200) / 60e6
+    echo = RawEcho(fast_time=fast_time, chirp_rate=5e12, pulse_width=10e-6, sampling_rate=60e6)
+    collection = small_collection
+    if raw:
+        collection = Collection(**small_collection.as_dict() | {"range_frequency": echo.range_frequency})
+    samples = noise((256, 1200 if raw else 128))
+    stores.create_phase_history(
+        str(there),
+        collection,
+        raw=echo if raw else None,
+        attrs={"scene": "small", "where": there},
+        fill=lambda part: stores.write_region(part, "echo" if raw else "signal", ALL, samples),
+    )
+    found = stores.open_phase_history(str(there))
+    assert found.path == there and str(found.path) == str(there) and found.variable == ("echo" if raw else "signal")
+    assert found.attrs["scene"] == "small" and found.attrs["where"] == str(there)
+    assert (found.raw is not None) == raw and found.chunks == (256, 1024 if raw else 128)
+    assert found.collection.carrier == small_collection.carrier
+    assert np.array_equal(found.collection.antenna_position, small_collection.antenna_position)
+    assert np.array_equal(found.read(slice(3, 200), slice(5, 7)), samples[3:200, 5:7])
+
+
+def test_collection_comes_back_and_is_replaced(small_collection: Collection, there: Place) -> None:
+    for name in ("first", "second"):
+        stores.write_collection(there, small_collection, {"scene": name})
+        collection, attrs = stores.read_collection(str(there))
+        assert np.array_equal(collection.time, small_collection.time) and attrs["scene"] == name
+
+
+def test_json_comes_back(there: Place) -> None:
+    for value in (1, [2.5, None]):
+        stores.write_json(f"{there}/run.json", {"value": value, "where": there})
+        assert stores.read_json(there / "run.json") == {"value": value, "where": str(there)}
+    assert there.names() == ["run.json"]
+    (there / "run.json").write_bytes(b'{"value": ')
+    for name in ("run.json", "missing.json"):
+        with pytest.raises(InputError, match="damaged" if name == "run.json" else "does not exist") as error:
+            stores.read_json(there / name)
+        assert str(there / name) in one_sentence(error)
+
+
+def test_a_phase_history_goes_to_other_processes(small_collection: Collection, there: Place, tmp_path: Path) -> None:
+    pickled = pickle.dumps(history(there, small_collection))
+    assert len(pickled) < 50_000
+    (tmp_path / "history").write_bytes(pickled)
+    script = (
+        "import pickle, sys\nfrom blocksar import stores\n"
+        "history = pickle.load(open(sys.argv[1], 'rb'))\n"
+        "print(stores.checksum(history.read(slice(3, 200), slice(0, 70))))\n"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", script, str(tmp_path / "history")], capture_output=True, text=True, check=True
+    )
+    assert run.stdout.strip() == stores.checksum(noise((256, 128))[3:200, :70])
+
+
+@pytest.mark.parametrize("name", ["a b", "50%", "%41", "a#b", "a?b=c&d", "é", "a::b", "a+b", "-a", "'", "a:b"])
+def test_odd_names_are_names(name: str, there: Place, tmp_path: Path, small_collection: Collection) -> None:
+    for where in (there / name / "ph.zarr", LocalPlace(tmp_path) / name / "ph.zarr"):
+        again = str(where)
+        stores.write_collection(again, small_collection)
+        assert where.names()[-1] == "zarr.json"
+        assert stores.read_collection(again)[0].title == small_collection.title
+        assert stores.open_dataset(again).sizes["pulse"] == 256
+
+
+@pytest.mark.parametrize("name", ["s3:/a", "memory://a", "a\nb", "file::zip", "https://x", os.fsdecode(b"\xff\xfe")])
+def test_local_names_mean_nothing_to_libraries(name: str, tmp_path: Path, small_collection: Collection) -> None:
+    path = f"{tmp_path}/{name}"
+    found = history(path, small_collection)
+    try:
+        (Path(path) / "signal" / "c" / "0" / os.fsdecode(b"\xff")).write_bytes(b"")
+    except OSError:
+        pytest.skip("this file system wants names in UTF-8")
+    assert len(found.fingerprint()) == 32
+    assert np.array_equal(found.read(*ALL), noise((256, 128)))
+    assert stores.open_dataset(path)["signal"].shape == (256, 128)
+
+
+def test_files_of_objects_are_not_shared(there: Place, tmp_path: Path) -> None:
+    axes = {"x": np.arange(4.0), "y": np.arange(4.0)}
+    for where in (there / "a", there / "b", tmp_path / "c"):
+        stores.create(where, stores.PATCH, sizes={}, coords=axes, attrs={}, chunks={})
+        stores.write_region(where, "image", ALL, noise((4, 4)))
+    whole = (slice(0, 4), slice(0, 4))
+    for source, target in ((there / "a", there / "b"), (there / "a", tmp_path / "c"), (tmp_path / "c", there / "b")):
+        assert not stores.share_region(target, "image", whole, source=source, source_region=whole)
+
+
+# ---------------------------------------------------------------- what others write, and read
+
+
+OTHERWISE: dict[str, dict[str, Any]] = {
+    "compressed": {"encoding": {"signal": {"compressors": zarr.codecs.ZstdCodec(), "chunks": (100, 37)}}},
+    "sharded": {"encoding": {"signal": {"chunks": (64, 64), "shards": (128, 128)}}},
+    "version 2": {"zarr_format": 2},
+}
+
+
+@pytest.mark.parametrize("name", OTHERWISE)
+def test_what_xarray_wrote_is_read(name: str, there: ObjectPlace, small_collection: Collection) -> None:
+    c = small_collection
+    data = {
+        "signal": (("pulse", "range_frequency"), noise((256, 128))),
+        "reference_range": ("pulse", c.reference_range),
+        "antenna_position": (("pulse", "axis"), c.antenna_position),
+        "beam_azimuth": ("pulse", c.beam_azimuth),
+    }
+    coords = {"time": ("pulse", c.time), "range_frequency": c.range_frequency}
+    ds = xr.Dataset(data, coords, {"carrier_frequency": c.carrier, "beam_width": c.beam_width})
+    target = ObjectStore(S3Store(there.bucket, prefix=there.key, client_options={"allow_http": True}))
+    ds.to_zarr(target, **{"zarr_format": 3, "consolidated": False} | OTHERWISE[name])
+    found = stores.open_phase_history(there)
+    assert np.array_equal(found.read(slice(90, 256), slice(30, 128)), noise((256, 128))[90:, 30:])
+    before = found.fingerprint()
+    stores.write_region(there, "signal", ALL, noise((256, 128), 1))
+    assert np.array_equal(found.read(*ALL), noise((256, 128), 1))
+    assert stores.open_phase_history(there).fingerprint() != before
+
+
+def test_an_image_opens_in_xarray(there: ObjectPlace) -> None:
+    axes = {"x": np.arange(20.0), "y": np.arange(10.0)}
+    stores.create(there, stores.IMAGE, sizes={}, coords=axes, attrs={"title": "image"}, chunks={"x": 8, "y": 8})
+    stores.write_region(there, "image", ALL, noise((10, 20)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        store = S3Store(there.bucket, prefix=there.key, client_options={"allow_http": True})
+        theirs = xr.open_zarr(ObjectStore(store, read_only=True), chunks=None)
+        ours = stores.open_dataset(there)
+    for ds in (theirs, ours):
+        assert ds.attrs["title"] == "image" and set(ds.coords) == {"x", "y"}
+        assert np.array_equal(ds["image"][3:, 5:].values, noise((10, 20))[3:, 5:])
+        assert (ds["block"].values == -1).all()
+    assert ours.encoding["source"] == str(there)
+
+
+# ---------------------------------------------------------------- whole or not there
+
+
+def make(where: Place, value: float, **options: Any) -> None:
+    axes = {"x": np.arange(16.0), "y": np.arange(16.0)}
+    stores.create(where, stores.PATCH, sizes={}, coords=axes, attrs={}, chunks={"x": 8, "y": 8}, **options)
+    if "fill" not in options:
+        stores.write_region(where, "image", ALL, np.full((16, 16), value, np.complex64))
+
+
+KILLED = """
+import os, signal, sys, time
+import numpy as np
+from blocksar import stores
+
+def fill(part):
+    stores.write_region(part, "image", np.s_[:8, :8], np.zeros((8, 8), np.complex64))
+    os.kill(os.getpid(), signal.SIGKILL)
+
+axes = {"x": np.arange(16.0), "y": np.arange(16.0)}
+stores.create(
+    sys.argv[1], stores.PATCH, sizes={}, coords=axes, attrs={}, chunks={"x": 8, "y": 8}, overwrite=True, fill=fill
+)
+"""
+
+
+@pytest.mark.parametrize("before", [False, True])
+def test_a_store_whose_maker_was_killed_is_no_store(before: bool, there: Place) -> None:
+    make(there / "whole", 1)
+    if before:
+        make(there / "killed", 2)
+    killed = subprocess.run([sys.executable, "-c", KILLED, str(there / "killed")], check=False)
+    assert killed.returncode == -signal.SIGKILL
+    assert "c" in (there / "killed" / "image").names()  # it had come this far
+    for opened in (stores.open_dataset, stores.open_phase_history):
+        with pytest.raises(InputError, match="left unfinished"):
+            opened(there / "killed")
+    with pytest.raises(InputError, match=r"left unfinished; .* overwritten"):
+        make(there / "killed", 1)
+    make(there / "killed", 1, overwrite=True)
+    assert contents(there / "killed") == contents(there / "whole")
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), ProcessingError("no room"), OSError(5, "oh")])
+def test_a_store_that_fails_to_be_made_leaves_nothing(error: BaseException, there: Place, tmp_path: Path) -> None:
+    def fill(part: Place) -> None:
+        stores.write_region(part, "image", np.s_[:8, :8], np.zeros((8, 8), np.complex64))
+        raise error
+
+    for where in (there / "store", LocalPlace(tmp_path) / "store"):
+        with pytest.raises((KeyboardInterrupt, ProcessingError, InputError)):
+            make(where, 1, fill=fill)
+        assert not where.exists()
+    assert os.listdir(tmp_path) == []
+
+
+def test_existing_store_is_kept_unless_asked(there: Place) -> None:
+    make(there, 1)
+    before = contents(there)
+    with pytest.raises(InputError, match=f"{re.escape(str(there))} exists"):
+        make(there, 2)
+    assert contents(there) == before
+    make(there, 2, overwrite=True)
+    assert (stores.read_region(there, "image", ALL) == 2).all() and contents(there).keys() == before.keys()
+
+
+@pytest.mark.parametrize("name", ["thesis/chapter1.tex", "thesis"])
+def test_overwriting_spares_what_is_no_store(name: str, there: Place) -> None:
+    precious = there / name
+    precious.write_bytes(b"...")
+    with pytest.raises(InputError, match="not a zarr store"):
+        make(there / "thesis", 1, overwrite=True)
+    assert precious.read_bytes() == b"..."
+
+
+def test_what_is_overwritten_is_gone_before_what_is_new_begins(there: Place) -> None:
+    """Else the old metadata would make a whole store of the first new chunks."""
+    make(there, 1)
+
+    def fill(part: Place) -> None:
+        assert part.names() == [stores.UNFINISHED, "image", "x", "y"]
+        assert (part / "image").names() == ["zarr.json"]
+
+    make(there, 2, overwrite=True, fill=fill)
+    assert "zarr.json" in there.names() and stores.UNFINISHED not in there.names()
+
+
+def test_the_group_goes_first_when_a_store_is_removed_and_comes_last(
+    there: ObjectPlace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    order: list[str] = []
+
+    def spy(method: Callable[..., None]) -> Callable[..., None]:
+        def told(where: ObjectPlace, *arguments: Any) -> None:
+            order.append(f"{method.__name__} {str(where).removeprefix(f'{there}/')}")
+            method(where, *arguments)
+
+        return told
+
+    make(there, 1)
+    for method in (ObjectPlace.write_bytes, ObjectPlace.remove):
+        monkeypatch.setattr(ObjectPlace, method.__name__, spy(method))
+    make(there, 2, overwrite=True)
+    assert order[:2] == [f"write_bytes {stores.UNFINISHED}", "remove zarr.json"]
+    assert order[-2:] == ["write_bytes zarr.json", f"remove {stores.UNFINISHED}"]
+
+
+def test_of_two_makers_of_one_store_one_is_refused(there: Place) -> None:
+    def overtaken(part: Place) -> None:
+        stores.write_region(part, "image", np.s_[:8, :8], np.zeros((8, 8), np.complex64))
+        make(there, 7, overwrite=True)  # somebody else, who is quicker
+        with pytest.raises(InputError, match="exists"):
+            make(there, 8)
+
+    with pytest.raises(ProcessingError, match="somebody else") as error:
+        make(there, 1, overwrite=True, fill=overtaken)
+    one_sentence(error)
+    assert (stores.read_region(there, "image", ALL) == 7).all()
+    assert stores.open_dataset(there).sizes == {"x": 16, "y": 16}
+
+
+# ---------------------------------------------------------------- fingerprint
+
+
+def test_fingerprint_tells_every_change(small_collection: Collection, there: Place) -> None:
+    found = history(there, small_collection)
+    first = found.fingerprint()
+    assert history(there / "elsewhere", small_collection).fingerprint() == first
+    seen = {first}
+    chunk = there / "signal" / "c" / "1" / "1"
+    data = chunk.read_bytes()
+    chunk.write_bytes(data)
+    assert found.fingerprint() == first  # the same bytes
+    chunk.write_bytes(data[:-1] + b"\x01")
+    seen.add(found.fingerprint())
+    chunk.remove()
+    seen.add(found.fingerprint())
+    stores.write_region(there, "reference_range", (slice(None),), np.full(256, 12_001.0))
+    seen.add(found.fingerprint())
+    metadata = (there / "zarr.json").read_bytes()
+    (there / "zarr.json").write_bytes(metadata.replace(b"9600000000", b"9700000000"))
+    seen.add(found.fingerprint())
+    assert len(seen) == 5
+    (there / "README").write_bytes(b"not of the store")
+    assert found.fingerprint() in seen
+
+
+# ---------------------------------------------------------------- errors
+
+
+READERS: list[Callable[[Place], Any]] = [
+    stores.open_phase_history,
+    stores.read_collection,
+    stores.open_dataset,
+    stores.read_json,
+    lambda where: stores.read_region(where, "signal", ALL),
+    lambda where: stores.chunk_shape(where, "signal"),
+]
+
+
+def writers(collection: Collection) -> list[Callable[[Place], Any]]:
+    return [
+        lambda where: stores.create_phase_history(where, collection),
+        lambda where: stores.write_collection(where, collection),
+        lambda where: stores.write_json(where, {}),
+        lambda where: stores.write_region(where, "signal", ALL, np.zeros((256, 128), np.complex64)),
+    ]
+
+
+def test_what_does_not_exist(there: Place) -> None:
+    (there / "object").write_bytes(b"...")
+    for where in (there / "nothing", there / "object" / "below", place("s3://no-such-bucket/ph.zarr")):
+        for read in READERS:
+            with pytest.raises(InputError, match=r"does not exist|is not there") as error:
+                read(where)
+            assert str(where) in one_sentence(error)
+    with pytest.raises(InputError, match="not a zarr store"):
+        stores.open_phase_history(there / "object")
+
+
+def test_writing_to_no_bucket(small_collection: Collection, there: Place) -> None:
+    where = place("s3://no-such-bucket/ph.zarr")
+    for write in writers(small_collection):
+        with pytest.raises((InputError, ProcessingError), match="bucket does not exist") as error:
+            write(where)
+        assert str(where) in one_sentence(error)
+
+
+def refused(call: Callable[[], Any], kinds: Any, words: str) -> None:
+    started = time.monotonic()
+    with pytest.raises(kinds, match=words) as error:
+        call()
+    one_sentence(error)
+    assert time.monotonic() - started < 20
+
+
+def test_an_endpoint_out_of_reach(small_collection: Collection, there: Place, unreached: str) -> None:
+    for read in READERS:
+        refused(lambda read=read: read(there), InputError, rf"{unreached} does not answer.*AWS_ENDPOINT_URL")
+    for write in writers(small_collection):
+        refused(lambda write=write: write(there), ProcessingError, f"{unreached} does not answer")
+
+
+def test_an_endpoint_that_falls_silent(small_collection: Collection, there: Place, monkeypatch: Any) -> None:
+    found = history(there, small_collection)
+    monkeypatch.setattr(objects, "REQUEST", "1s")
+    monkeypatch.setattr(objects, "PATIENCE", 1.0)
+    with (
+        socket.create_server(("127.0.0.1", 0)) as listener,
+        endpoint(listener.getsockname()[1], monkeypatch),
+    ):
+        refused(lambda: found.read(*ALL), InputError, "does not answer")
+        refused(found.fingerprint, InputError, "does not answer")
+
+
+@contextmanager
+def unreliable(behind: str, failures: float, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[str]]:
+    """An endpoint that fails some times to hand out chunks of samples; answers what it was asked for in vain."""
+    failed: list[str] = []
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            if "/signal/c/" in self.path and len(failed) < failures:
+                failed.append(self.path)
+                status, headers, body = 503, {}, b"<Error>\n<Code>Busy</Code>\n</Error>"
+            else:
+                try:
+                    asked = urllib.request.Request(behind + self.path, headers=dict(self.headers))
+                    with urllib.request.urlopen(asked) as answer:
+                        status, headers, body = answer.status, dict(answer.headers), answer.read()
+                except urllib.error.HTTPError as error:
+                    with error:
+                        status, headers, body = error.code, dict(error.headers), error.read()
+            self.send_response(status)
+            for name in ("ETag", "Last-Modified", "Content-Type"):
+                if name in headers:
+                    self.send_header(name, headers[name])
+            self.send_header("Content-Length", str(len(body)))
+            self.end_headers()
+            self.wfile.write(body)
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+        thread = threading.Thread(target=server.serve_forever, args=(0.01,))
+        thread.start()
+        try:
+            with endpoint(server.server_port, monkeypatch):
+                yield failed
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+def test_an_endpoint_that_fails_is_asked_again(small_collection: Collection, there: Place, monkeypatch: Any) -> None:
+    found = history(there, small_collection)
+    with unreliable(os.environ["AWS_ENDPOINT_URL"], 1, monkeypatch) as failed:
+        assert np.array_equal(found.read(*ALL), noise((256, 128)))
+    assert len(failed) == 1
+
+
+def test_samples_out_of_reach_are_not_called_damaged(
+    small_collection: Collection, there: Place, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = history(there, small_collection)
+    with unreliable(os.environ["AWS_ENDPOINT_URL"], np.inf, monkeypatch) as failed:
+        refused(lambda: found.read(slice(0, 9), slice(0, 9)), InputError, r"cannot be read .*503 .*; check AWS_")
+    assert len(failed) == 2  # the same chunk, once more
+
+
+def test_many_chunks_are_in_flight_at_once() -> None:
+    met = threading.Barrier(8)
+    moved = []
+
+    def move(there: stores.Region, here: stores.Region) -> None:
+        met.wait(20)
+        moved.append((there, here))
+
+    regions._each_chunk(np.s_[3:16, 4:8], (4, 2), move)
+    assert sorted(moved, key=repr) == sorted(
+        (
+            (
+                ((slice(a, b), slice(c, c + 2)), (slice(a - 3, b - 3), slice(c - 4, c - 2)))
+                for a, b in ((3, 4), (4, 8), (8, 12), (12, 16))
+                for c in (4, 6)
+            )
+        ),
+        key=repr,
+    )
+
+
+def test_credentials_that_are_refused(small_collection: Collection, monkeypatch: pytest.MonkeyPatch) -> None:
+    with s3.server(refusing=True):
+        where = place("s3://bucket/ph.zarr")
+        for read in READERS:
+            refused(lambda read=read: read(where), InputError, r"refuses these credentials.*AWS_ACCESS_KEY_ID")
+        for write in writers(small_collection):
+            refused(lambda write=write: write(where), (InputError, ProcessingError), "refuses these credentials")
+
+
+def test_no_credentials(there: Place, unreached: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
+        monkeypatch.delenv(name)
+    monkeypatch.setenv("AWS_METADATA_ENDPOINT", unreached)  # of the machine itself, which has none
+    refused(lambda: stores.open_phase_history(there), InputError, r"no credentials.*AWS_ACCESS_KEY_ID")
+
+
+def test_a_damaged_chunk_is_named(small_collection: Collection, there: Place) -> None:
+    found = history(there, small_collection)
+    (there / "signal" / "c" / "1" / "0").write_bytes(b"garbage")
+    assert found.read(slice(0, 128), slice(None)).shape == (128, 128)
+    with pytest.raises(InputError, match=r"pulse 128\.\.255, range_frequency 0\.\.63") as error:
+        found.read(slice(100, 256), slice(0, 128))
+    assert str(there) in one_sentence(error)
+
+
+@pytest.mark.parametrize("url", ["s3://", "s3:///a", "s3://b/../c", "s3://b/a//c", "s3://b/./c"])
+def test_a_url_that_names_no_place(url: str) -> None:
+    with pytest.raises(InputError) as error:
+        place(url)
+    one_sentence(error)
+
+
+# ---------------------------------------------------------------- from end to end
+
+
+POINT = '[[targets]]\nname = "P"\nrange = 30000.0\nyaw_deg = 50.0\n'
+GRID = ((15950.0, 16250.0, 1.5), (19050.0, 19350.0, 1.5))
+FOCUS: dict[str, Any] = {"blocks": 3, "coefficients": "closed-form", "grid": GRID}
+WORDS = ("--blocks", "3", "--coefficients", "closed-form", "--grid", "15950:16250:1.5,19050:19350:1.5")
+
+
+def command(*words: str) -> subprocess.Popen[str]:
+    """The command line, and all that it starts, in a process group of its own."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "blocksar", *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def wait_for(condition: Callable[[], bool], running: subprocess.Popen[str]) -> None:
+    while not condition():
+        assert running.poll() is None, running.communicate()[0]
+        time.sleep(0.01)
+
+
+def chunks(run: Place) -> dict[str, bytes]:
+    return {name: data for name, data in contents(run / "image.zarr").items() if "/c/" in name}
+
+
+@pytest.mark.slow
+def test_a_run_below_a_prefix_is_the_run_in_a_folder_though_it_was_killed(there: Place, tmp_path: Path) -> None:
+    (tmp_path / "scene.toml").write_text(scene(swath=[29700.0, 30300.0], more=POINT))
+    local = LocalPlace(tmp_path)
+    for where in (there, local):
+        blocksar.simulate(tmp_path / "scene.toml", where / "ph.zarr")
+
+    words = ("focus", f"{there}/ph.zarr", "--out", f"{there}/run", "--workers", "1", *WORDS)
+    run = there / "run"
+    with command(*words) as first:
+        wait_for(lambda: "run.json" in run.names(), first)
+        with pytest.raises(InputError, match=rf"is being written by process {first.pid} on "):
+            blocksar.focus(there / "ph.zarr", run, **FOCUS)
+        wait_for(lambda: any(name.startswith("columns-") for name in (run / "receipts").names()), first)
+        os.killpg(first.pid, signal.SIGKILL)
+    assert stores.read_json(run / "run.json")["status"] == "unfinished"
+    with open_client(workers=1, threads=1, memory_limit=3 * 2**30) as client:
+        blocksar.focus(local / "ph.zarr", local / "run", client=client, **FOCUS)
+        second = blocksar.focus(f"{there}/ph.zarr", f"{run}", client=client, **FOCUS)
+    assert "went on from an unfinished run" in second.summary[0]
+
+    assert chunks(run) == chunks(local / "run")
+    assert run.names() == (local / "run").names()
+    assert np.array_equal(blocksar.open(run)["block"].values, blocksar.open(local / "run")["block"].values)
+    with command("quality", f"{run}") as measured:
+        assert "1 of 1 full-dwell targets measured" in measured.communicate()[0]
+    blocksar.quality(local / "run")
+    assert (run / "quality.json").read_bytes() == (local / "run" / "quality.json").read_bytes()
+
+
+def test_the_command_line_refuses_in_one_line(there: Place) -> None:
+    with command("focus", f"{there}/ph.zarr", "--out", f"{there}/run") as refused_:
+        said = refused_.communicate()[0]
+    assert refused_.returncode == 2 and said.count("\n") == 1 and f"{there}/ph.zarr does not exist" in said
+    assert not there.exists()

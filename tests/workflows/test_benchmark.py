@@ -1,0 +1,227 @@
+"""The benchmark on a scene of a few seconds: that it measures what it says, not how fast anything is."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import tomllib
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from repository import WORKFLOWS
+from scenes import scene
+
+import blocksar
+from blocksar import stores
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.errors import InputError
+from blocksar.focusing.backprojection import form_points
+from blocksar.planning.plan import Plan, Transforms
+from blocksar.simulation.scene import Scene
+
+SMALL = {"duration": 0.15, "steering": (48.0, 52.0), "swath": [29900.0, 30100.0]}
+SIDE = 64  # pixels of the peer's chip
+CLUTTER = "[clutter]\nscatterers = 2000\nseed = 3\n"
+
+
+@pytest.fixture(scope="module")
+def benchmark() -> Any:
+    """The script as a module: on the path, so that workers find it too."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(WORKFLOWS))
+        import benchmark
+        from benchmarks import back_projection, floors, scenes, tables
+
+        parts = {"back_projection": back_projection, "floors": floors, "scenes": scenes, "tables": tables}
+        yield SimpleNamespace(main=benchmark.main, **parts)
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("scene") / "small.toml"
+    path.write_text(scene(**SMALL, more=CLUTTER))
+    return path
+
+
+def every_number(value: Any, name: str = "") -> list[tuple[str, float]]:
+    if isinstance(value, dict):
+        return [found for key, item in value.items() for found in every_number(item, f"{name}.{key}")]
+    if isinstance(value, list):
+        return [found for item in value for found in every_number(item, name)]
+    return [(name, value)] if isinstance(value, int | float) else []
+
+
+def test_everything_is_measured(
+    benchmark: Any, small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    benchmark.main(
+        scene=str(small), scale="1x1", repeats=1, workers=2, blocks="auto", memory_limit="3GiB",
+        out=tmp_path, json_file=tmp_path / "result.json", speedup=True, peer=True, keep=False,
+    )  # fmt: skip
+    assert [path.name for path in tmp_path.iterdir()] == ["result.json"]
+    result = json.loads((tmp_path / "result.json").read_text())
+    found = result["scenes"]["1x1"]
+    assert set(found["ratios"]) == set(benchmark.tables.RATIOS)
+    for name, ratio in every_number(found["ratios"]):
+        assert math.isfinite(ratio) and ratio > 0, name
+    seconds = found["seconds"]
+    assert set(seconds["stages"]) == {"plan", "recover", "focus", "mosaic", "stores and receipts"}
+    plan = blocksar.plan(small, blocks=2).result
+    steps = {part for name in seconds["steps_summed_over_workers"] for part in name.split("+")}
+    chain = {step.name for block in plan.blocks for step in block.chain}
+    assert chain < steps  # and reading the slab, the geometric correction
+    assert set(seconds["fft_floor_summed_over_workers"]) == {made.stage for made in plan.transforms()}
+    assert {"read input", "write spectrum", "read spectrum", "write image"} <= set(seconds["io_floor_by_kind"])
+    for name, value in every_number(seconds):
+        assert math.isfinite(value) and value >= 0, name
+    assert len(found["memory"]["peak_by_worker_bytes"]) == 2
+    assert found["coherence"]["min"] > 0.99
+    assert result["machine"]["cores"] >= 1
+    assert result["versions"]["blocksar"] == blocksar.__version__
+    printed = capsys.readouterr().out
+    assert all(label in printed for label in benchmark.tables.RATIOS.values())
+    assert max(map(len, printed.splitlines())) <= benchmark.tables.WIDTH
+
+
+@pytest.mark.parametrize("source", ["table1", "small"])
+def test_a_scaled_scene_keeps_dwell_and_resolution(benchmark: Any, source: str, small: Path) -> None:
+    scenes = benchmark.scenes
+    tables = scenes.scene_tables(str(small) if source == "small" else source)
+    first, wide = (Scene.parse(scenes.as_toml(scenes.scaled(tables, scenes.Scale(a, b)))) for a, b in ((1, 1), (3, 2)))
+    assert wide.beam_width_deg == pytest.approx(first.beam_width_deg)
+    assert wide.radar == first.radar
+    assert wide.n_pulse == 2 * first.n_pulse
+    assert np.diff(wide.beam_azimuth)[0] == pytest.approx(np.diff(first.beam_azimuth)[0])
+    assert np.ptp(wide.area.swath) == pytest.approx(3 * np.ptp(first.area.swath))
+    assert sum(wide.area.swath) == pytest.approx(sum(first.area.swath))
+
+
+def test_a_scene_file_survives(benchmark: Any) -> None:
+    tables = {
+        "title": "t", "track": {"position": [0.0, 1.0, 2e3]}, "matrix": {"rows": 2, "names": {"A1": [0, 0]}},
+        "targets": [{"name": "P", "x": 1.5, "y": -2.0}, {"name": "Q", "x": 1e-7, "y": 3.0}],
+    }  # fmt: skip
+    assert tomllib.loads(benchmark.scenes.as_toml(tables)) == tables
+
+
+def test_the_prf_is_raised_as_asked_and_no_further(benchmark: Any) -> None:
+    case = benchmark.scenes.plan_case(
+        "table1", benchmark.scenes.Scale(1, 1.5), blocks=3, workers=2, memory_limit=8 * 2**30
+    )
+    band = np.ptp(case.plan.recovery.band)
+    assert band < case.scene.radar.prf
+    if case.scene.radar.prf > 8e3:
+        assert case.scene.radar.prf < 1.02 * band
+        assert "PRF 8000 Hz raised" in case.notes[0]
+
+
+@pytest.mark.parametrize("text", ["2", "2x", "0x1", "axb", "1x-1", "1.2.3x1"])
+def test_a_wrong_scale_is_refused(benchmark: Any, text: str) -> None:
+    with pytest.raises(InputError, match="give pairs such as"):
+        benchmark.scenes.Scale.parse(text)
+
+
+def test_shares_make_the_whole(benchmark: Any, tmp_path: Path) -> None:
+    source = tmp_path / "source"
+    source.mkdir()
+    for i in range(5):
+        (source / str(i)).write_bytes(bytes(700))
+    traffic = [
+        benchmark.floors.Traffic("input", 700, 0, 3500, tuple(sorted(source.iterdir()))),
+        benchmark.floors.Traffic("patches", 1000, 7300, 14600),
+    ]
+    raw = tmp_path / "raw"
+    raw.mkdir()
+    found = [benchmark.floors.io_share(raw, traffic, index, 3) for index in range(3)]
+    assert sum(path.stat().st_size for path in raw.iterdir()) == 7300
+    assert all(set(share) == {"read input", "write patches", "read patches"} for share in found)
+
+
+def test_a_file_of_two_names_is_written_once(benchmark: Any, collected: Any, tmp_path: Path) -> None:
+    history, plan, *_ = collected
+    patch, image = tmp_path / "patches" / "0" / "image" / "c", tmp_path / "image.zarr" / "image" / "c"
+    for folder in (patch, image):
+        folder.mkdir(parents=True)
+    (patch / "0").write_bytes(bytes(1000))
+    (patch / "1").write_bytes(bytes(1000))
+    (image / "0").hardlink_to(patch / "0")
+    (image / "1").write_bytes(bytes(600))
+    found = {kind.name: kind for kind in benchmark.floors.traffic_of(Path(history.path), tmp_path, plan)}
+    assert set(found) == {"input", "patches", "image"}
+    assert (found["patches"].written, found["patches"].read) == (2000, 2000)
+    assert (found["image"].written, found["image"].read) == (600, 0)
+    assert found["input"].read == 8 * np.prod(history.shape)
+
+
+def test_every_group_is_transformed_once(benchmark: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    rows: list[tuple[int, int]] = []
+
+    def count(group: Any, **settings: Any) -> None:
+        assert settings == {"axis": 1, "overwrite_x": True}
+        rows.append(group.shape)
+
+    monkeypatch.setattr(benchmark.floors.scipy.fft, "fft", count)
+    for index in range(2):
+        found = benchmark.floors.fft_share([Transforms("recover", 1001, 500), Transforms("deramp", 3, 40)], 2, index, 2)
+        assert set(found) == {"recover", "deramp"}
+    assert sum(n for n, length in rows if length == 500) == 1001
+    assert sum(n for n, length in rows if length == 40) == 3
+
+
+# ---------------------------------------------------------------- peer
+
+
+@pytest.fixture(scope="module")
+def collected(benchmark: Any, small: Path, tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """A phase history, its plan, and one chip in the middle of its image."""
+    store = blocksar.simulate(small, tmp_path_factory.mktemp("peer") / "phase_history.zarr")
+    plan = blocksar.plan(store, blocks=1).result
+    assert isinstance(plan, Plan)
+    x, y, _ = plan.geometry.ground_point(np.array(30e3), np.radians(50.0))
+    mesh = np.meshgrid(float(x) + np.arange(SIDE) * plan.grid.dx, float(y) + np.arange(SIDE) * plan.grid.dy)
+    history = stores.open_phase_history(store)
+    chips = benchmark.back_projection.Chips(["middle"], [], *mesh)
+    exact = form_points(lambda pulses: history.read(pulses, slice(None)), plan.geometry, *mesh, threads=1)
+    return history, plan, chips, exact
+
+
+def test_a_peer_that_is_not_there(benchmark: Any, collected: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "torchbp", None)
+    monkeypatch.setitem(sys.modules, "torch", None)
+    found = benchmark.back_projection.run_peer(*collected, 1)
+    assert (found["name"], found["status"]) == ("torchbp", "not installed")
+    assert "not installed" in benchmark.tables._peer_line(found)
+
+
+def backprojection_cart_2d(data: Any, grid: Any, fc: float, r_res: float, pos: Any, d0: float = 0.0) -> Any:
+    """What torchbp documents of its function: nearest two samples, ground at z = 0, pixels [x, y]."""
+    x, y = (
+        grid[axis][0] + (grid[axis][1] - grid[axis][0]) / grid[n] * np.arange(grid[n])
+        for axis, n in (("x", "nx"), ("y", "ny"))
+    )
+    image = np.zeros((1, x.size, y.size), np.complex128)
+    for samples, (px, py, pz) in zip(data, pos.astype(np.float64), strict=True):
+        distance = np.sqrt((x[:, None] - px) ** 2 + (y - py) ** 2 + pz**2)
+        place = (distance + d0) / r_res
+        below = place.astype(int)
+        part = place - below
+        value = (1 - part) * samples[below] + part * samples[below + 1]
+        image[0] += value * np.exp(4j * np.pi * fc / SPEED_OF_LIGHT * distance)
+    return image
+
+
+def test_the_peer_is_given_the_same_scene(benchmark: Any, collected: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    torch, torchbp = ModuleType("torch"), ModuleType("torchbp")
+    torch.from_numpy, torch.__version__ = np.asarray, "0"  # type: ignore[attr-defined]
+    torchbp.ops = SimpleNamespace(backprojection_cart_2d=backprojection_cart_2d)  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "torch", torch)
+    monkeypatch.setitem(sys.modules, "torchbp", torchbp)
+    monkeypatch.setattr(benchmark.back_projection, "CHIP", SIDE)
+    found = benchmark.back_projection.run_peer(*collected, 1)
+    assert found["status"] == "run"
+    assert found["coherence"] > 0.8  # positions in float32 are known to a millimetre
+    assert "M updates/s" in benchmark.tables._peer_line(found)

@@ -1,0 +1,636 @@
+"""The scheduled workflow: every good collection exactly once, whatever happens in between, and nothing grows."""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+import typer
+from distributed import Client
+from faults import digests, members, until
+from repository import WORKFLOWS
+from scenes import write_store
+
+import blocksar
+from blocksar import stores
+from blocksar.errors import InputError
+from blocksar.graph import cluster, stages
+from blocksar.places import place
+from blocksar.runs import folder
+
+SCRIPT = WORKFLOWS / "process_inbox.py"
+SCENE: dict[str, Any] = {  # 150 pulses of 91 range frequencies
+    "swath": [29900.0, 30100.0],
+    "prf": 3000.0,
+    "duration": 0.05,
+    "steering": (49.5, 50.5),
+    "dwell": 0.02,
+    "more": '[[targets]]\nname = "P"\nrange = 30000.0\nyaw_deg = 50.0\n',
+}
+SETTINGS: dict[str, Any] = {  # the plan takes no time
+    "processor": "angular-division",
+    "blocks": 1,
+    "coefficients": "closed-form",
+    "grid": [[15900.0, 16300.0, 4.0], [19000.0, 19400.0, 4.0]],
+    "workers": 1,
+    "threads": 1,
+    "memory_limit": 2 * 2**30,
+}
+WORDS = (
+    "--blocks", "1", "--coefficients", "closed-form", "--grid", "15900:16300:4,19000:19400:4", "--workers", "1",
+    "--threads", "1", "--memory-limit", "2GiB",
+)  # fmt: skip
+PATIENCE = 200  # s: on a busy machine compiling takes its time
+YEAR = 365 * 86400  # s
+
+
+@pytest.fixture(scope="module")
+def inbox_module() -> Iterator[Any]:
+    """The script as a module."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(SCRIPT.parent))
+        import process_inbox
+
+        yield process_inbox
+
+
+@pytest.fixture(scope="module")
+def client() -> Iterator[Client]:
+    with cluster.open_client(workers=1, threads=1, memory_limit=2 * 2**30) as connected:
+        yield connected
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_store(tmp_path_factory.mktemp("tiny"), **SCENE)
+
+
+@pytest.fixture(scope="module")
+def image(store: Path, client: Client, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """What every good collection has to come to."""
+    run = tmp_path_factory.mktemp("straight") / "run"
+    settings = {name: SETTINGS[name] for name in ("blocks", "coefficients", "grid")}
+    blocksar.focus(store, run, client=client, **settings)
+    return digests(run / "image.zarr")
+
+
+@dataclass
+class Post:
+    """An inbox and an outbox, and those who use them."""
+
+    module: Any
+    store: Path
+    client: Client
+    folder: Path
+    told: list[dict[str, Any]] = field(default_factory=list)
+
+    @property
+    def inbox(self) -> Path:
+        return self.folder / "inbox"
+
+    @property
+    def outbox(self) -> Path:
+        return self.folder / "outbox"
+
+    def deliver(self, *names: str, written: float | None = None) -> None:
+        """Put copies of the store there, each a second younger than the one before it."""
+        self.inbox.mkdir(exist_ok=True)
+        for number, name in enumerate(names):
+            part = self.inbox / ".part"
+            shutil.copytree(self.store, part)
+            age = (written if written is not None else 1e9) + number
+            os.utime(part / "zarr.json", (age, age))
+            part.rename(self.inbox / f"{name}.zarr")
+
+    def sweep(self, hook: Any = None, **changes: Any) -> int:
+        """One sweep in this process, by the workers that are there."""
+        return self.module.sweep(
+            str(self.inbox), str(self.outbox), SETTINGS | changes, hook or self.module.Hook([]), quiet=True,
+            scheduler=self.client.scheduler.address,
+        )  # fmt: skip
+
+    def start(self, *more: str) -> subprocess.Popen[str]:
+        """The script, as a timer starts it."""
+        return subprocess.Popen(
+            [sys.executable, str(SCRIPT), str(self.inbox), str(self.outbox), *WORDS, *more],
+            stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True,
+            # What a shell runs in the background is deaf to Ctrl-C, and so would this be then.
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # noqa: PLW1509 (calls nothing else)
+        )  # fmt: skip
+
+    def log(self) -> list[dict[str, Any]]:
+        log = self.outbox / "log.jsonl"
+        text = log.read_text() if log.exists() else ""
+        return [json.loads(line) for line in text.splitlines(keepends=True) if line.endswith("\n")]
+
+    def names(self, event: str) -> list[str]:
+        """Of those to whom it has happened, in this order."""
+        return [entry["name"].removesuffix(".zarr") for entry in self.log() if entry["event"] == event]
+
+    def status(self) -> dict[str, Any]:
+        return dict(json.loads((self.outbox / "status.json").read_text()))
+
+    def records(self, kind: str) -> dict[str, dict[str, Any]]:
+        found = (json.loads(path.read_text()) for path in (self.outbox / kind).iterdir())
+        return {record["name"].removesuffix(".zarr"): record for record in found}
+
+    def images(self) -> dict[str, dict[str, str]]:
+        return {run.name: digests(run / "image.zarr") for run in (self.outbox / "runs").iterdir()}
+
+    def damage(self, name: str) -> None:
+        """Truncate the samples of a collection."""
+        chunk = samples_of(self.inbox / f"{name}.zarr")
+        chunk.write_bytes(chunk.read_bytes()[:1000])
+
+
+def samples_of(store: Path) -> Path:
+    return next(path for path in sorted((store / "signal" / "c").rglob("*")) if path.is_file())
+
+
+@pytest.fixture
+def post(inbox_module: Any, store: Path, client: Client, tmp_path: Path) -> Post:
+    return Post(inbox_module, store, client, tmp_path)
+
+
+def everything(folder: Path) -> dict[str, tuple[int, int]]:
+    return {str(p): (p.stat().st_size, p.stat().st_mtime_ns) for p in folder.rglob("*")}
+
+
+# ---------------------------------------------------------------- what a sweep does
+
+
+def test_good_ones_are_done_once_and_bad_ones_are_put_aside(post: Post, image: dict[str, str]) -> None:
+    post.deliver("c", "cut", "a", "foreign", "b")
+    post.damage("cut")
+    (post.inbox / "foreign.zarr" / "time" / "zarr.json").write_text("{}")
+    (post.inbox / "arriving.zarr" / "signal").mkdir(parents=True)
+    (post.inbox / ".hidden.zarr").mkdir()
+    (post.inbox / "packed.zarr").write_text("not a folder")
+    (post.inbox / "notes.txt").write_text("not a collection")
+    before = everything(post.inbox)
+
+    assert post.sweep() == post.module.QUARANTINED
+    assert post.names("done") == ["c", "a", "b"]  # the oldest first
+    assert post.images() == {"a": image, "b": image, "c": image}
+    assert post.records("done")["a"]["run"] == str(post.outbox / "runs" / "a")
+    bad = post.records("quarantine")
+    assert set(bad) == {"cut", "foreign"}
+    assert "signal" in bad["cut"]["reason"] and "time" in bad["foreign"]["reason"]
+    assert all(record["fingerprint"] and "\n" not in record["reason"] for record in bad.values())
+    status = post.status()
+    assert (status["state"], status["exit_status"], status["left"]) == ("ended", post.module.QUARANTINED, 0)
+    assert status["waiting"] == ["arriving.zarr", "packed.zarr"]
+    assert status["done"] == ["c.zarr", "a.zarr", "b.zarr"]
+    assert [entry["name"] for entry in status["quarantine"]] == ["cut.zarr", "foreign.zarr"]
+
+    shown = everything(post.outbox / "runs")
+    assert post.sweep() == post.module.DONE
+    assert everything(post.outbox / "runs") == shown
+    assert post.names("done") == ["c", "a", "b"] and post.names("started").count("cut") == 1
+    assert [entry["name"] for entry in post.status()["quarantine"]] == ["cut.zarr", "foreign.zarr"]
+    assert everything(post.inbox) == before
+    assert sorted(p.name for p in post.outbox.iterdir()) == ["done", "log.jsonl", "quarantine", "runs", "status.json"]
+
+
+def test_quarantine_is_said_once_whatever_happens_to_the_sweep(post: Post, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Schedulers hear of it by exit status 3: not lost with a sweep that is stopped, nor behind one that fails."""
+    post.deliver("bad", "good")
+    post.damage("bad")
+    stopped = (blocksar.ProcessingError("no room"), post.module.FAILED), (KeyboardInterrupt(), None)
+    whole = blocksar.focus
+    for trouble, status in stopped:
+        monkeypatch.setattr(blocksar, "focus", lambda *a, trouble=trouble, **k: _raise_at("good", trouble, whole, a, k))
+        if status is None:
+            with pytest.raises(KeyboardInterrupt):
+                post.sweep()
+        else:
+            assert post.sweep() == status
+    monkeypatch.undo()
+    assert post.names("quarantined") == ["bad"]
+    assert post.sweep() == post.module.QUARANTINED
+    assert post.sweep() == post.module.DONE
+    assert post.names("quarantined") == ["bad"] and post.names("done") == ["good"]
+
+
+def _raise_at(name: str, trouble: BaseException, call: Callable[..., Any], args: Any, kwargs: Any) -> Any:
+    if Path(args[0]).stem == name:
+        raise trouble
+    return call(*args, **kwargs)
+
+
+def test_what_has_changed_is_done_again(post: Post, store: Path, image: dict[str, str]) -> None:
+    post.deliver("a", "b")
+    post.damage("a")
+    assert post.sweep() == post.module.QUARANTINED
+    shutil.copy2(samples_of(store), samples_of(post.inbox / "a.zarr"))
+    assert post.sweep() == post.module.DONE
+    assert post.records("quarantine") == {}
+    assert post.images() == {"a": image, "b": image}
+    # Other bytes under a name that is done: another image, and the first one stays.
+    chunk = samples_of(post.inbox / "b.zarr")
+    chunk.write_bytes(bytes(chunk.stat().st_size // 2) + chunk.read_bytes()[chunk.stat().st_size // 2 :])
+    assert post.sweep() == post.module.DONE
+    images = post.images()
+    assert set(images) == {"a", "b", "b.2"} and images["b"] == image != images["b.2"]
+    assert post.records("done")["b"]["run"].endswith("b.2")
+    # The first bytes again: their image is there.
+    shutil.rmtree(post.inbox / "b.zarr")
+    post.deliver("b", written=1e9 + 1)
+    assert post.sweep() == post.module.DONE
+    assert post.names("found finished") == ["b"] and set(post.images()) == {"a", "b", "b.2"}
+    assert post.sweep() == post.module.DONE
+    assert len(post.names("done")) == 4
+
+
+def test_other_options_concern_what_is_not_done(post: Post) -> None:
+    post.deliver("good", "bad")
+    post.damage("bad")
+    assert post.sweep() == post.module.QUARANTINED
+    assert post.sweep(blocks=2) == post.module.QUARANTINED
+    assert post.names("started") == ["good", "bad", "bad"]
+
+
+def test_an_interrupted_one_goes_on(post: Post, image: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: Any) -> Any:
+        raise KeyboardInterrupt
+
+    post.deliver("a", "b")
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(stages, "mosaic", interrupted)
+        post.sweep()
+    status = post.status()
+    assert (status["state"], status["exit_status"], status["left"]) == ("interrupted", 130, 2)
+    assert status["current"]["name"] == "a.zarr"
+    assert post.sweep() == post.module.DONE
+    assert (post.names("resumed"), post.names("done")) == (["a"], ["a", "b"])
+    assert post.images() == {"a": image, "b": image}
+    receipts = json.loads((post.outbox / "runs" / "a" / "run.json").read_text())["receipts"]
+    assert [r["unit"] for r in receipts if r.get("reused")] == ["columns-0", "block-0"]
+
+
+@pytest.mark.parametrize("change", ["options", "bytes", "version"])
+def test_an_unfinished_one_that_is_not_wanted_any_more_is_begun_again(
+    change: str, post: Post, image: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: Any) -> Any:
+        raise KeyboardInterrupt
+
+    post.deliver("a")
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(stages, "mosaic", interrupted)
+        post.sweep(**({"blocks": 2} if change == "options" else {}))
+    if change == "bytes":
+        os.utime(samples_of(post.inbox / "a.zarr"))
+    if change == "version":
+        path = post.outbox / "runs" / "a" / "run.json"
+        stores.write_json(path, stores.read_json(path) | {"format": -1})
+    assert post.sweep() == post.module.DONE
+    assert post.names("restarted") == ["a"] and post.images() == {"a": image}
+
+
+def test_no_clock_is_asked(post: Post, image: dict[str, str]) -> None:
+    """Collections and outbox from years that were never: every one is done once, in the order of their dates."""
+    post.deliver("from-2100", written=130 * YEAR)
+    post.deliver("from-1970", written=0)
+    assert post.sweep() == post.module.DONE
+    for shift in (-20 * YEAR, 200 * YEAR):  # the clock is put right, one way or the other
+        for path in post.outbox.rglob("*"):
+            os.utime(path, (path.stat().st_atime, path.stat().st_mtime + shift))
+        assert post.sweep() == post.module.DONE
+        post.deliver(f"late-{shift}", written=50 * YEAR)
+        assert post.sweep() == post.module.DONE
+    assert post.names("done") == ["from-1970", "from-2100", f"late-{-20 * YEAR}", f"late-{200 * YEAR}"]
+    assert set(map(str, post.images().values())) == {str(image)}
+
+
+def test_names_mean_nothing(post: Post) -> None:
+    names = ["a b", 'it\'s "so"\n', "ü%41#?&", "-rf", "x::y", "~", "done", os.fsdecode(b"\xff"), "n" * 250, "a.2"]
+    post.deliver(*names)
+    assert post.sweep() == post.module.DONE
+    assert post.names("done") == names
+    assert {record["name"] for record in post.records("done").values()} == {f"{name}.zarr" for name in names}
+    assert sorted(os.listdir(post.outbox / "runs")) == sorted(names)
+    assert post.sweep() == post.module.DONE
+    assert post.names("done") == names
+
+
+def test_folders_of_others_are_left_alone(post: Post) -> None:
+    post.deliver("a")
+    thesis = post.outbox / "runs" / "a" / "thesis.tex"
+    thesis.parent.mkdir(parents=True)
+    thesis.write_text("years of work")
+    (post.outbox / "runs" / "a.2").write_text("a file")
+    assert post.sweep() == post.module.DONE
+    assert thesis.read_text() == "years of work"
+    assert post.records("done")["a"]["run"] == str(post.outbox / "runs" / "a.3")
+
+
+# ---------------------------------------------------------------- who is told
+
+
+def taking(folder: Path, *, status: int = 0) -> list[str]:
+    """A command that keeps what it reads, and ends with a status."""
+    code = f"import sys; open({str(folder / 'told')!r}, 'a').write(sys.stdin.read() + '\\n'); sys.exit({status})"
+    return [sys.executable, "-S", "-c", code]
+
+
+def told(folder: Path) -> list[tuple[str, str]]:
+    entries = [json.loads(line) for line in (folder / "told").read_text().splitlines()]
+    return [(entry["event"], entry["name"]) for entry in entries]
+
+
+def test_everything_that_was_settled_is_told(post: Post, tmp_path: Path) -> None:
+    post.deliver("a", "bad", "b")
+    post.damage("bad")
+    settled = [("done", "a.zarr"), ("quarantined", "bad.zarr"), ("done", "b.zarr")]
+    assert post.sweep(post.module.Hook(taking(tmp_path, status=5))) == post.module.FAILED
+    assert told(tmp_path) == settled and post.status()["untold"] == 3
+    assert [entry["reason"] for entry in post.log() if entry["event"] == "untold"] == ["the hook ended with 5"] * 3
+    assert post.sweep(post.module.Hook(taking(tmp_path))) == post.module.QUARANTINED  # told again, nothing done again
+    assert told(tmp_path) == settled * 2
+    assert post.sweep(post.module.Hook(taking(tmp_path))) == post.module.DONE
+    assert told(tmp_path) == settled * 2
+    assert len(post.names("done")) == 2
+
+
+def test_a_hook_that_hangs_is_ended(post: Post, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(post.module, "HOOK_SECONDS", 0.2)
+    trouble = post.module.Hook(["sleep", "1000"]).tell({"event": "done"})
+    assert "timed out" in trouble
+    assert not [child for child in psutil.Process().children() if "1000" in child.cmdline()]
+
+
+def test_hooks_are_no_shell_lines(post: Post, tmp_path: Path) -> None:
+    hook = post.module.Hook.parse(f"touch {tmp_path}/a ';' '$(touch {tmp_path}/b)'")
+    assert hook.command == ["touch", f"{tmp_path}/a", ";", f"$(touch {tmp_path}/b)"]
+    for wrong, why in (("'", "quotes"), ("", "no command"), ("/no/such/command", "no command")):
+        with pytest.raises(InputError, match=why):
+            post.module.Hook.parse(wrong)
+
+
+# ---------------------------------------------------------------- what fails, and whose fault it is
+
+
+def test_what_is_not_the_collections_fault_is_tried_again(post: Post, image: dict[str, str], tmp_path: Path) -> None:
+    post.deliver("a", "b")
+    with ExitStack() as held:
+        held.enter_context(folder.claimed(place(post.outbox / "runs" / "a")))  # somebody focuses it by hand
+        assert post.sweep(post.module.Hook(taking(tmp_path))) == post.module.FAILED
+        assert told(tmp_path) == [("failed", "a.zarr"), ("done", "b.zarr")]
+        assert [entry["name"] for entry in post.status()["failed"]] == ["a.zarr"]
+    assert post.records("quarantine") == {}
+    assert post.sweep() == post.module.DONE
+    assert post.images() == {"a": image, "b": image}
+
+
+def test_a_defect_holds_up_nobody(post: Post, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = blocksar.focus
+
+    def defective(source: str, *args: Any, **settings: Any) -> Any:
+        if "bad" in source:
+            raise ZeroDivisionError("of a defect")
+        return real(source, *args, **settings)
+
+    post.deliver("bad", "good")
+    monkeypatch.setattr(blocksar, "focus", defective, raising=False)
+    assert post.sweep() == post.module.FAILED
+    assert post.names("done") == ["good"]
+    (failure,) = (entry for entry in post.log() if entry["event"] == "failed")
+    assert failure["reason"] == "ZeroDivisionError: of a defect" and "in defective" in failure["traceback"]
+
+
+@pytest.mark.parametrize(
+    ("cause", "passing"),
+    [(PermissionError(13, "x"), True), (OSError(5, "x"), True), (FileNotFoundError(2, "x"), False), (None, False),
+     (OSError("of a codec"), False), (ValueError("x"), False)],
+)  # fmt: skip
+def test_what_the_machine_refused_is_no_fault_of_the_bytes(cause: Exception | None, passing: bool, post: Post) -> None:
+    error = InputError("it cannot be read")
+    error.__cause__ = cause
+    assert post.module._passing(error, None) == passing
+
+
+def test_a_cause_behind_a_cause_counts(post: Post) -> None:
+    error, between = InputError("it cannot be read"), ValueError("of a library")
+    error.__cause__, between.__cause__ = between, OSError(113, "no route to host")
+    assert post.module._passing(error, None)
+
+
+def test_without_a_cluster_nothing_is_blamed(post: Post, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster, "CONNECT", 0.5)
+    post.deliver("a", "b")
+    arguments = (str(post.inbox), str(post.outbox), SETTINGS, post.module.Hook([]))
+    assert post.module.sweep(*arguments, scheduler="tcp://127.0.0.1:9", quiet=True) == post.module.FAILED
+    assert post.status()["left"] == 2
+    assert [entry["event"] for entry in post.log()] == ["sweep", "started", "no cluster", "end"]
+    assert post.records("quarantine") == {} and post.records("done") == {}
+
+
+def test_one_that_is_taken_away_is_nobodys_fault(post: Post) -> None:
+    class Thief(post.module.Hook):  # type: ignore[name-defined, misc]
+        def tell(self, event: dict[str, Any]) -> None:
+            shutil.rmtree(post.inbox / "b.zarr", ignore_errors=True)
+
+    post.deliver("a", "b", "c")
+    assert post.sweep(Thief(["x"])) == post.module.DONE
+    assert (post.names("done"), post.names("gone")) == (["a", "c"], ["b"])
+    assert post.records("quarantine") == {}
+
+
+def test_a_torn_line_of_the_log_harms_no_other(post: Post) -> None:
+    post.deliver("a")
+    assert post.sweep() == post.module.DONE
+    with open(post.outbox / "log.jsonl", "a") as file:
+        file.write('{"time": "20')
+    assert post.sweep() == post.module.DONE
+    lines = (post.outbox / "log.jsonl").read_text().splitlines()
+    assert lines.count('{"time": "20') == 1
+    lines.remove('{"time": "20')
+    assert [json.loads(line)["event"] for line in lines] == ["sweep", "started", "done", "end", "sweep", "end"]
+
+
+WRONG: dict[str, tuple[Callable[[Path], dict[str, Any]], str]] = {
+    "no inbox": (lambda folder: {"inbox": str(folder / "nowhere")}, "nowhere cannot be listed"),
+    "inbox a file": (lambda folder: {"inbox": str(folder / "file")}, "file cannot be listed"),
+    "outbox a file": (lambda folder: {"outbox": str(folder / "file")}, "file cannot be written"),
+    "outbox a bucket": (lambda folder: {"outbox": "s3://bucket/x"}, "no local folder"),
+    "outbox the inbox": (lambda folder: {"outbox": str(folder / "inbox")}, "lies in INBOX"),
+    "outbox in the inbox": (lambda folder: {"outbox": str(folder / "inbox" / "out")}, "lies in INBOX"),
+    "blocks": (lambda folder: {"blocks": "many"}, "--blocks 'many'"),
+    "grid": (lambda folder: {"grid": "1:2"}, "--grid"),
+    "hook": (lambda folder: {"notify": "/no/such/command"}, "--notify"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_wrong_use_is_refused_and_leaves_nothing(
+    case: str, post: Post, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    change, message = WRONG[case]
+    post.inbox.mkdir()
+    (post.folder / "file").write_text("x")
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    monkeypatch.chdir(post.folder)
+    with pytest.raises(typer.Exit) as ended:
+        post.module.main(**{"inbox": str(post.inbox), "outbox": str(post.outbox)} | change(post.folder))
+    assert ended.value.exit_code == post.module.USAGE
+    said = capsys.readouterr().err
+    assert message in said and said.count("\n") == 1
+    assert sorted(p.name for p in post.folder.iterdir()) == ["file", "inbox"]
+
+
+@pytest.mark.parametrize("inbox", ["scratch", "elsewhere"])
+def test_no_folder_of_others_is_removed_as_scratch(inbox: str, post: Post) -> None:
+    """An outbox may be given where somebody has a folder of that name: his collections, or what he keeps."""
+    kept = post.outbox / "scratch" / "kept"
+    kept.mkdir(parents=True)
+    shutil.copytree(post.store, post.outbox / inbox / "a.zarr")
+    before = everything(post.folder)
+    with pytest.raises(InputError, match=r"scratch|among what a sweep writes"):
+        post.module.sweep(str(post.outbox / inbox), str(post.outbox), SETTINGS, post.module.Hook([]))
+    assert everything(post.folder) == before
+
+
+# ---------------------------------------------------------------- processes
+
+
+def test_two_starts_and_a_kill(post: Post, image: dict[str, str]) -> None:
+    """Two at once, a bad one among the good, SIGKILL in the middle, and again: every good one exactly once."""
+    post.deliver("a", "bad", "b", "c", "d", "e")
+    post.damage("bad")
+    address = ("--scheduler", post.client.scheduler.address, "--quiet")
+    with post.start(*address) as first:
+        until(lambda: "b" in post.names("started") or first.poll() is not None, "the third collection")
+        first.send_signal(signal.SIGSTOP)  # on a busy machine it would be through before the second has started
+        with post.start(*address) as second:
+            _, said = second.communicate(timeout=PATIENCE)
+        assert second.returncode == post.module.BUSY
+        assert f"process {first.pid} " in said
+        first.kill()
+    settled = {*post.records("done"), *post.records("quarantine")}
+    assert settled, "killed too early to say anything"
+    assert post.status()["state"] == "running"  # so it has said
+    with post.start(*address) as third, post.start(*address) as fourth:
+        statuses = {third.wait(PATIENCE), fourth.wait(PATIENCE)}
+    # One may be too late to meet the other, and finds nothing to do.
+    assert statuses <= {post.module.DONE, post.module.QUARANTINED, post.module.BUSY}
+    assert post.module.QUARANTINED in statuses  # the first one did not live to say so
+    assert post.images() == dict.fromkeys("abcde", image)
+    assert set(post.records("done")) == set("abcde") and set(post.records("quarantine")) == {"bad"}
+    started = post.names("started") + post.names("resumed")
+    assert all(started.count(name) == 1 for name in settled)
+    assert sorted(post.names("done")) == list("abcde")
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_signals_end_a_sweep_in_good_order(number: int, post: Post, image: dict[str, str]) -> None:
+    post.deliver(*"abcdef")
+    with post.start() as process:
+        until(lambda: post.names("started")[2:] or process.poll() is not None, "the third collection")
+        asked = time.monotonic()
+        # A terminal sends Ctrl-C to all, the workers too.
+        (os.killpg if number == signal.SIGINT else os.kill)(process.pid, number)
+        _, said = process.communicate(timeout=PATIENCE)
+    assert time.monotonic() - asked < 20
+    assert process.returncode == 128 + number
+    assert "the next sweep goes on from here" in said and "Traceback" not in said
+    until(lambda: not members(process.pid), "its workers to end")
+    assert post.status()["state"] == "interrupted"
+    assert not (post.outbox / "scratch").exists()
+    before = post.names("done")
+    assert 1 < len(before) < 6
+    assert post.sweep() == post.module.DONE
+    assert post.names("done") == list("abcdef")
+    assert post.images() == dict.fromkeys("abcdef", image)
+
+
+# ---------------------------------------------------------------- a bucket
+
+
+def test_an_inbox_may_be_a_bucket(post: Post, image: dict[str, str]) -> None:
+    """Of the same rules, in the order of names: the runs lie in the local outbox all the same."""
+    for library in ("obstore", "moto", "boto3"):
+        pytest.importorskip(library)
+    import obstore
+    import s3
+
+    post.deliver("b", "a", "bad", "arriving")
+    post.damage("bad")
+    (post.inbox / "arriving.zarr" / "zarr.json").unlink()
+    with s3.server():
+        bucket = s3.make_bucket()
+        store = obstore.store.S3Store(bucket, client_options={"allow_http": True})
+        for path in sorted(path for path in post.inbox.rglob("*") if path.is_file()):
+            obstore.put(store, f"in/{path.relative_to(post.inbox)}", path)
+        # A cluster of the sweep's own: its workers know the way to the bucket.
+        sweep = (f"s3://{bucket}/in", str(post.outbox), SETTINGS, post.module.Hook([]))
+        assert post.module.sweep(*sweep, quiet=True) == post.module.QUARANTINED
+        assert post.names("done") == ["a", "b"] and set(post.records("quarantine")) == {"bad"}
+        assert post.images() == {"a": image, "b": image}
+        assert post.status()["waiting"] == ["arriving.zarr"]
+        assert post.module.sweep(*sweep, quiet=True) == post.module.DONE
+        assert post.names("done") == ["a", "b"]
+
+
+# ---------------------------------------------------------------- the soak
+
+MANY, SETTLED = 50, 10  # collections; after so many everything is loaded that ever will be
+GROWTH = 8 * 2**20  # bytes of one process in the forty after: 0.2 MiB each, less than a plan's arrays
+FEW = 4  # files or threads more: what one collection in ten would leave behind
+
+
+# The hook weighs who has started it and all whom that one has started, itself left out: a line for each collection.
+SCALES = """
+import json, os, sys
+import psutil
+
+def size(process):
+    with process.oneshot():
+        shared = sum(part.path.startswith("/dev/shm/") for part in process.memory_maps())
+        return process.memory_full_info().uss, process.num_fds(), process.num_threads(), shared
+
+sweep = psutil.Process(os.getppid())
+family = [process for process in (sweep, *sweep.children(recursive=True)) if process.pid != os.getpid()]
+with open(sys.argv[1], "a") as log:
+    log.write(json.dumps({process.pid: size(process) for process in family}) + "\\n")
+"""
+
+
+def test_fifty_collections_leave_nothing_behind(post: Post, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In one process, on one cluster: memory, open files, threads, shared memory and temporary files do not grow.
+
+    The process is the script's own, as a timer starts it: that of the tests grows by what the tests do.
+    """
+    scratch, log = tmp_path / "tmp", tmp_path / "sizes.jsonl"
+    scratch.mkdir()
+    (tmp_path / "scales.py").write_text(SCALES)
+    monkeypatch.setenv("TMPDIR", str(scratch))
+    post.deliver(*(f"{number:02}" for number in range(MANY)))
+    running = post.start("--notify", shlex.join([sys.executable, str(tmp_path / "scales.py"), str(log)]))
+    said = running.communicate(timeout=PATIENCE)[1]
+    assert running.returncode == post.module.DONE, said
+    sizes = [json.loads(line) for line in log.read_text().splitlines()]
+    assert len(sizes) == MANY == len(post.images())
+    early, late = sizes[SETTLED - 1], sizes[MANY - 1]
+    assert set(late) == set(early), "processes came and went"
+    for pid in early:
+        memory, files, threads, shared = zip(*(size[pid] for size in sizes), strict=True)
+        assert memory[-1] - memory[SETTLED - 1] < GROWTH, (pid, memory)
+        assert files[-1] < files[SETTLED - 1] + FEW, (pid, files)
+        assert threads[-1] < threads[SETTLED - 1] + FEW, (pid, threads)
+        assert shared[-1] <= shared[SETTLED - 1], (pid, shared)
+    assert os.listdir(scratch) == []
+    assert not (post.outbox / "scratch").exists()
