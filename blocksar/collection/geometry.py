@@ -191,30 +191,3 @@ class Geometry:
         speed2 = np.einsum("...i,...i->...", velocity, velocity)
         pull = np.einsum("...i,...i->...", sight, self.track.acceleration(time))
         return (speed2 - pull - rate**2) / distance
-
-    def dwell(self, yaw: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """First and last lit slow time of targets at a yaw, s; start > end where never lit.
-
-        A pulse stands for the half interval on either side of it, so N lit pulses dwell for N intervals.
-        """
-        collection = self.collection
-        half_pulse = collection.pulse_interval / 2
-        first, last = collection.time[0] - half_pulse, collection.time[-1] + half_pulse
-        yaw = np.asarray(yaw, dtype=np.float64)
-        if collection.beam_width is None:
-            return np.full(yaw.shape, first), np.full(yaw.shape, last)
-        beam, time = collection.beam_azimuth, collection.time
-        middle = (beam[0] + beam[-1]) / 2
-        yaw = middle + np.mod(yaw - middle + np.pi, 2 * np.pi) - np.pi
-        if beam[0] == beam[-1]:
-            lit = np.abs(yaw - middle) <= collection.beam_width / 2 * (1 + 1e-9)  # the very edge is lit
-            return np.where(lit, first, np.inf), np.where(lit, last, -np.inf)
-        sign = 1.0 if beam[-1] > beam[0] else -1.0
-        low, high = yaw - sign * collection.beam_width / 2, yaw + sign * collection.beam_width / 2
-
-        def crossing(level: FloatArray) -> FloatArray:
-            inside = np.interp(sign * level, sign * beam, time)
-            slope = (time[-1] - time[0]) / (beam[-1] - beam[0])
-            return inside + slope * (level - np.clip(level, min(beam[0], beam[-1]), max(beam[0], beam[-1])))
-
-        return np.maximum(crossing(low), first), np.minimum(crossing(high), last)

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from blocksar.arrays import FloatArray
+from blocksar.collection.beam import dwell_at
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SINC_WIDTH, SPEED_OF_LIGHT
 from blocksar.errors import InputError
@@ -68,7 +69,7 @@ def ground_resolution(geometry: Geometry, epoch_range: float, yaw: float) -> tup
     """-3 dB widths on the ground of a target with its own dwell: across iso-range lines, and along them, m."""
     collection = geometry.collection
     point = geometry.ground_point(np.array(epoch_range), np.array(yaw))
-    ends = np.array(geometry.dwell(np.array(yaw)))
+    ends = np.array(dwell_at(geometry, np.array(yaw)))
     sight = point - geometry.track.position(ends)
     gradient = (sight / np.linalg.norm(sight, axis=1, keepdims=True))[:, :2]
     mean = gradient.mean(axis=0)

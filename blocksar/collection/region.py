@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from blocksar.arrays import FloatArray
-from blocksar.collection.beam import lit_yaw
+from blocksar.collection.beam import dwell_at, lit_yaw, wrapped
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid, ground_resolution, outline
 from blocksar.constants import SPEED_OF_LIGHT
@@ -92,7 +92,7 @@ def _window(geometry: Geometry, yaw: FloatArray, within: tuple[float, float] | N
     spread = np.ptp(collection.reference_range) + np.ptp(geometry.track.position(collection.time), axis=0).max()
     low = max(reference - half - spread, floor * 1.0005)
     trial = np.linspace(low, reference + half + spread, 41)
-    first, last = geometry.dwell(yaw)
+    first, last = dwell_at(geometry, yaw)
     u = np.linspace(0, 1, 9)
     time = first[:, None] + (last - first)[:, None] * u
     point = geometry.ground_point(trial[None, :], yaw[:, None])
@@ -126,8 +126,7 @@ def grid_extent(geometry: Geometry, region: Region, grid: Grid) -> Extent:
     mesh_x, mesh_y = (m.ravel() for m in np.meshgrid(inside_x, inside_y))
     x, y = np.concatenate([x, mesh_x]), np.concatenate([y, mesh_y])
     middle = (region.yaw[0] + region.yaw[-1]) / 2
-    turn = geometry.yaw(x, y) - middle
-    yaw = middle + turn - 2 * np.pi * np.rint(turn / (2 * np.pi))
+    yaw = middle + wrapped(geometry.yaw(x, y) - middle)
     rng = geometry.epoch_range(x, y)
     near, far = region.at(yaw)
     covered = (yaw >= region.yaw[0]) & (yaw <= region.yaw[-1]) & (rng >= near) & (rng <= far)

@@ -26,10 +26,10 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from blocksar.collection.beam import lit_interval
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
-from blocksar.constants import SPEED_OF_LIGHT, TURN
-from blocksar.errors import InputError
+from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.kernels.fourier import Axis, fast_length, fft_rows, unit_phasor
 from blocksar.kernels.groups import GROUP_BYTES, row_groups, run_groups
 from blocksar.kernels.operations import Transform
@@ -69,41 +69,6 @@ class Profiles:
     pulses: slice
     centre: int
     spacing: float
-
-
-def lit_interval(geometry: Geometry, x: FloatArray, y: FloatArray) -> tuple[IntArray, IntArray]:
-    """The pulses first <= p < last that light each pixel: exactly those with |theta - beam_azimuth| <= beam_width / 2.
-
-    Parameters
-    ----------
-    geometry : Geometry
-    x, y : (...) float
-        m, scene frame; of one shape.
-
-    Returns
-    -------
-    first, last : (...) int
-        Both 0 where a pixel is never lit.
-
-    Raises
-    ------
-    InputError
-        If the beam scans so far round that a pixel could be lit twice.
-    """
-    collection = geometry.collection
-    yaw = np.asarray(geometry.yaw(np.asarray(x, np.float64), np.asarray(y, np.float64)))
-    first, last = np.zeros(yaw.shape, np.int64), np.full(yaw.shape, collection.n_pulse, np.int64)
-    if collection.beam_width is None:
-        return first, last
-    beam, width = collection.beam_azimuth, collection.beam_width
-    scan = abs(beam[-1] - beam[0])
-    if scan + width >= TURN:
-        raise InputError(
-            f"beam_azimuth scans {scan:.4g} rad with a beam_width of {width:.4g} rad, all round: a target would be "
-            "lit twice; cut the collection"
-        )
-    _lit_interval(yaw.ravel(), beam, width / 2, first.reshape(-1), last.reshape(-1))
-    return first, last
 
 
 def range_profiles(signal: ComplexArray, *, collection: Collection, pulses: slice, threads: int) -> Profiles:
@@ -382,34 +347,6 @@ def _blocks(lit: BoolArray, pulse_block: int) -> list[slice]:
         if inside.size:
             blocks.append(slice(int(inside[0]), int(inside[-1]) + 1))
     return blocks
-
-
-@njit(cache=True, nogil=True)
-def _lit_interval(yaw: FloatArray, beam: FloatArray, half_width: float, first: IntArray, last: IntArray) -> None:
-    """Two binary searches a pixel, with the very inequality of the contract: no fastmath, so no other rounding."""
-    n = beam.size
-    ascends = beam[n - 1] >= beam[0]
-    middle = (beam[0] + beam[n - 1]) / 2
-    for i in range(yaw.size):
-        turns = TURN * np.rint((yaw[i] - middle) / TURN)
-        for end in range(2):
-            # The beam has reached the pixel, or (end = 1) has passed it, from pulse `low` on.
-            low, high = 0, n
-            while low < high:
-                p = (low + high) // 2
-                away = (yaw[i] - beam[p]) - turns
-                ahead = away if ascends else -away
-                reached = ahead <= half_width if end == 0 else ahead < -half_width
-                if reached:
-                    high = p
-                else:
-                    low = p + 1
-            if end == 0:
-                first[i] = low
-            else:
-                last[i] = low
-        if first[i] >= last[i]:
-            first[i], last[i] = 0, 0
 
 
 def _float_in_word(shift: int) -> Any:
