@@ -11,6 +11,7 @@ import numpy as np
 from blocksar import stores
 from blocksar.api.reports import Report, Table
 from blocksar.arrays import ComplexArray
+from blocksar.collection.beam import full_dwell_yaw
 from blocksar.collection.geometry import Geometry
 from blocksar.errors import InputError
 from blocksar.focusing.backprojection import form_image
@@ -175,9 +176,9 @@ def _places(geometry: Geometry, record: dict[str, Any]) -> list[tuple[str, float
         return [("image centre", (x0 + x1) / 2, (y0 + y1) / 2)]
     collection = geometry.collection
     low, high = predicted[0]["yaw"][0], predicted[-1]["yaw"][1]
-    if collection.beam_width is not None and np.ptp(collection.beam_azimuth) > collection.beam_width:
-        low = max(low, float(collection.beam_azimuth.min() + collection.beam_width / 2))
-        high = min(high, float(collection.beam_azimuth.max() - collection.beam_width / 2))
+    if collection.steered:
+        first, last = full_dwell_yaw(collection)
+        low, high = (max(low, first), min(high, last)) if first < last else (low, high)
     blocks = {b["block"]: b["yaw"] for b in predicted}
     yaws = [(f"block {index} centre", float(np.clip(sum(yaw) / 2, low, high))) for index, yaw in blocks.items()]
     yaws += [(f"seam {index}|{index + 1}", yaw[1]) for index, yaw in list(blocks.items())[:-1]]

@@ -8,6 +8,7 @@ import numpy as np
 
 from blocksar.api.arguments import GridLike, collection_of, grid_of, resources
 from blocksar.api.reports import Report, Table
+from blocksar.collection.beam import most_lit_pulses
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
@@ -175,10 +176,7 @@ def _plan_backprojection(
     geometry = Geometry(collection=collection)
     grid = grid or default_grid(geometry, plan_region(geometry, None))
     pixels = grid.shape[0] * grid.shape[1]
-    lit = collection.n_pulse
-    if collection.beam_width is not None:
-        sweep = float(np.ptp(collection.beam_azimuth))
-        lit = min(lit, round(collection.n_pulse * collection.beam_width / max(sweep, 1e-9)))
+    lit = most_lit_pulses(collection)
     memory = checked_back_projection_memory(collection, grid, threads, memory_limit)
     lines = [
         f"exact back-projection of {grid.shape[1]} x {grid.shape[0]} pixels, {lit} lit pulses each: "

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from blocksar.arrays import FloatArray
+from blocksar.collection.beam import aperture, dwell_at
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import TURN
 from blocksar.focusing.recovery import Recovery
@@ -117,12 +118,13 @@ def expect(
         all the time, and the centroid is wherever the scene is bright.
     """
     collection = geometry.collection
-    first, last = geometry.dwell(yaw)
-    start, end = collection.time[[0, -1]] + collection.pulse_interval * np.array([-0.5, 0.5])
+    first, last = dwell_at(geometry, yaw)
+    start, end = aperture(collection)
     late, early = first <= start, last >= end  # begun too late, or ended too early, to see all of them
     uncut = ~(late | early)
     if not uncut.any():  # as it is where the beam is not steered: lit from start to end
         return None
+    cuts = np.array([last[late].max(initial=start), first[early].min(initial=end)])
     nodes, weights = np.polynomial.legendre.leggauss(DWELL_NODES)
     first, last = first[uncut, None], last[uncut, None]
     time = (first + last) / 2 + (last - first) / 2 * nodes
@@ -136,7 +138,6 @@ def expect(
         offsets.append(-2 / collection.wavelength * left - turned * collection.prf)
     offset = np.concatenate(offsets)
     vector = np.exp(1j * TURN / collection.prf * offset) @ weights / 2
-    cuts = np.array([geometry.dwell(yaw)[1][late].max(initial=start), geometry.dwell(yaw)[0][early].min(initial=end)])
     segments = (cuts - start) / (end - start) * SEGMENTS
     return Expectation(
         prf=collection.prf,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import i0
 
 from blocksar.arrays import ComplexArray, FloatArray
-from blocksar.collection.beam import has_full_dwell
+from blocksar.collection.beam import dwell, has_full_dwell
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SINC_WIDTH, SPEED_OF_LIGHT
 from blocksar.errors import InputError
@@ -75,10 +75,10 @@ def response_axes(geometry: Geometry, x: float, y: float) -> ResponseAxes | None
     """Axes of the response of a target at x, y (m); None where it is never lit or its axes fall together.
 
     The azimuth band is exact for a ground gradient that turns uniformly over the dwell: it is taken between
-    the first and the last lit pulse edge (`Geometry.dwell`), at the carrier.
+    the first and the last lit pulse edge (`dwell`), at the carrier.
     """
     collection = geometry.collection
-    start, end = (float(edge) for edge in geometry.dwell(geometry.yaw(np.array(x), np.array(y))))
+    start, end = (float(edge) for edge in dwell(geometry, np.array(x), np.array(y)))
     if not start < end:
         return None
     point = np.array([x, y, collection.ground_height])

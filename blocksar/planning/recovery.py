@@ -6,6 +6,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from blocksar.arrays import FloatArray
+from blocksar.collection.beam import dwell_at
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import Region
 from blocksar.constants import SPEED_OF_LIGHT
@@ -67,7 +68,7 @@ def plan_recovery(geometry: Geometry, region: Region, method: Method = DEFAULT) 
     series[0] += centre_band
     derotation = chebyshev.chebint(series) * half
 
-    dwell = float(np.max(np.subtract(*geometry.dwell(region.yaw)[::-1])))
+    dwell = float(np.max(np.subtract(*dwell_at(geometry, region.yaw)[::-1])))
     margin = tail_margin(dwell)
     padded = fourier.fast_length((1.02 + band_edge) * pulses.size + 16)  # the keystone scales time by the band
     duration = padded * pulses.step

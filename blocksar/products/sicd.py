@@ -34,6 +34,7 @@ from numpy.polynomial import Chebyshev, Polynomial
 from numpy.polynomial import polynomial as power
 
 from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.collection.beam import dwell
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.constants import SPEED_OF_LIGHT
@@ -288,7 +289,7 @@ def _centre(vertices: Any) -> Any:
 
 def _dwell(geometry: Geometry, points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """First and last lit slow time of points (..., 3), s."""
-    first, last = geometry.dwell(geometry.yaw(points[..., 0], points[..., 1]))
+    first, last = dwell(geometry, points[..., 0], points[..., 1])
     return first, last
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from blocksar.arrays import FloatArray
 from blocksar.chunks import TILE
+from blocksar.collection.beam import full_dwell_yaw
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
@@ -298,7 +299,7 @@ def _lit_area(scene: Scene, collection: Collection, moment: FloatArray) -> tuple
         half = float(np.linalg.norm(ends, axis=1).max())
         return half * np.array([[-1.0, -1], [-1, 1], [1, 1], [1, -1]]), *whole
     beam, width = collection.beam_azimuth, collection.beam_width
-    low, high = float(beam.min()) + width / 2, float(beam.max()) - width / 2
+    low, high = full_dwell_yaw(collection)
     always = low >= high
     low, high = min(low, high), max(low, high)
     inset = 1e-3 * (high - low)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy import fft  # not fourier.py: this inverse transform leads to fast time, on its own grid
 
 from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.collection.beam import EDGE, beam_at, in_beam, wrapped
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT, TURN
@@ -50,11 +51,10 @@ class Field:
 
         Two where the beam looks across yaw = +-pi.
         """
-        width = self.collection.beam_width
-        if width is None:
+        if not self.collection.steered:
             return [(0, self.yaw.size)]
-        half = width / 2 * (1 + 1e-12) + 1e-12
-        azimuth = wrapped(self.collection.beam_azimuth[pulse])
+        azimuth, half = _beam(self.collection, pulse)
+        azimuth, half = wrapped(azimuth), half + EDGE
         found = []
         for beam in (azimuth - TURN, azimuth, azimuth + TURN):
             first, last = np.searchsorted(self.yaw, [beam - half, beam + half])
@@ -200,11 +200,6 @@ def raw_echo(
 # -- blocks of pulses ---------------------------------------------------------------------------------------
 
 
-def wrapped(angle: float) -> float:
-    """The same angle in [-pi, pi]."""
-    return float(angle - TURN * np.rint(angle / TURN))
-
-
 def _in_blocks(
     work: Callable[[range, ComplexArray], None], pulses: slice, collection: Collection, n: int, threads: int
 ) -> ComplexArray:
@@ -226,15 +221,11 @@ def _in_blocks(
 
 def _beam(collection: Collection, pulse: int) -> tuple[float, float]:
     """Yaw of the beam centre and half its width, rad; infinite half width where the beam is not steered."""
-    if collection.beam_width is None:
-        return 0.0, np.inf
-    return float(collection.beam_azimuth[pulse]), collection.beam_width / 2
+    azimuth, half_width = beam_at(collection, slice(pulse, pulse + 1))
+    return float(azimuth[0]), half_width
 
 
-@njit(inline="always")
-def _lit(yaw: float, beam: float, half_width: float) -> bool:
-    away = yaw - beam
-    return abs(away - TURN * np.rint(away / TURN)) <= half_width
+_in_beam = njit(inline="always")(in_beam)
 
 
 # -- few scatterers: direct sums ----------------------------------------------------------------------------
@@ -289,7 +280,7 @@ def _direct_pulse(
     total_real, total_imag = np.zeros((rows, stride)), np.zeros((rows, stride))
     fine_real, fine_imag = np.empty(stride), np.empty(stride)
     for i in range(x.size):
-        if not _lit(yaw[i], beam, half_width):
+        if not _in_beam(yaw[i], beam, half_width):
             continue
         dx, dy, dz = x[i] - antenna[0], y[i] - antenna[1], height - antenna[2]
         away = np.sqrt(dx * dx + dy * dy + dz * dz) - reference
@@ -355,7 +346,7 @@ def _direct_echo_pulse(
     n = out.size
     total = np.zeros(n, np.complex128)
     for i in range(x.size):
-        if not _lit(yaw[i], beam, half_width):
+        if not _in_beam(yaw[i], beam, half_width):
             continue
         dx, dy, dz = x[i] - antenna[0], y[i] - antenna[1], height - antenna[2]
         distance = np.sqrt(dx * dx + dy * dy + dz * dz)
@@ -447,7 +438,7 @@ def _nodes_and_strengths(
         nodes[i] = TURN * (turns - np.rint(turns))
         cycles = -(carrier_cycles * (distance - reference) + middle_cycles * away)
         part = np.float32(cycles - np.rint(cycles))
-        lit = 1.0 if _lit(yaw[i], beam, half_width) else 0.0
+        lit = 1.0 if _in_beam(yaw[i], beam, half_width) else 0.0
         cos, sin = lit * cosine(part), lit * sine(part)
         sigma = reflectivity[i]
         strengths[i] = complex(sigma.real * cos - sigma.imag * sin, sigma.real * sin + sigma.imag * cos)

@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 from pydantic import Field, PrivateAttr, ValidationError
 
 from blocksar.arrays import FloatArray, IntArray
+from blocksar.collection.beam import in_beam, lit_yaw
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
@@ -282,8 +283,7 @@ class Scene(Table):
         """First and last yaw (rad) that is ever lit; the scene centre's own where the beam is not steered."""
         if self.beam is None:
             return self.centre_yaw, self.centre_yaw
-        half = np.deg2rad(self.beam_width_deg) / 2
-        return float(self.beam_azimuth.min() - half), float(self.beam_azimuth.max() + half)
+        return lit_yaw(self.geometry.collection)
 
     # -- what reflects --------------------------------------------------------------------------------------
 
@@ -410,7 +410,7 @@ class Scene(Table):
         for pulse in pulses:
             lit = np.ones(x.shape, bool)
             if self.beam is not None:
-                lit = np.abs(np.mod(yaw - self.beam_azimuth[pulse] + np.pi, 2 * np.pi) - np.pi) <= half
+                lit = in_beam(yaw, self.beam_azimuth[pulse], half)
             px, py, pz = self.geometry.collection.antenna_position[pulse]
             distance = np.sqrt((x[lit] - px) ** 2 + (y[lit] - py) ** 2 + (self.area.ground_height - pz) ** 2)
             if distance.size:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.collection.beam import dwell_at
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
@@ -112,7 +113,7 @@ def taper(geometry: Geometry, yaw: float, time: FloatArray) -> FloatArray:
 
     time (n,) s, absolute.
     """
-    first, last = geometry.dwell(np.array(yaw))
+    first, last = dwell_at(geometry, np.array(yaw))
     along = (time - first) / (last - first)
     return np.where((along > 0) & (along < 1), np.sin(np.pi * np.clip(along, 0, 1)) ** 2, 0.0)
 

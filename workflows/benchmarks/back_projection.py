@@ -16,9 +16,10 @@ import numpy as np
 from benchmarks.figures import spread
 from blocksar import stores
 from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.collection.beam import lit_interval
 from blocksar.collection.geometry import Geometry
 from blocksar.errors import InputError
-from blocksar.focusing.backprojection import accumulate, form_points, lit_interval, pulse_block_size, range_profiles
+from blocksar.focusing.backprojection import accumulate, form_points, pulse_block_size, range_profiles
 from blocksar.measurement.coherence import coherence
 from blocksar.planning.plan import Plan
 

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.signal import resample
 
 from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.collection.beam import full_dwell_yaw
 from blocksar.constants import SINC_WIDTH, SPEED_OF_LIGHT
 from blocksar.focusing.lines import Line, focus
 from blocksar.focusing.range_steps import Compression, RangeCompression, ResidualRangeWalk
@@ -191,6 +192,4 @@ def rates(line: Line) -> FloatArray:
 
 def full_dwell() -> Sector:
     """First and last yaw that are lit for a full dwell."""
-    collection = geometry("table1").collection
-    half = (collection.beam_width or 0.0) / 2
-    return Sector(float(collection.beam_azimuth.min()) + half, float(collection.beam_azimuth.max()) - half)
+    return Sector(*full_dwell_yaw(geometry("table1").collection))

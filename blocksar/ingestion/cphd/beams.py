@@ -8,6 +8,7 @@ import numpy as np
 from numpy.polynomial import polynomial
 
 from blocksar.arrays import FloatArray
+from blocksar.collection.beam import turned_near
 from blocksar.collection.georeference import Georeference
 from blocksar.errors import InputError
 from blocksar.ingestion.cphd.files import CphdFile, child_of, library, numbers_of, text_of
@@ -42,7 +43,7 @@ def beam_of(file: CphdFile, pulses: Pulses, frame: Georeference, position: Float
     ground = frame.from_ecef(area)
     nadir = position[position.shape[0] // 2, :2]
     yaw = np.arctan2(ground[:, 1] - nadir[1], ground[:, 0] - nadir[0])
-    turn = yaw[0] + np.mod(yaw - yaw[0] + np.pi, 2 * np.pi) - np.pi
+    turn = turned_near(yaw, float(yaw[0]))
     unsaid = "beam not steered, although targets dwell for a part of the time only: "
     if np.ptp(cod) < 0.05 * dwell.mean():
         return _Beam(nothing, None, f"{unsaid}the image area's centre of dwell hardly changes")

@@ -12,6 +12,7 @@ import numpy as np
 
 from blocksar import stores
 from blocksar.arrays import UNIFORM_TOLERANCE, ComplexArray, FloatArray
+from blocksar.collection.beam import wrapped
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.ingestion.gotcha.matfile import Value, read_struct
@@ -211,7 +212,7 @@ def _check_angles(fields: dict[str, Value], position: FloatArray, away: FloatArr
         if name not in fields:
             continue
         told = _numbers(fields, name, away.size)
-        apart = np.abs(np.mod(told - angles[name] + 180, 360) - 180)
+        apart = np.abs(np.degrees(wrapped(np.radians(told - angles[name]))))
         if apart.max() > ANGLE_TOLERANCE:
             where = int(apart.argmax())
             raise InputError(

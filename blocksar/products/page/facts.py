@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from blocksar.collection.beam import turned_near
 from blocksar.constants import SINC_PSLR
 from blocksar.measurement.bar import BARS, judged, rank, worst_excess
 from blocksar.measurement.figures import PointResponse
@@ -68,8 +69,7 @@ def block_of(source: Source, predicted: Sequence[Mapping[str, Any]], x: float, y
     yaw, distance = float(geometry.yaw(np.array(x), np.array(y))), float(geometry.epoch_range(np.array(x), np.array(y)))
     for block in predicted:
         (low, high), (near, far) = block["yaw"], block["range"]
-        turned = (low + high) / 2 + np.mod(yaw - (low + high) / 2 + np.pi, 2 * np.pi) - np.pi
-        if low <= turned <= high and (block["part"] is None or near <= distance <= far):
+        if low <= turned_near(yaw, (low + high) / 2) <= high and (block["part"] is None or near <= distance <= far):
             return block_name(block)
     return DASH
 

@@ -16,6 +16,7 @@ from matplotlib.image import imsave
 from numpy.typing import NDArray
 
 from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.collection.beam import dwell
 from blocksar.measurement.figures import PointResponse
 from blocksar.measurement.targets import Target
 from blocksar.products.page.facts import MOST_ROWS, block_name
@@ -213,7 +214,7 @@ def _label_place(source: Source, block: Mapping[str, Any], picture: Picture) -> 
 def arrows(source: Source, picture: Picture, north: float | None) -> list[Arrow]:
     """The look direction at the image's centre, and north, if it is known how far x is turned from east (degrees)."""
     centre = np.array(picture.centre)
-    first, last = (float(t) for t in source.geometry.dwell(source.geometry.yaw(*centre)))
+    first, last = (float(t) for t in dwell(source.geometry, *centre))
     time = (first + last) / 2 if first < last else source.geometry.epoch
     look = centre - source.geometry.track.position(np.array(time))[:2]
     found = [Arrow("look", _turn(look))]

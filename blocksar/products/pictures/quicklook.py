@@ -20,6 +20,7 @@ from matplotlib.text import OffsetFrom
 from matplotlib.ticker import FuncFormatter
 
 from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.collection.beam import dwell
 from blocksar.places import Location
 from blocksar.products.pictures.figures import DPI, MARK
 from blocksar.products.pictures.overview import NOT_COVERED, Overview, ReadImage, overview, stretch
@@ -150,7 +151,7 @@ def _arrows(source: Source, seen: Overview) -> list[Arrow]:
     if rows.size:
         x = (seen.x_edges[:-1] + seen.x_edges[1:])[columns].mean() / 2
         y = (seen.y_edges[:-1] + seen.y_edges[1:])[rows].mean() / 2
-        first, last = (float(t) for t in source.geometry.dwell(source.geometry.yaw(x, y)))
+        first, last = (float(t) for t in dwell(source.geometry, x, y))
         time = (first + last) / 2 if first < last else source.geometry.epoch
         arrows.append(Arrow("look", np.array([x, y]) - source.geometry.track.position(np.array(time))[:2], MARK))
     if source.georeference is not None:
