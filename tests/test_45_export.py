@@ -41,6 +41,7 @@ from blocksar.measurement.targets import Target
 from blocksar.products import geotiff, sicd, writing
 from blocksar.products.pictures import quicklook
 from blocksar.runs import finished
+from blocksar.runs.record import RunRecord
 
 matplotlib.use("Agg")
 
@@ -62,11 +63,11 @@ class Made:
     y: Any
 
     @property
-    def source(self) -> finished.Source:
+    def source(self) -> finished.FinishedRun:
         _, attrs = stores.read_collection(self.folder / "collection.zarr")
         geometry = Geometry(collection=self.collection)
-        place = blocksar.places.place(self.folder / "image.zarr")  # type: ignore[attr-defined]
-        return finished.Source(place, self.x, self.y, geometry, attrs, {})
+        folder = blocksar.places.place(self.folder)  # type: ignore[attr-defined]
+        return finished.FinishedRun(folder, self.x, self.y, geometry, attrs, RunRecord(status="finished"))
 
     def peak(self, target: Target) -> Any:
         """Fractional (row of y, column of x) of the target's peak: its chip, transformed, padded 16 times and back."""
@@ -398,16 +399,16 @@ def test_a_coarse_image_is_no_sicd(tmp_path: Path) -> None:
 def test_no_product_depends_on_strips(kind: Any, made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nor is more read at once than a strip."""
     blocksar.export(kind, made.folder, tmp_path / "whole")
-    largest, read = 0, finished.Source.read
+    largest, read = 0, finished.FinishedRun.read
 
-    def watched(self: finished.Source, rows: slice, columns: slice) -> Any:
+    def watched(self: finished.FinishedRun, rows: slice, columns: slice) -> Any:
         nonlocal largest
         values = read(self, rows, columns)
         largest = max(largest, values.size)
         return values
 
     monkeypatch.setattr(finished, "STRIP", 1000)
-    monkeypatch.setattr(finished.Source, "read", watched)
+    monkeypatch.setattr(finished.FinishedRun, "read", watched)
     blocksar.export(kind, made.folder, tmp_path / "strips")
     if kind != "png":  # whose picture is as small as the image here
         assert 0 < largest <= 1000

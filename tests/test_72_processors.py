@@ -24,6 +24,7 @@ from blocksar.focusing.method import Chain
 from blocksar.graph.cluster import open_client
 from blocksar.measurement.coherence import ChipComparison, coherence
 from blocksar.planning.plan import Plan
+from blocksar.runs.record import RunPlan
 
 MARGIN = 30.0  # m that a place keeps from the image's edge: room for a chip and for the side lobes of a response
 SHIPPED = Path(blocksar.__file__).parent / "simulation" / "scenes"
@@ -71,8 +72,8 @@ def planned(path: Path, **settings: Any) -> Plan:
 def places(plan: Plan) -> dict[str, tuple[float, float]]:
     """Some places at the image's edges, on seams and at the centre of its blocks, well within it: name -> (x, y)."""
     geometry, grid = plan.geometry, plan.grid
-    record = {"plan": {"predicted": focusing._predicted(plan), "grid": focusing._grid_record(grid)}}
-    known = {name: (x, y) for name, x, y in measuring._places(geometry, record)}
+    predicted = focusing.predicted_blocks(plan)
+    known = {name: (x, y) for name, x, y in measuring.reference_places(geometry, RunPlan(predicted=predicted))}
     middle = plan.n_blocks // 2
     wanted = [f"{edge} full dwell, {where} range" for edge in ("first", "last") for where in ("near", "middle", "far")]
     wanted += [f"seam {i}|{i + 1}, middle range" for i in (0, plan.n_blocks - 2)]
@@ -101,7 +102,7 @@ def chips(store: Path, run: Path, at: dict[str, tuple[float, float]], *, half: i
             int(np.argmin(np.abs(axis - value))) for axis, value in ((image.x.values, x), (image.y.values, y))
         )
         chip = image.isel(x=slice(max(column - half, 0), column + half), y=slice(max(row - half, 0), row + half))
-        read = measuring._pulse_reader(history)
+        read = measuring.pulse_reader(history)
         exact = form_image(read, geometry, chip.x.values, chip.y.values, threads=2)
         found[name] = coherence(chip.values, exact)
     return found

@@ -9,7 +9,7 @@ from blocksar.arrays import FloatArray
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import Region
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.errors import InputError
+from blocksar.errors import PrfTooLow
 from blocksar.focusing.lines import Line
 from blocksar.focusing.recovery import NOTHING_IN_COMMON, CommonRange, Recovery
 from blocksar.kernels import fourier
@@ -28,8 +28,8 @@ def plan_recovery(geometry: Geometry, region: Region, *, linear: bool = False) -
 
     Raises
     ------
-    InputError
-        If the derotated band exceeds the PRF; the message names the PRF needed.
+    PrfTooLow
+        If the derotated band exceeds the PRF.
     """
     collection = geometry.collection
     centre_yaw = (region.yaw[0] + region.yaw[-1]) / 2
@@ -58,11 +58,12 @@ def plan_recovery(geometry: Geometry, region: Region, *, linear: bool = False) -
     spread = (derotated_high - derotated_low) * (1 + band_edge)
     if collection.prf < spread:
         kind = "linear" if linear else "nonlinear"
-        needed = 10 * np.ceil(1.002 * spread / 10)  # another PRF cuts the dwells a little differently
-        raise InputError(
+        needed = float(10 * np.ceil(1.002 * spread / 10))  # another PRF cuts the dwells a little differently
+        raise PrfTooLow(
             f"PRF {collection.prf:.6g} Hz is too low: after {kind} derotation the lit scene still spans "
             f"{spread:.6g} Hz of Doppler, so a PRF of at least {needed:.6g} Hz is needed; collect with a higher PRF or "
-            + ("a narrower beam" if collection.steered else "image a smaller grid")
+            + ("a narrower beam" if collection.steered else "image a smaller grid"),
+            needed,
         )
     series[0] += centre_band
     derotation = chebyshev.chebint(series) * half
