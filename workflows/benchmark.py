@@ -47,6 +47,7 @@ from blocksar.cli.parsing import parse_blocks, parse_memory
 from blocksar.errors import InputError
 from blocksar.graph.cluster import machine, open_client
 from blocksar.graph.tasks import peak_memory
+from blocksar.runs.record import RunRecord
 
 SETTLING = 5.0  # s
 
@@ -81,12 +82,12 @@ class Bench:
         blocksar.simulate(case.scene, store, threads=machine()[0])
         return store
 
-    def focus(self, client: Client, case: Case, store: Path) -> tuple[float, dict[str, Any], Path]:
+    def focus(self, client: Client, case: Case, store: Path) -> tuple[float, RunRecord, Path]:
         """Focus into an empty folder; seconds from call to return, the run's record, the run."""
         run = emptied(self.folder / str(case.scale) / "run")
         started = time.perf_counter()
         report = blocksar.focus(store, run, blocks=case.plan.n_blocks, threads=self.threads, client=client)
-        return time.perf_counter() - started, report.result, run
+        return time.perf_counter() - started, RunRecord.from_json(report.result), run
 
     def measure(self, case: Case, store: Path) -> dict[str, Any]:
         """Everything about one scene but the speed-up. A cluster of its own: peaks of memory are per process."""
@@ -128,7 +129,7 @@ class Bench:
         with self.cluster(workers) as client:
             self.focus(client, case, store)
             tell(f"{case.scale}: {self.repeats} runs by {workers} worker")
-            return [self.focus(client, case, store)[1]["timings"]["focus"] for _ in range(self.repeats)]
+            return [self.focus(client, case, store)[1].timings["focus"] for _ in range(self.repeats)]
 
 
 def emptied(path: Path) -> Path:

@@ -26,7 +26,6 @@ to RUN/look.png, or wherever --out says, and needs the extra `plots`.
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -37,6 +36,8 @@ import typer
 import xarray as xr
 
 import blocksar
+from blocksar.places import place
+from blocksar.runs.record import RunRecord
 
 CELLS = 800  # of a decimated picture, along its longer side at most
 CHUNK = 1024  # samples a side that dask takes at a time
@@ -111,13 +112,13 @@ def cuts_through(image: xr.Dataset, point: Point, direction: float) -> dict[str,
 # ---------------------------------------------------------------- how it came to be
 
 
-def read_record(run: Path) -> dict[str, Any]:
+def read_record(run: Path) -> RunRecord:
     """run.json, of a finished run."""
     if not (run / "run.json").is_file():
         raise blocksar.InputError(f"{run} holds no run.json; give the folder that `blocksar focus --out` left")
-    record: dict[str, Any] = json.loads((run / "run.json").read_text())
-    if record["status"] != "finished":
-        raise blocksar.InputError(f"{run} is {record['status']}; give the command that began it once more")
+    record = RunRecord.read(place(run))
+    if not record.finished:
+        raise blocksar.InputError(f"{run} is {record.status}; give the command that began it once more")
     return record
 
 
@@ -129,26 +130,26 @@ def say_coverage(image: xr.Dataset) -> None:
         print(f"{'no block' if number < 0 else f'block {number}'}: {count * pixel / 1e6:.3f} km^2")
 
 
-def say_record(record: dict[str, Any]) -> None:
-    print("settings:", ", ".join(f"{name} {value}" for name, value in record["settings"].items()))
-    print("stages:", ", ".join(f"{name} {seconds:.1f} s" for name, seconds in record["timings"].items()))
-    slowest = sorted(record["receipts"], key=lambda receipt: -receipt["seconds"])[:3]
-    print("slowest units of work:", ", ".join(f"{receipt['unit']} {receipt['seconds']:.2f} s" for receipt in slowest))
-    planned = [block["memory"] / 2**20 for block in record["plan"]["predicted"]]
+def say_record(record: RunRecord) -> None:
+    print("settings:", ", ".join(f"{name} {value}" for name, value in record.settings.items()))
+    print("stages:", ", ".join(f"{name} {seconds:.1f} s" for name, seconds in record.timings.items()))
+    slowest = sorted(record.receipts, key=lambda receipt: -receipt.seconds)[:3]
+    print("slowest units of work:", ", ".join(f"{receipt.unit} {receipt.seconds:.2f} s" for receipt in slowest))
+    planned = [block.memory / 2**20 for block in record.plan.predicted]
     told = f", {max(planned):.0f} MiB planned for the largest block" if planned else ""
-    print(f"memory of a worker: {record['peak_memory'] / 2**20:.0f} MiB{told}")
-    for warning in record["warnings"]:
+    print(f"memory of a worker: {(record.peak_memory or 0) / 2**20:.0f} MiB{told}")
+    for warning in record.warnings:
         print("warning:", warning)
 
 
-def say_promises(run: Path, image: xr.Dataset, record: dict[str, Any]) -> None:
+def say_promises(run: Path, image: xr.Dataset, record: RunRecord) -> None:
     """Side lobes and widths in azimuth: the worst that the plan has for a block, and the worst target in it."""
     targets = [t for t in blocksar.quality(run).result["targets"] if t["full_dwell"] and t["covered"]]
     at = {axis: xr.DataArray([target[axis] for target in targets], dims="target") for axis in ("x", "y")}
     blocks = image["block"].sel(at, method="nearest").values if targets else np.array([])
-    for number in sorted({planned["block"] for planned in record["plan"]["predicted"]}):
-        parts = [planned for planned in record["plan"]["predicted"] if planned["block"] == number]  # range sub-blocks
-        promised = max(part["pslr"] for part in parts), max(part["width"] for part in parts)
+    for number in sorted({planned.block for planned in record.plan.predicted}):
+        parts = [planned for planned in record.plan.predicted if planned.block == number]  # range sub-blocks
+        promised = max(part.pslr for part in parts), max(part.width for part in parts)
         held = [target for target, block in zip(targets, blocks, strict=True) if block == number]
         line = f"block {number}: promised {promised[0]:.2f} dB, width {promised[1]:.3f} of theory"
         if held:
@@ -211,7 +212,7 @@ def main(
     say_coverage(image)
     say_record(record)
     say_promises(run, image, record)
-    if record["plan"]["predicted"]:
+    if record.plan.predicted:
         first = min((run / "patches").iterdir())
         patch = blocksar.open(first)
         print(f"patches/{first.name} {'is' if same_pixels(patch, image) else 'is NOT'} what the image shows of it")

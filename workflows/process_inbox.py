@@ -56,11 +56,12 @@ import typer
 import blocksar
 from blocksar import stores
 from blocksar.cli import endings, options, parsing
-from blocksar.errors import InputError, ProcessingError
+from blocksar.errors import FolderError, InputError, ProcessingError
 from blocksar.places import place
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Held, Place
-from blocksar.runs.folder import ASIDE, FINISHED, LOCK, UNFINISHED
+from blocksar.runs.folder import ASIDE, LOCK
+from blocksar.runs.record import RunRecord
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -226,15 +227,14 @@ class Outbox:
             run = self.folder / "runs" / (stem if number == 1 else f"{stem}.{number}")
             if not os.path.lexists(run) or (run.is_dir() and set(os.listdir(run)) <= {LOCK, ASIDE}):
                 return run, Standing.NOTHING
-            record = _read_record(run / "run.json") or {}
-            entry = record.get("input")
-            entry = entry if isinstance(entry, dict) else {}
-            same = entry.get("fingerprint") == fingerprint
-            if same and record.get("status") == FINISHED:
+            record = _run_record(run)
+            if record is None:
+                continue
+            same = record.input.fingerprint == fingerprint
+            if same and record.finished:
                 return run, Standing.FINISHED
             # What a collection of that name left unfinished before it changed is of no more use.
-            named = os.path.basename(str(entry.get("path"))) == source.name
-            if record.get("status") == UNFINISHED and (same or named):
+            if not record.finished and (same or os.path.basename(record.input.path) == source.name):
                 return run, Standing.UNFINISHED
         raise AssertionError
 
@@ -245,6 +245,13 @@ def _read_record(path: Path) -> Record | None:
         record = stores.read_json(path)
         if isinstance(record, dict):
             return record
+    return None
+
+
+def _run_record(run: Path) -> RunRecord | None:
+    """The record of a run, or None where none can be read."""
+    with suppress(InputError):
+        return RunRecord.read(place(run))
     return None
 
 
@@ -509,7 +516,6 @@ class Sweep:
         """Focus a collection: done, quarantined or failed; None if it was taken away."""
         started = time.perf_counter()
         event: Event = {"name": arrival.name, "source": str(arrival.store)}
-        run: Path | None = None
         try:
             run, standing = self._place(arrival)
             self.journal.write({"event": standing.value, "name": arrival.name, "run": str(run)})
@@ -522,7 +528,7 @@ class Sweep:
             if not arrival.store.exists():
                 self.journal.write({"event": "gone", "name": arrival.name})
                 return None
-            event |= {"event": "failed" if _passing(error, run) else "quarantined", "reason": str(error)}
+            event |= {"event": "failed" if _passing(error) else "quarantined", "reason": str(error)}
         except Exception as error:  # whatever it is, those that wait behind are none the worse for it
             known = isinstance(error, ProcessingError | OSError)
             event |= {"event": "failed", "reason": str(error) if known else f"{type(error).__name__}: {error}"}
@@ -541,18 +547,17 @@ class Sweep:
         arguments: dict[str, Any] = {**self.settings, "client": self.cluster.client(), "progress": self.journal}
         try:
             report = blocksar.focus(str(arrival.store), run, **arguments)
-        except InputError as error:
-            # That remedy is named where the run is not what is asked for now; a full disk has another one.
-            if standing is not Standing.UNFINISHED or "--overwrite" not in str(error):
+        except FolderError as error:
+            if standing is not Standing.UNFINISHED or not error.replaceable:
                 raise
             self.journal.write({"event": "restarted", "name": arrival.name, "reason": str(error)})
             report = blocksar.focus(str(arrival.store), run, **arguments, overwrite=True)
         return list(report.summary)
 
 
-def _passing(error: InputError, run: Path | None) -> bool:
-    """Whether it is no fault of the collection: what names the run speaks of the outbox, an OSError of the machine."""
-    if run is not None and str(run) in str(error):
+def _passing(error: InputError) -> bool:
+    """Whether the outbox or the machine is at fault, not the collection: another sweep may succeed."""
+    if isinstance(error, FolderError):
         return True
     cause = error.__cause__
     while cause is not None:

@@ -21,7 +21,7 @@ from blocksar.planning import effort
 from blocksar.progress import Updated as Progress
 from blocksar.progress import listener
 from blocksar.runs import folder as run_folder
-from blocksar.runs.finished import open_run
+from blocksar.runs.finished import FinishedRun
 
 
 def demo(
@@ -71,12 +71,12 @@ def _draw(folder: Place, shown: Sequence[Response]) -> list[Place]:
         from blocksar.products.pictures import mosaic, responses  # optional, and slow to load
     except ModuleNotFoundError as error:
         raise InputError(f"{error.name} is not installed, which pictures need; install blocksar[plots]") from None
-    image, _, attrs, _ = open_run(folder)
+    run = FinishedRun.open(folder)
     with tempfile.TemporaryDirectory() as drawn:
         pictures = [Path(drawn, "mosaic.png"), Path(drawn, "contours.png")]
         mosaic.plot_mosaic(
-            image.read, image.x, image.y, pictures[0], read_block=image.block, targets=targets_of(None, attrs),
-            labels=list(TABLE3), title=str(attrs.get("title", "")),
+            run.read, run.x, run.y, pictures[0], read_block=run.read_block, targets=targets_of(None, run.attrs),
+            labels=list(TABLE3), title=str(run.attrs.get("title", "")),
         )  # fmt: skip
         responses.plot_contours(shown, pictures[1], title="impulse responses of the nine named targets")
         for picture in pictures:

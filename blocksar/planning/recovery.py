@@ -10,7 +10,7 @@ from blocksar.collection.beam import dwell_at
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import Region
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.errors import InputError
+from blocksar.errors import PrfTooLow
 from blocksar.focusing.lines import Line
 from blocksar.focusing.method import DEFAULT, Method
 from blocksar.focusing.recovery import NOTHING_IN_COMMON, CommonRange, Recovery
@@ -30,8 +30,8 @@ def plan_recovery(geometry: Geometry, region: Region, method: Method = DEFAULT) 
 
     Raises
     ------
-    InputError
-        If the derotated band exceeds the PRF; the message names the PRF needed.
+    PrfTooLow
+        If the derotated band exceeds the PRF.
     """
     collection, linear = geometry.collection, method.derotation == "linear"
     centre_yaw = (region.yaw[0] + region.yaw[-1]) / 2
@@ -59,11 +59,12 @@ def plan_recovery(geometry: Geometry, region: Region, method: Method = DEFAULT) 
     centre_band = (derotated_low + derotated_high) / 2
     spread = (derotated_high - derotated_low) * (1 + band_edge)
     if collection.prf < spread:
-        needed = 10 * np.ceil(1.002 * spread / 10)  # another PRF cuts the dwells a little differently
-        raise InputError(
+        needed = float(10 * np.ceil(1.002 * spread / 10))  # another PRF cuts the dwells a little differently
+        raise PrfTooLow(
             f"PRF {collection.prf:.6g} Hz is too low: after {method.derotation} derotation the lit scene still spans "
             f"{spread:.6g} Hz of Doppler, so a PRF of at least {needed:.6g} Hz is needed; collect with a higher PRF or "
-            + ("a narrower beam" if collection.steered else "image a smaller grid")
+            + ("a narrower beam" if collection.steered else "image a smaller grid"),
+            needed,
         )
     series[0] += centre_band
     derotation = chebyshev.chebint(series) * half

@@ -26,7 +26,7 @@ from blocksar.places import Location
 from blocksar.places.local import temporary
 from blocksar.products.writing import replacing
 from blocksar.progress.listening import Callback
-from blocksar.runs.finished import Source
+from blocksar.runs.finished import FinishedRun
 from blocksar.version import __version__
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ class Placement(NamedTuple):
 
 
 def write(
-    source: Source,
+    source: FinishedRun,
     out: Location,
     *,
     content: Content = "amplitude",
@@ -138,7 +138,7 @@ def write(
     ]
 
 
-def _write_pixels(source: Source, file: object, content: Content, progress: Callback) -> None:
+def _write_pixels(source: FinishedRun, file: object, content: Content, progress: Callback) -> None:
     """Rows from north to south."""
     from rasterio.windows import Window
 
@@ -168,14 +168,14 @@ def _end(path: str) -> int:
     return max(ends)
 
 
-def _tags(source: Source, placement: Placement) -> dict[str, str]:
+def _tags(source: FinishedRun, placement: Placement) -> dict[str, str]:
     return {
         "TIFFTAG_IMAGEDESCRIPTION": source.title,
         "TIFFTAG_SOFTWARE": f"blocksar {__version__}",
         "AREA_OR_POINT": "Area",
         "calibration": "a target of reflectivity 1 peaks at 1 + 0j",
-        "run": str(source.record.get("identity", "")),
-        "carrier_frequency_hz": repr(source.geometry.collection.carrier),
+        "run": source.record.identity,
+        "carrier_frequency_hz": repr(source.collection.carrier),
         "location_error_m": f"{placement.error:.3g}",
     }
 
@@ -183,7 +183,7 @@ def _tags(source: Source, placement: Placement) -> dict[str, str]:
 # ---------------------------------------------------------------- where pixels lie
 
 
-def placed(source: Source, frame: Georeference) -> Placement:
+def placed(source: FinishedRun, frame: Georeference) -> Placement:
     """The projection about the frame's origin if it is good enough, else one about the image."""
     height, spacing = source.ground_height, min(source.spacing)
     x, y = (axis[np.unique(np.linspace(0, axis.size - 1, 17).astype(int))] for axis in (source.x, source.y))
@@ -204,7 +204,7 @@ def placed(source: Source, frame: Georeference) -> Placement:
     return found(crs, fit[0] - fit[1:].T @ middle, fit[1:].T)
 
 
-def _transform(source: Source, placement: Placement) -> tuple[float, ...]:
+def _transform(source: FinishedRun, placement: Placement) -> tuple[float, ...]:
     """GDAL's affine map, from column and row of a pixel's north-western corner to easting and northing."""
     dx, dy = source.spacing
     along, down = placement.matrix[:, 0] * dx, -placement.matrix[:, 1] * dy

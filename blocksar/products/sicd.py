@@ -42,7 +42,7 @@ from blocksar.errors import InputError
 from blocksar.places import Location
 from blocksar.products.writing import replacing
 from blocksar.progress.listening import Callback
-from blocksar.runs.finished import Coverage, Source
+from blocksar.runs.finished import Coverage, FinishedRun
 from blocksar.version import __version__
 
 if TYPE_CHECKING:
@@ -99,7 +99,9 @@ class Poly2D(NamedTuple):
     error: float
 
 
-def write(source: Source, out: Location, *, overwrite: bool = False, progress: Callback | None = None) -> list[str]:
+def write(
+    source: FinishedRun, out: Location, *, overwrite: bool = False, progress: Callback | None = None
+) -> list[str]:
     """Write the image as one SICD file; of its pixels a strip is held at a time.
 
     Returns
@@ -142,7 +144,7 @@ def write(source: Source, out: Location, *, overwrite: bool = False, progress: C
     return made.notes
 
 
-def _write_pixels(source: Source, layout: Layout, file: BinaryIO, progress: Callback) -> None:
+def _write_pixels(source: FinishedRun, layout: Layout, file: BinaryIO, progress: Callback) -> None:
     """All rows in the file's order, big-endian, real and imaginary part in turn; not covered is zero."""
     axis = layout.row_axis
     strips = list(source.strips(axis))[:: int(layout.row.sum())]
@@ -161,7 +163,7 @@ class Made(NamedTuple):
     notes: list[str]
 
 
-def metadata(source: Source, frame: Georeference) -> Made:
+def metadata(source: FinishedRun, frame: Georeference) -> Made:
     """All of the XML."""
     from lxml import etree
     from sarkit import sicd as sksicd
@@ -207,7 +209,7 @@ def metadata(source: Source, frame: Georeference) -> Made:
 # ---------------------------------------------------------------- pixels
 
 
-def lay_out(source: Source) -> Layout:
+def lay_out(source: FinishedRun) -> Layout:
     """Rows along the axis that points away from the radar most, at the middle of the image."""
     middle = np.array([source.x.mean(), source.y.mean(), source.ground_height])
     sight = middle - source.geometry.track.position(np.array(_centre_time(source.geometry, middle)))
@@ -369,7 +371,7 @@ def _sampled(coverage: Coverage, layout: Layout) -> FloatArray:
 
 
 def _grid(
-    source: Source,
+    source: FinishedRun,
     frame: Georeference,
     layout: Layout,
     coverage: Coverage,
@@ -378,13 +380,13 @@ def _grid(
     support: Support,
 ) -> tuple[dict[str, Any], list[str]]:
     """The Grid branch, and how well its polynomials fit."""
-    geometry, zero = source.geometry, source.geometry.collection.time[0]
+    geometry, zero = source.geometry, source.collection.time[0]
     pixels = _sampled(coverage, layout)
     points = layout.point(*pixels.T)
     first, last = _dwell(geometry, points)
     lit = first < last
     if not lit.any():
-        raise InputError(f"{source.path} lies where the beam of its collection never was; check collection.zarr")
+        raise InputError(f"{source.image} lies where the beam of its collection never was; check collection.zarr")
     offset = (pixels[lit] - scp_pixel) * layout.spacing
     wanted = (first[lit] + last[lit]) / 2 - zero
     coa = fit_poly2d(offset[:, 0], offset[:, 1], wanted, TIME_ACCURACY * support.dwell)
@@ -457,7 +459,7 @@ def arp_polynomial(geometry: Geometry, frame: Georeference) -> tuple[FloatArray,
     return made, float(misfit.max())
 
 
-def _collect_start(source: Source) -> tuple[datetime, bool]:
+def _collect_start(source: FinishedRun) -> tuple[datetime, bool]:
     """UTC of the first pulse, and whether it is known.
 
     The attribute `source` of ingested data tells it: `collection_start`, UTC in ISO 8601, and `time_zero`, s from there
@@ -468,40 +470,40 @@ def _collect_start(source: Source) -> tuple[datetime, bool]:
             try:
                 start = datetime.fromisoformat(text)
                 start = start if start.tzinfo else start.replace(tzinfo=UTC)
-                return start.astimezone(UTC) + timedelta(seconds=zero + float(source.geometry.collection.time[0])), True
+                return start.astimezone(UTC) + timedelta(seconds=zero + float(source.collection.time[0])), True
             except (ValueError, OverflowError):
                 pass  # it was somebody else's word, and the image does not hang on it
     return EPOCH, False
 
 
-def _collection_info(source: Source) -> dict[str, Any]:
-    collection = source.geometry.collection
+def _collection_info(source: FinishedRun) -> dict[str, Any]:
+    collection = source.collection
     return {
         "CollectorName": _ascii(str(source.attrs.get("collector") or "unknown"), 80),
-        "CoreName": _ascii(f"{source.title} {source.record.get('identity', '')[:8]}".strip(), 80),
+        "CoreName": _ascii(f"{source.title} {source.record.identity[:8]}".strip(), 80),
         "CollectType": "MONOSTATIC",
         "RadarMode": {"ModeType": "DYNAMIC STRIPMAP" if collection.steered else "SPOTLIGHT"},
         "Classification": _classification(source),
     }
 
 
-def _classification(source: Source) -> str:
+def _classification(source: FinishedRun) -> str:
     return _ascii(str(source.attrs.get("classification") or "UNCLASSIFIED"), 200)
 
 
-def _mark(source: Source) -> str:
+def _mark(source: FinishedRun) -> str:
     """The letter that NITF headers have for the classification."""
     text = _classification(source)
     for word, letter in MARKS.items():
         if text.upper().startswith(word):
             return letter
     raise InputError(
-        f"the classification of {source.path} is {text!r}, and NITF knows those that begin with "
+        f"the classification of {source.image} is {text!r}, and NITF knows those that begin with "
         f"{', '.join(MARKS)}; correct the phase history's attribute classification, and focus it again"
     )
 
 
-def _polarization(source: Source) -> tuple[str, str]:
+def _polarization(source: FinishedRun) -> tuple[str, str]:
     """Of the transmitter, and of both, as SICD names them."""
     match source.attrs.get("polarization"):
         case {"transmit": str(transmit), "receive": str(receive)} if {transmit, receive} <= set(POLARIZATIONS):
@@ -520,8 +522,8 @@ def _timeline(geometry: Geometry, start: datetime) -> dict[str, Any]:
     }
 
 
-def _radar(sicd: Any, source: Source) -> None:
-    collection = source.geometry.collection
+def _radar(sicd: Any, source: FinishedRun) -> None:
+    collection = source.collection
     transmit, both = _polarization(source)
     half = collection.range_frequency[-1] + (collection.range_frequency[1] - collection.range_frequency[0]) / 2
     low, high = float(collection.carrier - half), float(collection.carrier + half)

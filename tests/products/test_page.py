@@ -30,7 +30,8 @@ from blocksar.focusing import method
 from blocksar.measurement.targets import Target
 from blocksar.places import place
 from blocksar.products.page import facts, page, picture, tables, words
-from blocksar.runs.finished import Source
+from blocksar.runs.finished import FinishedRun
+from blocksar.runs.record import RunRecord
 
 # ---------------------------------------------------------------- what the page is
 
@@ -102,7 +103,7 @@ def test_the_picture_is_the_image(runs: dict[str, Path]) -> None:
     assert float(y) >= -made.height / 2
 
 
-class Wide(Source):
+class Wide(FinishedRun):
     """A scene of 80 million pixels that is nowhere; keeps what was read at once."""
 
     sizes: list[int] = []  # noqa: RUF012  (one test uses it)
@@ -114,7 +115,7 @@ class Wide(Source):
 
 def test_the_image_is_read_by_strips(runs: dict[str, Path]) -> None:
     real = source_of(runs["run"])
-    made = Wide(real.path, np.arange(20000.0), np.arange(4000.0), real.geometry, {}, {})
+    made = Wide(real.folder, np.arange(20000.0), np.arange(4000.0), real.geometry, {}, RunRecord(status="finished"))
     told: list[tuple[int, int]] = []
     drawn = picture.draw(made, looks="mean", progress=lambda *at: told.append(at))
     assert max(made.sizes) <= 2**22 and sum(made.sizes) == 80_000_000
@@ -153,9 +154,9 @@ def test_the_worst_picture_leaves_a_page_below_five_megabytes() -> None:
 
 def test_blocks_own_what_the_image_says(runs: dict[str, Path]) -> None:
     source = source_of(runs["run"])
-    predicted = source.record["plan"]["predicted"]
-    assert [facts.block_name(b) for b in predicted] == ["0.0", "0.1", "1.0", "1.1"]
-    block = stores.read_region(source.path, "block", (slice(0, source.y.size), slice(0, source.x.size)))
+    predicted = source.record.plan.predicted
+    assert [block.name for block in predicted] == ["0.0", "0.1", "1.0", "1.1"]
+    block = stores.read_region(source.image, "block", (slice(0, source.y.size), slice(0, source.x.size)))
     rng = np.random.default_rng(2)
     found = set()
     for row, column in rng.permutation(np.argwhere(block >= 0))[:400]:
@@ -173,8 +174,8 @@ def test_outlines_bound_the_blocks(runs: dict[str, Path]) -> None:
         numbers = np.array(re.findall(r"-?\d+\.\d+", outline.path), float).reshape(-1, 2)
         x, y = numbers[:, 0] + drawn.centre[0], drawn.centre[1] - numbers[:, 1]
         ranges, yaws = geometry.epoch_range(x, y), geometry.yaw(x, y)
-        assert (ranges.min(), ranges.max()) == pytest.approx(block["range"], abs=0.01)
-        assert (yaws.min(), yaws.max()) == pytest.approx(block["yaw"], abs=1e-6)
+        assert (ranges.min(), ranges.max()) == pytest.approx(block.range, abs=0.01)
+        assert (yaws.min(), yaws.max()) == pytest.approx(block.yaw, abs=1e-6)
         assert outline.label is not None
 
 
@@ -259,7 +260,7 @@ def test_the_plan_stands_beside_what_was_measured(whole: Path, runs: dict[str, P
     for row, block in zip(rows, record["plan"]["predicted"], strict=True):
         cells = [re.sub(r"<[^>]*>", "", cell).strip() for cell in re.findall(r"<t[hd].*?</t[hd]>", row, re.DOTALL)]
         receipt = next(r for r in record["receipts"] if r["unit"] == f"block-{cells[0]}")
-        assert cells[0] == facts.block_name(block)
+        assert cells[0] == f"{block['block']}.{block['part']}"
         assert cells[1] == words.number(block["residual_phase"], 4)
         assert cells[2] == words.number(block["pslr"], 2)
         assert cells[7] == words.number(block["memory"] / 2**20, 0)
@@ -441,8 +442,12 @@ def test_a_full_disk_leaves_what_was_there(run: Path, quick: None, monkeypatch: 
         ("quality.json", "{", "quality.json is damaged"),
         ("quality.json", "[1]", "quality.json or the attributes of .* are damaged"),
         ("quality.json", '{"targets": [{"name": "A"}]}', "are damaged"),
-        ("run.json", '{"status": "finished", "plan": {"predicted": [3]}}', "are damaged"),
-        ("run.json", '{"status": "finished", "timings": {"focus": "x"}}', "are damaged"),
+        (
+            "run.json",
+            '{"status": "finished", "plan": {"predicted": [3]}}',
+            r"plan.predicted\[0\] is 3, not an object",
+        ),
+        ("run.json", '{"status": "finished", "timings": {"focus": "x"}}', "timings.focus is 'x', not a number"),
         ("run.json", '{"status": "unfinished"}', "not finished"),
     ],
 )

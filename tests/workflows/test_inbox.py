@@ -420,13 +420,13 @@ def test_a_defect_holds_up_nobody(post: Post, monkeypatch: pytest.MonkeyPatch) -
 def test_what_the_machine_refused_is_no_fault_of_the_bytes(cause: Exception | None, passing: bool, post: Post) -> None:
     error = InputError("it cannot be read")
     error.__cause__ = cause
-    assert post.module._passing(error, None) == passing
+    assert post.module._passing(error) == passing
 
 
 def test_a_cause_behind_a_cause_counts(post: Post) -> None:
     error, between = InputError("it cannot be read"), ValueError("of a library")
     error.__cause__, between.__cause__ = between, OSError(113, "no route to host")
-    assert post.module._passing(error, None)
+    assert post.module._passing(error)
 
 
 def test_without_a_cluster_nothing_is_blamed(post: Post, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 from benchmarks.floors import Seconds, Traffic
 from benchmarks.scenes import Case
+from blocksar.runs.record import RunRecord
 
 # ---------------------------------------------------------------- measuring
 
@@ -28,18 +29,18 @@ class Measured:
     profiles: list[float] = field(default_factory=list)
     accumulation: list[float] = field(default_factory=list)
 
-    def add_run(self, seconds: float, record: dict[str, Any]) -> None:
+    def add_run(self, seconds: float, record: RunRecord) -> None:
         self.end_to_end.append(seconds)
-        timings = dict(record["timings"])
+        timings = dict(record.timings)
         plan = seconds - timings.pop("total")
         rest = seconds - plan - sum(timings.values())
         _append(self.stages, {"plan": plan, **timings, "stores and receipts": rest})
         steps: Seconds = {}
-        for receipt in record["receipts"]:
-            for name, taken in receipt.get("steps", {}).items():
+        for receipt in record.receipts:
+            for name, taken in receipt.steps.items():
                 steps[name] = steps.get(name, 0.0) + taken
         _append(self.steps, steps)
-        self.recovery_tasks.append(sum(r["seconds"] for r in record["receipts"] if r["unit"].startswith("columns-")))
+        self.recovery_tasks.append(sum(r.seconds for r in record.receipts if r.stage == "recover"))
 
     def add_floors(self, fft: list[Seconds], io: list[Seconds]) -> None:
         # All workers start at once: the floor is the slowest's.
@@ -70,9 +71,7 @@ def total(lists: dict[str, list[float]], names: Sequence[str]) -> list[float]:
     return [sum(values) for values in zip(*(lists[name] for name in names if name in lists), strict=True)]
 
 
-def describe(
-    case: Case, m: Measured, traffic: list[Traffic], peaks: list[int], record: dict[str, Any]
-) -> dict[str, Any]:
+def describe(case: Case, m: Measured, traffic: list[Traffic], peaks: list[int], record: RunRecord) -> dict[str, Any]:
     """A scene's part of the JSON: ratios first."""
     plan, collection = case.plan, case.plan.geometry.collection
     names = {step.name for block in plan.blocks for step in block.chain}
@@ -116,7 +115,7 @@ def describe(
         },
         "memory": {
             "peak_by_worker_bytes": peaks,
-            "peak_in_receipts_bytes": record["peak_memory"],
+            "peak_in_receipts_bytes": record.peak_memory,
             "planned_bytes": plan.memory,
         },
         "notes": case.notes,

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from blocksar.collection.collection import Collection
-from blocksar.errors import InputError
+from blocksar.errors import InputError, PrfTooLow
 from blocksar.planning.plan import MAX_BLOCKS, Plan, plan_collection
 from blocksar.simulation.scene import Scene
 
@@ -132,11 +132,10 @@ def plan_case(source: str, scale: Scale, *, blocks: Blocks, workers: int, memory
         try:
             plan = _plan(scene.collection().centred(), blocks, workers=workers, memory_limit=memory_limit)
             break
-        except InputError as error:
-            asked = re.search(r"a PRF of at least ([\d.e+]+) Hz", str(error))
-            if asked is None or float(asked[1]) <= scene.radar.prf:
+        except PrfTooLow as error:
+            if error.needed <= scene.radar.prf:
                 raise
-            prf = float(asked[1])
+            prf = error.needed
     if prf is not None:
         notes.append(f"{scale}: PRF {tables['radar']['prf']:g} Hz raised to the {prf:g} Hz that the plan asks for")
     if not plan.within_budget():

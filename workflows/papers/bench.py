@@ -9,12 +9,10 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import typer
 from distributed import Client
 
 import blocksar
-from blocksar.arrays import ComplexArray
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.focusing.method import Method
@@ -22,9 +20,10 @@ from blocksar.graph.cluster import machine, open_client
 from blocksar.measurement.figures import PointResponse, measure
 from blocksar.measurement.response import Response, read_response
 from blocksar.measurement.targets import Target
+from blocksar.places import place
 from blocksar.planning.plan import Plan, plan_collection
+from blocksar.runs.finished import FinishedRun
 from blocksar.simulation.scene import Scene
-from blocksar.stores import read_collection
 
 THREADS = machine()[0]
 
@@ -89,31 +88,19 @@ class Bench:
             store = self.history(name)
             tell(f"  focusing {label}")
             blocksar.focus(store, self.folder / label, blocks=blocks, grid=grid, client=self.client, **options)
-            self.runs[label] = Run(self.folder / label)
+            self.runs[label] = Run.open(place(self.folder / label))
         return self.runs[label]
 
     def picture(self, name: str) -> Path:
         return self.out / f"{name}.png"
 
 
-class Run:
+class Run(FinishedRun):
     """A finished run, ready to be measured."""
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.image = blocksar.open(path)
-        self.geometry = Geometry(collection=read_collection(path / "collection.zarr")[0].centred())
-        self.x, self.y = (np.asarray(self.image[axis].values, np.float64) for axis in ("x", "y"))
-
-    def read(self, rows: slice, columns: slice) -> ComplexArray:
-        return np.asarray(self.image["image"][rows, columns].values)
-
-    def read_block(self, rows: slice, columns: slice) -> Any:
-        return self.image["block"][rows, columns].values
-
     def responses(self, wanted: Sequence[Target]) -> list[Response]:
-        found = [read_response(self.read, self.x, self.y, self.geometry, target) for target in wanted]
-        return [response for response in found if response is not None]
+        responses = [read_response(self.read, self.x, self.y, self.geometry, target) for target in wanted]
+        return [response for response in responses if response is not None]
 
     @cache  # noqa: B019 - runs live as long as the script
     def measured(self, name: str, names: tuple[str, ...] | None = None) -> dict[str, PointResponse]:

@@ -5,9 +5,6 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
-from papers.bench import THREADS, Bench, Run, plan, scene, targets
-from papers.comparison import Exhibit, Row, above, below, crossed, listed
-from papers.printed import BLOCK_COLUMNS, BLOCK_PIXELS, MIDDLE, MOSAIC_PIXELS, NAMES, PIXEL
 
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.focusing.step import stages
@@ -19,6 +16,9 @@ from blocksar.products.pictures import mosaic
 from blocksar.products.pictures.overview import overview
 from blocksar.products.pictures.panels import Mark, Panel, as_map, plot_panels
 from blocksar.stores import read_region
+from papers.bench import THREADS, Bench, Run, plan, scene, targets
+from papers.comparison import Exhibit, Row, above, below, crossed, listed
+from papers.printed import BLOCK_COLUMNS, BLOCK_PIXELS, MIDDLE, MOSAIC_PIXELS, NAMES, PIXEL
 
 # ---------------------------------------------------------------- paper A: images
 
@@ -59,7 +59,7 @@ def figure12(bench: Bench) -> Exhibit:
 
 def _block_image(run: Run, block: BlockPlan) -> ComplexArray:
     bins = slice(block.first_bin, block.first_bin + block.n_bin)
-    samples = np.ascontiguousarray(read_region(run.path / "spectrum.zarr", "spectrum", (bins, slice(None))).T)
+    samples = np.ascontiguousarray(read_region(run.folder / "spectrum.zarr", "spectrum", (bins, slice(None))).T)
     for stage in stages(block.chain):
         samples = stage.apply(samples, threads=THREADS)
     return samples[: block.ground.rows.size, : block.ground.doppler.size]

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 
 import numpy as np
-from papers.bench import THREADS, Bench, geometry, plan, scene, targets
-from papers.comparison import Exhibit, Row, above, below
-from papers.printed import SEAMS, SWATH
-from papers.single_targets import YAWS, line_panel, lines
 from scipy.signal import ShortTimeFFT
 from scipy.signal.windows import gaussian
 
 from blocksar.arrays import ComplexArray
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
-from blocksar.errors import InputError
+from blocksar.errors import PrfTooLow
 from blocksar.focusing.lines import Line
 from blocksar.focusing.method import Derotation, Method
 from blocksar.focusing.recovery import Recovery
@@ -28,6 +23,10 @@ from blocksar.products.pictures.figures import CURVE_COLOURS
 from blocksar.products.pictures.panels import Map, Mark, Panel, Style, Trace, plot_panels
 from blocksar.simulation.scatterers import simulate_pulses
 from blocksar.simulation.scene import Scene
+from papers.bench import THREADS, Bench, geometry, plan, scene, targets
+from papers.comparison import Exhibit, Row, above, below
+from papers.printed import SEAMS, SWATH
+from papers.single_targets import YAWS, line_panel, lines
 
 # ---------------------------------------------------------------- paper A: recovery and division
 
@@ -45,11 +44,10 @@ def least_recovery(derotation: Derotation) -> Recovery:
     while True:
         try:
             return plan_collection(at_prf(prf), blocks=3, method=Method(derotation=derotation)).recovery
-        except InputError as error:
-            asked = re.search(r"a PRF of at least ([\d.e+]+) Hz", str(error))
-            if asked is None or float(asked[1]) <= prf:
+        except PrfTooLow as error:
+            if error.needed <= prf:
                 raise
-            prf = float(asked[1])
+            prf = error.needed
 
 
 def few_targets(recovery: Recovery) -> tuple[ComplexArray, Line]:

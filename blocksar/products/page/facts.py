@@ -1,7 +1,4 @@
-"""What a report page knows of a run: its record, what was measured, and whether that meets the bar.
-
-Records are read here, once, and found damaged or not; runs of older formats know less, and that is no fault.
-"""
+"""What a report page knows of a run: its record, what was measured, and whether that meets the bar."""
 
 from __future__ import annotations
 
@@ -16,7 +13,8 @@ from blocksar.measurement.bar import BARS, judged, rank, worst_excess
 from blocksar.measurement.figures import PointResponse
 from blocksar.measurement.targets import Target
 from blocksar.products.page.words import DASH, SPACE, TIMES, count, memory, number
-from blocksar.runs.finished import Source
+from blocksar.runs.finished import FinishedRun
+from blocksar.runs.record import PredictedBlock, Receipt, RunRecord, block_unit
 
 SHOWN = 9  # targets whose responses are drawn
 EDGE = 16  # pixels at the rim of an image in which a response may not be measured
@@ -58,19 +56,14 @@ def _number(name: str, value: Any) -> Any:
 # ---------------------------------------------------------------- blocks
 
 
-def block_name(block: Mapping[str, Any]) -> str:
-    """As receipts have it: `2`, or `2.0` for a range sub-block."""
-    return str(block["block"]) if block["part"] is None else f"{block['block']}.{block['part']}"
-
-
-def block_of(source: Source, predicted: Sequence[Mapping[str, Any]], x: float, y: float) -> str:
+def block_of(source: FinishedRun, predicted: Sequence[PredictedBlock], x: float, y: float) -> str:
     """Which block owns a point of the ground, by its yaw and range; a dash if none does."""
     geometry = source.geometry
     yaw, distance = float(geometry.yaw(np.array(x), np.array(y))), float(geometry.epoch_range(np.array(x), np.array(y)))
     for block in predicted:
-        (low, high), (near, far) = block["yaw"], block["range"]
-        if low <= turned_near(yaw, (low + high) / 2) <= high and (block["part"] is None or near <= distance <= far):
-            return block_name(block)
+        (low, high), (near, far) = block.yaw, block.range
+        if low <= turned_near(yaw, (low + high) / 2) <= high and (block.part is None or near <= distance <= far):
+            return block.name
     return DASH
 
 
@@ -89,17 +82,15 @@ class Facts:
 
     Attributes
     ----------
-    source : Source
-    record : dict
-        run.json.
-    predicted : list of dict
-        One a block: what the plan promised. Empty for back-projection.
+    source : FinishedRun
+    record : RunRecord
+    predicted : tuple of PredictedBlock
+        What the plan predicts of each block. Empty for back-projection.
     planned_memory, peak_memory, memory_limit : float or None
         Of a worker, bytes.
     why : str
         Why nothing could be measured.
-    receipts : list of dict
-        Unit, seconds, peak memory, seconds of steps, whether it was used again.
+    receipts : tuple of Receipt
     timings : dict of float
         Of the stages, s.
     chips : list of dict
@@ -113,8 +104,8 @@ class Facts:
         Those that the bar is for.
     places : dict
         Names of the blocks that own the responses, by their id().
-    settings, input, versions : dict
-        As run.json has them, empty if it has not.
+    settings, versions : mapping
+        Empty if unknown.
     samples, centroid : str
         What was found in the samples, and how far their Doppler centroid is from that of track and beam.
     north : float or None
@@ -122,24 +113,20 @@ class Facts:
     warnings : list of str
     """
 
-    def __init__(self, source: Source, found: Mapping[str, Any] | None, why: str = "") -> None:
+    def __init__(self, source: FinishedRun, found: Mapping[str, Any] | None, why: str = "") -> None:
         self.source, self.record = source, source.record
         self.found, self.why = found or {}, why
-        plan = self.record.get("plan") or {}
-        self.predicted = [_block(block) for block in plan.get("predicted") or []]
-        self.planned_memory = _float(plan.get("memory")) or max((b["memory"] for b in self.predicted), default=None)
-        self.peak_memory = _float(self.record.get("peak_memory"))
-        self.memory_limit = _float(self.record.get("memory_limit"))
-        self.receipts = [_receipt(receipt) for receipt in self.record.get("receipts") or []]
-        self._by_unit = {receipt["unit"]: receipt for receipt in self.receipts}
-        self.timings = {name: float(seconds) for name, seconds in (self.record.get("timings") or {}).items()}
-        self.settings, self.input, self.versions = (
-            dict(self.record.get(name) or {}) for name in ("settings", "input", "versions")
-        )
+        plan = self.record.plan
+        self.predicted = plan.predicted
+        self.planned_memory = plan.memory or max((block.memory for block in self.predicted), default=None)
+        self.peak_memory, self.memory_limit = self.record.peak_memory, self.record.memory_limit
+        self.receipts = self.record.receipts
+        self._by_unit = {receipt.unit: receipt for receipt in self.receipts}
+        self.timings, self.settings, self.versions = self.record.timings, self.record.settings, self.record.versions
         where = source.attrs.get("georeference")
         self.north = None if where is None else float(where.get("rotation_deg", 0.0))
         self.samples, self.centroid = _samples(self.record), _centroid(self.record)
-        self.warnings = [str(line) for line in self.record.get("warnings") or []]
+        self.warnings = list(self.record.warnings)
         self.chips = [_chip(chip) for chip in self.found.get("reference") or []]
         self.responses = responses_of(found) if found else []
         self.judged = judged(self.responses)
@@ -151,9 +138,9 @@ class Facts:
         ]
         self.places = {id(r): block_of(source, self.predicted, r.x, r.y) for r in self.responses}
 
-    def receipt(self, block: Mapping[str, Any]) -> dict[str, Any]:
-        """Of a block, empty if there is none."""
-        return self._by_unit.get(f"block-{block_name(block)}", {})
+    def receipt(self, block: PredictedBlock) -> Receipt | None:
+        """Return the receipt of a block, if there is one."""
+        return self._by_unit.get(block_unit(block.name))
 
     def drawn(self) -> set[str]:
         """Names of the targets whose responses are drawn: the paper's, or the worst and others spread over the list."""
@@ -165,11 +152,11 @@ class Facts:
         return set(list(chosen)[:SHOWN])
 
     def subtitle(self) -> str:
-        blocks = len({b["block"] for b in self.predicted})
+        blocks = len({block.block for block in self.predicted})
         dx, dy = self.source.spacing
         spacing = f"{dx:.4g} m" if abs(dx - dy) < 1e-9 * dx else f"{dx:.4g} m {TIMES} {dy:.4g} m"
         size = f"{number(self.source.x.size, 0)} {TIMES} {number(self.source.y.size, 0)} pixels of {spacing}"
-        carrier = f"{self.source.geometry.collection.carrier / 1e9:.4g} GHz"
+        carrier = f"{self.source.collection.carrier / 1e9:.4g} GHz"
         processor = str(self.settings.get("processor", "blocksar"))
         return ", ".join([processor, *([count(blocks, "block")] if blocks else []), size, carrier])
 
@@ -217,7 +204,7 @@ class Facts:
         said = [f"Peak of a worker: {memory(self.peak_memory)}"]
         said += [f"planned: {memory(planned)}"] if planned is not None else []
         said += [f"limit: {memory(limit)}"] if limit is not None else []
-        workers, threads = self.record.get("workers"), self.record.get("threads")
+        workers, threads = self.record.workers, self.record.threads
         if workers is not None and threads is not None:
             said.append(f"{count(workers, 'worker')} with {count(threads, 'thread')} each")
         return f"{'; '.join(said)}."
@@ -236,43 +223,16 @@ def _float(value: Any) -> float | None:
     return None if value is None else float(value)
 
 
-def _block(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Of a plan, as run.json holds it."""
-    numbers = ("memory", "residual_phase", "pslr", "width", "migration")
-    part = record["part"]
-    return {
-        "block": int(record["block"]),
-        "part": None if part is None else int(part),
-        **{name: (float(record[name][0]), float(record[name][1])) for name in ("yaw", "range")},
-        **{name: float(record[name]) for name in numbers},
-    }
-
-
-def _receipt(record: Mapping[str, Any]) -> dict[str, Any]:
-    steps = {str(name): float(seconds) for name, seconds in (record.get("steps") or {}).items()}
-    return {
-        "unit": str(record["unit"]),
-        "seconds": float(record["seconds"]),
-        "peak_memory": float(record["peak_memory"]),
-        "steps": steps,
-        "reused": bool(record.get("reused")),
-    }
-
-
-def _samples(record: Mapping[str, Any]) -> str:
-    found = record.get("samples")
-    if not found:
+def _samples(record: RunRecord) -> str:
+    if (counts := record.samples) is None:
         return ""
-    missing, impossible = int(found["missing"]), int(found["impossible"])
-    return f"{count(missing, 'missing sample')}, {count(impossible, 'impossible sample')}"
+    return f"{count(counts.missing, 'missing sample')}, {count(counts.impossible, 'impossible sample')}"
 
 
-def _centroid(record: Mapping[str, Any]) -> str:
-    found = record.get("doppler_centroid")
-    if not found:
+def _centroid(record: RunRecord) -> str:
+    if (offset := record.doppler_centroid) is None:
         return ""
-    error, agreement = _float(found["error"]), _float(found["coherence"])
-    return f"measured {number(error, 1)} Hz from that of track and beam, coherence {number(agreement)}"
+    return f"measured {number(offset.error, 1)} Hz from that of track and beam, coherence {number(offset.coherence)}"
 
 
 def _chip(record: Mapping[str, Any]) -> dict[str, Any]:

@@ -41,7 +41,7 @@ from blocksar.products.page.tables import (
 from blocksar.products.page.words import SPACE, count, number, spoken, together
 from blocksar.products.pictures.responses import plot_contours, plot_cuts
 from blocksar.progress.listening import Callback
-from blocksar.runs.finished import Source
+from blocksar.runs.finished import FinishedRun
 from blocksar.version import __version__
 
 
@@ -59,7 +59,7 @@ class Drawing(NamedTuple):
 
 
 def make(
-    source: Source,
+    source: FinishedRun,
     found: Mapping[str, Any] | None,
     *,
     folder: str,
@@ -72,7 +72,7 @@ def make(
 
     Parameters
     ----------
-    source : Source
+    source : FinishedRun
     found : mapping, optional
         What quality.json holds, or would hold; None if nothing could be measured.
     folder : str
@@ -98,10 +98,11 @@ def make(
     """
     try:
         run = Facts(source, found, why)
-        repeated = command(run.settings, run.input.get("path"), folder)
+        repeated = command(run.settings, run.record.input.path, folder)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
         raise InputError(
-            f"run.json, quality.json or the attributes of {folder} are damaged ({error}); measure or focus anew"
+            f"the settings in run.json, quality.json or the attributes of {folder} are damaged ({error}); "
+            "measure or focus anew"
         ) from None
     wanted, verdicts = run.drawn(), run.verdicts()
     drawing = picture.draw(source, looks="max" if run.responses else "mean", progress=progress)
@@ -191,7 +192,7 @@ def _quality_words(run: Facts) -> list[str]:
 
 
 def _drawings(
-    source: Source, wanted: Sequence[PointResponse], drawing: Picture, progress: Callback | None
+    source: FinishedRun, wanted: Sequence[PointResponse], drawing: Picture, progress: Callback | None
 ) -> list[Drawing]:
     made = []
     with tempfile.TemporaryDirectory() as folder:
@@ -220,11 +221,11 @@ def _draw(response: Response, folder: Path) -> tuple[str, str]:
 # ---------------------------------------------------------------- where it comes from
 
 
-def command(settings: Mapping[str, Any], path: str | None, folder: str) -> str:
+def command(settings: Mapping[str, Any], path: str, folder: str) -> str:
     """What to type to focus the input at `path` in the same way again; empty if the run does not say."""
-    if not settings or path is None:
+    if not settings or not path:
         return ""
-    words = ["blocksar", "focus", str(path), "--out", folder]
+    words = ["blocksar", "focus", path, "--out", folder]
     usual = Method().as_settings() | {"processor": "angular-division", "blocks": "auto", "grid": None}
     for name, value in settings.items():
         if value == usual.get(name, value):
@@ -240,11 +241,11 @@ def command(settings: Mapping[str, Any], path: str | None, folder: str) -> str:
 
 
 def _provenance(run: Facts) -> list[tuple[str, str]]:
-    collection = run.source.geometry.collection
+    collection = run.source.collection
     known = [
-        ("input", run.input.get("path")),
-        ("fingerprint of the input", run.input.get("fingerprint")),
-        ("identity of the run", run.record.get("identity")),
+        ("input", run.record.input.path),
+        ("fingerprint of the input", run.record.input.fingerprint),
+        ("identity of the run", run.record.identity),
         ("image", _extent(run.source)),
         ("collection", f"{collection.n_pulse} pulses of {collection.n_range_frequency} range frequencies, "
          f"{collection.prf:.6g} Hz, {collection.carrier / 1e9:.6g} GHz, {collection.bandwidth / 1e6:.4g} MHz wide"),
@@ -256,14 +257,14 @@ def _provenance(run: Facts) -> list[tuple[str, str]]:
     return [(name, str(value)) for name, value in known if value]
 
 
-def _extent(source: Source) -> str:
+def _extent(source: FinishedRun) -> str:
     ends = [
         f"{name} {number(axis[0], 1)} .. {number(axis[-1], 1)} m" for name, axis in (("x", source.x), ("y", source.y))
     ]
     return f"{', '.join(ends)}, ground at {number(source.ground_height, 1)} m"
 
 
-def _georeference(source: Source) -> str:
+def _georeference(source: FinishedRun) -> str:
     found = source.attrs.get("georeference")
     if not isinstance(found, Mapping):
         return ""

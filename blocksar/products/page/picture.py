@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from matplotlib.image import imsave
@@ -19,10 +19,11 @@ from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.collection.beam import dwell
 from blocksar.measurement.figures import PointResponse
 from blocksar.measurement.targets import Target
-from blocksar.products.page.facts import MOST_ROWS, block_name
+from blocksar.products.page.facts import MOST_ROWS
 from blocksar.products.pictures.overview import overview, stretch
 from blocksar.progress.listening import Callback
-from blocksar.runs.finished import Source
+from blocksar.runs.finished import FinishedRun
+from blocksar.runs.record import PredictedBlock
 
 PIXELS = 1600  # of the longer side, at most: a page of clutter is then some 3 MB
 DEEPEST = 100.0  # dB under the strongest cell that the picture still tells apart
@@ -108,7 +109,7 @@ class Arrow(NamedTuple):
     angle: str
 
 
-def draw(source: Source, *, looks: Literal["max", "mean"], progress: Callback | None = None) -> Picture:
+def draw(source: FinishedRun, *, looks: Literal["max", "mean"], progress: Callback | None = None) -> Picture:
     """Read the image by strips, and decimate it to grey levels."""
 
     def read(rows: slice, columns: slice) -> ComplexArray:
@@ -163,7 +164,7 @@ def marks(targets: Sequence[PointResponse | Target], first: Collection[str], pic
             yield Mark(target.name, *at, target.name in first)
 
 
-def chips(source: Source, targets: Sequence[PointResponse | Target], picture: Picture) -> Iterator[Chip]:
+def chips(source: FinishedRun, targets: Sequence[PointResponse | Target], picture: Picture) -> Iterator[Chip]:
     """Where the picture's cells are larger than pixels."""
     (dx, dy), axes = source.spacing, (source.x, source.y)
     if picture.cell < 1.5 * max(dx, dy):
@@ -186,22 +187,22 @@ def _about(value: float, axis: FloatArray, step: float) -> slice:
     return slice(max(at - CHIP // 2, 0), min(at + CHIP // 2, axis.size))
 
 
-def outlines(source: Source, predicted: Sequence[Mapping[str, Any]], picture: Picture) -> Iterator[Outline]:
+def outlines(source: FinishedRun, predicted: Sequence[PredictedBlock], picture: Picture) -> Iterator[Outline]:
     """Borders of the blocks: rays of equal yaw and arcs of equal range about the nadir."""
     geometry = source.geometry
     for block in predicted[:MOST_ROWS]:
-        (low, high), (near, far) = block["yaw"], block["range"]
+        (low, high), (near, far) = block.yaw, block.range
         yaws = np.linspace(low, high, 2 + int((high - low) / ARC))
         inner = geometry.ground_point(np.array(near), yaws)
         outer = geometry.ground_point(np.array(far), yaws[::-1])
         corners = [picture.place(x, y) for x, y, _ in np.concatenate([inner, outer]) if np.isfinite(x)]
         path = " ".join(f"{'L' if i else 'M'}{x} {y}" for i, (x, y) in enumerate(corners))
-        yield Outline(block_name(block), f"{path}Z", _label_place(source, block, picture))
+        yield Outline(block.name, f"{path}Z", _label_place(source, block, picture))
 
 
-def _label_place(source: Source, block: Mapping[str, Any], picture: Picture) -> tuple[str, str] | None:
+def _label_place(source: FinishedRun, block: PredictedBlock, picture: Picture) -> tuple[str, str] | None:
     """The farthest place along a yaw, the block's middle one if it can be, with some room around in the picture."""
-    (near, far), (low, high) = block["range"], block["yaw"]
+    (near, far), (low, high) = block.range, block.yaw
     ranges, room = np.linspace(far, near, 41)[2:-2], 0.03 * max(picture.width, picture.height)
     for share in sorted(np.linspace(0.1, 0.9, 17), key=lambda share: abs(share - 0.5)):
         points = source.geometry.ground_point(ranges, np.array(low + share * (high - low)))
@@ -211,7 +212,7 @@ def _label_place(source: Source, block: Mapping[str, Any], picture: Picture) -> 
     return None
 
 
-def arrows(source: Source, picture: Picture, north: float | None) -> list[Arrow]:
+def arrows(source: FinishedRun, picture: Picture, north: float | None) -> list[Arrow]:
     """The look direction at the image's centre, and north, if it is known how far x is turned from east (degrees)."""
     centre = np.array(picture.centre)
     first, last = (float(t) for t in dwell(source.geometry, *centre))

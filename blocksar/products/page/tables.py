@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -12,16 +12,19 @@ from blocksar.budget import MIGRATION_BUDGET, PHASE_BUDGET, SIDE_LOBE_BUDGET
 from blocksar.constants import MIB, SINC_PSLR
 from blocksar.measurement.bar import excess, worst_excess
 from blocksar.measurement.figures import PointResponse
-from blocksar.products.page.facts import MOST_ROWS, Facts, block_name
+from blocksar.products.page.facts import MOST_ROWS, Facts
 from blocksar.products.page.picture import Picture
 from blocksar.products.page.words import TIMES, number
+from blocksar.runs.record import PredictedBlock
 
 UNITS = {
-    "pulses": "range compression",
-    "columns": "recovery, by columns",
-    "block": "blocks",
-    "chunk": "image, by chunks",
-}
+    "range-compress": "range compression",
+    "inspect": "inspection, by columns",
+    "recover": "recovery, by columns",
+    "focus": "blocks",
+    "mosaic": "image, by chunks",
+    "backprojection": "image, by chunks",
+}  # of a stage
 STAGES = {
     "inspect": "samples inspected",
     "recover": "recovery",
@@ -114,25 +117,26 @@ def plan_table(run: Facts) -> Table | None:
     )
 
 
-def _plan_row(run: Facts, block: Mapping[str, Any]) -> Row:
-    here = [r for r in run.judged if run.places[id(r)] == block_name(block)]
+def _plan_row(run: Facts, block: PredictedBlock) -> Row:
+    here = [r for r in run.judged if run.places[id(r)] == block.name]
     pslr, width = _worst_of(here, "azimuth_pslr"), _worst_of(here, "azimuth_irw")
-    phase, migration, predicted = block["residual_phase"], block["migration"], block["pslr"]
-    peak = run.receipt(block).get("peak_memory")
-    low, high = np.degrees(block["yaw"])
-    near, far = (distance / 1e3 for distance in block["range"])
+    phase, migration, predicted = block.residual_phase, block.migration, block.pslr
+    receipt = run.receipt(block)
+    peak = None if receipt is None else receipt.peak_memory
+    low, high = np.degrees(block.yaw)
+    near, far = (distance / 1e3 for distance in block.range)
     return Row([
-        Cell(block_name(block)),
+        Cell(block.name),
         _cell(phase, 4, off=phase > PHASE_BUDGET),
         _cell(predicted, 2, off=abs(predicted - SINC_PSLR) > SIDE_LOBE_BUDGET),
         _cell(pslr and pslr.azimuth_pslr, 2, off=pslr is not None and excess(pslr, "azimuth_pslr") > 1),
-        _cell(block["width"], 4),
+        _cell(block.width, 4),
         _cell(
             width and width.azimuth_irw / width.azimuth_irw_theory, 4,
             off=width is not None and excess(width, "azimuth_irw") > 1,
         ),
         Cell(str(len(here))),
-        _cell(block["memory"] / MIB, 0),
+        _cell(block.memory / MIB, 0),
         _cell(peak and peak / MIB, 0, off=peak is not None and peak > (run.planned_memory or np.inf)),
         _cell(migration, 3, off=migration > MIGRATION_BUDGET),
         Cell(f"{number(low)} .. {number(high)}"),
@@ -255,17 +259,17 @@ def stage_table(run: Facts) -> Table | None:
 
 
 def unit_table(run: Facts) -> Table | None:
-    kinds = [(said, [r for r in run.receipts if r["unit"].startswith(f"{kind}-")]) for kind, said in UNITS.items()]
+    kinds = [(name, [r for r in run.receipts if r.stage == stage]) for stage, name in UNITS.items()]
     rows = [
         Row([
-            Cell(said),
+            Cell(name),
             Cell(str(len(units))),
-            Cell(str(sum(r["reused"] for r in units))),
-            Cell(_seconds(sum(r["seconds"] for r in units))),
-            Cell(_seconds(max(r["seconds"] for r in units))),
-            _cell(max(r["peak_memory"] for r in units) / MIB, 0),
+            Cell(str(sum(r.reused for r in units))),
+            Cell(_seconds(sum(r.seconds for r in units))),
+            Cell(_seconds(max(r.seconds for r in units))),
+            _cell(max(r.peak_memory or 0 for r in units) / MIB, 0),
         ])
-        for said, units in kinds
+        for name, units in kinds
         if units
     ]  # fmt: skip
     columns = [
@@ -279,10 +283,10 @@ def block_table(run: Facts) -> Table | None:
     shown = [(b, r) for b in run.predicted[:MOST_ROWS] if (r := run.receipt(b))]
     if not shown:
         return None
-    times = _bars([r["seconds"] for _, r in shown], [None] * len(shown), _seconds)
-    peaks = [r["peak_memory"] / MIB for _, r in shown]
-    memories = _bars(peaks, [b["memory"] / MIB for b, _ in shown], lambda v: number(v, 0))
-    rows = [Row([Cell(block_name(b)), t, m]) for (b, _), t, m in zip(shown, times, memories, strict=True)]
+    times = _bars([r.seconds for _, r in shown], [None] * len(shown), _seconds)
+    peaks = [(r.peak_memory or 0) / MIB for _, r in shown]
+    memories = _bars(peaks, [b.memory / MIB for b, _ in shown], lambda v: number(v, 0))
+    rows = [Row([Cell(b.name), t, m]) for (b, _), t, m in zip(shown, times, memories, strict=True)]
     columns = [
         Column("block"),
         Column("time", "s"),
@@ -292,10 +296,10 @@ def block_table(run: Facts) -> Table | None:
 
 
 def step_table(run: Facts) -> Table | None:
-    shown = [(b, r) for b in run.predicted[:MOST_ROWS] if (r := run.receipt(b)).get("steps")]
+    shown = [(b, r) for b in run.predicted[:MOST_ROWS] if (r := run.receipt(b)) and r.steps]
     if not shown:
         return None
-    names = list(dict.fromkeys(name for _, receipt in shown for name in receipt["steps"]))
+    names = list(dict.fromkeys(name for _, receipt in shown for name in receipt.steps))
     columns = [Column("block"), *(Column(name.replace("+", " + "), "s") for name in names)]
-    rows = [Row([Cell(block_name(b)), *(_cell(r["steps"].get(name), 2) for name in names)]) for b, r in shown]
+    rows = [Row([Cell(b.name), *(_cell(r.steps.get(name), 2) for name in names)]) for b, r in shown]
     return Table("steps", "Steps of every block", columns, rows)

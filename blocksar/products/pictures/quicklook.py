@@ -26,7 +26,7 @@ from blocksar.products.pictures.figures import DPI, MARK
 from blocksar.products.pictures.overview import NOT_COVERED, Overview, ReadImage, overview, stretch
 from blocksar.products.writing import replacing
 from blocksar.progress.listening import Callback
-from blocksar.runs.finished import Source
+from blocksar.runs.finished import FinishedRun
 
 PIXELS = 1600  # of the longer side, at most
 STRIP = 1 << 20  # pixels of the image that are averaged at once
@@ -43,7 +43,9 @@ class Arrow(NamedTuple):
     colour: str
 
 
-def write(source: Source, out: Location, *, overwrite: bool = False, progress: Callback | None = None) -> list[str]:
+def write(
+    source: FinishedRun, out: Location, *, overwrite: bool = False, progress: Callback | None = None
+) -> list[str]:
     """Write a PNG of the whole image.
 
     Returns
@@ -144,7 +146,7 @@ def _figure(seen: Overview) -> tuple[Figure, Axes]:
     return figure, figure.add_subplot()
 
 
-def _arrows(source: Source, seen: Overview) -> list[Arrow]:
+def _arrows(source: FinishedRun, seen: Overview) -> list[Arrow]:
     """The look direction at the middle of what is covered, and north if it is known."""
     rows, columns = np.nonzero(np.isfinite(seen.power))
     arrows = []
@@ -159,9 +161,9 @@ def _arrows(source: Source, seen: Overview) -> list[Arrow]:
     return arrows
 
 
-def _caption(source: Source) -> str:
+def _caption(source: FinishedRun) -> str:
     dx, dy = source.spacing
-    said = [f"{source.geometry.collection.carrier / 1e9:.4g} GHz", f"pixels {dx:.4g} m x {dy:.4g} m"]
+    said = [f"{source.collection.carrier / 1e9:.4g} GHz", f"pixels {dx:.4g} m x {dy:.4g} m"]
     if source.georeference is not None:
         centre = np.array([source.x.mean(), source.y.mean(), source.ground_height])
         latitude, longitude, _ = source.georeference.to_geodetic(centre)
