@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 import sys
 import tomllib
 from pathlib import Path
@@ -32,9 +33,10 @@ def benchmark() -> Any:
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(Path(__file__).parents[1] / "workflows"))
         import benchmark
-        from benchmarks import back_projection, floors, scenes, tables
+        from benchmarks import back_projection, floors, other_version, scenes, tables
 
         parts = {"back_projection": back_projection, "floors": floors, "scenes": scenes, "tables": tables}
+        parts["other_version"] = other_version
         yield SimpleNamespace(main=benchmark.main, **parts)
 
 
@@ -58,7 +60,7 @@ def test_everything_is_measured(
 ) -> None:
     benchmark.main(
         scene=str(small), scale="1x1", repeats=1, workers=2, blocks="auto", memory_limit="3GiB",
-        out=tmp_path, json_file=tmp_path / "result.json", speedup=True, peer=True, keep=False,
+        out=tmp_path, json_file=tmp_path / "result.json", speedup=True, peer=True, keep=False, against=sys.executable,
     )  # fmt: skip
     assert [path.name for path in tmp_path.iterdir()] == ["result.json"]
     result = json.loads((tmp_path / "result.json").read_text())
@@ -78,11 +80,22 @@ def test_everything_is_measured(
         assert math.isfinite(value) and value >= 0, name
     assert len(found["memory"]["peak_by_worker_bytes"]) == 2
     assert found["coherence"]["min"] > 0.99
+    assert found["other_version"]["python"] == sys.executable and found["other_version"]["version"]
+    assert len(seconds["end_to_end_other_version"]["runs"]) == 1
     assert result["machine"]["cores"] >= 1
     assert result["versions"]["blocksar"] == blocksar.__version__
     printed = capsys.readouterr().out
     assert all(label in printed for label in benchmark.tables.RATIOS.values())
     assert max(map(len, printed.splitlines())) <= benchmark.tables.WIDTH
+
+
+@pytest.mark.parametrize(
+    ("python", "reason"), [("/no/such/python", "cannot be run"), (shutil.which("false"), "cannot start blocksar")]
+)
+def test_a_python_without_blocksar_is_refused(benchmark: Any, python: str, reason: str) -> None:
+    other = benchmark.other_version.other_version(python, workers=1, threads=1, memory_limit=2**30)
+    with pytest.raises(InputError, match=reason), other:
+        pass
 
 
 @pytest.mark.parametrize("source", ["table1", "small"])

@@ -43,10 +43,10 @@ from typing import Annotated, Any
 import typer
 from distributed import Client, LocalCluster, Worker
 from distributed.security import Security
-from first_image import SCENE
 
 import blocksar
 from blocksar.cli.parsing import parse_blocks, parse_grid
+from first_image import SCENE
 
 PACKAGES = ["blocksar", "dask", "distributed", "numba", "numpy", "zarr"]
 GIB = 2**30

@@ -25,6 +25,8 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from blocksar.errors import InputError, ProcessingError
 from papers.azimuth import closed_form, figure9
 from papers.bench import THREADS, Bench, tell
 from papers.comparison import Exhibit
@@ -34,8 +36,6 @@ from papers.page import write_page
 from papers.range_series import figure2, figure3, figure4
 from papers.recovery import figure6, figure7
 from papers.responses import figure14, figure15, paper_b_table, table2, table3
-
-from blocksar.errors import InputError, ProcessingError
 
 # ---------------------------------------------------------------- the page
 

@@ -56,7 +56,7 @@ ENVIRONMENT = {
     "MALLOC_MMAP_THRESHOLD_": str(24 * MIB),
     "MALLOC_TRIM_THRESHOLD_": str(64 * MIB),
 }
-COMPILE = "from blocksar.ground import compile_kernels; compile_kernels()"
+COMPILE = "from blocksar.focusing.correction import compile_kernels; compile_kernels()"
 
 
 def prologue() -> list[str]:

@@ -6,10 +6,6 @@ import re
 from dataclasses import replace
 
 import numpy as np
-from papers.bench import THREADS, Bench, geometry, plan, scene, targets
-from papers.comparison import Exhibit, Row, above, below
-from papers.printed import SEAMS, SWATH
-from papers.single_targets import YAWS, line_panel, lines
 from scipy.signal import ShortTimeFFT
 from scipy.signal.windows import gaussian
 
@@ -28,6 +24,10 @@ from blocksar.products.pictures.figures import CURVE_COLOURS
 from blocksar.products.pictures.panels import Map, Mark, Panel, Style, Trace, plot_panels
 from blocksar.simulation.scatterers import simulate_pulses
 from blocksar.simulation.scene import Scene
+from papers.bench import THREADS, Bench, geometry, plan, scene, targets
+from papers.comparison import Exhibit, Row, above, below
+from papers.printed import SEAMS, SWATH
+from papers.single_targets import YAWS, line_panel, lines
 
 # ---------------------------------------------------------------- paper A: recovery and division
 
