@@ -762,7 +762,7 @@ def test_everything_has_a_readme_that_says_what_is_asked() -> None:
     for part in PARTS:
         readme = text(part, "README.md")
         headings = re.findall(r"^## (.*)$", readme, re.MULTILINE)
-        assert {"Install", "What to adapt", "Does it work?", "Stop, go on"} <= set(headings), part
+        assert {"Install", "What to adapt", "Check", "Stop and resume"} <= set(headings), part
         assert f"({part}/README.md)" in text("README.md")
         for target in re.findall(r"\]\((?!https?://)([^)#]+)", readme):
             assert (DEPLOY / part / target).exists(), f"{part}: {target}"
