@@ -107,10 +107,8 @@ def main(
     quality = blocksar.quality(out / "run").result
     for target in (target for target in quality["targets"] if target["covered"]):
         width = target["azimuth_irw"] / target["azimuth_irw_theory"]
-        figures = (
-            f"side lobes {target['azimuth_pslr']:.2f} dB, width / theory {width:.3f}, value {target['value'][0]:.3f}"
-        )
-        print(f"{target['name']}: {figures}")
+        name, lobes, value = target["name"], target["azimuth_pslr"], target["value"][0]
+        print(f"{name}: side lobes {lobes:.2f} dB, width / theory {width:.3f}, value {value:.3f}")
 
     image = blocksar.open(out / "run")
     picture = image.sar.plot().figure

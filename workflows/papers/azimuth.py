@@ -13,7 +13,7 @@ from blocksar.products.pictures.panels import Panel, Style, Trace, plot_panels
 from papers.bench import Bench, plan_scene
 from papers.comparison import ABOVE_QUARTER, QUARTER, Exhibit, Row, below
 from papers.sectors import same_range
-from papers.single_targets import Cut, azimuth_cut, line_panel, lines, rates, traced
+from papers.single_targets import Cut, azimuth_cut, line_panel, rates, recovered_lines, trace
 
 
 def figure9(bench: Bench) -> Exhibit:
@@ -22,9 +22,9 @@ def figure9(bench: Bench) -> Exhibit:
     bare = plan_scene("table1", 3, perturbation="none")
     block = plan.blocks[0]
     places = same_range(block)
-    line = lines(plan, list(places.values()))
+    line = recovered_lines(plan, list(places.values()))
     kinds = (Compression, FrequencyPerturbation, Deramp)
-    after = [traced(line, block, through=kind) for kind in kinds]
+    after = [trace(line, block, through=kind) for kind in kinds]
     titles = ("(a) before perturbation", "(b) after frequency perturbation", "(c) after deramp")
     panels = [
         line_panel(title, line, [f"${name}$" for name in places]) for title, line in zip(titles, after, strict=True)
@@ -34,7 +34,7 @@ def figure9(bench: Bench) -> Exhibit:
     panels.append(_cut_panel("(d) focused in Doppler", cuts, blurred))
     plot_panels(panels, path, title="Azimuth focusing of targets of one range")
     dwell = float(line.weight.sum(axis=-1).max())
-    deramped = [traced(lines(p, list(places.values())), p.blocks[0], through=Deramp) for p in (plan, bare)]
+    deramped = [trace(recovered_lines(p, list(places.values())), p.blocks[0], through=Deramp) for p in (plan, bare)]
     residual = [float(focus(each).quadratic.max()) / np.pi for each in deramped]
     # As phase at the edge of the dwell, in units of pi.
     differing, *apart = (float(np.ptp(rates(each))) * (dwell / 2) ** 2 for each in (after[0], *deramped))

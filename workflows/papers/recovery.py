@@ -28,7 +28,7 @@ from papers.bench import SWATH, THREADS, Bench, geometry, plan_scene, scene, tar
 from papers.comparison import Exhibit, Row, above, below
 from papers.printed import SEAMS
 from papers.sectors import YAWS
-from papers.single_targets import line_panel, lines
+from papers.single_targets import line_panel, recovered_lines
 
 
 def at_prf(prf: float) -> Collection:
@@ -64,14 +64,14 @@ def few_targets(recovery: Recovery) -> tuple[ComplexArray, Line]:
     return echo, recovered_line(geo, epoch_range=rng, yaw=yaw, origin=recovery.origin, walk=recovery.walk)
 
 
-def derotated(recovery: Recovery, line: Line) -> Line:
+def derotate(recovery: Recovery, line: Line) -> Line:
     """Lines after derotation."""
     step = recovery.pulses.step
     ahead, behind = (recovery.derotation_cycles(line.time + sign * step / 2) for sign in (1, -1))
     return replace(line, doppler=line.doppler - (ahead - behind) / step)
 
 
-def derotated_echo(recovery: Recovery, echo: ComplexArray) -> ComplexArray:
+def derotate_echo(recovery: Recovery, echo: ComplexArray) -> ComplexArray:
     """Echo (n_pulse,) after derotation."""
     cycles = recovery.bulk + recovery.derotation_cycles(recovery.pulses.values)
     return np.asarray(echo * unit_phasor(-cycles))
@@ -101,7 +101,7 @@ def figure6(bench: Bench) -> Exhibit:
     squint = -2 / geometry("table1").collection.wavelength * nonlinear.walk
     pulses, time = nonlinear.pulses, nonlinear.time
     folded = dual(pulses, size=nonlinear.padded, centre=0.0)
-    padded = rows.to_time(rows.to_doppler(derotated_echo(nonlinear, echo)[None], pulses, folded), folded, time)[0]
+    padded = rows.to_time(rows.to_doppler(derotate_echo(nonlinear, echo)[None], pulses, folded), folded, time)[0]
     recovered = padded * unit_phasor(nonlinear.derotation_cycles(time.values))
     prf = {recovery: f"PRF {1e-3 / recovery.pulses.step:.2f} kHz" for recovery in (linear, nonlinear)}
     pictures = {
@@ -109,9 +109,9 @@ def figure6(bench: Bench) -> Exhibit:
             spectrogram(echo, pulses, centre=squint, repeats=1), replace(line, doppler=line.doppler + squint)
         ),
         f"(b) linear derotation, {prf[linear]}": (
-            spectrogram(derotated_echo(linear, wide_echo), linear.pulses), derotated(linear, wide)
+            spectrogram(derotate_echo(linear, wide_echo), linear.pulses), derotate(linear, wide)
         ),
-        f"(c) nonlinear derotation, {prf[nonlinear]}, padded": (spectrogram(padded, time), derotated(nonlinear, line)),
+        f"(c) nonlinear derotation, {prf[nonlinear]}, padded": (spectrogram(padded, time), derotate(nonlinear, line)),
         "(d) recovered": (spectrogram(recovered, time, centre=nonlinear.doppler.centre), line),
     }  # fmt: skip
     panels = [line_panel(title, line, ["traced line"], under=picture) for title, (picture, line) in pictures.items()]
@@ -139,8 +139,8 @@ def _recovery_rows(linear: Recovery, nonlinear: Recovery) -> list[Row]:
     collection, region = plan.geometry.collection, plan.region
     band_edge = 1 + float(np.abs(collection.range_frequency).max()) / collection.carrier
     places = [(rng, yaw) for yaw in region.yaw.tolist() for rng in map(float, region.at(np.array(yaw)))]
-    total = float(np.ptp(lines(plan, places).doppler)) * band_edge / 1e3
-    own = float(np.ptp(lines(plan, [(SWATH["middle"], np.radians(50.0))]).doppler)) / 1e3
+    total = float(np.ptp(recovered_lines(plan, places).doppler)) * band_edge / 1e3
+    own = float(np.ptp(recovered_lines(plan, [(SWATH["middle"], np.radians(50.0))]).doppler)) / 1e3
     needed = [float(np.ptp(recovery.band)) * band_edge / 1e3 for recovery in (linear, nonlinear)]
     return [
         Row("Doppler band of the echo", total, "kHz", above(2 * collection.prf / 1e3, "much larger than the PRF"),
@@ -160,8 +160,8 @@ def _beam_centre_band(plan: Plan, recovery: Recovery) -> float:
     _, rate = geo.range_history(geo.ground_point(ends, beam), time)
     slow = time - geo.epoch
     doppler = -2 / collection.wavelength * (rate - recovery.walk)
-    line = replace(lines(plan, [(SWATH["middle"], beam[0])]), time=slow, doppler=doppler)
-    return float(np.ptp(derotated(recovery, line).doppler))
+    line = replace(recovered_lines(plan, [(SWATH["middle"], beam[0])]), time=slow, doppler=doppler)
+    return float(np.ptp(derotate(recovery, line).doppler))
 
 
 def figure7(bench: Bench) -> Exhibit:
@@ -206,7 +206,7 @@ def _yaw_panel(plan: Plan) -> Panel:
     styles: tuple[Style, ...] = ("-", "--", ":")
     for (name, rng), style in zip(SWATH.items(), styles, strict=True):
         yaw = np.linspace(plan.region.yaw[0], plan.region.yaw[-1], YAWS)
-        middle = lines(plan, [(rng, float(angle)) for angle in yaw]).doppler.mean(axis=-1)
+        middle = recovered_lines(plan, [(rng, float(angle)) for angle in yaw]).doppler.mean(axis=-1)
         traces.append(Trace(f"{name} range, {rng / 1e3:.1f} km", np.degrees(yaw), middle / 1e3, "#5a6676", style))
     for block, colour in zip(plan.blocks, CURVE_COLOURS, strict=False):
         low, high = (doppler.start + doppler.step * (block.first_bin + n) for n in (0, block.n_bin))

@@ -31,7 +31,7 @@ FINE = 8  # samples of a measured profile per sample of the block
 PULSES = 40  # of a dwell, at which a range-compressed peak is measured
 
 
-def lines(plan: Plan, places: Sequence[Place]) -> Line:
+def recovered_lines(plan: Plan, places: Sequence[Place]) -> Line:
     """Lines of targets in the recovered signal."""
     return recovered_line(
         plan.geometry,
@@ -42,7 +42,7 @@ def lines(plan: Plan, places: Sequence[Place]) -> Line:
     )
 
 
-def traced(line: Line, block: BlockPlan, *, through: type | None = None) -> Line:
+def trace(line: Line, block: BlockPlan, *, through: type | None = None) -> Line:
     """Trace lines through the steps of a block: all, or up to the last step of a kind."""
     kinds = [isinstance(step, through) for step in block.chain] if through else [True] * len(block.chain)
     last = max((i for i, matches in enumerate(kinds) if matches), default=-1)
@@ -87,7 +87,7 @@ def migrations(name: str, plan: Plan, block: BlockPlan, place: Place) -> list[Mi
     walk, compression = block.chain[0], block.chain[at]
     assert isinstance(walk, ResidualRangeWalk) and isinstance(compression, RangeCompression)
     bare = replace(compression, reference=np.zeros_like(compression.reference))
-    samples, line = slab(name, place, block.first_bin, block.n_bin), lines(plan, [place])
+    samples, line = slab(name, place, block.first_bin, block.n_bin), recovered_lines(plan, [place])
     after = [_migration(line, replace(walk, walk=0.0).apply(samples, threads=THREADS), bare)]
     for step in block.chain[:at]:
         samples, line = step.apply(samples, threads=THREADS), step.trace(line)
@@ -133,7 +133,7 @@ def azimuth_cut(name: str, plan: Plan, block: BlockPlan, place: Place) -> Cut:
     doppler = block.ground.doppler
     values = np.asarray(resample(samples[row].astype(np.complex128), 2 * FINE * doppler.size))
     axis = doppler.start + doppler.step / (2 * FINE) * np.arange(values.size)
-    line = traced(lines(plan, [place]), block)
+    line = trace(recovered_lines(plan, [place]), block)
     return Cut(axis - focus(line).doppler[0], values, SINC_WIDTH / float((line.weight * line.stretch).sum()))
 
 
