@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 
 import click
 import dask
+import distributed.cli.dask_scheduler
 import distributed.cli.dask_worker
 import pytest
 import typer
