@@ -37,9 +37,9 @@ def reproduce() -> Iterator[Any]:
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(WORKFLOWS))
         import reproduce_papers
-        from papers import bench, comparison, images, range_series, recovery, responses, single_targets
+        from papers import bench, comparison, images, recovery, responses, sectors, single_targets
 
-        parts = (bench, comparison, images, range_series, recovery, responses, single_targets)
+        parts = (bench, comparison, images, recovery, responses, sectors, single_targets)
         yield SimpleNamespace(
             main=reproduce_papers.main, EXHIBITS=reproduce_papers.EXHIBITS,
             **{part.__name__.rpartition(".")[2]: part for part in parts},
@@ -60,7 +60,7 @@ def page(reproduce: Any, small: Scene, tmp_path_factory: pytest.TempPathFactory)
         raise ProcessingError("the disk is full")
 
     with pytest.MonkeyPatch.context() as patch:
-        for module in (reproduce.bench, reproduce.images, reproduce.range_series, reproduce.recovery):
+        for module in (reproduce.bench, reproduce.images, reproduce.sectors, reproduce.recovery):
             patch.setattr(module, "scene", lambda name: small)
         patch.setitem(reproduce.EXHIBITS, "fig2", fails)
         forget(reproduce)
@@ -72,7 +72,7 @@ def page(reproduce: Any, small: Scene, tmp_path_factory: pytest.TempPathFactory)
 
 
 def forget(reproduce: Any) -> None:
-    for kept in (reproduce.bench.geometry, reproduce.bench.plan, reproduce.single_targets.slab):
+    for kept in (reproduce.bench.geometry, reproduce.bench.plan_scene, reproduce.single_targets.slab):
         kept.cache_clear()
 
 
@@ -90,7 +90,7 @@ def test_the_page_holds_what_was_asked_for(page: Path) -> None:
     assert re.findall(r'<h2 id="([\w-]+)">', html) == ["fig2", "fig4", "fig8", "table3"]
     assert html.count("data:image/png;base64,iVBOR") == 2
     assert "src=" not in html.replace('src="data:', "")  # nothing is fetched from elsewhere
-    assert "could not be made" in html and "the disk is full" in html
+    assert "fig2 failed" in html and "the disk is full" in html
 
 
 def test_both_pages_say_the_same(page: Path) -> None:
