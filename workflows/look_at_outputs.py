@@ -210,7 +210,7 @@ def main(
     print_coverage(image)
     print_record(record)
     print_predictions(run, image, record)
-    if record["plan"]["predicted"]:
+    if record.plan.predicted:
         first = min((run / "patches").iterdir())
         patch = blocksar.open(first)
         print(f"patches/{first.name} {'equals' if same_pixels(patch, image) else 'DIFFERS FROM'} the image")

@@ -9,6 +9,7 @@ from typing import Any
 
 from benchmarks.floors import Seconds, Traffic
 from benchmarks.scenes import Case
+from blocksar.runs.record import RunRecord
 
 
 @dataclass
