@@ -22,7 +22,19 @@ def only_stage(progress: Progress | None, stage: str) -> Callable[[int, int], No
 
 @dataclass(frozen=True)
 class Report:
-    """What a command tells a person: tables, then sentences. `refusal` says why a plan cannot be carried out."""
+    """What a function returns: tables and sentences for people, and the result itself.
+
+    Attributes
+    ----------
+    tables : list of (header, rows)
+        Header: sequence of str. Rows: sequences of str, as long as the header.
+    summary : list of str
+        Sentences.
+    refusal : str or None
+        Why a plan cannot be carried out; None if it can.
+    result : object
+        As each function describes.
+    """
 
     tables: list[Table] = field(default_factory=list)
     summary: list[str] = field(default_factory=list)
