@@ -3,23 +3,24 @@
     python deploy/site/focused_scene.py focused-scene
 
 The ground is a reflectivity map of 1000 m x 760 m with a random phase for every scatterer: sea, an airfield, fields, a
-village and ships. The collection is squint-TOPS from 30 km with the platform of the shipped scene `table1`, at 200 MHz of
+village and ships. The collection is squint-TOPS from 30 km with the platform of the shipped scene `table1`, at 150 MHz of
 bandwidth. The picture goes to FOLDER/focused_scene.png with 32 grey levels, which keeps it below 150 kB.
 """
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
+import typer
 
 import blocksar
 
 Map = npt.NDArray[np.float64]
 
-STEP = 0.7  # m between scatterers, below the resolution of 0.9 m
+STEP = 0.9  # m between scatterers, below the resolution of 1.1 m x 1.5 m
 WIDTH, HEIGHT = 1000.0, 760.0  # m, the ground about the origin
 
 SCENE = """\
@@ -27,8 +28,8 @@ title = "A simulated coast"
 
 [radar]
 carrier = 15e9
-bandwidth = 200e6
-range_sampling = 240e6
+bandwidth = 150e6
+range_sampling = 165e6
 prf = 8e3
 
 [track]
@@ -37,15 +38,15 @@ velocity = [-40.0, 1300.0, -600.0]
 acceleration = [-15.0, -30.0, -35.0]
 
 [time]
-duration = 0.5
+duration = 0.31
 
 [beam]
-start_deg = 44.0
-stop_deg = 56.0
-dwell = 0.3
+start_deg = 46.3
+stop_deg = 53.7
+dwell = 0.2
 
 [scene]
-swath = [29300.0, 30700.0]
+swath = [29420.0, 30580.0]
 
 [reflectivity]
 file = "coast.npy"
@@ -94,12 +95,16 @@ def coast() -> tuple[Map, Map, Map]:
         power[box(x, y, centre=centre, size=size, turn=turned)] = -2.0  # moles
     amplitude = 10 ** (power / 20)
     for row in range(4):  # the village: bright walls towards the radar, dark behind
-        for house in range(9):
-            centre = (-420 + 30 * house + 9 * row, 150 + 34 * row - 5 * house)
+        for house in range(7):
+            centre = (-430 + 30 * house + 9 * row, 215 + 34 * row - 5 * house)
             amplitude[box(x, y, centre=(centre[0] + 6, centre[1] + 7), size=(13, 11), turn=-10)] = 0.03
             amplitude[box(x, y, centre=centre, size=(13, 10), turn=-10)] = 0.35
             amplitude[box(x, y, centre=(centre[0] - 1, centre[1] - 5), size=(13, 1.6), turn=-10)] = 2.2
-    for centre, size, turned in (((300, -320), (64, 9), 20.0), ((-330, -330), (46, 8), -35.0), ((-150, -300), (24, 5), 70.0)):
+    for centre, size, turned in (
+        ((300, -320), (64, 9), 20.0),
+        ((-330, -330), (46, 8), -35.0),
+        ((-150, -300), (24, 5), 70.0),
+    ):
         amplitude[box(x, y, centre=centre, size=size, turn=turned)] = 1.3  # ships
     for shift in range(4):
         amplitude[box(x, y, centre=(165 + 26 * shift, 78 - 6.5 * shift), size=(17, 3), turn=-14)] = 1.6  # aircraft
@@ -112,19 +117,25 @@ def coast() -> tuple[Map, Map, Map]:
     return axis_x, axis_y, amplitude
 
 
-def main(folder: Path) -> None:
-    """Simulate, focus and draw into `folder`."""
+def main(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="What to fill.")] = Path("focused-scene"),
+) -> None:
+    """Simulate a coast, focus it and draw it.
+
+    Example: python deploy/site/focused_scene.py focused-scene
+    """
     from matplotlib import pyplot as plt
     from PIL import Image
 
     folder.mkdir(parents=True, exist_ok=True)
     x, y, amplitude = coast()
     np.save(folder / "coast.npy", amplitude.astype(np.float32))
-    (folder / "coast.toml").write_text(SCENE.format(x0=x[0], y0=y[0], step=STEP))
-    history = blocksar.simulate(folder / "coast.toml", folder / "coast.zarr", overwrite=True)
-    print(*blocksar.plan(history, blocks=3).summary, sep="\n")
+    scene = folder / "coast.toml"
+    scene.write_text(SCENE.format(x0=x[0], y0=y[0], step=STEP))
+    print(*blocksar.plan(scene, blocks=7).summary, sep="\n")
+    history = blocksar.simulate(scene, folder / "coast.zarr", overwrite=True)
     grid = ((-470.0, 470.0, 0.5), (-350.0, 350.0, 0.5))
-    print(*blocksar.focus(history, folder / "run", blocks=3, grid=grid, overwrite=True).summary, sep="\n")
+    print(*blocksar.focus(history, folder / "run", blocks=7, grid=grid, overwrite=True).summary, sep="\n")
     figure, axes = plt.subplots(figsize=(8, 6.1), layout="constrained")
     blocksar.open(folder / "run").sar.plot(axes)
     figure.savefig(folder / "full.png", dpi=110)
@@ -134,4 +145,4 @@ def main(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1] if len(sys.argv) > 1 else "focused-scene"))
+    typer.run(main)
