@@ -1,4 +1,4 @@
-"""What the pages, the docstrings and the help tell people to type: Python runs, command lines parse, links lead somewhere."""
+"""Pages, docstrings and help: their Python runs, their command lines parse, their links lead somewhere."""
 
 from __future__ import annotations
 
@@ -175,9 +175,15 @@ def check_xarray(names: dict[str, Any]) -> None:
     assert names["axes"].get_title() == "first image"
 
 
+def check_reference(names: dict[str, Any]) -> None:
+    assert names["plan"].refusal is None
+    assert float(abs(names["image"]).max()) == pytest.approx(1, abs=0.05)
+
+
 CHECKS: dict[str, Callable[[dict[str, Any]], None]] = {
     "blocksar/products/README.md": check_xarray,
     "blocksar/stores/README.md": check_own_data,
+    "deploy/site/pages/reference.md": check_reference,
 }
 
 
@@ -189,8 +195,8 @@ def test_every_page_with_python_is_run_and_checked() -> None:
 def test_python_on_a_page_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Block after block, in a folder with a run of a small scene."""
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "scene.toml").write_text(importlib.import_module("first_image").SCENE)
     if page == "blocksar/products/README.md":
-        (tmp_path / "scene.toml").write_text(importlib.import_module("first_image").SCENE)
         blocksar.simulate("scene.toml", "ph.zarr")
         blocksar.focus("ph.zarr", "run", blocks=1, workers=1, grid=((-60, 60, 1.5), (-60, 60, 1.5)))
     names: dict[str, Any] = {"__name__": "__main__"}

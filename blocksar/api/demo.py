@@ -50,7 +50,7 @@ def demo(
         Memory of each worker, bytes. Default: its share of the machine's memory.
     overwrite : bool
         Simulate and focus anew. Default: False.
-    progress : object with a method `update(stage, done, total)`, optional
+    progress : object with a method update(stage, done, total), optional
         Called with the name of the stage (str) and the numbers of finished and of all units (int). A
         `blocksar.progress.Listener` receives more. Default: nothing is reported.
     performance_report : path, optional

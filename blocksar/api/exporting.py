@@ -70,7 +70,7 @@ def report(
         HTML file to write. Default: RUN/report.html, which is always replaced.
     overwrite : bool
         Replace what stands at `out`. Default: False.
-    progress : object with a method `update(stage, done, total)`, optional
+    progress : object with a method update(stage, done, total), optional
         Called with the name of the stage (str) and the numbers of finished and of all units (int). A
         `blocksar.progress.Listener` receives more. Default: nothing is reported.
 
@@ -149,7 +149,7 @@ def export(
         Pixels of a GeoTIFF: float32 or complex64. Default: "amplitude". Only for `kind="geotiff"`.
     overwrite : bool
         Replace what stands at `out`. Default: False.
-    progress : object with a method `update(stage, done, total)`, optional
+    progress : object with a method update(stage, done, total), optional
         Called with the name of the stage (str) and the numbers of finished and of all units (int). A
         `blocksar.progress.Listener` receives more. Default: nothing is reported.
 

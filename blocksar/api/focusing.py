@@ -105,7 +105,7 @@ def focus(
         Address of a running dask scheduler, used instead of a local cluster.
     overwrite : bool
         Replace a run with other settings or another input. Default: False.
-    progress : object with a method `update(stage, done, total)`, optional
+    progress : object with a method update(stage, done, total), optional
         Called with the name of the stage (str) and the numbers of finished and of all units (int). A
         `blocksar.progress.Listener` receives more. Default: nothing is reported.
     performance_report : path, optional

@@ -46,7 +46,7 @@ def simulate(
         Threads that compute pulses. Default: the number of cores.
     overwrite : bool
         Replace what stands at `out`. Default: False.
-    progress : object with a method `update(stage, done, total)`, optional
+    progress : object with a method update(stage, done, total), optional
         Called with the name of the stage (str) and the numbers of finished and of all units (int). A
         `blocksar.progress.Listener` receives more. Default: nothing is reported.
 
@@ -131,7 +131,7 @@ def ingest_cphd(
         Identifier of the channel. Needed if the file has several.
     overwrite : bool
         Replace what stands at `out`. Default: False.
-    progress : object with a method `update(stage, done, total)`, optional
+    progress : object with a method update(stage, done, total), optional
         Called with the name of the stage (str) and the numbers of finished and of all units (int). A
         `blocksar.progress.Listener` receives more. Default: nothing is reported.
 
@@ -168,7 +168,7 @@ def ingest_gotcha(
         Phase-history store to write.
     overwrite : bool
         Replace what stands at `out`. Default: False.
-    progress : object with a method `update(stage, done, total)`, optional
+    progress : object with a method update(stage, done, total), optional
         Called with the name of the stage (str) and the numbers of finished and of all units (int). A
         `blocksar.progress.Listener` receives more. Default: nothing is reported.
 

@@ -3,8 +3,8 @@
     python deploy/site/focused_scene.py focused-scene
 
 The ground is a reflectivity map of 1000 m x 760 m with a random phase for every scatterer: sea, an airfield, fields, a
-village and ships. The collection is squint-TOPS from 30 km with the platform of the shipped scene `table1`, at 150 MHz of
-bandwidth. The picture goes to FOLDER/focused_scene.png with 32 grey levels, which keeps it below 150 kB.
+village and ships. The collection is squint-TOPS from 30 km with the platform of the shipped scene `table1` and 150 MHz
+of bandwidth. The picture goes to FOLDER/focused_scene.png with 32 grey levels, which keeps it below 150 kB.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ def coast() -> tuple[Map, Map, Map]:
         ((-330, -330), (46, 8), -35.0),
         ((-150, -300), (24, 5), 70.0),
     ):
-        amplitude[box(x, y, centre=centre, size=size, turn=turned)] = 1.3  # ships
+        amplitude[box(x, y, centre=centre, size=size, turn=turned)] = 1.3
     for shift in range(4):
         amplitude[box(x, y, centre=(165 + 26 * shift, 78 - 6.5 * shift), size=(17, 3), turn=-14)] = 1.6  # aircraft
         amplitude[box(x, y, centre=(165 + 26 * shift, 78 - 6.5 * shift), size=(3, 15), turn=-14)] = 1.6

@@ -1,7 +1,7 @@
 """Gather the pages of the documentation site: README.md pages beside the code, and scene files from their model.
 
-MkDocs calls `on_files` and `on_page_markdown`. Pages keep their paths in the repository, so that their links work on the
-site as they do there.
+MkDocs calls `on_files` and `on_page_markdown`. Pages keep their paths in the repository, so that their links work on
+the site as they do there.
 """
 
 from __future__ import annotations
@@ -101,7 +101,9 @@ def kind(annotation: Any) -> str:
         return words[annotation]
     if getattr(annotation, "__name__", "") == "tuple":
         parts = [kind(part) for part in get_args(annotation) if part is not Ellipsis]
-        return f"list of {len(parts)} {parts[0]}s" if len(parts) > 1 else f"list of ({parts[0]})"
+        if len(parts) > 1:
+            return f"list of {len(parts)} {parts[0]}s"
+        return f"list of {parts[0].replace('list', 'lists', 1)}"
     if getattr(annotation, "__name__", "") == "dict":
         return "table"
     parts = [kind(part) if not isinstance(part, str) else f'"{part}"' for part in get_args(annotation)]
