@@ -34,9 +34,39 @@ def demo(
     progress: Progress | None = None,
     performance_report: str | Path | None = None,
 ) -> Report:
-    """Simulate the main paper's scene, focus it in three blocks, measure it, and draw it.
+    """Simulate the shipped scene "table1", focus it in three blocks, measure it, and draw it.
 
-    Leaves a run folder with quality.json, mosaic.png, contours.png and report.html besides.
+    Leaves a run folder that also holds quality.json, mosaic.png, contours.png and report.html.
+
+    Parameters
+    ----------
+    out : path
+        Run folder.
+    workers : int, optional
+        Processes of the local cluster. Default: the number of cores, at most 4.
+    threads : int, optional
+        Threads of each worker. Default: cores / workers, at least 1.
+    memory_limit : int, optional
+        Memory of each worker, bytes. Default: its share of the machine's memory.
+    overwrite : bool
+        Simulate and focus anew. Default: False.
+    progress : object with a method update(stage, done, total), optional
+        Called with the name of the stage (str) and the numbers of finished and of all units (int). A
+        `blocksar.progress.Listener` receives more. Default: nothing is reported.
+    performance_report : path, optional
+        HTML file for dask's performance report, also written if the run fails.
+
+    Returns
+    -------
+    Report
+        `tables` and `result` are those of `quality`.
+
+    Raises
+    ------
+    InputError
+        If `out` holds something other than a demonstration, or a library is not installed.
+    ProcessingError
+        If processing fails; the same call resumes.
     """
     told = listener(progress)
     if performance_report is not None:

@@ -24,10 +24,19 @@ if TYPE_CHECKING:
 
 
 def open(run: Location) -> xr.Dataset:
-    """The image of a run as a lazily loaded dataset: `image` and `block` over y and x.
+    """Open the image of a run as a lazily loaded dataset: `image` and `block` over y and x.
 
-    It follows CF, with a grid mapping if it is georeferenced, and has the accessor `sar` (see `blocksar.accessor`):
-    `ds.sar.db()`, `.crop()`, `.plot()`, `.cut()`, `.netcdf()`.
+    The dataset follows CF, with a grid mapping if it is georeferenced, and has the accessor `ds.sar`.
+
+    Parameters
+    ----------
+    run : path
+        Folder of a finished run, or any store of blocksar, such as RUN/spectrum.zarr.
+
+    Returns
+    -------
+    xarray.Dataset
+        `image` (y, x) complex64, NaN where not covered; `block` (y, x) int16, -1 where not covered; x, y in m.
 
     Raises
     ------
@@ -50,26 +59,32 @@ def report(
 ) -> Report:
     """Write the report page of a finished run: one self-contained HTML file.
 
-    It shows what RUN/quality.json holds; without one, the targets of the collection are measured now.
+    The page shows what RUN/quality.json holds. Without that file, the targets that the run knows are measured first.
 
     Parameters
     ----------
+    run : path
+        Folder of a finished run.
     out : path, optional
-        The page; by default RUN/report.html, which is replaced.
+        HTML file to write. Default: RUN/report.html, which is always replaced.
     overwrite : bool
-        Replace `out`.
+        Replace what stands at `out`. Default: False.
+    progress : object with a method update(stage, done, total), optional
+        Called with the name of the stage (str) and the numbers of finished and of all units (int). A
+        `blocksar.progress.Listener` receives more. Default: nothing is reported.
 
     Returns
     -------
     Report
-        `result` is the path of the page.
+        `summary` has the verdict; `result` is the path of the page.
 
     Raises
     ------
     InputError
-        If the run is not finished or damaged, a library is not installed, or `out` exists.
+        If the run is not finished or cannot be read, a library is not installed, or `out` exists and `overwrite` is
+        False.
     ProcessingError
-        If the page cannot be written: an earlier one stays.
+        If the page cannot be written; an earlier page stays.
     """
     folder = place(run)
     target = folder / "report.html" if out is None else place(out)
@@ -123,18 +138,32 @@ def export(
 
     Parameters
     ----------
-    kind : "sicd", "geotiff" or "png"
-        The complex image on its ground plane; a cloud-optimised GeoTIFF; a picture for people.
-    content : "amplitude" or "complex", optional
-        Of a GeoTIFF; amplitude by default.
+    kind : {"sicd", "geotiff", "png"}
+        Complex image on its ground plane; cloud-optimised GeoTIFF; picture in decibels.
+    run : path
+        Folder of a finished run.
+    out : path
+        Local file to write.
+    content : {"amplitude", "complex"}, optional
+        Pixels of a GeoTIFF: float32 or complex64. Default: "amplitude". Only for `kind="geotiff"`.
+    overwrite : bool
+        Replace what stands at `out`. Default: False.
+    progress : object with a method update(stage, done, total), optional
+        Called with the name of the stage (str) and the numbers of finished and of all units (int). A
+        `blocksar.progress.Listener` receives more. Default: nothing is reported.
+
+    Returns
+    -------
+    Report
+        `summary` has what is worth knowing about the file, and its path.
 
     Raises
     ------
     InputError
-        If the run is not finished or damaged, the product needs a georeference and there is none, a library is not
-        installed, or `out` exists.
+        If the run is not finished, has no georeference though the product needs one, a library is not installed, or
+        `out` exists and `overwrite` is False.
     ProcessingError
-        If writing fails: `out` stays as it was.
+        If writing fails; what stood at `out` stays.
     """
     folder = place(run)
     if content is not None and kind != "geotiff":

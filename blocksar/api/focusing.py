@@ -79,44 +79,63 @@ def focus(
     performance_report: str | Path | None = None,
     client: Client | None = None,
 ) -> Report:
-    """Focus a phase history into the run folder `out`; an unfinished run there is resumed.
+    """Focus a phase history into a run folder; an unfinished run of the same settings and input there is resumed.
 
     Parameters
     ----------
-    source : path or xarray.Dataset opened from one
-        Phase-history store.
+    source : path or xarray.Dataset
+        Phase-history store, or a dataset opened from one.
     out : path
-        The run folder.
-    processor, blocks, coefficients, perturbation, keystone, derotation, range_model
-        See the command `focus`.
-    grid : Grid, or ((x0, x1, dx), (y0, y1, dy)), optional
-        Of the image, m; by default the box around the lit sector, at about half the resolution.
-    workers, threads : int, optional
-        Of the cluster that is started here: processes, and threads in each.
+        Run folder.
+    processor : {"angular-division", "keystone-resampling", "high-order-phase", "backprojection"}
+        Chain of steps; "backprojection" is exact and slow. Default: "angular-division".
+    blocks : int or "auto"
+        Number of angular blocks, at least 1. "auto" (default): the fewest that meet the budgets of residual phase, side
+        lobes, migration and memory.
+    coefficients : {"fitted", "closed-form"}
+        "fitted" (default): fitted to traced time-frequency lines. "closed-form": expanded about the centre of each
+        block, as in the papers.
+    perturbation : {"all", "frequency", "none"}
+        "all" (default): those of the processor. "frequency": one in Doppler only. "none": deramp only.
+    keystone : bool
+        False: RCMC with one reference in the time domain, without keystone transform. Default: True.
+    derotation : {"nonlinear", "linear"}
+        "linear": recovery removes a single Doppler rate, which needs a higher PRF. Default: "nonlinear".
+    range_model : {"polar", "conventional"}
+        "conventional": substituted variables after range-walk correction; needs `coefficients="closed-form"`. Default:
+        "polar".
+    grid : Grid or ((x0, x1, dx), (y0, y1, dy)), optional
+        Image points x0, x0 + dx, ... < x1 in m in the scene frame, likewise y. Default: the box around the lit sector
+        at about half the resolution. Needed if the beam is not steered.
+    workers : int, optional
+        Processes of the local cluster. Default: the number of cores, at most 4.
+    threads : int, optional
+        Threads of each worker. Default: cores / workers, at least 1.
     memory_limit : int, optional
-        Bytes a worker.
+        Memory of each worker, bytes. Default: its share of the machine's memory.
     scheduler : str, optional
-        Address of a dask scheduler to use instead.
+        Address of a running dask scheduler, used instead of a local cluster.
     overwrite : bool
-        Replace a run that is in `out`.
-    progress : object with a method `update(stage, done, total)`, optional
-        Called as each stage proceeds; a `progress.Listener` is told more.
+        Replace a run with other settings or another input. Default: False.
+    progress : object with a method update(stage, done, total), optional
+        Called with the name of the stage (str) and the numbers of finished and of all units (int). A
+        `blocksar.progress.Listener` receives more. Default: nothing is reported.
     performance_report : path, optional
-        HTML file for dask's performance report of this call, written even if the call fails.
+        HTML file for dask's performance report of this call, also written if the run fails.
     client : distributed.Client, optional
-        A cluster to use instead, already connected.
+        Client of a running cluster, used instead of a local cluster.
 
     Returns
     -------
     Report
-        `result` is what run.json holds.
+        `summary` has notes, times and peak memory; `result` is the record that RUN/run.json holds.
 
     Raises
     ------
     InputError
-        If the input or a setting is wrong: nothing is written.
+        If the input or a setting is wrong; nothing is written.
     ProcessingError
-        If processing fails: what was finished stays, and the same call resumes.
+        If processing fails; finished work stays, and the same call resumes.
     """
     listener = as_listener(progress)
     profile = None if performance_report is None else Path(performance_report)

@@ -32,19 +32,23 @@ RANGES_COMPARED = (("near", 0.1), ("middle", 0.5), ("far", 0.9))  # name, share 
 
 
 def quality(run: Location, *, targets: Location | Sequence[Target] | None = None, reference: bool = False) -> Report:
-    """Measure a run's point targets, and compare chips with exact back-projection.
+    """Measure the point targets of a finished run, and compare chips with exact back-projection.
 
     Parameters
     ----------
+    run : path
+        Folder of a finished run.
     targets : path or sequence of Target, optional
-        JSON or TOML file of {"name", "x", "y", "reflectivity"}; by default those the collection was simulated with.
+        JSON file of {"name", "x", "y", "reflectivity"}, scene file (TOML), or the targets themselves; x and y in m in
+        the scene frame. Default: the targets that the collection was simulated with.
     reference : bool
-        Also back-project chips at the blocks' centres, seams and swath ends from the run's input, and compare.
+        Also back-project chips of 64 x 64 pixels at the blocks' centres, seams and swath ends from the run's input, and
+        compare. Default: False.
 
     Returns
     -------
     Report
-        `result` is what RUN/quality.json holds.
+        `tables` has one row for each target; `result` is what RUN/quality.json holds.
 
     Raises
     ------

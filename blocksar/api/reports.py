@@ -22,18 +22,18 @@ def only_stage(progress: Progress | None, stage: str) -> Callable[[int, int], No
 
 @dataclass(frozen=True)
 class Report:
-    """What a command returns.
+    """What a function returns: tables and sentences for people, and the result itself.
 
     Attributes
     ----------
-    tables : list of Table
-        Header and rows each.
+    tables : list of (header, rows)
+        Header: sequence of str. Rows: sequences of str, as long as the header.
     summary : list of str
-        Sentences to be shown after the tables.
+        Sentences.
     refusal : str or None
-        Why a plan cannot be carried out.
-    result : any
-        The result itself; each command says what it is.
+        Why a plan cannot be carried out; None if it can.
+    result : object
+        As each function describes.
     """
 
     tables: list[Table] = field(default_factory=list)

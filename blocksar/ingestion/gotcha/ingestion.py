@@ -1,36 +1,13 @@
-"""The AFRL Gotcha set's MATLAB files to a phase history.
+"""MATLAB files of the AFRL Gotcha set to a phase history.
 
-Each file holds a struct `data`, one degree of a circular pass:
+Each file holds one degree of a circular pass. `blocksar/ingestion/README.md` lists its fields and gives the reasons for
+the four decisions below, with figures from the measured scene.
 
-| field | shape | meaning |
-|---|---|---|
-| `fp` | (n_frequency, n_pulse) complex | phase history |
-| `freq` | (n_frequency,) | absolute frequency, Hz |
-| `x`, `y`, `z` | (n_pulse,) | antenna position about the scene's centre, m, z up |
-| `r0` | (n_pulse,) | range to the scene's centre, m |
-| `th`, `phi` | (n_pulse,) | azimuth and elevation of the antenna, degrees; checked against the position |
-| `af` | struct | autofocus solution: range and phase a pulse |
-
-Sign. fp is the sum over targets of sigma exp(-4j pi freq / c (R - r0)): the store's own convention. Back-projected as
-exp(+4j pi freq / c (R - r0)) the measured scene stands as it was published. The conjugate gives its image in a point,
-and over a few degrees just as sharp a one: it is the place of known objects that tells, not the focus.
-
-Reference range. Positions and r0 come as float32, rounded to about half a millimetre each, and apart: r0 less the
-distance of the recorded position from the centre is off by up to 0.7 mm, 0.3 rad of X-band phase. That distance
-itself is taken instead, wherever the two differ by no more than rounding: then the centre has no phase at all, as
-motion compensation left it, and what rounding does to positions cancels. The brightest points of the measured scene
-gain 1.6 % in power by it.
-
-Autofocus. `af` is not applied. Range and phase go together, r0 + r_correct with fp exp(j ph_correct) (either alone
-destroys the image); of the 14 brightest points of the measured four degrees they make the brightest one 1 % brighter
-in power and all others 5 to 9 % darker. The opposite signs make all darker. It follows one target, not the antenna.
-
-Slow time. The files have no times. Pulses are numbered in the order of their azimuth, and the number times
-PULSE_INTERVAL is the slow time: an image does not depend on that interval, which makes the speed of the aircraft a
-plausible one. This asks only that the azimuth is a smooth function of the number. Where a pulse lies more than UNEVEN
-steps off its neighbours' line, all pulses are resampled to uniform azimuth (`resampling`), after range compensation
-to the centre, for echoes from as far out as the range window, or OCCUPIED of the mean PRF, lets in. Positions there
-are those of the fitted track with what it lacks interpolated. A few pulses that are not there are missing pulses.
+- Sign: `fp` has the store's own sign; it is not conjugated.
+- Reference range: the distance of the recorded position from the scene centre, where it agrees with `r0` to rounding.
+- Autofocus: `af` is not applied.
+- Slow time: pulses are numbered in the order of their azimuth; slow time is the number times PULSE_INTERVAL. Where a
+  pulse lies more than UNEVEN steps off the line through its neighbours, all pulses are resampled to uniform azimuth.
 """
 
 from __future__ import annotations
