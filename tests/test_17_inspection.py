@@ -20,9 +20,9 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.region import Region, plan_region
 from blocksar.errors import InputError
 from blocksar.focusing.recovery import Recovery
-from blocksar.inspection.centroid import Expectation, centroid, disagreement, expect
-from blocksar.inspection.samples import SEGMENTS, Inspection, inspect, merge, strike
-from blocksar.inspection.sentences import lines, refusal, saturated
+from blocksar.inspection.centroid import Expectation, disagreement, expect, measure_centroid
+from blocksar.inspection.samples import SEGMENTS, Inspection, inspect, mask_outliers, merge
+from blocksar.inspection.sentences import describe, is_saturated, refusal
 from blocksar.kernels.fourier import Axis
 from blocksar.planning.recovery import plan_recovery
 from blocksar.simulation.scatterers import simulate_pulses
@@ -226,8 +226,8 @@ def test_without_a_recovery_there_are_no_pairs() -> None:
     assert without == replace(with_pairs, pairs=[])
     np.testing.assert_array_equal(left, also)
     with pytest.raises(ValueError, match="no pulse pairs"):
-        centroid(without, prf=1.0)
-    with pytest.raises(ValueError, match="no one phase history"):
+        measure_centroid(without, prf=1.0)
+    with pytest.raises(ValueError, match="not of one phase history"):
         merge([with_pairs, without])
 
 
@@ -338,7 +338,7 @@ def test_damage_is_struck_from_pulses_too() -> None:
     signal = damaged(128, 70)
     found, _ = look(signal)
     rows = signal[50:62].copy()
-    strike(rows, found, pulses=slice(50, 62))
+    mask_outliers(rows, found, pulses=slice(50, 62))
     assert np.argwhere(np.isnan(rows)).tolist() == [[10, 5], [10, 50], [11, 6]]
     np.testing.assert_array_equal(np.nan_to_num(rows, nan=7), np.where(np.isnan(rows), 7, signal[50:62]))
 
@@ -364,8 +364,8 @@ def test_saturation(name: str, signal: ComplexArray, wanted: bool) -> None:
     if name == "one target at the reference":
         signal[1::3] = signal[2::3] = 0.9999999
     found, _ = look(signal, recovery=None)
-    assert saturated(found) is wanted
-    assert any(line.startswith("saturated: ") for line in lines(found)) is wanted
+    assert is_saturated(found) is wanted
+    assert any(line.startswith("saturated: ") for line in describe(found)) is wanted
 
 
 WHOLE = {p: 10 for p in range(12)}
@@ -398,7 +398,7 @@ WHOLE = {p: 10 for p in range(12)}
     ids=str,
 )
 def test_what_was_found_is_said_plainly(facts: dict[str, Any], said: list[str]) -> None:
-    assert lines(Inspection(n_pulse=100, n_column=10, valid=900, **facts)) == said
+    assert describe(Inspection(n_pulse=100, n_column=10, valid=900, **facts)) == said
 
 
 def test_a_damaged_store_is_refused() -> None:
@@ -558,7 +558,7 @@ def test_the_figure_is_the_shift(table1: Case) -> None:
         turn = np.exp(2j * np.pi * shift * thin.time)[:, None].astype(np.complex64)
         signal = table1.clutter * turn
         found = inspect(signal, range_frequency=thin.range_frequency, recovery=plan.recovery)
-        measured = centroid(found, prf=prf)
+        measured = measure_centroid(found, prf=prf)
         offsets[shift] = measured.mean_offset
         assert measured.offset.shape == measured.coherence.shape == (SEGMENTS,)
         assert 0.2 < measured.mean_coherence <= measured.coherence.max() < 1
@@ -676,4 +676,4 @@ def test_noise_alone_and_nothing_at_all_say_nothing(table1: Case) -> None:
     assert judge(clutter(*table1.clutter.shape, seed=8), table1.thin, table1.plan) is None
     empty = Inspection(n_pulse=4800, n_column=24, pairs=[[0.0, 0.0, 0.0]] * SEGMENTS)
     assert disagreement(empty, wanted) is None
-    assert centroid(empty, prf=1.0).mean_coherence == 0
+    assert measure_centroid(empty, prf=1.0).mean_coherence == 0

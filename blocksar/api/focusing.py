@@ -332,14 +332,14 @@ def _judge(
     if not found.lit.any():
         raise InputError(f"{history.variable} in {history.path} holds no valid sample; is it the right store?")
     echoes = [Inspection.from_dict(r["found"]) for r in receipts if r["unit"].startswith("pulses-")]
-    looks = [samples.levels(echoes), found] if echoes else [found]
-    record["warnings"] = [line for look in looks for line in sentences.lines(look)]
+    looks = [samples.merge_echoes(echoes), found] if echoes else [found]
+    record["warnings"] = [line for look in looks for line in sentences.describe(look)]
     record["samples"] = {"missing": sum(found.missing.values()), "impossible": sum(look.n_outlier for look in looks)}
     if plan is not None:
         region = plan.region
         expected = centroid.expect(job.geometry, plan.recovery, yaw=region.yaw, near=region.near, far=region.far)
         if expected is not None:
-            measured = centroid.centroid(found, prf=job.geometry.collection.prf)
+            measured = centroid.measure_centroid(found, prf=job.geometry.collection.prf)
             record["doppler_centroid"] = {"error": measured.mean_offset, "coherence": measured.mean_coherence}
             if (sentence := centroid.disagreement(found, expected)) is not None:
                 record["warnings"].append(sentence)
