@@ -117,21 +117,21 @@ def merge(parts: Iterable[Inspection]) -> Inspection:
     """
     first, *others = parts
     for part in others:
-        first = _merged(first, part)
+        first = _merge_pair(first, part)
     return first
 
 
-def _merged(a: Inspection, b: Inspection) -> Inspection:
+def _merge_pair(a: Inspection, b: Inspection) -> Inspection:
     if a.n_pulse != b.n_pulse or bool(a.pairs) != bool(b.pairs):
         raise ValueError(f"{a.n_pulse} and {b.n_pulse} pulses, or pairs in one only, are not of one phase history")
     extreme = max(a.extreme, b.extreme)
     pulses = sorted({*a.missing, *b.missing})
-    struck = sorted({*a.outliers, *b.outliers})
+    outliers = sorted({*a.outliers, *b.outliers})
     return Inspection(
         n_pulse=a.n_pulse,
         n_column=a.n_column + b.n_column,
         missing={p: a.missing.get(p, 0) + b.missing.get(p, 0) for p in pulses},
-        outliers={p: sorted(a.outliers.get(p, []) + b.outliers.get(p, [])) for p in struck},
+        outliers={p: sorted(a.outliers.get(p, []) + b.outliers.get(p, [])) for p in outliers},
         valid=a.valid + b.valid,
         extreme=extreme,
         at_extreme=(
@@ -150,11 +150,11 @@ def merge_echoes(parts: Iterable[Inspection]) -> Inspection:
     parts = list(parts)
     extreme = max(part.extreme for part in parts)
     counts = [part.at_extreme for part in parts if part.extreme == extreme]
-    struck = [columns for part in parts for columns in part.outliers.values()]
+    outliers = [columns for part in parts for columns in part.outliers.values()]
     return Inspection(
         n_pulse=sum(part.n_pulse for part in parts),
         n_column=parts[0].n_column,
-        outliers=dict(enumerate(struck)),
+        outliers=dict(enumerate(outliers)),
         valid=sum(part.valid for part in parts),
         extreme=extreme,
         at_extreme=(sum(real for real, _ in counts), sum(imag for _, imag in counts)),
