@@ -186,9 +186,7 @@ def _block(header: dict[str, str], name: str, length: int) -> range:
         if value is None:
             raise InputError(f"header key {key} is missing; the header is damaged")
         if not (value.isascii() and value.isdigit() and len(value) < 19 and int(value)):
-            raise InputError(
-                f"header key {key} is {value[:40]!r}, which is not a number of bytes; the header is damaged"
-            )
+            raise InputError(f"header key {key} is {value[:40]!r}, which is no number of bytes; the header is damaged")
         numbers.append(int(value))
     offset, size = numbers
     if offset + size > length:
