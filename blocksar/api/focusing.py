@@ -441,8 +441,8 @@ def _judged(
     if not inspection.lit.any():
         raise InputError(f"{history.variable} in {history.path} holds no valid sample; is it the right store?")
     echoes = [Inspection.from_dict(dict(r.found)) for r in receipts if r.found and r.stage == "range-compress"]
-    inspections = [samples.levels(echoes), inspection] if echoes else [inspection]
-    warnings = [line for each in inspections for line in sentences.lines(each)]
+    inspections = [samples.merge_echoes(echoes), inspection] if echoes else [inspection]
+    warnings = [line for each in inspections for line in sentences.describe(each)]
     counts = SampleCounts(sum(inspection.missing.values()), sum(each.n_outlier for each in inspections))
     offset, disagreement = _centroid(job, inspection)
     warnings += [disagreement] if disagreement else []
@@ -461,7 +461,7 @@ def _centroid(job: _Job, inspection: Inspection) -> tuple[CentroidError | None, 
     expected = centroid.expect(job.geometry, job.plan.recovery, yaw=region.yaw, near=region.near, far=region.far)
     if expected is None:
         return None, None
-    measured = centroid.centroid(inspection, prf=job.geometry.collection.prf)
+    measured = centroid.measure_centroid(inspection, prf=job.geometry.collection.prf)
     return CentroidError(measured.mean_offset, measured.mean_coherence), centroid.disagreement(inspection, expected)
 
 

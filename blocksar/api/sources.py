@@ -148,7 +148,7 @@ def ingest_cphd(
     from blocksar.ingestion import cphd  # optional libraries, and slow to load
 
     made = cphd.ingest(source, out, channel=channel, overwrite=overwrite, progress=only_stage(progress, "ingest"))
-    return Report(summary=[*made.said, f"wrote {made.path}"], result=made.collection)
+    return Report(summary=[*made.messages, f"wrote {made.path}"], result=made.collection)
 
 
 def ingest_gotcha(
@@ -185,4 +185,4 @@ def ingest_gotcha(
     from blocksar.ingestion.gotcha import ingestion
 
     made = ingestion.ingest(source, out, overwrite=overwrite, progress=only_stage(progress, "ingest"))
-    return Report(summary=[*made.said, f"wrote {made.path}"], result=made.collection)
+    return Report(summary=[*made.messages, f"wrote {made.path}"], result=made.collection)

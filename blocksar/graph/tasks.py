@@ -26,7 +26,7 @@ from blocksar.focusing.ground_map import GroundMap
 from blocksar.focusing.range_compression import RawCompression
 from blocksar.focusing.recovery import Recovery, recover_columns
 from blocksar.focusing.step import Stage
-from blocksar.inspection.samples import Inspection, inspect, strike
+from blocksar.inspection.samples import Inspection, inspect, mask_outliers
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.tiling import image_chunk, patch_window
 from blocksar.runs.receipts import Run, write, written
@@ -280,7 +280,7 @@ def back_project_chunk(
 
     def read(pulses: slice) -> ComplexArray:
         signal = source.read(pulses, slice(None))
-        strike(signal, found, pulses=pulses)
+        mask_outliers(signal, found, pulses=pulses)
         return signal
 
     image = np.full((rows.stop - rows.start, columns.stop - columns.start), np.nan + 1j * np.nan, np.complex64)

@@ -14,11 +14,11 @@ from blocksar.measurement.targets import Target
 
 
 def ideal_response(geometry: Geometry, target: Target, x: FloatArray, y: FloatArray) -> Complex128Array:
-    """What exact back-projection of a target's noise-free signal gives at ground points (n,), m.
+    """The exact back-projection of one target's noise-free signal at ground points (n,), m.
 
     The mean over a pixel's lit pulses and all range frequencies of
-    sigma exp(4j pi (fc + f)/c (R_p - R_q)); the sum over the uniform range frequencies is closed. It is the
-    truth for one target alone, side lobes and carrier phase included. NaN where a pixel is never lit.
+    sigma exp(4j pi (fc + f)/c (R_p - R_q)); the sum over the uniform range frequencies has a closed form. This is
+    the reference for one isolated target, including side lobes and carrier phase. NaN where a pixel is never lit.
     """
     collection = geometry.collection
     x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)

@@ -9,7 +9,7 @@ import numpy as np
 
 from blocksar.collection.beam import turned_near
 from blocksar.constants import SINC_PSLR
-from blocksar.measurement.bar import BARS, judged, rank, worst_excess
+from blocksar.measurement.bar import BARS, rank, select_judged, worst_excess
 from blocksar.measurement.figures import PointResponse
 from blocksar.measurement.targets import Target
 from blocksar.products.page.words import DASH, SPACE, TIMES, count, memory, number
@@ -20,9 +20,9 @@ SHOWN = 9  # targets whose responses are drawn
 EDGE = 16  # pixels at the rim of an image in which a response may not be measured
 MOST_ROWS = 300  # of a table, and marks on the picture
 BAR = (
-    f"side lobes within {BARS['range_pslr'].said} of {number(SINC_PSLR)} dB and widths within {BARS['range_irw'].said} "
-    f"of theory, in range and in azimuth; position within {BARS['error_x'].said} in x and in y; amplitude within "
-    f"{BARS['amplitude'].said}, phase within {BARS['phase'].said}"
+    f"side lobes within {BARS['range_pslr'].text} of {number(SINC_PSLR)} dB and widths within {BARS['range_irw'].text} "
+    f"of theory, in range and in azimuth; position within {BARS['error_x'].text} in x and in y; amplitude within "
+    f"{BARS['amplitude'].text}, phase within {BARS['phase'].text}"
 )
 
 
@@ -129,7 +129,7 @@ class Facts:
         self.warnings = list(self.record.warnings)
         self.chips = [_chip(chip) for chip in self.found.get("reference") or []]
         self.responses = responses_of(found) if found else []
-        self.judged = judged(self.responses)
+        self.judged = select_judged(self.responses)
         worst = sorted(self.responses, key=rank)[:MOST_ROWS]
         kept = {id(r) for r in worst}
         self.shown = [r for r in self.responses if id(r) in kept]

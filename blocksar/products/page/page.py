@@ -183,7 +183,7 @@ def _quality_words(run: Facts) -> list[str]:
         figure = max(BARS, key=lambda name: excess(worst, name))
         said.append(
             f"The worst figure is the {BARS[figure].name} of {worst.name}: "
-            f"{number(100 * excess(worst, figure), 0)} % of the {BARS[figure].said} that it may be off."
+            f"{number(100 * excess(worst, figure), 0)} % of the {BARS[figure].text} that it may be off."
         )
     return said
 
