@@ -1,4 +1,4 @@
-"""`python -m blocksar` is `blocksar`."""
+"""Run the command line as `python -m blocksar`."""
 
 from __future__ import annotations
 
