@@ -18,7 +18,7 @@ from zarr.storage import MemoryStore
 from blocksar.errors import InputError, ProcessingError
 from blocksar.places import Location
 from blocksar.places import place as place_of
-from blocksar.places.local import LocalPlace, temporary
+from blocksar.places.local import LocalPlace, temporary_name
 from blocksar.places.objects import ObjectPlace
 from blocksar.places.place import Place
 from blocksar.stores.arrays import metadata_file
@@ -165,7 +165,7 @@ def _variable_attrs(
 @contextmanager
 def _replacing(path: Path, *, overwrite: bool) -> Iterator[LocalPlace]:
     """A temporary name beside a folder, renamed to it when the block ends well, removed when it does not."""
-    part, old = temporary(path, "part"), temporary(path, "old")
+    part, old = temporary_name(path, "part"), temporary_name(path, "old")
     try:
         _refuse_existing(path, overwrite=overwrite)
         path.parent.mkdir(parents=True, exist_ok=True)
