@@ -289,7 +289,7 @@ PLAIN = {
 def slab(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Slabs of a whole chunk, of several rows and of one: what the chunks of these tests are too small for."""
     monkeypatch.setattr(chunk_files, "SLAB", request.param)
-    monkeypatch.setattr(chunk_files, "TURN", 3)
+    monkeypatch.setattr(chunk_files, "TRANSPOSED_COLUMNS", 3)
 
 
 def plain_store(path: Path, name: str) -> tuple[zarr.Array[Any], np.ndarray]:
@@ -747,7 +747,7 @@ def test_no_permission(small_collection: Collection, locked: str) -> None:
         stores.create_phase_history(path, small_collection)
         os.chmod(path / locked, 0)
         script = (
-            "import sys, os\nfrom blocksar import stores\nfrom blocksar.parameters import InputError\n"
+            "import sys, os\nfrom blocksar import stores\nfrom blocksar.errors import InputError\n"
             "import numpy, zarr\n"
             "os.geteuid() or os.setresuid(65534, 65534, 65534)\n"
             "try:\n    stores.open_phase_history(sys.argv[1])\n"

@@ -408,7 +408,3 @@ def main() -> None:
     """Entry point of `blocksar`."""
     catch_signals()
     app(prog_name="blocksar")
-
-
-if __name__ == "__main__":
-    main()
