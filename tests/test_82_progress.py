@@ -29,7 +29,7 @@ import blocksar
 from blocksar.cli import commands, endings
 from blocksar.errors import InputError, ProcessingError
 from blocksar.graph import cluster, recording
-from blocksar.progress import NOBODY, Estimate, Listener, Log, Progress, Work, Workers, display, listener
+from blocksar.progress import NOBODY, Estimate, Listener, Log, Progress, Work, Workers, as_listener, display
 
 GIB = 2**30
 HIDDEN, SHOWN = b"\x1b[?25l", b"\x1b[?25h"  # the cursor
@@ -210,7 +210,7 @@ class Plain:
 
 def test_an_object_with_update_alone_will_do() -> None:
     plain = Plain()
-    told = listener(plain)
+    told = as_listener(plain)
     told.expect(WORK, 1)
     told.begin("focus", reused=1)
     told.update("focus", 1, 3)
@@ -218,8 +218,8 @@ def test_an_object_with_update_alone_will_do() -> None:
     told.dashboard("http://127.0.0.1:8787/status")
     told.note("a note")
     assert plain.told == [("focus", 1, 3)]
-    assert isinstance(listener(None), Listener)
-    assert listener(told) is told
+    assert isinstance(as_listener(None), Listener)
+    assert as_listener(told) is told
 
 
 # ---------------------------------------------------------------- what is shown
@@ -398,7 +398,7 @@ def test_a_full_disk_costs_lines_and_nothing_else(capsys: pytest.CaptureFixture[
     with under_way(Clock(), log="/dev/full") as told:
         told.end(0)
     said = [line for line in capsys.readouterr().err.splitlines() if "/dev/full" in line]
-    assert said == ["note: /dev/full cannot be written (No space left on device): the run goes on without"]
+    assert said == ["note: /dev/full cannot be written (No space left on device): the run goes on without it"]
 
 
 def test_no_line_is_written_by_half(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

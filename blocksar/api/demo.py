@@ -19,7 +19,7 @@ from blocksar.places import Location, place
 from blocksar.places.place import Place
 from blocksar.planning import effort
 from blocksar.progress import Updated as Progress
-from blocksar.progress import listener
+from blocksar.progress import as_listener
 from blocksar.runs import folder as run_folder
 from blocksar.runs.finished import open_run
 
@@ -38,7 +38,7 @@ def demo(
 
     Leaves a run folder with quality.json, mosaic.png, contours.png and report.html besides.
     """
-    told = listener(progress)
+    told = as_listener(progress)
     if performance_report is not None:
         recording.check_recordable(Path(performance_report), None)
     folder = place(out)

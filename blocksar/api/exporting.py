@@ -16,7 +16,7 @@ from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
 from blocksar.products import geotiff, sicd
 from blocksar.progress import Updated as Progress
-from blocksar.progress import listener
+from blocksar.progress import as_listener
 from blocksar.runs import finished
 from blocksar.runs.finished import finished_record, open_run
 
@@ -88,7 +88,7 @@ def report(
     source = finished.Source(image.path, image.x, image.y, Geometry(collection=collection), attrs, record)
     found, why = _found(folder, source)
     told = only_stage(progress, "report")
-    drawn = partial(listener(progress).update, "responses")
+    drawn = partial(as_listener(progress).update, "responses")
     history = str(stores.open_dataset(image.path).attrs.get("history", ""))
     made, verdict = page.make(source, found, folder=str(folder), history=history, why=why, progress=told, drawn=drawn)
     try:

@@ -34,7 +34,7 @@ from blocksar.planning import effort
 from blocksar.planning.memory import checked_back_projection_memory, checked_memory, compression_memory
 from blocksar.planning.plan import Plan, plan_collection
 from blocksar.planning.tiling import image_chunk
-from blocksar.progress import NOBODY, Listener, Work, listener
+from blocksar.progress import NOBODY, Listener, Work, as_listener
 from blocksar.progress import Updated as Progress
 from blocksar.runs import folder as run_folder
 from blocksar.runs.folder import FORMAT
@@ -93,7 +93,7 @@ def focus(
     ProcessingError
         If processing fails: what was finished stays, and the same call resumes.
     """
-    told = listener(progress)
+    told = as_listener(progress)
     profile = None if performance_report is None else Path(performance_report)
     method = method_of(
         processor,

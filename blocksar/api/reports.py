@@ -8,14 +8,14 @@ from functools import partial
 from typing import Any
 
 from blocksar.progress import Updated as Progress
-from blocksar.progress import listener
+from blocksar.progress import as_listener
 
 Table = tuple[Sequence[str], Sequence[Sequence[str]]]
 
 
 def only_stage(progress: Progress | None, stage: str) -> Callable[[int, int], None]:
     """A command's only stage begins: what its parts are told to."""
-    told = listener(progress)
+    told = as_listener(progress)
     told.begin(stage)
     return partial(told.update, stage)
 
