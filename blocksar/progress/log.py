@@ -45,7 +45,7 @@ class Log:
         return False
 
     def write(self, event: str, **facts: Any) -> None:
-        """Append a line, whole or not at all. No lock is taken: it may be called while another thread is interrupted."""
+        """Append a line, whole or not at all. It takes no lock: other threads may have been stopped."""
         now = datetime.now(UTC).isoformat(timespec="milliseconds")
         text = json.dumps(_valid({"time": now, "event": event, **facts}), allow_nan=False)
         line = b"\n" * self._broken + text.encode() + b"\n"
