@@ -131,7 +131,7 @@ class ObjectPlace(Place):
                 tag, renewed, holder = self._current()
             except FileNotFoundError:
                 continue  # released just now
-            if holder == owner:  # written by an earlier attempt of ours, whose reply was lost
+            if holder == owner:  # written by an earlier attempt, whose reply was lost
                 return tag
             if is_alive(holder) and self._now() - renewed < timedelta(seconds=LEASE):
                 raise Held(describe_owner(holder))
