@@ -299,7 +299,7 @@ def _lit_area(scene: Scene, collection: Collection, moment: FloatArray) -> tuple
         return half * np.array([[-1.0, -1], [-1, 1], [1, 1], [1, -1]]), *whole
     beam, width = collection.beam_azimuth, collection.beam_width
     low, high = float(beam.min()) + width / 2, float(beam.max()) - width / 2
-    always_lit = low >= high
+    always = low >= high
     low, high = min(low, high), max(low, high)
     inset = 1e-3 * (high - low)
     yaw = np.linspace(low + inset, high - inset, 17)
@@ -308,7 +308,7 @@ def _lit_area(scene: Scene, collection: Collection, moment: FloatArray) -> tuple
     following = np.roll(area, -1, axis=0)
     if np.sum(area[:, 0] * following[:, 1] - area[:, 1] * following[:, 0]) > 0:
         area = area[::-1]
-    if always_lit:
+    if always:
         return area, *whole
     x, y = (axis.ravel() - c for axis, c in zip(
         scene.ground_point(np.linspace(near, far, 9)[:, None], np.linspace(low, high, 65)), scene.centre, strict=False

@@ -55,12 +55,12 @@ class Field:
             return [(0, self.yaw.size)]
         half = width / 2 * (1 + 1e-12) + 1e-12
         azimuth = wrapped(self.collection.beam_azimuth[pulse])
-        slices = []
+        found = []
         for beam in (azimuth - TURN, azimuth, azimuth + TURN):
             first, last = np.searchsorted(self.yaw, [beam - half, beam + half])
             if last > first:
-                slices.append((int(first), int(last)))
-        return slices
+                found.append((int(first), int(last)))
+        return found
 
 
 def field(collection: Collection, x: FloatArray, y: FloatArray, reflectivity: NDArray[Any]) -> Field:
@@ -197,6 +197,9 @@ def raw_echo(
     return _in_blocks(work, pulses, collection, n, threads)
 
 
+# -- blocks of pulses ---------------------------------------------------------------------------------------
+
+
 def wrapped(angle: float) -> float:
     """The same angle in [-pi, pi]."""
     return float(angle - TURN * np.rint(angle / TURN))
@@ -222,7 +225,7 @@ def _in_blocks(
 
 
 def _beam(collection: Collection, pulse: int) -> tuple[float, float]:
-    """Return yaw of the beam centre and half beam width, rad; an infinite half width if the beam is not steered."""
+    """Yaw of the beam centre and half its width, rad; infinite half width where the beam is not steered."""
     if collection.beam_width is None:
         return 0.0, np.inf
     return float(collection.beam_azimuth[pulse]), collection.beam_width / 2
