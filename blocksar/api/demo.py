@@ -19,7 +19,7 @@ from blocksar.places import Location, place
 from blocksar.places.place import Place
 from blocksar.planning import effort
 from blocksar.progress import Updated as Progress
-from blocksar.progress import listener
+from blocksar.progress import as_listener
 from blocksar.runs import folder as run_folder
 from blocksar.runs.finished import FinishedRun
 
@@ -68,7 +68,7 @@ def demo(
     ProcessingError
         If processing fails; the same call resumes.
     """
-    told = listener(progress)
+    told = as_listener(progress)
     if performance_report is not None:
         recording.check_recordable(Path(performance_report), None)
     folder = place(out)

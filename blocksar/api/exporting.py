@@ -15,7 +15,7 @@ from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
 from blocksar.products import geotiff, sicd
 from blocksar.progress import Updated as Progress
-from blocksar.progress import listener as as_listener
+from blocksar.progress import as_listener
 from blocksar.runs.finished import FinishedRun, finished_record
 from blocksar.runs.record import RECORD
 

@@ -34,9 +34,8 @@ from blocksar.planning import effort
 from blocksar.planning.memory import checked_back_projection_memory, checked_memory, compression_memory
 from blocksar.planning.plan import Plan, plan_collection
 from blocksar.planning.tiling import image_chunk
-from blocksar.progress import NOBODY, Listener, Work
+from blocksar.progress import NOBODY, Listener, Work, as_listener
 from blocksar.progress import Updated as Progress
-from blocksar.progress import listener as as_listener
 from blocksar.runs import folder as run_folder
 from blocksar.runs.receipts import Run
 from blocksar.runs.record import (

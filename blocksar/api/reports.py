@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any
 
 from blocksar.progress import Updated as Progress
-from blocksar.progress import listener as as_listener
+from blocksar.progress import as_listener
 
 Table = tuple[Sequence[str], Sequence[Sequence[str]]]
 

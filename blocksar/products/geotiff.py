@@ -23,7 +23,7 @@ from blocksar.arrays import FloatArray
 from blocksar.collection.georeference import Georeference
 from blocksar.errors import InputError, printable
 from blocksar.places import Location
-from blocksar.places.local import temporary
+from blocksar.places.local import temporary_name
 from blocksar.products.writing import replacing
 from blocksar.progress.listening import Callback
 from blocksar.runs.finished import FinishedRun
@@ -107,7 +107,7 @@ def write(
         "bigtiff": "if_safer",
     }
     with replacing(out, overwrite=overwrite) as part, rasterio.Env(GDAL_CACHEMAX=CACHE, GDAL_NUM_THREADS=1):
-        plain = temporary(part, "part")
+        plain = temporary_name(part, "part")
         try:
             with rasterio.open(plain, "w", **profile) as file:
                 _write_pixels(source, file, content, told)
