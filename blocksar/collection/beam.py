@@ -1,12 +1,12 @@
 """Which pulses light a ground point: the one rule, and what follows from it.
 
 A pulse lights a point while |wrapped(yaw - beam_azimuth)| <= beam_width / 2, where yaw is the point's angle about the
-platform's nadir at t = 0. Points on the very edge are lit: the comparison has no tolerance. A collection whose beam is
-not steered lights every point with every pulse.
+platform's nadir at t = 0. Points on the very edge are lit. A collection whose beam is not steered lights every point
+with every pulse.
 
 `in_beam` is that rule for plain angles; compiled loops wrap it by `numba.njit(inline="always")`. Callers that have
-positions ask `is_lit`, `lit_interval` and `dwell`; callers that work in the polar frame ask `lit_pulses` and
-`dwell_at`.
+positions ask `is_lit`, `lit_interval` and `dwell`; `is_lit` and `lit_interval` compare without tolerance. Callers that
+work in the polar frame ask `lit_pulses` and `dwell_at`, which allow for the rounding of computed yaws (`EDGE`).
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from blocksar.errors import InputError
 
 Angle = TypeVar("Angle", float, FloatArray)
 
-# rad; 3 micrometres at 30 km. The only tolerance: yaws that were computed as "beam centre plus half a width" carry
-# rounding errors (4e-16 at pi, 1e-14 at 100 rad, 1e-11 where coordinates are large), and must still find a dwell.
+# rad; 3 micrometres at 30 km. The only tolerance, for yaws that were themselves computed from the beam's edge: they
+# carry rounding errors (4e-16 at pi, 1e-14 at 100 rad, 1e-11 where coordinates are large) and still count as on it.
 EDGE = 1e-10
 
 
@@ -102,7 +102,7 @@ def lit_interval(geometry: Geometry, x: FloatArray, y: FloatArray) -> tuple[IntA
                 f"beam_azimuth scans {scan:.4g} rad with a beam_width of {width:.4g} rad, all round: a target would "
                 "be lit twice; cut the collection"
             )
-    first, last = _lit_interval(collection, yaw.ravel())
+    first, last = _lit_interval(collection, yaw.ravel(), tolerance=0.0)
     never = first == last
     first[never], last[never] = 0, 0
     return first.reshape(yaw.shape), last.reshape(yaw.shape)
@@ -111,10 +111,11 @@ def lit_interval(geometry: Geometry, x: FloatArray, y: FloatArray) -> tuple[IntA
 def lit_pulses(collection: Collection, yaw: FloatArray, valid: FloatArray) -> FloatArray:
     """Number of valid pulses that light points at yaws (n,): sum of `valid` (n_pulse,) over the lit ones.
 
-    `valid` is the fraction of each pulse's samples that is there; 0 for a missing pulse.
+    `valid` is the fraction of each pulse's samples that is there; 0 for a missing pulse. Yaws on the edge of the beam
+    but for rounding (`EDGE`) are lit.
     """
     total = np.concatenate([[0.0], np.cumsum(valid)])
-    first, last = _lit_interval(collection, yaw)
+    first, last = _lit_interval(collection, yaw, tolerance=EDGE)
     return np.asarray(total[last] - total[first])
 
 
@@ -123,7 +124,7 @@ def most_lit_pulses(collection: Collection) -> int:
     return int(lit_pulses(collection, collection.beam_azimuth, np.ones(collection.n_pulse)).max())
 
 
-def _lit_interval(collection: Collection, yaw: FloatArray) -> tuple[IntArray, IntArray]:
+def _lit_interval(collection: Collection, yaw: FloatArray, *, tolerance: float) -> tuple[IntArray, IntArray]:
     """first <= p < last of yaws (n,), found by bisection with the very inequality of `in_beam`; equal if never lit.
 
     `in_beam` wraps each difference; here the turns of all pulses are those of the sweep's middle, so that the
@@ -132,7 +133,7 @@ def _lit_interval(collection: Collection, yaw: FloatArray) -> tuple[IntArray, In
     n = collection.n_pulse
     if collection.beam_width is None:
         return np.zeros(yaw.shape, np.int64), np.full(yaw.shape, n, np.int64)
-    beam, half = collection.beam_azimuth, collection.beam_width / 2
+    beam, half = collection.beam_azimuth, collection.beam_width / 2 + tolerance
     sign = 1.0 if beam[-1] >= beam[0] else -1.0
     turns = TURN * np.rint((yaw - (beam[0] + beam[-1]) / 2) / TURN)
 

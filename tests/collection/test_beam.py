@@ -166,6 +166,16 @@ def test_the_edges_of_a_beam_that_stands_still_are_lit(small_collection: Collect
     assert (start > end).all()
 
 
+@CENTRES
+@SWEEPS
+def test_the_ends_of_what_is_lit_have_a_pulse(small_collection: Collection, centre: float, sweep: float) -> None:
+    collection = steered(small_collection, centre, sweep).collection
+    least = 1 if sweep else collection.n_pulse
+    ends = np.array(lit_yaw(collection))  # rounded: the exact comparison may miss them
+    assert (lit_pulses(collection, ends, np.ones(collection.n_pulse)) == least).all()
+    assert not lit_pulses(collection, ends + np.array([-1e-9, 1e-9]), np.ones(collection.n_pulse)).any()
+
+
 def test_pulses_at_one_azimuth_are_lit_together(small_collection: Collection) -> None:
     azimuth = np.repeat(np.linspace(0.75, 1.0, 9), 29)[: small_collection.n_pulse]
     geometry = steered(small_collection, 0.0, 0.0, beam_azimuth=azimuth, beam_width=2.0**-4)

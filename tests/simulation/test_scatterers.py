@@ -40,7 +40,7 @@ SCENES = {"plain": SCENE, "across pi": turned(SCENE, 131), "negative": turned(SC
 @pytest.fixture(params=[0, 10**9], ids=["transform", "direct"])
 def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Either way of summing, whatever the number of scatterers."""
-    monkeypatch.setattr(sys.modules["blocksar.simulation"], "DIRECT_LIMIT", request.param)
+    monkeypatch.setattr(sys.modules["blocksar.simulation.scatterers"], "DIRECT_LIMIT", request.param)
 
 
 @pytest.mark.usefixtures("way")
