@@ -21,7 +21,7 @@ from blocksar.focusing.method import Method
 from blocksar.kernels.fourier import Axis
 from blocksar.measurement.figures import IDEAL_ISLR
 from blocksar.planning.plan import plan_collection
-from blocksar.products.pictures import figures, panels
+from blocksar.products.pictures import panels
 from blocksar.simulation.scene import Scene
 
 # Nine targets with the paper's names, on so little ground that a run takes seconds.
@@ -241,7 +241,7 @@ def test_a_difference_is_told(reproduce: Any) -> None:
 
 def test_panels_share_a_scale_and_a_legend(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     kept: list[Any] = []
-    monkeypatch.setattr(figures, "save", lambda figure, path: kept.append(figure))
+    monkeypatch.setattr(panels, "save", lambda figure, path: kept.append(figure))
     edges, x = np.arange(5.0), np.linspace(0, 4, 9)
     maps = [panels.Map(np.full((4, 4), value), edges, edges, value - 30, value) for value in (0.0, -20.0)]
     drawn = [

@@ -30,13 +30,15 @@ def replacing(out: Location, *, overwrite: bool) -> Iterator[str]:
     """
     target = place(out)
     if not isinstance(target, LocalPlace):
-        raise InputError(f"{target} is no local path, and products are written only to local paths; copy the file there afterwards")
+        raise InputError(
+            f"{target} is no local path, and products are written only to local paths; copy the file there afterwards"
+        )
     if target.path.is_dir():
         raise InputError(f"{target} is a folder; give --out the name of a file")
     if target.exists() and not target.path.is_file():
         raise InputError(f"{target} is no regular file, and is not replaced; choose another name")
     if target.exists() and not overwrite:
-        raise InputError(f"{target} exists; choose another name, or overwrite it (--overwrite)")
+        raise InputError(f"{target} exists; choose another name, or have it overwritten (--overwrite)")
     try:
         os.makedirs(target.path.parent, exist_ok=True)
         with replacing_file(target.path) as part:
