@@ -637,9 +637,9 @@ def test_a_missing_library_is_named_with_its_extra(
     kind: Any, library: str, extra: str, made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in list(sys.modules):
-        if name.split(".")[0] == library or name in ("blocksar.quicklook", "blocksar.plotting"):
+        if name.split(".")[0] == library or name.startswith("blocksar.products.pictures"):
             monkeypatch.delitem(sys.modules, name)
-    monkeypatch.delattr(blocksar, "quicklook", raising=False)
+    monkeypatch.delattr(blocksar.products.pictures, "quicklook", raising=False)  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(InputError, match=rf"{library} is not installed.*install blocksar\[{extra}\]$"):
         blocksar.export(kind, made.folder, tmp_path / "file")

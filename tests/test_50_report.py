@@ -41,7 +41,7 @@ from blocksar.graph.cluster import open_client
 from blocksar.measurement.targets import Target
 from blocksar.places import place
 from blocksar.planning.plan import plan_collection
-from blocksar.products.page import facts, page, picture, tables, words
+from blocksar.products.page import facts, page, picture, provenance, tables, words
 from blocksar.runs.finished import Source, open_run
 
 HOSTILE = "</title></script><script>window.pwned = 1</script><img src=x onerror=window.pwned=1> & \u202e{{ 7 * 7 }}"
@@ -83,7 +83,7 @@ def whole(runs: dict[str, Path]) -> Path:
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """No pictures of responses: most of a page's time."""
-    monkeypatch.setattr(page, "_drawings", lambda *_: [])
+    monkeypatch.setattr(page, "draw_responses", lambda *_: [])
 
 
 @pytest.fixture
@@ -423,7 +423,7 @@ def test_the_command_repeats_the_run(settings: dict[str, Any], monkeypatch: pyte
         return api.Report()
 
     monkeypatch.setattr(api, "focus", focus)
-    words = shlex.split(page.command(record, "/in put/ph.zarr", "/out $1"))
+    words = shlex.split(provenance.repeat_command(record, "/in put/ph.zarr", "/out $1"))
     assert words[0] == "blocksar" and CliRunner().invoke(commands.app, words[1:]).exit_code == 0
     assert (seen["source"], seen["out"]) == ("/in put/ph.zarr", "/out $1")
     assert {name: seen[name] for name in usual} == usual | settings
@@ -451,7 +451,7 @@ def test_back_projection_and_an_image_too_coarse(runs: dict[str, Path], tmp_path
     report = blocksar.report(runs["exact"], out=tmp_path / "new" / "exact.html")
     found = read(report.result)
     said = found.text()
-    assert "Exact back-projection approximates nothing" in said
+    assert "Exact back-projection makes no approximation" in said
     assert "targets could not be measured" in said and "too coarse for the response" in said
     marks = [a["data-name"] for a in found.all("g") if "mark" in a.get("class", "")]
     assert marks == ["seam", "<i>D"]  # where they should be; the others lie outside this image
@@ -470,7 +470,7 @@ def test_no_targets_and_a_place_on_the_earth(run: Path, tmp_path: Path) -> None:
     found = read(blocksar.report(run).result)
     said = found.text()
     assert "no targets to measure" in said and "names no targets" in said
-    assert "latitude 39.78°, longitude -84.09°, height 250.0 m, x turned 30.0° from east" in said
+    assert "latitude 39.78°, longitude -84.09°, height 250.0 m, x rotated 30.0° from east" in said
     turns = [a["transform"] for a in found.all("g") if a.get("transform", "").startswith("rotate")]
     assert turns[1] == "rotate(-60.0)"  # x points 30 degrees from east towards north, so north is 60 degrees up from it
     assert "mean power" in said
@@ -479,7 +479,7 @@ def test_no_targets_and_a_place_on_the_earth(run: Path, tmp_path: Path) -> None:
 def test_a_run_that_says_little(run: Path, quick: None) -> None:
     (run / "run.json").write_text(json.dumps({"status": "finished"}))
     said = read(blocksar.report(run).result).text()
-    assert "Provenance" in said and "To repeat it" not in said
+    assert "Provenance" in said and "Command that repeats the run" not in said
 
 
 def test_a_run_in_an_object_store(runs: dict[str, Path], tmp_path: Path, quick: None) -> None:
@@ -584,9 +584,9 @@ def test_a_damaged_place_on_the_earth_is_named(run: Path, quick: None) -> None:
 @pytest.mark.parametrize("library", ["jinja2", "matplotlib"])
 def test_a_missing_library_is_named_with_its_extra(library: str, run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in list(sys.modules):
-        if name.split(".")[0] == library or name in ("blocksar.page", "blocksar.plotting"):
+        if name.split(".")[0] == library or name.startswith("blocksar.products.p"):
             monkeypatch.delitem(sys.modules, name)
-    monkeypatch.delattr(blocksar, "page", raising=False)
+    monkeypatch.delattr(blocksar.products.page, "page", raising=False)
     monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(InputError, match=rf"{library} is not installed.*install blocksar\[plots\]$"):
         blocksar.report(run)
@@ -684,7 +684,7 @@ def test_buttons_zoom_move_and_reset(browser: Browser) -> None:
             assert view(shown)[:2] == pytest.approx(before[:2] + np.array(direction) * before[2:] / 4)
         shown.click("#zoom-out")
         assert view(shown)[2:] == pytest.approx(first[2:] / 1.5**2)
-        assert "Zoom 2.3" in shown.inner_text("#announced")  # 1.5 * 1.5
+        assert "Zoom 2.3" in shown.inner_text("#announcement")  # 1.5 * 1.5
         shown.click("#reset")
         assert view(shown) == pytest.approx(first)
 
@@ -803,7 +803,7 @@ def test_a_row_leads_to_its_target_in_the_picture(browser: Browser) -> None:
             at = [float(link.get_attribute(f"data-{axis}")) for axis in "xy"]
             assert middle(shown) == pytest.approx(at, abs=1e-3)
             assert shown.locator(".mark.chosen").get_attribute("data-name") == target["name"]
-            assert target["name"] in shown.inner_text("#announced")
+            assert target["name"] in shown.inner_text("#announcement")
             shown.mouse.move(5, 5)
             said = shown.inner_text("#readout").replace("\u202f", "").replace("\N{MINUS SIGN}", "-")
             x, y, power = map(float, re.findall(r"-?\d+\.\d+", said))
@@ -828,7 +828,7 @@ def test_the_keyboard_does_all(browser: Browser) -> None:
         assert zoomed[2:] == pytest.approx(first[2:] / 1.5**4)
         shown.keyboard.press("ArrowRight")
         assert view(shown)[0] == pytest.approx(zoomed[0] + zoomed[2] / 4)
-        assert "middle at x" in shown.inner_text("#announced")
+        assert "centre at x" in shown.inner_text("#announcement")
         shown.keyboard.press("-")
         shown.keyboard.press("0")
         assert view(shown) == pytest.approx(first)
@@ -859,7 +859,7 @@ def test_columns_sort(browser: Browser) -> None:
     with browser.open() as shown:
         heads = shown.locator("#targets thead th")
         titles = heads.all_inner_texts()
-        column = next(i for i, title in enumerate(titles) if title.startswith("of the bar"))
+        column = next(i for i, title in enumerate(titles) if title.startswith("share of the bar"))
 
         def values() -> list[str]:
             found = shown.locator(f"#targets tbody tr > :nth-child({column + 1})")
@@ -889,7 +889,7 @@ def test_the_grey_scale_can_be_set(browser: Browser) -> None:
         assert slope() == pytest.approx((top - bottom) / (white - round(bottom) - 1), rel=1e-6)
         shown.locator("#black").fill(str(round(top)))  # beyond white
         assert slope() == pytest.approx(top - bottom, rel=1e-6)
-        assert "dB" in shown.inner_text("#black-said")
+        assert "dB" in shown.inner_text("#black-value")
         shown.click("#grey-reset")
         assert slope() == pytest.approx(first)
 

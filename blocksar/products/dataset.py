@@ -58,7 +58,7 @@ def prepare(dataset: xr.Dataset) -> xr.Dataset:
 
 
 def _frame(attrs: dict[str, Any]) -> Georeference | None:
-    """The scene frame of the attribute `georeference`: a mapping, or its JSON text as stored by `SarAccessor.netcdf`."""
+    """The scene frame of the attribute `georeference`: a mapping, or JSON text as stored by `SarAccessor.netcdf`."""
     attribute = attrs.get("georeference")
     if isinstance(attribute, str):
         with suppress(ValueError):  # from_attribute then rejects the text

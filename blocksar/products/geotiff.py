@@ -205,7 +205,7 @@ def _tags(source: Source, placement: Placement) -> dict[str, str]:
 
 
 def place_pixels(source: Source, frame: Georeference) -> Placement:
-    """Place pixels in the projection about the frame's origin, or about the image where that is not good to MAX_ERROR."""
+    """Place pixels in the projection about the frame's origin, or about the image if the error exceeds MAX_ERROR."""
     height, spacing = source.ground_height, min(source.spacing)
     x, y = (axis[np.unique(np.linspace(0, axis.size - 1, 17).astype(int))] for axis in (source.x, source.y))
     xy = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
