@@ -859,7 +859,7 @@ def test_columns_sort(browser: Browser) -> None:
     with browser.open() as shown:
         heads = shown.locator("#targets thead th")
         titles = heads.all_inner_texts()
-        column = next(i for i, title in enumerate(titles) if title.startswith("share of the bar"))
+        column = next(i for i, title in enumerate(titles) if title.startswith("worst figure"))
 
         def values() -> list[str]:
             found = shown.locator(f"#targets tbody tr > :nth-child({column + 1})")

@@ -193,6 +193,7 @@ def _end(path: str) -> int:
 
 
 def _tags(source: Source, placement: Placement) -> dict[str, str]:
+    """Tags of the file."""
     return {
         "TIFFTAG_IMAGEDESCRIPTION": source.title,
         "TIFFTAG_SOFTWARE": f"blocksar {__version__}",

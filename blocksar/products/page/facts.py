@@ -59,8 +59,8 @@ def block_of(source: Source, predicted: Sequence[Mapping[str, Any]], x: float, y
     yaw, distance = float(geometry.yaw(np.array(x), np.array(y))), float(geometry.epoch_range(np.array(x), np.array(y)))
     for block in predicted:
         (low, high), (near, far) = block["yaw"], block["range"]
-        turned = (low + high) / 2 + np.mod(yaw - (low + high) / 2 + np.pi, 2 * np.pi) - np.pi
-        if low <= turned <= high and (block["part"] is None or near <= distance <= far):
+        wrapped = (low + high) / 2 + np.mod(yaw - (low + high) / 2 + np.pi, 2 * np.pi) - np.pi
+        if low <= wrapped <= high and (block["part"] is None or near <= distance <= far):
             return block_name(block)
     return DASH
 

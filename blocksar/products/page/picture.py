@@ -201,7 +201,7 @@ def outlines(source: Source, predicted: Sequence[Mapping[str, Any]], picture: Pi
 
 
 def _label_place(source: Source, block: Mapping[str, Any], picture: Picture) -> tuple[str, str] | None:
-    """Place of a block's name: the farthest point inside the picture, with a margin, on the most central yaw possible."""
+    """Place of a block's name: the farthest point with a margin inside the picture, on the most central yaw."""
     (near, far), (low, high) = block["range"], block["yaw"]
     ranges, margin = np.linspace(far, near, 41)[2:-2], 0.03 * max(picture.width, picture.height)
     for share in sorted(np.linspace(0.1, 0.9, 17), key=lambda share: abs(share - 0.5)):

@@ -74,6 +74,7 @@ def settings_rows(run: Facts) -> list[tuple[str, str]]:
 
 
 def _as_text(value: Any) -> str:
+    """A setting's value as text."""
     match value:
         case None:
             return "default"

@@ -72,6 +72,7 @@ def _in_a_gap(run: Facts, response: PointResponse) -> bool:
 
 
 def _verdict_on_memory(run: Facts) -> Verdict:
+    """Peak memory of a worker against the plan."""
     peak, planned = run.peak_memory, run.planned_memory
     if peak is None or planned is None:
         return Verdict(True, f"peak memory of a worker {memory(peak)}")
@@ -82,6 +83,7 @@ def _verdict_on_memory(run: Facts) -> Verdict:
 
 
 def plan_sentence(run: Facts) -> str:
+    """Introduction to the table of the plan."""
     if run.predicted:
         return (
             "Figures predicted for the worst target of each block by tracing the scene's time-frequency lines, beside "
@@ -92,12 +94,13 @@ def plan_sentence(run: Facts) -> str:
 
 
 def quality_sentences(run: Facts) -> list[str]:
+    """Paragraphs on targets, bar and worst figure; or the reason why nothing was measured."""
     if not run.responses:
         return [run.why or "The collection names no targets, so there was nothing to measure."]
     full = sum(r.full_dwell for r in run.responses)
     sentences = [
-        f"{count(len(run.responses), 'target')}, {full} of them lit over their full dwell. The bar applies to the "
-        f"{len(run.judged)} of these that the image covers.",
+        f"{count(len(run.responses), 'target')}, {full} of them lit over their full dwell. The image covers "
+        f"{len(run.judged)} of these; only covered ones are judged.",
         f"The bar: {BAR}. Figures outside it are marked with an exclamation mark.",
     ]
     if run.judged:
@@ -111,6 +114,7 @@ def quality_sentences(run: Facts) -> list[str]:
 
 
 def memory_sentence(run: Facts) -> str:
+    """Peak, planned and permitted memory of a worker, and the number of workers."""
     planned, limit = run.planned_memory, run.memory_limit
     parts = [f"Peak of a worker: {memory(run.peak_memory)}"]
     parts += [f"planned: {memory(planned)}"] if planned is not None else []

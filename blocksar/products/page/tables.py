@@ -109,6 +109,7 @@ def plan_table(run: Facts) -> Table | None:
 
 
 def _plan_row(run: Facts, block: Mapping[str, Any]) -> Row:
+    """Predicted and measured figures of one block."""
     judged = [r for r in run.judged if run.places[id(r)] == block_name(block)]
     pslr, width = _worst_of(judged, "azimuth_pslr"), _worst_of(judged, "azimuth_irw")
     phase, migration, predicted = block["residual_phase"], block["migration"], block["pslr"]
@@ -148,7 +149,7 @@ def quality_table(run: Facts, image: Picture) -> Table:
     """Figures of the point targets, linked to their places in the picture."""
     columns = [
         Column("target"),
-        Column("share of the bar", "%"),
+        Column("worst figure", "% of the bar"),
         Column("range PSLR", "dB"),
         Column("range ISLR", "dB"),
         Column("range width", "m"),
@@ -173,6 +174,7 @@ def quality_table(run: Facts, image: Picture) -> Table:
 
 
 def _quality_row(run: Facts, r: PointResponse, image: Picture) -> Row:
+    """Figures of one target."""
     judged = r.full_dwell and r.covered
 
     def off(figure: str) -> bool:

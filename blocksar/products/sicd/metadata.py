@@ -182,10 +182,12 @@ def _extent(delta: FloatArray, corners: FloatArray, width: float, spacing: float
 
 
 def _axis_name(direction: FloatArray) -> str:
+    """+x, -x, +y or -y."""
     return ("+" if direction.sum() > 0 else "-") + ("x" if direction[0] else "y")
 
 
 def _timeline(geometry: Geometry, start: datetime) -> dict[str, Any]:
+    """The Timeline branch."""
     collection = geometry.collection
     duration = collection.n_pulse / collection.prf
     pulses = {"TStart": 0.0, "TEnd": duration, "IPPStart": 0, "IPPEnd": collection.n_pulse - 1}
@@ -214,6 +216,7 @@ def _collect_start(source: Source) -> tuple[datetime, bool]:
 
 
 def _collection_info(source: Source) -> dict[str, Any]:
+    """The CollectionInfo branch."""
     collection = source.geometry.collection
     return {
         "CollectorName": ascii_text(str(source.attrs.get("collector") or "unknown"), 80),
@@ -225,6 +228,7 @@ def _collection_info(source: Source) -> dict[str, Any]:
 
 
 def classification(source: Source) -> str:
+    """Classification of the collection as ASCII text; UNCLASSIFIED if it names none."""
     return ascii_text(str(source.attrs.get("classification") or "UNCLASSIFIED"), 200)
 
 

@@ -34,7 +34,7 @@ def fit_poly2d(u: FloatArray, v: FloatArray, values: FloatArray, accuracy: float
         Variables: m from the scene centre point, along row and column.
     values : (n,) float
     accuracy : float
-        Largest error wanted, in the unit of `values`.
+        Largest error to accept, in the unit of `values`.
     """
     scale_u, scale_v = max(float(np.abs(u).max()), 1e-9), max(float(np.abs(v).max()), 1e-9)
     for order in range(MAX_ORDER + 1):
