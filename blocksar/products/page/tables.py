@@ -290,7 +290,7 @@ def block_table(run: Facts) -> Table | None:
     columns = [
         Column("block"),
         Column("time", "s"),
-        Column("peak memory of its worker so far; mark: planned", "MiB"),
+        Column("peak memory of its worker so far", "MiB; mark: planned"),
     ]
     return Table("blocks", "Blocks", columns, rows, note=_left_out(run.predicted))
 
