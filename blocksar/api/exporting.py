@@ -13,7 +13,8 @@ from blocksar.measurement.figures import as_json, measure_target
 from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
-from blocksar.products import geotiff, sicd
+from blocksar.products import geotiff
+from blocksar.products.sicd import nitf as sicd
 from blocksar.progress import Updated as Progress
 from blocksar.progress import as_listener
 from blocksar.runs.finished import FinishedRun, finished_record

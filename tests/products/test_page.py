@@ -29,7 +29,7 @@ from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing import method
 from blocksar.measurement.targets import Target
 from blocksar.places import place
-from blocksar.products.page import facts, page, picture, tables, words
+from blocksar.products.page import facts, picture, tables, words
 from blocksar.runs.finished import FinishedRun
 from blocksar.runs.record import RunRecord
 
@@ -303,7 +303,7 @@ def test_the_command_repeats_the_run(settings: dict[str, Any], monkeypatch: pyte
         return api.Report()
 
     monkeypatch.setattr(api, "focus", focus)
-    words = shlex.split(page.command(record, "/in put/ph.zarr", "/out $1"))
+    words = shlex.split(provenance.repeat_command(record, "/in put/ph.zarr", "/out $1"))
     assert words[0] == "blocksar" and CliRunner().invoke(commands.app, words[1:]).exit_code == 0
     assert (seen["source"], seen["out"]) == ("/in put/ph.zarr", "/out $1")
     assert {name: seen[name] for name in usual} == usual | settings
@@ -331,7 +331,7 @@ def test_back_projection_and_an_image_too_coarse(runs: dict[str, Path], tmp_path
     report = blocksar.report(runs["exact"], out=tmp_path / "new" / "exact.html")
     found = read(report.result)
     said = found.text()
-    assert "Exact back-projection approximates nothing" in said
+    assert "Exact back-projection makes no approximation" in said
     assert "targets could not be measured" in said and "too coarse for the response" in said
     marks = [a["data-name"] for a in found.all("g") if "mark" in a.get("class", "")]
     assert marks == ["seam", "<i>D"]  # where they should be; the others lie outside this image
@@ -350,7 +350,7 @@ def test_no_targets_and_a_place_on_the_earth(run: Path, tmp_path: Path) -> None:
     found = read(blocksar.report(run).result)
     said = found.text()
     assert "no targets to measure" in said and "names no targets" in said
-    assert "latitude 39.78°, longitude -84.09°, height 250.0 m, x turned 30.0° from east" in said
+    assert "latitude 39.78°, longitude -84.09°, height 250.0 m, x rotated 30.0° from east" in said
     turns = [a["transform"] for a in found.all("g") if a.get("transform", "").startswith("rotate")]
     assert turns[1] == "rotate(-60.0)"  # x points 30 degrees from east towards north, so north is 60 degrees up from it
     assert "mean power" in said
@@ -359,7 +359,7 @@ def test_no_targets_and_a_place_on_the_earth(run: Path, tmp_path: Path) -> None:
 def test_a_run_that_says_little(run: Path, quick: None) -> None:
     (run / "run.json").write_text(json.dumps({"status": "finished"}))
     said = read(blocksar.report(run).result).text()
-    assert "Provenance" in said and "To repeat it" not in said
+    assert "Provenance" in said and "Command that repeats the run" not in said
 
 
 def test_a_run_in_an_object_store(runs: dict[str, Path], tmp_path: Path, quick: None) -> None:

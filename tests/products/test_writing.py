@@ -66,7 +66,7 @@ def test_a_full_disk_leaves_nothing(kind: Any, lacking: float, tmp_path: Path) -
     room = int((tmp_path / "whole").stat().st_size * (1 - lacking)) - 2
     (tmp_path / "out").mkdir()
     program = (
-        "import resource, sys, blocksar, blocksar.products.pictures.quicklook, blocksar.products.sicd\n"
+        "import resource, sys, blocksar, blocksar.products.pictures.quicklook, blocksar.products.sicd.nitf\n"
         "import rasterio, sarkit.sicd\n"
         "from blocksar.errors import ProcessingError\n"
         f"resource.setrlimit(resource.RLIMIT_FSIZE, ({room}, {room}))\n"
