@@ -145,7 +145,7 @@ def test_damage_is_named_with_its_remedy(keys: tuple[str | int, ...], value: Any
 
 @pytest.mark.parametrize("record", [[], 1, None, "text", {}])
 def test_what_is_no_record_is_refused(record: Any, tmp_path: Path) -> None:
-    with pytest.raises(FolderError, match="is damaged: .*; focus again with --overwrite"):
+    with pytest.raises(FolderError, match=r"is damaged: .*; focus again with --overwrite"):
         finished_record(place(write(tmp_path / "run", record)))
 
 
