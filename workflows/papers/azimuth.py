@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from papers.bench import Bench, plan
-from papers.comparison import ABOVE_QUARTER, Cell, Exhibit, Row, Table, below, listed, minus
-from papers.printed import NAMES, QUARTER, SWATH
-from papers.single_targets import Cut, azimuth_cut, full_dwell, line_panel, lines, rates, same_range, traced
 
 from blocksar.arrays import FloatArray
 from blocksar.focusing.azimuth_steps import Deramp, FrequencyPerturbation
@@ -16,6 +12,10 @@ from blocksar.measurement.figures import PointResponse, ProfileQuality, profile_
 from blocksar.planning.plan import Plan
 from blocksar.products.pictures.figures import CURVE_COLOURS
 from blocksar.products.pictures.panels import Level, Panel, Style, Trace, plot_panels
+from papers.bench import Bench, plan
+from papers.comparison import ABOVE_QUARTER, Cell, Exhibit, Row, Table, below, listed, minus
+from papers.printed import NAMES, QUARTER, SWATH
+from papers.single_targets import Cut, azimuth_cut, full_dwell, line_panel, lines, rates, same_range, traced
 
 
 def figure9(bench: Bench) -> Exhibit:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+
 from papers.printed import QUARTER
 
 # ---------------------------------------------------------------- comparisons

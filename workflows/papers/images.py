@@ -5,9 +5,6 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
-from papers.bench import THREADS, Bench, Run, plan, scene, targets
-from papers.comparison import Exhibit, Row, above, below, crossed, listed
-from papers.printed import BLOCK_COLUMNS, BLOCK_PIXELS, MIDDLE, MOSAIC_PIXELS, NAMES, PIXEL
 
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.focusing.step import stages
@@ -19,6 +16,9 @@ from blocksar.products.pictures import mosaic
 from blocksar.products.pictures.overview import overview
 from blocksar.products.pictures.panels import Mark, Panel, as_map, plot_panels
 from blocksar.stores import read_region
+from papers.bench import THREADS, Bench, Run, plan, scene, targets
+from papers.comparison import Exhibit, Row, above, below, crossed, listed
+from papers.printed import BLOCK_COLUMNS, BLOCK_PIXELS, MIDDLE, MOSAIC_PIXELS, NAMES, PIXEL
 
 # ---------------------------------------------------------------- paper A: images
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+
+from blocksar.products.pictures.figures import CURVE_COLOURS
+from blocksar.products.pictures.panels import Panel, Trace, plot_panels
 from papers.bench import Bench, plan
 from papers.comparison import Exhibit, Row, above, below
 from papers.printed import SWATH
 from papers.single_targets import Migration, cells, migrations, same_range
-
-from blocksar.products.pictures.figures import CURVE_COLOURS
-from blocksar.products.pictures.panels import Panel, Trace, plot_panels
 
 
 def migration_panel(title: str, shown: Mapping[str, Migration], *, about: float) -> Panel:

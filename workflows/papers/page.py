@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import jinja2
-from papers.comparison import Exhibit
 
 import blocksar
+from papers.comparison import Exhibit
 
 PAGE = """\
 <!doctype html>

@@ -5,15 +5,15 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from papers.bench import Bench, geometry, scene
-from papers.comparison import ABOVE_QUARTER, BELOW_QUARTER, Exhibit, Row, below
-from papers.printed import QUARTER, SWATH
-from papers.single_targets import YAWS, Sector
 
 from blocksar.arrays import FloatArray
 from blocksar.collection import range_series
 from blocksar.products.pictures.figures import CURVE_COLOURS
 from blocksar.products.pictures.panels import Level, Panel, Trace, plot_panels
+from papers.bench import Bench, geometry, scene
+from papers.comparison import ABOVE_QUARTER, BELOW_QUARTER, Exhibit, Row, below
+from papers.printed import QUARTER, SWATH
+from papers.single_targets import YAWS, Sector
 
 # ---------------------------------------------------------------- paper A: the range series (2)
 

@@ -7,15 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from papers.bench import Bench, Run, targets
-from papers.comparison import Cell, Exhibit, Row, Table, crossed, minus
-from papers.printed import GRID_B, NAMES, PAPER_B, POINTS_B, TABLE2
 
 from blocksar.constants import SINC_WIDTH
 from blocksar.measurement.figures import PointResponse
 from blocksar.measurement.response import CUT_WIDTHS
 from blocksar.measurement.table3 import TABLE3, PaperResponse
 from blocksar.products.pictures import responses
+from papers.bench import Bench, Run, targets
+from papers.comparison import Cell, Exhibit, Row, Table, crossed, minus
+from papers.printed import GRID_B, NAMES, PAPER_B, POINTS_B, TABLE2
 
 # ---------------------------------------------------------------- point responses
 

@@ -8,8 +8,6 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from papers.bench import THREADS, geometry, plan
-from papers.printed import SWATH
 from scipy.signal import resample
 
 from blocksar.arrays import ComplexArray, FloatArray
@@ -26,6 +24,8 @@ from blocksar.planning.target_lines import recovered_line
 from blocksar.products.pictures.figures import CURVE_COLOURS, LIMIT
 from blocksar.products.pictures.panels import Map, Panel, Trace
 from blocksar.simulation.scatterers import simulate_pulses
+from papers.bench import THREADS, geometry, plan
+from papers.printed import SWATH
 
 Place = tuple[float, float]  # of a target: epoch range (m) and yaw (rad)
 YAWS = 61  # of a curve
