@@ -249,7 +249,7 @@ def test_folders_that_are_no_runs_are_left_alone(store: Path, client: Client, tm
 def test_peak_memory_is_the_process_own() -> None:
     """Not its parent's: a small process started by a large one."""
     ballast = np.ones(400 * 2**20, np.uint8)
-    script = "from blocksar.graph import peak_memory; print(peak_memory())"
+    script = "from blocksar.graph.tasks import peak_memory; print(peak_memory())"
     child = int(subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, text=True).stdout)
     assert tasks.peak_memory() > ballast.size
     assert child < ballast.size
