@@ -47,12 +47,6 @@ LOOPBACK = {"127.0.0.1", "::1"}
 PATIENCE = 200  # s: on a busy machine compiling takes its time
 
 
-@pytest.fixture(scope="module")
-def client() -> Iterator[Client]:
-    with cluster.open_client(workers=1, threads=1, memory_limit=2 * 2**30) as connected:
-        yield connected
-
-
 def test_units_that_the_scheduler_forgets_are_started_again(client: Client) -> None:
     """As when a worker dies with an outcome that nobody has fetched yet."""
     started: list[str] = []

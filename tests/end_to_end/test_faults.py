@@ -1,7 +1,8 @@
 """What really goes wrong: killed and stopped processes, full and read-only disks, signals, receipts that lie.
 
 After every fault the same command is given again, and the image has to be that of an undisturbed run, to the last
-bit. Moments are drawn from seeds, which stand in the names of the tests.
+bit. Moments are drawn from seeds, which stand in the names of the tests: five by default, twenty with
+`-m "slow or not slow"`.
 """
 
 from __future__ import annotations
@@ -210,11 +211,16 @@ def guarded() -> Iterator[tuple[Client, Assassin]]:
 
 
 @pytest.mark.parametrize(
-    ("stage", "repetitions"), [("recover", 20), ("focus", 20), ("mosaic", 20), ("range-compress", 1)]
+    ("stage", "seeds"),
+    [
+        *((stage, range(5)) for stage in STAGES),
+        ("range-compress", range(1)),
+        *(pytest.param(stage, range(5, 20), marks=pytest.mark.slow) for stage in STAGES),
+    ],
 )
 def test_killed_worker(
     stage: str,
-    repetitions: int,
+    seeds: range,
     store: Path,
     undisturbed: Undisturbed,
     guarded: tuple[Client, Assassin],
@@ -232,7 +238,7 @@ def test_killed_worker(
     assert left(tmp_path / "warm") == expected
     tasks = sorted(task for task in assassin.seconds if stage_of(task) == stage and "verify" not in task)
     hits = 0
-    for seed in range(repetitions):
+    for seed in seeds:
         rng = random.Random(f"{stage} {seed}")
         victim = rng.choice(tasks)
         until(lambda: len(client.scheduler_info(n_workers=-1)["workers"]) == 2, "both workers")
@@ -243,13 +249,18 @@ def test_killed_worker(
         hits += assassin.hit
         assert left(tmp_path / f"{seed}") == expected, (seed, victim)
         assert litter(tmp_path / f"{seed}") == [], (seed, victim)
-    assert 2 * hits > repetitions, f"only {hits} of {repetitions} workers were killed at work"
+    assert 3 * hits > len(seeds), f"only {hits} of {len(seeds)} workers were killed at work"
 
 
 # ---------------------------------------------------------------- killed runs
 
 
-@pytest.mark.parametrize("seed", range(20))
+FEW = (0, 5, 11, 14, 19)
+
+
+@pytest.mark.parametrize(
+    "seed", [seed if seed in FEW else pytest.param(seed, marks=pytest.mark.slow) for seed in range(20)]
+)
 def test_killed_run(
     seed: int,
     launcher: Launcher,
@@ -280,7 +291,7 @@ def test_killed_run(
     process.gone()
 
 
-@pytest.mark.parametrize("attempt", range(3))
+@pytest.mark.parametrize("attempt", [0, *(pytest.param(more, marks=pytest.mark.slow) for more in (1, 2))])
 def test_killed_at_the_first_file(
     attempt: int,
     launcher: Launcher,
@@ -454,7 +465,7 @@ def test_hung_worker(
     stage: str, workers: int, launcher: Launcher, store: Path, again: Callable[[Path], set[str]], tmp_path: Path
 ) -> None:
     own = ("--workers", str(workers), "--memory-limit", "2GiB")
-    process = launcher.start("blocksar", *words(store, tmp_path / "run", *own), WORKER_TTL=5, NO_WORKER=10)
+    process = launcher.start("blocksar", *words(store, tmp_path / "run", *own), WORKER_TTL=4, NO_WORKER=6)
     process.await_line(f"{stage}: 0")
     hung = workers_of(process.pid)[0]
     os.kill(hung, signal.SIGSTOP)

@@ -46,6 +46,12 @@ def planned(path: Path, **settings: Any) -> Plan:
     return plan
 
 
+def coarse_grid(store: Path, step: float = 4.0) -> Any:
+    """Pixels to compare complex values at: they need not sample the image."""
+    grid = planned(store, blocks=3).grid
+    return ((grid.x0, grid.x1, step), (grid.y0, grid.y1, step))
+
+
 def telling_places(plan: Plan) -> dict[str, tuple[float, float]]:
     """Ground points at three ranges of block centres, of seams and of the ends of full dwell: name -> (x, y)."""
     beam = plan.geometry.collection

@@ -192,11 +192,11 @@ def test_a_second_process_compiles_nothing() -> None:
     """The loops come from numba's cache: nothing is saved to it that was not there."""
     program = (
         "from blocksar.kernels import interpolation as i, phase as p; "
-        "loops = p._rotate, p.rotate_scaled, p.gather_columns, p.scatter_columns, i.stretch_rows, i.resample_rows; "
-        "print([sum(f.stats.cache_misses.values()) for f in loops])"
+        "loops = [f for module in (i, p) for f in vars(module).values() if hasattr(f, 'stats')]; "
+        "print(len(loops) >= 6, sum(sum(f.stats.cache_misses.values()) for f in loops))"
     )
     found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=100)
-    assert found.stdout.strip() == "[0, 0, 0, 0, 0, 0]"
+    assert found.stdout.strip() == "True 0"
 
 
 @pytest.mark.parametrize("n", [1, 31, 64, 101])

@@ -67,7 +67,7 @@ def test_closed_form_leaves_what_the_printed_formulas_leave(blocks: int, least: 
 
 
 def test_looking_along_the_velocity_is_refused(client: Client, tmp_path: Path) -> None:
-    (tmp_path / "scene.toml").write_text(scene(steering=(85.0, 101.0), centre=93.0))
+    (tmp_path / "scene.toml").write_text(scene(steering=(85.0, 101.0), centre=93.0, swath=[29900.0, 30100.0]))
     report = blocksar.plan(tmp_path / "scene.toml", blocks=3)
     assert report.refusal is not None
     assert "along the velocity" in report.refusal

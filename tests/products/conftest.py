@@ -2,49 +2,48 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import matplotlib
 import pytest
+from distributed import Client
 from report_page import borrowed, write_scene
 from small_run import Made, make
 
 import blocksar
 from blocksar.api import focusing
-from blocksar.graph.cluster import open_client
 from blocksar.planning.plan import plan_collection
 from blocksar.products.page import page
 
 matplotlib.use("Agg")
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
     return make(tmp_path_factory.mktemp("run"))
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def unplaced(tmp_path_factory: pytest.TempPathFactory) -> Made:
     return make(tmp_path_factory.mktemp("unplaced"), frame=None, size=(60, 50))
 
 
-@pytest.fixture(scope="module")
-def runs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Path]]:
+@pytest.fixture(scope="session")
+def runs(client: Client, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """A run of two blocks of two range sub-blocks each, and one of exact back-projection, too coarse to measure in."""
     folder = tmp_path_factory.mktemp("report")
     store = write_scene(folder)
-    with pytest.MonkeyPatch.context() as patch, open_client(workers=1, threads=1, memory_limit=3 * 2**30) as client:
+    with pytest.MonkeyPatch.context() as patch:
         patch.setattr(focusing, "plan_collection", lambda *a, **k: plan_collection(*a, **{**k, "parts": 2}))
         wide = ((15000.0, 17200.0, 1.2), (18000.0, 20400.0, 1.2))
         blocksar.focus(store, folder / "run", blocks=2, grid=wide, client=client)
         coarse = ((16000.0, 16400.0, 4.0), (19100.0, 19500.0, 4.0))
         blocksar.focus(store, folder / "exact", processor="backprojection", grid=coarse, client=client)
     blocksar.quality(folder / "run")
-    yield {"run": folder / "run", "exact": folder / "exact"}
+    return {"run": folder / "run", "exact": folder / "exact"}
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def whole(runs: dict[str, Path]) -> Path:
     """The page of the first, as anybody gets it."""
     return Path(str(blocksar.report(runs["run"]).result))

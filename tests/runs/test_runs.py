@@ -23,7 +23,6 @@ from blocksar.collection.geometry import Geometry
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing import step
 from blocksar.graph import stages, tasks
-from blocksar.graph.cluster import open_client
 from blocksar.places import place
 from blocksar.planning import memory
 from blocksar.runs import folder
@@ -32,12 +31,6 @@ from blocksar.runs.record import Receipt
 from blocksar.simulation.scene import Scene
 
 GRID = ((15900.0, 16300.0, 4.0), (19000.0, 19400.0, 4.0))
-
-
-@pytest.fixture(scope="module")
-def client() -> Any:
-    with open_client(workers=1, threads=1, memory_limit=3 * 2**30) as connected:
-        yield connected
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +108,7 @@ def test_task_that_fails_names_what_failed(
 def test_given_scheduler_is_used_and_left_running(store: Path, client: Client, tmp_path: Path) -> None:
     address = client.scheduler.address
     report = blocksar.focus(store, tmp_path / "run", blocks=2, grid=GRID, scheduler=address, threads=1)
-    assert report.result["workers"] == 1
+    assert report.result["workers"] == len(client.scheduler_info(n_workers=-1)["workers"])
     assert client.submit(lambda: 1).result() == 1
     with pytest.raises(InputError, match="no dask scheduler"):
         blocksar.focus(store, tmp_path / "other", grid=GRID, scheduler="nowhere:1:2")

@@ -655,7 +655,6 @@ def chunks(run: Place) -> dict[str, bytes]:
     return {name: data for name, data in contents(run / "image.zarr").items() if "/c/" in name}
 
 
-@pytest.mark.slow
 def test_a_run_below_a_prefix_is_the_run_in_a_folder_though_it_was_killed(there: Place, tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_text(scene(swath=[29700.0, 30300.0], more=POINT))
     local = LocalPlace(tmp_path)

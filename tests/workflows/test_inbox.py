@@ -74,12 +74,6 @@ def inbox_module() -> Iterator[Any]:
 
 
 @pytest.fixture(scope="module")
-def client() -> Iterator[Client]:
-    with cluster.open_client(workers=1, threads=1, memory_limit=2 * 2**30) as connected:
-        yield connected
-
-
-@pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_store(tmp_path_factory.mktemp("tiny"), **SCENE)
 
