@@ -29,7 +29,7 @@ from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing import method
 from blocksar.measurement.targets import Target
 from blocksar.places import place
-from blocksar.products.page import facts, picture, tables, words
+from blocksar.products.page import facts, picture, provenance, tables, words
 from blocksar.runs.finished import FinishedRun
 from blocksar.runs.record import RunRecord
 
