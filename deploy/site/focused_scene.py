@@ -4,7 +4,7 @@
 
 The ground is a reflectivity map of 1000 m x 760 m with a random phase for every scatterer: sea, an airfield, fields, a
 village and ships. The collection is squint-TOPS from 30 km with the platform of the shipped scene `table1` and 150 MHz
-of bandwidth. The picture goes to FOLDER/focused_scene.png with 32 grey levels, which keeps it below 150 kB.
+of bandwidth. The picture goes to FOLDER/focused_scene.png with few grey levels, which keeps it below 150 kB.
 """
 
 from __future__ import annotations
@@ -124,9 +124,6 @@ def main(
 
     Example: python deploy/site/focused_scene.py focused-scene
     """
-    from matplotlib import pyplot as plt
-    from PIL import Image
-
     folder.mkdir(parents=True, exist_ok=True)
     x, y, amplitude = coast()
     np.save(folder / "coast.npy", amplitude.astype(np.float32))
@@ -136,12 +133,24 @@ def main(
     history = blocksar.simulate(scene, folder / "coast.zarr", overwrite=True)
     grid = ((-470.0, 470.0, 0.5), (-350.0, 350.0, 0.5))
     print(*blocksar.focus(history, folder / "run", blocks=7, grid=grid, overwrite=True).summary, sep="\n")
-    figure, axes = plt.subplots(figsize=(8, 6.1), layout="constrained")
-    blocksar.open(folder / "run").sar.plot(axes)
-    figure.savefig(folder / "full.png", dpi=110)
-    picture = folder / "focused_scene.png"
-    Image.open(folder / "full.png").convert("L").quantize(32).save(picture, optimize=True)
+    picture = draw(folder)
     print(f"{picture}: {picture.stat().st_size} bytes")
+
+
+def draw(folder: Path) -> Path:
+    """Draw the focused image of `folder` with few grey levels."""
+    from matplotlib import pyplot as plt
+    from PIL import Image
+
+    figure, axes = plt.subplots(figsize=(7.8, 5.0), layout="constrained")
+    blocksar.open(folder / "run").sar.plot(axes)
+    axes.set_title("")
+    for artist in (*axes.patches, *axes.texts):
+        artist.remove()  # the scale bar, which would hide a ship; the axes are in metres
+    figure.savefig(folder / "full.png", dpi=100)
+    picture = folder / "focused_scene.png"
+    Image.open(folder / "full.png").convert("L").quantize(16).save(picture, optimize=True)
+    return picture
 
 
 if __name__ == "__main__":
