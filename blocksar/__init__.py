@@ -1,8 +1,8 @@
 """blocksar: focus squint-TOPS synthetic aperture radar data by angular blocks, in parallel.
 
-The functions here are the commands' twins: `simulate`, `ingest`, `plan`, `focus`, `quality`, `report`, `export` and
-`open`. They are loaded on first use, so that `import blocksar` costs nothing. What they raise: `InputError` where the
-caller can mend it, `ProcessingError` where the same call may go on from what was finished.
+The functions correspond to the commands: `simulate`, `ingest`, `plan`, `focus`, `quality`, `report` and `export`;
+`open` returns a finished image. They are loaded on first use, so that `import blocksar` is fast. They raise
+`InputError` if the caller's input is wrong, and `ProcessingError` if processing failed and the same call can resume it.
 """
 
 from __future__ import annotations

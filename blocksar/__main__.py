@@ -1,7 +1,7 @@
-"""`python -m blocksar` is `blocksar`."""
+"""Run the command line as `python -m blocksar`."""
 
 from __future__ import annotations
 
-from blocksar.cli.commands import main
+from blocksar.cli import main
 
 main()

@@ -1,4 +1,4 @@
-"""The accessor `sar` of images opened as xarray datasets; importing this module registers it."""
+"""The `sar` accessor of xarray datasets; importing this module registers it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Types of arrays, and checks of uniform axes."""
+"""Array types, and a check for uniform axes."""
 
 from __future__ import annotations
 
@@ -12,11 +12,17 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 ComplexArray = NDArray[np.complex64]
 
-UNIFORM_TOLERANCE = 1e-3  # of one step: a sample this far from its place moves no phase that matters
+UNIFORM_TOLERANCE = 1e-3  # of one step: a deviation this small has no relevant effect on the phase
 
 
 def check_axis(axis: FloatArray, name: str, unit: str) -> None:
-    """Refuse an axis that is not finite, ascending and uniform to UNIFORM_TOLERANCE, with an InputError."""
+    """Check that an axis is finite, ascending and uniform to UNIFORM_TOLERANCE.
+
+    Raises
+    ------
+    InputError
+        If it is not, or has fewer than 8 samples.
+    """
     if axis.ndim != 1 or axis.size < 8:
         raise InputError(f"{name} has shape {axis.shape}, but an axis of at least 8 samples is needed")
     if not np.isfinite(axis).all():

@@ -1,4 +1,4 @@
-"""Physical constants, and numbers that follow from them."""
+"""Physical and mathematical constants, and units of memory."""
 
 from __future__ import annotations
 
@@ -9,3 +9,4 @@ TURN = 2 * math.pi  # rad
 SINC_PSLR = -13.2615  # dB, highest side lobe of sinc(u)^2
 SINC_WIDTH = 0.885893  # -3 dB width of sinc(u)^2 in u: the unweighted response's width times its bandwidth
 MIB = 2**20  # bytes
+GIB = 2**30  # bytes

@@ -1,10 +1,12 @@
-"""The two kinds of errors: the user's input is wrong, or processing failed."""
+"""The two kinds of errors, wrong input and failed processing, and the kinds that a caller tells apart."""
 
 from __future__ import annotations
 
+from typing import Any
+
 
 def printable(text: str) -> str:
-    """Text that a terminal may be given: of what cannot be printed, lines excepted, the escape sequences."""
+    """Return text that is safe on a terminal: unprintable characters except line ends become escape sequences."""
     return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text)
 
 
@@ -13,6 +15,42 @@ class InputError(ValueError):
 
     def __init__(self, message: str) -> None:
         super().__init__(printable(message))
+
+
+class PrfTooLow(InputError):
+    """The PRF does not hold the Doppler band of the lit scene.
+
+    Attributes
+    ----------
+    needed : float
+        The lowest PRF that would do, Hz.
+    """
+
+    def __init__(self, message: str, needed: float) -> None:
+        super().__init__(message)
+        self.needed = needed
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (str(self), self.needed)
+
+
+class FolderError(InputError):
+    """The run folder cannot be used: the fault is the folder's, not that of the phase history or the settings.
+
+    The same call may succeed later: when another process has left the folder, or the folder is writable again.
+
+    Attributes
+    ----------
+    replaceable : bool
+        Whether the call succeeds with `overwrite`: the folder holds another run, or a damaged one.
+    """
+
+    def __init__(self, message: str, replaceable: bool = False) -> None:
+        super().__init__(message)
+        self.replaceable = replaceable
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (str(self), self.replaceable)
 
 
 class ProcessingError(RuntimeError):

@@ -1,4 +1,4 @@
-"""The version of the package: hatch reads it here, workers are compared by it."""
+"""The package's version: hatch reads it here, and workers must have the same one."""
 
 from __future__ import annotations
 

@@ -1,95 +1,130 @@
-"""What README.md, the docstrings and the help tell people to type: Python is run, command lines are parsed."""
+"""Pages, docstrings and help: their Python runs, their command lines parse, their links lead somewhere."""
 
 from __future__ import annotations
 
 import ast
 import doctest
 import importlib
+import os
 import re
 import shlex
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import pytest
 import typer
-from repository import ROOT
+from packaging.requirements import Requirement
 from typer.testing import CliRunner
 
 import blocksar
-from blocksar.cli import commands as command_line
-from blocksar.cli import parsing
+from blocksar.cli import commands, parsing
 from blocksar.errors import InputError
 
-README = (ROOT / "README.md").read_text(encoding="utf-8")
+ROOT = Path(__file__).resolve().parents[1]
+BUILT = {"build", "dist", "node_modules"}  # folders at any depth that hold no pages of ours, as hidden ones
 WORKFLOWS = sorted(path.stem for path in (ROOT / "workflows").glob("*.py"))
-# What stands for something else: README's notation in running text, not what anybody types.
+SCRIPT_FOLDERS = [ROOT / "workflows", ROOT / "deploy" / "slurm", ROOT / "deploy" / "site"]
+# Notation of running text that nobody types.
 NOTATION = re.compile(r"[|…]|\.\.\.|COMMAND")
 # Values that are read after the parsing of the command line.
 READERS = {
     "grid": parsing.parse_grid,
-    "blocks": lambda text: parsing.parse_blocks(text.split(",")[0]),  # of the study of blocks, several
+    "blocks": lambda text: parsing.parse_blocks(text.split(",")[0]),  # the study of blocks takes several
     "memory_limit": parsing.parse_memory,
     "origin": parsing.parse_origin,
 }
 
 
-# ---------------------------------------------------------------- what is told
+# ---------------------------------------------------------------- pages and docstrings
 
 
-def fenced(language: str) -> list[tuple[int, str]]:
-    """README's blocks of a language, with the line where each begins."""
-    found = re.finditer(rf"^```{language}\n(.*?)^```$", README, re.M | re.S)
-    return [(README[: m.start()].count("\n") + 2, m[1]) for m in found]
+def files(folder: Path, *patterns: str) -> Iterator[Path]:
+    """Files below a folder that match a pattern, without hidden folders and builds."""
+    for root, folders, names in os.walk(folder):
+        folders[:] = sorted(name for name in folders if not name.startswith(".") and name not in BUILT)
+        found = [Path(root, name) for name in sorted(names)]
+        yield from (path for path in found if any(path.match(pattern) for pattern in patterns))
+
+
+def place_of(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+PAGES = {
+    place_of(path): path.read_text(encoding="utf-8") for path in files(ROOT, "README.md", "deploy/site/pages/*.md")
+}
+DOCSTRINGS = {
+    place_of(path): ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+    for folder in ("blocksar", "workflows", "deploy")
+    for path in files(ROOT / folder, "*.py")
+}
+
+
+def fenced(text: str, language: str) -> list[tuple[int, str]]:
+    """Blocks of a language on a page, each with the line where it begins."""
+    blocks = re.finditer(rf"^```{language}\n(.*?)^```$", text, re.M | re.S)
+    return [(text[: block.start()].count("\n") + 2, block[1]) for block in blocks]
+
+
+def prose(text: str) -> str:
+    """A page without its fenced blocks."""
+    return re.sub(r"^```.*?^```$", "", text, flags=re.M | re.S)
 
 
 def command_lines(text: str) -> Iterator[str]:
-    """Command lines of blocksar or of a workflow in a shell text, continued lines joined."""
+    """Command lines of blocksar and of our scripts in a shell text, continued lines joined."""
     for line in re.sub(r"\\\n\s*", " ", text).splitlines():
         for part in re.split(r"&&|;", line):
-            if re.match(r"\s*(\S*/)?(blocksar\s|python3?(\.\d+)?\s+workflows/)", part):
-                yield part.strip()
+            own = re.match(r"\s*((\S*/)?blocksar\s.*)", part)
+            script = re.search(r"(?:^|\s)((\S*/)?python3?(\.\d+)?\s+(\S*/)?(workflows|deploy)/\S+\.py\b.*)", part)
+            if match := script or own:
+                yield match[1].strip()
 
 
 def documented() -> dict[str, str]:
-    """Whole command lines, by where they are told: README's shell blocks, indented lines of module docstrings."""
-    told = {f"README.md:{line}: {command}": command for line, text in fenced("bash") for command in command_lines(text)}
-    for path in sorted([*(ROOT / "blocksar").glob("*.py"), *(ROOT / "workflows").glob("*.py")]):
-        text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+    """Complete command lines by place: shell blocks of pages, indented lines of module docstrings."""
+    lines = {
+        f"{page}:{line}: {command}": command
+        for page, text in PAGES.items()
+        for line, block in fenced(text, "bash")
+        for command in command_lines(block)
+    }
+    for path, text in DOCSTRINGS.items():
         shell = "\n".join(line for line in text.splitlines() if line.startswith("    "))
-        told |= {f"{path.name}: {command}": command for command in command_lines(shell)}
-    return told
+        lines |= {f"{path}: {command}": command for command in command_lines(shell)}
+    return lines
 
 
 def inline() -> list[str]:
-    """Command lines in README's running text: complete or not, what they name has to be there."""
-    prose = re.sub(r"^```.*?^```$", "", README, flags=re.M | re.S)
-    spans = re.findall(r"`([^`\n]+)`", prose)
+    """Command lines in running text, complete or not."""
+    spans = [span for text in PAGES.values() for span in re.findall(r"`([^`\n]+)`", prose(text))]
     return sorted({span for span in spans if list(command_lines(span)) and not NOTATION.search(span)})
 
 
-# ---------------------------------------------------------------- who would read it
+# ---------------------------------------------------------------- programs
 
 
 @cache
 def program(name: str) -> Any:
-    """The command of `blocksar`, or of a workflow by its module's name."""
+    """The command of `blocksar`, or of a script by its module's name."""
     if name == "blocksar":
-        return typer.main.get_command(command_line.app)
+        return typer.main.get_command(commands.app)
     app = typer.Typer(add_completion=False)
     app.command()(importlib.import_module(name).main)
     return typer.main.get_command(app)
 
 
 @pytest.fixture(autouse=True)
-def _workflows_can_be_imported(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(ROOT / "workflows"))
+def _scripts_can_be_imported(monkeypatch: pytest.MonkeyPatch) -> None:
+    for folder in SCRIPT_FOLDERS:
+        monkeypatch.syspath_prepend(str(folder))
 
 
 def split(command: str) -> tuple[str, list[str]]:
-    """Which program, and its words."""
+    """Name of the program and its words."""
     first, *words = shlex.split(command, comments=True)
     if Path(first).name == "blocksar":
         return "blocksar", words
@@ -97,7 +132,7 @@ def split(command: str) -> tuple[str, list[str]]:
 
 
 def command_of(command: str) -> tuple[Any, list[str]]:
-    """The command that a line names, groups walked through, and the words that are its own."""
+    """The command that a line names, below its groups, and the words that are its own."""
     name, words = split(command)
     entry = program(name)
     while words and words[0] in getattr(entry, "commands", {}):
@@ -106,7 +141,7 @@ def command_of(command: str) -> tuple[Any, list[str]]:
 
 
 def parse(command: str) -> None:
-    """Parse a command line as its program would, without running it: every option known, every argument there."""
+    """Parse a command line as its program would, without running it."""
     entry, words = command_of(command)
     if hasattr(entry, "commands"):
         raise LookupError(f"No such command: {command}")
@@ -117,7 +152,7 @@ def parse(command: str) -> None:
 
 
 def below(entry: Any, *names: str) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """A command and all commands under it, with the words that name them."""
+    """A command and all commands below it, with the words that name them."""
     yield names, entry
     for name, command in getattr(entry, "commands", {}).items():
         yield from below(command, *names, name)
@@ -126,35 +161,58 @@ def below(entry: Any, *names: str) -> Iterator[tuple[tuple[str, ...], Any]]:
 BLOCKSAR = dict(below(program("blocksar")))
 
 
-# ---------------------------------------------------------------- Python is run
+# ---------------------------------------------------------------- Python runs
 
 
-def test_python_in_the_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Block after block, in a folder with a run of a small scene; and the image of one's own data is right."""
-    monkeypatch.chdir(tmp_path)
-    scene = importlib.import_module("first_image").SCENE
-    (tmp_path / "scene.toml").write_text(scene)
-    blocksar.simulate("scene.toml", "ph.zarr")
-    blocksar.focus("ph.zarr", "run", blocks=1, workers=1, grid=((-60, 60, 1.5), (-60, 60, 1.5)))
-    names: dict[str, Any] = {"__name__": "__main__"}
-    for line, text in fenced("python"):
-        code = compile("\n" * (line - 1) + text, str(ROOT / "README.md"), "exec")
-        exec(code, names)
+def check_own_data(names: dict[str, Any]) -> None:
     assert names["value"] == pytest.approx(1, abs=0.01)
+
+
+def check_xarray(names: dict[str, Any]) -> None:
     assert names["part"].sizes == {"y": 53, "x": 67}
     assert float(names["power"].max()) <= float(names["ds"].sar.db().max())
     assert names["cut"].sizes["distance"] == 401
     assert names["axes"].get_title() == "first image"
+
+
+def check_reference(names: dict[str, Any]) -> None:
+    assert names["plan"].refusal is None
+    assert float(abs(names["image"]).max()) == pytest.approx(1, abs=0.05)
+
+
+CHECKS: dict[str, Callable[[dict[str, Any]], None]] = {
+    "blocksar/products/README.md": check_xarray,
+    "blocksar/stores/README.md": check_own_data,
+    "deploy/site/pages/reference.md": check_reference,
+}
+
+
+def test_every_page_with_python_is_run_and_checked() -> None:
+    assert {page for page, text in PAGES.items() if fenced(text, "python")} == set(CHECKS)
+
+
+@pytest.mark.parametrize("page", CHECKS)
+def test_python_on_a_page_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Block after block, in a folder with a run of a small scene."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "scene.toml").write_text(importlib.import_module("first_image").SCENE)
+    if page == "blocksar/products/README.md":
+        blocksar.simulate("scene.toml", "ph.zarr")
+        blocksar.focus("ph.zarr", "run", blocks=1, workers=1, grid=((-60, 60, 1.5), (-60, 60, 1.5)))
+    names: dict[str, Any] = {"__name__": "__main__"}
+    for line, text in fenced(PAGES[page], "python"):
+        exec(compile("\n" * (line - 1) + text, str(ROOT / page), "exec"), names)
+    CHECKS[page](names)
     from matplotlib import pyplot
 
     pyplot.close("all")
 
 
-@pytest.mark.parametrize("name", ["README.md", *WORKFLOWS])
-def test_prompts_are_answered_as_told(name: str) -> None:
-    """`>>>` of README and workflows; those of the package's modules are run with all tests."""
-    if name == "README.md":
-        tests = [doctest.DocTestParser().get_doctest(README, {}, name, name, 0)]
+@pytest.mark.parametrize("name", [*(page for page, text in PAGES.items() if ">>>" in text), *WORKFLOWS])
+def test_prompts_are_answered_as_documented(name: str) -> None:
+    """`>>>` of pages and workflows; those of the package's modules are run with all tests."""
+    if name in PAGES:
+        tests = [doctest.DocTestParser().get_doctest(PAGES[name], {}, name, name, 0)]
     else:
         tests = doctest.DocTestFinder().find(importlib.import_module(name))
     runner = doctest.DocTestRunner()
@@ -168,31 +226,34 @@ def test_prompts_of_the_package_are_run_with_all_tests() -> None:
     assert "--doctest-modules" in options["addopts"] and "blocksar" in options["testpaths"]
 
 
-# ---------------------------------------------------------------- command lines are parsed
+# ---------------------------------------------------------------- command lines parse
 
 
 @pytest.mark.parametrize("command", documented().values(), ids=documented().keys())
-def test_a_command_line_that_is_told_can_be_given(command: str) -> None:
+def test_a_documented_command_line_parses(command: str) -> None:
     parse(command)
 
 
-def test_command_lines_are_found() -> None:
-    told, programs = documented(), {split(command)[0] for command in documented().values()}
-    assert programs == {"blocksar", *WORKFLOWS}
-    assert sum(name.startswith("README") for name in told) >= 5
+def test_command_lines_are_collected() -> None:
+    programs = {split(command)[0] for command in documented().values()}
+    assert programs == {"blocksar", *WORKFLOWS, "focus_on_slurm", "focused_scene"}
+    assert {name.split(":")[0] for name in documented()} >= {
+        "README.md", "blocksar/graph/README.md", "blocksar/ingestion/README.md", "workflows/README.md",
+        "deploy/slurm/README.md",
+    }  # fmt: skip
     assert len(inline()) >= 8
 
 
 @pytest.mark.parametrize("command", inline())
-def test_what_running_text_names_is_there(command: str) -> None:
+def test_running_text_names_known_commands_and_options(command: str) -> None:
     entry, words = command_of(command)
     known = {option for parameter in entry.params for option in (*parameter.opts, *parameter.secondary_opts)}
     assert {word.split("=")[0] for word in words if word.startswith("-")} <= known | {"--help"}
-    assert not hasattr(entry, "commands") or all(word.startswith("-") for word in words), "no such command"
+    assert not hasattr(entry, "commands") or all(word.startswith("-") for word in words) or not words[1:], "no command"
 
 
-def test_a_wrong_command_line_is_seen() -> None:
-    """Else all of the above says nothing."""
+def test_a_wrong_command_line_fails() -> None:
+    """Otherwise the tests above show nothing."""
     for wrong in ("blocksar focus ph.zarr", "blocksar focus ph.zarr --out run --block 3", "blocksar defocus run"):
         with pytest.raises(Exception, match=r"Missing parameter|No such"):
             parse(wrong)
@@ -202,31 +263,129 @@ def test_a_wrong_command_line_is_seen() -> None:
         parse("python workflows/first_image.py --nothing")
 
 
+def test_the_second_command_is_the_test_command() -> None:
+    """`.ci/run` reads it from there."""
+    section = PAGES["README.md"].split("\n## Two commands\n")[1].split("\n## ")[0]
+    first, second = (text for _, text in fenced(section, "bash"))
+    assert "blocksar demo" in first
+    assert all(tool in second for tool in ("ruff check", "ruff format --check", "mypy", "pytest"))
+
+
 # ---------------------------------------------------------------- help has examples
 
 
 def examples(entry: Any) -> list[str]:
     """Command lines after "Example:" in a command's help."""
     text = re.sub(r"\[/?bold\]", "", entry.help or "")
-    return [" ".join(found.split()) for found in re.findall(r"Example: (.*?)(?:\n\n|\Z)", text, re.S)]
+    return [" ".join(line.split()) for line in re.findall(r"Example: (.*?)(?:\n\n|\Z)", text, re.S)]
 
 
 @pytest.mark.parametrize("names", BLOCKSAR, ids=lambda names: " ".join(("blocksar", *names)))
-def test_help_has_an_example_that_can_be_given(names: tuple[str, ...]) -> None:
-    shown = CliRunner().invoke(command_line.app, [*names, "--help"])
-    assert shown.exit_code == 0
-    assert "Example:" in shown.output
-    told = examples(BLOCKSAR[names])
-    assert told
-    for command in told:
+def test_help_has_an_example_that_parses(names: tuple[str, ...]) -> None:
+    help_text = CliRunner().invoke(commands.app, [*names, "--help"])
+    assert help_text.exit_code == 0
+    assert "Example:" in help_text.output
+    lines = examples(BLOCKSAR[names])
+    assert lines
+    for command in lines:
         assert command.startswith(" ".join(("blocksar", *names)))
         parse(command)
 
 
-@pytest.mark.parametrize("name", WORKFLOWS)
-def test_help_of_a_workflow_has_an_example_that_can_be_given(name: str) -> None:
-    told = examples(program(name))
-    assert told
-    for command in told:
+@pytest.mark.parametrize("name", [*WORKFLOWS, "focused_scene"])
+def test_help_of_a_script_has_an_example_that_parses(name: str) -> None:
+    lines = examples(program(name))
+    assert lines
+    for command in lines:
         assert split(command)[0] == name
         parse(command)
+
+
+# ---------------------------------------------------------------- links lead somewhere
+
+
+def links(text: str) -> list[str]:
+    """Relative targets of a page's links and pictures."""
+    plain = re.sub(r"`[^`\n]*`", "", prose(text))
+    targets = re.findall(r"\]\(([^)\s]+)\)", plain)
+    return [target for target in targets if not re.match(r"[a-z]+:", target)]
+
+
+def anchors(text: str) -> set[str]:
+    """Anchors of a page's headings, as GitHub and the site make them."""
+    headings = re.findall(r"^#+ +(.*?)\s*$", prose(text), re.M)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+# Links of the site's own pages have targets on the site only; its strict build checks them.
+@pytest.mark.parametrize("page", [page for page in PAGES if page.endswith("README.md")])
+def test_links_lead_to_files_and_headings(page: str) -> None:
+    wrong = []
+    for link in links(PAGES[page]):
+        path, _, anchor = link.partition("#")
+        target = (ROOT / page).parent.joinpath(path).resolve() if path else ROOT / page
+        if not target.exists():
+            wrong.append(f"{link}: no such file")
+        elif anchor and anchor not in anchors(target.read_text(encoding="utf-8")):
+            wrong.append(f"{link}: no such heading")
+    assert not wrong, "\n".join(wrong)
+
+
+@pytest.mark.parametrize("place", [*PAGES, *(path for path, text in DOCSTRINGS.items() if text)])
+def test_files_that_are_named_exist(place: str) -> None:
+    """Files of the repository by their path from its root, in backticks or in a command."""
+    text = PAGES.get(place) or DOCSTRINGS[place]
+    named = re.findall(r"(?<![\w/.-])(?:blocksar|workflows|deploy|tests)/[\w./-]*\w\.(?:py|md|toml|sh)\b", text)
+    assert not [name for name in named if not (ROOT / name).exists()]
+
+
+def test_every_page_is_listed() -> None:
+    """README.md's table leads to every page, that of deploy/ to its own."""
+    listed = set()
+    for page in ("README.md", "deploy/README.md"):
+        for link in links(PAGES[page]):
+            listed.add(place_of((ROOT / page).parent.joinpath(link.partition("#")[0]).resolve()))
+    assert {page for page in PAGES if page.endswith("README.md")} <= listed | {"README.md"}
+
+
+# ---------------------------------------------------------------- tables that say what code says
+
+
+def test_the_table_of_layers_is_that_of_the_test() -> None:
+    tree = ast.parse((ROOT / "tests" / "test_layers.py").read_text(encoding="utf-8"))
+    (value,) = (
+        node.value for node in tree.body if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "LAYERS"
+    )
+    layers = ast.literal_eval(value)
+    rows = re.findall(r"^\| (\d+) \| ([^|]*) \|", PAGES["blocksar/README.md"], re.M)
+    table = {int(number): set(re.findall(r"`(\w+)`", rooms)) for number, rooms in rows}
+    assert table == {number: set(rooms) for number, rooms in enumerate(layers, 1)}
+
+
+def sentences(path: Path) -> Iterator[str]:
+    """Strings of a module, without the values of f-strings."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.JoinedStr):
+            yield "\0".join(part.value for part in node.values if isinstance(part, ast.Constant))
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.value
+
+
+def test_messages_on_the_page_are_those_of_the_code() -> None:
+    section = PAGES["blocksar/cli/README.md"].split("\n## When something is wrong\n")[1]
+    cells = re.findall(r"^\| (.*?) \|", section, re.M)
+    quoted = [span for cell in cells for span in re.findall(r"`([^`]+)`", cell) if not span.startswith(("Nanny", "--"))]
+    code = "\n".join(sentence for path in files(ROOT / "blocksar", "*.py") for sentence in sentences(path))
+    parts = [(span, part.strip()) for span in quoted for part in re.split(r"\.\.\.|\d+", span)]
+    missing = {span: part for span, part in parts if len(part) > 3 and part not in code}
+    assert len(quoted) >= 12
+    assert not missing
+
+
+def test_every_requirement_says_what_it_is_for() -> None:
+    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    project = tomllib.loads(text)["project"]
+    declared = [project["dependencies"], *project["optional-dependencies"].values()]
+    reasons = re.findall(r'^    "([^"]+)",  # (\S.*\S)$', text, re.M)
+    assert [requirement for requirement, _ in reasons] == [line for group in declared for line in group]
+    assert all(Requirement(requirement).specifier or requirement.startswith("blocksar[") for requirement, _ in reasons)

@@ -1,32 +1,32 @@
-r"""Focus on a dask cluster that is there already, and see before a long run that it will not fail for a small thing.
+r"""Focus on an existing dask cluster, after checks of everything that would make a long run fail.
 
     python workflows/on_a_cluster.py --local-test
     python workflows/on_a_cluster.py /shared/ph.zarr --out /shared/run --scheduler tls://10.0.0.1:8786 \
         --tls-ca ca.pem --tls-cert client.pem --tls-key client.key --report run.html
 
-The first line starts a scheduler and two workers on this machine, simulates a small scene, presses Ctrl-C when half
-of its blocks are done, and goes on with the same call while a worker is killed: a minute in which to see all of the
-below.
+The first command is a test of one minute that shows all of this: it starts a scheduler and two workers on this
+machine, simulates a small scene, presses Ctrl-C when half of its blocks are done, repeats the call, and kills a worker
+in the meantime.
 
 A cluster is one scheduler and any number of workers, started by `dask scheduler` and `dask worker`, by a batch system
-or by Kubernetes (deploy/ has recipes). For blocksar it should be like this:
+or by Kubernetes (see the recipes in deploy/). blocksar needs:
 
-- Workers with one thread each, as many as cores, and a memory limit each: that limit is what a plan keeps to.
-- The same blocksar everywhere, and the same major libraries: tasks travel by name, and are looked up over there.
-- The same paths everywhere, to be read and written: samples go through the shared folder or bucket, never through
-  the scheduler, which sees receipts only.
-- TLS, where others reach the port: whoever may connect may run what he likes on the workers.
+- Workers with one thread each, as many as cores, each with a memory limit; plans respect that limit.
+- The same blocksar and the same major libraries everywhere: tasks are sent by name and looked up by the workers.
+- The same paths everywhere, readable and writable: samples go through the shared folder or bucket, never through the
+  scheduler, which receives receipts only.
+- TLS if others can reach the port: whoever connects can run any code on the workers.
 
-What the run depends on is in its folder, and nowhere else. After Ctrl-C, a kill, a power cut, with another number of
-workers, or on another cluster: give the same command again. It takes up every unit whose receipt is there and whose
-bytes still have their checksums, and makes the rest; the image is the same to the last byte. A worker that dies costs
-the tasks that it was at. A finished run is left alone.
+The state of a run is in its folder only. After Ctrl-C, a kill or a power cut, with another number of workers or on
+another cluster, give the same command again. It reuses every unit of work whose receipt exists and whose bytes still
+match their checksums, and computes the rest; the image is the same to the last byte. If a worker dies, only its
+current tasks are repeated. A finished run is not changed.
 
     exit status   meaning
     0             done
-    1             processing failed: the same command goes on from there
-    2             an option, the input or the cluster is not as it should be: nothing was written
-    130           interrupted, likewise
+    1             processing failed: the same command resumes the run
+    2             an option, the input or the cluster is wrong: nothing was written
+    130           interrupted: the same command resumes the run
 """
 
 from __future__ import annotations
@@ -43,20 +43,23 @@ from typing import Annotated, Any
 import typer
 from distributed import Client, LocalCluster, Worker
 from distributed.security import Security
-from first_image import SCENE
 
 import blocksar
 from blocksar.cli.parsing import parse_blocks, parse_grid
+from first_image import SCENE
 
 PACKAGES = ["blocksar", "dask", "distributed", "numba", "numpy", "zarr"]
 GIB = 2**30
 
 
-# ---------------------------------------------------------------- the cluster
-
-
 def connect(scheduler: str, ca: Path | None, cert: Path | None, key: Path | None) -> Client:
-    """A client; with certificates, one that talks to nobody but holders of certificates of the same authority."""
+    """Connect to a scheduler; with certificates, only to one with a certificate of the same authority.
+
+    Raises
+    ------
+    blocksar.InputError
+        If certificates are missing, or no scheduler answers.
+    """
     names = {"tls_ca_file": ca, "tls_client_cert": cert, "tls_client_key": key}
     files = {name: str(path) for name, path in names.items() if path is not None}
     if files and len(files) < len(names):
@@ -68,21 +71,21 @@ def connect(scheduler: str, ca: Path | None, cert: Path | None, key: Path | None
         raise blocksar.InputError(f"no dask scheduler answers at {scheduler} ({cause}); check --scheduler") from None
 
 
-def look_at_workers(client: Client) -> None:
-    """Who is there: one line a worker."""
+def print_workers(client: Client) -> None:
+    """Print one line per worker."""
     workers = client.scheduler_info(n_workers=-1)["workers"]
     if not workers:
-        raise blocksar.InputError("the scheduler has no worker; start some: dask worker ADDRESS --nthreads 1")
+        raise blocksar.InputError("the scheduler has no worker; start one: dask worker ADDRESS --nthreads 1")
     for address, worker in workers.items():
         print(f"worker {address}: {worker['nthreads']} threads, memory limit {worker['memory_limit'] / GIB:.2f} GiB")
     print(f"dashboard: {client.dashboard_link}")
 
 
 def check_versions(client: Client) -> None:
-    """The same blocksar and the same Python on all workers; other libraries may differ, and are told."""
-    found: Any = client.get_versions(packages=PACKAGES)
-    here = found["client"]["packages"]
-    for worker, there in found["workers"].items():
+    """Refuse workers with another blocksar; print other libraries that differ."""
+    versions: Any = client.get_versions(packages=PACKAGES)
+    here = versions["client"]["packages"]
+    for worker, there in versions["workers"].items():
         differing = {name: there["packages"][name] for name in PACKAGES if there["packages"][name] != here[name]}
         if "blocksar" in differing:
             raise blocksar.InputError(
@@ -94,15 +97,15 @@ def check_versions(client: Client) -> None:
 
 
 def check_folder(client: Client, folder: Path) -> None:
-    """Every worker must find what is written here, and what it writes must be found here."""
+    """Check that every worker reads what is written here, and the other way round."""
     if not folder.is_dir():
         raise blocksar.InputError(
-            f"{folder} is no folder; make it, or give --out a place in one that all workers share"
+            f"{folder} is not a folder; create it, or give --out a path in a folder that all workers share"
         )
     with TemporaryDirectory(dir=folder, prefix=".probe-") as probe:
         Path(probe, "client").write_text("blocksar")
 
-        def mark(dask_worker: Worker) -> str:  # a worker hands itself to an argument of this name
+        def mark(dask_worker: Worker) -> str:  # dask passes the worker to an argument of this name
             Path(probe, dask_worker.id).write_text(Path(probe, "client").read_text())
             return dask_worker.id
 
@@ -111,29 +114,26 @@ def check_folder(client: Client, folder: Path) -> None:
                 raise blocksar.InputError(
                     f"{worker} does not share {folder} ({answer}); give --out a folder that all workers read and write"
                 )
-    print(f"{folder} is one folder for all workers")
+    print(f"{folder} is shared by all workers")
 
 
-# ---------------------------------------------------------------- trouble, for --local-test
+class Fault:
+    """A progress listener that prints the progress of each stage, and causes one fault during the blocks."""
 
-
-class Trouble:
-    """A progress: told how far each stage is, it says so, and strikes once in the middle of the blocks."""
-
-    def __init__(self, share: float, strike: Callable[[], object]) -> None:
-        self.share = share
-        self.strike: Callable[[], object] | None = strike
+    def __init__(self, share: float, cause: Callable[[], object]) -> None:
+        self.share = share  # of the blocks that are done before the fault
+        self.cause: Callable[[], object] | None = cause
 
     def update(self, stage: str, done: int, total: int) -> None:
         print(f"  {stage}: {done} of {total}")
-        if stage == "focus" and done >= self.share * total and self.strike is not None:
-            strike, self.strike = self.strike, None
-            strike()
+        if stage == "focus" and done >= self.share * total and self.cause is not None:
+            cause, self.cause = self.cause, None
+            cause()
 
 
 def press_ctrl_c() -> None:
     print("  (Ctrl-C)")
-    raise KeyboardInterrupt  # what the key comes to; a script that a shell runs in the background is deaf to the signal
+    raise KeyboardInterrupt  # not the signal: a shell lets scripts in the background ignore it
 
 
 def kill_a_worker(client: Client) -> None:
@@ -142,43 +142,44 @@ def kill_a_worker(client: Client) -> None:
     os.kill(pid, signal.SIGKILL)
 
 
-# ---------------------------------------------------------------- the run
-
-
 def two_workers() -> LocalCluster:
-    """A cluster on this machine, as a given one would be."""
+    """Start a cluster on this machine that is configured like an external one."""
     return LocalCluster(
         n_workers=2, threads_per_worker=1, memory_limit="2GiB", host="127.0.0.1",
         dashboard_address="127.0.0.1:0", silence_logs="CRITICAL",
     )  # fmt: skip
 
 
-def interrupted(client: Client, out: str, **settings: Any) -> str:
-    """Simulate a small scene, begin to focus it, and be interrupted: the phase history, to go on with."""
+def start_and_interrupt(client: Client, out: str, **settings: Any) -> str:
+    """Simulate a small scene, start to focus it, and interrupt; the path of its phase history."""
     with TemporaryDirectory() as folder:
         scene = Path(folder, "scene.toml")
         scene.write_text(SCENE)
         source = str(blocksar.simulate(scene, f"{out}.zarr", overwrite=True))
     try:
-        blocksar.focus(source, out, client=client, overwrite=True, progress=Trouble(0.5, press_ctrl_c), **settings)
+        blocksar.focus(source, out, client=client, overwrite=True, progress=Fault(0.5, press_ctrl_c), **settings)
     except KeyboardInterrupt:
-        print("interrupted; the same call goes on from there")
+        print("interrupted; the same call resumes the run")
     return source
 
 
 def main(
-    source: Annotated[str, typer.Argument(metavar="PH.zarr", help="Phase history; workers see it too.")] = "",
-    out: Annotated[str, typer.Option(metavar="RUN", help="Folder of the run; workers see it too.")] = "cluster-run",
-    scheduler: Annotated[str | None, typer.Option(metavar="ADDRESS", help="Of the dask scheduler.")] = None,
+    source: Annotated[
+        str, typer.Argument(metavar="PH.zarr", help="Phase history, at a path shared with the workers.")
+    ] = "",
+    out: Annotated[
+        str, typer.Option(metavar="RUN", help="Folder of the run, at a path shared with the workers.")
+    ] = "cluster-run",
+    scheduler: Annotated[str | None, typer.Option(metavar="ADDRESS", help="Address of the dask scheduler.")] = None,
     tls_ca: Annotated[Path | None, typer.Option(metavar="PEM", help="Certificate of the authority.")] = None,
     tls_cert: Annotated[Path | None, typer.Option(metavar="PEM", help="Own certificate.")] = None,
     tls_key: Annotated[Path | None, typer.Option(metavar="PEM", help="Its key.")] = None,
     blocks: Annotated[str, typer.Option(metavar="auto|N", help="Angular blocks.")] = "auto",
     grid: Annotated[str | None, typer.Option(metavar="x0:x1:dx,y0:y1:dy", help="Image points, m.")] = None,
     report: Annotated[str | None, typer.Option(metavar="HTML", help="Write dask's performance report there.")] = None,
-    local_test: Annotated[bool, typer.Option("--local-test", help="Two workers here, and trouble for them.")] = False,
+    local_test: Annotated[bool, typer.Option("--local-test", help="Test with two workers on this machine.")] = False,
 ) -> None:
-    """Focus on a dask cluster: connect, look at it, focus, resume.
+    """Focus on a dask cluster: connect, check, focus, resume.
 
     Example: python workflows/on_a_cluster.py ph.zarr --out run --scheduler tcp://10.0.0.1:8786 --report run.html
     """
@@ -190,19 +191,21 @@ def main(
         elif not source or scheduler is None:
             raise blocksar.InputError("PH.zarr or --scheduler is missing; give both, or --local-test alone")
         client = stack.enter_context(connect(scheduler, tls_ca, tls_cert, tls_key))
-        look_at_workers(client)
+        print_workers(client)
         check_versions(client)
-        if "://" not in out:  # a bucket is the same for all
+        if "://" not in out:  # a bucket has one address for all
             check_folder(client, Path(out).absolute().parent)
         if local_test:
-            source = interrupted(client, out, **settings)
-            progress = Trouble(0.75, lambda: kill_a_worker(client))
+            source = start_and_interrupt(client, out, **settings)
+            progress = Fault(0.75, lambda: kill_a_worker(client))
         try:
-            done = blocksar.focus(source, out, client=client, progress=progress, performance_report=report, **settings)
+            result = blocksar.focus(
+                source, out, client=client, progress=progress, performance_report=report, **settings
+            )
         except KeyboardInterrupt:
-            print("on_a_cluster: interrupted; the same command goes on from there", file=sys.stderr)
+            print("on_a_cluster: interrupted; the same command resumes the run", file=sys.stderr)
             raise typer.Exit(130) from None
-        print(*done.summary, sep="\n")
+        print(*result.summary, sep="\n")
 
 
 if __name__ == "__main__":

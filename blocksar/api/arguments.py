@@ -1,10 +1,10 @@
-"""What the commands share: how they answer, what they take for a source, a grid, the resources of a machine."""
+"""Arguments that several commands share: the source, the grid, and the resources of the machine."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from blocksar import stores
 from blocksar.collection.collection import Collection
@@ -23,12 +23,14 @@ GridLike = Grid | tuple[tuple[float, float, float], tuple[float, float, float]]
 
 
 def grid_of(grid: GridLike | None) -> Grid | None:
+    """Return a Grid; two triples stand for start, end and step (m) in x and in y."""
     if grid is None or isinstance(grid, Grid):
         return grid
     return Grid(*grid[0], *grid[1])
 
 
 def collection_of(source: Location | xr.Dataset) -> Collection:
+    """Return the collection of a scene (a TOML file or the name of a shipped one) or of a phase history, centred."""
     text = str(source) if isinstance(source, str | Path) else ""
     if text.endswith(".toml") or (text in shipped_scenes() and not Path(text).exists()):
         return Scene.read(text).collection().centred()
@@ -36,6 +38,13 @@ def collection_of(source: Location | xr.Dataset) -> Collection:
 
 
 def path_of(source: Location | xr.Dataset) -> Location:
+    """Return the path of a phase history; a dataset is used for the path that it was opened from.
+
+    Raises
+    ------
+    InputError
+        If the dataset was not opened from a store.
+    """
     return source if isinstance(source, str | os.PathLike | Place) else _dataset_path(source)
 
 
@@ -48,12 +57,26 @@ def _dataset_path(source: xr.Dataset) -> str:
     return str(path)
 
 
-def resources(workers: int | None, threads: int | None, memory_limit: int | None) -> tuple[int, int, int]:
-    """Workers, threads a worker, bytes a worker: by default workers x threads is the number of cores."""
+class Resources(NamedTuple):
+    """Of a cluster: processes, threads in each, and bytes that each may use."""
+
+    workers: int
+    threads: int
+    memory_limit: int
+
+
+def resources(workers: int | None, threads: int | None, memory_limit: int | None) -> Resources:
+    """Fill in what is not given: by default, workers times threads is the number of cores.
+
+    Raises
+    ------
+    InputError
+        If a number is below 1.
+    """
     cores, memory = machine()
     for name, value in (("workers", workers), ("threads", threads)):
         if value is not None and value < 1:
             raise InputError(f"{name} must be at least 1, got {value}")
     workers = workers or min(cores, 4)
     threads = threads or max(cores // workers, 1)
-    return workers, threads, memory_limit or memory // workers
+    return Resources(workers, threads, memory_limit or memory // workers)

@@ -19,9 +19,9 @@ from blocksar.places import Location, place
 from blocksar.places.place import Place
 from blocksar.planning import effort
 from blocksar.progress import Updated as Progress
-from blocksar.progress import listener
+from blocksar.progress import as_listener
 from blocksar.runs import folder as run_folder
-from blocksar.runs.finished import open_run
+from blocksar.runs.finished import FinishedRun
 
 
 def demo(
@@ -34,11 +34,41 @@ def demo(
     progress: Progress | None = None,
     performance_report: str | Path | None = None,
 ) -> Report:
-    """Simulate the main paper's scene, focus it in three blocks, measure it, and draw it.
+    """Simulate the shipped scene "table1", focus it in three blocks, measure it, and draw it.
 
-    Leaves a run folder with quality.json, mosaic.png, contours.png and report.html besides.
+    Leaves a run folder that also holds quality.json, mosaic.png, contours.png and report.html.
+
+    Parameters
+    ----------
+    out : path
+        Run folder.
+    workers : int, optional
+        Processes of the local cluster. Default: the number of cores, at most 4.
+    threads : int, optional
+        Threads of each worker. Default: cores / workers, at least 1.
+    memory_limit : int, optional
+        Memory of each worker, bytes. Default: its share of the machine's memory.
+    overwrite : bool
+        Simulate and focus anew. Default: False.
+    progress : object with a method update(stage, done, total), optional
+        Called with the name of the stage (str) and the numbers of finished and of all units (int). A
+        `blocksar.progress.Listener` receives more. Default: nothing is reported.
+    performance_report : path, optional
+        HTML file for dask's performance report, also written if the run fails.
+
+    Returns
+    -------
+    Report
+        `tables` and `result` are those of `quality`.
+
+    Raises
+    ------
+    InputError
+        If `out` holds something other than a demonstration, or a library is not installed.
+    ProcessingError
+        If processing fails; the same call resumes.
     """
-    told = listener(progress)
+    told = as_listener(progress)
     if performance_report is not None:
         recording.check_recordable(Path(performance_report), None)
     folder = place(out)
@@ -71,12 +101,12 @@ def _draw(folder: Place, shown: Sequence[Response]) -> list[Place]:
         from blocksar.products.pictures import mosaic, responses  # optional, and slow to load
     except ModuleNotFoundError as error:
         raise InputError(f"{error.name} is not installed, which pictures need; install blocksar[plots]") from None
-    image, _, attrs, _ = open_run(folder)
+    run = FinishedRun.open(folder)
     with tempfile.TemporaryDirectory() as drawn:
         pictures = [Path(drawn, "mosaic.png"), Path(drawn, "contours.png")]
         mosaic.plot_mosaic(
-            image.read, image.x, image.y, pictures[0], read_block=image.block, targets=targets_of(None, attrs),
-            labels=list(TABLE3), title=str(attrs.get("title", "")),
+            run.read, run.x, run.y, pictures[0], read_block=run.read_block, targets=targets_of(None, run.attrs),
+            labels=list(TABLE3), title=str(run.attrs.get("title", "")),
         )  # fmt: skip
         responses.plot_contours(shown, pictures[1], title="impulse responses of the nine named targets")
         for picture in pictures:

@@ -1,4 +1,4 @@
-"""open, report, export, demo: what one does with a finished run."""
+"""open, report, export: use a finished run."""
 
 from __future__ import annotations
 
@@ -8,40 +8,49 @@ from typing import TYPE_CHECKING, Any, Literal
 from blocksar import stores
 from blocksar.api.measuring import targets_of
 from blocksar.api.reports import Report, only_stage
-from blocksar.collection.geometry import Geometry
 from blocksar.errors import InputError, ProcessingError
 from blocksar.measurement.figures import as_json, measure_target
 from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
-from blocksar.products import geotiff, sicd
+from blocksar.products import geotiff
+from blocksar.products.sicd import nitf as sicd
 from blocksar.progress import Updated as Progress
-from blocksar.progress import listener
-from blocksar.runs import finished
-from blocksar.runs.finished import finished_record, open_run
+from blocksar.progress import as_listener
+from blocksar.runs.finished import FinishedRun, finished_record
+from blocksar.runs.record import RECORD
 
 if TYPE_CHECKING:
     import xarray as xr
 
 
-def open(run: Location) -> xr.Dataset:  # the word of the interface
-    """The image of a run as a lazily loaded dataset: `image` and `block` over y and x.
+def open(run: Location) -> xr.Dataset:
+    """Open the image of a run as a lazily loaded dataset: `image` and `block` over y and x.
 
-    It follows CF, with a grid mapping if it is georeferenced, and has the accessor `sar` (see `blocksar.accessor`):
-    `ds.sar.db()`, `.crop()`, `.plot()`, `.cut()`, `.netcdf()`.
+    The dataset follows CF, with a grid mapping if it is georeferenced, and has the accessor `ds.sar`.
+
+    Parameters
+    ----------
+    run : path
+        Folder of a finished run, or any store of blocksar, such as RUN/spectrum.zarr.
+
+    Returns
+    -------
+    xarray.Dataset
+        `image` (y, x) complex64, NaN where not covered; `block` (y, x) int16, -1 where not covered; x, y in m.
 
     Raises
     ------
     InputError
-        If there is no such store, or the run is not finished. What an unfinished one has may be looked at by its own
-        path, RUN/image.zarr.
+        If there is no such store, or the run is not finished. The image of an unfinished run opens by its own path,
+        RUN/image.zarr.
     """
     from blocksar.products import dataset  # registers the accessor, and loads xarray
 
     folder = place(run)
     if not (folder / "image.zarr").exists():
         return dataset.prepare(stores.open_dataset(folder))
-    if (folder / "run.json").exists():
+    if (folder / RECORD).exists():
         finished_record(folder)
     return dataset.prepare(stores.open_dataset(folder / "image.zarr"))
 
@@ -49,29 +58,34 @@ def open(run: Location) -> xr.Dataset:  # the word of the interface
 def report(
     run: Location, *, out: Location | None = None, overwrite: bool = False, progress: Progress | None = None
 ) -> Report:
-    """Write the report page of a finished run: one HTML file that needs nothing else.
+    """Write the report page of a finished run: one self-contained HTML file.
 
-    It shows what RUN/quality.json holds; where there is none, the targets that the run knows are measured now.
+    The page shows what RUN/quality.json holds. Without that file, the targets that the run knows are measured first.
 
     Parameters
     ----------
+    run : path
+        Folder of a finished run.
     out : path, optional
-        The page; RUN/report.html by default, which is the run's own and is replaced.
+        HTML file to write. Default: RUN/report.html, which is always replaced.
     overwrite : bool
-        Replace what stands at `out`.
+        Replace what stands at `out`. Default: False.
+    progress : object with a method update(stage, done, total), optional
+        Called with the name of the stage (str) and the numbers of finished and of all units (int). A
+        `blocksar.progress.Listener` receives more. Default: nothing is reported.
 
     Returns
     -------
     Report
-        `result` is where the page lies.
+        `summary` has the verdict; `result` is the path of the page.
 
     Raises
     ------
     InputError
-        If the run is not finished, what it says cannot be read, a library is not installed, or something stands at
-        `out`.
+        If the run is not finished or cannot be read, a library is not installed, or `out` exists and `overwrite` is
+        False.
     ProcessingError
-        If the page cannot be written: what stood there stays.
+        If the page cannot be written; an earlier page stays.
     """
     folder = place(run)
     target = folder / "report.html" if out is None else place(out)
@@ -79,20 +93,20 @@ def report(
         raise InputError(f"{target} exists; choose another name, or have it overwritten (--overwrite)")
     if isinstance(target, LocalPlace) and target.path.is_dir():
         raise InputError(f"{target} is a folder; give --out the name of a file")
-    image, collection, attrs, record = open_run(folder)
+    source = FinishedRun.open(folder)
     try:
         from blocksar.products.page import page  # optional, and slow to load
     except ModuleNotFoundError as error:
         library = str(error.name).partition(".")[0]
         raise InputError(f"{library} is not installed, which reports need; install blocksar[plots]") from None
-    source = finished.Source(image.path, image.x, image.y, Geometry(collection=collection), attrs, record)
-    found, why = _found(folder, source)
-    told = only_stage(progress, "report")
-    drawn = partial(listener(progress).update, "responses")
-    history = str(stores.open_dataset(image.path).attrs.get("history", ""))
-    made, verdict = page.make(source, found, folder=str(folder), history=history, why=why, progress=told, drawn=drawn)
+    measured, reason = _measured(folder, source)
+    history = str(stores.open_dataset(source.image).attrs.get("history", ""))
+    content, verdict = page.make(
+        source, measured, folder=str(folder), history=history, why=reason, progress=only_stage(progress, "report"),
+        drawn=partial(as_listener(progress).update, "responses"),
+    )  # fmt: skip
     try:
-        target.write_bytes(made)
+        target.write_bytes(content)
     except (PermissionError, NotADirectoryError, FileExistsError) as error:
         raise InputError(f"{target} cannot be written ({error.strerror}); choose another --out") from error
     except OSError as error:
@@ -100,16 +114,16 @@ def report(
     return Report(summary=["; ".join(verdict), f"wrote {target}"], result=target)
 
 
-def _found(folder: Place, source: finished.Source) -> tuple[dict[str, Any] | None, str]:
-    """What quality.json holds, or would hold; or None, and why there is nothing."""
+def _measured(folder: Place, source: FinishedRun) -> tuple[dict[str, Any] | None, str]:
+    """Return what quality.json holds, or would hold; or None, and the reason."""
     if (folder / "quality.json").exists():
         return stores.read_json(folder / "quality.json"), ""
     targets = targets_of(None, source.attrs)
     try:
-        measured = [measure_target(source.read, source.x, source.y, source.geometry, target) for target in targets]
-    except InputError as error:  # too coarse an image to measure in, but not to look at
+        responses = [measure_target(source.read, source.x, source.y, source.geometry, target) for target in targets]
+    except InputError as error:  # an image too coarse to measure in may still be shown
         return None, f"Nothing was measured: {error}."
-    return as_json(measured), ""
+    return as_json(responses), ""
 
 
 def export(
@@ -125,36 +139,49 @@ def export(
 
     Parameters
     ----------
-    kind : "sicd", "geotiff" or "png"
-        The complex image on its ground plane; a cloud-optimised GeoTIFF; a picture for people.
-    content : "amplitude" or "complex", optional
-        Of a GeoTIFF; amplitude by default.
+    kind : {"sicd", "geotiff", "png"}
+        Complex image on its ground plane; cloud-optimised GeoTIFF; picture in decibels.
+    run : path
+        Folder of a finished run.
+    out : path
+        Local file to write.
+    content : {"amplitude", "complex"}, optional
+        Pixels of a GeoTIFF: float32 or complex64. Default: "amplitude". Only for `kind="geotiff"`.
+    overwrite : bool
+        Replace what stands at `out`. Default: False.
+    progress : object with a method update(stage, done, total), optional
+        Called with the name of the stage (str) and the numbers of finished and of all units (int). A
+        `blocksar.progress.Listener` receives more. Default: nothing is reported.
+
+    Returns
+    -------
+    Report
+        `summary` has what is worth knowing about the file, and its path.
 
     Raises
     ------
     InputError
-        If the run is not finished, says not where it lies on the Earth though the product must, a library is not
-        installed, or something stands at `out`.
+        If the run is not finished, has no georeference though the product needs one, a library is not installed, or
+        `out` exists and `overwrite` is False.
     ProcessingError
-        If writing fails: nothing is left at `out`, or what was there.
+        If writing fails; what stood at `out` stays.
     """
     folder = place(run)
     if content is not None and kind != "geotiff":
         raise InputError(f"content is {content!r}, but only a geotiff comes as amplitude or complex; leave it out")
-    image, collection, attrs, record = open_run(folder)
-    source = finished.Source(image.path, image.x, image.y, Geometry(collection=collection), attrs, record)
-    told = only_stage(progress, "export")
+    source = FinishedRun.open(folder)
+    callback = only_stage(progress, "export")
     match kind:
         case "sicd":
-            said = sicd.write(source, out, overwrite=overwrite, progress=told)
+            lines = sicd.write(source, out, overwrite=overwrite, progress=callback)
         case "geotiff":
-            said = geotiff.write(source, out, content=content or "amplitude", overwrite=overwrite, progress=told)
+            lines = geotiff.write(source, out, content=content or "amplitude", overwrite=overwrite, progress=callback)
         case "png":
             try:
                 from blocksar.products.pictures import quicklook  # optional, and slow to load
             except ModuleNotFoundError as error:
                 raise InputError(f"{error.name} is not installed, which PNG needs; install blocksar[plots]") from None
-            said = quicklook.write(source, out, overwrite=overwrite, progress=told)
+            lines = quicklook.write(source, out, overwrite=overwrite, progress=callback)
         case _:
             raise InputError(f"kind is {kind!r}; it must be 'sicd', 'geotiff' or 'png'")
-    return Report(summary=[*said, f"wrote {place(out)}"])
+    return Report(summary=[*lines, f"wrote {place(out)}"])

@@ -1,8 +1,8 @@
-"""focus: a phase history to a calibrated image on the ground, and the bookkeeping of its run.
+"""focus: turn a phase history into a calibrated image on the ground, in a run folder.
 
-A run folder holds what `focus` leaves: collection.zarr (the phase history less its samples), spectrum.zarr,
-patches/, image.zarr and run.json. Units of work leave receipts in receipts/ while the run goes on; at the
-end they are gathered in run.json.
+A finished run folder holds collection.zarr (the phase history without its samples), spectrum.zarr, patches/,
+image.zarr and run.json. Units of work leave receipts in receipts/ while the run goes on; at the end run.json takes
+them up.
 """
 
 from __future__ import annotations
@@ -10,13 +10,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeGuard
+from typing import TYPE_CHECKING, Any, Literal
 
 from blocksar import stores
-from blocksar.api.arguments import GridLike, grid_of, path_of, resources
+from blocksar.api.arguments import GridLike, Resources, grid_of, path_of, resources
 from blocksar.api.reports import Report
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
@@ -34,11 +34,22 @@ from blocksar.planning import effort
 from blocksar.planning.memory import checked_back_projection_memory, checked_memory, compression_memory
 from blocksar.planning.plan import Plan, plan_collection
 from blocksar.planning.tiling import image_chunk
-from blocksar.progress import NOBODY, Listener, Work, listener
+from blocksar.progress import NOBODY, Listener, Work, as_listener
 from blocksar.progress import Updated as Progress
 from blocksar.runs import folder as run_folder
-from blocksar.runs.folder import FORMAT
-from blocksar.runs.receipts import Receipt, Run
+from blocksar.runs.receipts import Run
+from blocksar.runs.record import (
+    FINISHED,
+    FORMAT,
+    UNFINISHED,
+    CentroidError,
+    PredictedBlock,
+    Receipt,
+    RunInput,
+    RunPlan,
+    RunRecord,
+    SampleCounts,
+)
 from blocksar.version import __version__
 
 if TYPE_CHECKING:
@@ -67,33 +78,65 @@ def focus(
     performance_report: str | Path | None = None,
     client: Client | None = None,
 ) -> Report:
-    """Focus a phase history into the run folder `out`; an unfinished run there is resumed.
+    """Focus a phase history into a run folder; an unfinished run of the same settings and input there is resumed.
 
     Parameters
     ----------
-    source : path or xarray.Dataset opened from one
-        Phase-history store.
-    workers, threads : int, optional
-        Of the cluster that is started here: processes, and threads in each.
+    source : path or xarray.Dataset
+        Phase-history store, or a dataset opened from one.
+    out : path
+        Run folder.
+    processor : {"angular-division", "keystone-resampling", "high-order-phase", "backprojection"}
+        Chain of steps; "backprojection" is exact and slow. Default: "angular-division".
+    blocks : int or "auto"
+        Number of angular blocks, at least 1. "auto" (default): the fewest that meet the budgets of residual phase, side
+        lobes, migration and memory.
+    coefficients : {"fitted", "closed-form"}
+        "fitted" (default): fitted to traced time-frequency lines. "closed-form": expanded about the centre of each
+        block, as in the papers.
+    perturbation : {"all", "frequency", "none"}
+        "all" (default): those of the processor. "frequency": one in Doppler only. "none": deramp only.
+    keystone : bool
+        False: RCMC with one reference in the time domain, without keystone transform. Default: True.
+    derotation : {"nonlinear", "linear"}
+        "linear": recovery removes a single Doppler rate, which needs a higher PRF. Default: "nonlinear".
+    range_model : {"polar", "conventional"}
+        "conventional": substituted variables after range-walk correction; needs `coefficients="closed-form"`. Default:
+        "polar".
+    grid : Grid or ((x0, x1, dx), (y0, y1, dy)), optional
+        Image points x0, x0 + dx, ... < x1 in m in the scene frame, likewise y. Default: the box around the lit sector
+        at about half the resolution. Needed if the beam is not steered.
+    workers : int, optional
+        Processes of the local cluster. Default: the number of cores, at most 4.
+    threads : int, optional
+        Threads of each worker. Default: cores / workers, at least 1.
     memory_limit : int, optional
-        Bytes a worker.
+        Memory of each worker, bytes. Default: its share of the machine's memory.
     scheduler : str, optional
-        Address of a dask scheduler to use instead.
-    progress : object with a method `update(stage, done, total)`, optional
-        Told how far each stage has come; a `progress.Listener` is told more.
+        Address of a running dask scheduler, used instead of a local cluster.
+    overwrite : bool
+        Replace a run with other settings or another input. Default: False.
+    progress : object with a method update(stage, done, total), optional
+        Called with the name of the stage (str) and the numbers of finished and of all units (int). A
+        `blocksar.progress.Listener` receives more. Default: nothing is reported.
     performance_report : path, optional
-        HTML file for dask's performance report of this call, also where it fails.
+        HTML file for dask's performance report of this call, also written if the run fails.
     client : distributed.Client, optional
-        Likewise, already connected.
+        Client of a running cluster, used instead of a local cluster.
+
+    Returns
+    -------
+    Report
+        `summary` has notes, times and peak memory; `result` is the record that RUN/run.json holds.
 
     Raises
     ------
     InputError
-        If the input or a setting is wrong: nothing is written.
+        If the input or a setting is wrong; nothing is written.
     ProcessingError
-        If processing fails: what was finished stays, and the same call resumes.
+        If processing fails; finished work stays, and the same call resumes.
     """
-    told = listener(progress)
+    listener = as_listener(progress)
     profile = None if performance_report is None else Path(performance_report)
     method = method_of(
         processor,
@@ -103,29 +146,14 @@ def focus(
         derotation=derotation,
         range_model=range_model,
     )
-    wanted = grid_of(grid)
-    settings: dict[str, Any] = {
-        **(Method() if method is None else method).as_settings(),
-        "processor": processor,
-        "blocks": blocks,
-        "grid": None if wanted is None else _grid_record(wanted),
-    }
-    history = stores.open_phase_history(path_of(source))
-    if "georeference" in history.attrs:
-        Georeference.from_attribute(history.attrs["georeference"])  # what the image carries on should be right
-    fingerprint = history.fingerprint()
-    folder = place(out)
-    run_folder.refuse_overlap(place(history.path), folder)
+    request = _request(source, place(out), method, processor, blocks, grid_of(grid), overwrite=overwrite)
     if profile is not None:
         recording.check_recordable(profile, client)
-
-    def found() -> dict[str, Any] | None:
-        return run_folder.existing(folder, settings, fingerprint, overwrite=overwrite)
-
-    if _finished(record := found()):
+    record = request.existing()
+    if record is not None and record.finished:
         if profile is not None:
-            told.note(f"nothing was done, so there is no performance report at {profile}")
-        return _left_alone(folder, record)
+            listener.note(f"nothing was done, so there is no performance report at {profile}")
+        return _nothing_to_do(request.folder, record)
     with ExitStack() as stack:
         connected = None
         if client is not None or scheduler is not None:
@@ -133,50 +161,73 @@ def focus(
             workers, memory_limit = cluster.cluster_size(connected)
             if profile is not None:
                 recording.check_recordable(profile, connected)
-        workers, threads, memory_limit = resources(workers, threads, memory_limit)
-        stack.enter_context(run_folder.claimed(folder))
-        if _finished(record := found()):  # by somebody who wrote it until now
-            return _left_alone(folder, record, claimed=True)
-        told.update("plan", 0, 1)
-        job = _job(history, settings, wanted, record, workers, threads, memory_limit)
-        told.expect(_effort(job), workers)
-        told.update("plan", 1, 1)
-        divided = None if job.plan is None else (job.plan.n_blocks, job.plan.parts)
-        identity = stores.checksum_bytes(
-            repr((FORMAT, sorted(settings.items(), key=str), fingerprint, divided)).encode("utf-8", "surrogateescape")
-        )
-        run = Run(folder=folder, identity=identity, threads=threads)
-        unfinished = {
-            "format": FORMAT,
-            "status": run_folder.UNFINISHED,
-            "settings": settings,
-            "input": {"path": str(history.path), "fingerprint": fingerprint},
-            "identity": identity,
-            "versions": _versions(),
-            "workers": workers,
-            "threads": threads,
-            "memory_limit": memory_limit,
-            "plan": {
-                "blocks": job.plan and job.plan.n_blocks,
-                "parts": job.plan and job.plan.parts,
-                "memory": job.memory,
-                "grid": _grid_record(job.grid),
-                "predicted": _predicted(job.plan),
-            },
-        }
-        try:
-            done = _carry_out(job, run, unfinished, connected, told, profile, resumed=record is not None)
-        except ProcessingError as error:
-            raise ProcessingError(f"{error}; what was finished stays, the same command goes on from there") from error
-    return Report(summary=_focus_lines(folder, done, job.memory), result=done)
+        machine = resources(workers, threads, memory_limit)
+        stack.enter_context(run_folder.claimed(request.folder))
+        record = request.existing()  # again: another process may have written it until now
+        if record is not None and record.finished:
+            return _nothing_to_do(request.folder, record, claimed=True)
+        return _focus(request, record, machine, connected, listener, profile)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Request:
+    """What `focus` was asked for.
+
+    Attributes
+    ----------
+    settings : dict
+        As run.json holds them.
+    grid : Grid or None
+        None to cover the lit sector.
+    """
+
+    history: stores.PhaseHistory
+    folder: Place
+    settings: dict[str, Any]
+    fingerprint: str
+    grid: Grid | None
+    overwrite: bool
+
+    def existing(self) -> RunRecord | None:
+        """Return the record of the run to be resumed, or of a finished one; see `folder.existing`."""
+        return run_folder.existing(self.folder, self.settings, self.fingerprint, overwrite=self.overwrite)
+
+
+def _request(
+    source: Location | xr.Dataset,
+    folder: Place,
+    method: Method | None,
+    processor: Processor,
+    blocks: int | Literal["auto"],
+    grid: Grid | None,
+    *,
+    overwrite: bool,
+) -> _Request:
+    """Open the input and collect the settings; nothing is written."""
+    settings: dict[str, Any] = {
+        **(Method() if method is None else method).as_settings(),
+        "processor": processor,
+        "blocks": blocks,
+        "grid": None if grid is None else list(_grid_numbers(grid)),
+    }
+    history = stores.open_phase_history(path_of(source))
+    if "georeference" in history.attrs:
+        Georeference.from_attribute(history.attrs["georeference"])  # refuse a wrong one before the work, not after it
+    fingerprint = history.fingerprint()
+    run_folder.refuse_overlap(place(history.path), folder)
+    return _Request(
+        history=history, folder=folder, settings=settings, fingerprint=fingerprint, grid=grid, overwrite=overwrite
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Job:
-    """What is to be focused, and how; without a plan, by back-projection.
+    """What is to be focused, and how.
 
     Attributes
     ----------
+    plan : Plan or None
+        None for back-projection.
     memory : int
         Predicted peak of a worker, bytes.
     """
@@ -184,44 +235,93 @@ class _Job:
     history: stores.PhaseHistory
     geometry: Geometry
     grid: Grid
+    machine: Resources
     plan: Plan | None
     memory: int
 
 
-def _job(
-    history: stores.PhaseHistory,
-    settings: dict[str, Any],
-    grid: Grid | None,
-    record: dict[str, Any] | None,
-    workers: int,
-    threads: int,
-    memory_limit: int,
-) -> _Job:
-    """A run that goes on is divided as it was begun."""
+def _focus(
+    request: _Request,
+    earlier: RunRecord | None,
+    machine: Resources,
+    client: Client | None,
+    listener: Listener,
+    profile: Path | None,
+) -> Report:
+    """Plan and carry out a run, in a folder that this process holds."""
+    listener.update("plan", 0, 1)
+    job = _job(request, earlier, machine)
+    listener.expect(_effort(job), machine.workers)
+    listener.update("plan", 1, 1)
+    identity = _identity(request, job)
+    record = RunRecord(
+        status=UNFINISHED,
+        format=FORMAT,
+        settings=request.settings,
+        input=RunInput(str(request.history.path), request.fingerprint),
+        identity=identity,
+        versions=_versions(),
+        **job.machine._asdict(),
+        plan=RunPlan(
+            blocks=None if job.plan is None else job.plan.n_blocks,
+            parts=None if job.plan is None else job.plan.parts,
+            memory=job.memory,
+            grid=_grid_numbers(job.grid),
+            predicted=predicted_blocks(job.plan),
+        ),
+    )
+    run = Run(folder=request.folder, identity=identity, threads=machine.threads)
+    try:
+        done = _carry_out(job, run, record, client, listener, profile, resumed=earlier is not None)
+    except ProcessingError as error:
+        raise ProcessingError(f"{error}; what was finished stays, the same command goes on from there") from error
+    return Report(summary=_summary(request.folder, done, job.memory), result=done.as_json())
+
+
+def _identity(request: _Request, job: _Job) -> str:
+    """Hash what decides on the results: settings, input, format, and the division into blocks."""
+    divided = None if job.plan is None else (job.plan.n_blocks, job.plan.parts)
+    text = repr((FORMAT, sorted(request.settings.items(), key=str), request.fingerprint, divided))
+    return stores.checksum_bytes(text.encode("utf-8", "surrogateescape"))
+
+
+def _job(request: _Request, earlier: RunRecord | None, machine: Resources) -> _Job:
+    """Plan a run; a resumed one keeps its division into blocks.
+
+    Raises
+    ------
+    InputError
+        If there is no such plan, or it needs more memory than there is.
+    """
+    history, settings, grid = request.history, request.settings, request.grid
     collection = history.collection.centred()
     geometry = Geometry(collection=collection)
-    compression = checked_memory("range compression", compression_memory(history.collection, history.raw), memory_limit)
+    compression = checked_memory(
+        "range compression", compression_memory(history.collection, history.raw), machine.memory_limit
+    )
     if settings["processor"] == "backprojection":
         grid = grid or default_grid(geometry, plan_region(geometry, None))
-        memory = max(compression, checked_back_projection_memory(collection, grid, threads, memory_limit))
-        return _Job(history=history, geometry=geometry, grid=grid, plan=None, memory=memory)
-    made = plan_collection(
+        needed = checked_back_projection_memory(collection, grid, machine.threads, machine.memory_limit)
+        memory = max(compression, needed)
+        return _Job(history=history, geometry=geometry, grid=grid, machine=machine, plan=None, memory=memory)
+    divided = RunPlan() if earlier is None else earlier.plan
+    plan = plan_collection(
         collection,
-        blocks=settings["blocks"] if record is None else record["plan"]["blocks"],
-        parts="auto" if record is None else record["plan"]["parts"],
+        blocks=divided.blocks or settings["blocks"],
+        parts=divided.parts or "auto",
         method=Method.of_settings(settings),
         grid=grid,
-        workers=workers,
-        memory_limit=memory_limit,
+        workers=machine.workers,
+        memory_limit=machine.memory_limit,
     )
-    if made.refusal is not None:
-        raise InputError(made.refusal)
-    memory = max(compression, made.memory)
-    return _Job(history=history, geometry=geometry, grid=made.grid, plan=made, memory=memory)
+    if plan.refusal is not None:
+        raise InputError(plan.refusal)
+    memory = max(compression, plan.memory)
+    return _Job(history=history, geometry=geometry, grid=plan.grid, machine=machine, plan=plan, memory=memory)
 
 
 def _effort(job: _Job) -> Work:
-    """What the stages to come will cost."""
+    """Predict the relative cost of the stages."""
     raw = job.history.raw
     echo = 0 if raw is None else raw.fast_time.size * job.history.collection.n_pulse
     if job.plan is None:
@@ -232,56 +332,54 @@ def _effort(job: _Job) -> Work:
 def _carry_out(
     job: _Job,
     run: Run,
-    record: dict[str, Any],
-    connected: Client | None,
-    told: Listener,
+    record: RunRecord,
+    client: Client | None,
+    listener: Listener,
     profile: Path | None,
     *,
     resumed: bool,
-) -> dict[str, Any]:
-    """From the input to a finished run's record."""
+) -> RunRecord:
+    """Focus, and return the record of the finished run. Without a client, a cluster is started."""
     started = time.perf_counter()
     with ExitStack() as stack:
         input_read = (lambda: None) if resumed else stack.enter_context(run_folder.begun(run.folder))
         run.folder.sweep()
-        stores.write_json(run.folder / "run.json", record)
-        if connected is None:
-            connected = stack.enter_context(
-                cluster.open_client(
-                    workers=record["workers"],
-                    threads=record["threads"],
-                    memory_limit=record["memory_limit"],
-                    scratch=run_folder.scratch(run.folder),
-                    report=told,
-                )
-            )
-        if (address := recording.dashboard(connected)) is not None:
-            told.dashboard(address)
-        with recording.recorded(connected, profile, told):
-            receipts, timings = _stages(connected, job, run, record, told, input_read)
-        told.watch((), NOBODY)
-        told.begin("finish")
-    record |= {
-        "receipts": receipts,
-        "timings": timings | {"total": time.perf_counter() - started},
-        "peak_memory": max(receipt["peak_memory"] for receipt in receipts),
-    }
-    run_folder.finish(run, record)
-    told.update("finish", 1, 1)
+        record.write(run.folder)
+        if client is None:
+            scratch = run_folder.scratch(run.folder)
+            client = stack.enter_context(cluster.open_client(**job.machine._asdict(), scratch=scratch, report=listener))
+        if (address := recording.dashboard(client)) is not None:
+            listener.dashboard(address)
+        with recording.recorded(client, profile, listener):
+            record = _stages(client, job, run, record, listener, input_read)
+        listener.watch((), NOBODY)
+        listener.begin("finish")
+    record = replace(
+        record,
+        status=FINISHED,
+        timings={**record.timings, "total": time.perf_counter() - started},
+        peak_memory=max(receipt.peak_memory or 0 for receipt in record.receipts),
+    )
+    run_folder.finish(run.folder, record)
+    listener.update("finish", 1, 1)
     return record
 
 
-def _finished(record: dict[str, Any] | None) -> TypeGuard[dict[str, Any]]:
-    return record is not None and record["status"] == run_folder.FINISHED
+def _nothing_to_do(folder: Place, record: RunRecord, *, claimed: bool = False) -> Report:
+    """Report that a run is finished, after checking its image and removing leftovers.
 
-
-def _left_alone(folder: Place, record: dict[str, Any], *, claimed: bool = False) -> Report:
+    Raises
+    ------
+    FolderError
+        If the image is damaged, or another process holds the folder.
+    """
     run_folder.check_finished(folder, record)
     if not run_folder.is_tidy(folder):
         with nullcontext() if claimed else run_folder.claimed(folder):
             run_folder.tidy(folder)
     return Report(
-        summary=[f"{folder} is finished already with these settings and this input: nothing to do"], result=record
+        summary=[f"{folder} is finished already with these settings and this input: nothing to do"],
+        result=record.as_json(),
     )
 
 
@@ -289,11 +387,14 @@ def _stages(
     client: Client,
     job: _Job,
     run: Run,
-    record: dict[str, Any],
-    told: Listener,
+    record: RunRecord,
+    listener: Listener,
     input_read: Callable[[], None],
-) -> tuple[list[Receipt], dict[str, float]]:
-    """All receipts, and the seconds of each stage."""
+) -> RunRecord:
+    """Carry out all stages; return the record with their receipts and seconds, and what the samples revealed.
+
+    `input_read` is called once all of the input has been read and accepted.
+    """
     clock = [time.perf_counter()]
 
     def lap() -> float:
@@ -307,49 +408,64 @@ def _stages(
     )
     timings: dict[str, float] = {}
     if plan is None:
-        samples, looked, found = stages.look_through(client, history, run, told)
+        samples, inspected, inspection = stages.look_through(client, history, run, listener)
         timings["inspect"] = lap()
-        _judge(job, run, record, looked, found, told)
+        record = _judged(job, run, record, inspected, inspection, listener)
         input_read()
-        formed = stages.back_project(client, samples, job.geometry, job.grid, found, run, told)
-        return [*looked, *formed], timings | {"backprojection": lap()}
-    recovered, found = stages.recover(client, history, plan, run, told)
+        formed = stages.back_project(client, samples, job.geometry, job.grid, inspection, run, listener)
+        timings["backprojection"] = lap()
+        return replace(record, receipts=(*inspected, *formed), timings=timings)
+    recovered, inspection = stages.recover(client, history, plan, run, listener)
     timings["recover"] = lap()
-    _judge(job, run, record, recovered, found, told)
+    record = _judged(job, run, record, recovered, inspection, listener)
     input_read()
-    focused = stages.focus_blocks(client, plan, run, found.lit, told)
+    focused = stages.focus_blocks(client, plan, run, inspection.lit, listener)
     timings["focus"] = lap()
-    merged = stages.mosaic(client, plan, run, focused, told)
+    merged = stages.mosaic(client, plan, run, focused, listener)
     timings["mosaic"] = lap()
-    return [*recovered, *focused, *merged], timings
+    return replace(record, receipts=(*recovered, *focused, *merged), timings=timings)
 
 
-def _judge(
-    job: _Job, run: Run, record: dict[str, Any], receipts: Sequence[Receipt], found: Inspection, told: Listener
-) -> None:
-    """Put down what the samples told; the image carries it too."""
-    history, plan = job.history, job.plan
-    if not found.lit.any():
+def _judged(
+    job: _Job, run: Run, record: RunRecord, receipts: Sequence[Receipt], inspection: Inspection, listener: Listener
+) -> RunRecord:
+    """Add the findings of the inspection to the record, and create the image, which carries them as attributes.
+
+    Raises
+    ------
+    InputError
+        If no sample is valid.
+    """
+    history = job.history
+    if not inspection.lit.any():
         raise InputError(f"{history.variable} in {history.path} holds no valid sample; is it the right store?")
-    echoes = [Inspection.from_dict(r["found"]) for r in receipts if r["unit"].startswith("pulses-")]
-    looks = [samples.levels(echoes), found] if echoes else [found]
-    record["warnings"] = [line for look in looks for line in sentences.lines(look)]
-    record["samples"] = {"missing": sum(found.missing.values()), "impossible": sum(look.n_outlier for look in looks)}
-    if plan is not None:
-        region = plan.region
-        expected = centroid.expect(job.geometry, plan.recovery, yaw=region.yaw, near=region.near, far=region.far)
-        if expected is not None:
-            measured = centroid.centroid(found, prf=job.geometry.collection.prf)
-            record["doppler_centroid"] = {"error": measured.mean_offset, "coherence": measured.mean_coherence}
-            if (sentence := centroid.disagreement(found, expected)) is not None:
-                record["warnings"].append(sentence)
-    for warning in record["warnings"]:
-        told.note(warning, again=True)
+    echoes = [Inspection.from_dict(dict(r.found)) for r in receipts if r.found and r.stage == "range-compress"]
+    inspections = [samples.merge_echoes(echoes), inspection] if echoes else [inspection]
+    warnings = [line for each in inspections for line in sentences.describe(each)]
+    counts = SampleCounts(sum(inspection.missing.values()), sum(each.n_outlier for each in inspections))
+    offset, disagreement = _centroid(job, inspection)
+    warnings += [disagreement] if disagreement else []
+    for warning in warnings:
+        listener.note(warning, again=True)
+    record = replace(record, warnings=tuple(warnings), samples=counts, doppler_centroid=offset)
     run.establish(run.image, lambda: _create_image(run, job, record))
+    return record
 
 
-def _grid_record(grid: Grid) -> list[float]:
-    return [grid.x0, grid.x1, grid.dx, grid.y0, grid.y1, grid.dy]
+def _centroid(job: _Job, inspection: Inspection) -> tuple[CentroidError | None, str | None]:
+    """Compare the Doppler centroid with that of track and beam: the difference, and a warning if it is large."""
+    if job.plan is None:
+        return None, None
+    region = job.plan.region
+    expected = centroid.expect(job.geometry, job.plan.recovery, yaw=region.yaw, near=region.near, far=region.far)
+    if expected is None:
+        return None, None
+    measured = centroid.measure_centroid(inspection, prf=job.geometry.collection.prf)
+    return CentroidError(measured.mean_offset, measured.mean_coherence), centroid.disagreement(inspection, expected)
+
+
+def _grid_numbers(grid: Grid) -> tuple[float, ...]:
+    return grid.x0, grid.x1, grid.dx, grid.y0, grid.y1, grid.dy
 
 
 def _versions() -> dict[str, str]:
@@ -357,17 +473,23 @@ def _versions() -> dict[str, str]:
     return {"blocksar": __version__} | {name: metadata.version(name) for name in names}
 
 
-def _predicted(made: Plan | None) -> list[dict[str, Any]]:
-    if made is None:
-        return []
-    return [
-        {"block": b.index, "part": b.part, "yaw": [b.low, b.high], "range": [b.ground.near, b.ground.far],
-         "memory": b.memory, "bias": b.candidate.bias, **b.prediction._asdict()}
-        for b in made.blocks
-    ]  # fmt: skip
+def predicted_blocks(plan: Plan | None) -> tuple[PredictedBlock, ...]:
+    """Return what the plan predicts of each block; nothing for back-projection."""
+    return tuple(
+        PredictedBlock(
+            block=block.index,
+            part=block.part,
+            yaw=(block.low, block.high),
+            range=(block.ground.near, block.ground.far),
+            memory=block.memory,
+            bias=block.candidate.bias,
+            **block.prediction._asdict(),
+        )
+        for block in (plan.blocks if plan is not None else ())
+    )
 
 
-def _create_image(run: Run, job: _Job, record: dict[str, Any]) -> None:
+def _create_image(run: Run, job: _Job, record: RunRecord) -> None:
     side, attrs = image_chunk(job.grid), job.history.attrs
     title = attrs.get("title") or job.history.collection.title or "blocksar image"
     text = {
@@ -375,13 +497,13 @@ def _create_image(run: Run, job: _Job, record: dict[str, Any]) -> None:
         "Conventions": stores.CONVENTIONS,
         "history": stores.history_line(f"focused by blocksar {__version__}", attrs.get("history")),
         "source": str(job.history.path),
-        "settings": record["settings"],
+        "settings": record.settings,
         "run": run.identity,
         "carrier_frequency": job.history.collection.carrier,
         "ground_height": job.history.collection.ground_height,
         "calibration": "a target of reflectivity 1 peaks at 1 + 0j",
-        "predicted": record["plan"]["predicted"],
-        "warnings": record["warnings"],
+        "predicted": [block.as_json() for block in record.plan.predicted],
+        "warnings": list(record.warnings),
         "scene": attrs.get("scene", ""),
     }
     if "georeference" in attrs:
@@ -392,28 +514,38 @@ def _create_image(run: Run, job: _Job, record: dict[str, Any]) -> None:
     )  # fmt: skip
 
 
-REUSED = {"pulses": "groups of pulses", "columns": "column groups", "block": "blocks", "chunk": "parts of the mosaic"}
+UNITS = {
+    "range-compress": "groups of pulses",
+    "recover": "column groups",
+    "inspect": "column groups",
+    "focus": "blocks",
+    "mosaic": "parts of the mosaic",
+    "backprojection": "parts of the mosaic",
+}  # what the units of a stage are called
 
 
 def _resumed_line(receipts: Sequence[Receipt]) -> list[str]:
-    """What of an earlier, unfinished run was used again."""
-    if not any(receipt.get("reused") for receipt in receipts):
+    """Return a sentence on the units that an earlier, unfinished run had done; none if there were none."""
+    if not any(receipt.reused for receipt in receipts):
         return []
     counts = []
-    for prefix, what in REUSED.items():
-        units = [receipt for receipt in receipts if receipt["unit"].startswith(f"{prefix}-")]
+    for stage, name in UNITS.items():
+        units = [receipt for receipt in receipts if receipt.stage == stage]
         if units:
-            counts.append(f"{sum('reused' in receipt for receipt in units)} of {len(units)} {what}")
-    damaged = sum("damaged" in receipt for receipt in receipts)
+            counts.append(f"{sum(receipt.reused for receipt in units)} of {len(units)} {name}")
+    damaged = sum(receipt.damaged for receipt in receipts)
     also = f"; {damaged} more were found damaged and made again" if damaged else ""
     return [f"went on from an unfinished run: {', '.join(counts)} were used again{also}"]
 
 
-def _focus_lines(folder: Place, record: dict[str, Any], planned: int) -> list[str]:
-    timings = record["timings"]
+def _summary(folder: Place, record: RunRecord, planned: int) -> list[str]:
+    """Return the warnings, and sentences on resumed work, time and memory."""
+    timings = record.timings
     stages = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in timings.items() if name != "total")
-    said = [*(f"note: {line}" for line in record["warnings"]), *_resumed_line(record["receipts"])]
-    said.append(f"{folder / 'image.zarr'} is finished in {timings['total']:.1f} s ({stages})")
-    peak = record["peak_memory"]
-    said.append(f"peak memory of a worker {peak / MIB:.0f} MiB, planned {planned / MIB:.0f} MiB")
-    return said
+    peak = record.peak_memory or 0
+    return [
+        *(f"note: {line}" for line in record.warnings),
+        *_resumed_line(record.receipts),
+        f"{folder / 'image.zarr'} is finished in {timings['total']:.1f} s ({stages})",
+        f"peak memory of a worker {peak / MIB:.0f} MiB, planned {planned / MIB:.0f} MiB",
+    ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from blocksar import stores
 from blocksar.api.reports import Report, Table
 from blocksar.arrays import ComplexArray
+from blocksar.collection.beam import full_dwell_yaw
 from blocksar.collection.geometry import Geometry
 from blocksar.errors import InputError
 from blocksar.focusing.backprojection import form_image
@@ -23,26 +24,38 @@ from blocksar.measurement.table3 import TABLE3
 from blocksar.measurement.targets import Target
 from blocksar.places import Location, place
 from blocksar.places.place import Place
-from blocksar.runs.finished import Image, open_run
+from blocksar.runs.finished import FinishedRun
+from blocksar.runs.record import RunPlan
 from blocksar.simulation.scene import Scene
 
 RANGES_COMPARED = (("near", 0.1), ("middle", 0.5), ("far", 0.9))  # name, share of the swath
 
 
 def quality(run: Location, *, targets: Location | Sequence[Target] | None = None, reference: bool = False) -> Report:
-    """Measure a run's point targets, and compare chips with exact back-projection.
+    """Measure the point targets of a finished run, and compare chips with exact back-projection.
 
     Parameters
     ----------
+    run : path
+        Folder of a finished run.
     targets : path or sequence of Target, optional
-        JSON or TOML file of {"name", "x", "y", "reflectivity"}; by default those the collection was simulated with.
+        JSON file of {"name", "x", "y", "reflectivity"}, scene file (TOML), or the targets themselves; x and y in m in
+        the scene frame. Default: the targets that the collection was simulated with.
     reference : bool
-        Also back-project chips at the blocks' centres, seams and swath ends from the run's input, and compare.
+        Also back-project chips of 64 x 64 pixels at the blocks' centres, seams and swath ends from the run's input, and
+        compare. Default: False.
 
     Returns
     -------
     Report
-        `result` is what RUN/quality.json holds.
+        `tables` has one row for each target; `result` is what RUN/quality.json holds.
+
+    Raises
+    ------
+    InputError
+        If the run is not finished or damaged, the targets are wrong, or the input for the reference is gone.
+    ProcessingError
+        If quality.json cannot be written.
     """
     return measure(place(run), targets, reference)[0]
 
@@ -50,33 +63,44 @@ def quality(run: Location, *, targets: Location | Sequence[Target] | None = None
 def measure(
     folder: Place, targets: Location | Sequence[Target] | None, reference: bool
 ) -> tuple[Report, list[Response]]:
-    image, collection, attrs, record = open_run(folder)
-    geometry = Geometry(collection=collection)
-    wanted = targets_of(targets, attrs)
-    responses = [measure_target(image.read, image.x, image.y, geometry, target) for target in wanted]
-    found = as_json(responses)
+    """Do what `quality` does; also return the responses of the targets of the paper's Table 3, to be drawn."""
+    run = FinishedRun.open(folder)
+    listed = targets_of(targets, run.attrs)
+    responses = [measure_target(run.read, run.x, run.y, run.geometry, target) for target in listed]
+    result = as_json(responses)
     tables = [_response_table(responses)] if responses else []
-    lines = [] if not responses else [DEFINITIONS, *_worst_lines(responses)]
+    lines = [DEFINITIONS, *_worst_lines(responses)] if responses else []
     if not responses:
         lines.append("the collection names no targets: give --targets FILE to measure some")
-    if attrs.get("scene") == "table1" and responses:
-        found["table3"] = {name: row._asdict() for name, row in TABLE3.items()}
+    if run.attrs.get("scene") == "table1" and responses:
+        result["table3"] = {name: row._asdict() for name, row in TABLE3.items()}
         tables.append(_table3(responses))
         lines.append("paper: Table 3 of the angular-division paper; its ISLR follows another, unstated definition")
-    shown = [r for t in wanted if t.name in TABLE3 and (r := read_response(image.read, image.x, image.y, geometry, t))]
+    drawn = [
+        response
+        for target in listed
+        if target.name in TABLE3 and (response := read_response(run.read, run.x, run.y, run.geometry, target))
+    ]
     if reference:
-        compared = _compare(image, geometry, record)
-        found["reference"] = [
+        compared = _compare(run)
+        result["reference"] = [
             {"place": name, "x": x, "y": y, "coherence": abs(c.coherence), "gain": c.gain, "phase": c.phase}
             for name, x, y, c in compared
         ]
         tables.append(_reference_table(compared))
         lines.append("reference: exact back-projection of the same samples; chips of 64 x 64 pixels")
-    stores.write_json(folder / "quality.json", found)
-    return Report(tables=tables, summary=lines, result=found), shown
+    stores.write_json(folder / "quality.json", result)
+    return Report(tables=tables, summary=lines, result=result), drawn
 
 
-def targets_of(targets: Location | Sequence[Target] | None, attrs: dict[str, Any]) -> list[Target]:
+def targets_of(targets: Location | Sequence[Target] | None, attrs: Mapping[str, Any]) -> list[Target]:
+    """Read targets from a file; by default, from the attributes of a collection.
+
+    Raises
+    ------
+    InputError
+        If the file or the attribute holds no targets.
+    """
     if targets is None:
         return [Target.from_record(record) for record in attrs.get("targets") or []]
     if not isinstance(targets, str | os.PathLike | Place):
@@ -137,53 +161,65 @@ def _table3(responses: Sequence[PointResponse]) -> Table:
 Compared = list[tuple[str, float, float, ChipComparison]]
 
 
-def _compare(image: Image, geometry: Geometry, record: dict[str, Any]) -> Compared:
-    """Chips of the image against exact back-projection of the run's input at telling places."""
-    history = stores.open_phase_history(record["input"]["path"])
-    read = _pulse_reader(history)
+def _compare(run: FinishedRun) -> Compared:
+    """Compare chips of the image with exact back-projection of the run's input.
+
+    Raises
+    ------
+    InputError
+        If the input is unknown or gone, or the plan of the run is unknown.
+    """
+    if not run.record.input.path:
+        raise InputError(f"run.json of {run.folder} does not name the input (input.path); focus again with --overwrite")
+    read = pulse_reader(stores.open_phase_history(run.record.input.path))
     half = 32
-    found: Compared = []
-    for name, x, y in _places(geometry, record):
-        column, row = (
-            round((x - image.x[0]) / (image.x[1] - image.x[0])),
-            round((y - image.y[0]) / (image.y[1] - image.y[0])),
-        )
+    compared: Compared = []
+    for name, x, y in reference_places(run.geometry, run.record.plan):
+        column, row = (round((at - axis[0]) / (axis[1] - axis[0])) for at, axis in ((x, run.x), (y, run.y)))
         rows, columns = slice(max(row - half, 0), row + half), slice(max(column - half, 0), column + half)
-        if row < 0 or column < 0 or image.y[rows].size < half or image.x[columns].size < half:
+        if row < 0 or column < 0 or run.y[rows].size < half or run.x[columns].size < half:
             continue
-        mine = image.read(rows, columns)
-        if np.isfinite(mine.real).mean() < 0.5:
+        chip = run.read(rows, columns)
+        if np.isfinite(chip.real).mean() < 0.5:
             continue
-        exact = form_image(read, geometry, image.x[columns], image.y[rows], threads=machine()[0])
-        found.append((name, float(x), float(y), coherence(mine, exact)))
-    return found
+        exact = form_image(read, run.geometry, run.x[columns], run.y[rows], threads=machine()[0])
+        compared.append((name, float(x), float(y), coherence(chip, exact)))
+    return compared
 
 
-def _pulse_reader(history: stores.PhaseHistory) -> Callable[[slice], ComplexArray]:
-    """Range-frequency samples of a slice of pulses; of a raw echo, compressed."""
+def pulse_reader(history: stores.PhaseHistory) -> Callable[[slice], ComplexArray]:
+    """Return a function that reads a slice of pulses, (pulses, range frequencies); a raw echo is compressed."""
     if history.raw is None:
         return lambda pulses: history.read(pulses, slice(None))
     compression = RawCompression.of_echo(history.raw, history.collection)
     return lambda pulses: compression.apply(history.read(pulses, slice(None)), pulses=pulses)
 
 
-def _places(geometry: Geometry, record: dict[str, Any]) -> list[tuple[str, float, float]]:
-    """Block centres, seams, near and far range, and the last yaws of full dwell."""
-    predicted = record["plan"]["predicted"]
+def reference_places(geometry: Geometry, plan: RunPlan) -> list[tuple[str, float, float]]:
+    """Return name, x and y (m) of block centres, seams, near and far range, and the last yaws of full dwell.
+
+    Raises
+    ------
+    InputError
+        If neither blocks nor grid are known.
+    """
+    predicted = plan.predicted
     if not predicted:
-        x0, x1, _, y0, y1, _ = record["plan"]["grid"]
+        if plan.grid is None:
+            raise InputError("run.json does not hold the grid (plan.grid); focus again with --overwrite")
+        x0, x1, _, y0, y1, _ = plan.grid
         return [("image centre", (x0 + x1) / 2, (y0 + y1) / 2)]
     collection = geometry.collection
-    low, high = predicted[0]["yaw"][0], predicted[-1]["yaw"][1]
-    if collection.beam_width is not None and np.ptp(collection.beam_azimuth) > collection.beam_width:
-        low = max(low, float(collection.beam_azimuth.min() + collection.beam_width / 2))
-        high = min(high, float(collection.beam_azimuth.max() - collection.beam_width / 2))
-    blocks = {b["block"]: b["yaw"] for b in predicted}
+    low, high = predicted[0].yaw[0], predicted[-1].yaw[1]
+    if collection.steered:
+        first, last = full_dwell_yaw(collection)
+        low, high = (max(low, first), min(high, last)) if first < last else (low, high)
+    blocks = {b.block: b.yaw for b in predicted}
     yaws = [(f"block {index} centre", float(np.clip(sum(yaw) / 2, low, high))) for index, yaw in blocks.items()]
     yaws += [(f"seam {index}|{index + 1}", yaw[1]) for index, yaw in list(blocks.items())[:-1]]
     inset = 0.01 * (high - low)
     yaws += [("first full dwell", low + inset), ("last full dwell", high - inset)]
-    parts = [[b["range"] for b in predicted if b["block"] == index] for index in blocks]
+    parts = [[b.range for b in predicted if b.block == index] for index in blocks]
     near, far = max(ranges[0][0] for ranges in parts), min(ranges[-1][1] for ranges in parts)
     ranges = [(f"{where} range", near + share * (far - near)) for where, share in RANGES_COMPARED]
     places = [(f"{name}, {where}", yaw, rng) for name, yaw in yaws for where, rng in ranges]

@@ -8,6 +8,7 @@ import numpy as np
 
 from blocksar.api.arguments import GridLike, collection_of, grid_of, resources
 from blocksar.api.reports import Report, Table
+from blocksar.collection.beam import most_lit_pulses
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
@@ -48,17 +49,47 @@ def plan(
     workers: int | None = None,
     memory_limit: int | None = None,
 ) -> Report:
-    """How a collection (a phase-history store or a scene) would be focused, and how sharply; no samples are read.
+    """Predict how a collection would be focused, and how sharp the image would be. Reads no samples.
+
+    Parameters
+    ----------
+    source : path or xarray.Dataset
+        Phase-history store or a dataset opened from one, scene file (TOML), or the name of a shipped scene.
+    processor : {"angular-division", "keystone-resampling", "high-order-phase", "backprojection", "auto"}
+        Chain to plan. "auto" compares the first three and proposes one. Default: "angular-division".
+    blocks : int or "auto"
+        Number of angular blocks, at least 1. "auto" (default): the fewest that meet the budgets of residual phase, side
+        lobes, migration and memory.
+    coefficients : {"fitted", "closed-form"}
+        "fitted" (default): fitted to traced time-frequency lines. "closed-form": expanded about the centre of each
+        block, as in the papers.
+    perturbation : {"all", "frequency", "none"}
+        "all" (default): those of the processor. "frequency": one in Doppler only. "none": deramp only.
+    keystone : bool
+        False: RCMC with one reference in the time domain, without keystone transform. Default: True.
+    derotation : {"nonlinear", "linear"}
+        "linear": recovery removes a single Doppler rate, which needs a higher PRF. Default: "nonlinear".
+    range_model : {"polar", "conventional"}
+        "conventional": substituted variables after range-walk correction; needs `coefficients="closed-form"`. Default:
+        "polar".
+    grid : Grid or ((x0, x1, dx), (y0, y1, dy)), optional
+        Image points x0, x0 + dx, ... < x1 in m in the scene frame, likewise y. Default: the box around the lit sector
+        at about half the resolution. Needed if the beam is not steered.
+    workers : int, optional
+        Worker processes to plan for. Default: the number of cores, at most 4.
+    memory_limit : int, optional
+        Memory of each worker, bytes. Default: its share of the machine's memory.
 
     Returns
     -------
     Report
-        `result` is the `planning.Plan`.
+        `tables` has one row for each block; `refusal` is the reason if the plan cannot be carried out. `result` is the
+        `planning.plan.Plan`, the `Grid` for back-projection, or None if "auto" has no processor to propose.
 
     Raises
     ------
     InputError
-        If the source is no collection, the PRF is too low, or the grid is outside the swath.
+        If the source is no collection, a setting is wrong, the PRF is too low, or the grid lies outside the swath.
     """
     automatic = processor == "auto"
     method = method_of(
@@ -175,10 +206,7 @@ def _plan_backprojection(
     geometry = Geometry(collection=collection)
     grid = grid or default_grid(geometry, plan_region(geometry, None))
     pixels = grid.shape[0] * grid.shape[1]
-    lit = collection.n_pulse
-    if collection.beam_width is not None:
-        sweep = float(np.ptp(collection.beam_azimuth))
-        lit = min(lit, round(collection.n_pulse * collection.beam_width / max(sweep, 1e-9)))
+    lit = most_lit_pulses(collection)
     memory = checked_back_projection_memory(collection, grid, threads, memory_limit)
     lines = [
         f"exact back-projection of {grid.shape[1]} x {grid.shape[0]} pixels, {lit} lit pulses each: "

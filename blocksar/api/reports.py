@@ -8,21 +8,33 @@ from functools import partial
 from typing import Any
 
 from blocksar.progress import Updated as Progress
-from blocksar.progress import listener
+from blocksar.progress import as_listener
 
 Table = tuple[Sequence[str], Sequence[Sequence[str]]]
 
 
 def only_stage(progress: Progress | None, stage: str) -> Callable[[int, int], None]:
-    """A command's only stage begins: what its parts are told to."""
-    told = listener(progress)
-    told.begin(stage)
-    return partial(told.update, stage)
+    """Begin a command's single stage; return the callback that reports its progress."""
+    listener = as_listener(progress)
+    listener.begin(stage)
+    return partial(listener.update, stage)
 
 
 @dataclass(frozen=True)
 class Report:
-    """What a command tells a person: tables, then sentences. `refusal` says why a plan cannot be carried out."""
+    """What a function returns: tables and sentences for people, and the result itself.
+
+    Attributes
+    ----------
+    tables : list of (header, rows)
+        Header: sequence of str. Rows: sequences of str, as long as the header.
+    summary : list of str
+        Sentences.
+    refusal : str or None
+        Why a plan cannot be carried out; None if it can.
+    result : object
+        As each function describes.
+    """
 
     tables: list[Table] = field(default_factory=list)
     summary: list[str] = field(default_factory=list)

@@ -27,21 +27,38 @@ def simulate(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> Path | Place:
-    """Write the phase history of a scene (a file, or the name of a shipped one), with exact ranges.
+    """Write the phase history of a scene, with exact ranges.
 
     Parameters
     ----------
+    scene : Scene or path
+        A scene, a scene file (TOML), or the name of a shipped scene: "table1", "paper_b", "paper_c".
+    out : path
+        Phase-history store to write, or the CPHD file if `cphd` is True.
     raw : bool
-        Write a raw chirped echo instead of range-frequency samples.
+        Write a raw chirped echo instead of range-frequency samples. Default: False.
     cphd : bool
-        Write a CPHD file instead of a store.
+        Write a CPHD 1.1.0 file instead of a store. Default: False.
     origin : (latitude, longitude, height), optional
-        Of the scene's centre in a CPHD file: degrees, and m above the WGS 84 ellipsoid.
+        Place of the scene centre in a CPHD file: degrees, and m above the WGS 84 ellipsoid. Default:
+        (39.78, -84.1, 300.0).
+    threads : int, optional
+        Threads that compute pulses. Default: the number of cores.
+    overwrite : bool
+        Replace what stands at `out`. Default: False.
+    progress : object with a method update(stage, done, total), optional
+        Called with the name of the stage (str) and the numbers of finished and of all units (int). A
+        `blocksar.progress.Listener` receives more. Default: nothing is reported.
+
+    Returns
+    -------
+    path
+        Where the phase history lies.
 
     Raises
     ------
     InputError
-        If the scene is wrong, or `out` exists and `overwrite` is False.
+        If the scene is wrong, options exclude each other, or `out` exists and `overwrite` is False.
     """
     _, threads, _ = resources(1, threads, None)
     told = only_stage(progress, "simulate")
@@ -62,7 +79,29 @@ def simulate(
 def ingest(
     kind: Literal["cphd", "gotcha"], source: Location | Sequence[Location], out: Location, **options: Any
 ) -> Report:
-    """Turn measured data into a phase history: `ingest_cphd` or `ingest_gotcha`, by name."""
+    """Turn measured data into a phase history: `ingest_cphd` or `ingest_gotcha`, chosen by `kind`.
+
+    Parameters
+    ----------
+    kind : {"cphd", "gotcha"}
+        Format of the source.
+    source : path or sequence of paths
+        One CPHD file; or one or more files of the Gotcha set.
+    out : path
+        Phase-history store to write.
+    **options
+        Other arguments of the chosen function: `channel` (CPHD only), `overwrite`, `progress`.
+
+    Returns
+    -------
+    Report
+        That of the chosen function.
+
+    Raises
+    ------
+    InputError
+        If `kind` is unknown, or the chosen function refuses its input.
+    """
     if kind == "cphd":
         if isinstance(source, Sequence) and not isinstance(source, str):
             raise InputError(f"source is a list of {len(source)}; a CPHD file is ingested by itself")
@@ -82,10 +121,24 @@ def ingest_cphd(
 ) -> Report:
     """Turn one channel of a CPHD file into a phase history, in the tangent frame at its scene's reference point.
 
+    Parameters
+    ----------
+    source : path
+        Local CPHD file, version 1.0.1 or 1.1.0, monostatic.
+    out : path
+        Phase-history store to write.
+    channel : str, optional
+        Identifier of the channel. Needed if the file has several.
+    overwrite : bool
+        Replace what stands at `out`. Default: False.
+    progress : object with a method update(stage, done, total), optional
+        Called with the name of the stage (str) and the numbers of finished and of all units (int). A
+        `blocksar.progress.Listener` receives more. Default: nothing is reported.
+
     Returns
     -------
     Report
-        `result` is the collection that the store holds.
+        `summary` says what was found in the file; `result` is the collection that the store holds.
 
     Raises
     ------
@@ -95,7 +148,7 @@ def ingest_cphd(
     from blocksar.ingestion import cphd  # optional libraries, and slow to load
 
     made = cphd.ingest(source, out, channel=channel, overwrite=overwrite, progress=only_stage(progress, "ingest"))
-    return Report(summary=[*made.said, f"wrote {made.path}"], result=made.collection)
+    return Report(summary=[*made.messages, f"wrote {made.path}"], result=made.collection)
 
 
 def ingest_gotcha(
@@ -105,12 +158,24 @@ def ingest_gotcha(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> Report:
-    """Join the AFRL Gotcha set's MATLAB files in azimuth into a phase history, in their scene-centred frame.
+    """Join MATLAB files of the AFRL Gotcha set in azimuth into a phase history, in their scene-centred frame.
+
+    Parameters
+    ----------
+    source : path or sequence of paths
+        Files of one pass and one polarisation, in any order.
+    out : path
+        Phase-history store to write.
+    overwrite : bool
+        Replace what stands at `out`. Default: False.
+    progress : object with a method update(stage, done, total), optional
+        Called with the name of the stage (str) and the numbers of finished and of all units (int). A
+        `blocksar.progress.Listener` receives more. Default: nothing is reported.
 
     Returns
     -------
     Report
-        `result` is the collection that the store holds.
+        `summary` says what was found in the files; `result` is the collection that the store holds.
 
     Raises
     ------
@@ -120,4 +185,4 @@ def ingest_gotcha(
     from blocksar.ingestion.gotcha import ingestion
 
     made = ingestion.ingest(source, out, overwrite=overwrite, progress=only_stage(progress, "ingest"))
-    return Report(summary=[*made.said, f"wrote {made.path}"], result=made.collection)
+    return Report(summary=[*made.messages, f"wrote {made.path}"], result=made.collection)

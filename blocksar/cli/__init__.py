@@ -1,4 +1,4 @@
-"""The command line: words, numbers and messages for people; everything else is `blocksar.api`."""
+"""The command line: options, tables and messages; `blocksar.api` does the work."""
 
 from __future__ import annotations
 

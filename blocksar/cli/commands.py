@@ -1,6 +1,6 @@
-"""The commands: words, numbers and messages for people; everything else is `blocksar.api`.
+"""The commands: each reads its options and calls the function of that name in `blocksar.api`.
 
-Exit status: 0 done; 1 processing failed; 2 the user's input is wrong; 130 interrupted; 143 terminated.
+Exit status: 0 success; 1 processing failed; 2 the user's input is wrong; 130 interrupted; 143 terminated.
 Tables go to stdout, progress and messages to stderr.
 """
 
@@ -38,10 +38,25 @@ from blocksar.focusing.method import PlannedProcessor
 from blocksar.progress import Progress
 from blocksar.version import __version__
 
+Run = Annotated[str, typer.Argument(metavar="RUN", help="Folder of a finished run.")]
+StoreOut = Annotated[str, typer.Option(metavar="STORE", help="Phase-history store to write.")]
+
+app = typer.Typer(
+    name="blocksar",
+    cls=Commands,
+    help="Focus squint-TOPS radar data by angular blocks, in parallel, into a calibrated ground image."
+    "\n\nExample: [bold]blocksar demo --out demo-run[/bold]",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode="rich",
+    # A traceback that reaches the user is a defect: print it whole and plain, so that it can be sent in.
+    pretty_exceptions_enable=False,
+)
+
 
 @contextmanager
-def progress_of(context: typer.Context) -> Iterator[Progress]:
-    """What shows how far a command has come, and logs what it was told and how it ended."""
+def _listening(context: typer.Context) -> Iterator[Progress]:
+    """Show the progress of a command; log its settings and how it ends."""
     settings = context.params
     with Progress(quiet=settings["quiet"], log=settings["json_log"]) as progress:
         progress.start(" ".join(context.command_path.split()[1:]), settings, __version__)
@@ -53,23 +68,8 @@ def progress_of(context: typer.Context) -> Iterator[Progress]:
         progress.end(0)
 
 
-# ---------------------------------------------------------------- commands
-
-app = typer.Typer(
-    name="blocksar",
-    cls=Commands,
-    help="Focus squint-TOPS radar data by angular blocks, in parallel, to a calibrated ground image."
-    "\n\nExample: [bold]blocksar demo --out demo-run[/bold]",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode="rich",
-    # A traceback that reaches the user is a defect: print it whole and plain, so that it can be sent in.
-    pretty_exceptions_enable=False,
-)
-
-
-def _print_version(wanted: bool) -> None:
-    if wanted:
+def _print_version(requested: bool) -> None:
+    if requested:
         typer.echo(f"blocksar {__version__}")
         raise typer.Exit
 
@@ -80,13 +80,13 @@ def options(
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
     ] = False,
 ) -> None:
-    """Options that stand before a command."""
+    """Options before a command."""
 
 
 @app.command()
 def demo(
     context: typer.Context,
-    out: Annotated[str, typer.Option(help="Folder of the run.")] = "demo-run",
+    out: Annotated[str, typer.Option(metavar="RUN", help="Folder of the run.")] = "demo-run",
     workers: Workers = None,
     threads: Threads = None,
     memory_limit: MemoryLimit = None,
@@ -95,10 +95,10 @@ def demo(
     quiet: Quiet = False,
     json_log: JsonLog = None,
 ) -> None:
-    """Simulate the paper's scene, focus it, measure it, show it.
+    """Simulate the paper's scene, focus it, measure its targets and write a report.
 
-    Leaves the run in the folder, with a picture of the mosaic, contour plots of nine targets, and report.html, a page
-    for the browser.
+    Leaves in the run's folder a picture of the image, contour plots of nine
+    targets, and report.html, a page for the browser.
 
     Example: [bold]blocksar demo --out demo-run[/bold]
     """
@@ -106,7 +106,7 @@ def demo(
 
     from blocksar import api
 
-    with progress_of(context) as progress:
+    with _listening(context) as progress:
         report = api.demo(
             out,
             workers=workers,
@@ -123,18 +123,22 @@ def demo(
 def simulate(
     context: typer.Context,
     scene: Annotated[str, typer.Argument(metavar="SCENE.toml", help="Scene file, or the name of a shipped scene.")],
-    out: Annotated[str, typer.Option(help="Phase-history store to write.")],
-    raw: Annotated[bool, typer.Option("--raw", help="Write a raw chirped echo over fast time.")] = False,
+    out: StoreOut,
+    raw: Annotated[bool, typer.Option("--raw", help="Write the raw chirped echo over fast time instead.")] = False,
     cphd: Annotated[bool, typer.Option("--cphd", help="Write a CPHD 1.1.0 file instead of a store.")] = False,
     origin: Annotated[
-        str | None, typer.Option(metavar="LAT,LON,HEIGHT", help="Of the scene's centre in the CPHD file: degrees, m.")
+        str | None, typer.Option(metavar="LAT,LON,HEIGHT", help="Scene centre for --cphd, in degrees and m.")
     ] = None,
-    threads: Threads = None,
+    threads: Annotated[
+        int | None, typer.Option(metavar="N", min=1, help="Number of threads; default: by the machine's cores.")
+    ] = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
     json_log: JsonLog = None,
 ) -> None:
     """Simulate the phase history of a scene, with exact ranges.
+
+    A scene file is written in TOML; the shipped scenes include table1, the paper's.
 
     Example: [bold]blocksar simulate table1 --out table1.zarr[/bold]
     """
@@ -142,7 +146,7 @@ def simulate(
 
     from blocksar import api
 
-    with progress_of(context) as progress:
+    with _listening(context) as progress:
         api.simulate(
             scene, out, raw=raw, cphd=cphd, origin=place, threads=threads, overwrite=overwrite, progress=progress
         )
@@ -154,7 +158,7 @@ def plan(
     source: Annotated[str, typer.Argument(metavar="PH.zarr|SCENE.toml", help="Phase-history store or scene.")],
     processor: Annotated[
         PlannedProcessor,
-        typer.Option(metavar="NAME", help=f"{PROCESSORS}; auto: all chains side by side, and the best one proposed."),
+        typer.Option(metavar="NAME", help=f"{PROCESSORS}; auto: compare all chains and propose the best."),
     ] = "angular-division",
     blocks: Blocks = "auto",
     coefficients: CoefficientsOption = "fitted",
@@ -166,11 +170,11 @@ def plan(
     workers: Workers = None,
     memory_limit: MemoryLimit = None,
 ) -> None:
-    """Say how a collection would be focused, and how sharp its image would be.
+    """Show how a collection would be focused, and the predicted quality of its image.
 
-    Blocks, residual phase, predicted side lobes and widths, memory; no samples are read.
+    Prints blocks, residual phase, predicted side lobes and widths, and memory, without reading any samples.
 
-    A collection that cannot be focused as asked: the reason follows, with its figure, and the exit status is 2.
+    If the collection cannot be focused with these options, prints the reason and exits with status 2.
 
     Example: [bold]blocksar plan table1 --blocks 3[/bold]
     """
@@ -180,10 +184,10 @@ def plan(
 
     from blocksar import api
 
-    made = api.plan(source, processor=processor, **settings)
-    show(made)
-    if made.refusal is not None:
-        complain(made.refusal, WRONG_INPUT)
+    proposal = api.plan(source, processor=processor, **settings)
+    show(proposal)
+    if proposal.refusal is not None:
+        complain(proposal.refusal, WRONG_INPUT)
 
 
 @app.command()
@@ -203,14 +207,16 @@ def focus(
     threads: Threads = None,
     memory_limit: MemoryLimit = None,
     scheduler: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="A running dask scheduler, instead of an own cluster.")
+        str | None, typer.Option(metavar="ADDRESS", help="Use this dask scheduler instead of a local cluster.")
     ] = None,
     performance_report: PerformanceReport = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
     json_log: JsonLog = None,
 ) -> None:
-    """Focus a phase history to a calibrated ground image.
+    """Focus a phase history into a calibrated ground image.
+
+    Give the same command again to resume an interrupted run.
 
     Example: [bold]blocksar focus table1.zarr --out run --blocks 3[/bold]
     """
@@ -220,7 +226,7 @@ def focus(
 
     from blocksar import api
 
-    with progress_of(context) as progress:
+    with _listening(context) as progress:
         report = api.focus(
             source,
             out,
@@ -237,17 +243,18 @@ def focus(
 
 @app.command()
 def quality(
-    run: Annotated[str, typer.Argument(metavar="RUN", help="Folder of a finished run.")],
+    run: Run,
     targets: Annotated[
-        str | None, typer.Option(metavar="FILE", help="Targets to measure; default: those that the run knows.")
+        str | None,
+        typer.Option(metavar="FILE", help="JSON file of targets; default: the targets of the phase history."),
     ] = None,
     reference: Annotated[
-        bool, typer.Option("--reference", help="Compare chips of the image with exact back-projection.")
+        bool, typer.Option("--reference", help="Also compare image chips with exact back-projection.")
     ] = False,
 ) -> None:
     """Measure side-lobe ratios, widths, position and calibration of every target.
 
-    Prints the table with its definitions, and writes it to RUN/quality.json.
+    Prints a table with its definitions, and writes it to RUN/quality.json.
 
     Example: [bold]blocksar quality run --reference[/bold]
     """
@@ -259,28 +266,31 @@ def quality(
 @app.command()
 def report(
     context: typer.Context,
-    run: Annotated[str, typer.Argument(metavar="RUN", help="Folder of a finished run.")],
-    out: Annotated[str | None, typer.Option(metavar="FILE", help="The page; default: RUN/report.html.")] = None,
+    run: Run,
+    out: Annotated[
+        str | None, typer.Option(metavar="FILE", help="HTML file to write; default: RUN/report.html.")
+    ] = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
     json_log: JsonLog = None,
 ) -> None:
-    """Write one HTML page about a run, which opens in any browser and needs no network.
+    """Write an HTML page about a run, which opens in any browser without a network.
 
-    The image with zoom, block borders and targets; the plan beside what was measured; responses; times; provenance.
+    Shows the image with zoom, block borders and targets; plan and measurements
+    side by side; target responses; times; provenance.
 
     Example: [bold]blocksar report run[/bold]
     """
     from blocksar import api
 
-    with progress_of(context) as progress:
-        made = api.report(run, out=out, overwrite=overwrite, progress=progress)
-    show(made)
+    with _listening(context) as progress:
+        page = api.report(run, out=out, overwrite=overwrite, progress=progress)
+    show(page)
 
 
 ingest = typer.Typer(
     name="ingest",
-    help="Measured data to a phase history.\n\n"
+    help="Convert measured data to a phase history.\n\n"
     "Example: [bold]blocksar ingest cphd collect.cphd --out collect.zarr[/bold]",
     no_args_is_help=True,
 )
@@ -291,21 +301,21 @@ app.add_typer(ingest)
 def ingest_cphd(
     context: typer.Context,
     source: Annotated[str, typer.Argument(metavar="SOURCE.cphd", help="CPHD file, version 1.0.1 or 1.1.0.")],
-    out: Annotated[str, typer.Option(help="Phase-history store to write.")],
+    out: StoreOut,
     channel: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Which channel, where the file has several.")
+        str | None, typer.Option(metavar="NAME", help="Channel to read, if the file has several.")
     ] = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
     json_log: JsonLog = None,
 ) -> None:
-    """Turn a CPHD file into a phase history, in the tangent frame at its scene's reference point.
+    """Convert a CPHD file to a phase history, in the tangent frame at its scene's reference point.
 
     Example: [bold]blocksar ingest cphd collect.cphd --out collect.zarr[/bold]
     """
     from blocksar import api
 
-    with progress_of(context) as progress:
+    with _listening(context) as progress:
         report = api.ingest_cphd(source, out, channel=channel, overwrite=overwrite, progress=progress)
     show(report)
 
@@ -314,49 +324,51 @@ def ingest_cphd(
 def ingest_gotcha(
     context: typer.Context,
     source: Annotated[list[str], typer.Argument(metavar="SOURCE.mat...", help="MATLAB files of one pass.")],
-    out: Annotated[str, typer.Option(help="Phase-history store to write.")],
+    out: StoreOut,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
     json_log: JsonLog = None,
 ) -> None:
-    """Join the AFRL Gotcha set's MATLAB files in azimuth into a phase history, in their scene-centred frame.
+    """Join MATLAB files of the AFRL Gotcha data set, in azimuth, into a phase history.
+
+    The phase history keeps the scene-centred frame of the files.
 
     Example: [bold]blocksar ingest gotcha data_3dsar_pass1_az00*_HH.mat --out gotcha.zarr[/bold]
     """
     from blocksar import api
 
-    with progress_of(context) as progress:
+    with _listening(context) as progress:
         report = api.ingest_gotcha(source, out, overwrite=overwrite, progress=progress)
     show(report)
 
 
 export = typer.Typer(
     name="export",
-    help="The image of a run to a file of a standard format.\n\n"
+    help="Export the image of a run to a standard file format.\n\n"
     "Example: [bold]blocksar export png run --out image.png[/bold]",
     no_args_is_help=True,
 )
 app.add_typer(export)
-
-Run = Annotated[str, typer.Argument(metavar="RUN", help="Folder of a finished run.")]
 
 
 @export.command("sicd")
 def export_sicd(
     context: typer.Context,
     run: Run,
-    out: Annotated[str, typer.Option(help="SICD file (NITF) to write.")],
+    out: Annotated[str, typer.Option(metavar="FILE", help="SICD file (NITF) to write.")],
     overwrite: Overwrite = False,
     quiet: Quiet = False,
     json_log: JsonLog = None,
 ) -> None:
-    """Write the complex image, on its ground plane, as a SICD file; the run must be georeferenced.
+    """Write the complex image, on its ground plane, as a SICD file.
+
+    The run must be georeferenced.
 
     Example: [bold]blocksar export sicd run --out image.nitf[/bold]
     """
     from blocksar import api
 
-    with progress_of(context) as progress:
+    with _listening(context) as progress:
         report = api.export("sicd", run, out, overwrite=overwrite, progress=progress)
     show(report)
 
@@ -365,21 +377,23 @@ def export_sicd(
 def export_geotiff(
     context: typer.Context,
     run: Run,
-    out: Annotated[str, typer.Option(help="GeoTIFF to write.")],
+    out: Annotated[str, typer.Option(metavar="FILE", help="GeoTIFF to write.")],
     content: Annotated[
-        Literal["amplitude", "complex"], typer.Option(help="What its pixels are: float32, or complex64.")
+        Literal["amplitude", "complex"], typer.Option(help="Pixel values: amplitude in float32, or complex64.")
     ] = "amplitude",
     overwrite: Overwrite = False,
     quiet: Quiet = False,
     json_log: JsonLog = None,
 ) -> None:
-    """Write the image as a cloud-optimised GeoTIFF; the run must be georeferenced.
+    """Write the image as a cloud-optimised GeoTIFF.
+
+    The run must be georeferenced.
 
     Example: [bold]blocksar export geotiff run --out image.tif[/bold]
     """
     from blocksar import api
 
-    with progress_of(context) as progress:
+    with _listening(context) as progress:
         report = api.export("geotiff", run, out, content=content, overwrite=overwrite, progress=progress)
     show(report)
 
@@ -388,27 +402,25 @@ def export_geotiff(
 def export_png(
     context: typer.Context,
     run: Run,
-    out: Annotated[str, typer.Option(help="PNG to write.")],
+    out: Annotated[str, typer.Option(metavar="FILE", help="PNG to write.")],
     overwrite: Overwrite = False,
     quiet: Quiet = False,
     json_log: JsonLog = None,
 ) -> None:
-    """Draw the image in decibels, with axes in metres, a scale bar, the look direction and north.
+    """Draw the image in decibels as a PNG, with axes in metres.
+
+    Includes a scale bar, the look direction and north.
 
     Example: [bold]blocksar export png run --out image.png[/bold]
     """
     from blocksar import api
 
-    with progress_of(context) as progress:
+    with _listening(context) as progress:
         report = api.export("png", run, out, overwrite=overwrite, progress=progress)
     show(report)
 
 
 def main() -> None:
-    """Entry point of `blocksar`."""
+    """Run the command line: the entry point of `blocksar`."""
     catch_signals()
     app(prog_name="blocksar")
-
-
-if __name__ == "__main__":
-    main()

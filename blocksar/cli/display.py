@@ -1,4 +1,4 @@
-"""Tables and sentences on a terminal or in a pipe."""
+"""Printing of reports, as tables and sentences, on a terminal or into a pipe."""
 
 from __future__ import annotations
 
@@ -13,21 +13,19 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 
-PIPE_WIDTH = 240  # columns of a table that goes to no terminal: nothing may be folded there
+PIPE_WIDTH = 240  # columns of a table that does not go to a terminal: wide enough to fold nothing
+TABLE_SIDES, COLUMN_GAP = 4, 3  # columns of the terminal that a table takes at its sides, and between its columns
 
 
 class Report(Protocol):
-    """What a function of the api has to tell a person."""
+    """The result of a function in `blocksar.api`, as people read it."""
 
     @property
     def summary(self) -> Sequence[str]:
-        """Sentences that follow the tables."""
+        """Sentences printed below the tables."""
 
     def table(self) -> Sequence[tuple[Sequence[str], Sequence[Sequence[str]]]]:
-        """Tables as (header, rows), every cell as it is to be printed."""
-
-
-# ---------------------------------------------------------------- what the user sees
+        """Return the tables as (header, rows), with cells as text."""
 
 
 def show(report: Report) -> None:
@@ -44,46 +42,50 @@ def show(report: Report) -> None:
 
 
 def tables(header: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> Iterator[Table]:
-    """A table for so many columns of a terminal: where it is too wide, several below each other.
+    """Divide a table into tables that fit into `width` columns of a terminal, to be printed below each other.
 
-    Each begins with the first column. A title may be folded between its words; no figure is ever cut or folded.
+    Each begins with the first column. Titles may be folded between words; figures are never cut or folded.
     """
     from rich import box
     from rich.cells import cell_len
     from rich.table import Table
     from rich.text import Text
 
-    sides, between = 4, 3  # columns of the terminal beside a table, and from one of its columns to the next
     columns = list(zip(header, *rows, strict=True))
     least = [max(map(cell_len, [*(column[0].split() or [""]), *column[1:]])) for column in columns]
-
-    def total(part: Sequence[int]) -> int:
-        return sides + sum(least[i] + between for i in part) - between
-
-    parts: list[list[int]] = []
-    for i in range(len(columns)):
-        if not parts or (len(parts[-1]) > 1 and total([*parts[-1], i]) > width):
-            parts.append([0, i] if i else [0])
-        else:
-            parts[-1].append(i)
-    for part in parts:
-        spare = max(width - total(part), 0)
+    for part in _divide(least, width):
+        spare = max(width - _total_width(least, part), 0)
         # Text, not str: rich would take a unit in square brackets for markup.
         table = Table(box=box.SIMPLE_HEAD)
         for i in part:
-            wider = min(max(cell_len(header[i]) - least[i], 0), spare)
-            spare -= wider
-            table.add_column(Text(header[i]), width=least[i] + wider)
+            extra = min(max(cell_len(header[i]) - least[i], 0), spare)
+            spare -= extra
+            table.add_column(Text(header[i]), width=least[i] + extra)
         for row in rows:
             table.add_row(*(Text(row[i]) for i in part))
         yield table
 
 
+def _divide(least: Sequence[int], width: int) -> list[list[int]]:
+    """Divide columns of these least widths into tables, each with the first column, as lists of indices."""
+    parts: list[list[int]] = []
+    for i in range(len(least)):
+        if not parts or (len(parts[-1]) > 1 and _total_width(least, [*parts[-1], i]) > width):
+            parts.append([0, i] if i else [0])
+        else:
+            parts[-1].append(i)
+    return parts
+
+
+def _total_width(least: Sequence[int], part: Sequence[int]) -> int:
+    return TABLE_SIDES + sum(least[i] + COLUMN_GAP for i in part) - COLUMN_GAP
+
+
 def _wrapped(line: str, width: int) -> str:
-    """Folded between words, as terminals do not; a word that is too long, a path for instance, stays whole."""
-    fold = textwrap.TextWrapper(max(width, 20), break_long_words=False, break_on_hyphens=False)
-    folded = []
-    for each in line.splitlines():
-        fold.subsequent_indent = each[: len(each) - len(each.lstrip())]
-        folded.append(fold.fill(each))
-    return "\n".join(folded)
+    """Wrap a text between words, as terminals do not; a word that is too long, such as a path, stays whole."""
+    wrapper = textwrap.TextWrapper(max(width, 20), break_long_words=False, break_on_hyphens=False)
+    wrapped = []
+    for paragraph in line.splitlines():
+        wrapper.subsequent_indent = paragraph[: len(paragraph) - len(paragraph.lstrip())]
+        wrapped.append(wrapper.fill(paragraph))
+    return "\n".join(wrapped)

@@ -1,4 +1,4 @@
-"""The options that commands share."""
+"""The options that several commands share, and their conversion for `blocksar.api`."""
 
 from __future__ import annotations
 
@@ -9,9 +9,64 @@ import typer
 from blocksar.cli.parsing import Axis, parse_blocks, parse_grid, parse_memory
 from blocksar.focusing.method import Coefficients, Derotation, Perturbation, Processor, RangeModel
 
+ALTERNATIVES = "Alternative methods, for comparison"  # title of a panel in the help
+PROCESSORS = f"{', '.join(get_args(Processor)[:-1])}, or backprojection, exact but slow"
+
+Blocks = Annotated[str, typer.Option(metavar="auto|N", help="Number of angular blocks; auto: the fewest that suffice.")]
+CoefficientsOption = Annotated[
+    Coefficients,
+    typer.Option(help="Fitted to time-frequency lines, or by the paper's closed forms.", rich_help_panel=ALTERNATIVES),
+]
+PerturbationOption = Annotated[
+    Perturbation,
+    typer.Option(
+        help="All of the processor's, the one in Doppler only, or none: deramp only.", rich_help_panel=ALTERNATIVES
+    ),
+]
+KeystoneOption = Annotated[
+    bool,
+    typer.Option(
+        "--keystone/--no-keystone",
+        help="Without keystone: RCMC by one reference in time.",
+        rich_help_panel=ALTERNATIVES,
+    ),
+]
+DerotationOption = Annotated[
+    Derotation,
+    typer.Option(help="Linear: a single Doppler rate, which needs a higher PRF.", rich_help_panel=ALTERNATIVES),
+]
+RangeModelOption = Annotated[
+    RangeModel,
+    typer.Option(help="Conventional: substitute variables after RWC; needs closed-form.", rich_help_panel=ALTERNATIVES),
+]
+ProcessorOption = Annotated[Processor, typer.Option(metavar="NAME", help=f"{PROCESSORS}.")]
+GridOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="x0:x1:dx,y0:y1:dy", help="Image points, m; default: the lit sector, spaced by half the resolution."
+    ),
+]
+Workers = Annotated[
+    int | None, typer.Option(metavar="N", min=1, help="Worker processes; default: by the machine's cores and memory.")
+]
+Threads = Annotated[
+    int | None, typer.Option(metavar="N", min=1, help="Threads per worker; default: by the machine's cores.")
+]
+MemoryLimit = Annotated[
+    str | None, typer.Option(metavar="SIZE", help="Memory per worker, such as 2GiB; default: its share.")
+]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an existing output.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
+JsonLog = Annotated[
+    str | None, typer.Option(metavar="FILE", help="Append progress as JSON lines to a file, also with --quiet.")
+]
+PerformanceReport = Annotated[
+    str | None, typer.Option(metavar="FILE.html", help="Write dask's performance report, also if the run fails.")
+]
+
 
 class Settings(TypedDict):
-    """What `plan` and `focus` share, as the api takes it."""
+    """The settings that `plan` and `focus` share, as arguments of `blocksar.api`."""
 
     blocks: int | Literal["auto"]
     coefficients: Coefficients
@@ -35,6 +90,13 @@ def settings_of(
     workers: int | None,
     memory_limit: str | None,
 ) -> Settings:
+    """Convert the options that `plan` and `focus` share.
+
+    Raises
+    ------
+    InputError
+        If blocks, grid or memory limit cannot be read.
+    """
     return {
         "blocks": parse_blocks(blocks),
         "coefficients": coefficients,
@@ -46,50 +108,3 @@ def settings_of(
         "workers": workers,
         "memory_limit": None if memory_limit is None else parse_memory(memory_limit),
     }
-
-
-# ---------------------------------------------------------------- options that several commands share
-
-Blocks = Annotated[str, typer.Option(metavar="auto|N", help="Angular blocks; auto: the fewest that serve.")]
-RIVALS = "Rivals, to compare with"
-CoefficientsOption = Annotated[
-    Coefficients, typer.Option(help="Fitted on time-frequency lines, or as printed.", rich_help_panel=RIVALS)
-]
-PerturbationOption = Annotated[
-    Perturbation,
-    typer.Option(help="All the processor has, one in Doppler only, or none: a deramp only.", rich_help_panel=RIVALS),
-]
-KeystoneOption = Annotated[
-    bool,
-    typer.Option("--keystone/--no-keystone", help="Without: RCMC by one reference in time.", rich_help_panel=RIVALS),
-]
-DerotationOption = Annotated[
-    Derotation, typer.Option(help="Linear: one Doppler rate only, which needs a higher PRF.", rich_help_panel=RIVALS)
-]
-RangeModelOption = Annotated[
-    RangeModel,
-    typer.Option(help="Conventional, with closed form: variables substituted after RWC.", rich_help_panel=RIVALS),
-]
-PROCESSORS = f"{', '.join(get_args(Processor)[:-1])}, or the exact, slow backprojection"
-ProcessorOption = Annotated[Processor, typer.Option(metavar="NAME", help=f"{PROCESSORS}.")]
-GridOption = Annotated[
-    str | None,
-    typer.Option(metavar="x0:x1:dx,y0:y1:dy", help="Image points, m; default: the lit sector at half the resolution."),
-]
-Workers = Annotated[
-    int | None, typer.Option(metavar="N", min=1, help="Worker processes; default: as the machine allows.")
-]
-Threads = Annotated[
-    int | None, typer.Option(metavar="N", min=1, help="Threads of each worker; default: as the cores allow.")
-]
-MemoryLimit = Annotated[
-    str | None, typer.Option(metavar="SIZE", help="Memory of each worker, such as 2GiB; default: its share.")
-]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what stands at --out.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
-JsonLog = Annotated[
-    str | None, typer.Option(metavar="FILE", help="Append progress as JSON, one object a line; also with --quiet.")
-]
-PerformanceReport = Annotated[
-    str | None, typer.Option(metavar="FILE.html", help="Write dask's performance report, also where the run fails.")
-]

@@ -1,4 +1,4 @@
-"""Options as people write them: grids, sizes of memory, numbers of blocks."""
+"""Parsing of option values: grids, memory sizes, origins, numbers of blocks."""
 
 from __future__ import annotations
 
@@ -9,10 +9,7 @@ from typing import Literal
 
 from blocksar.errors import InputError
 
-Axis = tuple[float, float, float]
-
-
-# ---------------------------------------------------------------- what the user typed
+Axis = tuple[float, float, float]  # first point, end (exclusive) and spacing
 
 
 def parse_grid(text: str) -> tuple[Axis, Axis]:
@@ -25,7 +22,7 @@ def parse_grid(text: str) -> tuple[Axis, Axis]:
     Raises
     ------
     InputError
-        If the text has another form, a number is not finite, or an axis would be empty.
+        If the text has a different form, a number is not finite, or an axis would be empty.
 
     Examples
     --------
@@ -41,7 +38,7 @@ def parse_grid(text: str) -> tuple[Axis, Axis]:
 
 
 def quoted(text: str) -> str:
-    """What was typed, for a message."""
+    """Quote user input for a message, shortened to 80 characters."""
     short = reprlib.Repr()
     short.maxstring = 80
     return short.repr(text)
@@ -57,7 +54,7 @@ def _parse_axis(name: str, text: str, example: str) -> Axis:
     if step <= 0:
         raise InputError(f"--grid has a spacing of {step:g} m for {name}; give one above zero")
     if end <= first:
-        raise InputError(f"--grid is empty: {name} runs from {first:g} to {end:g} m; let the end lie above the start")
+        raise InputError(f"--grid is empty: {name} runs from {first:g} to {end:g} m; give an end above the start")
     return first, end, step
 
 
@@ -67,7 +64,7 @@ def parse_memory(text: str) -> int:
     Raises
     ------
     InputError
-        If the text is no positive number with a unit of bytes.
+        If the text is not a positive number with a unit of bytes.
 
     Examples
     --------
@@ -83,11 +80,13 @@ def parse_memory(text: str) -> int:
     base = 1024 if unit.endswith("i") else 1000
     size = float(match[1]) * base ** ("", "k", "m", "g", "t").index(unit.removesuffix("i"))
     if not 1 <= size < 2**60:
-        raise InputError(f"--memory-limit {quoted(text)} is no memory that a machine has; give one such as 2GiB")
+        raise InputError(
+            f"--memory-limit {quoted(text)} is not an amount of memory that a machine has; give one such as 2GiB"
+        )
     return int(size)
 
 
-def parse_origin(text: str) -> Axis:
+def parse_origin(text: str) -> tuple[float, float, float]:
     """Read `latitude,longitude,height`, in degrees and m.
 
     Raises
@@ -124,6 +123,6 @@ def parse_blocks(text: str) -> int | Literal["auto"]:
         return "auto"
     if not re.fullmatch(r"0*[1-9]\d{0,8}", text, re.ASCII):
         raise InputError(
-            f"--blocks {quoted(text)} is neither 'auto' nor a whole number above zero, of few digits; try --blocks auto"
+            f"--blocks {quoted(text)} is neither 'auto' nor a whole number from 1 to 999999999; try --blocks auto"
         )
     return int(text)

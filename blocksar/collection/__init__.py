@@ -1,1 +1,1 @@
-"""What was collected and where: the samples' axes, the track, the beam, the ground and the image's grid."""
+"""The collection: axes of the samples, track, beam, ground region and image grid."""

@@ -1,8 +1,7 @@
-"""What a collection is: radar, axes, track and beam, without a single sample.
+"""Metadata of a collection: radar, axes, track and beam, without samples.
 
-Everything downstream (simulation, planning, focusing, back-projection) is computed from a
-`Collection`, so an object that exists is one that can be trusted: it is frozen, in SI units, and
-checked at birth.
+Simulation, planning, focusing and back-projection all compute from a `Collection`. It is frozen, in SI units, and
+validated on construction, so that they need not check it again.
 """
 
 from __future__ import annotations
@@ -17,16 +16,16 @@ from blocksar.arrays import FloatArray, check_axis
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 
-CARRIERS = (1e6, 1e15)  # Hz: from the longest waves that image the ground to beyond light
-FARTHEST = 1e9  # m: beyond the moon, and where float64 still tells a wavelength's phase
-MAX_YAW = 100.0  # rad: a beam that has turned so often is in another unit
-SPIKE = 1.0  # m: no antenna leaves its place for one pulse by as much, so that pulse's number is damaged
-JUMP = 50.0  # times the usual way between two pulses that no platform moves between any two
+CARRIERS = (1e6, 1e15)  # Hz: accepted carriers, from below HF radar to beyond visible light
+FARTHEST = 1e9  # m: largest coordinate; beyond the moon, and float64 still resolves phase there
+MAX_YAW = 100.0  # rad: larger beam azimuths are taken for degrees
+SPIKE = 1.0  # m: a single pulse that deviates more than this from its neighbours is corrupt
+JUMP = 50.0  # times the median step between pulses: a larger step is a gap between two passes
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Collection:
-    """Metadata of one phase history: what the `phase_history.zarr` contract holds, less the samples.
+    """Metadata of one phase history: the contents of `phase_history.zarr` except the samples.
 
     The signal of a target of reflectivity sigma at range R(t) is
 
@@ -57,8 +56,8 @@ class Collection:
     Raises
     ------
     InputError
-        If an array has the wrong shape, is not finite, or larger than can be meant, an axis is not uniform and
-        ascending, a single pulse lies far off its neighbours, or beam_azimuth and beam_width do not agree.
+        If an array has the wrong shape, is not finite or implausibly large, an axis is not uniform and ascending, a
+        single pulse deviates far from its neighbours, or beam_azimuth and beam_width do not agree.
     """
 
     carrier: float
@@ -148,7 +147,7 @@ class Collection:
             )
 
     def _check_jumps(self) -> None:
-        """Refuse a track in two pieces: a platform does not jump, but two passes that were joined do."""
+        """Refuse a track with a jump, as two passes joined into one collection have."""
         way = np.linalg.norm(np.diff(self.antenna_position, axis=0), axis=1)
         usual, where = float(np.median(way)), int(way.argmax())
         if way[where] > max(SPIKE, JUMP * usual):
@@ -203,7 +202,7 @@ class Collection:
 
     @property
     def steered(self) -> bool:
-        """Whether a target is lit for a part of the time only."""
+        """Whether the beam is steered, so that a target may be lit for a part of the time only."""
         return self.beam_width is not None
 
     @cached_property
@@ -220,12 +219,12 @@ class Collection:
 
     @property
     def bandwidth(self) -> float:
-        """n_range_frequency steps: the band of which the samples are the midpoints, Hz."""
+        """n_range_frequency steps, Hz: each sample is the midpoint of one step of the band."""
         return self.range_frequency_step * self.n_range_frequency
 
     @property
     def range_window(self) -> float:
-        """Ranges that differ by this much cannot be told apart: c / (2 step), m."""
+        """Unambiguous range interval, c / (2 step), m."""
         return SPEED_OF_LIGHT / (2 * self.range_frequency_step)
 
     @property
@@ -233,14 +232,14 @@ class Collection:
         return SPEED_OF_LIGHT / self.carrier
 
     def centred(self) -> Collection:
-        """The same collection with its carrier in the middle of the band, as processing needs it.
+        """The same collection with its carrier in the middle of the band, as processing requires.
 
-        A signal depends on carrier + range_frequency alone, so moving both changes nothing but the names.
+        The signal depends on carrier + range_frequency only, so the samples stay as they are.
         """
         middle = float(self.range_frequency[0] + self.range_frequency[-1]) / 2
         moved = {"carrier": self.carrier + middle, "range_frequency": self.range_frequency - middle}
         return Collection(**{**self.as_dict(), **moved})
 
     def as_dict(self) -> dict[str, Any]:
-        """The fields by name, as keyword arguments of another Collection."""
+        """The fields by name, usable as keyword arguments of `Collection`."""
         return {name: getattr(self, name) for name in self.__dataclass_fields__}

@@ -1,9 +1,9 @@
-"""Track, range history and ground: everything exact, no Taylor series but where one is asked for.
+"""Fitted track, polar frames, exact range histories and ground points.
 
-Two epochs matter. The scene's polar frame (R, theta) is taken about the platform's nadir at t = 0, and
-the beam is described in it. Processing counts time from the middle of the aperture, the *epoch*, where
-keystone scaling does least harm; a target's *epoch range* is its range there. Where t = 0 is the middle,
-the two are one.
+Two epochs matter. The scene's polar frame (R, theta) is centred on the platform's nadir at t = 0; yaw and the beam are
+described in it. Processing counts time from the middle of the aperture, the *epoch*, where keystone scaling distorts
+least; the *epoch range* of a target is its range from the antenna at that time. Both epochs coincide where t = 0 is
+the middle of the aperture.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from blocksar.collection.collection import Collection
 from blocksar.errors import InputError
 
 MAX_TRACK_ORDER = 12
-TRACK_ACCURACY = 1e-5  # wavelengths of track misfit that no image can show
-MAX_EXTRAPOLATION = 2.0  # aperture lengths that t = 0 may lie outside the collection
+TRACK_ACCURACY = 1e-5  # wavelengths of track misfit, too small to be visible in an image
+MAX_EXTRAPOLATION = 2.0  # aperture lengths by which t = 0 may lie outside the collection
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Track:
-    """A polynomial track: Chebyshev series over the collection's time, one column an axis.
+    """A polynomial track: one Chebyshev series over slow time per axis.
 
     Attributes
     ----------
@@ -55,11 +55,11 @@ class Track:
         return self._series(time, self.coefficients)
 
     def velocity(self, time: FloatArray) -> FloatArray:
-        """Its rate, (..., 3) m/s."""
+        """Antenna velocity, (..., 3) m/s, at slow times of any shape."""
         return self._series(time, np.asarray(chebyshev.chebder(self.coefficients, axis=0), np.float64)) / self.half
 
     def acceleration(self, time: FloatArray) -> FloatArray:
-        """(..., 3) m/s^2."""
+        """Antenna acceleration, (..., 3) m/s^2, at slow times of any shape."""
         return (
             self._series(time, np.asarray(chebyshev.chebder(self.coefficients, 2, axis=0), np.float64)) / self.half**2
         )
@@ -70,10 +70,10 @@ class Track:
 
 
 def fit_track(time: FloatArray, position: FloatArray, *, accuracy: float) -> Track:
-    """Fit sampled positions by a polynomial; the order is the lowest that serves.
+    """Fit a polynomial of the lowest sufficient order to sampled positions.
 
     The order grows until the largest misfit is below `accuracy`, or until four more orders no longer
-    halve it: what is left then is motion that is no polynomial, and is kept per pulse as `misfit`.
+    halve it. The remaining motion is not polynomial; it is kept per pulse as `misfit`.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def fit_track(time: FloatArray, position: FloatArray, *, accuracy: float) -> Tra
     centre, half = (time[0] + time[-1]) / 2, (time[-1] - time[0]) / 2
     u = (time - centre) / half
     basis = chebyshev.chebvander(u, min(MAX_TRACK_ORDER, time.size // 2 - 1))
-    # QR once: every lower order is a leading part of the same orthogonal basis.
+    # One QR serves all orders: a lower order is a leading part of the same orthogonal basis.
     q, r = np.linalg.qr(basis)
     projection = q.T @ position
 
@@ -108,7 +108,7 @@ def fit_track(time: FloatArray, position: FloatArray, *, accuracy: float) -> Tra
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Geometry:
-    """A collection's fitted track and its two polar frames."""
+    """The fitted track of a collection, its nadir at t = 0 and its epoch."""
 
     collection: Collection
 
@@ -120,7 +120,7 @@ class Geometry:
 
     @cached_property
     def epoch(self) -> float:
-        """The middle pulse's slow time, s: processing counts time from here."""
+        """Slow time of the middle pulse, s; processing counts time from here."""
         return float(self.collection.time[self.collection.n_pulse // 2])
 
     @cached_property
@@ -130,7 +130,7 @@ class Geometry:
         Raises
         ------
         InputError
-            If t = 0 lies so far outside the collection that the track there is a guess.
+            If t = 0 lies too far outside the collection to extrapolate the track.
         """
         time = self.collection.time
         outside = max(time[0], -time[-1], 0.0) / (time[-1] - time[0])
@@ -147,7 +147,7 @@ class Geometry:
         return self.track.position(np.array(self.epoch))
 
     def yaw(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """theta = atan2(y - y0, x - x0) about the nadir at t = 0, rad (erratum of paper A (33): not atan)."""
+        """Yaw of ground points about the nadir at t = 0: atan2(y - y0, x - x0), rad (paper A (33) misprints atan)."""
         return np.arctan2(y - self.nadir[1], x - self.nadir[0])
 
     def epoch_range(self, x: FloatArray, y: FloatArray) -> FloatArray:
@@ -156,10 +156,10 @@ class Geometry:
         return np.sqrt((x - px) ** 2 + (y - py) ** 2 + (self.collection.ground_height - pz) ** 2)
 
     def ground_point(self, epoch_range: FloatArray, yaw: FloatArray) -> FloatArray:
-        """Ground points (..., 3), m, at given epoch ranges (m) and yaws (rad); NaN where there is none.
+        """Ground points (..., 3), m, at epoch ranges (m) and yaws (rad), broadcast; NaN where there is none.
 
         The point lies on the ray of that yaw from the nadir at t = 0, at the given distance from the
-        antenna at the epoch: one quadratic.
+        antenna at the epoch. This is a quadratic equation in the distance from the nadir.
         """
         epoch_range, yaw = np.broadcast_arrays(epoch_range, yaw)
         px, py, pz = self.epoch_position
@@ -178,43 +178,16 @@ class Geometry:
         return point
 
     def range_history(self, point: FloatArray, time: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Exact range (m) and its rate (m/s) of points (..., 3) at absolute slow times (broadcast with ...)."""
+        """Exact range (m) and range rate (m/s) of points (..., 3) at slow times, broadcast against the leading axes."""
         sight = point - self.track.position(time)
         distance = np.sqrt(np.einsum("...i,...i->...", sight, sight))
         rate = -np.einsum("...i,...i->...", sight, self.track.velocity(time)) / distance
         return distance, rate
 
     def range_curvature(self, point: FloatArray, time: FloatArray) -> FloatArray:
-        """Second derivative of the range, m/s^2: (v.v - s.a - rate^2) / range with s the line of sight."""
+        """Second time derivative of the range, m/s^2: (v.v - s.a - rate^2) / range, with s the line of sight."""
         sight, velocity = point - self.track.position(time), self.track.velocity(time)
         distance, rate = self.range_history(point, time)
         speed2 = np.einsum("...i,...i->...", velocity, velocity)
         pull = np.einsum("...i,...i->...", sight, self.track.acceleration(time))
         return (speed2 - pull - rate**2) / distance
-
-    def dwell(self, yaw: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """First and last lit slow time of targets at a yaw, s; start > end where never lit.
-
-        A pulse stands for the half interval on either side of it, so N lit pulses dwell for N intervals.
-        """
-        collection = self.collection
-        half_pulse = collection.pulse_interval / 2
-        first, last = collection.time[0] - half_pulse, collection.time[-1] + half_pulse
-        yaw = np.asarray(yaw, dtype=np.float64)
-        if collection.beam_width is None:
-            return np.full(yaw.shape, first), np.full(yaw.shape, last)
-        beam, time = collection.beam_azimuth, collection.time
-        middle = (beam[0] + beam[-1]) / 2
-        yaw = middle + np.mod(yaw - middle + np.pi, 2 * np.pi) - np.pi
-        if beam[0] == beam[-1]:
-            lit = np.abs(yaw - middle) <= collection.beam_width / 2 * (1 + 1e-9)  # the very edge is lit
-            return np.where(lit, first, np.inf), np.where(lit, last, -np.inf)
-        sign = 1.0 if beam[-1] > beam[0] else -1.0
-        low, high = yaw - sign * collection.beam_width / 2, yaw + sign * collection.beam_width / 2
-
-        def crossing(level: FloatArray) -> FloatArray:
-            inside = np.interp(sign * level, sign * beam, time)
-            slope = (time[-1] - time[0]) / (beam[-1] - beam[0])
-            return inside + slope * (level - np.clip(level, min(beam[0], beam[-1]), max(beam[0], beam[-1])))
-
-        return np.maximum(crossing(low), first), np.minimum(crossing(high), last)

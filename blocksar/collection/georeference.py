@@ -1,16 +1,16 @@
-"""Where on the Earth a scene frame lies: its origin and axes, what comes from them, and a map projection for its plane.
+"""Position of a scene frame on the Earth: origin, axes, coordinate conversions and a map projection of its plane.
 
 A scene frame is Cartesian, with its origin at a geodetic position on WGS 84 and z along the ellipsoid's normal there. x
-points east and y north, or both are turned from there by `rotation`, counter-clockwise seen from above. A point of the
-frame is a point of the Earth by
+points east and y north, or both are turned from there by `rotation`, counter-clockwise seen from above. Points of the
+frame convert to ECEF by
 
     ecef = origin + x x_axis + y y_axis + z z_axis
 
-with nothing flattened: conversions are exact; from there back to latitudes PROJ makes them.
+without approximation; PROJ converts ECEF to latitude, longitude and height.
 
 The attribute `georeference` of stores is `Georeference.as_attribute()`: {"kind": "ENU", "latitude", "longitude"
-(degrees), "height" (m above the ellipsoid), "rotation_deg"}, and, for whoever has no such library, "ecef" (m), "east",
-"north" and "up" (unit vectors), which say the same.
+(degrees), "height" (m above the ellipsoid), "rotation_deg"}. It also gives "ecef" (m), "east", "north" and "up" (unit
+vectors) for readers without such a library.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 SEMI_MAJOR_AXIS = 6378137.0  # m, WGS 84
 INVERSE_FLATTENING = 298.257223563
 ECCENTRICITY_2 = (2 - 1 / INVERSE_FLATTENING) / INVERSE_FLATTENING
-HEIGHTS = (-12e3, 100e3)  # m: ground of the Earth, and whatever else may be imaged
+HEIGHTS = (-12e3, 100e3)  # m above the ellipsoid: accepted heights of an origin
 ECEF_TOLERANCE = 0.01  # m that latitude, longitude and height may disagree with ecef
 AXIS_TOLERANCE = 1e-7  # rad: 1 mm at 10 km
 REMEDY = 'give {"kind": "ENU", "latitude": degrees, "longitude": degrees, "height": m above WGS 84}'
@@ -55,7 +55,7 @@ class Georeference:
     Raises
     ------
     InputError
-        If a number is missing from the Earth: not finite, or out of its range.
+        If a number is not finite or out of its range.
     """
 
     latitude: float
@@ -82,7 +82,7 @@ class Georeference:
         Raises
         ------
         InputError
-            If it is no such mapping, or says one thing in two ways that do not agree.
+            If it is not such a mapping, or its ecef or unit vectors contradict latitude, longitude and height.
         """
         if not isinstance(found, Mapping):
             raise InputError(f"georeference is {type(found).__name__} instead of a mapping; {REMEDY}")
@@ -104,13 +104,13 @@ class Georeference:
 
     @classmethod
     def at(cls, ecef: FloatArray, *, rotation: float = 0.0) -> Georeference:
-        """The frame at a point (3,) of the Earth, ECEF, m."""
+        """The frame with its origin at a point (3,), ECEF, m."""
         x, y, z = (float(value) for value in ecef)
         longitude, latitude, height = _geodetic_of_ecef().transform(x, y, z, direction="INVERSE")
         return cls(latitude=float(latitude), longitude=float(longitude), height=float(height), rotation=rotation)
 
     def as_attribute(self) -> dict[str, Any]:
-        """What stores keep, as JSON holds it."""
+        """The attribute `georeference` of stores, JSON-serialisable."""
         east, north, up = (axis.tolist() for axis in self.east_north_up)
         return {
             "kind": "ENU",
@@ -142,7 +142,7 @@ class Georeference:
 
     @cached_property
     def origin(self) -> FloatArray:
-        """(3,) m, ECEF: (N + h) up, but for z, where N is (1 - e^2) N, with N the prime vertical's radius."""
+        """Origin (3,), ECEF, m: (N + h) up, with (1 - e^2) N in place of N for z; N is the prime vertical's radius."""
         up = self.east_north_up[2]
         normal = SEMI_MAJOR_AXIS / np.sqrt(1 - ECCENTRICITY_2 * up[2] ** 2)
         return (normal * np.array([1.0, 1.0, 1 - ECCENTRICITY_2]) + self.height) * up
@@ -162,25 +162,25 @@ class Georeference:
         return np.stack([latitude, longitude, height], axis=-1)
 
     def grid_mapping(self, ground_height: float = 0.0) -> dict[str, Any] | None:
-        """A map projection whose easting and northing are x and y of the plane z = ground_height, as CF names it.
+        """CF grid mapping whose easting and northing are x and y of the plane z = ground_height.
 
-        It is the transverse Mercator projection about the origin, scaled to the plane's height. A plane that touches
-        the Earth is no map, so the two differ, by d^3 / (3 R^2) at the distance d: 8 mm at 10 km, 0.2 m at 30 km.
-        CF has no word for axes that are turned from east and north: None then.
+        It is the transverse Mercator projection about the origin, scaled to the height of the plane. A tangent plane
+        and this projection differ by d^3 / (3 R^2) at the distance d: 8 mm at 10 km, 0.2 m at 30 km. CF cannot
+        describe axes that are turned from east and north: the result is then None.
         """
         if self.rotation % 360:
             return None
         return _mercator(self.latitude, self.longitude, self.height + ground_height)
 
     def projection(self, x: float, y: float, ground_height: float) -> CRS:
-        """The same about the point (x, y) of the plane."""
+        """The transverse Mercator projection about the point (x, y), m, of the plane z = ground_height."""
         if (x, y) == (0.0, 0.0):
             return _crs(_mercator(self.latitude, self.longitude, self.height + ground_height))
         latitude, longitude, height = self.to_geodetic(np.array([x, y, ground_height]))
         return _crs(_mercator(float(latitude), float(longitude), float(height)))
 
     def project(self, crs: CRS, points: FloatArray) -> FloatArray:
-        """Easting and northing (..., 2), m, of points (..., 3) of the frame in such a projection."""
+        """Easting and northing (..., 2), m, of points (..., 3) of the frame in a map projection."""
         from pyproj import Transformer
 
         geodetic = self.to_geodetic(points)
@@ -217,7 +217,7 @@ def _crs(mapping: dict[str, Any]) -> CRS:
 
 @cache
 def _geodetic_of_ecef() -> Transformer:
-    """From longitude, latitude (degrees) and height to ECEF; its inverse is the way back."""
+    """Transformer from longitude, latitude (degrees) and height to ECEF; its inverse converts back."""
     try:
         from pyproj import Transformer
     except ModuleNotFoundError:

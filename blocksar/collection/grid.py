@@ -8,16 +8,17 @@ from functools import cached_property
 import numpy as np
 
 from blocksar.arrays import FloatArray
+from blocksar.collection.beam import dwell_at
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SINC_WIDTH, SPEED_OF_LIGHT
 from blocksar.errors import InputError
 
-MAX_POINTS = 1 << 21  # of one axis of a grid: beyond that it is a slip of the pen
+MAX_POINTS = 1 << 21  # of one axis of a grid; more are taken for a typing error
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Ground pixels: x0, x0 + dx, ... < x1, likewise y, in m."""
+    """A grid of ground pixels: x = x0, x0 + dx, ... < x1 and likewise y, m."""
 
     x0: float
     x1: float
@@ -32,7 +33,7 @@ class Grid:
                 raise InputError(f"grid {name}: {low:g}:{high:g}:{step:g} needs finite ends and a step above 0 m")
             if high <= low:
                 raise InputError(f"grid {name}: {low:g}:{high:g} is empty; the end must lie above the start")
-            # In floats: these may not be.
+            # In floating point: the count may exceed any integer type, and a step may vanish against the coordinates.
             if not (high - low) / step < MAX_POINTS or low + step == low or high + step == high:
                 raise InputError(
                     f"grid {name}: {low:g}:{high:g}:{step:g} has more than {MAX_POINTS} points; give a larger step"
@@ -57,6 +58,7 @@ class Grid:
 
 
 def outline(grid: Grid) -> tuple[FloatArray, FloatArray]:
+    """x, y (260,), m, of points along the border of the grid, 65 a side."""
     t = np.linspace(0, 1, 65)
     x0, x1, y0, y1 = grid.x[0], grid.x[-1], grid.y[0], grid.y[-1]
     x = np.concatenate([x0 + (x1 - x0) * t, np.full(65, x1), x1 - (x1 - x0) * t, np.full(65, x0)])
@@ -65,10 +67,10 @@ def outline(grid: Grid) -> tuple[FloatArray, FloatArray]:
 
 
 def ground_resolution(geometry: Geometry, epoch_range: float, yaw: float) -> tuple[float, float]:
-    """-3 dB widths on the ground of a target with its own dwell: across iso-range lines, and along them, m."""
+    """-3 dB widths of a target's response on the ground over its own dwell, across and along iso-range lines, m."""
     collection = geometry.collection
     point = geometry.ground_point(np.array(epoch_range), np.array(yaw))
-    ends = np.array(geometry.dwell(np.array(yaw)))
+    ends = np.array(dwell_at(geometry, np.array(yaw)))
     sight = point - geometry.track.position(ends)
     gradient = (sight / np.linalg.norm(sight, axis=1, keepdims=True))[:, :2]
     mean = gradient.mean(axis=0)

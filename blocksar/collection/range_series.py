@@ -1,4 +1,4 @@
-"""Range histories as power series in slow time and yaw."""
+"""Power series of range histories in slow time and yaw."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from blocksar.collection.geometry import Geometry
 def range_series(geometry: Geometry, epoch_range: FloatArray, yaw: FloatArray, *, order: int) -> FloatArray:
     """Taylor coefficients k_n of a target's range about the epoch, (..., order + 1), m/s^n (paper A (1)).
 
-    The squared range is a short polynomial in t; its square root is a power-series recursion, exact to
+    The squared range is a short polynomial in t. A power-series recursion takes its square root, exact to
     machine precision for any polynomial track.
     """
     track = geometry.track
@@ -38,14 +38,14 @@ def range_series(geometry: Geometry, epoch_range: FloatArray, yaw: FloatArray, *
     return k
 
 
-YAW_NODES = np.cos(np.pi * (np.arange(9) + 0.5) / 9)  # over a block, -1 .. 1
+YAW_NODES = np.cos(np.pi * (np.arange(9) + 0.5) / 9)  # Chebyshev nodes over a block's yaws, scaled to -1 .. 1
 
 
 def yaw_series(geometry: Geometry, epoch_range: FloatArray, yaw: float, *, order: int, half_width: float) -> FloatArray:
     """k_nm of paper A (2): k_n(R, dtheta) = sum_m k_nm dtheta^m, (n_range, order + 1, 5).
 
-    The yaw dependence is interpolated through Chebyshev points over the block and turned into powers. epoch_range
-    may be (n_range,), or (n_range, 9) where it changes along yaw: at yaw + half_width YAW_NODES.
+    The dependence on yaw is interpolated through Chebyshev nodes over the block and converted to powers. epoch_range
+    is (n_range,), or (n_range, 9) where it changes with yaw, given at yaw + half_width YAW_NODES.
     """
     epoch_range = epoch_range.reshape(epoch_range.shape[0], -1)
     k = range_series(geometry, epoch_range, yaw + half_width * YAW_NODES, order=order)

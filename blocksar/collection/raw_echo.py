@@ -1,4 +1,4 @@
-"""The fast-time side of a raw echo: its axis and its chirp."""
+"""Fast-time axis and chirp of a raw echo."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ from blocksar.errors import InputError
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RawEcho:
-    """What a raw echo has beyond a `Collection`. The pulse is rect(tau / T) exp(j pi K tau^2), about the delay 2 R / c.
+    """Fast-time metadata of a raw echo, beside its `Collection`.
+
+    The pulse is rect(tau / T) exp(j pi K tau^2), centred on the delay 2 R / c.
 
     Attributes
     ----------
@@ -49,7 +51,7 @@ class RawEcho:
             raise InputError(
                 f"pulse_width is {self.pulse_width:.6g} s, but must be above 0 and within the {span:.6g} s of fast_time"
             )
-        # Not half a step off over the whole axis, else the frequencies below are not those of the samples.
+        # An error of half a step over the whole axis would already shift the frequencies below.
         if not abs(self.sampling_rate * span - (time.size - 1)) < 0.5:
             raise InputError(
                 f"sampling_rate is {self.sampling_rate:.9g} Hz, but fast_time is sampled at "
@@ -63,13 +65,13 @@ class RawEcho:
 
     @property
     def bandwidth(self) -> float:
-        """Of the chirp, Hz."""
+        """Bandwidth of the chirp, |K| T, Hz."""
         return abs(self.chirp_rate) * self.pulse_width
 
     @property
     def range_frequency(self) -> FloatArray:
-        """Grid of the transform over fast_time, centred at 0 and cut to the chirp's band, Hz."""
+        """Frequencies of the transform over fast time, centred at 0 and limited to the band of the chirp, Hz."""
         n = self.fast_time.size
         grid = (np.arange(n) - n // 2) * (self.sampling_rate / n)
-        # The band's edge may itself be a grid point: rounding must not decide whether it is in.
+        # A grid point may lie on the band's edge: the margin keeps rounding from deciding whether it is in.
         return grid[np.abs(grid) <= self.bandwidth / 2 * (1 + 1e-9)]

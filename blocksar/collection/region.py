@@ -1,6 +1,6 @@
-"""Where an image can lie: ground pixels, what the beam lights of them, and where blocks divide it.
+"""The region that can be imaged, the default grid over it, and the seams between blocks.
 
-Everything is told in the polar frame at the epoch: yaw, and range from the epoch's antenna position.
+Regions are given in yaw, and in range from the antenna position at the epoch.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from blocksar.arrays import FloatArray
-from blocksar.collection.beam import lit_yaw
+from blocksar.collection.beam import dwell_at, lit_yaw, wrapped
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid, ground_resolution, outline
 from blocksar.constants import SPEED_OF_LIGHT
@@ -22,9 +22,9 @@ WINDOW_GUARD = 8  # range cells kept free at either end of the range window
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Region:
-    """What can be imaged: yaws that are lit, and at each the epoch ranges that the range window holds.
+    """The region that can be imaged: lit yaws, and at each yaw the epoch ranges inside the range window.
 
-    yaw (n,), rad, ascending, ends included; near, far (n,), m.
+    yaw (n,), rad, ascending, both ends included; near, far (n,), m.
     """
 
     yaw: FloatArray
@@ -32,12 +32,13 @@ class Region:
     far: FloatArray
 
     def limits(self, low: float, high: float) -> tuple[float, float]:
-        """Nearest and farthest range anywhere between two yaws."""
+        """Nearest and farthest range between two yaws, m."""
         yaw = np.concatenate([[low], self.yaw[(self.yaw > low) & (self.yaw < high)], [high]])
         near, far = self.at(yaw)
         return float(near.min()), float(far.max())
 
     def at(self, yaw: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Near and far range at yaws of any shape, m, by linear interpolation."""
         return np.interp(yaw, self.yaw, self.near), np.interp(yaw, self.yaw, self.far)
 
 
@@ -51,12 +52,12 @@ class Extent(NamedTuple):
 
 
 def plan_region(geometry: Geometry, grid: Grid | None) -> Region:
-    """The yaws and ranges to plan for.
+    """Find the yaws and ranges to plan for.
 
     Raises
     ------
     InputError
-        If an unsteered collection comes without a grid, or the grid is not on the imaged ground.
+        If an unsteered collection has no grid, or the grid lies outside the swath or holds the nadir.
     """
     collection = geometry.collection
     if collection.steered:
@@ -78,13 +79,13 @@ def plan_region(geometry: Geometry, grid: Grid | None) -> Region:
     rng = geometry.epoch_range(x, y)
     pad = 0.01 * np.ptp(yaw)
     nodes = np.linspace(yaw.min() - pad, yaw.max() + pad, 33)
-    slack = float(np.hypot(grid.dx, grid.dy))  # the farthest pixel lies within, not on the edge
+    slack = float(np.hypot(grid.dx, grid.dy))  # keeps the farthest pixel off the region's edge
     near, far = _window(geometry, nodes, (float(rng.min()) - slack, float(rng.max()) + slack))
     return Region(yaw=nodes, near=near, far=far)
 
 
 def _window(geometry: Geometry, yaw: FloatArray, within: tuple[float, float] | None) -> tuple[FloatArray, FloatArray]:
-    """Epoch ranges at each yaw whose echo stays inside the unambiguous window while it is lit."""
+    """Nearest and farthest epoch range at each yaw whose echo stays in the unambiguous window over the dwell, m."""
     collection = geometry.collection
     half = collection.range_window / 2 - WINDOW_GUARD * SPEED_OF_LIGHT / (2 * collection.bandwidth)
     reference = np.interp(geometry.epoch, collection.time, collection.reference_range)
@@ -92,7 +93,7 @@ def _window(geometry: Geometry, yaw: FloatArray, within: tuple[float, float] | N
     spread = np.ptp(collection.reference_range) + np.ptp(geometry.track.position(collection.time), axis=0).max()
     low = max(reference - half - spread, floor * 1.0005)
     trial = np.linspace(low, reference + half + spread, 41)
-    first, last = geometry.dwell(yaw)
+    first, last = dwell_at(geometry, yaw)
     u = np.linspace(0, 1, 9)
     time = first[:, None] + (last - first)[:, None] * u
     point = geometry.ground_point(trial[None, :], yaw[:, None])
@@ -113,12 +114,12 @@ def _window(geometry: Geometry, yaw: FloatArray, within: tuple[float, float] | N
 
 
 def grid_extent(geometry: Geometry, region: Region, grid: Grid) -> Extent:
-    """What of the region the grid reaches.
+    """The part of the region that the grid covers.
 
     Raises
     ------
     InputError
-        If that is nothing: the message says where the grid lies and what is lit.
+        If the grid covers none of it; the message gives the extents of the grid and of the region.
     """
     x, y = outline(grid)
     inside_x = np.linspace(grid.x[0], grid.x[-1], 65)
@@ -126,8 +127,7 @@ def grid_extent(geometry: Geometry, region: Region, grid: Grid) -> Extent:
     mesh_x, mesh_y = (m.ravel() for m in np.meshgrid(inside_x, inside_y))
     x, y = np.concatenate([x, mesh_x]), np.concatenate([y, mesh_y])
     middle = (region.yaw[0] + region.yaw[-1]) / 2
-    turn = geometry.yaw(x, y) - middle
-    yaw = middle + turn - 2 * np.pi * np.rint(turn / (2 * np.pi))
+    yaw = middle + wrapped(geometry.yaw(x, y) - middle)
     rng = geometry.epoch_range(x, y)
     near, far = region.at(yaw)
     covered = (yaw >= region.yaw[0]) & (yaw <= region.yaw[-1]) & (rng >= near) & (rng <= far)
@@ -150,7 +150,7 @@ def grid_extent(geometry: Geometry, region: Region, grid: Grid) -> Extent:
 
 
 def default_grid(geometry: Geometry, region: Region) -> Grid:
-    """The box around the lit sector, at about half the resolution of its centre, on round coordinates."""
+    """The bounding box of the lit sector, sampled at about half the resolution at its centre, on round coordinates."""
     yaw = np.concatenate([region.yaw, region.yaw])
     point = geometry.ground_point(np.concatenate([region.near, region.far]), yaw)
     x, y = point[:, 0], point[:, 1]
@@ -168,17 +168,17 @@ def default_grid(geometry: Geometry, region: Region) -> Grid:
 
 
 def _round_step(value: float) -> float:
-    """The nearest of 1, 1.5, 2, 3, 5, 7 times a power of ten."""
+    """Round to the nearest of 1, 1.5, 2, 3, 5, 7 times a power of ten."""
     decade = 10.0 ** np.floor(np.log10(value))
     steps = decade * np.array([1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0])
     return float(f"{steps[np.argmin(np.abs(np.log(steps / value)))]:.3g}")
 
 
 def block_seams(geometry: Geometry, region: Region, count: int) -> FloatArray:
-    """Yaws (count + 1,) between which blocks lie, rad, ascending.
+    """Yaws (count + 1,) of the blocks' borders, rad, ascending.
 
-    A steered collection's steering interval is divided evenly (paper A, Figure 7); the first and last block
-    reach to the ends of what is lit. One that is not steered is divided evenly from end to end.
+    The steering interval of a steered collection is divided evenly (paper A, Figure 7), and the first and last block
+    extend to the ends of the lit yaws. An unsteered region is divided evenly from end to end.
     """
     collection = geometry.collection
     low, high = region.yaw[0], region.yaw[-1]

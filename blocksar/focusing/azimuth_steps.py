@@ -6,18 +6,19 @@ coefficients change smoothly with range (`RowPolynomial`).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.polynomial import chebyshev
-from scipy.special import fresnel
 
-from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.arrays import FloatArray
+from blocksar.budget import AZIMUTH_TAP_ERROR
 from blocksar.focusing.lines import Line, RowPolynomial
-from blocksar.focusing.step import Step
-from blocksar.kernels import fourier
+from blocksar.focusing.step import Constants, Step
 from blocksar.kernels.fourier import Axis
-from blocksar.kernels.interpolation import tap_polynomials
+from blocksar.kernels.interpolation import tap_polynomials, taps_needed
 from blocksar.kernels.operations import Operation, Resample, Transform, Turn, Window
 from blocksar.kernels.phase import Phase
 from blocksar.kernels.solvers import through_nodes
@@ -32,13 +33,11 @@ def _turn(phases: RowPolynomial, rows: Axis, *, sign: float = 1.0) -> Turn:
 
 
 class _AzimuthStep(Step):
-    """Its rows lie along azimuth, one a range."""
-
-    rows: Axis
+    """A step whose rows lie along azimuth, one a range."""
 
     @property
     def n_row(self) -> int:
-        return self.rows.size
+        return self.axes.rows.size
 
 
 def _mean_range(line: Line) -> FloatArray:
@@ -49,21 +48,30 @@ def _mean_range(line: Line) -> FloatArray:
 class AzimuthTransform(_AzimuthStep):
     """Slow time to Doppler, padded in time for what the steps in Doppler will move there.
 
-    Its rows may be ranges or range frequencies: it does not ask.
+    Attributes
+    ----------
+    compressed : bool
+        Whether rows are ranges; range frequencies otherwise.
     """
 
     name = "azimuth-fft"
-    time: Axis
-    doppler: Axis
-    rows: Axis
+    compressed: bool
+
+    @classmethod
+    def bind(cls, constants: Constants, arriving: Callable[[], Line]) -> Self:
+        return cls(compressed=constants.polynomials is not None)
+
+    @property
+    def n_row(self) -> int:
+        return (self.axes.rows if self.compressed else self.axes.range_frequency).size
 
     @property
     def source(self) -> Axis:
-        return self.time
+        return self.axes.time
 
     def operations(self) -> list[Operation]:
         """Rows of time.size samples to rows of doppler.size bins."""
-        return [Transform(self.time, self.doppler, inverse=False)]
+        return [Transform(self.axes.time, self.axes.doppler, inverse=False)]
 
     def trace(self, line: Line) -> Line:
         return line
@@ -79,17 +87,20 @@ class TimePerturbation(_AzimuthStep):
     """
 
     name = "time-perturbation"
-    time: Axis
-    rows: Axis
+    fitted = "time"
     phases: RowPolynomial
+
+    @classmethod
+    def bind(cls, constants: Constants, arriving: Callable[[], Line]) -> Self:
+        return cls(phases=constants.azimuth.time)
 
     @property
     def source(self) -> Axis:
-        return self.time
+        return self.axes.time
 
     def operations(self) -> list[Operation]:
         """Rows of time.size samples, one a range."""
-        return [_turn(self.phases, self.rows)]
+        return [_turn(self.phases, self.axes.rows)]
 
     def trace(self, line: Line) -> Line:
         return line.multiply_time(*self.phases.evaluate(_mean_range(line), line.time))
@@ -104,17 +115,20 @@ class FrequencyPerturbation(_AzimuthStep):
     """
 
     name = "frequency-perturbation"
-    doppler: Axis
-    rows: Axis
+    fitted = "doppler"
     phases: RowPolynomial
+
+    @classmethod
+    def bind(cls, constants: Constants, arriving: Callable[[], Line]) -> Self:
+        return cls(phases=constants.azimuth.doppler)
 
     @property
     def source(self) -> Axis:
-        return self.doppler
+        return self.axes.doppler
 
     def operations(self) -> list[Operation]:
         """Rows of doppler.size bins, one a range."""
-        return [_turn(self.phases, self.rows)]
+        return [_turn(self.phases, self.axes.rows)]
 
     def trace(self, line: Line) -> Line:
         return line.multiply_doppler(*self.phases.evaluate(_mean_range(line), line.doppler))
@@ -134,28 +148,27 @@ class DopplerResampling(_AzimuthStep):
         h(f) - f, Hz.
     middle : float
         Slow time about which signals contract, s.
-    taps : int
-    occupancy : float
-        Part of the Doppler sampling's time that the signal fills.
     """
 
     name = "doppler-resampling"
-    doppler: Axis
-    rows: Axis
+    fitted = "resampling"
     shift: RowPolynomial
     middle: float
-    taps: int
-    occupancy: float
+
+    @classmethod
+    def bind(cls, constants: Constants, arriving: Callable[[], Line]) -> Self:
+        return cls(shift=constants.azimuth.resampling, middle=constants.azimuth.middle)
 
     @property
     def source(self) -> Axis:
-        return self.doppler
+        return self.axes.doppler
 
     def operations(self) -> list[Operation]:
         """Rows of doppler.size bins, one a range."""
         delay = Phase(np.array([[0.0, self.middle]]), 0.0, 1.0)
         back = Phase(np.array([[0.0, -self.middle]]), 0.0, 1.0)
-        taps = tap_polynomials(self.taps, occupancy=self.occupancy)
+        filled = self.axes.doppler_occupancy
+        taps = tap_polynomials(taps_needed(filled, error=AZIMUTH_TAP_ERROR), occupancy=filled)
         return [Turn(delay), Resample(self.positions(), taps), Turn(back)]
 
     def positions(self) -> FloatArray:
@@ -164,13 +177,13 @@ class DopplerResampling(_AzimuthStep):
         The inverse of h, by Newton's method at Chebyshev's nodes.
         """
         nodes = chebyshev.chebpts1(INVERSE_ORDER + 1)
-        n, ranges = self.doppler.size, self.rows.values
-        wanted = self.doppler.start + self.doppler.step * (n // 2 + nodes * (n / 2))
-        f = np.broadcast_to(wanted, (ranges.size, wanted.size)).copy()
+        doppler, ranges = self.axes.doppler, self.axes.rows.values
+        target = doppler.start + doppler.step * (doppler.size // 2 + nodes * (doppler.size / 2))
+        f = np.broadcast_to(target, (ranges.size, target.size)).copy()
         for _ in range(NEWTON_STEPS):
             offset, slope, _ = self.shift.evaluate(ranges, f)
-            f -= (f + offset - wanted) / (1.0 + slope)
-        return through_nodes(self.doppler.position(f).T).T
+            f -= (f + offset - target) / (1.0 + slope)
+        return through_nodes(doppler.position(f).T).T
 
     def trace(self, line: Line) -> Line:
         return line.resample_doppler(*self.shift.evaluate(_mean_range(line), line.doppler), middle=self.middle)
@@ -181,64 +194,23 @@ class Deramp(_AzimuthStep):
     """Back to time; multiply by exp(2j pi d(t)): the block's common Doppler rate, orders 2 to 4 (paper A (31))."""
 
     name = "deramp"
-    doppler: Axis
-    time: Axis
-    rows: Axis
+    fitted = "deramp"
     phases: RowPolynomial
+
+    @classmethod
+    def bind(cls, constants: Constants, arriving: Callable[[], Line]) -> Self:
+        return cls(phases=constants.azimuth.deramp)
 
     @property
     def source(self) -> Axis:
-        return self.doppler
+        return self.axes.doppler
 
     def operations(self) -> list[Operation]:
         """Rows of doppler.size bins to rows of time.size samples, one a range."""
-        return [Transform(self.doppler, self.time, inverse=True), _turn(self.phases, self.rows)]
+        return [Transform(self.axes.doppler, self.axes.long_time, inverse=True), _turn(self.phases, self.axes.rows)]
 
     def trace(self, line: Line) -> Line:
         return line.multiply_time(*self.phases.evaluate(_mean_range(line), line.time))
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class DwellGate:
-    """Let each Doppler of the image see its own dwell only, as back-projection does; thin out what is left.
-
-    The final transform sums over all of slow time, so the sharp ends of other targets' dwells leave side lobes
-    where back-projection, which sums over the pixel's own lit pulses, has none: on clutter that costs 0.005 of
-    coherence. Windowing time by rect((t - c(f)) / length) with a centre that moves along Doppler is a
-    convolution. With psi' = c it is, exactly where c is linear,
-
-        S(f) -> exp(-2j pi psi) F{ G(t) F^-1{ exp(2j pi psi) S } },
-        G(t) = integral of rect((t - u) / length) exp(j pi u^2 / c') / sqrt(j c') du,
-
-    a Fresnel-smoothed rectangle. Between the transforms all targets lie about t = 0, so the last one is short.
-
-    Attributes
-    ----------
-    phase : RowPolynomial
-        psi(r, f), cycles.
-    common : RowPolynomial
-        The same, one for all rows: stays taken out, so that the image can be sampled coarsely in Doppler.
-    slope : RowPolynomial
-        Of one coefficient: c'(r), s/Hz.
-    length : float
-        Of the dwell after all steps, s.
-    time : Axis
-        About 0; what is kept.
-    """
-
-    phase: RowPolynomial
-    common: RowPolynomial
-    slope: RowPolynomial
-    length: float
-    time: Axis
-
-    def window(self, slope: float) -> ComplexArray:
-        """G over `time`, (time.size,) complex64."""
-        scale = np.sqrt(2 / abs(slope))
-        upper_sine, upper_cosine = fresnel(scale * (self.time.values + self.length / 2))
-        lower_sine, lower_cosine = fresnel(scale * (self.time.values - self.length / 2))
-        window = (upper_cosine - lower_cosine + 1j * (upper_sine - lower_sine)) * np.exp(-0.25j * np.pi) / np.sqrt(2)
-        return (window if slope > 0 else window.conj()).astype(np.complex64)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -246,45 +218,34 @@ class DopplerTransform(_AzimuthStep):
     """The final transform: level lines become points in Doppler (paper A (32), with the target's own dwell).
 
     Each target's spectrum stays centred on its own dwell, not on t = 0 (with a gate: on its distance from the
-    gate's common centre): whoever interpolates the image has to take out that carrier first, as the geometric
-    correction does.
+    gate's common centre). Interpolation of the image must take out that carrier first, as the geometric correction
+    does. With a dwell gate (`dwell_gate`), time is windowed on the way.
     """
 
     name = "doppler-fft"
-    time: Axis
-    doppler: Axis
-    rows: Axis
-    gate: DwellGate | None
-
-    @property
-    def image_doppler(self) -> Axis:
-        """Doppler of the result."""
-        if self.gate is None:
-            return self.doppler
-        return fourier.dual(self.time, size=self.gate.time.size, centre=self.doppler.centre)
 
     @property
     def source(self) -> Axis:
-        return self.time
+        return self.axes.long_time
 
     def operations(self) -> list[Operation]:
-        """Rows of time.size samples to rows of image_doppler.size bins, one a range; focused."""
-        to_doppler = Transform(self.time, self.doppler, inverse=False)
-        if self.gate is None:
+        """Rows of long_time.size samples to rows of image_doppler.size bins, one a range; focused."""
+        axes, gate = self.axes, self.axes.gate
+        to_doppler = Transform(axes.long_time, axes.focused_doppler, inverse=False)
+        if gate is None:
             return [to_doppler]
-        gate, image = self.gate, self.image_doppler
-        slopes = gate.slope.coefficients(self.rows.values)[:, 0]
+        slopes = gate.slope.coefficients(axes.rows.values)[:, 0]
         # The slope changes by a tenth over a swath: a window for every range would cost more than the transforms.
         known = np.linspace(slopes.min(), slopes.max(), GATE_WINDOWS)
         windows = np.stack([gate.window(float(slope)) for slope in known])
         return [
             to_doppler,
-            _turn(gate.phase, self.rows),
-            Transform(self.doppler, gate.time, inverse=True),
+            _turn(gate.phase, axes.rows),
+            Transform(axes.focused_doppler, gate.time, inverse=True),
             Window(windows, np.abs(known - slopes[:, None]).argmin(axis=1)),
-            Transform(gate.time, image, inverse=False),
-            _turn(gate.phase, self.rows, sign=-1.0),
-            _turn(gate.common, self.rows),
+            Transform(gate.time, axes.image_doppler, inverse=False),
+            _turn(gate.phase, axes.rows, sign=-1.0),
+            _turn(gate.common, axes.rows),
         ]
 
     def trace(self, line: Line) -> Line:

@@ -1,16 +1,15 @@
-"""Exact back-projection: the fourth processor, and the judge of the other three.
+"""Exact back-projection: the fourth processor, and the reference for the other three.
 
     image(x, y) = mean over lit pulses p and frequencies f of
                   signal[p, f] exp(+4j pi (fc + f) / c (R_xy(p) - reference_range[p]))
 
-The mean over frequencies is one inverse transform a pulse, the range profile, read off at R_xy - reference_range;
-only that reading is an interpolation. Ranges and phases are float64 and exact at every pixel and pulse: no far
+The mean over frequencies is one inverse transform per pulse, the range profile, interpolated at R_xy - reference_range;
+this interpolation is the only approximation. Ranges and phases are float64 and exact at every pixel and pulse: no far
 field, no Taylor series, no mean velocity.
 
-A pulse lights a pixel while |theta - beam_azimuth| <= beam_width / 2 with theta the pixel's yaw about the nadir at
-t = 0. The beam scans one way, so that a pixel's lit pulses are an interval, and the loop over them needs no test.
-Samples that are NaN are left out of the mean. The image is NaN where no valid sample is lit, and where a lit pulse
-sees the pixel outside the unambiguous window |R_xy - reference_range| <= c / (4 df); a missing pulse sees it too.
+The pulses that light a pixel are an interval (`collection.beam.lit_interval`), so the loop over them needs no test.
+Samples that are NaN are left out of the mean. The image is NaN where no valid sample is lit, and where a lit pulse,
+missing or not, sees the pixel outside the unambiguous window |R_xy - reference_range| <= c / (4 df).
 """
 
 from __future__ import annotations
@@ -26,10 +25,10 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from blocksar.collection.beam import lit_interval
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
-from blocksar.constants import SPEED_OF_LIGHT, TURN
-from blocksar.errors import InputError
+from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.kernels.fourier import Axis, fast_length, fft_rows, unit_phasor
 from blocksar.kernels.groups import GROUP_BYTES, row_groups, run_groups
 from blocksar.kernels.operations import Transform
@@ -38,9 +37,9 @@ from blocksar.kernels.trigonometry import cosine, sine
 ReadPulses = Callable[[slice], ComplexArray]  # (n, n_range_frequency) samples of a slice of pulses
 Tile = tuple[slice, slice]
 
-UPSAMPLING = 6  # bins a range cell: the quadratic spline then errs by -69 dB, see spline_error
+UPSAMPLING = 6  # bins per range cell: the error of the quadratic spline is then -69 dB, see spline_error
 MARGIN = 2  # bins either side of the window that the spline may touch
-TILE = 64  # pixels either way: what a tile touches of a block of profiles stays in the second-level cache
+TILE = 64  # pixels a side: the profiles that a tile reads then stay in the second-level cache
 BLOCK_BYTES = 32 * 1024**2  # profiles of a block of pulses
 MIN_PULSE_BLOCK, MAX_PULSE_BLOCK = 16, 256
 
@@ -71,46 +70,11 @@ class Profiles:
     spacing: float
 
 
-def lit_interval(geometry: Geometry, x: FloatArray, y: FloatArray) -> tuple[IntArray, IntArray]:
-    """The pulses first <= p < last that light each pixel: exactly those with |theta - beam_azimuth| <= beam_width / 2.
-
-    Parameters
-    ----------
-    geometry : Geometry
-    x, y : (...) float
-        m, scene frame; of one shape.
-
-    Returns
-    -------
-    first, last : (...) int
-        Both 0 where a pixel is never lit.
-
-    Raises
-    ------
-    InputError
-        If the beam scans so far round that a pixel could be lit twice.
-    """
-    collection = geometry.collection
-    yaw = np.asarray(geometry.yaw(np.asarray(x, np.float64), np.asarray(y, np.float64)))
-    first, last = np.zeros(yaw.shape, np.int64), np.full(yaw.shape, collection.n_pulse, np.int64)
-    if collection.beam_width is None:
-        return first, last
-    beam, width = collection.beam_azimuth, collection.beam_width
-    scan = abs(beam[-1] - beam[0])
-    if scan + width >= TURN:
-        raise InputError(
-            f"beam_azimuth scans {scan:.4g} rad with a beam_width of {width:.4g} rad, all round: a target would be "
-            "lit twice; cut the collection"
-        )
-    _lit_interval(yaw.ravel(), beam, width / 2, first.reshape(-1), last.reshape(-1))
-    return first, last
-
-
 def range_profiles(signal: ComplexArray, *, collection: Collection, pulses: slice, threads: int) -> Profiles:
     """Mean over frequency of signal exp(4j pi (f - f_middle) d / c) on a fine grid of d = R - reference_range.
 
-    The zero-padded samples are divided by the quadratic spline's own frequency response, sinc(f / f_bins)^3: the
-    spline made of the transformed bins then gives the band its exact level, and only errs by its images.
+    The zero-padded samples are divided by the frequency response of the quadratic spline, sinc(f / f_bins)^3. The
+    spline through the transformed bins then has the exact level over the band; its images are its only error.
 
     Parameters
     ----------
@@ -157,7 +121,7 @@ def range_profiles(signal: ComplexArray, *, collection: Collection, pulses: slic
         group = fft_rows(group, inverse=True)
         out = values[rows]
         np.multiply(group, trail, out=out[:, MARGIN:-MARGIN])
-        # Counted from the middle frequency, a sample of the axis, the profile repeats itself after the window.
+        # With the phase of the middle frequency, a sample of the axis, left out, the profile is periodic in the window.
         out[:, -MARGIN:] = out[:, MARGIN : 2 * MARGIN]
         out[:, :MARGIN] = out[:, -2 * MARGIN : -MARGIN]
 
@@ -208,13 +172,13 @@ def accumulate(
     first, last : (n_row, n_column) int
         Lit pulses, from `lit_interval`.
     threads : int
-        The result does not depend on it: each pixel's sum is one thread's, in one order.
+        The result does not depend on it: one thread sums a pixel, in a fixed order.
     """
     collection = geometry.collection
     middle = collection.range_frequency[collection.n_range_frequency // 2]
     pulses = profiles.pulses
     position = np.ascontiguousarray(collection.antenna_position[pulses].T)
-    # A complex64 sample is fetched as one word of 64 bits: gathers cost by the piece, not by the byte.
+    # A complex64 sample is loaded as one word of 64 bits: a gather costs per element, not per byte.
     words = profiles.values.view(np.uint64)
 
     def work(tile: Tile) -> None:
@@ -259,11 +223,11 @@ def form_points(
     Parameters
     ----------
     read : callable
-        Gives the samples (n, n_range_frequency) complex64 of a slice of pulses. Asked for lit pulses only, once each,
-        in ascending order.
+        Returns the samples (n, n_range_frequency) complex64 of a slice of pulses. It is called for lit pulses only,
+        once each, in ascending order.
     geometry : Geometry
     x, y : (...) float
-        m, scene frame; of one shape. Neighbours in the array should be neighbours on the ground, for the cache.
+        m, scene frame; of one shape. Keep neighbours on the ground adjacent in the array, for the cache.
     threads : int
         The result does not depend on it.
     pulse_block : int, optional
@@ -296,7 +260,7 @@ def form_points(
         profiles = range_profiles(read(pulses), collection=collection, pulses=pulses, threads=threads)
         valid[pulses] = profiles.valid
         accumulate(image, outside, profiles, geometry=geometry, x=x, y=y, first=first, last=last, threads=threads)
-        del profiles  # before the next block is read: two would be in memory else
+        del profiles  # before the next block is read: otherwise two blocks are in memory
     _normalise(image, outside, first, last, np.concatenate(([0], np.cumsum(valid))), collection.n_range_frequency)
     return image.reshape(shape)
 
@@ -323,16 +287,16 @@ def form_image(
 def pulse_block_size(collection: Collection) -> int:
     """Pulses in memory at a time, by default."""
     row = 8 * (_period(collection) + 2 * MARGIN)
-    # Whole vectors of pulses: what is left over runs one by one.
+    # Whole vectors of pulses: a remainder would run one by one.
     pulses = BLOCK_BYTES // row // MIN_PULSE_BLOCK * MIN_PULSE_BLOCK
     return min(max(pulses, MIN_PULSE_BLOCK), MAX_PULSE_BLOCK)
 
 
 def image_memory(n_pixels: int, collection: Collection, *, threads: int = 1, pulse_block: int | None = None) -> int:
-    """Upper bound of what forming an image of so many pixels allocates, bytes; `read`'s own result is in it."""
+    """Upper bound of the memory to form an image of n_pixels, bytes, including the result of `read`."""
     n, bins = collection.n_range_frequency, _period(collection) + 2 * MARGIN
     pulses = pulse_block or pulse_block_size(collection)
-    pixel = 8 * 5 + 1 + 2  # x, y, first, last, image; outside and a mask
+    pixel = 8 * 5 + 1 + 2  # bytes: x, y, first, last and image; outside and a mask
     scratch = 4 * (GROUP_BYTES + 8 * bins) + 16 * 8 * TILE**2
     return n_pixels * pixel + pulses * 8 * (n + bins) + threads * scratch + 16 * 8 * (bins + collection.n_pulse)
 
@@ -345,7 +309,7 @@ def _period(collection: Collection) -> int:
 
 
 def _run_tiles(work: Callable[[Tile], None], shape: tuple[int, ...], threads: int) -> None:
-    """Do `work` for every tile of the image."""
+    """Call `work` for every tile of the image, in threads."""
     height = TILE if shape[0] > 1 else 1
     width = TILE**2 // height
     tiles = [
@@ -357,7 +321,7 @@ def _run_tiles(work: Callable[[Tile], None], shape: tuple[int, ...], threads: in
 
 
 def _lit_intervals(geometry: Geometry, x: FloatArray, y: FloatArray, threads: int) -> tuple[IntArray, IntArray]:
-    """`lit_interval` by tiles, so that its temporary arrays stay small."""
+    """`lit_interval` tile by tile, so that its temporary arrays stay small."""
     first, last = np.empty(x.shape, np.int64), np.empty(x.shape, np.int64)
 
     def work(tile: Tile) -> None:
@@ -375,7 +339,7 @@ def _lit_pulses(first: IntArray, last: IntArray, n_pulse: int) -> BoolArray:
 
 
 def _blocks(lit: BoolArray, pulse_block: int) -> list[slice]:
-    """Slices of at most `pulse_block` pulses that hold all lit ones, on fixed borders, less the unlit at the ends."""
+    """Slices of at most `pulse_block` pulses, on fixed borders, that hold all lit pulses; unlit ends are cut off."""
     blocks = []
     for start in range(0, lit.size, pulse_block):
         inside = start + np.flatnonzero(lit[start : start + pulse_block])
@@ -384,36 +348,8 @@ def _blocks(lit: BoolArray, pulse_block: int) -> list[slice]:
     return blocks
 
 
-@njit(cache=True, nogil=True)
-def _lit_interval(yaw: FloatArray, beam: FloatArray, half_width: float, first: IntArray, last: IntArray) -> None:
-    """Two binary searches a pixel, with the very inequality of the contract: no fastmath, so no other rounding."""
-    n = beam.size
-    ascends = beam[n - 1] >= beam[0]
-    middle = (beam[0] + beam[n - 1]) / 2
-    for i in range(yaw.size):
-        turns = TURN * np.rint((yaw[i] - middle) / TURN)
-        for end in range(2):
-            # The beam has reached the pixel, or (end = 1) has passed it, from pulse `low` on.
-            low, high = 0, n
-            while low < high:
-                p = (low + high) // 2
-                away = (yaw[i] - beam[p]) - turns
-                ahead = away if ascends else -away
-                reached = ahead <= half_width if end == 0 else ahead < -half_width
-                if reached:
-                    high = p
-                else:
-                    low = p + 1
-            if end == 0:
-                first[i] = low
-            else:
-                last[i] = low
-        if first[i] >= last[i]:
-            first[i], last[i] = 0, 0
-
-
 def _float_in_word(shift: int) -> Any:
-    """A compiled function: the float32 in bits shift .. shift + 31 of a 64-bit word."""
+    """Compiled function that extracts the float32 in bits shift .. shift + 31 of a 64-bit word."""
 
     def extract(typing_context: Any, word: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -428,7 +364,7 @@ def _float_in_word(shift: int) -> Any:
 _real, _imag = _float_in_word(0), _float_in_word(32)  # of a complex64, little-endian
 
 
-# "reassoc" lets the sum over pulses run in vector lanes: another order than written, but one order always.
+# "reassoc" lets the sum over pulses run in vector lanes: in another order than written, but always in the same.
 @njit(cache=True, nogil=True, fastmath={"contract", "nsz", "reassoc"})
 def _accumulate(
     image: ComplexArray,
@@ -461,9 +397,9 @@ def _accumulate(
             begin, end = max(first[row, column] - start, 0), min(last[row, column] - start, n_pulse)
             px, py = x[row, column], y[row, column]
             real, imag, beyond = np.float32(0.0), np.float32(0.0), 0
-            # Pulses are the inner loop: their interval is the pixel's own, and the next pixel finds its profiles'
-            # cache lines already there. Indices are unsigned: the test for a negative one would turn every load
-            # into a gather, at half the speed.
+            # Pulses are the inner loop: each pixel has its own interval, and the next pixel finds the cache lines of
+            # its profiles loaded. Indices are unsigned: a test for negative ones would turn every load into a gather,
+            # at half the speed.
             for p in range(np.uint64(begin), np.uint64(max(begin, end))):
                 dx, dy, dz = px - antenna_x[p], py - antenna_y[p], below[p]
                 away = np.sqrt(dx * dx + dy * dy + dz * dz) - reference[p]
@@ -491,7 +427,7 @@ def _accumulate(
 def _normalise(
     image: ComplexArray, outside: BoolArray, first: IntArray, last: IntArray, valid_before: IntArray, n_frequency: int
 ) -> None:
-    """Sum to mean: divide by the lit pulses, each counted by the part of its samples that is valid."""
+    """Turn sums into means in place: divide by the lit pulses, each weighted by its fraction of valid samples."""
     for row in range(image.shape[0]):
         for column in range(image.shape[1]):
             count = valid_before[last[row, column]] - valid_before[first[row, column]]

@@ -9,6 +9,7 @@ from numba import njit
 from numpy.polynomial import chebyshev
 
 from blocksar.arrays import FloatArray
+from blocksar.collection.beam import wrapped
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.lines import Focus, RowPolynomial
@@ -110,8 +111,7 @@ class GroundMap:
 
     def relative_yaw(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Yaw less the block's middle, wrapped to +-pi."""
-        turn = self.geometry.yaw(x, y) - self.middle_yaw
-        return turn - 2 * np.pi * np.rint(turn / (2 * np.pi))
+        return wrapped(self.geometry.yaw(x, y) - self.middle_yaw)
 
     def doppler_slope(self) -> FloatArray:
         """Doppler of the focus per yaw, Hz/rad, over the block's ranges and yaws (9, 33)."""

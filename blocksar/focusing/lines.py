@@ -229,3 +229,16 @@ def row_polynomial(
     u = (2 * ranges - near - far) / (far - near)
     series = chebyshev.chebfit(u, shifted, degree)
     return RowPolynomial(series=np.asarray(series), near=near, far=far, centre=centre, scale=scale)
+
+
+class AzimuthPolynomials(NamedTuple):
+    """Coefficients of the azimuth steps: phases (cycles) in time, Doppler and time, and a shift of Doppler (Hz).
+
+    The polynomial of a step that the chain does not have is zero. Resampling is about the slow time `middle`, s.
+    """
+
+    time: RowPolynomial
+    doppler: RowPolynomial
+    resampling: RowPolynomial
+    deramp: RowPolynomial
+    middle: float

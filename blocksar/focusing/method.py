@@ -87,6 +87,9 @@ class Method:
         return cls(**{field.name: settings[field.name] for field in fields(cls)})
 
 
+DEFAULT = Method()
+
+
 def method_of(processor: str, **options: Any) -> Method | None:
     """What is asked for, checked; None for back-projection, which has no options.
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -18,25 +18,27 @@ from numpy.polynomial import polynomial as power
 from numpy.typing import NDArray
 
 from blocksar.arrays import FloatArray
+from blocksar.budget import AZIMUTH_TAP_ERROR
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.lines import Line
-from blocksar.focusing.step import Step
+from blocksar.focusing.step import Constants, Step
 from blocksar.kernels import interpolation, phase, solvers
 from blocksar.kernels.fourier import Axis
 from blocksar.kernels.operations import Operation, Stretch, Transform, Turn, Window
 from blocksar.kernels.phase import Phase
 
-MOST_REACH = 1.2  # of the Doppler over which a reference line is known: beyond it its curvature only stays put
+MOST_REACH = 1.2  # of the Doppler over which a reference line is known: beyond it its curvature stays constant
+PACE_ORDER = 4  # of the pace along Doppler of the lines whose range curvature is corrected there
+RATE_FLOOR = 1e-3  # of the largest Doppler rate
+PACE_FLOOR = 0.05  # of the largest Doppler: at zero Doppler nothing walks, and any pace would do
 
 
 class _FrequencyStep(Step):
-    """Its rows lie along azimuth, one a range frequency."""
-
-    range_frequency: Axis
+    """A step whose rows lie along azimuth, one a range frequency."""
 
     @property
     def n_row(self) -> int:
-        return self.range_frequency.size
+        return self.axes.range_frequency.size
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -104,32 +106,32 @@ class ResidualRangeWalk(_FrequencyStep):
 
     Attributes
     ----------
-    slab : Axis
-        Doppler of the block's part of the recovered spectrum, Hz.
-    time : Axis
-        Slow time from the epoch; as long as the recovered signal, sampled for the block's band.
     walk : float
         Hz on the carrier.
+    carrier : float
+        Hz.
     """
 
     name = "residual-walk"
-    slab: Axis
-    time: Axis
     walk: float
     carrier: float
-    range_frequency: Axis
+
+    @classmethod
+    def bind(cls, constants: Constants, arriving: Callable[[], Line]) -> Self:
+        return cls(walk=constants.walk, carrier=constants.carrier)
 
     @property
     def source(self) -> Axis:
-        return self.slab
+        return self.axes.slab
 
     def operations(self) -> list[Operation]:
         """Rows of slab.size Doppler bins to rows of time.size samples, one a range frequency."""
-        moved = round(self.walk / self.slab.step) * self.slab.step
-        source = Axis(self.slab.start - moved, self.slab.step, self.slab.size)
-        factor = self.walk * (1 + self.range_frequency.values / self.carrier) - moved
+        slab = self.axes.slab
+        moved = round(self.walk / slab.step) * slab.step
+        source = Axis(slab.start - moved, slab.step, slab.size)
+        factor = self.walk * (1 + self.axes.range_frequency.values / self.carrier) - moved
         walk = np.stack([np.zeros_like(factor), -factor], axis=1)
-        return [Transform(source, self.time, inverse=True), Turn(Phase(walk, 0.0, 1.0))]
+        return [Transform(source, self.axes.time, inverse=True), Turn(Phase(walk, 0.0, 1.0))]
 
     def trace(self, line: Line) -> Line:
         turned = line.multiply_time(-self.walk * line.time, np.array(-self.walk), np.array(0.0))
@@ -146,43 +148,55 @@ class Keystone(_FrequencyStep):
     """
 
     name = "keystone"
-    time: Axis
     carrier: float
-    range_frequency: Axis
-    occupancy: float
-    taps: int
+
+    @classmethod
+    def bind(cls, constants: Constants, arriving: Callable[[], Line]) -> Self:
+        return cls(carrier=constants.carrier)
 
     @property
     def source(self) -> Axis:
-        return self.time
+        return self.axes.time
 
     def operations(self) -> list[Operation]:
         """Rows of time.size samples, one a range frequency; zero where the input has no data."""
-        scale = self.carrier / (self.carrier + self.range_frequency.values)
-        middle = float(self.time.position(np.array(0.0)))
-        return [Stretch(scale, middle, interpolation.tap_polynomials(self.taps, occupancy=self.occupancy))]
+        scale = self.carrier / (self.carrier + self.axes.range_frequency.values)
+        middle, filled = float(self.axes.time.position(np.array(0.0))), self.axes.time_occupancy
+        taps = interpolation.taps_needed(filled, error=AZIMUTH_TAP_ERROR)
+        return [Stretch(scale, middle, interpolation.tap_polynomials(taps, occupancy=filled))]
 
     def trace(self, line: Line) -> Line:
         return line.shift_range(SPEED_OF_LIGHT / (2 * self.carrier) * line.doppler * line.time)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Compression(Step):
-    """Correct range migration and its coupling, then transform to range: all chains have one of these.
+    """Correct range migration and its coupling, then transform to range: every chain has one of these.
 
     Attributes
     ----------
-    rows : Axis
-        Ranges less the origin that are kept, m.
+    carrier : float
+        Hz.
+    in_doppler : bool
+        Whether ranges are compressed at each Doppler; at each slow time otherwise.
     """
 
     layout = "columns"
+    in_doppler: ClassVar[bool] = False
     carrier: float
-    range_frequency: Axis
-    rows: Axis
 
     @property
     def source(self) -> Axis:
-        return self.range_frequency
+        return self.axes.range_frequency
+
+    @property
+    def columns(self) -> Axis:
+        """Slow time or Doppler at which ranges are compressed."""
+        return self.axes.doppler if self.in_doppler else self.axes.time
+
+    @property
+    def n_row(self) -> int:
+        return self.columns.size
 
     def correction(self) -> Phase:
         """What to multiply by: a phase along range frequency, one a time or Doppler."""
@@ -195,8 +209,9 @@ class Compression(Step):
     @property
     def _to_range(self) -> Transform:
         # Two-way delay is the dual of range frequency; rows are delays in units of range.
-        delay = Axis(self.rows.start * 2 / SPEED_OF_LIGHT, self.rows.step * 2 / SPEED_OF_LIGHT, self.rows.size)
-        return Transform(self.range_frequency, delay, inverse=True)
+        rows = self.axes.rows
+        delay = Axis(rows.start * 2 / SPEED_OF_LIGHT, rows.step * 2 / SPEED_OF_LIGHT, rows.size)
+        return Transform(self.axes.range_frequency, delay, inverse=True)
 
     @property
     def period(self) -> int:
@@ -208,7 +223,7 @@ class Compression(Step):
 
         Through Chebyshev's nodes, which is exact to the phase's order.
         """
-        f = self.range_frequency
+        f = self.axes.range_frequency
         centre, scale = f.centre, f.step * f.size / 2
         nodes = chebyshev.chebpts1(phase.MAX_ORDER + 1)
         cycles = function(1 + (centre + scale * nodes) / self.carrier)
@@ -229,19 +244,15 @@ class RangeCompression(Compression):
     """
 
     name = "rcmc-src"
-    time: Axis
-    carrier: float
-    range_frequency: Axis
     reference: FloatArray
-    rows: Axis
 
-    @property
-    def n_row(self) -> int:
-        return self.time.size
+    @classmethod
+    def bind(cls, constants: Constants, arriving: Callable[[], Line]) -> Self:
+        return cls(carrier=constants.carrier, reference=constants.reference)
 
     def correction(self) -> Phase:
         order = np.arange(2, self.reference.size)
-        wandered = self.reference[2:] * self.time.values[:, None] ** order
+        wandered = self.reference[2:] * self.columns.values[:, None] ** order
         to_cycles = 2 * self.carrier / SPEED_OF_LIGHT
         return self.interpolated(lambda ratio: to_cycles * (ratio[:, None] ** (1 - order) - 1) @ wandered.T)
 
@@ -264,7 +275,7 @@ class TimeDomainCompression(RangeCompression):
     name = "time-domain-rcmc"
 
     def correction(self) -> Phase:
-        wandered = self._along(self.time.values, np.ones(self.reference.size))
+        wandered = self._along(self.columns.values, np.ones(self.reference.size))
         return Phase(np.stack([np.zeros_like(wandered), 2 / SPEED_OF_LIGHT * wandered], axis=1), 0.0, 1.0)
 
     def trace(self, line: Line) -> Line:
@@ -307,8 +318,6 @@ class DopplerCompression(Compression):
 
     Attributes
     ----------
-    doppler : Axis
-        Hz.
     pace : (n,) float
         q_0 .. q_(n-1): d t / d f along the reference's line is sum_k q_k (f / half)^k, s/Hz.
     half : float
@@ -316,19 +325,24 @@ class DopplerCompression(Compression):
     """
 
     name = "range-curvature+src"
-    doppler: Axis
-    carrier: float
-    range_frequency: Axis
+    in_doppler = True
     pace: FloatArray
     half: float
-    rows: Axis
 
-    @property
-    def n_row(self) -> int:
-        return self.doppler.size
+    @classmethod
+    def bind(cls, constants: Constants, arriving: Callable[[], Line]) -> Self:
+        """With the pace of the arriving lines, by least squares, weighed by the range walk that an error makes."""
+        line = arriving()
+        half = float(np.abs(line.doppler).max())
+        z = (line.doppler / half).ravel()
+        weight = np.abs(z) + PACE_FLOOR
+        # Where acceleration cancels the Doppler rate there is no pace to follow: the plan will say what that costs.
+        pace = (line.rate / np.maximum(line.rate**2, (RATE_FLOOR * np.abs(line.rate).max()) ** 2)).ravel()
+        fitted = solvers.least_squares(weight * z ** np.arange(PACE_ORDER + 1)[:, None], weight * pace)
+        return cls(carrier=constants.carrier, pace=fitted, half=half)
 
     def correction(self) -> Phase:
-        doppler = self._known(self.doppler.values)
+        doppler = self._known(self.columns.values)
 
         def coupling(ratio: FloatArray) -> FloatArray:
             return self._spectrum(doppler) - ratio[:, None] * self._spectrum(doppler / ratio[:, None])

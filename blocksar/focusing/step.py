@@ -1,50 +1,129 @@
-"""What a step of a chain is, and how steps that follow each other along the same rows run as one."""
+"""What a step of a chain is, and how consecutive steps along the same rows run as one.
+
+A step is bound twice, and frozen each time. `bind` gives it the constants of a block: now it traces lines. `sampled`
+adds the sampling, which lines do not ask for and which is planned with their help: now it applies to samples.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import groupby
+from typing import ClassVar, Literal, Self
 
-from blocksar.arrays import ComplexArray
-from blocksar.focusing.lines import Line
+from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.focusing.lines import AzimuthPolynomials, Line
+from blocksar.focusing.sampling import Sampling
 from blocksar.kernels.fourier import Axis
 from blocksar.kernels.operations import Operation
 from blocksar.kernels.rows import Layout, Program
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Constants:
+    """What the steps of a block bind their own constants from.
+
+    Attributes
+    ----------
+    carrier : float
+        Hz.
+    walk : float
+        Doppler of the block's middle, Hz on the carrier.
+    reference : (n,) float
+        k_0 .. k_(n-1) of the range history of the block's centre about the epoch, m/s^n, less what recovery took out.
+    polynomials : AzimuthPolynomials or None
+        Coefficients of the steps after range compression; None for those before, which the coefficients depend on.
+    """
+
+    carrier: float
+    walk: float
+    reference: FloatArray
+    polynomials: AzimuthPolynomials | None = None
+
+    @property
+    def azimuth(self) -> AzimuthPolynomials:
+        """The coefficients, for a step that needs them.
+
+        Raises
+        ------
+        ValueError
+            If a chain has such a step before range compression.
+        """
+        if self.polynomials is None:
+            raise ValueError("a step with fitted coefficients stands before range compression; move it behind")
+        return self.polynomials
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Step:
-    """One step of a chain: samples to samples, lines to lines, constants bound while planning.
+    """One step of a chain: samples to samples, lines to lines.
 
     Attributes
     ----------
     name : str
     layout : {"rows", "columns"}
         Which way of the block the step's own rows lie: along slow time and Doppler, or along range.
+    fitted : {"time", "doppler", "resampling", "deramp"} or None
+        Which of the fitted polynomials the step takes.
+    sampling : Sampling or None
+        None until `sampled`: the step then traces lines only.
     """
 
-    name: str
-    layout: Layout = "rows"
+    name: ClassVar[str]
+    layout: ClassVar[Layout] = "rows"
+    fitted: ClassVar[Literal["time", "doppler", "resampling", "deramp"] | None] = None
+    sampling: Sampling | None = None
+
+    @classmethod
+    def bind(cls, constants: Constants, arriving: Callable[[], Line]) -> Self:
+        """The step with its constants for a block.
+
+        Parameters
+        ----------
+        constants : Constants
+        arriving : callable
+            Returns the lines of the block's targets, (n_range, n_yaw, n), as they arrive at the step.
+        """
+        return cls()
+
+    def sampled(self, sampling: Sampling) -> Self:
+        """The step with the block's sampling: it can be applied."""
+        return replace(self, sampling=sampling)
+
+    @property
+    def axes(self) -> Sampling:
+        """The sampling.
+
+        Raises
+        ------
+        ValueError
+            If the step has none yet.
+        """
+        if self.sampling is None:
+            raise ValueError(f"{self.name} has no sampling yet: call sampled() first")
+        return self.sampling
 
     @property
     def source(self) -> Axis:
-        """Of a row that goes in."""
+        """Axis of an input row."""
         raise NotImplementedError
 
     @property
     def n_row(self) -> int:
+        """Number of rows."""
         raise NotImplementedError
 
     def operations(self) -> list[Operation]:
-        """What the step does along its rows, in order."""
+        """The operations along the step's rows, in order."""
         raise NotImplementedError
 
     def trace(self, line: Line) -> Line:
-        """What it does to the lines of targets."""
+        """Lines of targets after the step."""
         raise NotImplementedError
 
     def apply(self, block: ComplexArray, *, threads: int = 1) -> ComplexArray:
-        """What it does to the samples of a block, range (or range frequency) by slow time (or Doppler)."""
+        """Samples of a block after the step: range (or range frequency) by slow time (or Doppler)."""
         return Stage((self,)).apply(block, threads=threads)
 
 
@@ -61,13 +140,22 @@ class Stage:
 
     @cached_property
     def program(self) -> Program:
+        """All operations of the steps as one program along rows."""
         operations = [operation for step in self.steps for operation in step.operations()]
         return Program(operations, source=self.steps[0].source, n_row=self.steps[0].n_row)
 
     def apply(self, block: ComplexArray, *, threads: int = 1) -> ComplexArray:
+        """Samples of a block after the steps."""
         return self.program.run(block, load=self.layout, store=self.layout, threads=threads)
 
 
 def stages(chain: Sequence[Step]) -> list[Stage]:
     """A chain in as few passes over the block as its steps' layouts allow."""
     return [Stage(tuple(steps)) for _, steps in groupby(chain, key=lambda step: step.layout)]
+
+
+def trace(steps: Sequence[Step], line: Line) -> Line:
+    """Lines after several steps."""
+    for step in steps:
+        line = step.trace(line)
+    return line

@@ -43,26 +43,40 @@ from blocksar.planning.block import BlockPlan
 from blocksar.planning.plan import Plan
 from blocksar.planning.tiling import image_chunk, inspection_width, patch_window
 from blocksar.progress import Listener
-from blocksar.runs.receipts import Receipt, Run, Written
-
-READING_STAGES = ("range-compress", "recover", "inspect", "backprojection")
+from blocksar.runs.receipts import Run
+from blocksar.runs.record import Receipt, block_unit
 
 
 def run_units(
-    client: Client, stage: str, units: Sequence[Unit], run: Run, report: Listener, *, each: int = 1
+    client: Client,
+    stage: str,
+    units: Sequence[Unit],
+    run: Run,
+    report: Listener,
+    *,
+    each: int = 1,
+    source: stores.PhaseHistory | None = None,
 ) -> list[Receipt]:
-    """Run what has no trusted receipt yet, `each` units at a time on every worker, and return all receipts in order.
+    """Run the units without a trusted receipt, `each` at a time on every worker, and return all receipts in order.
 
-    Receipts of units that were not run again say `"reused": true`, those of units whose data were found damaged
-    `"damaged": true`.
+    Parameters
+    ----------
+    source : PhaseHistory, optional
+        What the units read. Their InputErrors are the user's only if it is the input of the run.
+
+    Returns
+    -------
+    list of Receipt
+        `reused` where the unit was not run again, `damaged` where it was because its data were damaged.
 
     Raises
     ------
     ProcessingError
-        If a unit fails for good, or nothing more will come of the cluster: what was finished stays.
+        If a unit or the cluster fails for good: what was finished stays.
     InputError
-        If a unit that reads the input finds it wrong.
+        If a unit finds the input wrong.
     """
+    reads_input = source is not None and source.path != run.compressed
     claims = {unit: receipt for unit, _ in units if (receipt := run.receipt(unit)) is not None}
     receipts: dict[str, Receipt] = {}
     damaged = set()
@@ -72,29 +86,30 @@ def run_units(
         report.begin(f"check-{stage}")
     for number, (unit, future) in enumerate(in_turn(client, stage, checks, 2, report), 1):
         if _result(future, stage, unit):
-            receipts[unit] = claims[unit] | {"reused": True}
+            receipts[unit] = replace(claims[unit], reused=True)
         else:
             damaged.add(unit)
         report.update(f"check-{stage}", number, len(checks))
     report.begin(stage, reused=len(receipts))
     report.update(stage, len(receipts), len(units))
     for unit, future in in_turn(client, stage, [unit for unit in units if unit[0] not in receipts], each, report):
-        receipts[unit] = _result(future, stage, unit) | ({"damaged": True} if unit in damaged else {})
+        signed: Receipt = _result(future, stage, unit, reads_input=reads_input)
+        receipts[unit] = replace(signed, damaged=unit in damaged)
         report.update(stage, len(receipts), len(units))
     return [receipts[unit] for unit, _ in units]
 
 
 def _verify(client: Client, run: Run, receipt: Receipt) -> Callable[[], Future[Any]]:
-    key = f"verify-{run.token}-{receipt['unit']}"
+    key = f"verify-{run.token}-{receipt.unit}"
     return lambda: client.submit(run.intact, receipt, key=key, pure=False)
 
 
-def _result(future: Future[Any], stage: str, unit: str) -> Any:
+def _result(future: Future[Any], stage: str, unit: str, *, reads_input: bool = False) -> Any:
     if future.status == "finished":
         return future.result()
     error = future.exception()
-    # Only these stages read the input: what is wrong with a run's own stores is no fault of it.
-    if isinstance(error, ProcessingError) or (stage in READING_STAGES and isinstance(error, InputError)):
+    # What is wrong with the run's own stores is not the user's fault.
+    if isinstance(error, ProcessingError) or (reads_input and isinstance(error, InputError)):
         raise error
     if isinstance(error, KilledWorker):
         raise ProcessingError(
@@ -145,14 +160,21 @@ def recover(
 
     groups = [(first, min(first + plan.column_group, n)) for first in range(0, n, plan.column_group)]
     units = [(f"columns-{a}", start(f"columns-{a}", (a, b))) for a, b in groups]
-    groups_done = run_units(client, "recover", units, run, report)
+    groups_done = run_units(client, "recover", units, run, report, source=source)
     found = found_in(groups_done)
     stores.write_region(run.spectrum, "lit", (slice(None),), found.lit)
     return receipts + groups_done, found
 
 
 def found_in(receipts: Sequence[Receipt]) -> Inspection:
-    found = merge(Inspection.from_dict(receipt["found"]) for receipt in receipts)
+    """Merge the inspections in receipts.
+
+    Raises
+    ------
+    InputError
+        If the samples are none of a radar.
+    """
+    found = merge(Inspection.from_dict(dict(receipt.found)) for receipt in receipts if receipt.found is not None)
     if (reason := refusal(found)) is not None:
         raise InputError(reason)
     return found
@@ -181,8 +203,11 @@ def _compress(
 
     groups = [(a, min(a + chunk, collection.n_pulse)) for a in range(0, collection.n_pulse, chunk)]
     units = [(f"pulses-{a}", start(f"pulses-{a}", (a, b))) for a, b in groups]
-    receipts = run_units(client, "range-compress", units, run, report, each=2)
-    return stores.open_phase_history(run.compressed), receipts
+    receipts = run_units(client, "range-compress", units, run, report, each=2, source=source)
+    try:
+        return stores.open_phase_history(run.compressed), receipts
+    except InputError as error:  # about the run's own store, not about the input
+        raise ProcessingError(str(error)) from error
 
 
 def focus_blocks(client: Client, plan: Plan, run: Run, lit: FloatArray, report: Listener) -> list[Receipt]:
@@ -220,8 +245,7 @@ def focus_blocks(client: Client, plan: Plan, run: Run, lit: FloatArray, report: 
         return chain
 
     units = [
-        (f"block-{block.name}", start(position, f"block-{block.name}", block))
-        for position, block in enumerate(plan.blocks)
+        (unit := block_unit(block.name), start(position, unit, block)) for position, block in enumerate(plan.blocks)
     ]
     return run_units(client, "focus", units, run, report)
 
@@ -241,8 +265,9 @@ def mosaic(client: Client, plan: Plan, run: Run, patches: Sequence[Receipt], rep
     side = image_chunk(plan.grid)
     cells: dict[tuple[int, int], list[tuple[int, str, int, int, str]]] = {}
     for block, receipt in zip(plan.blocks, patches, strict=True):
-        first_y, first_x = receipt["origin"]
-        for part in map(Written.of, receipt["written"]):
+        assert receipt.origin is not None
+        first_y, first_x = receipt.origin
+        for part in receipt.written:
             (y, _), (x, _) = part.region
             cell = ((first_y + y) // side[0], (first_x + x) // side[1])
             cells.setdefault(cell, []).append((block.index, block.name, first_y, first_x, part.checksum))
@@ -282,7 +307,7 @@ def look_through(
         return lambda: client.submit(inspect_group, source, run, unit, columns, key=key, pure=False)
 
     units = [(f"columns-{a}", start(f"columns-{a}", (a, min(a + width, n)))) for a in range(0, n, width)]
-    looked = run_units(client, "inspect", units, run, report)
+    looked = run_units(client, "inspect", units, run, report, source=source)
     return source, receipts + looked, found_in(looked)
 
 
@@ -309,4 +334,4 @@ def back_project(
         for column in range(-(-grid.shape[1] // side[1])):
             unit = f"chunk-{row}-{column}"
             units.append((unit, start(unit, (row, column))))
-    return run_units(client, "backprojection", units, run, report)
+    return run_units(client, "backprojection", units, run, report, source=source)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import resource
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import wraps
 from itertools import pairwise
-from typing import Any, ParamSpec, TypeVar
+from typing import ParamSpec, TypeVar
 
 import numpy as np
 
@@ -24,13 +24,13 @@ from blocksar.focusing.backprojection import form_image
 from blocksar.focusing.correction import correct, covers
 from blocksar.focusing.ground_map import GroundMap
 from blocksar.focusing.range_compression import RawCompression
-from blocksar.focusing.range_steps import ResidualRangeWalk
 from blocksar.focusing.recovery import Recovery, recover_columns
 from blocksar.focusing.step import Stage
-from blocksar.inspection.samples import Inspection, inspect, strike
+from blocksar.inspection.samples import Inspection, inspect, mask_outliers
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.tiling import image_chunk, patch_window
-from blocksar.runs.receipts import Receipt, Run, Written, write, written
+from blocksar.runs.receipts import Run, write, written
+from blocksar.runs.record import Receipt, Written
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -48,8 +48,8 @@ def peak_memory() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
 
-def _sign(run: Run, unit: str, started: float, written: Iterable[Written], **facts: Any) -> Receipt:
-    return run.sign(unit, started, written, peak_memory=peak_memory(), **facts)
+def _sign(run: Run, receipt: Receipt, started: float) -> Receipt:
+    return run.sign(replace(receipt, peak_memory=peak_memory()), started)
 
 
 # ---------------------------------------------------------------- tasks: what runs on a worker
@@ -82,7 +82,8 @@ def compress_pulses(
     signal = compression.apply(echo, pulses=slice(*pulses), threads=run.threads)
     signal[list(found.missing)] = np.nan
     region = (slice(*pulses), slice(0, signal.shape[1]))
-    return _sign(run, unit, started, [write(run, run.compressed, "signal", region, signal)], found=found.as_dict())
+    part = write(run, run.compressed, "signal", region, signal)
+    return _sign(run, Receipt(unit=unit, stage="range-compress", written=(part,), found=found.as_dict()), started)
 
 
 def recover_group(
@@ -109,7 +110,7 @@ def recover_group(
             out=memory[: shape[0] * shape[1]].reshape(shape),
         )
         parts.append(write(run, run.spectrum, "spectrum", (slice(0, shape[0]), part), spectrum))
-    return _sign(run, unit, started, parts, found=found.as_dict())
+    return _sign(run, Receipt(unit=unit, stage="recover", written=tuple(parts), found=found.as_dict()), started)
 
 
 def inspect_group(source: stores.PhaseHistory, run: Run, unit: str, columns: tuple[int, int]) -> Receipt:
@@ -118,7 +119,7 @@ def inspect_group(source: stores.PhaseHistory, run: Run, unit: str, columns: tup
     signal = source.read(slice(None), slice(*columns))
     frequency = source.collection.range_frequency[slice(*columns)]
     found = inspect(signal, range_frequency=frequency, recovery=None, first_column=columns[0], threads=run.threads)
-    return _sign(run, unit, started, [], found=found.as_dict())
+    return _sign(run, Receipt(unit=unit, stage="inspect", found=found.as_dict()), started)
 
 
 @dataclass
@@ -147,7 +148,7 @@ def read_slab(run: Run, block: BlockPlan, stage: Stage, width: int) -> Samples:
         out = np.empty((program.target.size, program.n_row), np.complex64)
         parts = [(slice(a, b), slice(None)) for a, b in _chunks(first_bin, last_bin, DOPPLER_GROUP)]
     else:
-        out = _buffer(block, program.target.size)
+        out = np.empty((block.sampling.n_buffer_row, program.target.size), np.complex64)
         parts = [(slice(first_bin, last_bin), slice(a, b)) for a, b in _chunks(0, program.n_row, width)]
     for region in parts:
         begun = time.perf_counter()
@@ -166,12 +167,6 @@ def _chunks(first: int, last: int, size: int) -> Iterator[tuple[int, int]]:
     return pairwise(edges)
 
 
-def _buffer(block: BlockPlan, length: int) -> ComplexArray:
-    """Room for the block at every later stage: a worker holds it once."""
-    rows = max(block.range_frequency.size, block.ground.rows.size)
-    return np.empty((rows, length), np.complex64)
-
-
 @named(lambda run, block, stage, *_: f"{stage.name} of block {block.name}")
 def run_stage(run: Run, block: BlockPlan, stage: Stage, given: Samples) -> Samples:
     """Run a stage on a block, in place where the result fits: nobody else has its input."""
@@ -184,9 +179,9 @@ def run_stage(run: Run, block: BlockPlan, stage: Stage, given: Samples) -> Sampl
         )  # fmt: skip
         out = samples
     else:
-        room = samples if program.target.size <= samples.shape[1] else None
-        if isinstance(stage.steps[0], ResidualRangeWalk):  # after a range gate, whose block is another
-            room = _buffer(block, program.target.size)
+        room: ComplexArray | None = samples if program.target.size <= samples.shape[1] else None
+        if samples.shape[0] < block.sampling.n_buffer_row:  # a range gate leaves too few rows for the later stages
+            room = np.empty((block.sampling.n_buffer_row, program.target.size), np.complex64)
         out = program.run(samples[: program.n_row], out=room, threads=run.threads)
     return Samples(out, given.seconds | {stage.name: time.perf_counter() - started})
 
@@ -217,8 +212,10 @@ def write_patch(run: Run, unit: str, name: str, block: Samples, ground: GroundMa
             if np.isfinite(pixels.real).any():
                 chunks.append(write(run, path, "image", (rows, columns), pixels))
     seconds = block.seconds | {"geometric-correction": time.perf_counter() - started}
-    # The unit is the whole block: its earlier steps were tasks of their own, and left no receipt.
-    return _sign(run, unit, started - sum(block.seconds.values()), chunks, origin=[first_y, first_x], steps=seconds)
+    # The receipt is for the whole block: its earlier steps were tasks without receipts of their own.
+    origin = (int(first_y), int(first_x))
+    receipt = Receipt(unit=unit, stage="focus", written=tuple(chunks), origin=origin, steps=seconds)
+    return _sign(run, receipt, started - sum(block.seconds.values()))
 
 
 Parts = Sequence[tuple[int, str, int, int, str]]  # block, name, first row and column of its patch, checksum there
@@ -229,7 +226,7 @@ def merge_chunks(run: Run, unit: str, cells: dict[tuple[int, int], Parts], grid:
     """Some output chunks of the mosaic."""
     started = time.perf_counter()
     parts = [part for cell, patches in cells.items() for part in _merge(run, cell, patches, grid)]
-    return _sign(run, unit, started, parts)
+    return _sign(run, Receipt(unit=unit, stage="mosaic", written=tuple(parts)), started)
 
 
 def _merge(run: Run, cell: tuple[int, int], parts: Parts, grid: Grid) -> list[Written]:
@@ -283,7 +280,7 @@ def back_project_chunk(
 
     def read(pulses: slice) -> ComplexArray:
         signal = source.read(pulses, slice(None))
-        strike(signal, found, pulses=pulses)
+        mask_outliers(signal, found, pulses=pulses)
         return signal
 
     image = np.full((rows.stop - rows.start, columns.stop - columns.start), np.nan + 1j * np.nan, np.complex64)
@@ -301,4 +298,4 @@ def back_project_chunk(
             write(run, run.image, "image", (rows, columns), image),
             write(run, run.image, "block", (rows, columns), owner),
         ]
-    return _sign(run, unit, started, parts)
+    return _sign(run, Receipt(unit=unit, stage="backprojection", written=tuple(parts)), started)

@@ -1,1 +1,1 @@
-"""Files of others to a phase history: CPHD and Gotcha."""
+"""Conversion of measured data to a phase-history store: CPHD files and the Gotcha data set."""

@@ -1,4 +1,4 @@
-"""Files of other programs: what can be wrong with reading them, in one sentence, and what is made of them."""
+"""The result of an ingestion, and a guard that turns every failure to read a foreign file into an InputError."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from blocksar.places.place import Place
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Ingested:
-    """A phase history made from files, and what there is to say of it."""
+    """A phase history made from files, and messages about it for the user."""
 
     path: Path | Place
     collection: Collection
-    said: list[str]
+    messages: list[str]
 
 
 @contextmanager
 def reading(path: Place, *, damaged: str, remedy: str) -> Iterator[None]:
-    """Whatever the bytes of a file do to the libraries below, one InputError that names it comes out.
+    """Turn any error of the libraries that read a file into one InputError that names the file.
 
-    `damaged` is what is said of a file that a library fails on, and `remedy` what to do about it. A want of memory and
-    a fault of what is being written are no fault of the file, and pass.
+    `damaged` describes a file that a library fails on, and `remedy` says what to do about it. MemoryError and
+    ProcessingError are not the file's fault, and pass unchanged.
     """
     try:
         yield

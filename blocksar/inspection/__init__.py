@@ -1,1 +1,1 @@
-"""What the samples tell: missing pulses, outliers, saturation, and the Doppler centroid."""
+"""Inspection of the samples: missing pulses, outliers, saturation, and the Doppler centroid."""

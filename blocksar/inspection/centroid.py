@@ -1,4 +1,4 @@
-"""The Doppler centroid of the samples against that of the beam."""
+"""The Doppler centroid measured from the samples, compared with the one expected from track and beam."""
 
 from __future__ import annotations
 
@@ -8,33 +8,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from blocksar.arrays import FloatArray
+from blocksar.collection.beam import aperture, dwell_at
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import TURN
 from blocksar.focusing.recovery import Recovery
 from blocksar.inspection.samples import SEGMENTS, Inspection
 
-MAX_OFFSET = 0.08  # of the PRF, and a quarter of a target's sweep: beyond the figures expected
-TURNING = 0.9  # of the least real part: segments that add up to less of what they hold do not belong together
+MAX_OFFSET = 0.08  # of the PRF, and at most a quarter of a target's sweep: tolerance about the expected angles
+TURNING = 0.9  # of the least real part: below it the sum of the segments is too small for a steady centroid
 EVEN = 0.8  # of its share that the rest must hold, whichever dwell is left out, for a scene to be lit evenly
-SIGNIFICANT = 5  # deviations of noise
-DWELL_NODES = 16  # of a target's dwell at which its Doppler is taken
-
-
-# ---------------------------------------------------------------- the Doppler centroid
+SIGNIFICANT = 5  # standard deviations of noise
+DWELL_NODES = 16  # quadrature nodes in a target's dwell at which its Doppler is evaluated
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Centroid:
-    """Measured less expected Doppler centroid.
+    """Measured minus expected Doppler centroid.
 
     Attributes
     ----------
     offset : (SEGMENTS,) float
-        Of each segment of slow time, Hz; known modulo the PRF only. Anywhere in the lit band for a single target.
+        Of each segment of slow time, Hz; known modulo the PRF only. For a single target it may lie anywhere in the
+        lit band.
     coherence : (SEGMENTS,) float
-        Modulus of the segment's sum over its energy; 0 where there is none.
+        Modulus of the segment's sum divided by its energy; 0 where there is none.
     mean_offset, mean_coherence : float
-        Of all of them together.
+        Of all segments together.
     """
 
     offset: FloatArray
@@ -43,15 +42,15 @@ class Centroid:
     mean_coherence: float
 
 
-def centroid(found: Inspection, *, prf: float) -> Centroid:
-    """The Doppler centroid of a merged inspection, PRF in Hz.
+def measure_centroid(inspection: Inspection, *, prf: float) -> Centroid:
+    """Measure the Doppler centroid from a merged inspection; PRF in Hz.
 
     Raises
     ------
     ValueError
-        If it has no pairs.
+        If it has no pulse pairs.
     """
-    sums, energy = _sums(found)
+    sums, energy = _pair_sums(inspection)
     total = sums.sum()
     return Centroid(
         offset=np.angle(sums) / TURN * prf,
@@ -61,31 +60,32 @@ def centroid(found: Inspection, *, prf: float) -> Centroid:
     )
 
 
-def _sums(found: Inspection) -> tuple[NDArray[np.complex128], FloatArray]:
-    if not found.pairs:
+def _pair_sums(inspection: Inspection) -> tuple[NDArray[np.complex128], FloatArray]:
+    """Complex sums over pulse pairs and energies, both (SEGMENTS,)."""
+    if not inspection.pairs:
         raise ValueError("no pulse pairs were summed")
-    pairs = np.array(found.pairs)
+    pairs = np.array(inspection.pairs)
     return pairs[:, 0] + 1j * pairs[:, 1], pairs[:, 2]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Expectation:
-    """What the pulse pairs of a target add up to over a whole dwell, over its energy: a vector in the complex plane.
+    """The sum over a target's pulse pairs in a whole dwell, divided by its energy: a vector in the complex plane.
 
     Attributes
     ----------
     prf : float
         Hz.
     angle : tuple of float
-        Between which its angle lies for all targets, Hz.
+        Least and largest angle over all targets, Hz.
     sweep : float
-        The least Doppler that any of them runs through, Hz.
+        Least Doppler extent of any target, Hz.
     real : float
-        Its least real part.
+        Least real part over all targets.
     whole : tuple of int
-        The segments first .. last - 1 in which no target is lit that the ends of the collection cut.
+        First and last (exclusive) of the segments in which every lit target has its whole dwell inside the collection.
     dwell : int
-        Segments that one dwell may touch.
+        Largest number of segments that one dwell may touch.
     """
 
     prf: float
@@ -99,30 +99,31 @@ class Expectation:
 def expect(
     geometry: Geometry, recovery: Recovery, *, yaw: FloatArray, near: FloatArray, far: FloatArray
 ) -> Expectation | None:
-    """What is expected of a steered collection from its metadata alone.
+    """Expected sums over pulse pairs of a steered collection, from its metadata alone.
 
     Parameters
     ----------
     geometry : Geometry
     recovery : Recovery
     yaw : (n,) float
-        Of what is lit, rad.
+        Yaw of lit points, rad.
     near, far : (n,) float
-        Epoch ranges there, m.
+        Nearest and farthest lit epoch range at each yaw, m.
 
     Returns
     -------
     Expectation or None
-        None if no target is lit for a whole dwell, or if the beam is not steered: then all that is in sight is lit
-        all the time, and the centroid is wherever the scene is bright.
+        None if no target is lit for a whole dwell, or if the beam is not steered: everything in sight is then lit all
+        the time, and the centroid depends on where the scene is bright.
     """
     collection = geometry.collection
-    first, last = geometry.dwell(yaw)
-    start, end = collection.time[[0, -1]] + collection.pulse_interval * np.array([-0.5, 0.5])
+    first, last = dwell_at(geometry, yaw)
+    start, end = aperture(collection)
     late, early = first <= start, last >= end  # begun too late, or ended too early, to see all of them
     uncut = ~(late | early)
     if not uncut.any():  # as it is where the beam is not steered: lit from start to end
         return None
+    cuts = np.array([last[late].max(initial=start), first[early].min(initial=end)])
     nodes, weights = np.polynomial.legendre.leggauss(DWELL_NODES)
     first, last = first[uncut, None], last[uncut, None]
     time = (first + last) / 2 + (last - first) / 2 * nodes
@@ -131,12 +132,11 @@ def expect(
         point = geometry.ground_point(epoch_range[uncut], yaw[uncut])[:, None, :]
         _, rate = geometry.range_history(point, time)
         slow, half = time - geometry.epoch, collection.pulse_interval / 2
-        turned = recovery.derotation_cycles(slow + half) - recovery.derotation_cycles(slow - half)
-        left = rate - recovery.walk - recovery.common.at(slow, 1)
-        offsets.append(-2 / collection.wavelength * left - turned * collection.prf)
+        derotation = recovery.derotation_cycles(slow + half) - recovery.derotation_cycles(slow - half)
+        remaining_rate = rate - recovery.walk - recovery.common.at(slow, 1)
+        offsets.append(-2 / collection.wavelength * remaining_rate - derotation * collection.prf)
     offset = np.concatenate(offsets)
     vector = np.exp(1j * TURN / collection.prf * offset) @ weights / 2
-    cuts = np.array([geometry.dwell(yaw)[1][late].max(initial=start), geometry.dwell(yaw)[0][early].min(initial=end)])
     segments = (cuts - start) / (end - start) * SEGMENTS
     return Expectation(
         prf=collection.prf,
@@ -151,22 +151,23 @@ def expect(
     )
 
 
-def disagreement(found: Inspection, expected: Expectation) -> str | None:
-    """One sentence with figures if track, beam and samples do not belong together, else None.
+def disagreement(inspection: Inspection, expected: Expectation) -> str | None:
+    """One sentence with figures if track, beam and samples contradict each other, else None.
 
-    Two things are looked at. The sum over all segments must lie between the vectors that targets add up to, but for
-    what targets may contribute that the ends of the collection cut: no more than the moduli of the segments they can
-    be lit in. That holds for any scene. And the segments of a scene that is lit about evenly must add up, with one
-    dwell or another left out if need be, and not turn from one to the next as when the phase has the wrong sign.
+    There are two checks. First, the angle of the sum over all segments must lie between those of the targets' own sums,
+    apart from the contribution of targets whose dwell the ends of the collection cut, which is at most the sum of the
+    moduli of the segments in which they can be lit. This holds for any scene. Second, in a scene that is lit about
+    evenly the segments must add up, possibly with one dwell left out, instead of turning from one to the next as they
+    do when the phase has the wrong sign.
 
-    Not seen are errors that move Doppler by less than MAX_OFFSET or by whole PRFs; that turn or shift track and beam
-    together, or move both along the line of sight by a constant; in scenes of one or a few targets, a part of all
-    errors, and those of phase most; where the dwell is longer than half the collection, nothing; nor where noise is
-    stronger than the echoes by about the root of the number of samples in it.
+    Errors that are not detected: those that move Doppler by less than MAX_OFFSET or by whole PRFs; those that rotate or
+    shift track and beam together, or move both along the line of sight by a constant; in scenes of one or a few
+    targets, part of all errors, phase errors above all. Nothing is detected where the dwell is longer than half the
+    collection, or where noise exceeds the echoes by about the square root of the number of samples in it.
     """
-    sums, energy = _sums(found)
-    pulses = np.diff(np.arange(SEGMENTS + 1) * found.n_pulse // SEGMENTS)
-    noise = energy / np.sqrt(np.maximum(pulses * found.n_column, 1))  # deviation of a sum of nothing but noise
+    sums, energy = _pair_sums(inspection)
+    pulses = np.diff(np.arange(SEGMENTS + 1) * inspection.n_pulse // SEGMENTS)
+    noise = energy / np.sqrt(np.maximum(pulses * inspection.n_column, 1))  # standard deviation of a sum over noise
     first, last = expected.whole
     cut = np.abs(sums).sum() - np.abs(sums[first:last]).sum() if last > first else np.inf
     total = sums.sum()
@@ -183,24 +184,24 @@ def disagreement(found: Inspection, expected: Expectation) -> str | None:
             f"{'above' if offset > 0 else 'below'} what the track and the beam say, "
             f"mean of {SEGMENTS} segments; {check}"
         )
-    if _turning(sums, noise, expected):
+    if _is_turning(sums, noise, expected):
         share = max(total.real, 0) / np.abs(sums).sum()
         return (
-            f"the measured Doppler centroid wanders through the PRF of {expected.prf:.6g} Hz where the track and the "
-            f"beam have it stand: {SEGMENTS} segments add up to {share:.0%} of what they hold; {check}"
+            f"the measured Doppler centroid wanders through the PRF of {expected.prf:.6g} Hz where track and beam "
+            f"predict a steady one: {SEGMENTS} segments add up to {share:.0%} of the sum of their moduli; {check}"
         )
     return None
 
 
-def _turning(sums: NDArray[np.complex128], noise: FloatArray, expected: Expectation) -> bool:
-    """Whether segments that each have a centroid do not add up, whichever dwell is left out."""
+def _is_turning(sums: NDArray[np.complex128], noise: FloatArray, expected: Expectation) -> bool:
+    """Whether the segments' sums fail to add up although each has a centroid, whichever dwell is left out."""
     if expected.whole[0] >= expected.whole[1]:
         return False
-    held = np.maximum(np.abs(sums) - 2 * noise, 0)
-    for first in range(-expected.dwell, SEGMENTS - expected.dwell + 1):  # at first, none is
-        kept = np.ones(SEGMENTS, np.bool_)
-        kept[max(first, 0) : max(first + expected.dwell, 0)] = False
-        least = TURNING * expected.real * held[kept].sum() - SIGNIFICANT * np.hypot.reduce(noise[kept])
-        if held[kept].sum() < EVEN * kept.mean() * held.sum() or sums[kept].sum().real >= least:
+    modulus = np.maximum(np.abs(sums) - 2 * noise, 0)
+    for first in range(-expected.dwell, SEGMENTS - expected.dwell + 1):  # the first turn leaves no segment out
+        rest = np.ones(SEGMENTS, np.bool_)
+        rest[max(first, 0) : max(first + expected.dwell, 0)] = False
+        least = TURNING * expected.real * modulus[rest].sum() - SIGNIFICANT * np.hypot.reduce(noise[rest])
+        if modulus[rest].sum() < EVEN * rest.mean() * modulus.sum() or sums[rest].sum().real >= least:
             return False
     return True

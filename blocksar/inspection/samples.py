@@ -1,28 +1,28 @@
-"""Inspection of samples: what is missing, impossible or clipped, and whether track and beam belong to the data.
+"""Inspection of samples: missing, impossible and clipped ones, and sums from which the Doppler centroid follows.
 
-One compiled pass over all pulses of some columns finds samples that are not numbers, samples that no scene can give,
-the extreme level of the components, and sums over pairs of neighbouring pulses that tell the Doppler centroid. What
-is wrong is zeroed, which is how everything downstream reads "not lit". What a pass found is an `Inspection`: plain
-numbers, that of a whole phase history the sum of those of its columns, whichever way they were grouped. Small
-functions judge it and say it in sentences.
+One compiled pass (`scan`) over all pulses of some columns finds samples that are not numbers, samples that no scene can
+produce, the extreme level of the components, and sums over pairs of neighbouring pulses that give the Doppler centroid.
+Invalid samples are set to zero, which everything downstream reads as "not lit". The result of a pass is an
+`Inspection`: plain numbers, so that the inspection of a whole phase history is the sum of those of its columns, however
+they were grouped. `sentences` and `centroid` evaluate it.
 
 Outliers
 --------
 A scene's samples along the pulses of one range frequency change no faster than targets enter and leave the beam: a
-strong target that comes into sight is its own neighbour at the next pulses, also where every other one is missing.
-Rayleigh clutter exceeds its median by STANDS_OUT (40 dB) in one of exp(7000) samples, a jammed column is its own
-median, and a single pulse that is jammed by more leaves nothing of its echoes that would be worth keeping. Damage
-does exceed it: flipped, one of the five highest bits of the exponent multiplies by 2^8 and more, or finds nothing to
-multiply. Samples BEYOND_ALL (160 dB) above the median are wrong in any company: those of a burst of damage, which
-shield each other, and those all of whose neighbours are missing.
+strong target that comes into sight is present in the next pulses too, even where every other pulse is missing.
+Rayleigh clutter exceeds its median by STANDS_OUT (40 dB) in one of exp(7000) samples, a jammed column has a high
+median, and a single pulse jammed by more than that has no echoes worth keeping. Damaged samples do exceed it: flipping
+one of the five highest bits of the exponent multiplies a sample by 2^8 or more, unless it is zero. Samples BEYOND_ALL
+(160 dB) above the median are wrong whatever their neighbours: those in a burst of damage, which shield each other, and
+those all of whose neighbours are missing.
 
 Pulse pairs
 -----------
-The mean of conj(s[p]) s[p + 1] exp(-2j pi expected advance) turns at the power-weighted centroid of Doppler, less
-the expected one, with the expected advance that of the middle of what is lit (`Recovery.bulk` and its derotation). A
-target that the beam sweeps over from edge to edge runs through the lit band from end to end, at a rate that is about
-the same for all: its pairs add up to sinc(band / PRF) of its energy, at angle zero, wherever it lies and whatever
-else there is. So the sum over an aperture of many dwells is real and positive, if track and beam are those of the data.
+The angle of the mean of conj(s[p]) s[p + 1] exp(-2j pi expected advance) is the power-weighted Doppler centroid minus
+the expected one; the expected advance is that of the middle of the lit area (`Recovery.bulk` and its derotation). A
+target over which the beam sweeps from edge to edge runs through the lit band from end to end, at about the same rate
+for all targets: its pairs add up to sinc(band / PRF) of its energy, at angle zero, wherever it lies and whatever else
+is in the scene. So the sum over an aperture of many dwells is real and positive if track and beam match the data.
 """
 
 from __future__ import annotations
@@ -32,45 +32,41 @@ from dataclasses import dataclass, field
 from typing import Any, Self
 
 import numpy as np
-from numba import njit, types
 from numpy.typing import NDArray
 
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from blocksar.constants import TURN
 from blocksar.focusing.recovery import Recovery
+from blocksar.inspection.scan import BEYOND_ALL, STANDS_OUT, scan_pulses, sum_pairs
 from blocksar.kernels.groups import run_groups
-from blocksar.kernels.lanes import LANES, load_imag, load_real, store
 from blocksar.kernels.phase import Float32Array
 
-SEGMENTS = 32  # of slow time, over which pulse pairs are summed: several to a dwell
-STANDS_OUT = 100.0  # an impossible sample over its neighbours, and over its column's median
-BEYOND_ALL = 1e8  # over its column's median alone
-SQUARED = (1e-12, 1e15)  # samples whose squares are summed in float32 as they are
+SEGMENTS = 32  # of slow time, in which pulse pairs are summed: several per dwell
+SQUARED = (1e-12, 1e15)  # extreme levels between which samples are squared in float32 without scaling
 
 Counts = dict[int, int]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Inspection:
-    """What was found in some columns of a phase history; of all of them once merged.
+    """The result of inspecting some columns of a phase history, or all of them once merged.
 
     Attributes
     ----------
     n_pulse, n_column : int
-        What was looked at.
+        Size of the inspected part.
     missing : dict of int
-        Samples that were not finite: their number, by pulse.
+        Number of samples that were not finite, by pulse.
     outliers : dict of list
-        Samples that were impossible: their columns, ascending, by pulse.
+        Columns of the impossible samples, ascending, by pulse.
     valid : int
-        Samples that are neither, and not zero.
+        Number of samples that are neither missing nor outliers nor zero.
     extreme : float
-        Largest modulus of a real or imaginary part among them.
+        Largest modulus of a real or imaginary part among the valid samples.
     at_extreme : tuple of int
-        Real parts of exactly that modulus, and imaginary parts.
+        Numbers of real and of imaginary parts with exactly that modulus.
     pairs : (SEGMENTS, 3) list
-        Of each segment of slow time: real and imaginary part of the sum over pairs of neighbouring pulses, and the
-        energy of its pulses. Empty if nothing was expected of the Doppler.
+        For each segment of slow time: real and imaginary part of the sum over pairs of neighbouring pulses, and the
+        energy of its pulses. Empty if no Doppler was expected.
     """
 
     n_pulse: int
@@ -84,11 +80,12 @@ class Inspection:
 
     @property
     def n_outlier(self) -> int:
+        """Number of impossible samples."""
         return sum(map(len, self.outliers.values()))
 
     @property
     def lit(self) -> FloatArray:
-        """Share of each pulse's samples that hold, (n_pulse,)."""
+        """Share of each pulse's samples that are neither missing nor outliers, (n_pulse,)."""
         lost = np.zeros(self.n_pulse)
         for pulse, count in self.missing.items():
             lost[pulse] += count
@@ -97,44 +94,44 @@ class Inspection:
         return 1 - lost / self.n_column
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON, whose keys are strings."""
+        """The attributes for JSON, whose keys are strings."""
         plain = dict(vars(self))
         for name in ("missing", "outliers"):
-            plain[name] = {str(pulse): found for pulse, found in plain[name].items()}
+            plain[name] = {str(pulse): entry for pulse, entry in plain[name].items()}
         return plain
 
     @classmethod
     def from_dict(cls, plain: dict[str, Any]) -> Self:
-        """From `as_dict`, through JSON or not."""
-        keyed = {name: {int(pulse): found for pulse, found in plain[name].items()} for name in ("missing", "outliers")}
+        """The inspection that `as_dict` gave, through JSON or not."""
+        keyed = {name: {int(pulse): entry for pulse, entry in plain[name].items()} for name in ("missing", "outliers")}
         return cls(**{**plain, **keyed, "at_extreme": tuple(plain["at_extreme"])})
 
 
 def merge(parts: Iterable[Inspection]) -> Inspection:
-    """The inspection of all the columns of some.
+    """Merge the inspections of groups of columns.
 
     Raises
     ------
     ValueError
-        If there are none, or they are not of the same pulses.
+        If there are none, or they do not have the same pulses.
     """
     first, *others = parts
     for part in others:
-        first = _merged(first, part)
+        first = _merge_pair(first, part)
     return first
 
 
-def _merged(a: Inspection, b: Inspection) -> Inspection:
+def _merge_pair(a: Inspection, b: Inspection) -> Inspection:
     if a.n_pulse != b.n_pulse or bool(a.pairs) != bool(b.pairs):
-        raise ValueError(f"{a.n_pulse} and {b.n_pulse} pulses, or pairs in one only, are no one phase history")
+        raise ValueError(f"{a.n_pulse} and {b.n_pulse} pulses, or pairs in one only, are not of one phase history")
     extreme = max(a.extreme, b.extreme)
     pulses = sorted({*a.missing, *b.missing})
-    struck = sorted({*a.outliers, *b.outliers})
+    outliers = sorted({*a.outliers, *b.outliers})
     return Inspection(
         n_pulse=a.n_pulse,
         n_column=a.n_column + b.n_column,
         missing={p: a.missing.get(p, 0) + b.missing.get(p, 0) for p in pulses},
-        outliers={p: sorted(a.outliers.get(p, []) + b.outliers.get(p, [])) for p in struck},
+        outliers={p: sorted(a.outliers.get(p, []) + b.outliers.get(p, [])) for p in outliers},
         valid=a.valid + b.valid,
         extreme=extreme,
         at_extreme=(
@@ -145,23 +142,23 @@ def _merged(a: Inspection, b: Inspection) -> Inspection:
     )
 
 
-def levels(parts: Iterable[Inspection]) -> Inspection:
-    """What was found in a raw echo, pulses after pulses: only counts; what is missing is told of the signal."""
+def merge_echoes(parts: Iterable[Inspection]) -> Inspection:
+    """Merge the inspections of groups of pulses of a raw echo: counts only.
+
+    Missing samples are left out, as they are reported for the compressed signal. Outliers keep neither pulse nor order.
+    """
     parts = list(parts)
     extreme = max(part.extreme for part in parts)
     counts = [part.at_extreme for part in parts if part.extreme == extreme]
-    struck = [columns for part in parts for columns in part.outliers.values()]
+    outliers = [columns for part in parts for columns in part.outliers.values()]
     return Inspection(
         n_pulse=sum(part.n_pulse for part in parts),
         n_column=parts[0].n_column,
-        outliers=dict(enumerate(struck)),
+        outliers=dict(enumerate(outliers)),
         valid=sum(part.valid for part in parts),
         extreme=extreme,
         at_extreme=(sum(real for real, _ in counts), sum(imag for _, imag in counts)),
     )
-
-
-# ---------------------------------------------------------------- the pass over the samples
 
 
 def inspect(
@@ -172,16 +169,16 @@ def inspect(
     first_column: int = 0,
     threads: int = 1,
 ) -> Inspection:
-    """Look at some columns of a phase history; what is not finite or impossible becomes 0, in place.
+    """Inspect some columns of a phase history, and set samples that are not finite or impossible to zero in place.
 
-    A sample's modulus is here the larger one of its two parts, its neighbours are one and two pulses before and after,
-    and neighbours and median count samples that are finite and not zero. A column is suspect if any of its samples
-    exceeds STANDS_OUT times the largest of its neighbours or has none, or exceeds BEYOND_ALL times those before it or
-    those after it. In a suspect column a sample is impossible if it exceeds STANDS_OUT times the median, and as many
-    times the largest of its neighbours, of which it has some; or BEYOND_ALL times the median. Columns are judged each
-    by itself, so that it does not matter how they are grouped. Cannot be told: damage that makes samples smaller or a
-    little larger, and damage within two pulses of another's, by less than BEYOND_ALL. A target that is lit for a single
-    pulse, 40 dB above all else, is lost.
+    The modulus of a sample means the larger modulus of its two parts; its neighbours are one and two pulses before and
+    after; neighbours and median include only samples that are finite and not zero. A column is suspect if any of its
+    samples exceeds STANDS_OUT times the largest of its neighbours or has none, or exceeds BEYOND_ALL times those before
+    it or those after it. In a suspect column a sample is impossible if it has neighbours and exceeds STANDS_OUT times
+    both their largest and the median, or if it exceeds BEYOND_ALL times the median. Each column is judged by itself, so
+    the grouping of columns does not matter. Not detected: damage that makes samples smaller or slightly larger, and
+    damage below BEYOND_ALL within two pulses of other damage. A target that is lit for a single pulse, 40 dB above all
+    else, is lost.
 
     Parameters
     ----------
@@ -190,11 +187,11 @@ def inspect(
     range_frequency : (n_column,) float
         Hz, from `recovery.carrier`; uniform.
     recovery : Recovery or None
-        Says what Doppler is expected; None where that says nothing, see `disagreement`: no pairs are summed then.
+        Gives the expected Doppler. None where no Doppler can be expected (see `centroid.expect`): no pairs are summed.
     first_column : int
-        That the outliers' columns are counted from.
+        Number of the first column in the phase history, for the columns of outliers.
     threads : int
-        The result does not depend on it, nor do the samples.
+        Neither the result nor the samples depend on it.
 
     Returns
     -------
@@ -203,7 +200,7 @@ def inspect(
     Raises
     ------
     ValueError
-        If the signal is not contiguous, or not that of the recovery's pulses.
+        If the signal is not contiguous, or does not have the recovery's pulses.
     """
     n_pulse, n_column = signal.shape
     if not signal.flags.c_contiguous or signal.dtype != np.complex64 or range_frequency.shape != (n_column,):
@@ -213,9 +210,9 @@ def inspect(
     scan = _scan(signal, range_frequency, recovery, threads)
     missing, outliers = scan.missing, {}
     if missing.any() or scan.suspect.any():
-        # The sums are spoilt: zeroed, and once more.
+        # Invalid samples spoil the sums: set them to zero and scan again.
         signal[missing > 0] = _finite(signal[missing > 0])
-        outliers = _strike(signal, np.flatnonzero(scan.suspect.any(axis=0)))
+        outliers = _zero_outliers(signal, np.flatnonzero(scan.suspect.any(axis=0)))
         scan = _scan(signal, range_frequency, recovery, threads)
     extreme = float(scan.extreme.max().view(np.float32))
     if recovery is not None and extreme > 0 and not SQUARED[0] < extreme < SQUARED[1]:
@@ -236,14 +233,14 @@ def inspect(
 
 @dataclass(frozen=True, eq=False)
 class _Scan:
-    """Of one pass: missing by pulse, suspects by segment and column, the rest by segment."""
+    """The arrays that one pass fills."""
 
-    missing: IntArray
-    suspect: BoolArray
-    valid: IntArray
-    extreme: NDArray[np.int32]
-    at_extreme: IntArray
-    pairs: FloatArray
+    missing: IntArray  # (n_pulse,)
+    suspect: BoolArray  # (SEGMENTS, n_column)
+    valid: IntArray  # (SEGMENTS,)
+    extreme: NDArray[np.int32]  # (SEGMENTS,) bits of a float32
+    at_extreme: IntArray  # (SEGMENTS, 2)
+    pairs: FloatArray  # (SEGMENTS, 3)
 
 
 def _scan(
@@ -254,7 +251,7 @@ def _scan(
     *,
     scale: float = 1.0,
 ) -> _Scan:
-    """One pass; the pairs are summed of samples times `scale`, a power of two, and scaled back."""
+    """Run one pass. Pairs are summed of samples times `scale`, a power of two, and the sums scaled back."""
     n_pulse, n_column = signal.shape
     scan = _Scan(
         np.zeros(n_pulse, np.int64),
@@ -274,10 +271,10 @@ def _scan(
 
     def work(k: int) -> None:
         first, last = int(edges[k]), int(edges[k + 1])
-        seen = _look(parts, first, last, scan.missing, scan.suspect[k])
-        scan.valid[k], scan.extreme[k], scan.at_extreme[k] = seen[0], seen[1], seen[2:]
+        levels = scan_pulses(parts, first, last, scan.missing, scan.suspect[k])
+        scan.valid[k], scan.extreme[k], scan.at_extreme[k] = levels[0], levels[1], levels[2:]
         if recovery is not None:
-            _sum_pairs(signal, np.float32(scale), first, last, advance, factor, scan.pairs[k])
+            sum_pairs(signal, np.float32(scale), first, last, advance, factor, scan.pairs[k])
             scan.pairs[k] /= scale**2
 
     run_groups(work, range(SEGMENTS), threads)
@@ -288,20 +285,20 @@ def _finite(signal: ComplexArray) -> ComplexArray:
     return np.where(np.isfinite(signal), signal, np.complex64(0))
 
 
-def _strike(signal: ComplexArray, columns: IntArray) -> dict[int, list[int]]:
-    """Zero the impossible samples of some columns, all of whose samples are finite; where they were."""
-    struck: dict[int, list[int]] = {}
+def _zero_outliers(signal: ComplexArray, columns: IntArray) -> dict[int, list[int]]:
+    """Set the impossible samples of some columns, all finite, to zero; return their columns by pulse."""
+    outliers: dict[int, list[int]] = {}
     for column in columns:
         samples = signal[:, column]
-        found = np.flatnonzero(_impossible(np.maximum(np.abs(samples.real), np.abs(samples.imag))))
-        samples[found] = 0
-        for pulse in found:
-            struck.setdefault(int(pulse), []).append(int(column))
-    return dict(sorted(struck.items()))
+        pulses = np.flatnonzero(_impossible(np.maximum(np.abs(samples.real), np.abs(samples.imag))))
+        samples[pulses] = 0
+        for pulse in pulses:
+            outliers.setdefault(int(pulse), []).append(int(column))
+    return dict(sorted(outliers.items()))
 
 
 def _impossible(modulus: Float32Array) -> BoolArray:
-    """Which samples of a suspect column (n_pulse,) are impossible."""
+    """Mask of the impossible samples of a suspect column (n_pulse,)."""
     padded = np.pad(modulus, 2)
     near = np.maximum.reduce([padded[:-4], padded[1:-3], padded[3:-1], padded[4:]])
     median = np.median(modulus[modulus > 0])
@@ -310,166 +307,19 @@ def _impossible(modulus: Float32Array) -> BoolArray:
         return lone | (modulus > BEYOND_ALL * median)
 
 
-# Compiled. A row of samples is read from memory once, and stays in the cache for what else is done with it.
-
-_SAMPLES = types.Array(types.complex64, 2, "C", readonly=True)
-_PARTS = types.Array(types.float32, 2, "C", readonly=True)
-_LARGEST = np.float32(np.finfo(np.float32).max)
-_SIGNLESS = np.int32(0x7FFFFFFF)
-_LONE, _ALL = np.float32(STANDS_OUT), np.float32(BEYOND_ALL)
-
-
-@njit(cache=True, nogil=True)
-def _moduli(row: Float32Array, modulus: Float32Array) -> None:
-    """The larger part of each sample; -1 where one is not finite."""
-    for c in range(modulus.size):
-        a, b = abs(row[2 * c]), abs(row[2 * c + 1])
-        larger = a if a > b else b
-        modulus[c] = larger if (a <= _LARGEST) & (b <= _LARGEST) else np.float32(-1)
-
-
-@njit(cache=True, nogil=True)
-def _extent(bits: Any) -> tuple[Any, int, int]:
-    """Of a row of moduli, as integers, which stand in the same order and are compared a vector at a time.
-
-    Which one is the largest, how many are above zero, and how many below.
-    """
-    largest, valid, missing = np.int32(0), 0, 0
-    for c in range(bits.size):
-        largest = max(largest, bits[c])
-        valid += bits[c] > 0
-        missing += bits[c] < 0
-    return largest, valid, missing
-
-
-@njit(cache=True, nogil=True)
-def _count(bits: Any, modulus: int) -> tuple[int, int]:
-    """The real and the imaginary parts of a row that are of this modulus, as integers."""
-    real, imag = 0, 0
-    for c in range(bits.size // 2):
-        real += (bits[2 * c] & _SIGNLESS) == modulus
-        imag += (bits[2 * c + 1] & _SIGNLESS) == modulus
-    return real, imag
-
-
-@njit(inline="always")
-def _suspicious(m: Any, before: Any, after: Any) -> Any:
-    larger, smaller = max(before, after), min(before, after)
-    return ((m > _LONE * larger) & (m > 0)) | ((smaller > 0) & (m > _ALL * smaller))
-
-
-@njit(cache=True, nogil=True)
-def _suspects(moduli: Float32Array, p: int, suspect: BoolArray) -> None:
-    """Mark the columns in which pulse p stands out; pulse q is row q % 5."""
-    a, b, m, d, e = moduli[(p - 2) % 5], moduli[(p - 1) % 5], moduli[p % 5], moduli[(p + 1) % 5], moduli[(p + 2) % 5]
-    count = 0
-    for c in range(m.size):
-        count += _suspicious(m[c], max(a[c], b[c]), max(d[c], e[c]))
-    if count:
-        for c in range(m.size):
-            suspect[c] |= _suspicious(m[c], max(a[c], b[c]), max(d[c], e[c]))
-
-
-@njit([(_PARTS, types.int64, types.int64, types.int64[::1], types.boolean[::1])], cache=True, nogil=True)
-def _look(
-    parts: Float32Array, first: int, last: int, missing: IntArray, suspect: BoolArray
-) -> tuple[int, int, int, int]:
-    """Pulses first .. last - 1: samples that hold something, bits of the extreme part, real and imaginary ones there.
-
-    Fills in what is missing in them, and marks the columns that are suspect.
-    """
-    n_pulse, n_column = parts.shape[0], parts.shape[1] // 2
-    moduli = np.zeros((5, n_column), np.float32)
-    bits, part_bits = moduli.view(np.int32), parts.view(np.int32)
-    valid, extreme, real, imag = 0, 0, 0, 0
-    for ahead in range(first - 2, last + 2):
-        if 0 <= ahead < n_pulse:
-            _moduli(parts[ahead], moduli[ahead % 5])
-        else:
-            moduli[ahead % 5] = 0
-        p = ahead - 2
-        if p < first:
-            continue
-        _suspects(moduli, p, suspect)
-        largest, count, missing[p] = _extent(bits[p % 5])
-        valid += count
-        if largest > extreme:
-            extreme, real, imag = largest, 0, 0
-        if largest == extreme and count:
-            more_real, more_imag = _count(part_bits[p], extreme)
-            real, imag = real + more_real, imag + more_imag
-    return valid, extreme, real, imag
-
-
-@njit(inline="always")
-def _conjugate_product(a: Any, b: Any, i: Any, scale: Any) -> Any:
-    """LANES samples from i on, times `scale`: conj(a) b, and the energy of a."""
-    ar, ai, br, bi = load_real(a, i) * scale, load_imag(a, i) * scale, load_real(b, i) * scale, load_imag(b, i) * scale
-    return ar * br + ai * bi, ar * bi - ai * br, ar * ar + ai * ai
-
-
-@njit(
-    [(_SAMPLES, types.float32, types.int64, types.int64, types.float64[::1], types.float64[::1], types.float64[::1])],
-    cache=True,
-    nogil=True,
-    fastmath={"contract", "nsz"},
-)
-def _sum_pairs(
-    signal: ComplexArray,
-    scale: np.float32,
-    first: int,
-    last: int,
-    advance: FloatArray,
-    factor: FloatArray,
-    out: FloatArray,
-) -> None:
-    """out = sum over p of conj(s[p, c]) s[p + 1, c] exp(-2j pi (factor[0] + c factor[1]) advance[p]), and the energy.
-
-    The phase is linear along a row: a polynomial in its step's phasor, by Horner's rule, LANES columns at a time.
-    """
-    n_pulse, n_column = signal.shape
-    whole = n_column - n_column % LANES
-    rest, rest_next = np.zeros(LANES, np.complex64), np.zeros(LANES, np.complex64)
-    reals, imags, energies = np.empty(LANES, np.float32), np.empty(LANES, np.float32), np.empty(LANES, np.float32)
-    for p in range(first, last):
-        paired = p + 1 < n_pulse
-        row, after = signal[p], signal[p + 1 if paired else p]
-        cycles, step = (advance[p] * factor[0], advance[p] * factor[1]) if paired else (0.0, 0.0)
-        turn = -TURN * LANES * step
-        wr, wi = np.float32(np.cos(turn)), np.float32(np.sin(turn))
-        rest[: n_column - whole], rest_next[: n_column - whole] = row[whole:], after[whole:]
-        real, imag, energy = _conjugate_product(rest, rest_next, 0, scale)
-        for k in range(whole // LANES):
-            pr, pi, more = _conjugate_product(row, after, whole - LANES * (k + 1), scale)
-            real, imag = real * wr - imag * wi + pr, real * wi + imag * wr + pi
-            energy = energy + more
-        store(reals, 0, real)
-        store(imags, 0, imag)
-        store(energies, 0, energy)
-        total = 0j
-        phasor, by = np.exp(-1j * TURN * (cycles - np.rint(cycles))), np.exp(-1j * TURN * step)
-        for k in range(LANES):
-            total += phasor * complex(reals[k], imags[k])
-            phasor *= by
-            out[2] += energies[k]
-        if paired:
-            out[0] += total.real
-            out[1] += total.imag
-
-
-def strike(signal: ComplexArray, found: Inspection, *, pulses: slice) -> None:
-    """Make the outliers that were found missing, and what is infinite: NaN, in place, for who reads by pulse.
+def mask_outliers(signal: ComplexArray, inspection: Inspection, *, pulses: slice) -> None:
+    """Set outliers and infinities to NaN in place, for callers that read by pulse.
 
     Parameters
     ----------
     signal : (n, n_column) complex64
         All columns of these pulses.
-    found : Inspection
-        Merged.
+    inspection : Inspection
+        Of the whole phase history.
     pulses : slice
-        n of them.
+        The n pulses of `signal`.
     """
     signal[np.isinf(signal)] = np.nan
-    for pulse, columns in found.outliers.items():
+    for pulse, columns in inspection.outliers.items():
         if pulses.start <= pulse < pulses.stop:
             signal[pulse - pulses.start, columns] = np.nan

@@ -1,1 +1,1 @@
-"""Arrays in, arrays out: transforms, phases, interpolation and programs along rows. Nothing here knows of files."""
+"""Numerical kernels on plain arrays: transforms, phases, interpolation and row programs. No files, no logging."""

@@ -1,4 +1,4 @@
-"""The spectrum of a linear chirp, and so its matched filter."""
+"""The spectrum of a linear chirp, from which its matched filter follows."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""The one transform pair, its axes and its sign: nobody else touches an FFT.
+"""The package's only Fourier transform pair, with its sign convention and axes; no other module calls an FFT.
 
     forward:  X(f_k) = sum_n x(t_n) exp(-2j pi f_k t_n)
     inverse:  x(t_n) = 1/N sum_k X(f_k) exp(+2j pi f_k t_n)
 
 Both axes are uniform and may start anywhere; with step_f = 1 / (N step_t) each sum is one FFT between two
-vectors of phase factors, which `rows` multiplies in. There is no fftshift: an axis says where it starts.
+vectors of phase factors, which `rows` applies. No fftshift is needed, because each axis carries its start.
 """
 
 from __future__ import annotations
@@ -38,10 +38,11 @@ class Axis:
         return self.start + self.step * (self.size // 2)
 
     def position(self, value: FloatArray) -> FloatArray:
-        """Index, with its fraction, of a value."""
+        """Fractional index of a value."""
         return (value - self.start) / self.step
 
     def part(self, first: int, size: int) -> Axis:
+        """The axis of the samples first .. first + size - 1."""
         return Axis(self.start + first * self.step, self.step, size)
 
 
@@ -51,24 +52,24 @@ def centred(centre: float, step: float, size: int) -> Axis:
 
 
 def dual(axis: Axis, *, size: int, centre: float) -> Axis:
-    """The other side of a transform of `size` samples of this step, about `centre`."""
+    """The axis on the other side of a transform of `size` samples with this axis' step, centred at `centre`."""
     return centred(centre, 1.0 / (size * axis.step), size)
 
 
 def fast_length(minimum: float) -> int:
-    """The smallest even length of at least `minimum` that transforms fast: 2, 3 and 5 its only factors.
+    """The smallest even FFT length of at least `minimum` whose only prime factors are 2, 3 and 5.
 
-    The library has loops for 7 and 11 too, but a transform with one of those takes up to a fifth longer than the
-    next that has none.
+    The library also has loops for the factors 7 and 11, but a transform with one of them takes up to a fifth longer
+    than the next length without.
     """
     return 2 * int(scipy.fft.next_fast_len(int(np.ceil(max(minimum, 2.0) / 2)), real=True))
 
 
 def unit_phasor(cycles: FloatArray) -> ComplexArray:
-    """exp(2j pi cycles), the whole cycles taken out in float64."""
+    """exp(2j pi cycles) in complex64; whole cycles are removed in float64."""
     return np.exp(2j * np.pi * (cycles - np.rint(cycles))).astype(np.complex64)
 
 
 def fft_rows(group: ComplexArray, *, inverse: bool) -> ComplexArray:
-    """The bare library call: index against index, 1 / N in the inverse, one thread, the input is scratch."""
+    """FFT of each row over bare indices: 1 / N in the inverse, one thread, the input is overwritten."""
     return np.asarray((scipy.fft.ifft if inverse else scipy.fft.fft)(group, axis=1, overwrite_x=True))

@@ -1,4 +1,4 @@
-"""Groups of rows that fit a core's cache, run by several threads."""
+"""Groups of rows that fit into a core's cache, and a thread pool that works through them."""
 
 from __future__ import annotations
 
@@ -6,20 +6,23 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
-GROUP_BYTES = 768 * 1024  # rows worked on at a time: within a core's second-level cache
-GROUP_ROWS = 4  # and a multiple of so many, which the FFT library transforms at once
-Part = TypeVar("Part")  # a slice, a tile: what a thread does in one go
+GROUP_BYTES = 768 * 1024  # of the rows in a group, to stay within a core's second-level cache
+GROUP_ROWS = 4  # group sizes are multiples of this: the FFT library transforms so many rows at once
+Part = TypeVar("Part")  # one unit of work for a thread: a slice or a tile
 
 
 def row_groups(first: int, last: int, length: int, *, columns: bool = False) -> list[slice]:
-    """Rows of `length` samples in groups of about GROUP_BYTES, whole cache lines of an array's columns if they are."""
+    """Divide rows first .. last - 1 of `length` complex64 samples into groups of about GROUP_BYTES.
+
+    If the rows are an array's columns, a group holds whole cache lines of them.
+    """
     multiple = 2 * GROUP_ROWS if columns else GROUP_ROWS
     rows = max(GROUP_BYTES // (8 * length) // multiple, 1) * multiple
     return [slice(i, min(i + rows, last)) for i in range(first, last, rows)]
 
 
 def run_groups(work: Callable[[Part], None], groups: Iterable[Part], threads: int) -> None:
-    """Do `work` for every group, on as many threads: Python's, not numba's, which may not be entered twice."""
+    """Call `work` for every group on several threads: Python's, since numba's own threads are not re-entrant."""
     if threads == 1:
         for group in groups:
             work(group)

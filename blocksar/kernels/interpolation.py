@@ -1,4 +1,4 @@
-"""Band-limited interpolation along rows: taps by least squares, scaled and bent sampling."""
+"""Band-limited interpolation along rows: least-squares taps, and resampling at linear or polynomial positions."""
 
 from __future__ import annotations
 
@@ -13,28 +13,25 @@ from blocksar.kernels.phase import Float32Array
 from blocksar.kernels.signatures import COMPILED, REAL_ROW, REAL_ROWS, SAMPLES_IN, SAMPLES_OUT
 from blocksar.kernels.trigonometry import horner
 
-PIECE = LANES * LANES  # samples of a row that are interpolated from the first-level cache: a vector of vectors
+PIECE = LANES * LANES  # samples of a row interpolated from one buffer that fits the first-level cache
 TAP_PHASES = 32  # fractions of a sample about which interpolation weights are expanded
 TAP_ORDER = 4
-TAP_REACH = 0.2  # samples from there at which the expansion is used: it errs by 1e-5
-
-
-# -- interpolation --------------------------------------------------------------------------------------------
+TAP_REACH = 0.2  # samples: largest distance from a fraction at which its expansion is used; it errs by 1e-5
 
 
 def interpolation_taps(n_tap: int, *, occupancy: float, n_phase: int = 256) -> Float32Array:
     """Least-squares taps for band-limited interpolation at any fraction of a sample.
 
     For each fraction p / n_phase the taps minimise the mean square error over frequencies
-    |f| <= occupancy / 2 (cycles a sample): a small normal system of sinc values. At the same cost they err
-    less than a Kaiser-windowed sinc, the more so the lower the occupancy.
+    |f| <= occupancy / 2 (cycles per sample): a small normal system of sinc values. At the same cost their error
+    is smaller than that of a Kaiser-windowed sinc, the more so the lower the occupancy.
 
     Parameters
     ----------
     n_tap : int
         Even.
     occupancy : float
-        Part of the sampling rate that the signal fills, below 1.
+        Share of the sampling rate that the signal fills, below 1.
 
     Returns
     -------
@@ -49,7 +46,7 @@ def interpolation_taps(n_tap: int, *, occupancy: float, n_phase: int = 256) -> F
 
 
 def interpolation_error(n_tap: int, occupancy: float) -> float:
-    """Root mean square relative error of these taps over the occupied band, at the worst fraction."""
+    """Root mean square relative error of `interpolation_taps` over the occupied band, at the worst fraction, 1/2."""
     taps = interpolation_taps(n_tap, occupancy=occupancy, n_phase=2)[1].astype(np.float64)
     k = np.arange(n_tap) - (n_tap // 2 - 1)
     f = np.linspace(-occupancy / 2, occupancy / 2, 129)
@@ -58,7 +55,7 @@ def interpolation_error(n_tap: int, occupancy: float) -> float:
 
 
 def taps_needed(occupancy: float, *, error: float, at_most: int = 32) -> int:
-    """The fewest even number of taps whose error stays below `error`."""
+    """The smallest even number of taps whose error is at most `error`, or `at_most` if none is."""
     for n_tap in range(4, at_most + 1, 2):
         if interpolation_error(n_tap, occupancy) <= error:
             return n_tap
@@ -66,9 +63,10 @@ def taps_needed(occupancy: float, *, error: float, at_most: int = 32) -> int:
 
 
 def tap_polynomials(n_tap: int, *, occupancy: float) -> Float32Array:
-    """The same taps expanded about TAP_PHASES fractions: weight_k(q / TAP_PHASES + mu) = sum_p table[q, k, p] mu^p.
+    """Expand these taps about TAP_PHASES fractions: weight_k(q / TAP_PHASES + mu) = sum_p table[q, k, p] mu^p.
 
-    Good to |mu| <= TAP_REACH, so that a strip over which the fraction drifts needs no table look-up a sample.
+    Valid for |mu| <= TAP_REACH, so that a strip over which the fraction drifts needs one table look-up, not one per
+    sample.
 
     Returns
     -------
@@ -86,9 +84,9 @@ def tap_polynomials(n_tap: int, *, occupancy: float) -> Float32Array:
 
 @njit(inline="always")
 def _fetch(row: Any, first: Any, count: Any, real: Any, imag: Any) -> None:
-    """Real and imaginary parts of row[first : first + count], zero beyond the row's ends.
+    """Copy the real and imaginary parts of row[first : first + count]; zero beyond the row's ends.
 
-    Apart, because interleaved they would have to be shuffled at every tap.
+    Two arrays, because interleaved parts would have to be shuffled at every tap.
     """
     begin = min(max(-first, 0), count)
     end = max(min(row.size - first, count), begin)
@@ -103,7 +101,7 @@ def _fetch(row: Any, first: Any, count: Any, real: Any, imag: Any) -> None:
 
 @njit(inline="always")
 def _strip_length(drift: Any) -> Any:
-    """Samples over which the fraction stays where weights are expanded, if it moves by at most `drift` a sample."""
+    """Samples over which the fraction stays within TAP_REACH if it drifts by at most `drift` per sample."""
     length = LANES
     while length > 1 and (length - 1) / 2 * drift > TAP_REACH - 0.5 / TAP_PHASES:
         length //= 2
@@ -112,7 +110,7 @@ def _strip_length(drift: Any) -> Any:
 
 @njit(inline="always")
 def _weigh(real: Any, imag: Any, first: Any, weights: Any, mu: Any) -> Any:
-    """Sums over taps for LANES samples, whose windows begin at first, first + 1, ...: weights are polynomials in mu."""
+    """Sum over the taps for LANES samples, whose windows begin at first, first + 1, ...; weights: polynomials in mu."""
     re, im = spread(np.float32(0.0)), spread(np.float32(0.0))
     for k in range(weights.shape[0]):
         weight = horner(weights[k], TAP_ORDER, mu)
@@ -123,7 +121,7 @@ def _weigh(real: Any, imag: Any, first: Any, weights: Any, mu: Any) -> Any:
 
 @njit(inline="always")
 def _window(i: Any, length: Any, n_tap: Any, middle: Any, s: Any) -> Any:
-    """Where the taps of the strip that makes samples i .. i + length - 1 begin, and the fraction of a sample over."""
+    """First tap of the strip of output samples i .. i + length - 1, and the remaining fraction of a sample."""
     half = (length - 1) / 2
     position = middle + (i + half - middle) * s - half
     whole = np.floor(position)
@@ -136,20 +134,20 @@ def _window(i: Any, length: Any, n_tap: Any, middle: Any, s: Any) -> Any:
 def stretch_rows(values: ComplexArray, out: ComplexArray, scale: FloatArray, middle: float, taps: Float32Array) -> None:
     """out[r, i] = scale[r] times values[r] at position middle + (i - middle) scale[r]; zero beyond the ends.
 
-    So the sum along a row stays what it is. The positions move by almost one sample a step, so over a short strip the
-    window slides evenly and only the fraction of a sample drifts: the weights are polynomials in it, and all loops run
-    over contiguous samples.
+    The factor preserves the sum along a row. Positions advance by almost one sample per output sample, so over a short
+    strip the window slides evenly and only the fraction of a sample drifts: the weights are polynomials in it, and all
+    loops run over contiguous samples.
 
     Parameters
     ----------
     values, out : (n_row, n) complex64
-        Not the same array.
+        Two different arrays.
     scale : (n_row,) float64
         Near 1.
     middle : float
-        The position that stays.
+        The position that maps to itself.
     taps : (TAP_PHASES + 1, n_tap, TAP_ORDER + 1) float32
-        Of `tap_polynomials`.
+        From `tap_polynomials`.
 
     Raises
     ------
@@ -178,7 +176,7 @@ def stretch_rows(values: ComplexArray, out: ComplexArray, scale: FloatArray, mid
             mu = np.float32(start) + np.float32(s - 1.0) * count_lanes()
             re, im = _weigh(real, imag, first - origin, taps[q], mu)
             re, im = re * np.float32(s), im * np.float32(s)
-            if i + LANES <= n:  # further than a short strip is good for: the next one writes over the rest
+            if i + LANES <= n:  # a full vector, even if the strip is shorter: the next strip overwrites the rest
                 store_complex(result, i, re, im)
             else:
                 store_complex(strip, 0, re, im)
@@ -187,9 +185,9 @@ def stretch_rows(values: ComplexArray, out: ComplexArray, scale: FloatArray, mid
 
 @njit(inline="always")
 def _expand(c: Any, n: Any, terms: Any) -> Any:
-    """Taylor's terms of a polynomial in u, in steps of half a vector: c(u + x LANES / n) = sum_k terms[k](u) x^k.
+    """Taylor terms of a polynomial in u, in steps of half a vector: c(u + x LANES / n) = sum_k terms[k](u) x^k.
 
-    Returns the last that is worth a ten millionth of a sample.
+    Returns the order of the last term above 1e-7 samples, at least 1.
     """
     terms[0] = c
     last = 1
@@ -206,7 +204,7 @@ def _expand(c: Any, n: Any, terms: Any) -> Any:
 
 @njit(inline="always")
 def _root(values: Any, middle: Any, share: Any) -> Any:
-    """Square roots of LANES values within middle (1 +- share), share at most 0.6, from the one in the middle."""
+    """Square roots of LANES values within middle (1 +- share), share at most 0.6, starting from that of `middle`."""
     inverse = spread(np.float32(1.0 / np.sqrt(middle)))
     error = 1.0 - np.sqrt(1.0 - share)
     while error > 1e-7:  # Newton's iteration needs no division
@@ -219,34 +217,35 @@ def _root(values: Any, middle: Any, share: Any) -> Any:
 def resample_rows(values: ComplexArray, out: ComplexArray, positions: FloatArray, taps: Float32Array) -> None:
     """out[r, i] = sqrt(dp / di) values[r] at position p = sum_k positions[r, k] u_i^k, u_i = (i - n // 2) / (n / 2).
 
-    Energy is kept; samples beyond the ends count as zero. As in `stretch_rows` the window slides evenly over a short
-    strip, but the fraction drifts along a curve: the position's polynomial, expanded about the middle of every LANES
-    samples to as many terms as matter in this row.
+    Energy is preserved; samples beyond the ends count as zero. As in `stretch_rows` the window slides evenly over a
+    short strip, but the fraction drifts along a curve: the position's polynomial, expanded about the middle of every
+    LANES samples to as many terms as matter in this row.
 
     Parameters
     ----------
     values, out : (n_row, n) complex64
-        Not the same array.
+        Two different arrays.
     positions : (n_row, order + 1) float64
         In samples; order at least 1.
     taps : (TAP_PHASES + 1, n_tap, TAP_ORDER + 1) float32
-        Of `tap_polynomials`.
+        From `tap_polynomials`.
 
     Raises
     ------
     ValueError
-        If there is not one polynomial a row, or positions move by less than 1/2 or more than 2 samples a sample, by
-        a bound over every LANES samples: it is sharp unless the slope bends within so few.
+        If there is not one polynomial per row, or positions may advance by less than 1/2 or more than 2 samples per
+        sample. The check bounds the slope over every LANES samples; the bound is sharp unless the slope changes
+        within them.
     """
     n, n_tap, order = values.shape[1], taps.shape[1], positions.shape[1] - 1
     if positions.shape[0] != values.shape[0] or order < 1:
-        raise ValueError("positions are not one polynomial a row")
+        raise ValueError("positions are not one polynomial per row")
     room = 2 * PIECE + n_tap + 3 * LANES
     real, imag = np.empty(room, np.float32), np.empty(room, np.float32)
     terms, about = np.empty((order + 1, order + 1)), np.empty((order + 1, LANES))
     drift, slope = np.empty(order + 1, np.float32), np.empty(order, np.float32)
     gain, strip = np.zeros(2 * LANES, np.float32), np.empty(LANES, np.complex64)
-    middles = np.zeros(n // LANES + 1 + LANES)  # of every LANES samples, and zeros to make a vector
+    middles = np.zeros(n // LANES + 1 + LANES)  # u at the middle of every LANES samples; zeros fill up a vector
     for i in range(0, n, LANES):
         middles[i // LANES] = (i + (min(LANES, n - i) - 1) / 2 - n // 2) * (2.0 / n)
     origin = 0
@@ -270,26 +269,26 @@ def resample_rows(values: ComplexArray, out: ComplexArray, positions: FloatArray
                 slope[k - 1] = k * about[k, block] * (2 / LANES)
                 reach *= count / LANES
                 bend += abs(slope[k - 1]) * reach
-            if not (pace - bend > 0.4999 and pace + bend < 2.0001):  # 1/2 and 2 themselves, but for rounding, will do
-                raise ValueError("positions do not move by 1/2 to 2 samples a sample")
+            if not (pace - bend > 0.4999 and pace + bend < 2.0001):  # 1/2 and 2 are allowed, up to rounding
+                raise ValueError("positions do not advance by 1/2 to 2 samples per sample")
             half = (count - 1) / 2
             along = (count_lanes() - np.float32(half)) * np.float32(2 / LANES)
             store(gain, 0, _root(horner(slope, last - 1, along), pace, bend / pace))
             length = _strip_length(abs(pace - 1.0) + bend)
             for j in range(0, count, length):
-                kept = min(length, count - j)
-                middle = (j + (kept - 1) / 2 - half) * (2 / LANES)
+                size = min(length, count - j)
+                middle = (j + (size - 1) / 2 - half) * (2 / LANES)
                 position = about[last, block]
                 for k in range(last):
                     position = about[last - 1 - k, block] + middle * position
-                position -= (kept - 1) / 2
+                position -= (size - 1) / 2
                 whole = np.floor(position)
                 q = int((position - whole) * TAP_PHASES + 0.5)
                 drift[0] = about[0, block] - half + j - whole - q / TAP_PHASES
                 mu = horner(drift, last, along + np.float32(j * 2 / LANES))
                 re, im = _weigh(real, imag, int(whole) - (n_tap // 2 - 1) - origin, taps[q], mu)
                 re, im = re * load(gain, j), im * load(gain, j)
-                if i + j + LANES <= n:  # as in `stretch_rows`
+                if i + j + LANES <= n:  # the next strip overwrites the rest, as in `stretch_rows`
                     store_complex(result, i + j, re, im)
                 else:
                     store_complex(strip, 0, re, im)

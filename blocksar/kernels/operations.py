@@ -1,4 +1,4 @@
-"""Operations along rows: phase multiplication, transform, window, scaling, resampling."""
+"""Operations along rows, as data: phase multiplication, transform, window, scaling, resampling."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Turn:
 
 @dataclass(frozen=True, eq=False)
 class ScaledTurn:
-    """Multiply by exp(2j pi factor[row] cycles[i]): any phase, scaled from row to row as with frequency."""
+    """Multiply by exp(2j pi factor[row] cycles[i]): an arbitrary phase, scaled per row, for example with frequency."""
 
     factor: FloatArray
     cycles: FloatArray
@@ -28,7 +28,7 @@ class ScaledTurn:
 
 @dataclass(frozen=True)
 class Transform:
-    """The transform pair of `fourier`, zero-padded to its period and cut to the target's samples."""
+    """The transform of `fourier`, zero-padded to its period and cropped to the target's samples."""
 
     source: Axis
     target: Axis
@@ -45,7 +45,7 @@ class Transform:
             raise ValueError(f"axes are no transform pair: {source=} {target=}")
 
     def phases(self) -> tuple[Phase, Phase]:
-        """What to multiply by before and after an FFT for it to become the sum between these axes."""
+        """Phases before and after an FFT that turn it into the sum between these axes."""
         source, target = self.source, self.target
         sign = 1.0 if self.inverse else -1.0
         before = np.array([[0.0, sign * target.start]])
@@ -63,7 +63,7 @@ class Window:
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """Resample row r at position middle + (i - middle) scale[r], and keep its sum; zero where the input has no data."""
+    """Resample row r at position middle + (i - middle) scale[r], preserving its sum; zero where there is no input."""
 
     scale: FloatArray
     middle: float
@@ -72,7 +72,7 @@ class Stretch:
 
 @dataclass(frozen=True, eq=False)
 class Resample:
-    """Resample row r at positions that are a polynomial along it, and keep its energy; zero where there is no data.
+    """Resample row r at polynomial positions along it, preserving its energy; zero where the input has no data.
 
     Sample i becomes sqrt(dp / di) times the row at position p = sum_k positions[r, k] u^k, in samples, with
     u = `phase.unit`: (i - n // 2) / (n / 2). Its slope dp / di is between 1/2 and 2.
@@ -82,7 +82,7 @@ class Resample:
     positions : (n_row, order + 1) float64
         Order at least 1.
     taps : (TAP_PHASES + 1, n_tap, TAP_ORDER + 1) float32
-        Of `phase.tap_polynomials`.
+        From `interpolation.tap_polynomials`.
     """
 
     positions: FloatArray

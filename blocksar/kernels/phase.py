@@ -1,11 +1,11 @@
-"""Phase multiplication, resampling and corner turns: the compiled inner loops that every step shares.
+"""Phase multiplication and corner turns: compiled inner loops that every step shares.
 
-Phases are polynomials along a row, in cycles, in float64; whole cycles are taken out there, and only the remainder,
-at most half a cycle, goes to a float32 polynomial for sine and cosine (error below 4e-7, 1e-7 rms). Written plainly,
+Phases are polynomials along a row, in cycles, in float64; whole cycles are removed there, and only the remainder,
+at most half a cycle, goes to a float32 polynomial for sine and cosine (error below 4e-7, 1e-7 rms). The plain
 `numpy.exp(1j * phase)` takes a hundred times longer than these loops.
 
-The loops are compiled, or loaded from numba's cache, when this module is imported. They go over LANES samples at a
-time, as `lanes` says them to the compiler.
+The loops are compiled, or loaded from numba's cache, when this module is imported. They process LANES samples at a
+time, with the vector type of `lanes`.
 """
 
 from __future__ import annotations
@@ -29,18 +29,15 @@ from blocksar.kernels.trigonometry import cosine, horner, sine
 Float32Array = NDArray[np.float32]
 
 MAX_ORDER = 9
-AHEAD = 32  # rows by which memory is asked for columns before they are needed: the strides are too long for it to guess
-LINE = 8  # complex64 samples in a cache line
-
-
-# -- phases ---------------------------------------------------------------------------------------------------
+AHEAD = 32  # rows by which columns are prefetched: their stride is too long for the CPU's own prefetcher
+CACHE_LINE = 8  # complex64 samples
 
 
 @dataclass(frozen=True, eq=False)
 class Phase:
-    """Cycles that are a polynomial along each row: sum_k coefficients[row, k] ((v - centre) / scale)^k.
+    """A phase in cycles, a polynomial along each row: sum_k coefficients[row, k] ((v - centre) / scale)^k.
 
-    coefficients (n_row, order + 1), or (1, order + 1) where all rows share them; order at most 9.
+    coefficients are (n_row, order + 1), or (1, order + 1) where all rows share them; order at most 9.
     """
 
     coefficients: FloatArray
@@ -48,31 +45,31 @@ class Phase:
     scale: float
 
     def cycles(self, values: FloatArray) -> FloatArray:
-        """At values (n,): (n_row, n)."""
+        """The phase at values (n,): (n_row, n)."""
         z = (values - self.centre) / self.scale
         return np.asarray(polynomial.polyval(z, self.coefficients.T))
 
     def along(self, axis: Axis) -> FloatArray:
-        """Coefficients in the axis' own variable, (index - size // 2) / (size / 2)."""
+        """Coefficients in the axis' normalised index, (index - size // 2) / (size / 2)."""
         offset, ratio = (axis.centre - self.centre) / self.scale, axis.step * axis.size / 2 / self.scale
         order = self.coefficients.shape[1] - 1
-        move = np.zeros((order + 1, order + 1))
+        shift = np.zeros((order + 1, order + 1))
         for k in range(order + 1):
             for j in range(k + 1):
-                move[k, j] = comb(k, j) * offset ** (k - j) * ratio**j
-        return np.asarray(self.coefficients @ move)
+                shift[k, j] = comb(k, j) * offset ** (k - j) * ratio**j
+        return np.asarray(self.coefficients @ shift)
 
 
 @lru_cache(maxsize=32)
 def unit(n: int) -> FloatArray:
-    """An axis' own variable, (i - n // 2) / (n / 2), (n,) float64; read-only."""
+    """The normalised index of n samples, (i - n // 2) / (n / 2), (n,) float64; read-only."""
     values = np.asarray((np.arange(n) - n // 2) * (2.0 / n))
     values.flags.writeable = False
     return values
 
 
 def as_coefficients(coefficients: FloatArray) -> FloatArray:
-    """As the loops take them: contiguous float64.
+    """Check the order and convert to the contiguous float64 that the loops need.
 
     Raises
     ------
@@ -86,7 +83,7 @@ def as_coefficients(coefficients: FloatArray) -> FloatArray:
 
 @njit(inline="always")
 def _turn(row: Any, out: Any, i: Any, cycles: Any) -> None:
-    """LANES samples from i on, by so many cycles."""
+    """Rotate LANES samples from index i on by `cycles`."""
     part = remainder(cycles)
     cos, sin = cosine(part), sine(part)
     real, imag = load_real(row, i), load_imag(row, i)
@@ -95,7 +92,7 @@ def _turn(row: Any, out: Any, i: Any, cycles: Any) -> None:
 
 @njit(inline="always")
 def _rest(values: Any) -> Any:
-    """What remains of a row after its whole vectors, with zeros to make one."""
+    """The samples of a row after its last whole vector, padded with zeros to one vector."""
     rest = np.zeros(LANES, values.dtype)
     count = values.size % LANES
     rest[:count] = values[values.size - count :]
@@ -131,7 +128,7 @@ def rotate(values: ComplexArray, n: int, coefficients: FloatArray, out: ComplexA
     Raises
     ------
     ValueError
-        If the order is too high, there is not one row of coefficients a row, or an array is too small.
+        If the order is too high, there is not one row of coefficients per row of values, or an array is too small.
     """
     out = values if out is None else out
     if coefficients.shape[0] != values.shape[0]:
@@ -150,7 +147,7 @@ def rotate_scaled(
     factor: FloatArray,
     cycles: FloatArray,
 ) -> None:
-    """The same, plus factor[r] cycles[i]: any phase along the row, scaled from row to row as with frequency.
+    """As `rotate`, with factor[r] cycles[i] added: an arbitrary phase along the row, scaled from row to row.
 
     Parameters
     ----------
@@ -199,10 +196,10 @@ def multiply_windows(values: ComplexArray, windows: ComplexArray, which: IntArra
 
 @njit([(types.Array(types.complex64, 2, "A", readonly=True), types.int64, SAMPLES_OUT)], **COMPILED)
 def gather_columns(values: ComplexArray, first: int, out: ComplexArray) -> None:
-    """out[c, i] = values[i, first + c]: some columns as rows; whole cache lines at a time."""
+    """out[c, i] = values[i, first + c]: copy columns to rows, whole cache lines at a time."""
     count = out.shape[0]
     for i in range(values.shape[0]):
-        for c in range(0, count, LINE):
+        for c in range(0, count, CACHE_LINE):
             prefetch(values, i + AHEAD, first + c)
         prefetch(values, i + AHEAD, first + count - 1)
         for c in range(count):
@@ -211,10 +208,10 @@ def gather_columns(values: ComplexArray, first: int, out: ComplexArray) -> None:
 
 @njit([(SAMPLES_IN, types.int64, types.int64, SAMPLES_OUT)], **COMPILED)
 def scatter_columns(values: ComplexArray, n: int, first: int, out: ComplexArray) -> None:
-    """out[i, first + c] = values[c, i], i < n: rows back as columns."""
+    """out[i, first + c] = values[c, i], i < n: copy rows back to columns."""
     count = values.shape[0]
     for i in range(n):
-        for c in range(0, count, LINE):
+        for c in range(0, count, CACHE_LINE):
             prefetch(out, i + AHEAD, first + c)
         prefetch(out, i + AHEAD, first + count - 1)
         for c in range(count):

@@ -1,4 +1,4 @@
-"""Types and options of the compiled loops over rows of samples."""
+"""Argument types and compiler options of the compiled loops over rows of samples."""
 
 from __future__ import annotations
 

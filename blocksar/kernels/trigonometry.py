@@ -1,4 +1,4 @@
-"""Sine and cosine as polynomials that compiled loops vectorise."""
+"""Sine, cosine and polynomial evaluation for compiled loops over vectors of samples."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from blocksar.kernels.lanes import spread
 
 
 def _fit_even(function: Any, degree: int) -> tuple[float, ...]:
-    """Power coefficients in x^2 of an even function on |x| <= 1/2, by Chebyshev interpolation."""
+    """Power coefficients, in x^2, of an even function on |x| <= 1/2, by Chebyshev interpolation."""
     series = chebyshev.Chebyshev.interpolate(lambda s: function(np.sqrt(s)), degree, domain=[0.0, 0.25])
     return tuple(float(c) for c in series.convert(kind=np.polynomial.Polynomial, domain=[-1, 1], window=[-1, 1]).coef)
 
@@ -35,7 +35,8 @@ def _half_cosine(x: Any) -> Any:
     return _C0 + s * (_C1 + s * (_C2 + s * (_C3 + s * (_C4 + s * _C5))))
 
 
-# Of half the angle: polynomials for the whole one have terms that cancel near half a cycle, and err twice as much.
+# Sine and cosine come from those of half the angle: polynomials for the whole angle have terms that cancel near half a
+# cycle, and err twice as much.
 
 
 @njit(inline="always")
@@ -54,6 +55,7 @@ def cosine(x: Any) -> Any:
 
 @njit(inline="always")
 def horner(c: Any, order: Any, u: Any) -> Any:
+    """sum_k c[k] u^k for the vector u, k up to `order`."""
     value = spread(c[order])
     for k in range(order):
         value = c[order - 1 - k] + u * value

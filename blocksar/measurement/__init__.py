@@ -1,1 +1,1 @@
-"""What the image tells: point responses, coherence with a reference, and the bar for both."""
+"""Measurements of the image: point-target responses, coherence with a reference image, and quality limits."""

@@ -1,4 +1,4 @@
-"""The bar: how far a point response may be from the ideal one."""
+"""The quality limits of a point response: how far each figure may deviate from the ideal one."""
 
 from __future__ import annotations
 
@@ -11,15 +11,13 @@ from blocksar.budget import SIDE_LOBE_BUDGET
 from blocksar.constants import SINC_PSLR
 from blocksar.measurement.figures import PointResponse
 
-# ---------------------------------------------------------------- what a target has to meet
-
 
 class Bar(NamedTuple):
-    """How far a figure may be from the ideal one: by `limit`, as a person reads it `said`."""
+    """How far a figure may deviate from the ideal one."""
 
     name: str
-    limit: float
-    said: str
+    limit: float  # of |deviation|
+    text: str  # the limit with its unit, for people
     deviation: Callable[[PointResponse], float]
 
 
@@ -38,21 +36,26 @@ BARS = {
 
 
 def excess(response: PointResponse, figure: str) -> float:
-    """A figure's deviation over what it may be; infinite where it could not be measured."""
+    """A figure's deviation divided by its limit; infinite where it could not be measured."""
     bar = BARS[figure]
     return float(np.nan_to_num(abs(bar.deviation(response)) / bar.limit, nan=np.inf))
 
 
 def worst_excess(response: PointResponse) -> float:
-    """Of all figures: at most 1 is within the bar."""
+    """The largest excess of all figures; a response within the limits has at most 1."""
     return max(excess(response, figure) for figure in BARS)
 
 
-def judged(responses: Sequence[PointResponse]) -> list[PointResponse]:
-    """Those that the bar is for: lit over their full dwell, and covered."""
-    return [r for r in responses if r.full_dwell and r.covered]
+def is_judged(response: PointResponse) -> bool:
+    """Whether the limits apply to a target: it is lit over its full dwell, and covered."""
+    return response.full_dwell and response.covered
+
+
+def select_judged(responses: Sequence[PointResponse]) -> list[PointResponse]:
+    """The responses to which the limits apply."""
+    return [r for r in responses if is_judged(r)]
 
 
 def rank(response: PointResponse) -> tuple[bool, float]:
-    """The judged targets first, the worst of them before others."""
-    return not (response.full_dwell and response.covered), -worst_excess(response)
+    """Sort key: judged targets first, and the worst of them before the others."""
+    return not is_judged(response), -worst_excess(response)

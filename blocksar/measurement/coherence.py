@@ -10,9 +10,10 @@ from blocksar.arrays import ComplexArray
 
 
 class ChipComparison(NamedTuple):
-    """How an image chip a compares with a reference chip b over the pixels that both hold.
+    """Comparison of an image chip a with a reference chip b over the pixels present in both.
 
-    coherence = <a, b> / (|a| |b|), complex; gain = |<a, b>| / <b, b>; phase of a against b, rad; pixels used.
+    coherence = <a, b> / (|a| |b|), complex; gain = |<a, b>| / <b, b>; phase of a relative to b, rad; number of
+    pixels used.
     """
 
     coherence: complex

@@ -1,12 +1,12 @@
-"""Measure a calibrated complex ground image: impulse responses of point targets, coherence of chips.
+"""Measure impulse responses of point targets in a calibrated complex ground image.
 
 The stored image carries the true carrier phase. About a target q, lit around t_m, it is an envelope times
-exp(+4j pi fc/c (R_p(t_m) - R_q(t_m))), tens of cycles a metre on the ground, far beyond the pixel spacing.
-Every measurement therefore first takes that phase off, exactly and in float64. What is left is limited to
-the wedge k(f, t) = 2 (fc + f)/c grad R(t) less its centre, so it can be interpolated; at q the phase taken
-off is zero, so the value there keeps its true phase.
+exp(+4j pi fc/c (R_p(t_m) - R_q(t_m))), tens of cycles per metre on the ground, far beyond what the pixel
+spacing can sample. Every measurement therefore first removes that phase, exactly and in float64. The rest is
+band-limited to the wedge k(f, t) = 2 (fc + f)/c grad R(t) minus its centre, so it can be interpolated; the phase
+removed at q is zero, so the value there keeps its true phase.
 
-The response's own axes are neither x and y nor at right angles. Its range cut runs along constant Doppler
+The response's own axes are neither x and y nor orthogonal. Its range cut runs along constant Doppler
 (across the direction in which grad R turns during the dwell), its azimuth cut along constant range (across
 grad R at t_m).
 """
@@ -26,7 +26,7 @@ from blocksar.measurement.response import CUT_WIDTHS, Complex128Array, ReadChip,
 from blocksar.measurement.targets import Target
 
 IDEAL_ISLR = -10.216  # dB, of sinc^2, by the definition below
-SAMPLES_PER_WIDTH = 64  # of a cut: a side lobe's height is then read to 0.001 dB
+SAMPLES_PER_WIDTH = 64  # of a cut: resolves the height of a side lobe to 0.001 dB
 
 DEFINITIONS = f"""\
 Range cut: along constant Doppler, in slant range. Azimuth cut: along constant range, on the ground.
@@ -43,7 +43,7 @@ the target. Covered: no pixel is missing in what was measured; figures that touc
 
 
 class PointResponse(NamedTuple):
-    """What was measured at one target; `DEFINITIONS` says how. NaN where it could not be measured.
+    """The figures of one target, as defined in `DEFINITIONS`. NaN where a figure could not be measured.
 
     PSLR and ISLR in dB; range widths in m of slant range, azimuth widths in m along the cut; positions and
     errors in m of the scene frame; value relative to the reflectivity, ideally 1 + 0j.
@@ -67,6 +67,20 @@ class PointResponse(NamedTuple):
     covered: bool
 
 
+_FIGURES: dict[str, tuple[float, Callable[[PointResponse], float]]] = {
+    "range_pslr": (SINC_PSLR, lambda r: r.range_pslr),
+    "range_islr": (IDEAL_ISLR, lambda r: r.range_islr),
+    "range_irw_over_theory": (1.0, lambda r: r.range_irw / r.range_irw_theory),
+    "azimuth_pslr": (SINC_PSLR, lambda r: r.azimuth_pslr),
+    "azimuth_islr": (IDEAL_ISLR, lambda r: r.azimuth_islr),
+    "azimuth_irw_over_theory": (1.0, lambda r: r.azimuth_irw / r.azimuth_irw_theory),
+    "error_x": (0.0, lambda r: r.error_x),
+    "error_y": (0.0, lambda r: r.error_y),
+    "amplitude": (1.0, lambda r: abs(r.value)),
+    "phase": (0.0, lambda r: float(np.angle(r.value))),
+}
+
+
 class Cuts(NamedTuple):
     """The two cuts through the peak: offsets in m from it, complex response (NaN = missing)."""
 
@@ -79,15 +93,15 @@ class Cuts(NamedTuple):
 def cuts(response: Response) -> Cuts:
     """Sample the range cut (offsets in slant range, growing away from the radar) and the azimuth cut.
 
-    Both reach half a width beyond what is measured, at 64 samples a theoretical width.
+    Both reach half a width beyond the measured part, with 64 samples per theoretical width.
     """
     axes, peak = response.axes, response.peak
     n = int((CUT_WIDTHS + 0.5) * SAMPLES_PER_WIDTH)
     widths = np.arange(-n, n + 1) / SAMPLES_PER_WIDTH
     along_range, along_azimuth = widths * axes.range_width, widths * axes.azimuth_width
     if not np.isfinite(peak).all():
-        nothing = np.full(widths.shape, np.nan + 0j)
-        return Cuts(along_range, nothing, along_azimuth, nothing.copy())
+        missing = np.full(widths.shape, np.nan + 0j)
+        return Cuts(along_range, missing, along_azimuth, missing.copy())
     zero = np.zeros(1)
     return Cuts(
         range_offset=along_range,
@@ -106,7 +120,7 @@ class ResponseGrid(NamedTuple):
 
 
 def response_grid(response: Response, *, widths: float = 5.0, samples_per_width: int = 12) -> ResponseGrid:
-    """Resample a response on its own axes, `widths` theoretical widths to either side of the peak (for contours)."""
+    """Resample a response on its own axes, `widths` theoretical widths on either side of the peak (for contours)."""
     axes = response.axes
     n = int(widths * samples_per_width)
     u = np.arange(-n, n + 1) / samples_per_width
@@ -127,7 +141,7 @@ class ProfileQuality(NamedTuple):
 
 
 def profile_quality(offset: FloatArray, profile: Complex128Array, *, width: float) -> ProfileQuality:
-    """IRW, PSLR and ISLR of a cut, as `DEFINITIONS` has them.
+    """IRW, PSLR and ISLR of a cut, as defined in `DEFINITIONS`.
 
     Parameters
     ----------
@@ -141,20 +155,20 @@ def profile_quality(offset: FloatArray, profile: Complex128Array, *, width: floa
     Returns
     -------
     ProfileQuality
-        The IRW is NaN if the main lobe does not fall to half power within 10 widths or is not all there;
+        The IRW is NaN if the main lobe does not fall to half power within 10 widths or is incomplete;
         PSLR and ISLR are NaN if anything within 10 widths is missing, or if no minimum lies there.
     """
-    nothing = ProfileQuality(float("nan"), float("nan"), float("nan"))
+    unmeasured = ProfileQuality(float("nan"), float("nan"), float("nan"))
     used = np.abs(offset) <= CUT_WIDTHS * width * (1 + 1e-9)
     offset, power = offset[used], np.abs(profile[used]) ** 2
     top = int(np.argmin(np.abs(offset)))
     if not np.isfinite(power[top]) or power[top] == 0:
-        return nothing
+        return unmeasured
     power = power / power[top]
     right = _lobe_edge(power[top:])
     left = _lobe_edge(power[top::-1])
     if right is None or left is None:
-        return nothing
+        return unmeasured
     step = float(offset[1] - offset[0])
     irw = (right.half_power + left.half_power) * step
     if right.minimum is None or left.minimum is None or not np.isfinite(power).all():
@@ -174,7 +188,7 @@ class _LobeEdge(NamedTuple):
 
 
 def _lobe_edge(power: FloatArray) -> _LobeEdge | None:
-    """Half-power point and first minimum beyond it, going outwards from the peak at index 0."""
+    """Find the half-power point and the first minimum beyond it, outwards from the peak at index 0."""
     below = np.flatnonzero(~(power > 0.5))
     if below.size == 0 or not np.isfinite(power[below[0]]):
         return None
@@ -186,18 +200,18 @@ def _lobe_edge(power: FloatArray) -> _LobeEdge | None:
 
 
 def measure(response: Response) -> PointResponse:
-    """Measure a response that has been read: see `DEFINITIONS`."""
+    """Measure a response that has been read; see `DEFINITIONS`."""
     axes, target = response.axes, response.target
-    sampled = cuts(response)
-    along_range = profile_quality(sampled.range_offset, sampled.range_profile, width=axes.range_width)
-    along_azimuth = profile_quality(sampled.azimuth_offset, sampled.azimuth_profile, width=axes.azimuth_width)
+    profiles = cuts(response)
+    along_range = profile_quality(profiles.range_offset, profiles.range_profile, width=axes.range_width)
+    along_azimuth = profile_quality(profiles.azimuth_offset, profiles.azimuth_profile, width=axes.azimuth_width)
     value = complex(response.at(np.array(target.x), np.array(target.y)))
     x, y = response.peak
     within = [
         profile[np.abs(offset) <= CUT_WIDTHS * width]
         for offset, profile, width in (
-            (sampled.range_offset, sampled.range_profile, axes.range_width),
-            (sampled.azimuth_offset, sampled.azimuth_profile, axes.azimuth_width),
+            (profiles.range_offset, profiles.range_profile, axes.range_width),
+            (profiles.azimuth_offset, profiles.azimuth_profile, axes.azimuth_width),
         )
     ]
     covered = bool(np.isfinite(value) and all(np.isfinite(profile).all() for profile in within))
@@ -224,7 +238,7 @@ def measure(response: Response) -> PointResponse:
 def measure_target(
     read_chip: ReadChip, image_x: FloatArray, image_y: FloatArray, geometry: Geometry, target: Target
 ) -> PointResponse:
-    """Measure one target in the image: `read_response`, then `measure`; all NaN and not covered if there is none."""
+    """Read and measure the response of one target; all NaN, and not covered, if it has none."""
     response = read_response(read_chip, image_x, image_y, geometry, target)
     if response is not None:
         return measure(response)
@@ -250,7 +264,7 @@ def measure_target(
 
 
 class Worst(NamedTuple):
-    """The value farthest from the ideal one, and whose it is."""
+    """The value farthest from the ideal one, and its target's name."""
 
     name: str
     value: float
@@ -258,7 +272,7 @@ class Worst(NamedTuple):
 
 
 class Summary(NamedTuple):
-    """Worst cases over the targets with full dwell and full coverage, by figure."""
+    """Counts of targets, and by figure the worst case over those with full dwell and full coverage."""
 
     targets: int
     full_dwell: int
@@ -266,22 +280,8 @@ class Summary(NamedTuple):
     worst: dict[str, Worst]
 
 
-_FIGURES: dict[str, tuple[float, Callable[[PointResponse], float]]] = {
-    "range_pslr": (SINC_PSLR, lambda r: r.range_pslr),
-    "range_islr": (IDEAL_ISLR, lambda r: r.range_islr),
-    "range_irw_over_theory": (1.0, lambda r: r.range_irw / r.range_irw_theory),
-    "azimuth_pslr": (SINC_PSLR, lambda r: r.azimuth_pslr),
-    "azimuth_islr": (IDEAL_ISLR, lambda r: r.azimuth_islr),
-    "azimuth_irw_over_theory": (1.0, lambda r: r.azimuth_irw / r.azimuth_irw_theory),
-    "error_x": (0.0, lambda r: r.error_x),
-    "error_y": (0.0, lambda r: r.error_y),
-    "amplitude": (1.0, lambda r: abs(r.value)),
-    "phase": (0.0, lambda r: float(np.angle(r.value))),
-}
-
-
 def summary(responses: Sequence[PointResponse]) -> Summary:
-    """Worst cases: dB, ratios, m, and rad; a figure that is NaN counts as the worst of all.
+    """Worst cases, in dB, ratios, m and rad; a figure that is NaN counts as the worst of all.
 
     `worst` is empty if no target is both fully lit and covered.
     """
@@ -290,23 +290,23 @@ def summary(responses: Sequence[PointResponse]) -> Summary:
     for figure, (ideal, value) in _FIGURES.items():
         if measured:
             values = np.array([value(r) for r in measured])
-            # A target that is covered but has no main lobe is a failure, and must not drop out of the worst case.
+            # A target that is covered but has no main lobe is a failure, and must not be left out of the worst case.
             i = int(np.argmax(np.nan_to_num(np.abs(values - ideal), nan=np.inf)))
             worst[figure] = Worst(measured[i].name, float(values[i]), ideal)
     return Summary(len(responses), sum(r.full_dwell for r in responses), len(measured), worst)
 
 
 def as_json(responses: Sequence[PointResponse]) -> dict[str, Any]:
-    """Everything as JSON values: definitions, summary, one record a target; NaN becomes null, complex [re, im]."""
-    found = summary(responses)
+    """All results as JSON values: definitions, summary, one record per target; NaN becomes null, complex [re, im]."""
+    totals = summary(responses)
     return {
         "definitions": DEFINITIONS,
         "ideal": {"pslr": SINC_PSLR, "islr": IDEAL_ISLR},
         "summary": {
-            "targets": found.targets,
-            "full_dwell": found.full_dwell,
-            "measured": found.measured,
-            "worst": {figure: _plain(worst._asdict()) for figure, worst in found.worst.items()},
+            "targets": totals.targets,
+            "full_dwell": totals.full_dwell,
+            "measured": totals.measured,
+            "worst": {figure: _plain(worst._asdict()) for figure, worst in totals.worst.items()},
         },
         "targets": [_plain(r._asdict()) for r in responses],
     }

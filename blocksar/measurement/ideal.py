@@ -6,7 +6,7 @@ import numpy as np
 from scipy.special import diric
 
 from blocksar.arrays import FloatArray
-from blocksar.collection.beam import lit_during
+from blocksar.collection.beam import is_lit
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.measurement.response import Complex128Array
@@ -14,25 +14,24 @@ from blocksar.measurement.targets import Target
 
 
 def ideal_response(geometry: Geometry, target: Target, x: FloatArray, y: FloatArray) -> Complex128Array:
-    """What exact back-projection of a target's noise-free signal gives at ground points (n,), m.
+    """The exact back-projection of one target's noise-free signal at ground points (n,), m.
 
     The mean over a pixel's lit pulses and all range frequencies of
-    sigma exp(4j pi (fc + f)/c (R_p - R_q)); the sum over the uniform range frequencies is closed. It is the
-    truth for one target alone, side lobes and carrier phase included. NaN where a pixel is never lit.
+    sigma exp(4j pi (fc + f)/c (R_p - R_q)); the sum over the uniform range frequencies has a closed form. This is
+    the reference for one isolated target, including side lobes and carrier phase. NaN where a pixel is never lit.
     """
     collection = geometry.collection
     x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
     point = np.stack([x, y, np.full(x.shape, collection.ground_height)], axis=-1)[:, None, :]
     origin = np.array([target.x, target.y, collection.ground_height])
     middle = collection.carrier + float(collection.range_frequency[0] + collection.range_frequency[-1]) / 2
-    yaw = geometry.yaw(x, y)
     total, count = np.zeros(x.shape, dtype=np.complex128), np.zeros(x.shape)
     for first in range(0, collection.n_pulse, 64):
         pulses = slice(first, first + 64)
         time = collection.time[pulses]
-        of_pixel = lit_during(geometry, yaw, pulses)
+        of_pixel = is_lit(geometry, x, y, pulses)
         count += of_pixel.sum(axis=1)
-        lit = of_pixel & lit_during(geometry, geometry.yaw(np.array([target.x]), np.array([target.y])), pulses)
+        lit = of_pixel & is_lit(geometry, np.array([target.x]), np.array([target.y]), pulses)
         if not lit.any():
             continue
         delay = (geometry.range_history(point, time)[0] - geometry.range_history(origin, time)[0]) * 2 / SPEED_OF_LIGHT

@@ -1,4 +1,4 @@
-"""A point target's response: its chip, band-limited interpolation, and the directions of range and azimuth."""
+"""The response of a point target: its image chip, band-limited interpolation, and its range and azimuth axes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import i0
 
 from blocksar.arrays import ComplexArray, FloatArray
-from blocksar.collection.beam import has_full_dwell
+from blocksar.collection.beam import dwell, has_full_dwell
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SINC_WIDTH, SPEED_OF_LIGHT
 from blocksar.errors import InputError
@@ -25,8 +25,8 @@ SEARCH_WIDTHS = 2.0  # widths searched for the peak on either side of the true p
 
 MIN_HALF_TAPS = 12
 KAISER_BETA = 12.0  # interpolation error about exp(-12) = 6e-6 of the peak
-MIN_OVERSAMPLING = 1.2  # below it the interpolator would need ever more taps
-MAX_CHIP = 1024  # pixels a side: a target lit so briefly that it needs more has no response to speak of
+MIN_OVERSAMPLING = 1.2  # the number of taps grows without bound as this approaches 1
+MAX_CHIP = 1024  # pixels per side: a target lit so briefly that it needs more has no usable response
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +43,7 @@ class ResponseAxes:
     range_width, azimuth_width : float
         Theoretical IRW, m of slant range and m along the cut.
     band : (2,) float
-        Largest |wavenumber| in x and y, cycles/m, of the response once its carrier is taken off.
+        Largest |wavenumber| in x and y, cycles/m, of the response once its carrier is removed.
     """
 
     time: float
@@ -72,13 +72,13 @@ def _range_gradient(geometry: Geometry, point: FloatArray, time: FloatArray) -> 
 
 
 def response_axes(geometry: Geometry, x: float, y: float) -> ResponseAxes | None:
-    """Axes of the response of a target at x, y (m); None where it is never lit or its axes fall together.
+    """Axes of the response of a target at x, y (m); None where it is never lit or its axes coincide.
 
     The azimuth band is exact for a ground gradient that turns uniformly over the dwell: it is taken between
-    the first and the last lit pulse edge (`Geometry.dwell`), at the carrier.
+    the first and the last edge of the lit pulses (`beam.dwell`), at the carrier.
     """
     collection = geometry.collection
-    start, end = (float(edge) for edge in geometry.dwell(geometry.yaw(np.array(x), np.array(y))))
+    start, end = (float(edge) for edge in dwell(geometry, np.array(x), np.array(y)))
     if not start < end:
         return None
     point = np.array([x, y, collection.ground_height])
@@ -89,9 +89,9 @@ def response_axes(geometry: Geometry, x: float, y: float) -> ResponseAxes | None
         return None
     azimuth = np.array([-middle[1], middle[0]]) / length
     along_doppler = np.array([-turn[1], turn[0]]) / turned
-    slope = float(along_doppler @ middle)  # dR/ds; its sign makes the cut run away from the radar
+    slope = float(along_doppler @ middle)  # dR/ds; dividing by it makes the cut point away from the radar
     extent = 2 * collection.carrier / SPEED_OF_LIGHT * abs(float(turn @ azimuth))
-    # Both vanish together, where the line of sight turns along itself: no two-dimensional image there.
+    # Both vanish where the ground gradient turns along itself: there is no two-dimensional image there.
     if abs(slope) < 1e-6 * length or extent == 0:
         return None
     carrier, half_band = collection.carrier, collection.bandwidth / 2
@@ -110,7 +110,7 @@ def response_axes(geometry: Geometry, x: float, y: float) -> ResponseAxes | None
 def carrier_phase(
     geometry: Geometry, time: float, x: float, y: float, *, at_x: FloatArray, at_y: FloatArray
 ) -> FloatArray:
-    """4 pi fc/c (R_p(time) - R_q(time)) in rad, of points p = (at_x, at_y) (broadcast) against q = (x, y)."""
+    """4 pi fc/c (R_p(time) - R_q(time)) in rad, of points p = (at_x, at_y) (broadcast) relative to q = (x, y)."""
     collection = geometry.collection
     at_x, at_y = np.broadcast_arrays(at_x, at_y)
     point = np.stack([at_x, at_y, np.full(at_x.shape, collection.ground_height)], axis=-1)
@@ -123,7 +123,7 @@ def carrier_phase(
 def interpolate(
     values: Complex128Array, *, row: FloatArray, column: FloatArray, half_taps: int = MIN_HALF_TAPS
 ) -> Complex128Array:
-    """Interpolate a band-limited chip by a Kaiser-windowed sinc.
+    """Interpolate a band-limited chip with a Kaiser-windowed sinc.
 
     Parameters
     ----------
@@ -151,14 +151,14 @@ def interpolate(
         rows, row_weight = _taps(row[batch], half_taps)
         columns, column_weight = _taps(column[batch], half_taps)
         pick = (rows[:, :, None], columns[:, None, :])
-        found = np.einsum("ni,nij,nj->n", row_weight, bordered[pick], column_weight, optimize=True)
-        found[missing[pick].any(axis=(1, 2))] = np.nan
-        out[batch] = found
+        values_at = np.einsum("ni,nij,nj->n", row_weight, bordered[pick], column_weight, optimize=True)
+        values_at[missing[pick].any(axis=(1, 2))] = np.nan
+        out[batch] = values_at
     return out
 
 
 def _taps(index: FloatArray, half_taps: int) -> tuple[NDArray[np.intp], FloatArray]:
-    """Sample numbers in the bordered chip and weights, both (n, 2 half_taps)."""
+    """Sample indices in the bordered chip and weights, both (n, 2 half_taps)."""
     base = np.floor(index).astype(np.intp)
     offset = np.arange(1 - half_taps, half_taps + 1)
     u = index[:, None] - (base[:, None] + offset)
@@ -167,13 +167,13 @@ def _taps(index: FloatArray, half_taps: int) -> tuple[NDArray[np.intp], FloatArr
 
 
 def _half_taps(band: float) -> int:
-    """Taps on either side that interpolate a band of `band` cycles/sample to the accuracy of the Kaiser window."""
+    """Taps on either side that interpolate wavenumbers up to `band` cycles/sample to the Kaiser window's accuracy."""
     return max(MIN_HALF_TAPS, int(np.ceil(KAISER_BETA / (np.pi * (1 - 2 * band)))))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Response:
-    """The chip about one target with its carrier taken off, ready to be interpolated anywhere.
+    """The chip about one target with its carrier removed, ready for interpolation at any point.
 
     Attributes
     ----------
@@ -184,6 +184,7 @@ class Response:
     x, y : (n_x,), (n_y,) float
         Pixel positions, m, uniform; they may reach beyond the image.
     full_dwell : bool
+        Whether the beam swept over the whole target.
     """
 
     target: Target
@@ -195,11 +196,12 @@ class Response:
 
     @cached_property
     def spacing(self) -> tuple[float, float]:
-        """(dx, dy), m."""
+        """Pixel spacing in x and y, m."""
         return float(self.x[1] - self.x[0]), float(self.y[1] - self.y[0])
 
     @cached_property
     def half_taps(self) -> int:
+        """Interpolation taps on either side that the response's band needs."""
         dx, dy = self.spacing
         return _half_taps(max(self.axes.band[0] * abs(dx), self.axes.band[1] * abs(dy)))
 
@@ -219,10 +221,10 @@ class Response:
 
     @cached_property
     def peak(self) -> tuple[float, float]:
-        """(x, y) of the greatest magnitude near the target, m; NaN if its surroundings are missing.
+        """(x, y) of the largest magnitude near the target, m; NaN if pixels around it are missing.
 
-        The strongest pixel within 2 widths, then the strongest of a fine grid about it, then Newton steps on
-        the interpolated power.
+        Found as the strongest pixel within 2 widths, then the strongest point of a fine grid about it, then by Newton
+        steps on the interpolated power.
         """
         axes, target = self.axes, self.target
         own = axes.own_offset(self.x[None, :] - target.x, self.y[:, None] - target.y)
@@ -242,10 +244,10 @@ class Response:
         return self._climb(float(x[best]), float(y[best]))
 
     def _climb(self, x: float, y: float) -> tuple[float, float]:
-        """Newton's method for the maximum of |response|^2, in units of the theoretical widths."""
+        """Find the maximum of |response|^2 by Newton's method, in units of the theoretical widths."""
         axes = self.axes
         unit = np.array([axes.range_width, axes.azimuth_width])
-        h = 0.02  # widths: small against the main lobe, large against the samples' rounding
+        h = 0.02  # widths: small compared with the main lobe, large compared with the rounding of the samples
         stencil = h * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1], [1, 1], [-1, -1], [1, -1], [-1, 1]])
         for _ in range(8):
             p = np.abs(self.at_own((x, y), stencil[:, 0] * unit[0], stencil[:, 1] * unit[1])) ** 2
@@ -256,7 +258,7 @@ class Response:
             hessian = np.array([[p[1] + p[2] - 2 * p[0], 0], [0, p[3] + p[4] - 2 * p[0]]]) / h**2
             hessian[0, 1] = hessian[1, 0] = cross
             if hessian[0, 0] >= 0 or np.linalg.det(hessian) <= 0:
-                break  # not the top of anything smooth: the strongest point of the fine grid has to do
+                break  # not near a smooth maximum: keep the strongest point so far
             step = np.clip(-np.linalg.solve(hessian, gradient), -0.25, 0.25)
             dx, dy = axes.ground_offset(*(step * unit))
             x, y = x + float(dx), y + float(dy)
@@ -266,14 +268,15 @@ class Response:
 
 
 class _Window(NamedTuple):
-    """A run of pixels along one axis, with the part of it that the image holds."""
+    """Consecutive pixels along one axis, and which of them the image holds."""
 
-    position: FloatArray  # m, of every pixel, in the image or not
-    image: slice
-    chip: slice
+    position: FloatArray  # m, of every pixel, inside the image or not
+    image: slice  # the pixels of the image inside the window
+    chip: slice  # their place in the window
 
 
 def _window(axis: FloatArray, centre: float, reach: float) -> _Window:
+    """The pixels within `reach` (m) of `centre`, on an axis continued beyond its ends."""
     step = float(axis[-1] - axis[0]) / (axis.size - 1)
     first = int(np.floor((centre - reach - axis[0]) / step))
     last = int(np.ceil((centre + reach - axis[0]) / step)) + 1
@@ -286,13 +289,13 @@ def _window(axis: FloatArray, centre: float, reach: float) -> _Window:
 def read_response(
     read_chip: ReadChip, image_x: FloatArray, image_y: FloatArray, geometry: Geometry, target: Target
 ) -> Response | None:
-    """Read the chip about a target and take its carrier off.
+    """Read the chip about a target and remove its carrier.
 
     Parameters
     ----------
     read_chip : callable
-        (slice of y, slice of x) -> complex pixels of the calibrated image, NaN where not covered. Only the
-        part that the cuts need is asked for.
+        (slice of y, slice of x) -> complex pixels of the calibrated image, NaN where not covered. Called for the
+        part that the cuts need.
     image_x, image_y : (n_x,), (n_y,) float
         Pixel positions, m; uniform, ascending.
     geometry : Geometry
@@ -322,7 +325,7 @@ def read_response(
             f"the image's spacing is {spacing[0]:.4g} m in x and {spacing[1]:.4g} m in y, too coarse for the response "
             f"of target {target.name}; focus on a grid of at most {needed[0]:.4g} m and {needed[1]:.4g} m"
         )
-    # The peak may lie off the true position by the search width, and the cuts run from the peak.
+    # The peak may lie off the true position by the search width, and the cuts start at the peak.
     along_range = axes.range_width * np.abs(axes.range_direction)
     along_azimuth = axes.azimuth_width * np.abs(axes.azimuth_direction)
     reach = SEARCH_WIDTHS * (along_range + along_azimuth) + (CUT_WIDTHS + 0.5) * np.maximum(along_range, along_azimuth)

@@ -1,4 +1,4 @@
-"""The responses that paper A prints in its Table 3."""
+"""The point responses printed in Table 3 of paper A (angular division)."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 
 class PaperResponse(NamedTuple):
-    """One row of the paper's Table 3: dB, dB, m (range: slant range), in range and in azimuth."""
+    """One row of the paper's Table 3: PSLR and ISLR in dB, IRW in m (of slant range in range)."""
 
     range_pslr: float
     range_islr: float
@@ -16,7 +16,7 @@ class PaperResponse(NamedTuple):
     azimuth_irw: float
 
 
-# Table 3 of paper A (angular division): its proposed method. Its ISLR definition is not stated.
+# The rows of the paper's proposed method. The paper does not state its definition of the ISLR.
 TABLE3: dict[str, PaperResponse] = {
     "A1": PaperResponse(-13.26, -10.97, 2.68, -12.81, -10.30, 1.85),
     "A2": PaperResponse(-13.23, -10.98, 2.68, -13.10, -10.52, 1.85),

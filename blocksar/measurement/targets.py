@@ -1,4 +1,4 @@
-"""Point targets whose places are known."""
+"""Point targets at known positions, read from a store's attributes and checked."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ class Target(NamedTuple):
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any]) -> Target:
-        """From a store's `targets` attribute: {"name", "x", "y", "reflectivity": [re, im]}; the last may be absent.
+        """Read an entry of a store's `targets`: {"name", "x", "y", "reflectivity": [re, im]}, the last optional.
 
         Raises
         ------
         InputError
-            If a field is missing, is no number, or the reflectivity is zero.
+            If a field is missing or is not a number, or if the reflectivity is zero.
         """
         try:
             reflectivity = record.get("reflectivity", 1.0)
@@ -44,5 +44,5 @@ class Target(NamedTuple):
         if target.reflectivity == 0:
             raise InputError(f"target {target.name} has reflectivity 0, so there is nothing to measure; leave it out")
         if max(abs(target.x), abs(target.y)) > FARTHEST or not 1e-15 < abs(target.reflectivity) < 1e15:
-            raise InputError(f"target {record!r} is nowhere near a scene; give metres, and a reflectivity about 1")
+            raise InputError(f"target {record!r} is far outside any scene; give metres, and a reflectivity about 1")
         return target

@@ -1,11 +1,11 @@
-"""Where stores and runs lie: a folder of a local file system, or a prefix of an object store (s3://bucket/prefix).
+"""Locations of stores and runs: folders of a local file system, or prefixes in an object store (s3://bucket/prefix).
 
-A place is a name, as a path is: making one touches nothing. What both kinds can do is what a run needs: bytes that
-are the old ones or the new ones and never half of either, a list of what lies below, removal, a lock that tells a
-living owner from a dead one. Chunks of arrays go through zarr, or, locally, straight into files (`stores`).
+A place is only a name, like a path: creating one accesses nothing. Both kinds provide what a run needs: atomic writing
+(a reader sees the old bytes or the new ones, never a mixture), listing, removal, and a lock that is free again when its
+owner has died. Chunks of arrays are accessed through zarr or, on a local file system, directly as files (`stores`).
 
-Credentials and endpoint of an object store are read where its users keep them, in the environment: AWS_ACCESS_KEY_ID,
-AWS_SECRET_ACCESS_KEY, AWS_SESSION_TOKEN, AWS_REGION, AWS_ENDPOINT_URL; or from the machine that it runs on.
+Credentials and endpoint of an object store come from the environment (AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY,
+AWS_SESSION_TOKEN, AWS_REGION, AWS_ENDPOINT_URL) or from the metadata service of the cloud machine.
 """
 
 from __future__ import annotations
@@ -19,30 +19,31 @@ from blocksar.places.local import LocalPlace
 from blocksar.places.objects import ObjectPlace
 from blocksar.places.place import Place
 
-Location = str | os.PathLike[str] | Place  # what people give: a path, the URL of an object store, or a place
+Location = str | os.PathLike[str] | Place  # as users give it: a path, the URL of an object store, or a place
 
 
 def place(path: Location) -> Place:
-    """A path, or the URL of an object store, as a place.
+    """Return the place that a path or an object store's URL names.
 
     Raises
     ------
     InputError
-        If a URL names no bucket, or what reads it is not installed.
+        If a URL names no bucket, or obstore, which reads it, is not installed.
     """
     if isinstance(path, Place):
         return path
     text = os.fspath(path)
     if "\0" in text:
-        raise InputError(f"{text} is no name: it has a zero byte")
-    if (found := re.fullmatch(r"s3://([^/]*)/*(.*?)/*", text, re.DOTALL)) is None:
+        raise InputError(f"{text} is not a valid name: it contains a zero byte; remove that")
+    if (url := re.fullmatch(r"s3://([^/]*)/*(.*?)/*", text, re.DOTALL)) is None:
         return LocalPlace(Path(os.path.abspath(text)))
-    if not found[1]:
+    bucket, key = url.groups()
+    if not bucket:
         raise InputError(f"{text} names no bucket; give s3://bucket/name")
-    if any(part in ("", ".", "..") for part in found[2].split("/")) and found[2]:
-        raise InputError(f"{text} is no plain name below a bucket; leave out empty parts, '.' and '..'")
+    if key and any(part in ("", ".", "..") for part in key.split("/")):
+        raise InputError(f"{text} is not a plain name below a bucket; leave out empty parts, '.' and '..'")
     try:
-        import obstore  # noqa: F401  (asked for here, where a sentence can be made of it)
+        import obstore  # noqa: F401  (only to report that it is missing)
     except ModuleNotFoundError:
         raise InputError(f"{text} needs obstore, which is not installed; install blocksar[s3]") from None
-    return ObjectPlace(found[1], found[2])
+    return ObjectPlace(bucket, key)

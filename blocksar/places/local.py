@@ -1,4 +1,4 @@
-"""Places in a local file system."""
+"""Places in a local file system, and the temporary names used to replace files atomically."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from blocksar.places.owners import describe_owner, this_process
 from blocksar.places.place import Held, Place
@@ -23,12 +23,9 @@ if TYPE_CHECKING:
     from zarr.storage import StorePath
 
 
-# ---------------------------------------------------------------- local
-
-
 @dataclass(frozen=True)
 class LocalPlace(Place):
-    """A file or folder. It is itself a path: os and pathlib take it."""
+    """A file or folder; os and pathlib accept it as a path."""
 
     path: Path
 
@@ -90,7 +87,7 @@ class LocalPlace(Place):
     def settle(self) -> None:
         descriptor = os.open(self.path, os.O_RDONLY)
         try:
-            # syncfs is Linux's own: of this file system alone.
+            # syncfs flushes this file system only; it exists on Linux alone.
             flush = getattr(ctypes.CDLL(None, use_errno=True), "syncfs", None)
             if flush is None:
                 os.sync()
@@ -103,14 +100,14 @@ class LocalPlace(Place):
     def zarr_path(self) -> StorePath:
         from zarr.storage import LocalStore, StorePath
 
-        return StorePath(LocalStore(self.path))  # by name it would take '://' and '::' for URLs
+        return StorePath(LocalStore(self.path))  # given as text, '://' and '::' would be taken for URLs
 
     @contextmanager
     def lock(self) -> Iterator[None]:
-        """The kernel's own lock: it goes with its process, however that ends."""
+        """Hold the file by the kernel's lock, which ends with its process, however that ends."""
         descriptor = self._flock()
         try:
-            with suppress(OSError):  # a full disk: it is a lock all the same
+            with suppress(OSError):  # a full disk: the lock holds all the same
                 os.ftruncate(descriptor, 0)
                 os.write(descriptor, json.dumps(this_process()).encode())
             yield
@@ -124,7 +121,7 @@ class LocalPlace(Place):
             descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT, 0o666)
             try:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                # Its last owner may have removed the file after it was opened here: that lock locks nothing.
+                # The last owner may have removed the file after it was opened here: such a lock excludes nobody.
                 if os.path.samestat(os.fstat(descriptor), os.stat(self.path)):
                     return descriptor
             except FileNotFoundError:
@@ -140,8 +137,8 @@ class LocalPlace(Place):
 
 @contextmanager
 def replacing_file(path: str | os.PathLike[str]) -> Iterator[str]:
-    """A temporary name beside `path`, renamed to it when the block ends well, removed when it does not."""
-    part = temporary(path, "part")
+    """Yield a temporary name beside `path`: renamed to `path` if the block succeeds, removed if it fails."""
+    part = temporary_name(path, "part")
     try:
         yield part
         os.replace(part, path)
@@ -150,14 +147,14 @@ def replacing_file(path: str | os.PathLike[str]) -> Iterator[str]:
             os.unlink(part)
 
 
-def temporary(path: str | os.PathLike[str], kind: str) -> str:
-    """A name beside `path` that nobody has, and that `Place.sweep` knows: kind is part or old."""
+def temporary_name(path: str | os.PathLike[str], kind: Literal["part", "old"]) -> str:
+    """Return an unused name beside `path`, of the form that `Place.sweep` removes."""
     folder, name = os.path.split(path)
-    # The name is there for people: a long one must not make this longer than a file system takes.
+    # The file's own name is included for people; it is cut because file systems limit the length of names.
     short = os.fsdecode(os.fsencode(name)[:200])
     return os.path.join(folder, f".{short}.{secrets.token_hex(4)}.{kind}")
 
 
 def is_temporary(name: str) -> bool:
-    """Whether `temporary` gave it."""
+    """Tell whether a name has the form that `temporary_name` gives."""
     return re.fullmatch(r"\..*\.[0-9a-f]{8}\.(part|old)", name, re.DOTALL) is not None

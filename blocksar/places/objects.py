@@ -1,4 +1,4 @@
-"""Places in an object store (S3)."""
+"""Places in an object store (S3), and its errors as OSError."""
 
 from __future__ import annotations
 
@@ -22,19 +22,15 @@ if TYPE_CHECKING:
     from obstore.store import S3Store
     from zarr.storage import StorePath
 
-
-LEASE = 60.0  # seconds: the lock of an object store that has not been renewed for so long has lost its owner
-RETRIES = 5  # of a request to an object store that is overloaded or out of reach
-PATIENCE = 30.0  # seconds over all of them
-REQUEST = "20s"  # of one
-
-
-# ---------------------------------------------------------------- object stores
+LEASE = 60.0  # s: a lock that has not been renewed for this long has lost its owner
+RETRIES = 5  # attempts to repeat a request if the object store is overloaded or unreachable
+PATIENCE = 30.0  # s, for all attempts together
+REQUEST = "20s"  # timeout of one attempt
 
 
 @dataclass(frozen=True)
 class ObjectPlace(Place):
-    """An object, or all objects below a prefix. An object is put as a whole or not at all."""
+    """An object, or all objects below a prefix. An object is written as a whole or not at all."""
 
     bucket: str
     key: str
@@ -63,8 +59,8 @@ class ObjectPlace(Place):
         import obstore
 
         with os_errors(self):
-            found = obstore.list_with_delimiter(_bucket(self.bucket), self.key or None)
-        paths = [*found["common_prefixes"], *(entry["path"] for entry in found["objects"])]
+            listing = obstore.list_with_delimiter(_bucket(self.bucket), self.key or None)
+        paths = [*listing["common_prefixes"], *(entry["path"] for entry in listing["objects"])]
         return sorted({path.rstrip("/").rpartition("/")[2] for path in paths})
 
     def files(self) -> Iterator[tuple[str, int, str]]:
@@ -100,10 +96,10 @@ class ObjectPlace(Place):
                     obstore.delete(_bucket(self.bucket), self.key)
 
     def sweep(self) -> None:
-        pass  # nothing has a temporary name
+        pass  # objects have no temporary names
 
     def settle(self) -> None:
-        pass  # what an object store has acknowledged, it keeps
+        pass  # an object store keeps what it has acknowledged
 
     def zarr_path(self) -> StorePath:
         from zarr.storage import ObjectStore, StorePath
@@ -112,19 +108,19 @@ class ObjectPlace(Place):
 
     @contextmanager
     def lock(self) -> Iterator[None]:
-        """An object that is created only where none is, and renewed while its owner lives."""
+        """Hold the lock by an object that is created only if there is none, and renewed while its owner lives."""
         owner = json.dumps(this_process() | {"token": secrets.token_hex(8)}).encode()
         tag = self._acquire(owner)
         ended = threading.Event()
-        renewed = threading.Thread(target=self._renew, args=(owner, tag, ended), name="lock", daemon=True)
-        renewed.start()
+        renewal = threading.Thread(target=self._renew, args=(owner, tag, ended), name="lock", daemon=True)
+        renewal.start()
         try:
             yield
         finally:
             ended.set()
-            renewed.join()
+            renewal.join()
             with suppress(OSError):
-                if self._current()[2] == owner:  # not somebody else's, who took it for dead
+                if self._current()[2] == owner:  # unless another process has taken over an expired lock
                     self.remove()
 
     def _acquire(self, owner: bytes) -> str:
@@ -132,20 +128,20 @@ class ObjectPlace(Place):
             with suppress(FileExistsError):
                 return self._put(owner, "create")
             try:
-                tag, when, found = self._current()
+                tag, renewed, holder = self._current()
             except FileNotFoundError:
-                continue  # given back in this moment
-            if found == owner:  # put here by a request whose answer was lost, and that was sent again
+                continue  # released just now
+            if holder == owner:  # written by an earlier attempt, whose reply was lost
                 return tag
-            if is_alive(found) and self._now() - when < timedelta(seconds=LEASE):
-                raise Held(describe_owner(found))
+            if is_alive(holder) and self._now() - renewed < timedelta(seconds=LEASE):
+                raise Held(describe_owner(holder))
             with suppress(FileExistsError):
                 return self._put(owner, {"e_tag": tag})
-        raise Held("somebody else, this very moment")
+        raise Held("another process, at this moment")
 
     def _renew(self, owner: bytes, tag: str, ended: threading.Event) -> None:
         while not ended.wait(LEASE / 4):
-            # An endpoint out of reach: tried again, until the lease is over and somebody else may have it.
+            # If the endpoint is unreachable, try again until the lease expires and another process may take it.
             with suppress(OSError):
                 tag = self._put(owner, {"e_tag": tag})
 
@@ -153,34 +149,35 @@ class ObjectPlace(Place):
         import obstore
 
         with os_errors(self):
-            done = obstore.put(_bucket(self.bucket), self.key, owner, mode=mode)
-        return str(done["e_tag"])
+            result = obstore.put(_bucket(self.bucket), self.key, owner, mode=mode)
+        return str(result["e_tag"])
 
     def _current(self) -> tuple[str, datetime, bytes]:
+        """Return the lock's version, when it was last renewed, and its owner."""
         import obstore
 
         with os_errors(self):
-            found = obstore.get(_bucket(self.bucket), self.key)
-            return str(found.meta["e_tag"]), found.meta["last_modified"], bytes(found.bytes())
+            response = obstore.get(_bucket(self.bucket), self.key)
+            return str(response.meta["e_tag"]), response.meta["last_modified"], bytes(response.bytes())
 
     def _now(self) -> datetime:
-        """By the object store's clock, which dates its objects."""
+        """Return the time by the object store's clock, which dates its objects."""
         import obstore
 
         probe = f"{self.key}.{secrets.token_hex(4)}"
         with os_errors(self):
             obstore.put(_bucket(self.bucket), probe, b"")
-            when = obstore.head(_bucket(self.bucket), probe)["last_modified"]
+            now = obstore.head(_bucket(self.bucket), probe)["last_modified"]
             obstore.delete(_bucket(self.bucket), probe)
-        return when
+        return now
 
 
 @lru_cache(maxsize=64)
 def _bucket(bucket: str) -> S3Store:
-    """One client a bucket: its connections are used again and again."""
+    """Return the bucket's client; there is one per bucket, so that its connections are reused."""
     from obstore.store import S3Store
 
-    plain = os.environ.get("AWS_ENDPOINT_URL", "").startswith("http://")  # asked for by name
+    plain = os.environ.get("AWS_ENDPOINT_URL", "").startswith("http://")  # plain HTTP only on request
     return S3Store(
         bucket,
         client_options={"timeout": REQUEST, "connect_timeout": "5s", "allow_http": plain},
@@ -190,7 +187,7 @@ def _bucket(bucket: str) -> S3Store:
 
 @contextmanager
 def os_errors(where: Place) -> Iterator[None]:
-    """What an object store answers, as the OSError that a file system would raise; one line of it."""
+    """Raise errors of the object store as the OSError that a file system would raise, with a message of one line."""
     if not isinstance(where, ObjectPlace):
         yield
         return
@@ -201,10 +198,10 @@ def os_errors(where: Place) -> Iterator[None]:
     except exceptions.AlreadyExistsError as error:
         raise FileExistsError(errno.EEXIST, "it exists already", str(where)) from error
     except exceptions.PreconditionError as error:
-        raise FileExistsError(errno.EEXIST, "somebody else has written it", str(where)) from error
+        raise FileExistsError(errno.EEXIST, "another process has written it", str(where)) from error
     except FileNotFoundError as error:
         if error.errno is not None:
-            raise  # it has been through here
+            raise  # already converted
         what = "the bucket does not exist" if "NoSuchBucket" in str(error) else "it does not exist"
         raise FileNotFoundError(errno.ENOENT, what, str(where)) from error
     except (exceptions.PermissionDeniedError, exceptions.UnauthenticatedError, PermissionError) as error:
@@ -215,10 +212,12 @@ def os_errors(where: Place) -> Iterator[None]:
         text = str(error)
         if "NoSuchBucket" in text:
             raise FileNotFoundError(errno.ENOENT, "the bucket does not exist", str(where)) from error
-        if re.search(r"//169\.254\.|/latest/(api|meta-data)", text):  # what it asks where the environment says nothing
+        if re.search(
+            r"//169\.254\.|/latest/(api|meta-data)", text
+        ):  # the metadata service, asked only without credentials in the environment
             what = "there are no credentials for it, neither in the environment nor from the machine"
             raise PermissionError(errno.EACCES, what, str(where)) from error
-        if "403 Forbidden" in text or "401 Unauthorized" in text:  # of a list, which has no error of its own for this
+        if "403 Forbidden" in text or "401 Unauthorized" in text:  # listing raises no specific error for this
             raise PermissionError(errno.EACCES, "the object store refuses these credentials", str(where)) from error
         if "error sending request" in text:
             endpoint = os.environ.get("AWS_ENDPOINT_URL", "AWS")

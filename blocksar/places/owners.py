@@ -1,4 +1,4 @@
-"""Who owns a lock: a process, described and looked for."""
+"""Owners of locks: the record that identifies a process, its description, and whether the process is alive."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ from typing import Any
 
 import psutil
 
-# ---------------------------------------------------------------- who holds a lock
-
 
 def this_process() -> dict[str, Any]:
+    """Return the record that a lock held by this process contains."""
     return {
         "pid": os.getpid(),
         "host": socket.gethostname(),
@@ -23,20 +22,21 @@ def this_process() -> dict[str, Any]:
 
 
 def describe_owner(owner: bytes) -> str:
+    """Describe the owner that a lock's record names, for a message."""
     try:
-        found = json.loads(owner)
-        return f"process {found['pid']} on {found['host']} since {found['since']}"
+        record = json.loads(owner)
+        return f"process {record['pid']} on {record['host']} since {record['since']}"
     except (ValueError, KeyError, TypeError):
         return "another process"
 
 
 def is_alive(owner: bytes) -> bool:
-    """False only for what is known to be dead: a process of this very machine."""
+    """Return False only if the owner was a process of this machine and has ended; True if that is unknown."""
     try:
-        found = json.loads(owner)
-        if found["host"] != socket.gethostname():
+        record = json.loads(owner)
+        if record["host"] != socket.gethostname():
             return True
-        return bool(abs(psutil.Process(found["pid"]).create_time() - found["process_started"]) < 1)
+        return bool(abs(psutil.Process(record["pid"]).create_time() - record["process_started"]) < 1)
     except psutil.NoSuchProcess:
         return False
     except (ValueError, KeyError, TypeError):

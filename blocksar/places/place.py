@@ -1,4 +1,4 @@
-"""What every place can do."""
+"""The interface of places, whatever holds their files."""
 
 from __future__ import annotations
 
@@ -14,71 +14,71 @@ if TYPE_CHECKING:
 
 
 class Held(Exception):
-    """A lock has a living owner, who is described."""
+    """A lock has a living owner; the message describes it."""
 
     def __init__(self, owner: str) -> None:
         super().__init__(owner)
 
 
 class Place(ABC):
-    """A store, a run or a file in either. All methods raise OSError where reading or writing fails."""
+    """The location of a store, a run, or a file in either. All methods raise OSError if reading or writing fails."""
 
     def __format__(self, spec: str) -> str:
-        """In messages, as one line."""
+        """Format the name for messages: printable, on one line."""
         return printable(str(self)).replace("\n", "\\n")
 
     @property
     @abstractmethod
     def name(self) -> str:
-        """The last part."""
+        """The last part of the name."""
 
     @abstractmethod
     def __truediv__(self, name: str) -> Place:
-        """What lies below under a name, or under names with '/' between."""
+        """Return the place of that name below this one; the name may have several parts, separated by '/'."""
 
     @abstractmethod
     def exists(self) -> bool:
-        """Whether a file or a folder is there; an object store has a folder where something lies below."""
+        """Tell whether there is a file or folder; in an object store, a folder exists if anything lies below it."""
 
     @abstractmethod
     def names(self) -> list[str]:
-        """What lies right below, files and folders, sorted; nothing where there is no folder."""
+        """List the names directly below, files and folders, sorted; empty if there is no folder."""
 
     @abstractmethod
     def files(self) -> Iterator[tuple[str, int, str]]:
-        """All files below: name relative to here, bytes, and a version that changes when the file is written."""
+        """Iterate over all files below: relative name, size in bytes, and a version that changes when it is written."""
 
     @abstractmethod
     def read_bytes(self) -> bytes:
-        """Of a file."""
+        """Read a file."""
 
     @abstractmethod
     def write_bytes(self, data: bytes) -> None:
-        """Put a file here, on the disk when this returns: whoever reads it finds the old one or the new one."""
+        """Write a file atomically and durably: readers see the old content or the new, and it is on disk on return."""
 
     @abstractmethod
     def remove(self) -> None:
-        """Remove the file or folder; nothing happens where there is none."""
+        """Remove the file or folder, if there is one."""
 
     @abstractmethod
     def sweep(self) -> None:
-        """Remove what killed processes left behind below: temporary names."""
+        """Remove temporary files and folders that killed processes left below this place."""
 
     @abstractmethod
     def settle(self) -> None:
-        """Return once all that was written below is on the disk, whatever happens to the power."""
+        """Flush everything written below to disk, so that it survives a loss of power."""
 
     @abstractmethod
     def zarr_path(self) -> StorePath:
-        """The same for zarr: a store of its, and a path in it."""
+        """Return the place as zarr names it: a zarr store, and a path in it."""
 
     @abstractmethod
     @contextmanager
     def lock(self) -> Iterator[None]:
-        """Hold this file as a lock; it is gone afterwards. The lock of a dead process is no lock.
+        """Hold this file as a lock and remove it afterwards. The lock of a dead process does not count.
 
         Raises
         ------
         Held
-            If a living process has it.
+            If a living process holds it.
         """

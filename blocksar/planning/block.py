@@ -1,4 +1,4 @@
-"""Planning of one angular block: slab, chain of steps, coefficients, gate and place on the ground."""
+"""Planning of one angular block: slab, chain of steps, coefficients, sampling and place on the ground."""
 
 from __future__ import annotations
 
@@ -9,23 +9,25 @@ from dataclasses import dataclass
 import numpy as np
 
 from blocksar.arrays import FloatArray
+from blocksar.budget import IMAGE_TAP_ERROR
 from blocksar.collection import range_series
 from blocksar.collection.beam import lit_pulses
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import Region
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.focusing.azimuth_steps import DopplerTransform
+from blocksar.focusing.chains import steps_of
 from blocksar.focusing.ground_map import YAW_STEPS, GroundMap, surfaces
 from blocksar.focusing.lines import Focus, Line, focus
 from blocksar.focusing.method import Method
-from blocksar.focusing.range_steps import ResidualRangeWalk
+from blocksar.focusing.range_steps import RangeGate
 from blocksar.focusing.recovery import Recovery
-from blocksar.focusing.step import Step
+from blocksar.focusing.sampling import Sampling
+from blocksar.focusing.step import Constants, Step
 from blocksar.kernels import fourier
 from blocksar.kernels.fourier import Axis
 from blocksar.kernels.interpolation import taps_needed
-from blocksar.planning.binding import Axes, Binding, Slab
+from blocksar.planning.binding import AzimuthPart, RangePart, Slab
 from blocksar.planning.coefficients import choose
 from blocksar.planning.fitting import Candidate
 from blocksar.planning.gates import plan_gate, plan_range_gate
@@ -33,12 +35,43 @@ from blocksar.planning.memory import block_memory
 from blocksar.planning.prediction import Prediction, predict
 from blocksar.planning.target_lines import recovered_line, tail_margin
 
-TAP_ERROR = 1e-3
 TIME_GUARD = 0.1  # of a dwell, kept on either side of what a block's targets are lit in
-# Oversampling of a focused block: twelve taps in range and eight in Doppler then err by less than TAP_ERROR.
+# Oversampling of a focused block: twelve taps in range and eight in Doppler then err by less than IMAGE_TAP_ERROR.
 RANGE_ROOM = 1.42
 RANGE_STEPS = 4  # of the iteration for targets that share an apparent range
 RESAMPLING_ROOM = 1.35  # of the time to be transformed: Doppler is then sampled densely enough to interpolate
+REFERENCE_ORDER = 8  # of the range series of a block's centre
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sector:
+    """The ground that a block owns: yaws [low, high), rad, at epoch ranges [near, far), m."""
+
+    geometry: Geometry
+    recovery: Recovery
+    region: Region
+    low: float
+    high: float
+    near: float
+    far: float
+
+    def lines(self, epoch_range: FloatArray, yaw: FloatArray) -> Line:
+        """Lines of targets in the recovered signal; their places broadcast."""
+        recovery = self.recovery
+        return recovered_line(
+            self.geometry,
+            epoch_range=epoch_range,
+            yaw=yaw,
+            origin=recovery.origin,
+            walk=recovery.walk,
+            common=recovery.common,
+        )
+
+    def reference(self) -> FloatArray:
+        """Range series of the sector's centre, m/s^n, less what recovery took out of all targets alike."""
+        middle = np.array((self.near + self.far) / 2), np.array((self.low + self.high) / 2)
+        series = range_series.range_series(self.geometry, *middle, order=REFERENCE_ORDER)
+        return np.asarray(series - self.recovery.common.taylor(REFERENCE_ORDER))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,6 +89,8 @@ class BlockPlan:
         Doppler slab of the recovered spectrum.
     chain : tuple of Step
         From slab to focused block, in order.
+    sampling : Sampling
+        The axes of the block's samples along the chain.
     ground : GroundMap
     prediction : Prediction
     memory : int
@@ -71,6 +106,7 @@ class BlockPlan:
     first_bin: int
     n_bin: int
     chain: tuple[Step, ...]
+    sampling: Sampling
     ground: GroundMap
     prediction: Prediction
     memory: int
@@ -80,135 +116,100 @@ class BlockPlan:
     def name(self) -> str:
         return str(self.index) if self.part is None else f"{self.index}.{self.part}"
 
-    @property
-    def range_frequency(self) -> Axis:
-        """Of the block's own samples, Hz."""
-        return next(step.range_frequency for step in self.chain if isinstance(step, ResidualRangeWalk))
-
 
 def plan_block(
-    geometry: Geometry,
-    recovery: Recovery,
-    region: Region,
-    *,
-    index: int,
-    low: float,
-    high: float,
-    near: float,
-    far: float,
-    method: Method,
-    part: int | None = None,
-    candidate: Candidate | None = None,
+    sector: Sector, method: Method, *, index: int, part: int | None = None, candidate: Candidate | None = None
 ) -> BlockPlan:
-    """Plan one block, or a range sub-block of it, that owns the yaws [low, high) and the epoch ranges [near, far).
+    """Plan one block, or a range sub-block of it.
 
-    The kind of chain is chosen unless it is given, as for further sub-blocks of a block.
+    Parameters
+    ----------
+    sector : Sector
+    method : Method
+    index : int
+    part : int or None
+        Which range sub-block; None for a whole block.
+    candidate : Candidate or None
+        The kind of chain, as of the other sub-blocks of the block; None: to be chosen.
     """
-    collection = geometry.collection
-
-    def recovered(epoch_range: FloatArray, yaw: FloatArray) -> Line:
-        return recovered_line(
-            geometry,
-            epoch_range=epoch_range,
-            yaw=yaw,
-            origin=recovery.origin,
-            walk=recovery.walk,
-            common=recovery.common,
-        )
-
-    # Coarse lines through the range steps: for supports, coefficients and sampling.
-    nodes, yaws = _end_nodes(near, far, 9), np.linspace(low, high, 15)
-    line = recovered(nodes[:, None], yaws)
+    collection, recovery = sector.geometry.collection, sector.recovery
+    # Coarse lines through the range steps: for the slab, the coefficients and the sampling.
+    nodes, yaws = _end_nodes(sector.near, sector.far, 9), np.linspace(sector.low, sector.high, 15)
+    line = sector.lines(nodes[:, None], yaws)
     duration = float(line.weight.sum(axis=-1).max())
     slab = _plan_slab(collection, recovery.doppler, line, margin=tail_margin(duration))
-    frequency = Axis(
-        float(collection.range_frequency[0]), collection.range_frequency_step, collection.n_range_frequency
-    )
-    range_gate = None if part is None else plan_range_gate(frequency, slab.doppler, line, collection.carrier)
-    if range_gate is not None:
-        frequency = range_gate.range_frequency
-    period = fourier.fast_length(RANGE_ROOM * frequency.size)
-    row_step = SPEED_OF_LIGHT / (2 * frequency.step * period)
-    chain = Binding(method, range_gate, slab=slab, carrier=collection.carrier, range_frequency=frequency)
-    reference = range_series.range_series(geometry, np.array((near + far) / 2), np.array((low + high) / 2), order=8)
-    chain.reference = np.asarray(reference - recovery.common.taylor(8))
-    chain.follow(chain.trace_walk(line))
-    straight = chain.trace_range(line)
-    ranges, epoch_range = _common_ranges(
-        lambda at: chain.trace_range(recovered(at, yaws)), straight, nodes, origin=recovery.origin
-    )
-    shared = chain.trace_range(recovered(epoch_range, yaws))
-    chosen = choose(
-        geometry,
-        shared,
-        chain,
-        ranges=ranges,
-        epoch_range=epoch_range,
-        yaws=yaws,
-        shift=-2 / collection.wavelength * recovery.walk + slab.walk,
-        candidate=candidate,
-    )
-    focused = chain.trace_azimuth(straight)
-    spots = focus(focused)
-    chain.axes = axes = _plan_axes(recovery, slab, straight, focused, chain, duration=duration)
-    range_filling = frequency.size / period
-    range_taps = (taps_needed(range_filling, error=TAP_ERROR), range_filling)
-    chain.rows = rows = _plan_rows(spots, step=row_step, reach=(range_taps[0] / 2 + 2) * row_step, at_most=period)
+    band = Axis(float(collection.range_frequency[0]), collection.range_frequency_step, collection.n_range_frequency)
+    range_gate = None if part is None else plan_range_gate(band, slab.doppler, line, collection.carrier)
+    constants = Constants(carrier=collection.carrier, walk=slab.walk, reference=sector.reference())
+    range_part = RangePart.bind(steps_of(method), constants, line)
+    straight = range_part.trace(line)
+    azimuth, chosen = _plan_azimuth(sector, range_part, method, straight, nodes=nodes, yaws=yaws, candidate=candidate)
 
     # Fine lines through the whole chain: for the gate, the place of every target, and the prediction.
-    fine_range, fine_yaw = _end_nodes(near, far, 13), _end_nodes(low, high, 33)
-    compressed = chain.trace_range(recovered(fine_range[:, None], fine_yaw))
-    fine = chain.trace_azimuth(compressed)
-    found = focus(fine)
-    gate = plan_gate(fine, found, rows=rows, slow=axes.long_time)
-    image_centre = float((spots.doppler.min() + spots.doppler.max()) / 2)
-    image = fourier.dual(axes.long_time, size=axes.long_time.size, centre=image_centre)
-    final = DopplerTransform(time=axes.long_time, doppler=image, rows=rows, gate=gate)
-    ground = _plan_ground(
-        geometry,
-        recovery,
-        region,
-        found,
-        final,
-        low=low,
-        high=high,
-        near=near,
-        far=far,
-        epoch_range=fine_range,
-        yaw=fine_yaw,
-        range_taps=range_taps,
-        doppler_filling=_local_occupancy(fine, found, final.image_doppler),
-    )
+    fine_range, fine_yaw = _end_nodes(sector.near, sector.far, 13), _end_nodes(sector.low, sector.high, 33)
+    compressed = range_part.trace(sector.lines(fine_range[:, None], fine_yaw))
+    fine = azimuth.trace(compressed)
+    spots = focus(fine)
+    sampling = _plan_sampling(
+        recovery, slab, azimuth, straight, fine, spots,
+        range_frequency=band if range_gate is None else range_gate.range_frequency, duration=duration,
+    )  # fmt: skip
+    steps = azimuth.sampled(sampling)
     return BlockPlan(
         index=index,
         part=part,
-        low=low,
-        high=high,
+        low=sector.low,
+        high=sector.high,
         first_bin=slab.first_bin,
         n_bin=slab.doppler.size,
-        chain=chain.bound(final),
-        ground=ground,
-        prediction=predict(fine, found, fine_range, fine_yaw, geometry, rate=chain.perturbed(compressed).rate),
-        memory=block_memory(
-            gate=range_gate,
-            frequency=frequency,
-            n_bin=slab.doppler.size,
-            n_column=chain.n_column,
-            n_row=rows.size,
-            n_image=final.image_doppler.size,
-            length=max(axes.long_time.size, period),
+        chain=steps if range_gate is None else (range_gate, *steps),
+        sampling=sampling,
+        ground=_plan_ground(sector, sampling, fine, spots, epoch_range=fine_range, yaw=fine_yaw),
+        prediction=predict(
+            fine, spots, fine_range, fine_yaw, sector.geometry, rate=azimuth.perturb_time(compressed).rate
         ),
+        memory=_plan_memory(range_gate, range_part, sampling),
         candidate=chosen,
     )
+
+
+def _plan_azimuth(
+    sector: Sector,
+    range_part: RangePart,
+    method: Method,
+    straight: Line,
+    *,
+    nodes: FloatArray,
+    yaws: FloatArray,
+    candidate: Candidate | None,
+) -> tuple[AzimuthPart, Candidate]:
+    """The steps after range compression, with coefficients for targets that share an apparent range."""
+    recovery = sector.recovery
+    ranges, epoch_range = _common_ranges(
+        lambda at: range_part.trace(sector.lines(at, yaws)), straight, nodes, origin=recovery.origin
+    )
+    shared = range_part.trace(sector.lines(epoch_range, yaws))
+    polynomials, chosen = choose(
+        sector.geometry,
+        shared,
+        range_part,
+        method,
+        ranges=ranges,
+        epoch_range=epoch_range,
+        yaws=yaws,
+        shift=-2 / sector.geometry.collection.wavelength * recovery.walk + range_part.constants.walk,
+        candidate=candidate,
+    )
+    return AzimuthPart.bind(range_part, polynomials, straight), chosen
 
 
 def _common_ranges(
     trace: Callable[[FloatArray], Line], line: Line, nodes: FloatArray, *, origin: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Apparent ranges that span all of lines (n_range, n_yaw), and the epoch range of each yaw's target there.
+    """Apparent ranges that span those of lines (n_range, n_yaw), and the epoch range of each yaw's target there.
 
-    What shares an output row shares its coefficients, and its targets need not share the range at the epoch: range
-    curvature that is corrected at the Doppler of a target's own moves it by that curvature (paper C, below (5)).
+    Targets of one output row share its coefficients but need not share the range at the epoch: range curvature that
+    is corrected at a target's own Doppler moves the target by that curvature (paper C, below (5)).
 
     Returns
     -------
@@ -237,22 +238,58 @@ def _plan_slab(collection: Collection, spectrum: Axis, line: Line, *, margin: fl
     return Slab(first_bin, spectrum.part(first_bin, last_bin - first_bin), walk, margin, band_edge)
 
 
-def _plan_axes(
-    recovery: Recovery, slab: Slab, straight: Line, focused: Line, chain: Binding, *, duration: float
-) -> Axes:
-    """Sampling for the band that the time perturbation leaves, and for the longest reach of any line in time.
+def _plan_sampling(
+    recovery: Recovery,
+    slab: Slab,
+    azimuth: AzimuthPart,
+    straight: Line,
+    fine: Line,
+    fine_spots: Focus,
+    *,
+    range_frequency: Axis,
+    duration: float,
+) -> Sampling:
+    """The axes that a block's lines ask for: `straight` after range compression, `fine` after the last step."""
+    focused = azimuth.trace(straight)
+    spots = focus(focused)
+    bands = _doppler_bands(slab, azimuth, straight)
+    time = _plan_time(recovery, slab, straight, held=max(bands) - min(bands), duration=duration)
+    guard = 0.05 * duration
+    begin = min(float(focused.time.min()) - guard, time.start)
+    end = max(float(focused.time.max()) + guard, time.start + time.extent)
+    room = RESAMPLING_ROOM if azimuth.range_part.freedom.resampling else 1.0
+    n_padded = fourier.fast_length(max((end - begin) / time.step, room * time.size))
+    long_time = Axis(begin, time.step, n_padded)
+    middle = azimuth.polynomials.middle
+    reach = 2 * max(time.start + time.extent - middle, middle - time.start)
+    rows = _plan_rows(spots, range_frequency)
+    return Sampling(
+        slab=slab.doppler,
+        range_frequency=range_frequency,
+        time=time,
+        time_occupancy=min(time.step * slab.doppler.extent, 0.95),
+        doppler=fourier.dual(time, size=n_padded, centre=(min(bands) + max(bands)) / 2),
+        long_time=long_time,
+        doppler_occupancy=min(reach / (time.step * n_padded), 0.95),
+        rows=rows,
+        focused_doppler=fourier.dual(
+            long_time, size=n_padded, centre=float((spots.doppler.min() + spots.doppler.max()) / 2)
+        ),
+        gate=plan_gate(fine, fine_spots, rows=rows, slow=long_time),
+    )
 
-    Of the recovered signal only what the block's targets are lit in is kept: the rest of the aperture lit others.
-    """
-    row, polynomials = straight.range.mean(axis=-1), chain.polynomials
-    perturbed = chain.perturbed(straight)
-    shift = polynomials.resampling.evaluate(row, perturbed.doppler)
-    resampled = perturbed.resample_doppler(*shift, middle=polynomials.middle)
+
+def _doppler_bands(slab: Slab, azimuth: AzimuthPart, straight: Line) -> list[float]:
+    """Ends of the Doppler bands that a block occupies ahead of its deramp, Hz."""
     start = slab.doppler.start - slab.walk
     bands = [start, slab.doppler.start + slab.doppler.extent - slab.walk]
-    for line in (perturbed, resampled):
+    for line in azimuth.in_doppler(straight)[1:]:
         bands += [float(line.doppler.min()) - slab.margin, float(line.doppler.max()) + slab.margin]
-    held = max(bands) - min(bands)
+    return bands
+
+
+def _plan_time(recovery: Recovery, slab: Slab, straight: Line, *, held: float, duration: float) -> Axis:
+    """Slow time in which a block's targets are lit, sampled for a band of `held` Hz: the rest lit others."""
     span = recovery.time.extent
     full = fourier.fast_length(1.25 * span * max(held, slab.doppler.extent))
     step = span / full
@@ -263,77 +300,80 @@ def _plan_axes(
     last = min(math.ceil((float(straight.time.max()) + room - recovery.time.start) / step), full)
     # An odd number of cache lines a row: columns of a block then do not fall on each other's place in the cache.
     n_time = min(math.ceil((last - first - 8) / 16) * 16 + 8, full - first)
-    time = Axis(recovery.time.start + first * step, step, n_time)
-    guard = 0.05 * duration
-    begin = min(float(focused.time.min()) - guard, time.start)
-    end = max(float(focused.time.max()) + guard, time.start + time.extent)
-    room = RESAMPLING_ROOM if chain.freedom.resampling else 1.0
-    n_padded = fourier.fast_length(max((end - begin) / step, room * n_time))
-    middle = polynomials.middle
-    return Axes(
-        time=time,
-        occupancy=min(step * slab.doppler.extent, 0.95),
-        doppler=fourier.dual(time, size=n_padded, centre=(min(bands) + max(bands)) / 2),
-        long_time=Axis(begin, step, n_padded),
-        filled=min(2 * max(time.start + time.extent - middle, middle - time.start) / (step * n_padded), 0.95),
-    )
+    return Axis(recovery.time.start + first * step, step, n_time)
 
 
-def _plan_rows(spots: Focus, *, step: float, reach: float, at_most: int) -> Axis:
-    """Ranges, less the origin, at which anything focuses, and `reach` more on either side for interpolation."""
+def _range_transform(range_frequency: Axis) -> tuple[int, float]:
+    """Length of the range transform, and the spacing of its ranges, m."""
+    period = fourier.fast_length(RANGE_ROOM * range_frequency.size)
+    return period, SPEED_OF_LIGHT / (2 * range_frequency.step * period)
+
+
+def _range_taps(range_frequency: Axis) -> tuple[int, float]:
+    """Taps of the interpolation along range, and the part of the sampling that is filled."""
+    filled = range_frequency.size / _range_transform(range_frequency)[0]
+    return taps_needed(filled, error=IMAGE_TAP_ERROR), filled
+
+
+def _plan_rows(spots: Focus, range_frequency: Axis) -> Axis:
+    """Ranges, less the origin, at which targets focus, and more on either side for interpolation."""
+    period, step = _range_transform(range_frequency)
+    reach = (_range_taps(range_frequency)[0] / 2 + 2) * step
     nearest, farthest = float(spots.range.min()) - reach, float(spots.range.max()) + reach
-    return Axis(nearest, step, min(int(np.ceil((farthest - nearest) / step)) + 1, at_most))
+    return Axis(nearest, step, min(int(np.ceil((farthest - nearest) / step)) + 1, period))
 
 
 def _plan_ground(
-    geometry: Geometry,
-    recovery: Recovery,
-    region: Region,
-    found: Focus,
-    final: DopplerTransform,
-    *,
-    low: float,
-    high: float,
-    near: float,
-    far: float,
-    epoch_range: FloatArray,
-    yaw: FloatArray,
-    range_taps: tuple[int, float],
-    doppler_filling: float,
+    sector: Sector, sampling: Sampling, line: Line, spots: Focus, *, epoch_range: FloatArray, yaw: FloatArray
 ) -> GroundMap:
-    """Maps from ground to the focused block, from where lines (n_range, n_yaw) focus."""
-    collection = geometry.collection
+    """Maps from the ground to the focused block, from where lines (n_range, n_yaw) focus."""
+    collection, origin = sector.geometry.collection, sector.recovery.origin
     offset, doppler_focus, phase, gain, dwell_time = surfaces(
-        found, epoch_range=epoch_range, yaw=yaw, origin=recovery.origin, carrier=collection.carrier, degree=(9, 16)
+        spots, epoch_range=epoch_range, yaw=yaw, origin=origin, carrier=collection.carrier, degree=(9, 16)
     )
-    yaw_axis = np.linspace(low, high, YAW_STEPS)
-    near_limit, far_limit = region.at(yaw_axis)
+    yaw_axis = np.linspace(sector.low, sector.high, YAW_STEPS)
+    near_limit, far_limit = sector.region.at(yaw_axis)
+    range_taps = _range_taps(sampling.range_frequency)
+    filled = _local_occupancy(line, spots, sampling.image_doppler)
     return GroundMap(
-        geometry=geometry,
-        low=low,
-        high=high,
-        near=near,
-        far=far,
-        origin=recovery.origin,
-        rows=final.rows,
-        doppler=final.image_doppler,
+        geometry=sector.geometry,
+        low=sector.low,
+        high=sector.high,
+        near=sector.near,
+        far=sector.far,
+        origin=origin,
+        rows=sampling.rows,
+        doppler=sampling.image_doppler,
         range_offset=offset,
         doppler_focus=doppler_focus,
         phase=phase,
         gain=gain,
         time=dwell_time,
-        common=None if final.gate is None else final.gate.common,
+        common=None if sampling.gate is None else sampling.gate.common,
         yaw_axis=yaw_axis,
         near_limit=near_limit,
         far_limit=far_limit,
         lit=lit_pulses(collection, yaw_axis, np.ones(collection.n_pulse)),
         scale=range_taps[1],
         range_taps=range_taps,
-        doppler_taps=(taps_needed(doppler_filling, error=TAP_ERROR), doppler_filling),
+        doppler_taps=(taps_needed(filled, error=IMAGE_TAP_ERROR), filled),
     )
 
 
-def _local_occupancy(line: Line, found: Focus, doppler: Axis) -> float:
+def _plan_memory(range_gate: RangeGate | None, range_part: RangePart, sampling: Sampling) -> int:
+    """Peak of a worker that focuses the block, bytes."""
+    return block_memory(
+        gate=range_gate,
+        frequency=sampling.range_frequency,
+        n_bin=sampling.slab.size,
+        n_column=(sampling.doppler if range_part.compression.in_doppler else sampling.time).size,
+        n_row=sampling.rows.size,
+        n_image=sampling.image_doppler.size,
+        length=max(sampling.long_time.size, _range_transform(sampling.range_frequency)[0]),
+    )
+
+
+def _local_occupancy(line: Line, spots: Focus, doppler: Axis) -> float:
     """Part of the sampling that a target's response fills along Doppler once its own carrier is out."""
-    reach = np.abs(line.time - found.time[..., None]).max()
+    reach = np.abs(line.time - spots.time[..., None]).max()
     return float(min(2.2 * reach * doppler.step, 0.9))

@@ -66,9 +66,9 @@ import numpy as np
 from blocksar.arrays import FloatArray
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.range_series import YAW_NODES, yaw_series
-from blocksar.focusing.lines import RowPolynomial, row_polynomial
+from blocksar.focusing.lines import AzimuthPolynomials, RowPolynomial, row_polynomial
 from blocksar.focusing.method import RangeModel
-from blocksar.planning.fitting import SERIES_DEGREE, AzimuthPolynomials, Freedom
+from blocksar.planning.fitting import SERIES_DEGREE, Freedom
 
 STEEPEST = 0.5  # of r0: what the time perturbation may change the slope of a line by, anywhere along its dwell
 

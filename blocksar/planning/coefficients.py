@@ -7,38 +7,59 @@ from numpy.typing import NDArray
 
 from blocksar.arrays import FloatArray
 from blocksar.collection.geometry import Geometry
-from blocksar.focusing.lines import Line, focus
+from blocksar.focusing.lines import AzimuthPolynomials, Line, focus
+from blocksar.focusing.method import Method
 from blocksar.planning import closed_form, fitting
-from blocksar.planning.binding import Binding
+from blocksar.planning.binding import AzimuthPart, RangePart
 from blocksar.planning.fitting import Candidate
 
 
 def choose(
     geometry: Geometry,
     line: Line,
-    chain: Binding,
+    range_part: RangePart,
+    method: Method,
     *,
     ranges: FloatArray,
     epoch_range: FloatArray,
     yaws: FloatArray,
     shift: float,
     candidate: Candidate | None,
-) -> Candidate:
-    """Give the chain its coefficients as asked: among fitted ones the cheapest whose lines end level and unfolded."""
-    lam, freedom = geometry.collection.wavelength, chain.freedom
-    if chain.method.coefficients == "closed-form":
-        chain.polynomials = closed_form.levelling(
+) -> tuple[AzimuthPolynomials, Candidate]:
+    """Coefficients as the method asks for: among fitted ones the cheapest whose lines end level and unfolded.
+
+    Parameters
+    ----------
+    geometry : Geometry
+    line : Line
+        (n_range, n_yaw, n) after range compression; row i belongs to apparent range ranges[i].
+    range_part : RangePart
+    method : Method
+    ranges : (n_range,) float
+        Ascending, m from the range origin.
+    epoch_range : (n_range, n_yaw) float
+        Of the targets that come to lie there, m.
+    yaws : (n_yaw,) float
+        rad.
+    shift : float
+        Doppler that the range part takes out of every line, Hz.
+    candidate : Candidate or None
+        The kind of chain; None: to be chosen.
+    """
+    lam, freedom = geometry.collection.wavelength, range_part.freedom
+    if method.coefficients == "closed-form":
+        polynomials = closed_form.levelling(
             geometry, freedom, epoch_range=epoch_range, ranges=ranges, yaws=yaws, shift=shift,
-            in_doppler=chain.in_doppler, range_model=chain.method.range_model,
+            in_doppler=range_part.compression.in_doppler, range_model=method.range_model,
         )  # fmt: skip
-        return Candidate(0.0, False)
-    chosen = candidate or _cheapest(line, chain, ranges=ranges, wavelength=lam)
-    chain.polynomials = fitting.fit(line, ranges=ranges, candidate=chosen, freedom=freedom, wavelength=lam)
-    return chosen
+        return polynomials, Candidate(0.0, False)
+    chosen = candidate or _cheapest(line, range_part, ranges=ranges, wavelength=lam)
+    return fitting.fit(line, ranges=ranges, candidate=chosen, freedom=freedom, wavelength=lam), chosen
 
 
-def _cheapest(line: Line, chain: Binding, *, ranges: FloatArray, wavelength: float) -> Candidate:
-    freedom = chain.freedom
+def _cheapest(line: Line, range_part: RangePart, *, ranges: FloatArray, wavelength: float) -> Candidate:
+    """The kind of chain with the least phase error and loss for the growth of its samples."""
+    freedom = range_part.freedom
     some = np.array([0, ranges.size // 2, ranges.size - 1])
     part = Line(**{name: _pick(getattr(line, name), some, ranges.size) for name in Line.__dataclass_fields__})
     best: tuple[float, Candidate] | None = None
@@ -46,11 +67,11 @@ def _cheapest(line: Line, chain: Binding, *, ranges: FloatArray, wavelength: flo
     if len(tried) == 1:
         return tried[0]
     for candidate in tried:
-        chain.polynomials = fitting.fit(
+        polynomials = fitting.fit(
             part, ranges=ranges[some], candidate=candidate, freedom=freedom, wavelength=wavelength, roughly=True
         )
-        biased = chain.perturbed(part)
-        traced = chain.trace_azimuth(part)
+        azimuth = AzimuthPart.bind(range_part, polynomials, part)
+        biased, traced = azimuth.perturb_time(part), azimuth.trace(part)
         spread = biased.rate * part.weight.sum(axis=-1, keepdims=True) ** 2
         if traced.folded or not np.isfinite(traced.time).all():
             continue

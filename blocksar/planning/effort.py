@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from blocksar.chunks import MOSAIC_CHUNKS, TILE
+from blocksar.collection.beam import dwell
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.focusing.correction import covers
@@ -119,7 +120,7 @@ def _by_chunk(geometry: Geometry, grid: Grid) -> list[float]:
         for column in range(0, grid.shape[1], side[1]):
             y, x = grid.y[row : row + side[0]], grid.x[column : column + side[1]]
             mesh = np.meshgrid(x[:: max(x.size // 8, 1)], y[:: max(y.size // 8, 1)])
-            start, end = geometry.dwell(geometry.yaw(*mesh))
+            start, end = dwell(geometry, *mesh)
             lit = np.maximum(end - start, 0.0).mean() / interval
             costs.append(BACK_PROJECT * x.size * y.size * max(float(lit), 1.0))
     return costs

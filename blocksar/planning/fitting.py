@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from blocksar.arrays import FloatArray
-from blocksar.focusing.lines import Line, RowPolynomial, row_polynomial
+from blocksar.focusing.lines import AzimuthPolynomials, Line, RowPolynomial, row_polynomial
 from blocksar.kernels.solvers import ENOUGH, MOST_STEPS, levenberg_marquardt
 
 TIME_ORDERS = (3, 4)
@@ -34,19 +34,6 @@ ROUGHLY, FEW_STEPS = 1e-4, 40
 SETTLED = 100.0  # rad: what it costs to change an unknown that an earlier range has settled
 STRETCH_PRICE = 0.5  # rad of phase error that a stretch of 2 is worth in the fit
 TIME_BANDWIDTH = 100.0  # of a target's line: stationary phase and a sharp spectrum need about this much
-
-
-class AzimuthPolynomials(NamedTuple):
-    """What the azimuth steps are bound to: phases (cycles) in time, Doppler and time, and a shift of Doppler (Hz).
-
-    A step that the chain does not have has a polynomial that is zero. Resampling is about `middle`, slow time, s.
-    """
-
-    time: RowPolynomial
-    doppler: RowPolynomial
-    resampling: RowPolynomial
-    deramp: RowPolynomial
-    middle: float
 
 
 class Freedom(NamedTuple):

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.focusing.azimuth_steps import DwellGate
+from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.lines import Focus, Line, RowPolynomial
 from blocksar.focusing.range_steps import RangeGate
 from blocksar.kernels import fourier
@@ -53,7 +53,7 @@ def _gate_length(needed: float, share: float, at_most: int) -> tuple[int, int]:
     return min(((n, round(n * share)) for n in lengths), key=lambda pair: abs(pair[1] / pair[0] / share - 1))
 
 
-def plan_gate(line: Line, found: Focus, *, rows: Axis, slow: Axis) -> DwellGate | None:
+def plan_gate(line: Line, spots: Focus, *, rows: Axis, slow: Axis) -> DwellGate | None:
     """The gate that follows the middles of the dwells along Doppler, from lines (n_range, n_yaw) with full dwell.
 
     Targets whose dwell the ends of the collection cut are gated as if it went on. None where all targets dwell
@@ -68,10 +68,10 @@ def plan_gate(line: Line, found: Focus, *, rows: Axis, slow: Axis) -> DwellGate 
     full = lit >= 0.999 * lit.max()
     if full.sum() < 6:  # a narrow block at an end of the swath: what is there has to do
         full = np.ones_like(full)
-    doppler = found.doppler[:, full]
-    centre, scale = float((doppler.min() + doppler.max()) / 2), max(float(np.ptp(found.doppler) / 2), 1e-6)
+    doppler = spots.doppler[:, full]
+    centre, scale = float((doppler.min() + doppler.max()) / 2), max(float(np.ptp(spots.doppler) / 2), 1e-6)
     near, far = rows.start, rows.start + rows.extent
-    u = (2 * found.range[:, full] - near - far) / (far - near)
+    u = (2 * spots.range[:, full] - near - far) / (far - near)
     z = (doppler - centre) / scale
     basis = chebyshev.chebvander2d(u.ravel(), z.ravel(), [2, 3])
     series = np.linalg.lstsq(basis, middles[:, full].ravel(), rcond=1e-10)[0].reshape(3, 4)
@@ -85,8 +85,8 @@ def plan_gate(line: Line, found: Focus, *, rows: Axis, slow: Axis) -> DwellGate 
     slope = RowPolynomial(series=series[:, 1:2] / scale, near=near, far=far, centre=centre, scale=scale)
     # The longest: a gate that cuts a dwell costs width and amplitude, one a little wider only some coherence.
     length = float(lengths[:, full].max())
-    _, own, _ = phase.evaluate(found.range, found.doppler[..., None])
-    _, shared, _ = common.evaluate(found.range, found.doppler[..., None])
+    _, own, _ = phase.evaluate(spots.range, spots.doppler[..., None])
+    _, shared, _ = common.evaluate(spots.range, spots.doppler[..., None])
     apart = float(np.abs(own - shared).max())
     size = min(fourier.fast_length((GATE_ROOM * length + 2 * apart) / slow.step), slow.size)
     return DwellGate(phase=phase, common=common, slope=slope, length=length, time=fourier.centred(0.0, slow.step, size))

@@ -23,16 +23,15 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.region import Extent, Region, block_seams, default_grid, grid_extent, plan_region
 from blocksar.constants import MIB, SPEED_OF_LIGHT
 from blocksar.errors import InputError
-from blocksar.focusing.method import Method
+from blocksar.focusing.method import DEFAULT, Method
 from blocksar.focusing.recovery import Recovery
 from blocksar.focusing.step import stages
 from blocksar.kernels.operations import Resample, Stretch, Transform
-from blocksar.planning.block import BlockPlan, plan_block
+from blocksar.planning.block import BlockPlan, Sector, plan_block
 from blocksar.planning.memory import MEMORY_SHARE, PROCESS_MEMORY
 from blocksar.planning.recovery import plan_recovery
 from blocksar.planning.refusal import folded, refusal_of
 
-DEFAULT = Method()
 MAX_BLOCKS = 32
 MOST_BLOCKS = 1000  # that may be asked for
 MAX_PARTS = 64  # range sub-blocks of a block
@@ -153,7 +152,7 @@ def plan_collection(
         raise InputError(f"blocks = {blocks}: ask for 1 to {MOST_BLOCKS}, or for 'auto'")
     geometry = Geometry(collection=collection)
     region = plan_region(geometry, grid)
-    recovery = plan_recovery(geometry, region, linear=method.derotation == "linear")
+    recovery = plan_recovery(geometry, region, method)
     grid = grid or default_grid(geometry, region)
     extent = grid_extent(geometry, region, grid)
 
@@ -246,10 +245,10 @@ def _plan_blocks(
         edges = np.linspace(near - room, far + room, divided + 1)
         candidate = None
         for part, (nearest, farthest) in enumerate(pairwise(edges.tolist())):
-            block = plan_block(
-                geometry, recovery, region, index=index, part=part if divided > 1 else None, low=low, high=high,
-                near=nearest, far=farthest, method=method, candidate=candidate,
-            )  # fmt: skip
+            sector = Sector(
+                geometry=geometry, recovery=recovery, region=region, low=low, high=high, near=nearest, far=farthest
+            )
+            block = plan_block(sector, method, index=index, part=part if divided > 1 else None, candidate=candidate)
             candidate = block.candidate
             planned.append(block)
     if not planned:

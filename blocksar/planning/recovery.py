@@ -6,11 +6,13 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from blocksar.arrays import FloatArray
+from blocksar.collection.beam import dwell_at
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import Region
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.errors import InputError
+from blocksar.errors import PrfTooLow
 from blocksar.focusing.lines import Line
+from blocksar.focusing.method import DEFAULT, Method
 from blocksar.focusing.recovery import NOTHING_IN_COMMON, CommonRange, Recovery
 from blocksar.kernels import fourier
 from blocksar.kernels.fourier import Axis
@@ -21,17 +23,17 @@ COMMON_LEAST = 1e-3  # wavelengths of it, a phase of 0.013 rad: less is left whe
 WINDOW_EDGE = 0.05  # of the range window, at either end, that the PRF need not hold: echoes only pass through
 
 
-def plan_recovery(geometry: Geometry, region: Region, *, linear: bool = False) -> Recovery:
+def plan_recovery(geometry: Geometry, region: Region, method: Method = DEFAULT) -> Recovery:
     """Unified walk, derotation, padding, and whether the PRF suffices.
 
-    `linear` derotation takes out one Doppler rate and no more (paper A, Figure 6 b): a rival that needs more PRF.
+    A method with linear derotation takes out one Doppler rate and no more (paper A, Figure 6 b), and needs more PRF.
 
     Raises
     ------
-    InputError
-        If the derotated band exceeds the PRF; the message names the PRF needed.
+    PrfTooLow
+        If the derotated band exceeds the PRF.
     """
-    collection = geometry.collection
+    collection, linear = geometry.collection, method.derotation == "linear"
     centre_yaw = (region.yaw[0] + region.yaw[-1]) / 2
     near, far = region.at(np.array([centre_yaw]))
     origin = float((near[0] + far[0]) / 2)
@@ -57,17 +59,17 @@ def plan_recovery(geometry: Geometry, region: Region, *, linear: bool = False) -
     centre_band = (derotated_low + derotated_high) / 2
     spread = (derotated_high - derotated_low) * (1 + band_edge)
     if collection.prf < spread:
-        kind = "linear" if linear else "nonlinear"
-        needed = 10 * np.ceil(1.002 * spread / 10)  # another PRF cuts the dwells a little differently
-        raise InputError(
-            f"PRF {collection.prf:.6g} Hz is too low: after {kind} derotation the lit scene still spans "
+        needed = float(10 * np.ceil(1.002 * spread / 10))  # another PRF cuts the dwells a little differently
+        raise PrfTooLow(
+            f"PRF {collection.prf:.6g} Hz is too low: after {method.derotation} derotation the lit scene still spans "
             f"{spread:.6g} Hz of Doppler, so a PRF of at least {needed:.6g} Hz is needed; collect with a higher PRF or "
-            + ("a narrower beam" if collection.steered else "image a smaller grid")
+            + ("a narrower beam" if collection.steered else "image a smaller grid"),
+            needed,
         )
     series[0] += centre_band
     derotation = chebyshev.chebint(series) * half
 
-    dwell = float(np.max(np.subtract(*geometry.dwell(region.yaw)[::-1])))
+    dwell = float(np.max(np.subtract(*dwell_at(geometry, region.yaw)[::-1])))
     margin = tail_margin(dwell)
     padded = fourier.fast_length((1.02 + band_edge) * pulses.size + 16)  # the keystone scales time by the band
     duration = padded * pulses.step

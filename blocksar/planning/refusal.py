@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from blocksar.arrays import FloatArray
+from blocksar.collection.beam import dwell_at
 from blocksar.focusing.method import Method
 from blocksar.planning.block import BlockPlan
 
@@ -45,7 +46,7 @@ def _echo_slope(block: BlockPlan) -> FloatArray:
     geometry = block.ground.geometry
     yaw = np.linspace(block.low, block.high, 33)
     rng, yaws = np.meshgrid(np.linspace(block.ground.near, block.ground.far, 9), yaw, indexing="ij")
-    start, end = geometry.dwell(yaws)
+    start, end = dwell_at(geometry, yaws)
     _, rate = geometry.range_history(geometry.ground_point(rng, yaws), (start + end) / 2)
     return np.gradient(rate, yaw, axis=1)
 

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from blocksar.arrays import FloatArray
+from blocksar.collection.beam import dwell_at
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.lines import Line
@@ -31,7 +32,7 @@ def recovered_line(
     """
     nodes, weights = np.polynomial.legendre.leggauss(LINE_NODES)
     epoch_range, yaw = np.broadcast_arrays(epoch_range, yaw)
-    first, last = geometry.dwell(yaw)
+    first, last = dwell_at(geometry, yaw)
     collection = geometry.collection
     shortest = 0.05 * float(np.max(last - first))
     middle = np.clip((first + last) / 2, collection.time[0] + shortest / 2, collection.time[-1] - shortest / 2)

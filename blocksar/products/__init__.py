@@ -1,1 +1,1 @@
-"""What is made of a finished run: SICD, GeoTIFF, pictures, the report page and the xarray accessor."""
+"""Products of a finished run: SICD, GeoTIFF, pictures, the report page and the xarray accessor."""

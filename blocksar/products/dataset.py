@@ -1,6 +1,6 @@
-"""What people do next with an image that `blocksar.open` gave: `ds.sar` has db, crop, plot, cut and netcdf.
+"""The xarray accessor `ds.sar` for images of runs: db, crop, plot, cut and netcdf; and their CF metadata.
 
-`blocksar.open` registers the accessor; for datasets that were opened in another way, `import blocksar.accessor` does.
+`blocksar.open` registers the accessor; import `blocksar.accessor` for datasets opened in another way.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-GRID_MAPPING = "spatial_ref"  # the name that rioxarray looks for first
-UNEVEN = 1e-3  # of a pixel that its neighbours' distances may differ by
-PIECE = 32  # pixels of a cut that are interpolated with one carrier
+GRID_MAPPING = "spatial_ref"  # the name that rioxarray looks up first
+UNEVEN = 1e-3  # of the mean spacing, that the distance of neighbouring pixels may differ from it
+PIECE = 32  # length in pixels of a piece of a cut; each is interpolated with a carrier of its own
 Span = tuple[float | None, float | None]
-_ENDS = (-np.inf, np.inf)  # of a span without
+_ENDS = (-np.inf, np.inf)  # in place of ends that are None
 
 
 def prepare(dataset: xr.Dataset) -> xr.Dataset:
-    """Name x and y of an image as CF does, and tell its map projection if it is georeferenced.
+    """Give an image CF metadata: its axes and, if it is georeferenced, its map projection.
 
     Raises
     ------
@@ -41,7 +41,7 @@ def prepare(dataset: xr.Dataset) -> xr.Dataset:
     frame = _frame(dataset.attrs)
     for axis in "xy":
         dataset[axis].attrs["axis"] = axis.upper()
-        dataset[axis].encoding["_FillValue"] = None  # else xarray writes one, and CF knows none of coordinates
+        dataset[axis].encoding["_FillValue"] = None  # else xarray writes one, which CF forbids for coordinates
     if frame is None:
         return dataset
     mapping = frame.grid_mapping(float(dataset.attrs.get("ground_height") or 0.0))
@@ -58,17 +58,17 @@ def prepare(dataset: xr.Dataset) -> xr.Dataset:
 
 
 def _frame(attrs: dict[str, Any]) -> Georeference | None:
-    """Where the image lies; `georeference` may be a mapping, or JSON text of one, as `SarAccessor.netcdf` leaves it."""
-    told = attrs.get("georeference")
-    if isinstance(told, str):
-        with suppress(ValueError):  # the text itself is refused next
-            told = json.loads(told)
-    return None if told is None else Georeference.from_attribute(told)
+    """The scene frame of the attribute `georeference`: a mapping, or JSON text as stored by `SarAccessor.netcdf`."""
+    attribute = attrs.get("georeference")
+    if isinstance(attribute, str):
+        with suppress(ValueError):  # from_attribute then rejects the text
+            attribute = json.loads(attribute)
+    return None if attribute is None else Georeference.from_attribute(attribute)
 
 
 @xr.register_dataset_accessor("sar")  # type: ignore[no-untyped-call]
 class SarAccessor:
-    """Of a dataset that holds `image` (y, x), complex, over x and y in m."""
+    """Methods of a dataset with a complex `image` (y, x) over x and y in m."""
 
     def __init__(self, dataset: xr.Dataset) -> None:
         self._dataset = dataset
@@ -76,13 +76,13 @@ class SarAccessor:
     @property
     def _image(self) -> xr.DataArray:
         if "image" not in self._dataset or self._dataset["image"].dims != ("y", "x"):
-            raise InputError("the dataset holds no image (y, x); open a run, or its image.zarr, with blocksar.open")
+            raise InputError("the dataset has no image (y, x); open a run, or its image.zarr, with blocksar.open")
         return self._dataset["image"]
 
     def db(self) -> xr.DataArray:
-        """Power in dB, 0 being that of a target of reflectivity 1; NaN where not covered, -inf where there is nothing.
+        """Power in dB over that of a target of reflectivity 1; NaN where not covered, -inf where the pixel is zero.
 
-        Reads what the dataset holds: `crop` first, or give the dataset chunks (`ds.chunk()`), and it is lazy.
+        Reads the whole image. To read less, `crop` first; to stay lazy, give the dataset chunks (`ds.chunk()`).
         """
 
         def decibel(values: ComplexArray) -> Any:
@@ -99,12 +99,18 @@ class SarAccessor:
         return power.rename("power")
 
     def crop(self, x: Span = (None, None), y: Span = (None, None)) -> xr.Dataset:
-        """The pixels between ground coordinates, m, ends included; None is the image's own end. Reads no pixel.
+        """Select the pixels between ground coordinates, ends included; reads no pixel.
+
+        Parameters
+        ----------
+        x, y : pair of float or None
+            Lower and upper end, m; None for the image's own end.
+
 
         Raises
         ------
         InputError
-            If nothing is left, or a span is no pair of numbers.
+            If no pixel lies within, or a span is no pair of numbers.
         """
         chosen = {}
         for name, span in (("x", x), ("y", y)):
@@ -112,7 +118,7 @@ class SarAccessor:
                 raise InputError(f"the dataset has no coordinate {name}; open a run, or its image.zarr")
             axis = self._dataset[name].values
             try:
-                low, high = (end if given is None else float(given) for given, end in zip(span, _ENDS, strict=True))
+                low, high = (end if value is None else float(value) for value, end in zip(span, _ENDS, strict=True))
             except (TypeError, ValueError):
                 raise InputError(f"{name} is {span!r}; give two ends in m, the lower first, or None for one") from None
             if low > high:
@@ -127,18 +133,18 @@ class SarAccessor:
         return self._dataset.isel(chosen)
 
     def netcdf(self) -> xr.Dataset:
-        """The dataset as netCDF can hold it, to be saved with `to_netcdf`.
+        """Convert the dataset to what netCDF can store, for `to_netcdf`.
 
-        `image` goes as `image_real` and `image_imag`: there are no complex numbers; attributes that are no numbers and
-        no text (settings, predicted, warnings, georeference) as JSON text. Reads what the dataset holds, unless it has
-        chunks: `crop` first.
+        netCDF has no complex numbers, so `image` becomes `image_real` and `image_imag`. Attributes other than numbers
+        and text (settings, predicted, warnings, georeference) become JSON text. Reads the whole image unless the
+        dataset has chunks; to read less, `crop` first.
         """
         image = self._image
-        made = self._dataset.drop_vars("image")
+        converted = self._dataset.drop_vars("image")
         for name, part in (("real", image.real), ("imag", image.imag)):
             attrs = image.attrs | {"long_name": f"{image.attrs.get('long_name', 'image')}, {name} part"}
-            made[f"image_{name}"] = part.assign_attrs(attrs)
-        return made.assign_attrs(
+            converted[f"image_{name}"] = part.assign_attrs(attrs)
+        return converted.assign_attrs(
             {
                 name: value
                 if isinstance(value, str | int | float) and not isinstance(value, bool)
@@ -148,9 +154,14 @@ class SarAccessor:
         )
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the image in decibels, by cells of mean power, with scale bar and, if georeferenced, north.
+        """Draw the image in decibels, as cells of mean power, with a scale bar and, if georeferenced, north.
 
-        Strips of the image are read one after another. Without `ax`, in a new figure of pyplot.
+        Reads the image strip by strip.
+
+        Parameters
+        ----------
+        ax : Axes, optional
+            Where to draw; a new pyplot figure by default.
 
         Raises
         ------
@@ -163,7 +174,7 @@ class SarAccessor:
             raise InputError(f"{error.name} is not installed, which pictures need; install blocksar[plots]") from None
         image = self._upright()
         frame = _frame(self._dataset.attrs)
-        arrows = [] if frame is None else [quicklook.north(frame.rotation)]
+        arrows = [] if frame is None else [quicklook.north_arrow(frame.rotation)]
 
         def read(rows: slice, columns: slice) -> ComplexArray:
             return np.asarray(image[rows, columns].values)
@@ -175,29 +186,32 @@ class SarAccessor:
     def cut(
         self, x: float, y: float, *, azimuth: float | None = None, length: float = 20.0, samples: int = 401
     ) -> xr.DataArray:
-        """Power along a straight line through a point, dB.
+        """Interpolate power, dB, along a straight line through a point.
+
+        Only pixels near the line are read. The pixels hold the carrier, folded into their band; it is removed piece by
+        piece before band-limited interpolation.
 
         Parameters
         ----------
         x, y : float
-            m, the middle of the cut.
+            Middle of the cut, m.
         azimuth : float, optional
             Direction in degrees, from the x axis towards the y axis; along x if None.
         length : float
-            m, from end to end.
+            From end to end, m.
         samples : int
-            Interpolated, band-limited, from the pixels about the line, which alone are read. The image has kept its
-            carrier, folded into the band of its pixels: it is taken off piece by piece.
+            Number of points.
 
         Returns
         -------
         DataArray
-            Over `distance` from the point, m, with coordinates x and y; NaN outside and near what is not covered.
+            Over `distance` from the point, m, with coordinates x and y; NaN outside the image and near pixels that
+            are not covered.
 
         Raises
         ------
         InputError
-            If the point lies outside the image, or length or samples are below what makes a line.
+            If the point lies outside the image, `azimuth` is not finite, or `length` or `samples` give no line.
         """
         if not 0 < length < np.inf or samples < 2:
             raise InputError(f"a cut of {length:g} m in {samples} samples is no line; give more than 0 m and 1 sample")
@@ -211,12 +225,12 @@ class SarAccessor:
                 f"y {axis_y[0]:g} .. {axis_y[-1]:g} m"
             )
         distance = np.linspace(-length / 2, length / 2, samples)
-        turn = np.radians(azimuth or 0.0)
-        at_x, at_y = x + distance * np.cos(turn), y + distance * np.sin(turn)
+        angle = np.radians(azimuth or 0.0)
+        at_x, at_y = x + distance * np.cos(angle), y + distance * np.sin(angle)
         values = np.empty(samples, np.complex128)
         spacing = min((axis[-1] - axis[0]) / (axis.size - 1) for axis in (axis_x, axis_y))
         for part in np.array_split(np.arange(samples), min(samples, int(np.ceil(length / (PIECE * spacing))))):
-            values[part] = _at(image, at_x[part], at_y[part])
+            values[part] = _interpolate(image, at_x[part], at_y[part])
         with np.errstate(divide="ignore"):
             power = 20 * np.log10(np.abs(values))
         return xr.DataArray(
@@ -232,41 +246,48 @@ class SarAccessor:
         )
 
     def _upright(self) -> xr.DataArray:
-        """The image with x and y ascending, whichever way somebody has sorted them. Reads no pixel."""
+        """The image with x and y ascending, whatever their order in the dataset. Reads no pixel."""
         image = self._image
-        back = [name for name in "xy" if image[name].size > 1 and image[name].values[0] > image[name].values[-1]]
-        return image.isel({name: slice(None, None, -1) for name in back})
+        descending = [name for name in "xy" if image[name].size > 1 and image[name].values[0] > image[name].values[-1]]
+        return image.isel({name: slice(None, None, -1) for name in descending})
 
 
 def _axes(image: xr.DataArray) -> tuple[FloatArray, FloatArray]:
+    """x and y, m, of an image of at least 2 x 2 evenly spaced pixels.
+
+    Raises
+    ------
+    InputError
+        If it is not one.
+    """
     x, y = (np.asarray(image[name].values, np.float64) for name in "xy")
     if x.size < 2 or y.size < 2:
-        raise InputError(f"the image has {y.size} x {x.size} pixels, which are no picture; crop less")
+        raise InputError(f"the image has {y.size} x {x.size} pixels, too few for a picture; crop less")
     for name, axis in (("x", x), ("y", y)):
         steps = np.diff(axis)
         if not (np.abs(steps - steps.mean()) < UNEVEN * steps.mean()).all():
-            raise InputError(f"{name} of the image is not evenly spaced; take its pixels by slices with one step")
+            raise InputError(f"{name} of the image is not evenly spaced; select its pixels by slices with one step")
     return x, y
 
 
-def _at(image: xr.DataArray, x: FloatArray, y: FloatArray) -> Complex128Array:
-    """Pixels interpolated at points near one another, but for the phase."""
-    places, spans = [], []
-    for axis, wanted in zip(_axes(image), (x, y), strict=True):
-        index = (wanted - axis[0]) / (axis[-1] - axis[0]) * (axis.size - 1)
+def _interpolate(image: xr.DataArray, x: FloatArray, y: FloatArray) -> Complex128Array:
+    """Interpolate pixels at points (n,) near one another, without the carrier's phase."""
+    indices, spans = [], []
+    for axis, coordinate in zip(_axes(image), (x, y), strict=True):
+        index = (coordinate - axis[0]) / (axis[-1] - axis[0]) * (axis.size - 1)
         low = int(np.clip(np.floor(index.min()) - MIN_HALF_TAPS, 0, axis.size))
         high = int(np.clip(np.ceil(index.max()) + MIN_HALF_TAPS + 1, 0, axis.size))
-        places.append(index - low)
+        indices.append(index - low)
         spans.append(slice(low, high))
     chip = np.asarray(image[spans[1], spans[0]].values, np.complex128)
     if chip.size == 0:
         return np.full(x.shape, np.nan + 0j)
-    return interpolate(_without_carrier(_without_carrier(chip, 0), 1), row=places[1], column=places[0])
+    return interpolate(_remove_carrier(_remove_carrier(chip, 0), 1), row=indices[1], column=indices[0])
 
 
-def _without_carrier(chip: Complex128Array, axis: int) -> Complex128Array:
-    """Turn a chip's phase back by the mean step from pixel to pixel along an axis, so that its band is about zero."""
+def _remove_carrier(chip: Complex128Array, axis: int) -> Complex128Array:
+    """Remove the mean phase step from pixel to pixel along an axis, so that the band is centred on zero."""
     chip = np.moveaxis(chip, axis, 0)
-    known = np.where(np.isfinite(chip), chip, 0)
-    step = np.angle((known[1:] * known[:-1].conj()).sum())
+    finite = np.where(np.isfinite(chip), chip, 0)
+    step = np.angle((finite[1:] * finite[:-1].conj()).sum())
     return np.moveaxis(chip * np.exp(-1j * step * np.arange(len(chip)))[:, None], 0, axis)

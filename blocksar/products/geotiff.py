@@ -1,15 +1,14 @@
 """The image of a run as a cloud-optimised GeoTIFF, through GDAL (rasterio).
 
-Pixels are those of the image, to the last bit, north up; nothing is resampled. What a GIS needs besides is a map
-projection in which they are a grid, and there is one that very nearly is: transverse Mercator about the scene frame's
-origin, with a scale of 1 + height / radius of curvature, has x and y of the frame's horizontal plane as easting and
-northing, but for d^3 / (3 R^2) at the distance d (8 mm at 10 km). UTM would ask for resampling, or for a grid that is
-turned and sheared.
+Pixels equal those of the image bit for bit, north up; nothing is resampled. A GIS also needs a map projection in which
+the pixels form a grid. Transverse Mercator about the scene frame's origin, with a scale of 1 + height / radius of
+curvature, comes very close: its easting and northing equal x and y of the frame's horizontal plane but for
+d^3 / (3 R^2) at the distance d (8 mm at 10 km). UTM would need resampling, or a grid that is rotated and sheared.
 
-Where that is not good to a twentieth of a pixel, because the origin is far away (as a platform's nadir is) or the frame
-is turned from north, the projection is centred on the image instead, and pixels lie where the best affine map puts
-them, turned if need be. How far off the worst pixel is by then, against the exact way through ECEF, is said, and kept
-in the file.
+Where the error exceeds a twentieth of a pixel, because the origin is far away (as a platform's nadir is) or the frame
+is rotated from north, the projection is centred on the image instead, and the best affine map places the pixels,
+rotated if need be. The largest error of a pixel's place against exact conversion through ECEF is reported and stored in
+the file.
 """
 
 from __future__ import annotations
@@ -23,10 +22,10 @@ from blocksar.arrays import FloatArray
 from blocksar.collection.georeference import Georeference
 from blocksar.errors import InputError, printable
 from blocksar.places import Location
-from blocksar.places.local import temporary
+from blocksar.places.local import temporary_name
 from blocksar.products.writing import replacing
 from blocksar.progress.listening import Callback
-from blocksar.runs.finished import Source
+from blocksar.runs.finished import FinishedRun
 from blocksar.version import __version__
 
 if TYPE_CHECKING:
@@ -35,16 +34,22 @@ if TYPE_CHECKING:
 
 Content = Literal["amplitude", "complex"]
 
-GOOD = 0.05  # pixels that a pixel may lie off
-TILE = 512
-TRAILER = 4  # bytes after each tile of GDAL's COG: its last four once more
-CACHE = 64 * 2**20  # bytes that GDAL keeps of what it writes
+MAX_ERROR = 0.05  # pixels that a pixel may lie off its exact place
+TILE = 512  # pixels a side
+TRAILER = 4  # bytes after each tile of GDAL's COG, which repeat its last four
+CACHE = 64 * 2**20  # bytes, GDAL's cache of blocks to write
 
 
 class Placement(NamedTuple):
-    """A projection, and where in it pixels lie: easting and northing = offset + matrix @ (x, y) of the scene frame.
+    """A projection and the pixels' places in it: easting and northing = offset + matrix @ (x, y) of the scene frame.
 
-    `error` is how far off the worst pixel is, m, and `pixels` the same in pixels.
+    Attributes
+    ----------
+    crs : CRS
+    offset, matrix : (2,), (2, 2) float
+        m; of the affine map.
+    error, pixels : float
+        Largest distance of a pixel from its exact place, in m and in pixels.
     """
 
     crs: CRS
@@ -55,25 +60,25 @@ class Placement(NamedTuple):
 
 
 def write(
-    source: Source,
+    source: FinishedRun,
     out: Location,
     *,
     content: Content = "amplitude",
     overwrite: bool = False,
     progress: Callback | None = None,
 ) -> list[str]:
-    """Write the image as one cloud-optimised GeoTIFF; of its pixels a strip is held at a time.
+    """Write the image as one cloud-optimised GeoTIFF, holding one strip of pixels at a time.
 
     Parameters
     ----------
     content : "amplitude" or "complex"
-        float32 |image|, its overviews averaged, or complex64 pixels as they are, their overviews nearest neighbours
-        (the mean of complex pixels is no image). NaN is no data in both.
+        float32 |image| with averaged overviews, or the complex64 pixels with nearest-neighbour overviews (the mean of
+        complex pixels is no image). NaN means no data in both.
 
     Returns
     -------
     list of str
-        What a person should know: projection, and how well it fits.
+        Notes for the user: projection, and how well it fits.
 
     Raises
     ------
@@ -84,14 +89,34 @@ def write(
     """
     try:
         import rasterio
-        from rasterio._err import CPLE_BaseError  # GDAL's own errors, which rasterio lets through here and there
+        from rasterio._err import CPLE_BaseError  # GDAL's own errors, which rasterio passes on unconverted in places
         from rasterio.errors import RasterioError
-        from rasterio.shutil import copy
     except ModuleNotFoundError as error:
         raise InputError(f"{error.name} is not installed, which GeoTIFF needs; install blocksar[geotiff]") from None
-    placement = placed(source, source.placed("a GeoTIFF"))
-    told = progress or (lambda done, total: None)
-    source.coverage()  # refuses an image of nothing
+    placement = place_pixels(source, source.placed("a GeoTIFF"))
+    listener = progress or (lambda done, total: None)
+    source.coverage()  # raises if no pixel is covered
+    with replacing(out, overwrite=overwrite) as part, rasterio.Env(GDAL_CACHEMAX=CACHE, GDAL_NUM_THREADS=1):
+        plain = temporary_name(part, "part")
+        try:
+            _write_plain(source, plain, placement, content, listener)
+            _optimise(plain, part, content)
+        except (RasterioError, CPLE_BaseError) as error:
+            message = printable(" ".join(str(error).split()).replace(f"{os.path.dirname(plain)}/", ""))[:200]
+            raise OSError(None, f"GDAL says: {message}; is there room on the disk?", plain) from error
+        finally:
+            if os.path.exists(plain):
+                os.unlink(plain)
+    return [
+        f"{content} of {source.x.size} x {source.y.size} pixels, {placement.crs.name}; pixels lie at most "
+        f"{placement.error:.2g} m, {placement.pixels:.2g} pixels, off their exact places"
+    ]
+
+
+def _write_plain(source: FinishedRun, path: str, placement: Placement, content: Content, progress: Callback) -> None:
+    """Write a tiled GeoTIFF without overviews."""
+    import rasterio
+
     profile = {
         "driver": "GTiff",
         "width": source.x.size,
@@ -106,52 +131,51 @@ def write(
         "blockysize": TILE,
         "bigtiff": "if_safer",
     }
-    with replacing(out, overwrite=overwrite) as part, rasterio.Env(GDAL_CACHEMAX=CACHE, GDAL_NUM_THREADS=1):
-        plain = temporary(part, "part")
-        try:
-            with rasterio.open(plain, "w", **profile) as file:
-                _write_pixels(source, file, content, told)
-                file.set_band_description(1, content)
-                file.update_tags(**_tags(source, placement))
-            copy(
-                plain,
-                part,
-                driver="COG",
-                blocksize=TILE,
-                compress="DEFLATE",
-                level=1,
-                bigtiff="if_safer",
-                overview_resampling="average" if content == "amplitude" else "nearest",
-            )
-            # GDAL does not tell when the last that it wrote was lost.
-            if (lacking := _end(part) - os.path.getsize(part)) > 0:
-                raise OSError(None, f"its last {lacking} bytes were lost; is there room on the disk?", part)
-        except (RasterioError, CPLE_BaseError) as error:
-            said = printable(" ".join(str(error).split()).replace(f"{os.path.dirname(plain)}/", ""))[:200]
-            raise OSError(None, f"GDAL says: {said}; is there room on the disk?", plain) from error
-        finally:
-            if os.path.exists(plain):
-                os.unlink(plain)
-    return [
-        f"{content} of {source.x.size} x {source.y.size} pixels, {placement.crs.name}; the worst of them is "
-        f"{placement.error:.2g} m, {placement.pixels:.2g} pixels, off its exact place"
-    ]
+    with rasterio.open(path, "w", **profile) as file:
+        _write_pixels(source, file, content, progress)
+        file.set_band_description(1, content)
+        file.update_tags(**_tags(source, placement))
 
 
-def _write_pixels(source: Source, file: object, content: Content, progress: Callback) -> None:
-    """Rows from north to south."""
+def _optimise(plain: str, path: str, content: Content) -> None:
+    """Copy a GeoTIFF to a cloud-optimised one with overviews.
+
+    Raises
+    ------
+    OSError
+        If the end of the file was lost.
+    """
+    from rasterio.shutil import copy
+
+    copy(
+        plain,
+        path,
+        driver="COG",
+        blocksize=TILE,
+        compress="DEFLATE",
+        level=1,
+        bigtiff="if_safer",
+        overview_resampling="average" if content == "amplitude" else "nearest",
+    )
+    # GDAL does not report a failure to write the end of the file.
+    if (lacking := _end(path) - os.path.getsize(path)) > 0:
+        raise OSError(None, f"its last {lacking} bytes were lost; is there room on the disk?", path)
+
+
+def _write_pixels(source: FinishedRun, file: object, content: Content, progress: Callback) -> None:
+    """Write rows from north to south."""
     from rasterio.windows import Window
 
     strips = list(source.strips(0))[::-1]
     for done, rows in enumerate(strips, 1):
         values = source.read(rows, slice(None))[::-1]
-        made = np.abs(values) if content == "amplitude" else np.ascontiguousarray(values)
-        file.write(made, 1, window=Window(0, source.y.size - rows.stop, source.x.size, len(made)))  # type: ignore[attr-defined]
+        pixels = np.abs(values) if content == "amplitude" else np.ascontiguousarray(values)
+        file.write(pixels, 1, window=Window(0, source.y.size - rows.stop, source.x.size, len(pixels)))  # type: ignore[attr-defined]
         progress(done, len(strips))
 
 
 def _end(path: str) -> int:
-    """Where the last tile of a cloud-optimised GeoTIFF ends, bytes, by the file's own directories."""
+    """End of the last tile of a cloud-optimised GeoTIFF, bytes, according to the file's own directories."""
     import rasterio
 
     ends = [0]
@@ -168,44 +192,42 @@ def _end(path: str) -> int:
     return max(ends)
 
 
-def _tags(source: Source, placement: Placement) -> dict[str, str]:
+def _tags(source: FinishedRun, placement: Placement) -> dict[str, str]:
+    """Tags of the file."""
     return {
         "TIFFTAG_IMAGEDESCRIPTION": source.title,
         "TIFFTAG_SOFTWARE": f"blocksar {__version__}",
         "AREA_OR_POINT": "Area",
         "calibration": "a target of reflectivity 1 peaks at 1 + 0j",
-        "run": str(source.record.get("identity", "")),
-        "carrier_frequency_hz": repr(source.geometry.collection.carrier),
+        "run": source.record.identity,
+        "carrier_frequency_hz": repr(source.collection.carrier),
         "location_error_m": f"{placement.error:.3g}",
     }
 
 
-# ---------------------------------------------------------------- where pixels lie
-
-
-def placed(source: Source, frame: Georeference) -> Placement:
-    """The projection about the frame's origin if it is good enough, else one about the image."""
+def place_pixels(source: FinishedRun, frame: Georeference) -> Placement:
+    """Place pixels in the projection about the frame's origin, or about the image if the error exceeds MAX_ERROR."""
     height, spacing = source.ground_height, min(source.spacing)
     x, y = (axis[np.unique(np.linspace(0, axis.size - 1, 17).astype(int))] for axis in (source.x, source.y))
     xy = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     points = np.concatenate([xy, np.full((len(xy), 1), height)], axis=1)
 
-    def found(crs: CRS, offset: FloatArray, matrix: FloatArray) -> Placement:
+    def evaluate(crs: CRS, offset: FloatArray, matrix: FloatArray) -> Placement:
         error = float(np.linalg.norm(offset + xy @ matrix.T - frame.project(crs, points), axis=1).max())
         return Placement(crs, offset, matrix, error, error / spacing)
 
-    own = found(frame.projection(0.0, 0.0, height), np.zeros(2), np.eye(2))
-    if own.pixels <= GOOD:
+    own = evaluate(frame.projection(0.0, 0.0, height), np.zeros(2), np.eye(2))
+    if own.pixels <= MAX_ERROR:
         return own
     crs = frame.projection(float(x.mean()), float(y.mean()), height)
-    there = frame.project(crs, points)
+    projected = frame.project(crs, points)
     middle = xy.mean(axis=0)
-    fit = np.linalg.lstsq(np.concatenate([np.ones((len(xy), 1)), xy - middle], axis=1), there)[0]
-    return found(crs, fit[0] - fit[1:].T @ middle, fit[1:].T)
+    fit = np.linalg.lstsq(np.concatenate([np.ones((len(xy), 1)), xy - middle], axis=1), projected)[0]
+    return evaluate(crs, fit[0] - fit[1:].T @ middle, fit[1:].T)
 
 
-def _transform(source: Source, placement: Placement) -> tuple[float, ...]:
-    """GDAL's affine map, from column and row of a pixel's north-western corner to easting and northing."""
+def _transform(source: FinishedRun, placement: Placement) -> tuple[float, ...]:
+    """GDAL's affine map from column and row of a pixel's north-western corner to easting and northing, m."""
     dx, dy = source.spacing
     along, down = placement.matrix[:, 0] * dx, -placement.matrix[:, 1] * dy
     corner = placement.offset + placement.matrix @ [source.x[0], source.y[-1]] - (along + down) / 2

@@ -1,7 +1,7 @@
-"""What every product starts from: the image of a finished run read by strips, what of it is covered, where it lies.
+"""Writing a product: one local file, under a temporary name until it is complete.
 
-A product is one file. It is written under a temporary name, in strips of whole chunks, and takes its place when it is
-complete: there is no half of one, and no process holds the image.
+A product is written in strips of whole chunks and renamed when it is complete, so there is never an incomplete product
+and no process holds the whole image.
 """
 
 from __future__ import annotations
@@ -17,18 +17,22 @@ from blocksar.places.local import LocalPlace, replacing_file
 
 @contextmanager
 def replacing(out: Location, *, overwrite: bool) -> Iterator[str]:
-    """A temporary name for a product, which takes its place, on the disk, when the block ends well.
+    """Yield a temporary name for a product; rename it to `out` when the block ends without error.
+
+    The file is flushed to the disk before it is renamed. If the block raises, `out` stays as it was.
 
     Raises
     ------
     InputError
-        If something stands at `out` that is not to be replaced, or no file can.
+        If `out` exists and must not be replaced, or no file can be written there.
     ProcessingError
-        If there is no room, or another fault of the file system.
+        If the disk is full, or the file system fails otherwise.
     """
     target = place(out)
     if not isinstance(target, LocalPlace):
-        raise InputError(f"{target} is no local path, and products are written to those only; copy it there afterwards")
+        raise InputError(
+            f"{target} is no local path, and products are written only to local paths; copy the file there afterwards"
+        )
     if target.path.is_dir():
         raise InputError(f"{target} is a folder; give --out the name of a file")
     if target.exists() and not target.path.is_file():
@@ -39,7 +43,7 @@ def replacing(out: Location, *, overwrite: bool) -> Iterator[str]:
         os.makedirs(target.path.parent, exist_ok=True)
         with replacing_file(target.path) as part:
             with open(part, "xb"):
-                pass  # what cannot be written is said now, and alike whatever library writes
+                pass  # fail now if it cannot be written, with the same message whichever library writes
             yield part
             descriptor = os.open(part, os.O_RDONLY)
             try:

@@ -1,14 +1,15 @@
-"""How far a command has come: what is told of it, how long it will go on, and what is shown.
+"""Progress of a command: listeners, the estimate of the time left, the display and the log.
 
-Whoever does the work tells a `Listener`; `Estimate` makes time left of it; `Progress` shows it to people, as a live
-display on a terminal and as a few plain lines elsewhere, and to programs, as a log of JSON lines.
+The code that does the work calls the methods of a `Listener`. `Progress` is the listener of the commands: it shows
+progress to people, as a live display on a terminal and as a few plain lines elsewhere, and writes a log of JSON lines
+(`Log`) for programs. `Estimate` derives the time left.
 """
 
 from __future__ import annotations
 
 from blocksar.progress.display import PLAIN_STEPS, Progress, abandon
 from blocksar.progress.estimate import Estimate
-from blocksar.progress.listening import NOBODY, Callback, Listener, Updated, Work, Workers, listener
+from blocksar.progress.listening import NOBODY, Callback, Listener, Updated, Work, Workers, as_listener
 from blocksar.progress.log import Log
 
 __all__ = [
@@ -23,5 +24,5 @@ __all__ = [
     "Work",
     "Workers",
     "abandon",
-    "listener",
+    "as_listener",
 ]

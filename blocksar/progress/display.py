@@ -1,4 +1,4 @@
-"""For people: a live display on a terminal, a few plain lines elsewhere; and all of it together."""
+"""The listener of the commands: a live display on a terminal or plain lines elsewhere, and the log."""
 
 from __future__ import annotations
 
@@ -14,33 +14,39 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
+from blocksar.constants import GIB
 from blocksar.progress.estimate import Estimate, Stage
 from blocksar.progress.listening import NOBODY, Listener, Work, Workers
 from blocksar.progress.log import Log
-from blocksar.progress.words import about, clock_time, rate_text
+from blocksar.progress.words import clock_time, rate_text, rough_time
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderableType
     from rich.live import Live
 
+PLAIN_STEPS = 10  # progress lines per stage without a terminal
+FRAMES = 4  # per second, of the live display
+LOG_SECONDS = 1.0  # least time between two progress lines of a stage in the log, except its first and last
+LOG_SILENCE = 10.0  # s, approximately: longest time without a progress line while workers report
+MOST_NAMES = 8  # names of units in a line of the log
+BAR_COLUMNS = 36  # largest width of a bar in the live display
+BAR_NEEDS = 40  # columns of a terminal from which bars are shown
+RATE_NEEDS = 56  # columns of a terminal from which rates are shown
 
-PLAIN_STEPS = 10  # progress lines a stage, where there is no terminal
-FRAMES = 4  # a second, of the live display
-LOG_SECONDS = 1.0  # at least, between two progress lines of a stage in the log but its first and last
-LOG_SILENCE = 10.0  # at most, about, while workers are heard of
-MOST_NAMES = 8  # units at work that are named in the log
-GIB = 2**30
+_ACTIVE: list[Progress] = []  # what `abandon` must end
 
 
 class Progress(Listener):
-    """Shows how far a command has come, on stderr and in a log; may be told from any thread.
+    """Shows the progress of a command on stderr, and writes it to a log. Any thread may call its methods.
 
     Parameters
     ----------
     quiet : bool
-        Show nothing; the log is written all the same.
+        Show nothing; the log is still written.
     log : path, optional
-        File that JSON lines are appended to.
+        File to which JSON lines are appended.
+    clock : callable
+        Returns the time, s.
 
     Raises
     ------
@@ -74,7 +80,7 @@ class Progress(Listener):
                 redirect_stdout=False,
             )
             self._live.start()
-        _SHOWN.append(self)
+        _ACTIVE.append(self)
         return self
 
     def __exit__(
@@ -83,21 +89,17 @@ class Progress(Listener):
         self._over = True
         if self._live is not None:
             self._live.stop()
-        _SHOWN.remove(self)
+        _ACTIVE.remove(self)
         if self._log is not None:
             self._log.close()
 
-    # ---- what a command says of itself
-
     def start(self, command: str, settings: Mapping[str, Any], version: str) -> None:
-        """Log what was asked for."""
-        self._tell_log("start", command=command, settings=settings, version=version)
+        """Log the command with its settings, and the version of the package."""
+        self._write_log("start", command=command, settings=settings, version=version)
 
     def end(self, status: int, message: str = "") -> None:
-        """Log how the command ended: its exit status, and what was wrong."""
-        self._tell_log("end", status=status, message=message, seconds=round(self.estimate.elapsed, 3))
-
-    # ---- what is told on the way
+        """Log the end of the command: its exit status, and the error message."""
+        self._write_log("end", status=status, message=message, seconds=round(self.estimate.elapsed, 3))
 
     def expect(self, work: Work, workers: int) -> None:
         with self._lock:
@@ -111,11 +113,11 @@ class Progress(Listener):
 
     def update(self, stage: str, done: int, total: int) -> None:
         with self._lock:
-            found = self.estimate.update(stage, done, total)
+            current = self.estimate.update(stage, done, total)
             left = self.estimate.left()
-            self._log_stage(found, left)
+            self._log_stage(current, left)
             if self._live is None and not self._quiet:
-                self._print(found, left)
+                self._print_stage(current, left)
 
     def watch(self, units: Sequence[str], workers: Workers) -> None:
         with self._lock:
@@ -125,44 +127,43 @@ class Progress(Listener):
                 self._log_progress(current, self.estimate.left())
 
     def dashboard(self, address: str) -> None:
-        self._tell_log("dashboard", address=address)
-        self._say(f"dashboard: {address}")
+        self._write_log("dashboard", address=address)
+        self._print_line(f"dashboard: {address}")
 
     def note(self, text: str, *, again: bool = False) -> None:
-        self._tell_log("note", message=text)
+        self._write_log("note", message=text)
         if not again:
-            self._say(f"note: {text}")
+            self._print_line(f"note: {text}")
 
-    # ---- how it is shown
-
-    def _say(self, line: str) -> None:
+    def _print_line(self, line: str) -> None:
         if self._live is not None:
             self._live.console.print(line, markup=False, highlight=False, soft_wrap=True)
         elif not self._quiet:
             print(line, file=sys.stderr, flush=True)
 
-    def _print(self, stage: Stage, left: float | None) -> None:
+    def _print_stage(self, stage: Stage, left: float | None) -> None:
+        """Print a plain line if the stage has gained a step."""
         step = PLAIN_STEPS * stage.done // stage.total if stage.total else PLAIN_STEPS
-        if stage.total == 1 and not stage.done:  # one line says it all
+        if stage.total == 1 and not stage.done:  # the line at its end is enough
             return
         if step > self._printed.get(stage.name, -1):
             self._printed[stage.name] = step
-            ahead = f", about {about(left)} left" if left else ""
-            self._say(
-                f"{stage.name}: {stage.done} of {stage.total}, {clock_time(self.estimate.elapsed)} elapsed{ahead}"
+            remaining = f", about {rough_time(left)} left" if left else ""
+            self._print_line(
+                f"{stage.name}: {stage.done} of {stage.total}, {clock_time(self.estimate.elapsed)} elapsed{remaining}"
             )
 
     def _log_stage(self, stage: Stage, left: float | None) -> None:
         now, last = self.estimate.clock(), self._logged.get(stage.name)
         if last is None:
-            self._tell_log("stage", stage=stage.name, total=stage.total, reused=stage.reused)
+            self._write_log("stage", stage=stage.name, total=stage.total, reused=stage.reused)
         if last is None or stage.finished or now - last >= LOG_SECONDS:
             self._log_progress(stage, left)
 
     def _log_progress(self, stage: Stage, left: float | None) -> None:
         self._logged[stage.name] = self.estimate.clock()
         workers = self._workers
-        self._tell_log(
+        self._write_log(
             "progress",
             stage=stage.name,
             done=stage.done,
@@ -176,33 +177,32 @@ class Progress(Listener):
             at_work=list(self._units[:MOST_NAMES]),
         )
 
-    def _tell_log(self, event: str, **facts: Any) -> None:
+    def _write_log(self, event: str, **fields: Any) -> None:
         if self._log is None:
             return
-        sound = self._log.trouble is None
-        self._log.write(event, **facts)
-        if sound and self._log.trouble is not None:
-            self._say(f"note: {self._log.trouble}: the run goes on without")
+        intact = self._log.trouble is None
+        self._log.write(event, **fields)
+        if intact and self._log.trouble is not None:
+            self._print_line(f"note: {self._log.trouble}: the run goes on without it")
 
     def abandon(self, status: int, message: str) -> None:
-        """For a process that is about to end at once: no lock is taken, nothing is waited for."""
+        """End log and display of a process that ends at once, without taking locks or waiting."""
         if self._log is not None:
             self._log.write("end", status=status, message=message, seconds=round(self.estimate.elapsed, 3))
         if self._live is not None:
-            os.write(2, b"\n\x1b[?25h")  # the cursor comes back
-
-    # ---- a frame of the live display
+            os.write(2, b"\n\x1b[?25h")  # show the cursor again
 
     def frame(self, width: int, height: int) -> RenderableType:
-        """What a terminal of so many columns and rows shows now."""
+        """Draw the live display for a terminal of `width` columns and `height` rows."""
         from rich.console import Group
 
         with self._lock:
             rows = [_row(stage, self.estimate.clock()) for stage in self.estimate.stages.values()]
             lines = self._lines(width)
-        return Group(_table(_fitting(rows, height - len(lines) - 1), width), *lines)
+        return Group(_table(_visible_rows(rows, height - len(lines) - 1), width), *lines)
 
     def _lines(self, width: int) -> list[RenderableType]:
+        """Return the lines below the table: times, memory, units being processed."""
         from rich.text import Text
 
         left = self.estimate.left()
@@ -210,7 +210,7 @@ class Progress(Listener):
         if self._over:
             return [line]
         if left:
-            line.append(", ").append(f"about {about(left)} left", style="bold")
+            line.append(", ").append(f"about {rough_time(left)} left", style="bold")
         lines: list[RenderableType] = [line]
         if self._workers.number:
             lines.append(Text(_memory_text(self._workers), no_wrap=True, overflow="crop", style="dim"))
@@ -219,14 +219,11 @@ class Progress(Listener):
         return lines
 
 
-_SHOWN: list[Progress] = []  # those that are at it
-
-
 def abandon(status: int, message: str) -> None:
-    """End all logs and give the terminal back, for a process that is about to end at once."""
-    for each in _SHOWN:
+    """End all logs and restore the terminal, in a process that ends at once."""
+    for progress in _ACTIVE:
         with suppress(Exception):
-            each.abandon(status, message)
+            progress.abandon(status, message)
 
 
 def _rounded(rate: float | None) -> float | None:
@@ -235,22 +232,22 @@ def _rounded(rate: float | None) -> float | None:
 
 def _memory_text(workers: Workers) -> str:
     limit = f" of {workers.limit / GIB:.1f}" if workers.limit else ""
-    whose = f"{workers.number} workers, the fullest holds" if workers.number > 1 else "the worker holds"
-    return f"{whose} {workers.memory / GIB:.1f}{limit} GiB"
+    holder = f"{workers.number} workers, the fullest holds" if workers.number > 1 else "the worker holds"
+    return f"{holder} {workers.memory / GIB:.1f}{limit} GiB"
 
 
 def _units_text(units: Sequence[str], width: int) -> str:
-    """As many names as a line holds."""
-    for shown in range(len(units), 0, -1):
-        more = f" and {len(units) - shown} more" if shown < len(units) else ""
-        text = f"at work: {', '.join(units[:shown])}{more}"
+    """Name as many units as fit into the width."""
+    for count in range(len(units), 0, -1):
+        more = f" and {len(units) - count} more" if count < len(units) else ""
+        text = f"at work: {', '.join(units[:count])}{more}"
         if len(text) <= width:
             return text
     return f"at work: {len(units)} units"
 
 
 class _Frame:
-    """What the live display draws: as wide as the terminal is at that time."""
+    """The live display, drawn for the terminal's size at that time."""
 
     def __init__(self, progress: Progress) -> None:
         self._progress = progress
@@ -261,35 +258,30 @@ class _Frame:
 
 @dataclass(frozen=True)
 class _Row:
-    """A stage, as the live display shows it."""
+    """A stage as a row of the live display."""
 
     name: str
-    share: float | None  # None: nobody knows
+    share: float | None  # None: not begun
     count: str
     rate: str
     seconds: str
     style: str
 
 
-def _fitting(rows: list[_Row], room: int) -> list[_Row]:
-    """As many rows as there is room for: what is long over goes first, then what is far ahead."""
-    over = sum(row.share == 1.0 for row in rows)
-    dropped = min(max(len(rows) - room, 0), over)
+def _visible_rows(rows: list[_Row], room: int) -> list[_Row]:
+    """Select as many rows as fit: the earliest finished stages are omitted first, then the last to come."""
+    finished = sum(row.share == 1.0 for row in rows)
+    dropped = min(max(len(rows) - room, 0), finished)
     return rows[dropped : dropped + max(room, 1)]
 
 
 def _row(stage: Stage, now: float) -> _Row:
     if stage.begun is None:
         return _Row(stage.name, None, "", "", "", "dim")
-    count = f"{stage.done}/{stage.total}" if stage.heard is not None else ""
-    share = (stage.done / stage.total if stage.total else 1.0) if stage.heard is not None else 0.0
+    count = f"{stage.done}/{stage.total}" if stage.last_finished is not None else ""
+    share = (stage.done / stage.total if stage.total else 1.0) if stage.last_finished is not None else 0.0
     rate = rate_text(stage.rate()) if stage.total > 1 else ""
     return _Row(stage.name, share, count, rate, clock_time(stage.seconds(now)), "" if stage.finished else "bold")
-
-
-BAR_COLUMNS = 36  # of the live display, at most
-RATE_NEEDS = 56  # columns of a terminal, for the rate to be shown
-BAR_NEEDS = 40  # for the bar
 
 
 def _table(rows: Sequence[_Row], width: int) -> RenderableType:
@@ -298,13 +290,13 @@ def _table(rows: Sequence[_Row], width: int) -> RenderableType:
     from rich.text import Text
 
     table = Table.grid(padding=(0, 2, 0, 0))
-    shown = [True, width >= BAR_NEEDS, True, width >= RATE_NEEDS, True]
+    visible = [True, width >= BAR_NEEDS, True, width >= RATE_NEEDS, True]
     aligned: list[Any] = ["left", "left", "right", "right", "right"]
-    widths = [max((len(cell) for cell in cells), default=0) for cells in _texts(rows)]
-    for wanted, justify, least in zip(shown, aligned, widths, strict=True):
-        if wanted:
+    widths = [max((len(cell) for cell in cells), default=0) for cells in _column_texts(rows)]
+    for included, justify, least in zip(visible, aligned, widths, strict=True):
+        if included:
             table.add_column(justify=justify, no_wrap=True, overflow="crop", min_width=least)
-    taken = sum(least + 2 for least, wanted in zip(widths, shown, strict=True) if wanted and least)
+    taken = sum(least + 2 for least, included in zip(widths, visible, strict=True) if included and least)
     bar = max(min(BAR_COLUMNS, width - taken - 2), 4)
     for row in rows:
         cells: list[RenderableType] = [
@@ -314,15 +306,15 @@ def _table(rows: Sequence[_Row], width: int) -> RenderableType:
             Text(row.rate, style="dim"),
             Text(row.seconds),
         ]
-        table.add_row(*(cell for cell, wanted in zip(cells, shown, strict=True) if wanted))
+        table.add_row(*(cell for cell, included in zip(cells, visible, strict=True) if included))
     return table
 
 
-def _texts(rows: Sequence[_Row]) -> list[list[str]]:
-    """By column, with what lets columns stand still while they fill."""
+def _column_texts(rows: Sequence[_Row]) -> list[list[str]]:
+    """Return the texts of each column, and placeholders that keep its width constant as numbers grow."""
     return [
         [row.name for row in rows],
-        [],  # bars take what is left
+        [],  # bars fill the remaining width
         [*(row.count for row in rows), "000/000"],
         [*(row.rate for row in rows), "000/min"],
         [*(row.seconds for row in rows), "00:00"],

@@ -1,4 +1,4 @@
-"""How long it will go on: stages, their units, and time left."""
+"""The estimate of the time left, from stages and their units."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from blocksar.progress.listening import Work
 
 
 def finishing_times(costs: Sequence[float], workers: int) -> list[float]:
-    """When units are finished that are started in order, each as soon as a worker is free; ascending.
+    """Return when units finish, ascending, if they start in order, each as soon as a worker is free.
 
     Examples
     --------
@@ -30,18 +30,18 @@ def finishing_times(costs: Sequence[float], workers: int) -> list[float]:
 
 @dataclass
 class Stage:
-    """A stage's units, when they were finished, and when they ought to be.
+    """A stage: its units, when they were finished, and when they were predicted to be.
 
     Attributes
     ----------
     costs : sequence of float or None
-        Predicted seconds of each unit, in the order in which they are started; None: equal, of unknown length.
+        Predicted seconds of each unit, in starting order; None: equal units of unknown duration.
     reused : int
-        Units that an earlier run has finished: the first ones.
+        Number of units, the first ones, that an earlier run has finished.
     cold : bool
-        Workers are new to it: what their first units take besides (imports, compiled code, cold files) tells nothing.
-    begun, heard : float or None
-        When the stage began, and when a unit was finished last, s.
+        The workers are new: their first units are ignored, as these include imports, compilation and cold files.
+    begun, last_finished : float or None
+        When the stage began, and when a unit was last finished, s.
     """
 
     name: str
@@ -52,31 +52,33 @@ class Stage:
     done: int = 0
     total: int = 0
     begun: float | None = None
-    heard: float | None = None
+    last_finished: float | None = None
     _ends: Sequence[float] = ()
-    _even: float | None = None  # predicted seconds of each unit, where all are alike
-    _warm: tuple[float, float] | None = None  # when the first units were finished, and ought to be
+    _even: float | None = None  # predicted seconds of each unit, if all are equal
+    _warm: tuple[float, float] | None = None  # when the first units were finished, and their predicted time
 
     @property
     def finished(self) -> bool:
-        return self.heard is not None and self.done >= self.total
+        return self.last_finished is not None and self.done >= self.total
 
     @property
-    def made(self) -> int:
-        """Units that were finished here, not by an earlier run."""
+    def finished_here(self) -> int:
+        """Number of units that this run, not an earlier one, has finished."""
         return max(self.done - self.reused, 0)
 
     def update(self, done: int, total: int, now: float) -> None:
-        if self.heard is None or total != self.total:
+        """Record that `done` of `total` units are finished."""
+        if self.last_finished is None or total != self.total:
             self.total = total
             self._predict()
-        if self.heard is None or done != self.done:
-            self.heard = now
+        if self.last_finished is None or done != self.done:
+            self.last_finished = now
         self.done = done
-        if self.cold and self._warm is None and self.workers <= self.made < self.total - self.reused:
-            self._warm = now, self.end(self.made)
+        if self.cold and self._warm is None and self.workers <= self.finished_here < self.total - self.reused:
+            self._warm = now, self.predicted_end(self.finished_here)
 
     def _predict(self) -> None:
+        """Predict when each of the units that are left will be finished."""
         left = self.total - self.reused
         if self.costs is not None and len(self.costs) == self.total:
             self._even, self._ends = None, finishing_times(self.costs[self.reused :], self.workers)
@@ -84,8 +86,8 @@ class Stage:
             self._even = 1.0 if self.costs is None else sum(self.costs) / max(self.total, 1)
             self._ends = range(left)
 
-    def end(self, count: int) -> float:
-        """When so many of the units that are made here ought to be finished, seconds from the beginning."""
+    def predicted_end(self, count: int) -> float:
+        """Return when `count` units of this run are predicted to be finished, in seconds from the beginning."""
         if not count:
             return 0.0
         if self._even is None:
@@ -94,65 +96,71 @@ class Stage:
         return self._even * math.ceil(count / workers)
 
     def seconds(self, now: float) -> float:
-        """Since it began, until it was finished."""
+        """Return the seconds since the stage began, or that it took."""
         if self.begun is None:
             return 0.0
-        return (self.heard if self.finished and self.heard is not None else now) - self.begun
+        end = self.last_finished if self.finished and self.last_finished is not None else now
+        return end - self.begun
 
     def rate(self) -> float | None:
-        """Units finished here per second."""
-        if not self.made or self.begun is None or self.heard is None or self.heard <= self.begun:
+        """Return the units per second of this run; None if that is not known yet."""
+        if (
+            not self.finished_here
+            or self.begun is None
+            or self.last_finished is None
+            or self.last_finished <= self.begun
+        ):
             return None
-        return self.made / (self.heard - self.begun)
+        return self.finished_here / (self.last_finished - self.begun)
 
     def measured(self) -> tuple[float, float]:
-        """Seconds that units took together, and ought to take; 0 and 0 where that is not known yet."""
-        if not self.made or self.heard is None or self.begun is None:
+        """Return the seconds that units took together, and their prediction; 0 and 0 if that is not known yet."""
+        if not self.finished_here or self.last_finished is None or self.begun is None:
             return 0.0, 0.0
-        start, ahead = self._since()
-        if self.cold and self._warm is None:  # also once it is finished: it was over before workers were warm
+        start, predicted_before = self._baseline()
+        if self.cold and self._warm is None:  # also when finished: it ended before the workers were warm
             return 0.0, 0.0
-        return self.heard - start, max(self.end(self.made) - ahead, 0.0)
+        return self.last_finished - start, max(self.predicted_end(self.finished_here) - predicted_before, 0.0)
 
-    def _since(self) -> tuple[float, float]:
-        """From when on units are counted, and when those before ought to be finished."""
+    def _baseline(self) -> tuple[float, float]:
+        """Return the time from which units are counted, and the predicted time of the units before it."""
         return self._warm or (self.begun or 0.0, 0.0)
 
     def left(self, now: float, pace: float | None) -> float | None:
-        """Seconds that it will go on, and None where nothing tells.
+        """Return the estimated seconds left; None if there is no basis for an estimate.
 
         Parameters
         ----------
         pace : float or None
-            Seconds that a predicted second took other stages; counts until this stage has one of its own.
+            Actual seconds per predicted second in other stages; used until this stage has its own.
         """
         if self.finished:
             return 0.0
-        if self.costs is None and not self.made:
+        if self.costs is None and not self.finished_here:
             return None
         seconds, predicted = self.measured()
         pace = seconds / predicted if predicted else pace
         if pace is None:
             return None
-        if self.begun is None or self.heard is None:
-            return pace * self._whole()
-        start, ahead = self._since()
-        waited, following = now - start, self.end(self.made + 1) - ahead
-        # The next unit is not finished yet: it takes at least as long as it has taken.
-        pace = max(pace, waited / following) if following > 0 else pace
-        return max(pace * (self.end(self.total - self.reused) - ahead) - waited, 0.0)
+        if self.begun is None or self.last_finished is None:
+            return pace * self._predicted_total()
+        start, predicted_before = self._baseline()
+        elapsed, following = now - start, self.predicted_end(self.finished_here + 1) - predicted_before
+        # The next unit is not finished yet, so it takes at least as long as has elapsed.
+        pace = max(pace, elapsed / following) if following > 0 else pace
+        return max(pace * (self.predicted_end(self.total - self.reused) - predicted_before) - elapsed, 0.0)
 
-    def _whole(self) -> float:
+    def _predicted_total(self) -> float:
         return finishing_times(self.costs or (), self.workers)[-1]
 
 
 @dataclass
 class Estimate:
-    """All stages of a command, and how long they will go on.
+    """All stages of a command, and the time left.
 
-    Predicted work tells the stages' shares and how units fill the workers; time comes from finished units alone. As
-    long as there is none of a stage that was announced, there is no estimate. What an earlier run finished counts
-    neither as work nor as time.
+    Predictions give the stages' relative work and how units fill the workers; the time scale comes from finished units
+    alone. There is no estimate before the first unit of an announced stage is finished. Units that an earlier run
+    finished count neither as work nor as time.
     """
 
     clock: Callable[[], float] = time.monotonic
@@ -167,6 +175,7 @@ class Estimate:
         return self.clock() - self.begun
 
     def expect(self, work: Work, workers: int) -> None:
+        """Announce stages; see `Listener.expect`."""
         first = next(iter(work), None)
         for name, costs in work.items():
             if costs:
@@ -175,11 +184,12 @@ class Estimate:
                 del self.stages[name]
 
     def begin(self, name: str, reused: int = 0) -> Stage:
-        known = self.stages.pop(name, None)
+        """Begin a stage, announced or not."""
+        announced = self.stages.pop(name, None)
         stage = Stage(name, reused=reused, begun=self.clock())
-        if known is not None:
-            stage.costs, stage.workers, stage.cold = known.costs, known.workers, known.cold
-        # In the order in which they begin, ahead of those that are still to come.
+        if announced is not None:
+            stage.costs, stage.workers, stage.cold = announced.costs, announced.workers, announced.cold
+        # Stages are kept in the order in which they begin, before those that have not begun.
         waiting = {other.name: other for other in self.stages.values() if other.begun is None}
         for other in waiting:
             del self.stages[other]
@@ -187,6 +197,7 @@ class Estimate:
         return stage
 
     def update(self, name: str, done: int, total: int) -> Stage:
+        """Record finished units; this begins the stage if needed."""
         stage = self.stages.get(name)
         if stage is None or stage.begun is None or (done < stage.done and stage.finished):
             stage = self.begin(name)
@@ -194,7 +205,7 @@ class Estimate:
         return stage
 
     def left(self) -> float | None:
-        """Seconds until all stages are finished; None where there is nothing to go on yet."""
+        """Return the estimated seconds until all stages are finished; None if there is no basis for an estimate yet."""
         now, pace = self.clock(), self._pace()
         parts = [stage.left(now, pace) for stage in self.stages.values()]
         known = [part for part in parts if part is not None]
@@ -202,7 +213,7 @@ class Estimate:
 
     @property
     def current(self) -> Stage | None:
-        """The stage that is at work, the last of several."""
+        """The stage in progress; the last if there are several."""
         return next((s for s in reversed(self.stages.values()) if s.begun is not None and not s.finished), None)
 
     @property
@@ -210,7 +221,7 @@ class Estimate:
         return bool(self.stages) and all(stage.finished for stage in self.stages.values())
 
     def _pace(self) -> float | None:
-        """Seconds that a predicted second has taken so far."""
+        """Return the actual seconds per predicted second so far."""
         parts = [stage.measured() for stage in self.stages.values() if stage.costs is not None]
         seconds, predicted = (sum(part) for part in zip(*parts, strict=True)) if parts else (0.0, 0.0)
         return seconds / predicted if predicted else None

@@ -1,63 +1,65 @@
-"""What is told, and who listens."""
+"""Listeners: the interface by which the code that does the work reports progress."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple, Protocol
 
-Callback = Callable[[int, int], None]  # called with the parts done and the parts in all
-Work = Mapping[str, Sequence[float]]  # of stages to come: predicted seconds of each unit
+Callback = Callable[[int, int], None]  # called with the number of finished parts and of all parts
+Work = Mapping[str, Sequence[float]]  # predicted seconds of each unit, by stage
 
 
 class Workers(NamedTuple):
-    """What a scheduler knows of its workers."""
+    """The state of the workers, as the scheduler knows it."""
 
     number: int
-    memory: int  # bytes, of the one that holds most now
-    limit: int  # bytes, of that one; 0: none
+    memory: int  # bytes in use by the fullest worker
+    limit: int  # bytes, that worker's limit; 0: none
 
 
 NOBODY = Workers(0, 0, 0)
 
 
 class Updated(Protocol):
-    """The least that can be told how far a command has come."""
+    """The least that a user's listener must have: the method `update`."""
 
     def update(self, stage: str, done: int, total: int) -> None: ...
 
 
 class Listener:
-    """Told how far a command has come: a subclass overrides what it wants to hear. From one thread at a time."""
+    """Receives the progress of a command. Subclasses override the methods they need; one thread calls at a time."""
 
     def expect(self, work: Work, workers: int) -> None:
-        """What stages are to come, in order, and the seconds that their units take one of so many workers.
+        """Announce stages in order, with the predicted seconds that each unit takes one of `workers` workers.
 
-        Only the ratios between predicted seconds matter. A stage without units will not come after all.
+        Only the ratios of predicted seconds matter. A stage without units is withdrawn.
         """
 
     def begin(self, stage: str, reused: int = 0) -> None:
-        """A stage begins; so many of its units were taken up from an earlier run."""
+        """Begin a stage, of which an earlier run has finished `reused` units."""
 
     def update(self, stage: str, done: int, total: int) -> None:
-        """`done` of `total` units of a stage are finished."""
+        """Report that `done` of `total` units of a stage are finished."""
 
     def watch(self, units: Sequence[str], workers: Workers) -> None:
-        """The units at work now, and those who work."""
+        """Report the names of the units being processed, and the state of the workers."""
 
     def dashboard(self, address: str) -> None:
-        """Where a dashboard of the cluster can be seen."""
+        """Report the address of the cluster's dashboard."""
 
     def note(self, text: str, *, again: bool = False) -> None:
-        """What a person should know, in a sentence; `again`: it is said once more with the result."""
+        """Report a sentence for the user; `again`: the command's result will repeat it."""
 
 
-class _UpdatedOnly(Listener):
-    def __init__(self, progress: Updated) -> None:
-        self.update = progress.update  # type: ignore[method-assign]
+class _UpdateListener(Listener):
+    """Passes updates on to an object that has no other method of a listener."""
+
+    def __init__(self, listener: Updated) -> None:
+        self.update = listener.update  # type: ignore[method-assign]
 
 
-def listener(progress: Updated | None) -> Listener:
-    """Whatever was given as `progress`, as a listener."""
-    if progress is None:
+def as_listener(listener: Updated | None) -> Listener:
+    """Return a full listener for an object that may have `update` only, or for None."""
+    if listener is None:
         return Listener()
-    return progress if isinstance(progress, Listener) else _UpdatedOnly(progress)
+    return listener if isinstance(listener, Listener) else _UpdateListener(listener)

@@ -1,4 +1,4 @@
-"""For programs: progress as JSON lines."""
+"""The log: progress as JSON lines, for programs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from blocksar.errors import InputError
 
 
 class Log:
-    """One JSON object (RFC 8259) a line, appended and flushed. A disk that fills up costs lines, never the run.
+    """Appends JSON objects (RFC 8259) to a file, one per line. A full disk costs lines, but does not stop the run.
 
     Raises
     ------
@@ -27,7 +27,7 @@ class Log:
 
     def __init__(self, path: str | Path) -> None:
         self.path = path
-        self.trouble: str | None = None  # the first, if any
+        self.trouble: str | None = None  # the first failure to write, if any
         try:
             self._file = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
         except (OSError, ValueError) as error:
@@ -37,7 +37,7 @@ class Log:
         self._broken = self._regular and self._cut_short()
 
     def _cut_short(self) -> bool:
-        """Whether the last line has no end, as a loss of power leaves it."""
+        """Tell whether the last line is incomplete, as after a loss of power."""
         with suppress(OSError), open(self.path, "rb") as file:
             if file.seek(0, os.SEEK_END):
                 file.seek(-1, os.SEEK_END)
@@ -45,7 +45,7 @@ class Log:
         return False
 
     def write(self, event: str, **facts: Any) -> None:
-        """Append a line, whole or not at all. Takes no lock: it may be called while another thread is cut off."""
+        """Append a line, whole or not at all. It takes no lock: other threads may have been stopped."""
         now = datetime.now(UTC).isoformat(timespec="milliseconds")
         text = json.dumps(_valid({"time": now, "event": event, **facts}), allow_nan=False)
         line = b"\n" * self._broken + text.encode() + b"\n"
@@ -67,7 +67,7 @@ class Log:
 
 
 def _valid(value: Any) -> Any:
-    """As JSON can hold it: no NaN, no half of a character."""
+    """Convert a value to one that JSON can hold: no NaN, no incomplete characters."""
     match value:
         case None | bool() | int():
             return value

@@ -1,4 +1,4 @@
-"""Times and rates as people read them."""
+"""Times and rates as text."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 
 
 def clock_time(seconds: float) -> str:
-    """As m:ss or h:mm:ss.
+    """Format a time as m:ss or h:mm:ss.
 
     Examples
     --------
@@ -18,12 +18,12 @@ def clock_time(seconds: float) -> str:
     return f"{hours}:{minute:02}:{second:02}" if hours else f"{minute}:{second:02}"
 
 
-def about(seconds: float) -> str:
-    """Time left, no finer than it is known.
+def rough_time(seconds: float) -> str:
+    """Format the time left, no finer than it is known.
 
     Examples
     --------
-    >>> about(34.6), about(330), about(8000)
+    >>> rough_time(34.6), rough_time(330), rough_time(8000)
     ('35 s', '6 min', '2 h 15 min')
     """
     if seconds < 90:
@@ -35,7 +35,7 @@ def about(seconds: float) -> str:
 
 
 def rate_text(rate: float | None) -> str:
-    """Units in the shortest time that holds one.
+    """Format a rate, in units per second, minute or hour: the shortest in which a unit is finished.
 
     Examples
     --------

@@ -1,11 +1,11 @@
-"""Opening a finished run: its image read by windows or strips, its collection, and its record."""
+"""Opening a finished run: its record, its collection, and its image, read by windows or strips."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -16,55 +16,26 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.errors import InputError
 from blocksar.places.place import Place
-from blocksar.runs import folder
+from blocksar.runs.record import RECORD, RunRecord
+
+Int16Array = np.ndarray[tuple[int, ...], np.dtype[np.int16]]
+STRIP = 1 << 23  # pixels of a strip at most, 64 MiB, unless a single row or column has more
 
 
-@dataclass(frozen=True, eq=False)
-class Image:
-    """A finished run's image, read by window."""
-
-    path: Place
-    x: FloatArray
-    y: FloatArray
-
-    def read(self, rows: slice, columns: slice) -> ComplexArray:
-        return stores.read_region(self.path, "image", (rows, columns))
-
-    def block(self, rows: slice, columns: slice) -> Any:
-        return stores.read_region(self.path, "block", (rows, columns))
-
-
-def finished_record(run: Place) -> dict[str, Any]:
-    """What run.json says of a finished run.
+def finished_record(folder: Place) -> RunRecord:
+    """Read the record of a finished run.
 
     Raises
     ------
     InputError
-        If the run is not finished.
+        If there is no run, or it is not finished, or its record is damaged.
     """
-    record = stores.read_json(run / "run.json")
-    if not isinstance(record, dict) or record.get("status") != folder.FINISHED:
-        raise InputError(f"{run} is not finished; run `blocksar focus` again with the same settings")
+    if not (folder / RECORD).exists():
+        raise InputError(f"{folder} holds no run.json; give the folder that `blocksar focus --out` left")
+    record = RunRecord.read(folder)
+    if not record.finished:
+        raise InputError(f"{folder} is not finished; run `blocksar focus` again with the same settings")
     return record
-
-
-def open_run(run: Place) -> tuple[Image, Collection, dict[str, Any], dict[str, Any]]:
-    if not (run / "run.json").exists():
-        raise InputError(f"{run} holds no run.json; give the folder that `blocksar focus --out` left")
-    record = finished_record(run)
-    collection, attrs = stores.read_collection(run / "collection.zarr")
-    x, y = (stores.read_region(run / "image.zarr", name, (slice(None),)) for name in ("x", "y"))
-    if x.size and y.size and min(x.size, y.size) < 2:
-        raise InputError(
-            f"the image of {run} has {y.size} x {x.size} pixels (y, x), and products and measurements take 2 at least "
-            "in each direction; focus on a larger --grid"
-        )
-    if any(axis.size < 2 or not (np.diff(axis) > 0).all() for axis in (x, y)):
-        raise InputError(f"x or y in {run / 'image.zarr'} is damaged; focus again with --overwrite")
-    return Image(run / "image.zarr", x, y), collection.centred(), attrs, record
-
-
-STRIP = 1 << 23  # pixels that are read at once, at most, if a strip can be as narrow: 64 MiB
 
 
 class Coverage(NamedTuple):
@@ -77,57 +48,86 @@ class Coverage(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Source:
-    """A finished run, as a product needs it.
+class FinishedRun:
+    """A finished run, opened for measurements and products.
 
     Attributes
     ----------
-    path : Place
-        Of image.zarr.
+    folder : Place
+        Of the run.
     x, y : (n_x,), (n_y,) float
         Pixel positions, m, uniform and ascending.
     geometry : Geometry
         Of the run's collection.
     attrs : dict
-        Of the collection: title, georeference, targets and whatever else came with the phase history.
-    record : dict
-        run.json.
+        Of the collection: title, georeference, targets and what else came with the phase history.
+    record : RunRecord
     """
 
-    path: Place
+    folder: Place
     x: FloatArray
     y: FloatArray
     geometry: Geometry
     attrs: dict[str, Any]
-    record: dict[str, Any]
+    record: RunRecord
 
-    @property
-    def title(self) -> str:
-        return str(self.attrs.get("title") or self.geometry.collection.title or "blocksar image")
-
-    @property
-    def ground_height(self) -> float:
-        return self.geometry.collection.ground_height
-
-    @cached_property
-    def spacing(self) -> tuple[float, float]:
-        """Of the pixels in x and y, m."""
-        return tuple(float(axis[-1] - axis[0]) / (axis.size - 1) for axis in (self.x, self.y))  # type: ignore[return-value]
-
-    @cached_property
-    def georeference(self) -> Georeference | None:
-        """None where nobody said where the scene lies.
+    @classmethod
+    def open(cls, folder: Place) -> Self:
+        """Open a run.
 
         Raises
         ------
         InputError
-            If what was said is wrong.
+            If it is not finished or damaged, or its image has a single row or column.
         """
-        found = self.attrs.get("georeference")
-        return None if found is None else Georeference.from_attribute(found)
+        record = finished_record(folder)
+        collection, attrs = stores.read_collection(folder / "collection.zarr")
+        x, y = (stores.read_region(folder / "image.zarr", name, (slice(None),)) for name in ("x", "y"))
+        if x.size and y.size and min(x.size, y.size) < 2:
+            raise InputError(
+                f"the image of {folder} has {y.size} x {x.size} pixels (y, x), and products and measurements take 2 at "
+                "least in each direction; focus on a larger --grid"
+            )
+        if any(axis.size < 2 or not (np.diff(axis) > 0).all() for axis in (x, y)):
+            raise InputError(f"x or y in {folder / 'image.zarr'} is damaged; focus again with --overwrite")
+        return cls(folder, x, y, Geometry(collection=collection.centred()), attrs, record)
+
+    @property
+    def image(self) -> Place:
+        """Path of the image store."""
+        return self.folder / "image.zarr"
+
+    @property
+    def collection(self) -> Collection:
+        return self.geometry.collection
+
+    @property
+    def title(self) -> str:
+        return str(self.attrs.get("title") or self.collection.title or "blocksar image")
+
+    @property
+    def ground_height(self) -> float:
+        return self.collection.ground_height
+
+    @cached_property
+    def spacing(self) -> tuple[float, float]:
+        """Distance between pixels in x and in y, m."""
+        return tuple(float(axis[-1] - axis[0]) / (axis.size - 1) for axis in (self.x, self.y))  # type: ignore[return-value]
+
+    @cached_property
+    def georeference(self) -> Georeference | None:
+        """Position of the scene on the Earth; None if unknown.
+
+        Raises
+        ------
+        InputError
+            If the attribute is wrong.
+        """
+        attribute = self.attrs.get("georeference")
+        return None if attribute is None else Georeference.from_attribute(attribute)
 
     def placed(self, product: str) -> Georeference:
-        """The georeference, which this product cannot do without.
+        """Return the georeference for a product that needs one.
 
         Raises
         ------
@@ -136,25 +136,29 @@ class Source:
         """
         if self.georeference is None:
             raise InputError(
-                f"{self.path} has no georeference, and {product} says where on the Earth its pixels lie; put the "
+                f"{self.image} has no georeference, and {product} says where on the Earth its pixels lie; put the "
                 "attribute georeference into the phase history and focus it again, or export png"
             )
         return self.georeference
 
     def read(self, rows: slice, columns: slice) -> ComplexArray:
-        """Pixels, NaN where not covered."""
-        return stores.read_region(self.path, "image", (rows, columns))
+        """Read pixels, (rows, columns); NaN where not covered."""
+        return stores.read_region(self.image, "image", (rows, columns))
+
+    def read_block(self, rows: slice, columns: slice) -> Int16Array:
+        """Read the index of the block that each pixel comes from, (rows, columns); -1 where not covered."""
+        return stores.read_region(self.image, "block", (rows, columns))
 
     def strips(self, axis: int) -> Iterator[slice]:
-        """Whole chunks along rows (axis 0) or columns (1), or parts of them where those have above STRIP pixels."""
+        """Divide the image along rows (axis 0) or columns (1) into chunks, or into less where those exceed STRIP."""
         along, across = (self.y.size, self.x.size) if axis == 0 else (self.x.size, self.y.size)
-        chunk = stores.chunk_shape(self.path, "image")[axis]
+        chunk = stores.chunk_shape(self.image, "image")[axis]
         step = max(chunk // -(-chunk * across // STRIP), 1)
         for first in range(0, along, step):
             yield slice(first, min(first + step, along))
 
     def coverage(self) -> Coverage:
-        """Where pixels are, read from `block`.
+        """Find the covered pixels; reads `block`.
 
         Raises
         ------
@@ -165,7 +169,7 @@ class Source:
         row_first, row_last = np.full(n_y, n_x), np.full(n_y, -1)
         column_first, column_last = np.full(n_x, n_y), np.full(n_x, -1)
         for rows in self.strips(0):
-            covered = stores.read_region(self.path, "block", (rows, slice(None))) >= 0
+            covered = self.read_block(rows, slice(None)) >= 0
             some, at = covered.any(axis=1), np.arange(rows.start, rows.stop)
             row_first[at[some]] = covered[some].argmax(axis=1)
             row_last[at[some]] = n_x - 1 - covered[some, ::-1].argmax(axis=1)
@@ -173,5 +177,5 @@ class Source:
             column_first[some] = np.minimum(column_first[some], rows.start + covered[:, some].argmax(axis=0))
             column_last[some] = rows.stop - 1 - covered[::-1, some].argmax(axis=0)
         if (row_last < 0).all():
-            raise InputError(f"{self.path} has no covered pixel, and so nothing to export; focus on another --grid")
+            raise InputError(f"{self.image} has no covered pixel, and so nothing to export; focus on another --grid")
         return Coverage(row_first, row_last, column_first, column_last)

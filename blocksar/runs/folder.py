@@ -1,9 +1,9 @@
-"""A run's folder: what lies in it, who may write it, and which of its receipts are trusted.
+"""The run folder: what lies in it, who may write it, and whether a run in it can be resumed.
 
 Every unit of work (a column group of the spectrum, the patch of a block, some chunks of the mosaic) leaves a receipt
-once its data are written: what it wrote, region by region, with checksums. A receipt is trusted if it is of this very
-run (settings, input, format, division into blocks: its `identity`) and the data on disk still have those checksums.
-That is all the state there is: no scheduler and no memory of an earlier process matters to a run that goes on.
+once its data are written: what it wrote, region by region, with checksums. A receipt is trusted if it belongs to the
+same run (settings, input, format, division into blocks: its `identity`) and the data on disk still have those
+checksums. There is no other state: a resumed run depends on no scheduler and on no earlier process.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from pathlib import Path
 from typing import Any
 
 from blocksar import stores
-from blocksar.errors import InputError, ProcessingError
+from blocksar.errors import FolderError, InputError, ProcessingError
 from blocksar.places.local import LocalPlace, is_temporary
 from blocksar.places.place import Held, Place
-from blocksar.runs.receipts import Run, Written
+from blocksar.runs.record import RECORD, RunRecord, Written
+from blocksar.version import __version__
 
-FORMAT = 4  # of run folders: a run of another format is not resumed
 OWN = (
-    "run.json",
+    RECORD,
     "collection.zarr",
     "spectrum.zarr",
     "compressed.zarr",
@@ -36,10 +36,9 @@ OWN = (
     "mosaic.png",
     "contours.png",
 )
-TEMPORARY = ("receipts", "compressed.zarr", "scratch")  # of those, what a finished run needs no more
-LEFT_ALONE = ("phase_history.zarr",)  # may stand in a new run's folder: `demo` puts its input there
+TEMPORARY = ("receipts", "compressed.zarr", "scratch")  # of those, what a finished run does not need
+LEFT_ALONE = ("phase_history.zarr",)  # may lie in the folder of a new run: `demo` puts its input there
 LOCK, ASIDE = "run.lock", ".replaced"
-FINISHED, UNFINISHED = "finished", "unfinished"
 
 
 # ---------------------------------------------------------------- who may write
@@ -47,12 +46,14 @@ FINISHED, UNFINISHED = "finished", "unfinished"
 
 @contextmanager
 def claimed(folder: Place) -> Iterator[None]:
-    """The only writer of a folder, which is made if need be.
+    """Hold the lock of a folder, which is made if needed.
 
     Raises
     ------
-    InputError
-        If another run has it, or the folder cannot be written.
+    FolderError
+        If another run holds it, or the folder cannot be written.
+    ProcessingError
+        If the disk is full or broken.
     """
     with ExitStack() as held:
         try:
@@ -61,20 +62,20 @@ def claimed(folder: Place) -> Iterator[None]:
                 os.makedirs(folder, exist_ok=True)
             held.enter_context((folder / LOCK).lock())
         except Held as owner:
-            raise InputError(
+            raise FolderError(
                 f"{folder} is being written by {owner}; wait until that run has ended, or choose another --out"
             ) from None
         except OSError as error:
             if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
                 raise ProcessingError(f"{folder} cannot be written ({error.strerror})") from error
-            raise InputError(
+            raise FolderError(
                 f"{folder} cannot be written ({error.strerror or error}); choose another --out, or make it writable"
             ) from error
         yield
 
 
 def _remove_empty(folders: Iterable[Path]) -> None:
-    """Those that were made in vain."""
+    """Remove folders that were made for nothing; those that hold something stay."""
     for path in folders:
         with suppress(OSError):
             path.rmdir()
@@ -83,88 +84,93 @@ def _remove_empty(folders: Iterable[Path]) -> None:
 # ---------------------------------------------------------------- what is there
 
 
-def existing(folder: Place, settings: Mapping[str, Any], fingerprint: str, *, overwrite: bool) -> dict[str, Any] | None:
-    """The record of a run in this folder that may be resumed or is finished; None where a new one may begin.
+def existing(folder: Place, settings: Mapping[str, Any], fingerprint: str, *, overwrite: bool) -> RunRecord | None:
+    """Return the record of the run in a folder, finished or to be resumed; None where a new one may begin.
 
     Raises
     ------
-    InputError
-        If the folder holds something else, or a run with other settings or another input, and `overwrite` is False.
+    FolderError
+        If the folder holds something else, or a run with other settings or another input, or an unfinished one of
+        another version of blocksar, and `overwrite` is False.
     """
     if isinstance(folder, LocalPlace) and folder.exists() and not folder.path.is_dir():
-        raise InputError(f"{folder} is not a folder; choose another --out")
+        raise FolderError(f"{folder} is not a folder; choose another --out")
     names = _names(folder)
-    if "run.json" not in names:
+    if RECORD not in names:
         foreign = [name for name in names if name not in (*LEFT_ALONE, LOCK, ASIDE) and not is_temporary(name)]
         if foreign:
-            raise InputError(f"{folder} exists and holds no run of blocksar (but {foreign[0]}); choose another --out")
+            raise FolderError(f"{folder} exists and holds no run of blocksar (but {foreign[0]}); choose another --out")
         return None
     if overwrite:
         return None
+    record = _recorded(folder)
+    if (difference := record.difference(settings, fingerprint)) is not None:
+        raise FolderError(
+            f"{folder} holds a run with {difference}, not what is asked for now; use --overwrite to replace it, or "
+            "another --out",
+            replaceable=True,
+        )
+    # Versions may divide the work into other units, or compute other numbers.
+    if not record.finished and record.version != __version__:
+        raise FolderError(
+            f"{folder} holds an unfinished run of blocksar {record.version or 'unknown'}, which {__version__} does not "
+            "resume; use --overwrite to begin it again, or another --out",
+            replaceable=True,
+        )
+    return record
+
+
+def _recorded(folder: Place) -> RunRecord:
     try:
-        record = stores.read_json(folder / "run.json")
-        stored = record["settings"]
-        different = {name: stored.get(name) for name in settings if stored.get(name) != settings[name]}
-        form, known = record["format"], record["input"]["fingerprint"]
-        divided = record["plan"]["blocks"], record["plan"]["parts"]
-        sound = record["status"] in (FINISHED, UNFINISHED) and all(n is None or n >= 1 for n in divided)
-    except (InputError, KeyError, TypeError, AttributeError):
-        sound = False
-    if not sound:
-        raise InputError(f"{folder / 'run.json'} cannot be read; use --overwrite, or choose another --out")
-    if form != FORMAT:
-        why = f"format {form!r}"
-    elif different:
-        why = ", ".join(f"{name} {value!r}" for name, value in different.items())
-    elif known != fingerprint:
-        why = "another input"
-    else:
-        return dict(record)
-    raise InputError(
-        f"{folder} holds a run with {why}, not what is asked for now; use --overwrite to replace it, or another --out"
-    )
+        return RunRecord.read(folder)
+    except FolderError:
+        raise
+    except InputError as error:  # no JSON
+        raise FolderError(
+            f"{folder / RECORD} cannot be read; use --overwrite, or choose another --out", replaceable=True
+        ) from error
 
 
 def _names(folder: Place) -> list[str]:
     try:
         return folder.names()
     except OSError as error:
-        raise InputError(f"{folder} cannot be read ({error.strerror or error}); check --out") from error
+        raise FolderError(f"{folder} cannot be read ({error.strerror or error}); check --out") from error
 
 
 def refuse_overlap(source: Place, folder: Place) -> None:
-    """Neither may a run lie in its input, nor an input among what a run replaces.
+    """Check that a run does not lie in its input, nor the input among the files that the run replaces.
 
     Raises
     ------
-    InputError
-        If so.
+    FolderError
+        If it does.
     """
     inside, outside = (os.path.realpath(p) if isinstance(p, LocalPlace) else str(p) for p in (source, folder))
     if f"{outside}/".startswith(f"{inside}/"):
-        raise InputError(f"--out {folder} lies in the input {source}; choose another place")
+        raise FolderError(f"--out {folder} lies in the input {source}; choose another place")
     if any(f"{inside}/".startswith(f"{outside}/{name}/") for name in OWN):
-        raise InputError(f"the input {source} lies among what a run in {folder} writes; choose another --out")
+        raise FolderError(f"the input {source} lies among what a run in {folder} writes; choose another --out")
 
 
 def clear(folder: Place) -> None:
-    """Remove what runs leave, and nothing else."""
+    """Remove all files of a run, and nothing else."""
     for name in OWN:
         (folder / name).remove()
 
 
 @contextmanager
 def begun(folder: Place) -> Iterator[Callable[[], None]]:
-    """A new run in a folder: where its input turns out to be wrong, the folder is as it was before.
+    """Begin a new run in a folder; an InputError restores the folder as it was before.
 
-    Yields the function that gives an earlier run there up, to be called once the new input has been read. In an object
+    Yields the function that removes the earlier run, to be called once the new input has been read. In an object
     store, where nothing can be renamed, the earlier run is removed at once.
     """
     aside = folder / ASIDE
     aside.remove()
     if not isinstance(folder, LocalPlace):
         clear(folder)
-    elif (folder / "run.json").exists():
+    elif (folder / RECORD).exists():
         _move_own(folder, aside)
     try:
         yield aside.remove
@@ -184,8 +190,8 @@ def _move_own(source: Place, target: Place) -> None:
             os.rename(str(source / name), str(target / name))
 
 
-def finish(run: Run, record: Mapping[str, Any]) -> None:
-    """Call a run finished, once all that it wrote is on the disk; what only an unfinished one needs goes.
+def finish(folder: Place, record: RunRecord) -> None:
+    """Write the record of a finished run, once all its data are on the disk, and remove temporary files.
 
     Raises
     ------
@@ -193,54 +199,60 @@ def finish(run: Run, record: Mapping[str, Any]) -> None:
         If it cannot be written.
     """
     try:
-        run.folder.settle()
+        folder.settle()
     except OSError as error:
-        raise ProcessingError(f"{run.folder} cannot be written ({error.strerror or error})") from error
-    stores.write_json(run.folder / "run.json", {**record, "status": FINISHED})
-    tidy(run.folder)
+        raise ProcessingError(f"{folder} cannot be written ({error.strerror or error})") from error
+    record.write(folder)
+    tidy(folder)
 
 
 def tidy(folder: Place) -> None:
-    """Remove what is in a finished run's folder for no use: also what a process left that was killed here."""
+    """Remove leftovers from a finished run, including those of a killed process."""
     for name in (*TEMPORARY, ASIDE):
         (folder / name).remove()
     folder.sweep()
 
 
 def scratch(folder: Place) -> str | None:
-    """Where workers of our own put their temporary files; None where that is no folder, or has no name in Unicode."""
+    """Return a folder for temporary files of own workers; None in an object store, or if its name is not printable."""
     path = str(folder / "scratch")
     return path if isinstance(folder, LocalPlace) and path.isprintable() else None
 
 
 def is_tidy(folder: Place) -> bool:
-    """Whether nothing is left of the work on a finished run."""
+    """Tell whether a finished run has no leftovers."""
     return not {*TEMPORARY, ASIDE} & set(folder.names())
 
 
-def check_finished(folder: Place, record: Mapping[str, Any]) -> None:
-    """Whether a finished run still has its image: all chunks that were written, unread.
+def check_finished(folder: Place, record: RunRecord) -> None:
+    """Check that a finished run still has its image: that all chunks are there, without reading them.
 
     Raises
     ------
-    InputError
+    FolderError
         If some of it is gone.
     """
     image = folder / "image.zarr"
-    there = {name for name, _, _ in image.files()}
+    if not record.receipts:
+        raise FolderError(f"{folder} is damaged (no receipts); use --overwrite to focus it anew", replaceable=True)
+    names = {name for name, _, _ in image.files()}
+    parts = [part for receipt in record.receipts for part in receipt.written if part.store == image.name]
     try:
-        parts = [Written.of(part) for receipt in record["receipts"] for part in receipt["written"]]
-        chunks = {_chunk(image, part) for part in parts if part.store == image.name}
-    except (InputError, KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{folder} is damaged ({error}); use --overwrite to focus it anew") from error
-    if missing := sorted({"zarr.json", *chunks} - there):
-        raise InputError(
+        chunks = {_chunk(image, part) for part in parts}
+    except (InputError, ValueError) as error:
+        raise FolderError(
+            f"{folder} is damaged ({error}); use --overwrite to focus it anew", replaceable=True
+        ) from error
+    if missing := sorted({"zarr.json", *chunks} - names):
+        raise FolderError(
             f"{folder} was finished, but {len(missing)} files of its image are gone (first: {missing[0]}); "
-            "use --overwrite to focus it anew"
+            "use --overwrite to focus it anew",
+            replaceable=True,
         )
 
 
 def _chunk(store: Place, part: Written) -> str:
+    """Return the file of the chunk that a region begins in."""
     sides = stores.chunk_shape(store, part.variable)
     cell = (str(first // side) for (first, _), side in zip(part.region, sides, strict=True))
     return "/".join((part.variable, "c", *cell))

@@ -1,1 +1,1 @@
-"""Scene files to phase histories, raw echoes and CPHD files."""
+"""Simulation of scene files as phase histories, raw echoes and CPHD files."""

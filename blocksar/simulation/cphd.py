@@ -1,4 +1,4 @@
-"""A scene's phase history as a CPHD 1.1.0 file: FX domain, SGN -1, CF8; what that means `cphd` says."""
+"""Simulation of a scene into a CPHD 1.1.0 file: FX domain, SGN -1, CF8 (see `ingestion.cphd` for the format)."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from blocksar.arrays import FloatArray
 from blocksar.chunks import TILE
+from blocksar.collection.beam import full_dwell_yaw
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
@@ -28,9 +29,8 @@ from blocksar.version import __version__
 if TYPE_CHECKING:
     from types import ModuleType
 
-
 ROWS = TILE[0]  # pulses in memory at a time
-VECTOR = {  # per-vector parameters of the files that are written: format, and size in words of 8 bytes
+VECTOR = {  # per-vector parameters: format, and size in words of 8 bytes
     **dict.fromkeys(("TxTime",), ("F8", 1)),
     **dict.fromkeys(("TxPos", "TxVel"), ("X=F8;Y=F8;Z=F8;", 3)),
     **dict.fromkeys(("RcvTime",), ("F8", 1)),
@@ -38,9 +38,9 @@ VECTOR = {  # per-vector parameters of the files that are written: format, and s
     **dict.fromkeys(("aFDOP", "aFRR1", "aFRR2", "FX1", "FX2", "TOA1", "TOA2", "TDTropoSRP", "SC0", "SCSS"), ("F8", 1)),
     "SIGNAL": ("I8", 1),
 }
-OVERSAMPLING = 1.2  # of the files that are written: the standard wants as much
-ORIGIN = (39.78, -84.1, 300.0)  # latitude and longitude in degrees, height in m: of scenes that say nothing
-START = "2000-01-01T00:00:00.000000Z"  # of a simulated collection
+OVERSAMPLING = 1.2  # ratio of the window to the lit ranges, as the standard asks
+ORIGIN = (39.78, -84.1, 300.0)  # default latitude and longitude in degrees, and height in m
+START = "2000-01-01T00:00:00.000000Z"  # time of a simulated collection
 
 
 def simulate(
@@ -54,24 +54,25 @@ def simulate(
 ) -> Path:
     """Simulate a scene into a CPHD 1.1.0 file, chunk of pulses by chunk: FX domain, SGN -1, CF8.
 
-    The scene's centre becomes IARP and SRP, its axes x and y east and north there, its ground the plane that touches
-    the ellipsoid's parallel there. Signals are referenced to the SRP, whatever the scene file says; the frequencies
-    are spaced so that the lit ranges fill 1 / 1.2 of the window, as the standard wants. A lost pulse has SIGNAL = 0. A
-    steered beam is in the polynomials of centre of dwell and dwell time, over the sector that is lit for a whole dwell.
+    The scene centre becomes IARP and SRP. The axes x and y point east and north there; the ground is the horizontal
+    plane through it. Signals are referenced to the SRP, whatever the scene file states; the frequencies are spaced so
+    that the lit ranges fill 1 / 1.2 of the window, as the standard asks. A lost pulse has SIGNAL = 0. A steered
+    beam is described by the polynomials of centre of dwell and dwell time, over the sector that is lit for a whole
+    dwell.
 
     Parameters
     ----------
     scene : Scene, or path of a scene file, or name of a shipped scene
     out : path
-        Of the file to make.
+        The file to write.
     origin : (latitude, longitude, height)
-        Of the scene's centre: degrees, and m above the WGS 84 ellipsoid.
+        Position of the scene centre: degrees, and m above the WGS 84 ellipsoid.
     threads : int
-        The samples do not depend on it.
+        Number of threads; the samples do not depend on it.
     overwrite : bool
-        Replace a CPHD file that is there.
+        Replace an existing CPHD file.
     progress : callable (done, total)
-        Told after each chunk, in pulses.
+        Called after each chunk with the numbers of finished pulses and of all pulses.
 
     Raises
     ------
@@ -113,6 +114,7 @@ def simulate(
 
 
 def _free_file(out: Location, *, overwrite: bool) -> Path:
+    """Return the path to write to; raise an InputError if something there may not be replaced."""
     where = place(out)
     if not isinstance(where, LocalPlace):
         raise InputError(f"{where} is in an object store, where CPHD files are not written; give the path of a file")
@@ -120,11 +122,11 @@ def _free_file(out: Location, *, overwrite: bool) -> Path:
     if os.path.lexists(path):
         if not overwrite:
             raise InputError(f"{path} exists; choose another name, or have it overwritten (--overwrite)")
-        known = path.is_file()
-        if known:
+        is_cphd = path.is_file()
+        if is_cphd:
             with open(path, "rb") as file:
-                known = file.read(5) == b"CPHD/"
-        if not known:
+                is_cphd = file.read(5) == b"CPHD/"
+        if not is_cphd:
             raise InputError(
                 f"{path} exists and is no CPHD file, so it is not overwritten; remove it, or choose another name"
             )
@@ -132,15 +134,15 @@ def _free_file(out: Location, *, overwrite: bool) -> Path:
 
 
 def _about_centre(scene: Scene) -> Scene:
-    """The same scene, its signals referenced to its centre."""
+    """Return the scene with its signals referenced to its centre."""
     copy = scene.model_copy(update={"area": scene.area.model_copy(update={"reference_range": "scene_centre"})})
     for name in set(vars(copy)) - set(Scene.model_fields):
-        vars(copy).pop(name)  # what was derived from the old reference
+        vars(copy).pop(name)  # remove cached values that depend on the old reference
     return copy
 
 
 def _oversampled(scene: Scene) -> tuple[Collection, float]:
-    """The scene's collection, its very band on finer frequencies; and half the two-way delays that are lit, s."""
+    """Return the scene's collection with the same band on finer frequencies, and half the extent of lit delays, s."""
     collection = scene.collection()
     lit = 1 / (RANGE_GUARD * collection.range_frequency_step)
     n = next_smooth_even(int(np.ceil(OVERSAMPLING * lit * collection.bandwidth)))
@@ -152,17 +154,16 @@ def _oversampled(scene: Scene) -> tuple[Collection, float]:
 def _metadata(
     sarkit: ModuleType, scene: Scene, collection: Collection, frame: Georeference, toa: float
 ) -> tuple[NDArray[Any], Any]:
-    """Per-vector parameters, and the tree of the XML."""
+    """Return the per-vector parameters and the XML tree."""
     from lxml import etree
 
     lost = scene.dropped_pulses()
     time = collection.time - collection.time[0]
     local = collection.antenna_position - scene.centre
     delay = 2 * np.linalg.norm(local, axis=1) / SPEED_OF_LIGHT
-    moment = time + delay / 2
     step, first = collection.range_frequency_step, collection.carrier + collection.range_frequency[0]
     band = (first - step / 2, first + (collection.n_range_frequency - 0.5) * step)
-    area, cod, dwell = _lit_area(scene, collection, moment)
+    area, cod, dwell = _lit_area(scene, collection, time + delay / 2)
     root = etree.Element(f"{{{NAMESPACE}1.1.0}}CPHD", nsmap={None: f"{NAMESPACE}1.1.0"})
     _build(root, _collection_id(scene))
     _build(root, {
@@ -235,7 +236,7 @@ def _vector_layout() -> dict[str, Any]:
 
 
 def _scene_coordinates(frame: Georeference, area: FloatArray, spacing: float) -> dict[str, Any]:
-    """Plane, image area and grid; `area` (n, 2) is a polygon, clockwise, m."""
+    """Return the ground plane, image area and grid; `area` (n, 2) is a clockwise polygon, m."""
     low, high = area.min(axis=0), area.max(axis=0)
     corners = np.array([[low[0], low[1], 0], [low[0], high[1], 0], [high[0], high[1], 0], [high[0], low[1], 0]])
     degrees = frame.to_geodetic(corners)
@@ -272,24 +273,24 @@ def _polynomial_element(table: FloatArray) -> tuple[dict[str, Any], dict[str, An
 
 
 def _build(parent: Any, content: Any) -> None:
-    """Put children below an element: {name: content}, of which a list is several, and a pair has attributes first."""
+    """Add children {name: content} to an XML element: a list gives several; a pair is attributes and content."""
     if not isinstance(content, dict):
         parent.text = str(content).lower() if isinstance(content, bool) else str(content)
         return
     namespace = parent.tag.partition("}")[0]
     for name, item in content.items():
-        for one in item if isinstance(item, list) else [item]:
-            attributes, inner = one if isinstance(one, tuple) else ({}, one)
+        for entry in item if isinstance(item, list) else [item]:
+            attributes, inner = entry if isinstance(entry, tuple) else ({}, entry)
             node = parent.makeelement(f"{namespace}}}{name}", {key: str(value) for key, value in attributes.items()})
             parent.append(node)
             _build(node, inner)
 
 
 def _lit_area(scene: Scene, collection: Collection, moment: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Polygon of the image area, (n, 2) m, clockwise, and the tables of centre of dwell and dwell time over it, s.
+    """Return the image area, a clockwise polygon (n, 2), m, and polynomials of centre of dwell and dwell time, s.
 
-    `moment` (n_pulse,) is the reference time, s. Of a steered beam the area is the sector that is lit for a whole
-    dwell, or, where the beam turns by less than its width, all the time.
+    `moment` (n_pulse,) is the reference time, s. For a steered beam the area is the sector that is lit for a whole
+    dwell, or the sector that is always lit if the beam turns by less than its width.
     """
     near, far = scene.area.swath
     whole = np.full((1, 1), (moment[0] + moment[-1]) / 2), np.full((1, 1), moment[-1] - moment[0])
@@ -298,15 +299,15 @@ def _lit_area(scene: Scene, collection: Collection, moment: FloatArray) -> tuple
         half = float(np.linalg.norm(ends, axis=1).max())
         return half * np.array([[-1.0, -1], [-1, 1], [1, 1], [1, -1]]), *whole
     beam, width = collection.beam_azimuth, collection.beam_width
-    low, high = float(beam.min()) + width / 2, float(beam.max()) - width / 2
+    low, high = full_dwell_yaw(collection)
     always = low >= high
     low, high = min(low, high), max(low, high)
     inset = 1e-3 * (high - low)
     yaw = np.linspace(low + inset, high - inset, 17)
     arcs = [np.stack(scene.ground_point(r, y), axis=-1) - scene.centre[:2] for r, y in ((near, yaw), (far, yaw[::-1]))]
     area = np.concatenate(arcs)
-    turned = np.roll(area, -1, axis=0)
-    if np.sum(area[:, 0] * turned[:, 1] - area[:, 1] * turned[:, 0]) > 0:
+    following = np.roll(area, -1, axis=0)
+    if np.sum(area[:, 0] * following[:, 1] - area[:, 1] * following[:, 0]) > 0:
         area = area[::-1]
     if always:
         return area, *whole
@@ -316,14 +317,14 @@ def _lit_area(scene: Scene, collection: Collection, moment: FloatArray) -> tuple
     yaw = np.tile(np.linspace(low, high, 65), 9)
     order = np.argsort(beam, kind="stable")
     begin, end = (np.interp(yaw + side * width / 2, beam[order], moment[order]) for side in (-1, 1))
-    return area, _fitted(x, y, (begin + end) / 2), _fitted(x, y, np.abs(end - begin))
+    return area, _fit_polynomial(x, y, (begin + end) / 2), _fit_polynomial(x, y, np.abs(end - begin))
 
 
-def _fitted(x: FloatArray, y: FloatArray, values: FloatArray, order: int = 6) -> FloatArray:
-    """Coefficients of x^i y^j, i + j <= order, (order + 1, order + 1), by least squares."""
+def _fit_polynomial(x: FloatArray, y: FloatArray, values: FloatArray, order: int = 6) -> FloatArray:
+    """Return coefficients of x^i y^j, i + j <= order, (order + 1, order + 1), by least squares."""
     scale = float(max(np.abs(x).max(), np.abs(y).max()))
     i, j = np.nonzero(np.add.outer(np.arange(order + 1), np.arange(order + 1)) <= order)
-    found = np.linalg.lstsq((x[:, None] / scale) ** i * (y[:, None] / scale) ** j, values, rcond=None)[0]
+    scaled = np.linalg.lstsq((x[:, None] / scale) ** i * (y[:, None] / scale) ** j, values, rcond=None)[0]
     table = np.zeros((order + 1, order + 1))
-    table[i, j] = found / scale ** (i + j)
+    table[i, j] = scaled / scale ** (i + j)
     return table

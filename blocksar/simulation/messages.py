@@ -1,4 +1,4 @@
-"""A scene file's errors in sentences: the field, the value, and the nearest known name."""
+"""Messages about errors in a scene file: the field, the value, the remedy, and the nearest known key."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ from blocksar.simulation.tables import LARGEST, SMALLEST
 
 
 def message_of(label: str, problems: list[str]) -> str:
+    """Join problems into one message; `label` names the scene file."""
     count = f"{len(problems)} wrong field{'s' if len(problems) > 1 else ''}"
     return f"{label} has {count}:" + "".join(f"\n  {problem}" for problem in problems)
 
 
 def describe_error(error: ValidationError, data: dict[str, Any], label: str, root: type[BaseModel]) -> str:
-    """Every wrong field as `field = value: what would do`; alternatives of one field are joined by 'or'."""
-    found: dict[str, list[str]] = {}
+    """List every wrong field as `field = value: remedy`; alternative remedies are joined by 'or'."""
+    remedies: dict[str, list[str]] = {}  # by wrong field
     hints: dict[str, str] = {}
     for item in error.errors(include_url=False):
         place, model = _locate(item["loc"], data, root)
@@ -28,21 +29,21 @@ def describe_error(error: ValidationError, data: dict[str, Any], label: str, roo
         text = item["msg"].replace("Input should be", "must be").removeprefix("Value error, ")
         match item["type"]:
             case "missing" if isinstance(item["loc"][-1], str):
-                found[f"{field} is missing"] = [f"add {_hint(model, place)}"]
+                remedies[f"{field} is missing"] = [f"add {_hint(model, place)}"]
             case "extra_forbidden":
-                found[f"{field} = {value}"] = [f"unknown key; {_nearest(model, place)}"]
+                remedies[f"{field} = {value}"] = [f"unknown key; {_nearest(model, place)}"]
             case "value_error":
-                # The checks of a whole table begin with the field that is wrong, where there is one.
+                # Messages about a whole table begin with the wrong field, if there is one.
                 known = _fields(_tables(root).get(str(place[0])) if place else root)
                 first_word = re.split(r"[^a-z_0-9]", text)[0]
-                found[f"{field}.{text}" if first_word in known else f"{field}: {text}"] = []
+                remedies[f"{field}.{text}" if first_word in known else f"{field}: {text}"] = []
             case kind:
                 text = "has too few elements" if kind == "missing" else text.replace("valid tuple", "list")
-                found.setdefault(f"{field} = {value}", []).append(text[0].lower() + text[1:])
+                remedies.setdefault(f"{field} = {value}", []).append(text[0].lower() + text[1:])
                 hints[f"{field} = {value}"] = _hint(model, place)
     problems = []
-    for head, remedies in found.items():
-        remedy = " or ".join(dict.fromkeys(remedies))
+    for head, alternatives in remedies.items():
+        remedy = " or ".join(dict.fromkeys(alternatives))
         problems.append(": ".join(filter(None, (head, remedy))) + (f" ({hints[head]})" if head in hints else ""))
     return message_of(label, problems)
 
@@ -50,7 +51,7 @@ def describe_error(error: ValidationError, data: dict[str, Any], label: str, roo
 def _locate(
     loc: tuple[int | str, ...], data: Any, root: type[BaseModel]
 ) -> tuple[list[int | str], type[BaseModel] | None]:
-    """The part of pydantic's location that the file's writer knows, and the table it lies in."""
+    """Return the part of pydantic's location that exists in the file, and the table that contains it."""
     place: list[int | str] = []
     model: type[BaseModel] | None = root
     here: Any = data
@@ -60,7 +61,7 @@ def _locate(
         if inside:
             here = here[part]
         elif not (last and isinstance(here, dict)):
-            continue  # the name of one alternative of a union
+            continue  # the name of an alternative in a union
         place.append(part)
         if not last and model is root and isinstance(part, str):
             model = _tables(root).get(part)
@@ -68,20 +69,20 @@ def _locate(
 
 
 def _tables(root: type[BaseModel]) -> dict[str, type[BaseModel]]:
-    """The tables of a scene file by key."""
-    found = {(field.alias or name): _models_in(field.annotation) for name, field in root.model_fields.items()}
-    return {key: models[0] for key, models in found.items() if models}
+    """Return the tables of a scene file by key."""
+    tables = {(field.alias or name): _models_in(field.annotation) for name, field in root.model_fields.items()}
+    return {key: models[0] for key, models in tables.items() if models}
 
 
 def _models_in(annotation: Any) -> list[type[BaseModel]]:
-    """The tables in an annotation, which may be optional or a list of tables."""
+    """List the tables in an annotation, which may be optional or a list of tables."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     return [model for part in get_args(annotation) for model in _models_in(part)]
 
 
 def _fields(model: type[BaseModel] | None) -> dict[str, str]:
-    """Keys of a table and what they mean."""
+    """Return the keys of a table and their descriptions."""
     if model is None:
         return {}
     return {field.alias or name: field.description or "" for name, field in model.model_fields.items()}
@@ -99,7 +100,7 @@ def _nearest(model: type[BaseModel] | None, place: list[int | str]) -> str:
 
 
 def impossible_values(value: Any, place: tuple[int | str, ...] = ()) -> Iterator[str]:
-    """Numbers so large or so small that nothing can be meant by them."""
+    """Report numbers that are too large or too small for any unit."""
     match value:
         case dict():
             for key, item in value.items():

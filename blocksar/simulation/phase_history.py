@@ -1,11 +1,11 @@
-"""Known targets to phase history or raw echo, with exact ranges: no series anywhere.
+"""Simulation of a scene into a phase-history store, as range-frequency samples or raw echo, with exact ranges.
 
-Point targets are summed directly. Random fields and maps of up to millions of scatterers go through a non-uniform
-Fourier transform: in one pulse, the signal over range frequency is the Fourier transform of reflectivity over range,
-and range is not on a grid. Ranges and phases are float64 throughout, samples complex64.
+No range is expanded in a series. Point targets are summed directly. Random fields and maps of up to millions of
+scatterers use a non-uniform Fourier transform: in each pulse, the signal over range frequency is the Fourier transform
+of the reflectivity over range, and the ranges lie on no grid. Ranges and phases are float64, samples complex64.
 
-Every pulse is computed by itself, in blocks whose size is fixed: the samples do not depend on the number of threads,
-nor on how the pulses are cut into chunks.
+Every pulse is computed independently, in blocks of fixed size: the samples depend neither on the number of threads nor
+on the division of the pulses into chunks.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from blocksar.progress.listening import Callback
 from blocksar.simulation.scatterers import Field, field, phase_history, raw_echo
 from blocksar.simulation.scene import Scene
 
-MAX_NAMED_TARGETS = 2000  # more are not listed in the store's attributes
+MAX_NAMED_TARGETS = 2000  # with more, the store's attributes do not list them
 
 
 def noise(shape: tuple[int, int], *, first_pulse: int, power: float, seed: int) -> ComplexArray:
-    """Circular Gaussian noise, E|n|^2 = power: (n_pulse, n) complex64.
+    """Generate circular Gaussian noise, E|n|^2 = power: (n_pulse, n) complex64.
 
-    The generator is keyed by (seed, pulse), so a pulse's noise is the same however the pulses are cut.
+    The generator is keyed by (seed, pulse), so that a pulse's noise does not depend on the division into chunks.
     """
     out = np.empty(shape, np.complex64)
     scale = np.float32(np.sqrt(power / 2))
@@ -45,9 +45,6 @@ def noise(shape: tuple[int, int], *, first_pulse: int, power: float, seed: int) 
         random = np.random.Generator(np.random.Philox(key=np.array([seed, first_pulse + row], dtype=np.uint64)))
         out[row] = (random.standard_normal(2 * shape[1], dtype=np.float32) * scale).view(np.complex64)
     return out
-
-
-# -- scene to store -----------------------------------------------------------------------------------------
 
 
 def simulate(
@@ -59,26 +56,26 @@ def simulate(
     overwrite: bool = False,
     progress: Callback | None = None,
 ) -> Path | Place:
-    """Simulate a scene into a phase-history store, chunk of pulses by chunk: the whole is never in memory.
+    """Simulate a scene into a phase-history store, chunk by chunk of pulses, so that it need not fit into memory.
 
     Parameters
     ----------
     scene : Scene, or path of a scene file, or name of a shipped scene
     out : path, URL or Place
-        Of the store to make.
+        The store to create.
     raw : bool
         Store the chirped echo over fast time instead of range-frequency samples.
     threads : int
-        The samples do not depend on it.
+        Number of threads; the samples do not depend on it.
     overwrite : bool
-        Replace a store that is there.
+        Replace an existing store.
     progress : callable (done, total)
-        Told after each chunk, in pulses.
+        Called after each chunk with the numbers of finished pulses and of all pulses.
 
     Returns
     -------
     Path
-        Of the store; a Place where that is no path.
+        The store; a Place if it lies in an object store.
 
     Raises
     ------
@@ -103,7 +100,7 @@ def simulate(
             if progress is not None:
                 progress(pulses.stop, collection.n_pulse)
 
-    # Rows that are not yet written read as lost pulses: the store gets its name when it is complete.
+    # Rows not yet written would read as lost pulses: the store therefore gets its name when it is complete.
     stores.create_phase_history(where, collection, raw=echo, attrs=_attributes(scene), overwrite=overwrite, fill=write)
     return where.path if isinstance(where, LocalPlace) else where
 
@@ -111,12 +108,12 @@ def simulate(
 def sampler(
     scene: Scene, collection: Collection, *, echo: RawEcho | None = None, threads: int = 1
 ) -> Callable[[slice], ComplexArray]:
-    """A function of a slice of pulses: their samples as stored, noise and lost pulses included.
+    """Return a function that simulates a slice of pulses: samples as stored, with noise and lost pulses.
 
     `collection` is the scene's own, or one that differs from it in frequencies and reference range.
     """
     n = collection.n_range_frequency if echo is None else echo.fast_time.size
-    parts, lost = _reflecting(scene, collection), scene.dropped_pulses()
+    parts, lost = _scatterers(scene, collection), scene.dropped_pulses()
 
     def sample(pulses: slice) -> ComplexArray:
         samples = _samples(parts, echo, n, pulses, threads)
@@ -128,7 +125,7 @@ def sampler(
 
 def _echo_axes(scene: Scene) -> RawEcho:
     fast_time, pulse_width = scene.fast_time, scene.radar.pulse_width
-    assert pulse_width is not None  # fast_time has refused that
+    assert pulse_width is not None  # fast_time has checked that
     return RawEcho(
         fast_time=fast_time,
         chirp_rate=scene.radar.bandwidth / pulse_width,
@@ -137,8 +134,8 @@ def _echo_axes(scene: Scene) -> RawEcho:
     )
 
 
-def _reflecting(scene: Scene, collection: Collection) -> list[tuple[Field, bool]]:
-    """What reflects, and whether its raw echo is evaluated exactly: point targets, and field and map."""
+def _scatterers(scene: Scene, collection: Collection) -> list[tuple[Field, bool]]:
+    """Return point targets, and field with map, each with whether its raw echo is evaluated exactly."""
     points, many = scene.point_targets(), scene.scatterers()
     parts = []
     if points:
@@ -152,7 +149,7 @@ def _reflecting(scene: Scene, collection: Collection) -> list[tuple[Field, bool]
 def _samples(
     parts: list[tuple[Field, bool]], echo: RawEcho | None, n: int, pulses: slice, threads: int
 ) -> ComplexArray:
-    """The sum over what reflects, (n_pulses, n) complex64."""
+    """Sum the echoes of all scatterers, (n_pulses, n) complex64."""
     total = np.zeros((pulses.stop - pulses.start, n), np.complex64)
     for scatterers, exact in parts:
         if echo is None:
@@ -171,14 +168,14 @@ def _samples(
 
 
 def _disturb(samples: ComplexArray, scene: Scene, lost: NDArray[np.int64], pulses: slice) -> None:
-    """Add noise to samples that nobody else has seen yet, and make rows of lost pulses NaN."""
+    """Add noise to newly computed samples and set rows of lost pulses to NaN, in place."""
     if scene.noise is not None and scene.noise.power > 0:
         samples += noise(samples.shape, first_pulse=pulses.start, power=scene.noise.power, seed=scene.noise.seed)
     samples[lost[(lost >= pulses.start) & (lost < pulses.stop)] - pulses.start] = complex(np.nan, np.nan)
 
 
 def _attributes(scene: Scene) -> dict[str, Any]:
-    """What the store tells about its scene: name, targets (where there are few), noise and seeds."""
+    """Return the store's attributes about its scene: name, targets (unless there are many), noise and seeds."""
     attrs: dict[str, Any] = {"scene": scene.name, "noise": scene.noise.power if scene.noise else 0.0}
     tables = (scene.clutter, scene.reflectivity, scene.noise, scene.dropped)
     named = zip(("clutter", "reflectivity", "noise", "dropped"), tables, strict=True)

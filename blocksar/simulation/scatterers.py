@@ -1,4 +1,4 @@
-"""Echoes of scatterers: summed one by one, or by a non-uniform transform where there are many."""
+"""Echoes of scatterers: by direct summation, or by a non-uniform Fourier transform if there are many."""
 
 from __future__ import annotations
 
@@ -11,18 +11,19 @@ import finufft
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy import fft  # not fourier.py: this inverse transform leads to fast time, on its own grid
+from scipy import fft  # not kernels.fourier: this inverse transform leads to fast time, on its own grid
 
 from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.collection.beam import EDGE, beam_at, in_beam, wrapped
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT, TURN
 from blocksar.kernels.chirp import chirp_spectrum
 from blocksar.kernels.trigonometry import cosine, sine
 
-NUFFT_ACCURACY = 1e-7  # relative to the norm of the lit reflectivity: below the rounding of complex64
-DIRECT_LIMIT = 400  # scatterers from which the non-uniform transform is the faster one
-BLOCK = 16  # pulses that one thread takes at a time
+NUFFT_ACCURACY = 1e-7  # relative to the norm of the lit reflectivity: below the rounding error of complex64
+DIRECT_LIMIT = 400  # scatterers beyond which the non-uniform transform is faster
+BLOCK = 16  # pulses that a thread computes at a time
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -46,15 +47,14 @@ class Field:
     reflectivity: NDArray[np.complex128]
 
     def lit_slices(self, pulse: int) -> list[tuple[int, int]]:
-        """Slices that hold all scatterers lit at a pulse, and perhaps one on either side that is not.
+        """Return slices that contain all scatterers lit at a pulse, and at most one unlit on either side.
 
-        Two where the beam looks across yaw = +-pi.
+        There are two slices if the beam extends across yaw = +-pi.
         """
-        width = self.collection.beam_width
-        if width is None:
+        if not self.collection.steered:
             return [(0, self.yaw.size)]
-        half = width / 2 * (1 + 1e-12) + 1e-12
-        azimuth = wrapped(self.collection.beam_azimuth[pulse])
+        azimuth, half = _beam(self.collection, pulse)
+        azimuth, half = wrapped(azimuth), half + EDGE
         found = []
         for beam in (azimuth - TURN, azimuth, azimuth + TURN):
             first, last = np.searchsorted(self.yaw, [beam - half, beam + half])
@@ -64,7 +64,7 @@ class Field:
 
 
 def field(collection: Collection, x: FloatArray, y: FloatArray, reflectivity: NDArray[Any]) -> Field:
-    """Scatterers of any shape, ready for `phase_history` and `raw_echo`.
+    """Prepare scatterers for `phase_history` and `raw_echo`; the arrays may have any shape.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def simulate_pulses(
     pulses: slice = slice(None),
     threads: int = 1,
 ) -> ComplexArray:
-    """Range-frequency samples of scatterers on the ground plane, exact ranges.
+    """Simulate range-frequency samples of scatterers on the ground plane, with exact ranges.
 
     signal[p, f] = sum over lit scatterers of sigma exp(-4j pi (fc + f) / c (R(t_p) - reference_range[p]))
 
@@ -104,9 +104,9 @@ def simulate_pulses(
         m, scene frame.
     reflectivity : (n,) complex
     pulses : slice
-        Of the collection's pulses, step 1.
+        Pulses of the collection, with step 1.
     threads : int
-        The result does not depend on it.
+        Number of threads; the result does not depend on it.
 
     Returns
     -------
@@ -116,10 +116,10 @@ def simulate_pulses(
 
 
 def phase_history(scatterers: Field, *, pulses: slice, threads: int = 1) -> ComplexArray:
-    """As `simulate_pulses`, of scatterers that are prepared once for many calls.
+    """Simulate as `simulate_pulses` does, for scatterers that are prepared once for many calls.
 
-    Few are summed directly (error below 1e-7 each), many by a non-uniform Fourier transform (error below 1e-6 of
-    the root sum square of the lit reflectivity).
+    Few scatterers are summed directly (error below 1e-7 each), many by a non-uniform Fourier transform (error below
+    1e-6 of the root sum square of the lit reflectivity).
     """
     collection = scatterers.collection
     if scatterers.yaw.size > DIRECT_LIMIT:
@@ -146,7 +146,7 @@ def raw_echo(
     threads: int = 1,
     exact: bool = True,
 ) -> ComplexArray:
-    """Chirped echo over fast time.
+    """Simulate the chirped echo over fast time.
 
     echo[p, tau] = sum over lit scatterers of sigma p(tau - 2R/c) exp(-4j pi fc / c (R - reference_range[p])),
     p(tau) = exp(j pi chirp_rate tau^2) for |tau| <= pulse_width / 2.
@@ -163,10 +163,10 @@ def raw_echo(
     pulses : slice
     threads : int
     exact : bool
-        True: p is evaluated at every sample of every scatterer. False, for many scatterers: the samples are built
-        from the chirp's spectrum within half the sampling rate, on the Fourier grid of the fast-time samples. That
-        is what a receiver with an ideal anti-alias filter records; it differs from the exact samples by the chirp's
-        spectral tails, chiefly at the two ends of the pulse.
+        True: p is evaluated at every sample of every scatterer. False, for many scatterers: the samples are computed
+        from the chirp's spectrum within half the sampling rate, on the Fourier grid of the fast-time samples. A
+        receiver with an ideal anti-alias filter records the same; the difference from the exact samples is the
+        chirp's spectral tails, chiefly at the two ends of the pulse.
 
     Returns
     -------
@@ -200,15 +200,10 @@ def raw_echo(
 # -- blocks of pulses ---------------------------------------------------------------------------------------
 
 
-def wrapped(angle: float) -> float:
-    """The same angle in [-pi, pi]."""
-    return float(angle - TURN * np.rint(angle / TURN))
-
-
 def _in_blocks(
     work: Callable[[range, ComplexArray], None], pulses: slice, collection: Collection, n: int, threads: int
 ) -> ComplexArray:
-    """Let `work` fill (len(block), n) rows for every block of pulses, by threads; compiled code drops the GIL."""
+    """Fill (len(block), n) rows by `work` for every block of pulses, in threads; compiled code releases the GIL."""
     first, stop, step = pulses.indices(collection.n_pulse)
     if step != 1:
         raise ValueError(f"{pulses=}: the step must be 1")
@@ -226,21 +221,15 @@ def _in_blocks(
 
 def _beam(collection: Collection, pulse: int) -> tuple[float, float]:
     """Yaw of the beam centre and half its width, rad; infinite half width where the beam is not steered."""
-    if collection.beam_width is None:
-        return 0.0, np.inf
-    return float(collection.beam_azimuth[pulse]), collection.beam_width / 2
+    azimuth, half_width = beam_at(collection, slice(pulse, pulse + 1))
+    return float(azimuth[0]), half_width
 
 
-@njit(inline="always")
-def _lit(yaw: float, beam: float, half_width: float) -> bool:
-    away = yaw - beam
-    return abs(away - TURN * np.rint(away / TURN)) <= half_width
-
-
-# -- few scatterers: direct sums ----------------------------------------------------------------------------
+_in_beam = njit(inline="always")(in_beam)
 
 
 def _direct(scatterers: Field, block: range, out: ComplexArray) -> None:
+    """Sum the range-frequency samples of few scatterers directly."""
     collection = scatterers.collection
     n = collection.n_range_frequency
     stride = int(np.ceil(np.sqrt(n)))
@@ -281,15 +270,15 @@ def _direct_pulse(
 ) -> None:
     """out[k] = sum sigma exp(-2j pi (cycles_first + k cycles_step) (R - reference)).
 
-    With k = a stride + b the exponential is a product of one in a and one in b: 2 sqrt(n) sines and cosines instead
-    of n, all of them of float64 phases, and a plain outer product.
+    With k = a stride + b, the exponential is a factor in a times a factor in b: 2 sqrt(n) sines and cosines of float64
+    phases instead of n, and an outer product.
     """
     n = out.size
     rows = (n + stride - 1) // stride
     total_real, total_imag = np.zeros((rows, stride)), np.zeros((rows, stride))
     fine_real, fine_imag = np.empty(stride), np.empty(stride)
     for i in range(x.size):
-        if not _lit(yaw[i], beam, half_width):
+        if not _in_beam(yaw[i], beam, half_width):
             continue
         dx, dy, dz = x[i] - antenna[0], y[i] - antenna[1], height - antenna[2]
         away = np.sqrt(dx * dx + dy * dy + dz * dz) - reference
@@ -312,6 +301,7 @@ def _direct_pulse(
 def _direct_echo(
     scatterers: Field, block: range, start: float, interval: float, half: float, chirp_rate: float, out: ComplexArray
 ) -> None:
+    """Sum the raw echoes of few scatterers directly."""
     collection = scatterers.collection
     for row, pulse in enumerate(block):
         beam, half_width = _beam(collection, pulse)
@@ -352,10 +342,11 @@ def _direct_echo_pulse(
     chirp_rate: float,
     out: ComplexArray,
 ) -> None:
+    """out[k] = sum sigma exp(2j pi (chirp_rate / 2 tau_k^2 - cycles_per_metre (R - reference))), within the pulse."""
     n = out.size
     total = np.zeros(n, np.complex128)
     for i in range(x.size):
-        if not _lit(yaw[i], beam, half_width):
+        if not _in_beam(yaw[i], beam, half_width):
             continue
         dx, dy, dz = x[i] - antenna[0], y[i] - antenna[1], height - antenna[2]
         distance = np.sqrt(dx * dx + dy * dy + dz * dz)
@@ -372,9 +363,6 @@ def _direct_echo_pulse(
         out[k] = complex(np.float32(total[k].real), np.float32(total[k].imag))
 
 
-# -- many scatterers: non-uniform transform -----------------------------------------------------------------
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Grid:
     """Frequencies middle + (k - n // 2) step, Hz, of ranges counted from envelope_range (n_pulse,), m."""
@@ -388,7 +376,7 @@ class _Grid:
 def _transform(scatterers: Field, grid: _Grid, block: range, out: NDArray[Any]) -> None:
     """out[row, k] = sum sigma exp(-4j pi / c [fc (R - reference_range) + f_k (R - envelope_range)])."""
     collection = scatterers.collection
-    # The fine grid of one transform fits in the cache: sorting the scatterers by range would cost more than it saves.
+    # The fine grid of one transform fits into the cache, so that sorting the scatterers by range would not pay.
     plan = finufft.Plan(1, (grid.n,), eps=NUFFT_ACCURACY, isign=-1, dtype="complex128", nthreads=1, spread_sort=0)
     nodes, strengths = np.empty(scatterers.yaw.size), np.empty(scatterers.yaw.size, np.complex128)
     for row, pulse in enumerate(block):
@@ -438,6 +426,7 @@ def _nodes_and_strengths(
     nodes: FloatArray,
     strengths: NDArray[np.complex128],
 ) -> None:
+    """Compute nodes and strengths of one pulse's transform; scatterers that are not lit have strength 0."""
     ax, ay, dz = antenna[0], antenna[1], height - antenna[2]
     for i in range(x.size):
         dx, dy = x[i] - ax, y[i] - ay
@@ -447,7 +436,7 @@ def _nodes_and_strengths(
         nodes[i] = TURN * (turns - np.rint(turns))
         cycles = -(carrier_cycles * (distance - reference) + middle_cycles * away)
         part = np.float32(cycles - np.rint(cycles))
-        lit = 1.0 if _lit(yaw[i], beam, half_width) else 0.0
+        lit = 1.0 if _in_beam(yaw[i], beam, half_width) else 0.0
         cos, sin = lit * cosine(part), lit * sine(part)
         sigma = reflectivity[i]
         strengths[i] = complex(sigma.real * cos - sigma.imag * sin, sigma.real * sin + sigma.imag * cos)

@@ -1,13 +1,13 @@
-"""Scene files: radar, track, beam, targets and disturbances in TOML, checked as a whole before anything runs.
+"""Scene files in TOML: radar, track, beam, targets and disturbances, checked as a whole before anything runs.
 
-A scene file is written by people, so angles are in degrees (in keys that end in `_deg`); everything else is SI.
-A wrong file gives one message that lists every wrong field, its value and what would do.
+People write scene files, so angles are in degrees (in keys that end in `_deg`); all other units are SI. The message
+about a wrong file lists every wrong field with its value and the remedy.
 
     title = "..."
     [radar]         carrier, bandwidth, range_sampling, prf, pulse_width (raw echo only)
     [track]         position, velocity, acceleration, jerk | coefficients | samples | file
     [time]          duration | pulses; start
-    [beam]          start_deg, stop_deg, dwell | width_deg          (leave out: not steered)
+    [beam]          start_deg, stop_deg, dwell | width_deg          (omit if not steered)
     [scene]         swath, centre_yaw_deg, centre_range, ground_height, reference_range
     [[targets]]     name, x + y | range + yaw_deg | ground_range_offset + cross_range_offset; amplitude, phase_deg
     [matrix]        rows, columns, spacing | extent, names
@@ -24,18 +24,19 @@ import tomllib
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, PrivateAttr, ValidationError
 
 from blocksar.arrays import FloatArray, IntArray
+from blocksar.collection.beam import in_beam, lit_yaw
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.simulation.messages import describe_error, impossible_values, message_of
+from blocksar.simulation.reflectors import PointTarget, Scatterers, draw_field, read_map
 from blocksar.simulation.tables import (
     MAX_PULSES,
     AreaTable,
@@ -52,36 +53,13 @@ from blocksar.simulation.tables import (
     TrackTable,
 )
 
-RANGE_GUARD = 1.05  # the range window exceeds what lit targets need by this factor
+RANGE_GUARD = 1.05  # ratio of the range window to what lit targets need
 MAX_FAST_TIME_SAMPLES = 1 << 20
-CHECKED_PULSES = 257  # pulses at which the range migration of lit targets is measured
-
-
-class PointTarget(NamedTuple):
-    """A named point target on the ground plane: x, y in m in the scene frame."""
-
-    name: str
-    x: float
-    y: float
-    reflectivity: complex
-
-
-class Scatterers(NamedTuple):
-    """Many nameless scatterers: x, y (n,) m in the scene frame, reflectivity (n,) complex64."""
-
-    x: FloatArray
-    y: FloatArray
-    reflectivity: NDArray[np.complex64]
+CHECKED_PULSES = 257  # number of pulses at which ranges of lit targets are evaluated
 
 
 class Scene(Table):
-    """A scene file, checked. Read one by `Scene.read`.
-
-    Raises
-    ------
-    InputError
-        From `read` and `parse`, with every wrong field.
-    """
+    """A checked scene file; `Scene.read` reads one, and `Scene.parse` its text."""
 
     title: str = Field("", description="one line about the scene")
     radar: RadarTable = Field(description="the table of the radar")
@@ -99,12 +77,12 @@ class Scene(Table):
 
     @classmethod
     def read(cls, source: str | Path) -> Scene:
-        """Read a scene file; a name that is no file is looked up among the shipped scenes (e.g. "table1").
+        """Read a scene file; a name that is not a file means a shipped scene (e.g. "table1").
 
         Raises
         ------
         InputError
-            If there is no such scene, it is no TOML, or fields are wrong: all of them, in one message.
+            If there is no such scene, it is not TOML, or fields are wrong; the message lists all of them.
         """
         path = Path(source)
         if os.path.isfile(path):
@@ -123,14 +101,31 @@ class Scene(Table):
 
     @classmethod
     def parse(cls, text: str, *, name: str = "", label: str = "scene", folder: Path | None = None) -> Scene:
-        """Check the text of a scene file; `label` names it in messages, `folder` is where its files lie."""
+        """Read and check the text of a scene file.
+
+        Parameters
+        ----------
+        text : str
+            TOML.
+        name : str
+            Name of the scene.
+        label : str
+            Name of the file in messages.
+        folder : path, optional
+            Folder of the files that the scene names.
+
+        Raises
+        ------
+        InputError
+            If it is not TOML, or fields are wrong; the message lists all of them.
+        """
         try:
             data = tomllib.loads(text)
-            absurd = list(impossible_values(data))
+            impossible = list(impossible_values(data))
         except (ValueError, RecursionError) as error:
-            raise InputError(f"{label} is not TOML: {error}; mend that line") from None
-        if absurd:
-            raise InputError(message_of(label, absurd))
+            raise InputError(f"{label} is not TOML: {error}; correct that line") from None
+        if impossible:
+            raise InputError(message_of(label, impossible))
         try:
             scene = cls.model_validate(data, context={"folder": folder})
         except ValidationError as error:
@@ -141,11 +136,11 @@ class Scene(Table):
 
     @property
     def name(self) -> str:
-        """The scene file's name without its ending, or the shipped scene's."""
+        """The name of the scene file without its suffix, or of the shipped scene."""
         return self._name
 
     def _check_whole(self, label: str) -> None:
-        """Checks across tables: all that are wrong at once."""
+        """Check the tables against each other; raise an InputError that lists all problems."""
         problems: list[str] = []
         if self.beam is None and self.area.centre_yaw_deg is None:
             problems.append("scene.centre_yaw_deg is missing: a scene without [beam] needs it")
@@ -166,15 +161,16 @@ class Scene(Table):
             if wrong:
                 problems.append(f"dropped = {wrong[:5]}: must be indices of the {n} pulses, 0 to {n - 1}")
         names = [target.name for target in self.targets] + (self.matrix.labels() if self.matrix else [])
-        twice = sorted({name for name in names if names.count(name) > 1}) if len(names) <= 2000 else []
-        if twice:
-            problems.append(f"targets = {twice[:5]}: names must differ from target to target")
+        repeated = sorted({name for name in names if names.count(name) > 1}) if len(names) <= 2000 else []
+        if repeated:
+            problems.append(f"targets = {repeated[:5]}: names must differ from target to target")
         if not problems:
-            problems.extend(self._check_places())
+            problems.extend(self._check_ranges())
         if problems:
             raise InputError(message_of(label, problems))
 
-    def _check_places(self) -> list[str]:
+    def _check_ranges(self) -> list[str]:
+        """List slant ranges that do not reach the ground."""
         try:
             height = self.origin[2] - self.area.ground_height
         except InputError as error:
@@ -188,8 +184,6 @@ class Scene(Table):
             for field, value in fields.items()
             if value is not None and value <= height
         ]
-
-    # -- pulses, track and beam -----------------------------------------------------------------------------
 
     @property
     def n_pulse(self) -> int:
@@ -217,7 +211,7 @@ class Scene(Table):
 
     @cached_property
     def beam_azimuth(self) -> FloatArray:
-        """Beam-centre yaw (n_pulse,), rad; NaN where not steered."""
+        """Beam-centre yaw (n_pulse,), rad; NaN if the beam is not steered."""
         if self.beam is None:
             return np.full(self.n_pulse, np.nan)
         start, stop = self.beam.start_deg, self.beam.stop_deg
@@ -238,17 +232,15 @@ class Scene(Table):
 
     @cached_property
     def geometry(self) -> Geometry:
-        """Track and polar frame, as everybody downstream derives them from the store (range axis: a stand-in)."""
+        """Track and polar frame, as derived from the store later; its range axis is a placeholder."""
         axis = np.linspace(-0.5, 0.5, 8) * self.radar.bandwidth
         return Geometry(collection=self._collection(axis, np.zeros(self.n_pulse)))
 
     @cached_property
     def origin(self) -> FloatArray:
         """Antenna position at t = 0, (3,) m."""
-        self.geometry.nadir  # noqa: B018 - refuses where t = 0 lies too far from the pulses
+        self.geometry.nadir  # noqa: B018 - raises an InputError if t = 0 lies too far from the pulses
         return self.geometry.track.position(np.array(0.0))
-
-    # -- places on the ground -------------------------------------------------------------------------------
 
     @property
     def centre_yaw(self) -> float:
@@ -259,7 +251,7 @@ class Scene(Table):
         return float(np.deg2rad((self.beam.start_deg + self.beam.stop_deg) / 2))
 
     def ground_point(self, slant_range: FloatArray | float, yaw: FloatArray | float) -> tuple[FloatArray, FloatArray]:
-        """x, y (m) on the ground at slant ranges (m) and yaws (rad) at t = 0; both broadcast."""
+        """Return x, y (m) on the ground at slant ranges (m) and yaws (rad) at t = 0; both broadcast."""
         height = self.origin[2] - self.area.ground_height
         distance = np.sqrt(np.asarray(slant_range) ** 2 - height**2)
         return self.origin[0] + distance * np.cos(yaw), self.origin[1] + distance * np.sin(yaw)
@@ -272,48 +264,48 @@ class Scene(Table):
         return np.array([float(x), float(y), self.area.ground_height])
 
     def offset_point(self, along: FloatArray | float, across: FloatArray | float) -> tuple[FloatArray, FloatArray]:
-        """x, y (m) at offsets from the scene centre: along ground range there, and across it to larger yaw."""
+        """Return x, y (m) at offsets (m) from the scene centre: along ground range, and across it to larger yaw."""
         cos, sin = np.cos(self.centre_yaw), np.sin(self.centre_yaw)
         along, across = np.asarray(along), np.asarray(across)
         return self.centre[0] + along * cos - across * sin, self.centre[1] + along * sin + across * cos
 
     @cached_property
     def lit_yaw(self) -> tuple[float, float]:
-        """First and last yaw (rad) that is ever lit; the scene centre's own where the beam is not steered."""
+        """First and last yaw (rad) that the beam lights; those of the scene centre if the beam is not steered."""
         if self.beam is None:
             return self.centre_yaw, self.centre_yaw
-        half = np.deg2rad(self.beam_width_deg) / 2
-        return float(self.beam_azimuth.min() - half), float(self.beam_azimuth.max() + half)
-
-    # -- what reflects --------------------------------------------------------------------------------------
+        return lit_yaw(self.geometry.collection)
 
     def point_targets(self) -> list[PointTarget]:
-        """All point targets: the listed ones, then the matrix row by row."""
-        found: list[PointTarget] = []
+        """Return all point targets: the listed ones, then the matrix row by row."""
+        points: list[PointTarget] = []
         for target in self.targets:
             if target.x is not None and target.y is not None:
-                place = np.asarray(target.x), np.asarray(target.y)
+                position = np.asarray(target.x), np.asarray(target.y)
             elif target.range is not None and target.yaw_deg is not None:
-                place = self.ground_point(target.range, float(np.deg2rad(target.yaw_deg)))
+                position = self.ground_point(target.range, float(np.deg2rad(target.yaw_deg)))
             else:
-                place = self.offset_point(target.ground_range_offset or 0.0, target.cross_range_offset or 0.0)
-            found.append(PointTarget(target.name, float(place[0]), float(place[1]), target.reflectivity))
+                position = self.offset_point(target.ground_range_offset or 0.0, target.cross_range_offset or 0.0)
+            points.append(PointTarget(target.name, float(position[0]), float(position[1]), target.reflectivity))
         if self.matrix is not None:
             x, y = self.offset_point(*self.matrix.offsets())
             amplitude = complex(self.matrix.amplitude)
-            found.extend(map(PointTarget, self.matrix.labels(), x.tolist(), y.tolist(), [amplitude] * x.size))
-        return found
+            points.extend(map(PointTarget, self.matrix.labels(), x.tolist(), y.tolist(), [amplitude] * x.size))
+        return points
 
     def scatterers(self) -> Scatterers:
-        """The random field and the reflectivity map, as one list of scatterers (possibly empty)."""
-        parts = [self._clutter()] if self.clutter is not None else []
-        parts += [self._map()] if self.reflectivity is not None else []
+        """Return the scatterers of the random field and of the reflectivity map together (possibly none)."""
+        parts = []
+        if self.clutter is not None:
+            parts.append(draw_field(self.clutter, *self._clutter_region(), self.ground_point))
+        if self.reflectivity is not None:
+            parts.append(read_map(self.reflectivity))
         if not parts:
             return Scatterers(np.empty(0), np.empty(0), np.empty(0, np.complex64))
         return Scatterers(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
     def _clutter_region(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Polar region of the random field: slant ranges (m) and yaws (rad)."""
+        """Return the polar region of the random field: slant ranges (m) and yaws (rad)."""
         assert self.clutter is not None
         ranges = self.clutter.range or self.area.swath
         yaws = self.clutter.yaw_deg
@@ -321,37 +313,8 @@ class Scene(Table):
             return ranges, (float(np.deg2rad(yaws[0])), float(np.deg2rad(yaws[1])))
         return ranges, self.lit_yaw
 
-    def _clutter(self) -> Scatterers:
-        clutter = self.clutter
-        assert clutter is not None
-        random = np.random.default_rng(clutter.seed)
-        u, v = random.random((2, clutter.scatterers))
-        if clutter.x is not None and clutter.y is not None:
-            x = clutter.x[0] + u * (clutter.x[1] - clutter.x[0])
-            y = clutter.y[0] + v * (clutter.y[1] - clutter.y[0])
-        else:
-            ranges, yaws = self._clutter_region()
-            # Ground area grows with the square of the distance, and that with the square of the slant range.
-            squared = ranges[0] ** 2 + u * (ranges[1] ** 2 - ranges[0] ** 2)
-            x, y = self.ground_point(np.sqrt(squared), yaws[0] + v * (yaws[1] - yaws[0]))
-        parts = random.standard_normal((2, clutter.scatterers)) * np.sqrt(clutter.power / 2)
-        return Scatterers(x, y, (parts[0] + 1j * parts[1]).astype(np.complex64))
-
-    def _map(self) -> Scatterers:
-        table = self.reflectivity
-        assert table is not None
-        pixels = np.load(table.file, allow_pickle=False)
-        row, column = np.nonzero(pixels)
-        values = pixels[row, column].astype(np.complex64)
-        if table.seed is not None:
-            # One phase for each pixel of the map, also the empty ones: editing one leaves the others alone.
-            phase = np.random.default_rng(table.seed).random(pixels.shape)[row, column]
-            values = values * np.exp(2j * np.pi * phase).astype(np.complex64)
-        x, y = table.x0 + table.dx * column.astype(np.float64), table.y0 + table.dy * row.astype(np.float64)
-        return Scatterers(x, y, values)
-
     def dropped_pulses(self) -> IntArray:
-        """Indices of lost pulses, ascending."""
+        """Return the indices of lost pulses, ascending."""
         if self.dropped is None:
             return np.empty(0, dtype=np.int64)
         lost = np.zeros(self.n_pulse, dtype=bool)
@@ -363,19 +326,17 @@ class Scene(Table):
             lost[np.random.default_rng(self.dropped.seed).permutation(self.n_pulse)[:count]] = True
         return np.flatnonzero(lost)
 
-    # -- axes -----------------------------------------------------------------------------------------------
-
     @cached_property
     def reference_range(self) -> FloatArray:
         """Range whose phase is removed, (n_pulse,) m."""
-        wish = self.area.reference_range
-        if wish == "scene_centre":
+        choice = self.area.reference_range
+        if choice == "scene_centre":
             return np.asarray(np.linalg.norm(self.centre - self.geometry.collection.antenna_position, axis=1))
-        constant = float(np.linalg.norm(self.centre - self.origin)) if wish == "constant" else float(wish)
+        constant = float(np.linalg.norm(self.centre - self.origin)) if choice == "constant" else float(choice)
         return np.full(self.n_pulse, constant)
 
     def _outline(self) -> tuple[FloatArray, FloatArray]:
-        """x, y (m) of points between which everything lies that may be lit: swath, targets, field, map."""
+        """Return x, y (m) of points that enclose everything that may be lit: swath, targets, field, map."""
         yaw = np.linspace(*self.lit_yaw, 65)
         near, far = self.area.swath
         parts = [self.ground_point(np.linspace(near, far, 5)[:, None], yaw)]
@@ -399,18 +360,18 @@ class Scene(Table):
 
     @cached_property
     def _lit_ranges(self) -> tuple[float, float, float]:
-        """Over lit targets and pulses: largest |R - reference_range|, smallest R, largest R, m."""
+        """Largest |R - reference_range|, smallest R and largest R, m, over lit targets and pulses."""
         x, y = self._outline()
         yaw = self.geometry.yaw(x, y)
         pulses = np.unique(np.linspace(0, self.n_pulse - 1, CHECKED_PULSES).astype(int))
-        # Half a step of the checked pulses is added to the beam, so that no target slips between two of them.
+        # The beam is widened by half a step of the checked pulses, so that no lit target is missed between two.
         slack = np.ptp(self.beam_azimuth) / (pulses.size - 1) if self.beam else 0.0
         half = np.deg2rad(self.beam_width_deg) / 2 + slack
         largest, nearest, farthest = 0.0, np.inf, 0.0
         for pulse in pulses:
             lit = np.ones(x.shape, bool)
             if self.beam is not None:
-                lit = np.abs(np.mod(yaw - self.beam_azimuth[pulse] + np.pi, 2 * np.pi) - np.pi) <= half
+                lit = in_beam(yaw, self.beam_azimuth[pulse], half)
             px, py, pz = self.geometry.collection.antenna_position[pulse]
             distance = np.sqrt((x[lit] - px) ** 2 + (y[lit] - py) ** 2 + (self.area.ground_height - pz) ** 2)
             if distance.size:
@@ -419,7 +380,7 @@ class Scene(Table):
         return largest, nearest, farthest
 
     def _fast_time_samples(self, window: float) -> int:
-        """Even, 5-smooth number of fast-time samples that span `window` metres of range."""
+        """Return the even, 5-smooth number of fast-time samples that span `window` metres of range."""
         least = max(window, 0.0) * 2 * self.radar.range_sampling / SPEED_OF_LIGHT
         if not least <= MAX_FAST_TIME_SAMPLES:
             raise InputError(
@@ -431,7 +392,7 @@ class Scene(Table):
 
     @cached_property
     def fast_time(self) -> FloatArray:
-        """Two-way delays of the raw echo's samples, (n,) s: all lit echoes over their whole length.
+        """Two-way delays of the raw echo's samples, (n,) s, which contain all lit echoes completely.
 
         Raises
         ------
@@ -442,46 +403,46 @@ class Scene(Table):
             raise InputError("radar.pulse_width is missing: a raw echo needs the length of its chirp, s")
         largest, nearest, farthest = self._lit_ranges
         pulse = self.radar.pulse_width * SPEED_OF_LIGHT / 2
-        # Range compression leaves ranges modulo the window, about the reference: it must hold them as well.
+        # Range compression wraps ranges into the window about the reference, so it must contain these as well.
         window = RANGE_GUARD * max(farthest - nearest + pulse, 2 * largest)
         n = self._fast_time_samples(window)
         middle = (nearest + farthest) / SPEED_OF_LIGHT
         return np.asarray(middle + (np.arange(n) - n // 2) / self.radar.range_sampling)
 
     def range_frequency(self, *, raw: bool = False) -> FloatArray:
-        """Baseband range frequencies, Hz: the Fourier grid of the fast-time samples within the bandwidth.
+        """Return the baseband range frequencies, Hz: the Fourier grid of the fast-time samples within the bandwidth.
 
-        The window c / (2 step) holds all lit ranges about the reference range, range migration and a guard of
-        5 % included, so no echo wraps.
+        The window c / (2 step) contains all lit ranges about the reference range, including range migration and a
+        guard of 5 %, so that no echo wraps.
         """
         n = self.fast_time.size if raw else self._fast_time_samples(2 * RANGE_GUARD * self._lit_ranges[0])
         grid = np.arange(-(n // 2), n // 2) * (self.radar.range_sampling / n)
         return np.asarray(grid[np.abs(grid) <= self.radar.bandwidth / 2])
 
     def collection(self, *, raw: bool = False) -> Collection:
-        """The collection's metadata, as the simulated store will hold them.
+        """Return the collection's metadata, as the simulated store will hold it.
 
         Parameters
         ----------
         raw : bool
-            For the raw echo, whose range-frequency grid is that of `fast_time`.
+            For a raw echo, whose range frequencies belong to `fast_time`.
 
         Raises
         ------
         InputError
-            If track samples do not cover the pulses, the range window is absurd, or a raw echo has no pulse width.
+            If track samples do not cover the pulses, the range window is too large, or a raw echo has no pulse width.
         """
         return self._collection(self.range_frequency(raw=raw), self.reference_range)
 
 
 def shipped_scenes() -> list[str]:
-    """Names of the scenes inside the package."""
+    """List the names of the scenes in the package."""
     folder = resources.files("blocksar.simulation") / "scenes"
     return sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml"))
 
 
 def next_smooth_even(least: int) -> int:
-    """The least even number >= max(least, 16) whose prime factors are 2, 3 and 5.
+    """Return the least even number >= max(least, 16) whose prime factors are 2, 3 and 5.
 
     >>> next_smooth_even(2342)
     2400

@@ -1,4 +1,4 @@
-"""The tables of a scene file, and their limits."""
+"""The tables of a scene file: their fields, units, limits and checks."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from blocksar.arrays import FloatArray
 from blocksar.errors import InputError
 
 MAX_PULSES = 1 << 22
-LARGEST, SMALLEST = 1e19, 1e-19  # numbers in any unit: beyond them nothing is meant, and arithmetic overflows
+LARGEST, SMALLEST = 1e19, 1e-19  # in any unit: numbers beyond are mistakes, and would overflow
 
 Positive = Annotated[float, Field(gt=0)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
-# TOML knows lists only: let a tuple be read from one, while what is in it stays strict.
+# TOML has lists only: tuples are read from lists, while their elements stay strict.
 Pair = Annotated[tuple[float, float], Field(strict=False)]
 IndexPair = Annotated[tuple[int, int], Field(strict=False)]
 Vector = Annotated[tuple[float, float, float], Field(strict=False)]
@@ -26,6 +26,8 @@ Sample = Annotated[tuple[float, float, float, float], Field(strict=False)]
 
 
 class Table(BaseModel):
+    """A table of a scene file: frozen, without unknown keys, without conversion of types, finite."""
+
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
@@ -34,11 +36,12 @@ def _require(condition: bool, message: str) -> None:
         raise ValueError(message)
 
 
-def _either(given: list[str], one: str, other: str) -> str:
-    return f"{'both' if given else 'neither'} given: give either {one} or {other}"
+def _either(present: list[str], one: str, other: str) -> str:
+    return f"{'both' if present else 'neither'} given: give either {one} or {other}"
 
 
-def _given(table: BaseModel, *names: str) -> list[str]:
+def _present(table: BaseModel, *names: str) -> list[str]:
+    """List those of the named fields that the file states."""
     return [name for name in names if getattr(table, name) is not None]
 
 
@@ -82,7 +85,7 @@ class TrackTable(Table):
             return data
         path = _beside(data["file"], info)
         try:
-            with warnings.catch_warnings(action="ignore", category=UserWarning):  # it is empty: said below
+            with warnings.catch_warnings(action="ignore", category=UserWarning):  # an empty file, reported below
                 table = np.loadtxt(path, delimiter=",", ndmin=2, comments="#", skiprows=_header_lines(path))
         except (OSError, ValueError) as error:
             raise ValueError(f"file = {data['file']!r}: must be a readable CSV of t, x, y, z ({error})") from None
@@ -90,8 +93,8 @@ class TrackTable(Table):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        taylor = _given(self, "position", "velocity", "acceleration", "jerk")
-        ways = [*(["position, velocity"] if taylor else []), *_given(self, "coefficients", "samples")]
+        taylor = _present(self, "position", "velocity", "acceleration", "jerk")
+        ways = [*(["position, velocity"] if taylor else []), *_present(self, "coefficients", "samples")]
         _require(
             len(ways) == 1,
             f"{' and '.join(ways) or 'nothing'} given: give one of position + velocity (+ acceleration, jerk), "
@@ -108,7 +111,7 @@ class TrackTable(Table):
         return self
 
     def positions(self, time: FloatArray) -> FloatArray:
-        """Antenna phase centre (n, 3), m, at slow times (n,), s: polynomial, or cubic spline through the samples.
+        """Return the antenna phase centre (n, 3), m, at slow times (n,), s: a polynomial, or a cubic spline of samples.
 
         Raises
         ------
@@ -116,7 +119,7 @@ class TrackTable(Table):
             If the samples do not cover `time`.
         """
         if self.samples is not None:
-            from scipy.interpolate import CubicSpline  # heavy, and only sampled tracks need it
+            from scipy.interpolate import CubicSpline  # slow to import, and only sampled tracks need it
 
             rows = np.array(self.samples)
             tolerance = 1e-9 * (rows[-1, 0] - rows[0, 0])
@@ -142,8 +145,8 @@ class TimeTable(Table):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        given = _given(self, "duration", "pulses")
-        _require(len(given) == 1, _either(given, "duration (s)", "pulses"))
+        present = _present(self, "duration", "pulses")
+        _require(len(present) == 1, _either(present, "duration (s)", "pulses"))
         return self
 
 
@@ -155,8 +158,8 @@ class BeamTable(Table):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        given = _given(self, "dwell", "width_deg")
-        _require(len(given) == 1, _either(given, "dwell (s)", "width_deg"))
+        present = _present(self, "dwell", "width_deg")
+        _require(len(present) == 1, _either(present, "dwell (s)", "width_deg"))
         _require(
             self.start_deg != self.stop_deg or self.dwell is None,
             f"dwell = {self.dwell}: a beam that stands still has no dwell, give width_deg",
@@ -200,10 +203,10 @@ class TargetTable(Table):
     @model_validator(mode="after")
     def _check(self) -> Self:
         ways = {("x", "y"), ("range", "yaw_deg"), ("ground_range_offset", "cross_range_offset")}
-        given = tuple(_given(self, "x", "y", "range", "yaw_deg", "ground_range_offset", "cross_range_offset"))
+        present = tuple(_present(self, "x", "y", "range", "yaw_deg", "ground_range_offset", "cross_range_offset"))
         _require(
-            given in ways,
-            f"place of {self.name!r} = {', '.join(given) or 'nothing'}: give x + y, range + yaw_deg, or "
+            present in ways,
+            f"place of {self.name!r} = {', '.join(present) or 'nothing'}: give x + y, range + yaw_deg, or "
             "ground_range_offset + cross_range_offset",
         )
         return self
@@ -225,10 +228,10 @@ class MatrixTable(Table):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        given = _given(self, "spacing", "extent")
-        _require(len(given) == 1, _either(given, "spacing (m)", "extent (m)"))
+        present = _present(self, "spacing", "extent")
+        _require(len(present) == 1, _either(present, "spacing (m)", "extent (m)"))
         size = self.spacing or self.extent or (0.0, 0.0)
-        _require(min(size) > 0, f"{given[0]} = {list(size)}: both must be greater than 0 m")
+        _require(min(size) > 0, f"{present[0]} = {list(size)}: both must be greater than 0 m")
         _require(
             self.rows * self.columns <= 10_000,
             f"rows x columns = {self.rows * self.columns}: at most 10000 targets; use clutter for more",
@@ -243,7 +246,7 @@ class MatrixTable(Table):
         return self
 
     def offsets(self) -> tuple[FloatArray, FloatArray]:
-        """(along ground range, across it) from the scene centre, m, row by row."""
+        """Return offsets (along ground range, across it) from the scene centre, m, row by row."""
         counts = (self.rows, self.columns)
         if self.spacing is not None:
             extents = [step * (count - 1) for step, count in zip(self.spacing, counts, strict=True)]
@@ -257,11 +260,11 @@ class MatrixTable(Table):
         return along.ravel(), across.ravel()
 
     def labels(self) -> list[str]:
-        """Names row by row."""
+        """Return the targets' names, row by row."""
         named = {index: name for name, index in self.names.items()}
-        wide = len(str(max(self.rows, self.columns) - 1))
+        digits = len(str(max(self.rows, self.columns) - 1))
         return [
-            named.get((row, column), f"T{row:0{wide}}{column:0{wide}}")
+            named.get((row, column), f"T{row:0{digits}}{column:0{digits}}")
             for row in range(self.rows)
             for column in range(self.columns)
         ]
@@ -274,13 +277,13 @@ class ClutterTable(Table):
     seed: Seed = Field(description="seed of the random numbers")
     power: Positive = Field(1.0, description="mean of |reflectivity|^2 of one scatterer")
     range: Pair | None = Field(None, description="[near, far] slant range at t = 0, m; default: the swath")
-    yaw_deg: Pair | None = Field(None, description="[first, last] yaw, degrees; default: all that the beam lights")
+    yaw_deg: Pair | None = Field(None, description="[first, last] yaw, degrees; default: all yaws that the beam lights")
     x: Pair | None = Field(None, description="[first, last] scene-frame x, m")
     y: Pair | None = Field(None, description="[first, last] scene-frame y, m")
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        box, polar = _given(self, "x", "y"), _given(self, "range", "yaw_deg")
+        box, polar = _present(self, "x", "y"), _present(self, "range", "yaw_deg")
         _require(not (box and polar), f"{', '.join(box + polar)} given: give a box x + y, or range + yaw_deg")
         _require(len(box) != 1, f"{''.join(box)} given alone: a box needs x and y")
         for name in box + polar:
@@ -290,7 +293,7 @@ class ClutterTable(Table):
 
 
 class ReflectivityTable(Table):
-    """A map: pixel [row, column] is a scatterer at x = x0 + dx column, y = y0 + dy row."""
+    """A reflectivity map: pixel [row, column] is a scatterer at x = x0 + dx column, y = y0 + dy row."""
 
     file: str = Field(description=".npy file of a 2-D real or complex array; relative to the scene file")
     x0: float = Field(description="x of the first column, m")
@@ -329,13 +332,13 @@ class NoiseTable(Table):
 
 
 class DroppedTable(Table):
-    """Pulses that were lost: rows of NaN."""
+    """Lost pulses: rows of NaN."""
 
     pulses: Annotated[tuple[int, ...], Field(strict=False)] = Field((), description="indices of pulses, from 0")
     ranges: Annotated[tuple[IndexPair, ...], Field(strict=False)] = Field(
-        (), description="[first, last] indices, both of them lost too"
+        (), description="[first, last] indices, both inclusive"
     )
-    fraction: float = Field(0.0, ge=0, lt=1, description="share of all pulses, picked at random")
+    fraction: float = Field(0.0, ge=0, lt=1, description="fraction of all pulses, chosen at random")
     seed: Seed | None = Field(None, description="seed of the random choice; needed with fraction")
 
     @model_validator(mode="after")
@@ -346,10 +349,8 @@ class DroppedTable(Table):
         return self
 
 
-# -- messages -----------------------------------------------------------------------------------------------
-
-
 def _beside(file: str, info: ValidationInfo) -> Path:
+    """Return the path of a file that a scene file names relative to itself."""
     folder = (info.context or {}).get("folder")
     path = Path(file) if folder is None else Path(folder) / file
     _require(not os.path.lexists(path) or os.path.isfile(path), f"file = {file!r}: must be a regular file")
@@ -357,7 +358,7 @@ def _beside(file: str, info: ValidationInfo) -> Path:
 
 
 def _header_lines(path: Path) -> int:
-    """1 where the first line of a CSV holds names instead of numbers."""
+    """Return 1 if the first line of a CSV holds names instead of numbers, else 0."""
     with path.open(encoding="utf-8") as lines:
         first = lines.readline().split(",")[0].strip()
     try:

@@ -1,18 +1,17 @@
-"""zarr and xarray: what every store holds, and how to create, read and write one region of it.
+"""Zarr stores: their variables, how to create them, and how to read and write them by region.
 
-`schema` is the one statement of every store's variables; writing and checking both go by it. Metadata is
-created once, before any task (`creation`); after that each task writes whole chunks that nobody else writes
-(`regions`), so there are no locks. A chunk that was never written reads as NaN (-1 for integers), never as zero:
-"not there" is not "dark".
+`schema` defines the variables of every store, for writing and for checking. Metadata is created once, before any task
+(`creation`); each task then writes whole chunks that no other task writes (`regions`), so no locks are needed. A chunk
+that was never written reads as NaN (-1 for integers), never as zero: missing is not dark.
 
-`phase_history.zarr` is a public contract, and other programs write it: reading it (`phase_history`) trusts nothing.
-Chunking, compression, attribute types and extra variables are theirs to choose; what the contract fixes is checked, and
-every disagreement is one `InputError`.
+`phase_history.zarr` is a public contract, and other programs write such stores; reading one (`phase_history`) therefore
+checks everything that the contract fixes and raises an `InputError` for any departure. Chunking, compression, attribute
+types and additional variables are free.
 
-zarr reads and writes whatever it understands. Chunks laid out as `create` lays them out are plain files, which
-`chunk_files` reads and writes itself, several times as fast.
+Chunks in the layout that `create` uses are plain files, which `chunk_files` reads and writes directly, several times as
+fast as zarr; zarr handles all other layouts.
 
-A store lies in a folder or below a prefix of an object store: every path may be an `s3://` URL or a `Place`.
+A store is a folder or a prefix in an object store: every path may be an `s3://` URL or a `Place`.
 """
 
 from __future__ import annotations

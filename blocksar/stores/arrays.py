@@ -1,4 +1,4 @@
-"""Opening arrays of a store: only known codecs, only names of chunks in its folders."""
+"""Opening the arrays of a store, which may come from other programs: codecs, metadata and chunk names are checked."""
 
 from __future__ import annotations
 
@@ -17,21 +17,29 @@ from blocksar.places.place import Place
 from blocksar.stores.chunk_files import refuse_odd_file
 from blocksar.stores.faults import cause_of, unreachable
 
-CODECS = {  # all that may decode a chunk: of others who knows what they do with it, such as unpickling
+CODECS = {  # the only ones accepted: other codecs could run code while decoding, by unpickling for instance
     *("adler32", "bitround", "blosc", "bytes", "bz2", "crc32", "crc32c", "delta", "fixedscaleoffset", "fletcher32"),
     *("gzip", "lz4", "lzma", "packbits", "sharding_indexed", "shuffle", "transpose", "vlen-bytes", "vlen-utf8"),
     *("zlib", "zstd"),
 }
 METADATA = ("zarr.json", ".zgroup", ".zarray")
-CHUNK_NAME = re.compile(r"c|(c\.)?\d+(\.\d+)*")  # what a chunk's file, or a folder of them, is called
+CHUNK_NAME = re.compile(r"c|(c\.)?\d+(\.\d+)*")  # name of a chunk's file, or of a folder of chunks
 
 
 def open_array(path: Place, name: str, mode: Any = "r") -> zarr.Array[Any]:
-    """Open a variable by its own path: a tenth of the time of opening the group first."""
+    """Open a variable by its own path, which takes a tenth of the time of opening the group first.
+
+    Raises
+    ------
+    InputError
+        If there is no such store or variable, its metadata is damaged, or it uses an unknown codec.
+    ProcessingError
+        If it cannot be opened for writing.
+    """
     place = path / name
     try:
-        found = metadata_file(place)
-        missing = "" if found else f"it has no variable {name}" if path.exists() else "it is not there"
+        metadata = metadata_file(place)
+        missing = "" if metadata else f"it has no variable {name}" if path.exists() else "it is not there"
     except OSError as error:
         raise unreachable(place, error, writing=mode != "r") from error
     if missing:
@@ -41,7 +49,7 @@ def open_array(path: Place, name: str, mode: Any = "r") -> zarr.Array[Any]:
             array = zarr.open_array(
                 store=place.zarr_path(),
                 mode=mode,
-                zarr_format=3 if found == "zarr.json" else 2,
+                zarr_format=3 if metadata == "zarr.json" else 2,
                 config={"write_empty_chunks": True},
             )
     except Exception as error:
@@ -52,17 +60,19 @@ def open_array(path: Place, name: str, mode: Any = "r") -> zarr.Array[Any]:
     return array
 
 
-def refuse_codecs(array: zarr.Array[Any], what: str) -> None:
-    """Chunks are decoded by known codecs only: whatever else is installed here may run what a store tells it to."""
+def refuse_codecs(array: zarr.Array[Any], label: str) -> None:
+    """Raise an InputError if an array uses a codec not in CODECS: an installed one could run code from the store."""
     metadata: Any = array.metadata.to_dict()
     stated = metadata.get("codecs") or [*(metadata.get("filters") or ()), metadata.get("compressor")]
     for name in _codec_names(stated):
         if name not in CODECS:
-            raise InputError(f"{what} is encoded by {name!r}, which is not decoded here; write it with zstd or plainly")
+            raise InputError(
+                f"{label} is encoded by {name!r}, which is not supported; write it with zstd or uncompressed"
+            )
 
 
 def _codec_names(codecs: Any) -> Iterator[str]:
-    """Names of codecs in an array's metadata, of version 3 or 2; those within shards included."""
+    """List the names of the codecs in an array's metadata, version 3 or 2, including those within shards."""
     for codec in codecs:
         match codec:
             case {"name": str(name)}:
@@ -76,29 +86,29 @@ def _codec_names(codecs: Any) -> Iterator[str]:
 
 
 def metadata_file(path: Place) -> str:
-    """Name of the zarr metadata in a directory, version 3 or 2; empty if there is none."""
+    """Return the name of the zarr metadata file in a folder, version 3 or 2; empty if there is none."""
     if not isinstance(path, LocalPlace):
         for name in METADATA:
             with suppress(FileNotFoundError):
                 (path / name).read_bytes()
                 return name
         return ""
-    found = ""
-    for name in (*METADATA, ".zattrs"):  # zarr reads all that are there
-        # Not os.path.isfile: to that, a folder one may not enter is an empty one.
+    first = ""
+    for name in (*METADATA, ".zattrs"):  # all are checked, as zarr reads whichever exist
+        # Not os.path.isfile: it takes a folder without permission for an empty one.
         with suppress(FileNotFoundError, NotADirectoryError):
             refuse_odd_file(os.path.join(path.path, name))
-            found = found or name
-    return found if found != ".zattrs" else ""
+            first = first or name
+    return first if first != ".zattrs" else ""
 
 
 def refuse_odd_chunks(folder: str | os.PathLike[str], depth: int) -> None:
-    """Refuse pipes, devices, links to nothing, and folders where chunks should be: zarr takes these for no chunk.
+    """Raise an InputError for pipes, devices, broken links, and folders in place of chunks: zarr ignores these.
 
-    Chunks are `depth` names below the variable's folder: c/0/0 is three.
+    Chunks lie `depth` levels below the variable's folder: three for c/0/0.
     """
-    with os.scandir(folder) as found:
-        entries = list(found)
+    with os.scandir(folder) as listing:
+        entries = list(listing)
     for entry in entries:
         chunk = CHUNK_NAME.fullmatch(entry.name) is not None
         if entry.is_dir():
@@ -108,11 +118,11 @@ def refuse_odd_chunks(folder: str | os.PathLike[str], depth: int) -> None:
         else:
             odd = not entry.is_file() or (chunk and depth > 1)
         if odd:
-            right = "file" if depth == 1 or not chunk else "folder"
-            raise InputError(f"{entry.path} should be a {right} that can be read; put it back, or write it again")
+            expected = "file" if depth == 1 or not chunk else "folder"
+            raise InputError(f"{entry.path} should be a readable {expected}; restore it, or write the store again")
 
 
 def dimension_names(array: zarr.Array[Any]) -> tuple[str | None, ...] | None:
-    """Dimension names: in the metadata since version 3, an attribute of xarray's before."""
+    """Return an array's dimension names: from its metadata in version 3, from xarray's attribute in version 2."""
     dims: Any = getattr(array.metadata, "dimension_names", None) or array.attrs.get("_ARRAY_DIMENSIONS")
     return None if dims is None else tuple(dims)

@@ -1,4 +1,4 @@
-"""Chunks as plain files: of all that touches samples, only this takes a store for a folder of a local file system."""
+"""Chunks as plain files of a local file system: reading, writing and linking them without zarr."""
 
 from __future__ import annotations
 
@@ -23,45 +23,47 @@ from blocksar.places.place import Place
 
 Region = tuple[slice, ...]
 Array = NDArray[Any]
-MAX_METADATA = 1 << 26  # bytes of one file of metadata: the same
+MAX_METADATA = 1 << 26  # bytes of a metadata file: a larger one is damaged, and could exhaust the memory
 SLAB = 1 << 19  # bytes copied at a time between a chunk's file and memory of another layout: they stay in the L2 cache
-TURN = 64  # columns copied at a time where rows become columns: more than these touch more pages than the TLB knows
-FILLS = {"complex64": ["NaN", "NaN"], "float64": "NaN", "int16": -1}  # of the tables above, as metadata state them
+TRANSPOSED_COLUMNS = 64  # columns copied at a time in a transposition: more would touch more pages than the TLB holds
+FILLS = {"complex64": ["NaN", "NaN"], "float64": "NaN", "int16": -1}  # fill values by dtype, as in the metadata
 
 
 def fill_value(dtype: str) -> Any:
+    """Return the value that stands for missing samples: NaN, or -1 for integers."""
     kind = np.dtype(dtype).kind
     return complex(np.nan, np.nan) if kind == "c" else np.nan if kind == "f" else -1
 
 
 def refuse_odd_file(path: str | os.PathLike[str], largest: int = MAX_METADATA) -> None:
-    """Refuse what is not a file, or not of a size that can be: a pipe would hang its reader, a device never end."""
+    """Raise an InputError if `path` is not a regular file or too large: reading a pipe or a device could never end."""
     status = os.stat(path)
     if not stat.S_ISREG(status.st_mode):
-        raise InputError(f"{os.fspath(path)} is no regular file; put the file back, or write it again")
+        raise InputError(f"{os.fspath(path)} is not a regular file; restore the file, or write it again")
     if status.st_size > largest:
-        raise InputError(f"{os.fspath(path)} has {status.st_size} bytes, which no such file has; write it again")
+        raise InputError(f"{os.fspath(path)} has {status.st_size} bytes, too many for such a file; write it again")
 
 
 def check_out(out: Array, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
+    """Raise a ValueError if a region of that shape and dtype cannot be read into `out`."""
     if out.shape != shape or not np.can_cast(dtype, out.dtype, "equiv"):
         raise ValueError(f"out is {out.dtype} of shape {out.shape}, but the region is {dtype} of shape {shape}")
 
 
 @dataclass(frozen=True)
 class ChunkFiles:
-    """A variable laid out as `create` lays it out: chunk (i, j) is the file c/i/j, its samples in C order and no more.
+    """A variable in the layout of `create`: chunk (i, j) is the file c/i/j, which holds its samples in C order only.
 
-    zarr reads and writes the same files, at a fraction of the speed: it opens the array anew for each region, and
-    takes the samples through fresh memory. Here they go straight between file and array where a chunk is contiguous
-    there, else through a slab that stays in the cache.
+    zarr reads and writes the same files much more slowly: it opens the array for each region, and copies the samples
+    through newly allocated memory. Here they go directly between file and array if the chunk is contiguous in the
+    array, otherwise through a slab that stays in the cache.
 
     Attributes
     ----------
     folder : str
-        Of the variable.
+        The variable's folder.
     shape, chunks : tuple of int
-        Of the array, and of one chunk; chunks at the far edges are as long as any, padded with the fill value.
+        Shape of the array, and of a chunk; chunks at the far edges have full size, padded with the fill value.
     dtype : numpy dtype
         In the machine's byte order.
     """
@@ -77,7 +79,7 @@ class ChunkFiles:
 
     @property
     def row_bytes(self) -> int:
-        """Of one row of a chunk: all that has the same first index."""
+        """Bytes of one row of a chunk: the samples with the same first index."""
         return self.dtype.itemsize * prod(self.chunks[1:])
 
     def read(self, region: Region, out: Array | None = None) -> Array:
@@ -86,9 +88,9 @@ class ChunkFiles:
         Raises
         ------
         OSError
-            If a file cannot be read, or is not as long as a chunk.
+            If a file cannot be read, or does not have the length of a chunk.
         InputError
-            If it is no file at all.
+            If a chunk is not a regular file.
         """
         spans = [range(*part.indices(n)) for part, n in zip(region, self.shape, strict=True)]
         shape = tuple(len(span) for span in spans)
@@ -105,7 +107,7 @@ class ChunkFiles:
         return values
 
     def write(self, region: Region, values: Array) -> None:
-        """Write a region of whole chunks; a chunk's file is the old one or the new one, never half of either.
+        """Write a region of whole chunks, each atomically.
 
         Raises
         ------
@@ -118,28 +120,29 @@ class ChunkFiles:
             os.makedirs(os.path.dirname(file), exist_ok=True)
             with replacing_file(file) as part, open(part, "wb") as stream:
                 if os.path.exists(file):
-                    # When a file takes another's place, ext4 sends it to the disk at once, unless it has its room.
+                    # ext4 flushes a file at once when it replaces another, unless its space is already allocated.
                     with suppress(OSError, AttributeError):
                         os.posix_fallocate(stream.fileno(), 0, self.row_bytes * self.chunks[0])
                 self._write_chunk(stream, values[outside], slab)
 
     def link(self, region: Region, source: ChunkFiles, source_region: Region) -> None:
-        """Let whole chunks be the very files of another array's chunks.
+        """Make whole chunks hard links to another array's chunks.
 
         Raises
         ------
         OSError
-            If the file system does not do that, or the chunks do not fall together.
+            If the file system has no hard links, or the chunks of the two arrays do not coincide.
         """
-        ours, theirs = self._whole(region), source._whole(source_region)
-        if (self.chunks, self.dtype, *map(len, ours)) != (source.chunks, source.dtype, *map(len, theirs)):
-            raise OSError("other chunks")
-        for (file, _, _), (other, _, _) in zip(self._parts(ours), source._parts(theirs), strict=True):
+        spans, source_spans = self._whole(region), source._whole(source_region)
+        if (self.chunks, self.dtype, *map(len, spans)) != (source.chunks, source.dtype, *map(len, source_spans)):
+            raise OSError("the chunks differ")
+        for (file, _, _), (other, _, _) in zip(self._parts(spans), source._parts(source_spans), strict=True):
             os.makedirs(os.path.dirname(file), exist_ok=True)
             with replacing_file(file) as part:
                 os.link(other, part)
 
     def _whole(self, region: Region) -> list[range]:
+        """Return a region's indices by dimension; raise an OSError if it is not made of whole chunks."""
         spans = [range(*part.indices(n)) for part, n in zip(region, self.shape, strict=True)]
         for span, n, chunk in zip(spans, self.shape, self.chunks, strict=True):
             if span.start % chunk or (span.stop % chunk and span.stop != n):
@@ -147,7 +150,7 @@ class ChunkFiles:
         return spans
 
     def _parts(self, spans: Sequence[range]) -> Iterator[tuple[str, Region, Region]]:
-        """File of every chunk that a region touches, what of the chunk is in the region, and where in the region."""
+        """Iterate over a region's chunks: file, the part of the chunk in the region, and its position in the region."""
         if not all(spans):
             return
         cells: list[list[tuple[str, slice, slice]]] = []
@@ -164,7 +167,7 @@ class ChunkFiles:
     def _read_chunk(self, stream: BinaryIO, inside: Region, values: Array, slab: Array) -> None:
         length = os.fstat(stream.fileno()).st_size
         if length != self.row_bytes * self.chunks[0]:
-            raise OSError(f"{length} bytes in a chunk of {self.row_bytes * self.chunks[0]}")
+            raise OSError(f"a chunk has {length} bytes instead of {self.row_bytes * self.chunks[0]}")
         stream.seek(self.row_bytes * inside[0].start)
         if values.flags.c_contiguous and values.shape[1:] == self.chunks[1:]:
             _read_into(stream, values)
@@ -187,13 +190,13 @@ class ChunkFiles:
             stream.write(slab[: self.chunks[0] - first].data)
 
     def _slab(self) -> Array:
-        """Some rows of a chunk."""
+        """Allocate a buffer of SLAB bytes, in whole rows of a chunk."""
         rows = min(max(SLAB // self.row_bytes, 1), self.chunks[0])
         return np.empty((rows, *self.chunks[1:]), self.dtype)
 
 
 def chunk_files_of(path: Place, name: str) -> ChunkFiles | None:
-    """The variable's chunk files; None where it is laid out in another way, missing or damaged: zarr knows which."""
+    """Return a variable's chunk files; None if its layout is another, or it is missing or damaged: zarr tells which."""
     if not isinstance(path, LocalPlace):
         return None
     folder = os.path.join(path.path, name)
@@ -209,12 +212,12 @@ def chunk_files_of(path: Place, name: str) -> ChunkFiles | None:
 
 @lru_cache(maxsize=256)
 def _layout(metadata: bytes) -> tuple[tuple[int, ...], tuple[int, ...], np.dtype[Any]] | None:
-    """Shape, chunks and dtype of an array whose metadata say nothing that `create` does not; None for all others."""
+    """Return shape, chunks and dtype of an array with exactly the metadata that `create` writes; None for others."""
     try:
-        found = json.loads(metadata)
+        content = json.loads(metadata)
     except (ValueError, RecursionError):
         return None
-    match found:
+    match content:
         case {
             "shape": [*shape],
             "data_type": str(dtype),
@@ -237,11 +240,12 @@ def _layout(metadata: bytes) -> tuple[tuple[int, ...], tuple[int, ...], np.dtype
 
 def _read_into(stream: BinaryIO, values: Array) -> None:
     if stream.readinto(values.data) != values.nbytes:  # type: ignore[attr-defined]
-        raise OSError("a chunk that became shorter while it was read")
+        raise OSError("a chunk became shorter while it was read")
 
 
 def _copy(source: Array, target: Array) -> None:
-    turned = source.ndim == 2 and (source.strides[0] < source.strides[1]) != (target.strides[0] < target.strides[1])
-    step = TURN if turned else max(source.shape[-1], 1)
+    """Copy an array, in strips of columns if rows become columns."""
+    transposed = source.ndim == 2 and (source.strides[0] < source.strides[1]) != (target.strides[0] < target.strides[1])
+    step = TRANSPOSED_COLUMNS if transposed else max(source.shape[-1], 1)
     for first in range(0, source.shape[-1], step):
         target[..., first : first + step] = source[..., first : first + step]

@@ -1,4 +1,4 @@
-"""A store created whole: metadata, coordinates and small variables at once, samples to be written by region."""
+"""Creation of stores: metadata, coordinates and small variables are written at once, samples later by region."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from zarr.storage import MemoryStore
 from blocksar.errors import InputError, ProcessingError
 from blocksar.places import Location
 from blocksar.places import place as place_of
-from blocksar.places.local import LocalPlace, temporary
+from blocksar.places.local import LocalPlace, temporary_name
 from blocksar.places.objects import ObjectPlace
 from blocksar.places.place import Place
 from blocksar.stores.arrays import metadata_file
@@ -27,8 +27,8 @@ from blocksar.stores.faults import ENVIRONMENT
 from blocksar.stores.records import nan_to_null, plain_value
 from blocksar.stores.schema import Variable
 
-RENAMES = 32  # attempts at replacing a store that others are replacing too
-UNFINISHED = ".unfinished"  # object below a prefix while the store there is made: it names its maker
+RENAMES = 32  # attempts to replace a store that other processes replace at the same time
+UNFINISHED = ".unfinished"  # object in a store that is being created; it identifies the creating process
 
 
 def create(
@@ -43,67 +43,41 @@ def create(
     overwrite: bool = False,
     fill: Callable[[Place], None] | None = None,
 ) -> None:
-    """Create a store: metadata, coordinates and small variables now, large arrays empty, to be written by region.
+    """Create a store: metadata, coordinates and small variables now; large arrays empty, to be written by region.
 
-    A half-made store is never taken for a finished one: a folder is written under a temporary name and renamed; below
-    a prefix the group's metadata come last, without which there is no store, and what is overwritten goes first.
-    Samples are not compressed (noise does not compress). `xarray.open_zarr` opens it.
+    An unfinished store is never taken for a finished one: a folder is written under a temporary name and then renamed;
+    in an object store the group's metadata is written last, and the objects of an overwritten store are removed first.
+    Samples are not compressed (noise does not compress). `xarray.open_zarr` opens the store.
 
     Parameters
     ----------
     path : path
-        Directory to be; its parents are made. Or prefix to be.
+        Folder to create, with its parents; or prefix in an object store.
     schema : dict of Variable
-        What it holds; one of the tables of `schema`.
+        The store's variables: one of the tables in the module `schema`.
     sizes : dict of int
-        Length of every dimension that no coordinate or variable tells.
+        Length of every dimension that has no coordinate or variable.
     coords, variables : dict of array
         Written at once, in one chunk each, in the schema's dtype.
     attrs : dict
-        Attributes of the store: anything JSON holds, numpy scalars and arrays of real numbers; NaN becomes null.
+        Attributes of the store: JSON values, numpy scalars and arrays of real numbers; NaN becomes null.
     chunks : dict of int
-        Chunk length by dimension, of the arrays that are created empty; the whole dimension where absent.
+        Chunk length by dimension, for the arrays that are created empty; default: the whole dimension.
     overwrite : bool
-        Replace a store that is there.
+        Replace an existing store.
     fill : callable (place)
-        Writes samples, by region, to the place that it is given: the store is not there before they are.
+        Writes samples by region to the place it receives; the store does not exist under its name before that.
 
     Raises
     ------
     InputError
-        If `path` exists and `overwrite` is False, or what is there is no zarr store, or it cannot be written.
+        If `path` exists and `overwrite` is False, or is not a zarr store, or cannot be written.
     ProcessingError
-        If an object store does not answer, or somebody else has begun to write the same store.
+        If an object store does not answer, or another process has begun to write the same store.
     ValueError
-        If names, dimensions or shapes do not fit the schema, or an attribute is not JSON.
+        If names, dimensions or shapes do not fit the schema, or JSON cannot hold an attribute.
     """
-    given = {**coords, **(variables or {})}
-    lengths = _lengths(schema, sizes, given)
-    text = {key: nan_to_null(plain_value(value, key)) for key, value in attrs.items()}
-    kept: dict[str, Any] = {}
-    group = zarr.create_group(store=MemoryStore(kept), zarr_format=3, attributes=text)
-    for name, variable in schema.items():
-        shape = tuple(lengths[dim] for dim in variable.dims)
-        whole = tuple(max(n, 1) for n in shape)
-        tile = tuple(max(min(chunks.get(dim, n), n), 1) for dim, n in zip(variable.dims, shape, strict=True))
-        array = group.create_array(
-            name,
-            shape=shape,
-            chunks=whole if name in given else tile,
-            dtype=variable.dtype,
-            fill_value=fill_value(variable.dtype),
-            compressors=None,
-            filters=None,
-            dimension_names=variable.dims,
-            attributes=_variable_attrs(name, variable, schema, coords),
-            # Comparing every chunk with the fill value costs more than writing it, and "chunk exists" then
-            # means "chunk was written".
-            config={"write_empty_chunks": True},
-        )
-        if name in given:
-            array[...] = np.asarray(given[name], dtype=variable.dtype)
-    files = {key: data.to_bytes() for key, data in kept.items() if key != "zarr.json"}
-    metadata = _consolidated(kept["zarr.json"].to_bytes(), {name: files[f"{name}/zarr.json"] for name in schema})
+    files, metadata = _metadata(schema, sizes, coords, variables or {}, attrs, chunks)
     place = place_of(path)
     if isinstance(place, ObjectPlace):
         _create_objects(place, files, metadata, fill, overwrite=overwrite)
@@ -116,10 +90,49 @@ def create(
             fill(part)
 
 
-def _consolidated(group: bytes, variables: Mapping[str, bytes]) -> bytes:
-    """Copy the variables' metadata into the group's, as zarr's own consolidation does, which warns as it does so.
+def _metadata(
+    schema: Mapping[str, Variable],
+    sizes: Mapping[str, int],
+    coords: Mapping[str, Array],
+    variables: Mapping[str, Array],
+    attrs: Mapping[str, Any],
+    chunks: Mapping[str, int],
+) -> tuple[dict[str, bytes], bytes]:
+    """Return the files of a new store by name, small arrays included, and the group's metadata."""
+    small = {**coords, **variables}
+    lengths = _lengths(schema, sizes, small)
+    attributes = {key: nan_to_null(plain_value(value, key)) for key, value in attrs.items()}
+    memory: dict[str, Any] = {}
+    group = zarr.create_group(store=MemoryStore(memory), zarr_format=3, attributes=attributes)
+    for name, variable in schema.items():
+        shape = tuple(lengths[dim] for dim in variable.dims)
+        whole = tuple(max(n, 1) for n in shape)
+        tile = tuple(max(min(chunks.get(dim, n), n), 1) for dim, n in zip(variable.dims, shape, strict=True))
+        array = group.create_array(
+            name,
+            shape=shape,
+            chunks=whole if name in small else tile,
+            dtype=variable.dtype,
+            fill_value=fill_value(variable.dtype),
+            compressors=None,
+            filters=None,
+            dimension_names=variable.dims,
+            attributes=_variable_attrs(name, variable, schema, coords),
+            # Comparing every chunk with the fill value costs more than writing it; and a chunk then exists if and
+            # only if it was written.
+            config={"write_empty_chunks": True},
+        )
+        if name in small:
+            array[...] = np.asarray(small[name], dtype=variable.dtype)
+    files = {key: data.to_bytes() for key, data in memory.items() if key != "zarr.json"}
+    variable_metadata = {name: files[f"{name}/zarr.json"] for name in schema}
+    return files, _consolidate(memory["zarr.json"].to_bytes(), variable_metadata)
 
-    Without the copy xarray.open_zarr(path) warns; nothing changes metadata after creation, so it cannot go stale.
+
+def _consolidate(group: bytes, variables: Mapping[str, bytes]) -> bytes:
+    """Copy the variables' metadata into the group's, as zarr's own consolidation does, but without its warning.
+
+    Without the copy, xarray.open_zarr(path) warns. Metadata does not change after creation, so the copy stays valid.
     """
     metadata = json.loads(group)
     inline = {name: json.loads(text) for name, text in variables.items()}
@@ -132,10 +145,10 @@ def _put_file(place: LocalPlace, data: bytes) -> None:
     place.path.write_bytes(data)
 
 
-def _lengths(schema: Mapping[str, Variable], sizes: Mapping[str, int], given: Mapping[str, Array]) -> dict[str, int]:
-    """Length of every dimension, told by sizes and by the arrays given, which must agree."""
+def _lengths(schema: Mapping[str, Variable], sizes: Mapping[str, int], arrays: Mapping[str, Array]) -> dict[str, int]:
+    """Return the length of every dimension, from `sizes` and from the arrays, which must agree."""
     lengths = dict(sizes)
-    for name, values in given.items():
+    for name, values in arrays.items():
         if name not in schema:
             raise ValueError(f"{name} is not in the schema, which has {', '.join(schema)}")
         dims, shape = schema[name].dims, np.shape(values)
@@ -155,17 +168,17 @@ def _variable_attrs(
     name: str, variable: Variable, schema: Mapping[str, Variable], coords: Mapping[str, Array]
 ) -> dict[str, Any]:
     attrs = {"units": variable.units, "long_name": variable.long_name}
-    # xarray takes a variable named as its dimension for a coordinate; others (time over pulse) it must be told.
-    beside = [c for c in coords if schema[c].dims != (c,) and set(schema[c].dims) <= set(variable.dims)]
-    if beside and name not in coords:
-        attrs["coordinates"] = " ".join(beside)
+    # xarray recognises a coordinate that is named as its dimension; others (time over pulse) must be listed.
+    listed = [c for c in coords if schema[c].dims != (c,) and set(schema[c].dims) <= set(variable.dims)]
+    if listed and name not in coords:
+        attrs["coordinates"] = " ".join(listed)
     return attrs
 
 
 @contextmanager
 def _replacing(path: Path, *, overwrite: bool) -> Iterator[LocalPlace]:
-    """A temporary name beside a folder, renamed to it when the block ends well, removed when it does not."""
-    part, old = temporary(path, "part"), temporary(path, "old")
+    """Yield a temporary name beside a folder: it replaces the folder if the block succeeds, else it is removed."""
+    part, old = temporary_name(path, "part"), temporary_name(path, "old")
     try:
         _refuse_existing(path, overwrite=overwrite)
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -179,7 +192,7 @@ def _replacing(path: Path, *, overwrite: bool) -> Iterator[LocalPlace]:
                 os.rename(part, path)
                 break
             except OSError:
-                # Another process created it in the meantime: whoever overwrites tries again.
+                # Another process created it in the meantime: try again if it may be overwritten.
                 _refuse_existing(path, overwrite=overwrite)
                 if attempt == RENAMES - 1 or not os.path.lexists(part):
                     raise
@@ -196,6 +209,7 @@ def _replacing(path: Path, *, overwrite: bool) -> Iterator[LocalPlace]:
 
 
 def _refuse_existing(path: Path, *, overwrite: bool) -> None:
+    """Raise an InputError if a folder exists and may not be replaced."""
     if not os.path.lexists(path):
         return
     if not overwrite:
@@ -205,7 +219,7 @@ def _refuse_existing(path: Path, *, overwrite: bool) -> None:
         foreign = not folder or (any(path.iterdir()) and not metadata_file(LocalPlace(path)))
     except FileNotFoundError:
         return  # another process is replacing it
-    # What another process has just moved aside is no folder either.
+    # A folder that another process has just moved away would look foreign too.
     if foreign and os.path.lexists(path):
         raise InputError(
             f"{path} exists and is not a zarr store, so it is not overwritten; remove it, or choose another name"
@@ -220,9 +234,9 @@ def _create_objects(
     *,
     overwrite: bool,
 ) -> None:
-    """As `create`, where nothing can be renamed: a store begins with a mark, and ends with the group's metadata.
+    """Create a store in an object store, where nothing can be renamed: a mark is written first, group metadata last.
 
-    A maker who does not find his own mark at the end has lost the place to another.
+    If the mark has changed by the end, another process has begun to write the same store.
     """
     mark, token = place / UNFINISHED, secrets.token_bytes(16)
     try:
@@ -235,7 +249,7 @@ def _create_objects(
             if fill is not None:
                 fill(place)
             if not _holds(mark, token):
-                raise ProcessingError(f"{place} is being written by somebody else too; write each store once")
+                raise ProcessingError(f"{place} is also being written by somebody else; write each store only once")
             (place / "zarr.json").write_bytes(metadata)
         except BaseException:
             with suppress(OSError):
@@ -251,12 +265,13 @@ def _create_objects(
 
 
 def _refuse_objects(place: ObjectPlace, *, overwrite: bool) -> None:
+    """Raise an InputError if objects exist below a prefix and may not be replaced."""
     names = place.names()
     if not names and not place.exists():
         return
     if not overwrite:
-        found = "exists" if UNFINISHED not in names else "is being written, or was left unfinished"
-        raise InputError(f"{place} {found}; choose another name, or have it overwritten (--overwrite)")
+        state = "exists" if UNFINISHED not in names else "is being written, or was left unfinished"
+        raise InputError(f"{place} {state}; choose another name, or have it overwritten (--overwrite)")
     if UNFINISHED not in names and not metadata_file(place):
         raise InputError(
             f"{place} exists and is not a zarr store, so it is not overwritten; remove it, or choose another name"
@@ -264,13 +279,14 @@ def _refuse_objects(place: ObjectPlace, *, overwrite: bool) -> None:
 
 
 def _clear(place: ObjectPlace) -> None:
-    """Remove what lies below but for the mark, the group's metadata first: the rest is no store without them."""
+    """Remove all objects except the mark, the group's metadata first: without it the rest is not a store."""
     for name in sorted(place.names(), key=lambda name: name != "zarr.json"):
         if name != UNFINISHED:
             (place / name).remove()
 
 
 def _holds(mark: ObjectPlace, token: bytes) -> bool:
+    """Tell whether the mark is the one that was written with this token."""
     with suppress(FileNotFoundError):
         return mark.read_bytes() == token
     return False

@@ -1,4 +1,4 @@
-"""Faults of stores in sentences."""
+"""Errors of file systems and libraries, turned into messages about stores."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ ENVIRONMENT = "AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_REGION and AWS_ENDP
 
 
 def unreachable(place: Place, error: OSError, *, writing: bool = False) -> InputError | ProcessingError:
-    """What a file system or an object store says when it does not do as it is told, in one sentence."""
+    """Return the error to raise when a file system or an object store cannot be read or written."""
     if writing:
         return ProcessingError(f"{place} cannot be written ({error.strerror or error})")
     remedy = "its permissions" if isinstance(place, LocalPlace) else ENVIRONMENT
@@ -18,5 +18,6 @@ def unreachable(place: Place, error: OSError, *, writing: bool = False) -> Input
 
 
 def cause_of(error: BaseException) -> str:
+    """Describe an error of a library by its type and the beginning of its message, on one line."""
     text = " ".join(str(error).split())
     return f"{type(error).__name__}: {text[:200]}" if text else type(error).__name__

@@ -1,4 +1,4 @@
-"""Phase histories and collections: a public contract that other programs write too; reading it trusts nothing."""
+"""Phase histories and collections: creating them, and opening them with every check of the public contract."""
 
 from __future__ import annotations
 
@@ -46,26 +46,26 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-MAX_AXIS = 1 << 26  # samples of one axis: metadata that claim more are damaged, and would eat the memory
-MAX_CHUNK = 1 << 34  # bytes of one chunk: the same
-MAX_CHUNKS = 1 << 15  # of a variable that is read as a whole: more take minutes, or are nowhere but in the metadata
+MAX_AXIS = 1 << 26  # samples of an axis: metadata that states more is damaged, and could exhaust the memory
+MAX_CHUNK = 1 << 34  # bytes of a chunk, for the same reason
+MAX_CHUNKS = 1 << 15  # chunks of a variable that is read as a whole: more take minutes, or do not exist
 GROUP_METADATA = (".zattrs", ".zgroup", ".zmetadata", "zarr.json")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PhaseHistory:
-    """An open phase history: its collection, and its samples on demand. Holds no file open, and pickles small.
+    """An open phase history: its collection, and its samples on demand. It keeps no file open, and its pickle is small.
 
     Attributes
     ----------
     path : Place
-        A place as its user named it is also what `str` gives.
+        The store; `str` gives it as the user named it.
     collection : Collection
-        Of a raw echo: range_frequency is `raw.range_frequency`, what recovery compresses it to.
+        For a raw echo, its range_frequency is `raw.range_frequency`: the axis that range compression leads to.
     raw : RawEcho or None
-        None where the samples are `signal`, over range frequency; else they are `echo`, over fast time.
+        None if the samples are `signal`, over range frequency; otherwise they are `echo`, over fast time.
     attrs : dict
-        Attributes of the store that are not in collection or raw: title, history, targets, scene, georeference ...
+        Other attributes of the store: title, history, targets, scene, georeference ...
     """
 
     path: Place
@@ -91,7 +91,7 @@ class PhaseHistory:
         return int(pulse), int(column)
 
     def read(self, pulses: slice, columns: slice) -> ComplexArray:
-        """Samples of some pulses and columns.
+        """Read the samples of some pulses and columns.
 
         Returns
         -------
@@ -101,7 +101,7 @@ class PhaseHistory:
         Raises
         ------
         InputError
-            If a chunk is damaged (it names the chunk), or the store has changed since it was opened.
+            If a chunk is damaged (the message names it), or the store has changed since it was opened.
         """
         array = chunk_files_of(self.path, self.variable) or open_array(self.path, self.variable)
         if array.shape != self.shape:
@@ -114,10 +114,10 @@ class PhaseHistory:
             return samples.astype(np.complex64, copy=False)
 
     def fingerprint(self) -> str:
-        """Hash that tells one input from another without reading its samples.
+        """Return a hash that identifies the input without reading its samples.
 
-        Of metadata, axes, track and beam all the bytes; of the samples the chunks' names, sizes and times, or what an
-        object store calls a version of each.
+        It covers all bytes of metadata, axes, track and beam; of the samples it covers the chunks' names, sizes and
+        times of modification, or their versions in an object store.
 
         Raises
         ------
@@ -139,12 +139,12 @@ class PhaseHistory:
         return digest.hexdigest()
 
     def _files(self) -> Iterator[tuple[str, str, Place]]:
-        """Files of the group and of every variable: name, size and version if it is a chunk of samples, and where."""
-        there = self.path.names()
-        yield from ((name, "", self.path / name) for name in GROUP_METADATA if name in there)
+        """Iterate over all files: name, size and version if it is a chunk of samples (else empty), and place."""
+        present = self.path.names()
+        yield from ((name, "", self.path / name) for name in GROUP_METADATA if name in present)
         for variable in sorted(PHASE_HISTORY if self.raw is None else RAW_ECHO):
-            found = sorted((self.path / variable).files(), key=lambda file: file[0].split("/"))
-            for name, size, version in found:
+            files = sorted((self.path / variable).files(), key=lambda file: file[0].split("/"))
+            for name, size, version in files:
                 chunk = variable == self.variable and name not in ("zarr.json", ".zarray", ".zattrs")
                 yield f"{variable}/{name}", f"{size} {version}" if chunk else "", self.path / variable / name
 
@@ -158,18 +158,18 @@ def create_phase_history(
     overwrite: bool = False,
     fill: Callable[[Place], None] | None = None,
 ) -> None:
-    """Create `phase_history.zarr` with all but the samples: `fill` writes those by region, in chunks of `TILE`.
+    """Create a phase history without its samples: `fill` writes those by region, in chunks of `TILE`.
 
-    Without it they may be written later, and until then a store is found whose pulses are all missing.
+    Without `fill` they may be written later; until then all pulses of the store are missing.
 
     Parameters
     ----------
     path : path
     collection : Collection
     raw : RawEcho, optional
-        Given for a raw echo: the samples are then `echo` over its fast_time.
+        For a raw echo, whose samples are `echo` over its fast_time.
     attrs : dict
-        Beyond what `collection` and `raw` tell: history, targets, scene, georeference ...
+        In addition to those of `collection` and `raw`: history, targets, scene, georeference ...
     overwrite, fill
         As for `create`.
 
@@ -193,7 +193,7 @@ def create_phase_history(
 
 
 def write_collection(path: Location, collection: Collection, attrs: Mapping[str, Any] | None = None) -> None:
-    """Write a phase history less the samples; a store that is there is replaced.
+    """Write a collection: a phase history without samples. An existing store is replaced.
 
     Raises
     ------
@@ -220,39 +220,39 @@ def _collection_attrs(collection: Collection, raw: RawEcho | None, attrs: Mappin
     }
     if raw is not None:
         own |= {"chirp_rate": raw.chirp_rate, "pulse_width": raw.pulse_width}
-    text = {
+    general = {
         "Conventions": CONVENTIONS,
         "title": collection.title,
         "history": history_line("created by blocksar"),
         **(attrs or {}),
     }
     if collection.title:
-        text["title"] = collection.title
-    return {**text, **{name: value for name, value in own.items() if value is not None}}
+        general["title"] = collection.title
+    return {**general, **{name: value for name, value in own.items() if value is not None}}
 
 
-def history_line(what: str, earlier: Any = None) -> str:
-    """The history attribute: what was done now, above what was done before."""
-    line = f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} {what}"
+def history_line(action: str, earlier: Any = None) -> str:
+    """Return the history attribute: the action with the time, above the earlier history."""
+    line = f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} {action}"
     return f"{line}\n{earlier}" if earlier else line
 
 
 def open_phase_history(path: Location) -> PhaseHistory:
-    """Open a phase history, whoever wrote it, and check all of it but the samples against the contract.
+    """Open a phase history of any origin, and check everything except its samples against the contract.
 
     Raises
     ------
     InputError
-        If there is no such store, it is damaged, or it departs from the contract: one sentence that says where.
+        If there is no such store, it is damaged, or it departs from the contract; the message says where.
     """
     with _reading(path) as place:
         group = _open_group(place)
         names = [name for name in ("signal", "echo") if metadata_file(place / name)]
         if len(names) != 1:
-            there = ", ".join(name for name in place.names() if metadata_file(place / name)) or "nothing"
+            variables = ", ".join(name for name in place.names() if metadata_file(place / name)) or "nothing"
             raise InputError(
                 f"it holds {'both' if names else 'neither'} signal {'and' if names else 'nor'} echo (it holds "
-                f"{there}); a phase history has the one or the other"
+                f"{variables}); a phase history has one of the two"
             )
         attrs = _attrs(group)
         raw = _read_raw(place, attrs) if names == ["echo"] else None
@@ -271,7 +271,7 @@ def open_phase_history(path: Location) -> PhaseHistory:
 
 
 def read_collection(path: Location) -> tuple[Collection, dict[str, Any]]:
-    """Read what `write_collection` wrote: the collection, and the attributes beyond it.
+    """Read a store of `write_collection`: the collection, and the other attributes.
 
     Raises
     ------
@@ -285,31 +285,31 @@ def read_collection(path: Location) -> tuple[Collection, dict[str, Any]]:
 
 
 def open_dataset(path: Location) -> xr.Dataset:
-    """Open any store lazily, as `xarray.open_zarr` does.
+    """Open any store lazily as a dataset, as `xarray.open_zarr` does.
 
     Raises
     ------
     InputError
         If there is no such store, or it is damaged.
     """
-    import xarray as xr  # half a second, and only here
+    import xarray as xr  # takes half a second, and only this function needs it
 
     with _reading(path) as place:
         group = _open_group(place)
         for child in place.names() if isinstance(place, LocalPlace) else []:
-            metadata_file(place / child)  # a pipe would hang zarr
+            metadata_file(place / child)  # refuses pipes, at which zarr would hang
         with os_errors(place):
             for name, array in group.arrays():
                 refuse_codecs(array, f"{place}/{name}")
             zarr_path = place.zarr_path()
             dataset = xr.open_zarr(zarr_path.store, group=zarr_path.path or None, consolidated=False, chunks=None)
-        dataset.encoding["source"] = str(place)  # as xarray itself says of a path
+        dataset.encoding["source"] = str(place)  # as xarray does for a path
         return dataset
 
 
 @contextmanager
 def _reading(path: Location) -> Iterator[Place]:
-    """Whatever the bytes on disk do to the libraries below, one InputError that names the store comes out."""
+    """Turn every error while a store is read, whatever library raises it, into one InputError that names the store."""
     place = place_of(path)
     try:
         yield place
@@ -320,19 +320,21 @@ def _reading(path: Location) -> Iterator[Place]:
         if isinstance(error, OSError) and isinstance(place, ObjectPlace):
             raise unreachable(place, error) from error
         if isinstance(error, PermissionError):
-            what = error.filename or place
-            raise InputError(f"{what} may not be read by this user; change its permissions") from error
-        raise InputError(f"{place} is damaged, or no store of this kind ({cause_of(error)}); write it again") from error
+            denied = error.filename or place
+            raise InputError(f"{denied} may not be read by this user; change its permissions") from error
+        raise InputError(
+            f"{place} is damaged, or not a store of this kind ({cause_of(error)}); write it again"
+        ) from error
 
 
 def _open_group(place: Place) -> zarr.Group:
     if isinstance(place, LocalPlace) and place.exists():
         if not place.path.is_dir():
             raise InputError(
-                f"{place} is not a directory; give the path of a zarr store, which is one (blocksar ingest makes it of "
-                "a CPHD or Gotcha file)"
+                f"{place} is not a directory; give the path of a zarr store, which is a directory (blocksar ingest "
+                "creates one from a CPHD or Gotcha file)"
             )
-        os.listdir(place)  # PermissionError says more than the missing metadata would
+        os.listdir(place)  # a PermissionError is clearer than missing metadata
     metadata = metadata_file(place)
     if not metadata:
         if not place.exists():
@@ -344,7 +346,7 @@ def _open_group(place: Place) -> zarr.Group:
         kind = json.loads((place / metadata).read_bytes())
         if metadata == ".zarray" or kind.get("node_type", "group") != "group":
             raise InputError(f"{place} is a single zarr array, not a group; give the path of the store that holds it")
-        # Consolidated metadata are a copy that may be stale.
+        # Consolidated metadata is a copy that may be out of date.
         with os_errors(place):
             return zarr.open_group(store=place.zarr_path(), mode="r", use_consolidated=False)
     except (InputError, PermissionError):
@@ -356,7 +358,7 @@ def _open_group(place: Place) -> zarr.Group:
 
 
 def _attrs(group: zarr.Group) -> dict[str, Any]:
-    # xarray lists names of variables here; they mean nothing in another store.
+    # xarray's list of variables, which is meaningless in another store.
     return {name: value for name, value in group.attrs.asdict().items() if name != "coordinates"}
 
 
@@ -396,7 +398,7 @@ def _read_raw(place: Place, attrs: Mapping[str, Any]) -> RawEcho:
 
 
 def _number(attrs: Mapping[str, Any], name: str, unit: str, default: Any = ...) -> Any:
-    """A number among the attributes; without a default it must be there."""
+    """Return an attribute that is a number; without a default it must exist."""
     value = attrs.get(name)
     if value is None:
         if default is not ...:
@@ -407,33 +409,33 @@ def _number(attrs: Mapping[str, Any], name: str, unit: str, default: Any = ...) 
     try:
         return float(value)
     except OverflowError:
-        raise InputError(f"attribute {name} is a whole number of hundreds of digits; correct it, in {unit}") from None
+        raise InputError(f"attribute {name} is a whole number with hundreds of digits; correct it, in {unit}") from None
 
 
 def _checked(place: Place, name: str) -> zarr.Array[Any]:
-    """Open a variable of the contract, and check what does not need its values."""
+    """Open a variable of the contract, and check everything except its values."""
     variable = {**PHASE_HISTORY, **RAW_ECHO}[name]
     if not metadata_file(place / name):
         raise InputError(f"variable {name} ({', '.join(variable.dims)}) is missing; write it, in {variable.units}")
     array = open_array(place, name)
     if isinstance(place, LocalPlace):
         refuse_odd_chunks(place / name, len(array.metadata.encode_chunk_key((0,) * array.ndim).split("/")))
-    found = dimension_names(array)
-    if found != variable.dims:
-        have = "none" if found is None else f"({', '.join(map(str, found))})"
-        remedy = "transpose it" if found and sorted(map(str, found)) == sorted(variable.dims) else "name them so"
-        raise InputError(f"{name} has dimensions {have}, but must have ({', '.join(variable.dims)}); {remedy}")
+    dims = dimension_names(array)
+    if dims != variable.dims:
+        actual = "none" if dims is None else f"({', '.join(map(str, dims))})"
+        remedy = "transpose it" if dims and sorted(map(str, dims)) == sorted(variable.dims) else "rename them"
+        raise InputError(f"{name} has dimensions {actual}, but must have ({', '.join(variable.dims)}); {remedy}")
     kinds = "c" if variable.dtype == "complex64" else "fiu"
     if array.dtype.kind not in kinds:
         raise InputError(f"{name} is {array.dtype}, but must be {variable.dtype}; write it as that")
     if max(array.shape) > MAX_AXIS:
-        raise InputError(f"{name} claims the shape {array.shape}, beyond {MAX_AXIS} an axis; its metadata are damaged")
+        raise InputError(f"{name} claims the shape {array.shape}, beyond {MAX_AXIS} per axis; its metadata is damaged")
     chunks = array.shards or array.chunks
     if not 0 < prod(chunks) * array.dtype.itemsize <= MAX_CHUNK:
-        raise InputError(f"{name} claims chunks of {chunks}; its metadata are damaged, write it again")
+        raise InputError(f"{name} claims chunks of {chunks}; its metadata is damaged, write it again")
     count = prod(-(-n // chunk) for n, chunk in zip(array.shape, chunks, strict=True))
     if count > MAX_CHUNKS and name not in ("signal", "echo"):
-        raise InputError(f"{name} is in {count} chunks, but is read as a whole; write it in at most {MAX_CHUNKS}")
+        raise InputError(f"{name} has {count} chunks, but is read as a whole; write it in at most {MAX_CHUNKS}")
     attrs = array.attrs.asdict()
     units = attrs.get("units")
     if units is not None and variable.units in UNITS and str(units).strip().lower() not in UNITS[variable.units]:
@@ -445,6 +447,7 @@ def _checked(place: Place, name: str) -> zarr.Array[Any]:
 
 
 def _real(place: Place, name: str) -> FloatArray:
+    """Check and read a variable of real numbers."""
     array = _checked(place, name)
     values = read_array(array, (slice(None),) * array.ndim, place, name)
     return np.asarray(values, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Small records as JSON, and checksums."""
+"""Small records in JSON, and checksums."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from blocksar.stores.faults import ENVIRONMENT, cause_of
 
 
 def write_json(path: Location, obj: Any) -> None:
-    """Write JSON so that whoever reads it finds the old file or the new one, never half of either.
+    """Write JSON atomically: a reader sees the old file or the new one.
 
-    Numpy numbers and arrays become numbers and lists; NaN and infinities become null: JSON has none.
+    Numpy numbers and arrays become numbers and lists; NaN and infinities, which JSON lacks, become null.
 
     Raises
     ------
     ProcessingError
-        If it cannot be written: no room, no permission.
+        If the file cannot be written, for lack of space or permission for instance.
     ValueError
-        If `obj` holds what JSON does not.
+        If JSON cannot hold `obj`.
     """
     place = place_of(path)
     text = json.dumps(nan_to_null(plain_value(obj, place.name)), indent=1, allow_nan=False)
@@ -41,7 +41,7 @@ def write_json(path: Location, obj: Any) -> None:
 
 
 def plain_value(value: Any, name: str) -> Any:
-    """What JSON holds, of what people put into attributes: numpy numbers and real arrays, paths, tuples."""
+    """Convert a value to JSON types: numpy numbers and real arrays, paths, tuples; `name` names it in a message."""
     match value:
         case np.generic() | np.ndarray() if value.dtype.kind in "biufU":
             return plain_value(value.tolist(), name)
@@ -53,10 +53,11 @@ def plain_value(value: Any, name: str) -> Any:
             return {str(key): plain_value(item, f"{name}.{key}") for key, item in value.items()}
         case list() | tuple():
             return [plain_value(item, name) for item in value]
-    raise ValueError(f"attribute {name} = {value!r} is a {type(value).__name__}, which JSON does not hold")
+    raise ValueError(f"attribute {name} = {value!r} is a {type(value).__name__}, which JSON cannot hold")
 
 
 def nan_to_null(value: Any) -> Any:
+    """Replace NaN and infinities by None, also within lists and dicts."""
     match value:
         case float():
             return value if isfinite(value) else None
@@ -86,26 +87,26 @@ def read_json(path: Location) -> Any:
         remedy = "the path" if isinstance(place, LocalPlace) else ENVIRONMENT
         raise InputError(f"{path} cannot be read ({error.strerror or error}); check {remedy}") from error
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path} is damaged ({cause_of(error)}); remove it, and make it again") from error
+        raise InputError(f"{path} is damaged ({cause_of(error)}); remove it, and create it again") from error
 
 
 def checksum(array: Array) -> str:
-    """xxh3, 128 bits in hexadecimal, of the array's bytes in C order."""
+    """Return the xxh3 checksum, 128 bits in hexadecimal, of an array's bytes in C order."""
     values = np.ascontiguousarray(array)
     return xxhash.xxh3_128(values.reshape(-1).view(np.uint8).data).hexdigest()
 
 
 def checksum_bytes(data: bytes) -> str:
-    """xxh3, 128 bits in hexadecimal."""
+    """Return the xxh3 checksum, 128 bits in hexadecimal, of bytes."""
     return xxhash.xxh3_128(data).hexdigest()
 
 
 def json_checksum(obj: Any) -> str:
-    """Of what `write_json` writes and `read_json` reads, whichever way its keys stand.
+    """Return the checksum of an object as `write_json` writes it; the order of keys does not matter.
 
     Raises
     ------
     ValueError
-        If `obj` holds what JSON does not.
+        If JSON cannot hold `obj`.
     """
     return checksum_bytes(json.dumps(nan_to_null(plain_value(obj, "")), sort_keys=True, allow_nan=False).encode())

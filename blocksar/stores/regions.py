@@ -1,4 +1,4 @@
-"""One region of one variable, read or written."""
+"""Reading and writing one region of one variable."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from blocksar.stores.arrays import dimension_names, open_array
 from blocksar.stores.chunk_files import Array, ChunkFiles, Region, check_out, chunk_files_of
 from blocksar.stores.faults import cause_of, unreachable
 
-OBJECTS_AT_ONCE = 16  # chunks in flight to or from an object store, by one call: what these cost is waiting
-FILES_AT_ONCE = 2  # chunks in flight in one process: zarr's own 10 lose up to 1.7x to moving buffers about
+OBJECTS_AT_ONCE = 16  # chunks in flight per call, to or from an object store: latency dominates
+FILES_AT_ONCE = 2  # chunks in flight per process: zarr's default of 10 is up to 1.7x slower, for copies of buffers
 
 zarr.config.set({"async.concurrency": FILES_AT_ONCE})
 
 
 def write_region(path: Location, name: str, region: Sequence[slice], values: Array) -> None:
-    """Write whole chunks of one variable: chunks nobody else writes need no lock, and may be written again.
+    """Write whole chunks of one variable, without locks: no other task writes them, and a retry may write them again.
 
     Parameters
     ----------
@@ -38,9 +38,9 @@ def write_region(path: Location, name: str, region: Sequence[slice], values: Arr
     name : str
         Variable.
     region : tuple of slice
-        One a dimension; from one chunk's start to another's end, or the end of the array.
+        One per dimension, from the start of a chunk to the end of a chunk or of the array.
     values : array
-        Of the region's shape; cast to the variable's dtype (complex128 to complex64, never complex to real).
+        In the region's shape; cast to the variable's dtype (complex128 to complex64, never complex to real).
 
     Raises
     ------
@@ -49,7 +49,7 @@ def write_region(path: Location, name: str, region: Sequence[slice], values: Arr
     InputError
         If there is no such store or variable.
     ProcessingError
-        If it cannot be written: no room, no permission.
+        If it cannot be written, for lack of space or permission for instance.
     """
     place = place_of(path)
     array = chunk_files_of(place, name) or open_array(place, name, mode="r+")
@@ -61,13 +61,13 @@ def write_region(path: Location, name: str, region: Sequence[slice], values: Arr
     for (start, stop, step), n, chunk in zip(bounds, array.shape, chunks, strict=True):
         if step != 1 or start % chunk or (stop % chunk and stop != n):
             raise ValueError(
-                f"{name}: {start}:{stop}:{step} is not whole chunks of {chunk} in {n}; write whole chunks only"
+                f"{name}: {start}:{stop}:{step} of {n} is not made of whole chunks of {chunk}; write whole chunks only"
             )
     shape = tuple(max(stop - start, 0) for start, stop, _ in bounds)
     if values.shape != shape:
         raise ValueError(f"{name}: values have shape {values.shape}, but the region {region} has {shape}")
     if not np.can_cast(values.dtype, array.dtype, "same_kind"):
-        raise ValueError(f"{name}: {values.dtype} does not go into {array.dtype}")
+        raise ValueError(f"{name}: {values.dtype} does not go into {array.dtype}; convert the values")
     try:
         whole = tuple(slice(start, stop) for start, stop, _ in bounds)
         if isinstance(array, ChunkFiles):
@@ -76,13 +76,13 @@ def write_region(path: Location, name: str, region: Sequence[slice], values: Arr
             array[whole] = values
         else:
             with os_errors(place):
-                _each_chunk(whole, chunks, lambda there, here: array.__setitem__(there, values[here]))
+                _each_chunk(whole, chunks, lambda in_array, in_region: array.__setitem__(in_array, values[in_region]))
     except OSError as error:
         raise ProcessingError(f"{name} in {place} cannot be written ({error.strerror or error})") from error
 
 
 def read_region(path: Location, name: str, region: Sequence[slice], out: Array | None = None) -> Array:
-    """Read a region of one variable; of the samples, only the chunks it touches are read.
+    """Read a region of one variable; only the chunks that it touches are read.
 
     Parameters
     ----------
@@ -91,21 +91,21 @@ def read_region(path: Location, name: str, region: Sequence[slice], out: Array |
     name : str
         Variable.
     region : tuple of slice
-        One a dimension, of any place and ascending step.
+        One per dimension, with any bounds and an ascending step.
     out : array, optional
-        Of the region's shape and the variable's dtype, to be filled and returned: a view, turned or not, will do.
+        Filled and returned; in the region's shape and the variable's dtype. It may be a view, also a transposed one.
 
     Returns
     -------
     array
-        In the variable's dtype; fill value where nothing was written.
+        In the variable's dtype; the fill value in chunks that were never written.
 
     Raises
     ------
     ValueError
         If `out` does not fit the region.
     InputError
-        If there is no such store or variable, or a chunk is damaged: it names the chunk.
+        If there is no such store or variable, or a chunk is damaged; the message names the chunk.
     """
     place = place_of(path)
     array = chunk_files_of(place, name) or open_array(place, name)
@@ -113,7 +113,7 @@ def read_region(path: Location, name: str, region: Sequence[slice], out: Array |
 
 
 def chunk_shape(path: Location, name: str) -> tuple[int, ...]:
-    """Of one variable.
+    """Return the shape of a variable's chunks.
 
     Raises
     ------
@@ -125,56 +125,56 @@ def chunk_shape(path: Location, name: str) -> tuple[int, ...]:
 
 
 def share_region(path: Location, name: str, region: Region, *, source: Location, source_region: Region) -> bool:
-    """Let whole chunks of a variable be those of another store's variable of that name, without copying them.
+    """Share whole chunks of a variable with the variable of that name in another store, without copying them.
 
-    Files are hard-linked, which is safe as nobody writes into a chunk's file: a new one takes its place.
+    The files are hard-linked, which is safe because a chunk's file is only ever replaced, not written into.
 
     Returns
     -------
     bool
-        False where that cannot be done: chunks do not fall together, the file system knows no hard links, or it is
+        False if that is impossible: the chunks do not coincide, the file system has no hard links, or a store lies in
         an object store.
     """
-    ours, theirs = chunk_files_of(place_of(path), name), chunk_files_of(place_of(source), name)
-    if ours is None or theirs is None:
+    files, source_files = chunk_files_of(place_of(path), name), chunk_files_of(place_of(source), name)
+    if files is None or source_files is None:
         return False
     try:
-        ours.link(region, theirs, source_region)
+        files.link(region, source_files, source_region)
     except OSError:
         return False
     return True
 
 
 def read_array(
-    array: ChunkFiles | zarr.Array[Any], region: Region, where: Place, what: str, out: Array | None = None
+    array: ChunkFiles | zarr.Array[Any], region: Region, store: Place, label: str, out: Array | None = None
 ) -> Array:
-    """Read a region; where that fails, find the first chunk at fault and name it."""
+    """Read a region of an open array; `label` names it in messages. If that fails, name the first damaged chunk."""
     if isinstance(array, ChunkFiles):
         if len(region) == array.ndim and all(part.step in (None, 1) for part in region):
             with suppress(OSError):
                 return array.read(region, out)
-        # Whatever it was, zarr makes sense of it, or says what is wrong.
-        array = open_array(where, os.path.basename(array.folder))
+        # Otherwise let zarr read it, or say what is wrong.
+        array = open_array(store, os.path.basename(array.folder))
     try:
-        with os_errors(where):
-            values = np.asarray(array[region]) if isinstance(where, LocalPlace) else _fetch(array, region)
+        with os_errors(store):
+            values = np.asarray(array[region]) if isinstance(store, LocalPlace) else _fetch(array, region)
     except MemoryError:
         raise
     except Exception as error:
-        if isinstance(error, OSError) and isinstance(where, ObjectPlace):
-            raise unreachable(where, error) from error
-        cause, place = error, ""
+        if isinstance(error, OSError) and isinstance(store, ObjectPlace):
+            raise unreachable(store, error) from error
+        cause, position = error, ""
         for cell in _cells(array, region):
             try:
                 array[cell]
             except Exception as first:
                 dims = dimension_names(array) or tuple(f"dimension {i}" for i in range(array.ndim))
                 spans = (f"{dim} {part.start}..{part.stop - 1}" for dim, part in zip(dims, cell, strict=True))
-                cause, place = first, ", ".join(spans)
+                cause, position = first, ", ".join(spans)
                 break
         raise InputError(
-            f"{what} cannot be read{f' at {place}' if place else ''} ({cause_of(cause)}); "
-            "that chunk is damaged or out of reach: write it again"
+            f"{label} cannot be read{f' at {position}' if position else ''} ({cause_of(cause)}); "
+            "that chunk is damaged or unreachable: write it again"
         ) from error
     if out is None:
         return values
@@ -184,33 +184,36 @@ def read_array(
 
 
 def _fetch(array: zarr.Array[Any], region: Region) -> Array:
-    """Read a region from an object store."""
+    """Read a region from an object store, many chunks at a time."""
     if len(region) != array.ndim or any(part.step not in (None, 1) for part in region):
         return np.asarray(array[region])
     values = np.empty([len(range(*part.indices(n))) for part, n in zip(region, array.shape, strict=True)], array.dtype)
     region = tuple(slice(*part.indices(n)) for part, n in zip(region, array.shape, strict=True))
-    _each_chunk(region, array.chunks, lambda there, here: values.__setitem__(here, array[there]))
+    _each_chunk(region, array.chunks, lambda in_array, in_region: values.__setitem__(in_region, array[in_array]))
     return values
 
 
 def _each_chunk(region: Region, chunks: Sequence[int], move: Callable[[Region, Region], None]) -> None:
-    """Call `move` for every chunk of a region, many at a time, with where it is in the array and in the region.
+    """Call `move` for every chunk of a region, many at a time, with its slices in the array and in the region.
 
-    zarr's own number of chunks in flight is set for files, and for all of a process.
+    zarr's own number of chunks in flight suits files, and holds for the whole process.
     """
     spans = [range(part.start, part.stop) for part in region]
-    there = [
+    in_array = [
         [slice(max(i, span.start), min(i + n, span.stop)) for i in range(span.start - span.start % n, span.stop, n)]
         for span, n in zip(spans, chunks, strict=True)
     ]
-    here = [[slice(p.start - s.start, p.stop - s.start) for p in parts] for parts, s in zip(there, spans, strict=True)]
+    in_region = [
+        [slice(part.start - span.start, part.stop - span.start) for part in parts]
+        for parts, span in zip(in_array, spans, strict=True)
+    ]
     with ThreadPoolExecutor(OBJECTS_AT_ONCE) as pool:
-        for _ in pool.map(move, product(*there), product(*here)):
+        for _ in pool.map(move, product(*in_array), product(*in_region)):
             pass
 
 
 def _cells(array: zarr.Array[Any], region: Region) -> Iterator[Region]:
-    """The chunks that a region touches."""
+    """Iterate over the chunks that a region touches."""
     spans = []
     for part, n, chunk in zip(region, array.shape, array.chunks, strict=True):
         start, stop, _ = part.indices(n)

@@ -1,4 +1,4 @@
-"""What every store holds: the one statement of its variables, which writing and checking both go by."""
+"""The variables, attributes and units of every store, for writing and for checking."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ IMAGE = {
 CONVENTIONS = "CF-1.11"
 COLLECTION_ATTRS = ("carrier_frequency", "beam_width", "ground_height")
 RAW_ATTRS = ("chirp_rate", "pulse_width")
-UNITS = {  # spellings that mean the contract's unit
+UNITS = {  # accepted spellings of the contract's units
     "s": ("s", "sec", "second", "seconds"),
     "Hz": ("hz", "hertz", "s-1", "1/s"),
     "m": ("m", "metre", "metres", "meter", "meters"),

@@ -3,11 +3,11 @@
     python deploy/slurm/focus_on_slurm.py PH.zarr --out RUN --jobs 8 --walltime 02:00:00 --queue compute
 
 This process is scheduler and client: it submits one job for every worker through dask-jobqueue, waits until they run,
-focuses, and cancels them. It needs one core and 2 GiB, and lives as long as the run; `focus.sbatch` makes a job of it.
-Whatever ends it, the same command goes on from there: receipts lie in RUN.
+focuses, and cancels them. It needs one core and 2 GiB for the duration of the run; `focus.sbatch` runs it as a job.
+However it ends, the same command resumes the run from the receipts in RUN.
 
-Connections are encrypted, with certificates that are made for this run and are readable by you alone: others who have
-accounts on the cluster cannot talk to the scheduler. Exit statuses are those of `blocksar focus`.
+Connections are encrypted with certificates that are created for this run and readable only by you: other users of the
+cluster cannot connect to the scheduler. Exit statuses are those of `blocksar focus`.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ if TYPE_CHECKING:
 
 
 MIB = 2**20
-NANNY = 512 * MIB  # bytes of a job beside its worker's memory limit: dask ends a worker before Slurm ends the job
+NANNY = 512 * MIB  # bytes of a job above its worker's memory limit: dask stops a worker before Slurm kills the job
 
-# What blocksar sets for a cluster of its own: the plan keeps to the memory limit, and spilling would hide that it did
-# not; a worker that has not been heard of for a minute is lost.
+# The settings of a cluster that blocksar starts itself: plans respect the memory limit, and spilling would hide a
+# violation; a worker that has not responded for a minute counts as lost.
 SETTINGS: dict[str, object] = {
     "distributed.admin.low-level-log-length": 10,
     "distributed.scheduler.work-stealing": False,
@@ -50,23 +50,25 @@ SETTINGS: dict[str, object] = {
     "distributed.worker.memory.pause": 0.9,
     "distributed.worker.memory.terminate": 0.98,
 }
-# Blocks go back to the system at once; groups of rows and chunks stay in malloc's keeping.
+# Freed blocks return to the system at once; memory of groups of rows and of chunks is kept by malloc.
 ENVIRONMENT = {
     "NUMBA_NUM_THREADS": "1",
     "MALLOC_MMAP_THRESHOLD_": str(24 * MIB),
     "MALLOC_TRIM_THRESHOLD_": str(64 * MIB),
 }
-COMPILE = "from blocksar.ground import compile_kernels; compile_kernels()"
+COMPILE = "from blocksar.focusing.correction import compile_kernels; compile_kernels()"
 
 
 def prologue() -> list[str]:
-    """Lines of a worker's job before the worker: its settings, and the compiled loops.
+    """Lines of a worker's job before the worker starts: settings, and compilation of the loops.
 
-    To compile them takes more memory than a block may: done by a process of its own, the worker finds them in numba's
-    cache.
+    Compiling takes more memory than a block may use. It is done in a separate process, from which the worker gets the
+    loops through numba's cache.
     """
-    named = {f"DASK_{key}".upper().replace(".", "__").replace("-", "_"): str(value) for key, value in SETTINGS.items()}
-    exports = [f"export {name}={shlex.quote(value)}" for name, value in (named | ENVIRONMENT).items()]
+    dask_settings = {
+        f"DASK_{key}".upper().replace(".", "__").replace("-", "_"): str(value) for key, value in SETTINGS.items()
+    }
+    exports = [f"export {name}={shlex.quote(value)}" for name, value in (dask_settings | ENVIRONMENT).items()]
     return [*exports, f"{shlex.quote(sys.executable)} -c {shlex.quote(COMPILE)}"]
 
 
@@ -81,20 +83,20 @@ def make_cluster(
     scratch: str = "${TMPDIR:-/tmp}",
     directives: list[str] | None = None,
 ) -> SLURMCluster:
-    """A scheduler in this process, and jobs of one worker with one thread each, none so far.
+    """Start a scheduler in this process; jobs of one worker with one thread each are added by `scale`.
 
     Parameters
     ----------
     folder : Path
-        Of certificates and the workers' logs; all nodes have to see it.
+        For certificates and the workers' logs; shared by all nodes.
     memory : int
-        Bytes of a worker.
+        Memory of a worker, bytes.
     interface : str, optional
-        Network that the nodes share, such as ib0.
+        Network between the nodes, such as ib0.
     scratch : str
-        Folder for temporary files, as the job's shell reads it.
+        Folder for temporary files, expanded by the shell of the job.
     directives : list of str, optional
-        More options of sbatch, such as `--constraint=avx512`.
+        Further options of sbatch, such as `--constraint=avx512`.
 
     Raises
     ------
@@ -127,7 +129,7 @@ def make_cluster(
         death_timeout=120,
         security=security,
         protocol="tls://",
-        # Dashboards show all and ask nobody who he is: the scheduler's on this node only, the workers' not at all.
+        # Dashboards have no access control: the scheduler's is on this node only, the workers have none.
         scheduler_options={"dashboard_address": "127.0.0.1:0"},
         worker_extra_args=["--no-dashboard"],
         silence_logs="critical",
@@ -135,67 +137,71 @@ def make_cluster(
 
 
 def check_job(script: str) -> None:
-    """Ask Slurm whether it would take such a job; none is submitted.
+    """Check that Slurm accepts such a job, without submitting it.
 
     Raises
     ------
     InputError
-        If it would not.
+        If it does not, or there is no sbatch.
     """
     if shutil.which("sbatch") is None:
-        raise InputError("there is no sbatch here; call this where Slurm takes jobs, or give --job-script")
-    asked = subprocess.run(["sbatch", "--test-only"], input=script, capture_output=True, text=True, check=False)
-    if asked.returncode:
-        said = " ".join(asked.stderr.split())
-        raise InputError(f"sbatch refuses the workers' jobs ({said}); check --queue, --account and --walltime")
+        raise InputError("there is no sbatch on this machine; run this where Slurm accepts jobs, or give --job-script")
+    answer = subprocess.run(["sbatch", "--test-only"], input=script, capture_output=True, text=True, check=False)
+    if answer.returncode:
+        reason = " ".join(answer.stderr.split())
+        raise InputError(f"sbatch refuses the workers' jobs ({reason}); check --queue, --account and --walltime")
 
 
 @contextmanager
 def closing(cluster: SLURMCluster) -> Iterator[None]:
-    """Cancel the jobs at the end, whatever has become of them."""
+    """Cancel the jobs at the end, whatever their state."""
     try:
         yield
     finally:
-        with suppress(AssertionError):  # dask's own, of jobs that could not be submitted: it would hide the cause
+        with suppress(AssertionError):  # raised by dask for jobs that could not be submitted; it would hide the cause
             cluster.close()
 
 
-def gather(client: Client, jobs: int, patience: float) -> None:
-    """Wait for the workers, `patience` seconds at most; then those that run have to do.
+def wait_for_workers(client: Client, jobs: int, patience: float) -> None:
+    """Wait for the workers, at most `patience` seconds; the run then starts with those available.
 
-    The plan divides the scene among the workers that are there: one that comes later helps all the same.
+    The plan divides the scene among these workers; later ones are used as well.
 
     Raises
     ------
     ProcessingError
-        If none runs.
+        If none is running.
     """
     with suppress(TimeoutError):
         client.wait_for_workers(jobs, timeout=patience)
     running = len(client.scheduler_info(n_workers=-1)["workers"])
     if not running:
-        raise ProcessingError(f"none of {jobs} jobs ran within {patience:.0f} s: squeue says why; try again later")
+        raise ProcessingError(
+            f"none of {jobs} jobs started within {patience:.0f} s: see squeue for the reason; try again later"
+        )
     typer.echo(f"{running} of {jobs} workers are running", err=True)
 
 
 def main(
-    source: Annotated[str, typer.Argument(metavar="PH.zarr", help="Phase-history store; all nodes have to see it.")],
-    out: Annotated[str, typer.Option(metavar="RUN", help="Folder of the run; all nodes have to see it.")],
-    jobs: Annotated[int, typer.Option(min=1, help="Workers, each a job with one core.")] = 4,
+    source: Annotated[str, typer.Argument(metavar="PH.zarr", help="Phase-history store; shared by all nodes.")],
+    out: Annotated[str, typer.Option(metavar="RUN", help="Folder of the run; shared by all nodes.")],
+    jobs: Annotated[int, typer.Option(min=1, help="Number of workers, each a job with one core.")] = 4,
     memory: Annotated[str, typer.Option(metavar="SIZE", help="Memory of each worker.")] = "3GiB",
-    walltime: Annotated[str, typer.Option(metavar="HH:MM:SS", help="Of the workers' jobs.")] = "02:00:00",
+    walltime: Annotated[str, typer.Option(metavar="HH:MM:SS", help="Time limit of the workers' jobs.")] = "02:00:00",
     queue: Annotated[str | None, typer.Option(metavar="NAME", help="Partition of the workers' jobs.")] = None,
-    account: Annotated[str | None, typer.Option(metavar="NAME", help="Account that pays for them.")] = None,
+    account: Annotated[str | None, typer.Option(metavar="NAME", help="Account of the workers' jobs.")] = None,
     interface: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Network that the nodes share, such as ib0.")
+        str | None, typer.Option(metavar="NAME", help="Network between the nodes, such as ib0.")
     ] = None,
     scratch: Annotated[
-        str, typer.Option(metavar="DIR", help="For temporary files, as the job's shell reads it.")
+        str, typer.Option(metavar="DIR", help="Folder for temporary files, expanded by the shell of the job.")
     ] = "${TMPDIR:-/tmp}",
     directive: Annotated[
-        list[str] | None, typer.Option(metavar="OPTION", help="More options of sbatch, such as --constraint=avx512.")
+        list[str] | None, typer.Option(metavar="OPTION", help="Further options of sbatch, such as --constraint=avx512.")
     ] = None,
-    patience: Annotated[float, typer.Option(min=1, metavar="SECONDS", help="To wait for the jobs to start.")] = 3600,
+    patience: Annotated[
+        float, typer.Option(min=1, metavar="SECONDS", help="Time to wait for the jobs to start.")
+    ] = 3600,
     processor: options.ProcessorOption = "angular-division",
     blocks: options.Blocks = "auto",
     coefficients: options.CoefficientsOption = "fitted",
@@ -203,7 +209,7 @@ def main(
     overwrite: options.Overwrite = False,
     quiet: options.Quiet = False,
     job_script: Annotated[
-        bool, typer.Option("--job-script", help="Print the job of a worker and end; nothing is submitted.")
+        bool, typer.Option("--job-script", help="Print the job of a worker without submitting it.")
     ] = False,
 ) -> None:
     """Focus a phase history with workers that are Slurm jobs.
@@ -220,7 +226,7 @@ def main(
             "overwrite": overwrite,
         }
         if not job_script:
-            stores.open_phase_history(source)  # before any job waits in a queue for it
+            stores.open_phase_history(source)  # refuse it before jobs are queued
 
         import dask
         from distributed import Client
@@ -243,7 +249,7 @@ def main(
                 check_job(cluster.job_script())
                 with Client(cluster) as client:
                     cluster.scale(jobs=jobs)
-                    gather(client, jobs, patience)
+                    wait_for_workers(client, jobs, patience)
                     with Progress(quiet=quiet) as progress:
                         report = blocksar.focus(source, out, threads=1, client=client, progress=progress, **settings)
         display.show(report)
@@ -252,9 +258,9 @@ def main(
     except (ProcessingError, OSError) as error:
         _end(str(error), endings.FAILED)
     except KeyboardInterrupt:
-        _end("interrupted; the same command goes on from there", endings.INTERRUPTED)
+        _end("interrupted; the same command resumes the run", endings.INTERRUPTED)
     except endings.Terminated:
-        _end("terminated; the same command goes on from there", endings.TERMINATED)
+        _end("terminated; the same command resumes the run", endings.TERMINATED)
 
 
 def _end(message: str, status: int) -> NoReturn:

@@ -15,10 +15,12 @@ import tomllib
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import click
 import dask
+import distributed.cli.dask_scheduler
 import distributed.cli.dask_worker
 import pytest
 import typer
@@ -162,8 +164,12 @@ def workflow() -> Iterator[Any]:
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(ROOT / "workflows"))
         import process_inbox
+        from inbox import statuses
 
-        yield process_inbox
+        yield SimpleNamespace(
+            main=process_inbox.main, __doc__=process_inbox.__doc__, DONE=statuses.DONE, FAILED=statuses.FAILED,
+            USAGE=statuses.USAGE, QUARANTINED=statuses.QUARANTINED, BUSY=statuses.BUSY,
+        )  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -440,11 +446,34 @@ def test_all_run_one_image_of_this_version() -> None:
 def test_the_image_has_what_is_run_in_it() -> None:
     made = CONTAINERFILE.read_text()
     assert f"COPY workflows/process_inbox.py {WORKFLOW}\n" in made
+    assert f"COPY workflows/inbox {Path(WORKFLOW).parent / 'inbox'}\n" in made
     assert f"ENV PATH={Path(PYTHON).parent}:" in made
     for folder in (INBOX, OUTBOX, KERNELS):
         assert re.search(rf"install --directory .*{folder}\b", made.replace("\\\n", "")), folder
     for source in re.findall(r"^COPY (?!--from)(.*) \S+$", made, re.MULTILINE):
         assert all((ROOT / name).exists() for name in source.split())
+
+
+def test_the_script_runs_with_only_its_package_beside_it(tmp_path: Path) -> None:
+    """As in the image, which has no other file of workflows/."""
+    shutil.copy(ROOT / "workflows" / "process_inbox.py", tmp_path)
+    shutil.copytree(ROOT / "workflows" / "inbox", tmp_path / "inbox")
+    command = [sys.executable, str(tmp_path / "process_inbox.py"), "--help"]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and "INBOX" in done.stdout, done.stderr
+
+
+def test_the_command_that_compiles_the_loops_exists() -> None:
+    """Compose, Kubernetes and the Slurm recipe compile in a process of their own."""
+    commands = [
+        (path.name, name)
+        for path in DEPLOY.rglob("*")
+        if path.suffix in (".py", ".yaml")
+        for name in re.findall(r"from ([\w.]+) import compile_kernels; compile_kernels\(\)", path.read_text())
+    ]
+    assert {name for name, _ in commands} == {"compose.yaml", "cluster.yaml", "focus_on_slurm.py"}
+    assert all(callable(importlib.import_module(module).compile_kernels) for _, module in commands)
 
 
 def test_nobody_is_root() -> None:
@@ -730,11 +759,11 @@ def test_the_batch_script_calls_the_recipe(recipe: Any, tmp_path: Path) -> None:
 
 
 def test_everything_has_a_readme_that_says_what_is_asked() -> None:
-    assert sorted(p.name for p in DEPLOY.iterdir() if p.is_dir()) == sorted(PARTS)
+    assert sorted(p.name for p in DEPLOY.iterdir() if p.is_dir() and p.name != "site") == sorted(PARTS)
     for part in PARTS:
         readme = text(part, "README.md")
         headings = re.findall(r"^## (.*)$", readme, re.MULTILINE)
-        assert {"Install", "What to adapt", "Does it work?", "Stop, go on"} <= set(headings), part
+        assert {"Install", "What to adapt", "Check", "Stop and resume"} <= set(headings), part
         assert f"({part}/README.md)" in text("README.md")
         for target in re.findall(r"\]\((?!https?://)([^)#]+)", readme):
             assert (DEPLOY / part / target).exists(), f"{part}: {target}"

@@ -13,6 +13,7 @@ from numba import njit
 from slow_twins import back_projection
 
 from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.collection.beam import lit_interval
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
@@ -23,7 +24,6 @@ from blocksar.focusing.backprojection import (
     form_image,
     form_points,
     image_memory,
-    lit_interval,
     pulse_block_size,
     range_profiles,
     spline_error,

@@ -12,9 +12,8 @@ from typing import Any
 from scenes import scene
 
 import blocksar
-from blocksar.collection.geometry import Geometry
 from blocksar.places import place
-from blocksar.runs.finished import Source, open_run
+from blocksar.runs.finished import FinishedRun
 
 HOSTILE = "</title></script><script>window.pwned = 1</script><img src=x onerror=window.pwned=1> & \u202e{{ 7 * 7 }}"
 TARGETS = {"A": (29900.0, 48.5), "B": (30100.0, 51.5), "seam": (30000.0, 50.2), "<i>D": (29950.0, 50.0)}
@@ -47,9 +46,8 @@ def changed(path: Path, change: Callable[[Any], None]) -> None:
     path.write_text(json.dumps(record))
 
 
-def source_of(run: Path) -> Source:
-    image, collection, attrs, record = open_run(place(run))
-    return Source(image.path, image.x, image.y, Geometry(collection=collection), attrs, record)
+def source_of(run: Path) -> FinishedRun:
+    return FinishedRun.open(place(run))
 
 
 class Reading(HTMLParser):

@@ -17,6 +17,7 @@ from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.backprojection import form_image
 from blocksar.measurement.targets import Target
 from blocksar.runs import finished
+from blocksar.runs.record import RunRecord
 
 DAYTON = Georeference(latitude=39.78, longitude=-84.09, height=250.0)
 TARGETS = [Target("A", 0.3, -0.2), Target("B", 20.1, 11.3), Target("C", -17.7, 13.9), Target("D", -12.2, -15.9)]
@@ -33,11 +34,11 @@ class Made:
     y: Any
 
     @property
-    def source(self) -> finished.Source:
+    def source(self) -> finished.FinishedRun:
         _, attrs = stores.read_collection(self.folder / "collection.zarr")
         geometry = Geometry(collection=self.collection)
-        place = blocksar.places.place(self.folder / "image.zarr")  # type: ignore[attr-defined]
-        return finished.Source(place, self.x, self.y, geometry, attrs, {})
+        folder = blocksar.places.place(self.folder)  # type: ignore[attr-defined]
+        return finished.FinishedRun(folder, self.x, self.y, geometry, attrs, RunRecord(status="finished"))
 
     def peak(self, target: Target) -> Any:
         """Fractional (row of y, column of x) of the target's peak: its chip, transformed, padded 16 times and back."""

@@ -11,17 +11,18 @@ from numpy.typing import NDArray
 from scenes import TABLE1
 
 from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.collection.beam import dwell_at
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.region import Region, plan_region
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.lines import Line
-from blocksar.focusing.method import Method
+from blocksar.focusing.method import DEFAULT, Method
 from blocksar.focusing.recovery import Recovery, recover_columns
+from blocksar.focusing.sampling import Sampling
 from blocksar.kernels.fourier import Axis
-from blocksar.planning.block import BlockPlan, plan_block
-from blocksar.planning.plan import DEFAULT
+from blocksar.planning.block import BlockPlan, Sector, plan_block
 from blocksar.planning.recovery import plan_recovery
 from blocksar.planning.target_lines import recovered_line
 from blocksar.simulation.scatterers import simulate_pulses
@@ -98,7 +99,8 @@ def planned(
     index = blocks // 2 if index is None else index
     low, high = float(edges[index]), float(edges[index + 1])
     near, far = region.limits(low, high)
-    plan = plan_block(geometry, recovery, region, index=index, low=low, high=high, near=near, far=far, method=method)
+    sector = Sector(geometry=geometry, recovery=recovery, region=region, low=low, high=high, near=near, far=far)
+    plan = plan_block(sector, method, index=index)
     return Planned(collection=collection, geometry=geometry, region=region, recovery=recovery, plan=plan)
 
 
@@ -112,7 +114,7 @@ def taper(geometry: Geometry, yaw: float, time: FloatArray) -> FloatArray:
 
     time (n,) s, absolute.
     """
-    first, last = geometry.dwell(np.array(yaw))
+    first, last = dwell_at(geometry, np.array(yaw))
     along = (time - first) / (last - first)
     return np.where((along > 0) & (along < 1), np.sin(np.pi * np.clip(along, 0, 1)) ** 2, 0.0)
 
@@ -232,3 +234,13 @@ def peak(power: FloatArray, around: FloatArray) -> float:
     fit = np.polynomial.Polynomial.fit(around, power / power.max(), 6)
     fine = np.linspace(around[0], around[-1], 4001)
     return float(fine[np.argmax(fit(fine))])
+
+
+# -- sampling -----------------------------------------------------------------------------------------------
+
+
+def sampling(**axes: Any) -> Sampling:
+    """A sampling for one step alone: the axes that are given, and axes that nothing asks for."""
+    unused = Axis(0.0, 1.0, 1)
+    whole: dict[str, Any] = dict.fromkeys(Sampling.__dataclass_fields__, unused)
+    return Sampling(**whole | {"time_occupancy": 0.5, "doppler_occupancy": 0.5, "gate": None} | axes)

@@ -184,7 +184,7 @@ def ingested(path: Path, **options: Any) -> tuple[Collection, Array, list[str], 
     out = path.with_suffix(".zarr")
     made = cphd.ingest(path, out, overwrite=True, **options)
     history = stores.open_phase_history(out)
-    return history.collection, history.read(slice(None), slice(None)), made.said, history.attrs
+    return history.collection, history.read(slice(None), slice(None)), made.messages, history.attrs
 
 
 def failures(path: Path) -> list[str]:
@@ -716,7 +716,7 @@ def test_a_strip_map_is_not_said_to_be_steered(base: Base, tmp_path: Path) -> No
     dwell(parts, {(0, 0): 0.2, (0, 1): 1e-3, (1, 0): 2e-3}, {(0, 0): 0.05})
     collection, said = check(write(tmp_path / "strip.cphd", parts), base)
     assert collection.beam_width is None
-    assert any("no matter of yaw alone" in line for line in said)
+    assert any("do not depend on yaw alone" in line for line in said)
 
 
 def test_a_constant_centre_of_dwell_is_not_said_to_be_steered(base: Base, tmp_path: Path) -> None:
@@ -837,7 +837,7 @@ MUTATIONS: dict[str, tuple[Callable[[Parts], None], str]] = {
     "delays upside down": (vectors("TOA1", 1.0), "TOA1 is not below TOA2"),
     "delays in microseconds": (
         lambda p: (p.vectors["TOA1"].__imul__(1e6), p.vectors["TOA2"].__imul__(1e6))[0],
-        "TOA1 .. TOA2 is .* s long in vector 0, but samples SCSS = .* Hz apart tell only",
+        "TOA1 .. TOA2 is .* s long in vector 0, but samples SCSS = .* Hz apart have only",
     ),
     "no signal anywhere": (vectors("SIGNAL", 0), "SIGNAL is 1 in 0 of 160 vectors"),
     "grids that cannot be resampled": (

@@ -124,10 +124,10 @@ def test_files_in_any_order_are_joined_in_azimuth(tmp_path: Path) -> None:
     assert np.abs(found.reference_range - np.linalg.norm(found.antenna_position, axis=1)).max() < 1e-9
     assert np.abs(found.carrier + found.range_frequency - FREQUENCY).max() < 1100  # Hz, float32 again
     assert np.array_equal(samples(tmp_path / "ph.zarr"), simulate_pulses(wanted, *SCENE))
-    assert "3 files, 90 pulses; AFRL Gotcha, pass 1, HH" in made.said[0]
+    assert "3 files, 90 pulses; AFRL Gotcha, pass 1, HH" in made.messages[0]
     assert history.attrs["source"] == [paths[2].name, paths[0].name, paths[1].name]
     assert history.attrs["polarization"] == {"transmit": "H", "receive": "H"}
-    assert any("af" in line and "not applied" in line for line in made.said)
+    assert any("af" in line and "not applied" in line for line in made.messages)
 
 
 @pytest.mark.parametrize("turn", [-0.4, 3.0, 5.0])
@@ -153,7 +153,7 @@ def test_a_few_lost_pulses_are_missing(tmp_path: Path) -> None:
     wanted[40:45] = np.nan
     assert np.array_equal(samples(tmp_path / "ph.zarr"), wanted, equal_nan=True)
     assert np.abs(made.collection.antenna_position - position).max() < 3e-4
-    assert any("5 of 90 pulses are missing" in line for line in made.said)
+    assert any("5 of 90 pulses are missing" in line for line in made.messages)
 
 
 def test_chunks_of_pulses_are_gathered_across_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -171,7 +171,7 @@ def test_track_figures_are_told(tmp_path: Path) -> None:
     """A wobble of 4 mm that no polynomial follows, up and down: it is the misfit, and nearly nothing is left of it."""
     wobble = 0.004 * np.sin(2.0 * np.arange(90))
     made = ingestion.ingest(written(tmp_path, circle(AZIMUTH, HEIGHT + wobble)), tmp_path / "ph.zarr")
-    line = next(line for line in made.said if line.startswith("track"))
+    line = next(line for line in made.messages if line.startswith("track"))
     track = Geometry(collection=made.collection).track
     assert f"order {track.order} misses" in line
     assert 3 < float(line.split("at most ")[1].split(" mm")[0]) < 5
@@ -201,7 +201,7 @@ def test_no_echo_errs_by_more_than_the_bound(band: float, jitter: float, most: f
     made = plan_resampling(time, uniform, band=band)
     doppler = random.uniform(-band / 2, band / 2, 64)
     echoes = np.exp(2j * np.pi * time[:, None] * doppler).astype(np.complex64)
-    found = made.apply(echoes[made.needs(slice(0, 300))], slice(0, 300))
+    found = made.apply(echoes[made.inputs(slice(0, 300))], slice(0, 300))
     error = np.abs(found - np.exp(2j * np.pi * uniform[:, None] * doppler))
     assert np.isnan(error[~made.good]).all() and np.count_nonzero(~made.good) <= 12
     good = made.good
@@ -241,7 +241,7 @@ def test_uneven_pulses_become_uniform_within_the_error_told(tmp_path: Path) -> N
     found = made.collection
     steps = np.diff(np.arctan2(found.antenna_position[:, 1], found.antenna_position[:, 0]))
     assert np.ptp(steps) < 1e-3 * STEP  # uniform now
-    line = next(line for line in made.said if line.startswith("slow time"))
+    line = next(line for line in made.messages if line.startswith("slow time"))
     bound = 10 ** (float(line.split("at most ")[1].split(" dB")[0]) / 20)
     assert bound < 0.06
     error = np.abs(samples(tmp_path / "ph.zarr") - simulate_pulses(found, *SCENE))
@@ -317,7 +317,7 @@ MUTATIONS: dict[str, tuple[Callable[[Record], bytes], str]] = {
     "no r0": (without("r0"), "no field r0"),
     "fp real": (changed("fp", np.real), "fp is of type float32"),
     "fp text": (changed("fp", lambda _: "fp"), "fp is text"),
-    "fp turned": (changed("fp", np.transpose), "on its side"),
+    "fp turned": (changed("fp", np.transpose), "transposed"),
     "fp short": (changed("fp", lambda fp: fp[:-1]), "freq has 48"),
     "fp a cell array": (changed("fp", lambda fp: fp.astype(object)), "fp is a cell array"),
     "fp fewer pulses": (changed("fp", lambda fp: fp[:, :-1]), "x has 20 values, but fp has 19"),
@@ -598,8 +598,8 @@ def test_measured_figures(measured: list[Path], tmp_path: Path) -> None:
     assert made.collection.n_pulse == 469 and made.collection.n_range_frequency == 424
     track = Geometry(collection=made.collection).track
     assert track.order <= 6 and track.max_misfit < 2e-3
-    assert any("number serves as slow time" in line for line in made.said)
-    assert any("its rounding" in line for line in made.said)
+    assert any("number serves as slow time" in line for line in made.messages)
+    assert any("its rounding" in line for line in made.messages)
 
 
 def test_measured_sign_and_reference(store: Path, reference: np.ndarray, measured: list[Path]) -> None:

@@ -17,7 +17,7 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.region import Region, plan_region
 from blocksar.errors import InputError
 from blocksar.focusing.recovery import Recovery
-from blocksar.inspection.centroid import Expectation, centroid, disagreement, expect
+from blocksar.inspection.centroid import Expectation, disagreement, expect, measure_centroid
 from blocksar.inspection.samples import SEGMENTS, Inspection, inspect
 from blocksar.planning.recovery import plan_recovery
 from blocksar.simulation.scatterers import simulate_pulses
@@ -167,7 +167,7 @@ def test_the_figure_is_the_shift(table1: Case) -> None:
         turn = np.exp(2j * np.pi * shift * thin.time)[:, None].astype(np.complex64)
         signal = table1.clutter * turn
         found = inspect(signal, range_frequency=thin.range_frequency, recovery=plan.recovery)
-        measured = centroid(found, prf=prf)
+        measured = measure_centroid(found, prf=prf)
         offsets[shift] = measured.mean_offset
         assert measured.offset.shape == measured.coherence.shape == (SEGMENTS,)
         assert 0.2 < measured.mean_coherence <= measured.coherence.max() < 1
@@ -285,4 +285,4 @@ def test_noise_alone_and_nothing_at_all_say_nothing(table1: Case) -> None:
     assert judge(clutter(*table1.clutter.shape, seed=8), table1.thin, table1.plan) is None
     empty = Inspection(n_pulse=4800, n_column=24, pairs=[[0.0, 0.0, 0.0]] * SEGMENTS)
     assert disagreement(empty, wanted) is None
-    assert centroid(empty, prf=1.0).mean_coherence == 0
+    assert measure_centroid(empty, prf=1.0).mean_coherence == 0

@@ -15,9 +15,9 @@ from samples import clutter
 
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.focusing.recovery import Recovery
-from blocksar.inspection.centroid import centroid
-from blocksar.inspection.samples import SEGMENTS, Inspection, inspect, merge, strike
-from blocksar.inspection.sentences import lines, refusal, saturated
+from blocksar.inspection.centroid import measure_centroid
+from blocksar.inspection.samples import SEGMENTS, Inspection, inspect, mask_outliers, merge
+from blocksar.inspection.sentences import describe, is_saturated, refusal
 from blocksar.kernels.fourier import Axis
 
 CARRIER, STEP = 10e9, 1e6  # Hz
@@ -212,8 +212,8 @@ def test_without_a_recovery_there_are_no_pairs() -> None:
     assert without == replace(with_pairs, pairs=[])
     np.testing.assert_array_equal(left, also)
     with pytest.raises(ValueError, match="no pulse pairs"):
-        centroid(without, prf=1.0)
-    with pytest.raises(ValueError, match="no one phase history"):
+        measure_centroid(without, prf=1.0)
+    with pytest.raises(ValueError, match="not of one phase history"):
         merge([with_pairs, without])
 
 
@@ -324,7 +324,7 @@ def test_damage_is_struck_from_pulses_too() -> None:
     signal = damaged(128, 70)
     found, _ = look(signal)
     rows = signal[50:62].copy()
-    strike(rows, found, pulses=slice(50, 62))
+    mask_outliers(rows, found, pulses=slice(50, 62))
     assert np.argwhere(np.isnan(rows)).tolist() == [[10, 5], [10, 50], [11, 6]]
     np.testing.assert_array_equal(np.nan_to_num(rows, nan=7), np.where(np.isnan(rows), 7, signal[50:62]))
 
@@ -350,8 +350,8 @@ def test_saturation(name: str, signal: ComplexArray, wanted: bool) -> None:
     if name == "one target at the reference":
         signal[1::3] = signal[2::3] = 0.9999999
     found, _ = look(signal, recovery=None)
-    assert saturated(found) is wanted
-    assert any(line.startswith("saturated: ") for line in lines(found)) is wanted
+    assert is_saturated(found) is wanted
+    assert any(line.startswith("saturated: ") for line in describe(found)) is wanted
 
 
 WHOLE = {p: 10 for p in range(12)}
@@ -384,7 +384,7 @@ WHOLE = {p: 10 for p in range(12)}
     ids=str,
 )
 def test_what_was_found_is_said_plainly(facts: dict[str, Any], said: list[str]) -> None:
-    assert lines(Inspection(n_pulse=100, n_column=10, valid=900, **facts)) == said
+    assert describe(Inspection(n_pulse=100, n_column=10, valid=900, **facts)) == said
 
 
 def test_a_damaged_store_is_refused() -> None:

@@ -305,7 +305,7 @@ def test_a_curve_that_is_too_steep_or_too_flat_is_refused(n: int, slopes: list[f
 def test_positions_that_are_no_curves_of_the_rows_are_refused() -> None:
     taps, values, out = interpolation.tap_polynomials(4, occupancy=0.5), noise(2, 50), np.empty((2, 50), np.complex64)
     for positions in ([[25.0, 25.0]], [[25.0, 25.0]] * 3, [[25.0], [25.0]]):
-        with pytest.raises(ValueError, match="one polynomial a row"):
+        with pytest.raises(ValueError, match="one polynomial per row"):
             interpolation.resample_rows(values, out, np.array(positions), taps)
     for place in (np.nan, np.inf, -1e12):
         with pytest.raises(ValueError, match="near the row"):

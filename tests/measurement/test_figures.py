@@ -14,7 +14,7 @@ from scipy.optimize import brentq, minimize_scalar
 from scipy.special import diric
 
 from blocksar.arrays import ComplexArray, FloatArray
-from blocksar.collection.beam import has_full_dwell
+from blocksar.collection.beam import dwell, has_full_dwell
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SINC_PSLR, SINC_WIDTH, SPEED_OF_LIGHT
@@ -81,7 +81,7 @@ def back_project(
 ) -> Complex128Array:
     """Mean over a target's lit pulses and all frequencies, pulse by pulse; `pulse_phase` (rad) spoils the focus."""
     c = geometry.collection
-    start, end = geometry.dwell(geometry.yaw(np.array(target.x), np.array(target.y)))
+    start, end = dwell(geometry, np.array(target.x), np.array(target.y))
     lit = np.flatnonzero((c.time > start) & (c.time < end))
     phase = np.zeros(lit.size) if pulse_phase is None else pulse_phase
     middle = c.carrier + (c.range_frequency[0] + c.range_frequency[-1]) / 2

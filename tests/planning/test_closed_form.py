@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from steps import sampling
 from straight_track import CARRIER, COS, LAMBDA, SIN, SPEED, history, levelled, straight_lines, straight_series
 
 from blocksar.arrays import FloatArray
@@ -112,8 +113,10 @@ def test_on_a_straight_track_the_correction_is_paper_c_s() -> None:
     pace = -crossing_range * COS * (CARRIER / SPEED_OF_LIGHT) ** 2 / (2 * SPEED**2 * root**3)  # dt/df = R0 A'(f)
     fitted = solvers.least_squares((f / half) ** np.arange(7)[:, None], pace)
     step = DopplerCompression(
-        doppler=doppler, carrier=CARRIER, range_frequency=frequency, pace=fitted, half=half,
-        rows=fourier.dual(frequency, size=64, centre=0.0),
+        carrier=CARRIER, pace=fitted, half=half,
+        sampling=sampling(
+            doppler=doppler, range_frequency=frequency, rows=fourier.dual(frequency, size=64, centre=0.0)
+        ),
     )  # fmt: skip
     found = step.correction().cycles(frequency.values)
     curvature = phi(1, doppler.values) - phi(1, np.zeros(1))

@@ -52,7 +52,7 @@ def whole(runs: dict[str, Path]) -> Path:
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """No pictures of responses: most of a page's time."""
-    monkeypatch.setattr(page, "_drawings", lambda *_: [])
+    monkeypatch.setattr(page, "draw_responses", lambda *_: [])
 
 
 @pytest.fixture

@@ -173,4 +173,4 @@ def test_a_turned_frame_has_no_grid_mapping(tmp_path: Path) -> None:
 
 
 def test_the_default_projection_is_kept_where_it_is_good(made: Made) -> None:
-    assert geotiff.placed(made.source, DAYTON).offset.tolist() == [0.0, 0.0]
+    assert geotiff.place_pixels(made.source, DAYTON).offset.tolist() == [0.0, 0.0]

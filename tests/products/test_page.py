@@ -29,8 +29,9 @@ from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing import method
 from blocksar.measurement.targets import Target
 from blocksar.places import place
-from blocksar.products.page import facts, page, picture, tables, words
-from blocksar.runs.finished import Source
+from blocksar.products.page import facts, picture, provenance, tables, words
+from blocksar.runs.finished import FinishedRun
+from blocksar.runs.record import RunRecord
 
 # ---------------------------------------------------------------- what the page is
 
@@ -102,7 +103,7 @@ def test_the_picture_is_the_image(runs: dict[str, Path]) -> None:
     assert float(y) >= -made.height / 2
 
 
-class Wide(Source):
+class Wide(FinishedRun):
     """A scene of 80 million pixels that is nowhere; keeps what was read at once."""
 
     sizes: list[int] = []  # noqa: RUF012  (one test uses it)
@@ -114,7 +115,7 @@ class Wide(Source):
 
 def test_the_image_is_read_by_strips(runs: dict[str, Path]) -> None:
     real = source_of(runs["run"])
-    made = Wide(real.path, np.arange(20000.0), np.arange(4000.0), real.geometry, {}, {})
+    made = Wide(real.folder, np.arange(20000.0), np.arange(4000.0), real.geometry, {}, RunRecord(status="finished"))
     told: list[tuple[int, int]] = []
     drawn = picture.draw(made, looks="mean", progress=lambda *at: told.append(at))
     assert max(made.sizes) <= 2**22 and sum(made.sizes) == 80_000_000
@@ -153,9 +154,9 @@ def test_the_worst_picture_leaves_a_page_below_five_megabytes() -> None:
 
 def test_blocks_own_what_the_image_says(runs: dict[str, Path]) -> None:
     source = source_of(runs["run"])
-    predicted = source.record["plan"]["predicted"]
-    assert [facts.block_name(b) for b in predicted] == ["0.0", "0.1", "1.0", "1.1"]
-    block = stores.read_region(source.path, "block", (slice(0, source.y.size), slice(0, source.x.size)))
+    predicted = source.record.plan.predicted
+    assert [block.name for block in predicted] == ["0.0", "0.1", "1.0", "1.1"]
+    block = stores.read_region(source.image, "block", (slice(0, source.y.size), slice(0, source.x.size)))
     rng = np.random.default_rng(2)
     found = set()
     for row, column in rng.permutation(np.argwhere(block >= 0))[:400]:
@@ -173,8 +174,8 @@ def test_outlines_bound_the_blocks(runs: dict[str, Path]) -> None:
         numbers = np.array(re.findall(r"-?\d+\.\d+", outline.path), float).reshape(-1, 2)
         x, y = numbers[:, 0] + drawn.centre[0], drawn.centre[1] - numbers[:, 1]
         ranges, yaws = geometry.epoch_range(x, y), geometry.yaw(x, y)
-        assert (ranges.min(), ranges.max()) == pytest.approx(block["range"], abs=0.01)
-        assert (yaws.min(), yaws.max()) == pytest.approx(block["yaw"], abs=1e-6)
+        assert (ranges.min(), ranges.max()) == pytest.approx(block.range, abs=0.01)
+        assert (yaws.min(), yaws.max()) == pytest.approx(block.yaw, abs=1e-6)
         assert outline.label is not None
 
 
@@ -259,7 +260,7 @@ def test_the_plan_stands_beside_what_was_measured(whole: Path, runs: dict[str, P
     for row, block in zip(rows, record["plan"]["predicted"], strict=True):
         cells = [re.sub(r"<[^>]*>", "", cell).strip() for cell in re.findall(r"<t[hd].*?</t[hd]>", row, re.DOTALL)]
         receipt = next(r for r in record["receipts"] if r["unit"] == f"block-{cells[0]}")
-        assert cells[0] == facts.block_name(block)
+        assert cells[0] == f"{block['block']}.{block['part']}"
         assert cells[1] == words.number(block["residual_phase"], 4)
         assert cells[2] == words.number(block["pslr"], 2)
         assert cells[7] == words.number(block["memory"] / 2**20, 0)
@@ -302,7 +303,7 @@ def test_the_command_repeats_the_run(settings: dict[str, Any], monkeypatch: pyte
         return api.Report()
 
     monkeypatch.setattr(api, "focus", focus)
-    words = shlex.split(page.command(record, "/in put/ph.zarr", "/out $1"))
+    words = shlex.split(provenance.repeat_command(record, "/in put/ph.zarr", "/out $1"))
     assert words[0] == "blocksar" and CliRunner().invoke(commands.app, words[1:]).exit_code == 0
     assert (seen["source"], seen["out"]) == ("/in put/ph.zarr", "/out $1")
     assert {name: seen[name] for name in usual} == usual | settings
@@ -330,7 +331,7 @@ def test_back_projection_and_an_image_too_coarse(runs: dict[str, Path], tmp_path
     report = blocksar.report(runs["exact"], out=tmp_path / "new" / "exact.html")
     found = read(report.result)
     said = found.text()
-    assert "Exact back-projection approximates nothing" in said
+    assert "Exact back-projection makes no approximation" in said
     assert "targets could not be measured" in said and "too coarse for the response" in said
     marks = [a["data-name"] for a in found.all("g") if "mark" in a.get("class", "")]
     assert marks == ["seam", "<i>D"]  # where they should be; the others lie outside this image
@@ -349,7 +350,7 @@ def test_no_targets_and_a_place_on_the_earth(run: Path, tmp_path: Path) -> None:
     found = read(blocksar.report(run).result)
     said = found.text()
     assert "no targets to measure" in said and "names no targets" in said
-    assert "latitude 39.78°, longitude -84.09°, height 250.0 m, x turned 30.0° from east" in said
+    assert "latitude 39.78°, longitude -84.09°, height 250.0 m, x rotated 30.0° from east" in said
     turns = [a["transform"] for a in found.all("g") if a.get("transform", "").startswith("rotate")]
     assert turns[1] == "rotate(-60.0)"  # x points 30 degrees from east towards north, so north is 60 degrees up from it
     assert "mean power" in said
@@ -358,7 +359,7 @@ def test_no_targets_and_a_place_on_the_earth(run: Path, tmp_path: Path) -> None:
 def test_a_run_that_says_little(run: Path, quick: None) -> None:
     (run / "run.json").write_text(json.dumps({"status": "finished"}))
     said = read(blocksar.report(run).result).text()
-    assert "Provenance" in said and "To repeat it" not in said
+    assert "Provenance" in said and "Command that repeats the run" not in said
 
 
 def test_a_run_in_an_object_store(runs: dict[str, Path], tmp_path: Path, quick: None) -> None:
@@ -441,8 +442,12 @@ def test_a_full_disk_leaves_what_was_there(run: Path, quick: None, monkeypatch: 
         ("quality.json", "{", "quality.json is damaged"),
         ("quality.json", "[1]", "quality.json or the attributes of .* are damaged"),
         ("quality.json", '{"targets": [{"name": "A"}]}', "are damaged"),
-        ("run.json", '{"status": "finished", "plan": {"predicted": [3]}}', "are damaged"),
-        ("run.json", '{"status": "finished", "timings": {"focus": "x"}}', "are damaged"),
+        (
+            "run.json",
+            '{"status": "finished", "plan": {"predicted": [3]}}',
+            r"plan.predicted\[0\] is 3, not an object",
+        ),
+        ("run.json", '{"status": "finished", "timings": {"focus": "x"}}', "timings.focus is 'x', not a number"),
         ("run.json", '{"status": "unfinished"}', "not finished"),
     ],
 )

@@ -110,7 +110,7 @@ def test_buttons_zoom_move_and_reset(browser: Browser) -> None:
             assert view(shown)[:2] == pytest.approx(before[:2] + np.array(direction) * before[2:] / 4)
         shown.click("#zoom-out")
         assert view(shown)[2:] == pytest.approx(first[2:] / 1.5**2)
-        assert "Zoom 2.3" in shown.inner_text("#announced")  # 1.5 * 1.5
+        assert "Zoom 2.3" in shown.inner_text("#announcement")  # 1.5 * 1.5
         shown.click("#reset")
         assert view(shown) == pytest.approx(first)
 
@@ -229,7 +229,7 @@ def test_a_row_leads_to_its_target_in_the_picture(browser: Browser) -> None:
             at = [float(link.get_attribute(f"data-{axis}")) for axis in "xy"]
             assert middle(shown) == pytest.approx(at, abs=1e-3)
             assert shown.locator(".mark.chosen").get_attribute("data-name") == target["name"]
-            assert target["name"] in shown.inner_text("#announced")
+            assert target["name"] in shown.inner_text("#announcement")
             shown.mouse.move(5, 5)
             said = shown.inner_text("#readout").replace("\u202f", "").replace("\N{MINUS SIGN}", "-")
             x, y, power = map(float, re.findall(r"-?\d+\.\d+", said))
@@ -254,7 +254,7 @@ def test_the_keyboard_does_all(browser: Browser) -> None:
         assert zoomed[2:] == pytest.approx(first[2:] / 1.5**4)
         shown.keyboard.press("ArrowRight")
         assert view(shown)[0] == pytest.approx(zoomed[0] + zoomed[2] / 4)
-        assert "middle at x" in shown.inner_text("#announced")
+        assert "centre at x" in shown.inner_text("#announcement")
         shown.keyboard.press("-")
         shown.keyboard.press("0")
         assert view(shown) == pytest.approx(first)
@@ -285,7 +285,7 @@ def test_columns_sort(browser: Browser) -> None:
     with browser.open() as shown:
         heads = shown.locator("#targets thead th")
         titles = heads.all_inner_texts()
-        column = next(i for i, title in enumerate(titles) if title.startswith("of the bar"))
+        column = next(i for i, title in enumerate(titles) if title.startswith("worst figure"))
 
         def values() -> list[str]:
             found = shown.locator(f"#targets tbody tr > :nth-child({column + 1})")
@@ -315,7 +315,7 @@ def test_the_grey_scale_can_be_set(browser: Browser) -> None:
         assert slope() == pytest.approx((top - bottom) / (white - round(bottom) - 1), rel=1e-6)
         shown.locator("#black").fill(str(round(top)))  # beyond white
         assert slope() == pytest.approx(top - bottom, rel=1e-6)
-        assert "dB" in shown.inner_text("#black-said")
+        assert "dB" in shown.inner_text("#black-value")
         shown.click("#grey-reset")
         assert slope() == pytest.approx(first)
 

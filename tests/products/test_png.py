@@ -37,7 +37,7 @@ def test_words_of_arrows_stay_within_the_picture_and_apart(degrees: int) -> None
     turn = np.radians(degrees)
     for place, word in enumerate(("look", "N")):
         direction = np.array([np.cos(turn), np.sin(turn)]) * (1 - 2 * place)  # towards one another at 180
-        quicklook._arrow(axes, quicklook.Arrow(word, direction, "white"), place)
+        quicklook._draw_arrow(axes, quicklook.Arrow(word, direction, "white"), place)
     canvas.draw()
     boxes = [text.get_window_extent(canvas.get_renderer()) for text in axes.texts if text.get_text()]
     assert len(boxes) == 2
@@ -47,7 +47,7 @@ def test_words_of_arrows_stay_within_the_picture_and_apart(degrees: int) -> None
 
 def test_north_turns_with_the_frame() -> None:
     frame = Georeference(latitude=10.0, longitude=20.0, height=0.0, rotation=30.0)
-    arrow = quicklook.north(30.0).direction
+    arrow = quicklook.north_arrow(30.0).direction
     tip = frame.to_geodetic(np.array([100 * arrow[0], 100 * arrow[1], 0.0]))
     assert tip[0] > 10.0
     assert tip[1] == pytest.approx(20.0, abs=1e-9)

@@ -19,7 +19,7 @@ import blocksar
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
-from blocksar.products import sicd
+from blocksar.products.sicd.layout import Layout, lay_out, valid_data
 from blocksar.runs import finished
 
 LOOKS = [0.1, 0.9, 2.6, -1.9, -0.2]  # rad: rows of the file run along each of the four directions
@@ -48,7 +48,7 @@ def test_the_checker_finds_what_is_wrong(exported: tuple[Made, Sicd]) -> None:
 
 def test_sicd_metadata_project_targets_to_their_peaks(exported: tuple[Made, Sicd]) -> None:
     run, found = exported
-    layout = sicd.lay_out(run.source)
+    layout = lay_out(run.source)
     for target in TARGETS:
         ecef = DAYTON.to_ecef(np.array([target.x, target.y, 0.0]))
         place, _, success = sksicd.scene_to_image(found.tree, ecef)
@@ -66,7 +66,7 @@ def test_sicd_metadata_project_targets_to_their_peaks(exported: tuple[Made, Sicd
 
 def test_sicd_pixels_are_those_of_the_image(exported: tuple[Made, Sicd]) -> None:
     run, found = exported
-    layout = sicd.lay_out(run.source)
+    layout = lay_out(run.source)
     rows, columns = (v.astype(float).ravel() for v in np.indices(found.pixels.shape))
     points = layout.point(rows, columns)
     j, i = np.rint([(points[:, 0] - run.x[0]) / 0.4, (points[:, 1] - run.y[0]) / 0.4]).astype(int)
@@ -108,14 +108,14 @@ def test_valid_data_are_a_polygon_around_any_shape(shape: str, look: float) -> N
         spans += [np.where(some[1 - axis], turned.argmax(axis=1), n)]
         spans += [np.where(some[1 - axis], n - 1 - turned[:, ::-1].argmax(axis=1), -1)]
     row = np.rint([np.cos(look), np.sin(look)])
-    layout = sicd.Layout(
+    layout = Layout(
         row=row,
         column=np.array([-row[1], row[0]]),
         first=np.zeros(3),
         spacing=(1.0, 1.0),
         shape=(40, 30) if row[0] else (30, 40),
     )
-    found = sicd.valid_data(finished.Coverage(*spans), layout)
+    found = valid_data(finished.Coverage(*spans), layout)
     outline = shapely.Polygon(found)
     assert outline.is_valid
     assert outline.area > 0
@@ -123,7 +123,7 @@ def test_valid_data_are_a_polygon_around_any_shape(shape: str, look: float) -> N
     assert (found >= 0).all()
     assert (found < layout.shape).all()
     assert tuple(found[0]) == min(tuple(vertex) for vertex in found)
-    pixels = shapely.points(np.argwhere(layout.turned(covered)))
+    pixels = shapely.points(np.argwhere(layout.reorder(covered)))
     assert outline.buffer(1.01).contains(pixels).all()
 
 

@@ -29,16 +29,16 @@ pytestmark = pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecatio
 def test_no_product_depends_on_strips(kind: Any, made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nor is more read at once than a strip."""
     blocksar.export(kind, made.folder, tmp_path / "whole")
-    largest, read = 0, finished.Source.read
+    largest, read = 0, finished.FinishedRun.read
 
-    def watched(self: finished.Source, rows: slice, columns: slice) -> Any:
+    def watched(self: finished.FinishedRun, rows: slice, columns: slice) -> Any:
         nonlocal largest
         values = read(self, rows, columns)
         largest = max(largest, values.size)
         return values
 
     monkeypatch.setattr(finished, "STRIP", 1000)
-    monkeypatch.setattr(finished.Source, "read", watched)
+    monkeypatch.setattr(finished.FinishedRun, "read", watched)
     blocksar.export(kind, made.folder, tmp_path / "strips")
     if kind != "png":  # whose picture is as small as the image here
         assert 0 < largest <= 1000
@@ -66,7 +66,7 @@ def test_a_full_disk_leaves_nothing(kind: Any, lacking: float, tmp_path: Path) -
     room = int((tmp_path / "whole").stat().st_size * (1 - lacking)) - 2
     (tmp_path / "out").mkdir()
     program = (
-        "import resource, sys, blocksar, blocksar.products.pictures.quicklook, blocksar.products.sicd\n"
+        "import resource, sys, blocksar, blocksar.products.pictures.quicklook, blocksar.products.sicd.nitf\n"
         "import rasterio, sarkit.sicd\n"
         "from blocksar.errors import ProcessingError\n"
         f"resource.setrlimit(resource.RLIMIT_FSIZE, ({room}, {room}))\n"

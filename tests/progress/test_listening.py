@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fake_clock import WORK
 
-from blocksar.progress import NOBODY, Listener, listener
+from blocksar.progress import NOBODY, Listener, as_listener
 
 # ---------------------------------------------------------------- who is told what
 
@@ -21,7 +21,7 @@ class Plain:
 
 def test_an_object_with_update_alone_will_do() -> None:
     plain = Plain()
-    told = listener(plain)
+    told = as_listener(plain)
     told.expect(WORK, 1)
     told.begin("focus", reused=1)
     told.update("focus", 1, 3)
@@ -29,5 +29,5 @@ def test_an_object_with_update_alone_will_do() -> None:
     told.dashboard("http://127.0.0.1:8787/status")
     told.note("a note")
     assert plain.told == [("focus", 1, 3)]
-    assert isinstance(listener(None), Listener)
-    assert listener(told) is told
+    assert isinstance(as_listener(None), Listener)
+    assert as_listener(told) is told

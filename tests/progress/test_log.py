@@ -83,7 +83,7 @@ def test_a_full_disk_costs_lines_and_nothing_else(capsys: pytest.CaptureFixture[
     with under_way(Clock(), log="/dev/full") as told:
         told.end(0)
     said = [line for line in capsys.readouterr().err.splitlines() if "/dev/full" in line]
-    assert said == ["note: /dev/full cannot be written (No space left on device): the run goes on without"]
+    assert said == ["note: /dev/full cannot be written (No space left on device): the run goes on without it"]
 
 
 def test_no_line_is_written_by_half(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

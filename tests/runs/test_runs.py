@@ -6,6 +6,7 @@ import json
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from blocksar.places import place
 from blocksar.planning import memory
 from blocksar.runs import folder
 from blocksar.runs.receipts import Run, write
+from blocksar.runs.record import Receipt
 from blocksar.simulation.scene import Scene
 
 GRID = ((15900.0, 16300.0, 4.0), (19000.0, 19400.0, 4.0))
@@ -350,8 +352,9 @@ def ground(rng: float, yaw_deg: float) -> tuple[float, float]:
 
 def test_a_receipt_that_was_changed_is_not_trusted(tmp_path: Path) -> None:
     run = Run(folder=place(tmp_path), identity="x", threads=1)
-    signed = run.sign("block-1", 0.0, origin=(17, 4), missing=np.nan, steps={"b": 1.5, "a": np.float64(2)})
-    assert run.receipt("block-1") == json.loads(json.dumps(signed).replace("NaN", "null"))
+    steps = {"b": 1.5, "a": np.float64(2)}
+    signed = run.sign(Receipt(unit="block-1", stage="focus", origin=(17, 4), found={"x": np.nan}, steps=steps), 0.0)
+    assert run.receipt("block-1") == replace(signed, found={"x": None})
     file = tmp_path / "receipts" / "block-1.json"
     file.write_text(file.read_text().replace("17", "16"))
     assert run.receipt("block-1") is None

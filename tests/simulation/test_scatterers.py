@@ -10,6 +10,7 @@ import scipy.fft
 import slow_twins
 from echoes import SCENE, chirp
 
+from blocksar.collection.beam import dwell_at
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
@@ -39,7 +40,7 @@ SCENES = {"plain": SCENE, "across pi": turned(SCENE, 131), "negative": turned(SC
 @pytest.fixture(params=[0, 10**9], ids=["transform", "direct"])
 def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Either way of summing, whatever the number of scatterers."""
-    monkeypatch.setattr(sys.modules["blocksar.simulation"], "DIRECT_LIMIT", request.param)
+    monkeypatch.setattr(sys.modules["blocksar.simulation.scatterers"], "DIRECT_LIMIT", request.param)
 
 
 @pytest.mark.usefixtures("way")
@@ -67,7 +68,7 @@ def test_a_target_is_lit_at_exactly_the_pulses_of_its_dwell() -> None:
         x, y = scene.ground_point(10e3, yaw)
         lit = np.abs(simulate_pulses(collection, x, y, np.ones(1))).max(axis=1) > 0.5
         assert lit.tolist() == [slow_twins.lit(collection, pulse, float(x), float(y)) for pulse in range(151)]
-        first, last = Geometry(collection=collection).dwell(np.array(yaw))
+        first, last = dwell_at(Geometry(collection=collection), np.array(yaw))
         # The dwell ends on the edge of the beam; a pulse is lit if it lies inside.
         assert lit.sum() == pytest.approx(float(last - first) * collection.prf, abs=1)
         assert 0 < lit.sum() < 151

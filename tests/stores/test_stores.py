@@ -289,7 +289,7 @@ PLAIN = {
 def slab(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Slabs of a whole chunk, of several rows and of one: what the chunks of these tests are too small for."""
     monkeypatch.setattr(chunk_files, "SLAB", request.param)
-    monkeypatch.setattr(chunk_files, "TURN", 3)
+    monkeypatch.setattr(chunk_files, "TRANSPOSED_COLUMNS", 3)
 
 
 def plain_store(path: Path, name: str) -> tuple[zarr.Array[Any], np.ndarray]:

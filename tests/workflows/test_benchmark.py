@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 import sys
 import tomllib
 from pathlib import Path
@@ -34,9 +35,10 @@ def benchmark() -> Any:
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(WORKFLOWS))
         import benchmark
-        from benchmarks import back_projection, floors, scenes, tables
+        from benchmarks import back_projection, bench, floors, other_version, scenes, tables
 
         parts = {"back_projection": back_projection, "floors": floors, "scenes": scenes, "tables": tables}
+        parts |= {"bench": bench, "other_version": other_version}
         yield SimpleNamespace(main=benchmark.main, **parts)
 
 
@@ -56,11 +58,16 @@ def every_number(value: Any, name: str = "") -> list[tuple[str, float]]:
 
 
 def test_everything_is_measured(
-    benchmark: Any, small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    benchmark: Any, small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(benchmark.bench, "SETTLING", 0.1)  # s
+    # Another Python, which has this very tree and not whatever is installed.
+    python, root = small.with_name("python"), Path(__file__).parents[1]
+    python.write_text(f'#!/bin/sh\nPYTHONPATH="{root}" exec "{sys.executable}" "$@"\n')
+    python.chmod(0o755)
     benchmark.main(
         scene=str(small), scale="1x1", repeats=1, workers=2, blocks="auto", memory_limit="3GiB",
-        out=tmp_path, json_file=tmp_path / "result.json", speedup=True, peer=True, keep=False,
+        out=tmp_path, json_file=tmp_path / "result.json", speedup=True, peer=True, keep=False, against=str(python),
     )  # fmt: skip
     assert [path.name for path in tmp_path.iterdir()] == ["result.json"]
     result = json.loads((tmp_path / "result.json").read_text())
@@ -80,11 +87,22 @@ def test_everything_is_measured(
         assert math.isfinite(value) and value >= 0, name
     assert len(found["memory"]["peak_by_worker_bytes"]) == 2
     assert found["coherence"]["min"] > 0.99
+    assert found["other_version"] == {"python": str(python), "version": blocksar.__version__}
+    assert len(seconds["end_to_end_other_version"]["runs"]) == 1
     assert result["machine"]["cores"] >= 1
     assert result["versions"]["blocksar"] == blocksar.__version__
     printed = capsys.readouterr().out
     assert all(label in printed for label in benchmark.tables.RATIOS.values())
     assert max(map(len, printed.splitlines())) <= benchmark.tables.WIDTH
+
+
+@pytest.mark.parametrize(
+    ("python", "reason"), [("/no/such/python", "cannot be run"), (shutil.which("false"), "cannot start blocksar")]
+)
+def test_a_python_without_blocksar_is_refused(benchmark: Any, python: str, reason: str) -> None:
+    other = benchmark.other_version.other_version(python, workers=1, threads=1, memory_limit=2**30)
+    with pytest.raises(InputError, match=reason), other:
+        pass
 
 
 @pytest.mark.parametrize("source", ["table1", "small"])

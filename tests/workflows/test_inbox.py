@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import psutil
@@ -63,8 +64,13 @@ def inbox_module() -> Iterator[Any]:
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(SCRIPT.parent))
         import process_inbox
+        from inbox import hooks, statuses, sweeping
 
-        yield process_inbox
+        yield SimpleNamespace(
+            main=process_inbox.main, sweep=process_inbox.sweep, Hook=hooks.Hook, hooks=hooks,
+            is_external=sweeping.is_external, DONE=statuses.DONE, FAILED=statuses.FAILED, USAGE=statuses.USAGE,
+            QUARANTINED=statuses.QUARANTINED, BUSY=statuses.BUSY,
+        )  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -352,7 +358,8 @@ def test_everything_that_was_settled_is_told(post: Post, tmp_path: Path) -> None
     settled = [("done", "a.zarr"), ("quarantined", "bad.zarr"), ("done", "b.zarr")]
     assert post.sweep(post.module.Hook(taking(tmp_path, status=5))) == post.module.FAILED
     assert told(tmp_path) == settled and post.status()["untold"] == 3
-    assert [entry["reason"] for entry in post.log() if entry["event"] == "untold"] == ["the hook ended with 5"] * 3
+    reasons = [entry["reason"] for entry in post.log() if entry["event"] == "untold"]
+    assert reasons == ["the hook exited with status 5"] * 3
     assert post.sweep(post.module.Hook(taking(tmp_path))) == post.module.QUARANTINED  # told again, nothing done again
     assert told(tmp_path) == settled * 2
     assert post.sweep(post.module.Hook(taking(tmp_path))) == post.module.DONE
@@ -361,8 +368,8 @@ def test_everything_that_was_settled_is_told(post: Post, tmp_path: Path) -> None
 
 
 def test_a_hook_that_hangs_is_ended(post: Post, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(post.module, "HOOK_SECONDS", 0.2)
-    trouble = post.module.Hook(["sleep", "1000"]).tell({"event": "done"})
+    monkeypatch.setattr(post.module.hooks, "HOOK_SECONDS", 0.2)
+    trouble = post.module.Hook(["sleep", "1000"]).send({"event": "done"})
     assert "timed out" in trouble
     assert not [child for child in psutil.Process().children() if "1000" in child.cmdline()]
 
@@ -370,7 +377,7 @@ def test_a_hook_that_hangs_is_ended(post: Post, monkeypatch: pytest.MonkeyPatch)
 def test_hooks_are_no_shell_lines(post: Post, tmp_path: Path) -> None:
     hook = post.module.Hook.parse(f"touch {tmp_path}/a ';' '$(touch {tmp_path}/b)'")
     assert hook.command == ["touch", f"{tmp_path}/a", ";", f"$(touch {tmp_path}/b)"]
-    for wrong, why in (("'", "quotes"), ("", "no command"), ("/no/such/command", "no command")):
+    for wrong, why in (("'", "quotes"), ("", "no executable"), ("/no/such/command", "no executable")):
         with pytest.raises(InputError, match=why):
             post.module.Hook.parse(wrong)
 
@@ -414,13 +421,13 @@ def test_a_defect_holds_up_nobody(post: Post, monkeypatch: pytest.MonkeyPatch) -
 def test_what_the_machine_refused_is_no_fault_of_the_bytes(cause: Exception | None, passing: bool, post: Post) -> None:
     error = InputError("it cannot be read")
     error.__cause__ = cause
-    assert post.module._passing(error, None) == passing
+    assert post.module.is_external(error) == passing
 
 
 def test_a_cause_behind_a_cause_counts(post: Post) -> None:
     error, between = InputError("it cannot be read"), ValueError("of a library")
     error.__cause__, between.__cause__ = between, OSError(113, "no route to host")
-    assert post.module._passing(error, None)
+    assert post.module.is_external(error)
 
 
 def test_without_a_cluster_nothing_is_blamed(post: Post, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -435,7 +442,7 @@ def test_without_a_cluster_nothing_is_blamed(post: Post, monkeypatch: pytest.Mon
 
 def test_one_that_is_taken_away_is_nobodys_fault(post: Post) -> None:
     class Thief(post.module.Hook):  # type: ignore[name-defined, misc]
-        def tell(self, event: dict[str, Any]) -> None:
+        def send(self, event: dict[str, Any]) -> None:
             shutil.rmtree(post.inbox / "b.zarr", ignore_errors=True)
 
     post.deliver("a", "b", "c")
@@ -460,7 +467,7 @@ WRONG: dict[str, tuple[Callable[[Path], dict[str, Any]], str]] = {
     "no inbox": (lambda folder: {"inbox": str(folder / "nowhere")}, "nowhere cannot be listed"),
     "inbox a file": (lambda folder: {"inbox": str(folder / "file")}, "file cannot be listed"),
     "outbox a file": (lambda folder: {"outbox": str(folder / "file")}, "file cannot be written"),
-    "outbox a bucket": (lambda folder: {"outbox": "s3://bucket/x"}, "no local folder"),
+    "outbox a bucket": (lambda folder: {"outbox": "s3://bucket/x"}, "not a local folder"),
     "outbox the inbox": (lambda folder: {"outbox": str(folder / "inbox")}, "lies in INBOX"),
     "outbox in the inbox": (lambda folder: {"outbox": str(folder / "inbox" / "out")}, "lies in INBOX"),
     "blocks": (lambda folder: {"blocks": "many"}, "--blocks 'many'"),
@@ -493,7 +500,7 @@ def test_no_folder_of_others_is_removed_as_scratch(inbox: str, post: Post) -> No
     kept.mkdir(parents=True)
     shutil.copytree(post.store, post.outbox / inbox / "a.zarr")
     before = everything(post.folder)
-    with pytest.raises(InputError, match=r"scratch|among what a sweep writes"):
+    with pytest.raises(InputError, match=r"scratch|that a sweep writes"):
         post.module.sweep(str(post.outbox / inbox), str(post.outbox), SETTINGS, post.module.Hook([]))
     assert everything(post.folder) == before
 
@@ -540,7 +547,7 @@ def test_signals_end_a_sweep_in_good_order(number: int, post: Post, image: dict[
         _, said = process.communicate(timeout=PATIENCE)
     assert time.monotonic() - asked < 20
     assert process.returncode == 128 + number
-    assert "the next sweep goes on from here" in said and "Traceback" not in said
+    assert "the next sweep continues from here" in said and "Traceback" not in said
     until(lambda: not members(process.pid), "its workers to end")
     assert post.status()["state"] == "interrupted"
     assert not (post.outbox / "scratch").exists()

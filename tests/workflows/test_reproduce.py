@@ -22,6 +22,7 @@ from blocksar.focusing.method import Method
 from blocksar.kernels.fourier import Axis
 from blocksar.measurement.figures import IDEAL_ISLR
 from blocksar.planning.plan import plan_collection
+from blocksar.products.pictures import panels
 from blocksar.simulation.scene import Scene
 
 # Nine targets with the paper's names, on so little ground that a run takes seconds.
@@ -37,9 +38,9 @@ def reproduce() -> Iterator[Any]:
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(WORKFLOWS))
         import reproduce_papers
-        from papers import bench, comparison, images, range_series, recovery, responses, single_targets
+        from papers import bench, comparison, images, recovery, responses, sectors, single_targets
 
-        parts = (bench, comparison, images, range_series, recovery, responses, single_targets)
+        parts = (bench, comparison, images, recovery, responses, sectors, single_targets)
         yield SimpleNamespace(
             main=reproduce_papers.main, EXHIBITS=reproduce_papers.EXHIBITS,
             **{part.__name__.rpartition(".")[2]: part for part in parts},
@@ -60,7 +61,7 @@ def page(reproduce: Any, small: Scene, tmp_path_factory: pytest.TempPathFactory)
         raise ProcessingError("the disk is full")
 
     with pytest.MonkeyPatch.context() as patch:
-        for module in (reproduce.bench, reproduce.images, reproduce.range_series, reproduce.recovery):
+        for module in (reproduce.bench, reproduce.images, reproduce.sectors, reproduce.recovery):
             patch.setattr(module, "scene", lambda name: small)
         patch.setitem(reproduce.EXHIBITS, "fig2", fails)
         forget(reproduce)
@@ -72,7 +73,7 @@ def page(reproduce: Any, small: Scene, tmp_path_factory: pytest.TempPathFactory)
 
 
 def forget(reproduce: Any) -> None:
-    for kept in (reproduce.bench.geometry, reproduce.bench.plan, reproduce.single_targets.slab):
+    for kept in (reproduce.bench.geometry, reproduce.bench.plan_scene, reproduce.single_targets.slab):
         kept.cache_clear()
 
 
@@ -90,7 +91,7 @@ def test_the_page_holds_what_was_asked_for(page: Path) -> None:
     assert re.findall(r'<h2 id="([\w-]+)">', html) == ["fig2", "fig4", "fig8", "table3"]
     assert html.count("data:image/png;base64,iVBOR") == 2
     assert "src=" not in html.replace('src="data:', "")  # nothing is fetched from elsewhere
-    assert "could not be made" in html and "the disk is full" in html
+    assert "fig2 failed" in html and "the disk is full" in html
 
 
 def test_both_pages_say_the_same(page: Path) -> None:
@@ -237,3 +238,18 @@ def test_a_difference_is_told(reproduce: Any) -> None:
     assert reproduce.comparison.crossed(found).header[:4] == ["target", "width (m)", "width, printed", "difference"]
     assert [len(line) for line in reproduce.comparison.crossed(found).lines] == [10, 10]
     assert not row("missing", float("nan"), "dB", -13.0, 0.5).agrees
+
+
+def test_panels_share_a_scale_and_a_legend(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    kept: list[Any] = []
+    monkeypatch.setattr(panels, "save", lambda figure, path: kept.append(figure))
+    edges, x = np.arange(5.0), np.linspace(0, 4, 9)
+    maps = [panels.Map(np.full((4, 4), value), edges, edges, value - 30, value) for value in (0.0, -20.0)]
+    drawn = [
+        panels.Panel("map", "s", "Hz", [panels.Trace("line", x, x, "red", style)], [panels.Level("limit", 2.0)], shown)
+        for shown, style in zip(maps, ("--", "."), strict=True)
+    ]
+    panels.plot_panels(drawn, tmp_path / "panels.png", bar="power (dB)")
+    figure = kept[0]
+    assert [mesh.get_clim() for axes in figure.axes[:2] for mesh in axes.collections] == [(-50.0, 0.0)] * 2
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["line", "limit"]

@@ -140,13 +140,13 @@ def test_looking_at_outputs_tells_the_truth(first: tuple[Path, str], tmp_path: P
     assert areas[1] == pytest.approx(int((image["block"] == 0).sum()) * PIXEL**2 / 1e6, abs=6e-4)
     ((total,),) = numbers(r"stages: .*total # s")
     assert total == pytest.approx(record["timings"]["total"], abs=0.06)
-    promised = numbers(r"promised # dB, width # of theory; measured at # targets # dB, #")
+    promised = numbers(r"predicted # dB, width # of theory; measured at # targets # dB, #")
     owners = [int(image["block"].sel(x=t.x, y=t.y, method="nearest")) for t in targets]
     assert [row[2] for row in promised] == [owners.count(b["block"]) for b in record["plan"]["predicted"]]
     assert len(set(row[2] for row in promised)) > 1  # else nobody sees whether they are the right way round
     measured = stores.read_json(folder / "run" / "quality.json")["targets"]
     assert max(row[3] for row in promised) == pytest.approx(max(t["azimuth_pslr"] for t in measured), abs=0.006)
-    assert "patches/0 is what the image shows" in said
+    assert "patches/0 equals the image" in said
     assert (tmp_path / "look.png").stat().st_size > 50_000
 
 
@@ -179,7 +179,7 @@ def test_looking_holds_no_scene_sized_array(modules: dict[str, ModuleType]) -> N
     with dask.config.set(scheduler="single-threaded"):
         tracemalloc.start()
         try:
-            picture = modules["look"].decimated(samples)
+            picture = modules["look"].decimate(samples)
             _, peak = tracemalloc.get_traced_memory()
         finally:
             tracemalloc.stop()
@@ -192,7 +192,7 @@ def test_a_decimated_picture_keeps_what_is_strong_and_what_is_missing(modules: d
     values = np.full((1700, 900), np.nan, np.complex64)
     values[:, 450:] = 0.1
     values[1234, 777] = 2j
-    picture = modules["look"].decimated(xr.DataArray(values, dims=("y", "x")))
+    picture = modules["look"].decimate(xr.DataArray(values, dims=("y", "x")))
     assert picture.shape == (567, 300)
     assert np.isnan(picture.values[:, :150]).all()
     assert picture.values[1234 // 3, 777 // 3] == pytest.approx(20 * np.log10(2), abs=1e-4)
@@ -268,7 +268,7 @@ def test_the_worst_target_that_was_swept_wholly_counts(
 def test_a_study_that_cannot_be_made_is_refused(modules: dict[str, ModuleType], tmp_path: Path) -> None:
     said = refused("blocks_against_residual_phase", "paper_b", "--blocks", "1", cwd=tmp_path)
     assert "grid is missing" in said
-    numbers = modules["study"].numbers
+    numbers = modules["study"].parse_numbers
     assert numbers("4,1,4", "--blocks") == [1, 4]
     for text in ("1,x", "", "0", "1,-2", "1.5"):
         with pytest.raises(blocksar.InputError, match=r"^--blocks is '.*'; give numbers of blocks"):
@@ -285,7 +285,7 @@ def test_a_run_on_a_cluster_survives_trouble(tmp_path: Path) -> None:
     events = [said.index(text) for text in ("(Ctrl-C)", "interrupted; the same call", "(kill -9 of", "went on from")]
     assert events == sorted(events)
     assert re.search(r"went on from an unfinished run: .*\b2 of 4 blocks", said)
-    assert said.count("worker tcp://127.0.0.1") == 2 and "is one folder for all workers" in said
+    assert said.count("worker tcp://127.0.0.1") == 2 and "is shared by all workers" in said
     worst = blocksar.quality(tmp_path / "run").result["summary"]
     assert worst["measured"] == 9
     assert worst["worst"]["azimuth_irw_over_theory"]["value"] == pytest.approx(1, abs=0.02)
@@ -344,7 +344,7 @@ def test_workers_that_would_make_a_run_fail_are_named(modules: dict[str, ModuleT
     with pytest.raises(blocksar.InputError, match=r"^tcp://w:3 does not share"):  # it wrote, but not here
         cluster.check_folder(SimpleNamespace(run=lambda mark, on_error: {"tcp://w:3": "w3"}), tmp_path)
     with pytest.raises(blocksar.InputError, match="has no worker"):
-        cluster.look_at_workers(SimpleNamespace(scheduler_info=lambda n_workers: {"workers": {}}))
+        cluster.print_workers(SimpleNamespace(scheduler_info=lambda n_workers: {"workers": {}}))
     assert not list(tmp_path.iterdir())
 
 

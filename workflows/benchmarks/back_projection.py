@@ -7,31 +7,29 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from benchmarks.environment import version_of
 from benchmarks.figures import spread
 from blocksar import stores
 from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.collection.beam import lit_interval
 from blocksar.collection.geometry import Geometry
 from blocksar.errors import InputError
-from blocksar.focusing.backprojection import accumulate, form_points, lit_interval, pulse_block_size, range_profiles
+from blocksar.focusing.backprojection import accumulate, form_points, pulse_block_size, range_profiles
 from blocksar.measurement.coherence import coherence
 from blocksar.planning.plan import Plan
 
-CHIP = 192  # pixels a side: enough tiles to keep all threads busy
-SAMPLED_PIXELS = 1e6  # of the image, at which lit pulses are counted
-
-
-# ---------------------------------------------------------------- back-projection
+CHIP = 192  # pixels per side: enough tiles to keep all threads busy
+SAMPLED_PIXELS = 1e6  # at about so many pixels of the image, lit pulses are counted
 
 
 @dataclass(frozen=True)
 class Chips:
-    """Windows of the image at telling places: x, y (n * CHIP, CHIP) m, and the places' names."""
+    """Windows of the image, one below the other: x, y (n * CHIP, CHIP) in m, and the name of each place."""
 
     names: list[str]
     windows: list[tuple[slice, slice]]
@@ -40,7 +38,13 @@ class Chips:
 
 
 def place_chips(plan: Plan, run: Path) -> Chips:
-    """Near, middle and far range of every block's centre, and the middles of the seams, where the image covers them."""
+    """Place chips at near, middle and far range of every block, and on the seams, where the image covers them.
+
+    Raises
+    ------
+    InputError
+        If the image has no room for a chip.
+    """
     names, windows = [], []
     for name, slant_range, yaw in _places(plan):
         x, y, _ = plan.geometry.ground_point(np.array(slant_range), np.array(yaw))
@@ -70,7 +74,7 @@ def _places(plan: Plan) -> Iterator[tuple[str, float, float]]:
 
 
 class Projected(NamedTuple):
-    """Seconds for reading and the profiles of all pulses, seconds for updates, and how many these were."""
+    """Seconds for reading and range profiles of all pulses, seconds for updates, and the number of updates."""
 
     profiles: float
     accumulation: float
@@ -78,13 +82,13 @@ class Projected(NamedTuple):
 
 
 def back_project(history: stores.PhaseHistory, geometry: Geometry, chips: Chips, threads: int) -> Projected:
-    """Time the parts of back-projection: they do not grow alike with the image."""
+    """Time the two parts of back-projection separately, as they grow differently with the image."""
     collection = geometry.collection
-    clock = [0.0, 0.0]
+    profiling, accumulation = 0.0, 0.0
     started = time.perf_counter()
     first, last = lit_interval(geometry, chips.x, chips.y)
     image, outside = np.zeros(chips.x.shape, np.complex64), np.zeros(chips.x.shape, np.bool_)
-    clock[1] += time.perf_counter() - started
+    accumulation += time.perf_counter() - started
     step = pulse_block_size(collection)
     for begin in range(0, collection.n_pulse, step):
         pulses = slice(begin, min(begin + step, collection.n_pulse))
@@ -95,13 +99,13 @@ def back_project(history: stores.PhaseHistory, geometry: Geometry, chips: Chips,
         accumulate(
             image, outside, profiles, geometry=geometry, x=chips.x, y=chips.y, first=first, last=last, threads=threads
         )
-        clock[0] += ready - started
-        clock[1] += time.perf_counter() - ready
-    return Projected(clock[0], clock[1], int((last - first).sum()))
+        profiling += ready - started
+        accumulation += time.perf_counter() - ready
+    return Projected(profiling, accumulation, int((last - first).sum()))
 
 
 def count_updates(plan: Plan, run: Path) -> tuple[int, int]:
-    """Covered pixels of the image, and their lit pulses in all, from every n-th pixel either way."""
+    """Number of covered pixels of the image, and of their lit pulses in all; both from every n-th row and column."""
     height, width = plan.grid.shape
     step = max(1, int(math.sqrt(height * width / SAMPLED_PIXELS)))
     rows, columns = slice(0, height, step), slice(0, width, step)
@@ -116,25 +120,22 @@ def compare_chips(
 ) -> tuple[list[dict[str, Any]], ComplexArray]:
     """Coherence, gain and phase of the image with exact back-projection, by chip; and the exact chips."""
     exact = form_points(lambda p: history.read(p, slice(None)), plan.geometry, chips.x, chips.y, threads=threads)
-    found = []
+    comparisons = []
     for i, (name, window) in enumerate(zip(chips.names, chips.windows, strict=True)):
-        mine = stores.read_region(run / "image.zarr", "image", window)
-        c = coherence(mine, exact[i * CHIP : (i + 1) * CHIP])
-        found.append({"place": name, "coherence": abs(c.coherence), "gain": c.gain, "phase_radians": c.phase})
-    return found, exact
-
-
-# ---------------------------------------------------------------- peer
+        ours = stores.read_region(run / "image.zarr", "image", window)
+        c = coherence(ours, exact[i * CHIP : (i + 1) * CHIP])
+        comparisons.append({"place": name, "coherence": abs(c.coherence), "gain": c.gain, "phase_radians": c.phase})
+    return comparisons, exact
 
 
 def run_peer(
     history: stores.PhaseHistory, plan: Plan, chips: Chips, exact: ComplexArray, repeats: int
 ) -> dict[str, Any]:
-    """torchbp's backprojection_cart_2d on the first chip: its dwell only, as that function knows no steered beam.
+    """Time torchbp's backprojection_cart_2d on the first chip, for its dwell only: the function has no steered beam.
 
-    On CPU, with as many threads as it takes itself (all processors). Range profiles are made here and not timed.
-    torchbp counts phases in float32: at tens of kilometres of range and centimetres of wavelength they do not
-    hold, as the coherence that is reported shows, so that speed is all there is to compare.
+    On the CPU, with its own default of threads (all processors). Range profiles are computed here and not timed.
+    torchbp computes phases in float32, which is too coarse at tens of kilometres of range and centimetres of
+    wavelength, as the reported coherence shows: only the speed can be compared.
     """
     try:
         torch, torchbp = importlib.import_module("torch"), importlib.import_module("torchbp")
@@ -173,13 +174,3 @@ def run_peer(
         "updates_per_second": spread([updates / s for s in seconds[1:]]),
         "coherence": abs(coherence(theirs, exact[:CHIP]).coherence),
     }
-
-
-# ---------------------------------------------------------------- the command
-
-
-def version_of(name: str) -> str:
-    try:
-        return metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return "unknown"

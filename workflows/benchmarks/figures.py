@@ -9,13 +9,12 @@ from typing import Any
 
 from benchmarks.floors import Seconds, Traffic
 from benchmarks.scenes import Case
-
-# ---------------------------------------------------------------- measuring
+from blocksar.runs.record import RunRecord
 
 
 @dataclass
 class Measured:
-    """One number a repeat, by name: seconds; `tasks`: seconds summed over workers."""
+    """Seconds of every repeat; `steps`, `recovery_tasks` and `fft_tasks` are summed over the workers."""
 
     end_to_end: list[float] = field(default_factory=list)
     stages: dict[str, list[float]] = field(default_factory=dict)
@@ -25,24 +24,26 @@ class Measured:
     fft_tasks: dict[str, list[float]] = field(default_factory=dict)
     io: list[float] = field(default_factory=list)
     io_kinds: dict[str, list[float]] = field(default_factory=dict)
+    other_version: list[float] = field(default_factory=list)  # end to end, if measured
     profiles: list[float] = field(default_factory=list)
     accumulation: list[float] = field(default_factory=list)
 
-    def add_run(self, seconds: float, record: dict[str, Any]) -> None:
+    def add_run(self, seconds: float, record: RunRecord) -> None:
+        """Add a run's seconds, end to end and by the stages, steps and tasks of its record."""
         self.end_to_end.append(seconds)
-        timings = dict(record["timings"])
+        timings = dict(record.timings)
         plan = seconds - timings.pop("total")
         rest = seconds - plan - sum(timings.values())
         _append(self.stages, {"plan": plan, **timings, "stores and receipts": rest})
         steps: Seconds = {}
-        for receipt in record["receipts"]:
-            for name, taken in receipt.get("steps", {}).items():
+        for receipt in record.receipts:
+            for name, taken in receipt.steps.items():
                 steps[name] = steps.get(name, 0.0) + taken
         _append(self.steps, steps)
-        self.recovery_tasks.append(sum(r["seconds"] for r in record["receipts"] if r["unit"].startswith("columns-")))
+        self.recovery_tasks.append(sum(r.seconds for r in record.receipts if r.stage == "recover"))
 
     def add_floors(self, fft: list[Seconds], io: list[Seconds]) -> None:
-        # All workers start at once: the floor is the slowest's.
+        """Add the floors, one dict per worker: all start at once, so the slowest worker counts."""
         self.fft.append(max(sum(worker.values()) for worker in fft))
         self.io.append(max(sum(worker.values()) for worker in io))
         _append(self.fft_tasks, {stage: sum(worker[stage] for worker in fft) for stage in fft[0]})
@@ -56,27 +57,25 @@ def _append(lists: dict[str, list[float]], values: Seconds) -> None:
 
 
 def spread(values: Sequence[float]) -> dict[str, Any]:
-    """Median, extremes, and every run's."""
+    """Median, extremes, and the values themselves."""
     return {"median": statistics.median(values), "min": min(values), "max": max(values), "runs": list(values)}
 
 
 def over(numerators: Sequence[float], denominators: Sequence[float]) -> list[float]:
-    """Quotients repeat by repeat."""
+    """Quotients, repeat by repeat."""
     return [a / b for a, b in zip(numerators, denominators, strict=True)]
 
 
 def total(lists: dict[str, list[float]], names: Sequence[str]) -> list[float]:
-    """Sum of some lists, repeat by repeat; empty if none is there."""
+    """Sum of some lists, repeat by repeat; empty if there is none of these names."""
     return [sum(values) for values in zip(*(lists[name] for name in names if name in lists), strict=True)]
 
 
-def describe(
-    case: Case, m: Measured, traffic: list[Traffic], peaks: list[int], record: dict[str, Any]
-) -> dict[str, Any]:
-    """A scene's part of the JSON: ratios first."""
+def describe(case: Case, m: Measured, traffic: list[Traffic], peaks: list[int], record: RunRecord) -> dict[str, Any]:
+    """The JSON object of a scene: ratios, seconds, sizes, memory."""
     plan, collection = case.plan, case.plan.geometry.collection
     names = {step.name for block in plan.blocks for step in block.chain}
-    # Steps that run in one pass have one time, and a name such as read-slab+residual-walk+keystone.
+    # Steps that run in one pass share one time under a joint name such as read-slab+residual-walk+keystone.
     chain = [name for name in m.steps if names.intersection(name.split("+"))]
     timed = {step for name in chain for step in name.split("+")}
     chain_fft = total(m.fft_tasks, [stage for stage in m.fft_tasks if timed.issuperset(stage.split("+"))])
@@ -89,10 +88,13 @@ def describe(
     }
     if steps := total(m.steps, chain):
         ratios["chain_over_own_ffts"] = over(steps, chain_fft)
+    if m.other_version:
+        ratios["other_version_over_end_to_end"] = over(m.other_version, m.end_to_end)
     return {
         "ratios": {name: spread(values) for name, values in ratios.items()},
         "seconds": {
             "end_to_end": spread(m.end_to_end),
+            **({"end_to_end_other_version": spread(m.other_version)} if m.other_version else {}),
             "stages": {name: spread(values) for name, values in m.stages.items()},
             "recovery_summed_over_workers": spread(m.recovery_tasks),
             "steps_summed_over_workers": {name: spread(values) for name, values in m.steps.items()},
@@ -116,7 +118,7 @@ def describe(
         },
         "memory": {
             "peak_by_worker_bytes": peaks,
-            "peak_in_receipts_bytes": record["peak_memory"],
+            "peak_in_receipts_bytes": record.peak_memory,
             "planned_bytes": plan.memory,
         },
         "notes": case.notes,
@@ -124,7 +126,7 @@ def describe(
 
 
 def compare_scenes(scenes: dict[str, dict[str, Any]]) -> None:
-    """Add the time for an input sample relative to the first scene's."""
+    """Add the time per input sample over that of the first scene."""
     per_sample = {
         name: [seconds / scene["size"]["samples"] for seconds in scene["seconds"]["end_to_end"]["runs"]]
         for name, scene in scenes.items()

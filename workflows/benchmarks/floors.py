@@ -1,4 +1,4 @@
-"""Floors of a run's time: the transforms of its plan alone, and its bytes alone."""
+"""Lower limits of a run's time: the bare transforms of its plan, and the bare reading and writing of its bytes."""
 
 from __future__ import annotations
 
@@ -21,44 +21,41 @@ Seconds = dict[str, float]
 SAMPLE_BYTES = 8  # complex64
 
 
-# ---------------------------------------------------------------- floors: tasks of the workers
-
-
 def _share(items: Sequence[Any], index: int, shares: int) -> Sequence[Any]:
     return items[index::shares]
 
 
 def fft_share(transforms: list[Transforms], threads: int, index: int, shares: int) -> Seconds:
-    """Seconds by stage for one worker's share of bare transforms.
+    """Seconds by stage for one worker's share of the bare transforms.
 
-    In place, in groups that stay in the cache. Of zeros: the time does not depend on the values, and zeros
-    never overflow however often they are transformed.
+    They are done in place, in groups that fit the cache, on zeros: the time does not depend on the values, and
+    zeros do not overflow however often they are transformed.
     """
-    found: Seconds = {}
+    seconds: Seconds = {}
 
-    def work(asked: Transforms, thread: int) -> None:
-        groups = _share(row_groups(0, asked.count, asked.length), index * threads + thread, shares * threads)
+    def transform(part: Transforms, thread: int) -> None:
+        groups = _share(row_groups(0, part.count, part.length), index * threads + thread, shares * threads)
         if not groups:
             return
-        scratch = np.zeros((groups[0].stop - groups[0].start, asked.length), np.complex64)
+        scratch = np.zeros((groups[0].stop - groups[0].start, part.length), np.complex64)
         for rows in groups:
             scipy.fft.fft(scratch[: rows.stop - rows.start], axis=1, overwrite_x=True)
 
     with ThreadPoolExecutor(threads) as pool:
-        for asked in transforms:
+        for part in transforms:
             started = time.perf_counter()
-            futures = [pool.submit(work, asked, thread) for thread in range(threads)]
+            futures = [pool.submit(transform, part, thread) for thread in range(threads)]
             for future in futures:
                 future.result()
-            found[asked.stage] = found.get(asked.stage, 0.0) + time.perf_counter() - started
-    return found
+            seconds[part.stage] = seconds.get(part.stage, 0.0) + time.perf_counter() - started
+    return seconds
 
 
 @dataclass(frozen=True)
 class Traffic:
     """Bytes of one kind that a run writes and reads, in files of at most `file_bytes`.
 
-    What is read is what was written, or `files` where these are there.
+    `files` are read if there are any, otherwise what was written.
     """
 
     name: str
@@ -70,7 +67,7 @@ class Traffic:
 
 def io_share(folder: Path, traffic: list[Traffic], index: int, shares: int) -> Seconds:
     """Seconds by kind and direction for one worker's share of plain files, written then read."""
-    found: Seconds = {}
+    seconds: Seconds = {}
     for kind in traffic:
         sizes = [kind.file_bytes] * (kind.written // kind.file_bytes)
         sizes += [kind.written % kind.file_bytes] if kind.written % kind.file_bytes else []
@@ -79,15 +76,15 @@ def io_share(folder: Path, traffic: list[Traffic], index: int, shares: int) -> S
         for path, size in zip(mine, _share(sizes, index, shares), strict=True):
             _write(path, size)
         if mine:
-            found[f"write {kind.name}"] = time.perf_counter() - started
+            seconds[f"write {kind.name}"] = time.perf_counter() - started
         paths = cycle(_share(kind.files, index, shares) or mine)
         left = kind.read // shares
         started = time.perf_counter()
         while left > 0 and (source := next(paths, None)):
-            left -= _read(source, left) or left  # an empty file would be read for ever
+            left -= _read(source, left) or left  # an empty file counts as read
         if kind.read:
-            found[f"read {kind.name}"] = time.perf_counter() - started
-    return found
+            seconds[f"read {kind.name}"] = time.perf_counter() - started
+    return seconds
 
 
 def _write(path: Path, size: int) -> None:
@@ -96,12 +93,12 @@ def _write(path: Path, size: int) -> None:
 
 
 def _read(path: Path, most: int) -> int:
-    """Read at most so many bytes of a file into a new array; how many there were."""
+    """Read at most so many bytes of a file into a new array; the number of bytes read."""
     return int(np.fromfile(path, np.uint8, count=most).size)
 
 
 def on_every_worker(client: Client, task: Any, *arguments: Any) -> list[Seconds]:
-    """Run task(*arguments, index, n_workers) on all workers at the same time."""
+    """Run task(*arguments, index, n_workers) on all workers at the same time; their results."""
     addresses = sorted(client.scheduler_info(n_workers=-1)["workers"])
     futures = [
         client.submit(task, *arguments, index, len(addresses), workers=[address], pure=False)
@@ -111,30 +108,30 @@ def on_every_worker(client: Client, task: Any, *arguments: Any) -> list[Seconds]
 
 
 def traffic_of(store: Path, run: Path, plan: Plan) -> list[Traffic]:
-    """What a finished run has read and written: its samples once, the spectrum as often as blocks read it."""
+    """Bytes that a finished run has read and written: its samples once, the spectrum as often as blocks read it."""
     row = SAMPLE_BYTES * plan.geometry.collection.n_range_frequency
     signal = _chunks(store / "signal")
-    found = [Traffic("input", _largest(signal), 0, row * plan.geometry.collection.n_pulse, tuple(signal))]
+    traffic = [Traffic("input", _largest(signal), 0, row * plan.geometry.collection.n_pulse, tuple(signal))]
     if spectrum := _chunks(run / "spectrum.zarr" / "spectrum"):
         read = row * sum(block.n_bin for block in plan.blocks)
-        found.append(Traffic("spectrum", _largest(spectrum), row * plan.recovery.doppler.size, read))
-    image, known = run / "image.zarr", set()
+        traffic.append(Traffic("spectrum", _largest(spectrum), row * plan.recovery.doppler.size, read))
+    image, counted = run / "image.zarr", set()
     for name, folder, reads in (
         ("patches", run / "patches", 1),
         ("image", image / "image", 0),
         ("block", image / "block", 0),
     ):
-        # A file may be a hard link to one that was there: written once.
-        files = [path for path in _chunks(folder) if path.stat().st_ino not in known]
-        known |= {path.stat().st_ino for path in files}
+        # Hard links to one file were written once.
+        files = [path for path in _chunks(folder) if path.stat().st_ino not in counted]
+        counted |= {path.stat().st_ino for path in files}
         if files:
             stored = sum(path.stat().st_size for path in files)
-            found.append(Traffic(name, _largest(files), stored, reads * stored))
-    return found
+            traffic.append(Traffic(name, _largest(files), stored, reads * stored))
+    return traffic
 
 
 def _chunks(folder: Path) -> list[Path]:
-    """Files of samples below a folder; axes of a store lie in folders of their own and are small change."""
+    """Files of samples below a folder, without metadata."""
     return sorted(path for path in folder.rglob("*") if path.is_file() and path.suffix != ".json")
 
 

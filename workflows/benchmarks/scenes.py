@@ -12,27 +12,31 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from blocksar.collection.collection import Collection
-from blocksar.errors import InputError
+from blocksar.errors import InputError, PrfTooLow
 from blocksar.planning.plan import MAX_BLOCKS, Plan, plan_collection
 from blocksar.simulation.scene import Scene
 
-Tables = dict[str, Any]  # a scene file, read
+Tables = dict[str, Any]  # of a scene file, as TOML reads it
 Blocks = int | Literal["auto"]
 CLUTTER = {"scatterers": 100_000, "seed": 3}
 NOISE = {"power": 1.0, "seed": 5}
 
 
-# ---------------------------------------------------------------- scenes
-
-
 class Scale(NamedTuple):
-    """How many times the range swath, and the aperture, of the scene as it stands."""
+    """Factors of the range swath and of the aperture."""
 
     swath: float
     aperture: float
 
     @classmethod
     def parse(cls, text: str) -> Scale:
+        """Read a scale such as 2x2.
+
+        Raises
+        ------
+        InputError
+            If it is not two positive numbers.
+        """
         match = re.fullmatch(r"\s*(\d+\.?\d*)x(\d+\.?\d*)\s*", text)
         if match is None or not (float(match[1]) > 0 and float(match[2]) > 0):
             raise InputError(f"--scale has {text!r}; give pairs such as 1x1,2x2: range swath x aperture")
@@ -43,7 +47,13 @@ class Scale(NamedTuple):
 
 
 def scene_tables(source: str) -> Tables:
-    """A scene file, or a shipped scene by its name, as TOML reads it."""
+    """Read a scene file, or a shipped scene by its name.
+
+    Raises
+    ------
+    InputError
+        If there is no such file or scene.
+    """
     path = Path(source)
     place = path if path.is_file() else resources.files("blocksar.simulation") / "scenes" / f"{source}.toml"
     if not place.is_file():
@@ -52,17 +62,17 @@ def scene_tables(source: str) -> Tables:
 
 
 def scaled(tables: Tables, scale: Scale, *, prf: float | None = None) -> Tables:
-    """The scene "AxB": wider about the middle of its swath, longer about the middle of its aperture.
+    """Scale a scene about the middle of its swath and of its aperture.
 
-    Scaled scenes hold nine targets in noise: their time does not depend on what they show, and clutter over
-    so much ground would take longer to simulate than to focus.
+    Scaled scenes hold nine targets in noise: the time does not depend on their content, and clutter over so much
+    ground would take longer to simulate than to focus. The unscaled scene gets clutter, if its beam is steered.
     """
-    made = {name: dict(table) if isinstance(table, dict) else table for name, table in tables.items()}
-    radar, beam, area, timing = made["radar"], made.get("beam"), made["scene"], made["time"]
+    new = {name: dict(table) if isinstance(table, dict) else table for name, table in tables.items()}
+    radar, beam, area, timing = new["radar"], new.get("beam"), new["scene"], new["time"]
     duration = timing.get("duration") or timing["pulses"] / radar["prf"]
-    made["time"] = {"duration": scale.aperture * duration}
+    new["time"] = {"duration": scale.aperture * duration}
     if "start" in timing:
-        made["time"]["start"] = scale.aperture * timing["start"]
+        new["time"]["start"] = scale.aperture * timing["start"]
     if prf is not None:
         radar["prf"] = prf
     near, far = area["swath"]
@@ -72,19 +82,19 @@ def scaled(tables: Tables, scale: Scale, *, prf: float | None = None) -> Tables:
         middle, half = (beam["start_deg"] + beam["stop_deg"]) / 2, (beam["stop_deg"] - beam["start_deg"]) / 2
         beam["start_deg"], beam["stop_deg"] = middle - scale.aperture * half, middle + scale.aperture * half
     if scale == (1, 1):
-        if beam is not None:  # else nobody knows where it should lie
-            made.setdefault("clutter", CLUTTER)
-        return made
+        if beam is not None:  # without a beam the extent of the clutter is undefined
+            new.setdefault("clutter", CLUTTER)
+        return new
     for name in ("targets", "matrix", "clutter", "reflectivity", "dropped"):
-        made.pop(name, None)
+        new.pop(name, None)
     side = 0.8 * (far - near)
-    made["matrix"] = {"rows": 3, "columns": 3, "extent": [scale.swath * side, scale.aperture * side]}
-    made["noise"] = NOISE
-    return made
+    new["matrix"] = {"rows": 3, "columns": 3, "extent": [scale.swath * side, scale.aperture * side]}
+    new["noise"] = NOISE
+    return new
 
 
 def as_toml(tables: Tables) -> str:
-    """Tables of numbers, strings, lists and one more level of tables; JSON writes such values as TOML does."""
+    """Write tables of numbers, strings, lists and one more level of tables; JSON writes such values as TOML does."""
     lines = [f"{key} = {json.dumps(value)}" for key, value in tables.items() if not _has_tables(value)]
     for name, value in tables.items():
         for table in value if isinstance(value, list) else [value]:
@@ -103,7 +113,7 @@ def _has_tables(value: Any) -> bool:
 
 @dataclass(frozen=True)
 class Case:
-    """A scaled scene and its plan; `notes` say what had to be changed for it to be possible."""
+    """A scaled scene and its plan; `notes` name what was changed to make it possible."""
 
     scale: Scale
     scene: Scene
@@ -117,12 +127,12 @@ class Case:
 
 
 def plan_case(source: str, scale: Scale, *, blocks: Blocks, workers: int, memory_limit: int) -> Case:
-    """Scale a scene and plan it; raise the PRF and the number of blocks where the plan asks for that, and no more.
+    """Scale a scene and plan it; raise the PRF and the number of blocks as far as the plan requires.
 
     Raises
     ------
     InputError
-        If the scene cannot be focused all the same.
+        If the scene cannot be focused even so.
     """
     tables, notes, prf = scene_tables(source), [], None
     folder = Path(source).parent if Path(source).is_file() else None
@@ -132,25 +142,24 @@ def plan_case(source: str, scale: Scale, *, blocks: Blocks, workers: int, memory
         try:
             plan = _plan(scene.collection().centred(), blocks, workers=workers, memory_limit=memory_limit)
             break
-        except InputError as error:
-            asked = re.search(r"a PRF of at least ([\d.e+]+) Hz", str(error))
-            if asked is None or float(asked[1]) <= scene.radar.prf:
+        except PrfTooLow as error:
+            if error.needed <= scene.radar.prf:
                 raise
-            prf = float(asked[1])
+            prf = error.needed
     if prf is not None:
-        notes.append(f"{scale}: PRF {tables['radar']['prf']:g} Hz raised to the {prf:g} Hz that the plan asks for")
+        notes.append(f"{scale}: PRF {tables['radar']['prf']:g} Hz raised to the {prf:g} Hz that the plan requires")
     if not plan.within_budget():
-        notes.append(f"{scale}: the plan is over its budget of phase or migration: a figure of speed, not of quality")
+        notes.append(f"{scale}: the plan exceeds its budget of phase or migration: valid for speed, not for quality")
     return Case(scale, scene, plan, notes)
 
 
 def _plan(collection: Collection, blocks: Blocks, *, workers: int, memory_limit: int) -> Plan:
-    """The plan as asked; where `auto` is refused, with twice the blocks, and again."""
+    """Plan as requested; if `auto` is refused, double the number of blocks until a plan is accepted."""
     plan = plan_collection(collection, blocks=blocks, workers=workers, memory_limit=memory_limit)
     count = plan.n_blocks
     while plan.refusal is not None and blocks == "auto" and 2 * count <= MAX_BLOCKS:
         count *= 2
-        with suppress(InputError):  # too much memory: the next has less
+        with suppress(InputError):  # too much memory: the next plan needs less
             plan = plan_collection(collection, blocks=count, memory_limit=memory_limit)
     if plan.refusal is not None:
         raise InputError(plan.refusal)

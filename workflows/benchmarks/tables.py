@@ -13,15 +13,12 @@ from blocksar.constants import MIB
 
 WIDTH = 100  # columns of the tables
 
-
-# ---------------------------------------------------------------- what is printed
-
-
 RATIOS = {
     "end_to_end_over_floor": "end to end / (FFT + I/O floor)",
     "chain_over_own_ffts": "chain / its own FFTs",
     "recovery_over_own_ffts": "recovery / its own FFTs",
     "back_projection_over_end_to_end": "back-projection / end to end",
+    "other_version_over_end_to_end": "other version / end to end",
     "block_stage_speedup": "block stage, 1 worker / all",
     "time_per_sample_over_first_scene": "time per sample / first scene's",
     "peak_memory_over_planned": "peak memory / planned",
@@ -29,11 +26,11 @@ RATIOS = {
 
 
 def show(result: dict[str, Any]) -> None:
-    """Ratios, then times, then sizes, then sentences, in 100 columns."""
+    """Print ratios, times, sizes and notes, in 100 columns."""
     console = Console(width=WIDTH, highlight=False)
     scenes = result["scenes"]
     console.print(_ratio_table(scenes), _time_table(scenes), _size_table(scenes))
-    for line in _lines(result):
+    for line in _notes(result):
         console.print(f"- {line}", markup=False)
 
 
@@ -45,10 +42,11 @@ def _table(title: str, scenes: dict[str, Any]) -> Table:
     return table
 
 
-def _cell(found: dict[str, Any] | None) -> str:
-    if not found:
+def _cell(figure: dict[str, Any] | None) -> str:
+    """Median and extremes of a figure; empty if it was not measured."""
+    if not figure:
         return ""
-    median, low, high = (_number(found[name]) for name in ("median", "min", "max"))
+    median, low, high = (_number(figure[name]) for name in ("median", "min", "max"))
     return median if low == high else f"{median} ({low}..{high})"
 
 
@@ -59,7 +57,8 @@ def _number(value: float) -> str:
 def _ratio_table(scenes: dict[str, Any]) -> Table:
     table = _table("ratios: median (min..max)", scenes)
     for name, label in RATIOS.items():
-        table.add_row(label, *(_cell(scene["ratios"].get(name)) for scene in scenes.values()))
+        if any(name in scene["ratios"] for scene in scenes.values()):
+            table.add_row(label, *(_cell(scene["ratios"].get(name)) for scene in scenes.values()))
     return table
 
 
@@ -68,12 +67,14 @@ def _time_table(scenes: dict[str, Any]) -> Table:
     seconds = [scene["seconds"] for scene in scenes.values()]
 
     def row(name: str, label: str) -> None:
-        table.add_row(label, *(_cell(found[name]) for found in seconds))
+        table.add_row(label, *(_cell(scene[name]) for scene in seconds))
 
     def parts(name: str) -> None:
-        for part in dict.fromkeys(part for found in seconds for part in found[name]):
-            table.add_row(f"  {part}", *(_cell(found[name].get(part)) for found in seconds))
+        for part in dict.fromkeys(part for scene in seconds for part in scene[name]):
+            table.add_row(f"  {part}", *(_cell(scene[name].get(part)) for scene in seconds))
 
+    if any("end_to_end_other_version" in scene for scene in seconds):
+        row("end_to_end_other_version", "end to end, other version")
     row("end_to_end", "end to end")
     parts("stages")
     table.add_row("tasks, summed over workers")
@@ -112,33 +113,36 @@ def _mib(values: Sequence[int]) -> list[str]:
     return [f"{value / MIB:.0f}" for value in values]
 
 
-def _scaled(found: dict[str, Any], factor: float) -> dict[str, Any]:
-    return {name: factor * found[name] for name in ("median", "min", "max")}
+def _scaled(figure: dict[str, Any], factor: float) -> dict[str, Any]:
+    return {name: factor * figure[name] for name in ("median", "min", "max")}
 
 
 def _coherence(scene: dict[str, Any]) -> str:
-    found = scene.get("coherence")
-    return "" if found is None else f"{found['median']:.4f} ({found['min']:.4f}..{found['max']:.4f})"
+    figure = scene.get("coherence")
+    return "" if figure is None else f"{figure['median']:.4f} ({figure['min']:.4f}..{figure['max']:.4f})"
 
 
-def _lines(result: dict[str, Any]) -> list[str]:
+def _notes(result: dict[str, Any]) -> list[str]:
     settings, computer = result["settings"], result["machine"]
     workers, threads = settings["workers"], settings["threads"]
-    lines = [
+    notes = [
         f"{computer['cpu']}, {computer['cores']} cores; load {computer['load_average_1_minute']:.2f} at the start; "
         f"{settings['repeats']} repeats",
-        f"run and floors: {workers} worker processes of {threads} thread{'s' * (threads > 1)}, all at once; "
-        f"back-projection: one process of {workers * threads} threads, "
-        "range profiles counted once for the whole image, the kindest to it",
-        "plan: before the cluster is asked; stores and receipts: what no stage accounts for",
-        "the chain of a block is its range and azimuth steps: neither the reading of its slab nor the correction",
+        f"run and floors: {workers} worker processes of {threads} thread{'s' * (threads > 1)} at the same time; "
+        f"back-projection: one process of {workers * threads} threads, range profiles counted once for the whole "
+        "image, which favours it",
+        "plan: before the cluster is used; stores and receipts: the time outside all stages",
+        "chain of a block: its range and azimuth steps, without the reading of its slab and the geometric correction",
     ]
     for scene in result["scenes"].values():
-        lines += scene["notes"]
+        notes += scene["notes"]
         if "peer" in scene:
-            lines.append(_peer_line(scene["peer"]))
-    lines += result["refused"]
-    return lines
+            notes.append(_peer_line(scene["peer"]))
+        if "other_version" in scene:
+            other = scene["other_version"]
+            notes.append(f"other version: blocksar {other['version']} of {other['python']}, in turns with this one")
+    notes += result["refused"]
+    return list(dict.fromkeys(notes))
 
 
 def _peer_line(peer: dict[str, Any]) -> str:

@@ -1,4 +1,4 @@
-"""Scenes, plans and runs that several figures share."""
+"""Scenes, plans and focused runs that several exhibits share."""
 
 from __future__ import annotations
 
@@ -9,12 +9,10 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import typer
 from distributed import Client
 
 import blocksar
-from blocksar.arrays import ComplexArray
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.focusing.method import Method
@@ -22,19 +20,18 @@ from blocksar.graph.cluster import machine, open_client
 from blocksar.measurement.figures import PointResponse, measure
 from blocksar.measurement.response import Response, read_response
 from blocksar.measurement.targets import Target
+from blocksar.places import place
 from blocksar.planning.plan import Plan, plan_collection
+from blocksar.runs.finished import FinishedRun
 from blocksar.simulation.scene import Scene
-from blocksar.stores import read_collection
 
 THREADS = machine()[0]
-
-
-# ---------------------------------------------------------------- plans, runs, samples
+SWATH = {"near": 27_600.0, "middle": 30_000.0, "far": 32_400.0}  # m: paper A's swath less the width of a response
 
 
 @cache
 def scene(name: str) -> Scene:
-    """A shipped scene."""
+    """Read a shipped scene."""
     return Scene.read(name)
 
 
@@ -44,24 +41,25 @@ def geometry(name: str) -> Geometry:
 
 
 @cache
-def plan(name: str, blocks: int, **options: Any) -> Plan:
-    """Of a shipped scene; options are those of `Method`."""
+def plan_scene(name: str, blocks: int, **options: Any) -> Plan:
+    """Plan a shipped scene; options are those of `Method`."""
     return plan_collection(geometry(name).collection, blocks=blocks, method=Method(**options))
 
 
 def targets(name: str, names: Sequence[str] | None = None) -> list[Target]:
-    """Point targets of a shipped scene: all, or some, in that order."""
+    """Point targets of a shipped scene: all of them, or those of the given names in their order."""
     known = {target.name: Target(*target) for target in scene(name).point_targets()}
     return [known[n] for n in (known if names is None else names)]
 
 
-def tell(text: str) -> None:
+def log(text: str) -> None:
+    """Print a line of progress on stderr."""
     typer.echo(text, err=True)
 
 
 @dataclass(kw_only=True)
 class Bench:
-    """Where things are put, and focused runs: each is made when it is asked for first."""
+    """Output and scratch folders, cluster and focused runs; runs are computed on first use and kept."""
 
     out: Path
     folder: Path
@@ -76,44 +74,33 @@ class Bench:
         return self.stack.enter_context(open_client(workers=self.workers, threads=threads, memory_limit=limit))
 
     def history(self, name: str) -> Path:
+        """Simulated phase history of a shipped scene."""
         store = self.folder / f"{name}.zarr"
         if not store.exists():
-            tell(f"  simulating {name}")
+            log(f"  simulating {name}")
             blocksar.simulate(scene(name), store, threads=THREADS)
         return store
 
     def run(self, name: str, *, blocks: int, grid: Grid | None = None, **options: Any) -> Run:
-        """A shipped scene, focused through the public interface."""
+        """Focus a shipped scene through the public interface; options are those of `blocksar.focus`."""
         label = "-".join([name, str(blocks), *map(str, options.values())])
         if label not in self.runs:
             store = self.history(name)
-            tell(f"  focusing {label}")
+            log(f"  focusing {label}")
             blocksar.focus(store, self.folder / label, blocks=blocks, grid=grid, client=self.client, **options)
-            self.runs[label] = Run(self.folder / label)
+            self.runs[label] = Run.open(place(self.folder / label))
         return self.runs[label]
 
     def picture(self, name: str) -> Path:
         return self.out / f"{name}.png"
 
 
-class Run:
+class Run(FinishedRun):
     """A finished run, ready to be measured."""
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.image = blocksar.open(path)
-        self.geometry = Geometry(collection=read_collection(path / "collection.zarr")[0].centred())
-        self.x, self.y = (np.asarray(self.image[axis].values, np.float64) for axis in ("x", "y"))
-
-    def read(self, rows: slice, columns: slice) -> ComplexArray:
-        return np.asarray(self.image["image"][rows, columns].values)
-
-    def read_block(self, rows: slice, columns: slice) -> Any:
-        return self.image["block"][rows, columns].values
-
     def responses(self, wanted: Sequence[Target]) -> list[Response]:
-        found = [read_response(self.read, self.x, self.y, self.geometry, target) for target in wanted]
-        return [response for response in found if response is not None]
+        responses = [read_response(self.read, self.x, self.y, self.geometry, target) for target in wanted]
+        return [response for response in responses if response is not None]
 
     @cache  # noqa: B019 - runs live as long as the script
     def measured(self, name: str, names: tuple[str, ...] | None = None) -> dict[str, PointResponse]:

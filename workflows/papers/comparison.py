@@ -1,4 +1,4 @@
-"""Printed beside measured: claims, rows and tables."""
+"""Printed and measured numbers side by side: claims, rows and tables."""
 
 from __future__ import annotations
 
@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from papers.printed import QUARTER
 
-# ---------------------------------------------------------------- comparisons
+QUARTER = 0.25  # in units of pi: the usual limit of phase errors
 
 
 class Claim(NamedTuple):
-    """What a paper says of a number that it does not print."""
+    """What a paper states about a number that it does not print."""
 
     text: str
     holds: Callable[[float], bool]
@@ -33,13 +32,13 @@ BELOW_QUARTER, ABOVE_QUARTER = below(QUARTER, "below π/4"), above(QUARTER, "abo
 
 class Cell(NamedTuple):
     text: str
-    off: bool = False  # beyond what was expected
+    off: bool = False  # differs from the paper
 
 
 class Row(NamedTuple):
-    """One of our numbers, and what is printed of it: a number, a claim, something that cannot be compared, or nothing.
+    """One of our numbers, and what is printed: a number, a claim, a text that cannot be compared, or nothing.
 
-    It agrees if it is within `tolerance` of the number, or the claim holds; `why` is said where it does not.
+    They agree if ours is within `tolerance` of the number, or the claim holds; otherwise `why` explains the difference.
     """
 
     what: str
@@ -62,7 +61,7 @@ class Row(NamedTuple):
 
     @property
     def cells(self) -> list[Cell]:
-        """Ours, printed, difference."""
+        """Cells of a table: ours, printed, difference."""
         off = not self.agrees
         ours = Cell(self._text(self.ours), off)
         if self.printed is None or isinstance(self.printed, str):
@@ -76,6 +75,7 @@ class Row(NamedTuple):
 
 
 def minus(text: str) -> str:
+    """Replace hyphens by minus signs."""
     return text.replace("-", "\N{MINUS SIGN}")
 
 
@@ -84,16 +84,16 @@ class Table(NamedTuple):
     lines: list[list[Cell]]
 
 
-def listed(found: Sequence[Row]) -> Table:
-    """A line each."""
-    lines = [[Cell(row.what), Cell(row.unit.replace(" ", "\N{NO-BREAK SPACE}")), *row.cells] for row in found]
+def listed(rows: Sequence[Row]) -> Table:
+    """A table with one line per row."""
+    lines = [[Cell(row.what), Cell(row.unit.replace(" ", "\N{NO-BREAK SPACE}")), *row.cells] for row in rows]
     return Table(["", "unit", "ours", "printed", "difference"], lines)
 
 
-def crossed(found: Sequence[Row], corner: str = "target") -> Table:
-    """Rows called "target: quantity": a line a target, three columns a quantity."""
+def crossed(rows: Sequence[Row], corner: str = "target") -> Table:
+    """A table of rows named "target: quantity", with one line per target and three columns per quantity."""
     header, lines = [corner], dict[str, list[Cell]]()
-    for row in found:
+    for row in rows:
         target, quantity = row.what.split(": ")
         name = f"{quantity} ({row.unit})" if row.unit else quantity
         header += [] if name in header else [name, f"{quantity}, printed", "difference"]
@@ -103,13 +103,13 @@ def crossed(found: Sequence[Row], corner: str = "target") -> Table:
 
 @dataclass(kw_only=True)
 class Exhibit:
-    """One figure or table as it stands on the page."""
+    """One figure or table on the page."""
 
     title: str
     text: str
     pictures: list[Path] = field(default_factory=list)
     rows: list[Row] = field(default_factory=list)
-    tables: list[Table] = field(default_factory=list)  # by default one, of all rows
+    tables: list[Table] = field(default_factory=list)  # default: one table of all rows
     notes: list[str] = field(default_factory=list)
     key: str = ""
     seconds: float = 0.0
@@ -123,8 +123,8 @@ class Exhibit:
 
     @property
     def verdict(self) -> str:
-        """In a few words, for the list at the top."""
+        """Summary for the list at the top of the page: how many numbers agree."""
         compared = [row for row in self.rows if row.compared]
         if self.failed:
-            return "could not be made"
+            return "failed"
         return f"{sum(row.agrees for row in compared)} of {len(compared)}" if compared else "not compared"

@@ -1,4 +1,4 @@
-"""The page that shows all figures and tables."""
+"""The page of all figures and tables, as HTML and Markdown."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import jinja2
-from papers.comparison import Exhibit
 
 import blocksar
+from papers.comparison import Exhibit
 
 PAGE = """\
 <!doctype html>
@@ -79,7 +79,7 @@ PAGE = """\
 </ul>
 {% endif %}
 {% endfor %}
-<p class="quiet">{{ made }}</p>
+<p class="quiet">{{ origin }}</p>
 </body>
 </html>
 """
@@ -123,23 +123,23 @@ README = """\
 {% endif %}
 {% endfor %}
 
-{{ made }}
+{{ origin }}
 """
 
 
 def write_page(out: Path, exhibits: Sequence[Exhibit], seconds: float) -> None:
-    """index.html, pictures embedded, and README.md beside the pictures; each there whole or not at all."""
-    told = {
+    """Write index.html with embedded pictures, and README.md beside the pictures; each appears complete."""
+    values = {
         "title": "The papers' figures and tables, reproduced by blocksar",
         "preface": [
-            "Every number called ours was measured in the run that wrote this page: scenes simulated with exact "
-            "ranges, planned, focused and measured. Printed numbers are quoted; where a paper prints a curve or a "
-            "sentence only, what it claims is quoted and checked.",
-            "“As printed” counts the numbers that are as printed, within what is usual, and the claims that hold. The "
-            "others are in bold, and below their table stands why.",
+            "All numbers under “ours” were measured in the run that wrote this page: scenes were simulated with exact "
+            "ranges, planned, focused and measured. Printed numbers are quoted. Where a paper prints only a curve or a "
+            "sentence, its claim is quoted and checked.",
+            "“As printed” counts the numbers that agree with the printed ones within a tolerance, and the claims that "
+            "hold. The others are in bold, and explained below their table.",
         ],
         "exhibits": exhibits,
-        "made": f"Made by blocksar {blocksar.__version__} in {seconds:.0f} s.",
+        "origin": f"Written by blocksar {blocksar.__version__} in {seconds:.0f} s.",
         "embed": lambda picture: base64.b64encode(picture.read_bytes()).decode(),
     }  # fmt: skip
     for name, template, escaped in (("index.html", PAGE, True), ("README.md", README, False)):
@@ -147,5 +147,5 @@ def write_page(out: Path, exhibits: Sequence[Exhibit], seconds: float) -> None:
             autoescape=escaped, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
         )
         part = out / f"{name}.part"
-        part.write_text(environment.from_string(template).render(**told), encoding="utf-8")
+        part.write_text(environment.from_string(template).render(**values), encoding="utf-8")
         part.replace(out / name)

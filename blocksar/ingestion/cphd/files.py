@@ -1,4 +1,4 @@
-"""A CPHD file as bytes: header, XML and per-vector parameters, checked before a sample is read."""
+"""Structure of a CPHD file: header, XML and per-vector parameters, checked before any sample is read."""
 
 from __future__ import annotations
 
@@ -21,22 +21,27 @@ from blocksar.places.place import Place
 if TYPE_CHECKING:
     from types import ModuleType
 
-
 VERSIONS = ("1.0.1", "1.1.0")
 NAMESPACE = "http://api.nsgreg.nga.mil/schema/cphd/"
 END_OF_SECTION = b"\f\n"
 MAX_HEADER = 1 << 16  # bytes
-MAX_XML = 1 << 26  # bytes: some kilobytes are usual
+MAX_XML = 1 << 26  # bytes; some kilobytes are usual
 MAX_VECTORS, MAX_SAMPLES = 1 << 24, 1 << 20
-FORMATS = ("CI2", "CI4", "CF8")  # all that the standard has
-NEEDED = {  # per-vector parameters, and how many numbers they are
+FORMATS = ("CI2", "CI4", "CF8")  # all signal formats of the standard
+NEEDED = {  # per-vector parameters and their numbers of values
     **{"TxTime": 1, "TxPos": 3, "RcvTime": 1, "RcvPos": 3, "SRPPos": 3},
     **{"FX1": 1, "FX2": 1, "TOA1": 1, "TOA2": 1, "SC0": 1, "SCSS": 1},
 }
 
 
 def library() -> ModuleType:
-    """sarkit.cphd."""
+    """Import sarkit.cphd.
+
+    Raises
+    ------
+    InputError
+        If it is not installed.
+    """
     try:
         import sarkit.cphd
     except ModuleNotFoundError as error:
@@ -46,7 +51,7 @@ def library() -> ModuleType:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CphdFile:
-    """One channel of a CPHD file whose structure has been checked."""
+    """One channel of a CPHD file, its structure checked."""
 
     path: Path
     version: str
@@ -64,28 +69,30 @@ class CphdFile:
         return self.tree.getroot()
 
     def parameter(self, name: str, rows: IntArray | slice = slice(None)) -> FloatArray:
+        """A per-vector parameter of some vectors."""
         return np.asarray(self.vectors[name][rows], dtype=np.float64)
 
     def read(self, file: BinaryIO, first: int, stop: int, samples: slice) -> ComplexArray:
-        """Vectors first .. stop - 1, of each these samples, as they are in the file but complex64.
+        """Read some samples of the vectors first .. stop - 1 as complex64, not scaled.
 
         Raises
         ------
         InputError
-            If the file ends before.
+            If the file is too short.
         """
         width, size = self.shape[1], self.dtype.itemsize
-        wanted = samples.stop - samples.start
-        if 2 * wanted >= width:
+        count = samples.stop - samples.start
+        if 2 * count >= width:
             raw = self._take(file, self.first_byte + first * width * size, (stop - first) * width)
             return _complex(raw.reshape(-1, width)[:, samples])
-        rows = np.empty((stop - first, wanted), np.complex64)
+        rows = np.empty((stop - first, count), np.complex64)
         for row, vector in enumerate(range(first, stop)):
             start = self.first_byte + (vector * width + samples.start) * size
-            rows[row] = _complex(self._take(file, start, wanted))
+            rows[row] = _complex(self._take(file, start, count))
         return rows
 
     def _take(self, file: BinaryIO, start: int, count: int) -> NDArray[Any]:
+        """Read `count` samples from byte `start` on, in the file's format."""
         file.seek(start)
         data = file.read(count * self.dtype.itemsize)
         if len(data) != count * self.dtype.itemsize:
@@ -102,41 +109,48 @@ def _complex(raw: NDArray[Any]) -> ComplexArray:
 
 
 def reading_file(path: Place) -> AbstractContextManager[None]:
+    """Turn errors of reading a CPHD file into an InputError that names it."""
     return reading(path, damaged="damaged, or no CPHD file", remedy="get it again")
 
 
 def open_file(file: BinaryIO, path: Path, channel: str | None) -> CphdFile:
-    """Check header, XML and per-vector parameters, and nothing of the samples but that they are there."""
+    """Check header, XML and per-vector parameters, and that the samples are present.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged, contradicts itself or is not supported.
+    """
     sarkit = library()
     length = file.seek(0, os.SEEK_END)
     version, header = _header(file)
     blocks = {name: _block(header, name, length) for name in ("XML", "PVP", "SIGNAL")}
     if blocks["XML"].stop - blocks["XML"].start > MAX_XML:
-        raise InputError(f"XML_BLOCK_SIZE is {len(blocks['XML'])}, which no XML block has; the header is damaged")
+        raise InputError(f"XML_BLOCK_SIZE is {len(blocks['XML'])}, too large for an XML block; the header is damaged")
     file.seek(0)
     reader = sarkit.Reader(file)
     tree = reader.metadata.xmltree
     root = tree.getroot()
     if root.tag != f"{{{NAMESPACE}{version}}}CPHD":
         raise InputError(f"the XML's root is {root.tag!r}, but the header says CPHD/{version}; make them agree")
-    _refuse(root)
-    wanted = _choose(root, channel)
-    data = child_of(root, f"{{*}}Data/{{*}}Channel[{{*}}Identifier='{wanted}']", "Data/Channel")
+    _check_supported(root)
+    identifier = _choose_channel(root, channel)
+    data = child_of(root, f"{{*}}Data/{{*}}Channel[{{*}}Identifier='{identifier}']", "Data/Channel")
     n_vector = _integer(data, "NumVectors", 8, MAX_VECTORS)
     n_sample = _integer(data, "NumSamples", 8, MAX_SAMPLES)
-    text = text_of(root, "Data/SignalArrayFormat")
-    if text not in FORMATS:
-        raise InputError(f"Data/SignalArrayFormat is {text!r}; it must be one of {', '.join(FORMATS)}")
-    dtype = sarkit.binary_format_string_to_dtype(text).newbyteorder(">")
+    name = text_of(root, "Data/SignalArrayFormat")
+    if name not in FORMATS:
+        raise InputError(f"Data/SignalArrayFormat is {name!r}; it must be one of {', '.join(FORMATS)}")
+    dtype = sarkit.binary_format_string_to_dtype(name).newbyteorder(">")
     first = blocks["SIGNAL"].start + _integer(data, "SignalArrayByteOffset", 0, length)
-    _fits("signal array", first, n_vector * n_sample * dtype.itemsize, blocks["SIGNAL"])
+    _check_inside("signal array", first, n_vector * n_sample * dtype.itemsize, blocks["SIGNAL"])
     size = _integer(root, "Data/NumBytesPVP", 8, 1 << 20)
     start = blocks["PVP"].start + _integer(data, "PVPArrayByteOffset", 0, length)
-    _fits("PVP array", start, n_vector * size, blocks["PVP"])
+    _check_inside("PVP array", start, n_vector * size, blocks["PVP"])
     _check_fields(sarkit.get_pvp_dtype(tree), size)
-    vectors = reader.read_pvps(wanted)
+    vectors = reader.read_pvps(identifier)
     return CphdFile(
-        path=path, version=version, tree=tree, channel=wanted, dtype=dtype, shape=(n_vector, n_sample),
+        path=path, version=version, tree=tree, channel=identifier, dtype=dtype, shape=(n_vector, n_sample),
         domain=_one_of(root, "Global/DomainType", ("FX", "TOA")),
         sign=int(_one_of(root, "Global/SGN", ("+1", "-1", "1"))), first_byte=first,
         vectors=vectors.astype(vectors.dtype.newbyteorder("=")),
@@ -144,7 +158,7 @@ def open_file(file: BinaryIO, path: Path, channel: str | None) -> CphdFile:
 
 
 def _header(file: BinaryIO) -> tuple[str, dict[str, str]]:
-    """Version, and keys and values, of the header; looked at here first, as it says how long everything is."""
+    """The version, keys and values of the header; checked first, because it gives the sizes of all blocks."""
     file.seek(0)
     start = file.read(MAX_HEADER)
     line = start.split(b"\n", 1)[0][:40].decode("ascii", errors="backslashreplace")
@@ -159,13 +173,13 @@ def _header(file: BinaryIO) -> tuple[str, dict[str, str]]:
         if text:
             key, separator, value = text.partition(" := ")
             if not separator or key in pairs:
-                raise InputError(f"header line {text[:60]!r} is no new 'key := value'; the header is damaged")
+                raise InputError(f"header line {text[:60]!r} is not a new 'key := value'; the header is damaged")
             pairs[key] = value
     return line.removeprefix("CPHD/"), pairs
 
 
 def _block(header: dict[str, str], name: str, length: int) -> range:
-    """Bytes of a block, which must lie in the file."""
+    """The bytes of a block, which must lie within the file."""
     numbers = []
     for key in (f"{name}_BLOCK_BYTE_OFFSET", f"{name}_BLOCK_SIZE"):
         value = header.get(key)
@@ -182,7 +196,8 @@ def _block(header: dict[str, str], name: str, length: int) -> range:
     return range(offset, offset + size)
 
 
-def _fits(what: str, start: int, size: int, block: range) -> None:
+def _check_inside(what: str, start: int, size: int, block: range) -> None:
+    """Refuse an array that reaches beyond its block."""
     if start + size > block.stop:
         raise InputError(
             f"{what} needs bytes {start} .. {start + size - 1}, but its block ends at {block.stop - 1}; "
@@ -190,41 +205,45 @@ def _fits(what: str, start: int, size: int, block: range) -> None:
         )
 
 
-def _refuse(root: Any) -> None:
-    """Say by name what is not supported."""
+def _check_supported(root: Any) -> None:
+    """Refuse, by name, what is not supported."""
     kind = text_of(root, "CollectionID/CollectType")
     if kind != "MONOSTATIC":
         raise InputError(f"CollectionID/CollectType is {kind!r}; only MONOSTATIC collections are supported")
     compression = root.findtext("{*}Data/{*}SignalCompressionID")
     if compression is not None:
-        raise InputError(f"signal arrays are compressed ({compression!r}), which is not supported; write them plainly")
+        raise InputError(
+            f"signal arrays are compressed ({compression!r}), which is not supported; write them uncompressed"
+        )
 
 
-def _choose(root: Any, wanted: str | None) -> str:
-    """Identifier of the channel."""
+def _choose_channel(root: Any, channel: str | None) -> str:
+    """The identifier of the requested channel, or of the only one."""
     names = [node.text or "" for node in root.findall("{*}Data/{*}Channel/{*}Identifier")]
     if len(set(names)) != len(names) or not all(names) or any("'" in name for name in names):
         raise InputError(
-            f"Data/Channel has the identifiers {names[:8]}, which must be there once each; correct the XML"
+            f"Data/Channel has the identifiers {names[:8]}, which must be present, once each; correct the XML"
         )
-    shown = ", ".join(repr(name) for name in names[:20])
-    if wanted is not None:
-        if wanted not in names:
-            raise InputError(f"channel {wanted!r} is not in it; it has {shown}")
-        return wanted
+    known = ", ".join(repr(name) for name in names[:20])
+    if channel is not None:
+        if channel not in names:
+            raise InputError(f"channel {channel!r} is not in it; it has {known}")
+        return channel
     if len(names) != 1:
-        raise InputError(f"it has {len(names)} channels, and one is ingested at a time; give --channel, one of {shown}")
+        raise InputError(f"it has {len(names)} channels, and one is ingested at a time; give --channel, one of {known}")
     return names[0]
 
 
 def child_of(node: Any, path: str, name: str) -> Any:
-    found = node.findall(path)
-    if len(found) != 1:
-        raise InputError(f"{name} is {len(found)} times in the XML instead of once; correct the XML")
-    return found[0]
+    """The only element at a path; an InputError calls it by `name`."""
+    matches = node.findall(path)
+    if len(matches) != 1:
+        raise InputError(f"{name} is {len(matches)} times in the XML instead of once; correct the XML")
+    return matches[0]
 
 
 def text_of(node: Any, path: str) -> str:
+    """The text of the only element at a path; it must not be empty."""
     text = child_of(node, "/".join(f"{{*}}{part}" for part in path.split("/")), path).text
     if not (text or "").strip():
         raise InputError(f"{path} is empty in the XML; correct the XML")
@@ -246,6 +265,7 @@ def _integer(node: Any, path: str, least: int, most: int) -> int:
 
 
 def numbers_of(node: Any, path: str, names: Sequence[str]) -> FloatArray:
+    """The finite numbers of an element's children, in the order of `names`."""
     values = []
     for name in names:
         text = text_of(node, f"{path}/{name}")
@@ -259,8 +279,8 @@ def numbers_of(node: Any, path: str, names: Sequence[str]) -> FloatArray:
 
 
 def _check_fields(dtype: np.dtype[Any], size: int) -> None:
-    """Names, types and places of the per-vector parameters that are used."""
-    taken: list[tuple[int, int, str]] = []
+    """Check names, types and offsets of the per-vector parameters that are used."""
+    extents: list[tuple[int, int, str]] = []
     fields: Mapping[str, Any] = dtype.fields or {}
     for name, count in {**NEEDED, "AmpSF": 1, "SIGNAL": 1}.items():
         if name not in fields:
@@ -268,11 +288,11 @@ def _check_fields(dtype: np.dtype[Any], size: int) -> None:
                 raise InputError(f"PVP/{name} is missing in the XML; without it vectors cannot be placed")
             continue
         kind, offset = fields[name][:2]
-        right = np.dtype("i8") if name == "SIGNAL" else np.dtype(("f8", (count,)) if count > 1 else "f8")
-        if kind != right:
-            raise InputError(f"PVP/{name} has a format of {kind}, but must be {right}; correct the XML")
-        taken.append((offset, offset + kind.itemsize, name))
-    taken.sort()
-    for (_, stop, name), (start, _, other) in zip(taken, [*taken[1:], (size, size, "the end")], strict=True):
+        expected = np.dtype("i8") if name == "SIGNAL" else np.dtype(("f8", (count,)) if count > 1 else "f8")
+        if kind != expected:
+            raise InputError(f"PVP/{name} has a format of {kind}, but must be {expected}; correct the XML")
+        extents.append((offset, offset + kind.itemsize, name))
+    extents.sort()
+    for (_, stop, name), (start, _, other) in zip(extents, [*extents[1:], (size, size, "the end")], strict=True):
         if start < stop:
             raise InputError(f"PVP/{name} reaches to byte {stop} of a vector, into {other} at {start}; correct the XML")

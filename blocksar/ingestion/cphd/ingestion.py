@@ -1,4 +1,4 @@
-"""A CPHD file to a phase-history store: the order of it all, the frame, and what there is to say."""
+"""Convert a CPHD file to a phase-history store: the sequence of steps, the scene frame, and messages for the user."""
 
 from __future__ import annotations
 
@@ -15,21 +15,29 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.georeference import Georeference
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, printable
-from blocksar.ingestion.cphd.beams import beam_of
+from blocksar.ingestion.cphd.beams import fit_beam
 from blocksar.ingestion.cphd.files import CphdFile, library, numbers_of, open_file, reading_file
-from blocksar.ingestion.cphd.samples import Delays, Interpolated, Resampler, Transformed, delays_of, resampler_of, turn
-from blocksar.ingestion.cphd.vectors import Evening, Pulses, evened, pulses_of
+from blocksar.ingestion.cphd.samples import (
+    Delays,
+    Interpolated,
+    Resampler,
+    Transformed,
+    choose_resampler,
+    find_delays,
+    phasor,
+)
+from blocksar.ingestion.cphd.vectors import Pulses, VectorResampling, assign_pulses, resample_vectors
 from blocksar.ingestion.reading import Ingested
 from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
 from blocksar.progress.listening import Callback
 
-ROWS = TILE[0]  # pulses that are written at a time
-PART = 64  # vectors that are brought to the grid at a time
-MAX_BISTATIC = 1 / 16  # wavelengths between the bistatic and the monostatic range
-FARTHEST_SRP = 1e6  # m from the IARP
-SAME_PLACE = 10.0  # m between the two descriptions of the IARP
+ROWS = TILE[0]  # pulses written at a time
+PART = 64  # vectors resampled in frequency at a time
+MAX_BISTATIC = 1 / 16  # wavelengths, largest difference between bistatic and monostatic range
+FARTHEST_SRP = 1e6  # m, largest distance of the SRP from the IARP
+SAME_PLACE = 10.0  # m, largest distance between the two descriptions of the IARP
 
 
 def ingest(
@@ -40,20 +48,20 @@ def ingest(
     overwrite: bool = False,
     progress: Callback | None = None,
 ) -> Ingested:
-    """Turn one channel of a CPHD file into a phase-history store, block of vectors by block.
+    """Turn one channel of a CPHD file into a phase-history store, one block of vectors at a time.
 
     Parameters
     ----------
     source : path
         A file of CPHD 1.0.1 or 1.1.0, monostatic, FX or TOA domain.
     out : path, URL or Place
-        Of the store to make.
+        Of the new store.
     channel : str, optional
-        Identifier; may be left out where there is one only.
+        Identifier; optional if the file has only one.
     overwrite : bool
-        Replace a store that is there.
+        Replace an existing store.
     progress : callable (done, total)
-        Told after each block, in pulses.
+        Called after each block, with numbers of pulses.
 
     Raises
     ------
@@ -68,54 +76,60 @@ def ingest(
     with reading_file(where):
         if where.exists() and not where.path.is_file():
             raise InputError("it is no regular file; give the path of a CPHD file")
-        # What a damaged number does to arithmetic, the checks find.
+        # Damaged numbers may cause floating-point warnings; the checks report them.
         with open(where.path, "rb") as stream, np.errstate(all="ignore"):
             file = open_file(stream, where.path, channel)
-            made = _prepare(file)
-    write = _writer(file, made, progress)
-    attributes = {**made.attributes, "history": stores.history_line(f"ingested by blocksar from {where.name}")}
-    stores.create_phase_history(target, made.collection, attrs=attributes, overwrite=overwrite, fill=write)
+            prepared = _prepare(file)
+    write = _writer(file, prepared, progress)
+    attributes = {**prepared.attributes, "history": stores.history_line(f"ingested by blocksar from {where.name}")}
+    stores.create_phase_history(target, prepared.collection, attrs=attributes, overwrite=overwrite, fill=write)
     return Ingested(
-        path=target.path if isinstance(target, LocalPlace) else target, collection=made.collection, said=made.said
+        path=target.path if isinstance(target, LocalPlace) else target,
+        collection=prepared.collection,
+        messages=prepared.messages,
     )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Prepared:
+    """The new store without its samples, and how to compute them."""
+
     collection: Collection
     pulses: Pulses
-    evening: Evening | None
+    slow_time: VectorResampling | None  # None if times are uniform
     resampler: Resampler
     delays: Delays
     attributes: dict[str, Any]
-    said: list[str]
+    messages: list[str]
 
 
 def _prepare(file: CphdFile) -> _Prepared:
-    """All but the samples."""
+    """Determine everything but the samples."""
     frame = _frame(file)
-    pulses = pulses_of(file)
+    pulses = assign_pulses(file)
     lit = pulses.vector >= 0
     used = pulses.vector[lit]
     if used.size < 8:
         raise InputError(f"only {used.size} vectors hold a normal signal; at least 8 are needed")
-    delays = delays_of(file, used)
-    resampler = resampler_of(file, used, delays)
-    away = np.linalg.norm(pulses.reference_point - frame.origin, axis=1)
-    if away.max() > FARTHEST_SRP:
+    delays = find_delays(file, used)
+    resampler = choose_resampler(file, used, delays)
+    srp_distance = np.linalg.norm(pulses.reference_point - frame.origin, axis=1)
+    if srp_distance.max() > FARTHEST_SRP:
         raise InputError(
-            f"PVP SRPPos lies up to {away.max():.6g} m from the scene's reference point; it must be Earth-centred, in m"
+            f"PVP SRPPos lies up to {srp_distance.max():.6g} m from the scene's reference point; it must be "
+            "Earth-centred, in m"
         )
     middle = np.zeros(pulses.vector.size)
     middle[lit] = delays.middle[used]
     middle[~lit] = np.interp(np.flatnonzero(~lit), np.flatnonzero(lit), middle[lit])
     reference = np.linalg.norm(pulses.position - pulses.reference_point, axis=1) + SPEED_OF_LIGHT / 2 * middle
-    evening = None
+    slow_time = None
     if not pulses.even:
-        pulses, reference, evening = evened(file, pulses, reference, _corners(file), float(resampler.frequency[-1]))
+        highest = float(resampler.frequency[-1])
+        pulses, reference, slow_time = resample_vectors(pulses, reference, _corners(file), highest)
     position = frame.from_ecef(pulses.position)
     carrier = float(resampler.frequency[0] + resampler.frequency[-1]) / 2
-    beam = beam_of(file, pulses, frame, position)
+    beam = fit_beam(file, pulses, frame, position)
     name = " ".join(
         filter(None, (file.root.findtext(f"{{*}}CollectionID/{{*}}{k}") for k in ("CollectorName", "CoreName")))
     )
@@ -131,33 +145,43 @@ def _prepare(file: CphdFile) -> _Prepared:
             ground_height=0.0,
             title=printable(name)[:200],
         )
-    except InputError as wrong:
-        raise InputError(f"PVP TxPos, RcvPos, SRPPos, TOA1 and TOA2 make no phase history: {wrong}") from None
-    bistatic = _bistatic(file, pulses, frame, collection.wavelength)
-    start = (file.root.findtext("{*}Global/{*}Timeline/{*}CollectionStart") or "").strip()
-    error = 0.0 if evening is None else float(evening.resampling.bound[evening.resampling.good].max())
+    except InputError as error:
+        raise InputError(f"PVP TxPos, RcvPos, SRPPos, TOA1 and TOA2 make no phase history: {error}") from None
+    bistatic = _bistatic_error(file, pulses, frame, collection.wavelength)
     attributes = {
         **_collected(file),
         "georeference": frame.as_attribute(),
-        "source": {
-            "format": f"CPHD/{file.version}", "channel": file.channel, "domain": file.domain, "sgn": file.sign,
-            "collection_start": printable(start)[:40],
-            "time_zero": float(pulses.time[pulses.time.size // 2]),
-            "transmit_receive_separation": pulses.separation, "bistatic_range_error": bistatic,
-            "frequency_resampling_error": resampler.error,
-            "slow_time_resampling_error": error,
-        },
-    }  # fmt: skip
-    said = _lines(file, pulses, resampler, delays, bistatic, collection.wavelength)
+        "source": _source(file, pulses, resampler, slow_time, bistatic),
+    }
+    messages = _describe(file, pulses, resampler, delays, bistatic, collection.wavelength)
     return _Prepared(
-        collection=collection, pulses=pulses, evening=evening, resampler=resampler, delays=delays,
+        collection=collection, pulses=pulses, slow_time=slow_time, resampler=resampler, delays=delays,
         attributes=attributes,
-        said=[*said, *([evening.said] if evening else []), beam.said, _place_line(frame)],
+        messages=[*messages, *([slow_time.message] if slow_time else []), beam.message, _describe_frame(frame)],
     )  # fmt: skip
 
 
+def _source(
+    file: CphdFile, pulses: Pulses, resampler: Resampler, slow_time: VectorResampling | None, bistatic: float
+) -> dict[str, Any]:
+    """The attribute `source`: the origin of the data, and the errors of the conversion."""
+    start = (file.root.findtext("{*}Global/{*}Timeline/{*}CollectionStart") or "").strip()
+    return {
+        "format": f"CPHD/{file.version}",
+        "channel": file.channel,
+        "domain": file.domain,
+        "sgn": file.sign,
+        "collection_start": printable(start)[:40],
+        "time_zero": float(pulses.time[pulses.time.size // 2]),
+        "transmit_receive_separation": pulses.separation,
+        "bistatic_range_error": bistatic,
+        "frequency_resampling_error": resampler.error,
+        "slow_time_resampling_error": slow_time.error if slow_time else 0.0,
+    }
+
+
 def _collected(file: CphdFile) -> dict[str, Any]:
-    """What products say of the collection: who collected it, how it is classified, and its polarization, if known."""
+    """Attributes that products repeat: collector, classification and polarization, if known."""
     parameters = f"{{*}}Channel/{{*}}Parameters[{{*}}Identifier='{file.channel}']/{{*}}Polarization"
     paths = {
         "collector": "{*}CollectionID/{*}CollectorName",
@@ -165,42 +189,44 @@ def _collected(file: CphdFile) -> dict[str, Any]:
         "transmit": f"{parameters}/{{*}}TxPol",
         "receive": f"{parameters}/{{*}}RcvPol",
     }
-    found = {name: printable((file.root.findtext(path) or "").strip())[:200] for name, path in paths.items()}
-    ends = {name: found.pop(name) for name in ("transmit", "receive")}
-    known = {name: text for name, text in found.items() if text}
-    return known | ({} if {"", "UNSPECIFIED"} & set(ends.values()) else {"polarization": ends})
+    texts = {name: printable((file.root.findtext(path) or "").strip())[:200] for name, path in paths.items()}
+    polarization = {name: texts.pop(name) for name in ("transmit", "receive")}
+    known = {name: text for name, text in texts.items() if text}
+    if {"", "UNSPECIFIED"} & set(polarization.values()):
+        return known
+    return known | {"polarization": polarization}
 
 
 def _frame(file: CphdFile) -> Georeference:
-    """At the IARP, which the file describes twice."""
+    """The scene frame, at the IARP; its two descriptions in the file must agree."""
     ecef = numbers_of(file.root, "SceneCoordinates/IARP/ECF", "XYZ")
     latitude, longitude, height = numbers_of(file.root, "SceneCoordinates/IARP/LLH", ("Lat", "Lon", "HAE"))
-    told = Georeference(latitude=latitude, longitude=longitude, height=height)
-    apart = float(np.linalg.norm(told.origin - ecef))
-    if not apart < SAME_PLACE:
+    geodetic = Georeference(latitude=latitude, longitude=longitude, height=height)
+    distance = float(np.linalg.norm(geodetic.origin - ecef))
+    if not distance < SAME_PLACE:
         raise InputError(
-            f"SceneCoordinates/IARP has an ECF and an LLH that lie {apart:.6g} m apart; correct one of them"
+            f"SceneCoordinates/IARP has an ECF and an LLH that lie {distance:.6g} m apart; correct one of them"
         )
     return Georeference.at(ecef)
 
 
 def _corners(file: CphdFile) -> FloatArray:
-    """Of the image area, (4, 3) m, Earth-centred."""
+    """Corners of the image area, (4, 3) m, Earth-centred."""
     (x1, y1), (x2, y2) = (
         numbers_of(file.root, f"SceneCoordinates/ImageArea/{name}", "XY") for name in ("X1Y1", "X2Y2")
     )
     return np.asarray(library().iac_to_ecf(file.tree, np.array([[x, y] for x in (x1, x2) for y in (y1, y2)])))
 
 
-def _bistatic(file: CphdFile, pulses: Pulses, frame: Georeference, wavelength: float) -> float:
-    """Largest difference of bistatic and monostatic range at the image area's corners, m, less that at the SRP."""
+def _bistatic_error(file: CphdFile, pulses: Pulses, frame: Georeference, wavelength: float) -> float:
+    """Largest difference of bistatic and monostatic range at the image area's corners, relative to the SRP, m."""
     ground = _corners(file)
     worst = 0.0
     for vector in pulses.vector[pulses.vector >= 0][[0, -1]]:
-        out, back, srp = (file.parameter(name)[vector] for name in ("TxPos", "RcvPos", "SRPPos"))
-        all_points = np.concatenate([ground, srp[None]])
-        two = (np.linalg.norm(all_points - out, axis=1) + np.linalg.norm(all_points - back, axis=1)) / 2
-        error = two - np.linalg.norm(all_points - (out + back) / 2, axis=1)
+        transmitter, receiver, srp = (file.parameter(name)[vector] for name in ("TxPos", "RcvPos", "SRPPos"))
+        points = np.concatenate([ground, srp[None]])
+        bistatic = (np.linalg.norm(points - transmitter, axis=1) + np.linalg.norm(points - receiver, axis=1)) / 2
+        error = bistatic - np.linalg.norm(points - (transmitter + receiver) / 2, axis=1)
         worst = max(worst, float(np.abs(error[:-1] - error[-1]).max()))
     if not worst <= MAX_BISTATIC * wavelength:
         raise InputError(
@@ -210,85 +236,87 @@ def _bistatic(file: CphdFile, pulses: Pulses, frame: Georeference, wavelength: f
     return worst
 
 
-def _lines(
+def _describe(
     file: CphdFile, pulses: Pulses, resampler: Resampler, delays: Delays, bistatic: float, wavelength: float
 ) -> list[str]:
-    """What is to be said, in sentences."""
+    """Describe the file and what was done to it, one sentence each."""
     frequency, n = resampler.frequency, pulses.vector.size
     missing = int(np.count_nonzero(pulses.vector < 0))
     own = float(np.median((file.parameter("FX2") - file.parameter("FX1"))[pulses.vector[pulses.vector >= 0]]))
     step = (frequency[-1] - frequency[0]) / (frequency.size - 1)
-    lines = [
+    messages = [
         f"CPHD {file.version}, channel {file.channel}: {file.shape[0]} vectors of {file.shape[1]} samples, "
         f"{file.domain} domain, SGN {file.sign:+d}",
         f"{n} pulses, {missing} of them missing; {frequency.size} frequencies, {frequency[0] / 1e9:.6g} .. "
         f"{frequency[-1] / 1e9:.6g} GHz ({step * frequency.size / 1e6:.6g} of {own / 1e6:.6g} MHz that a vector has)",
-        f"transmitter and receiver up to {pulses.separation:.3g} m apart: their middle is taken, ranges over the image "
-        f"area change by {bistatic / wavelength:.2g} wavelengths",
+        f"transmitter and receiver up to {pulses.separation:.3g} m apart: the point midway is used, which changes "
+        f"ranges over the image area by {bistatic / wavelength:.2g} wavelengths",
     ]
     match resampler:
         case Interpolated():
-            lines.append(
+            messages.append(
                 f"SC0 and SCSS differ from vector to vector: resampled to one grid, error below {resampler.error:.2g} "
-                f"of the reflectivity, {2 * resampler.margin} samples of the band's ends left out"
+                f"of the reflectivity, {2 * resampler.margin} samples at the band's ends left out"
             )
         case Transformed():
-            lines.append("delays transformed to frequencies by an exact Fourier sum")
+            messages.append("delays transformed to frequencies by an exact Fourier sum")
         case _:
-            lines.append("samples are taken as they are")
+            messages.append("samples are taken as they are")
     if np.ptp(pulses.reference_point, axis=0).max() > 0:
         moved = np.linalg.norm(np.ptp(pulses.reference_point, axis=0))
-        lines.append(f"the SRP moves by {moved:.6g} m: reference_range follows it from pulse to pulse")
+        messages.append(f"the SRP moves by {moved:.6g} m: reference_range follows it from pulse to pulse")
     if np.any(delays.middle):
-        lines.append("the saved delays are not centred at the SRP: reference_range is at their middle")
-    return lines
+        messages.append("the saved delays are not centred at the SRP: reference_range is at their middle")
+    return messages
 
 
-def _place_line(frame: Georeference) -> str:
+def _describe_frame(frame: Georeference) -> str:
+    """The scene frame in words."""
     return (
         f"frame: x east, y north, z up at latitude {frame.latitude:.7f}, longitude {frame.longitude:.7f}, "
         f"height {frame.height:.2f} m"
     )
 
 
-def _writer(file: CphdFile, made: _Prepared, progress: Callback | None) -> Callable[[Place], None]:
-    """What fills the store with samples."""
-    vector, total = made.pulses.vector, made.pulses.vector.size
-    columns = slice(0, made.resampler.frequency.size)
+def _writer(file: CphdFile, prepared: _Prepared, progress: Callback | None) -> Callable[[Place], None]:
+    """Make the function that fills the store with samples."""
+    vector, total = prepared.pulses.vector, prepared.pulses.vector.size
+    columns = slice(0, prepared.resampler.frequency.size)
     scaled = "AmpSF" in (file.vectors.dtype.names or ())
 
-    def samples(stream: BinaryIO, rows: IntArray) -> ComplexArray:
-        """Of some vectors, ascending."""
-        read = file.read(stream, int(rows[0]), int(rows[-1]) + 1, made.resampler.samples)[rows - rows[0]]
+    def read_vectors(stream: BinaryIO, rows: IntArray) -> ComplexArray:
+        """Samples of some vectors, ascending, on the store's frequencies."""
+        read = file.read(stream, int(rows[0]), int(rows[-1]) + 1, prepared.resampler.samples)[rows - rows[0]]
         if scaled:
             read *= file.parameter("AmpSF", rows).astype(np.float32)[:, None]
         if file.sign > 0:
             np.conjugate(read, out=read)
-        out = made.resampler.apply(read, rows)
-        middle = made.delays.middle[rows]
+        out = prepared.resampler.apply(read, rows)
+        middle = prepared.delays.middle[rows]
         if not middle.any():
             return out
-        return (out * turn(made.resampler.frequency * middle[:, None])).astype(np.complex64)
+        return (out * phasor(prepared.resampler.frequency * middle[:, None])).astype(np.complex64)
 
-    def gathered(stream: BinaryIO, rows: IntArray) -> ComplexArray:
+    def read_in_parts(stream: BinaryIO, rows: IntArray) -> ComplexArray:
         out = np.empty((rows.size, columns.stop), np.complex64)
         for start in range(0, rows.size, PART):
-            out[start : start + PART] = samples(stream, rows[start : start + PART])
+            out[start : start + PART] = read_vectors(stream, rows[start : start + PART])
         return out
 
     def write(store: Place) -> None:
         with reading_file(LocalPlace(file.path)), open(file.path, "rb") as stream:
             for first in range(0, total, ROWS):
                 pulses = slice(first, min(first + ROWS, total))
-                if made.evening is None:
+                if prepared.slow_time is None:
                     block = np.full((pulses.stop - first, columns.stop), complex(np.nan, np.nan), np.complex64)
                     lit = np.flatnonzero(vector[pulses] >= 0)
-                    block[lit] = gathered(stream, vector[pulses][lit])
+                    block[lit] = read_in_parts(stream, vector[pulses][lit])
                 else:
-                    needed = made.evening.resampling.needs(pulses)
-                    moved = 2 / SPEED_OF_LIGHT * made.resampler.frequency * made.evening.moved[needed, None]
-                    rows = gathered(stream, made.evening.vector[needed])
-                    block = made.evening.resampling.apply((rows * turn(moved)).astype(np.complex64), pulses)
+                    slow_time = prepared.slow_time
+                    inputs = slow_time.resampling.inputs(pulses)
+                    cycles = 2 / SPEED_OF_LIGHT * prepared.resampler.frequency * slow_time.range_shift[inputs, None]
+                    rows = read_in_parts(stream, slow_time.vector[inputs])
+                    block = slow_time.resampling.apply((rows * phasor(cycles)).astype(np.complex64), pulses)
                 stores.write_region(store, "signal", (pulses, columns), block)
                 if progress is not None:
                     progress(pulses.stop, total)

@@ -1,4 +1,4 @@
-"""Samples to one frequency grid: picked where grids agree, interpolated where they do not, transformed from TOA."""
+"""Bring samples to one frequency grid: select where grids agree, interpolate where they differ, transform from TOA."""
 
 from __future__ import annotations
 
@@ -13,22 +13,23 @@ from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.errors import InputError
 from blocksar.ingestion.cphd.files import MAX_SAMPLES, CphdFile
 
-TAPS = 64  # samples that one interpolated sample is made of
-STEPS = 512  # of the table of interpolators, for one sample's width
-ACCURACY = 1e-3  # of interpolation, over the reflectivity: -60 dB
-NOISE_GAIN = 1.5  # that interpolation may have
+TAPS = 64  # samples used for one interpolated sample
+STEPS = 512  # offsets per sample in the table of interpolators
+ACCURACY = 1e-3  # largest interpolation error relative to the reflectivity: -60 dB
+NOISE_GAIN = 1.5  # largest noise gain of interpolation, in amplitude
 LEAST_BAND = 0.5  # share of a vector's band that must be common to all
-MAX_FOLD = 2.0  # saved delays over those that samples tell apart; no file is sampled so sparsely, units are wrong then
+MAX_FOLD = 2.0  # saved delays over the unambiguous ones; no file is sampled more sparsely, units are wrong then
 
 
 class Delays(NamedTuple):
-    """What of the echo the vectors hold: middle of the saved delays, by vector, and their largest extent, s."""
+    """The saved part of the echo: middle of the saved delays, by vector, and their largest extent, s."""
 
     middle: FloatArray
     extent: float
 
 
-def delays_of(file: CphdFile, used: IntArray) -> Delays:
+def find_delays(file: CphdFile, used: IntArray) -> Delays:
+    """Determine the saved delays from TOA1 and TOA2; `used` are the vectors that matter."""
     early, late = file.parameter("TOA1"), file.parameter("TOA2")
     first, last = early[used].min(), late[used].max()
     middle, extent = (first + last) / 2, last - first
@@ -40,7 +41,7 @@ def delays_of(file: CphdFile, used: IntArray) -> Delays:
         where = int(used[own[used].argmax()])
         raise InputError(
             f"PVP TOA1 .. TOA2 is {own[where]:.6g} s long in vector {where}, but samples SCSS = "
-            f"{file.parameter('SCSS')[where]:.6g} Hz apart tell only {unambiguous:.6g} s of delays from one another; "
+            f"{file.parameter('SCSS')[where]:.6g} Hz apart have only {unambiguous:.6g} s of unambiguous delays; "
             "correct them"
         )
     if extent * 1.05 <= unambiguous or np.ptp(early[used]) + np.ptp(late[used]) == 0:
@@ -50,8 +51,8 @@ def delays_of(file: CphdFile, used: IntArray) -> Delays:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Picked:
-    """FX vectors on one grid: some of their samples are the answer."""
+class _Selected:
+    """FX vectors on one grid: some of their samples, unchanged."""
 
     frequency: FloatArray  # Hz, absolute
     first: IntArray  # by vector: the sample of the first frequency
@@ -60,6 +61,7 @@ class _Picked:
 
     @cached_property
     def samples(self) -> slice:
+        """The samples that any vector needs."""
         first = self.first[self.used]
         return slice(int(first.min()), int(first.max()) + self.frequency.size)
 
@@ -72,39 +74,39 @@ class _Picked:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Interpolated:
-    """FX vectors on grids of their own: local interpolation. `table` (offset steps, TAPS) begins at `margin`."""
+    """FX vectors on different grids: local interpolation. `table` (offset steps, TAPS) begins at `margin`."""
 
     frequency: FloatArray
     start: FloatArray  # by vector: SC0
     step: FloatArray  # by vector: SCSS
-    first: IntArray  # by vector: the first sample within FX1 .. FX2; beyond them samples mean nothing
-    last: IntArray  # and the last
+    first: IntArray  # by vector: the first sample within FX1 .. FX2; samples beyond carry no meaning
+    last: IntArray  # by vector: the last one
     samples: slice
     table: FloatArray
     margin: int
-    middle: FloatArray  # by vector: delay, s, about which the table is made
+    middle: FloatArray  # by vector: delay, s, at which the table is centred
     error: float
 
     def apply(self, rows: ComplexArray, vectors: IntArray) -> ComplexArray:
         taps = self.table.shape[1]
         sample = np.arange(self.samples.start, self.samples.stop)
         fx = self.start[vectors, None] + self.step[vectors, None] * sample
-        centred = (rows * turn(fx * self.middle[vectors, None])).astype(np.complex64)
-        place = (self.frequency - self.start[vectors, None]) / self.step[vectors, None] - self.samples.start
+        centred = (rows * phasor(fx * self.middle[vectors, None])).astype(np.complex64)
+        position = (self.frequency - self.start[vectors, None]) / self.step[vectors, None] - self.samples.start
         base = np.clip(
-            np.floor(place).astype(np.int64) - taps // 2 + 1,
+            np.floor(position).astype(np.int64) - taps // 2 + 1,
             self.first[vectors, None] - self.samples.start,
             self.last[vectors, None] - self.samples.start - taps + 1,
         )
-        step = (place - base - self.margin) * STEPS
+        step = (position - base - self.margin) * STEPS
         low = np.clip(step.astype(np.int64), 0, len(self.table) - 2)
         share = (step - low).astype(np.float32)
-        out = np.zeros(place.shape, np.complex64)
+        out = np.zeros(position.shape, np.complex64)
         for tap in range(taps):
             weights = self.table[:, tap].astype(np.float32)
             weight = weights[low] * (1 - share) + weights[low + 1] * share
             out += weight * np.take_along_axis(centred, base + tap, axis=1)
-        return (out * turn(-self.frequency * self.middle[vectors, None])).astype(np.complex64)
+        return (out * phasor(-self.frequency * self.middle[vectors, None])).astype(np.complex64)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -133,23 +135,29 @@ class Transformed:
                 if len(transforms) > 64:
                     transforms.clear()
                 transforms[step] = CZT(count, n, np.exp(-2j * np.pi * df * step))
-            away = self.centre[v] - self.frequency[0]
-            turned = rows[row].astype(np.complex128) * turn(away * step * sample)
-            ramp = turn((self.centre[v] - self.frequency) * self.start[v])
-            out[row] = transforms[step](turned) * ramp * (step * self.band[v])
+            offset = self.centre[v] - self.frequency[0]
+            shifted = rows[row].astype(np.complex128) * phasor(offset * step * sample)
+            ramp = phasor((self.centre[v] - self.frequency) * self.start[v])
+            out[row] = transforms[step](shifted) * ramp * (step * self.band[v])
         return out
 
 
-Resampler = _Picked | Interpolated | Transformed
+Resampler = _Selected | Interpolated | Transformed
 
 
-def turn(cycles: FloatArray) -> NDArray[np.complex128]:
-    """exp(2j pi cycles), of any number of cycles."""
+def phasor(cycles: FloatArray) -> NDArray[np.complex128]:
+    """exp(2j pi cycles); whole cycles are removed first."""
     return np.asarray(np.exp(2j * np.pi * (cycles - np.rint(cycles))))
 
 
-def resampler_of(file: CphdFile, used: IntArray, delays: Delays) -> Resampler:
-    """How samples come to one grid; `used` are the vectors that matter."""
+def choose_resampler(file: CphdFile, used: IntArray, delays: Delays) -> Resampler:
+    """Choose how samples are brought to one frequency grid; `used` are the vectors that matter.
+
+    Raises
+    ------
+    InputError
+        If the vectors have no common band, or cannot be resampled accurately enough.
+    """
     start, step = file.parameter("SC0"), file.parameter("SCSS")
     low, high = file.parameter("FX1"), file.parameter("FX2")
     n = file.shape[1]
@@ -182,10 +190,10 @@ def resampler_of(file: CphdFile, used: IntArray, delays: Delays) -> Resampler:
     if np.ptp(step[used]) * n < 1e-4 * df and off.max() < 1e-4:
         begin = int(np.ceil((first - start[reference]) / df - 1e-3))
         stop = int(np.floor((last - start[reference]) / df + 1e-3)) + 1
-        _enough(stop - begin)
+        _check_count(stop - begin)
         shift = np.full(start.size, begin, dtype=np.int64)
         shift[used] -= np.rint(places[used]).astype(np.int64)
-        return _Picked(frequency=start[reference] + df * np.arange(begin, stop), first=shift, used=used)
+        return _Selected(frequency=start[reference] + df * np.arange(begin, stop), first=shift, used=used)
     inner, outer = np.zeros(start.size, np.int64), np.zeros(start.size, np.int64)
     inner[used] = np.ceil(((low - start) / step)[used] - 1e-9)
     outer[used] = np.floor(((high - start) / step)[used] + 1e-9)
@@ -193,7 +201,7 @@ def resampler_of(file: CphdFile, used: IntArray, delays: Delays) -> Resampler:
     first = max(first, float((start + (inner + margin) * step)[used].max()))
     last = min(last, float((start + (outer - margin) * step)[used].min()))
     count = int(np.floor((last - first) / df)) + 1
-    _enough(count)
+    _check_count(count)
     return Interpolated(
         frequency=np.asarray(first + df * np.arange(count), np.float64), start=start, step=step,
         first=inner, last=outer, samples=slice(int(inner[used].min()), int(outer[used].max()) + 1),
@@ -202,32 +210,33 @@ def resampler_of(file: CphdFile, used: IntArray, delays: Delays) -> Resampler:
 
 
 def _common(low: FloatArray, high: FloatArray) -> tuple[float, float]:
-    """The band that all vectors have."""
+    """The band common to all vectors."""
     first, last, own = float(low.max()), float(high.min()), float(np.median(high - low))
     if last - first < LEAST_BAND * own:
         raise InputError(
             f"PVP FX1 and FX2 (within SC0 and SCSS) leave only {max(last - first, 0.0):.6g} Hz in common to all "
-            f"vectors, of {own:.6g} Hz that one has; cut the collection into parts of like bands"
+            f"vectors, of {own:.6g} Hz that one has; cut the collection into parts with similar bands"
         )
     return first, last
 
 
-def _enough(count: int) -> None:
+def _check_count(count: int) -> None:
+    """Refuse a grid of too few frequencies."""
     if count < 8:
         raise InputError(f"only {count} frequencies are common to all vectors; at least 8 are needed")
 
 
 def _interpolators(occupancy: float, n: int) -> tuple[FloatArray, int, float]:
-    """Least-squares interpolators of samples whose delays fill a share `occupancy` of the unambiguous ones.
+    """Least-squares interpolators for samples whose delays fill the share `occupancy` of the unambiguous ones.
 
     Returns
     -------
     table : (n_offset, taps) float
         For offsets of margin, margin + 1 / STEPS, ... samples from the first tap.
     margin : int
-        Samples at either end within which no interpolator is good enough.
+        Number of samples at either end within which no interpolator is accurate enough.
     error : float
-        Largest over offsets and delays, for one target of reflectivity 1; between two offsets of the table, too.
+        Largest error over offsets and delays for one target of reflectivity 1, including that between two offsets.
     """
     taps = min(TAPS, n)
     i = np.arange(taps)
@@ -236,8 +245,8 @@ def _interpolators(occupancy: float, n: int) -> tuple[FloatArray, int, float]:
     table = np.linalg.solve(gram, np.sinc(occupancy * (i[:, None] - offset))).T
     coarse = slice(None, None, STEPS // 16)
     cycles = occupancy / 2 * np.linspace(-1, 1, 129)
-    got = table[coarse] @ turn(i[:, None] * cycles)
-    error = np.abs(turn(offset[coarse, None] * cycles) - got).max(axis=1)
+    response = table[coarse] @ phasor(i[:, None] * cycles)
+    error = np.abs(phasor(offset[coarse, None] * cycles) - response).max(axis=1)
     good = (error <= ACCURACY) & (np.linalg.norm(table[coarse], axis=1) <= NOISE_GAIN)
     half = error.size // 2
     bad = np.flatnonzero(~good[: half + 1])
@@ -245,9 +254,10 @@ def _interpolators(occupancy: float, n: int) -> tuple[FloatArray, int, float]:
     if margin >= taps // 2 - 1 or n < 2 * taps:
         raise InputError(
             f"PVP SC0 and SCSS differ from vector to vector, and the saved delays TOA1 .. TOA2 fill {occupancy:.3g} of "
-            f"what {n} samples tell apart: too much to resample within {ACCURACY:g}; resample the vectors to one grid"
+            f"the unambiguous ones of {n} samples: too much to resample within {ACCURACY:g}; resample the vectors to "
+            "one grid"
         )
-    kept = slice(margin * STEPS, (taps - 1 - margin) * STEPS + 1)
+    inner = slice(margin * STEPS, (taps - 1 - margin) * STEPS + 1)
     worst = float(error[margin * 16 : error.size - margin * 16].max())
     between = (np.pi * occupancy / STEPS) ** 2 / 8  # of linear interpolation in the table
-    return table[kept], margin, worst + between
+    return table[inner], margin, worst + between

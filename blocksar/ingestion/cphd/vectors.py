@@ -1,4 +1,4 @@
-"""Vectors to pulses: which vector is which pulse, and pulses at uniform times."""
+"""Assign vectors to pulses, and resample vectors at uneven times to pulses at uniform ones."""
 
 from __future__ import annotations
 
@@ -12,24 +12,26 @@ from blocksar.errors import InputError
 from blocksar.ingestion.cphd.files import NEEDED, CphdFile
 from blocksar.ingestion.resampling import OCCUPIED, Resampling, plan_resampling
 
-MAX_GAPS = 1.0  # missing vectors over those that are there
+MAX_GAPS = 1.0  # missing vectors over those present
 SMALLEST_ORBIT, LARGEST_ORBIT = 6.3e6, 1e9  # m from the Earth's centre
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pulses:
-    """Which vector is which pulse. A pulse that no vector fills, or whose vector is not normal, is missing.
+    """The vector of each pulse. A pulse without a vector, or whose vector is not normal, is missing.
 
     Attributes
     ----------
     vector : (n_pulse,) int
         -1 where missing.
     time, reference_time : (n_pulse,) float
-        Of transmission, and of the standard's reference time, s.
+        Time of transmission and the standard's reference time, s.
     even : bool
-        Whether time is uniform; if it is not, every pulse is a vector with a normal signal.
+        Whether time is uniform; if not, every pulse is a vector with a normal signal.
     position, reference_point : (n_pulse, 3) float
         ARP and SRP, Earth-centred, m.
+    separation : float
+        Largest |TxPos - RcvPos|, m.
     """
 
     vector: IntArray
@@ -37,11 +39,18 @@ class Pulses:
     reference_time: FloatArray
     position: FloatArray
     reference_point: FloatArray
-    separation: float  # largest |TxPos - RcvPos|, m
+    separation: float
     even: bool = True
 
 
-def pulses_of(file: CphdFile) -> Pulses:
+def assign_pulses(file: CphdFile) -> Pulses:
+    """Check the per-vector parameters and assign vectors to pulses.
+
+    Raises
+    ------
+    InputError
+        If parameters are not finite, contradict each other, or do not describe pulses.
+    """
     normal = _normal(file)
     placed = np.ones(file.shape[0], bool)
     for name in NEEDED:
@@ -61,12 +70,12 @@ def pulses_of(file: CphdFile) -> Pulses:
     except InputError:
         if normal.all():
             raise
-        # Vectors without a signal need no place: many files have zeros there.
+        # Vectors without a signal need no position: many files have zeros there.
         return _placed(file, normal, normal)
 
 
 def _placed(file: CphdFile, normal: BoolArray, placed: BoolArray) -> Pulses:
-    """Pulses of some vectors, which all have a time and positions; those that are not normal are missing."""
+    """Pulses of the vectors that have a time and positions; those whose signal is not normal are missing."""
     vector = np.asarray(np.flatnonzero(placed), dtype=np.int64)
     time = file.parameter("TxTime", vector)
     index, step, off = _slots(time)
@@ -79,32 +88,33 @@ def _placed(file: CphdFile, normal: BoolArray, placed: BoolArray) -> Pulses:
         radius = np.linalg.norm(positions, axis=1)
         if not ((radius > SMALLEST_ORBIT) & (radius < LARGEST_ORBIT)).all():
             raise InputError(
-                f"PVP {name} lies {radius.min():.6g} .. {radius.max():.6g} m from the Earth's centre, which no antenna "
-                "does; it must be Earth-centred, in m"
+                f"PVP {name} lies {radius.min():.6g} .. {radius.max():.6g} m from the Earth's centre, where no antenna "
+                "is; it must be Earth-centred, in m"
             )
-    out, back = np.linalg.norm(transmitter - srp, axis=1), np.linalg.norm(receiver - srp, axis=1)
-    moment = time + out / (out + back) * (file.parameter("RcvTime", vector) - time)
+    transmit_range = np.linalg.norm(transmitter - srp, axis=1)
+    receive_range = np.linalg.norm(receiver - srp, axis=1)
+    moment = time + transmit_range / (transmit_range + receive_range) * (file.parameter("RcvTime", vector) - time)
     separation = float(np.linalg.norm(transmitter - receiver, axis=1).max())
     if off > UNIFORM_TOLERANCE:
         return Pulses(
             vector=vector, time=time, reference_time=moment, position=(transmitter + receiver) / 2,
             reference_point=srp, separation=separation, even=False,
         )  # fmt: skip
-    where = np.full(index[-1] + 1, -1, dtype=np.int64)
-    where[index] = np.where(normal[vector], vector, -1)
-    slots = np.arange(where.size)
+    filled = np.full(index[-1] + 1, -1, dtype=np.int64)
+    filled[index] = np.where(normal[vector], vector, -1)
+    slots = np.arange(filled.size)
     return Pulses(
-        vector=where,
+        vector=filled,
         time=time if slots.size == time.size else time[0] + step * slots,
         reference_time=np.interp(slots, index, moment),
-        position=_filled(slots, index, (transmitter + receiver) / 2),
+        position=_interpolate_positions(slots, index, (transmitter + receiver) / 2),
         reference_point=np.stack([np.interp(slots, index, column) for column in srp.T], axis=1),
         separation=separation,
     )
 
 
 def _normal(file: CphdFile) -> BoolArray:
-    """Vectors that hold a normal signal."""
+    """Mask of the vectors that hold a normal signal."""
     if "SIGNAL" not in (file.vectors.dtype.names or ()):
         return np.ones(file.shape[0], bool)
     normal = np.asarray(file.vectors["SIGNAL"] == 1)
@@ -116,7 +126,7 @@ def _normal(file: CphdFile) -> BoolArray:
 
 
 def _check_vectors(file: CphdFile, normal: BoolArray) -> None:
-    """Refuse parameters that cannot be meant."""
+    """Refuse parameters that are out of range or out of order."""
     for name in ("SCSS", "FX1", *(("SC0",) if file.domain == "FX" else ())):
         values = file.parameter(name)[normal]
         if not (values > 0).all():
@@ -124,8 +134,8 @@ def _check_vectors(file: CphdFile, normal: BoolArray) -> None:
     for low, high in (("FX1", "FX2"), ("TOA1", "TOA2")):
         if not (file.parameter(low)[normal] < file.parameter(high)[normal]).all():
             raise InputError(f"PVP {low} is not below {high} in every vector; correct them")
-    later = file.parameter("RcvTime") - file.parameter("TxTime")
-    if not (later[normal] >= 0).all():
+    travel_time = file.parameter("RcvTime") - file.parameter("TxTime")
+    if not (travel_time[normal] >= 0).all():
         raise InputError("PVP RcvTime is before TxTime in some vectors; correct them")
     if "AmpSF" in (file.vectors.dtype.names or ()):
         scale = file.parameter("AmpSF")[normal]
@@ -135,12 +145,12 @@ def _check_vectors(file: CphdFile, normal: BoolArray) -> None:
 
 
 def _slots(time: FloatArray) -> tuple[IntArray, float, float]:
-    """Index of every vector's pulse on the uniform axis of slow time, its step, s, and how many steps it lies off.
+    """Index of each vector's pulse on a uniform axis of slow time, the axis' step, s, and the largest deviation, steps.
 
     Raises
     ------
     InputError
-        If times do not ascend, or leave most of the axis empty.
+        If times do not ascend, or leave more than half of the axis empty.
     """
     if time.size < 8:
         raise InputError(f"only {time.size} vectors have a time and positions; at least 8 are needed")
@@ -163,27 +173,32 @@ def _slots(time: FloatArray) -> tuple[IntArray, float, float]:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Evening:
-    """From vectors at uneven times to pulses at even ones, once their signals have one reference.
+class VectorResampling:
+    """Resampling of vectors at uneven times to pulses at uniform ones, once their signals have a common reference.
 
     Attributes
     ----------
     vector : (n_vector,) int
-        Those that are summed.
-    moved : (n_vector,) float
-        What is to be added to their reference range for that, m.
+        The vectors that are summed.
+    range_shift : (n_vector,) float
+        Added to their reference range for the common reference, m.
     """
 
     vector: IntArray
-    moved: FloatArray
+    range_shift: FloatArray
     resampling: Resampling
-    said: str
+    message: str
+
+    @property
+    def error(self) -> float:
+        """Bound on the error of any echo, relative to its amplitude."""
+        return float(self.resampling.bound[self.resampling.good].max())
 
 
-def evened(
-    file: CphdFile, pulses: Pulses, reference: FloatArray, ground: FloatArray, highest: float
-) -> tuple[Pulses, FloatArray, Evening]:
-    """Pulses at uniform times, their reference range, and how they come of the vectors.
+def resample_vectors(
+    pulses: Pulses, reference: FloatArray, ground: FloatArray, highest: float
+) -> tuple[Pulses, FloatArray, VectorResampling]:
+    """Plan pulses at uniform times: the pulses, their reference range, and the resampling of the vectors.
 
     Parameters
     ----------
@@ -192,12 +207,13 @@ def evened(
     ground : (n, 3) float
         Points all over the image area, Earth-centred, m.
     highest : float
-        Frequency, Hz.
+        Highest frequency, Hz.
 
     Raises
     ------
     InputError
-        If the image area has more Doppler than the vectors sample, or they leave more than half of the pulses open.
+        If the image area's Doppler band is wider than the vectors sample, or more than half of the pulses would be
+        missing.
     """
     from scipy.interpolate import CubicSpline
 
@@ -209,9 +225,9 @@ def evened(
     offset = float(np.mean(reference - np.linalg.norm(pulses.position - pulses.reference_point, axis=1)))
     common = np.linalg.norm(pulses.position - point, axis=1) + offset
     rate = 0.0
-    for place_ in ground:
-        apart = np.linalg.norm(pulses.position - place_, axis=1) - common
-        rate = max(rate, float(np.abs(np.diff(apart) / steps).max()))
+    for corner in ground:
+        difference = np.linalg.norm(pulses.position - corner, axis=1) - common
+        rate = max(rate, float(np.abs(np.diff(difference) / steps).max()))
     band, prf = 4 * highest / SPEED_OF_LIGHT * rate, 1 / interval
     uneven = f"PVP TxTime is not uniform: steps run from {steps.min():.6g} to {steps.max():.6g} s"
     if not band <= OCCUPIED * prf:
@@ -219,35 +235,38 @@ def evened(
             f"{uneven}, and the image area's Doppler of {band:.6g} Hz is too wide to resample at {prf:.6g} Hz "
             "on average; resample the vectors to uniform times"
         )
-    made = plan_resampling(time, uniform, band=band)
-    good = np.flatnonzero(made.good)
+    resampling = plan_resampling(time, uniform, band=band)
+    good = np.flatnonzero(resampling.good)
     if good.size < max(8, n // 2):
         raise InputError(
-            f"{uneven}, so that {n - good.size} of {n} uniform pulses cannot be made of them; "
+            f"{uneven}, so that {n - good.size} of {n} uniform pulses cannot be computed from them; "
             "cut the collection at its gaps"
         )
-    kept = slice(int(good[0]), int(good[-1]) + 1)
-    made, uniform = made.part(kept), uniform[kept]
+    usable = slice(int(good[0]), int(good[-1]) + 1)
+    resampling, uniform = resampling.part(usable), uniform[usable]
     position, moment = (
         np.asarray(CubicSpline(time, values, axis=0)(uniform)) for values in (pulses.position, pulses.reference_time)
     )
     nearest = np.rint(np.interp(uniform, time, np.arange(time.size))).astype(np.int64)
     even = Pulses(
-        vector=np.where(made.good, pulses.vector[nearest], -1), time=uniform, reference_time=moment, position=position,
+        vector=np.where(resampling.good, pulses.vector[nearest], -1), time=uniform,
+        reference_time=moment, position=position,
         reference_point=np.tile(point, (uniform.size, 1)), separation=pulses.separation,
     )  # fmt: skip
-    bound, spread = (20 * np.log10(error[made.good].max()) for error in (made.bound, made.spread))
-    said = (
+    bound, spread = (20 * np.log10(error[resampling.good].max()) for error in (resampling.bound, resampling.spread))
+    message = (
         f"vectors are {steps.min():.6g} to {steps.max():.6g} s apart: resampled to {uniform.size} pulses, one every "
         f"{interval:.6g} s, with an error of at most {bound:.0f} dB on any echo of the image area, {spread:.0f} dB "
         f"r.m.s. over all of them ({band:.4g} Hz of Doppler)"
     )
-    evening = Evening(vector=pulses.vector, moved=common - reference, resampling=made, said=said)
-    return even, np.linalg.norm(position - point, axis=1) + offset, evening
+    slow_time = VectorResampling(
+        vector=pulses.vector, range_shift=common - reference, resampling=resampling, message=message
+    )
+    return even, np.linalg.norm(position - point, axis=1) + offset, slow_time
 
 
-def _filled(slots: IntArray, index: IntArray, values: FloatArray) -> FloatArray:
-    """Positions of all pulses, smoothly through those that are known."""
+def _interpolate_positions(slots: IntArray, index: IntArray, values: FloatArray) -> FloatArray:
+    """Positions of all pulses, by a cubic spline through those that are known."""
     if slots.size == index.size:
         return values
     from scipy.interpolate import CubicSpline

@@ -1,1 +1,1 @@
-"""The Gotcha volumetric data set (MAT files) to a phase history."""
+"""Ingestion of the AFRL Gotcha volumetric SAR data set (MATLAB files)."""

@@ -1,4 +1,4 @@
-"""One Gotcha file: its fields, read and checked."""
+"""One file of the Gotcha set: read its fields and check them."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from blocksar import stores
 from blocksar.arrays import UNIFORM_TOLERANCE, ComplexArray, FloatArray
+from blocksar.collection.beam import wrapped
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.ingestion.gotcha.matfile import Value, read_struct
@@ -19,22 +20,19 @@ from blocksar.ingestion.reading import reading
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
 
-ROUNDING = 2 * float(np.finfo(np.float32).eps)  # of a range: what float32 does to it and to three coordinates
+ROUNDING = 2 * float(np.finfo(np.float32).eps)  # relative error of a range when it and three coordinates are float32
 ANGLE_TOLERANCE = 0.01  # degrees between th, phi and the position
-LARGEST = 1e30  # of a sample: no echo, and its power would overflow
-MAX_FILE = 1 << 28  # bytes: a degree has 400 kB
+LARGEST = 1e30  # modulus of a sample: beyond it is no echo, and its power would overflow
+MAX_FILE = 1 << 28  # bytes; a file of one degree has 400 kB
 VECTORS = ("x", "y", "z", "r0")
 OPTIONAL = ("th", "phi")
-PASS = re.compile(r"pass(\d+)", re.IGNORECASE)  # in a file's name, which alone tells these two
+PASS = re.compile(r"pass(\d+)", re.IGNORECASE)  # pass and polarisation appear in a file's name only
 POLARISATION = re.compile(r"(?<![A-Z])(HH|HV|VH|VV)(?![A-Z])", re.IGNORECASE)
-
-
-# ---------------------------------------------------------------- one file
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Contents:
-    """What a file holds: samples (n_pulse, n_frequency), frequency (Hz), position (n_pulse, 3) and r0 (m)."""
+    """The contents of a file: samples (n_pulse, n_frequency), frequency (Hz), position (n_pulse, 3) and r0 (m)."""
 
     samples: ComplexArray
     frequency: FloatArray
@@ -45,7 +43,7 @@ class _Contents:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class File:
-    """A file that was looked through: all but its samples, of which checksums are kept, one a pulse."""
+    """A file that has been read and checked, without its samples; their checksums are kept, one per pulse."""
 
     path: Place
     pass_: str
@@ -57,17 +55,17 @@ class File:
     checksums: list[str]
 
     def samples(self) -> ComplexArray:
-        """(n_pulse, n_frequency), read again.
+        """Read the samples (n_pulse, n_frequency) again.
 
         Raises
         ------
         InputError
-            If the file has changed since.
+            If the file has changed since it was first read.
         """
         with _reading(self.path):
             samples = _read(self.path).samples
             if _checksums(samples) != self.checksums:
-                raise InputError("it changed while it was read; start again when nobody writes it")
+                raise InputError("it changed while it was read; start again when no program writes to it")
         return samples
 
 
@@ -76,17 +74,24 @@ def _reading(path: Place) -> AbstractContextManager[None]:
 
 
 def read_headers(path: Place) -> File:
+    """Read and check a file; keep all but its samples.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged or not one of the set.
+    """
     with _reading(path):
-        found = _read(path)
-        checksums = _checksums(found.samples)
+        contents = _read(path)
+        checksums = _checksums(contents.samples)
     return File(
         path=path,
         pass_="".join(PASS.findall(path.name)[:1]),
         polarisation="".join(POLARISATION.findall(path.name)[-1:]).upper(),
-        frequency=found.frequency,
-        position=found.position,
-        r0=found.r0,
-        autofocus=found.autofocus,
+        frequency=contents.frequency,
+        position=contents.position,
+        r0=contents.r0,
+        autofocus=contents.autofocus,
         checksums=checksums,
     )
 
@@ -96,25 +101,25 @@ def _checksums(samples: ComplexArray) -> list[str]:
 
 
 def _read(path: Place) -> _Contents:
-    """Read a file, and check it by itself."""
-    fields = _fields(_bytes(path))
+    """Read a file and check that its fields agree with each other."""
+    fields = _fields(_read_bytes(path))
     frequency = _frequency(_numbers(fields, "freq"))
     samples = _samples(fields["fp"], frequency.size)
     n = samples.shape[0]
     vectors = {name: _numbers(fields, name, n) for name in VECTORS}
     position = np.stack([vectors[name] for name in "xyz"], axis=1)
-    away = np.linalg.norm(position, axis=1)
-    if not away.min() > 0:
-        raise InputError(f"x, y and z are 0 at pulse {int(away.argmin())}; they must be the antenna's, in m")
+    distance = np.linalg.norm(position, axis=1)
+    if not distance.min() > 0:
+        raise InputError(f"x, y and z are 0 at pulse {int(distance.argmin())}; they must be the antenna's, in m")
     if not position[:, 2].min() > 0:
         raise InputError(f"z is {position[:, 2].min():.6g} m; it must be the antenna's height above the scene's centre")
-    _check_angles(fields, position, away)
+    _check_angles(fields, position, distance)
     window = SPEED_OF_LIGHT / (2 * (frequency[1] - frequency[0]))
-    apart = np.abs(vectors["r0"] - away)
-    if not apart.max() <= window / 2:
-        where = int(apart.argmax())
+    difference = np.abs(vectors["r0"] - distance)
+    if not difference.max() <= window / 2:
+        where = int(difference.argmax())
         raise InputError(
-            f"r0 is {vectors['r0'][where]:.8g} m at pulse {where}, but x, y and z lie {away[where]:.8g} m from the "
+            f"r0 is {vectors['r0'][where]:.8g} m at pulse {where}, but x, y and z lie {distance[where]:.8g} m from the "
             f"scene's centre, more than half the range window of {window:.4g} m away; correct r0, or the position"
         )
     return _Contents(
@@ -122,18 +127,21 @@ def _read(path: Place) -> _Contents:
     )
 
 
-def _bytes(path: Place) -> bytes:
+def _read_bytes(path: Place) -> bytes:
+    """All bytes of a file that is not too large."""
     if isinstance(path, LocalPlace):
         status = os.stat(path.path)
         if not stat.S_ISREG(status.st_mode):
             raise InputError("it is no regular file; give the path of a MATLAB file")
         if status.st_size > MAX_FILE:
-            raise InputError(f"it has {status.st_size} bytes, which no file of the set has; give one of those")
+            raise InputError(
+                f"it has {status.st_size} bytes, more than any file of the set; give one of the set's own files"
+            )
     return path.read_bytes()
 
 
 def _fields(data: bytes) -> dict[str, Value]:
-    """Fields of the struct `data`."""
+    """The fields of the struct `data`, none of the required ones missing."""
     fields = read_struct(data, "data")
     missing = [name for name in ("fp", "freq", *VECTORS) if name not in fields]
     if missing:
@@ -142,10 +150,10 @@ def _fields(data: bytes) -> dict[str, Value]:
 
 
 def _numbers(fields: dict[str, Value], name: str, count: int | None = None) -> FloatArray:
-    """A vector of finite real numbers, one a pulse."""
+    """A field that must be a vector of finite real numbers, `count` of them."""
     values = fields[name]
     if isinstance(values, str) or values.dtype.kind not in "iuf":
-        raise InputError(f"{name} is {_called(values)}; it must be real numbers")
+        raise InputError(f"{name} is {_describe(values)}; it must be real numbers")
     if values.size != max(values.shape, default=0) or values.size == 0:
         raise InputError(f"{name} has shape {values.shape}; it must be a vector")
     if count is not None and values.size != count:
@@ -157,14 +165,15 @@ def _numbers(fields: dict[str, Value], name: str, count: int | None = None) -> F
     return vector
 
 
-def _called(values: Value) -> str:
+def _describe(values: Value) -> str:
+    """What a field holds, in words."""
     if isinstance(values, str):
         return values
     return "complex" if values.dtype.kind == "c" else f"of type {values.dtype}"
 
 
 def _frequency(values: FloatArray) -> FloatArray:
-    """The uniform grid of which the values are roundings."""
+    """The uniform grid that the values are, up to rounding."""
     if values.size < 8:
         raise InputError(f"freq has {values.size} values; at least 8 are needed")
     step = (values[-1] - values[0]) / (values.size - 1)
@@ -182,13 +191,13 @@ def _frequency(values: FloatArray) -> FloatArray:
 
 
 def _samples(values: Value, n_frequency: int) -> ComplexArray:
-    """(n_pulse, n_frequency), finite."""
+    """Check the samples and transpose them to (n_pulse, n_frequency)."""
     if isinstance(values, str) or values.dtype.kind != "c":
-        raise InputError(f"fp is {_called(values)}; it must be complex numbers")
+        raise InputError(f"fp is {_describe(values)}; it must be complex numbers")
     if values.ndim != 2 or values.shape[0] != n_frequency or values.shape[1] < 1:
-        turned = " turned on its side" if values.shape[::-1][:1] == (n_frequency,) else ""
+        transposed = ", transposed" if values.shape[::-1][:1] == (n_frequency,) else ""
         raise InputError(
-            f"fp has shape {values.shape}{turned}, but freq has {n_frequency} values; it must be frequency by pulse"
+            f"fp has shape {values.shape}{transposed}, but freq has {n_frequency} values; it must be frequency by pulse"
         )
     with np.errstate(invalid="ignore"):
         bad = ~(np.maximum(np.abs(values.real), np.abs(values.imag)) <= LARGEST)
@@ -201,20 +210,20 @@ def _samples(values: Value, n_frequency: int) -> ComplexArray:
     return np.ascontiguousarray(values.T, np.complex64)
 
 
-def _check_angles(fields: dict[str, Value], position: FloatArray, away: FloatArray) -> None:
-    """Azimuth and elevation tell whether x, y and z are what their names say."""
+def _check_angles(fields: dict[str, Value], position: FloatArray, distance: FloatArray) -> None:
+    """Check x, y and z against the azimuth and elevation in the file."""
     angles = {
         "th": np.degrees(np.arctan2(position[:, 1], position[:, 0])),
-        "phi": np.degrees(np.arcsin(np.clip(position[:, 2] / away, -1, 1))),
+        "phi": np.degrees(np.arcsin(np.clip(position[:, 2] / distance, -1, 1))),
     }
     for name in OPTIONAL:
         if name not in fields:
             continue
-        told = _numbers(fields, name, away.size)
-        apart = np.abs(np.mod(told - angles[name] + 180, 360) - 180)
-        if apart.max() > ANGLE_TOLERANCE:
-            where = int(apart.argmax())
+        recorded = _numbers(fields, name, distance.size)
+        difference = np.abs(np.degrees(wrapped(np.radians(recorded - angles[name]))))
+        if difference.max() > ANGLE_TOLERANCE:
+            where = int(difference.argmax())
             raise InputError(
-                f"{name} is {told[where]:.6g} degrees at pulse {where}, but x, y and z say {angles[name][where]:.6g}; "
-                "make them agree"
+                f"{name} is {recorded[where]:.6g} degrees at pulse {where}, but x, y and z say "
+                f"{angles[name][where]:.6g}; make them agree"
             )

@@ -1,36 +1,13 @@
-"""The AFRL Gotcha set's MATLAB files to a phase history.
+"""MATLAB files of the AFRL Gotcha set to a phase history.
 
-Each file holds a struct `data`, one degree of a circular pass:
+Each file holds one degree of a circular pass. `blocksar/ingestion/README.md` lists its fields and gives the reasons for
+the four decisions below, with figures from the measured scene.
 
-| field | shape | meaning |
-|---|---|---|
-| `fp` | (n_frequency, n_pulse) complex | phase history |
-| `freq` | (n_frequency,) | absolute frequency, Hz |
-| `x`, `y`, `z` | (n_pulse,) | antenna position about the scene's centre, m, z up |
-| `r0` | (n_pulse,) | range to the scene's centre, m |
-| `th`, `phi` | (n_pulse,) | azimuth and elevation of the antenna, degrees; checked against the position |
-| `af` | struct | autofocus solution: range and phase a pulse |
-
-Sign. fp is the sum over targets of sigma exp(-4j pi freq / c (R - r0)): the store's own convention. Back-projected as
-exp(+4j pi freq / c (R - r0)) the measured scene stands as it was published. The conjugate gives its image in a point,
-and over a few degrees just as sharp a one: it is the place of known objects that tells, not the focus.
-
-Reference range. Positions and r0 come as float32, rounded to about half a millimetre each, and apart: r0 less the
-distance of the recorded position from the centre is off by up to 0.7 mm, 0.3 rad of X-band phase. That distance
-itself is taken instead, wherever the two differ by no more than rounding: then the centre has no phase at all, as
-motion compensation left it, and what rounding does to positions cancels. The brightest points of the measured scene
-gain 1.6 % in power by it.
-
-Autofocus. `af` is not applied. Range and phase go together, r0 + r_correct with fp exp(j ph_correct) (either alone
-destroys the image); of the 14 brightest points of the measured four degrees they make the brightest one 1 % brighter
-in power and all others 5 to 9 % darker. The opposite signs make all darker. It follows one target, not the antenna.
-
-Slow time. The files have no times. Pulses are numbered in the order of their azimuth, and the number times
-PULSE_INTERVAL is the slow time: an image does not depend on that interval, which makes the speed of the aircraft a
-plausible one. This asks only that the azimuth is a smooth function of the number. Where a pulse lies more than UNEVEN
-steps off its neighbours' line, all pulses are resampled to uniform azimuth (`resampling`), after range compensation
-to the centre, for echoes from as far out as the range window, or OCCUPIED of the mean PRF, lets in. Positions there
-are those of the fitted track with what it lacks interpolated. A few pulses that are not there are missing pulses.
+- Sign: `fp` has the store's own sign; it is not conjugated.
+- Reference range: the distance of the recorded position from the scene centre, where it agrees with `r0` to rounding.
+- Autofocus: `af` is not applied.
+- Slow time: pulses are numbered in the order of their azimuth; slow time is the number times PULSE_INTERVAL. Where a
+  pulse lies more than UNEVEN steps off the line through its neighbours, all pulses are resampled to uniform azimuth.
 """
 
 from __future__ import annotations
@@ -50,7 +27,7 @@ from blocksar.collection.geometry import TRACK_ACCURACY, Geometry, Track, fit_tr
 from blocksar.constants import SPEED_OF_LIGHT, TURN
 from blocksar.errors import InputError
 from blocksar.ingestion.gotcha.files import ROUNDING, read_headers
-from blocksar.ingestion.gotcha.joining import Joined, band_text, check_company, join
+from blocksar.ingestion.gotcha.joining import Joined, check_same_collection, describe_band, join
 from blocksar.ingestion.reading import Ingested
 from blocksar.ingestion.resampling import OCCUPIED, Resampling, plan_resampling
 from blocksar.places import Location, place
@@ -58,8 +35,8 @@ from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
 from blocksar.progress.listening import Callback
 
-PULSE_INTERVAL = 0.01  # s, nominal: pulses a metre apart then come from an aircraft at 100 m/s
-UNEVEN = 0.02  # steps that a pulse may lie off the line through its neighbours: 0.06 rad at half the PRF
+PULSE_INTERVAL = 0.01  # s, nominal: pulses a metre apart then mean an aircraft at 100 m/s
+UNEVEN = 0.02  # steps by which a pulse may lie off the line through its neighbours: 0.06 rad at half the PRF
 
 
 def ingest(
@@ -69,109 +46,110 @@ def ingest(
     overwrite: bool = False,
     progress: Callback | None = None,
 ) -> Ingested:
-    """Join files in azimuth, in any order, into a phase-history store, some pulses at a time.
+    """Join files in azimuth, in any order, into a phase-history store, one chunk of pulses at a time.
 
     Parameters
     ----------
     source : path, or sequence of paths
-        MATLAB files of one pass and polarisation, whose azimuths meet, the full circle included.
+        MATLAB files of one pass and polarisation that adjoin in azimuth, up to the full circle.
     out : path, URL or Place
-        Of the store to make.
+        Of the new store.
     overwrite : bool
-        Replace a store that is there.
+        Replace an existing store.
     progress : callable (done, total)
-        Told after each chunk, in pulses.
+        Called after each chunk, with numbers of pulses.
 
     Raises
     ------
     InputError
-        If a file is damaged or no Gotcha file, files do not belong together, or `out` exists and overwrite is False.
+        If a file is damaged or not a Gotcha file, if files do not belong together, or if `out` exists and overwrite is
+        False.
     """
     sources = [source] if isinstance(source, str | os.PathLike | Place) else list(source)
     if not sources:
         raise InputError("source is empty; give at least one MATLAB file")
     files = [read_headers(place(path)) for path in sources]
-    check_company(files)
-    made = _lay_out(join(files))
+    check_same_collection(files)
+    layout = _lay_out(join(files))
     target = place(out)
-    attributes = {**made.attributes, "history": stores.history_line(f"ingested by blocksar from {len(files)} files")}
+    attributes = {**layout.attributes, "history": stores.history_line(f"ingested by blocksar from {len(files)} files")}
     stores.create_phase_history(
-        target, made.collection, attrs=attributes, overwrite=overwrite, fill=_writer(made, progress)
+        target, layout.collection, attrs=attributes, overwrite=overwrite, fill=_writer(layout, progress)
     )
     return Ingested(
-        path=target.path if isinstance(target, LocalPlace) else target, collection=made.collection, said=made.said
+        path=target.path if isinstance(target, LocalPlace) else target,
+        collection=layout.collection,
+        messages=layout.messages,
     )
-
-
-# ---------------------------------------------------------------- slow time, track and what there is to say
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Layout:
-    """The store to be: its collection, and which joined pulse is which row, or how rows are made of them."""
+    """The new store: its collection, and the row of each joined pulse, or how rows are resampled from them."""
 
     joined: Joined
     collection: Collection
-    rows: IntArray  # of the joined pulses, where these are not resampled
+    rows: IntArray  # of the joined pulses, if they are not resampled
     resampling: Resampling | None
     attributes: dict[str, Any]
-    said: list[str]
+    messages: list[str]
 
 
 def _lay_out(joined: Joined) -> _Layout:
-    """Slow time, track and reference range of the store, and how its rows are made."""
+    """Determine slow time, track and reference range of the store, and how its rows follow from the pulses."""
     frequency = joined.files[0].frequency
     carrier = float(frequency[0] + frequency[-1]) / 2
     steps = np.diff(joined.azimuth) / joined.step
     rows = np.concatenate([[0], np.cumsum(np.maximum(np.rint(steps), 1))]).astype(np.int64)
-    off = _unevenness(rows, steps)
-    even = off <= UNEVEN
-    place_ = rows.astype(np.float64) if even else (joined.azimuth - joined.azimuth[0]) / joined.step
-    n = round(place_[-1]) + 1
-    place_ *= (n - 1) / place_[-1]
-    time, uniform = ((p - n // 2) * PULSE_INTERVAL for p in (place_, np.arange(n)))
+    unevenness = _unevenness(rows, steps)
+    even = unevenness <= UNEVEN
+    number = rows.astype(np.float64) if even else (joined.azimuth - joined.azimuth[0]) / joined.step
+    n = round(number[-1]) + 1
+    number *= (n - 1) / number[-1]
+    time, uniform = ((p - n // 2) * PULSE_INTERVAL for p in (number, np.arange(n)))
     track = fit_track(time, joined.position, accuracy=TRACK_ACCURACY * SPEED_OF_LIGHT / carrier)
-    position = _between(track, time, uniform)
-    reference, reference_told = _reference_range(joined, time, uniform, position)
+    position = _interpolate_track(track, time, uniform)
+    reference, reference_message = _reference_range(joined, time, uniform, position)
     radius = _window_radius(frequency, position)
-    resampling, kept = None, slice(None)
+    resampling, usable = None, slice(None)
     if even:
-        told = f"azimuth is even to {off:.1g} steps, so that the pulse's number serves as slow time"
+        slow_time = f"azimuth is even to {unevenness:.1g} steps, so that the pulse's number serves as slow time"
         missing = n - rows.size
     else:
-        resampling, kept, within = _resampling(time, uniform, position, radius, float(frequency[-1]))
-        told = _resampling_told(resampling, off, within)
+        resampling, usable, within = _plan_resampling(time, uniform, position, radius, float(frequency[-1]))
+        slow_time = _describe_resampling(resampling, unevenness, within)
         missing = int(np.count_nonzero(~resampling.good))
-    n = uniform[kept].size
+    n = uniform[usable].size
     collection = Collection(
         carrier=carrier,
-        time=uniform[kept],
+        time=uniform[usable],
         range_frequency=frequency - carrier,
-        reference_range=reference[kept],
-        antenna_position=position[kept],
+        reference_range=reference[usable],
+        antenna_position=position[usable],
         beam_azimuth=np.full(n, np.nan),
         title=_title(joined),
     )
-    said = [
-        f"{len(joined.files)} files, {joined.azimuth.size} pulses; {collection.title}; {band_text(frequency)}",
-        f"slow time: {told}; its interval, {PULSE_INTERVAL:g} s, is nominal, as the files have no times",
+    messages = [
+        f"{len(joined.files)} files, {joined.azimuth.size} pulses; {collection.title}; {describe_band(frequency)}",
+        f"slow time: {slow_time}; its interval, {PULSE_INTERVAL:g} s, is nominal, as the files have no times",
         *([f"{missing} of {n} pulses are missing"] if missing else []),
-        reference_told,
-        _track_told(Geometry(collection=collection).track, collection, radius),
+        reference_message,
+        _describe_track(Geometry(collection=collection).track, collection, radius),
     ]
     if any(file.autofocus for file in joined.files):
-        said.append("autofocus: the files' solution (af) is not applied, as it follows one target")
+        messages.append("autofocus: the files' solution (af) is not applied, as it follows one target")
     return _Layout(
         joined=joined,
         collection=collection,
         rows=rows,
         resampling=resampling,
-        attributes={"source": [file.path.name for file in joined.files], "ingested": said, **_polarization(joined)},
-        said=said,
+        attributes={"source": [file.path.name for file in joined.files], "ingested": messages, **_polarization(joined)},
+        messages=messages,
     )
 
 
 def _title(joined: Joined) -> str:
+    """The store's title: passes, polarisations and azimuths."""
     first, last = np.degrees(joined.azimuth[[0, -1]])
     parts = ["AFRL Gotcha"]
     parts += [f"pass {p}" for p in sorted({f.pass_ for f in joined.files if f.pass_})]
@@ -180,7 +158,7 @@ def _title(joined: Joined) -> str:
 
 
 def _polarization(joined: Joined) -> dict[str, Any]:
-    """The attribute `polarization`, where the files' names tell it."""
+    """The attribute `polarization`, if the files' names contain it."""
     match sorted({f.polarisation for f in joined.files if f.polarisation}):
         case [both]:
             return {"polarization": {"transmit": both[0], "receive": both[1]}}
@@ -188,32 +166,34 @@ def _polarization(joined: Joined) -> dict[str, Any]:
 
 
 def _unevenness(rows: IntArray, steps: FloatArray) -> float:
-    """Largest distance of a pulse from the line through its two neighbours, in steps of azimuth."""
+    """The largest distance of a pulse from the line through its two neighbours, in steps of azimuth."""
     before, after = np.diff(rows)[:-1], np.diff(rows)[1:]
     return float(np.abs((after * steps[:-1] - before * steps[1:]) / (before + after)).max())
 
 
-def _between(track: Track, time: FloatArray, wanted: FloatArray) -> FloatArray:
-    """Positions (n, 3) at other times: the polynomial's, and what it lacks by linear interpolation."""
-    misfit = np.stack([np.interp(wanted, time, column) for column in track.misfit.T], axis=1)
-    return track.position(wanted) + misfit
+def _interpolate_track(track: Track, time: FloatArray, uniform: FloatArray) -> FloatArray:
+    """Positions (n, 3) at uniform times: those of the polynomial plus its linearly interpolated misfit."""
+    misfit = np.stack([np.interp(uniform, time, column) for column in track.misfit.T], axis=1)
+    return track.position(uniform) + misfit
 
 
 def _reference_range(
     joined: Joined, time: FloatArray, uniform: FloatArray, position: FloatArray
 ) -> tuple[FloatArray, str]:
-    """Range whose phase was removed, of the uniform pulses, and what there is to say of it."""
-    away = np.linalg.norm(joined.position, axis=1)
-    apart = joined.r0 - away
-    largest = float(np.abs(apart).max())
-    if largest <= ROUNDING * away.max():
-        said = (
+    """The range whose phase was removed, for the uniform pulses, and a message about it."""
+    distance = np.linalg.norm(joined.position, axis=1)
+    difference = joined.r0 - distance
+    largest = float(np.abs(difference).max())
+    if largest <= ROUNDING * distance.max():
+        message = (
             f"reference range: the position's distance from the scene's centre; r0 differs by {1e3 * largest:.2g} mm "
             "at most, which is its rounding"
         )
-        return np.linalg.norm(position, axis=1), said
-    said = f"reference range: r0, which differs by up to {largest:.3g} m from the position's distance from the centre"
-    return np.linalg.norm(position, axis=1) + np.interp(uniform, time, apart), said
+        return np.linalg.norm(position, axis=1), message
+    message = (
+        f"reference range: r0, which differs by up to {largest:.3g} m from the position's distance from the centre"
+    )
+    return np.linalg.norm(position, axis=1) + np.interp(uniform, time, difference), message
 
 
 def _window_radius(frequency: FloatArray, position: FloatArray) -> float:
@@ -224,72 +204,71 @@ def _window_radius(frequency: FloatArray, position: FloatArray) -> float:
 
 
 def _disc(radius: float) -> FloatArray:
-    """Points on its edge, (16, 3) m."""
+    """Points on the edge of a disc on the ground, (16, 3) m."""
     angle = TURN * np.arange(16) / 16
     return radius * np.stack([np.cos(angle), np.sin(angle), np.zeros(16)], axis=1)
 
 
-def _resampling(
+def _plan_resampling(
     time: FloatArray, uniform: FloatArray, position: FloatArray, radius: float, highest: float
 ) -> tuple[Resampling, slice, float]:
-    """Weights of the pulses that are kept, which those are, and how far out echoes may lie, m."""
-    away = np.linalg.norm(position, axis=1)
-    ranges = np.stack([np.linalg.norm(position - point, axis=1) - away for point in _disc(radius)])
+    """Weights of the usable uniform pulses, which those are, and the largest radius of echoes, m."""
+    distance = np.linalg.norm(position, axis=1)
+    ranges = np.stack([np.linalg.norm(position - point, axis=1) - distance for point in _disc(radius)])
     extent = 2 * highest / SPEED_OF_LIGHT * 2 * float(np.abs(np.diff(ranges)).max()) / PULSE_INTERVAL
     band = min(extent, OCCUPIED / PULSE_INTERVAL)
-    made = plan_resampling(time, uniform, band=band)
-    good = np.flatnonzero(made.good)
-    if good.size < max(8, made.good.size // 2):
+    resampling = plan_resampling(time, uniform, band=band)
+    good = np.flatnonzero(resampling.good)
+    if good.size < max(8, resampling.good.size // 2):
         raise InputError(
-            f"x and y put pulses so unevenly in azimuth that {made.good.size - good.size} of {made.good.size} uniform "
-            "ones cannot be made of them; ingest the part where they are denser"
+            f"x and y place pulses so unevenly in azimuth that {resampling.good.size - good.size} of "
+            f"{resampling.good.size} uniform ones cannot be computed from them; ingest the part where they are denser"
         )
-    kept = slice(int(good[0]), int(good[-1]) + 1)  # ends that cannot be had are left out
-    return made.part(kept), kept, radius * band / extent
+    usable = slice(int(good[0]), int(good[-1]) + 1)  # without the pulses at the ends that cannot be computed
+    return resampling.part(usable), usable, radius * band / extent
 
 
-def _resampling_told(made: Resampling, off: float, within: float) -> str:
-    bound, spread = (20 * np.log10(error[made.good].max()) for error in (made.bound, made.spread))
+def _describe_resampling(resampling: Resampling, unevenness: float, within: float) -> str:
+    """The resampling and its errors in words."""
+    bound, spread = (20 * np.log10(error[resampling.good].max()) for error in (resampling.bound, resampling.spread))
     return (
-        f"azimuth is uneven by up to {off:.2g} steps; pulses were resampled to {made.good.size} uniform ones, with an "
-        f"error of at most {bound:.0f} dB on any echo within {within:.0f} m of the centre, {spread:.0f} dB r.m.s. over "
-        "all of them"
+        f"azimuth is uneven by up to {unevenness:.2g} steps; pulses were resampled to {resampling.good.size} uniform "
+        f"ones, with an error of at most {bound:.0f} dB on any echo within {within:.0f} m of the centre, {spread:.0f} "
+        "dB r.m.s. over all of them"
     )
 
 
-def _track_told(track: Track, collection: Collection, radius: float) -> str:
-    """Order and misfit of the polynomial, and what is left of the misfit once it is corrected at the centre."""
+def _describe_track(track: Track, collection: Collection, radius: float) -> str:
+    """Order and misfit of the polynomial in words, and the misfit that remains once it is corrected at the centre."""
     sight = -collection.antenna_position / np.linalg.norm(collection.antenna_position, axis=1, keepdims=True)
-    left = 0.0
+    remaining = 0.0
     for point in _disc(radius):
         other = point - collection.antenna_position
         other /= np.linalg.norm(other, axis=1, keepdims=True)
-        left = max(left, float(np.abs(np.einsum("ij,ij->i", other - sight, track.misfit)).max()))
-    phase = 4 * np.pi * collection.carrier / SPEED_OF_LIGHT * left
+        remaining = max(remaining, float(np.abs(np.einsum("ij,ij->i", other - sight, track.misfit)).max()))
+    phase = 4 * np.pi * collection.carrier / SPEED_OF_LIGHT * remaining
     return (
         f"track: a polynomial of order {track.order} misses the positions by at most {1e3 * track.max_misfit:.3g} mm; "
-        f"kept as a correction of each pulse, that leaves {1e3 * left:.2g} mm ({phase:.2g} rad) {radius:.0f} m from "
-        "the centre"
+        f"kept as a correction of each pulse, that leaves {1e3 * remaining:.2g} mm ({phase:.2g} rad) {radius:.0f} m "
+        "from the centre"
     )
 
 
-# ---------------------------------------------------------------- samples
-
-
-def _writer(made: _Layout, progress: Callback | None) -> Callable[[Place], None]:
-    """What fills the store, chunk of pulses by chunk; of the files, only those of a chunk are in memory."""
-    n, columns = made.collection.n_pulse, made.collection.n_range_frequency
+def _writer(layout: _Layout, progress: Callback | None) -> Callable[[Place], None]:
+    """Make the function that fills the store by chunks of pulses; only the files of one chunk are in memory."""
+    n, columns = layout.collection.n_pulse, layout.collection.n_range_frequency
 
     def write(store: Place) -> None:
         loaded: dict[int, ComplexArray] = {}
         for first in range(0, n, TILE[0]):
             rows = slice(first, min(first + TILE[0], n))
-            if made.resampling is None:
-                start, stop = np.searchsorted(made.rows, [rows.start, rows.stop])
+            if layout.resampling is None:
+                start, stop = np.searchsorted(layout.rows, [rows.start, rows.stop])
                 samples = np.full((rows.stop - rows.start, columns), complex(np.nan, np.nan), np.complex64)
-                samples[made.rows[start:stop] - first] = _gather(made.joined, slice(start, stop), loaded)
+                samples[layout.rows[start:stop] - first] = _gather(layout.joined, slice(start, stop), loaded)
             else:
-                samples = made.resampling.apply(_gather(made.joined, made.resampling.needs(rows), loaded), rows)
+                inputs = _gather(layout.joined, layout.resampling.inputs(rows), loaded)
+                samples = layout.resampling.apply(inputs, rows)
             stores.write_region(store, "signal", (rows, slice(0, columns)), samples)
             if progress is not None:
                 progress(rows.stop, n)
@@ -298,14 +277,14 @@ def _writer(made: _Layout, progress: Callback | None) -> Callable[[Place], None]
 
 
 def _gather(joined: Joined, pulses: slice, loaded: dict[int, ComplexArray]) -> ComplexArray:
-    """Samples (n, n_frequency) of some joined pulses; `loaded` keeps the files that they lie in, and no others."""
+    """Samples (n, n_frequency) of some joined pulses; `loaded` is reduced to the files that hold them."""
     file, index = joined.file[pulses], joined.index[pulses]
-    wanted = {int(f) for f in file}
-    for name in set(loaded) - wanted:
-        del loaded[name]
+    needed = {int(f) for f in file}
+    for number in set(loaded) - needed:
+        del loaded[number]
     out = np.empty((file.size, joined.files[0].frequency.size), np.complex64)
-    for name in sorted(wanted):
-        if name not in loaded:
-            loaded[name] = joined.files[name].samples()
-        out[file == name] = loaded[name][index[file == name]]
+    for number in sorted(needed):
+        if number not in loaded:
+            loaded[number] = joined.files[number].samples()
+        out[file == number] = loaded[number][index[file == number]]
     return out

@@ -1,4 +1,4 @@
-"""Several Gotcha files to one pass: order, gaps, duplicates, common band."""
+"""Join Gotcha files to one pass: check that they belong together, order their pulses, drop duplicates."""
 
 from __future__ import annotations
 
@@ -13,16 +13,13 @@ from blocksar.constants import TURN
 from blocksar.errors import InputError
 from blocksar.ingestion.gotcha.files import File
 
-MAX_GAP = 32  # pulses that may be missing in one place: a forgotten file leaves more
-MAX_JUMP = 5.0  # times the usual way between two pulses that one may lie from the last: one pass has no more
-
-
-# ---------------------------------------------------------------- files together
+MAX_GAP = 32  # pulses that may be missing in one place; an omitted file leaves a larger gap
+MAX_JUMP = 5.0  # largest distance between two pulses over the usual one; a single pass stays below it
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Joined:
-    """Pulses of all files in the order of their azimuth (rad, unwrapped): file and index in it, position, r0."""
+    """Pulses of all files in order of azimuth (rad, unwrapped): file, index in the file, position, r0."""
 
     files: list[File]
     file: IntArray
@@ -33,36 +30,43 @@ class Joined:
 
     @property
     def step(self) -> float:
-        """Of the azimuth, rad, where no pulse is missing."""
+        """Step in azimuth between pulses, rad, where none is missing."""
         return float(np.median(np.diff(self.azimuth)))
 
 
-def check_company(files: Sequence[File]) -> None:
-    """Refuse files of different collections."""
+def check_same_collection(files: Sequence[File]) -> None:
+    """Refuse files that differ in polarisation, pass or frequency grid, with an InputError."""
     first = files[0]
     step = first.frequency[1] - first.frequency[0]
     for other in files[1:]:
-        for what, remedy in (("polarisation", "polarisation"), ("pass_", "pass")):
-            ours, theirs = getattr(first, what), getattr(other, what)
+        for attribute, name in (("polarisation", "polarisation"), ("pass_", "pass")):
+            ours, theirs = getattr(first, attribute), getattr(other, attribute)
             if ours and theirs and ours != theirs:
                 raise InputError(
-                    f"{other.path} is of {remedy} {theirs}, but {first.path} of {remedy} {ours}; ingest each {remedy} "
+                    f"{other.path} is of {name} {theirs}, but {first.path} of {name} {ours}; ingest each {name} "
                     "by itself"
                 )
         same = other.frequency.size == first.frequency.size
         if not same or np.abs(other.frequency - first.frequency).max() > UNIFORM_TOLERANCE * step:
             raise InputError(
-                f"{other.path} has {band_text(other.frequency)}, but {first.path} {band_text(first.frequency)}; "
-                "ingest files of one grid"
+                f"{other.path} has {describe_band(other.frequency)}, but {first.path} "
+                f"{describe_band(first.frequency)}; ingest files of one grid"
             )
 
 
-def band_text(frequency: FloatArray) -> str:
+def describe_band(frequency: FloatArray) -> str:
+    """The frequency grid in words."""
     return f"freq from {frequency[0]:.9g} to {frequency[-1]:.9g} Hz in {frequency.size} samples"
 
 
 def join(files: list[File]) -> Joined:
-    """Order all pulses by azimuth, beginning after the largest gap of the circle; what is there twice goes once."""
+    """Order all pulses by azimuth, starting after the largest gap of the circle, and drop duplicate pulses.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than 8 pulses, files overlap, or a gap or jump between pulses is too large.
+    """
     file = np.repeat(np.arange(len(files)), [len(f.checksums) for f in files])
     index = np.concatenate([np.arange(len(f.checksums)) for f in files])
     position, r0 = np.concatenate([f.position for f in files]), np.concatenate([f.r0 for f in files])
@@ -74,26 +78,31 @@ def join(files: list[File]) -> Joined:
     order = np.roll(order, -1 - int(ahead.argmax()))
     azimuth = np.unwrap(azimuth[order])
     file, index, position, r0 = file[order], index[order], position[order], r0[order]
-    kept = _once(files, file, index, position)
+    unique = _unique_pulses(files, file, index, position)
     joined = Joined(
-        files=files, file=file[kept], index=index[kept], azimuth=azimuth[kept], position=position[kept], r0=r0[kept]
+        files=files,
+        file=file[unique],
+        index=index[unique],
+        azimuth=azimuth[unique],
+        position=position[unique],
+        r0=r0[unique],
     )
-    _check_runs(joined)
+    _check_sequence(joined)
     return joined
 
 
-def _once(files: Sequence[File], file: IntArray, index: IntArray, position: FloatArray) -> BoolArray:
-    """False for pulses that are there already: of the same place and with the same samples."""
+def _unique_pulses(files: Sequence[File], file: IntArray, index: IntArray, position: FloatArray) -> BoolArray:
+    """False for pulses that repeat the one before: the same position and the same samples."""
     sums = [files[f].checksums[i] for f, i in zip(file, index, strict=True)]
     same = np.array([a == b for a, b in pairwise(sums)])
     return np.append(True, ~(same & (np.diff(position, axis=0) == 0).all(axis=1)))
 
 
-def _check_runs(joined: Joined) -> None:
-    """Refuse files that lie over one another, two pulses in one place, gaps that a missing file leaves, and jumps."""
+def _check_sequence(joined: Joined) -> None:
+    """Refuse overlapping files, two pulses at one azimuth, gaps as a missing file leaves them, and jumps."""
     degrees = np.degrees(joined.azimuth)
 
-    def called(k: int) -> str:
+    def file_of(k: int) -> str:
         return f"{joined.files[joined.file[k]].path}"
 
     changes = np.flatnonzero(np.diff(joined.file)) + 1
@@ -101,7 +110,7 @@ def _check_runs(joined: Joined) -> None:
     for k in changes.tolist():
         if int(joined.file[k]) in seen:
             raise InputError(
-                f"{called(k)} and {called(k - 1)} overlap at azimuth {degrees[k]:.4f} degrees but hold different "
+                f"{file_of(k)} and {file_of(k - 1)} overlap at azimuth {degrees[k]:.4f} degrees but hold different "
                 "pulses there; leave out one, or ingest each by itself"
             )
         seen.add(int(joined.file[k]))
@@ -109,27 +118,28 @@ def _check_runs(joined: Joined) -> None:
     if joined.azimuth.size < 8 or not steps.min() > 1e-6 * joined.step:
         where = int(steps.argmin()) if steps.size else 0
         raise InputError(
-            f"{called(where)} has two different pulses at azimuth {degrees[where]:.4f} degrees, or fewer than 8 "
+            f"{file_of(where)} has two different pulses at azimuth {degrees[where]:.4f} degrees, or fewer than 8 "
             "altogether; keep one of them in all fields"
         )
     gap = int(steps.argmax())
     if steps[gap] > (MAX_GAP + 1) * joined.step:
         raise InputError(
-            f"{called(gap)} ends at azimuth {degrees[gap]:.3f} degrees and {called(gap + 1)} goes on at "
+            f"{file_of(gap)} ends at azimuth {degrees[gap]:.3f} degrees and {file_of(gap + 1)} goes on at "
             f"{degrees[gap + 1]:.3f}: some {steps[gap] / joined.step:.0f} pulses are missing between; add the file "
             "that holds them, or ingest each side by itself"
         )
-    way = np.linalg.norm(np.diff(joined.position, axis=0), axis=1)
-    usual = float(np.median(way / np.maximum(np.rint(steps / joined.step), 1)))
-    beyond = way / (np.maximum(steps / joined.step, 1) * usual)
-    jump = int(beyond.argmax())
-    if beyond[jump] > MAX_JUMP:
+    distance = np.linalg.norm(np.diff(joined.position, axis=0), axis=1)
+    usual = float(np.median(distance / np.maximum(np.rint(steps / joined.step), 1)))
+    ratio = distance / (np.maximum(steps / joined.step, 1) * usual)
+    jump = int(ratio.argmax())
+    if ratio[jump] > MAX_JUMP:
         apart = (
-            f"{way[jump]:.4g} m apart at azimuth {degrees[jump]:.3f} degrees, where pulses are {usual:.3g} m from one "
-            "another"
+            f"{distance[jump]:.4g} m apart at azimuth {degrees[jump]:.3f} degrees, where pulses are {usual:.3g} m "
+            "from one another"
         )
         if joined.file[jump] == joined.file[jump + 1]:
-            raise InputError(f"{called(jump)} has x, y and z {apart}; correct them, or split it there")
+            raise InputError(f"{file_of(jump)} has x, y and z {apart}; correct them, or split it there")
         raise InputError(
-            f"{called(jump)} and {called(jump + 1)} lie {apart}, as files of two passes do; ingest each pass by itself"
+            f"{file_of(jump)} and {file_of(jump + 1)} lie {apart}, as files of two passes do; ingest each pass by "
+            "itself"
         )

@@ -1,1 +1,1 @@
-"""The report page: one self-contained HTML file."""
+"""The report page of a run: one self-contained HTML file."""

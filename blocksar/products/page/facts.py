@@ -1,48 +1,41 @@
-"""What a report page knows of a run: its record, what was measured, and whether that meets the bar.
-
-Records are read here, once, and found damaged or not; runs of older formats know less, and that is no fault.
-"""
+"""The facts of a report page: a run's record and its measured figures."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from blocksar.constants import SINC_PSLR
-from blocksar.measurement.bar import BARS, judged, rank, worst_excess
+from blocksar.collection.beam import turned_near
+from blocksar.measurement.bar import rank, select_judged
 from blocksar.measurement.figures import PointResponse
 from blocksar.measurement.targets import Target
-from blocksar.products.page.words import DASH, SPACE, TIMES, count, memory, number
-from blocksar.runs.finished import Source
+from blocksar.products.page.words import DASH, count, number
+from blocksar.runs.finished import FinishedRun
+from blocksar.runs.record import PredictedBlock, Receipt, RunRecord, block_unit
 
-SHOWN = 9  # targets whose responses are drawn
-EDGE = 16  # pixels at the rim of an image in which a response may not be measured
-MOST_ROWS = 300  # of a table, and marks on the picture
-BAR = (
-    f"side lobes within {BARS['range_pslr'].said} of {number(SINC_PSLR)} dB and widths within {BARS['range_irw'].said} "
-    f"of theory, in range and in azimuth; position within {BARS['error_x'].said} in x and in y; amplitude within "
-    f"{BARS['amplitude'].said}, phase within {BARS['phase'].said}"
-)
+MOST_DRAWN = 9  # targets whose responses are drawn
+MOST_ROWS = 300  # rows of a table, and marks on the picture
 
 
-def responses_of(found: Mapping[str, Any]) -> list[PointResponse]:
-    """Targets as quality.json holds them: null stands for NaN, [re, im] for a complex number.
+def responses_of(quality: Mapping[str, Any]) -> list[PointResponse]:
+    """Read the targets of quality.json, in which null stands for NaN and [re, im] for a complex number.
 
     Raises
     ------
     KeyError, TypeError, ValueError
-        If it holds no such thing.
+        If the record is damaged.
     """
-    made = []
-    for record in found["targets"]:
+    responses = []
+    for record in quality["targets"]:
         fields = {name: _number(name, record[name]) for name in PointResponse._fields}
-        made.append(PointResponse(**fields))
-    return made
+        responses.append(PointResponse(**fields))
+    return responses
 
 
 def _number(name: str, value: Any) -> Any:
+    """A field of a response, of its type."""
     match name:
         case "name":
             return str(value)
@@ -54,225 +47,106 @@ def _number(name: str, value: Any) -> Any:
     return np.nan if value is None else float(value)
 
 
-# ---------------------------------------------------------------- blocks
-
-
-def block_name(block: Mapping[str, Any]) -> str:
-    """As receipts have it: `2`, or `2.0` for a range sub-block."""
-    return str(block["block"]) if block["part"] is None else f"{block['block']}.{block['part']}"
-
-
-def block_of(source: Source, predicted: Sequence[Mapping[str, Any]], x: float, y: float) -> str:
-    """Which block owns a point of the ground, by its yaw and range; a dash if none does."""
+def block_of(source: FinishedRun, predicted: Sequence[PredictedBlock], x: float, y: float) -> str:
+    """Name of the block that owns a ground point, m, by its yaw and range; a dash if none does."""
     geometry = source.geometry
     yaw, distance = float(geometry.yaw(np.array(x), np.array(y))), float(geometry.epoch_range(np.array(x), np.array(y)))
     for block in predicted:
-        (low, high), (near, far) = block["yaw"], block["range"]
-        turned = (low + high) / 2 + np.mod(yaw - (low + high) / 2 + np.pi, 2 * np.pi) - np.pi
-        if low <= turned <= high and (block["part"] is None or near <= distance <= far):
-            return block_name(block)
+        (low, high), (near, far) = block.yaw, block.range
+        if low <= turned_near(yaw, (low + high) / 2) <= high and (block.part is None or near <= distance <= far):
+            return block.name
     return DASH
 
 
-# ---------------------------------------------------------------- what is known of a run
-
-
-class Verdict(NamedTuple):
-    """One part of the first line."""
-
-    good: bool
-    said: str
-
-
 class Facts:
-    """A run's record and what was measured, as the page needs them; runs of older formats know less.
+    """A run's record and its measured figures.
 
     Attributes
     ----------
-    source : Source
-    record : dict
-        run.json.
-    predicted : list of dict
-        One a block: what the plan promised. Empty for back-projection.
+    source : FinishedRun
+    record : RunRecord
+    predicted : tuple of PredictedBlock
+        The plan's prediction for each block. Empty for back-projection.
     planned_memory, peak_memory, memory_limit : float or None
-        Of a worker, bytes.
+        Of one worker, bytes.
     why : str
         Why nothing could be measured.
-    receipts : list of dict
-        Unit, seconds, peak memory, seconds of steps, whether it was used again.
+    receipts : tuple of Receipt
     timings : dict of float
-        Of the stages, s.
+        Duration of each stage, s.
     chips : list of dict
-        Comparisons with back-projection.
+        Comparisons of image chips with exact back-projection.
     responses : list of PointResponse
-    shown : list of PointResponse
-        Those in the table: all, or the worst where they are many.
+    listed : list of PointResponse
+        Rows of the table: all responses, or the worst MOST_ROWS.
     marked : list of PointResponse or Target
-        Those marked in the picture: what was measured, or, where nothing could be, what should have been.
+        Marked in the picture: the listed responses or, if nothing was measured, the targets of the collection.
     judged : list of PointResponse
-        Those that the bar is for.
+        Responses to which the bar applies.
     places : dict
-        Names of the blocks that own the responses, by their id().
-    settings, input, versions : dict
-        As run.json has them, empty if it has not.
+        Name of the block that owns each response, by the response's id().
+    settings, versions : mapping
+        Empty if unknown.
     samples, centroid : str
-        What was found in the samples, and how far their Doppler centroid is from that of track and beam.
+        Results of inspecting the samples, and the distance of their Doppler centroid from that of track and beam.
     north : float or None
-        Of the x axis from east, degrees; None if nobody knows where on the Earth it is.
+        Rotation of the x axis from east, degrees; None without a georeference.
     warnings : list of str
     """
 
-    def __init__(self, source: Source, found: Mapping[str, Any] | None, why: str = "") -> None:
+    def __init__(self, source: FinishedRun, quality: Mapping[str, Any] | None, why: str = "") -> None:
         self.source, self.record = source, source.record
-        self.found, self.why = found or {}, why
-        plan = self.record.get("plan") or {}
-        self.predicted = [_block(block) for block in plan.get("predicted") or []]
-        self.planned_memory = _float(plan.get("memory")) or max((b["memory"] for b in self.predicted), default=None)
-        self.peak_memory = _float(self.record.get("peak_memory"))
-        self.memory_limit = _float(self.record.get("memory_limit"))
-        self.receipts = [_receipt(receipt) for receipt in self.record.get("receipts") or []]
-        self._by_unit = {receipt["unit"]: receipt for receipt in self.receipts}
-        self.timings = {name: float(seconds) for name, seconds in (self.record.get("timings") or {}).items()}
-        self.settings, self.input, self.versions = (
-            dict(self.record.get(name) or {}) for name in ("settings", "input", "versions")
-        )
+        self.quality, self.why = quality or {}, why
+        plan = self.record.plan
+        self.predicted = plan.predicted
+        self.planned_memory = plan.memory or max((block.memory for block in self.predicted), default=None)
+        self.peak_memory, self.memory_limit = self.record.peak_memory, self.record.memory_limit
+        self.receipts = self.record.receipts
+        self._by_unit = {receipt.unit: receipt for receipt in self.receipts}
+        self.timings, self.settings, self.versions = self.record.timings, self.record.settings, self.record.versions
         where = source.attrs.get("georeference")
         self.north = None if where is None else float(where.get("rotation_deg", 0.0))
         self.samples, self.centroid = _samples(self.record), _centroid(self.record)
-        self.warnings = [str(line) for line in self.record.get("warnings") or []]
-        self.chips = [_chip(chip) for chip in self.found.get("reference") or []]
-        self.responses = responses_of(found) if found else []
-        self.judged = judged(self.responses)
+        self.warnings = list(self.record.warnings)
+        self.chips = [_chip(chip) for chip in self.quality.get("reference") or []]
+        self.responses = responses_of(quality) if quality else []
+        self.judged = select_judged(self.responses)
         worst = sorted(self.responses, key=rank)[:MOST_ROWS]
         kept = {id(r) for r in worst}
-        self.shown = [r for r in self.responses if id(r) in kept]
-        self.marked: Sequence[PointResponse | Target] = self.shown or [
+        self.listed = [r for r in self.responses if id(r) in kept]
+        self.marked: Sequence[PointResponse | Target] = self.listed or [
             Target.from_record(record) for record in list(source.attrs.get("targets") or [])[:MOST_ROWS]
         ]
         self.places = {id(r): block_of(source, self.predicted, r.x, r.y) for r in self.responses}
 
-    def receipt(self, block: Mapping[str, Any]) -> dict[str, Any]:
-        """Of a block, empty if there is none."""
-        return self._by_unit.get(f"block-{block_name(block)}", {})
+    def receipt(self, block: PredictedBlock) -> Receipt | None:
+        """Return the receipt of a block, if there is one."""
+        return self._by_unit.get(block_unit(block.name))
 
-    def drawn(self) -> set[str]:
-        """Names of the targets whose responses are drawn: the paper's, or the worst and others spread over the list."""
+    def choose_drawn(self) -> set[str]:
+        """Names of the targets whose responses are drawn: the paper's, the two worst, and others along the list."""
         measured = [r.name for r in self.responses if r.covered]
-        paper = [name for name in measured if name in (self.found.get("table3") or {})]
+        paper = [name for name in measured if name in (self.quality.get("table3") or {})]
         worst = [r.name for r in sorted(self.judged, key=rank)[:2]]
-        even = [measured[round(i)] for i in np.linspace(0, len(measured) - 1, SHOWN)] if measured else []
+        even = [measured[round(i)] for i in np.linspace(0, len(measured) - 1, MOST_DRAWN)] if measured else []
         chosen = dict.fromkeys([*paper, *worst, *even])
-        return set(list(chosen)[:SHOWN])
-
-    def subtitle(self) -> str:
-        blocks = len({b["block"] for b in self.predicted})
-        dx, dy = self.source.spacing
-        spacing = f"{dx:.4g} m" if abs(dx - dy) < 1e-9 * dx else f"{dx:.4g} m {TIMES} {dy:.4g} m"
-        size = f"{number(self.source.x.size, 0)} {TIMES} {number(self.source.y.size, 0)} pixels of {spacing}"
-        carrier = f"{self.source.geometry.collection.carrier / 1e9:.4g} GHz"
-        processor = str(self.settings.get("processor", "blocksar"))
-        return ", ".join([processor, *([count(blocks, "block")] if blocks else []), size, carrier])
-
-    def verdicts(self) -> list[Verdict]:
-        return [self._verdict_targets(), self._verdict_warnings(), self._verdict_memory()]
-
-    def _verdict_targets(self) -> Verdict:
-        if self.why:
-            return Verdict(False, "targets could not be measured")
-        if not self.responses:
-            return Verdict(True, "no targets to measure")
-        full = [r for r in self.responses if r.full_dwell]
-        within = [r for r in self.judged if worst_excess(r) <= 1]
-        if not full:
-            return Verdict(False, "no target is lit over its full dwell")
-        counted = len(self.judged) + sum(self._in_a_gap(r) for r in full)
-        if not counted:
-            return Verdict(True, "no fully lit target to judge in this image")
-        return Verdict(len(within) == counted, f"{len(within)} of {count(counted, 'fully lit target')} within the bar")
-
-    def _in_a_gap(self, response: PointResponse) -> bool:
-        """Whether the image lacks a target's place though it reaches well around it; beyond the grid none is missed."""
-        if response.covered or np.isfinite(response.value):
-            return False
-        places = ((response.x, self.source.x), (response.y, self.source.y))
-        return all(
-            axis[0] + EDGE * step < value < axis[-1] - EDGE * step
-            for (value, axis), step in zip(places, self.source.spacing, strict=True)
-        )
-
-    def _verdict_warnings(self) -> Verdict:
-        return Verdict(not self.warnings, count(len(self.warnings), "warning"))
-
-    def _verdict_memory(self) -> Verdict:
-        peak, planned = self.peak_memory, self.planned_memory
-        if peak is None or planned is None:
-            return Verdict(True, f"peak memory of a worker {memory(peak)}")
-        return Verdict(
-            peak <= planned,
-            f"peak memory of a worker {memory(peak)}, {number(100 * peak / planned, 0)}{SPACE}% of the plan",
-        )
-
-    def memory_words(self) -> str:
-        planned, limit = self.planned_memory, self.memory_limit
-        said = [f"Peak of a worker: {memory(self.peak_memory)}"]
-        said += [f"planned: {memory(planned)}"] if planned is not None else []
-        said += [f"limit: {memory(limit)}"] if limit is not None else []
-        workers, threads = self.record.get("workers"), self.record.get("threads")
-        if workers is not None and threads is not None:
-            said.append(f"{count(workers, 'worker')} with {count(threads, 'thread')} each")
-        return f"{'; '.join(said)}."
-
-    def plan_words(self) -> str:
-        if self.predicted:
-            return (
-                "What tracing the scene's time-frequency lines promised for the worst target of each block, beside "
-                "what was measured at the fully lit targets in it. Memory is that of a worker, interpreter and "
-                "libraries included."
-            )
-        return "Exact back-projection approximates nothing, so nothing had to be predicted."
+        return set(list(chosen)[:MOST_DRAWN])
 
 
 def _float(value: Any) -> float | None:
     return None if value is None else float(value)
 
 
-def _block(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Of a plan, as run.json holds it."""
-    numbers = ("memory", "residual_phase", "pslr", "width", "migration")
-    part = record["part"]
-    return {
-        "block": int(record["block"]),
-        "part": None if part is None else int(part),
-        **{name: (float(record[name][0]), float(record[name][1])) for name in ("yaw", "range")},
-        **{name: float(record[name]) for name in numbers},
-    }
-
-
-def _receipt(record: Mapping[str, Any]) -> dict[str, Any]:
-    steps = {str(name): float(seconds) for name, seconds in (record.get("steps") or {}).items()}
-    return {
-        "unit": str(record["unit"]),
-        "seconds": float(record["seconds"]),
-        "peak_memory": float(record["peak_memory"]),
-        "steps": steps,
-        "reused": bool(record.get("reused")),
-    }
-
-
-def _samples(record: Mapping[str, Any]) -> str:
-    found = record.get("samples")
-    if not found:
+def _samples(record: RunRecord) -> str:
+    if (counts := record.samples) is None:
         return ""
-    missing, impossible = int(found["missing"]), int(found["impossible"])
-    return f"{count(missing, 'missing sample')}, {count(impossible, 'impossible sample')}"
+    return f"{count(counts.missing, 'missing sample')}, {count(counts.impossible, 'impossible sample')}"
 
 
-def _centroid(record: Mapping[str, Any]) -> str:
-    found = record.get("doppler_centroid")
-    if not found:
+def _centroid(record: RunRecord) -> str:
+    if (offset := record.doppler_centroid) is None:
         return ""
-    error, agreement = _float(found["error"]), _float(found["coherence"])
-    return f"measured {number(error, 1)} Hz from that of track and beam, coherence {number(agreement)}"
+    return f"measured {number(offset.error, 1)} Hz from that of track and beam, coherence {number(offset.coherence)}"
 
 
 def _chip(record: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,8 +1,8 @@
-"""The report page's tables."""
+"""Tables of the report page: plan, targets, comparison with back-projection, stages, units, blocks and steps."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -12,42 +12,42 @@ from blocksar.budget import MIGRATION_BUDGET, PHASE_BUDGET, SIDE_LOBE_BUDGET
 from blocksar.constants import MIB, SINC_PSLR
 from blocksar.measurement.bar import excess, worst_excess
 from blocksar.measurement.figures import PointResponse
-from blocksar.products.page.facts import MOST_ROWS, Facts, block_name
+from blocksar.products.page.facts import MOST_ROWS, Facts
 from blocksar.products.page.picture import Picture
 from blocksar.products.page.words import TIMES, number
+from blocksar.runs.record import PredictedBlock
 
 UNITS = {
-    "pulses": "range compression",
-    "columns": "recovery, by columns",
-    "block": "blocks",
-    "chunk": "image, by chunks",
-}
+    "range-compress": "range compression",
+    "inspect": "inspection, by columns",
+    "recover": "recovery, by columns",
+    "focus": "blocks",
+    "mosaic": "image, by chunks",
+    "backprojection": "image, by chunks",
+}  # of a stage
 STAGES = {
-    "inspect": "samples inspected",
+    "inspect": "inspection of samples",
     "recover": "recovery",
-    "focus": "blocks focused",
+    "focus": "focusing of blocks",
     "mosaic": "mosaic",
     "backprojection": "back-projection",
     "rest": "start, checks and end",
 }
 
 
-# ---------------------------------------------------------------- what the template is given
-
-
 @dataclass(frozen=True)
 class Cell:
-    """Of a table.
+    """A cell of a table.
 
     Attributes
     ----------
     text : str
     sort : float or str
-        What a column is sorted by.
+        Key for sorting by the column; empty for an unknown value.
     off : bool
-        Outside its bar.
+        Whether the figure is outside its bar.
     bar, tick : float, optional
-        A bar drawn beside the text, and a mark on it: parts of the longest.
+        Length of a bar drawn below the text, and place of a mark on it, % of the longest bar of the column.
     """
 
     text: str
@@ -58,21 +58,21 @@ class Cell:
 
 
 class Column(NamedTuple):
-    """`title` in the head of the column, `unit` below it."""
+    """The head of a column: `title`, and `unit` below it."""
 
     title: str
     unit: str = ""
 
 
 class Row(NamedTuple):
-    """The first cell is the row's head; `at` is where it lies in the picture, if it does: (x, y) of it."""
+    """A row, whose first cell is its head; `at` is the place (x, y) in the picture that it links to, if any."""
 
     cells: Sequence[Cell]
     at: tuple[str, str] | None = None
 
 
 class Table(NamedTuple):
-    """`caption` says what it is, `note` what has been left out."""
+    """A table; `caption` is its title, `note` tells what has been left out."""
 
     key: str
     caption: str
@@ -82,57 +82,56 @@ class Table(NamedTuple):
     note: str = ""
 
 
-# ---------------------------------------------------------------- tables
-
-
 def _cell(value: float | None, digits: int, *, off: bool = False, scale: float = 1.0) -> Cell:
+    """A number times `scale` as text, sorted by its value; a dash if it is None or not finite."""
     if value is None or not np.isfinite(value):
         return Cell(number(None), "", off)
     return Cell(number(scale * value, digits), value, off)
 
 
 def plan_table(run: Facts) -> Table | None:
+    """Predictions for each block beside the worst figures measured in it; None without a plan."""
     if not run.predicted:
         return None
     columns = [
         Column("block"),
         Column("residual phase planned", f"rad, \N{LESS-THAN OR EQUAL TO} {PHASE_BUDGET:g}"),
         Column("azimuth PSLR planned", "dB"),
-        Column("azimuth PSLR measured", "dB, the worst"),
-        Column("width planned", "over its limit"),
-        Column("width measured", "over theory"),
+        Column("azimuth PSLR measured", "dB, worst"),
+        Column("width planned", "relative to its limit"),
+        Column("width measured", "relative to theory"),
         Column("targets measured"),
         Column("memory planned", "MiB"),
-        Column("memory measured", "MiB, worker so far"),
+        Column("memory measured", "MiB, peak of its worker so far"),
         Column("migration planned", f"cells, \N{LESS-THAN OR EQUAL TO} {MIGRATION_BUDGET:g}"),
         Column("yaw", "degrees"),
         Column("range", "km"),
     ]
     rows = [_plan_row(run, block) for block in run.predicted[:MOST_ROWS]]
-    return Table(
-        "plan", "The plan of every block, and what was measured in it", columns, rows, note=_left_out(run.predicted)
-    )
+    return Table("plan", "Planned and measured figures of every block", columns, rows, note=_left_out(run.predicted))
 
 
-def _plan_row(run: Facts, block: Mapping[str, Any]) -> Row:
-    here = [r for r in run.judged if run.places[id(r)] == block_name(block)]
-    pslr, width = _worst_of(here, "azimuth_pslr"), _worst_of(here, "azimuth_irw")
-    phase, migration, predicted = block["residual_phase"], block["migration"], block["pslr"]
-    peak = run.receipt(block).get("peak_memory")
-    low, high = np.degrees(block["yaw"])
-    near, far = (distance / 1e3 for distance in block["range"])
+def _plan_row(run: Facts, block: PredictedBlock) -> Row:
+    """Predicted and measured figures of one block."""
+    judged = [r for r in run.judged if run.places[id(r)] == block.name]
+    pslr, width = _worst_of(judged, "azimuth_pslr"), _worst_of(judged, "azimuth_irw")
+    phase, migration, predicted = block.residual_phase, block.migration, block.pslr
+    receipt = run.receipt(block)
+    peak = None if receipt is None else receipt.peak_memory
+    low, high = np.degrees(block.yaw)
+    near, far = (distance / 1e3 for distance in block.range)
     return Row([
-        Cell(block_name(block)),
+        Cell(block.name),
         _cell(phase, 4, off=phase > PHASE_BUDGET),
         _cell(predicted, 2, off=abs(predicted - SINC_PSLR) > SIDE_LOBE_BUDGET),
         _cell(pslr and pslr.azimuth_pslr, 2, off=pslr is not None and excess(pslr, "azimuth_pslr") > 1),
-        _cell(block["width"], 4),
+        _cell(block.width, 4),
         _cell(
             width and width.azimuth_irw / width.azimuth_irw_theory, 4,
             off=width is not None and excess(width, "azimuth_irw") > 1,
         ),
-        Cell(str(len(here))),
-        _cell(block["memory"] / MIB, 0),
+        Cell(str(len(judged))),
+        _cell(block.memory / MIB, 0),
         _cell(peak and peak / MIB, 0, off=peak is not None and peak > (run.planned_memory or np.inf)),
         _cell(migration, 3, off=migration > MIGRATION_BUDGET),
         Cell(f"{number(low)} .. {number(high)}"),
@@ -141,25 +140,28 @@ def _plan_row(run: Facts, block: Mapping[str, Any]) -> Row:
 
 
 def _worst_of(responses: Sequence[PointResponse], figure: str) -> PointResponse | None:
+    """The response that deviates most in a figure."""
     return max(responses, key=lambda r: excess(r, figure), default=None)
 
 
 def _left_out(rows: Sequence[Any]) -> str:
+    """Note on rows beyond MOST_ROWS."""
     return f"The first {MOST_ROWS} of {number(len(rows), 0)}." if len(rows) > MOST_ROWS else ""
 
 
-def quality_table(run: Facts, drawing: Picture) -> Table:
+def quality_table(run: Facts, image: Picture) -> Table:
+    """Figures of the point targets, linked to their places in the picture."""
     columns = [
         Column("target"),
-        Column("of the bar", "%"),
+        Column("worst figure", "% of the bar"),
         Column("range PSLR", "dB"),
         Column("range ISLR", "dB"),
         Column("range width", "m"),
-        Column("range width", "over theory"),
+        Column("range width", "relative to theory"),
         Column("azimuth PSLR", "dB"),
         Column("azimuth ISLR", "dB"),
         Column("azimuth width", "m"),
-        Column("azimuth width", "over theory"),
+        Column("azimuth width", "relative to theory"),
         Column("x error", "mm"),
         Column("y error", "mm"),
         Column("amplitude"),
@@ -169,23 +171,24 @@ def quality_table(run: Facts, drawing: Picture) -> Table:
         Column("x", "m"),
         Column("y", "m"),
     ]
-    rows = [_quality_row(run, r, drawing) for r in run.shown]
-    rest = len(run.responses) - len(run.shown)
-    note = f"The {len(run.shown)} worst; {number(rest, 0)} more are in quality.json." if rest else ""
-    return Table("targets", "Point targets, as measured in the image", columns, rows, sortable=True, note=note)
+    rows = [_quality_row(run, r, image) for r in run.listed]
+    rest = len(run.responses) - len(run.listed)
+    note = f"The {len(run.listed)} worst; {number(rest, 0)} more are in quality.json." if rest else ""
+    return Table("targets", "Point targets measured in the image", columns, rows, sortable=True, note=note)
 
 
-def _quality_row(run: Facts, r: PointResponse, drawing: Picture) -> Row:
-    judge = r.full_dwell and r.covered
+def _quality_row(run: Facts, r: PointResponse, image: Picture) -> Row:
+    """Figures of one target."""
+    judged = r.full_dwell and r.covered
 
     def off(figure: str) -> bool:
-        return judge and excess(r, figure) > 1
+        return judged and excess(r, figure) > 1
 
-    used = 100 * worst_excess(r) if judge else None
-    why = "yes" if judge else "not covered" if not r.covered else "lit in part"
+    share = 100 * worst_excess(r) if judged else None
+    status = "yes" if judged else "not covered" if not r.covered else "partly lit"
     cells = [
         Cell(r.name, r.name),
-        _cell(used, 0, off=used is not None and used > 100),
+        _cell(share, 0, off=share is not None and share > 100),
         _cell(r.range_pslr, 2, off=off("range_pslr")),
         _cell(r.range_islr, 2),
         _cell(r.range_irw, 3),
@@ -198,15 +201,16 @@ def _quality_row(run: Facts, r: PointResponse, drawing: Picture) -> Row:
         _cell(r.error_y, 1, off=off("error_y"), scale=1e3),
         _cell(abs(r.value), 4, off=off("amplitude")),
         _cell(float(np.angle(r.value)), 4, off=off("phase")),
-        Cell(why, why),
+        Cell(status, status),
         Cell(run.places[id(r)], run.places[id(r)]),
         _cell(r.x, 1),
         _cell(r.y, 1),
     ]
-    return Row(cells, drawing.find(r.x, r.y))
+    return Row(cells, image.find(r.x, r.y))
 
 
 def reference_table(run: Facts) -> Table | None:
+    """Comparison of image chips with exact back-projection; None without one."""
     chips = run.chips
     if not chips:
         return None
@@ -225,12 +229,12 @@ def reference_table(run: Facts) -> Table | None:
         ])
         for c in chips[:MOST_ROWS]
     ]  # fmt: skip
-    caption = f"Chips of 64 {TIMES} 64 pixels against exact back-projection of the same samples"
+    caption = f"Chips of 64 {TIMES} 64 pixels compared with exact back-projection of the same samples"
     return Table("reference", caption, columns, rows, sortable=True, note=_left_out(chips))
 
 
 def _bars(values: Sequence[float], ticks: Sequence[float | None], text: Callable[[float], str]) -> list[Cell]:
-    """Cells with bars of one scale."""
+    """Cells with bars on a common scale."""
     longest = max([*values, *(t for t in ticks if t is not None), 1e-12])
     return [
         Cell(text(value), value, bar=100 * value / longest, tick=None if tick is None else 100 * tick / longest)
@@ -239,63 +243,68 @@ def _bars(values: Sequence[float], ticks: Sequence[float | None], text: Callable
 
 
 def _seconds(value: float) -> str:
+    """Format s, with decimals below 100 s."""
     return number(value, 2 if value < 100 else 0)
 
 
 def stage_table(run: Facts) -> Table | None:
+    """Duration of the stages; None without timings."""
     if not run.timings:
         return None
-    named = {name: seconds for name, seconds in run.timings.items() if name != "total"}
-    total = run.timings.get("total", sum(named.values()))
-    named["rest"] = max(total - sum(named.values()), 0.0)
-    bars = _bars(list(named.values()), [None] * len(named), _seconds)
-    rows = [Row([Cell(STAGES.get(name, name)), bar]) for name, bar in zip(named, bars, strict=True)]
-    rows.append(Row([Cell("in all"), Cell(_seconds(total), total)]))
+    stages = {name: seconds for name, seconds in run.timings.items() if name != "total"}
+    total = run.timings.get("total", sum(stages.values()))
+    stages["rest"] = max(total - sum(stages.values()), 0.0)
+    bars = _bars(list(stages.values()), [None] * len(stages), _seconds)
+    rows = [Row([Cell(STAGES.get(name, name)), bar]) for name, bar in zip(stages, bars, strict=True)]
+    rows.append(Row([Cell("total"), Cell(_seconds(total), total)]))
     return Table("stages", "Stages", [Column("stage"), Column("time", "s")], rows)
 
 
 def unit_table(run: Facts) -> Table | None:
-    kinds = [(said, [r for r in run.receipts if r["unit"].startswith(f"{kind}-")]) for kind, said in UNITS.items()]
+    """Time and memory by kind of unit; None without receipts."""
+    kinds = [(name, [r for r in run.receipts if r.stage == stage]) for stage, name in UNITS.items()]
     rows = [
         Row([
-            Cell(said),
+            Cell(name),
             Cell(str(len(units))),
-            Cell(str(sum(r["reused"] for r in units))),
-            Cell(_seconds(sum(r["seconds"] for r in units))),
-            Cell(_seconds(max(r["seconds"] for r in units))),
-            _cell(max(r["peak_memory"] for r in units) / MIB, 0),
+            Cell(str(sum(r.reused for r in units))),
+            Cell(_seconds(sum(r.seconds for r in units))),
+            Cell(_seconds(max(r.seconds for r in units))),
+            _cell(max(r.peak_memory or 0 for r in units) / MIB, 0),
         ])
-        for said, units in kinds
+        for name, units in kinds
         if units
     ]  # fmt: skip
     columns = [
-        Column("work"), Column("units"), Column("used again", "of an earlier process"), Column("time of all", "s"),
+        Column("work"), Column("units"), Column("reused", "from an earlier process"), Column("total time", "s"),
         Column("longest", "s"), Column("peak memory", "MiB"),
     ]  # fmt: skip
-    return Table("units", "Units of work, by their receipts", columns, rows) if rows else None
+    return Table("units", "Units of work", columns, rows) if rows else None
 
 
 def block_table(run: Facts) -> Table | None:
-    shown = [(b, r) for b in run.predicted[:MOST_ROWS] if (r := run.receipt(b))]
-    if not shown:
+    """Time and memory of each block; None without receipts of blocks."""
+    blocks = [(b, r) for b in run.predicted[:MOST_ROWS] if (r := run.receipt(b))]
+    if not blocks:
         return None
-    times = _bars([r["seconds"] for _, r in shown], [None] * len(shown), _seconds)
-    peaks = [r["peak_memory"] / MIB for _, r in shown]
-    memories = _bars(peaks, [b["memory"] / MIB for b, _ in shown], lambda v: number(v, 0))
-    rows = [Row([Cell(block_name(b)), t, m]) for (b, _), t, m in zip(shown, times, memories, strict=True)]
+    times = _bars([r.seconds for _, r in blocks], [None] * len(blocks), _seconds)
+    peaks = [(r.peak_memory or 0) / MIB for _, r in blocks]
+    memories = _bars(peaks, [b.memory / MIB for b, _ in blocks], lambda v: number(v, 0))
+    rows = [Row([Cell(b.name), t, m]) for (b, _), t, m in zip(blocks, times, memories, strict=True)]
     columns = [
         Column("block"),
         Column("time", "s"),
-        Column("memory of its worker so far, the plan as a line", "MiB"),
+        Column("peak memory of its worker so far", "MiB; mark: planned"),
     ]
     return Table("blocks", "Blocks", columns, rows, note=_left_out(run.predicted))
 
 
 def step_table(run: Facts) -> Table | None:
-    shown = [(b, r) for b in run.predicted[:MOST_ROWS] if (r := run.receipt(b)).get("steps")]
-    if not shown:
+    """Time of the steps of each block; None without receipts that hold steps."""
+    blocks = [(b, r) for b in run.predicted[:MOST_ROWS] if (r := run.receipt(b)) and r.steps]
+    if not blocks:
         return None
-    names = list(dict.fromkeys(name for _, receipt in shown for name in receipt["steps"]))
+    names = list(dict.fromkeys(name for _, receipt in blocks for name in receipt.steps))
     columns = [Column("block"), *(Column(name.replace("+", " + "), "s") for name in names)]
-    rows = [Row([Cell(block_name(b)), *(_cell(r["steps"].get(name), 2) for name in names)]) for b, r in shown]
+    rows = [Row([Cell(b.name), *(_cell(r.steps.get(name), 2) for name in names)]) for b, r in blocks]
     return Table("steps", "Steps of every block", columns, rows)

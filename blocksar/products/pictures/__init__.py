@@ -1,1 +1,1 @@
-"""Pictures: mosaic, responses, panels and quick looks."""
+"""Pictures for people: mosaic, quick look, point responses and panels of curves."""

@@ -1,4 +1,4 @@
-"""A picture of the mosaic: magnitude, block borders and named targets."""
+"""The picture of a mosaic: power in dB, block borders and marked targets."""
 
 from __future__ import annotations
 
@@ -19,6 +19,8 @@ from blocksar.products.pictures.figures import MARK, new_figure, save
 from blocksar.products.pictures.overview import NOT_COVERED, ReadBlock, ReadImage, overview, stretch
 
 BORDER = "#ffb000"
+MOST_MARKS = 200
+MOST_NAMES = 12
 
 
 def plot_mosaic(
@@ -43,24 +45,23 @@ def plot_mosaic(
     path : path
         PNG to write.
     targets : sequence of Target
-        All are marked if there are no more than 200.
+        Marked if there are at most MOST_MARKS.
     labels : sequence of str, optional
-        Names of the targets to write out; by default all of them, if there are no more than 12.
+        Names of the targets to label; by default all of them if there are at most MOST_NAMES.
     title : str
     """
-    seen = overview(read_image, image_x, image_y, read_block=read_block, max_pixels=max_pixels, looks=looks)
+    reduced = overview(read_image, image_x, image_y, read_block=read_block, max_pixels=max_pixels, looks=looks)
     with np.errstate(divide="ignore"):
-        decibel = 10 * np.log10(seen.power)
+        decibel = 10 * np.log10(reduced.power)
     low, high = stretch(decibel)
-    x_km, y_km = seen.x_edges / 1e3, seen.y_edges / 1e3
+    x_km, y_km = reduced.x_edges / 1e3, reduced.y_edges / 1e3
     width, height = float(np.ptp(x_km)), float(np.ptp(y_km))
     scale = 8.5 / max(width, height)
     figure = new_figure(max(4.0, width * scale) + 2.0, max(3.0, height * scale) + 1.0)
     axes = figure.add_subplot()
     axes.set_facecolor(NOT_COVERED)
-    shown = np.ma.masked_invalid(np.where(np.isneginf(decibel), low, decibel))
     picture = axes.imshow(
-        shown,
+        np.ma.masked_invalid(np.where(np.isneginf(decibel), low, decibel)),
         extent=(x_km[0], x_km[-1], y_km[0], y_km[-1]),
         origin="lower",
         cmap="gray",
@@ -68,10 +69,10 @@ def plot_mosaic(
         vmax=high,
         interpolation="nearest",
     )
-    if seen.block is not None:
-        borders = _borders(seen.block, x_km, y_km)
+    if reduced.block is not None:
+        borders = _borders(reduced.block, x_km, y_km)
         axes.add_collection(LineCollection(borders, colors=BORDER, linewidths=0.8, label="block border"))
-    if 0 < len(targets) <= 200:
+    if 0 < len(targets) <= MOST_MARKS:
         axes.scatter(
             [t.x / 1e3 for t in targets],
             [t.y / 1e3 for t in targets],
@@ -82,17 +83,17 @@ def plot_mosaic(
             label="target",
         )
     if labels is None:
-        labels = [t.name for t in targets] if len(targets) <= 12 else []
+        labels = [t.name for t in targets] if len(targets) <= MOST_NAMES else []
     for target in targets:
         if target.name in labels:
-            _name(axes, target)
+            _label_target(axes, target)
     axes.set(xlabel="x (km)", ylabel="y (km)", title=title or "Mosaic")
     axes.set_xlim(x_km[0], x_km[-1])
     axes.set_ylim(y_km[0], y_km[-1])
     bar = figure.colorbar(picture, ax=axes, extend="both", shrink=0.85, pad=0.02)
     bar.set_label("power (dB, unit reflectivity = 0)" + (", strongest pixel of a cell" if looks == "max" else ""))
     handles, labels = axes.get_legend_handles_labels()
-    if np.isnan(seen.power).any():
+    if np.isnan(reduced.power).any():
         handles.append(Patch(facecolor=NOT_COVERED))
         labels.append("not covered")
     if handles:
@@ -100,7 +101,8 @@ def plot_mosaic(
     save(figure, path)
 
 
-def _name(axes: Axes, target: Target) -> None:
+def _label_target(axes: Axes, target: Target) -> None:
+    """Write a target's name beside its place."""
     text = axes.annotate(
         target.name,
         (target.x / 1e3, target.y / 1e3),
@@ -113,21 +115,22 @@ def _name(axes: Axes, target: Target) -> None:
 
 
 def _borders(block: NDArray[np.int16], x_edges: FloatArray, y_edges: FloatArray) -> list[FloatArray]:
-    """Line pieces (2, 2) along the cell edges where two different blocks meet; the coverage's rim is no border."""
+    """Ends (2, 2) of the line segments along cell edges between two blocks; edges of uncovered cells are no borders."""
 
     def runs(change: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
+        """First index and end of every run of True."""
         steps = np.flatnonzero(np.diff(np.concatenate([[False], change, [False]]).astype(np.int8)))
         yield from zip(steps[::2].tolist(), steps[1::2].tolist(), strict=True)
 
-    pieces = []
+    segments = []
     across = (block[:, 1:] != block[:, :-1]) & (block[:, 1:] >= 0) & (block[:, :-1] >= 0)
     for column in np.flatnonzero(across.any(axis=0)):
         for first, last in runs(across[:, column]):
             x = x_edges[column + 1]
-            pieces.append(np.array([[x, y_edges[first]], [x, y_edges[last]]]))
+            segments.append(np.array([[x, y_edges[first]], [x, y_edges[last]]]))
     along = (block[1:] != block[:-1]) & (block[1:] >= 0) & (block[:-1] >= 0)
     for row in np.flatnonzero(along.any(axis=1)):
         for first, last in runs(along[row]):
             y = y_edges[row + 1]
-            pieces.append(np.array([[x_edges[first], y], [x_edges[last], y]]))
-    return pieces
+            segments.append(np.array([[x_edges[first], y], [x_edges[last], y]]))
+    return segments

@@ -1,4 +1,4 @@
-"""An image or a block map reduced to the size of a picture, read chunk by chunk."""
+"""Reduce an image and its block map to the size of a picture, strip by strip, and choose the grey scale."""
 
 from __future__ import annotations
 
@@ -12,11 +12,21 @@ from blocksar.arrays import ComplexArray, FloatArray
 
 ReadImage = Callable[[slice, slice], ComplexArray]
 ReadBlock = Callable[[slice, slice], NDArray[np.int16]]
-NOT_COVERED = "#39506b"  # slate blue: cannot be read as dark ground
+NOT_COVERED = "#39506b"  # slate blue: cannot be mistaken for dark ground
 
 
 class Overview(NamedTuple):
-    """A decimated image. power (n_y, n_x), NaN = not covered; block likewise or None; cell edges in m."""
+    """An image decimated to cells.
+
+    Attributes
+    ----------
+    power : (n_y, n_x) float
+        |image|^2; NaN where not covered.
+    block : (n_y, n_x) int, optional
+        Highest block index of each cell; -1 where not covered.
+    x_edges, y_edges : (n_x + 1,), (n_y + 1,) float
+        Edges of the cells, m.
+    """
 
     power: FloatArray
     block: NDArray[np.int16] | None
@@ -43,13 +53,14 @@ def overview(
     image_x, image_y : (n_x,), (n_y,) float
         Pixel positions, m; uniform.
     read_block : callable, optional
-        Likewise -> block index, -1 where not covered.
+        (slice of y, slice of x) -> block indices, -1 where not covered.
     max_pixels : int
-        Of the longer side of the result.
+        Cells along the longer side of the result, at most.
     looks : "max" or "mean"
-        Strongest pixel of each cell, which never loses a point target, or mean power, which has least speckle.
+        Power of a cell: that of its strongest pixel, which keeps every point target, or the mean, which has the least
+        speckle.
     strip : int
-        Pixels read at once, at most (one row of cells at least).
+        Pixels to read at once, at most; but always a whole row of cells.
     """
     factor = max(1, -(-max(image_x.size, image_y.size) // max_pixels))
     n_y, n_x = -(-image_y.size // factor), -(-image_x.size // factor)
@@ -67,7 +78,7 @@ def overview(
 
 
 def _reduce(values: NDArray[np.float32] | NDArray[np.int16], factor: int, looks: Literal["max", "mean"]) -> FloatArray:
-    """Cells of factor x factor pixels, the last ones maybe smaller; NaN only where a whole cell is."""
+    """Reduce to cells of factor x factor pixels, fewer at the ends; NaN only where all pixels of a cell are NaN."""
     padded = np.pad(
         values.astype(np.float32), [(0, -n % factor) for n in values.shape], constant_values=np.float32(np.nan)
     )
@@ -75,23 +86,24 @@ def _reduce(values: NDArray[np.float32] | NDArray[np.int16], factor: int, looks:
     present = np.isfinite(cells)
     count = present.sum(axis=(1, 3))
     if looks == "max":
-        found = np.where(present, cells, -np.inf).max(axis=(1, 3))
+        reduced = np.where(present, cells, -np.inf).max(axis=(1, 3))
     else:
-        found = np.where(present, cells, 0).sum(axis=(1, 3), dtype=np.float64) / np.maximum(count, 1)
-    return np.where(count > 0, found, np.nan)
+        reduced = np.where(present, cells, 0).sum(axis=(1, 3), dtype=np.float64) / np.maximum(count, 1)
+    return np.where(count > 0, reduced, np.nan)
 
 
 def _edges(axis: FloatArray, cells: int, factor: int) -> FloatArray:
+    """Edges of `cells` cells, m."""
     step = float(axis[-1] - axis[0]) / max(axis.size - 1, 1)
     return np.asarray(axis[0] - step / 2 + step * factor * np.arange(cells + 1))
 
 
 def stretch(power_db: FloatArray) -> tuple[float, float]:
-    """Darkest and brightest dB of a grey scale, for clutter and for isolated targets alike.
+    """Darkest and brightest dB of a grey scale that suits both clutter and isolated targets.
 
-    The top is the 99.9th percentile, but at least 12 dB over the median, so that even clutter is mid-grey, and
-    at most 20 dB under the strongest cell; the bottom is the 2nd percentile, but at least 25 and at most 60 dB
-    under the top.
+    The top is the 99.9th percentile, but at least 12 dB above the median, so that even clutter is mid-grey, and
+    at most 20 dB below the strongest cell; the bottom is the 2nd percentile, but at least 25 and at most 60 dB
+    below the top.
     """
     finite = power_db[np.isfinite(power_db)]
     if finite.size == 0:

@@ -1,4 +1,4 @@
-"""Rows of panels with curves, maps and marks on common scales."""
+"""Figures of panels with curves, limits, maps and labels, on common scales."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Style = Literal["-", "--", ":", "."]
 
 
 class Trace(NamedTuple):
-    """A curve of a panel: x, y (n,) in the units of its axes, NaN = gap; style "." draws points."""
+    """A curve of a panel: x, y (n,) in the units of the axes, NaN for gaps; style "." draws points."""
 
     label: str
     x: FloatArray
@@ -32,14 +32,24 @@ class Trace(NamedTuple):
 
 
 class Level(NamedTuple):
-    """A limit that a panel shows as a line across it, at y."""
+    """A limit, drawn as a horizontal line at y."""
 
     label: str
     y: float
 
 
 class Map(NamedTuple):
-    """A picture below the curves: decibel (n_y, n_x), NaN = nothing there; cell edges in the units of the axes."""
+    """A grey-scale map below the curves.
+
+    Attributes
+    ----------
+    decibel : (n_y, n_x) float
+        NaN where there is no value.
+    x_edges, y_edges : (n_x + 1,), (n_y + 1,) float
+        Edges of the cells, in the units of the axes.
+    low, high : float
+        Darkest and brightest dB.
+    """
 
     decibel: FloatArray
     x_edges: FloatArray
@@ -49,7 +59,7 @@ class Map(NamedTuple):
 
 
 class Mark(NamedTuple):
-    """A word at a place of a panel."""
+    """A word in a panel, centred on x, y."""
 
     text: str
     x: float
@@ -57,9 +67,9 @@ class Mark(NamedTuple):
 
 
 class Panel(NamedTuple):
-    """One pair of axes of `plot_panels`; limits are those of what is shown where they are None.
+    """One panel of `plot_panels`.
 
-    `equal`: a unit is as long along y as along x; `log`: y is logarithmic.
+    Limits that are None follow from the contents. `equal` gives x and y the same scale; `log` makes y logarithmic.
     """
 
     title: str
@@ -84,7 +94,7 @@ def plot_panels(
     title: str = "",
     bar: str = "",
 ) -> None:
-    """Write a PNG of panels of curves, limits, words and maps, with one legend, grey scale and colour bar for all.
+    """Write a PNG of panels that share one legend, one grey scale and one colour bar.
 
     Parameters
     ----------
@@ -92,33 +102,34 @@ def plot_panels(
     path : path
         PNG to write.
     columns : int
-        Panels a row.
+        Panels in a row, at most.
     size : tuple of float
-        Of a panel, inches.
+        Width and height of a panel, inches.
     title : str
     bar : str
-        What the maps' colours mean, with the unit; no bar if it is empty.
+        Label of the colour bar, with the unit; no bar if empty.
     """
-    figure, drawn = new_panels(len(panels), columns=columns, size=size, title=title)
+    figure, all_axes = new_panels(len(panels), columns=columns, size=size, title=title)
     maps = [panel.map for panel in panels if panel.map is not None]
     scale = (min((m.low for m in maps), default=0.0), max((m.high for m in maps), default=1.0))
     pictures = []
-    for axes, panel in zip(drawn, panels, strict=True):
+    for axes, panel in zip(all_axes, panels, strict=True):
         if panel.map is not None:
             pictures.append(_draw_map(axes, panel.map, scale))
         _draw_panel(axes, panel)
     if pictures and bar:
-        figure.colorbar(pictures[0], ax=drawn, extend="both", shrink=0.7, pad=0.02).set_label(bar, fontsize=9)
+        figure.colorbar(pictures[0], ax=all_axes, extend="both", shrink=0.7, pad=0.02).set_label(bar, fontsize=9)
     _common_legend(figure, panels)
     save(figure, path)
 
 
-def _draw_map(axes: Axes, shown: Map, scale: tuple[float, float]) -> QuadMesh:
+def _draw_map(axes: Axes, grid: Map, scale: tuple[float, float]) -> QuadMesh:
+    """Draw a map in grey between the dB of `scale`."""
     axes.set_facecolor(NOT_COVERED)
     return axes.pcolormesh(
-        shown.x_edges,
-        shown.y_edges,
-        np.ma.masked_invalid(np.where(np.isneginf(shown.decibel), scale[0], shown.decibel)),
+        grid.x_edges,
+        grid.y_edges,
+        np.ma.masked_invalid(np.where(np.isneginf(grid.decibel), scale[0], grid.decibel)),
         cmap="gray",
         vmin=scale[0],
         vmax=scale[1],
@@ -127,6 +138,7 @@ def _draw_map(axes: Axes, shown: Map, scale: tuple[float, float]) -> QuadMesh:
 
 
 def _draw_panel(axes: Axes, panel: Panel) -> None:
+    """Draw all of a panel but its map."""
     axes.set_title(panel.title, fontsize=10)
     axes.xaxis.set_major_locator(MaxNLocator(6))
     axes.set_xlabel(panel.x_label, fontsize=9)
@@ -152,7 +164,7 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
 
 
 def _pen(colour: str, style: Style, *, over_map: bool = False) -> dict[str, Any]:
-    """Keywords of a line. Long gaps over a map, which lines would hide otherwise."""
+    """Keywords of `plot` for a line; dashes have long gaps over a map, so as not to hide it."""
     if style == ".":
         return {"color": colour, "linestyle": "none", "marker": "o", "markersize": 3.2, "markerfacecolor": "white"}
     dashes = (0, (4, 7)) if over_map and style == "--" else style
@@ -160,20 +172,22 @@ def _pen(colour: str, style: Style, *, over_map: bool = False) -> dict[str, Any]
 
 
 def _common_legend(figure: Figure, panels: Sequence[Panel]) -> None:
-    """Below all panels, every label once; traces without one are not named."""
+    """Draw a legend below all panels with every label once; unlabelled traces are left out."""
     handles: dict[str, Line2D] = {}
     for panel in panels:
         for label, _, _, colour, style in panel.traces:
             handles.setdefault(label, Line2D([], [], label=label, **_pen(colour, style)))
         for level in panel.levels:
             handles.setdefault(level.label, Line2D([], [], color=LIMIT, linestyle="--", label=level.label))
-    named = [handle for label, handle in handles.items() if label]
-    if named:
-        figure.legend(handles=named, loc="outside lower center", ncols=min(len(named), 4), fontsize=9, frameon=False)
+    labelled = [handle for label, handle in handles.items() if label]
+    if labelled:
+        figure.legend(
+            handles=labelled, loc="outside lower center", ncols=min(len(labelled), 4), fontsize=9, frameon=False
+        )
 
 
-def as_map(seen: Overview, *, scale: tuple[float, float] = (1.0, 1.0)) -> Map:
-    """An overview as a panel's map: its grey scale by `stretch`, its edges times `scale` (x, y)."""
+def as_map(reduced: Overview, *, scale: tuple[float, float] = (1.0, 1.0)) -> Map:
+    """Convert an overview to a map, with the grey scale of `stretch` and edges multiplied by `scale` (x, y)."""
     with np.errstate(divide="ignore"):
-        decibel = 10 * np.log10(seen.power)
-    return Map(decibel, seen.x_edges * scale[0], seen.y_edges * scale[1], *stretch(decibel))
+        decibel = 10 * np.log10(reduced.power)
+    return Map(decibel, reduced.x_edges * scale[0], reduced.y_edges * scale[1], *stretch(decibel))

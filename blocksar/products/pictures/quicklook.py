@@ -1,8 +1,8 @@
-"""Pictures of an image for people: decibels on a grey scale, axes in metres, a scale bar, north and the look direction.
+"""Quick looks of an image: dB on a grey scale, axes in metres, a scale bar, north and the look direction.
 
-The scale is `plotting.stretch`: percentiles of the decibels, so that clutter is mid-grey and single strong targets
-neither darken the rest nor vanish. Pixels are averaged in power over the cells of the picture, a strip of the image at
-a time. Import this module where a picture is wanted, not before: matplotlib is slow to load.
+The grey scale is that of `overview.stretch`: percentiles of the dB, so that clutter is mid-grey and single strong
+targets neither darken the rest nor vanish. Pixels are averaged in power over the cells of the picture, strip by strip.
+Import this module only where a picture is drawn: matplotlib is slow to load.
 """
 
 from __future__ import annotations
@@ -20,35 +20,38 @@ from matplotlib.text import OffsetFrom
 from matplotlib.ticker import FuncFormatter
 
 from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.collection.beam import dwell
 from blocksar.places import Location
 from blocksar.products.pictures.figures import DPI, MARK
 from blocksar.products.pictures.overview import NOT_COVERED, Overview, ReadImage, overview, stretch
 from blocksar.products.writing import replacing
 from blocksar.progress.listening import Callback
-from blocksar.runs.finished import Source
+from blocksar.runs.finished import FinishedRun
 
-PIXELS = 1600  # of the longer side, at most
-STRIP = 1 << 20  # pixels of the image that are averaged at once
-INCHES = 9.0  # of the longer side
-BAR = 0.25  # of the picture's width that the scale bar may take
+PIXELS = 1600  # along the longer side, at most
+STRIP = 1 << 20  # pixels of the image read at once
+INCHES = 9.0  # along the longer side
+BAR = 0.25  # share of the picture's width that the scale bar may take
 HALO: list[patheffects.AbstractPathEffect] = [patheffects.withStroke(linewidth=2.5, foreground="black")]
 
 
 class Arrow(NamedTuple):
-    """A direction in the scene frame, (2,) in x and y, with a letter or word at its tip."""
+    """A direction in the scene frame, (2,) in x and y, with a label at its tip."""
 
     label: str
     direction: FloatArray
     colour: str
 
 
-def write(source: Source, out: Location, *, overwrite: bool = False, progress: Callback | None = None) -> list[str]:
+def write(
+    source: FinishedRun, out: Location, *, overwrite: bool = False, progress: Callback | None = None
+) -> list[str]:
     """Write a PNG of the whole image.
 
     Returns
     -------
     list of str
-        What a person should know: the cells' size, and the grey scale.
+        Notes for the user: size of the cells, and the grey scale.
 
     Raises
     ------
@@ -63,33 +66,33 @@ def write(source: Source, out: Location, *, overwrite: bool = False, progress: C
             progress(min(rows.stop, source.y.size), source.y.size)
         return source.read(rows, columns)
 
-    source.coverage()  # refuses an image of nothing
+    source.coverage()  # raises if no pixel is covered
     with replacing(out, overwrite=overwrite) as part:
-        seen = overview(read, source.x, source.y, max_pixels=PIXELS, looks="mean", strip=STRIP)
-        figure, axes = _figure(seen)
-        low, high = draw(axes, seen, arrows=_arrows(source, seen))
+        reduced = overview(read, source.x, source.y, max_pixels=PIXELS, looks="mean", strip=STRIP)
+        figure, axes = _new_figure(reduced)
+        low, high = draw(axes, reduced, arrows=_scene_arrows(source, reduced))
         axes.set_title(source.title, fontsize=11)
         figure.supxlabel(_caption(source), fontsize=8, color="#5a6676")
         figure.savefig(part, format="png")
-    cell = float(seen.x_edges[1] - seen.x_edges[0]), float(seen.y_edges[1] - seen.y_edges[0])
+    cell = float(reduced.x_edges[1] - reduced.x_edges[0]), float(reduced.y_edges[1] - reduced.y_edges[0])
     return [f"cells of {cell[0]:.4g} m x {cell[1]:.4g} m, grey from {low:.1f} to {high:.1f} dB"]
 
 
-def draw(axes: Axes, seen: Overview, *, arrows: list[Arrow] | None = None) -> tuple[float, float]:
+def draw(axes: Axes, reduced: Overview, *, arrows: list[Arrow] | None = None) -> tuple[float, float]:
     """Draw a decimated image into a pair of axes, with a scale bar and a colour bar.
 
     Returns
     -------
     (float, float)
-        dB that are black and white.
+        dB drawn in black and in white.
     """
     with np.errstate(divide="ignore"):
-        decibel = 10 * np.log10(seen.power)
+        decibel = 10 * np.log10(reduced.power)
     low, high = stretch(decibel)
     axes.set_facecolor(NOT_COVERED)
     picture = axes.imshow(
         np.ma.masked_invalid(np.where(np.isneginf(decibel), low, decibel)),
-        extent=(seen.x_edges[0], seen.x_edges[-1], seen.y_edges[0], seen.y_edges[-1]),
+        extent=(reduced.x_edges[0], reduced.x_edges[-1], reduced.y_edges[0], reduced.y_edges[-1]),
         origin="lower",
         cmap="gray",
         vmin=low,
@@ -99,77 +102,79 @@ def draw(axes: Axes, seen: Overview, *, arrows: list[Arrow] | None = None) -> tu
     axes.set(xlabel="x (m)", ylabel="y (m)")
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_formatter(FuncFormatter(_grouped))
-    _colour_bar(axes, picture)
-    _scale_bar(axes, seen)
+    _draw_colour_bar(axes, picture)
+    _draw_scale_bar(axes, reduced)
     for place, arrow in enumerate(arrows or []):
-        _arrow(axes, arrow, place)
-    if np.isnan(seen.power).any():
+        _draw_arrow(axes, arrow, place)
+    if np.isnan(reduced.power).any():
         handles = [Patch(facecolor=NOT_COVERED, label="not covered")]
         axes.legend(handles=handles, loc="upper left", fontsize=8, framealpha=0.85)
     return low, high
 
 
 def _grouped(value: float, _: object) -> str:
-    """A number of metres as an axis shows it."""
+    """Format m for the ticks of an axis, digits in groups of three."""
     return f"{value:,.10g}".replace("-", "\N{MINUS SIGN}").replace(",", "\N{NARROW NO-BREAK SPACE}")
 
 
 def show(read: ReadImage, x: FloatArray, y: FloatArray, *, axes: Axes | None, arrows: list[Arrow]) -> Axes:
-    """Draw an image into given axes, or into those of a new figure of pyplot."""
-    seen = overview(read, x, y, max_pixels=PIXELS, looks="mean", strip=STRIP)
+    """Draw an image, read strip by strip, into `axes`, or into a new pyplot figure if None."""
+    reduced = overview(read, x, y, max_pixels=PIXELS, looks="mean", strip=STRIP)
     if axes is None:
         from matplotlib import pyplot
 
-        axes = pyplot.figure(figsize=_size(seen), layout="constrained").add_subplot()
-    draw(axes, seen, arrows=arrows)
+        axes = pyplot.figure(figsize=_size(reduced), layout="constrained").add_subplot()
+    draw(axes, reduced, arrows=arrows)
     return axes
 
 
-def north(rotation: float) -> Arrow:
-    """Where north is in a frame whose x axis is turned from east by `rotation` degrees, counter-clockwise."""
-    turn = np.radians(rotation)
-    return Arrow("N", np.array([np.sin(turn), np.cos(turn)]), "white")
+def north_arrow(rotation: float) -> Arrow:
+    """North in a frame whose x axis is rotated from east by `rotation` degrees counter-clockwise."""
+    angle = np.radians(rotation)
+    return Arrow("N", np.array([np.sin(angle), np.cos(angle)]), "white")
 
 
-def _size(seen: Overview) -> tuple[float, float]:
-    width, height = float(np.ptp(seen.x_edges)), float(np.ptp(seen.y_edges))
+def _size(reduced: Overview) -> tuple[float, float]:
+    """Width and height of the figure, inches."""
+    width, height = float(np.ptp(reduced.x_edges)), float(np.ptp(reduced.y_edges))
     scale = INCHES / max(width, height)
     return max(4.0, width * scale) + 1.8, max(3.0, height * scale) + 1.0
 
 
-def _figure(seen: Overview) -> tuple[Figure, Axes]:
-    figure = Figure(figsize=_size(seen), dpi=DPI, layout="constrained")
+def _new_figure(reduced: Overview) -> tuple[Figure, Axes]:
+    figure = Figure(figsize=_size(reduced), dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)
     return figure, figure.add_subplot()
 
 
-def _arrows(source: Source, seen: Overview) -> list[Arrow]:
-    """The look direction at the middle of what is covered, and north if it is known."""
-    rows, columns = np.nonzero(np.isfinite(seen.power))
+def _scene_arrows(source: FinishedRun, reduced: Overview) -> list[Arrow]:
+    """The look direction at the middle of the covered area, and north if it is known."""
+    rows, columns = np.nonzero(np.isfinite(reduced.power))
     arrows = []
     if rows.size:
-        x = (seen.x_edges[:-1] + seen.x_edges[1:])[columns].mean() / 2
-        y = (seen.y_edges[:-1] + seen.y_edges[1:])[rows].mean() / 2
-        first, last = (float(t) for t in source.geometry.dwell(source.geometry.yaw(x, y)))
+        x = (reduced.x_edges[:-1] + reduced.x_edges[1:])[columns].mean() / 2
+        y = (reduced.y_edges[:-1] + reduced.y_edges[1:])[rows].mean() / 2
+        first, last = (float(t) for t in dwell(source.geometry, x, y))
         time = (first + last) / 2 if first < last else source.geometry.epoch
         arrows.append(Arrow("look", np.array([x, y]) - source.geometry.track.position(np.array(time))[:2], MARK))
     if source.georeference is not None:
-        arrows.append(north(source.georeference.rotation))
+        arrows.append(north_arrow(source.georeference.rotation))
     return arrows
 
 
-def _caption(source: Source) -> str:
+def _caption(source: FinishedRun) -> str:
+    """Carrier, pixel spacing and, if georeferenced, the centre of the image."""
     dx, dy = source.spacing
-    said = [f"{source.geometry.collection.carrier / 1e9:.4g} GHz", f"pixels {dx:.4g} m x {dy:.4g} m"]
+    parts = [f"{source.collection.carrier / 1e9:.4g} GHz", f"pixels {dx:.4g} m x {dy:.4g} m"]
     if source.georeference is not None:
         centre = np.array([source.x.mean(), source.y.mean(), source.ground_height])
         latitude, longitude, _ = source.georeference.to_geodetic(centre)
         south, west = "NS"[int(latitude < 0)], "EW"[int(longitude < 0)]
-        said.append(f"centre {abs(latitude):.6f}\N{DEGREE SIGN} {south}, {abs(longitude):.6f}\N{DEGREE SIGN} {west}")
-    return "   ".join(said)
+        parts.append(f"centre {abs(latitude):.6f}\N{DEGREE SIGN} {south}, {abs(longitude):.6f}\N{DEGREE SIGN} {west}")
+    return "   ".join(parts)
 
 
-def _colour_bar(axes: Axes, picture: AxesImage) -> None:
+def _draw_colour_bar(axes: Axes, picture: AxesImage) -> None:
     figure = axes.get_figure()
     assert figure is not None
     bar = figure.colorbar(picture, ax=axes, extend="both", shrink=0.85, pad=0.02)
@@ -177,7 +182,7 @@ def _colour_bar(axes: Axes, picture: AxesImage) -> None:
 
 
 def round_length(longest: float) -> float:
-    """The longest of 1, 2 and 5 times a power of ten that is not above `longest`.
+    """The largest of 1, 2 and 5 times a power of ten that does not exceed `longest`.
 
     Examples
     --------
@@ -188,25 +193,26 @@ def round_length(longest: float) -> float:
     return float(max(step * decade for step in (1, 2, 5) if step * decade <= longest * (1 + 1e-9)))
 
 
-def _scale_bar(axes: Axes, seen: Overview) -> None:
-    """Lower left, on a dark field."""
-    width, height = float(np.ptp(seen.x_edges)), float(np.ptp(seen.y_edges))
+def _draw_scale_bar(axes: Axes, reduced: Overview) -> None:
+    """Draw the scale bar at the lower left, on a dark background."""
+    width, height = float(np.ptp(reduced.x_edges)), float(np.ptp(reduced.y_edges))
     length, side = round_length(BAR * width), max(width, height)
-    x, y = seen.x_edges[0] + 0.03 * width, seen.y_edges[0] + 0.03 * height
+    x, y = reduced.x_edges[0] + 0.03 * width, reduced.y_edges[0] + 0.03 * height
     pad, thick = 0.012 * side, 0.008 * side
-    field = Rectangle(
+    background = Rectangle(
         (x - pad, y - pad), length + 2 * pad, thick + 0.03 * side + 2 * pad, color="black", alpha=0.55, lw=0
     )
-    axes.add_patch(field)
+    axes.add_patch(background)
     axes.add_patch(Rectangle((x, y), length, thick, color="white", lw=0))
     text = f"{length / 1e3:g} km" if length >= 1e3 else f"{length:g} m"
     axes.text(x + length / 2, y + 1.5 * thick, text, color="white", ha="center", va="bottom", fontsize=9)
 
 
-def _arrow(axes: Axes, arrow: Arrow, place: int) -> None:
-    """Upper right, one left of the other: as long on any page, in the direction that it has in the picture.
+def _draw_arrow(axes: Axes, arrow: Arrow, place: int) -> None:
+    """Draw an arrow at the upper right, to the left of the `place` arrows drawn before it.
 
-    Whatever the directions, words stay within the picture and apart from one another.
+    Its length is fixed in points, its direction that of the scene. The spacing keeps all labels within the picture and
+    apart, whatever the directions.
     """
     direction = arrow.direction / np.linalg.norm(arrow.direction)
     centre = np.array([-44.0 - 78.0 * place, -40.0])  # points from the corner

@@ -1,7 +1,6 @@
-"""Pictures: the mosaic in decibels, contours of point responses and their cuts, and panels of curves and maps.
+"""Pictures of point responses: contours and cuts.
 
-Drawn with matplotlib's object interface on the Agg canvas, so no display and no global state is needed.
-Import this module where a picture is wanted, not before: matplotlib is slow to load.
+Import this module only where a picture is drawn: matplotlib is slow to load.
 """
 
 from __future__ import annotations
@@ -28,15 +27,15 @@ from blocksar.products.pictures.figures import (
     save,
 )
 
-PANEL_WIDTHS = 4.5  # median theoretical widths that a contour panel shows on either side
-CONTOUR_ZOOM = 4
+PANEL_WIDTHS = 4.5  # half the side of a contour panel, in median theoretical widths
+CONTOUR_ZOOM = 4  # contours are drawn through this many times as many points
 CONTOUR_LEVELS = (-30.0, -15.0, -3.0)  # dB, as in the paper's Figure 15
 
 
 def plot_contours(responses: Sequence[Response], path: str | Path, *, title: str = "") -> None:
-    """Write a PNG of contours at -3, -15 and -30 dB, one panel a target, on the response's own axes in metres.
+    """Write a PNG of contours at -3, -15 and -30 dB, one panel per target, on the response's axes in m.
 
-    Three panels a row, like the paper's Figure 15; nine targets give its 3 x 3. All panels have one scale, along
+    Three panels in a row, like the paper's Figure 15; nine targets give its 3 x 3. All panels have the same scale along
     both axes, so that widths can be compared by eye.
     """
     figure, panels = new_panels(len(responses), columns=3, size=(3.1, 3.1), title=title)
@@ -53,7 +52,7 @@ def plot_contours(responses: Sequence[Response], path: str | Path, *, title: str
         axes.grid(color="#e4e7ec", linewidth=0.5)
         axes.set_axisbelow(True)
         widths = 1.05 * reach / min(response.axes.range_width, response.axes.azimuth_width)
-        # Beyond what was read of a response there is nothing to fill a panel with.
+        # A response is read only to CUT_WIDTHS; a wider panel stays empty beyond.
         _draw_contours(axes, response_grid(response, widths=min(widths, CUT_WIDTHS)))
     label_outer_axes(panels, 3, "slant range (m)", "azimuth (m)")
     levels = zip(CONTOUR_LEVELS, LEVEL_COLOURS, strict=True)
@@ -62,12 +61,13 @@ def plot_contours(responses: Sequence[Response], path: str | Path, *, title: str
 
 
 def _draw_contours(axes: Axes, grid: ResponseGrid) -> None:
+    """Draw the contours of a response relative to its largest sample."""
     if not np.isfinite(grid.values).any():
         axes.text(0.5, 0.5, "not covered", ha="center", va="center", transform=axes.transAxes, color="#5a6676")
         return
     values = grid.values
     if np.isfinite(values).all():
-        # The nulls below -30 dB are a twentieth of a width across; a spline through complex values finds them.
+        # The nulls below -30 dB are a twentieth of a width across; a spline through complex values resolves them.
         values = zoom(values.real, CONTOUR_ZOOM) + 1j * zoom(values.imag, CONTOUR_ZOOM)
     with np.errstate(divide="ignore"):
         decibel = 20 * np.log10(np.abs(values) / np.nanmax(np.abs(values)))
@@ -83,17 +83,17 @@ def _draw_contours(axes: Axes, grid: ResponseGrid) -> None:
 
 
 def plot_cuts(responses: Sequence[Response], path: str | Path, *, title: str = "") -> None:
-    """Write a PNG of the range and azimuth cuts in dB over the ideal sinc, two panels a target, three targets a row.
+    """Write a PNG of range and azimuth cuts in dB with the ideal sinc, two panels per target, three targets in a row.
 
-    Offsets are in m from the peak; each panel tells its PSLR and width.
+    Offsets are in m from the peak. Each panel's title gives PSLR and width.
     """
     figure, panels = new_panels(2 * len(responses), columns=6, size=(2.35, 2.5), title=title)
     for (left, right), response in zip(zip(panels[::2], panels[1::2], strict=True), responses, strict=True):
-        sampled, found, name = cuts(response), measure(response), response.target.name
-        left.set_title(_caption(f"{name} range", found.range_pslr, found.range_irw), fontsize=8)
-        _draw_cut(left, sampled.range_offset, sampled.range_profile, found.range_irw_theory, "#2f6db3")
-        right.set_title(_caption(f"{name} azimuth", found.azimuth_pslr, found.azimuth_irw), fontsize=8)
-        _draw_cut(right, sampled.azimuth_offset, sampled.azimuth_profile, found.azimuth_irw_theory, "#b3202c")
+        sampled, figures, name = cuts(response), measure(response), response.target.name
+        left.set_title(_caption(f"{name} range", figures.range_pslr, figures.range_irw), fontsize=8)
+        _draw_cut(left, sampled.range_offset, sampled.range_profile, figures.range_irw_theory, "#2f6db3")
+        right.set_title(_caption(f"{name} azimuth", figures.azimuth_pslr, figures.azimuth_irw), fontsize=8)
+        _draw_cut(right, sampled.azimuth_offset, sampled.azimuth_profile, figures.azimuth_irw_theory, "#b3202c")
     label_outer_axes(panels, 6, "offset (m)", "power (dB)")
     draw_legend(
         figure,
@@ -107,11 +107,12 @@ def plot_cuts(responses: Sequence[Response], path: str | Path, *, title: str = "
 
 
 def _draw_cut(axes: Axes, offset: FloatArray, profile: Complex128Array, width: float, colour: str) -> None:
+    """Draw a cut in dB over offsets, m, with the sinc of a theoretical width, m."""
     with np.errstate(divide="ignore", invalid="ignore"):
         ideal = 20 * np.log10(np.abs(np.sinc(offset / width * SINC_WIDTH)))
         measured = 20 * np.log10(np.abs(profile / profile[profile.size // 2]))
     axes.plot(offset, measured, color=colour, linewidth=1.1)
-    # Over the measured curve, so that neither hides the other where they agree.
+    # Drawn last: a dotted line over the measured curve leaves both visible where they agree.
     axes.plot(offset, ideal, color="#1d242d", linestyle=":", linewidth=0.8)
     axes.set_xlim(-CUT_WIDTHS * width, CUT_WIDTHS * width)
     axes.set_ylim(-45, 2)
@@ -119,4 +120,5 @@ def _draw_cut(axes: Axes, offset: FloatArray, profile: Complex128Array, width: f
 
 
 def _caption(name: str, pslr: float, irw: float) -> str:
+    """A panel's title: name, PSLR and width."""
     return minus(f"{name}: {pslr:.2f} dB, {irw:.2f} m") if np.isfinite([pslr, irw]).all() else f"{name}: not covered"

@@ -1,15 +1,17 @@
 "use strict";
-// The viewer keeps one state: the middle of what is shown (m, in the picture's frame) and the metres of a CSS pixel.
+// The viewer has one state: the centre of the view (m, in SVG coordinates) and its scale (m per CSS pixel).
 (() => {
   const $ = (id) => document.getElementById(id);
   const svg = $("scene"), viewer = $("viewer"), frame = $("frame");
-  const given = Object.fromEntries(Object.entries(svg.dataset).map(([name, value]) => [name, Number(value)]));
+  const picture = Object.fromEntries(Object.entries(svg.dataset).map(([name, value]) => [name, Number(value)]));
   const places = [...svg.querySelectorAll(".place")];
   const labels = [...svg.querySelectorAll(".label")];
   const marks = [...svg.querySelectorAll(".mark")];
-  const ROOM = 1.02, STEP = 1.5, CELL_PIXELS = 30, NEAR = 6; // CSS pixels of the finest pixel at most; of a cell, where chips come in
+  // Margin around the whole picture; factor of a zoom step; size in CSS pixels of the finest pixel at the closest zoom;
+  // size in CSS pixels of a cell from which chips are shown.
+  const MARGIN = 1.02, STEP = 1.5, CLOSEST_PIXELS = 30, CHIP_PIXELS = 6;
   const view = { x: 0, y: 0, scale: 1 };
-  let pressed = new Map(), returnTo = null, pointer = null, hinting = 0, follows = true;
+  let pressed = new Map(), returnTo = null, pointer = null, hintTimer = 0, showsAll = true;
 
   document.documentElement.classList.add("scripted");
 
@@ -24,7 +26,7 @@
     return Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
   }
 
-  // The least of 1, 2 and 5 times a power of ten that is not below a value.
+  // The smallest of 1, 2 and 5 times a power of ten that is not below a value.
   function roundUp(value) {
     const decade = 10 ** Math.floor(Math.log10(value));
     return [1, 2, 5, 10].find((step) => step * decade >= value * (1 - 1e-9)) * decade;
@@ -35,70 +37,71 @@
   // ---------------------------------------------------------------- view
 
   const size = () => ({ width: viewer.clientWidth || 1, height: viewer.clientHeight || 1 });
-  const widest = () => ROOM * Math.max(given.width / size().width, given.height / size().height);
-  const chips = $("chips") !== null; // whose pixels are smaller than the picture's cells
-  const closest = () => Math.min(given.pixel / CELL_PIXELS, widest() / 4);
-  const within = (value, extent, shown) => {
-    const free = Math.max(0, (extent - shown) / 2);
+  const widest = () => MARGIN * Math.max(picture.width / size().width, picture.height / size().height);
+  const chips = $("chips") !== null; // chips have smaller pixels than the picture's cells
+  const closest = () => Math.min(picture.pixel / CLOSEST_PIXELS, widest() / 4);
+  // Limit the centre of the view so that the view stays within the picture.
+  const within = (value, extent, visible) => {
+    const free = Math.max(0, (extent - visible) / 2);
     return Math.min(free, Math.max(-free, value));
   };
 
   function show(x, y, scale) {
     const { width, height } = size();
     view.scale = Math.min(widest(), Math.max(closest(), scale));
-    follows = view.scale >= widest() * (1 - 1e-9);
-    view.x = within(x, given.width, width * view.scale);
-    view.y = within(y, given.height, height * view.scale);
+    showsAll = view.scale >= widest() * (1 - 1e-9);
+    view.x = within(x, picture.width, width * view.scale);
+    view.y = within(y, picture.height, height * view.scale);
     const [w, h] = [width * view.scale, height * view.scale];
     svg.setAttribute("viewBox", `${view.x - w / 2} ${view.y - h / 2} ${w} ${h}`);
     for (const place of places) {
       place.setAttribute("transform", `translate(${place.dataset.x} ${place.dataset.y}) scale(${view.scale})`);
     }
-    viewer.classList.toggle("zoomed", !follows);
-    if (chips) display("chips", view.scale < given.cell / NEAR);
-    $("zoom-out").disabled = $("reset").disabled = follows;
+    viewer.classList.toggle("zoomed", !showsAll);
+    if (chips) display("chips", view.scale < picture.cell / CHIP_PIXELS);
+    $("zoom-out").disabled = $("reset").disabled = showsAll;
     $("zoom-in").disabled = view.scale <= closest() * (1 + 1e-9);
-    name();
+    placeNames();
     drawFrame();
-    read();
+    updateReadout();
   }
 
   const showAll = () => show(0, 0, widest());
   const move = (right, down) => show(view.x + right * view.scale, view.y + down * view.scale, view.scale);
 
-  // Zoom so that the point under (px, py), CSS pixels from the viewer's middle, stays where it is.
+  // Zoom with a fixed point (px, py), in CSS pixels from the viewer's centre.
   function zoom(factor, px = 0, py = 0) {
     const scale = Math.min(widest(), Math.max(closest(), view.scale / factor));
     show(view.x + px * (view.scale - scale), view.y + py * (view.scale - scale), scale);
   }
 
-  function fromMiddle(event) {
+  function fromCentre(event) {
     const box = viewer.getBoundingClientRect();
     return [event.clientX - box.left - box.width / 2, event.clientY - box.top - box.height / 2];
   }
 
   function announce() {
     const zoomed = widest() / view.scale;
-    $("announced").textContent =
-      `Zoom ${number(zoomed, 1)}, middle at x ${number(given.x + view.x, 0)} m, y ${number(given.y - view.y, 0)} m`;
+    $("announcement").textContent =
+      `Zoom ${number(zoomed, 1)}, centre at x ${number(picture.x + view.x, 0)} m, y ${number(picture.y - view.y, 0)} m`;
   }
 
   // ---------------------------------------------------------------- names, axes, scale bar
 
-  // Names that would lie on others are left out: the chosen target's first, then those whose responses are drawn.
-  function name() {
-    const taken = labels.map(({ dataset, textContent }) => {
+  // Place names in order of rank: the chosen target, then those whose responses are drawn; leave out those that overlap.
+  function placeNames() {
+    const occupied = labels.map(({ dataset, textContent }) => {
       const x = (dataset.x - view.x) / view.scale, y = (dataset.y - view.y) / view.scale;
       return [x - 4 * textContent.length, y - 14, x + 4 * textContent.length, y + 4];
     });
     const rank = (mark) => (mark.classList.contains("chosen") ? 0 : mark.classList.contains("first") ? 1 : 2);
-    const wanted = $("toggle-names")?.getAttribute("aria-pressed") === "true";
+    const namesOn = $("toggle-names")?.getAttribute("aria-pressed") === "true";
     for (const mark of [...marks].sort((a, b) => rank(a) - rank(b))) {
       const x = (mark.dataset.x - view.x) / view.scale + 9, y = (mark.dataset.y - view.y) / view.scale - 6;
       const box = [x, y - 14, x + 8 * mark.dataset.name.length + 4, y + 4];
-      const free = taken.every((t) => box[2] < t[0] || t[2] < box[0] || box[3] < t[1] || t[3] < box[1]);
-      mark.classList.toggle("named", wanted && free);
-      if (free) taken.push(box);
+      const free = occupied.every((t) => box[2] < t[0] || t[2] < box[0] || box[3] < t[1] || t[3] < box[1]);
+      mark.classList.toggle("named", namesOn && free);
+      if (free) occupied.push(box);
     }
   }
 
@@ -116,7 +119,7 @@
     const [unit, per] = step >= 1000 ? ["km", 1000] : ["m", 1];
     const label = (value) => number(value / per, decimals(step / per));
     const first = (edge) => Math.ceil(edge / step) * step;
-    const left = given.x + view.x - (width / 2) * view.scale, low = given.y - view.y - (height / 2) * view.scale;
+    const left = picture.x + view.x - (width / 2) * view.scale, low = picture.y - view.y - (height / 2) * view.scale;
     for (let x = first(left); x < left + width * view.scale; x += step) {
       const at = (x - left) / view.scale;
       if (at < 90 || at > width - 30) continue;
@@ -137,37 +140,37 @@
     draw(frame, "text", { x: 12, y: 20 }, bar >= 1000 ? `${bar / 1000} km` : `${bar} m`);
   }
 
-  // ---------------------------------------------------------------- what is at a place
+  // ---------------------------------------------------------------- readout
 
   let levels = null;
-  const loaded = new Image();
-  loaded.addEventListener("load", () => {
+  const pixels = new Image();
+  pixels.addEventListener("load", () => {
     const canvas = document.createElement("canvas");
-    [canvas.width, canvas.height] = [loaded.naturalWidth, loaded.naturalHeight];
+    [canvas.width, canvas.height] = [pixels.naturalWidth, pixels.naturalHeight];
     const context = canvas.getContext("2d", { willReadFrequently: true });
-    context.drawImage(loaded, 0, 0);
+    context.drawImage(pixels, 0, 0);
     levels = context.getImageData(0, 0, canvas.width, canvas.height);
-    read();
+    updateReadout();
   });
-  loaded.src = $("pixels").getAttribute("href");
+  pixels.src = $("pixels").getAttribute("href");
 
   function decibel(x, y) {
     if (!levels) return "";
-    const column = Math.floor(((x + given.width / 2) / given.width) * levels.width);
-    const row = Math.floor(((y + given.height / 2) / given.height) * levels.height);
+    const column = Math.floor(((x + picture.width / 2) / picture.width) * levels.width);
+    const row = Math.floor(((y + picture.height / 2) / picture.height) * levels.height);
     if (column < 0 || row < 0 || column >= levels.width || row >= levels.height) return "outside the image";
     const at = 4 * (row * levels.width + column);
     if (levels.data[at + 3] === 0) return "not covered";
-    const value = given.bottom + (levels.data[at] / 255) * (given.top - given.bottom);
+    const value = picture.bottom + (levels.data[at] / 255) * (picture.top - picture.bottom);
     return `${levels.data[at] === 0 ? "at most " : ""}${number(value, 1)} dB`;
   }
 
-  function read() {
+  function updateReadout() {
     const [px, py] = pointer ?? [0, 0];
     const x = view.x + px * view.scale, y = view.y + py * view.scale;
     const digits = Math.min(3, decimals(view.scale));
-    const where = `x ${number(given.x + x, digits)} m, y ${number(given.y - y, digits)} m`;
-    $("readout").textContent = `${pointer ? "Pointer" : "Middle"}: ${where}; ${decibel(x, y)}`;
+    const where = `x ${number(picture.x + x, digits)} m, y ${number(picture.y - y, digits)} m`;
+    $("readout").textContent = `${pointer ? "Pointer" : "Centre"}: ${where}; ${decibel(x, y)}`;
   }
 
   // ---------------------------------------------------------------- mouse, touch, wheel
@@ -175,20 +178,20 @@
   viewer.addEventListener("pointerdown", (event) => {
     if (event.button !== 0) return;
     viewer.setPointerCapture(event.pointerId);
-    pressed.set(event.pointerId, fromMiddle(event));
-    viewer.classList.add("held");
+    pressed.set(event.pointerId, fromCentre(event));
+    viewer.classList.add("dragging");
   });
   viewer.addEventListener("pointermove", (event) => {
-    const now = fromMiddle(event);
+    const now = fromCentre(event);
     pointer = now;
     const before = pressed.get(event.pointerId);
-    if (!before) return read();
+    if (!before) return updateReadout();
     const other = [...pressed].find(([id]) => id !== event.pointerId)?.[1];
     pressed.set(event.pointerId, now);
     if (other) {
-      const apart = (p) => Math.max(Math.hypot(p[0] - other[0], p[1] - other[1]), 1);
+      const distance = (p) => Math.max(Math.hypot(p[0] - other[0], p[1] - other[1]), 1);
       move((before[0] - now[0]) / 2, (before[1] - now[1]) / 2);
-      zoom(apart(now) / apart(before), (now[0] + other[0]) / 2, (now[1] + other[1]) / 2);
+      zoom(distance(now) / distance(before), (now[0] + other[0]) / 2, (now[1] + other[1]) / 2);
     } else {
       move(before[0] - now[0], before[1] - now[1]);
     }
@@ -196,21 +199,21 @@
   for (const kind of ["pointerup", "pointercancel"]) {
     viewer.addEventListener(kind, (event) => {
       pressed.delete(event.pointerId);
-      viewer.classList.toggle("held", pressed.size > 0);
+      viewer.classList.toggle("dragging", pressed.size > 0);
     });
   }
-  viewer.addEventListener("pointerleave", () => { pointer = null; read(); });
-  viewer.addEventListener("dblclick", (event) => zoom(2, ...fromMiddle(event)));
+  viewer.addEventListener("pointerleave", () => { pointer = null; updateReadout(); });
+  viewer.addEventListener("dblclick", (event) => zoom(2, ...fromCentre(event)));
   viewer.addEventListener("wheel", (event) => {
     if (!event.ctrlKey && !event.metaKey && document.activeElement !== viewer) {
       $("hint").classList.add("shown");
-      clearTimeout(hinting);
-      hinting = setTimeout(() => $("hint").classList.remove("shown"), 1500);
+      clearTimeout(hintTimer);
+      hintTimer = setTimeout(() => $("hint").classList.remove("shown"), 1500);
       return;
     }
     event.preventDefault();
     const lines = event.deltaMode === WheelEvent.DOM_DELTA_LINE ? 30 : 1;
-    zoom(Math.min(2, Math.max(0.5, 1.003 ** (-event.deltaY * lines))), ...fromMiddle(event));
+    zoom(Math.min(2, Math.max(0.5, 1.003 ** (-event.deltaY * lines))), ...fromCentre(event));
   }, { passive: false });
 
   // ---------------------------------------------------------------- keys and buttons
@@ -257,34 +260,34 @@
   }
   toggle("toggle-borders", (on) => display("borders", on));
   toggle("toggle-marks", (on) => display("marks", on));
-  toggle("toggle-names", name);
+  toggle("toggle-names", placeNames);
 
   // ---------------------------------------------------------------- grey scale
 
   const black = $("black"), white = $("white");
 
   function stretch(dark, bright) {
-    const slope = (given.top - given.bottom) / (bright - dark), intercept = (given.bottom - dark) / (bright - dark);
+    const slope = (picture.top - picture.bottom) / (bright - dark), intercept = (picture.bottom - dark) / (bright - dark);
     for (const channel of $("stretch").querySelectorAll("feFuncR, feFuncG, feFuncB")) {
       channel.setAttribute("slope", slope);
       channel.setAttribute("intercept", intercept);
     }
     for (const [input, value] of [[black, dark], [white, bright]]) {
       input.value = value;
-      $(`${input.id}-said`).textContent = `${number(value, 0)} dB`;
+      $(`${input.id}-value`).textContent = `${number(value, 0)} dB`;
       input.setAttribute("aria-valuetext", `${number(value, 0)} decibels`);
     }
   }
   black.addEventListener("input", () => stretch(Math.min(Number(black.value), Number(white.value) - 1), Number(white.value)));
   white.addEventListener("input", () => stretch(Number(black.value), Math.max(Number(white.value), Number(black.value) + 1)));
-  $("grey-reset").addEventListener("click", () => stretch(given.black, given.white));
+  $("grey-reset").addEventListener("click", () => stretch(picture.black, picture.white));
 
   // ---------------------------------------------------------------- tables
 
   for (const link of document.querySelectorAll("a.goto")) {
     link.addEventListener("click", (event) => {
       event.preventDefault();
-      const { x, y, name: called } = link.dataset;
+      const { x, y, name } = link.dataset;
       for (const mark of marks) {
         mark.classList.toggle("chosen", mark.dataset.x === x && mark.dataset.y === y);
       }
@@ -292,7 +295,7 @@
       returnTo = link;
       viewer.focus({ preventScroll: true });
       viewer.scrollIntoView({ block: "nearest" });
-      $("announced").textContent = `Target ${called} is in the middle of the image. Escape goes back.`;
+      $("announcement").textContent = `Target ${name} is centred in the image. Escape returns to the table.`;
     });
   }
 
@@ -303,10 +306,10 @@
     const value = (row) => row.cells[column].dataset.sort;
     const order = (a, b) => {
       const [p, q] = [value(a), value(b)];
-      if (p === "" || q === "") return (p === "") - (q === ""); // what is not known comes last
-      const both = Number(p) - Number(q);
-      const found = Number.isNaN(both) ? p.localeCompare(q, "en", { numeric: true }) : both;
-      return down ? -found : found;
+      if (p === "" || q === "") return (p === "") - (q === ""); // unknown values come last
+      const difference = Number(p) - Number(q);
+      const result = Number.isNaN(difference) ? p.localeCompare(q, "en", { numeric: true }) : difference;
+      return down ? -result : result;
     };
     table.tBodies[0].append(...[...table.tBodies[0].rows].sort(order));
     table.parentElement.scrollTop = 0;
@@ -322,9 +325,9 @@
     });
   }
 
-  // ---------------------------------------------------------------- begin
+  // ---------------------------------------------------------------- start
 
-  stretch(given.black, given.white);
+  stretch(picture.black, picture.white);
   showAll();
-  new ResizeObserver(() => (follows ? showAll() : show(view.x, view.y, view.scale))).observe(viewer);
+  new ResizeObserver(() => (showsAll ? showAll() : show(view.x, view.y, view.scale))).observe(viewer);
 })();

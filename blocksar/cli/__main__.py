@@ -1,0 +1,7 @@
+"""Run the command line as `python -m blocksar.cli`."""
+
+from __future__ import annotations
+
+from blocksar.cli.commands import main
+
+main()

@@ -1,0 +1,61 @@
+"""How the samples of a block are laid out along its chain."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from blocksar.focusing.dwell_gate import DwellGate
+from blocksar.kernels import fourier
+from blocksar.kernels.fourier import Axis
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sampling:
+    """The axes of a block's samples from slab to focused block, and how full they are.
+
+    Attributes
+    ----------
+    slab : Axis
+        Doppler of the block's part of the recovered spectrum, Hz.
+    range_frequency : Axis
+        Hz.
+    time : Axis
+        Slow time from the epoch that the block's targets are lit in, s.
+    time_occupancy : float
+        Part of that sampling rate which the block's Doppler fills.
+    doppler : Axis
+        Absolute Doppler of the steps between the transforms, Hz.
+    long_time : Axis
+        Slow time lengthened for what the steps in Doppler move, s.
+    doppler_occupancy : float
+        Part of the lengthened time that samples fill: of the sampling of `doppler`.
+    rows : Axis
+        Ranges less the range origin, m.
+    focused_doppler : Axis
+        Doppler of the final transform, Hz.
+    gate : DwellGate or None
+        None where all targets are lit at the same time.
+    """
+
+    slab: Axis
+    range_frequency: Axis
+    time: Axis
+    time_occupancy: float
+    doppler: Axis
+    long_time: Axis
+    doppler_occupancy: float
+    rows: Axis
+    focused_doppler: Axis
+    gate: DwellGate | None
+
+    @property
+    def image_doppler(self) -> Axis:
+        """Doppler of the focused block, Hz: coarser than that of the final transform where there is a gate."""
+        if self.gate is None:
+            return self.focused_doppler
+        return fourier.dual(self.long_time, size=self.gate.time.size, centre=self.focused_doppler.centre)
+
+    @property
+    def n_buffer_row(self) -> int:
+        """Rows of a buffer that holds the block at every stage after its slab."""
+        return max(self.range_frequency.size, self.rows.size)

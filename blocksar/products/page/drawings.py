@@ -1,0 +1,57 @@
+"""Drawings of point responses for the report page: contours and cuts, as data URIs with alternative text."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from blocksar.errors import InputError
+from blocksar.measurement.figures import PointResponse
+from blocksar.measurement.response import Response, read_response
+from blocksar.measurement.targets import Target
+from blocksar.products.page.picture import Picture, data_uri
+from blocksar.products.page.words import describe
+from blocksar.products.pictures.responses import plot_contours, plot_cuts
+from blocksar.progress.listening import Callback
+from blocksar.runs.finished import FinishedRun
+
+
+class Drawing(NamedTuple):
+    """Contours and cuts of one target as data URIs, with alternative text; `at` is its place in the picture."""
+
+    name: str
+    at: tuple[str, str] | None
+    contours: str
+    cuts: str
+    description: str
+
+
+def draw_responses(
+    source: FinishedRun, responses: Sequence[PointResponse], image: Picture, progress: Callback | None
+) -> list[Drawing]:
+    """Draw the responses that can be read from the image; `progress` gets the number done, and of all."""
+    drawings = []
+    with tempfile.TemporaryDirectory() as folder:
+        for i, r in enumerate(responses):
+            if progress is not None:
+                progress(i, len(responses))
+            target = Target(r.name, r.x, r.y)  # drawings are relative to the peak, so its reflectivity does not matter
+            try:
+                response = read_response(source.read, source.x, source.y, source.geometry, target)
+            except InputError:  # the image is too coarse; then nothing was measured either
+                continue
+            if response is not None:
+                drawings.append(Drawing(r.name, image.find(r.x, r.y), *_draw(response, Path(folder)), describe(r)))
+    if responses and progress is not None:
+        progress(len(responses), len(responses))
+    return drawings
+
+
+def _draw(response: Response, folder: Path) -> tuple[str, str]:
+    """Data URIs of contours and cuts."""
+    contours, cuts = folder / "contours.png", folder / "cuts.png"
+    plot_contours([response], contours)
+    plot_cuts([response], cuts)
+    return data_uri("png", contours.read_bytes()), data_uri("png", cuts.read_bytes())

@@ -1,0 +1,85 @@
+"""Provenance of a run for the report page: input, collection, versions, settings, and the command that repeats it."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping
+from typing import Any
+
+from blocksar.focusing.method import Method
+from blocksar.products.page.facts import Facts
+from blocksar.products.page.words import number
+from blocksar.runs.finished import FinishedRun
+
+
+def repeat_command(settings: Mapping[str, Any], path: str, folder: str) -> str:
+    """The command that focuses the input at `path` in the same way again; empty if settings or path are unknown."""
+    if not settings or not path:
+        return ""
+    words = ["blocksar", "focus", path, "--out", folder]
+    defaults = Method().as_settings() | {"processor": "angular-division", "blocks": "auto", "grid": None}
+    for name, value in settings.items():
+        if value == defaults.get(name, value):
+            continue
+        if name == "grid":
+            x0, x1, dx, y0, y1, dy = value
+            words.append(f"--grid={x0!r}:{x1!r}:{dx!r},{y0!r}:{y1!r}:{dy!r}")
+        elif isinstance(value, bool):
+            words.append(f"--{'' if value else 'no-'}{name}")
+        else:
+            words += [f"--{name.replace('_', '-')}", str(value)]
+    return shlex.join(words)
+
+
+def provenance(run: Facts) -> list[tuple[str, str]]:
+    """Names and values of what is known of the run's input, image and collection."""
+    collection = run.source.collection
+    rows = [
+        ("input", run.record.input.path),
+        ("fingerprint of the input", run.record.input.fingerprint),
+        ("identity of the run", run.record.identity),
+        ("image", _extent(run.source)),
+        ("collection", f"{collection.n_pulse} pulses of {collection.n_range_frequency} range frequencies, "
+         f"{collection.prf:.6g} Hz, {collection.carrier / 1e9:.6g} GHz, {collection.bandwidth / 1e6:.4g} MHz wide"),
+        ("samples", run.samples),
+        ("Doppler centroid", run.centroid),
+        ("georeference", _georeference(run.source)),
+        ("versions", ", ".join(f"{name} {version}" for name, version in run.versions.items())),
+    ]  # fmt: skip
+    return [(name, str(value)) for name, value in rows if value]
+
+
+def _extent(source: FinishedRun) -> str:
+    """Extent of the image and height of its ground."""
+    ends = [
+        f"{name} {number(axis[0], 1)} .. {number(axis[-1], 1)} m" for name, axis in (("x", source.x), ("y", source.y))
+    ]
+    return f"{', '.join(ends)}, ground at {number(source.ground_height, 1)} m"
+
+
+def _georeference(source: FinishedRun) -> str:
+    """Place of the scene frame; empty if it is unknown."""
+    frame = source.attrs.get("georeference")
+    if not isinstance(frame, Mapping):
+        return ""
+    parts = [f"{name} {frame[name]}\N{DEGREE SIGN}" for name in ("latitude", "longitude") if name in frame]
+    parts += [f"height {frame['height']} m"] if "height" in frame else []
+    rotation = frame.get("rotation_deg")
+    return ", ".join([*parts, *([f"x rotated {rotation}\N{DEGREE SIGN} from east"] if rotation else [])])
+
+
+def settings_rows(run: Facts) -> list[tuple[str, str]]:
+    """Names and values of the settings."""
+    return [(name.replace("_", " "), _as_text(value)) for name, value in run.settings.items()]
+
+
+def _as_text(value: Any) -> str:
+    """A setting's value as text."""
+    match value:
+        case None:
+            return "default"
+        case bool():
+            return "yes" if value else "no"
+        case list():
+            return ", ".join(f"{v:g}" if isinstance(v, float) else str(v) for v in value)
+    return str(value)

@@ -1,0 +1,125 @@
+"""Sentences of the report page: subtitle, verdicts, and what its sections say beside their tables."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from blocksar.constants import SINC_PSLR
+from blocksar.measurement.bar import BARS, excess, rank, worst_excess
+from blocksar.measurement.figures import PointResponse
+from blocksar.products.page.facts import Facts
+from blocksar.products.page.words import SPACE, TIMES, count, memory, number
+
+EDGE = 16  # pixels at the edge of an image in which a response may not be measurable
+BAR = (
+    f"side lobes within {BARS['range_pslr'].text} of {number(SINC_PSLR)} dB and widths within {BARS['range_irw'].text} "
+    f"of theory, in range and in azimuth; position within {BARS['error_x'].text} in x and in y; amplitude within "
+    f"{BARS['amplitude'].text}, phase within {BARS['phase'].text}"
+)
+
+
+class Verdict(NamedTuple):
+    """One part of the page's first line, and whether it is good news."""
+
+    good: bool
+    text: str
+
+
+def subtitle(run: Facts) -> str:
+    """Processor, number of blocks, size of the image and carrier."""
+    blocks = len({b.block for b in run.predicted})
+    dx, dy = run.source.spacing
+    spacing = f"{dx:.4g} m" if abs(dx - dy) < 1e-9 * dx else f"{dx:.4g} m {TIMES} {dy:.4g} m"
+    size = f"{number(run.source.x.size, 0)} {TIMES} {number(run.source.y.size, 0)} pixels of {spacing}"
+    carrier = f"{run.source.collection.carrier / 1e9:.4g} GHz"
+    processor = str(run.settings.get("processor", "blocksar"))
+    return ", ".join([processor, *([count(blocks, "block")] if blocks else []), size, carrier])
+
+
+def verdicts(run: Facts) -> list[Verdict]:
+    """Verdicts on targets, warnings and memory."""
+    warnings = Verdict(not run.warnings, count(len(run.warnings), "warning"))
+    return [_verdict_on_targets(run), warnings, _verdict_on_memory(run)]
+
+
+def _verdict_on_targets(run: Facts) -> Verdict:
+    """Fully lit targets within the bar; a target in a gap of the image counts as outside it."""
+    if run.why:
+        return Verdict(False, "targets could not be measured")
+    if not run.responses:
+        return Verdict(True, "no targets to measure")
+    full = [r for r in run.responses if r.full_dwell]
+    if not full:
+        return Verdict(False, "no target is lit over its full dwell")
+    within = [r for r in run.judged if worst_excess(r) <= 1]
+    n = len(run.judged) + sum(_in_a_gap(run, r) for r in full)
+    if not n:
+        return Verdict(True, "no fully lit target to judge in this image")
+    return Verdict(len(within) == n, f"{len(within)} of {count(n, 'fully lit target')} within the bar")
+
+
+def _in_a_gap(run: Facts, response: PointResponse) -> bool:
+    """Whether the image does not cover a target that lies more than EDGE pixels inside its grid."""
+    if response.covered or np.isfinite(response.value):
+        return False
+    places = ((response.x, run.source.x), (response.y, run.source.y))
+    return all(
+        axis[0] + EDGE * step < value < axis[-1] - EDGE * step
+        for (value, axis), step in zip(places, run.source.spacing, strict=True)
+    )
+
+
+def _verdict_on_memory(run: Facts) -> Verdict:
+    """Peak memory of a worker against the plan."""
+    peak, planned = run.peak_memory, run.planned_memory
+    if peak is None or planned is None:
+        return Verdict(True, f"peak memory of a worker {memory(peak)}")
+    return Verdict(
+        peak <= planned,
+        f"peak memory of a worker {memory(peak)}, {number(100 * peak / planned, 0)}{SPACE}% of the plan",
+    )
+
+
+def plan_sentence(run: Facts) -> str:
+    """Introduction to the table of the plan."""
+    if run.predicted:
+        return (
+            "Figures predicted for the worst target of each block by tracing the scene's time-frequency lines, beside "
+            "those measured at its fully lit targets. Memory is that of a worker process, interpreter and libraries "
+            "included."
+        )
+    return "Exact back-projection makes no approximation, so the plan predicts no figures."
+
+
+def quality_sentences(run: Facts) -> list[str]:
+    """Paragraphs on targets, bar and worst figure; or the reason why nothing was measured."""
+    if not run.responses:
+        return [run.why or "The collection names no targets, so there was nothing to measure."]
+    full = sum(r.full_dwell for r in run.responses)
+    sentences = [
+        f"{count(len(run.responses), 'target')}, {full} of them lit over their full dwell. The image covers "
+        f"{len(run.judged)} of these; only covered ones are judged.",
+        f"The bar: {BAR}. Figures outside it are marked with an exclamation mark.",
+    ]
+    if run.judged:
+        worst = min(run.judged, key=rank)
+        figure = max(BARS, key=lambda name: excess(worst, name))
+        sentences.append(
+            f"The worst figure is the {BARS[figure].name} of {worst.name}: "
+            f"its deviation is {number(100 * excess(worst, figure), 0)} % of the {BARS[figure].text} allowed."
+        )
+    return sentences
+
+
+def memory_sentence(run: Facts) -> str:
+    """Peak, planned and permitted memory of a worker, and the number of workers."""
+    planned, limit = run.planned_memory, run.memory_limit
+    parts = [f"Peak of a worker: {memory(run.peak_memory)}"]
+    parts += [f"planned: {memory(planned)}"] if planned is not None else []
+    parts += [f"limit: {memory(limit)}"] if limit is not None else []
+    workers, threads = run.record.workers, run.record.threads
+    if workers is not None and threads is not None:
+        parts.append(f"{count(workers, 'worker')} with {count(threads, 'thread')} each")
+    return f"{'; '.join(parts)}."

@@ -1,0 +1,76 @@
+"""The aperture of scene points: lit times, lines of sight and spatial frequencies."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from blocksar.arrays import FloatArray
+from blocksar.collection.beam import dwell
+from blocksar.collection.geometry import Geometry
+from blocksar.constants import SPEED_OF_LIGHT
+
+
+def lit_times(geometry: Geometry, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """First and last lit slow time, s, of points (..., 3)."""
+    first, last = dwell(geometry, points[..., 0], points[..., 1])
+    return first, last
+
+
+def centre_time(geometry: Geometry, point: FloatArray) -> float:
+    """Slow time, s, of a point's (3,) centre of aperture, clipped to the collection; the epoch if it is never lit."""
+    first, last = (float(t) for t in lit_times(geometry, point))
+    time = geometry.collection.time
+    return float(np.clip((first + last) / 2, time[0], time[-1])) if first < last else geometry.epoch
+
+
+def lines_of_sight(geometry: Geometry, points: FloatArray, time: FloatArray) -> FloatArray:
+    """Unit vectors (..., 3) from the antenna at slow times (...) to points (..., 3)."""
+    sight = points - geometry.track.position(time)
+    return np.asarray(sight / np.linalg.norm(sight, axis=-1, keepdims=True))
+
+
+class Support(NamedTuple):
+    """Spatial frequencies that the aperture measures of a target, all with the same weight.
+
+    Attributes
+    ----------
+    frequencies : (n, 2) float
+        K in x and y, cycles/m, at samples of range frequency and slow time.
+    dwell : float
+        Lit time of the target, s.
+    """
+
+    frequencies: FloatArray
+    dwell: float
+
+
+def find_support(geometry: Geometry, scp: FloatArray) -> Support:
+    """Support of a target at the scene centre point (3,); over the whole collection if it is never lit."""
+    first, last = (float(t) for t in lit_times(geometry, scp))
+    collection = geometry.collection
+    if not first < last:
+        first, last = float(collection.time[0]), float(collection.time[-1])
+    time = np.linspace(first, last, 129)
+    sight = lines_of_sight(geometry, scp, time)
+    half = collection.range_frequency[-1] + (collection.range_frequency[1] - collection.range_frequency[0]) / 2
+    frequency = collection.carrier + np.linspace(-half, half, 65)
+    return Support(2 / SPEED_OF_LIGHT * np.multiply.outer(frequency, sight[:, :2]).reshape(-1, 2), last - first)
+
+
+def cut_width(frequency: FloatArray) -> float:
+    """-3 dB width, m, of |mean exp(2j pi K d)| over the offset d, for frequencies K (n,), cycles/m."""
+    frequency = frequency - frequency.mean()
+    half = 0.5 / np.ptp(frequency)
+
+    def power_at(offset: float) -> float:
+        return float(np.abs(np.exp(2j * np.pi * frequency * offset).mean()) ** 2)
+
+    low, high = 0.0, half
+    while power_at(high) > 0.5:
+        low, high = high, 1.5 * high
+    for _ in range(60):
+        middle = (low + high) / 2
+        low, high = (middle, high) if power_at(middle) > 0.5 else (low, middle)
+    return 2 * low

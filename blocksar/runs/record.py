@@ -1,0 +1,484 @@
+"""The record of a run, run.json, and the receipts in it: types, and their JSON layout.
+
+Other programs read run.json: keys may be added to it, but not renamed or dropped. A change that makes the data of an
+older run useless raises FORMAT.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from math import nan
+from typing import Any, Self
+
+from blocksar import stores
+from blocksar.errors import FolderError
+from blocksar.places.place import Place
+from blocksar.runs.fields import Field
+from blocksar.version import __version__
+
+FORMAT = 4  # of run folders
+FINISHED, UNFINISHED = "finished", "unfinished"
+RECORD = "run.json"
+
+
+# ---------------------------------------------------------------- receipts
+
+
+@dataclass(frozen=True)
+class Written:
+    """A region of a variable that a task has written, with its checksum.
+
+    Attributes
+    ----------
+    store : str
+        Path of the store, relative to the run folder.
+    variable : str
+    region : tuple of (first, end)
+        One pair for each dimension.
+    checksum : str
+        Of the values.
+    """
+
+    store: str
+    variable: str
+    region: tuple[tuple[int, int], ...]
+    checksum: str
+
+    @classmethod
+    def of(cls, entry: Field) -> Self:
+        region = tuple(span.integers() for span in entry["region"])
+        return cls(entry["store"].text(), entry["variable"].text(), region, entry["checksum"].text())
+
+    def intact(self, folder: Place) -> bool:
+        """Read the values and compare their checksum.
+
+        Raises
+        ------
+        InputError
+            If they cannot be read.
+        """
+        region = tuple(slice(*span) for span in self.region)
+        values = stores.read_region(folder / self.store, self.variable, region)
+        return stores.checksum(values) == self.checksum
+
+
+@dataclass(frozen=True, kw_only=True)
+class Receipt:
+    """What a unit of work has done.
+
+    Attributes
+    ----------
+    unit : str
+        Name of the unit, unique in its run.
+    stage : str
+        The stage that the unit belongs to, such as `recover`; empty if unknown.
+    run : str
+        Identity of the run.
+    seconds : float
+    written : tuple of Written
+    peak_memory : float or None
+        Of the worker since it started, bytes; None if unknown.
+    found : mapping or None
+        What the inspection of the samples found, as `Inspection.as_dict` gives it.
+    origin : (row, column) or None
+        First pixel of a block's patch in the image.
+    steps : mapping of str to float
+        Seconds of each step of a block.
+    files : mapping of str to str
+        Checksums of small files, by path relative to the run folder.
+    reused : bool
+        Whether an earlier process did the work.
+    damaged : bool
+        Whether an earlier process did the work, and it had to be repeated because its data were damaged.
+    """
+
+    unit: str
+    stage: str
+    run: str = ""
+    seconds: float = 0.0
+    written: tuple[Written, ...] = ()
+    peak_memory: float | None = None
+    found: Mapping[str, Any] | None = None
+    origin: tuple[int, int] | None = None
+    steps: Mapping[str, float] = field(default_factory=dict)
+    files: Mapping[str, str] = field(default_factory=dict)
+    reused: bool = False
+    damaged: bool = False
+
+    @classmethod
+    def of(cls, entry: Field, *, back_projection: bool = False) -> Self:
+        unit = entry["unit"].text()
+        return cls(
+            run=entry["run"].text(""),
+            unit=unit,
+            stage=entry["stage"].text(_stage_of(unit, back_projection=back_projection)),
+            seconds=entry["seconds"].number(),
+            written=tuple(map(Written.of, entry["written"])),
+            peak_memory=entry["peak_memory"].optional(Field.number),
+            found=entry["found"].optional(Field.mapping),
+            origin=entry["origin"].optional(Field.integers),
+            steps={name: seconds.number() for name, seconds in entry["steps"].items()},
+            files={name: checksum.text() for name, checksum in entry["files"].items()},
+            reused=entry["reused"].flag(),
+            damaged=entry["damaged"].flag(),
+        )
+
+    @classmethod
+    def from_json(cls, value: Any, file: str) -> Self:
+        """Convert from JSON; `file` is for messages.
+
+        Raises
+        ------
+        FolderError
+            If a field is missing or of another type.
+        """
+        return cls.of(Field(value, "", file))
+
+    def as_json(self) -> dict[str, Any]:
+        """Convert to JSON, without the fields that are empty."""
+        optional = {
+            "peak_memory": self.peak_memory,
+            "found": self.found,
+            "origin": self.origin and list(self.origin),
+            "steps": dict(self.steps) or None,
+            "files": dict(self.files) or None,
+            "reused": self.reused or None,
+            "damaged": self.damaged or None,
+        }
+        return {
+            "run": self.run,
+            "unit": self.unit,
+            "stage": self.stage,
+            "seconds": self.seconds,
+            "written": [asdict(part) for part in self.written],
+            **{name: value for name, value in optional.items() if value is not None},
+        }
+
+
+def block_unit(block: str) -> str:
+    """Return the name of the unit of work that focuses a block."""
+    return f"block-{block}"
+
+
+# Receipts of version 0.1.0 name no stage: here it follows from the unit's name, and nowhere else. Back-projection
+# has the same names of units, for columns that it only inspects and for chunks of the image that it forms itself.
+_STAGES = {"pulses": "range-compress", "columns": "recover", "block": "focus", "chunk": "mosaic", "store": "create"}
+_BACK_PROJECTION_STAGES = _STAGES | {"columns": "inspect", "chunk": "backprojection"}
+
+
+def _stage_of(unit: str, *, back_projection: bool) -> str:
+    return (_BACK_PROJECTION_STAGES if back_projection else _STAGES).get(unit.partition("-")[0], "")
+
+
+# ---------------------------------------------------------------- the plan
+
+
+@dataclass(frozen=True, kw_only=True)
+class PredictedBlock:
+    """What the plan predicts of a block, or of a range sub-block: the worst of its targets.
+
+    Attributes
+    ----------
+    block : int
+    part : int or None
+        Of the range sub-block; None where the block is not divided in range.
+    yaw : (low, high)
+        rad.
+    range : (near, far)
+        At t = 0, m.
+    memory : float
+        Peak of a worker, bytes.
+    bias : float
+        Range acceleration that the time perturbation adds, m/s^2.
+    residual_phase : float
+        Largest over the dwell, rad.
+    quadratic_phase : float
+        Its quadratic part at the edge of the dwell, rad.
+    pslr : float
+        In azimuth, dB.
+    width : float
+        In azimuth, over the limit that the dwell sets.
+    migration : float
+        Over the dwell, range resolution cells.
+    resolution : float
+        In azimuth, m.
+    loss : float
+        Part of a dwell that dispersion takes from its ends.
+    """
+
+    block: int
+    part: int | None
+    yaw: tuple[float, float]
+    range: tuple[float, float]
+    memory: float
+    bias: float = nan
+    residual_phase: float
+    quadratic_phase: float = nan
+    pslr: float
+    width: float
+    migration: float
+    resolution: float = nan
+    loss: float = nan
+
+    @property
+    def name(self) -> str:
+        """`2`, or `2.0` for a range sub-block."""
+        return str(self.block) if self.part is None else f"{self.block}.{self.part}"
+
+    @classmethod
+    def of(cls, entry: Field) -> Self:
+        required = ("residual_phase", "pslr", "width", "migration")
+        optional = [name for name in ("bias", "quadratic_phase", "resolution", "loss") if entry[name]]
+        return cls(
+            block=entry["block"].integer(),
+            part=entry["part"].optional(Field.integer),
+            yaw=entry["yaw"].pair(),
+            range=entry["range"].pair(),
+            memory=entry["memory"].number(),
+            **{name: entry[name].number_or_nan() for name in (*required, *optional)},
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        return asdict(self) | {"yaw": list(self.yaw), "range": list(self.range)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunPlan:
+    """How a run is divided, and what is predicted of it.
+
+    Attributes
+    ----------
+    blocks, parts : int or None
+        Number of blocks, and of range sub-blocks in each; None for back-projection.
+    memory : float or None
+        Predicted peak of a worker, bytes.
+    grid : (x0, x1, dx, y0, y1, dy) or None
+        m.
+    predicted : tuple of PredictedBlock
+        Empty for back-projection.
+    """
+
+    blocks: int | None = None
+    parts: int | None = None
+    memory: float | None = None
+    grid: tuple[float, ...] | None = None
+    predicted: tuple[PredictedBlock, ...] = ()
+
+    @classmethod
+    def of(cls, entry: Field) -> Self:
+        grid = tuple(number.number() for number in entry["grid"]) if entry["grid"] else None
+        if grid is not None and len(grid) != 6:
+            raise entry["grid"].fail("x0, x1, dx, y0, y1, dy")
+        return cls(
+            blocks=entry["blocks"].optional(Field.count),
+            parts=entry["parts"].optional(Field.count),
+            memory=entry["memory"].optional(Field.number),
+            grid=grid,
+            predicted=tuple(map(PredictedBlock.of, entry["predicted"])),
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        return {
+            "blocks": self.blocks,
+            "parts": self.parts,
+            "memory": self.memory,
+            "grid": self.grid and list(self.grid),
+            "predicted": [block.as_json() for block in self.predicted],
+        }
+
+
+# ---------------------------------------------------------------- the record
+
+
+@dataclass(frozen=True)
+class RunInput:
+    """The phase history of a run; empty where the record does not name it."""
+
+    path: str = ""
+    fingerprint: str = ""
+
+    @classmethod
+    def of(cls, entry: Field) -> Self:
+        return cls(entry["path"].text(""), entry["fingerprint"].text(""))
+
+
+@dataclass(frozen=True)
+class SampleCounts:
+    """Number of samples that are missing, and of those that are impossible."""
+
+    missing: int
+    impossible: int
+
+    @classmethod
+    def of(cls, entry: Field) -> Self:
+        return cls(entry["missing"].integer(), entry["impossible"].integer())
+
+
+@dataclass(frozen=True)
+class CentroidError:
+    """Measured Doppler centroid minus that of track and beam, Hz, and the coherence of the measurement; may be NaN."""
+
+    error: float
+    coherence: float
+
+    @classmethod
+    def of(cls, entry: Field) -> Self:
+        return cls(entry["error"].number_or_nan(), entry["coherence"].number_or_nan())
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunRecord:
+    """What run.json holds. Only `status` is always there: records of older formats hold less.
+
+    Attributes
+    ----------
+    status : str
+        FINISHED or UNFINISHED.
+    format : int or None
+        Of the run folder.
+    settings : mapping
+        Of `focus`, by the names of its parameters.
+    input : RunInput
+    identity : str
+        Hash of format, settings, input and division into blocks.
+    versions : mapping of str to str
+        Of blocksar and its libraries.
+    workers, threads : int or None
+        Processes, and threads in each.
+    memory_limit : float or None
+        Of a worker, bytes.
+    plan : RunPlan
+    warnings : tuple of str
+    samples : SampleCounts or None
+    doppler_centroid : CentroidError or None
+    receipts : tuple of Receipt
+    timings : mapping of str to float
+        Seconds of each stage, and `total`.
+    peak_memory : float or None
+        Of a worker, bytes.
+    """
+
+    status: str
+    format: int | None = None
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    input: RunInput = RunInput()
+    identity: str = ""
+    versions: Mapping[str, str] = field(default_factory=dict)
+    workers: int | None = None
+    threads: int | None = None
+    memory_limit: float | None = None
+    plan: RunPlan = RunPlan()
+    warnings: tuple[str, ...] = ()
+    samples: SampleCounts | None = None
+    doppler_centroid: CentroidError | None = None
+    receipts: tuple[Receipt, ...] = ()
+    timings: Mapping[str, float] = field(default_factory=dict)
+    peak_memory: float | None = None
+
+    @property
+    def finished(self) -> bool:
+        return self.status == FINISHED
+
+    @property
+    def version(self) -> str:
+        """Of the blocksar that wrote the record; empty if unknown."""
+        return self.versions.get("blocksar", "")
+
+    @classmethod
+    def read(cls, folder: Place) -> Self:
+        """Read the record of a run folder.
+
+        Raises
+        ------
+        InputError
+            If run.json is missing, or is not JSON.
+        FolderError
+            If a field is missing or of another type, or the record is of a newer format.
+        """
+        place = folder / RECORD
+        return cls.from_json(stores.read_json(place), f"{place}")
+
+    @classmethod
+    def from_json(cls, value: Any, file: str = RECORD) -> Self:
+        """Convert from JSON; `file` is for messages.
+
+        Raises
+        ------
+        FolderError
+            If a field is missing or of another type, or the record is of a newer format.
+        """
+        entry = Field(value, "", file)
+        form = entry["format"].optional(Field.integer)
+        if form is not None and form > FORMAT:
+            raise FolderError(
+                f"{file} has format {form}, and blocksar {__version__} knows formats up to {FORMAT}; "
+                "use a newer blocksar, or focus again with --overwrite",
+                replaceable=True,
+            )
+        if entry["status"].value not in (FINISHED, UNFINISHED):
+            raise entry["status"].fail(f"'{FINISHED}' or '{UNFINISHED}'")
+        settings = entry["settings"].mapping()
+        exact = settings.get("processor") == "backprojection"
+        return cls(
+            status=entry["status"].text(),
+            format=form,
+            settings=settings,
+            input=entry["input"].optional(RunInput.of) or RunInput(),
+            identity=entry["identity"].text(""),
+            versions={name: version.text() for name, version in entry["versions"].items()},
+            workers=entry["workers"].optional(Field.count),
+            threads=entry["threads"].optional(Field.count),
+            memory_limit=entry["memory_limit"].optional(Field.number),
+            plan=entry["plan"].optional(RunPlan.of) or RunPlan(),
+            warnings=tuple(line.text() for line in entry["warnings"]),
+            samples=entry["samples"].optional(SampleCounts.of),
+            doppler_centroid=entry["doppler_centroid"].optional(CentroidError.of),
+            receipts=tuple(Receipt.of(receipt, back_projection=exact) for receipt in entry["receipts"]),
+            timings={name: seconds.number() for name, seconds in entry["timings"].items()},
+            peak_memory=entry["peak_memory"].optional(Field.number),
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        """Convert to JSON; results are part of it once the run is finished."""
+        begun = {
+            "format": self.format,
+            "status": self.status,
+            "settings": dict(self.settings),
+            "input": asdict(self.input),
+            "identity": self.identity,
+            "versions": dict(self.versions),
+            "workers": self.workers,
+            "threads": self.threads,
+            "memory_limit": self.memory_limit,
+            "plan": self.plan.as_json(),
+        }
+        if not self.finished:
+            return begun
+        return begun | {
+            "warnings": list(self.warnings),
+            "samples": self.samples and asdict(self.samples),
+            **({"doppler_centroid": asdict(self.doppler_centroid)} if self.doppler_centroid else {}),
+            "receipts": [receipt.as_json() for receipt in self.receipts],
+            "timings": dict(self.timings),
+            "peak_memory": self.peak_memory,
+        }
+
+    def write(self, folder: Place) -> None:
+        """Write run.json.
+
+        Raises
+        ------
+        ProcessingError
+            If it cannot be written.
+        """
+        stores.write_json(folder / RECORD, self.as_json())
+
+    def difference(self, settings: Mapping[str, Any], fingerprint: str) -> str | None:
+        """Tell how a run with these settings and this input differs from the recorded one; None if it does not."""
+        if self.format != FORMAT:
+            return f"format {self.format!r}"
+        recorded = {name: self.settings.get(name) for name in settings}
+        if changed := {name: value for name, value in recorded.items() if value != settings[name]}:
+            return ", ".join(f"{name} {value!r}" for name, value in changed.items())
+        return None if self.input.fingerprint == fingerprint else "another input"

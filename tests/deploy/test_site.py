@@ -1,0 +1,133 @@
+"""The documentation site builds strictly, holds every page, and documents every parameter of the public interface."""
+
+from __future__ import annotations
+
+import inspect
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import blocksar
+from blocksar import api
+from blocksar.products.dataset import SarAccessor
+
+ROOT = Path(__file__).resolve().parents[2]
+CONFIG = ROOT / "deploy" / "site" / "mkdocs.yml"
+REFERENCE = (CONFIG.parent / "pages" / "reference.md").read_text(encoding="utf-8")
+FUNCTIONS = [getattr(api, name) for name in api.__all__ if name != "Report"]
+METHODS = [SarAccessor.db, SarAccessor.crop, SarAccessor.plot, SarAccessor.cut, SarAccessor.netcdf]
+
+
+def build(config: Path, out: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "mkdocs", "build", "--config-file", str(config), "--site-dir", str(out)]
+    return subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The built site, made with the command of its page, which fails with the first warning."""
+    out = tmp_path_factory.mktemp("site")
+    run = build(CONFIG, out)
+    assert run.returncode == 0, run.stdout + run.stderr
+    return out
+
+
+class Links(HTMLParser):
+    """What a page loads or links to, and the anchors that it has."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.targets: list[str] = []
+        self.loaded: list[str] = []
+        self.anchors: set[str] = set()
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        values = dict(attrs)
+        self.anchors |= {value for name in ("id", "name") if (value := values.get(name))}
+        if tag == "a" and (target := values.get("href")):
+            self.targets.append(target)
+        loaded = values.get("src") if tag in ("img", "script") else values.get("href") if tag == "link" else None
+        if loaded:
+            self.loaded.append(loaded)
+
+
+def pages(site: Path) -> dict[Path, Links]:
+    return {path: Links(path.read_text(encoding="utf-8")) for path in site.rglob("*.html") if path.name != "404.html"}
+
+
+def test_the_site_holds_every_page(site: Path) -> None:
+    settings = CONFIG.read_text(encoding="utf-8")
+    listed = re.findall(r": (\S+\.md)$", settings.split("\nnav:\n")[1].split("\n\n")[0], re.M)
+    assert len(listed) == len(set(listed)) >= 20
+    for name in listed:
+        stem = name.removesuffix(".md").removesuffix("README")
+        assert (site / stem / "index.html").is_file(), name
+
+
+def test_links_of_the_site_lead_somewhere(site: Path) -> None:
+    found, wrong = pages(site), []
+    for path, links in found.items():
+        for target in links.targets:
+            if re.match(r"[a-z]+:", target):
+                continue
+            place, _, anchor = target.partition("#")
+            page = (path.parent / place).resolve() if place else path
+            page = page / "index.html" if page.is_dir() else page
+            if not page.is_file() or (anchor and page in found and anchor not in found[page].anchors):
+                wrong.append(f"{path.relative_to(site)}: {target}")
+    assert not wrong, "\n".join(wrong)
+
+
+def test_the_site_loads_nothing_from_the_network(site: Path) -> None:
+    for links in pages(site).values():
+        assert not [target for target in links.loaded if re.match(r"(https?:)?//", target)]
+
+
+def test_a_broken_link_fails_the_build(tmp_path: Path) -> None:
+    """Otherwise a strict build shows nothing."""
+    (tmp_path / "docs").mkdir()
+    (tmp_path / "docs" / "index.md").write_text("[nowhere](nowhere.md)\n")
+    settings = CONFIG.read_text(encoding="utf-8")
+    kept = [re.search(pattern, settings, re.M | re.S) for pattern in (r"^strict:.*?$", r"^validation:\n.*?\n\n")]
+    (tmp_path / "mkdocs.yml").write_text("site_name: test\n" + "\n".join(part[0] for part in kept if part))
+    run = build(tmp_path / "mkdocs.yml", tmp_path / "out")
+    assert run.returncode != 0
+    assert "nowhere.md" in run.stdout + run.stderr
+
+
+# ---------------------------------------------------------------- the reference
+
+
+def documented(function: Callable[..., Any]) -> set[str]:
+    """Names of the parameters that a docstring describes, and those in a table of the reference."""
+    text = inspect.getdoc(function) or ""
+    section = re.search(r"^Parameters\n-+\n(.*?)(?=^\w+\n---|\Z)", text, re.M | re.S)
+    names = re.findall(r"^(\S.*?) : .+\n {4}\S", section[1], re.M) if section else []
+    names += re.findall(r"^\*\*\w+$", section[1], re.M) if section else []
+    rows = re.findall(rf"^\| `{function.__name__}` \| `(\w+)` \| \S", REFERENCE, re.M)
+    return {name.strip("*") for entry in names for name in entry.split(", ")} | set(rows)
+
+
+@pytest.mark.parametrize("function", [*FUNCTIONS, *METHODS], ids=lambda function: function.__name__)
+def test_every_parameter_is_documented(function: Callable[..., Any]) -> None:
+    assert documented(function) == set(inspect.signature(function).parameters) - {"self"}
+
+
+@pytest.mark.parametrize("function", FUNCTIONS, ids=lambda function: function.__name__)
+def test_every_function_says_what_it_returns_and_raises(function: Callable[..., Any]) -> None:
+    text = inspect.getdoc(function) or ""
+    assert "\nReturns\n-------\n" in text
+    assert "\nRaises\n------\nInputError\n" in text
+
+
+def test_the_reference_shows_the_public_interface() -> None:
+    shown = {name.rpartition(".")[2] for name in re.findall(r"^::: (\S+)$", REFERENCE, re.M)}
+    assert set(blocksar.__all__) - {"__version__"} <= shown
+    assert {"SarAccessor", "Scene", "Report", "ingest_cphd", "ingest_gotcha", "demo"} <= shown

@@ -1,0 +1,148 @@
+"""The measurements of a benchmark run: simulation, focusing, floors and back-projection of each scene."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from contextlib import AbstractContextManager, ExitStack
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import typer
+from distributed import Client
+
+import blocksar
+from benchmarks.back_projection import back_project, compare_chips, count_updates, place_chips, run_peer
+from benchmarks.figures import Measured, describe, over, spread
+from benchmarks.floors import fft_share, io_share, on_every_worker, traffic_of
+from benchmarks.other_version import OtherVersion, other_version
+from benchmarks.scenes import Blocks, Case, Scale, plan_case
+from blocksar import stores
+from blocksar.graph.cluster import machine, open_client
+from blocksar.graph.tasks import peak_memory
+from blocksar.runs.record import RunRecord
+
+SETTLING = 5.0  # s
+
+
+@dataclass
+class Bench:
+    """Settings that all scenes of a run share, and the measurements of one scene."""
+
+    source: str
+    folder: Path
+    workers: int
+    threads: int
+    blocks: Blocks
+    memory_limit: int | None
+    repeats: int
+    peer: bool
+    against: str | None = None
+
+    def cluster(self, workers: int) -> AbstractContextManager[Client]:
+        return open_client(workers=workers, threads=self.threads, memory_limit=self.limit)
+
+    @cached_property
+    def limit(self) -> int:
+        """Memory of a worker, bytes."""
+        return self.memory_limit or machine()[1] // self.workers
+
+    def prepare(self, scale: Scale) -> Case:
+        return plan_case(self.source, scale, blocks=self.blocks, workers=self.workers, memory_limit=self.limit)
+
+    def simulate(self, case: Case) -> Path:
+        store = self.folder / f"{case.scale}" / "phase_history.zarr"
+        log(f"{case.scale}: simulating {case.samples / 1e6:.1f} M samples")
+        blocksar.simulate(case.scene, store, threads=machine()[0])
+        return store
+
+    def focus(self, client: Client, case: Case, store: Path) -> tuple[float, RunRecord, Path]:
+        """Focus into an empty folder; seconds from call to return, the run's record, the run."""
+        run = emptied(self.folder / str(case.scale) / "run")
+        started = time.perf_counter()
+        report = blocksar.focus(store, run, blocks=case.plan.n_blocks, threads=self.threads, client=client)
+        return time.perf_counter() - started, RunRecord.from_json(report.result), run
+
+    def measure(self, case: Case, store: Path) -> dict[str, Any]:
+        """Measure one scene, except for the speed-up; on a new cluster, as peak memory is per process."""
+        plan, history, cores = case.plan, stores.open_phase_history(store), self.workers * self.threads
+        measured, projected, raw = Measured(), [], store.parent / "raw"
+        with self.cluster(self.workers) as client, ExitStack() as stack:
+            log(f"{case.scale}: warming up")
+            _, record, run = self.focus(client, case, store)
+            chips, traffic, transforms = place_chips(plan, run), traffic_of(store, run, plan), plan.transforms()
+            compared, exact = compare_chips(history, plan, run, chips, cores)
+            pixels, updates = count_updates(plan, run)
+            other = self.start_other(stack, case, store)
+            for repeat in range(self.repeats):
+                log(f"{case.scale}: repeat {repeat + 1} of {self.repeats}")
+                if other is not None and repeat % 2:  # in turns: neither is always the first
+                    measured.other_version.append(self.focus_other(other, case, store))
+                seconds, record, _ = self.focus(client, case, store)
+                measured.add_run(seconds, record)
+                if other is not None and not repeat % 2:
+                    measured.other_version.append(self.focus_other(other, case, store))
+                fft = on_every_worker(client, fft_share, transforms, self.threads)
+                io = on_every_worker(client, io_share, emptied(raw), traffic)
+                measured.add_floors(fft, io)
+                projected.append(back_project(history, plan.geometry, chips, cores))
+            peaks = list(client.run(peak_memory).values())
+        measured.profiles = [part.profiles for part in projected]
+        measured.accumulation = [part.accumulation * updates / part.updates for part in projected]
+        result = describe(case, measured, traffic, peaks, record)
+        result["back_projection"] = {
+            "covered_pixels": pixels,
+            "updates": updates,
+            "chip_updates": projected[0].updates,
+            "updates_per_second": spread([part.updates / part.accumulation for part in projected]),
+        }
+        if other is not None:
+            result["other_version"] = {"python": other.python, "version": other.version}
+        if case.scene.clutter is not None:
+            result["chips"] = compared
+            result["coherence"] = spread([chip["coherence"] for chip in compared])
+        if self.peer and case.scale == (1, 1):
+            result["peer"] = run_peer(history, plan, chips, exact, self.repeats)
+        return result
+
+    def start_other(self, stack: ExitStack, case: Case, store: Path) -> OtherVersion | None:
+        """The version to compare with, warmed up; None without --against."""
+        if self.against is None:
+            return None
+        log(f"{case.scale}: warming up {self.against}")
+        started = other_version(self.against, workers=self.workers, threads=self.threads, memory_limit=self.limit)
+        other = stack.enter_context(started)
+        self.focus_other(other, case, store)
+        return other
+
+    def focus_other(self, other: OtherVersion, case: Case, store: Path) -> float:
+        """Focus with the other version as `focus` does; seconds."""
+        return other.focus(store, emptied(self.folder / str(case.scale) / "run"), blocks=case.plan.n_blocks)
+
+    def add_speedup(self, case: Case, store: Path, result: dict[str, Any]) -> None:
+        """Measure the block stage by one worker, and add it to the result of `measure`."""
+        with self.cluster(1) as client:
+            self.focus(client, case, store)
+            log(f"{case.scale}: {self.repeats} runs by 1 worker")
+            one = [self.focus(client, case, store)[1].timings["focus"] for _ in range(self.repeats)]
+        result["seconds"]["block_stage_one_worker"] = spread(one)
+        result["ratios"]["block_stage_speedup"] = spread(over(one, result["seconds"]["stages"]["focus"]["runs"]))
+
+
+def emptied(path: Path) -> Path:
+    """Empty a folder and wait some seconds, so that runs and floors find memory in the same state.
+
+    A virtual machine returns freed memory to its host after a while, and getting it back costs more than writing it.
+    Whatever runs right after a deletion would be several times faster.
+    """
+    shutil.rmtree(path, ignore_errors=True)
+    path.mkdir(parents=True)
+    time.sleep(SETTLING)
+    return path
+
+
+def log(text: str) -> None:
+    """Print a line of progress on stderr."""
+    typer.echo(text, err=True)

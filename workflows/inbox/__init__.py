@@ -1,0 +1,1 @@
+"""The parts of `workflows/process_inbox.py`."""
