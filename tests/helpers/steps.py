@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scenes import TABLE1
 
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.collection.beam import dwell_at
@@ -34,14 +35,14 @@ def collection(
     yaw_deg: float = 50.0,
     steering_deg: float | None = 26.23,
     beam_deg: float = 4.25,
-    velocity: tuple[float, float, float] = (-40.0, 1300.0, -600.0),
-    acceleration: tuple[float, float, float] = (-15.0, -30.0, -35.0),
-    jerk: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    carrier: float = 15e9,
-    bandwidth: float = 50e6,
+    velocity: Sequence[float] = TABLE1["velocity"],
+    acceleration: Sequence[float] = TABLE1["acceleration"],
+    jerk: Sequence[float] = (0.0, 0.0, 0.0),
+    carrier: float = TABLE1["carrier"],
+    bandwidth: float = TABLE1["bandwidth"],
     n_frequency: int = 80,
     n_pulse: int = 2400,
-    prf: float = 8e3,
+    prf: float = TABLE1["prf"],
     middle: float = 0.0,
     centre_range: float = 30e3,
     reference: str = "scene_centre",
