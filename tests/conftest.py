@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+import dask
 import numpy as np
 import pytest
 from distributed import Client
@@ -35,8 +36,11 @@ def small_collection() -> Collection:
 
 @pytest.fixture(scope="session")
 def client() -> Iterator[Client]:
-    """A dask cluster of two workers, one for all tests of a pytest process."""
-    with open_client(workers=2, threads=1, memory_limit=3 * 2**30) as connected:
+    """A dask cluster of two workers, one for all tests of a pytest process; what does not name it uses threads."""
+    with (
+        open_client(workers=2, threads=1, memory_limit=3 * 2**30) as connected,
+        dask.config.set(scheduler="threads"),
+    ):
         yield connected
 
 
