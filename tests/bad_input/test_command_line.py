@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import pytest
 from bad_input import MANY, REPLACED, Bench, deadline, seeded, truncated
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -134,3 +135,7 @@ def test_processes_end_with_one_message_and_status_2(bench: Bench) -> None:
         bench.tally["processes", "refused" if status else "the clean image"] += 1
 
     bench.all({name: lambda case_=case_: case(*case_) for name, case_ in cases.items()})
+
+
+def test_there_were_many_cases_of_every_outcome(bench: Bench, request: pytest.FixtureRequest) -> None:
+    bench.check_tally(request, 150, ("the clean image", "taken at its word", "refused"))

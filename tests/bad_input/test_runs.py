@@ -175,3 +175,7 @@ def test_targets_files_that_are_none(bench: Bench) -> None:
     (folder / "folder.json").mkdir()
     names = [*made, "pipe.json", "pipe.toml", "zeros.json", "zeros.toml", "folder.json", "absent.json", "absent.toml"]
     bench.all({name: lambda name=name: measure(bench, folder / name) for name in names})
+
+
+def test_there_were_many_cases_of_every_outcome(bench: Bench, request: pytest.FixtureRequest) -> None:
+    bench.check_tally(request, 160, ("the clean image", "taken at its word", "refused"))

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from bad_input import EXACT, MANY, NUMBERS, SCENE, Bench, Bomb, deadline
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -135,3 +136,7 @@ def test_scenes_that_are_none(bench: Bench) -> None:
         assert not (folder / "out.zarr").exists() and not (folder / "fuse").exists()
 
     bench.all({name: lambda make=make: case(make) for name, make in SCENES.items()})
+
+
+def test_there_were_many_cases_of_every_outcome(bench: Bench, request: pytest.FixtureRequest) -> None:
+    bench.check_tally(request, 180, ("taken at its word", "refused"))

@@ -24,6 +24,7 @@ from bad_input import (
     JSON,
     LIT,
     MANY,
+    OUTCOMES,
     REPLACED,
     ROUNDING,
     SCENE,
@@ -848,18 +849,5 @@ def as_nobody(ask: Callable[[], list[str]]) -> list[str]:
     return list(json.loads(said))
 
 
-# ---------------------------------------------------------------- the sum
-
-
-def test_there_were_hundreds_of_cases_of_every_outcome(bench: Bench, request: pytest.FixtureRequest) -> None:
-    if len(request.session.items) < 50:
-        pytest.skip("only a part of this file was asked for")
-    kinds = sorted({kind for kind, _ in bench.tally})
-    outcomes = ["the clean image", "within what is missing or in error", "taken at its word", "refused"]
-    print("\n" + " " * 24 + "".join(f"{word:>10}" for word in ("clean", "within", "its word", "refused")))
-    for kind in kinds:
-        print(f"{kind:24}" + "".join(f"{bench.tally[kind, outcome]:>10}" for outcome in outcomes))
-    sums = {outcome: sum(bench.tally[kind, outcome] for kind in kinds) for outcome in outcomes}
-    print(f"{'all ' + str(sum(sums.values())):24}" + "".join(f"{sums[outcome]:>10}" for outcome in outcomes))
-    assert sum(sums.values()) >= 500 and sum(sums.values()) == bench.tally.total()
-    assert all(sums.values())
+def test_there_were_many_cases_of_every_outcome(bench: Bench, request: pytest.FixtureRequest) -> None:
+    bench.check_tally(request, 400, OUTCOMES)

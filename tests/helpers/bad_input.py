@@ -17,7 +17,7 @@ import socket
 import stat
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -58,6 +58,7 @@ LIT = 60  # pulses of a dwell
 GRID = ((4040.0, 4121.0, 3.0), (-40.0, 41.0, 3.0))  # around the target, where every pixel has a full dwell
 EXACT: dict[str, Any] = {"processor": "backprojection", "grid": GRID}  # a whole run in a tenth of a second
 CHAIN: dict[str, Any] = {"blocks": 1, "grid": GRID}  # and in half a second
+OUTCOMES = ("the clean image", "within what is missing or in error", "taken at its word", "refused")
 ROUNDING = 1e-5  # of images that are the same but for the order of additions
 
 MANY = settings(
@@ -192,6 +193,18 @@ class Bench:
         for line in text.split("\n  ") if listed else [text]:
             one_sentence(line)
         return text
+
+    def check_tally(self, request: pytest.FixtureRequest, least: int, outcomes: Collection[str]) -> None:
+        """Print what became of a module's cases; there were `least` or more, and just these outcomes."""
+        collected = {getattr(item, "originalname", None) for item in request.session.items if item.path == request.path}
+        if collected != {name for name in vars(request.module) if name.startswith("test_")}:
+            pytest.skip("only a part of this file was asked for")
+        kinds = sorted({kind for kind, _ in self.tally})
+        print("\n" + " " * 24 + "".join(f"{word:>10}" for word in ("clean", "within", "its word", "refused")))
+        for kind in kinds:
+            print(f"{kind:24}" + "".join(f"{self.tally[kind, outcome]:>10}" for outcome in OUTCOMES))
+        assert self.tally.total() >= least
+        assert {outcome for _, outcome in self.tally} == set(outcomes) <= set(OUTCOMES)
 
     def all(self, cases: dict[str, Callable[[], Any]]) -> None:
         """Every case, and then the defects of all of them at once."""

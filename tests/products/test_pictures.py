@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from blocksar.products.pictures import figures, panels
+from blocksar.products.pictures import panels
 
 
 def test_panels_share_a_scale_and_a_legend(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     kept: list[Any] = []
-    monkeypatch.setattr(figures, "save", lambda figure, path: kept.append(figure))
+    monkeypatch.setattr(panels, "save", lambda figure, path: kept.append(figure))
     edges, x = np.arange(5.0), np.linspace(0, 4, 9)
     maps = [panels.Map(np.full((4, 4), value), edges, edges, value - 30, value) for value in (0.0, -20.0)]
     drawn = [
