@@ -177,7 +177,8 @@ def check_xarray(names: dict[str, Any]) -> None:
 
 def check_reference(names: dict[str, Any]) -> None:
     assert names["plan"].refusal is None
-    assert float(abs(names["image"]).max()) == pytest.approx(1, abs=0.05)
+    assert names["image"].sizes == {"y": 80, "x": 80}
+    assert 0.5 < float(abs(names["image"]).max()) < 1.1  # a target of reflectivity 1 between pixels
 
 
 CHECKS: dict[str, Callable[[dict[str, Any]], None]] = {

@@ -1,7 +1,7 @@
 """The commands as functions: simulate, ingest, plan, focus, quality, report, export, open, demo.
 
-One module for each stage: `sources`, `planning`, `focusing`, `measuring`, `exporting`, `demo`; they share `arguments`
-and `reports`.
+One module for each stage: `sources`, `planning`, `focusing` (with `jobs`), `measuring`, `exporting`, `demo`. They share
+`arguments` and `reports`.
 """
 
 from __future__ import annotations

@@ -18,7 +18,6 @@ from blocksar.simulation.scene import Scene, shipped_scenes
 if TYPE_CHECKING:
     import xarray as xr
 
-
 GridLike = Grid | tuple[tuple[float, float, float], tuple[float, float, float]]
 
 
@@ -52,13 +51,14 @@ def _dataset_path(source: xr.Dataset) -> str:
     path = source.encoding.get("source")
     if path is None:
         raise InputError(
-            "source is a dataset that lies in no store; write it with to_zarr(path, zarr_format=3) and pass that path"
+            "source is a dataset that was not opened from a store; write it with to_zarr(path, zarr_format=3) and pass "
+            "that path"
         )
     return str(path)
 
 
 class Resources(NamedTuple):
-    """Of a cluster: processes, threads in each, and bytes that each may use."""
+    """Resources of a cluster: processes, threads in each, and memory of each in bytes."""
 
     workers: int
     threads: int
@@ -66,7 +66,7 @@ class Resources(NamedTuple):
 
 
 def resources(workers: int | None, threads: int | None, memory_limit: int | None) -> Resources:
-    """Fill in what is not given: by default, workers times threads is the number of cores.
+    """Fill in defaults: workers times threads is at most the number of cores, and workers share the memory equally.
 
     Raises
     ------

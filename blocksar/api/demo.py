@@ -68,7 +68,7 @@ def demo(
     ProcessingError
         If processing fails; the same call resumes.
     """
-    told = as_listener(progress)
+    listener = as_listener(progress)
     if performance_report is not None:
         recording.check_recordable(Path(performance_report), None)
     folder = place(out)
@@ -76,39 +76,41 @@ def demo(
     if folder.names() and not history.exists():
         raise InputError(f"{folder} exists and is not a demonstration run; choose another --out")
     simulated = history.exists() and not overwrite
-    told.expect(effort.of_demo(simulated=simulated, compiled=cluster.compiled()), 1)
+    listener.expect(effort.of_demo(simulated=simulated, compiled=cluster.kernels_cached()), 1)
     if not simulated:
-        simulate("table1", history, threads=threads, overwrite=overwrite, progress=told)
+        simulate("table1", history, threads=threads, overwrite=overwrite, progress=listener)
     focused = focus(
         history, folder, blocks=3, workers=workers, threads=threads, memory_limit=memory_limit, overwrite=overwrite,
-        progress=told, performance_report=performance_report,
+        progress=listener, performance_report=performance_report,
     )  # fmt: skip
-    told.expect(effort.FOCUS, 1)  # none of it is to come any more
-    told.update("measure", 0, 1)
-    measured, shown = measure(folder, None, reference=False)
-    told.update("measure", 1, 1)
-    told.update("draw", 0, 1)
-    pictures = _draw(folder, shown)
-    told.update("draw", 1, 1)
-    page = report(folder, progress=told)
-    lines = [*measured.summary, *focused.summary, f"pictures: {', '.join(str(p) for p in pictures)}"]
+    listener.expect(effort.FOCUS, 1)  # withdraw stages of `focus` that a finished run did not need
+    listener.update("measure", 0, 1)
+    quality, responses = measure(folder, None, reference=False)
+    listener.update("measure", 1, 1)
+    listener.update("draw", 0, 1)
+    pictures = _draw(folder, responses)
+    listener.update("draw", 1, 1)
+    page = report(folder, progress=listener)
+    lines = [*quality.summary, *focused.summary, f"pictures: {', '.join(str(p) for p in pictures)}"]
     lines.append(f"report: {page.result}, for a browser")
-    return Report(tables=measured.tables, summary=lines, result=measured.result)
+    return Report(tables=quality.tables, summary=lines, result=quality.result)
 
 
-def _draw(folder: Place, shown: Sequence[Response]) -> list[Place]:
+def _draw(folder: Place, responses: Sequence[Response]) -> list[Place]:
+    """Draw the mosaic and the contours of responses into a run folder; return the pictures."""
     try:
-        from blocksar.products.pictures import mosaic, responses  # optional, and slow to load
+        from blocksar.products.pictures.mosaic import plot_mosaic  # optional, and slow to load
+        from blocksar.products.pictures.responses import plot_contours
     except ModuleNotFoundError as error:
         raise InputError(f"{error.name} is not installed, which pictures need; install blocksar[plots]") from None
     run = FinishedRun.open(folder)
-    with tempfile.TemporaryDirectory() as drawn:
-        pictures = [Path(drawn, "mosaic.png"), Path(drawn, "contours.png")]
-        mosaic.plot_mosaic(
+    with tempfile.TemporaryDirectory() as scratch:
+        pictures = [Path(scratch, "mosaic.png"), Path(scratch, "contours.png")]
+        plot_mosaic(
             run.read, run.x, run.y, pictures[0], read_block=run.read_block, targets=targets_of(None, run.attrs),
             labels=list(TABLE3), title=str(run.attrs.get("title", "")),
         )  # fmt: skip
-        responses.plot_contours(shown, pictures[1], title="impulse responses of the nine named targets")
+        plot_contours(responses, pictures[1], title="impulse responses of the nine named targets")
         for picture in pictures:
             (folder / picture.name).write_bytes(picture.read_bytes())
     return [folder / picture.name for picture in pictures]

@@ -99,10 +99,10 @@ def report(
     except ModuleNotFoundError as error:
         library = str(error.name).partition(".")[0]
         raise InputError(f"{library} is not installed, which reports need; install blocksar[plots]") from None
-    measured, reason = _measured(folder, source)
+    figures, reason = _read_or_measure(folder, source)
     history = str(stores.open_dataset(source.image).attrs.get("history", ""))
     content, verdict = page.make(
-        source, measured, folder=str(folder), history=history, why=reason, progress=only_stage(progress, "report"),
+        source, figures, folder=str(folder), history=history, why=reason, progress=only_stage(progress, "report"),
         drawn=partial(as_listener(progress).update, "responses"),
     )  # fmt: skip
     try:
@@ -114,14 +114,14 @@ def report(
     return Report(summary=["; ".join(verdict), f"wrote {target}"], result=target)
 
 
-def _measured(folder: Place, source: FinishedRun) -> tuple[dict[str, Any] | None, str]:
-    """Return what quality.json holds, or would hold; or None, and the reason."""
+def _read_or_measure(folder: Place, source: FinishedRun) -> tuple[dict[str, Any] | None, str]:
+    """Read quality.json, or measure what it would hold; return None and the reason if that fails."""
     if (folder / "quality.json").exists():
         return stores.read_json(folder / "quality.json"), ""
     targets = targets_of(None, source.attrs)
     try:
         responses = [measure_target(source.read, source.x, source.y, source.geometry, target) for target in targets]
-    except InputError as error:  # an image too coarse to measure in may still be shown
+    except InputError as error:  # the page can still show an image that is too coarse for measurements
         return None, f"Nothing was measured: {error}."
     return as_json(responses), ""
 
@@ -156,7 +156,7 @@ def export(
     Returns
     -------
     Report
-        `summary` has what is worth knowing about the file, and its path.
+        `summary` describes the file and gives its path.
 
     Raises
     ------

@@ -1,8 +1,7 @@
 """focus: turn a phase history into a calibrated image on the ground, in a run folder.
 
 A finished run folder holds collection.zarr (the phase history without its samples), spectrum.zarr, patches/,
-image.zarr and run.json. Units of work leave receipts in receipts/ while the run goes on; at the end run.json takes
-them up.
+image.zarr and run.json. Units of work leave receipts in receipts/ during the run; run.json includes them at the end.
 """
 
 from __future__ import annotations
@@ -10,43 +9,31 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, nullcontext
-from dataclasses import dataclass, replace
-from importlib import metadata
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from blocksar import stores
-from blocksar.api.arguments import GridLike, Resources, grid_of, path_of, resources
+from blocksar.api.arguments import GridLike, Resources, grid_of, resources
+from blocksar.api.jobs import Job, Request
 from blocksar.api.reports import Report
-from blocksar.collection.geometry import Geometry
-from blocksar.collection.georeference import Georeference
-from blocksar.collection.grid import Grid
-from blocksar.collection.region import default_grid, plan_region
 from blocksar.constants import MIB
 from blocksar.errors import InputError, ProcessingError
-from blocksar.focusing.method import Coefficients, Derotation, Method, Perturbation, Processor, RangeModel, method_of
+from blocksar.focusing.method import Coefficients, Derotation, Perturbation, Processor, RangeModel, method_of
 from blocksar.graph import cluster, recording, stages
 from blocksar.inspection import centroid, samples, sentences
 from blocksar.inspection.samples import Inspection
 from blocksar.places import Location, place
 from blocksar.places.place import Place
-from blocksar.planning import effort
-from blocksar.planning.memory import checked_back_projection_memory, checked_memory, compression_memory
-from blocksar.planning.plan import Plan, plan_collection
 from blocksar.planning.tiling import image_chunk
-from blocksar.progress import NOBODY, Listener, Work, as_listener
+from blocksar.progress import NOBODY, Listener, as_listener
 from blocksar.progress import Updated as Progress
 from blocksar.runs import folder as run_folder
 from blocksar.runs.receipts import Run
 from blocksar.runs.record import (
     FINISHED,
-    FORMAT,
-    UNFINISHED,
     CentroidError,
-    PredictedBlock,
     Receipt,
-    RunInput,
-    RunPlan,
     RunRecord,
     SampleCounts,
 )
@@ -55,6 +42,15 @@ from blocksar.version import __version__
 if TYPE_CHECKING:
     import xarray as xr
     from distributed import Client
+
+UNITS = {
+    "range-compress": "groups of pulses",
+    "recover": "column groups",
+    "inspect": "column groups",
+    "focus": "blocks",
+    "mosaic": "parts of the mosaic",
+    "backprojection": "parts of the mosaic",
+}  # names of each stage's units of work, in the summary
 
 
 def focus(
@@ -146,14 +142,14 @@ def focus(
         derotation=derotation,
         range_model=range_model,
     )
-    request = _request(source, place(out), method, processor, blocks, grid_of(grid), overwrite=overwrite)
+    request = Request.open(source, place(out), method=method, blocks=blocks, grid=grid_of(grid), overwrite=overwrite)
     if profile is not None:
         recording.check_recordable(profile, client)
-    record = request.existing()
+    record = request.find_run()
     if record is not None and record.finished:
         if profile is not None:
             listener.note(f"nothing was done, so there is no performance report at {profile}")
-        return _nothing_to_do(request.folder, record)
+        return _report_finished(request.folder, record)
     with ExitStack() as stack:
         connected = None
         if client is not None or scheduler is not None:
@@ -162,175 +158,55 @@ def focus(
             if profile is not None:
                 recording.check_recordable(profile, connected)
         machine = resources(workers, threads, memory_limit)
-        stack.enter_context(run_folder.claimed(request.folder))
-        record = request.existing()  # again: another process may have written it until now
+        stack.enter_context(run_folder.claim(request.folder))
+        record = request.find_run()  # again: another process may have written it in the meantime
         if record is not None and record.finished:
-            return _nothing_to_do(request.folder, record, claimed=True)
+            return _report_finished(request.folder, record, claimed=True)
         return _focus(request, record, machine, connected, listener, profile)
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Request:
-    """What `focus` was asked for.
+def _report_finished(folder: Place, record: RunRecord, *, claimed: bool = False) -> Report:
+    """Report that a run was finished before, after checking its image and removing leftovers.
 
-    Attributes
-    ----------
-    settings : dict
-        As run.json holds them.
-    grid : Grid or None
-        None to cover the lit sector.
+    Raises
+    ------
+    FolderError
+        If the image is damaged, or another process holds the folder.
     """
-
-    history: stores.PhaseHistory
-    folder: Place
-    settings: dict[str, Any]
-    fingerprint: str
-    grid: Grid | None
-    overwrite: bool
-
-    def existing(self) -> RunRecord | None:
-        """Return the record of the run to be resumed, or of a finished one; see `folder.existing`."""
-        return run_folder.existing(self.folder, self.settings, self.fingerprint, overwrite=self.overwrite)
-
-
-def _request(
-    source: Location | xr.Dataset,
-    folder: Place,
-    method: Method | None,
-    processor: Processor,
-    blocks: int | Literal["auto"],
-    grid: Grid | None,
-    *,
-    overwrite: bool,
-) -> _Request:
-    """Open the input and collect the settings; nothing is written."""
-    settings: dict[str, Any] = {
-        **(Method() if method is None else method).as_settings(),
-        "processor": processor,
-        "blocks": blocks,
-        "grid": None if grid is None else list(_grid_numbers(grid)),
-    }
-    history = stores.open_phase_history(path_of(source))
-    if "georeference" in history.attrs:
-        Georeference.from_attribute(history.attrs["georeference"])  # refuse a wrong one before the work, not after it
-    fingerprint = history.fingerprint()
-    run_folder.refuse_overlap(place(history.path), folder)
-    return _Request(
-        history=history, folder=folder, settings=settings, fingerprint=fingerprint, grid=grid, overwrite=overwrite
+    run_folder.check_finished(folder, record)
+    if not run_folder.is_tidy(folder):
+        with nullcontext() if claimed else run_folder.claim(folder):
+            run_folder.tidy(folder)
+    return Report(
+        summary=[f"{folder} is finished already with these settings and this input: nothing to do"],
+        result=record.as_json(),
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Job:
-    """What is to be focused, and how.
-
-    Attributes
-    ----------
-    plan : Plan or None
-        None for back-projection.
-    memory : int
-        Predicted peak of a worker, bytes.
-    """
-
-    history: stores.PhaseHistory
-    geometry: Geometry
-    grid: Grid
-    machine: Resources
-    plan: Plan | None
-    memory: int
-
-
 def _focus(
-    request: _Request,
+    request: Request,
     earlier: RunRecord | None,
     machine: Resources,
     client: Client | None,
     listener: Listener,
     profile: Path | None,
 ) -> Report:
-    """Plan and carry out a run, in a folder that this process holds."""
+    """Plan and carry out a run in a folder that this process has claimed."""
     listener.update("plan", 0, 1)
-    job = _job(request, earlier, machine)
-    listener.expect(_effort(job), machine.workers)
+    job = Job.of(request, earlier, machine)
+    listener.expect(job.predict_effort(), machine.workers)
     listener.update("plan", 1, 1)
-    identity = _identity(request, job)
-    record = RunRecord(
-        status=UNFINISHED,
-        format=FORMAT,
-        settings=request.settings,
-        input=RunInput(str(request.history.path), request.fingerprint),
-        identity=identity,
-        versions=_versions(),
-        **job.machine._asdict(),
-        plan=RunPlan(
-            blocks=None if job.plan is None else job.plan.n_blocks,
-            parts=None if job.plan is None else job.plan.parts,
-            memory=job.memory,
-            grid=_grid_numbers(job.grid),
-            predicted=predicted_blocks(job.plan),
-        ),
-    )
-    run = Run(folder=request.folder, identity=identity, threads=machine.threads)
+    record = job.record()
+    run = Run(folder=request.folder, identity=record.identity, threads=machine.threads)
     try:
-        done = _carry_out(job, run, record, client, listener, profile, resumed=earlier is not None)
+        finished = _carry_out(job, run, record, client, listener, profile, resumed=earlier is not None)
     except ProcessingError as error:
         raise ProcessingError(f"{error}; what was finished stays, the same command goes on from there") from error
-    return Report(summary=_summary(request.folder, done, job.memory), result=done.as_json())
-
-
-def _identity(request: _Request, job: _Job) -> str:
-    """Hash what decides on the results: settings, input, format, and the division into blocks."""
-    divided = None if job.plan is None else (job.plan.n_blocks, job.plan.parts)
-    text = repr((FORMAT, sorted(request.settings.items(), key=str), request.fingerprint, divided))
-    return stores.checksum_bytes(text.encode("utf-8", "surrogateescape"))
-
-
-def _job(request: _Request, earlier: RunRecord | None, machine: Resources) -> _Job:
-    """Plan a run; a resumed one keeps its division into blocks.
-
-    Raises
-    ------
-    InputError
-        If there is no such plan, or it needs more memory than there is.
-    """
-    history, settings, grid = request.history, request.settings, request.grid
-    collection = history.collection.centred()
-    geometry = Geometry(collection=collection)
-    compression = checked_memory(
-        "range compression", compression_memory(history.collection, history.raw), machine.memory_limit
-    )
-    if settings["processor"] == "backprojection":
-        grid = grid or default_grid(geometry, plan_region(geometry, None))
-        needed = checked_back_projection_memory(collection, grid, machine.threads, machine.memory_limit)
-        memory = max(compression, needed)
-        return _Job(history=history, geometry=geometry, grid=grid, machine=machine, plan=None, memory=memory)
-    divided = RunPlan() if earlier is None else earlier.plan
-    plan = plan_collection(
-        collection,
-        blocks=divided.blocks or settings["blocks"],
-        parts=divided.parts or "auto",
-        method=Method.of_settings(settings),
-        grid=grid,
-        workers=machine.workers,
-        memory_limit=machine.memory_limit,
-    )
-    if plan.refusal is not None:
-        raise InputError(plan.refusal)
-    memory = max(compression, plan.memory)
-    return _Job(history=history, geometry=geometry, grid=plan.grid, machine=machine, plan=plan, memory=memory)
-
-
-def _effort(job: _Job) -> Work:
-    """Predict the relative cost of the stages."""
-    raw = job.history.raw
-    echo = 0 if raw is None else raw.fast_time.size * job.history.collection.n_pulse
-    if job.plan is None:
-        return effort.of_backprojection(job.geometry, job.grid, echo_samples=echo)
-    return effort.of_plan(job.plan, echo_samples=echo)
+    return Report(summary=_summary(request.folder, finished, job.memory), result=finished.as_json())
 
 
 def _carry_out(
-    job: _Job,
+    job: Job,
     run: Run,
     record: RunRecord,
     client: Client | None,
@@ -339,19 +215,21 @@ def _carry_out(
     *,
     resumed: bool,
 ) -> RunRecord:
-    """Focus, and return the record of the finished run. Without a client, a cluster is started."""
+    """Carry out a run and return its final record. Without a client, a local cluster is started."""
     started = time.perf_counter()
     with ExitStack() as stack:
-        input_read = (lambda: None) if resumed else stack.enter_context(run_folder.begun(run.folder))
+        input_read = (lambda: None) if resumed else stack.enter_context(run_folder.begin(run.folder))
         run.folder.sweep()
         record.write(run.folder)
         if client is None:
             scratch = run_folder.scratch(run.folder)
-            client = stack.enter_context(cluster.open_client(**job.machine._asdict(), scratch=scratch, report=listener))
+            client = stack.enter_context(
+                cluster.open_client(**job.machine._asdict(), scratch=scratch, listener=listener)
+            )
         if (address := recording.dashboard(client)) is not None:
             listener.dashboard(address)
-        with recording.recorded(client, profile, listener):
-            record = _stages(client, job, run, record, listener, input_read)
+        with recording.record_performance(client, profile, listener):
+            record = _run_stages(client, job, run, record, listener, input_read)
         listener.watch((), NOBODY)
         listener.begin("finish")
     record = replace(
@@ -365,35 +243,17 @@ def _carry_out(
     return record
 
 
-def _nothing_to_do(folder: Place, record: RunRecord, *, claimed: bool = False) -> Report:
-    """Report that a run is finished, after checking its image and removing leftovers.
-
-    Raises
-    ------
-    FolderError
-        If the image is damaged, or another process holds the folder.
-    """
-    run_folder.check_finished(folder, record)
-    if not run_folder.is_tidy(folder):
-        with nullcontext() if claimed else run_folder.claimed(folder):
-            run_folder.tidy(folder)
-    return Report(
-        summary=[f"{folder} is finished already with these settings and this input: nothing to do"],
-        result=record.as_json(),
-    )
-
-
-def _stages(
+def _run_stages(
     client: Client,
-    job: _Job,
+    job: Job,
     run: Run,
     record: RunRecord,
     listener: Listener,
     input_read: Callable[[], None],
 ) -> RunRecord:
-    """Carry out all stages; return the record with their receipts and seconds, and what the samples revealed.
+    """Carry out all stages; return the record with their receipts and durations, and the findings in the samples.
 
-    `input_read` is called once all of the input has been read and accepted.
+    Calls `input_read` once all of the input has been read and accepted.
     """
     clock = [time.perf_counter()]
 
@@ -408,16 +268,16 @@ def _stages(
     )
     timings: dict[str, float] = {}
     if plan is None:
-        samples, inspected, inspection = stages.look_through(client, history, run, listener)
+        source, inspected, inspection = stages.inspect_samples(client, history, run, listener)
         timings["inspect"] = lap()
-        record = _judged(job, run, record, inspected, inspection, listener)
+        record = _add_findings(job, run, record, inspected, inspection, listener)
         input_read()
-        formed = stages.back_project(client, samples, job.geometry, job.grid, inspection, run, listener)
+        formed = stages.back_project(client, source, job.geometry, job.grid, inspection, run, listener)
         timings["backprojection"] = lap()
         return replace(record, receipts=(*inspected, *formed), timings=timings)
     recovered, inspection = stages.recover(client, history, plan, run, listener)
     timings["recover"] = lap()
-    record = _judged(job, run, record, recovered, inspection, listener)
+    record = _add_findings(job, run, record, recovered, inspection, listener)
     input_read()
     focused = stages.focus_blocks(client, plan, run, inspection.lit, listener)
     timings["focus"] = lap()
@@ -426,8 +286,8 @@ def _stages(
     return replace(record, receipts=(*recovered, *focused, *merged), timings=timings)
 
 
-def _judged(
-    job: _Job, run: Run, record: RunRecord, receipts: Sequence[Receipt], inspection: Inspection, listener: Listener
+def _add_findings(
+    job: Job, run: Run, record: RunRecord, receipts: Sequence[Receipt], inspection: Inspection, listener: Listener
 ) -> RunRecord:
     """Add the findings of the inspection to the record, and create the image, which carries them as attributes.
 
@@ -443,7 +303,7 @@ def _judged(
     inspections = [samples.merge_echoes(echoes), inspection] if echoes else [inspection]
     warnings = [line for each in inspections for line in sentences.describe(each)]
     counts = SampleCounts(sum(inspection.missing.values()), sum(each.n_outlier for each in inspections))
-    offset, disagreement = _centroid(job, inspection)
+    offset, disagreement = _compare_centroid(job, inspection)
     warnings += [disagreement] if disagreement else []
     for warning in warnings:
         listener.note(warning, again=True)
@@ -452,8 +312,11 @@ def _judged(
     return record
 
 
-def _centroid(job: _Job, inspection: Inspection) -> tuple[CentroidError | None, str | None]:
-    """Compare the Doppler centroid with that of track and beam: the difference, and a warning if it is large."""
+def _compare_centroid(job: Job, inspection: Inspection) -> tuple[CentroidError | None, str | None]:
+    """Compare the measured Doppler centroid with that of track and beam.
+
+    Returns the difference, and a warning if it is large; None where there is nothing to compare.
+    """
     if job.plan is None:
         return None, None
     region = job.plan.region
@@ -464,35 +327,11 @@ def _centroid(job: _Job, inspection: Inspection) -> tuple[CentroidError | None, 
     return CentroidError(measured.mean_offset, measured.mean_coherence), centroid.disagreement(inspection, expected)
 
 
-def _grid_numbers(grid: Grid) -> tuple[float, ...]:
-    return grid.x0, grid.x1, grid.dx, grid.y0, grid.y1, grid.dy
-
-
-def _versions() -> dict[str, str]:
-    names = ("numpy", "scipy", "numba", "dask", "zarr", "xarray")
-    return {"blocksar": __version__} | {name: metadata.version(name) for name in names}
-
-
-def predicted_blocks(plan: Plan | None) -> tuple[PredictedBlock, ...]:
-    """Return what the plan predicts of each block; nothing for back-projection."""
-    return tuple(
-        PredictedBlock(
-            block=block.index,
-            part=block.part,
-            yaw=(block.low, block.high),
-            range=(block.ground.near, block.ground.far),
-            memory=block.memory,
-            bias=block.candidate.bias,
-            **block.prediction._asdict(),
-        )
-        for block in (plan.blocks if plan is not None else ())
-    )
-
-
-def _create_image(run: Run, job: _Job, record: RunRecord) -> None:
+def _create_image(run: Run, job: Job, record: RunRecord) -> None:
+    """Create image.zarr, without pixels."""
     side, attrs = image_chunk(job.grid), job.history.attrs
     title = attrs.get("title") or job.history.collection.title or "blocksar image"
-    text = {
+    attributes = {
         "title": title,
         "Conventions": stores.CONVENTIONS,
         "history": stores.history_line(f"focused by blocksar {__version__}", attrs.get("history")),
@@ -507,39 +346,15 @@ def _create_image(run: Run, job: _Job, record: RunRecord) -> None:
         "scene": attrs.get("scene", ""),
     }
     if "georeference" in attrs:
-        text["georeference"] = attrs["georeference"]
+        attributes["georeference"] = attrs["georeference"]
     stores.create(
-        run.image, stores.IMAGE, sizes={}, coords={"x": job.grid.x, "y": job.grid.y}, attrs=text,
+        run.image, stores.IMAGE, sizes={}, coords={"x": job.grid.x, "y": job.grid.y}, attrs=attributes,
         chunks={"y": side[0], "x": side[1]}, overwrite=True,
     )  # fmt: skip
 
 
-UNITS = {
-    "range-compress": "groups of pulses",
-    "recover": "column groups",
-    "inspect": "column groups",
-    "focus": "blocks",
-    "mosaic": "parts of the mosaic",
-    "backprojection": "parts of the mosaic",
-}  # what the units of a stage are called
-
-
-def _resumed_line(receipts: Sequence[Receipt]) -> list[str]:
-    """Return a sentence on the units that an earlier, unfinished run had done; none if there were none."""
-    if not any(receipt.reused for receipt in receipts):
-        return []
-    counts = []
-    for stage, name in UNITS.items():
-        units = [receipt for receipt in receipts if receipt.stage == stage]
-        if units:
-            counts.append(f"{sum(receipt.reused for receipt in units)} of {len(units)} {name}")
-    damaged = sum(receipt.damaged for receipt in receipts)
-    also = f"; {damaged} more were found damaged and made again" if damaged else ""
-    return [f"went on from an unfinished run: {', '.join(counts)} were used again{also}"]
-
-
 def _summary(folder: Place, record: RunRecord, planned: int) -> list[str]:
-    """Return the warnings, and sentences on resumed work, time and memory."""
+    """Return the warnings, and sentences on resumed work, time and memory; `planned` is the peak memory, bytes."""
     timings = record.timings
     stages = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in timings.items() if name != "total")
     peak = record.peak_memory or 0
@@ -549,3 +364,17 @@ def _summary(folder: Place, record: RunRecord, planned: int) -> list[str]:
         f"{folder / 'image.zarr'} is finished in {timings['total']:.1f} s ({stages})",
         f"peak memory of a worker {peak / MIB:.0f} MiB, planned {planned / MIB:.0f} MiB",
     ]
+
+
+def _resumed_line(receipts: Sequence[Receipt]) -> list[str]:
+    """Return a sentence on the units that an earlier, unfinished run had finished, if any."""
+    if not any(receipt.reused for receipt in receipts):
+        return []
+    counts = []
+    for stage, name in UNITS.items():
+        units = [receipt for receipt in receipts if receipt.stage == stage]
+        if units:
+            counts.append(f"{sum(receipt.reused for receipt in units)} of {len(units)} {name}")
+    damaged = sum(receipt.damaged for receipt in receipts)
+    also = f"; {damaged} more were found damaged and computed again" if damaged else ""
+    return [f"went on from an unfinished run: {', '.join(counts)} were used again{also}"]

@@ -133,11 +133,12 @@ def _response_table(responses: Sequence[PointResponse]) -> Table:
 
 
 def _worst_lines(responses: Sequence[PointResponse]) -> list[str]:
-    found = summary(responses)
+    figures = summary(responses)
     head = (
-        f"{found.measured} of {found.full_dwell} full-dwell targets measured ({found.targets} in all); worst of them:"
+        f"{figures.measured} of {figures.full_dwell} full-dwell targets measured ({figures.targets} in all); worst of "
+        "them:"
     )
-    return [head, *(f"  {name}: {w.value:.4f} at {w.name} (ideal {w.ideal:.4f})" for name, w in found.worst.items())]
+    return [head, *(f"  {name}: {w.value:.4f} at {w.name} (ideal {w.ideal:.4f})" for name, w in figures.worst.items())]
 
 
 def _table3(responses: Sequence[PointResponse]) -> Table:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -104,24 +105,25 @@ def plan(
         raise InputError(
             f"{' and '.join(method.departures)}: processor auto compares processors as they are; leave it out"
         )
-    collection, wanted = collection_of(source), grid_of(grid)
+    collection, points = collection_of(source), grid_of(grid)
     workers, threads, memory_limit = resources(workers, None, memory_limit)
     if method is None:
-        return _plan_backprojection(collection, wanted, workers, threads, memory_limit)
+        return _plan_backprojection(collection, points, workers, threads, memory_limit)
 
-    def made_for(method: Method) -> Plan:
+    def plan_by(method: Method) -> Plan:
         return plan_collection(
-            collection, blocks=blocks, method=method, grid=wanted, workers=workers, memory_limit=memory_limit
+            collection, blocks=blocks, method=method, grid=points, workers=workers, memory_limit=memory_limit
         )
 
-    if automatic:
-        return _plan_automatic(choice.contend(made_for))
-    made = made_for(method)
-    return Report(tables=[_block_table(made)], summary=_plan_lines(made), refusal=made.refusal, result=made)
+    return _report_contenders(choice.contend(plan_by)) if automatic else _report_plan(plan_by(method))
 
 
-def _plan_automatic(contenders: list[Contender]) -> Report:
-    """All processors side by side, then the proposed one's own plan."""
+def _report_plan(plan: Plan) -> Report:
+    return Report(tables=[_block_table(plan)], summary=_plan_lines(plan), refusal=plan.refusal, result=plan)
+
+
+def _report_contenders(contenders: list[Contender]) -> Report:
+    """Report all processors side by side, then the plan of the proposed one."""
     best, reason = choice.propose(contenders)
     least = min(c.plan.work() for c in contenders if c.plan is not None)
     header = (
@@ -131,33 +133,32 @@ def _plan_automatic(contenders: list[Contender]) -> Report:
     rows = [_contender_row(c, least) for c in contenders]
     if best is None or best.plan is None:
         return Report(tables=[(header, rows)], summary=[reason], refusal=reason)
-    made = best.plan
-    return Report(
-        tables=[(header, rows), _block_table(made)],
-        summary=[reason, *_plan_lines(made), f"to focus with it: --processor {best.processor}"],
-        refusal=made.refusal,
-        result=made,
+    report = _report_plan(best.plan)
+    return replace(
+        report,
+        tables=[(header, rows), *report.tables],
+        summary=[reason, *report.summary, f"to focus with it: --processor {best.processor}"],
     )
 
 
 def _contender_row(contender: Contender, least: float) -> list[str]:
-    made = contender.plan
-    if made is None:
+    plan = contender.plan
+    if plan is None:
         return [contender.processor, *["-"] * 9, "no"]
     p = contender.worst.prediction
     return [
-        contender.processor, str(made.n_blocks), f"{p.residual_phase:.4f}", f"{p.quadratic_phase:.4f}", f"{p.pslr:.2f}",
-        f"{p.width:.3f}", f"{p.migration:.3f}", f"{100 * contender.loss:.1f}", f"{made.work() / least:.2f}",
-        f"{made.memory / MIB:.0f}", "yes" if contender.serves else "no",
+        contender.processor, str(plan.n_blocks), f"{p.residual_phase:.4f}", f"{p.quadratic_phase:.4f}", f"{p.pslr:.2f}",
+        f"{p.width:.3f}", f"{p.migration:.3f}", f"{100 * contender.loss:.1f}", f"{plan.work() / least:.2f}",
+        f"{plan.memory / MIB:.0f}", "yes" if contender.serves else "no",
     ]  # fmt: skip
 
 
-def _block_table(made: Plan) -> Table:
+def _block_table(plan: Plan) -> Table:
     header = (
         "block", "yaw (deg)", "range (km)", "Doppler bins", "padded", "bias (m/s2)", "residual phase (rad)",
         "quadratic (rad)", "PSLR (dB)", "width / limit", "azimuth width (m)", "migration (cells)", "memory (MiB)",
     )  # fmt: skip
-    return header, [_block_row(block) for block in made.blocks]
+    return header, [_block_row(block) for block in plan.blocks]
 
 
 def _block_row(block: BlockPlan) -> list[str]:
@@ -180,20 +181,20 @@ def _block_row(block: BlockPlan) -> list[str]:
     ]
 
 
-def _plan_lines(made: Plan) -> list[str]:
-    recovery, collection, grid = made.recovery, made.geometry.collection, made.grid
+def _plan_lines(plan: Plan) -> list[str]:
+    recovery, collection, grid = plan.recovery, plan.geometry.collection, plan.grid
     spectrum = recovery.doppler.size * collection.n_range_frequency * 8
-    divided = f" of {made.parts} range sub-blocks each" if made.parts > 1 else ""
+    divided = f" of {plan.parts} range sub-blocks each" if plan.parts > 1 else ""
     lines = [
-        f"{made.n_blocks} blocks{divided}, {made.method.coefficients} coefficients; "
-        f"track of order {made.geometry.track.order}, misfit {made.geometry.track.max_misfit:.2g} m",
+        f"{plan.n_blocks} blocks{divided}, {plan.method.coefficients} coefficients; "
+        f"track of order {plan.geometry.track.order}, misfit {plan.geometry.track.max_misfit:.2g} m",
         f"derotated band {recovery.band[1] - recovery.band[0]:.0f} Hz at PRF {collection.prf:.0f} Hz; recovered "
         f"spectrum {recovery.doppler.size} x {collection.n_range_frequency} ({spectrum / MIB:.0f} MiB), "
         f"{recovery.doppler.extent:.0f} Hz wide",
         f"image {grid.shape[1]} x {grid.shape[0]} pixels: x {grid.x[0]:g} .. {grid.x[-1]:g} m every {grid.dx:g}, "
         f"y {grid.y[0]:g} .. {grid.y[-1]:g} m every {grid.dy:g}",
     ]
-    if not made.within_budget():
+    if not plan.within_budget():
         lines.append(
             "the predicted residual phase or migration is above its budget: more blocks, or fitted coefficients"
         )

@@ -61,7 +61,7 @@ def simulate(
         If the scene is wrong, options exclude each other, or `out` exists and `overwrite` is False.
     """
     _, threads, _ = resources(1, threads, None)
-    told = only_stage(progress, "simulate")
+    callback = only_stage(progress, "simulate")
     if cphd:
         if raw:
             raise InputError("raw is given together with cphd, but CPHD files hold compressed pulses; leave out one")
@@ -69,11 +69,11 @@ def simulate(
 
         return cphd_files.simulate(
             scene, out, origin=origin or cphd_files.ORIGIN, threads=threads, overwrite=overwrite,
-            progress=told,
+            progress=callback,
         )  # fmt: skip
     if origin is not None:
         raise InputError(f"origin is {origin}, but only CPHD files have one; leave it out")
-    return phase_history.simulate(scene, out, raw=raw, threads=threads, overwrite=overwrite, progress=told)
+    return phase_history.simulate(scene, out, raw=raw, threads=threads, overwrite=overwrite, progress=callback)
 
 
 def ingest(
@@ -147,8 +147,8 @@ def ingest_cphd(
     """
     from blocksar.ingestion import cphd  # optional libraries, and slow to load
 
-    made = cphd.ingest(source, out, channel=channel, overwrite=overwrite, progress=only_stage(progress, "ingest"))
-    return Report(summary=[*made.messages, f"wrote {made.path}"], result=made.collection)
+    history = cphd.ingest(source, out, channel=channel, overwrite=overwrite, progress=only_stage(progress, "ingest"))
+    return Report(summary=[*history.messages, f"wrote {history.path}"], result=history.collection)
 
 
 def ingest_gotcha(
@@ -184,5 +184,5 @@ def ingest_gotcha(
     """
     from blocksar.ingestion.gotcha import ingestion
 
-    made = ingestion.ingest(source, out, overwrite=overwrite, progress=only_stage(progress, "ingest"))
-    return Report(summary=[*made.messages, f"wrote {made.path}"], result=made.collection)
+    history = ingestion.ingest(source, out, overwrite=overwrite, progress=only_stage(progress, "ingest"))
+    return Report(summary=[*history.messages, f"wrote {history.path}"], result=history.collection)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -17,21 +17,17 @@ from blocksar.cli.endings import WRONG_INPUT, Commands, catch_signals, complain,
 from blocksar.cli.options import (
     PROCESSORS,
     Blocks,
-    CoefficientsOption,
-    DerotationOption,
     GridOption,
     JsonLog,
-    KeystoneOption,
     MemoryLimit,
     Overwrite,
     PerformanceReport,
-    PerturbationOption,
     ProcessorOption,
     Quiet,
-    RangeModelOption,
     Threads,
     Workers,
-    settings_of,
+    method_options,
+    parse_settings,
 )
 from blocksar.cli.parsing import parse_memory, parse_origin
 from blocksar.focusing.method import PlannedProcessor
@@ -154,6 +150,7 @@ def simulate(
 
 
 @app.command()
+@method_options
 def plan(
     source: Annotated[str, typer.Argument(metavar="PH.zarr|SCENE.toml", help="Phase-history store or scene.")],
     processor: Annotated[
@@ -161,14 +158,10 @@ def plan(
         typer.Option(metavar="NAME", help=f"{PROCESSORS}; auto: compare all chains and propose the best."),
     ] = "angular-division",
     blocks: Blocks = "auto",
-    coefficients: CoefficientsOption = "fitted",
-    perturbation: PerturbationOption = "all",
-    keystone: KeystoneOption = True,
-    derotation: DerotationOption = "nonlinear",
-    range_model: RangeModelOption = "polar",
     grid: GridOption = None,
     workers: Workers = None,
     memory_limit: MemoryLimit = None,
+    **method: Any,
 ) -> None:
     """Show how a collection would be focused, and the predicted quality of its image.
 
@@ -178,30 +171,24 @@ def plan(
 
     Example: [bold]blocksar plan table1 --blocks 3[/bold]
     """
-    settings = settings_of(
-        blocks, coefficients, perturbation, keystone, derotation, range_model, grid, workers, memory_limit
-    )
+    settings = parse_settings(blocks, grid, workers, memory_limit)
 
     from blocksar import api
 
-    proposal = api.plan(source, processor=processor, **settings)
+    proposal = api.plan(source, processor=processor, **settings, **method)
     show(proposal)
     if proposal.refusal is not None:
         complain(proposal.refusal, WRONG_INPUT)
 
 
 @app.command()
+@method_options
 def focus(
     context: typer.Context,
     source: Annotated[str, typer.Argument(metavar="PH.zarr", help="Phase-history store.")],
     out: Annotated[str, typer.Option(metavar="RUN", help="Folder of the run; an unfinished one is resumed.")],
     processor: ProcessorOption = "angular-division",
     blocks: Blocks = "auto",
-    coefficients: CoefficientsOption = "fitted",
-    perturbation: PerturbationOption = "all",
-    keystone: KeystoneOption = True,
-    derotation: DerotationOption = "nonlinear",
-    range_model: RangeModelOption = "polar",
     grid: GridOption = None,
     workers: Workers = None,
     threads: Threads = None,
@@ -213,6 +200,7 @@ def focus(
     overwrite: Overwrite = False,
     quiet: Quiet = False,
     json_log: JsonLog = None,
+    **method: Any,
 ) -> None:
     """Focus a phase history into a calibrated ground image.
 
@@ -220,9 +208,7 @@ def focus(
 
     Example: [bold]blocksar focus table1.zarr --out run --blocks 3[/bold]
     """
-    settings = settings_of(
-        blocks, coefficients, perturbation, keystone, derotation, range_model, grid, workers, memory_limit
-    )
+    settings = parse_settings(blocks, grid, workers, memory_limit)
 
     from blocksar import api
 
@@ -232,6 +218,7 @@ def focus(
             out,
             processor=processor,
             **settings,
+            **method,
             threads=threads,
             scheduler=scheduler,
             overwrite=overwrite,

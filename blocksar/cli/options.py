@@ -2,43 +2,32 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, TypedDict, get_args
+from collections.abc import Callable
+from dataclasses import fields
+from inspect import Parameter, signature
+from typing import Annotated, Literal, TypedDict, get_args, get_type_hints
 
 import typer
 
 from blocksar.cli.parsing import Axis, parse_blocks, parse_grid, parse_memory
-from blocksar.focusing.method import Coefficients, Derotation, Perturbation, Processor, RangeModel
+from blocksar.focusing.method import Coefficients, Method, Processor
 
 ALTERNATIVES = "Alternative methods, for comparison"  # title of a panel in the help
 PROCESSORS = f"{', '.join(get_args(Processor)[:-1])}, or backprojection, exact but slow"
+# Help of each option of the method; a field of `Method` becomes an option of `plan` and `focus` by its entry here.
+METHOD_HELP = {
+    "coefficients": "Fitted to time-frequency lines, or by the paper's closed forms.",
+    "perturbation": "All of the processor's, the one in Doppler only, or none: deramp only.",
+    "keystone": "Without keystone: RCMC by one reference in time.",
+    "derotation": "Linear: a single Doppler rate, which needs a higher PRF.",
+    "range_model": "Conventional: substitute variables after RWC; needs closed-form.",
+}
 
-Blocks = Annotated[str, typer.Option(metavar="auto|N", help="Number of angular blocks; auto: the fewest that suffice.")]
+# Of the method's options the only one that scripts in workflows/ and deploy/ have; `plan` and `focus` have all.
 CoefficientsOption = Annotated[
-    Coefficients,
-    typer.Option(help="Fitted to time-frequency lines, or by the paper's closed forms.", rich_help_panel=ALTERNATIVES),
+    Coefficients, typer.Option(help=METHOD_HELP["coefficients"], rich_help_panel=ALTERNATIVES)
 ]
-PerturbationOption = Annotated[
-    Perturbation,
-    typer.Option(
-        help="All of the processor's, the one in Doppler only, or none: deramp only.", rich_help_panel=ALTERNATIVES
-    ),
-]
-KeystoneOption = Annotated[
-    bool,
-    typer.Option(
-        "--keystone/--no-keystone",
-        help="Without keystone: RCMC by one reference in time.",
-        rich_help_panel=ALTERNATIVES,
-    ),
-]
-DerotationOption = Annotated[
-    Derotation,
-    typer.Option(help="Linear: a single Doppler rate, which needs a higher PRF.", rich_help_panel=ALTERNATIVES),
-]
-RangeModelOption = Annotated[
-    RangeModel,
-    typer.Option(help="Conventional: substitute variables after RWC; needs closed-form.", rich_help_panel=ALTERNATIVES),
-]
+Blocks = Annotated[str, typer.Option(metavar="auto|N", help="Number of angular blocks; auto: the fewest that suffice.")]
 ProcessorOption = Annotated[Processor, typer.Option(metavar="NAME", help=f"{PROCESSORS}.")]
 GridOption = Annotated[
     str | None,
@@ -66,30 +55,15 @@ PerformanceReport = Annotated[
 
 
 class Settings(TypedDict):
-    """The settings that `plan` and `focus` share, as arguments of `blocksar.api`."""
+    """The settings besides the method that `plan` and `focus` share, as arguments of `blocksar.api`."""
 
     blocks: int | Literal["auto"]
-    coefficients: Coefficients
-    perturbation: Perturbation
-    keystone: bool
-    derotation: Derotation
-    range_model: RangeModel
     grid: tuple[Axis, Axis] | None
     workers: int | None
     memory_limit: int | None  # bytes
 
 
-def settings_of(
-    blocks: str,
-    coefficients: Coefficients,
-    perturbation: Perturbation,
-    keystone: bool,
-    derotation: Derotation,
-    range_model: RangeModel,
-    grid: str | None,
-    workers: int | None,
-    memory_limit: str | None,
-) -> Settings:
+def parse_settings(blocks: str, grid: str | None, workers: int | None, memory_limit: str | None) -> Settings:
     """Convert the options that `plan` and `focus` share.
 
     Raises
@@ -99,12 +73,28 @@ def settings_of(
     """
     return {
         "blocks": parse_blocks(blocks),
-        "coefficients": coefficients,
-        "perturbation": perturbation,
-        "keystone": keystone,
-        "derotation": derotation,
-        "range_model": range_model,
         "grid": None if grid is None else parse_grid(grid),
         "workers": workers,
         "memory_limit": None if memory_limit is None else parse_memory(memory_limit),
     }
+
+
+def method_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Decorate a command to accept every option in METHOD_HELP as a keyword argument.
+
+    Types and defaults are those of the fields of `Method`.
+    """
+    types, defaults = get_type_hints(Method), {field.name: field.default for field in fields(Method)}
+    options = [
+        Parameter(
+            name,
+            Parameter.KEYWORD_ONLY,
+            annotation=Annotated[types[name], typer.Option(help=text, rich_help_panel=ALTERNATIVES)],
+            default=defaults[name],
+        )
+        for name, text in METHOD_HELP.items()
+    ]
+    plain = signature(command, eval_str=True)
+    own = [parameter for parameter in plain.parameters.values() if parameter.kind != Parameter.VAR_KEYWORD]
+    command.__signature__ = plain.replace(parameters=[*own, *options])  # type: ignore[attr-defined]  # typer reads it
+    return command

@@ -1,7 +1,7 @@
 """Azimuth steps: perturbation, resampling, deramp, final transform. Each can be applied and traced.
 
-The samples are s(r, t) or s(r, f), one row a range; every phase is a polynomial along the row whose
-coefficients change smoothly with range (`RowPolynomial`).
+The samples are s(r, t) or s(r, f), one row per range. Every phase is a polynomial along the row with coefficients that
+change smoothly with range (`RowPolynomial`).
 """
 
 from __future__ import annotations
@@ -23,35 +23,27 @@ from blocksar.kernels.operations import Operation, Resample, Transform, Turn, Wi
 from blocksar.kernels.phase import Phase
 from blocksar.kernels.solvers import through_nodes
 
-GATE_WINDOWS = 17
+GATE_WINDOWS = 17  # windows of the dwell gate over the slopes of a swath
 INVERSE_ORDER = 9  # of the polynomial that inverts a Doppler resampling: to a thousandth of a bin, and far below
-NEWTON_STEPS = 6
-
-
-def _turn(phases: RowPolynomial, rows: Axis, *, sign: float = 1.0) -> Turn:
-    return Turn(Phase(sign * phases.coefficients(rows.values), phases.centre, phases.scale))
+NEWTON_STEPS = 6  # of the inverse of a Doppler resampling
 
 
 class _AzimuthStep(Step):
-    """A step whose rows lie along azimuth, one a range."""
+    """A step with rows along azimuth, one per range."""
 
     @property
     def n_row(self) -> int:
         return self.axes.rows.size
 
 
-def _mean_range(line: Line) -> FloatArray:
-    return np.asarray(line.range.mean(axis=-1))
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AzimuthTransform(_AzimuthStep):
-    """Slow time to Doppler, padded in time for what the steps in Doppler will move there.
+    """Slow time to Doppler, padded in time for the delays of the steps in Doppler.
 
     Attributes
     ----------
     compressed : bool
-        Whether rows are ranges; range frequencies otherwise.
+        Whether rows are ranges; otherwise they are range frequencies.
     """
 
     name = "azimuth-fft"
@@ -79,11 +71,11 @@ class AzimuthTransform(_AzimuthStep):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TimePerturbation(_AzimuthStep):
-    """Multiply by exp(2j pi p(t)) ahead of the transform to Doppler.
+    """Multiply by exp(2j pi p(t)) before the transform to Doppler.
 
-    Paper B's perturbation: orders 3 and 4 make the cubic and quartic phases alike that a target's azimuth gives it.
-    With a bias chirp (order 2), and in the angular-division chain, it is this package's addition: the chains then work
-    where acceleration cancels the Doppler rate, and on beams that are not steered.
+    Paper B's perturbation: orders 3 and 4 equalise cubic and quartic phases that depend on the target's azimuth. The
+    bias chirp (order 2), and the use in the angular-division chain, are additions of this package: the chains then work
+    where acceleration cancels the Doppler rate, and with beams that are not steered.
     """
 
     name = "time-perturbation"
@@ -99,7 +91,7 @@ class TimePerturbation(_AzimuthStep):
         return self.axes.time
 
     def operations(self) -> list[Operation]:
-        """Rows of time.size samples, one a range."""
+        """Rows of time.size samples, one per range."""
         return [_turn(self.phases, self.axes.rows)]
 
     def trace(self, line: Line) -> Line:
@@ -108,9 +100,9 @@ class TimePerturbation(_AzimuthStep):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FrequencyPerturbation(_AzimuthStep):
-    """Multiply by exp(2j pi P(f)) in Doppler, so that all targets of a range come to one Doppler rate.
+    """Multiply by exp(2j pi P(f)) in Doppler, so that all targets of a range have one Doppler rate.
 
-    Paper A (26), erratum applied: exp[j pi (alpha f^3 + beta f^4)]; paper C's high-order phase correction. Fitted
+    Paper A (26), erratum applied: exp[j pi (alpha f^3 + beta f^4)]; also paper C's high-order phase correction. Fitted
     coefficients have orders 2 to 5.
     """
 
@@ -127,7 +119,7 @@ class FrequencyPerturbation(_AzimuthStep):
         return self.axes.doppler
 
     def operations(self) -> list[Operation]:
-        """Rows of doppler.size bins, one a range."""
+        """Rows of doppler.size bins, one per range."""
         return [_turn(self.phases, self.axes.rows)]
 
     def trace(self, line: Line) -> Line:
@@ -136,11 +128,11 @@ class FrequencyPerturbation(_AzimuthStep):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DopplerResampling(_AzimuthStep):
-    """Resample Doppler, f -> h(f) = f + e2 f^2 + e3 f^3, so that all targets of a range come to one Doppler rate.
+    """Resample Doppler, f -> h(f) = f + e2 f^2 + e3 f^3, so that all targets of a range have one Doppler rate.
 
-    A target whose line has the rate k comes out with k h'^2: a spectrum that is spread by h' is a signal contracted
-    by h', about `middle`. Paper B's last correction; its abstract names the operation, the map of lines and the
-    orders are derived here (`Line.resample_doppler`). The spectrum is multiplied by 1 / sqrt(h'): energy is kept.
+    A line of rate k gets the rate k h'^2: spreading the spectrum by h' contracts the signal by h', about `middle`.
+    Paper B's last correction. Its abstract names the operation; the map of lines and the orders are derived here
+    (`Line.resample_doppler`). The spectrum is multiplied by 1 / sqrt(h'), so that energy is kept.
 
     Attributes
     ----------
@@ -164,7 +156,7 @@ class DopplerResampling(_AzimuthStep):
         return self.axes.doppler
 
     def operations(self) -> list[Operation]:
-        """Rows of doppler.size bins, one a range."""
+        """Rows of doppler.size bins, one per range."""
         delay = Phase(np.array([[0.0, self.middle]]), 0.0, 1.0)
         back = Phase(np.array([[0.0, -self.middle]]), 0.0, 1.0)
         filled = self.axes.doppler_occupancy
@@ -172,9 +164,9 @@ class DopplerResampling(_AzimuthStep):
         return [Turn(delay), Resample(self.positions(), taps), Turn(back)]
 
     def positions(self) -> FloatArray:
-        """Where each row's output bins lie in its input, in bins: (n_row, INVERSE_ORDER + 1), of `phase.unit`.
+        """Positions of each row's output bins in its input, in bins: (n_row, INVERSE_ORDER + 1), of `phase.unit`.
 
-        The inverse of h, by Newton's method at Chebyshev's nodes.
+        This is the inverse of h, by Newton's method at Chebyshev nodes.
         """
         nodes = chebyshev.chebpts1(INVERSE_ORDER + 1)
         doppler, ranges = self.axes.doppler, self.axes.rows.values
@@ -191,7 +183,7 @@ class DopplerResampling(_AzimuthStep):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Deramp(_AzimuthStep):
-    """Back to time; multiply by exp(2j pi d(t)): the block's common Doppler rate, orders 2 to 4 (paper A (31))."""
+    """Return to time and remove the common Doppler rate: multiply by exp(2j pi d(t)), orders 2 to 4 (paper A (31))."""
 
     name = "deramp"
     fitted = "deramp"
@@ -206,7 +198,7 @@ class Deramp(_AzimuthStep):
         return self.axes.doppler
 
     def operations(self) -> list[Operation]:
-        """Rows of doppler.size bins to rows of time.size samples, one a range."""
+        """Rows of doppler.size bins to rows of long_time.size samples, one per range."""
         return [Transform(self.axes.doppler, self.axes.long_time, inverse=True), _turn(self.phases, self.axes.rows)]
 
     def trace(self, line: Line) -> Line:
@@ -215,11 +207,11 @@ class Deramp(_AzimuthStep):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DopplerTransform(_AzimuthStep):
-    """The final transform: level lines become points in Doppler (paper A (32), with the target's own dwell).
+    """The final transform: level lines become points in Doppler (paper A (32), over the target's own dwell).
 
-    Each target's spectrum stays centred on its own dwell, not on t = 0 (with a gate: on its distance from the
-    gate's common centre). Interpolation of the image must take out that carrier first, as the geometric correction
-    does. With a dwell gate (`dwell_gate`), time is windowed on the way.
+    Along Doppler each target's response has a carrier, the middle of its own dwell (with a gate: the distance from the
+    gate's common centre). Interpolation of the image must remove that carrier first, as the geometric correction does.
+    A dwell gate (`dwell_gate`) windows time in between.
     """
 
     name = "doppler-fft"
@@ -229,20 +221,20 @@ class DopplerTransform(_AzimuthStep):
         return self.axes.long_time
 
     def operations(self) -> list[Operation]:
-        """Rows of long_time.size samples to rows of image_doppler.size bins, one a range; focused."""
+        """Rows of long_time.size samples to rows of image_doppler.size bins, one per range; focused."""
         axes, gate = self.axes, self.axes.gate
         to_doppler = Transform(axes.long_time, axes.focused_doppler, inverse=False)
         if gate is None:
             return [to_doppler]
         slopes = gate.slope.coefficients(axes.rows.values)[:, 0]
         # The slope changes by a tenth over a swath: a window for every range would cost more than the transforms.
-        known = np.linspace(slopes.min(), slopes.max(), GATE_WINDOWS)
-        windows = np.stack([gate.window(float(slope)) for slope in known])
+        window_slopes = np.linspace(slopes.min(), slopes.max(), GATE_WINDOWS)
+        windows = np.stack([gate.window(float(slope)) for slope in window_slopes])
         return [
             to_doppler,
             _turn(gate.phase, axes.rows),
             Transform(axes.focused_doppler, gate.time, inverse=True),
-            Window(windows, np.abs(known - slopes[:, None]).argmin(axis=1)),
+            Window(windows, np.abs(window_slopes - slopes[:, None]).argmin(axis=1)),
             Transform(gate.time, axes.image_doppler, inverse=False),
             _turn(gate.phase, axes.rows, sign=-1.0),
             _turn(gate.common, axes.rows),
@@ -250,3 +242,12 @@ class DopplerTransform(_AzimuthStep):
 
     def trace(self, line: Line) -> Line:
         return line
+
+
+def _turn(phases: RowPolynomial, rows: Axis, *, sign: float = 1.0) -> Turn:
+    """Multiplication of each range row by its phase polynomial."""
+    return Turn(Phase(sign * phases.coefficients(rows.values), phases.centre, phases.scale))
+
+
+def _mean_range(line: Line) -> FloatArray:
+    return np.asarray(line.range.mean(axis=-1))

@@ -8,7 +8,7 @@ this interpolation is the only approximation. Ranges and phases are float64 and 
 field, no Taylor series, no mean velocity.
 
 The pulses that light a pixel are an interval (`collection.beam.lit_interval`), so the loop over them needs no test.
-Samples that are NaN are left out of the mean. The image is NaN where no valid sample is lit, and where a lit pulse,
+NaN samples are excluded from the mean. The image is NaN where no valid sample is lit, and where a lit pulse,
 missing or not, sees the pixel outside the unambiguous window |R_xy - reference_range| <= c / (4 df).
 """
 
@@ -38,8 +38,8 @@ ReadPulses = Callable[[slice], ComplexArray]  # (n, n_range_frequency) samples o
 Tile = tuple[slice, slice]
 
 UPSAMPLING = 6  # bins per range cell: the error of the quadratic spline is then -69 dB, see spline_error
-MARGIN = 2  # bins either side of the window that the spline may touch
-TILE = 64  # pixels a side: the profiles that a tile reads then stay in the second-level cache
+MARGIN = 2  # bins on either side of the window that the spline may use
+TILE = 64  # pixels per side: the profiles that a tile reads then stay in the second-level cache
 BLOCK_BYTES = 32 * 1024**2  # profiles of a block of pulses
 MIN_PULSE_BLOCK, MAX_PULSE_BLOCK = 16, 256
 
@@ -51,16 +51,16 @@ class Profiles:
     Attributes
     ----------
     values : (n, n_bin) complex64
-        Spline coefficients: bin b lies at R - reference_range = (b - centre) * spacing. The phase of the middle
-        frequency, exp(4j pi (fc + f_middle) / c (R - reference_range)), is left out: it turns too fast to
-        interpolate.
+        Spline coefficients: bin b is at R - reference_range = (b - centre) * spacing. The phase of the middle
+        frequency, exp(4j pi (fc + f_middle) / c (R - reference_range)), is removed: it varies too fast to interpolate.
     valid : (n,) int
-        Samples of each pulse that are not NaN.
+        Number of samples of each pulse that are not NaN.
     pulses : slice
-        Which pulses of the collection these are.
+        The pulses of the collection.
     centre : int
+        Bin of the reference range.
     spacing : float
-        m.
+        Spacing of the bins, m.
     """
 
     values: ComplexArray
@@ -74,7 +74,7 @@ def range_profiles(signal: ComplexArray, *, collection: Collection, pulses: slic
     """Mean over frequency of signal exp(4j pi (f - f_middle) d / c) on a fine grid of d = R - reference_range.
 
     The zero-padded samples are divided by the frequency response of the quadratic spline, sinc(f / f_bins)^3. The
-    spline through the transformed bins then has the exact level over the band; its images are its only error.
+    spline through the transformed bins then has the exact level over the band; spectral images are its only error.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def range_profiles(signal: ComplexArray, *, collection: Collection, pulses: slic
         Not changed. NaN samples count as missing.
     collection : Collection
     pulses : slice
-        Of the collection, n of them.
+        n pulses of the collection.
     threads : int
         The result does not depend on it.
 
@@ -121,7 +121,7 @@ def range_profiles(signal: ComplexArray, *, collection: Collection, pulses: slic
         group = fft_rows(group, inverse=True)
         out = values[rows]
         np.multiply(group, trail, out=out[:, MARGIN:-MARGIN])
-        # With the phase of the middle frequency, a sample of the axis, left out, the profile is periodic in the window.
+        # The middle frequency is a sample of the axis: without its phase the profile is periodic in the window.
         out[:, -MARGIN:] = out[:, MARGIN : 2 * MARGIN]
         out[:, :MARGIN] = out[:, -2 * MARGIN : -MARGIN]
 
@@ -138,7 +138,7 @@ def range_profiles(signal: ComplexArray, *, collection: Collection, pulses: slic
 def spline_error(*, upsampling: float) -> float:
     """Root mean square relative error of the quadratic spline over a band 1 / upsampling of the sampling rate.
 
-    The spline repeats a frequency f (cycles a bin) at f + k, weaker by (sinc(f + k) / sinc(f))^3.
+    The spline has images of a frequency f (cycles per bin) at f + k, weaker by (sinc(f + k) / sinc(f))^3.
     """
     f = np.linspace(-0.5, 0.5, 129) / upsampling
     k = np.delete(np.arange(-8, 9), 8)
@@ -172,13 +172,13 @@ def accumulate(
     first, last : (n_row, n_column) int
         Lit pulses, from `lit_interval`.
     threads : int
-        The result does not depend on it: one thread sums a pixel, in a fixed order.
+        The result does not depend on it: one thread sums each pixel, in a fixed order.
     """
     collection = geometry.collection
     middle = collection.range_frequency[collection.n_range_frequency // 2]
     pulses = profiles.pulses
     position = np.ascontiguousarray(collection.antenna_position[pulses].T)
-    # A complex64 sample is loaded as one word of 64 bits: a gather costs per element, not per byte.
+    # A complex64 sample is loaded as one word of 64 bits: the cost of a gather is per element, not per byte.
     words = profiles.values.view(np.uint64)
 
     def work(tile: Tile) -> None:
@@ -223,8 +223,8 @@ def form_points(
     Parameters
     ----------
     read : callable
-        Returns the samples (n, n_range_frequency) complex64 of a slice of pulses. It is called for lit pulses only,
-        once each, in ascending order.
+        Returns the samples (n, n_range_frequency) complex64 of a slice of pulses. The slices hold each lit pulse once,
+        in ascending order.
     geometry : Geometry
     x, y : (...) float
         m, scene frame; of one shape. Keep neighbours on the ground adjacent in the array, for the cache.
@@ -241,7 +241,7 @@ def form_points(
     Raises
     ------
     ValueError
-        If x and y are not finite or differ in shape, or `read` gives another shape.
+        If x and y are not finite or differ in shape, or `read` returns a wrong shape.
     InputError
         From `lit_interval`.
     """
@@ -287,7 +287,7 @@ def form_image(
 def pulse_block_size(collection: Collection) -> int:
     """Pulses in memory at a time, by default."""
     row = 8 * (_period(collection) + 2 * MARGIN)
-    # Whole vectors of pulses: a remainder would run one by one.
+    # Whole vectors of pulses: a remainder would be processed one by one.
     pulses = BLOCK_BYTES // row // MIN_PULSE_BLOCK * MIN_PULSE_BLOCK
     return min(max(pulses, MIN_PULSE_BLOCK), MAX_PULSE_BLOCK)
 
@@ -301,10 +301,8 @@ def image_memory(n_pixels: int, collection: Collection, *, threads: int = 1, pul
     return n_pixels * pixel + pulses * 8 * (n + bins) + threads * scratch + 16 * 8 * (bins + collection.n_pulse)
 
 
-# -- pieces -------------------------------------------------------------------------------------------------
-
-
 def _period(collection: Collection) -> int:
+    """Length of the transform to range profiles."""
     return fast_length(UPSAMPLING * collection.n_range_frequency)
 
 
@@ -339,7 +337,7 @@ def _lit_pulses(first: IntArray, last: IntArray, n_pulse: int) -> BoolArray:
 
 
 def _blocks(lit: BoolArray, pulse_block: int) -> list[slice]:
-    """Slices of at most `pulse_block` pulses, on fixed borders, that hold all lit pulses; unlit ends are cut off."""
+    """Slices of at most `pulse_block` pulses, on fixed borders, that hold all lit pulses; unlit ends are excluded."""
     blocks = []
     for start in range(0, lit.size, pulse_block):
         inside = start + np.flatnonzero(lit[start : start + pulse_block])
@@ -388,6 +386,7 @@ def _accumulate(
     bins_per_metre: float,
     origin: float,
 ) -> None:
+    """Add a block of pulses to one tile of the image; see `accumulate`."""
     one, half = np.float32(1.0), np.float32(0.5)
     n_pulse = words.shape[0]
     n_bin, next_bin = np.uint64(words.shape[1]), np.uint64(1)

@@ -1,11 +1,11 @@
-"""The processors: each is a list of steps over one engine, and its rivals are the same list with one step changed.
+"""The processors as lists of steps; a rival is the same list with a step changed or left out.
 
     angular-division     paper A: keystone, RCMC, frequency perturbation, deramp
     keystone-resampling  paper B: keystone, RCMC, time perturbation, Doppler resampling, deramp
     high-order-phase     paper C: RCMC in the 2-D frequency domain, frequency perturbation, deramp
 
-This is the only place that knows the order of steps. Planning binds their constants, graphs apply them, lines go
-through them; none asks which processor it is.
+Only this module knows the order of steps. Planning binds their constants and traces lines through them, the graph
+applies them, and both treat all processors alike.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ CHAINS: dict[Chain, Steps] = {
 
 
 def steps_of(method: Method) -> Steps:
-    """The kinds of steps in order; a block in range sub-blocks has a range gate before them."""
+    """The kinds of steps in order; range sub-blocks have a range gate before them."""
     chain = CHAINS[method.processor]
     if not method.keystone:
         chain = tuple(TimeDomainCompression if s is RangeCompression else s for s in chain if s is not Keystone)

@@ -1,10 +1,10 @@
 """Geometric correction: a focused block, range by Doppler, to calibrated ground pixels.
 
-Where each ground point focuses, with what phase and what gain, is known from traced lines (`GroundMap`).
-Over a small tile of pixels each of these is a polynomial of low degree in (x, y), even the carrier's
-phase. A compiled loop goes through a tile row by row: short loops over all pixels of the row evaluate the
-polynomials, find who is owned, and split positions into windows and weights; then each owned pixel is one
-weighted sum over its window of the block, with all weights in vector registers.
+The ground map (`GroundMap`) has the position, phase and gain of each ground point's focus. Over a small tile of pixels
+each of these is a polynomial of low degree in (x, y), even the carrier's phase. A compiled loop goes through a tile row
+by row: short loops over all pixels of the row evaluate the polynomials, find the pixels that the block owns, and turn
+positions into windows and weights; then each owned pixel is one weighted sum over its window of the block, with all
+weights in vector registers.
 """
 
 from __future__ import annotations
@@ -14,30 +14,27 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.focusing.ground_map import GroundMap, sum_series
 from blocksar.kernels import interpolation
 from blocksar.kernels.groups import run_groups
 from blocksar.kernels.phase import Float32Array
 from blocksar.kernels.trigonometry import cosine, sine
 
-IntArray = NDArray[np.int64]
-
 TILE_DEGREE = 5
 TILE_PIXELS = 64
-TILE_EXTENT = 150.0  # m: over this much, at most, the tile polynomials hold to a millicycle
-TILE_GROUP = 16  # tiles done in one go by a thread
-N_PHASE = 256  # rows of a table of taps for a sample's fraction
-COARSE = 4096  # steps a cycle: their multiple by a sample's number is exact in float32
-DOPPLER_UNIT = 4  # Doppler samples, eight floats, a vector register
-RANGE_UNITS = (12, 16)  # rows and
-DOPPLER_UNITS = (2, 3)  # registers of a window in one go: the loop is compiled for these
+TILE_EXTENT = 150.0  # m: the largest tile over which its polynomials hold to a millicycle
+TILE_GROUP = 16  # tiles per call of the compiled loop
+N_PHASE = 256  # intervals of a sample in a table of taps
+COARSE = 4096  # steps per cycle: a step times a sample's number is exact in float32
+DOPPLER_UNIT = 4  # Doppler samples of a vector register, eight floats
+RANGE_UNITS = (12, 16)  # rows of a window that are unrolled: the loop is compiled for each of these
+DOPPLER_UNITS = (2, 3)  # vector registers of a window that are unrolled: likewise
 
 
 def covers(ground: GroundMap, x: FloatArray, y: FloatArray) -> bool:
-    """False only if the block certainly owns none of these pixels; told in a fraction of a millisecond."""
+    """Whether the block may own any of these pixels; False is certain. Takes a fraction of a millisecond."""
     return _tiles(ground, x, y, _tile_side(ground, x, y)).shape[0] > 0
 
 
@@ -50,7 +47,7 @@ def correct(
     threads: int = 1,
     out: ComplexArray | None = None,
 ) -> ComplexArray:
-    """Resample a focused block to ground pixels; NaN where this block owns none.
+    """Resample a focused block to ground pixels; NaN for pixels that it does not own.
 
     Parameters
     ----------
@@ -61,12 +58,12 @@ def correct(
     y : (n_y,) float
         m, uniform.
     out : (n_y, n_x) complex64, C-contiguous, optional
-        Where the pixels go, whatever it holds: fresh memory for each chunk of an image is slow to come by.
+        Array for the result; its contents are overwritten. Reusing one saves the slow allocation for each chunk.
 
     Returns
     -------
     (n_y, n_x) complex64
-        Calibrated: a unit target reads 1 + 0j at its place.
+        Calibrated: 1 + 0j at the position of a unit target.
     """
     out = np.empty((y.size, x.size), np.complex64) if out is None else out
     out[...] = np.nan + 1j * np.nan
@@ -79,23 +76,23 @@ def correct(
     px, py, pz = ground.geometry.epoch_position
     nx, ny = ground.geometry.nadir
     height2 = float((pz - ground.geometry.collection.ground_height) ** 2)
-    # Ownership is decided by the side of the two seam rays that a pixel is on: the neighbouring block
-    # computes the same products with the same numbers, so every pixel has exactly one owner.
+    # The sides of the two seam rays decide on ownership: the neighbouring block computes the same products from the
+    # same numbers, so every pixel has exactly one owner.
     rays = np.array([np.cos(ground.low), np.sin(ground.low), np.cos(ground.high), np.sin(ground.high)])
     frame = np.array([nx, ny, px, py, height2, ground.near, ground.far])
     yaw_start = float(ground.yaw_axis[0] - ground.middle_yaw)
     yaw_step = float(ground.yaw_axis[1] - ground.yaw_axis[0])
     weight = 1.0 / np.maximum(ground.lit, 1e-9) / ground.scale
     weight[ground.lit <= 0] = np.nan
-    # What has travelled to a worker is read-only, for which the loop would be compiled once more: copies of
-    # what is small, and the block read-only always.
+    # Arrays sent to a worker are read-only, for which the loop would be compiled again: copy the small ones, and make
+    # the block read-only always.
     x, y, near_limit, far_limit = (np.array(values) for values in (x, y, ground.near_limit, ground.far_limit))
     floats = _with_room(block, along_range, along_doppler).view(np.float32)
     floats.flags.writeable = False
 
-    def resample(some: slice) -> None:
+    def resample(group: slice) -> None:
         _resample(
-            floats, out, tiles[some], coefficients[some], x, y, tile, along_range.taps, along_doppler.taps,
+            floats, out, tiles[group], coefficients[group], x, y, tile, along_range.taps, along_doppler.taps,
             (along_range.n_tap, along_doppler.n_tap), along_range.unit, along_doppler.unit,
             (ground.rows.size, ground.doppler.size), rays, frame, yaw_start, yaw_step, near_limit, far_limit, weight,
         )  # fmt: skip
@@ -108,7 +105,7 @@ def correct(
 def _tile_side(ground: GroundMap, x: FloatArray, y: FloatArray) -> int:
     """Pixels along a tile's side."""
     step = max(abs(x[1] - x[0]) if x.size > 1 else 0.0, abs(y[1] - y[0]) if y.size > 1 else 0.0, 1e-6)
-    # Tiles overlap the block's edges; a surface must not be asked for far beyond the domain that it was fitted on.
+    # Tiles overlap the block's edges; a surface must not be evaluated far beyond its domain.
     narrow = ground.geometry.ground_point(
         np.array(max(ground.near, float(ground.near_limit.min()))), np.array(ground.middle_yaw)
     )
@@ -118,7 +115,7 @@ def _tile_side(ground: GroundMap, x: FloatArray, y: FloatArray) -> int:
 
 
 def _tiles(ground: GroundMap, x: FloatArray, y: FloatArray, tile: int) -> FloatArray:
-    """First row and column of the tiles that the block may own pixels of, and whether it owns all: (n, 3) int64."""
+    """Tiles with pixels that the block may own: first row, first column, whether it owns all; (n, 3) int64."""
     corners = np.stack(
         np.meshgrid(np.arange(0, y.size, tile), np.arange(0, x.size, tile), indexing="ij"), axis=-1
     ).reshape(-1, 2)
@@ -136,10 +133,10 @@ def _tiles(ground: GroundMap, x: FloatArray, y: FloatArray, tile: int) -> FloatA
         near, far = max(ground.near, near) - margin * radius, min(ground.far, far) + margin * radius
         return (np.abs(turn) <= half + margin * slack) & (rng >= near) & (rng <= far)
 
-    some = between(float(ground.near_limit.min()), float(ground.far_limit.max()), 1.0)
-    # Twice the radius inside: nothing there hangs on the last bit.
-    every = between(float(ground.near_limit.max()), float(ground.far_limit.min()), -2.0)
-    return np.column_stack([corners, every])[some]
+    touched = between(float(ground.near_limit.min()), float(ground.far_limit.max()), 1.0)
+    # Twice the radius inside, so that rounding cannot matter.
+    all_owned = between(float(ground.near_limit.max()), float(ground.far_limit.min()), -2.0)
+    return np.column_stack([corners, all_owned])[touched]
 
 
 def _tile_polynomials(ground: GroundMap, x: FloatArray, y: FloatArray, tiles: FloatArray, tile: int) -> FloatArray:
@@ -164,20 +161,17 @@ def _tile_nodes() -> tuple[FloatArray, FloatArray]:
     return nodes, np.linalg.inv(np.vander(nodes, n, increasing=True))
 
 
-# ---------------------------------------------------------------- windows: taps, filled up to whole registers
-
-
 class _Window(NamedTuple):
-    """Taps along one axis, and how the compiled loop goes through them.
+    """Taps along one axis, padded to whole registers, and the unrolling of the loop over them.
 
     Attributes
     ----------
     taps : (2 (N_PHASE + 1), width) float32
-        Filled up to `width` by zeros behind; in the lower half in front, for windows at the block's end.
+        Padded to `width` with zeros behind; in the second half of the rows in front, for windows at the block's end.
     n_tap : int
-        Taps that are not filling.
+        Taps without the padding.
     unit : tuple of int
-        Zeros, as many as taps or registers are unrolled: a tuple's length is known when the loop is compiled.
+        A zero for each unrolled tap or register: the length of a tuple is known when the loop is compiled.
     """
 
     taps: Float32Array
@@ -186,7 +180,7 @@ class _Window(NamedTuple):
 
 
 def _window(n_tap: int, occupancy: float, units: tuple[int, ...], samples: int) -> _Window:
-    """Taps in as few groups as hold them, each of as few units, one of `units`, of so many samples."""
+    """Taps in the fewest groups that hold them, each of the fewest units (one of `units`) of `samples` samples."""
     groups = -(-n_tap // (units[-1] * samples))
     unit = next(n for n in units if groups * n * samples >= n_tap)
     room = groups * unit * samples - n_tap
@@ -197,29 +191,35 @@ def _window(n_tap: int, occupancy: float, units: tuple[int, ...], samples: int) 
 
 @lru_cache(maxsize=8)
 def _range_window(n_tap: int, occupancy: float) -> _Window:
+    """Taps along range, one row of the block each."""
     return _window(n_tap, occupancy, RANGE_UNITS, 1)
 
 
 @lru_cache(maxsize=8)
 def _doppler_window(n_tap: int, occupancy: float) -> _Window:
-    """Each tap twice, for the real and the imaginary part of a sample."""
+    """Taps along Doppler, each twice: for the real and the imaginary part of a sample."""
     window = _window(n_tap, occupancy, DOPPLER_UNITS, DOPPLER_UNIT)
     return window._replace(taps=np.repeat(window.taps, 2, axis=1))
 
 
 def _with_room(block: ComplexArray, along_range: _Window, along_doppler: _Window) -> ComplexArray:
-    """A block smaller than two windows filled up by zeros, so that one fits from either end; others as they are."""
+    """The block, padded with zeros where it is smaller than two windows, so that one fits from either end."""
     needed = 2 * along_range.taps.shape[1], along_doppler.taps.shape[1]
     lacking = [(0, max(n - size, 0)) for n, size in zip(needed, block.shape, strict=True)]
     return np.pad(block, lacking) if np.any(lacking) else np.ascontiguousarray(block)
+
+
+# The compiled loops. Rows of pixels lie in arrays as long as a tile's side, allocated once per call: for a view made in
+# a loop, numba would count references by locked instructions. Indices are unsigned where the compiler could not rule
+# out negative ones, for which it would load element by element.
 
 
 @njit(cache=True, nogil=True)
 def _left(ray_x: float, ray_y: float, x: float, y: float) -> bool:
     """Whether a point is on a ray or to its left.
 
-    Two products are compared, not their difference with zero: the compiler fuses a difference into a
-    multiply-add, which rounds one way for one neighbour of a seam and another way for the other.
+    Two products are compared, not their difference with zero: the compiler fuses a difference into a multiply-add,
+    which rounds differently for the two neighbours of a seam.
     """
     return ray_x * y >= ray_y * x
 
@@ -228,9 +228,10 @@ def _left(ray_x: float, ray_y: float, x: float, y: float) -> bool:
 def _sector(
     x: FloatArray, first: int, n: int, y: float, rays: FloatArray, frame: FloatArray, rng: FloatArray, owned: FloatArray
 ) -> bool:
-    """Epoch ranges of n pixels from x[first] on; NaN to those not between the rays and ranges; whether any is.
+    """Write the epoch ranges of n pixels from x[first] on, and NaN to `owned` outside the rays and ranges.
 
-    Nothing is contracted: vector and scalar loops, and neighbours, must agree to the last bit.
+    Returns whether any pixel is inside. No operations are contracted: vector and scalar loops, and neighbours, must
+    agree to the last bit.
     """
     nx, ny, px, py, height2, near, far = frame[0], frame[1], frame[2], frame[3], frame[4], frame[5], frame[6]
     n_inside = 0
@@ -250,7 +251,7 @@ def _limit(
     turn: FloatArray, start: float, step: float, near_limit: FloatArray, far_limit: FloatArray, rng: FloatArray,
     owned: FloatArray,
 ) -> None:  # fmt: skip
-    """NaN to pixels outside of the range window at their yaw."""
+    """Write NaN to `owned` for pixels outside the range window at their yaw."""
     for k in range(owned.size):
         place = (turn[k] - start) / step
         i = min(max(int(place), 0), near_limit.size - 2)
@@ -266,7 +267,7 @@ def _amplitude(
     turn: FloatArray, start: float, step: float, weight: FloatArray, gain: FloatArray, owned: FloatArray,
     amplitude: Float32Array,
 ) -> None:  # fmt: skip
-    """What calibrates a pixel: the weight at the nearest yaw over the gain; NaN where it is not owned."""
+    """The factor that calibrates a pixel: the weight at the nearest yaw over the gain; NaN where not owned."""
     for k in range(owned.size):
         place = min(max((turn[k] - start) / step, 0.0), weight.size - 1.0)
         amplitude[k] = owned[k] * weight[np.uint64(np.int64(place + 0.5))] / gain[k]
@@ -274,7 +275,7 @@ def _amplitude(
 
 @njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
 def _along(coefficients: FloatArray, t: int, v: float, along: FloatArray) -> None:
-    """Tile t's polynomials at one v: power coefficients in u, those of one quantity after the other's."""
+    """Polynomials of tile t at one v: power coefficients in u, quantity by quantity."""
     c = coefficients
     for m in range(along.size):
         inner = c[t, 2, m] + v * (c[t, 3, m] + v * (c[t, 4, m] + v * c[t, 5, m]))
@@ -283,7 +284,7 @@ def _along(coefficients: FloatArray, t: int, v: float, along: FloatArray) -> Non
 
 @njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
 def _evaluate(along: FloatArray, q: int, across: FloatArray, values: FloatArray) -> None:
-    """Quantity q of a row of pixels at all u."""
+    """Quantity q of a row of pixels, at all u."""
     m = q * (TILE_DEGREE + 1)
     c0, c1, c2, c3, c4, c5 = along[m], along[m + 1], along[m + 2], along[m + 3], along[m + 4], along[m + 5]
     for k in range(across.size):
@@ -296,10 +297,10 @@ def _place(
     position: FloatArray, n_tap: int, width: int, size: int, room: int, first: IntArray, row: IntArray,
     part: Float32Array,
 ) -> None:  # fmt: skip
-    """Where each pixel's window starts, and its taps: row `row` of the table and `part` of the way to the next.
+    """First sample of each pixel's window, and its taps: row `row` of the table and the fraction `part` to the next.
 
-    first is -1 where the n_tap taps leave the `size` samples. The zeros that fill them up to `width` are in
-    front where behind they would leave `room`.
+    `first` is -1 where the n_tap taps are not within the `size` samples. The padding to `width` is in front of the taps
+    where behind it would exceed `room`.
     """
     for k in range(position.size):
         whole = np.floor(position[k])
@@ -318,11 +319,11 @@ def _turns(
     doppler: FloatArray, cycles: FloatArray, middle: FloatArray, first: IntArray, own: Float32Array,
     unit: Float32Array, coarse: Float32Array, fine: Float32Array,
 ) -> None:  # fmt: skip
-    """How each pixel's response turns along its window, cycles less whole ones.
+    """Phase of each pixel's response along its window, in cycles without whole ones.
 
-    It rides on the carrier of its dwell time, exp(2j pi middle (sample - doppler)). What that turns up to the
-    window's first sample goes with the pixel's own phase (`own`); from there it is coarse + fine a sample,
-    and `unit` a register.
+    The response has the carrier of its dwell time, exp(2j pi middle (sample - doppler)). The carrier's phase at the
+    window's first sample is combined with the pixel's own phase (`own`); from there it advances by coarse + fine per
+    sample and by `unit` per register.
     """
     for k in range(middle.size):
         total = middle[k] * (first[k] - doppler[k]) - cycles[k]
@@ -338,6 +339,7 @@ def _turns(
 
 @njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
 def _phasors(cycles: Float32Array, real: Float32Array, imag: Float32Array) -> None:
+    """exp(2j pi cycles), real and imaginary part."""
     for k in range(cycles.size):
         real[k] = cosine(cycles[k])
         imag[k] = sine(cycles[k])
@@ -345,13 +347,13 @@ def _phasors(cycles: Float32Array, real: Float32Array, imag: Float32Array) -> No
 
 @njit(cache=True, nogil=True, fastmath={"contract", "nsz", "reassoc"})
 def _add(total: Any, term: Any) -> Any:
-    """total + term in any order: a sum that may run in several lanes."""
+    """total + term, reordered at will: the sum may run in several lanes."""
     return total + term
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
 def _between(taps: Float32Array, at: int, step: int, part: float) -> Any:
-    """A tap part of the way to the next row of its table, step further."""
+    """A tap, interpolated by the fraction `part` to the next row of its table, `step` entries further."""
     return taps[at] + part * (taps[at + step] - taps[at])
 
 
@@ -360,13 +362,13 @@ def _window_sums(  # type: ignore[no-untyped-def]
     flat, stride, at, range_taps, range_step, range_row, range_part, doppler_taps, doppler_step, doppler_row,
     doppler_part, coarse, fine, unit_real, unit_imag, range_unit, doppler_unit, lanes, weight, real, imag,
 ):  # fmt: skip
-    """real + 1j imag: per pixel its window's samples times their weights, turned back along Doppler.
+    """real + 1j imag: for each pixel the weighted sum over its window, with the carrier along Doppler removed.
 
-    Real and imaginary parts lie in turn along a row of the block, eight floats a register. For the sum's real
-    part the lanes are multiplied by cos, -sin, cos, .. and for its imaginary part by sin, cos, sin, ..: one cosine
-    and one sine of each lane's turn plus nothing or a quarter (`lanes`: sample and quarter of each). Rows are
-    unrolled and the two or three registers written out, so that the loop over lanes becomes straight vector
-    code; it stores nothing, for the compiler could not rule out that a store changes what is read next.
+    Real and imaginary parts alternate along a row of the block, eight floats per register. For the sum's real part the
+    lanes are multiplied by cos, -sin, cos, .. and for its imaginary part by sin, cos, sin, ..: cosine and sine of each
+    lane's phase plus zero or a quarter cycle (`lanes`: sample and quarter of each). Rows are unrolled and the two or
+    three registers written out, so that the loop over lanes becomes straight vector code. The loop over lanes stores
+    nothing, since the compiler could not rule out that a store changes a later load.
     """
     n_row, n_unit, n_lane = len(range_unit), len(doppler_unit), 2 * DOPPLER_UNIT
     one, two = np.uint64(n_lane), np.uint64(2 * n_lane)
@@ -391,7 +393,7 @@ def _window_sums(  # type: ignore[no-untyped-def]
                     turn = steps * sample + lanes[1, lane]
                     turn = (turn - np.rint(turn)) + rest * sample
                     cos, sin = cosine(turn), sine(turn)
-                    # One register after the other along a row, then the next row: sums that do not wait for each other.
+                    # All registers of a row, then the next row: these sums do not depend on each other.
                     first, second, third = np.float32(0.0), np.float32(0.0), np.float32(0.0)
                     m = start + np.uint64(lane)
                     for p in range(n_row):
@@ -419,6 +421,7 @@ def _resample(  # type: ignore[no-untyped-def]
     floats, out, tiles, coefficients, x, y, tile, range_table, doppler_table, n_taps, range_unit, doppler_unit,
     sizes, rays, frame, yaw_start, yaw_step, near_limit, far_limit, weight,
 ):  # fmt: skip
+    """Write the owned pixels of some tiles to `out`, row by row."""
     n_row, n_doppler = floats.shape[0], floats.shape[1] // 2
     flat, stride = floats.reshape(-1), np.uint64(floats.shape[1])
     range_taps, range_width = range_table.reshape(-1), range_table.shape[1]
@@ -474,7 +477,7 @@ def _resample(  # type: ignore[no-untyped-def]
 
 
 def compile_kernels() -> None:
-    """Compile this module's loops, or load them from numba's cache, by running them on next to nothing."""
+    """Compile this module's loops, or load them from numba's cache, by a run on minimal arrays."""
     line = np.zeros(2)
     sum_series(np.zeros((1, 1)), line, line, line)
     floats = np.zeros((1, 2), np.float32)

@@ -1,4 +1,4 @@
-"""The gate that lets each Doppler of the image see its own dwell only."""
+"""The dwell gate: limits each Doppler of the image to its own dwell."""
 
 from __future__ import annotations
 
@@ -14,30 +14,30 @@ from blocksar.kernels.fourier import Axis
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DwellGate:
-    """Let each Doppler of the image see its own dwell only, as back-projection does; thin out what is left.
+    """Limit each Doppler of the image to its own dwell, as back-projection does, so that fewer samples suffice.
 
-    The final transform sums over all of slow time, so the sharp ends of other targets' dwells leave side lobes
-    where back-projection, which sums over the pixel's own lit pulses, has none: on clutter that costs 0.005 of
-    coherence. Windowing time by rect((t - c(f)) / length) with a centre that moves along Doppler is a
-    convolution. With psi' = c it is, exactly where c is linear,
+    The final transform sums over all of slow time, so the sharp ends of other targets' dwells leave side lobes.
+    Back-projection sums over the pixel's own lit pulses and has none; on clutter the difference costs 0.005 of
+    coherence. A window rect((t - c(f)) / length) in time with a centre that moves along Doppler is a convolution in
+    Doppler. With psi' = c, and exactly where c is linear, it is
 
         S(f) -> exp(-2j pi psi) F{ G(t) F^-1{ exp(2j pi psi) S } },
         G(t) = integral of rect((t - u) / length) exp(j pi u^2 / c') / sqrt(j c') du,
 
-    a Fresnel-smoothed rectangle. Between the transforms all targets lie about t = 0, so the last one is short.
+    a Fresnel-smoothed rectangle. Between these transforms all targets lie about t = 0, so the last one is short.
 
     Attributes
     ----------
     phase : RowPolynomial
         psi(r, f), cycles.
     common : RowPolynomial
-        The same for all rows. It stays taken out, so that the image can be sampled coarsely in Doppler.
+        psi at the middle range, for all rows. It stays applied, so that the image can be sampled coarsely in Doppler.
     slope : RowPolynomial
         One coefficient, c'(r), s/Hz.
     length : float
         The dwell after all steps, s.
     time : Axis
-        The slow time that is kept, about 0.
+        Slow time after the gate, about 0, s.
     """
 
     phase: RowPolynomial

@@ -1,4 +1,4 @@
-"""From image pixels to places in a focused block: surfaces of range, Doppler, phase and amplitude."""
+"""The ground map of a block: surfaces of range, Doppler, phase, gain and dwell time over the ground."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.lines import Focus, RowPolynomial
 from blocksar.kernels.fourier import Axis
 
-YAW_STEPS = 4096
+YAW_STEPS = 4096  # of the range window's limits and the number of lit pulses along yaw
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,7 +38,7 @@ class Surface:
 
 
 def fit_surface(values: FloatArray, *, epoch_range: FloatArray, yaw: FloatArray, degree: tuple[int, int]) -> Surface:
-    """Least-squares tensor series through values (n_range, n_yaw) on a grid that spans the domain."""
+    """Fit a tensor series by least squares to values (n_range, n_yaw) on a grid that spans the domain."""
     near, far, low, high = epoch_range[0], epoch_range[-1], yaw[0], yaw[-1]
     u = (2 * epoch_range - near - far) / (far - near)
     v = (2 * yaw - low - high) / (high - low)
@@ -49,38 +49,41 @@ def fit_surface(values: FloatArray, *, epoch_range: FloatArray, yaw: FloatArray,
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GroundMap:
-    """Where a block's image holds each ground point, and its complex value there for a unit target.
+    """The position of each ground point in a block's image, and the complex value of a unit target there.
 
     Attributes
     ----------
     geometry : Geometry
     low, high : float
-        Yaw interval that this block owns, [low, high), rad.
+        Yaw interval of this block, [low, high), rad.
     near, far : float
-        Epoch ranges that it owns, [near, far), m.
+        Epoch ranges of this block, [near, far), m.
     origin : float
         Range origin, m.
     rows, doppler : Axis
-        Of the focused block.
+        Axes of the focused block.
     range_offset : Surface
         Apparent range of the focus less (epoch range - origin), m.
     doppler_focus : Surface
-        Hz.
+        Doppler of the focus, Hz.
     phase : Surface
-        Of the focus, cycles, less the carrier's -2 fc / c (epoch range - origin).
+        Phase of the focus, cycles, less the carrier's -2 fc / c (epoch range - origin).
     gain : Surface
+        Gain of the focus, near 1.
     time : Surface
         Middle of the dwell after all steps, s: the carrier of a target's response along Doppler.
     common : RowPolynomial or None
-        Phase that the image has been given along Doppler, the same in all rows.
+        Phase of the image along Doppler that the dwell gate leaves in all rows, cycles.
     yaw_axis : (n,) float
         Uniform yaws from low to high, rad, for the two limits and the number of lit pulses.
     near_limit, far_limit : (n,) float
-        Epoch ranges that the range window holds at each yaw, m.
+        Epoch ranges at the ends of the range window at each yaw, m.
     lit : (n,) float
-        Lit valid pulses at each yaw.
+        Number of lit pulses at each yaw, missing ones left out.
     scale : float
         n_range_frequency / period of the range transform.
+    range_taps, doppler_taps : (int, float)
+        Taps of the interpolation, and the occupied fraction of the sampling rate.
     """
 
     geometry: Geometry
@@ -121,7 +124,7 @@ class GroundMap:
         return np.gradient(self.doppler_focus(rng_, yaw_), yaw, axis=1)
 
     def locate(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, ...]:
-        """Row and Doppler index, phase (cycles), gain, relative yaw and dwell time (cycles a Doppler sample)."""
+        """Row and Doppler index, phase (cycles), gain, relative yaw and dwell time (cycles per Doppler sample)."""
         geometry = self.geometry
         epoch_range = geometry.epoch_range(x, y)
         turn = self.relative_yaw(x, y)
@@ -132,8 +135,8 @@ class GroundMap:
         carrier = -2 * geometry.collection.carrier / SPEED_OF_LIGHT * offset
         cycles, time = carrier + self.phase(epoch_range, yaw), self.time(epoch_range, yaw)
         if self.common is not None:
-            given, rate, _ = self.common.evaluate(rng, doppler[..., None])
-            cycles, time = cycles + given[..., 0], time - rate[..., 0]
+            common, rate, _ = self.common.evaluate(rng, doppler[..., None])
+            cycles, time = cycles + common[..., 0], time - rate[..., 0]
         return (
             self.rows.position(rng),
             self.doppler.position(doppler),
@@ -160,16 +163,9 @@ def surfaces(
     )
 
 
-# ---------------------------------------------------------------- compiled loops
-#
-# Rows of pixels lie in arrays as long as a tile's side, made once a call: a view made in a loop would be counted
-# in and out each time, by locked instructions. Where a signed index could be negative for all the compiler knows,
-# it gathers one by one: hence the unsigned ones.
-
-
 @njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
 def sum_series(series: FloatArray, u: FloatArray, v: FloatArray, values: FloatArray) -> None:
-    """values[k] = sum_ij series[i, j] T_i(u[k]) T_j(v[k]), some points at a time so that the T stay in cache."""
+    """values[k] = sum_ij series[i, j] T_i(u[k]) T_j(v[k]), a strip of points at a time so that the T stay in cache."""
     strip = 64
     tu, tv = np.empty((max(series.shape[0], 2), strip)), np.empty((max(series.shape[1], 2), strip))
     total, inner = np.empty(strip), np.empty(strip)
@@ -191,7 +187,7 @@ def sum_series(series: FloatArray, u: FloatArray, v: FloatArray, values: FloatAr
 
 @njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
 def _chebyshev(u: FloatArray, t: FloatArray) -> None:
-    """t[i, k] = T_i(u[k]) in all of its rows, two at least; zeros beyond the end of u."""
+    """t[i, k] = T_i(u[k]) in all rows of t, at least two; zeros beyond the end of u."""
     t[:] = 0.0
     for k in range(u.size):
         t[0, k] = 1.0

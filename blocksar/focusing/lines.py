@@ -1,17 +1,17 @@
-"""Time-frequency lines: what every operation on the samples does to a target.
+"""Time-frequency lines: the effect of every operation on a target.
 
 To stationary phase, a target's azimuth signal is a line (t, f(t)) in the time-frequency plane. Operations on
-samples map lines exactly, so one description of a step serves twice: applied to samples it is the
-processor, applied to lines it predicts what the processor does to any target:
+samples map lines exactly, so one description of a step serves twice: applied to samples it is the processor, applied
+to lines it predicts the processor's effect on any target:
 
     multiply by exp(2j pi p(t)) in time        f += p'(t)
     multiply by exp(2j pi P(f)) in Doppler     t -= P'(f)
     resample Doppler, f -> h(f)                f = h(f), t = t / h'(f)
     keystone                                   identity on the carrier; rho(t) -> rho - t rho' in range
 
-Phases are in cycles throughout. The line carries its phase, and by how much time was stretched along it,
-which gives the complex value at which the target focuses: geometric correction and calibration follow
-from the traced line with no further approximation.
+Phases are in cycles throughout. A line carries its phase and the stretch of time along it. Both give the complex value
+at which the target focuses, so geometric correction and calibration follow from the traced line without further
+approximation.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Line:
     rate : (..., n) float
         d doppler / d time along the line, Hz/s.
     phase : (..., n) float
-        Of the signal in time, cycles.
+        Phase of the signal in time, cycles.
     range : (..., n) float
         Apparent range less the range origin, m.
     stretch : (..., n) float
@@ -57,11 +57,11 @@ class Line:
     weight: FloatArray
 
     def multiply_time(self, cycles: FloatArray, rate: FloatArray, curvature: FloatArray) -> Line:
-        """After multiplication by exp(2j pi cycles(t)): value, first and second derivative at self.time."""
+        """Lines after multiplication by exp(2j pi cycles(t)): value, first and second derivative at self.time."""
         return replace(self, phase=self.phase + cycles, doppler=self.doppler + rate, rate=self.rate + curvature)
 
     def multiply_doppler(self, cycles: FloatArray, rate: FloatArray, curvature: FloatArray) -> Line:
-        """After multiplication by exp(2j pi cycles(f)) in Doppler: value and derivatives at self.doppler.
+        """Lines after multiplication by exp(2j pi cycles(f)) in Doppler: value and derivatives at self.doppler.
 
         Stationary phase there and back: phase(t') = phase(t) - f t + cycles(f) + f t'; the two quarter
         turns cancel as long as the line is not folded over (dt'/dt > 0).
@@ -77,9 +77,9 @@ class Line:
         )
 
     def resample_doppler(self, offset: FloatArray, slope: FloatArray, bend: FloatArray, *, middle: float) -> Line:
-        """After Doppler f was moved to h(f) = f + offset(f): offset and its derivatives at self.doppler.
+        """Lines after resampling Doppler f to h(f) = f + offset(f): offset and its derivatives at self.doppler.
 
-        Time contracts about `middle`: the spectrum's phase, psi(f) = phase - f (t - middle), goes with f, so that
+        Time contracts about `middle`: the spectrum's phase, psi(f) = phase - f (t - middle), moves with f, so that
         its group delay is t - middle = (t_before - middle) / h'(f). Energy is kept.
         """
         moved, stretched = self.doppler + offset, 1.0 + slope
@@ -98,21 +98,22 @@ class Line:
         )
 
     def shift_range(self, offset: FloatArray) -> Line:
+        """Lines after a shift of range, m."""
         return replace(self, range=self.range + offset)
 
     @property
     def folded(self) -> bool:
-        """Whether time turns back somewhere along a line: stationary phase then no longer holds."""
+        """Whether time turns back somewhere along a line, so that stationary phase no longer holds."""
         return bool((self.stretch <= 0.02).any() or not np.isfinite(self.stretch).all())
 
 
 class Focus(NamedTuple):
     """Where and how a level line focuses; arrays (...) of targets.
 
-    doppler (Hz), range (m from the origin) and time (s, middle of the dwell after all steps) locate it;
-    `phase` (cycles) and `gain` (sum over the dwell relative to the lit time, near 1) calibrate it.
-    `residual` is the largest phase error over the dwell (rad), `quadratic` the quadratic part of it at the
-    dwell's edge (rad; pi/4 is the usual limit), `migration` the range it wanders (m).
+    `doppler` (Hz), `range` (m from the origin) and `time` (s, middle of the dwell after all steps) locate it. `phase`
+    (cycles) and `gain` (sum over the dwell relative to the lit time, near 1) calibrate it. `residual` is the largest
+    phase error over the dwell (rad), `quadratic` its quadratic part at the dwell's edge (rad; pi/4 is the usual limit),
+    `migration` the extent of its range over the dwell (m).
     """
 
     doppler: FloatArray
@@ -126,7 +127,7 @@ class Focus(NamedTuple):
 
 
 def focus(line: Line) -> Focus:
-    """Sum a levelled line: its mean Doppler is where the final transform peaks."""
+    """Focus levelled lines: sum each over its dwell at the Doppler where the final transform peaks."""
     with np.errstate(invalid="ignore"):
         # A signal stretched in time by s keeps its energy: its amplitude falls as 1 / sqrt(s), ds = s dt.
         weight = line.weight * np.sqrt(np.maximum(line.stretch, 0.0))
@@ -146,7 +147,7 @@ def focus(line: Line) -> Focus:
     phase = mean(level)
     error = 2 * np.pi * (level - phase[..., None])
     sum_ = (weight * np.exp(1j * error)).sum(axis=-1)
-    # What is left of the Doppler rate, by regression along the line, over the stretched half dwell.
+    # The remaining Doppler rate by regression along the line, over the stretched half dwell.
     tilt = mean((line.doppler - doppler[..., None]) * offset) / np.maximum(mean(offset**2), 1e-30)
     half = (line.weight * line.stretch).sum(axis=-1) / 2
     return Focus(
@@ -174,7 +175,7 @@ class RowPolynomial:
     near, far : float
         Domain of r, m.
     centre, scale : float
-        Of the variable along the row (s or Hz).
+        Centre and scale of the variable along the row (s or Hz).
     """
 
     series: FloatArray
@@ -189,6 +190,7 @@ class RowPolynomial:
         return np.moveaxis(np.asarray(chebyshev.chebval(np.clip(u, -1.1, 1.1), self.series), dtype=np.float64), 0, -1)
 
     def variable(self, values: FloatArray) -> FloatArray:
+        """z at values along the row."""
         return (values - self.centre) / self.scale
 
     def evaluate(self, rng: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -206,16 +208,16 @@ class RowPolynomial:
 def row_polynomial(
     coefficients: FloatArray, *, ranges: FloatArray, centres: FloatArray, scale: float, degree: int
 ) -> RowPolynomial:
-    """A `RowPolynomial` through polynomials given at several ranges, each about its own centre.
+    """Fit a `RowPolynomial` to polynomials at several ranges, each about its own centre.
 
     Parameters
     ----------
     coefficients : (n_range, order + 1) float
-        In z = (v - centres[i]) / scale, each about its own centre.
+        Coefficients of the powers of z = (v - centres[i]) / scale.
     ranges : (n_range,) float
         Ascending, m.
     degree : int
-        Of the series in range, fitted by least squares.
+        Degree of the series in range, fitted by least squares.
     """
     centre = float(np.mean(centres))
     order = coefficients.shape[1] - 1
@@ -232,9 +234,9 @@ def row_polynomial(
 
 
 class AzimuthPolynomials(NamedTuple):
-    """Coefficients of the azimuth steps: phases (cycles) in time, Doppler and time, and a shift of Doppler (Hz).
+    """Coefficients of the azimuth steps: phases in time and Doppler (cycles), shift of Doppler (Hz), deramp (cycles).
 
-    The polynomial of a step that the chain does not have is zero. Resampling is about the slow time `middle`, s.
+    The polynomial of a step that the chain lacks is zero. Resampling is about the slow time `middle`, s.
     """
 
     time: RowPolynomial

@@ -1,4 +1,4 @@
-"""What a collection can be focused by: a processor and its options, the words of commands and settings."""
+"""Methods of focusing: a processor and its options, named as in commands and settings."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from blocksar.errors import InputError
 
 Chain = Literal["angular-division", "keystone-resampling", "high-order-phase"]
 Processor = Literal["angular-division", "keystone-resampling", "high-order-phase", "backprojection"]
-PlannedProcessor = Literal[Processor, "auto"]  # auto: see what would be best
+PlannedProcessor = Literal[Processor, "auto"]  # auto: compare all chains
 Coefficients = Literal["fitted", "closed-form"]
 Perturbation = Literal["all", "frequency", "none"]
 Derotation = Literal["nonlinear", "linear"]
@@ -18,29 +18,29 @@ RangeModel = Literal["polar", "conventional"]
 
 @dataclass(frozen=True, kw_only=True)
 class Method:
-    """A chain and its options. What is not the default is a rival: built to compare with, not to be used.
+    """A chain and its options. A method with an option other than the default is a rival, for comparison only.
 
     Attributes
     ----------
     processor : {"angular-division", "keystone-resampling", "high-order-phase"}
     coefficients : {"fitted", "closed-form"}
-        Fitted on time-frequency lines, or expanded about the block's centre as the papers print them.
+        Fitted on time-frequency lines, or expanded about the block's centre as printed in the papers.
     perturbation : {"all", "frequency", "none"}
-        "frequency": a perturbation in Doppler only, in place of perturbation in time and resampling (the stand-in for
-        the FDPF column of paper B's Table 2, a method which it only names). "none": a deramp only (paper A, Figure
+        "frequency": a perturbation in Doppler only, instead of perturbation in time and resampling (it stands in for
+        the FDPF column of paper B's Table 2; the paper only names that method). "none": a deramp only (paper A, Figure
         9 a).
     keystone : bool
         False: RCMC in the time domain by one reference, no keystone (paper A, Figure 11 a-c).
     derotation : {"nonlinear", "linear"}
-        "linear": the recovery takes out one Doppler rate only (paper A, Figure 6 b), and needs a higher PRF.
+        "linear": the recovery removes one Doppler rate only (paper A, Figure 6 b), and needs a higher PRF.
     range_model : {"polar", "conventional"}
         "conventional": closed-form coefficients from a range model whose variables are substituted after range-walk
-        correction; with one block, the reference method of paper A's Table 2 and Figure 14 (`fitting.conventional`).
+        correction; with one block, the reference method of paper A's Table 2 and Figure 14 (`planning.closed_form`).
 
     Raises
     ------
     InputError
-        If a word is unknown, or options do not go together.
+        If an option is unknown, or options contradict each other.
     """
 
     processor: Chain = "angular-division"
@@ -75,7 +75,7 @@ class Method:
 
     @property
     def rival(self) -> bool:
-        """Whether its residuals are the point, and no reason to refuse."""
+        """Whether the method is for comparison only: its residuals are then no reason to refuse a plan."""
         return bool(self.departures)
 
     def as_settings(self) -> dict[str, Any]:
@@ -83,7 +83,7 @@ class Method:
 
     @classmethod
     def of_settings(cls, settings: dict[str, Any]) -> Method:
-        """The method that a run's settings name."""
+        """The method in a run's settings."""
         return cls(**{field.name: settings[field.name] for field in fields(cls)})
 
 
@@ -91,7 +91,7 @@ DEFAULT = Method()
 
 
 def method_of(processor: str, **options: Any) -> Method | None:
-    """What is asked for, checked; None for back-projection, which has no options.
+    """The method of a processor with options; None for back-projection, which has no options.
 
     Raises
     ------

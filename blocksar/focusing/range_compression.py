@@ -16,14 +16,14 @@ from blocksar.kernels import fourier, rows
 from blocksar.kernels.chirp import chirp_spectrum
 from blocksar.kernels.fourier import Axis
 
-COMPRESSED_ROWS = 32  # pulses whose spectra are held at a time, in double precision too
+COMPRESSED_ROWS = 32  # pulses with spectra in memory at a time, in double precision too
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RawCompression:
     """Range compression of a raw echo to the range-frequency signal (second factor of paper A (7)).
 
-    The chirp's own spectrum is divided out, ripples and all, where (7) takes its stationary phase
+    The signal is divided by the chirp's own spectrum with its ripples, where (7) uses the stationary phase
     exp(-j pi f^2 / K): a unit target's signal then has modulus 1 at every frequency of the band.
 
     Attributes
@@ -31,13 +31,13 @@ class RawCompression:
     fast_time : Axis
         s, two-way delay.
     first : int
-        Where the band begins on the transform's centred grid.
+        Index of the band's first frequency on the transform's centred grid.
     weight : (n_range_frequency,) complex
         Sampling interval over the chirp's spectrum.
     range_frequency : (n_range_frequency,) float
         Hz.
     reference_range : (n_pulse,) float
-        m; its phase is taken out of the band as it is of the carrier.
+        m; its phase is removed over the band, as it is on the carrier.
     """
 
     fast_time: Axis
@@ -56,7 +56,7 @@ class RawCompression:
         range_frequency: FloatArray,
         reference_range: FloatArray,
     ) -> Self:
-        """From an echo's axes; range_frequency must be the part |f| <= band / 2 of the centred transform grid."""
+        """Bind to an echo's axes; range_frequency must be the part |f| <= band / 2 of the centred transform grid."""
         step = float((fast_time[-1] - fast_time[0]) / (fast_time.size - 1))
         axis = Axis(float(fast_time[0]), step, fast_time.size)
         grid_step = 1 / axis.extent
@@ -77,7 +77,7 @@ class RawCompression:
         )  # fmt: skip
 
     def apply(self, echo: ComplexArray, *, pulses: slice, threads: int = 1) -> ComplexArray:
-        """(n, n_fast_time) of the given pulses to (n, n_range_frequency) complex64; a row with a gap is missing."""
+        """Compress pulses (n, n_fast_time) to (n, n_range_frequency) complex64; a pulse with a NaN comes out NaN."""
         axis = Axis(-(self.fast_time.size // 2) / self.fast_time.extent, 1 / self.fast_time.extent, self.fast_time.size)
         reference_range = self.reference_range[pulses, None]
         out = np.empty((echo.shape[0], self.range_frequency.size), np.complex64)

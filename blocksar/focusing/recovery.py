@@ -1,12 +1,12 @@
 """Recovery: phase history to unambiguous Doppler spectrum (paper A, section 3.1, (6)-(14)).
 
-Per range frequency: unified range walk (7) and nonlinear derotation (8) in one phase, an FFT, zero-padding
-in Doppler, back to the finer time grid, the derotation undone (14), and an FFT to the spectrum that is
-kept. Zero-padding lengthens: (12) and (13) print B'_a / B_a where B_a / B'_a is meant.
+Per range frequency: unified range walk (7) and nonlinear derotation (8) in one phase, an FFT, zero-padding in Doppler,
+an inverse FFT to the finer time grid, the derotation undone (14), and an FFT to the recovered spectrum. Zero-padding
+lengthens: (12) and (13) print B'_a / B_a where B_a / B'_a is meant.
 
-The derotation follows the middle of what is lit at each time, all orders of it (paper A: the beam's centre at
-the reference range), and scales with frequency as Doppler does, (fc + f) / fc, so that a wide band needs no
-more PRF than a narrow one.
+The derotation follows the middle of the lit band at each time, with all its orders (paper A: the beam's centre at the
+reference range). It scales with frequency as Doppler does, (fc + f) / fc, so that a wide band needs no higher PRF than
+a narrow one.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from blocksar.kernels.rows import Program
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CommonRange:
-    """Range over slow time that the bulk correction takes out of all targets alike: a Chebyshev series.
+    """Range over slow time that the bulk correction removes from all targets alike: a Chebyshev series.
 
-    A track that is bumpier than a quartic gives every target very nearly the same bumps. The azimuth steps, which are
-    polynomials of low orders, have no terms for them; one phase per pulse has.
+    Departures of a track from a quartic are very nearly the same in the range histories of all targets. The azimuth
+    steps, polynomials of low orders, have no terms for them; one phase per pulse removes them.
 
     Attributes
     ----------
@@ -48,18 +48,18 @@ class CommonRange:
         return np.asarray(chebyshev.chebval((time - self.centre) / self.half, series), np.float64)
 
     def taylor(self, order: int) -> FloatArray:
-        """Its powers about the epoch, (order + 1,): what it takes from k_0 .. k_order."""
+        """Its power series about the epoch, (order + 1,), m/s^n: to be subtracted from k_0 .. k_order."""
         axis = Polynomial([-self.centre, 1.0]) / self.half
         powers = Chebyshev(self.series).convert(kind=Polynomial)(axis).coef[: order + 1]
         return np.asarray(np.pad(powers, (0, order + 1 - powers.size)), np.float64)
 
 
-NOTHING_IN_COMMON = CommonRange(series=np.zeros(1), centre=0.0, half=1.0)
+NO_COMMON_RANGE = CommonRange(series=np.zeros(1), centre=0.0, half=1.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recovery:
-    """Constants of a collection's recovery, bound while planning.
+    """Constants of a collection's recovery, bound in planning.
 
     Attributes
     ----------
@@ -74,16 +74,16 @@ class Recovery:
     walk : float
         k_10 of the scene's reference, m/s: the unified range walk.
     bulk : (n_pulse,) float
-        Cycles on the carrier that turn the stored reference range into origin + walk t + common(t), per pulse; with
-        them goes the motion that the fitted track does not hold.
+        Cycles on the carrier, per pulse, that turn the stored reference range into origin + walk t + common(t). They
+        include the motion that the fitted track lacks.
     derotation : (order + 1,) float
         Chebyshev series over the aperture of the derotation phase, cycles on the carrier.
     doppler : Axis
-        Of the recovered spectrum, Hz; unambiguous.
+        Doppler of the recovered spectrum, Hz; unambiguous.
     band : tuple of float
-        Doppler of the derotated signal, its spread over all that is lit, Hz.
+        Lowest and highest Doppler of the derotated signal over all that is lit, Hz.
     common : CommonRange
-        Range that is taken out of all targets alike.
+        Range that is removed from all targets alike.
     """
 
     carrier: float
@@ -95,33 +95,34 @@ class Recovery:
     derotation: FloatArray
     doppler: Axis
     band: tuple[float, float]
-    common: CommonRange = NOTHING_IN_COMMON
+    common: CommonRange = NO_COMMON_RANGE
 
     @property
     def time(self) -> Axis:
-        """Of the recovered signal, from the epoch: the padded aperture in as many samples as Doppler bins.
+        """Slow time of the recovered signal from the epoch, s: the padded aperture in as many samples as Doppler bins.
 
-        Room on either side: the keystone moves the early ends of dwells out as far as the late ones.
+        The padding is on either side, since the keystone moves the early ends of dwells as far as the late ones.
         """
         lead = (self.padded - self.pulses.size) // 2
         start = self.pulses.start - lead * self.pulses.step
         return Axis(start, self.padded * self.pulses.step / self.doppler.size, self.doppler.size)
 
     def derotation_cycles(self, time: FloatArray) -> FloatArray:
+        """Phase of the derotation at slow times from the epoch, cycles on the carrier."""
         middle = self.pulses.start + self.pulses.step * (self.pulses.size - 1) / 2
         half = self.pulses.extent / 2
-        # The guard holds no signal: there the series is only kept from running away.
+        # The guard holds no signal: clipping only keeps the series from growing there.
         return np.asarray(chebyshev.chebval(np.clip((time - middle) / half, -1.02, 1.02), self.derotation))
 
     def program(self, range_frequency: FloatArray) -> Program:
-        """Recovery of some range frequencies (n,), Hz: rows of pulses to rows of Doppler bins, one a frequency."""
+        """Recovery of range frequencies (n,), Hz: rows of pulses to rows of Doppler bins, one per frequency."""
         factor = 1 + range_frequency / self.carrier
         pulses, time = self.pulses, self.time
         folded = fourier.dual(pulses, size=self.padded, centre=0.0)
         operations: list[Operation] = [
             ScaledTurn(factor, -(self.bulk + self.derotation_cycles(pulses.values))),
             Transform(pulses, folded, inverse=False),
-            # The derotated band is zero-padded to the width of the whole spectrum: samples in time grow denser.
+            # The derotated band is zero-padded to the width of the whole spectrum, for denser samples in time.
             Transform(folded, time, inverse=True),
             ScaledTurn(factor, self.derotation_cycles(time.values)),
             Transform(time, self.doppler, inverse=False),

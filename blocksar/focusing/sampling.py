@@ -1,4 +1,4 @@
-"""How the samples of a block are laid out along its chain."""
+"""The sampling of a block: the axes of its samples along the chain."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from blocksar.kernels.fourier import Axis
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sampling:
-    """The axes of a block's samples from slab to focused block, and how full they are.
+    """The axes of a block's samples from slab to focused block, and their occupancy.
 
     Attributes
     ----------
@@ -20,15 +20,15 @@ class Sampling:
     range_frequency : Axis
         Hz.
     time : Axis
-        Slow time from the epoch that the block's targets are lit in, s.
+        Slow time from the epoch in which the block's targets are lit, s.
     time_occupancy : float
-        Part of that sampling rate which the block's Doppler fills.
+        Fraction of the sampling rate of `time` that the block's Doppler fills.
     doppler : Axis
         Absolute Doppler of the steps between the transforms, Hz.
     long_time : Axis
-        Slow time lengthened for what the steps in Doppler move, s.
+        Slow time, extended for the delays of the steps in Doppler, s.
     doppler_occupancy : float
-        Part of the lengthened time that samples fill: of the sampling of `doppler`.
+        Fraction of the extended time that samples fill, and so of the sampling of `doppler`.
     rows : Axis
         Ranges less the range origin, m.
     focused_doppler : Axis

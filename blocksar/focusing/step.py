@@ -1,7 +1,7 @@
-"""What a step of a chain is, and how consecutive steps along the same rows run as one.
+"""Steps of a chain, and stages: consecutive steps along the same rows that run as one.
 
-A step is bound twice, and frozen each time. `bind` gives it the constants of a block: now it traces lines. `sampled`
-adds the sampling, which lines do not ask for and which is planned with their help: now it applies to samples.
+A step is bound in two stages and frozen after each. `bind` gives it the constants of a block: now it can trace lines.
+`sampled` adds the sampling, which lines do not need and which is planned from them: now it can be applied to samples.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from blocksar.kernels.rows import Layout, Program
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Constants:
-    """What the steps of a block bind their own constants from.
+    """The constants of a block, from which its steps bind their own.
 
     Attributes
     ----------
@@ -31,9 +31,10 @@ class Constants:
     walk : float
         Doppler of the block's middle, Hz on the carrier.
     reference : (n,) float
-        k_0 .. k_(n-1) of the range history of the block's centre about the epoch, m/s^n, less what recovery took out.
+        k_0 .. k_(n-1) of the range history of the block's centre about the epoch, m/s^n, less the common range that
+        recovery removes.
     polynomials : AzimuthPolynomials or None
-        Coefficients of the steps after range compression; None for those before, which the coefficients depend on.
+        Coefficients of the steps after range compression; None for the steps before, on which they depend.
     """
 
     carrier: float
@@ -63,11 +64,11 @@ class Step:
     ----------
     name : str
     layout : {"rows", "columns"}
-        Which way of the block the step's own rows lie: along slow time and Doppler, or along range.
+        The direction of the step's rows in the block: along slow time and Doppler, or along range.
     fitted : {"time", "doppler", "resampling", "deramp"} or None
-        Which of the fitted polynomials the step takes.
+        The fitted polynomial that the step applies.
     sampling : Sampling or None
-        None until `sampled`: the step then traces lines only.
+        None before `sampled`: the step can trace lines only.
     """
 
     name: ClassVar[str]
@@ -77,7 +78,7 @@ class Step:
 
     @classmethod
     def bind(cls, constants: Constants, arriving: Callable[[], Line]) -> Self:
-        """The step with its constants for a block.
+        """Return the step with its constants for a block.
 
         Parameters
         ----------
@@ -88,7 +89,7 @@ class Step:
         return cls()
 
     def sampled(self, sampling: Sampling) -> Self:
-        """The step with the block's sampling: it can be applied."""
+        """Return the step with the block's sampling, ready to be applied."""
         return replace(self, sampling=sampling)
 
     @property
@@ -98,7 +99,7 @@ class Step:
         Raises
         ------
         ValueError
-            If the step has none yet.
+            If the step has no sampling yet.
         """
         if self.sampling is None:
             raise ValueError(f"{self.name} has no sampling yet: call sampled() first")
@@ -128,7 +129,7 @@ class Step:
 
 
 class Stage:
-    """Consecutive steps along the same rows, run together: no block of samples is made between them."""
+    """Consecutive steps along the same rows, run together without a block of samples between them."""
 
     def __init__(self, steps: tuple[Step, ...]) -> None:
         self.steps = steps
@@ -150,7 +151,7 @@ class Stage:
 
 
 def stages(chain: Sequence[Step]) -> list[Stage]:
-    """A chain in as few passes over the block as its steps' layouts allow."""
+    """The stages of a chain: as few passes over the block as the layouts of its steps allow."""
     return [Stage(tuple(steps)) for _, steps in groupby(chain, key=lambda step: step.layout)]
 
 

@@ -1,1 +1,1 @@
-"""dask: tasks, stages, the cluster."""
+"""The task graph on dask: tasks, stages, and the cluster that runs them."""

@@ -1,7 +1,7 @@
-"""The dask cluster: ours, begun and ended with a run, or a given one; and how much of it is asked at a time.
+"""The dask cluster: a local one that starts and ends with a run, or a running one.
 
-Ours listens on loopback only, keeps its temporary files in the run's folder, and is gone within seconds whatever ends
-the run: nobody waits for tasks whose results are of no use any more.
+The local cluster listens on loopback only and keeps its temporary files in the run folder. It ends within seconds,
+however the run ends: its workers are killed rather than waited for.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from multiprocessing import resource_tracker
 from pathlib import Path
+from typing import Any
 
 import dask
 from dask.system import CPU_COUNT
@@ -28,32 +29,38 @@ from blocksar.graph.admission import NO_WORKER
 from blocksar.progress import Listener
 from blocksar.version import __version__
 
-WORKER_TTL = 60.0  # seconds: a worker of ours that has not been heard of for so long is lost
-CONNECT = 20.0  # seconds for a given scheduler to answer
-SETTINGS = {"distributed.admin.low-level-log-length": 10}  # else what was sent to workers is kept, 1000 times
-REPORT = 60.0  # seconds for a performance report to be made
-GRACE = 5.0  # likewise, where a run was interrupted
+WORKER_TTL = 60.0  # s without a message from a worker of the local cluster before it counts as lost
+CONNECT = 20.0  # s for a running scheduler to answer
+SETTINGS = {"distributed.admin.low-level-log-length": 10}  # dask would keep the last 1000 messages to workers
 
 
 def machine() -> tuple[int, int]:
-    """Cores and bytes of memory that this process may use, control groups respected."""
+    """Return the number of cores and the bytes of memory that this process may use, within its control group."""
     return int(CPU_COUNT), int(MEMORY_LIMIT)
 
 
 def cluster_size(client: Client) -> tuple[int, int]:
-    """Workers of a cluster, and the smallest memory limit among them, bytes.
+    """Return the number of workers of a cluster, and the smallest of their memory limits, bytes.
 
     Raises
     ------
     InputError
-        If it has no worker.
+        If there is no worker.
     """
     with suppress(TimeoutError):
-        client.wait_for_workers(1, timeout=CONNECT)  # the only one may just be starting again
+        client.wait_for_workers(1, timeout=CONNECT)  # the only one may be restarting
     workers = client.scheduler_info(n_workers=-1)["workers"]
     if not workers:
         raise InputError("the dask scheduler has no worker; start some")
     return len(workers), min(int(w["memory_limit"]) or machine()[1] for w in workers.values())
+
+
+def kernels_cached() -> bool:
+    """Tell whether numba's cache folder has files of compiled kernels, without checking that they still apply."""
+    folder = os.environ.get("NUMBA_CACHE_DIR")
+    name = f"{Path(correction.__file__).stem}.*.nbi"
+    indexes = Path(folder).rglob(name) if folder else Path(correction.__file__).parent.glob(f"__pycache__/{name}")
+    return next(indexes, None) is not None
 
 
 @contextmanager
@@ -65,45 +72,51 @@ def open_client(
     threads: int = 1,
     memory_limit: int | None = None,
     scratch: str | None = None,
-    report: Listener | None = None,
+    listener: Listener | None = None,
 ) -> Iterator[Client]:
-    """The client given, a client of the scheduler given, or of a cluster of our own on loopback that ends with it.
+    """Open a client: `client` itself, one of the scheduler at an address, or one of a new local cluster.
 
-    `scratch` is a folder for the workers' temporary files, of our own cluster; by default one that goes with it.
-    `report` is told how far the start of our own has come.
+    Parameters
+    ----------
+    scheduler : str, optional
+        Address of a running scheduler.
+    client : Client, optional
+        Client of a running cluster; it is not closed.
+    workers, threads : int
+        Processes of a local cluster, and threads in each.
+    memory_limit : int, optional
+        Memory of each local worker, bytes. Default: its share of the machine's memory.
+    scratch : str, optional
+        Folder for temporary files of local workers. Default: a temporary folder.
+    listener : Listener, optional
+        Receives the progress of the start of a local cluster.
 
     Raises
     ------
     InputError
-        If no scheduler answers, or its workers do not have the same blocksar.
+        If the scheduler does not answer, or its workers do not have the same version of blocksar.
+    ProcessingError
+        If the workers of a local cluster do not start.
     """
     if client is not None:
         yield client
         return
     with ExitStack() as stack:
         stack.enter_context(dask.config.set(SETTINGS))
-        stack.enter_context(_silent())
+        stack.enter_context(_silence_dask())
         if scheduler is not None:
-            connected = stack.enter_context(_connected(scheduler))
+            connected = stack.enter_context(_connect(scheduler))
             _check_versions(connected, scheduler)
             yield connected
             return
         if scratch is None:
             scratch = stack.enter_context(tempfile.TemporaryDirectory(prefix="blocksar-", ignore_cleanup_errors=True))
-        yield stack.enter_context(_own(workers, threads, memory_limit, scratch, report or Listener()))
-
-
-def _connected(scheduler: str) -> Client:
-    try:
-        return Client(scheduler, timeout=CONNECT)
-    except (OSError, ValueError, RuntimeError, TypeError) as error:
-        cause = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"no dask scheduler answers at {scheduler} ({cause}); check --scheduler") from None
+        yield stack.enter_context(_local_cluster(workers, threads, memory_limit, scratch, listener or Listener()))
 
 
 @contextmanager
-def _silent() -> Iterator[None]:
-    """Not a word of dask's: what a run ends with says it in one sentence."""
+def _silence_dask() -> Iterator[None]:
+    """Silence dask's loggers; errors are reported once, at the end."""
     loggers = [logging.getLogger(name) for name in logging.root.manager.loggerDict if name.startswith("distributed")]
     before = [logger.level for logger in loggers]
     for logger in loggers:
@@ -115,16 +128,24 @@ def _silent() -> Iterator[None]:
             logger.setLevel(level)
 
 
-def _check_versions(client: Client, scheduler: str) -> None:
-    """Tasks travel by name: what is behind the names must be the same here and there."""
+def _connect(scheduler: str) -> Client:
     try:
-        found = client.run(_version)
+        return Client(scheduler, timeout=CONNECT)
+    except (OSError, ValueError, RuntimeError, TypeError) as error:
+        cause = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"no dask scheduler answers at {scheduler} ({cause}); check --scheduler") from None
+
+
+def _check_versions(client: Client, scheduler: str) -> None:
+    """Check that all workers have this version of blocksar: tasks are sent by name."""
+    try:
+        versions = client.run(_version)
     except Exception as error:
         raise InputError(
             f"the workers of {scheduler} cannot run blocksar ({' '.join(str(error).split())}); "
             f"install blocksar {__version__} there"
         ) from error
-    for worker, version in found.items():
+    for worker, version in versions.items():
         if version != __version__:
             raise InputError(f"the worker {worker} has blocksar {version}, but here is {__version__}; install the same")
 
@@ -134,32 +155,24 @@ def _version() -> str:
 
 
 @contextmanager
-def _own(workers: int, threads: int, memory_limit: int | None, scratch: str, report: Listener) -> Iterator[Client]:
-    report.update("compile", 0, 1)
-    # Compiling takes a worker more memory than a block may: done here, once, the workers load from the cache.
+def _local_cluster(
+    workers: int, threads: int, memory_limit: int | None, scratch: str, listener: Listener
+) -> Iterator[Client]:
+    """Start a local cluster and open its client; both end with the block.
+
+    Raises
+    ------
+    ProcessingError
+        If the workers do not start.
+    """
+    listener.update("compile", 0, 1)
+    # Compilation takes more memory than a worker may use. Compile here, once; workers load the kernels from the cache.
     compile_kernels()
-    report.update("compile", 1, 1)
-    report.update("start-workers", 0, workers)
-    settings = {
-        # The plan keeps to the limit; spilling would only hide that it did not.
-        "distributed.worker.memory.target": False,
-        "distributed.worker.memory.spill": False,
-        "distributed.worker.memory.pause": 0.9,
-        "distributed.worker.memory.terminate": 0.98,
-        "distributed.scheduler.work-stealing": False,
-        "distributed.scheduler.worker-saturation": 1.0,
-        "distributed.scheduler.worker-ttl": WORKER_TTL,
-        # So long after a loss, a worker that is just starting again would be given up for good.
-        "distributed.deploy.lost-worker-timeout": "1h",
-        "temporary-directory": scratch,
-        "distributed.nanny.pre-spawn-environ.NUMBA_NUM_THREADS": threads,
-        # Blocks go back to the system at once; groups of rows and chunks stay in malloc's keeping, and in the cache.
-        "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": 24 * 2**20,
-        "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": 64 * 2**20,
-    }
+    listener.update("compile", 1, 1)
+    listener.update("start-workers", 0, workers)
     with ExitStack() as stack:
-        stack.enter_context(dask.config.set(settings))
-        with _signals_later():  # an interrupted start leaves a cluster that nobody can close
+        stack.enter_context(dask.config.set(_local_settings(threads, scratch)))
+        with _defer_signals():  # an interrupted start would leave a cluster that cannot be closed
             cluster = LocalCluster(
                 n_workers=0,
                 threads_per_worker=1,
@@ -170,7 +183,7 @@ def _own(workers: int, threads: int, memory_limit: int | None, scratch: str, rep
                 silence_logs=logging.CRITICAL,
             )
             stack.enter_context(cluster)
-            cluster.sync(_deaf_to_interrupts)
+            cluster.sync(_block_interrupts)
             cluster.scale(workers)
             client = stack.enter_context(Client(cluster))
         try:
@@ -180,47 +193,62 @@ def _own(workers: int, threads: int, memory_limit: int | None, scratch: str, rep
                 f"{workers} workers did not start within {NO_WORKER:.0f} s; in a script, call focus below "
                 '`if __name__ == "__main__":`, as workers import the script again'
             ) from None
-        report.update("start-workers", workers, workers)
+        listener.update("start-workers", workers, workers)
         try:
             yield client
         except BaseException:
-            # Else closing waits for tasks whose results are of no use any more.
+            # Closing the cluster would wait for tasks whose results are no longer needed.
             _kill_workers(cluster)
             raise
 
 
-def compiled() -> bool:
-    """Whether compiled kernels are in numba's cache, as far as a look at its folder tells."""
-    folder = os.environ.get("NUMBA_CACHE_DIR")
-    name = f"{Path(correction.__file__).stem}.*.nbi"
-    found = Path(folder).rglob(name) if folder else Path(correction.__file__).parent.glob(f"__pycache__/{name}")
-    return next(found, None) is not None
+def _local_settings(threads: int, scratch: str) -> dict[str, Any]:
+    return {
+        # The plan keeps within the memory limit; spilling would only hide an error in it.
+        "distributed.worker.memory.target": False,
+        "distributed.worker.memory.spill": False,
+        "distributed.worker.memory.pause": 0.9,
+        "distributed.worker.memory.terminate": 0.98,
+        "distributed.scheduler.work-stealing": False,
+        "distributed.scheduler.worker-saturation": 1.0,
+        "distributed.scheduler.worker-ttl": WORKER_TTL,
+        # A lost worker is given up for good after this time, even while it restarts.
+        "distributed.deploy.lost-worker-timeout": "1h",
+        "temporary-directory": scratch,
+        "distributed.nanny.pre-spawn-environ.NUMBA_NUM_THREADS": threads,
+        # Blocks are returned to the system at once; malloc keeps groups of rows and chunks, which stay in the cache.
+        "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": 24 * 2**20,
+        "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": 64 * 2**20,
+    }
 
 
-async def _deaf_to_interrupts() -> None:
-    """Ctrl-C in a terminal goes to all processes of a command: workers, which inherit this, leave it to the first."""
-    resource_tracker.ensure_running()  # else the first process that is started starts it, which undoes this
+async def _block_interrupts() -> None:
+    """Block SIGINT in the cluster's thread; workers inherit this.
+
+    A terminal sends Ctrl-C to all processes of a command, and the main process ends the workers.
+    """
+    resource_tracker.ensure_running()  # otherwise the first child process starts it, and that unblocks SIGINT
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
 
 
 @contextmanager
-def _signals_later() -> Iterator[None]:
-    """Keep Ctrl-C and SIGTERM until the end of the block."""
-    if threading.current_thread() is not threading.main_thread():  # others do not get any
+def _defer_signals() -> Iterator[None]:
+    """Defer Ctrl-C and SIGTERM to the end of the block."""
+    if threading.current_thread() is not threading.main_thread():  # only the main thread receives signals
         yield
         return
-    came: list[int] = []
-    before = {each: signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)}
-    caught = {each: handler for each, handler in before.items() if callable(handler)}
-    for each in caught:
-        signal.signal(each, lambda number, _: came.append(number))
+    received: list[int] = []
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    handlers = {number: handler for number, handler in before.items() if callable(handler)}
+    for number in handlers:
+        signal.signal(number, lambda number, _: received.append(number))
     try:
         yield
     finally:
-        for each, handler in caught.items():
-            signal.signal(each, handler)
-    if came:
-        signal.raise_signal(came[0])
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    if received:
+        signal.raise_signal(received[0])
 
 
 def _kill_workers(cluster: LocalCluster) -> None:

@@ -13,21 +13,21 @@ from pathlib import Path
 from distributed import Client, performance_report
 
 from blocksar.errors import InputError
-from blocksar.graph.cluster import GRACE, REPORT
 from blocksar.progress import Listener
 
-# ---------------------------------------------------------------- what can be seen of it
+REPORT_TIME = 60.0  # s, time for the scheduler to make a performance report
+INTERRUPTED_REPORT_TIME = 5.0  # s, the same after an interruption: the user is waiting for the end
 
 
 def dashboard(client: Client) -> str | None:
-    """Where a cluster's dashboard can be seen, if it has one that shows more than metrics."""
-    with suppress(Exception):  # whatever is wrong with a scheduler, others say it better
+    """Return the address of a cluster's dashboard; None without bokeh, where it would show metrics only."""
+    with suppress(Exception):  # a broken scheduler is reported by the run itself
         return client.dashboard_link if _has_bokeh(client) else None
     return None
 
 
 def check_recordable(path: Path, client: Client | None) -> None:
-    """Whether a performance report can be made of a cluster (None: of our own) and written there.
+    """Check that a cluster can make a performance report, and that it can be written. None: a local cluster.
 
     Raises
     ------
@@ -52,29 +52,30 @@ def _has_bokeh(client: Client) -> bool:
 
 
 @contextmanager
-def recorded(client: Client, path: Path | None, report: Listener) -> Iterator[None]:
-    """Write dask's performance report of all that is done in the block, however the block ends.
+def record_performance(client: Client, path: Path | None, listener: Listener) -> Iterator[None]:
+    """Write dask's performance report of the work done in the block, even if it fails; no report if `path` is None.
 
-    What stood at `path` is replaced once the report is whole; if there is none to be had, `report` is told why.
+    A file at `path` is replaced only by a complete report. A report that cannot be made is a note to the listener.
     """
     if path is None:
         yield
         return
-    made = path.with_name(f".{path.name}.part")
+    temporary = path.with_name(f".{path.name}.part")
     with client.as_current():
-        recorder = performance_report(filename=str(made), mode="inline")  # opens without a network
+        recorder = performance_report(filename=str(temporary), mode="inline")  # opens without a network
         recorder.__enter__()
         try:
             yield
         finally:
-            # Who interrupts a run does not wait for long.
-            patience = REPORT if sys.exc_info()[0] is None or isinstance(sys.exc_info()[1], Exception) else GRACE
+            interrupted = sys.exc_info()[0] is not None and not isinstance(sys.exc_info()[1], Exception)
+            timeout = INTERRUPTED_REPORT_TIME if interrupted else REPORT_TIME
             try:
                 if client.status != "running":
                     raise OSError("the dask scheduler is gone")
-                client.sync(recorder.__aexit__, None, None, None, code="blocksar", callback_timeout=patience)
-                os.replace(made, path)
+                client.sync(recorder.__aexit__, None, None, None, code="blocksar", callback_timeout=timeout)
+                os.replace(temporary, path)
             except Exception as error:
-                report.note(f"no performance report at {path}: {' '.join(str(error).split()) or type(error).__name__}")
+                cause = " ".join(str(error).split()) or type(error).__name__
+                listener.note(f"no performance report at {path}: {cause}")
             finally:
-                made.unlink(missing_ok=True)
+                temporary.unlink(missing_ok=True)

@@ -1,9 +1,9 @@
-"""The task graph: recovery by column group, one chain a block, the mosaic by output chunk.
+"""The stages of a run as task graphs: recovery by column group, focusing by block, the mosaic by output chunk.
 
-Tasks get paths and small constants and leave their samples in zarr; what travels is
-receipts. Keys read `step-run-block`, so that the dashboard can be read and no stale result is taken for a
-new one. A unit of work writes whole chunks that nobody else writes, then its receipt: a worker that is lost
-loses nothing but time, and a run that was interrupted goes on from its receipts.
+Tasks receive paths and small constants, write their samples to zarr and return receipts. Keys have the form
+`step-run-block`: the dashboard is readable, and no result of another run is reused. A unit of work writes whole chunks
+that no other unit writes, then its receipt. A lost worker therefore costs time only, and an interrupted run resumes
+from its receipts.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from blocksar.collection.grid import Grid
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.range_compression import RawCompression
 from blocksar.focusing.step import stages
-from blocksar.graph.admission import Unit, in_turn
+from blocksar.graph.admission import Unit, as_completed
 from blocksar.graph.tasks import (
-    Parts,
+    PatchChunk,
     back_project_chunk,
     compress_pulses,
     inspect_group,
@@ -47,92 +47,18 @@ from blocksar.runs.receipts import Run
 from blocksar.runs.record import Receipt, block_unit
 
 
-def run_units(
-    client: Client,
-    stage: str,
-    units: Sequence[Unit],
-    run: Run,
-    report: Listener,
-    *,
-    each: int = 1,
-    source: stores.PhaseHistory | None = None,
-) -> list[Receipt]:
-    """Run the units without a trusted receipt, `each` at a time on every worker, and return all receipts in order.
-
-    Parameters
-    ----------
-    source : PhaseHistory, optional
-        What the units read. Their InputErrors are the user's only if it is the input of the run.
-
-    Returns
-    -------
-    list of Receipt
-        `reused` where the unit was not run again, `damaged` where it was because its data were damaged.
-
-    Raises
-    ------
-    ProcessingError
-        If a unit or the cluster fails for good: what was finished stays.
-    InputError
-        If a unit finds the input wrong.
-    """
-    reads_input = source is not None and source.path != run.compressed
-    claims = {unit: receipt for unit, _ in units if (receipt := run.receipt(unit)) is not None}
-    receipts: dict[str, Receipt] = {}
-    damaged = set()
-    # By workers: samples never come here.
-    checks = [(unit, _verify(client, run, claims[unit])) for unit in claims]
-    if checks:
-        report.begin(f"check-{stage}")
-    for number, (unit, future) in enumerate(in_turn(client, stage, checks, 2, report), 1):
-        if _result(future, stage, unit):
-            receipts[unit] = replace(claims[unit], reused=True)
-        else:
-            damaged.add(unit)
-        report.update(f"check-{stage}", number, len(checks))
-    report.begin(stage, reused=len(receipts))
-    report.update(stage, len(receipts), len(units))
-    for unit, future in in_turn(client, stage, [unit for unit in units if unit[0] not in receipts], each, report):
-        signed: Receipt = _result(future, stage, unit, reads_input=reads_input)
-        receipts[unit] = replace(signed, damaged=unit in damaged)
-        report.update(stage, len(receipts), len(units))
-    return [receipts[unit] for unit, _ in units]
-
-
-def _verify(client: Client, run: Run, receipt: Receipt) -> Callable[[], Future[Any]]:
-    key = f"verify-{run.token}-{receipt.unit}"
-    return lambda: client.submit(run.intact, receipt, key=key, pure=False)
-
-
-def _result(future: Future[Any], stage: str, unit: str, *, reads_input: bool = False) -> Any:
-    if future.status == "finished":
-        return future.result()
-    error = future.exception()
-    # What is wrong with the run's own stores is not the user's fault.
-    if isinstance(error, ProcessingError) or (reads_input and isinstance(error, InputError)):
-        raise error
-    if isinstance(error, KilledWorker):
-        raise ProcessingError(
-            f"{stage} of {unit} failed: {error.allowed_failures + 1} workers died of it, for want of memory perhaps; "
-            "give them more with --memory-limit"
-        )
-    raise ProcessingError(f"{stage} of {unit} failed: {type(error).__name__}: {error}") from error
-
-
 def recover(
-    client: Client, source: stores.PhaseHistory, plan: Plan, run: Run, report: Listener
+    client: Client, source: stores.PhaseHistory, plan: Plan, run: Run, listener: Listener
 ) -> tuple[list[Receipt], Inspection]:
-    """Phase history to spectrum.zarr, and what was found in the samples.
+    """Recover the spectrum of a phase history into spectrum.zarr; return the receipts and the samples' inspection.
 
     Raises
     ------
     InputError
-        If they are no samples of a radar.
+        If the samples are not those of a radar.
     """
     collection = plan.geometry.collection
-    receipts: list[Receipt] = []
-    if source.raw is not None:
-        source, receipts = _compress(client, source, run, report)
+    source, compressed = _compress_raw(client, source, run, listener)
 
     def create() -> None:
         stores.create(
@@ -143,111 +69,30 @@ def recover(
         )  # fmt: skip
 
     run.establish(run.spectrum, create, volatile=["lit"])
-    n = collection.n_range_frequency
-
-    def start(unit: str, columns: tuple[int, int]) -> Callable[[], Future[Any]]:
-        return lambda: client.submit(
-            recover_group,
-            source,
-            run,
-            unit,
-            columns,
-            plan.recovery,
-            plan.spectrum_chunk[1],
-            key=f"recover-{run.token}-{unit}",
-            pure=False,
+    width = plan.spectrum_chunk[1]
+    units = [
+        _single_task(
+            client, run, "recover", f"columns-{columns[0]}", recover_group, source, columns, plan.recovery, width
         )
-
-    groups = [(first, min(first + plan.column_group, n)) for first in range(0, n, plan.column_group)]
-    units = [(f"columns-{a}", start(f"columns-{a}", (a, b))) for a, b in groups]
-    groups_done = run_units(client, "recover", units, run, report, source=source)
-    found = found_in(groups_done)
-    stores.write_region(run.spectrum, "lit", (slice(None),), found.lit)
-    return receipts + groups_done, found
-
-
-def found_in(receipts: Sequence[Receipt]) -> Inspection:
-    """Merge the inspections in receipts.
-
-    Raises
-    ------
-    InputError
-        If the samples are none of a radar.
-    """
-    found = merge(Inspection.from_dict(dict(receipt.found)) for receipt in receipts if receipt.found is not None)
-    if (reason := refusal(found)) is not None:
-        raise InputError(reason)
-    return found
+        for columns in _spans(collection.n_range_frequency, plan.column_group)
+    ]
+    recovered = run_units(client, "recover", units, run, listener, source=source)
+    inspection = merge_inspections(recovered)
+    stores.write_region(run.spectrum, "lit", (slice(None),), inspection.lit)
+    return compressed + recovered, inspection
 
 
-def _compress(
-    client: Client, source: stores.PhaseHistory, run: Run, report: Listener
-) -> tuple[stores.PhaseHistory, list[Receipt]]:
-    collection = source.collection
-    assert source.raw is not None
-    run.establish(run.compressed, lambda: stores.create_phase_history(run.compressed, collection, overwrite=True))
-    chunk = TILE[0]
-    compression = RawCompression.of_echo(source.raw, collection)
-
-    def start(unit: str, pulses: tuple[int, int]) -> Callable[[], Future[Any]]:
-        return lambda: client.submit(
-            compress_pulses,
-            source,
-            run,
-            unit,
-            pulses,
-            compression,
-            key=f"compress-{run.token}-{unit}",
-            pure=False,
-        )
-
-    groups = [(a, min(a + chunk, collection.n_pulse)) for a in range(0, collection.n_pulse, chunk)]
-    units = [(f"pulses-{a}", start(f"pulses-{a}", (a, b))) for a, b in groups]
-    receipts = run_units(client, "range-compress", units, run, report, each=2, source=source)
-    try:
-        return stores.open_phase_history(run.compressed), receipts
-    except InputError as error:  # about the run's own store, not about the input
-        raise ProcessingError(str(error)) from error
-
-
-def focus_blocks(client: Client, plan: Plan, run: Run, lit: FloatArray, report: Listener) -> list[Receipt]:
-    """Every block by its own chain of tasks: spectrum.zarr to patches/<block>."""
-    collection = plan.geometry.collection
-    # By this process, before all tasks: one that was given up, and comes too late, must not empty what another wrote.
+def focus_blocks(client: Client, plan: Plan, run: Run, lit: FloatArray, listener: Listener) -> list[Receipt]:
+    """Focus every block, from spectrum.zarr to patches/<block>, by a chain of tasks of its own."""
+    # Create all patches here, before the first task: a late task of a lost worker must not empty a store that another
+    # task has written to.
     for block in plan.blocks:
         run.establish(run.patch(block.name), partial(_create_patch, run, block, plan.grid))
-
-    def start(position: int, unit: str, block: BlockPlan) -> Callable[[], Future[Any]]:
-        ground = replace(block.ground, lit=lit_pulses(collection, block.ground.yaw_axis, lit))
-
-        def chain() -> Future[Any]:
-            tail = f"{run.token}-{unit}"
-            # One priority a block: a worker finishes the chain it has begun before it starts another.
-            common: dict[str, Any] = {"pure": False, "priority": -position}
-            first, *others = stages(block.chain)
-            node = client.submit(
-                read_slab, run, block, first, plan.spectrum_chunk[1], key=f"read-slab+{first.name}-{tail}", **common
-            )
-            for stage in others:
-                node = client.submit(run_stage, run, block, stage, node, key=f"{stage.name}-{tail}", **common)
-            return client.submit(
-                write_patch,
-                run,
-                unit,
-                block.name,
-                node,
-                ground,
-                plan.grid,
-                key=f"geometric-correction-{tail}",
-                **common,
-            )
-
-        return chain
-
-    units = [
-        (unit := block_unit(block.name), start(position, unit, block)) for position, block in enumerate(plan.blocks)
+    units: list[Unit] = [
+        (block_unit(block.name), partial(_submit_chain, client, plan, run, lit, block, -position))
+        for position, block in enumerate(plan.blocks)
     ]
-    return run_units(client, "focus", units, run, report)
+    return run_units(client, "focus", units, run, listener)
 
 
 def _create_patch(run: Run, block: BlockPlan, grid: Grid) -> None:
@@ -260,10 +105,28 @@ def _create_patch(run: Run, block: BlockPlan, grid: Grid) -> None:
     )  # fmt: skip
 
 
-def mosaic(client: Client, plan: Plan, run: Run, patches: Sequence[Receipt], report: Listener) -> list[Receipt]:
-    """Patches to image.zarr, by output chunk; chunks that no block covers are never written."""
+def _submit_chain(
+    client: Client, plan: Plan, run: Run, lit: FloatArray, block: BlockPlan, priority: int
+) -> Future[Any]:
+    """Submit the tasks of a block; return the future of the last one.
+
+    All have the priority of the block: a worker finishes the chain that it has begun before it starts another.
+    """
+    unit = block_unit(block.name)
+    tail = f"{run.token}-{unit}"
+    submit = partial(client.submit, pure=False, priority=priority)
+    ground = replace(block.ground, lit=lit_pulses(plan.geometry.collection, block.ground.yaw_axis, lit))
+    first, *others = stages(block.chain)
+    node = submit(read_slab, run, block, first, plan.spectrum_chunk[1], key=f"read-slab+{first.name}-{tail}")
+    for stage in others:
+        node = submit(run_stage, run, block, stage, node, key=f"{stage.name}-{tail}")
+    return submit(write_patch, run, unit, block.name, node, ground, plan.grid, key=f"geometric-correction-{tail}")
+
+
+def mosaic(client: Client, plan: Plan, run: Run, patches: Sequence[Receipt], listener: Listener) -> list[Receipt]:
+    """Merge the patches into image.zarr, by output chunk. Chunks that no block covers are not written."""
     side = image_chunk(plan.grid)
-    cells: dict[tuple[int, int], list[tuple[int, str, int, int, str]]] = {}
+    cells: dict[tuple[int, int], list[PatchChunk]] = {}
     for block, receipt in zip(plan.blocks, patches, strict=True):
         assert receipt.origin is not None
         first_y, first_x = receipt.origin
@@ -271,44 +134,37 @@ def mosaic(client: Client, plan: Plan, run: Run, patches: Sequence[Receipt], rep
             (y, _), (x, _) = part.region
             cell = ((first_y + y) // side[0], (first_x + x) // side[1])
             cells.setdefault(cell, []).append((block.index, block.name, first_y, first_x, part.checksum))
-
-    def start(unit: str, some: dict[tuple[int, int], Parts]) -> Callable[[], Future[Any]]:
-        return lambda: client.submit(
-            merge_chunks, run, unit, some, plan.grid, key=f"mosaic-{run.token}-{unit}", pure=False
-        )
-
     ordered = sorted(cells)
-    groups = [ordered[i : i + MOSAIC_CHUNKS] for i in range(0, len(ordered), MOSAIC_CHUNKS)]
     units = []
-    for group in groups:
-        unit = f"chunk-{group[0][0]}-{group[0][1]}"
-        units.append((unit, start(unit, {cell: cells[cell] for cell in group})))
-    return run_units(client, "mosaic", units, run, report, each=2)
+    for first, end in _spans(len(ordered), MOSAIC_CHUNKS):
+        group = {cell: cells[cell] for cell in ordered[first:end]}
+        row, column = ordered[first]
+        units.append(_single_task(client, run, "mosaic", f"chunk-{row}-{column}", merge_chunks, group, plan.grid))
+    return run_units(client, "mosaic", units, run, listener, per_worker=2)
 
 
-def look_through(
-    client: Client, source: stores.PhaseHistory, run: Run, report: Listener
+def inspect_samples(
+    client: Client, source: stores.PhaseHistory, run: Run, listener: Listener
 ) -> tuple[stores.PhaseHistory, list[Receipt], Inspection]:
-    """Inspect a phase history that is not recovered; a raw one is compressed first. Where its samples are then.
+    """Inspect a phase history that is not recovered; a raw echo is compressed first.
+
+    Returns
+    -------
+    (PhaseHistory, list of Receipt, Inspection)
+        The phase history is the compressed one for a raw echo, else `source`.
 
     Raises
     ------
     InputError
-        If they are no samples of a radar.
+        If the samples are not those of a radar.
     """
-    receipts: list[Receipt] = []
-    if source.raw is not None:
-        source, receipts = _compress(client, source, run, report)
-    n = source.collection.n_range_frequency
-    width = inspection_width(source.collection)
-
-    def start(unit: str, columns: tuple[int, int]) -> Callable[[], Future[Any]]:
-        key = f"inspect-{run.token}-{unit}"
-        return lambda: client.submit(inspect_group, source, run, unit, columns, key=key, pure=False)
-
-    units = [(f"columns-{a}", start(f"columns-{a}", (a, min(a + width, n)))) for a in range(0, n, width)]
-    looked = run_units(client, "inspect", units, run, report, source=source)
-    return source, receipts + looked, found_in(looked)
+    source, compressed = _compress_raw(client, source, run, listener)
+    units = [
+        _single_task(client, run, "inspect", f"columns-{columns[0]}", inspect_group, source, columns)
+        for columns in _spans(source.collection.n_range_frequency, inspection_width(source.collection))
+    ]
+    inspected = run_units(client, "inspect", units, run, listener, source=source)
+    return source, compressed + inspected, merge_inspections(inspected)
 
 
 def back_project(
@@ -316,22 +172,139 @@ def back_project(
     source: stores.PhaseHistory,
     geometry: Geometry,
     grid: Grid,
-    found: Inspection,
+    inspection: Inspection,
     run: Run,
-    report: Listener,
+    listener: Listener,
 ) -> list[Receipt]:
-    """Phase history straight to image.zarr by exact back-projection, by output chunk."""
+    """Form image.zarr from a phase history by exact back-projection, by output chunk."""
     side = image_chunk(grid)
+    units = [
+        _single_task(
+            client, run, "backprojection", f"chunk-{row}-{column}",
+            back_project_chunk, source, (row, column), geometry, grid, inspection,
+        )
+        for row in range(-(-grid.shape[0] // side[0]))
+        for column in range(-(-grid.shape[1] // side[1]))
+    ]  # fmt: skip
+    return run_units(client, "backprojection", units, run, listener, source=source)
 
-    def start(unit: str, cell: tuple[int, int]) -> Callable[[], Future[Any]]:
-        return lambda: client.submit(
-            back_project_chunk, source, run, unit, cell, geometry, grid, found,
-            key=f"backprojection-{run.token}-{unit}", pure=False,
-        )  # fmt: skip
 
-    units = []
-    for row in range(-(-grid.shape[0] // side[0])):
-        for column in range(-(-grid.shape[1] // side[1])):
-            unit = f"chunk-{row}-{column}"
-            units.append((unit, start(unit, (row, column))))
-    return run_units(client, "backprojection", units, run, report, source=source)
+def merge_inspections(receipts: Sequence[Receipt]) -> Inspection:
+    """Merge the inspections in receipts.
+
+    Raises
+    ------
+    InputError
+        If the samples are not those of a radar.
+    """
+    inspection = merge(Inspection.from_dict(dict(receipt.found)) for receipt in receipts if receipt.found is not None)
+    if (reason := refusal(inspection)) is not None:
+        raise InputError(reason)
+    return inspection
+
+
+def _compress_raw(
+    client: Client, source: stores.PhaseHistory, run: Run, listener: Listener
+) -> tuple[stores.PhaseHistory, list[Receipt]]:
+    """Range-compress a raw echo into compressed.zarr; return that phase history, or `source` if it is not raw."""
+    if source.raw is None:
+        return source, []
+    collection = source.collection
+    run.establish(run.compressed, lambda: stores.create_phase_history(run.compressed, collection, overwrite=True))
+    compression = RawCompression.of_echo(source.raw, collection)
+    units = [
+        _single_task(client, run, "compress", f"pulses-{pulses[0]}", compress_pulses, source, pulses, compression)
+        for pulses in _spans(collection.n_pulse, TILE[0])
+    ]
+    receipts = run_units(client, "range-compress", units, run, listener, per_worker=2, source=source)
+    try:
+        return stores.open_phase_history(run.compressed), receipts
+    except InputError as error:  # about the run's own store, not about the input
+        raise ProcessingError(str(error)) from error
+
+
+def _spans(n: int, size: int) -> list[tuple[int, int]]:
+    """Divide 0 .. n into spans (first, end) of `size`; the last may be shorter."""
+    return [(first, min(first + size, n)) for first in range(0, n, size)]
+
+
+def _single_task(client: Client, run: Run, step: str, unit: str, task: Callable[..., Receipt], *arguments: Any) -> Unit:
+    """Return a unit of work that is a single task, `task(run, unit, *arguments)`."""
+    key = f"{step}-{run.token}-{unit}"
+    return unit, partial(client.submit, task, run, unit, *arguments, key=key, pure=False)
+
+
+def run_units(
+    client: Client,
+    stage: str,
+    units: Sequence[Unit],
+    run: Run,
+    listener: Listener,
+    *,
+    per_worker: int = 1,
+    source: stores.PhaseHistory | None = None,
+) -> list[Receipt]:
+    """Run the units that have no valid receipt; return the receipts of all units in order.
+
+    Parameters
+    ----------
+    per_worker : int
+        Units in flight for each worker.
+    source : PhaseHistory, optional
+        What the units read. Their InputErrors are raised as such only if it is the input of the run.
+
+    Returns
+    -------
+    list of Receipt
+        `reused` if the unit was not run again; `damaged` if it was, because its data were damaged.
+
+    Raises
+    ------
+    ProcessingError
+        If a unit or the cluster fails for good; finished units stay.
+    InputError
+        If a unit finds the input wrong.
+    """
+    reads_input = source is not None and source.path != run.compressed
+    earlier = {unit: receipt for unit, _ in units if (receipt := run.receipt(unit)) is not None}
+    receipts: dict[str, Receipt] = {}
+    damaged = set()
+    # Workers check the data: this process never loads samples.
+    checks = [(unit, _submit_check(client, run, receipt)) for unit, receipt in earlier.items()]
+    if checks:
+        listener.begin(f"check-{stage}")
+    for number, (unit, future) in enumerate(as_completed(client, stage, checks, 2, listener), 1):
+        if _result(future, stage, unit):
+            receipts[unit] = replace(earlier[unit], reused=True)
+        else:
+            damaged.add(unit)
+        listener.update(f"check-{stage}", number, len(checks))
+    listener.begin(stage, reused=len(receipts))
+    listener.update(stage, len(receipts), len(units))
+    left = [unit for unit in units if unit[0] not in receipts]
+    for unit, future in as_completed(client, stage, left, per_worker, listener):
+        signed: Receipt = _result(future, stage, unit, reads_input=reads_input)
+        receipts[unit] = replace(signed, damaged=unit in damaged)
+        listener.update(stage, len(receipts), len(units))
+    return [receipts[unit] for unit, _ in units]
+
+
+def _submit_check(client: Client, run: Run, receipt: Receipt) -> Callable[[], Future[Any]]:
+    key = f"verify-{run.token}-{receipt.unit}"
+    return partial(client.submit, run.intact, receipt, key=key, pure=False)
+
+
+def _result(future: Future[Any], stage: str, unit: str, *, reads_input: bool = False) -> Any:
+    """Return the result of a unit, or raise its error with the stage and the unit."""
+    if future.status == "finished":
+        return future.result()
+    error = future.exception()
+    # A defect in the run's own stores is not an error in the user's input.
+    if isinstance(error, ProcessingError) or (reads_input and isinstance(error, InputError)):
+        raise error
+    if isinstance(error, KilledWorker):
+        raise ProcessingError(
+            f"{stage} of {unit} failed: {error.allowed_failures + 1} workers died of it, perhaps for lack of memory; "
+            "give them more with --memory-limit"
+        )
+    raise ProcessingError(f"{stage} of {unit} failed: {type(error).__name__}: {error}") from error

@@ -1,11 +1,11 @@
-"""Tasks: what runs on a worker. Each reads paths, writes whole chunks, and returns a receipt."""
+"""The tasks that run on workers: each reads stores, writes whole chunks, and returns a receipt or samples."""
 
 from __future__ import annotations
 
 import resource
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import wraps
@@ -29,17 +29,19 @@ from blocksar.focusing.step import Stage
 from blocksar.inspection.samples import Inspection, inspect, mask_outliers
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.tiling import image_chunk, patch_window
-from blocksar.runs.receipts import Run, write, written
+from blocksar.runs.receipts import Run, write, written_entry
 from blocksar.runs.record import Receipt, Written
 
 P = ParamSpec("P")
 R = TypeVar("R")
+# A block's part of an output chunk: block, its name, first row and column of its patch, checksum of the part.
+PatchChunk = tuple[int, str, int, int, str]
 
 
 def peak_memory() -> int:
-    """Of this process since it began, bytes.
+    """Return the peak memory of this process since its start, bytes.
 
-    Linux's own high-water mark: getrusage there also counts what the parent held when it made this process.
+    Linux's high-water mark, where there is one: getrusage also counts the memory of the parent at the fork.
     """
     with suppress(OSError), open("/proc/self/status", encoding="ascii") as status:
         for line in status:
@@ -49,14 +51,12 @@ def peak_memory() -> int:
 
 
 def _sign(run: Run, receipt: Receipt, started: float) -> Receipt:
+    """Add the peak memory to a receipt, and sign it."""
     return run.sign(replace(receipt, peak_memory=peak_memory()), started)
 
 
-# ---------------------------------------------------------------- tasks: what runs on a worker
-
-
-def named(step: Callable[..., str]) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Let a task say which step of which block failed. `step` tells it from the task's arguments."""
+def naming_failures(describe: Callable[..., str]) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Decorate a task to name its step and block in errors; `describe` derives both from the task's arguments."""
 
     def decorate(task: Callable[P, R]) -> Callable[P, R]:
         @wraps(task)
@@ -65,7 +65,7 @@ def named(step: Callable[..., str]) -> Callable[[Callable[P, R]], Callable[P, R]
                 return task(*args, **kwargs)
             except Exception as error:
                 kind = "" if isinstance(error, InputError | ProcessingError) else f"{type(error).__name__}: "
-                raise ProcessingError(f"{step(*args)} failed: {kind}{error}") from error
+                raise ProcessingError(f"{describe(*args)} failed: {kind}{error}") from error
 
         return run
 
@@ -73,32 +73,33 @@ def named(step: Callable[..., str]) -> Callable[[Callable[P, R]], Callable[P, R]
 
 
 def compress_pulses(
-    source: stores.PhaseHistory, run: Run, unit: str, pulses: tuple[int, int], compression: RawCompression
+    run: Run, unit: str, source: stores.PhaseHistory, pulses: tuple[int, int], compression: RawCompression
 ) -> Receipt:
-    """Range-compress some pulses of a raw echo into a phase history of the run's own; one with a gap is missing."""
+    """Range-compress pulses of a raw echo into the run's own phase history; a pulse with a gap becomes missing."""
     started = time.perf_counter()
     echo = source.read(slice(*pulses), slice(None))
-    found = inspect(echo, range_frequency=np.zeros(echo.shape[1]), recovery=None, threads=run.threads)
+    inspection = inspect(echo, range_frequency=np.zeros(echo.shape[1]), recovery=None, threads=run.threads)
     signal = compression.apply(echo, pulses=slice(*pulses), threads=run.threads)
-    signal[list(found.missing)] = np.nan
+    signal[list(inspection.missing)] = np.nan
     region = (slice(*pulses), slice(0, signal.shape[1]))
     part = write(run, run.compressed, "signal", region, signal)
-    return _sign(run, Receipt(unit=unit, stage="range-compress", written=(part,), found=found.as_dict()), started)
+    receipt = Receipt(unit=unit, stage="range-compress", written=(part,), found=inspection.as_dict())
+    return _sign(run, receipt, started)
 
 
 def recover_group(
-    source: stores.PhaseHistory, run: Run, unit: str, columns: tuple[int, int], recovery: Recovery, width: int
+    run: Run, unit: str, source: stores.PhaseHistory, columns: tuple[int, int], recovery: Recovery, width: int
 ) -> Receipt:
-    """Recover the spectrum of a column group, `width` columns at a time; what is missing or impossible is not lit."""
+    """Recover the spectrum of a column group, `width` columns at a time; missing and impossible samples are unlit."""
     started = time.perf_counter()
     signal = source.read(slice(None), slice(*columns))
     frequency = source.collection.carrier + source.collection.range_frequency - recovery.carrier
-    found = inspect(
+    inspection = inspect(
         signal, range_frequency=frequency[slice(*columns)], recovery=recovery, first_column=columns[0],
         threads=run.threads,
     )  # fmt: skip
     parts = []
-    memory = np.empty(recovery.doppler.size * width, np.complex64)
+    buffer = np.empty(recovery.doppler.size * width, np.complex64)
     for first in range(columns[0], columns[1], width):
         part = slice(first, min(first + width, columns[1]))
         shape = (recovery.doppler.size, part.stop - part.start)
@@ -107,53 +108,60 @@ def recover_group(
             range_frequency=frequency[part],
             recovery=recovery,
             threads=run.threads,
-            out=memory[: shape[0] * shape[1]].reshape(shape),
+            out=buffer[: shape[0] * shape[1]].reshape(shape),
         )
         parts.append(write(run, run.spectrum, "spectrum", (slice(0, shape[0]), part), spectrum))
-    return _sign(run, Receipt(unit=unit, stage="recover", written=tuple(parts), found=found.as_dict()), started)
+    receipt = Receipt(unit=unit, stage="recover", written=tuple(parts), found=inspection.as_dict())
+    return _sign(run, receipt, started)
 
 
-def inspect_group(source: stores.PhaseHistory, run: Run, unit: str, columns: tuple[int, int]) -> Receipt:
-    """Look at a column group without recovering it: back-projection reads the samples by pulse."""
+def inspect_group(run: Run, unit: str, source: stores.PhaseHistory, columns: tuple[int, int]) -> Receipt:
+    """Inspect a column group without recovery, for back-projection, which reads the samples by pulse."""
     started = time.perf_counter()
     signal = source.read(slice(None), slice(*columns))
     frequency = source.collection.range_frequency[slice(*columns)]
-    found = inspect(signal, range_frequency=frequency, recovery=None, first_column=columns[0], threads=run.threads)
-    return _sign(run, Receipt(unit=unit, stage="inspect", found=found.as_dict()), started)
+    inspection = inspect(signal, range_frequency=frequency, recovery=None, first_column=columns[0], threads=run.threads)
+    return _sign(run, Receipt(unit=unit, stage="inspect", found=inspection.as_dict()), started)
 
 
 @dataclass
 class Samples:
-    """A block on its way, and the seconds that each of its tasks took."""
+    """The samples of a block between two tasks, and the seconds of each step so far."""
 
     values: ComplexArray | None
     seconds: dict[str, float]
 
     def take(self) -> ComplexArray:
-        """The values, to be worked on in place: who asks a second time gets none, rather than half-worked ones."""
+        """Hand the array over for in-place work; a second call fails.
+
+        Raises
+        ------
+        ProcessingError
+            If the array was handed over before.
+        """
         values, self.values = self.values, None
         if values is None:
-            raise ProcessingError("a block was asked to take the same step twice")
-        # What has travelled from another worker may not be written to.
+            raise ProcessingError("the samples of a block were used by two tasks")
+        # An array that was sent by another worker is read-only.
         return values if values.flags.writeable else values.copy()
 
 
-@named(lambda run, block, stage, *_: f"read-slab+{stage.name} of block {block.name}")
+@naming_failures(lambda run, block, stage, *_: f"read-slab+{stage.name} of block {block.name}")
 def read_slab(run: Run, block: BlockPlan, stage: Stage, width: int) -> Samples:
-    """Run a block's first stage on its part of the spectrum, read some bins or a chunk's `width` columns at a time."""
+    """Run a block's first stage on its part of the spectrum, which is read in groups of bins or of `width` columns."""
     started, reading = time.perf_counter(), 0.0
     program, first_bin, last_bin = stage.program, block.first_bin, block.first_bin + block.n_bin
     if stage.layout == "columns":
-        # Rows of the file are what the range gate works along: Doppler bin by Doppler bin.
+        # The range gate works along rows of the store: read groups of Doppler bins.
         out = np.empty((program.target.size, program.n_row), np.complex64)
         parts = [(slice(a, b), slice(None)) for a, b in _chunks(first_bin, last_bin, DOPPLER_GROUP)]
     else:
         out = np.empty((block.sampling.n_buffer_row, program.target.size), np.complex64)
         parts = [(slice(first_bin, last_bin), slice(a, b)) for a, b in _chunks(0, program.n_row, width)]
     for region in parts:
-        begun = time.perf_counter()
+        read_from = time.perf_counter()
         part = stores.read_region(run.spectrum, "spectrum", region)
-        reading += time.perf_counter() - begun
+        reading += time.perf_counter() - read_from
         if stage.layout == "columns":
             program.run(part, out=out, first=region[0].start - first_bin, store="columns", threads=run.threads)
         else:
@@ -162,33 +170,33 @@ def read_slab(run: Run, block: BlockPlan, stage: Stage, width: int) -> Samples:
 
 
 def _chunks(first: int, last: int, size: int) -> Iterator[tuple[int, int]]:
-    """first .. last divided at multiples of `size`, where chunks of a store meet."""
+    """Divide first .. last at multiples of `size`, the borders of a store's chunks."""
     edges = [first, *range(first - first % size + size, last, size), last]
     return pairwise(edges)
 
 
-@named(lambda run, block, stage, *_: f"{stage.name} of block {block.name}")
-def run_stage(run: Run, block: BlockPlan, stage: Stage, given: Samples) -> Samples:
-    """Run a stage on a block, in place where the result fits: nobody else has its input."""
+@naming_failures(lambda run, block, stage, *_: f"{stage.name} of block {block.name}")
+def run_stage(run: Run, block: BlockPlan, stage: Stage, samples: Samples) -> Samples:
+    """Run a stage on a block, in place where the result fits: no other task uses the input."""
     started = time.perf_counter()
-    samples, program = given.take(), stage.program
+    values, program = samples.take(), stage.program
     if stage.layout == "columns":
         program.run(
-            samples[: program.source.size], out=samples[: program.target.size],
+            values[: program.source.size], out=values[: program.target.size],
             load="columns", store="columns", threads=run.threads,
         )  # fmt: skip
-        out = samples
+        result = values
     else:
-        room: ComplexArray | None = samples if program.target.size <= samples.shape[1] else None
-        if samples.shape[0] < block.sampling.n_buffer_row:  # a range gate leaves too few rows for the later stages
-            room = np.empty((block.sampling.n_buffer_row, program.target.size), np.complex64)
-        out = program.run(samples[: program.n_row], out=room, threads=run.threads)
-    return Samples(out, given.seconds | {stage.name: time.perf_counter() - started})
+        out: ComplexArray | None = values if program.target.size <= values.shape[1] else None
+        if values.shape[0] < block.sampling.n_buffer_row:  # a range gate leaves too few rows for the later stages
+            out = np.empty((block.sampling.n_buffer_row, program.target.size), np.complex64)
+        result = program.run(values[: program.n_row], out=out, threads=run.threads)
+    return Samples(result, samples.seconds | {stage.name: time.perf_counter() - started})
 
 
-@named(lambda run, unit, name, *_: f"geometric-correction of block {name}")
+@naming_failures(lambda run, unit, name, *_: f"geometric-correction of block {name}")
 def write_patch(run: Run, unit: str, name: str, block: Samples, ground: GroundMap, grid: Grid) -> Receipt:
-    """Geometric correction of a focused block into its own patch, chunk by chunk of the image's grid."""
+    """Correct a focused block geometrically, and write its patch in chunks of the image's grid."""
     started = time.perf_counter()
     first_y, first_x, n_y, n_x = patch_window(ground, grid)
     path = run.patch(name)
@@ -212,25 +220,22 @@ def write_patch(run: Run, unit: str, name: str, block: Samples, ground: GroundMa
             if np.isfinite(pixels.real).any():
                 chunks.append(write(run, path, "image", (rows, columns), pixels))
     seconds = block.seconds | {"geometric-correction": time.perf_counter() - started}
-    # The receipt is for the whole block: its earlier steps were tasks without receipts of their own.
+    # The receipt covers the whole block: the tasks before this one have no receipts.
     origin = (int(first_y), int(first_x))
     receipt = Receipt(unit=unit, stage="focus", written=tuple(chunks), origin=origin, steps=seconds)
     return _sign(run, receipt, started - sum(block.seconds.values()))
 
 
-Parts = Sequence[tuple[int, str, int, int, str]]  # block, name, first row and column of its patch, checksum there
-
-
-@named(lambda run, unit, *_: f"mosaic of {unit}")
-def merge_chunks(run: Run, unit: str, cells: dict[tuple[int, int], Parts], grid: Grid) -> Receipt:
-    """Some output chunks of the mosaic."""
+@naming_failures(lambda run, unit, *_: f"mosaic of {unit}")
+def merge_chunks(run: Run, unit: str, cells: Mapping[tuple[int, int], Sequence[PatchChunk]], grid: Grid) -> Receipt:
+    """Merge patches into output chunks of the mosaic, given by row and column of the chunk."""
     started = time.perf_counter()
     parts = [part for cell, patches in cells.items() for part in _merge(run, cell, patches, grid)]
     return _sign(run, Receipt(unit=unit, stage="mosaic", written=tuple(parts)), started)
 
 
-def _merge(run: Run, cell: tuple[int, int], parts: Parts, grid: Grid) -> list[Written]:
-    """One output chunk: its image and its owners."""
+def _merge(run: Run, cell: tuple[int, int], parts: Sequence[PatchChunk], grid: Grid) -> list[Written]:
+    """Write the image of one output chunk, and the block that each pixel comes from; later parts win."""
     side = image_chunk(grid)
     y, x = cell[0] * side[0], cell[1] * side[1]
     rows, columns = slice(y, min(y + side[0], grid.shape[0])), slice(x, min(x + side[1], grid.shape[1]))
@@ -244,19 +249,19 @@ def _merge(run: Run, cell: tuple[int, int], parts: Parts, grid: Grid) -> list[Wr
     for (index, name, *_, checksum), window in zip(parts, windows, strict=True):
         patch = stores.read_region(run.patch(name), "image", window)
         if stores.checksum(patch) != checksum:
-            raise ProcessingError(f"the patch of block {name} is no longer what was written")
-        mine = np.isfinite(patch.real)
-        np.copyto(owner, index, where=mine)
+            raise ProcessingError(f"the patch of block {name} no longer has the checksum of its receipt")
+        covered = np.isfinite(patch.real)
+        np.copyto(owner, index, where=covered)
         if image is None:
             image = patch
         else:
-            np.copyto(image, patch, where=mine)
+            np.copyto(image, patch, where=covered)
     assert image is not None
-    # A chunk that one block alone covers is that block's: it need not lie on the disk twice.
-    alone = len(parts) == 1 and stores.share_region(
+    # A chunk that only one block covers equals that block's: the two share their storage.
+    shared = len(parts) == 1 and stores.share_region(
         run.image, "image", (rows, columns), source=run.patch(parts[0][1]), source_region=windows[0]
     )
-    store = written if alone else write
+    store = written_entry if shared else write
     return [
         store(run, run.image, "image", (rows, columns), image),
         write(run, run.image, "block", (rows, columns), owner),
@@ -264,15 +269,15 @@ def _merge(run: Run, cell: tuple[int, int], parts: Parts, grid: Grid) -> list[Wr
 
 
 def back_project_chunk(
-    source: stores.PhaseHistory,
     run: Run,
     unit: str,
+    source: stores.PhaseHistory,
     cell: tuple[int, int],
     geometry: Geometry,
     grid: Grid,
-    found: Inspection,
+    inspection: Inspection,
 ) -> Receipt:
-    """One output chunk by exact back-projection; reads the lit pulses only."""
+    """Form one output chunk by exact back-projection; reads only the pulses that light it."""
     started = time.perf_counter()
     side = image_chunk(grid)
     y, x = cell[0] * side[0], cell[1] * side[1]
@@ -280,7 +285,7 @@ def back_project_chunk(
 
     def read(pulses: slice) -> ComplexArray:
         signal = source.read(pulses, slice(None))
-        mask_outliers(signal, found, pulses=pulses)
+        mask_outliers(signal, inspection, pulses=pulses)
         return signal
 
     image = np.full((rows.stop - rows.start, columns.stop - columns.start), np.nan + 1j * np.nan, np.complex64)

@@ -1,1 +1,1 @@
-"""From a collection's metadata to everything that focusing needs, with a prediction of the image's quality."""
+"""Plans of how to focus a collection, from its metadata alone, with the predicted quality of the image."""

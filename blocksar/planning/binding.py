@@ -2,11 +2,11 @@
 
     RangePart    steps up to range compression, bound to the block's own lines
     AzimuthPart  steps after it, bound to fitted or closed-form polynomials
-    sampled      all steps with the sampling that the traced lines ask for: they can be applied
+    sampled      all steps with the sampling that the traced lines need: they can be applied
 
-Lines do not ask how time, Doppler and range are sampled, so they pass through the parts before the sampling is planned.
-Constants are bound by the steps themselves (`Step.bind`): nothing here knows one kind of step from another, but that
-range compression divides the chain.
+Lines do not depend on how time, Doppler and range are sampled, so they pass through the parts before the sampling is
+planned. Steps bind their own constants (`Step.bind`). The only kind of step that this module knows is range
+compression, which divides the chain.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ class Slab(NamedTuple):
 
     first_bin: int
     doppler: Axis
-    walk: float  # Hz on the carrier: the middle of the block's Doppler
+    walk: float  # middle of the block's Doppler, Hz on the carrier
     margin: float  # Hz
-    band_edge: float  # of the range frequencies, over the carrier
+    band_edge: float  # largest range frequency over the carrier
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,15 +66,16 @@ class RangePart:
 
     @property
     def compression(self) -> Compression:
+        """The last step."""
         compression = self.steps[-1]
         assert isinstance(compression, Compression)
         return compression
 
     @property
     def freedom(self) -> Freedom:
-        """Which fitted polynomials the steps that follow take."""
-        taken = {kind.fitted for kind in self.azimuth_kinds}
-        return Freedom("time" in taken, "doppler" in taken, "resampling" in taken)
+        """The fitted polynomials that the steps after range compression need."""
+        fitted = {kind.fitted for kind in self.azimuth_kinds}
+        return Freedom("time" in fitted, "doppler" in fitted, "resampling" in fitted)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -106,11 +107,11 @@ class AzimuthPart:
         return trace(self.steps, line)
 
     def perturb_time(self, line: Line) -> Line:
-        """Lines as they go into Doppler, from those after range compression."""
+        """Lines before the transform to Doppler, from those after range compression."""
         return line.multiply_time(*self.polynomials.time.evaluate(line.range.mean(axis=-1), line.time))
 
-    def in_doppler(self, line: Line) -> list[Line]:
-        """Lines before each step up to the deramp, from those after range compression: the bands to be held."""
+    def trace_to_deramp(self, line: Line) -> list[Line]:
+        """Lines before each step up to the deramp, from those after range compression."""
         lines = [line]
         for step in self.steps:
             if step.fitted == "deramp":

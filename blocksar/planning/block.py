@@ -1,4 +1,4 @@
-"""Planning of one angular block: slab, chain of steps, coefficients, sampling and place on the ground."""
+"""Planning of one angular block: slab, chain of steps, coefficients, sampling and ground map."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ from blocksar.planning.memory import block_memory
 from blocksar.planning.prediction import Prediction, predict
 from blocksar.planning.target_lines import recovered_line, tail_margin
 
-TIME_GUARD = 0.1  # of a dwell, kept on either side of what a block's targets are lit in
+TIME_GUARD = 0.1  # dwells kept on either side of the time in which a block's targets are lit
 # Oversampling of a focused block: twelve taps in range and eight in Doppler then err by less than IMAGE_TAP_ERROR.
 RANGE_ROOM = 1.42
-RANGE_STEPS = 4  # of the iteration for targets that share an apparent range
-RESAMPLING_ROOM = 1.35  # of the time to be transformed: Doppler is then sampled densely enough to interpolate
+RANGE_STEPS = 4  # of the iteration that finds the targets of an apparent range
+RESAMPLING_ROOM = 1.35  # oversampling of Doppler by padding in time: dense enough to interpolate
 REFERENCE_ORDER = 8  # of the range series of a block's centre
 
 
@@ -56,7 +56,7 @@ class Sector:
     far: float
 
     def lines(self, epoch_range: FloatArray, yaw: FloatArray) -> Line:
-        """Lines of targets in the recovered signal; their places broadcast."""
+        """Lines of targets in the recovered signal; `epoch_range` and `yaw` are broadcast."""
         recovery = self.recovery
         return recovered_line(
             self.geometry,
@@ -68,7 +68,7 @@ class Sector:
         )
 
     def reference(self) -> FloatArray:
-        """Range series of the sector's centre, m/s^n, less what recovery took out of all targets alike."""
+        """Range series of the sector's centre, m/s^n, less the common range that recovery removes."""
         middle = np.array((self.near + self.far) / 2), np.array((self.low + self.high) / 2)
         series = range_series.range_series(self.geometry, *middle, order=REFERENCE_ORDER)
         return np.asarray(series - self.recovery.common.taylor(REFERENCE_ORDER))
@@ -76,13 +76,13 @@ class Sector:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BlockPlan:
-    """One angular block: its part of the spectrum, its chain, its place on the ground.
+    """One angular block: its part of the spectrum, its chain, its ground map.
 
     Attributes
     ----------
     index : int
     part : int or None
-        Which range sub-block of the block; None where the block is whole.
+        Number of the range sub-block; None for a whole block.
     low, high : float
         Yaw interval, rad.
     first_bin, n_bin : int
@@ -94,9 +94,9 @@ class BlockPlan:
     ground : GroundMap
     prediction : Prediction
     memory : int
-        Peak of a worker that focuses the block, bytes.
+        Peak memory of a worker that focuses the block, bytes.
     candidate : Candidate
-        The kind of chain that was chosen: its bias is the range acceleration that the time perturbation adds, m/s^2.
+        The chosen kind of chain. Its bias is the range acceleration that the time perturbation adds, m/s^2.
     """
 
     index: int
@@ -128,9 +128,9 @@ def plan_block(
     method : Method
     index : int
     part : int or None
-        Which range sub-block; None for a whole block.
+        Number of the range sub-block; None for a whole block.
     candidate : Candidate or None
-        The kind of chain, as of the other sub-blocks of the block; None: to be chosen.
+        The kind of chain, the same in all sub-blocks of a block; None to choose it.
     """
     collection, recovery = sector.geometry.collection, sector.recovery
     # Coarse lines through the range steps: for the slab, the coefficients and the sampling.
@@ -145,7 +145,7 @@ def plan_block(
     straight = range_part.trace(line)
     azimuth, chosen = _plan_azimuth(sector, range_part, method, straight, nodes=nodes, yaws=yaws, candidate=candidate)
 
-    # Fine lines through the whole chain: for the gate, the place of every target, and the prediction.
+    # Fine lines through the whole chain: for the gate, the ground map and the prediction.
     fine_range, fine_yaw = _end_nodes(sector.near, sector.far, 13), _end_nodes(sector.low, sector.high, 33)
     compressed = range_part.trace(sector.lines(fine_range[:, None], fine_yaw))
     fine = azimuth.trace(compressed)
@@ -208,8 +208,8 @@ def _common_ranges(
 ) -> tuple[FloatArray, FloatArray]:
     """Apparent ranges that span those of lines (n_range, n_yaw), and the epoch range of each yaw's target there.
 
-    Targets of one output row share its coefficients but need not share the range at the epoch: range curvature that
-    is corrected at a target's own Doppler moves the target by that curvature (paper C, below (5)).
+    Targets of one output row share its coefficients but not always the range at the epoch: correcting range curvature
+    at a target's own Doppler moves the target by that curvature (paper C, below (5)).
 
     Returns
     -------
@@ -225,11 +225,12 @@ def _common_ranges(
 
 
 def _end_nodes(low: float, high: float, count: int) -> FloatArray:
-    """Chebyshev's nodes with both ends, ascending."""
+    """Chebyshev nodes including both ends, ascending."""
     return low + (high - low) * (1 - np.cos(np.pi * np.arange(count) / (count - 1))) / 2
 
 
 def _plan_slab(collection: Collection, spectrum: Axis, line: Line, *, margin: float) -> Slab:
+    """The Doppler bins that hold lines at all range frequencies, with a margin (Hz) on either side."""
     band_edge = float(np.abs(collection.range_frequency).max() / collection.carrier)
     band = np.outer([1 - band_edge, 1 + band_edge], [line.doppler.min(), line.doppler.max()])
     first_bin = max(int(np.floor(spectrum.position(np.array(band.min() - margin)))), 0)
@@ -249,11 +250,11 @@ def _plan_sampling(
     range_frequency: Axis,
     duration: float,
 ) -> Sampling:
-    """The axes that a block's lines ask for: `straight` after range compression, `fine` after the last step."""
+    """The axes that hold a block's lines: `straight` after range compression, `fine` after the last step."""
     focused = azimuth.trace(straight)
     spots = focus(focused)
     bands = _doppler_bands(slab, azimuth, straight)
-    time = _plan_time(recovery, slab, straight, held=max(bands) - min(bands), duration=duration)
+    time = _plan_time(recovery, slab, straight, bandwidth=max(bands) - min(bands), duration=duration)
     guard = 0.05 * duration
     begin = min(float(focused.time.min()) - guard, time.start)
     end = max(float(focused.time.max()) + guard, time.start + time.extent)
@@ -280,25 +281,25 @@ def _plan_sampling(
 
 
 def _doppler_bands(slab: Slab, azimuth: AzimuthPart, straight: Line) -> list[float]:
-    """Ends of the Doppler bands that a block occupies ahead of its deramp, Hz."""
+    """Ends of the Doppler bands that a block occupies before its deramp, Hz."""
     start = slab.doppler.start - slab.walk
     bands = [start, slab.doppler.start + slab.doppler.extent - slab.walk]
-    for line in azimuth.in_doppler(straight)[1:]:
+    for line in azimuth.trace_to_deramp(straight)[1:]:
         bands += [float(line.doppler.min()) - slab.margin, float(line.doppler.max()) + slab.margin]
     return bands
 
 
-def _plan_time(recovery: Recovery, slab: Slab, straight: Line, *, held: float, duration: float) -> Axis:
-    """Slow time in which a block's targets are lit, sampled for a band of `held` Hz: the rest lit others."""
+def _plan_time(recovery: Recovery, slab: Slab, straight: Line, *, bandwidth: float, duration: float) -> Axis:
+    """Slow time in which a block's targets are lit, sampled for a Doppler band of `bandwidth` Hz."""
     span = recovery.time.extent
-    full = fourier.fast_length(1.25 * span * max(held, slab.doppler.extent))
+    full = fourier.fast_length(1.25 * span * max(bandwidth, slab.doppler.extent))
     step = span / full
-    # Ends of dwells ring on; the keystone moves them by the band's share of the time from the epoch.
+    # Ends of dwells ring beyond. The keystone moves them by up to band_edge times their time from the epoch.
     latest = float(np.abs(straight.time).max())
     room = TIME_GUARD * duration + latest * slab.band_edge
     first = max(math.floor((float(straight.time.min()) - room - recovery.time.start) / step), 0)
     last = min(math.ceil((float(straight.time.max()) + room - recovery.time.start) / step), full)
-    # An odd number of cache lines a row: columns of a block then do not fall on each other's place in the cache.
+    # An odd number of cache lines per row, so that the columns of a block do not share cache sets.
     n_time = min(math.ceil((last - first - 8) / 16) * 16 + 8, full - first)
     return Axis(recovery.time.start + first * step, step, n_time)
 
@@ -310,13 +311,13 @@ def _range_transform(range_frequency: Axis) -> tuple[int, float]:
 
 
 def _range_taps(range_frequency: Axis) -> tuple[int, float]:
-    """Taps of the interpolation along range, and the part of the sampling that is filled."""
+    """Taps of the interpolation along range, and the occupied fraction of the sampling rate."""
     filled = range_frequency.size / _range_transform(range_frequency)[0]
     return taps_needed(filled, error=IMAGE_TAP_ERROR), filled
 
 
 def _plan_rows(spots: Focus, range_frequency: Axis) -> Axis:
-    """Ranges, less the origin, at which targets focus, and more on either side for interpolation."""
+    """Ranges, less the origin, at which targets focus, with room for interpolation on either side."""
     period, step = _range_transform(range_frequency)
     reach = (_range_taps(range_frequency)[0] / 2 + 2) * step
     nearest, farthest = float(spots.range.min()) - reach, float(spots.range.max()) + reach
@@ -326,7 +327,7 @@ def _plan_rows(spots: Focus, range_frequency: Axis) -> Axis:
 def _plan_ground(
     sector: Sector, sampling: Sampling, line: Line, spots: Focus, *, epoch_range: FloatArray, yaw: FloatArray
 ) -> GroundMap:
-    """Maps from the ground to the focused block, from where lines (n_range, n_yaw) focus."""
+    """The map from the ground to the focused block, by where lines (n_range, n_yaw) focus."""
     collection, origin = sector.geometry.collection, sector.recovery.origin
     offset, doppler_focus, phase, gain, dwell_time = surfaces(
         spots, epoch_range=epoch_range, yaw=yaw, origin=origin, carrier=collection.carrier, degree=(9, 16)
@@ -361,7 +362,7 @@ def _plan_ground(
 
 
 def _plan_memory(range_gate: RangeGate | None, range_part: RangePart, sampling: Sampling) -> int:
-    """Peak of a worker that focuses the block, bytes."""
+    """Peak memory of a worker that focuses the block, bytes."""
     return block_memory(
         gate=range_gate,
         frequency=sampling.range_frequency,
@@ -374,6 +375,6 @@ def _plan_memory(range_gate: RangeGate | None, range_part: RangePart, sampling: 
 
 
 def _local_occupancy(line: Line, spots: Focus, doppler: Axis) -> float:
-    """Part of the sampling that a target's response fills along Doppler once its own carrier is out."""
+    """Fraction of the sampling rate that a target's response fills along Doppler without its own carrier."""
     reach = np.abs(line.time - spots.time[..., None]).max()
     return float(min(2.2 * reach * doppler.step, 0.9))

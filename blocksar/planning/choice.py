@@ -1,7 +1,7 @@
-"""Which processor: every chain's plan side by side, and the one to propose with its reason.
+"""Choice of the processor: the plans of all chains side by side, and the proposed one with the reason.
 
-All plans are made of the same geometry, so the residuals that their traced lines predict can be compared, and so
-can the work: floating-point operations of their transforms and resamplings.
+All plans are of the same geometry. Comparable are therefore the residuals that their traced lines predict, and their
+work: the floating-point operations of transforms and resamplings.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from blocksar.focusing.method import Chain, Method
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.plan import Plan
 
-ALIKE = 1.1  # times the least work: within that, the sharper one is taken
+ALIKE = 1.1  # times the least work: among processors within that, the sharpest is proposed
 
 
 @dataclass(frozen=True)
 class Contender:
-    """A processor with its plan, or with the reason why there is none."""
+    """A processor with its plan, or with the reason why it has none."""
 
     processor: Chain
     plan: Plan | None
@@ -29,49 +29,52 @@ class Contender:
 
     @property
     def worst(self) -> BlockPlan:
+        """The block with the largest excess over its budgets."""
         assert self.plan is not None
         return max(self.plan.blocks, key=lambda block: block.prediction.excess)
 
     @property
     def serves(self) -> bool:
+        """Whether the plan stays within all budgets."""
         return self.plan is not None and self.refusal is None and self.plan.within_budget() and self.loss <= LOSS_BUDGET
 
     @property
     def loss(self) -> float:
+        """The largest fraction of a dwell lost to dispersion at its ends."""
         assert self.plan is not None
         return max(block.prediction.loss for block in self.plan.blocks)
 
 
-def contend(plan: Callable[[Method], Plan]) -> list[Contender]:
-    """Every processor's plan.
+def contend(planner: Callable[[Method], Plan]) -> list[Contender]:
+    """Plan for every processor.
 
     Raises
     ------
     InputError
-        If none can be planned: what the first one said.
+        If none can be planned: the error of the first.
     """
-    found, refused = [], []
+    contenders, errors = [], []
     for processor in get_args(Chain):
         try:
-            made = plan(Method(processor=processor))
-            found.append(Contender(processor, made, made.refusal))
+            plan = planner(Method(processor=processor))
+            contenders.append(Contender(processor, plan, plan.refusal))
         except InputError as error:
-            refused.append(error)
-            found.append(Contender(processor, None, str(error)))
-    if len(refused) == len(found):
-        raise refused[0]
-    return found
+            errors.append(error)
+            contenders.append(Contender(processor, None, str(error)))
+    if len(errors) == len(contenders):
+        raise errors[0]
+    return contenders
 
 
 def propose(contenders: list[Contender]) -> tuple[Contender | None, str]:
-    """Who is to be taken, and why; None if nobody will do."""
-    able = [c for c in contenders if c.plan is not None and c.refusal is None]
-    if not able:
+    """The proposed processor and the reason; None if none qualifies."""
+    feasible = [c for c in contenders if c.plan is not None and c.refusal is None]
+    if not feasible:
         reasons = "; ".join(f"{c.processor}: {c.refusal}" for c in contenders)
         return None, f"no chain focuses this collection ({reasons}); backprojection does"
-    good = [c for c in able if c.serves]
+    good = [c for c in feasible if c.serves]
     if not good:
-        best = min(able, key=_excess)
+        best = min(feasible, key=_excess)
         return best, f"no processor stays within the budgets; {best.processor} comes closest: {_figures(best)}"
     least = min(_work(c) for c in good)
     best = min((c for c in good if _work(c) <= ALIKE * least), key=_excess)

@@ -1,4 +1,4 @@
-"""Coefficients of the azimuth steps in closed form: expanded about the centre of a block, as the papers do.
+"""Coefficients of the azimuth steps in closed form: expanded about the centre of a block, as in the papers.
 
 After range-walk correction and RCMC a target at yaw offset D from the block's centre has the azimuth phase
 -(4 pi / lambda) [k_1'' t + k_2 t^2 + k_3 t^3 + k_4 t^4], k_n = k_n0 + k_n1 D + k_n2 D^2 (paper A (2), (21)), which
@@ -7,54 +7,54 @@ in the time-frequency plane is the line
     f(t) = f0 + r t + c t^2 + q t^3,    f0 = -(2 / lambda) (k_11 D + k_12 D^2 + ..)
     r = -(4 / lambda) k_2,              c = -(6 / lambda) k_3,              q = -(8 / lambda) k_4.
 
-Where all targets are lit about t = 0, f0 tells them apart: D = -lambda f0 / (2 k_11) - k_12 lambda^2 f0^2 / (4 k_11^3)
+Where all targets are lit about t = 0, f0 separates them: D = -lambda f0 / (2 k_11) - k_12 lambda^2 f0^2 / (4 k_11^3)
 turns yaw series into Doppler series r = r0 + r1 f0 + r2 f0^2, c = c0 + c1 f0, q = q0 + q1 f0.
 
 FREQUENCY PERTURBATION AS PRINTED (paper A (30), (31)). Erratum applied: (26) is exp[j pi (alpha f^3 + beta f^4)].
-(28) is of first order in alpha; inverse rates add, and with that the second term of beta has 96 in place of 48. It is
-left as printed: what it leaves is what the printed formulas leave.
+(28) is of first order in alpha. Since inverse rates add, the second term of beta should have 96 in place of 48. It is
+left as printed, so that the residuals are those of the printed formulas.
 
-CONVENTIONAL RANGE MODEL (the reference method of paper A's Table 2 and Figure 14). What the paper says: the model is of
+CONVENTIONAL RANGE MODEL (the reference method of paper A's Table 2 and Figure 14). The paper says: the model is of
 fourth order in slow time, range-walk correction displaces targets in range, and the model is fitted to that by
 variable substitution, which brings in approximations; the scene is not divided, all other steps are the paper's own,
-and the space-variant components of the third-order term remain. What it does not say is the model: it is only cited.
-Built in its place: a target of azimuth coordinate u comes to lie at R' = R + a_1 u + a_2 u^2 + .., and the
-substitution is R = R' - a_1 u. It is right to first order in azimuth, so k_n(R', u) is known to first order,
-k_n0 + k_n1 u, and beyond it is not. Hence the condition D_21 = 0 of (29) alone: alpha as in (30), no beta, third and
-fourth order constant. To first order all choices of u, and the polar model, give one alpha.
+and the space-variant components of the third-order term remain. The paper does not give the model, it only cites it.
+This stand-in is built instead: a target of azimuth coordinate u comes to lie at R' = R + a_1 u + a_2 u^2 + .., and the
+substitution is R = R' - a_1 u. The substitution holds to first order in azimuth, so k_n(R', u) is known to first order
+only, k_n0 + k_n1 u. Hence the condition D_21 = 0 of (29) alone: alpha as in (30), no beta, third and fourth order
+constant. To first order all choices of u, and the polar model, give the same alpha.
 
-DOPPLER RESAMPLING (paper B, of which we have the abstract; derived here). Time perturbation sets r0, c0 and q0 and
-nothing else. Resampling f -> h(f) = f + e2 f^2 + e3 f^3 takes (t, f) to (t / h'(f), h(f)): it leaves the middle of
-every line where it is, and there the line becomes, with a, b, g = h'(f0), h''(f0), h'''(f0),
+DOPPLER RESAMPLING (paper B, of which only the abstract was available; derived here). Time perturbation sets r0, c0 and
+q0 and nothing else. Resampling f -> h(f) = f + e2 f^2 + e3 f^3 maps (t, f) to (t / h'(f), h(f)). The middle of every
+line stays in time, and there the line becomes, with a, b, g = h'(f0), h''(f0), h'''(f0),
 
     F(T) = h(f0) + a^2 r T + (a^3 c + 3/2 a^2 b r^2) T^2
            + (a^4 q + 4 a^3 b c r + 2/3 a^3 g r^3 + 2 a^2 b^2 r^3) T^3 + ..
 
-One slope for all targets is h' = sqrt(r0 / r(f0)), to second order in f0
+All targets have one slope for h' = sqrt(r0 / r(f0)), to second order in f0
 
     e2 = -r1 / (4 r0),    e3 = r1^2 / (8 r0^2) - r2 / (6 r0).
 
-The T^2 term then varies along f0 by itself; the constants that stop it, and the T^3 term, to first order are
+The T^2 term then still varies along f0. The constants that make it and the T^3 term constant, to first order, are
 
     c0 = r0 (8 c1 - 12 r0 r2 + 3 r1^2) / (12 r1)
     q0 = [16 c0 (r1^2 - r0 r2) - 8 c1 r0 r1 + 4 q1 r0 + 4 r0^2 r1 r2 + r0 r1^3] / (8 r1),
 
-whence p3 = (c0 + 6 k_30 / lambda) / 3, p4 = (q0 + 8 k_40 / lambda) / 4. What all lines share the deramp takes out:
+whence p3 = (c0 + 6 k_30 / lambda) / 3, p4 = (q0 + 8 k_40 / lambda) / 4. The deramp removes what all lines share:
 
     d2 = -r0 / 2,  d3 = -(c0 + 3 e2 r0^2) / 3,  d4 = -(q0 + 8 e2 c0 r0 + 8 e2^2 r0^3 + 4 e3 r0^3) / 4.
 
-The time perturbation works through e2: where r1 = 0 (looking broadside) none helps, and near there it would fold lines
-over. Beyond STEEPEST it is left out.
+The time perturbation acts through e2. Where r1 = 0 (looking broadside) it has no effect, and near there it would fold
+lines over. It is left out where it would change a slope by more than STEEPEST.
 
-HIGH-ORDER PHASE CORRECTION (paper C, section IV, of which we have the idea; derived here). exp{2j pi (p3 f^3 + p4 f^4)}
-adds -(6 p3 f + 12 p4 f^2) to the inverse of a Doppler rate, and moves the middles of lines to -3 p3 f0^2, where the
-deramp's d3 t^3 has the slope -18 d3 p3 f0^2, which p4 has to make good as well:
+HIGH-ORDER PHASE CORRECTION (paper C, section IV, gives the idea; derived here). exp{2j pi (p3 f^3 + p4 f^4)}
+adds -(6 p3 f + 12 p4 f^2) to the inverse of a Doppler rate, and moves the middles of lines to -3 p3 f0^2. There the
+deramp's d3 t^3 has the slope -18 d3 p3 f0^2, which p4 has to compensate as well:
 
     p3 = -r1 / (6 r0^2),    p4 = r1^2 / (24 r0^3) - r2 / (12 r0^2) + c0 r1 / (12 r0^4),
 
 and the deramp is the reversion of the line of D = 0. For the squinted straight track, at constant output range R':
 p3 = -R' lambda^2 sin / (12 v^3 cos^4), p4 = -R' lambda^3 (3 + 7 sin^2) / (192 v^4 cos^6), d2 = v^2 cos^2 / (lambda R'),
-d3 = v^3 sin cos^2 / (3 lambda R'^2), of the squint theta_0. p3 is alpha / 2 of (30).
+d3 = v^3 sin cos^2 / (3 lambda R'^2), with sin and cos of the squint theta_0. p3 is alpha / 2 of (30).
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ from blocksar.focusing.lines import AzimuthPolynomials, RowPolynomial, row_polyn
 from blocksar.focusing.method import RangeModel
 from blocksar.planning.fitting import SERIES_DEGREE, Freedom
 
-STEEPEST = 0.5  # of r0: what the time perturbation may change the slope of a line by, anywhere along its dwell
+STEEPEST = 0.5  # times r0: the largest change of a line's slope by the time perturbation, anywhere along its dwell
 
 
 class Levelling(NamedTuple):
@@ -82,43 +82,69 @@ class Levelling(NamedTuple):
     deramp: FloatArray
 
 
-class _Rates(NamedTuple):
-    """Of lines as series in their Doppler f0 at t = 0, (n_range,) each."""
+def levelling(
+    geometry: Geometry,
+    freedom: Freedom,
+    *,
+    epoch_range: FloatArray,
+    ranges: FloatArray,
+    yaws: FloatArray,
+    shift: float,
+    in_doppler: bool,
+    range_model: RangeModel = "polar",
+) -> AzimuthPolynomials:
+    """A chain's coefficients in closed form; the chain's steps decide on the form.
 
-    r0: FloatArray
-    r1: FloatArray
-    r2: FloatArray
-    c0: FloatArray
-    c1: FloatArray
-    q0: FloatArray
-    q1: FloatArray
+    Parameters
+    ----------
+    epoch_range : (n_range, n_yaw) float
+        Epoch ranges of the targets that share each apparent range, m.
+    ranges : (n_range,) float
+        Those apparent ranges, m from the origin.
+    yaws : (n_yaw,) float
+        From end to end of the block, rad.
+    shift : float
+        Unified walk plus residual walk, both removed before: Doppler on the carrier, Hz.
+    in_doppler : bool
+        Whether range compression was in the 2-D frequency domain, as in paper C.
+    """
+    lam, collection = geometry.collection.wavelength, geometry.collection
+    yaw, half_width = float(yaws[0] + yaws[-1]) / 2, float(yaws[-1] - yaws[0]) / 2
+    along = np.polynomial.chebyshev.chebfit((yaws - yaw) / half_width, epoch_range.T, 8)
+    at_nodes = np.asarray(np.polynomial.chebyshev.chebval(YAW_NODES, along), dtype=np.float64)
+    k = yaw_series(geometry, at_nodes, yaw, order=4, half_width=half_width)
+    half_dwell = collection.pulse_interval * collection.n_pulse / 2
+    own_centre = -2 / lam * k[:, 1, 0] - shift
+    middle = epoch_range.mean(axis=1)
+    # (29) counts Doppler from the block's centre at the reference range, as (16) leaves it: at other ranges k_1'' is
+    # not zero at the block's middle yaw (some 400 Hz on Table 1). The other forms count from each range's own centre.
+    reference = np.full_like(own_centre, np.interp(0.0, middle - middle.mean(), own_centre))
+    if freedom.resampling:
+        levels, centres = resampled(k, wavelength=lam, half_dwell=half_dwell), own_centre
+    elif freedom.doppler and in_doppler:
+        levels, centres = corrected(k, wavelength=lam), own_centre
+    elif freedom.doppler:
+        levels, centres = printed(k, wavelength=lam, beta=range_model == "polar"), reference
+    else:
+        levels, centres = deramped(k, wavelength=lam), own_centre
+    doppler_scale = float(np.abs(2 / lam * k[:, 1, 1] * half_width).max())
+    zero, order = np.zeros_like(own_centre), np.arange(5)
 
-    @classmethod
-    def of(cls, k: FloatArray, wavelength: float) -> _Rates:
-        to_doppler = -2 / wavelength
-        first = 1 / (to_doppler * k[:, 1, 1])  # D = first f0 + second f0^2
-        second = -k[:, 1, 2] / (to_doppler**2 * k[:, 1, 1] ** 3)
-        return cls(
-            r0=2 * to_doppler * k[:, 2, 0],
-            r1=2 * to_doppler * k[:, 2, 1] * first,
-            r2=2 * to_doppler * (k[:, 2, 1] * second + k[:, 2, 2] * first**2),
-            c0=3 * to_doppler * k[:, 3, 0],
-            c1=3 * to_doppler * k[:, 3, 1] * first,
-            q0=4 * to_doppler * k[:, 4, 0],
-            q1=4 * to_doppler * k[:, 4, 1] * first,
-        )
+    def make_row(coefficients: FloatArray, centres: FloatArray, scale: float) -> RowPolynomial:
+        powers = coefficients * scale**order
+        return row_polynomial(powers, ranges=ranges, centres=centres, scale=scale, degree=SERIES_DEGREE)
 
-
-def _orders(size: int, **terms: FloatArray) -> FloatArray:
-    """(size, 5) with the named orders, such as p3=...; the others zero."""
-    found = np.zeros((size, 5))
-    for name, values in terms.items():
-        found[:, int(name[-1])] = values
-    return found
+    return AzimuthPolynomials(
+        time=make_row(levels.time, zero, half_dwell),
+        doppler=make_row(levels.doppler, centres, doppler_scale),
+        resampling=make_row(levels.resampling, centres, doppler_scale),
+        deramp=make_row(levels.deramp, zero, half_dwell),
+        middle=0.0,
+    )
 
 
 def printed(k: FloatArray, *, wavelength: float, beta: bool = True) -> Levelling:
-    """Frequency perturbation (30) and deramp (31) of paper A; without beta, its reference method.
+    """Frequency perturbation (30) and deramp (31) of paper A; without beta, the paper's reference method.
 
     Parameters
     ----------
@@ -146,14 +172,17 @@ def printed(k: FloatArray, *, wavelength: float, beta: bool = True) -> Levelling
 
 
 def deramped(k: FloatArray, *, wavelength: float) -> Levelling:
-    """The deramp of the block's centre, and nothing else."""
+    """The deramp of the block's centre only."""
     n, to_cycles = k.shape[0], 2 / wavelength
     deramp = _orders(n, d2=to_cycles * k[:, 2, 0], d3=to_cycles * k[:, 3, 0], d4=to_cycles * k[:, 4, 0])
     return Levelling(_orders(n), _orders(n), _orders(n), deramp)
 
 
 def resampled(k: FloatArray, *, wavelength: float, half_dwell: float) -> Levelling:
-    """Time perturbation, Doppler resampling and deramp of paper B's chain; `half_dwell` (s) bounds the first."""
+    """Time perturbation, Doppler resampling and deramp of paper B's chain.
+
+    `half_dwell` (s) bounds the change of slope by the time perturbation.
+    """
     n, (r0, r1, r2, c0, c1, q0, q1) = k.shape[0], _Rates.of(k, wavelength)
     e2 = -r1 / (4 * r0)
     e3 = r1**2 / (8 * r0**2) - r2 / (6 * r0)
@@ -184,61 +213,36 @@ def corrected(k: FloatArray, *, wavelength: float) -> Levelling:
     return Levelling(_orders(n), _orders(n, p3=p3, p4=p4), _orders(n), deramp)
 
 
-def levelling(
-    geometry: Geometry,
-    freedom: Freedom,
-    *,
-    epoch_range: FloatArray,
-    ranges: FloatArray,
-    yaws: FloatArray,
-    shift: float,
-    in_doppler: bool,
-    range_model: RangeModel = "polar",
-) -> AzimuthPolynomials:
-    """A chain's coefficients in closed form: which one follows from the steps that it has.
+class _Rates(NamedTuple):
+    """Doppler rates of lines as series in their Doppler f0 at t = 0, (n_range,) each."""
 
-    Parameters
-    ----------
-    epoch_range : (n_range, n_yaw) float
-        Of the targets that share each apparent range, m.
-    ranges : (n_range,) float
-        Those apparent ranges, m from the origin.
-    yaws : (n_yaw,) float
-        From end to end of the block, rad.
-    shift : float
-        Unified walk plus residual walk as Doppler on the carrier, Hz: what has been taken out.
-    in_doppler : bool
-        Whether ranges were compressed in the 2-D frequency domain, as paper C does.
-    """
-    lam, collection = geometry.collection.wavelength, geometry.collection
-    yaw, half_width = float(yaws[0] + yaws[-1]) / 2, float(yaws[-1] - yaws[0]) / 2
-    along = np.polynomial.chebyshev.chebfit((yaws - yaw) / half_width, epoch_range.T, 8)
-    at_nodes = np.asarray(np.polynomial.chebyshev.chebval(YAW_NODES, along), dtype=np.float64)
-    k = yaw_series(geometry, at_nodes, yaw, order=4, half_width=half_width)
-    half_dwell = collection.pulse_interval * collection.n_pulse / 2
-    own_centre = -2 / lam * k[:, 1, 0] - shift
-    middle = epoch_range.mean(axis=1)
-    # (29) counts Doppler from the block's centre at the reference range, as (16) leaves it: at other ranges k_1'' is
-    # not zero at the block's middle yaw (some 400 Hz on Table 1). The others count from each range's own centre.
-    reference = np.full_like(own_centre, np.interp(0.0, middle - middle.mean(), own_centre))
-    if freedom.resampling:
-        found, centres = resampled(k, wavelength=lam, half_dwell=half_dwell), own_centre
-    elif freedom.doppler and in_doppler:
-        found, centres = corrected(k, wavelength=lam), own_centre
-    elif freedom.doppler:
-        found, centres = printed(k, wavelength=lam, beta=range_model == "polar"), reference
-    else:
-        found, centres = deramped(k, wavelength=lam), own_centre
-    doppler_scale = float(np.abs(2 / lam * k[:, 1, 1] * half_width).max())
-    zero, order = np.zeros_like(own_centre), np.arange(5)
+    r0: FloatArray
+    r1: FloatArray
+    r2: FloatArray
+    c0: FloatArray
+    c1: FloatArray
+    q0: FloatArray
+    q1: FloatArray
 
-    def made(part: FloatArray, centres: FloatArray, scale: float) -> RowPolynomial:
-        return row_polynomial(part * scale**order, ranges=ranges, centres=centres, scale=scale, degree=SERIES_DEGREE)
+    @classmethod
+    def of(cls, k: FloatArray, wavelength: float) -> _Rates:
+        to_doppler = -2 / wavelength
+        first = 1 / (to_doppler * k[:, 1, 1])  # D = first f0 + second f0^2
+        second = -k[:, 1, 2] / (to_doppler**2 * k[:, 1, 1] ** 3)
+        return cls(
+            r0=2 * to_doppler * k[:, 2, 0],
+            r1=2 * to_doppler * k[:, 2, 1] * first,
+            r2=2 * to_doppler * (k[:, 2, 1] * second + k[:, 2, 2] * first**2),
+            c0=3 * to_doppler * k[:, 3, 0],
+            c1=3 * to_doppler * k[:, 3, 1] * first,
+            q0=4 * to_doppler * k[:, 4, 0],
+            q1=4 * to_doppler * k[:, 4, 1] * first,
+        )
 
-    return AzimuthPolynomials(
-        time=made(found.time, zero, half_dwell),
-        doppler=made(found.doppler, centres, doppler_scale),
-        resampling=made(found.resampling, centres, doppler_scale),
-        deramp=made(found.deramp, zero, half_dwell),
-        middle=0.0,
-    )
+
+def _orders(size: int, **terms: FloatArray) -> FloatArray:
+    """Coefficients (size, 5) with the named orders, such as p3=...; the others are zero."""
+    coefficients = np.zeros((size, 5))
+    for name, values in terms.items():
+        coefficients[:, int(name[-1])] = values
+    return coefficients

@@ -1,4 +1,4 @@
-"""The choice of a block's coefficients: several kinds of chain are fitted, the cheapest good one is taken."""
+"""Choice of a block's coefficients: several kinds of chain are fitted, and the cheapest good one is chosen."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def choose(
     shift: float,
     candidate: Candidate | None,
 ) -> tuple[AzimuthPolynomials, Candidate]:
-    """Coefficients as the method asks for: among fitted ones the cheapest whose lines end level and unfolded.
+    """Coefficients by the method: in closed form, or of the cheapest fitted chain whose lines end level and unfolded.
 
     Parameters
     ----------
@@ -38,13 +38,13 @@ def choose(
     ranges : (n_range,) float
         Ascending, m from the range origin.
     epoch_range : (n_range, n_yaw) float
-        Of the targets that come to lie there, m.
+        Epoch ranges of the targets that come to lie there, m.
     yaws : (n_yaw,) float
         rad.
     shift : float
-        Doppler that the range part takes out of every line, Hz.
+        Doppler that recovery and the range part remove from every line, Hz.
     candidate : Candidate or None
-        The kind of chain; None: to be chosen.
+        The kind of chain; None to choose it.
     """
     lam, freedom = geometry.collection.wavelength, range_part.freedom
     if method.coefficients == "closed-form":
@@ -53,35 +53,35 @@ def choose(
             in_doppler=range_part.compression.in_doppler, range_model=method.range_model,
         )  # fmt: skip
         return polynomials, Candidate(0.0, False)
-    chosen = candidate or _cheapest(line, range_part, ranges=ranges, wavelength=lam)
+    chosen = candidate or _find_cheapest(line, range_part, ranges=ranges, wavelength=lam)
     return fitting.fit(line, ranges=ranges, candidate=chosen, freedom=freedom, wavelength=lam), chosen
 
 
-def _cheapest(line: Line, range_part: RangePart, *, ranges: FloatArray, wavelength: float) -> Candidate:
-    """The kind of chain with the least phase error and loss for the growth of its samples."""
+def _find_cheapest(line: Line, range_part: RangePart, *, ranges: FloatArray, wavelength: float) -> Candidate:
+    """The kind of chain with the least cost: phase error or loss above the good ones, times the growth in samples."""
     freedom = range_part.freedom
-    some = np.array([0, ranges.size // 2, ranges.size - 1])
-    part = Line(**{name: _pick(getattr(line, name), some, ranges.size) for name in Line.__dataclass_fields__})
+    rows = np.array([0, ranges.size // 2, ranges.size - 1])
+    subset = Line(**{name: _pick(getattr(line, name), rows, ranges.size) for name in Line.__dataclass_fields__})
     best: tuple[float, Candidate] | None = None
-    tried = fitting.candidates(line, wavelength=wavelength, freedom=freedom)
-    if len(tried) == 1:
-        return tried[0]
-    for candidate in tried:
+    kinds = fitting.candidates(line, wavelength=wavelength, freedom=freedom)
+    if len(kinds) == 1:
+        return kinds[0]
+    for candidate in kinds:
         polynomials = fitting.fit(
-            part, ranges=ranges[some], candidate=candidate, freedom=freedom, wavelength=wavelength, roughly=True
+            subset, ranges=ranges[rows], candidate=candidate, freedom=freedom, wavelength=wavelength, roughly=True
         )
-        azimuth = AzimuthPart.bind(range_part, polynomials, part)
-        biased, traced = azimuth.perturb_time(part), azimuth.trace(part)
-        spread = biased.rate * part.weight.sum(axis=-1, keepdims=True) ** 2
+        azimuth = AzimuthPart.bind(range_part, polynomials, subset)
+        biased, traced = azimuth.perturb_time(subset), azimuth.trace(subset)
+        spread = biased.rate * subset.weight.sum(axis=-1, keepdims=True) ** 2
         if traced.folded or not np.isfinite(traced.time).all():
             continue
         if spread.min() * spread.max() < 0:
             continue
         residual = float(focus(traced).residual.max())
         loss = float(fitting.end_loss(traced, biased.rate).max())
-        length = np.ptp(traced.time) / np.ptp(part.time)
+        length = np.ptp(traced.time) / np.ptp(subset.time)
         fault = max(residual / fitting.GOOD_RESIDUAL, loss / fitting.GOOD_LOSS, 1.0)
-        growth = max(length, 1.0) * max(np.ptp(biased.doppler) / np.ptp(part.doppler), 1.0)
+        growth = max(length, 1.0) * max(np.ptp(biased.doppler) / np.ptp(subset.doppler), 1.0)
         cost = fault * growth
         if best is None or cost < 0.9 * best[0]:
             best = (cost, candidate)
@@ -91,4 +91,5 @@ def _cheapest(line: Line, range_part: RangePart, *, ranges: FloatArray, waveleng
 
 
 def _pick(values: FloatArray, which: NDArray[np.intp], size: int) -> FloatArray:
+    """Some rows of an array (size, ...); arrays that broadcast along rows are returned unchanged."""
     return values[which] if values.shape[0] == size else values

@@ -1,9 +1,9 @@
-"""What the stages of a command cost: predicted seconds of every unit of work, for `progress.Estimate`.
+"""Predicted effort of a command: seconds for every unit of work of its stages, for `progress.Estimate`.
 
-Only ratios between stages matter, the pace is measured while a command runs. The constants below are CPU seconds of
-one thread on one core of a virtual machine (Xeon with AVX-512). Those of recovery, steps, correction and mosaic were
-measured task by task with time.process_time on `table1`, in three and in eight blocks; those of compressing, inspecting
-and back-projecting are estimates, each of which matters only beside the others of its own command.
+Only ratios between stages matter, since the pace is measured while a command runs. The constants below are CPU seconds
+of one thread on one core of a virtual machine (Xeon with AVX-512). Those of recovery, steps, correction and mosaic were
+measured task by task with time.process_time on `table1`, in three and in eight blocks. Those of compression, inspection
+and back-projection are estimates; each matters only relative to the others of its own command.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from blocksar.planning.plan import Plan
 from blocksar.planning.tiling import image_chunk, inspection_width, patch_window
 from blocksar.progress import Work
 
-COMPRESS = 6e-8  # a sample of the echo
-RECOVER = 4.8e-8  # a sample of the spectrum, written
-STEPS = 1.3e-10  # an operation of the blocks' transforms and resamplings, as Plan.work counts them
-CORRECT = 3.6e-8  # a pixel of a patch's chunks, written
-MERGE = 1.13e-8  # a pixel of a patch's chunk, merged
-INSPECT = 2e-8  # a sample
-BACK_PROJECT = 8e-9  # a lit pulse of a pixel
-FINISH = 1.4  # the cluster ends, and what was written is on the disk
+COMPRESS = 6e-8  # per sample of the echo
+RECOVER = 4.8e-8  # per written sample of the spectrum
+STEPS = 1.3e-10  # per operation of the blocks' transforms and resamplings, as Plan.work counts them
+CORRECT = 3.6e-8  # per written pixel of a patch's chunks
+MERGE = 1.13e-8  # per merged pixel of a patch's chunk
+INSPECT = 2e-8  # per sample
+BACK_PROJECT = 8e-9  # per lit pulse and pixel
+FINISH = 1.4  # to end the cluster and flush files to the disk
 
-# `blocksar demo` has to know what is to come before there is a plan: seconds of its stages on two cores there.
+# `blocksar demo` predicts its stages before there is a plan: their seconds on two cores of that machine.
 DEMO = {
     "simulate": 0.6,
     "plan": 1.0,
@@ -48,13 +48,13 @@ DEMO = {
     "report": 2.7,
     "responses": 6.0,
 }
-MOST_CHUNKS = 2000  # of a patch, that are looked at one by one
-COMPILE = 13.0  # where no kernel is in numba's cache yet
+MOST_CHUNKS = 2000  # of a patch that are tested one by one
+COMPILE = 13.0  # while no kernel is in numba's cache
 FOCUS: Work = dict.fromkeys(("plan", "compile", "start-workers", "recover", "focus", "mosaic", "finish"), ())
 
 
 def of_plan(plan: Plan, *, echo_samples: int = 0) -> Work:
-    """Of focusing by a plan; `echo_samples` (in all) where the phase history is a raw echo."""
+    """Work of focusing by a plan; `echo_samples` is the total if the phase history is a raw echo, otherwise 0."""
     collection, side = plan.geometry.collection, image_chunk(plan.grid)
     columns = np.diff([*range(0, collection.n_range_frequency, plan.column_group), collection.n_range_frequency])
     chunks = [touched_chunks(block, plan.grid) for block in plan.blocks]
@@ -71,26 +71,26 @@ def of_plan(plan: Plan, *, echo_samples: int = 0) -> Work:
             for first in range(0, len(merged), MOSAIC_CHUNKS)
         ],
     }
-    return _compressed(collection.n_pulse, echo_samples) | stages | {"finish": [FINISH]}
+    return _by_pulse_group(collection.n_pulse, echo_samples) | stages | {"finish": [FINISH]}
 
 
 def of_backprojection(geometry: Geometry, grid: Grid, *, echo_samples: int = 0) -> Work:
-    """Of exact back-projection."""
+    """Work of exact back-projection; `echo_samples` as in `of_plan`."""
     collection = geometry.collection
-    looks = math.ceil(collection.n_range_frequency / inspection_width(collection))
+    n_tasks = math.ceil(collection.n_range_frequency / inspection_width(collection))
     inspect = INSPECT * collection.n_pulse * collection.n_range_frequency
-    stages = {"inspect": [inspect / looks] * looks, "backprojection": _by_chunk(geometry, grid)}
-    return _compressed(collection.n_pulse, echo_samples) | stages | {"finish": [FINISH]}
+    stages = {"inspect": [inspect / n_tasks] * n_tasks, "backprojection": _by_chunk(geometry, grid)}
+    return _by_pulse_group(collection.n_pulse, echo_samples) | stages | {"finish": [FINISH]}
 
 
 def of_demo(*, simulated: bool, compiled: bool) -> Work:
-    """Of `blocksar demo`, where the phase history and the compiled kernels may be there already."""
+    """Work of `blocksar demo`: without simulation if `simulated`, with the kernels in numba's cache if `compiled`."""
     seconds = DEMO if compiled else DEMO | {"compile": COMPILE}
     return {stage: [cost] for stage, cost in seconds.items() if not (simulated and stage == "simulate")}
 
 
 def touched_chunks(block: BlockPlan, grid: Grid) -> list[tuple[int, int]]:
-    """The chunks of the image, by row and column of chunks, that a block writes; of very many, all of its patch."""
+    """Row and column of each image chunk that a block writes; beyond MOST_CHUNKS, all chunks of its patch."""
     first_y, first_x, n_y, n_x = patch_window(block.ground, grid)
     side = image_chunk(grid)
     rows, columns = (
@@ -105,7 +105,8 @@ def touched_chunks(block: BlockPlan, grid: Grid) -> list[tuple[int, int]]:
     ]
 
 
-def _compressed(n_pulse: int, echo_samples: int) -> dict[str, list[float]]:
+def _by_pulse_group(n_pulse: int, echo_samples: int) -> dict[str, list[float]]:
+    """Work of range compression, nothing without an echo."""
     if not echo_samples:
         return {}
     groups = math.ceil(n_pulse / TILE[0])
@@ -113,7 +114,7 @@ def _compressed(n_pulse: int, echo_samples: int) -> dict[str, list[float]]:
 
 
 def _by_chunk(geometry: Geometry, grid: Grid) -> list[float]:
-    """Lit pulses of all pixels, chunk by chunk, from a few points of each."""
+    """Seconds of back-projection for each chunk, by the lit pulses of a few of its pixels."""
     side, interval = image_chunk(grid), geometry.collection.pulse_interval
     costs = []
     for row in range(0, grid.shape[0], side[0]):

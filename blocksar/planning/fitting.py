@@ -1,14 +1,14 @@
-"""Coefficients of the azimuth steps, fitted on time-frequency lines; `closed_form` has what the papers print.
+"""Coefficients of the azimuth steps, fitted on time-frequency lines; `closed_form` has the papers' formulas.
 
-The fit asks two things of a block's lines after the last of its steps. They must be level: what is left is
-phase error. And what is done in Doppler must hardly stretch them in time: stretching is dispersion,
-which blurs the sharp ends of a dwell over sqrt(|stretch - 1| / rate) seconds, and that much of the dwell is
-lost to the focus. Lines alone do not show this loss (they are the stationary phase); weighing it in costs
-nothing, since many sets of coefficients level the lines to a milliradian.
+The fit has two aims for a block's lines after the last step. They must be level: what remains is phase error. And the
+steps in Doppler must hardly stretch them in time: stretching is dispersion, which blurs the sharp ends of a dwell over
+sqrt(|stretch - 1| / rate) seconds, and that part of the dwell is lost to the focus. Lines alone do not show this loss,
+since they are the stationary phase. Many sets of coefficients level the lines to a milliradian, so the second aim costs
+nothing of the first.
 
-Unknowns, per range, as far as the chain has the steps: a time perturbation of orders 3 and 4 (with a bias chirp,
-order 2, that is tried at a few values), a frequency perturbation of orders 2 to 5, a Doppler resampling of orders 2 to
-4, a deramp of orders 2 to 4.
+The unknowns per range depend on the steps of the chain: a time perturbation of orders 3 and 4 (with a bias chirp of
+order 2, tried at a few values), a frequency perturbation of orders 2 to 5, a Doppler resampling of orders 2 to 4, a
+deramp of orders 2 to 4.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ TIME_ORDERS = (3, 4)
 DOPPLER_ORDERS = (2, 3, 4, 5)
 RESAMPLING_ORDERS = (2, 3, 4)
 DERAMP_ORDERS = (2, 3, 4)
-SERIES_DEGREE = 6  # of the coefficients in range
+SERIES_DEGREE = 6  # of the series of each coefficient in range
 GOOD_RESIDUAL = 0.02  # rad: below this a cheaper chain is preferred to a better one
-GOOD_LOSS = 0.008  # of the dwell, lost at its ends: likewise
-ROUGHLY, FEW_STEPS = 1e-4, 40
-SETTLED = 100.0  # rad: what it costs to change an unknown that an earlier range has settled
-STRETCH_PRICE = 0.5  # rad of phase error that a stretch of 2 is worth in the fit
-TIME_BANDWIDTH = 100.0  # of a target's line: stationary phase and a sharp spectrum need about this much
+GOOD_LOSS = 0.008  # fraction of the dwell lost at its ends: likewise
+ROUGHLY_ENOUGH, FEW_STEPS = 1e-4, 40  # a rough fit stops at this relative decrease of the cost, or after these steps
+SETTLED = 100.0  # rad: the penalty for changing an unknown that an earlier range has settled
+STRETCH_WEIGHT = 0.5  # rad of phase error that count as much as a stretch of 2 in the fit
+TIME_BANDWIDTH = 100.0  # product of a target's line: stationary phase and a sharp spectrum need about this
 
 
 class Freedom(NamedTuple):
-    """Which steps a chain has whose coefficients can be fitted, besides the deramp that all have."""
+    """The steps of a chain with coefficients to fit, besides the deramp, which every chain has."""
 
     time: bool
     doppler: bool
@@ -46,166 +46,29 @@ class Freedom(NamedTuple):
 
 @dataclass(frozen=True)
 class Candidate:
-    """A kind of chain to try: with or without a time perturbation, with a bias chirp in m/s^2."""
+    """A kind of chain to try: a bias chirp (m/s^2), and whether to perturb in time."""
 
     bias: float
     perturb_time: bool
 
 
-class _Unknowns(NamedTuple):
-    """Orders of the unknowns: of phases in time and Doppler, of the Doppler that is shifted, of the deramp."""
+def candidates(line: Line, *, wavelength: float, freedom: Freedom) -> list[Candidate]:
+    """Kinds of chain worth trying, cheapest first: the printed one, with a time perturbation, with bias chirps too.
 
-    time: tuple[int, ...]
-    doppler: tuple[int, ...]
-    resampling: tuple[int, ...]
-    deramp: tuple[int, ...]
-
-    @classmethod
-    def of(cls, candidate: Candidate, freedom: Freedom) -> _Unknowns:
-        return cls(
-            TIME_ORDERS if candidate.perturb_time else (),
-            DOPPLER_ORDERS if freedom.doppler else (),
-            RESAMPLING_ORDERS if freedom.resampling else (),
-            DERAMP_ORDERS,
-        )
-
-    @property
-    def ends(self) -> list[int]:
-        """Where each group but the last ends."""
-        return [sum(map(len, self[:k])) for k in (1, 2, 3)]
-
-    @property
-    def size(self) -> int:
-        return sum(map(len, self))
-
-
-class _Scales(NamedTuple):
-    time_centre: float
-    time: float
-    doppler: float
-
-
-def end_loss(line: Line, rate: FloatArray) -> FloatArray:
-    """Part of each dwell that dispersion takes from its ends: 1.3 sqrt(|stretch - 1| / time-bandwidth).
-
-    `rate` is the lines' rate ahead of the frequency perturbation, Hz/s. The factor was measured on
-    single targets against their traced lines.
+    A bias brings the range acceleration of the lines to a value, of either sign, that spreads each target's own line
+    over TIME_BANDWIDTH or more. A chain without the time perturbation has the printed kind only.
     """
-    duration = line.weight.sum(axis=-1).max()
-    ends = np.abs(line.stretch[..., [0, -1]] - 1).max(axis=-1)
-    return np.asarray(1.3 * np.sqrt(ends / (np.abs(rate).min(axis=-1) * duration**2)))
-
-
-def _powers(z: FloatArray, orders: tuple[int, ...]) -> FloatArray:
-    """z^(order - 1) for each order: the slopes of z^order / order."""
-    powers = _all_powers(z, max(orders, default=1) - 1)
-    return np.stack([powers[order - 1] for order in orders]) if orders else np.zeros((0, *z.shape))
-
-
-def _all_powers(z: FloatArray, highest: int) -> list[FloatArray]:
-    """1, z, z z, ...: by multiplication, which takes a tenth of the time of raising to a power."""
-    powers = [np.ones_like(z)]
-    for _ in range(highest):
-        powers.append(powers[-1] * z)
-    return powers
-
-
-def _combine(x: FloatArray, terms: FloatArray) -> FloatArray:
-    """sum x_k terms_k, term by term: a BLAS product's last bit depends on where its operands lie in memory."""
-    total = np.zeros(terms.shape[1:])
-    for coefficient, term in zip(x, terms, strict=True):
-        total += coefficient * term
-    return total
-
-
-def _slopes(z: FloatArray, orders: tuple[int, ...], derivative: int) -> FloatArray:
-    """Derivatives of `_powers`."""
-    powers = _all_powers(z, max(max(orders, default=1) - 1 - derivative, 0))
-    rows = [prod(range(order - derivative, order)) * powers[max(order - 1 - derivative, 0)] for order in orders]
-    return np.stack(rows) if rows else np.zeros((0, *z.shape))
-
-
-def _fit_range(
-    time: FloatArray,
-    doppler: FloatArray,
-    rate: FloatArray,
-    weight: FloatArray,
-    scales: _Scales,
-    unknowns: _Unknowns,
-    start: FloatArray,
-    *,
-    pull: FloatArray,
-    roughly: bool,
-) -> FloatArray:
-    """Level the lines (n_yaw, n) of one range; unknowns are scaled to the lines' extent in time and Doppler.
-
-    With v = f / F + P(z), delayed to y = z - D(v) and resampled to h = v + R(v), z' = y / h'(v): the level is
-    h + E(z') and the stretch dz'/dz. P, D, R and E are sums of powers whose coefficients
-    are sought. `pull` (n_unknown,) rad holds them to where they start.
-    """
-    split = unknowns.ends
-    z_in = (time - scales.time_centre) / scales.time
-    flat, steep = doppler / scales.doppler, rate * scales.time / scales.doppler
-    p_terms, p_slopes = _powers(z_in, unknowns.time), _slopes(z_in, unknowns.time, 1)
-    r_orders = tuple(order + 1 for order in unknowns.resampling)  # of the powers' integrals, as the others are given
-    duration = weight.sum(axis=-1, keepdims=True)
-    share = weight / duration
-    # The Doppler error over a dwell, times its length, is about the phase error that it makes.
-    level_price = 2 * np.pi * scales.doppler * duration * np.sqrt(share)
-    stretch_price = STRETCH_PRICE * np.sqrt(share)
-
-    def chain(x: FloatArray) -> tuple[FloatArray, ...]:
-        p, d, r, e = np.split(x, split)
-        v = flat + _combine(p, p_terms)
-        slope = steep + _combine(p, p_slopes)
-        y = z_in - _combine(d, _powers(v, unknowns.doppler))
-        bend = _combine(d, _slopes(v, unknowns.doppler, 1))
-        h = v + _combine(r, _powers(v, r_orders))
-        pace, curl = 1 + _combine(r, _slopes(v, r_orders, 1)), _combine(r, _slopes(v, r_orders, 2))
-        return v, slope, y, bend, h, pace, curl, e
-
-    def centred(values: FloatArray) -> FloatArray:
-        return values - (values * share).sum(axis=-1, keepdims=True)
-
-    def faults(x: FloatArray) -> FloatArray:
-        _, slope, y, bend, h, pace, curl, e = chain(x)
-        level = h + _combine(e, _powers(y / pace, unknowns.deramp))
-        stretch = (1 - bend * slope - y / pace * curl * slope) / pace
-        held = pull * (x - start)
-        return np.concatenate([(level_price * centred(level)).ravel(), (stretch_price * (stretch - 1)).ravel(), held])
-
-    def jacobian(x: FloatArray) -> FloatArray:
-        v, slope, y, bend, _, pace, curl, e = chain(x)
-        d, r = np.split(x, split)[1:3]
-        z = y / pace
-        e_slope = _combine(e, _slopes(z, unknowns.deramp, 1))
-        d_curl, r_twist = _combine(d, _slopes(v, unknowns.doppler, 2)), _combine(r, _slopes(v, r_orders, 3))
-        # By v and by slope, which only P moves, and by what each of D and R adds.
-        stretch = (1 - bend * slope - z * curl * slope) / pace
-        z_by_v = -(bend + z * curl) / pace
-        stretch_by_v = -(d_curl * slope + (z_by_v * curl + z * r_twist) * slope + stretch * curl) / pace
-        stretch_by_slope = -(bend + z * curl) / pace
-        d_terms, d_slopes = _powers(v, unknowns.doppler), _slopes(v, unknowns.doppler, 1)
-        r_terms, r_slopes, r_curls = (_powers(v, r_orders), _slopes(v, r_orders, 1), _slopes(v, r_orders, 2))
-        z_by_r = -z * r_slopes / pace
-        level_rows = [
-            (pace + e_slope * z_by_v) * p_terms,
-            -e_slope / pace * d_terms,
-            r_terms + e_slope * z_by_r,
-            _powers(z, unknowns.deramp),
-        ]
-        stretch_rows = [
-            stretch_by_v * p_terms + stretch_by_slope * p_slopes,
-            (-d_slopes * slope + d_terms / pace * curl * slope) / pace,
-            -(z_by_r * curl * slope + z * r_curls * slope + stretch * r_slopes) / pace,
-            np.zeros_like(level_rows[3]),
-        ]
-        level, stretched = np.concatenate(level_rows), np.concatenate(stretch_rows)
-        rows = np.concatenate([level_price * centred(level), stretch_price * stretched], axis=1)
-        return np.concatenate([rows.reshape(x.size, -1), np.diag(pull)], axis=1)
-
-    enough, steps = (ROUGHLY, FEW_STEPS) if roughly else (ENOUGH, MOST_STEPS)
-    return levenberg_marquardt(faults, jacobian, start, enough=enough, steps=steps)
+    plain = Candidate(0.0, False)
+    if not freedom.time:
+        return [plain]
+    duration = float(np.max(line.weight.sum(axis=-1)))
+    acceleration = float(np.mean(-line.rate * wavelength / 2)) / 2  # k_2, m/s^2
+    least = TIME_BANDWIDTH * wavelength / (4 * duration**2)  # k_2 that gives a target this product, m/s^2
+    kinds = [plain, Candidate(0.0, True)]
+    for factor in (1.25, 2.5, 5.0, 8.0):
+        targets = sorted((factor * least, -factor * least), key=lambda k: abs(k - acceleration))
+        kinds += [Candidate(k - acceleration, True) for k in targets]
+    return kinds
 
 
 def fit(
@@ -224,7 +87,7 @@ def fit(
     wavelength : float
         m.
     roughly : bool
-        Stop early, where only the kind of chain is to be chosen.
+        Stop early: enough to choose the kind of chain.
     """
     time = np.broadcast_to(line.time, line.doppler.shape)
     centre = float((time.min() + time.max()) / 2)
@@ -247,45 +110,185 @@ def fit(
             time[i], doppler[i] - centres[i], rate[i], weight[i], scales, unknowns, x,
             pull=pull, roughly=roughly,
         )  # fmt: skip
-        # Without a time perturbation order 2 in Doppler nearly does what the deramp does: one range settles it for all,
-        # since from range to range coefficients must change smoothly.
+        # Without a time perturbation, order 2 in Doppler has nearly the effect of the deramp. The first range settles
+        # it for all, since coefficients must change smoothly with range.
         if unknowns.doppler and not unknowns.time:
             pull[0] = SETTLED
         solutions.append(x)
     p, d, r, e = np.split(np.stack(solutions), unknowns.ends, axis=1)
 
-    area = scales.time * scales.doppler  # cycles in a unit of z z
+    area = scales.time * scales.doppler  # cycles per unit of z^2
     bias = np.full((ranges.size, 1), bias_rate * scales.time**2 / 2)
     same = np.full(ranges.size, centre)
 
-    def made(orders: tuple[int, ...], values: FloatArray, centres: FloatArray, scale: float) -> RowPolynomial:
+    def make_row(orders: tuple[int, ...], values: FloatArray, centres: FloatArray, scale: float) -> RowPolynomial:
         powers = np.zeros((ranges.size, max(orders, default=0) + 1))
         powers[:, list(orders)] = values
         return row_polynomial(powers, ranges=ranges, centres=centres, scale=scale, degree=SERIES_DEGREE)
 
     return AzimuthPolynomials(
-        time=made((2, *unknowns.time), np.hstack([bias, area * p / np.array(unknowns.time)]), same, scales.time),
-        doppler=made(unknowns.doppler, area * d / np.array(unknowns.doppler), centres, scales.doppler),
-        resampling=made(unknowns.resampling, scales.doppler * r, centres, scales.doppler),
-        deramp=made(unknowns.deramp, area * e / np.array(unknowns.deramp), same, scales.time),
+        time=make_row((2, *unknowns.time), np.hstack([bias, area * p / np.array(unknowns.time)]), same, scales.time),
+        doppler=make_row(unknowns.doppler, area * d / np.array(unknowns.doppler), centres, scales.doppler),
+        resampling=make_row(unknowns.resampling, scales.doppler * r, centres, scales.doppler),
+        deramp=make_row(unknowns.deramp, area * e / np.array(unknowns.deramp), same, scales.time),
         middle=centre,
     )
 
 
-def candidates(line: Line, *, wavelength: float, freedom: Freedom) -> list[Candidate]:
-    """Chains worth trying, cheapest first: the printed one, a time perturbation, then bias chirps.
+def end_loss(line: Line, rate: FloatArray) -> FloatArray:
+    """Fraction of each dwell lost to dispersion at its ends: 1.3 sqrt(|stretch - 1| / time-bandwidth product).
 
-    A bias brings the lines' range acceleration to a value, of either sign, that spreads each target's
-    own line over TIME_BANDWIDTH or more. Without a perturbation in Doppler there is nothing that it would serve.
+    `rate` is the Doppler rate of the lines before the frequency perturbation, Hz/s. The factor was measured on single
+    targets against their traced lines.
     """
-    plain = Candidate(0.0, False)
-    if not freedom.time:
-        return [plain]
-    duration = float(np.max(line.weight.sum(axis=-1)))
-    acceleration = float(np.mean(-line.rate * wavelength / 2)) / 2  # k_2, m/s^2
-    wanted = TIME_BANDWIDTH * wavelength / (4 * duration**2)
-    tried = [plain, Candidate(0.0, True)]
-    for factor in (1.25, 2.5, 5.0, 8.0):
-        targets = sorted((factor * wanted, -factor * wanted), key=lambda k: abs(k - acceleration))
-        tried += [Candidate(k - acceleration, True) for k in targets]
-    return tried
+    duration = line.weight.sum(axis=-1).max()
+    ends = np.abs(line.stretch[..., [0, -1]] - 1).max(axis=-1)
+    return np.asarray(1.3 * np.sqrt(ends / (np.abs(rate).min(axis=-1) * duration**2)))
+
+
+class _Unknowns(NamedTuple):
+    """Orders of the unknowns: phases in time and Doppler, shift of Doppler, deramp."""
+
+    time: tuple[int, ...]
+    doppler: tuple[int, ...]
+    resampling: tuple[int, ...]
+    deramp: tuple[int, ...]
+
+    @classmethod
+    def of(cls, candidate: Candidate, freedom: Freedom) -> _Unknowns:
+        return cls(
+            TIME_ORDERS if candidate.perturb_time else (),
+            DOPPLER_ORDERS if freedom.doppler else (),
+            RESAMPLING_ORDERS if freedom.resampling else (),
+            DERAMP_ORDERS,
+        )
+
+    @property
+    def ends(self) -> list[int]:
+        """The end of each group but the last."""
+        return [sum(map(len, self[:k])) for k in (1, 2, 3)]
+
+    @property
+    def size(self) -> int:
+        return sum(map(len, self))
+
+
+class _Scales(NamedTuple):
+    """Centre of the lines in time (s), and their half extents in time (s) and Doppler (Hz)."""
+
+    time_centre: float
+    time: float
+    doppler: float
+
+
+def _fit_range(
+    time: FloatArray,
+    doppler: FloatArray,
+    rate: FloatArray,
+    weight: FloatArray,
+    scales: _Scales,
+    unknowns: _Unknowns,
+    start: FloatArray,
+    *,
+    pull: FloatArray,
+    roughly: bool,
+) -> FloatArray:  # longer than most: the residuals and their Jacobian are checked side by side
+    """Level the lines (n_yaw, n) of one range; unknowns are scaled to the lines' extent in time and Doppler.
+
+    With v = f / F + P(z), delayed to y = z - D(v) and resampled to h = v + R(v), z' = y / h'(v), the level is h + E(z')
+    and the stretch is dz'/dz. P, D, R and E are sums of powers with the unknown coefficients. In the code `bend` is
+    D'(v), `pace` is h'(v) and `curl` is h''(v). `pull` (n_unknown,), rad, penalises departures from `start`.
+    """
+    split = unknowns.ends
+    z_in = (time - scales.time_centre) / scales.time
+    doppler_in, slope_in = doppler / scales.doppler, rate * scales.time / scales.doppler
+    p_terms, p_slopes = _powers(z_in, unknowns.time), _slopes(z_in, unknowns.time, 1)
+    r_orders = tuple(order + 1 for order in unknowns.resampling)  # R is a shift, the other orders are of phases
+    duration = weight.sum(axis=-1, keepdims=True)
+    share = weight / duration
+    # The Doppler error over a dwell times its length is about the phase error that it causes.
+    level_weight = 2 * np.pi * scales.doppler * duration * np.sqrt(share)
+    stretch_weight = STRETCH_WEIGHT * np.sqrt(share)
+
+    def chain(x: FloatArray) -> tuple[FloatArray, ...]:
+        p, d, r, e = np.split(x, split)
+        v = doppler_in + _combine(p, p_terms)
+        slope = slope_in + _combine(p, p_slopes)
+        y = z_in - _combine(d, _powers(v, unknowns.doppler))
+        bend = _combine(d, _slopes(v, unknowns.doppler, 1))
+        h = v + _combine(r, _powers(v, r_orders))
+        pace, curl = 1 + _combine(r, _slopes(v, r_orders, 1)), _combine(r, _slopes(v, r_orders, 2))
+        return v, slope, y, bend, h, pace, curl, e
+
+    def centred(values: FloatArray) -> FloatArray:
+        return values - (values * share).sum(axis=-1, keepdims=True)
+
+    def residuals(x: FloatArray) -> FloatArray:
+        _, slope, y, bend, h, pace, curl, e = chain(x)
+        level = h + _combine(e, _powers(y / pace, unknowns.deramp))
+        stretch = (1 - bend * slope - y / pace * curl * slope) / pace
+        penalty = pull * (x - start)
+        level_error, stretch_error = level_weight * centred(level), stretch_weight * (stretch - 1)
+        return np.concatenate([level_error.ravel(), stretch_error.ravel(), penalty])
+
+    def jacobian(x: FloatArray) -> FloatArray:
+        v, slope, y, bend, _, pace, curl, e = chain(x)
+        d, r = np.split(x, split)[1:3]
+        z = y / pace
+        e_slope = _combine(e, _slopes(z, unknowns.deramp, 1))
+        d_curl, r_twist = _combine(d, _slopes(v, unknowns.doppler, 2)), _combine(r, _slopes(v, r_orders, 3))
+        # Derivatives by v and slope, which only P changes, and by the terms of D and R.
+        stretch = (1 - bend * slope - z * curl * slope) / pace
+        z_by_v = -(bend + z * curl) / pace
+        stretch_by_v = -(d_curl * slope + (z_by_v * curl + z * r_twist) * slope + stretch * curl) / pace
+        stretch_by_slope = -(bend + z * curl) / pace
+        d_terms, d_slopes = _powers(v, unknowns.doppler), _slopes(v, unknowns.doppler, 1)
+        r_terms, r_slopes, r_curls = (_powers(v, r_orders), _slopes(v, r_orders, 1), _slopes(v, r_orders, 2))
+        z_by_r = -z * r_slopes / pace
+        level_rows = [
+            (pace + e_slope * z_by_v) * p_terms,
+            -e_slope / pace * d_terms,
+            r_terms + e_slope * z_by_r,
+            _powers(z, unknowns.deramp),
+        ]
+        stretch_rows = [
+            stretch_by_v * p_terms + stretch_by_slope * p_slopes,
+            (-d_slopes * slope + d_terms / pace * curl * slope) / pace,
+            -(z_by_r * curl * slope + z * r_curls * slope + stretch * r_slopes) / pace,
+            np.zeros_like(level_rows[3]),
+        ]
+        level, stretched = np.concatenate(level_rows), np.concatenate(stretch_rows)
+        rows = np.concatenate([level_weight * centred(level), stretch_weight * stretched], axis=1)
+        return np.concatenate([rows.reshape(x.size, -1), np.diag(pull)], axis=1)
+
+    enough, steps = (ROUGHLY_ENOUGH, FEW_STEPS) if roughly else (ENOUGH, MOST_STEPS)
+    return levenberg_marquardt(residuals, jacobian, start, enough=enough, steps=steps)
+
+
+def _combine(x: FloatArray, terms: FloatArray) -> FloatArray:
+    """sum x_k terms_k, term by term: a BLAS product's last bit depends on where its operands lie in memory."""
+    total = np.zeros(terms.shape[1:])
+    for coefficient, term in zip(x, terms, strict=True):
+        total += coefficient * term
+    return total
+
+
+def _powers(z: FloatArray, orders: tuple[int, ...]) -> FloatArray:
+    """z^(order - 1) for each order: the slopes of z^order / order."""
+    powers = _all_powers(z, max(orders, default=1) - 1)
+    return np.stack([powers[order - 1] for order in orders]) if orders else np.zeros((0, *z.shape))
+
+
+def _slopes(z: FloatArray, orders: tuple[int, ...], derivative: int) -> FloatArray:
+    """Derivatives of `_powers`."""
+    powers = _all_powers(z, max(max(orders, default=1) - 1 - derivative, 0))
+    rows = [prod(range(order - derivative, order)) * powers[max(order - 1 - derivative, 0)] for order in orders]
+    return np.stack(rows) if rows else np.zeros((0, *z.shape))
+
+
+def _all_powers(z: FloatArray, highest: int) -> list[FloatArray]:
+    """1, z, z^2, ...: by multiplication, in a tenth of the time of raising to a power."""
+    powers = [np.ones_like(z)]
+    for _ in range(highest):
+        powers.append(powers[-1] * z)
+    return powers

@@ -1,4 +1,4 @@
-"""The gates of a block: its range window at each Doppler, and its targets' dwells in the focused block."""
+"""Planning of a block's gates: the range gate of a sub-block, and the dwell gate of the final transform."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from blocksar.kernels import fourier
 from blocksar.kernels.fourier import Axis
 from blocksar.planning.target_lines import middle_line
 
-RANGE_GUARD = 48  # range cells on either side of a sub-block, for the side lobes of what lies at its ends
-GATE_ROOM = 1.62  # dwells that the Doppler sampling makes room for
+RANGE_GUARD = 48  # range cells on either side of a sub-block, for side lobes of targets at its ends
+GATE_ROOM = 1.62  # dwells that the sampling in Doppler has room for
 
 
 def plan_range_gate(full: Axis, slab: Axis, line: Line, carrier: float) -> RangeGate:
-    """The gate that holds, at each Doppler, the ranges of lines (n_range, n_yaw), and their side lobes around."""
+    """The gate that holds the ranges of lines (n_range, n_yaw) at each Doppler, with room for side lobes."""
     u = (2 * line.doppler - slab.start - (slab.start + slab.extent)) / slab.extent
     centre = middle_line(u.ravel(), line.range.ravel(), order=6)
     spread = line.range - chebyshev.chebval(u, centre)
-    # At a Doppler bin the band's ends stand at other times than the carrier: a smear that SRC takes back.
+    # In a Doppler bin the ends of the band belong to other times than the carrier: a smear that SRC removes later.
     edge = max(abs(full.start), abs(full.start + full.extent)) / carrier
     rate = np.maximum(np.abs(line.rate), 1e-3 * np.abs(line.rate).max())
     smear = SPEED_OF_LIGHT / (2 * carrier) * line.doppler**2 / rate * edge
@@ -31,33 +31,33 @@ def plan_range_gate(full: Axis, slab: Axis, line: Line, carrier: float) -> Range
     high = float((spread + np.abs(smear)).max()) + RANGE_GUARD * cell
     period = fourier.fast_length(full.size)
     step = 1 / (period * full.step)
-    size, kept = _gate_length((high - low) * 2 / SPEED_OF_LIGHT / step, full.size / period, period)
+    size, n_frequency = _gate_length((high - low) * 2 / SPEED_OF_LIGHT / step, full.size / period, period)
     gate = fourier.centred((low + high) / SPEED_OF_LIGHT, step, size)
     coarse = 1 / (size * step)
     ramp = np.clip((np.minimum(np.arange(size), np.arange(size)[::-1]) + 0.5) / (RANGE_GUARD / 2), 0, 1)
-    place = np.clip((2 * slab.values - 2 * slab.start - slab.extent) / slab.extent, u.min(), u.max())
+    normalised = np.clip((2 * slab.values - 2 * slab.start - slab.extent) / slab.extent, u.min(), u.max())
     return RangeGate(
         slab=slab,
-        centre=np.asarray(chebyshev.chebval(place, centre)),
+        centre=np.asarray(chebyshev.chebval(normalised, centre)),
         gate=gate,
         window=np.sin(np.pi / 2 * ramp) ** 2,
         full=full,
-        range_frequency=Axis(full.start - full.step / 2 + coarse / 2, coarse, kept),
+        range_frequency=Axis(full.start - full.step / 2 + coarse / 2, coarse, n_frequency),
     )
 
 
 def _gate_length(needed: float, share: float, at_most: int) -> tuple[int, int]:
-    """A fast length of about `needed` samples, and how many of its frequencies fill the band best."""
+    """A fast length of about `needed` samples, and the number of its frequencies that fits the band best."""
     lengths = {fourier.fast_length(n) for n in np.linspace(needed, 1.06 * needed + 8, 24)}
     lengths = {n for n in lengths if n < at_most} or {at_most}
     return min(((n, round(n * share)) for n in lengths), key=lambda pair: abs(pair[1] / pair[0] / share - 1))
 
 
 def plan_gate(line: Line, spots: Focus, *, rows: Axis, slow: Axis) -> DwellGate | None:
-    """The gate that follows the middles of the dwells along Doppler, from lines (n_range, n_yaw) with full dwell.
+    """The gate that follows the middles of the dwells along Doppler, from the lines (n_range, n_yaw) with full dwell.
 
-    Targets whose dwell the ends of the collection cut are gated as if it went on. None where all targets dwell
-    at the same time, as under a beam that is not steered: then there is nothing to tell apart.
+    Targets with a dwell cut by the ends of the collection are gated as if it continued. None where all targets dwell at
+    the same time, as under a beam that is not steered: a gate could not separate them.
     """
     weight = line.weight * line.stretch
     lengths = weight.sum(axis=-1)
@@ -66,7 +66,7 @@ def plan_gate(line: Line, spots: Focus, *, rows: Axis, slow: Axis) -> DwellGate 
         return None
     lit = line.weight.sum(axis=-1)[0]
     full = lit >= 0.999 * lit.max()
-    if full.sum() < 6:  # a narrow block at an end of the swath: what is there has to do
+    if full.sum() < 6:  # a narrow block at an end of the swath has cut dwells only
         full = np.ones_like(full)
     doppler = spots.doppler[:, full]
     centre, scale = float((doppler.min() + doppler.max()) / 2), max(float(np.ptp(spots.doppler) / 2), 1e-6)
@@ -83,7 +83,7 @@ def plan_gate(line: Line, spots: Focus, *, rows: Axis, slow: Axis) -> DwellGate 
     at_middle = phase.coefficients(np.array((near + far) / 2))[None]
     common = RowPolynomial(series=at_middle, near=near, far=far, centre=centre, scale=scale)
     slope = RowPolynomial(series=series[:, 1:2] / scale, near=near, far=far, centre=centre, scale=scale)
-    # The longest: a gate that cuts a dwell costs width and amplitude, one a little wider only some coherence.
+    # The longest dwell: a gate that cuts one costs width and amplitude, a gate slightly too wide only some coherence.
     length = float(lengths[:, full].max())
     _, own, _ = phase.evaluate(spots.range, spots.doppler[..., None])
     _, shared, _ = common.evaluate(spots.range, spots.doppler[..., None])

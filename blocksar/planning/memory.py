@@ -17,18 +17,30 @@ from blocksar.kernels.fourier import Axis
 from blocksar.kernels.groups import GROUP_BYTES
 from blocksar.planning.tiling import image_chunk, inspection_width
 
-MEMORY_SHARE = 0.8  # of a worker's limit that a plan may fill
-PROCESS_MEMORY = 288 * MIB  # a worker's interpreter and libraries, before any sample
+MEMORY_SHARE = 0.8  # fraction of a worker's limit that a plan may fill
+PROCESS_MEMORY = 288 * MIB  # a worker's interpreter and libraries, without samples
 
 
 def checked_back_projection_memory(collection: Collection, grid: Grid, threads: int, memory_limit: int) -> int:
-    """Peak of a worker, bytes; refuses what the limit does not hold."""
+    """Peak memory of a worker that back-projects, bytes, if its limit holds it.
+
+    Raises
+    ------
+    InputError
+        If the limit is too low.
+    """
     memory = back_projection_memory(collection, grid, threads=threads)
     return checked_memory("back-projection", memory, memory_limit)
 
 
 def checked_memory(what: str, memory: int, memory_limit: int) -> int:
-    """So many bytes of a worker, unless its limit does not hold them."""
+    """`memory`, bytes, if a worker's limit holds it; `what` names the need in the message.
+
+    Raises
+    ------
+    InputError
+        If the limit is too low.
+    """
     if memory > MEMORY_SHARE * memory_limit:
         raise InputError(
             f"memory limit {memory_limit / MIB:.0f} MiB a worker is too low: {what} needs about "
@@ -38,29 +50,28 @@ def checked_memory(what: str, memory: int, memory_limit: int) -> int:
 
 
 def compression_memory(collection: Collection, raw: RawEcho | None) -> int:
-    """Peak of a worker that range-compresses a raw echo, bytes; 0 where there is none."""
+    """Peak memory of a worker that range-compresses a raw echo, bytes; 0 without one."""
     if raw is None:
         return 0
     echo, band = raw.fast_time.size, collection.range_frequency.size
-    pulses = 8 * TILE[0] * (2 * echo + 2 * band)  # as read, and as chunks give and take them
+    pulses = 8 * TILE[0] * (2 * echo + 2 * band)  # as arrays, and as chunks read and written
     return PROCESS_MEMORY + pulses + COMPRESSED_ROWS * (8 * echo + 5 * 16 * band)
 
 
 def back_projection_memory(collection: Collection, grid: Grid, *, threads: int) -> int:
-    """Peak of a worker that looks through a phase history and back-projects it, bytes."""
+    """Peak memory of a worker that inspects a phase history and back-projects it, bytes."""
     pixels, part = math.prod(image_chunk(grid)), min(math.prod(image_chunk(grid)), BACKPROJECTION_CHUNK**2)
-    looking = 2 * 8 * inspection_width(collection) * collection.n_pulse  # as read, and as chunks give it
+    inspecting = 2 * 8 * inspection_width(collection) * collection.n_pulse  # as an array, and as chunks read
     forming = 3 * 8 * pixels + image_memory(part, collection, threads=threads)  # image, covered part, bytes to write
-    return PROCESS_MEMORY + max(looking, forming)
+    return PROCESS_MEMORY + max(inspecting, forming)
 
 
 def block_memory(
     *, gate: RangeGate | None, frequency: Axis, n_bin: int, n_column: int, n_row: int, n_image: int, length: int
 ) -> int:
-    """Peak of a worker that focuses a block, bytes: what each stage reads and writes.
+    """Peak memory of a worker that focuses a block, bytes: the largest input and output of its stages.
 
-    Stages work in place, but for a range gate's slab, and for an image that is wider in Doppler than the signal was
-    long.
+    Stages work in place, except on the slab of a range gate, and on an image wider in Doppler than the signal is long.
     """
     buffer = max(frequency.size, n_row) * n_column
     if gate is None:

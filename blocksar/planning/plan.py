@@ -1,7 +1,7 @@
-"""From a collection's metadata to everything that focusing needs: no sample is read.
+"""The plan of a collection: everything that focusing needs, from metadata alone. No sample is read.
 
-Blocks with their Doppler supports, margins, padding and coefficients; where every target will focus and
-with what phase; predicted residual phase, side lobes, width and range migration; memory of a task.
+A plan holds the blocks with their Doppler supports, margins, padding and coefficients; where every target focuses and
+with which phase; predicted residual phase, side lobes, width and range migration; and the memory of the tasks.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ from blocksar.kernels.operations import Resample, Stretch, Transform
 from blocksar.planning.block import BlockPlan, Sector, plan_block
 from blocksar.planning.memory import MEMORY_SHARE, PROCESS_MEMORY
 from blocksar.planning.recovery import plan_recovery
-from blocksar.planning.refusal import folded, refusal_of
+from blocksar.planning.refusal import find_folding, find_refusal
 
-MAX_BLOCKS = 32
-MOST_BLOCKS = 1000  # that may be asked for
+MAX_BLOCKS = 32  # that `auto` tries
+MOST_BLOCKS = 1000  # that a caller may ask for
 MAX_PARTS = 64  # range sub-blocks of a block
 
 
 @dataclass(frozen=True)
 class Transforms:
-    """FFTs of one length that a stage takes."""
+    """FFTs of one length in a stage."""
 
     stage: str
     count: int
@@ -48,14 +48,14 @@ class Transforms:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plan:
-    """How a collection will be focused: everything the tasks need, and what to expect of them.
+    """How a collection is focused: everything that the tasks need, and the quality to expect.
 
     Attributes
     ----------
     seams : (n_blocks + 1,) float
-        Yaw at which blocks begin and end, rad; only blocks that the grid touches are planned.
+        Yaws between which the blocks lie, rad; only blocks that the grid touches are planned.
     parts : int
-        Range sub-blocks of every block, 1 where blocks are whole; each is a `BlockPlan` of its own.
+        Range sub-blocks of every block, 1 for whole blocks; each is a `BlockPlan` of its own.
     refusal : str or None
         Why the geometry cannot be focused, with the figure.
     """
@@ -84,30 +84,30 @@ class Plan:
 
     @property
     def column_group(self) -> int:
-        """Range frequencies recovered by a task, whole chunks of the spectrum."""
+        """Range frequencies that one task recovers: whole chunks of the spectrum."""
         chunk = self.spectrum_chunk[1]
-        fitting_ = SIGNAL_BYTES // (8 * self.recovery.pulses.size * chunk)
-        return chunk * max(min(fitting_, SIGNAL_COLUMNS // chunk), 1)
+        n_chunk = SIGNAL_BYTES // (8 * self.recovery.pulses.size * chunk)
+        return chunk * max(min(n_chunk, SIGNAL_COLUMNS // chunk), 1)
 
     @property
     def recovery_memory(self) -> int:
-        """Peak of a worker that recovers the spectrum, bytes."""
+        """Peak memory of a worker that recovers the spectrum, bytes."""
         signal = self.column_group * self.recovery.pulses.size
         return PROCESS_MEMORY + 8 * (2 * signal + 2 * self.spectrum_chunk[1] * self.recovery.doppler.size)
 
     @property
     def memory(self) -> int:
-        """Peak of a worker, bytes."""
+        """Peak memory of a worker, bytes."""
         return max(self.recovery_memory, *(block.memory for block in self.blocks))
 
     def transforms(self) -> list[Transforms]:
-        """All FFTs of samples that carrying out the plan takes, in order."""
+        """All FFTs of samples in the plan, in order."""
         frequency = self.geometry.collection.range_frequency
-        found = [Transforms("recover", frequency.size, n) for n in self.recovery.program(frequency).transforms]
+        transforms = [Transforms("recover", frequency.size, n) for n in self.recovery.program(frequency).transforms]
         for block in self.blocks:
             for stage in stages(block.chain):
-                found += [Transforms(stage.name, stage.program.n_row, n) for n in stage.program.transforms]
-        return found
+                transforms += [Transforms(stage.name, stage.program.n_row, n) for n in stage.program.transforms]
+        return transforms
 
     def work(self) -> float:
         """Floating-point operations of all transforms and resamplings of the blocks."""
@@ -121,10 +121,11 @@ class Plan:
         return total
 
     def excess(self) -> float:
-        """The worst of phase, side lobes and migration, each over what it may be: at most 1 is a good plan."""
+        """The worst of phase, side lobes and migration of all blocks over its budget; a good plan has at most 1."""
         return max(block.prediction.excess for block in self.blocks)
 
     def within_budget(self) -> bool:
+        """Whether all blocks stay within the budgets of phase, side lobes and migration."""
         return self.excess() <= 1.0
 
 
@@ -138,7 +139,7 @@ def plan_collection(
     workers: int = 1,
     memory_limit: int | None = None,
 ) -> Plan:
-    """Plan a collection for a processor.
+    """Plan a collection for a method.
 
     `auto` takes the fewest blocks that meet the phase and migration budgets, at least one a worker, and the fewest
     range sub-blocks of each that fit a worker's memory.
@@ -156,27 +157,30 @@ def plan_collection(
     grid = grid or default_grid(geometry, region)
     extent = grid_extent(geometry, region, grid)
 
-    def plan(count: int, divided: int, *, probe: bool = False) -> Plan:
-        return _plan_blocks(geometry, region, recovery, grid, extent, count, divided, method, probe=probe)
+    def plan(count: int, n_parts: int, *, probe: bool = False) -> Plan:
+        return _plan_blocks(geometry, region, recovery, grid, extent, count, n_parts, method, probe=probe)
 
-    whole = 1 if parts == "auto" else parts
-    made = plan(blocks, whole) if blocks != "auto" else fewest_blocks(partial(plan, divided=whole), workers)
-    if memory_limit is None or made.refusal is not None:
-        return made
-    return _fewest_parts(partial(plan, made.n_blocks), made, memory_limit, fixed=parts != "auto")
+    least = 1 if parts == "auto" else parts
+    first = plan(blocks, least) if blocks != "auto" else fewest_blocks(partial(plan, n_parts=least), workers)
+    if memory_limit is None or first.refusal is not None:
+        return first
+    return _fewest_parts(partial(plan, first.n_blocks), first, memory_limit, fixed=parts != "auto")
 
 
 def fewest_blocks(plan: Callable[..., Plan], workers: int) -> Plan:
-    """The first plan within its budgets; while they are far from it, the outermost blocks and the middle one tell."""
+    """The plan with the fewest blocks within the budgets; without one, the last that was tried.
+
+    Probes of the outermost blocks and the middle one decide while plans are far from the budgets.
+    """
     best, stale = math.inf, 0
     for count in range(min(max(workers, 1), MAX_BLOCKS), MAX_BLOCKS + 1):
-        made = plan(count, probe=True)
-        if made.excess() <= 1.0 and (whole := plan(count)).excess() <= 1.0:
+        outermost = plan(count, probe=True)
+        if outermost.excess() <= 1.0 and (whole := plan(count)).excess() <= 1.0:
             return whole
-        if folded(made.blocks) is not None:
+        if find_folding(outermost.blocks) is not None:
             break
-        # Margins do not shrink with the blocks: stop once more of them have brought nothing three times.
-        excess = made.excess()
+        # Margins do not shrink with the blocks: stop when more blocks have gained nothing three times.
+        excess = outermost.excess()
         stale = stale + 1 if excess > 0.97 * best else 0
         best = min(best, excess)
         if stale == 3:
@@ -184,31 +188,31 @@ def fewest_blocks(plan: Callable[..., Plan], workers: int) -> Plan:
     return plan(count)
 
 
-def _fewest_parts(plan: Callable[[int], Plan], whole: Plan, memory_limit: int, *, fixed: bool) -> Plan:
-    """The plan with its blocks in as many range sub-blocks as a worker's memory asks for."""
-    made, room = whole, MEMORY_SHARE * memory_limit
-    least = max(made.recovery_memory, PROCESS_MEMORY)
+def _fewest_parts(plan: Callable[[int], Plan], first: Plan, memory_limit: int, *, fixed: bool) -> Plan:
+    """The plan with the fewest range sub-blocks that fit a worker's memory."""
+    divided, room = first, MEMORY_SHARE * memory_limit
+    least = max(divided.recovery_memory, PROCESS_MEMORY)
     if room <= least:
         raise InputError(
             f"memory limit {memory_limit / MIB:.0f} MiB a worker is too low: recovery needs about "
             f"{math.ceil(least / MEMORY_SHARE / MIB)} MiB, however blocks are divided; raise --memory-limit"
         )
-    needed = [made.memory]
-    while made.memory > room:
-        if fixed or made.parts == MAX_PARTS:
+    needed = [divided.memory]
+    while divided.memory > room:
+        if fixed or divided.parts == MAX_PARTS:
             break
-        share = (made.memory - PROCESS_MEMORY) / (room - PROCESS_MEMORY)
-        made = plan(min(max(made.parts + 1, math.ceil(0.9 * made.parts * share)), MAX_PARTS))
-        needed.append(made.memory)
+        share = (divided.memory - PROCESS_MEMORY) / (room - PROCESS_MEMORY)
+        divided = plan(min(max(divided.parts + 1, math.ceil(0.9 * divided.parts * share)), MAX_PARTS))
+        needed.append(divided.memory)
         if len(needed) > 2 and needed[-1] > 0.97 * needed[-2]:
             break
-    if made.memory > room:
+    if divided.memory > room:
         raise InputError(
-            f"memory limit {memory_limit / MIB:.0f} MiB a worker is too low: {made.n_blocks} blocks need about "
-            f"{math.ceil(min(needed) / MEMORY_SHARE / MIB)} MiB even in {made.parts} range sub-blocks; raise "
+            f"memory limit {memory_limit / MIB:.0f} MiB a worker is too low: {divided.n_blocks} blocks need about "
+            f"{math.ceil(min(needed) / MEMORY_SHARE / MIB)} MiB even in {divided.parts} range sub-blocks; raise "
             "--memory-limit, ask for more --blocks, or image a smaller grid"
         )
-    return made
+    return divided
 
 
 def _plan_blocks(
@@ -218,12 +222,12 @@ def _plan_blocks(
     grid: Grid,
     extent: Extent,
     count: int,
-    divided: int,
+    n_parts: int,
     method: Method,
     *,
     probe: bool,
 ) -> Plan:
-    """All blocks that the grid touches; of many, as a probe, only the outermost and the one in the middle."""
+    """Plan all blocks that the grid touches; a probe plans only the outermost ones and the one in the middle."""
     seams = block_seams(geometry, region, count)
     planned = []
     touched = [i for i in range(count) if seams[i + 1] > extent.low and seams[i] < extent.high]
@@ -233,27 +237,27 @@ def _plan_blocks(
         low, high = float(seams[index]), float(seams[index + 1])
         near, far = region.limits(low, high)
         near, far = max(near, extent.near), min(far, extent.far)
-        # Rows are told apart modulo the range window: a block cannot hold more than that.
+        # Ranges are unambiguous within the range window only: a block cannot hold more.
         excess = (far - near) - 0.97 * geometry.collection.range_window
         if excess > 0:
             near, far = near + excess / 2, far - excess / 2
         if far <= near:
             continue
-        # Nine ranges need some room between them for their polynomials to mean anything.
+        # The nine ranges of the fit need some distance between them for meaningful polynomials.
         least = 64 * SPEED_OF_LIGHT / (2 * geometry.collection.bandwidth)
         room = max(least - (far - near), 0.0) / 2
-        edges = np.linspace(near - room, far + room, divided + 1)
+        edges = np.linspace(near - room, far + room, n_parts + 1)
         candidate = None
         for part, (nearest, farthest) in enumerate(pairwise(edges.tolist())):
             sector = Sector(
                 geometry=geometry, recovery=recovery, region=region, low=low, high=high, near=nearest, far=farthest
             )
-            block = plan_block(sector, method, index=index, part=part if divided > 1 else None, candidate=candidate)
+            block = plan_block(sector, method, index=index, part=part if n_parts > 1 else None, candidate=candidate)
             candidate = block.candidate
             planned.append(block)
     if not planned:
         raise InputError(f"none of {count} blocks holds a point of the grid; give it a finer step, or move it")
     return Plan(
-        geometry=geometry, grid=grid, region=region, recovery=recovery, seams=seams, parts=divided,
-        blocks=tuple(planned), method=method, refusal=refusal_of(planned, method),
+        geometry=geometry, grid=grid, region=region, recovery=recovery, seams=seams, parts=n_parts,
+        blocks=tuple(planned), method=method, refusal=find_refusal(planned, method),
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""What a block's traced lines predict: residual phase, side lobes, width and range migration."""
+"""Predicted quality of a block from its traced lines: residual phase, side lobes, width and range migration."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from blocksar.planning import fitting
 
 
 class Prediction(NamedTuple):
-    """What a block's traced lines promise, the worst of its targets."""
+    """Predicted quality of a block: the worst figures of its targets."""
 
     residual_phase: float  # rad, largest over the dwell
     quadratic_phase: float  # rad, its quadratic part at the dwell's edge
     pslr: float  # dB, azimuth
-    width: float  # azimuth width over the dwell's limit
+    width: float  # azimuth width over the limit that the dwell sets
     migration: float  # range resolution cells over the dwell
     resolution: float  # azimuth, m
-    loss: float  # part of a dwell that dispersion takes from its ends
+    loss: float  # fraction of a dwell lost to dispersion at its ends
 
     @property
     def excess(self) -> float:
-        """The worst of phase, side lobes and migration, each over what it may be."""
+        """The worst of phase, side lobes and migration, each over its budget."""
         return max(
             self.residual_phase / PHASE_BUDGET,
             abs(self.pslr - SINC_PSLR) / SIDE_LOBE_BUDGET,
@@ -36,37 +36,38 @@ class Prediction(NamedTuple):
 
 
 def predict(
-    line: Line, found: Focus, rng: FloatArray, yaw: FloatArray, geometry: Geometry, *, rate: FloatArray
+    line: Line, spots: Focus, rng: FloatArray, yaw: FloatArray, geometry: Geometry, *, rate: FloatArray
 ) -> Prediction:
-    """The worst of traced lines; `rate` is theirs ahead of what is done in Doppler."""
+    """The worst figures of traced lines (n_range, n_yaw); `rate` is their Doppler rate before the steps in Doppler."""
     range_cell = SPEED_OF_LIGHT / (2 * geometry.collection.bandwidth)
-    full = found.residual
-    worst = np.unravel_index(int(np.argmax(full)), full.shape)
+    residual = spots.residual
+    worst = np.unravel_index(int(np.argmax(residual)), residual.shape)
     weight = (line.weight * np.sqrt(np.maximum(line.stretch, 1e-3)))[worst]
-    time = line.time[worst] - found.time[worst]
-    level = line.phase[worst] - found.doppler[worst] * line.time[worst]
+    time = line.time[worst] - spots.time[worst]
+    level = line.phase[worst] - spots.doppler[worst] * line.time[worst]
     spread = float(np.ptp(time))
     offsets = np.linspace(-4, 4, 1601) / max(spread, 1e-9)
-    # The dwell's ends lie a little outside the outermost nodes; the sum over nodes is exact all the same.
+    # The ends of the dwell lie slightly outside the outermost nodes. The quadrature over the nodes is still exact.
     response = np.abs((weight * np.exp(2j * np.pi * (level - offsets[:, None] * time))).sum(axis=1))
     ideal = np.abs((weight * np.exp(-2j * np.pi * offsets[:, None] * time)).sum(axis=1))
-    slope = np.gradient(found.doppler, yaw, axis=1)
+    slope = np.gradient(spots.doppler, yaw, axis=1)
     dwell = (line.weight * line.stretch).sum(axis=-1)
     width = SINC_WIDTH / np.maximum(np.abs(slope) * dwell, 1e-12)
     ground = np.sqrt(np.maximum(rng**2 - (geometry.epoch_position[2] - geometry.collection.ground_height) ** 2, 0.0))
     middle = yaw.size // 2
     return Prediction(
-        residual_phase=float(full.max()),
-        quadratic_phase=float(found.quadratic.max()),
+        residual_phase=float(residual.max()),
+        quadratic_phase=float(spots.quadratic.max()),
         pslr=_pslr(response),
         width=_width(response) / _width(ideal),
-        migration=float(found.migration.max() / range_cell),
+        migration=float(spots.migration.max() / range_cell),
         resolution=float(width[rng.size // 2, middle] * ground[rng.size // 2]),
         loss=float(fitting.end_loss(line, rate).max()),
     )
 
 
 def _pslr(response: FloatArray) -> float:
+    """Highest side lobe over the peak, dB."""
     peak = int(np.argmax(response))
     left, right = peak, peak
     while left > 0 and response[left - 1] < response[left]:
@@ -78,4 +79,5 @@ def _pslr(response: FloatArray) -> float:
 
 
 def _width(response: FloatArray) -> float:
+    """Number of samples within 3 dB of the peak."""
     return float(np.count_nonzero(response >= response.max() / np.sqrt(2)))

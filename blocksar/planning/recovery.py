@@ -1,4 +1,4 @@
-"""What recovery needs, from metadata alone: unified walk, derotation, padding; and whether the PRF suffices."""
+"""Planning of the recovery: unified walk, derotation and padding, and whether the PRF suffices."""
 
 from __future__ import annotations
 
@@ -13,51 +13,70 @@ from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import PrfTooLow
 from blocksar.focusing.lines import Line
 from blocksar.focusing.method import DEFAULT, Method
-from blocksar.focusing.recovery import NOTHING_IN_COMMON, CommonRange, Recovery
+from blocksar.focusing.recovery import NO_COMMON_RANGE, CommonRange, Recovery
 from blocksar.kernels import fourier
 from blocksar.kernels.fourier import Axis
 from blocksar.planning.target_lines import middle_line, recovered_line, tail_margin
 
-COMMON_ORDER = 5  # of the range history: from here on it is taken out of all targets alike, azimuth steps end at 4
-COMMON_LEAST = 1e-3  # wavelengths of it, a phase of 0.013 rad: less is left where it is
-WINDOW_EDGE = 0.05  # of the range window, at either end, that the PRF need not hold: echoes only pass through
+COMMON_ORDER = 5  # range history from this order on is removed from all targets alike: azimuth steps end at order 4
+COMMON_LEAST = 1e-3  # wavelengths, a phase of 0.013 rad: a smaller common range is not removed
+WINDOW_EDGE = 0.05  # of the range window at either end, for which the PRF need not suffice: echoes only pass through
 
 
 def plan_recovery(geometry: Geometry, region: Region, method: Method = DEFAULT) -> Recovery:
-    """Unified walk, derotation, padding, and whether the PRF suffices.
+    """Plan unified walk, derotation and padding, and check the PRF.
 
-    A method with linear derotation takes out one Doppler rate and no more (paper A, Figure 6 b), and needs more PRF.
+    A method with linear derotation removes one Doppler rate only (paper A, Figure 6 b), and needs a higher PRF.
 
     Raises
     ------
     PrfTooLow
         If the derotated band exceeds the PRF.
     """
-    collection, linear = geometry.collection, method.derotation == "linear"
+    collection = geometry.collection
     centre_yaw = (region.yaw[0] + region.yaw[-1]) / 2
     near, far = region.at(np.array([centre_yaw]))
     origin = float((near[0] + far[0]) / 2)
     centre = geometry.ground_point(np.array(origin), np.array(centre_yaw))
     _, rate = geometry.range_history(centre, np.array(geometry.epoch))
     walk = float(rate)
-    time = collection.time
-    slow = time - geometry.epoch
     pulses = Axis(-collection.pulse_interval * (collection.n_pulse // 2), collection.pulse_interval, collection.n_pulse)
-    to_cycles = -2 * collection.carrier / SPEED_OF_LIGHT
-
     band_edge = max(abs(collection.range_frequency[0]), abs(collection.range_frequency[-1])) / collection.carrier
     common = _common_range(geometry, centre)
     line = _lit_lines(geometry, region, origin, walk, common, margin=0.0)
     inner = _lit_lines(geometry, region, origin, walk, common, margin=WINDOW_EDGE)
+    derotation, band = _plan_derotation(pulses, inner, linear=method.derotation == "linear")
+    _check_prf(geometry, method, (band[1] - band[0]) * (1 + band_edge))
+    padded = fourier.fast_length((1.02 + band_edge) * pulses.size + 16)  # the keystone scales time by the band
+    return Recovery(
+        carrier=collection.carrier,
+        pulses=pulses,
+        padded=padded,
+        origin=origin,
+        walk=walk,
+        bulk=_bulk_cycles(geometry, common, origin=origin, walk=walk, centre_yaw=centre_yaw),
+        derotation=derotation,
+        doppler=_plan_spectrum(geometry, region, line, padded=padded, band_edge=band_edge),
+        band=band,
+        common=common,
+    )
+
+
+def _plan_derotation(pulses: Axis, line: Line, *, linear: bool) -> tuple[FloatArray, tuple[float, float]]:
+    """Chebyshev series of the derotation phase (cycles), and the Doppler band of the derotated lines (Hz)."""
     half = pulses.extent / 2
     middle = pulses.start + pulses.step * (pulses.size - 1) / 2
-    u = (inner.time - middle) / half
-    series = middle_line(u.ravel(), inner.doppler.ravel(), order=1 if linear else min(9, time.size // 8))
-    bent = inner.doppler - chebyshev.chebval(u, series)
-    low, high = float(line.doppler.min()), float(line.doppler.max())
-    derotated_low, derotated_high = float(bent.min()), float(bent.max())
-    centre_band = (derotated_low + derotated_high) / 2
-    spread = (derotated_high - derotated_low) * (1 + band_edge)
+    u = (line.time - middle) / half
+    series = middle_line(u.ravel(), line.doppler.ravel(), order=1 if linear else min(9, pulses.size // 8))
+    remaining = line.doppler - chebyshev.chebval(u, series)
+    low, high = float(remaining.min()), float(remaining.max())
+    series[0] += (low + high) / 2
+    return np.asarray(chebyshev.chebint(series) * half), (low, high)
+
+
+def _check_prf(geometry: Geometry, method: Method, spread: float) -> None:
+    """Raise PrfTooLow if the derotated band, `spread` Hz at all range frequencies, exceeds the PRF."""
+    collection = geometry.collection
     if collection.prf < spread:
         needed = float(10 * np.ceil(1.002 * spread / 10))  # another PRF cuts the dwells a little differently
         raise PrfTooLow(
@@ -66,54 +85,53 @@ def plan_recovery(geometry: Geometry, region: Region, method: Method = DEFAULT) 
             + ("a narrower beam" if collection.steered else "image a smaller grid"),
             needed,
         )
-    series[0] += centre_band
-    derotation = chebyshev.chebint(series) * half
 
+
+def _plan_spectrum(geometry: Geometry, region: Region, line: Line, *, padded: int, band_edge: float) -> Axis:
+    """Doppler of the recovered spectrum: all that is lit, at all range frequencies, with a margin for tails."""
+    low, high = float(line.doppler.min()), float(line.doppler.max())
     dwell = float(np.max(np.subtract(*dwell_at(geometry, region.yaw)[::-1])))
     margin = tail_margin(dwell)
-    padded = fourier.fast_length((1.02 + band_edge) * pulses.size + 16)  # the keystone scales time by the band
-    duration = padded * pulses.step
+    duration = padded * geometry.collection.pulse_interval
     edge = band_edge * max(abs(low), abs(high))
     size = fourier.fast_length(duration * (high - low + 2 * edge + 2 * margin))
     size = max(size, fourier.fast_length(padded))
-    doppler = fourier.centred(np.round((low + high) / 2 * duration) / duration, 1 / duration, size)
+    return fourier.centred(np.round((low + high) / 2 * duration) / duration, 1 / duration, size)
 
+
+def _bulk_cycles(
+    geometry: Geometry, common: CommonRange, *, origin: float, walk: float, centre_yaw: float
+) -> FloatArray:
+    """Cycles on the carrier, per pulse, from the stored reference range to the range that the chain counts from."""
+    collection = geometry.collection
+    time = collection.time
+    slow = time - geometry.epoch
     misfit = geometry.track.misfit
     beam = collection.beam_azimuth if collection.steered else np.full(time.size, centre_yaw)
     sight = geometry.ground_point(np.full(time.size, origin), beam) - geometry.track.position(time)
     sight /= np.linalg.norm(sight, axis=1, keepdims=True)
     unmodelled = -np.einsum("ij,ij->i", sight, misfit)  # range that the polynomial track lacks
-    bulk = to_cycles * (origin + walk * slow + common.at(slow) - collection.reference_range + unmodelled)
-    return Recovery(
-        carrier=collection.carrier,
-        pulses=pulses,
-        padded=padded,
-        origin=origin,
-        walk=walk,
-        bulk=bulk,
-        derotation=np.asarray(derotation),
-        doppler=doppler,
-        band=(derotated_low, derotated_high),
-        common=common,
-    )
+    to_cycles = -2 * collection.carrier / SPEED_OF_LIGHT
+    return np.asarray(to_cycles * (origin + walk * slow + common.at(slow) - collection.reference_range + unmodelled))
 
 
 def _common_range(geometry: Geometry, centre: FloatArray) -> CommonRange:
-    """The range history of the region's centre (3,), m, from COMMON_ORDER on; nothing where that is little."""
+    """The range history of the region's centre (3,), m, from COMMON_ORDER on; none below COMMON_LEAST."""
     track = geometry.track
-    # Range is smooth where the track is: twice its order, and some, hold it.
+    # Range is as smooth as the track: somewhat more than twice its order suffices.
     nodes = chebyshev.chebpts1(2 * track.order + 16)
     rng, _ = geometry.range_history(centre, track.centre + track.half * nodes)
     series = chebyshev.chebfit(nodes, rng, nodes.size - 1)
     series[:COMMON_ORDER] = 0
     if np.abs(series).sum() < COMMON_LEAST * geometry.collection.wavelength:
-        return NOTHING_IN_COMMON
+        return NO_COMMON_RANGE
     return CommonRange(series=np.asarray(series), centre=track.centre - geometry.epoch, half=track.half)
 
 
 def _lit_lines(
     geometry: Geometry, region: Region, origin: float, walk: float, common: CommonRange, *, margin: float
 ) -> Line:
+    """Lines of targets over the region, without `margin` of the range window at either end."""
     near, far = region.at(region.yaw)
     width = far - near
     ranges = np.linspace(near + margin * width, far - margin * width, 5)

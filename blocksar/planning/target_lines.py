@@ -10,10 +10,10 @@ from blocksar.collection.beam import dwell_at
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.lines import Line
-from blocksar.focusing.recovery import NOTHING_IN_COMMON, CommonRange
+from blocksar.focusing.recovery import NO_COMMON_RANGE, CommonRange
 
 LINE_NODES = 16
-TAIL_ENERGY = 1e-3  # of a target's energy that may lie outside its block's Doppler support
+TAIL_ENERGY = 1e-3  # fraction of a target's energy that may lie outside its block's Doppler support
 
 
 def recovered_line(
@@ -23,12 +23,12 @@ def recovered_line(
     yaw: FloatArray,
     origin: float,
     walk: float,
-    common: CommonRange = NOTHING_IN_COMMON,
+    common: CommonRange = NO_COMMON_RANGE,
 ) -> Line:
-    """Lines of targets in the recovered signal, LINE_NODES samples each; the two inputs are broadcast.
+    """Lines of targets in the recovered signal, LINE_NODES samples each; `epoch_range` and `yaw` are broadcast.
 
-    Dwells cut by the ends of the collection are traced as they are; targets lit for less than a
-    twentieth of a dwell are traced over that much, inside the collection.
+    Dwells cut by the ends of the collection are traced as cut. Targets lit for less than a twentieth of the longest
+    dwell are traced over that much, inside the collection.
     """
     nodes, weights = np.polynomial.legendre.leggauss(LINE_NODES)
     epoch_range, yaw = np.broadcast_arrays(epoch_range, yaw)
@@ -56,19 +56,19 @@ def recovered_line(
 
 
 def tail_margin(duration: float) -> float:
-    """Doppler beyond a line's ends that holds all but TAIL_ENERGY of a target lit for `duration`, Hz.
+    """Doppler margin beyond a line's ends that holds all but TAIL_ENERGY of a target lit for `duration`, Hz.
 
-    A chirp that starts and stops sharply has spectral tails 1 / (2 pi f) from either end; the energy
-    beyond f is 1 / (pi^2 f duration) of the whole.
+    A chirp that starts and stops sharply has spectral tails 1 / (2 pi f) at either end. The fraction of its energy
+    beyond f is 1 / (pi^2 f duration).
     """
     return 1.0 / (np.pi**2 * TAIL_ENERGY * duration)
 
 
 def middle_line(u: FloatArray, doppler: FloatArray, *, order: int) -> FloatArray:
-    """Chebyshev series through the middle of the lit band at each time u in [-1, 1]: what derotation follows.
+    """Chebyshev series through the middle of the lit band at each time u in [-1, 1], for the derotation to follow.
 
-    Paper A (8) follows the beam's centre at the reference range; the middle of all that is lit at a time
-    needs a little less PRF, and is the same thing where the swath is narrow.
+    Paper A (8) follows the beam's centre at the reference range. The middle of all that is lit at a time needs a
+    slightly lower PRF, and coincides with it where the swath is narrow.
     """
     bins = np.clip(((u + 1) / 2 * 48).astype(int), 0, 47)
     low, high, count = np.full(48, np.inf), np.full(48, -np.inf), np.zeros(48)
@@ -76,6 +76,7 @@ def middle_line(u: FloatArray, doppler: FloatArray, *, order: int) -> FloatArray
     np.maximum.at(high, bins, doppler)
     np.add.at(count, bins, 1)
     filled = count > 0
-    # The middle of a time bin, not of its samples: a bin cut by the aperture's end would pull the fit.
-    place = ((np.arange(48) + 0.5) / 24 - 1)[filled]
-    return np.asarray(chebyshev.chebfit(place, (low[filled] + high[filled]) / 2, min(order, int(filled.sum()) - 1)))
+    # The middle of a time bin, not of its samples: a bin cut by the aperture's end would bias the fit.
+    bin_centre = ((np.arange(48) + 0.5) / 24 - 1)[filled]
+    middle = (low[filled] + high[filled]) / 2
+    return np.asarray(chebyshev.chebfit(bin_centre, middle, min(order, int(filled.sum()) - 1)))

@@ -1,4 +1,4 @@
-"""How an image's grid is divided into chunks and patches, and samples into groups of columns."""
+"""Division of the work: an image into chunks and patches, samples into groups of columns."""
 
 from __future__ import annotations
 
@@ -9,21 +9,20 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.grid import Grid
 from blocksar.focusing.ground_map import GroundMap
 
-# ---------------------------------------------------------------- the graph: what is asked of the workers
-
 
 def image_chunk(grid: Grid) -> tuple[int, int]:
+    """Rows and columns of a chunk of the image."""
     return min(IMAGE_CHUNK, grid.shape[0]), min(IMAGE_CHUNK, grid.shape[1])
 
 
 def patch_window(ground: GroundMap, grid: Grid) -> tuple[int, int, int, int]:
-    """First row, first column, rows and columns of a block's patch: whole chunks of the image around its sector."""
+    """First row, first column, rows and columns of a block's patch: the whole image chunks around its sector."""
     yaw = np.linspace(ground.low, ground.high, 257)
     corners = ground.geometry.ground_point(np.array([[ground.near], [ground.far]]), yaw)
     side = image_chunk(grid)
     spans = []
     for axis, values, chunk, step in ((1, grid.y, side[0], grid.dy), (0, grid.x, side[1], grid.dx)):
-        # The outline between two samples bulges by less than this.
+        # Between two samples the outline bulges by less than this.
         bulge = ground.far * (yaw[1] - yaw[0]) ** 2 + step
         low, high = np.nanmin(corners[..., axis]) - bulge, np.nanmax(corners[..., axis]) + bulge
         first = int(np.clip(np.searchsorted(values, low), 0, values.size - 1)) // chunk * chunk
@@ -33,5 +32,5 @@ def patch_window(ground: GroundMap, grid: Grid) -> tuple[int, int, int, int]:
 
 
 def inspection_width(collection: Collection) -> int:
-    """Range frequencies that a task looks at."""
+    """Range frequencies that one task inspects."""
     return min(max(SIGNAL_BYTES // (8 * collection.n_pulse), 1), TILE[1])

@@ -1,4 +1,4 @@
-"""Reading JSON field by field: each value knows its name, so that an error can tell which one is wrong."""
+"""Reading JSON field by field: each value knows its name, so that an error can name the wrong one."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 from blocksar.errors import FolderError
 
 T = TypeVar("T")
-LARGEST = 1 << 63  # magnitude of a number: larger ones are damage
+LARGEST = 1 << 63  # magnitude of a valid number
 
 
 @dataclass(frozen=True)
@@ -39,9 +39,9 @@ class Field:
 
     def fail(self, expected: str) -> FolderError:
         """Return the error that names the field, its value and the remedy."""
-        found = "missing" if not self.present else "null" if self.value is None else reprlib.repr(self.value)
+        actual = "missing" if not self.present else "null" if self.value is None else reprlib.repr(self.value)
         return FolderError(
-            f"{self.file} is damaged: {self.name or 'the record'} is {found}, not {expected}; "
+            f"{self.file} is damaged: {self.name or 'the record'} is {actual}, not {expected}; "
             "focus again with --overwrite",
             replaceable=True,
         )

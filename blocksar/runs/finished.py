@@ -19,7 +19,7 @@ from blocksar.places.place import Place
 from blocksar.runs.record import RECORD, RunRecord
 
 Int16Array = np.ndarray[tuple[int, ...], np.dtype[np.int16]]
-STRIP = 1 << 23  # pixels of a strip at most, 64 MiB, unless a single row or column has more
+STRIP = 1 << 23  # largest number of pixels in a strip, 64 MiB, unless a single row or column has more
 
 
 def finished_record(folder: Place) -> RunRecord:
@@ -54,13 +54,13 @@ class FinishedRun:
     Attributes
     ----------
     folder : Place
-        Of the run.
+        Run folder.
     x, y : (n_x,), (n_y,) float
         Pixel positions, m, uniform and ascending.
     geometry : Geometry
-        Of the run's collection.
+        Geometry of the run's collection.
     attrs : dict
-        Of the collection: title, georeference, targets and what else came with the phase history.
+        Attributes of the phase history: title, georeference, targets and others.
     record : RunRecord
     """
 

@@ -1,9 +1,9 @@
-"""The run folder: what lies in it, who may write it, and whether a run in it can be resumed.
+"""The run folder: its contents, its lock, and whether a run in it can be resumed.
 
 Every unit of work (a column group of the spectrum, the patch of a block, some chunks of the mosaic) leaves a receipt
-once its data are written: what it wrote, region by region, with checksums. A receipt is trusted if it belongs to the
-same run (settings, input, format, division into blocks: its `identity`) and the data on disk still have those
-checksums. There is no other state: a resumed run depends on no scheduler and on no earlier process.
+once its data are written: the regions that it wrote, with checksums. A receipt is valid if it belongs to the same run
+(same `identity`: settings, input, format, division into blocks) and the data on disk still have those checksums.
+There is no other state: a resumed run depends neither on a scheduler nor on an earlier process.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from blocksar.places.place import Held, Place
 from blocksar.runs.record import RECORD, RunRecord, Written
 from blocksar.version import __version__
 
+# All files of a run.
 OWN = (
     RECORD,
     "collection.zarr",
@@ -36,17 +37,14 @@ OWN = (
     "mosaic.png",
     "contours.png",
 )
-TEMPORARY = ("receipts", "compressed.zarr", "scratch")  # of those, what a finished run does not need
+TEMPORARY = ("receipts", "compressed.zarr", "scratch")  # those of OWN that a finished run does not need
 LEFT_ALONE = ("phase_history.zarr",)  # may lie in the folder of a new run: `demo` puts its input there
 LOCK, ASIDE = "run.lock", ".replaced"
 
 
-# ---------------------------------------------------------------- who may write
-
-
 @contextmanager
-def claimed(folder: Place) -> Iterator[None]:
-    """Hold the lock of a folder, which is made if needed.
+def claim(folder: Place) -> Iterator[None]:
+    """Hold the lock of a folder during the block; the folder is created if needed.
 
     Raises
     ------
@@ -75,17 +73,14 @@ def claimed(folder: Place) -> Iterator[None]:
 
 
 def _remove_empty(folders: Iterable[Path]) -> None:
-    """Remove folders that were made for nothing; those that hold something stay."""
+    """Remove folders that were created and remained empty."""
     for path in folders:
         with suppress(OSError):
             path.rmdir()
 
 
-# ---------------------------------------------------------------- what is there
-
-
-def existing(folder: Place, settings: Mapping[str, Any], fingerprint: str, *, overwrite: bool) -> RunRecord | None:
-    """Return the record of the run in a folder, finished or to be resumed; None where a new one may begin.
+def find_run(folder: Place, settings: Mapping[str, Any], fingerprint: str, *, overwrite: bool) -> RunRecord | None:
+    """Return the record of the run in a folder, finished or to be resumed; None where a new one can start.
 
     Raises
     ------
@@ -103,7 +98,7 @@ def existing(folder: Place, settings: Mapping[str, Any], fingerprint: str, *, ov
         return None
     if overwrite:
         return None
-    record = _recorded(folder)
+    record = _read_record(folder)
     if (difference := record.difference(settings, fingerprint)) is not None:
         raise FolderError(
             f"{folder} holds a run with {difference}, not what is asked for now; use --overwrite to replace it, or "
@@ -120,12 +115,12 @@ def existing(folder: Place, settings: Mapping[str, Any], fingerprint: str, *, ov
     return record
 
 
-def _recorded(folder: Place) -> RunRecord:
+def _read_record(folder: Place) -> RunRecord:
     try:
         return RunRecord.read(folder)
     except FolderError:
         raise
-    except InputError as error:  # no JSON
+    except InputError as error:  # not JSON
         raise FolderError(
             f"{folder / RECORD} cannot be read; use --overwrite, or choose another --out", replaceable=True
         ) from error
@@ -160,8 +155,8 @@ def clear(folder: Place) -> None:
 
 
 @contextmanager
-def begun(folder: Place) -> Iterator[Callable[[], None]]:
-    """Begin a new run in a folder; an InputError restores the folder as it was before.
+def begin(folder: Place) -> Iterator[Callable[[], None]]:
+    """Begin a new run in a folder; an InputError restores the earlier run.
 
     Yields the function that removes the earlier run, to be called once the new input has been read. In an object
     store, where nothing can be renamed, the earlier run is removed at once.
@@ -225,12 +220,12 @@ def is_tidy(folder: Place) -> bool:
 
 
 def check_finished(folder: Place, record: RunRecord) -> None:
-    """Check that a finished run still has its image: that all chunks are there, without reading them.
+    """Check that all chunks of a finished run's image exist, without reading them.
 
     Raises
     ------
     FolderError
-        If some of it is gone.
+        If some are missing.
     """
     image = folder / "image.zarr"
     if not record.receipts:
@@ -252,7 +247,7 @@ def check_finished(folder: Place, record: RunRecord) -> None:
 
 
 def _chunk(store: Place, part: Written) -> str:
-    """Return the file of the chunk that a region begins in."""
+    """Return the path of the chunk that a region begins in, relative to its store."""
     sides = stores.chunk_shape(store, part.variable)
     cell = (str(first // side) for (first, _), side in zip(part.region, sides, strict=True))
     return "/".join((part.variable, "c", *cell))

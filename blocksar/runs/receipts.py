@@ -1,4 +1,4 @@
-"""The run in its folder: where its stores lie, and how units of work sign and check their receipts."""
+"""A run in its folder: the paths of its stores, and the signing and checking of receipts."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Run:
         return self.folder / "receipts" / f"{unit}.json"
 
     def receipt(self, unit: str) -> Receipt | None:
-        """Read the receipt of a unit of this run, None if there is none; its data may be damaged all the same."""
+        """Read the receipt of a unit of this run, without checking its data; None if there is no valid one."""
         path = self._receipt(unit)
         with suppress(InputError):
             value = stores.read_json(path)
@@ -65,12 +65,12 @@ class Run:
         return None
 
     def sign(self, receipt: Receipt, started: float) -> Receipt:
-        """Complete a unit's receipt by run and duration, and write it; the unit's data must be on the disk by now.
+        """Add run and duration to a unit's receipt, and write it. The unit's data must have been written before.
 
         Parameters
         ----------
         started : float
-            Of time.perf_counter.
+            Start of the unit by time.perf_counter, s.
         """
         receipt = replace(receipt, run=self.identity, seconds=time.perf_counter() - started)
         value = receipt.as_json()
@@ -78,22 +78,24 @@ class Run:
         return receipt
 
     def intact(self, receipt: Receipt) -> bool:
-        """Read all that a unit wrote, and tell whether it is as it was written."""
+        """Read everything that a unit wrote, and tell whether it still has the checksums of the receipt."""
         try:
             return self._same_files(receipt.files) and all(part.intact(self.folder) for part in receipt.written)
         except (InputError, OSError, ValueError, IndexError):
             return False
 
     def _same_files(self, checksums: Mapping[str, str]) -> bool:
-        return all(stores.checksum_bytes((self.folder / name).read_bytes()) == it for name, it in checksums.items())
+        return all(
+            stores.checksum_bytes((self.folder / name).read_bytes()) == checksum for name, checksum in checksums.items()
+        )
 
     def file_checksums(self, store: Place, *, volatile: Sequence[str] = ()) -> dict[str, str]:
-        """Return the checksums of a new store's files, metadata and coordinates, by name.
+        """Return the checksums of a new store's files (metadata and coordinates) by path relative to the run folder.
 
         Parameters
         ----------
         store : Place
-            Without samples so far.
+            Must not hold samples yet.
         volatile : sequence of str
             Variables to leave out.
         """
@@ -109,13 +111,13 @@ class Run:
         return str(store)[len(str(self.folder)) :].strip("/")
 
     def establish(self, store: Place, create: Callable[[], None], *, volatile: Sequence[str] = ()) -> None:
-        """Create a store that tasks will write to, unless it is there already and intact.
+        """Create a store that tasks will write to, unless it exists and is intact.
 
         Parameters
         ----------
         store : Place
         create : function
-            Replaces the store, with everything that tasks have written to it: their receipts become invalid.
+            Replaces the store, with everything that tasks have written to it; their receipts become invalid.
         volatile : sequence of str
             Variables that the calling process writes later.
 
@@ -143,14 +145,14 @@ def write(run: Run, store: Place, variable: str, region: tuple[slice, ...], valu
     ProcessingError
         If it cannot be written, or another run has taken the folder.
     """
-    # A shared cluster may still work for a process that was killed, and whose run has been overwritten since.
+    # A shared cluster may still run tasks of a process that was killed, whose run has been overwritten since.
     if run.identity.encode() not in (run.folder / RECORD).read_bytes():
         raise ProcessingError(f"{run.folder} has been taken by another run")
     stores.write_region(store, variable, region, values)
-    return written(run, store, variable, region, values)
+    return written_entry(run, store, variable, region, values)
 
 
-def written(run: Run, store: Place, variable: str, region: tuple[slice, ...], values: Array) -> Written:
-    """Return the entry for the receipt of a region that was written."""
+def written_entry(run: Run, store: Place, variable: str, region: tuple[slice, ...], values: Array) -> Written:
+    """Return the entry in the receipt for a region that has been written."""
     span = tuple((part.start, part.stop) for part in region)
     return Written(run.name_of(store), variable, span, stores.checksum(values))

@@ -1,7 +1,7 @@
 """The record of a run, run.json, and the receipts in it: types, and their JSON layout.
 
-Other programs read run.json: keys may be added to it, but not renamed or dropped. A change that makes the data of an
-older run useless raises FORMAT.
+Other programs read run.json: keys may be added, but not renamed or removed. A change that makes the data of older runs
+unusable must raise FORMAT.
 """
 
 from __future__ import annotations
@@ -17,12 +17,13 @@ from blocksar.places.place import Place
 from blocksar.runs.fields import Field
 from blocksar.version import __version__
 
-FORMAT = 4  # of run folders
+FORMAT = 4  # version of the run folder's layout
 FINISHED, UNFINISHED = "finished", "unfinished"
 RECORD = "run.json"
-
-
-# ---------------------------------------------------------------- receipts
+# Receipts of version 0.1.0 do not name the stage: derive it from the unit's name, here and nowhere else.
+# Back-projection uses the same unit names, for columns that it only inspects and for chunks of the image.
+_STAGES = {"pulses": "range-compress", "columns": "recover", "block": "focus", "chunk": "mosaic", "store": "create"}
+_BACK_PROJECTION_STAGES = _STAGES | {"columns": "inspect", "chunk": "backprojection"}
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ class Written:
 
 @dataclass(frozen=True, kw_only=True)
 class Receipt:
-    """What a unit of work has done.
+    """The receipt of a unit of work: what it wrote, and what it cost.
 
     Attributes
     ----------
@@ -76,11 +77,12 @@ class Receipt:
     run : str
         Identity of the run.
     seconds : float
+        Duration, s.
     written : tuple of Written
     peak_memory : float or None
-        Of the worker since it started, bytes; None if unknown.
+        Of the worker since its start, bytes; None if unknown.
     found : mapping or None
-        What the inspection of the samples found, as `Inspection.as_dict` gives it.
+        Findings of the inspection of the samples, as `Inspection.as_dict` gives them.
     origin : (row, column) or None
         First pixel of a block's patch in the image.
     steps : mapping of str to float
@@ -161,32 +163,23 @@ def block_unit(block: str) -> str:
     return f"block-{block}"
 
 
-# Receipts of version 0.1.0 name no stage: here it follows from the unit's name, and nowhere else. Back-projection
-# has the same names of units, for columns that it only inspects and for chunks of the image that it forms itself.
-_STAGES = {"pulses": "range-compress", "columns": "recover", "block": "focus", "chunk": "mosaic", "store": "create"}
-_BACK_PROJECTION_STAGES = _STAGES | {"columns": "inspect", "chunk": "backprojection"}
-
-
 def _stage_of(unit: str, *, back_projection: bool) -> str:
     return (_BACK_PROJECTION_STAGES if back_projection else _STAGES).get(unit.partition("-")[0], "")
 
 
-# ---------------------------------------------------------------- the plan
-
-
 @dataclass(frozen=True, kw_only=True)
 class PredictedBlock:
-    """What the plan predicts of a block, or of a range sub-block: the worst of its targets.
+    """Predicted quality of a block, or of a range sub-block: that of its worst target.
 
     Attributes
     ----------
     block : int
     part : int or None
-        Of the range sub-block; None where the block is not divided in range.
+        Number of the range sub-block; None where the block is not divided in range.
     yaw : (low, high)
-        rad.
+        Borders, rad.
     range : (near, far)
-        At t = 0, m.
+        Range at t = 0, m.
     memory : float
         Peak of a worker, bytes.
     bias : float
@@ -198,13 +191,13 @@ class PredictedBlock:
     pslr : float
         In azimuth, dB.
     width : float
-        In azimuth, over the limit that the dwell sets.
+        In azimuth, relative to the limit set by the dwell.
     migration : float
         Over the dwell, range resolution cells.
     resolution : float
         In azimuth, m.
     loss : float
-        Part of a dwell that dispersion takes from its ends.
+        Fraction of a dwell lost at its ends by dispersion.
     """
 
     block: int
@@ -245,7 +238,7 @@ class PredictedBlock:
 
 @dataclass(frozen=True, kw_only=True)
 class RunPlan:
-    """How a run is divided, and what is predicted of it.
+    """Division of a run into blocks, and its predicted quality.
 
     Attributes
     ----------
@@ -288,9 +281,6 @@ class RunPlan:
         }
 
 
-# ---------------------------------------------------------------- the record
-
-
 @dataclass(frozen=True)
 class RunInput:
     """The phase history of a run; empty where the record does not name it."""
@@ -329,16 +319,16 @@ class CentroidError:
 
 @dataclass(frozen=True, kw_only=True)
 class RunRecord:
-    """What run.json holds. Only `status` is always there: records of older formats hold less.
+    """The contents of run.json. Only `status` is always present: records of older formats hold less.
 
     Attributes
     ----------
     status : str
         FINISHED or UNFINISHED.
     format : int or None
-        Of the run folder.
+        Format of the run folder.
     settings : mapping
-        Of `focus`, by the names of its parameters.
+        Settings of `focus`, by parameter name.
     input : RunInput
     identity : str
         Hash of format, settings, input and division into blocks.
@@ -382,7 +372,7 @@ class RunRecord:
 
     @property
     def version(self) -> str:
-        """Of the blocksar that wrote the record; empty if unknown."""
+        """Version of blocksar that wrote the record; empty if unknown."""
         return self.versions.get("blocksar", "")
 
     @classmethod

@@ -59,7 +59,7 @@ def test_units_that_the_scheduler_forgets_are_started_again(client: Client) -> N
         return future
 
     units = [(unit, partial(start, unit)) for unit in "abcd"]
-    outcomes = {unit: future.result() for unit, future in admission.in_turn(client, "focus", units, 2, Listener())}
+    outcomes = {unit: future.result() for unit, future in admission.as_completed(client, "focus", units, 2, Listener())}
     assert outcomes == {unit: unit for unit in "abcd"}
     assert [started.count(unit) for unit in "ad"] == [1, 1] and min(started.count(unit) for unit in "bc") >= 3
 

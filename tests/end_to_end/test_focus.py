@@ -20,7 +20,7 @@ from scenes import GEOMETRIES, scene, write_store
 
 import blocksar
 from blocksar import api, stores
-from blocksar.api import focusing
+from blocksar.api import jobs
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import block_seams, plan_region
 from blocksar.errors import InputError
@@ -78,7 +78,7 @@ def test_range_sub_blocks_are_as_good_as_whole_blocks(
     name: str, clutter: Callable[[str], Path], client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Coherence with back-projection on clutter, across the seams in range too, and calibration."""
-    monkeypatch.setattr(focusing, "plan_collection", lambda *a, **k: plan_collection(*a, **{**k, "parts": 3}))
+    monkeypatch.setattr(jobs, "plan_collection", lambda *a, **k: plan_collection(*a, **{**k, "parts": 3}))
     store = clutter(name)
     blocksar.focus(store, tmp_path / "run", blocks=2, grid=coarse_grid(store), client=client)
     record = json.loads((tmp_path / "run" / "run.json").read_text())

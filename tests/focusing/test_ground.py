@@ -16,12 +16,12 @@ from hypothesis import strategies as st
 from steps import Planned, collection, line_of, planned, signal_of, slab_of, target_at
 
 from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.budget import IMAGE_TAP_ERROR
 from blocksar.collection.beam import lit_pulses
 from blocksar.focusing.correction import correct, covers
 from blocksar.focusing.ground_map import GroundMap, Surface, fit_surface
 from blocksar.focusing.lines import focus
 from blocksar.kernels import interpolation
-from blocksar.planning.block import TAP_ERROR
 
 LEVEL = 1300.0  # pulses light a target: images are brought to about 1 before they are compared
 
@@ -95,8 +95,8 @@ def test_every_pixel_is_the_blocks_value_where_it_focuses(step: float, yaw_deg: 
     assert held.mean() > 0.9 or step == 60.0
     error = (image - slowly(ground, value, x, y))[held] * LEVEL
     # Taps are planned to err by so much at most in either of two directions, root mean square over the band.
-    assert np.sqrt(np.mean(np.abs(error) ** 2)) < np.sqrt(2) * TAP_ERROR
-    assert np.abs(error).max() < 4 * np.sqrt(2) * TAP_ERROR
+    assert np.sqrt(np.mean(np.abs(error) ** 2)) < np.sqrt(2) * IMAGE_TAP_ERROR
+    assert np.abs(error).max() < 4 * np.sqrt(2) * IMAGE_TAP_ERROR
 
 
 def weigh(positions: FloatArray, taps: tuple[int, float], n: int) -> tuple[FloatArray, FloatArray]:
@@ -194,7 +194,7 @@ def test_a_block_narrower_than_a_tile_is_as_good(blocks: int) -> None:
     image = correct(block, ground, x=x, y=y)
     error = (image - slowly(ground, value, x, y))[np.isfinite(image)] * LEVEL
     assert error.size > 500
-    assert np.abs(error).max() < 4 * np.sqrt(2) * TAP_ERROR
+    assert np.abs(error).max() < 4 * np.sqrt(2) * IMAGE_TAP_ERROR
 
 
 def test_pixels_do_not_depend_on_the_chunk_that_they_are_computed_in() -> None:

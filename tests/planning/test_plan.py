@@ -17,7 +17,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import plan_region
 from blocksar.errors import InputError
 from blocksar.focusing.method import Method
-from blocksar.planning.block import plan_block
+from blocksar.planning.block import Sector, plan_block
 from blocksar.planning.plan import fewest_blocks
 from blocksar.planning.recovery import plan_recovery
 from blocksar.simulation.scene import Scene
@@ -49,15 +49,17 @@ def test_closed_form_leaves_what_the_printed_formulas_leave(blocks: int, least: 
     for coefficients in ("closed-form", "fitted"):
         planned_blocks = [
             plan_block(
-                geometry,
-                recovery,
-                region,
+                Sector(
+                    geometry=geometry,
+                    recovery=recovery,
+                    region=region,
+                    low=float(seams[i]),
+                    high=float(seams[i + 1]),
+                    near=27.6e3,
+                    far=32.4e3,
+                ),
+                Method(coefficients=coefficients),  # type: ignore[arg-type]
                 index=i,
-                low=float(seams[i]),
-                high=float(seams[i + 1]),
-                near=27.6e3,
-                far=32.4e3,
-                method=Method(coefficients=coefficients),  # type: ignore[arg-type]
             )
             for i in range(blocks)
         ]

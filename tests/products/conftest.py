@@ -11,7 +11,7 @@ from report_page import borrowed, write_scene
 from small_run import Made, make
 
 import blocksar
-from blocksar.api import focusing
+from blocksar.api import jobs
 from blocksar.planning.plan import plan_collection
 from blocksar.products.page import page
 
@@ -34,7 +34,7 @@ def runs(client: Client, tmp_path_factory: pytest.TempPathFactory) -> dict[str, 
     folder = tmp_path_factory.mktemp("report")
     store = write_scene(folder)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(focusing, "plan_collection", lambda *a, **k: plan_collection(*a, **{**k, "parts": 2}))
+        patch.setattr(jobs, "plan_collection", lambda *a, **k: plan_collection(*a, **{**k, "parts": 2}))
         wide = ((15000.0, 17200.0, 1.2), (18000.0, 20400.0, 1.2))
         blocksar.focus(store, folder / "run", blocks=2, grid=wide, client=client)
         coarse = ((16000.0, 16400.0, 4.0), (19100.0, 19500.0, 4.0))

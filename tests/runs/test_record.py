@@ -138,9 +138,9 @@ def test_damage_is_named_with_its_remedy(keys: tuple[str | int, ...], value: Any
         FinishedRun.open(place(run))
     assert caught.value.replaceable and "\n" not in str(caught.value) and len(str(caught.value)) < 500
     with pytest.raises(FolderError) as caught:
-        folder.existing(place(run), SETTINGS, "f", overwrite=False)
+        folder.find_run(place(run), SETTINGS, "f", overwrite=False)
     assert caught.value.replaceable
-    assert folder.existing(place(run), SETTINGS, "f", overwrite=True) is None
+    assert folder.find_run(place(run), SETTINGS, "f", overwrite=True) is None
 
 
 @pytest.mark.parametrize("record", [[], 1, None, "text", {}])
@@ -159,7 +159,7 @@ def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
 
 def test_a_newer_format_is_refused(tmp_path: Path) -> None:
     run = write(tmp_path / "run", changed("format", value=FORMAT + 1))
-    for read in (lambda: finished_record(place(run)), lambda: folder.existing(place(run), {}, "", overwrite=False)):
+    for read in (lambda: finished_record(place(run)), lambda: folder.find_run(place(run), {}, "", overwrite=False)):
         with pytest.raises(FolderError, match=rf"has format {FORMAT + 1}.*--overwrite") as caught:
             read()
         assert caught.value.replaceable
@@ -179,13 +179,13 @@ def test_a_newer_format_is_refused(tmp_path: Path) -> None:
 def test_a_run_that_is_not_the_one_asked_for_is_refused(change: Any, message: str, tmp_path: Path) -> None:
     run = write(tmp_path / "run", RECORD | change)
     with pytest.raises(FolderError, match=message) as caught:
-        folder.existing(place(run), SETTINGS, "f", overwrite=False)
+        folder.find_run(place(run), SETTINGS, "f", overwrite=False)
     assert caught.value.replaceable
 
 
 def test_a_finished_run_of_an_older_version_is_kept(tmp_path: Path) -> None:
     run = write(tmp_path / "run", RECORD | {"versions": {"blocksar": "0.1.0"}})
-    record = folder.existing(place(run), SETTINGS, "f", overwrite=False)
+    record = folder.find_run(place(run), SETTINGS, "f", overwrite=False)
     assert record is not None and record.finished and record.version == "0.1.0"
     assert finished_record(place(run)) == record
 

@@ -19,7 +19,7 @@ from scenes import scene
 
 import blocksar
 from blocksar import stores
-from blocksar.api import focusing
+from blocksar.api import jobs
 from blocksar.collection.geometry import Geometry
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing import step
@@ -135,7 +135,7 @@ def test_memory_that_does_not_hold_a_raw_echo_is_refused(tmp_path: Path, monkeyp
     raw = blocksar.simulate(tmp_path / "scene.toml", tmp_path / "raw.zarr", raw=True)
     history = stores.open_phase_history(raw)
     needed = memory.compression_memory(history.collection, history.raw)
-    monkeypatch.setattr(focusing, "compression_memory", lambda *_: 40 * needed)
+    monkeypatch.setattr(jobs, "compression_memory", lambda *_: 40 * needed)
     with pytest.raises(InputError, match=r"memory limit 2048 MiB a worker is too low: range compression needs about"):
         blocksar.focus(raw, tmp_path / "run", blocks=1, grid=GRID, workers=1, memory_limit=2 * 2**30)
     assert not (tmp_path / "run").exists()
@@ -368,8 +368,8 @@ def test_what_a_run_left_that_was_killed_at_its_very_end_goes(
     blocksar.focus(store, run, **settings)  # type: ignore[arg-type]
     for first_looks in (0, 1):  # the second time another process finishes it while this one waits for the folder
         (run / "receipts").mkdir()
-        real, looks = folder.existing, iter([None] * first_looks)
-        monkeypatch.setattr(folder, "existing", lambda *a, r=real, i=looks, **k: next(i, r(*a, **k)))
+        real, looks = folder.find_run, iter([None] * first_looks)
+        monkeypatch.setattr(folder, "find_run", lambda *a, r=real, i=looks, **k: next(i, r(*a, **k)))
         assert "nothing to do" in blocksar.focus(store, run, **settings).summary[0]  # type: ignore[arg-type]
         assert not (run / "receipts").exists()
         monkeypatch.undo()

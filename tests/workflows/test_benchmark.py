@@ -57,6 +57,7 @@ def every_number(value: Any, name: str = "") -> list[tuple[str, float]]:
     return [(name, value)] if isinstance(value, int | float) else []
 
 
+@pytest.mark.timeout(600)  # two clusters, each warmed up
 def test_everything_is_measured(
     benchmark: Any, small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -388,7 +388,7 @@ def test_hooks_are_no_shell_lines(post: Post, tmp_path: Path) -> None:
 def test_what_is_not_the_collections_fault_is_tried_again(post: Post, image: dict[str, str], tmp_path: Path) -> None:
     post.deliver("a", "b")
     with ExitStack() as held:
-        held.enter_context(folder.claimed(place(post.outbox / "runs" / "a")))  # somebody focuses it by hand
+        held.enter_context(folder.claim(place(post.outbox / "runs" / "a")))  # somebody focuses it by hand
         assert post.sweep(post.module.Hook(taking(tmp_path))) == post.module.FAILED
         assert told(tmp_path) == [("failed", "a.zarr"), ("done", "b.zarr")]
         assert [entry["name"] for entry in post.status()["failed"]] == ["a.zarr"]

@@ -60,7 +60,7 @@ class Bench:
 
     def focus(self, client: Client, case: Case, store: Path) -> tuple[float, RunRecord, Path]:
         """Focus into an empty folder; seconds from call to return, the run's record, the run."""
-        run = emptied(self.folder / str(case.scale) / "run")
+        run = empty_folder(self.folder / str(case.scale) / "run")
         started = time.perf_counter()
         report = blocksar.focus(store, run, blocks=case.plan.n_blocks, threads=self.threads, client=client)
         return time.perf_counter() - started, RunRecord.from_json(report.result), run
@@ -85,7 +85,7 @@ class Bench:
                 if other is not None and not repeat % 2:
                     measured.other_version.append(self.focus_other(other, case, store))
                 fft = on_every_worker(client, fft_share, transforms, self.threads)
-                io = on_every_worker(client, io_share, emptied(raw), traffic)
+                io = on_every_worker(client, io_share, empty_folder(raw), traffic)
                 measured.add_floors(fft, io)
                 projected.append(back_project(history, plan.geometry, chips, cores))
             peaks = list(client.run(peak_memory).values())
@@ -119,7 +119,7 @@ class Bench:
 
     def focus_other(self, other: OtherVersion, case: Case, store: Path) -> float:
         """Focus with the other version as `focus` does; seconds."""
-        return other.focus(store, emptied(self.folder / str(case.scale) / "run"), blocks=case.plan.n_blocks)
+        return other.focus(store, empty_folder(self.folder / str(case.scale) / "run"), blocks=case.plan.n_blocks)
 
     def add_speedup(self, case: Case, store: Path, result: dict[str, Any]) -> None:
         """Measure the block stage by one worker, and add it to the result of `measure`."""
@@ -131,7 +131,7 @@ class Bench:
         result["ratios"]["block_stage_speedup"] = spread(over(one, result["seconds"]["stages"]["focus"]["runs"]))
 
 
-def emptied(path: Path) -> Path:
+def empty_folder(path: Path) -> Path:
     """Empty a folder and wait some seconds, so that runs and floors find memory in the same state.
 
     A virtual machine returns freed memory to its host after a while, and getting it back costs more than writing it.

@@ -1,0 +1,217 @@
+"""A run before it starts: the request of a user, its settings, its plan, and the first state of its record."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import metadata
+from typing import TYPE_CHECKING, Any, Literal
+
+from blocksar import stores
+from blocksar.api.arguments import Resources, path_of
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.georeference import Georeference
+from blocksar.collection.grid import Grid
+from blocksar.collection.region import default_grid, plan_region
+from blocksar.errors import InputError
+from blocksar.focusing.method import Method
+from blocksar.places import Location, place
+from blocksar.places.place import Place
+from blocksar.planning import effort
+from blocksar.planning.memory import checked_back_projection_memory, checked_memory, compression_memory
+from blocksar.planning.plan import Plan, plan_collection
+from blocksar.progress import Work
+from blocksar.runs import folder as run_folder
+from blocksar.runs.record import FORMAT, UNFINISHED, PredictedBlock, RunInput, RunPlan, RunRecord
+from blocksar.version import __version__
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+
+@dataclass(frozen=True, kw_only=True)
+class Request:
+    """A phase history to be focused into a folder, and how.
+
+    Attributes
+    ----------
+    method : Method or None
+        None for back-projection.
+    blocks : int or "auto"
+        Number of angular blocks.
+    grid : Grid or None
+        None to cover the lit sector.
+    fingerprint : str
+        Of the phase history.
+    overwrite : bool
+        Whether to replace a run of other settings or another input.
+    """
+
+    history: stores.PhaseHistory
+    folder: Place
+    method: Method | None
+    blocks: int | Literal["auto"]
+    grid: Grid | None
+    fingerprint: str
+    overwrite: bool
+
+    @classmethod
+    def open(
+        cls,
+        source: Location | xr.Dataset,
+        folder: Place,
+        *,
+        method: Method | None,
+        blocks: int | Literal["auto"],
+        grid: Grid | None,
+        overwrite: bool,
+    ) -> Request:
+        """Open the phase history; nothing is written.
+
+        Raises
+        ------
+        InputError
+            If there is none, its georeference is wrong, or it and the folder lie in each other.
+        """
+        history = stores.open_phase_history(path_of(source))
+        if "georeference" in history.attrs:
+            Georeference.from_attribute(history.attrs["georeference"])  # refuse a wrong one before the work starts
+        fingerprint = history.fingerprint()
+        run_folder.refuse_overlap(place(history.path), folder)
+        return cls(
+            history=history, folder=folder, method=method, blocks=blocks, grid=grid, fingerprint=fingerprint,
+            overwrite=overwrite,
+        )  # fmt: skip
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The settings, as run.json holds them."""
+        exact = Method().as_settings() | {"processor": "backprojection"}
+        return {
+            **(exact if self.method is None else self.method.as_settings()),
+            "blocks": self.blocks,
+            "grid": None if self.grid is None else list(grid_numbers(self.grid)),
+        }
+
+    def find_run(self) -> RunRecord | None:
+        """Return the record of the run to be resumed, or of a finished one; see `folder.find_run`."""
+        return run_folder.find_run(self.folder, self.settings, self.fingerprint, overwrite=self.overwrite)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """A request with its plan.
+
+    Attributes
+    ----------
+    plan : Plan or None
+        None for back-projection.
+    memory : int
+        Predicted peak memory of a worker, bytes.
+    """
+
+    request: Request
+    geometry: Geometry
+    grid: Grid
+    machine: Resources
+    plan: Plan | None
+    memory: int
+
+    @property
+    def history(self) -> stores.PhaseHistory:
+        return self.request.history
+
+    @classmethod
+    def of(cls, request: Request, earlier: RunRecord | None, machine: Resources) -> Job:
+        """Plan a run; a resumed one keeps its division into blocks.
+
+        Raises
+        ------
+        InputError
+            If there is no such plan, or it needs more memory than there is.
+        """
+        history, grid = request.history, request.grid
+        collection = history.collection.centred()
+        geometry = Geometry(collection=collection)
+        compression = checked_memory(
+            "range compression", compression_memory(history.collection, history.raw), machine.memory_limit
+        )
+        if request.method is None:
+            grid = grid or default_grid(geometry, plan_region(geometry, None))
+            needed = checked_back_projection_memory(collection, grid, machine.threads, machine.memory_limit)
+            memory = max(compression, needed)
+            return cls(request=request, geometry=geometry, grid=grid, machine=machine, plan=None, memory=memory)
+        division = RunPlan() if earlier is None else earlier.plan
+        plan = plan_collection(
+            collection,
+            blocks=division.blocks or request.blocks,
+            parts=division.parts or "auto",
+            method=request.method,
+            grid=grid,
+            workers=machine.workers,
+            memory_limit=machine.memory_limit,
+        )
+        if plan.refusal is not None:
+            raise InputError(plan.refusal)
+        memory = max(compression, plan.memory)
+        return cls(request=request, geometry=geometry, grid=plan.grid, machine=machine, plan=plan, memory=memory)
+
+    def predict_effort(self) -> Work:
+        """Predict the relative cost of the stages."""
+        raw = self.history.raw
+        echo = 0 if raw is None else raw.fast_time.size * self.history.collection.n_pulse
+        if self.plan is None:
+            return effort.of_backprojection(self.geometry, self.grid, echo_samples=echo)
+        return effort.of_plan(self.plan, echo_samples=echo)
+
+    def identity(self) -> str:
+        """Hash everything that the results depend on: settings, input, format, and the division into blocks."""
+        request = self.request
+        division = None if self.plan is None else (self.plan.n_blocks, self.plan.parts)
+        text = repr((FORMAT, sorted(request.settings.items(), key=str), request.fingerprint, division))
+        return stores.checksum_bytes(text.encode("utf-8", "surrogateescape"))
+
+    def record(self) -> RunRecord:
+        """Return the record of the run at its start."""
+        request, plan = self.request, self.plan
+        return RunRecord(
+            status=UNFINISHED,
+            format=FORMAT,
+            settings=request.settings,
+            input=RunInput(str(request.history.path), request.fingerprint),
+            identity=self.identity(),
+            versions=_versions(),
+            **self.machine._asdict(),
+            plan=RunPlan(
+                blocks=None if plan is None else plan.n_blocks,
+                parts=None if plan is None else plan.parts,
+                memory=self.memory,
+                grid=grid_numbers(self.grid),
+                predicted=() if plan is None else predicted_blocks(plan),
+            ),
+        )
+
+
+def predicted_blocks(plan: Plan) -> tuple[PredictedBlock, ...]:
+    """Return what the plan predicts of each block."""
+    return tuple(
+        PredictedBlock(
+            block=block.index,
+            part=block.part,
+            yaw=(block.low, block.high),
+            range=(block.ground.near, block.ground.far),
+            memory=block.memory,
+            bias=block.candidate.bias,
+            **block.prediction._asdict(),
+        )
+        for block in plan.blocks
+    )
+
+
+def grid_numbers(grid: Grid) -> tuple[float, ...]:
+    """Return a grid as run.json holds it."""
+    return grid.x0, grid.x1, grid.dx, grid.y0, grid.y1, grid.dy
+
+
+def _versions() -> dict[str, str]:
+    names = ("numpy", "scipy", "numba", "dask", "zarr", "xarray")
+    return {"blocksar": __version__} | {name: metadata.version(name) for name in names}
