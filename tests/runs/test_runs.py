@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import zarr
 from distributed import Client
+from quality_bar import coarse_grid
 from scenes import scene
 
 import blocksar
@@ -67,7 +68,7 @@ def test_interrupted_run_resumes(
     def interrupted(*_: Any) -> Any:
         raise KeyboardInterrupt
 
-    settings: dict[str, Any] = {"blocks": 3, "client": client}
+    settings: dict[str, Any] = {"blocks": 3, "grid": coarse_grid(store), "client": client}
     blocksar.focus(store, tmp_path / "whole", **settings)
     with monkeypatch.context() as patch:
         patch.setattr(stages, stage, interrupted)
