@@ -14,6 +14,15 @@ import blocksar
 from blocksar.collection.collection import Collection
 from blocksar.graph.cluster import open_client
 
+# Files that take longest, first: two processes that share the files then end at about the same time.
+FIRST = ("end_to_end", "workflows", "bad_input", "deploy")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Order the tests by folder, and keep their order within a file."""
+    place = {folder: number for number, folder in enumerate(FIRST)}
+    items.sort(key=lambda item: place.get(item.path.parent.name, len(FIRST)))
+
 
 @pytest.fixture(scope="session")
 def small_collection() -> Collection:

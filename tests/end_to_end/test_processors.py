@@ -35,11 +35,12 @@ class Ground(NamedTuple):
         return (x0, x1, self.coarse), (y0, y1, self.coarse)
 
 
+# Of papers B and C the whole of the azimuth and half of the range: test_papers.py has the papers' own scenes in full.
 GROUNDS = {
     "table1": Ground(scene(steering=(44.75, 55.25), duration=0.4, swath=[29500.0, 30500.0]), None, 4.0, 0.99, 3),
     "scan reversed": Ground(scene(steering=(55.25, 44.75), duration=0.4, swath=[29500.0, 30500.0]), None, 4.0, 0.99, 3),
-    "paper_b": Ground(emptied("paper_b"), ((11010.0, 11620.0, 0.25), (-1040.0, 1040.0, 0.25)), 1.0, 0.99),
-    "paper_c": Ground(emptied("paper_c"), ((17900.0, 18760.0, 0.4), (-780.0, 780.0, 0.4)), 1.0, 0.99),
+    "paper_b": Ground(emptied("paper_b"), ((11150.0, 11480.0, 0.25), (-1040.0, 1040.0, 0.25)), 1.0, 0.99),
+    "paper_c": Ground(emptied("paper_c"), ((18100.0, 18560.0, 0.4), (-780.0, 780.0, 0.4)), 1.0, 0.99),
 }
 
 
