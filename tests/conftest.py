@@ -26,7 +26,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(scope="session")
 def small_collection() -> Collection:
-    """A squint-TOPS collection in small: the beam scans from 48 to 52 degrees while the aircraft flies 13 m."""
+    """A small squint-TOPS collection: the beam scans from 48 to 52 degrees while the aircraft flies 13 m."""
     n_pulse, n_frequency, prf = 256, 128, 4000.0
     time = (np.arange(n_pulse) - n_pulse // 2) / prf  # s
     track = np.stack([200 * time, 3 * time + 2 * time**2, 5000 - 10 * time], axis=1)  # m
@@ -45,7 +45,7 @@ def small_collection() -> Collection:
 
 @pytest.fixture(scope="session")
 def client() -> Iterator[Client]:
-    """A dask cluster of two workers, one for all tests of a pytest process; what does not name it uses threads."""
+    """A dask cluster of two workers for all tests of a pytest process; tests without this fixture use threads."""
     with (
         open_client(workers=2, threads=1, memory_limit=3 * 2**30) as connected,
         dask.config.set(scheduler="threads"),

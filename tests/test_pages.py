@@ -1,4 +1,4 @@
-"""Pages, docstrings and help: their Python runs, their command lines parse, their links lead somewhere."""
+"""Pages, docstrings and help: their Python runs, their command lines parse, their links resolve."""
 
 from __future__ import annotations
 
@@ -24,25 +24,25 @@ from blocksar.cli import commands, parsing
 from blocksar.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[1]
-BUILT = {"build", "dist", "node_modules"}  # folders at any depth that hold no pages of ours, as hidden ones
+BUILT = {"build", "dist", "node_modules"}  # folders to skip at any depth, as hidden ones
 WORKFLOWS = sorted(path.stem for path in (ROOT / "workflows").glob("*.py"))
 SCRIPT_FOLDERS = [ROOT / "workflows", ROOT / "deploy" / "slurm", ROOT / "deploy" / "site"]
-# Notation of running text that nobody types.
+# Notation of running text that is not part of a command.
 NOTATION = re.compile(r"[|…]|\.\.\.|COMMAND")
-# Values that are read after the parsing of the command line.
+# Values that are validated after the command line is parsed.
 READERS = {
     "grid": parsing.parse_grid,
-    "blocks": lambda text: parsing.parse_blocks(text.split(",")[0]),  # the study of blocks takes several
+    "blocks": lambda text: parsing.parse_blocks(text.split(",")[0]),  # the study of blocks takes several values
     "memory_limit": parsing.parse_memory,
     "origin": parsing.parse_origin,
 }
 
 
-# ---------------------------------------------------------------- pages and docstrings
+# Pages and docstrings
 
 
 def files(folder: Path, *patterns: str) -> Iterator[Path]:
-    """Files below a folder that match a pattern, without hidden folders and builds."""
+    """Yield the files below a folder that match a pattern, except those in hidden folders and builds."""
     for root, folders, names in os.walk(folder):
         folders[:] = sorted(name for name in folders if not name.startswith(".") and name not in BUILT)
         found = [Path(root, name) for name in sorted(names)]
@@ -64,18 +64,18 @@ DOCSTRINGS = {
 
 
 def fenced(text: str, language: str) -> list[tuple[int, str]]:
-    """Blocks of a language on a page, each with the line where it begins."""
+    """Return the code blocks of a language on a page, each with its first line number."""
     blocks = re.finditer(rf"^```{language}\n(.*?)^```$", text, re.M | re.S)
     return [(text[: block.start()].count("\n") + 2, block[1]) for block in blocks]
 
 
 def prose(text: str) -> str:
-    """A page without its fenced blocks."""
+    """Return a page without its code blocks."""
     return re.sub(r"^```.*?^```$", "", text, flags=re.M | re.S)
 
 
 def command_lines(text: str) -> Iterator[str]:
-    """Command lines of blocksar and of our scripts in a shell text, continued lines joined."""
+    """Yield the command lines of blocksar and of our scripts in a shell text, with continuation lines joined."""
     for line in re.sub(r"\\\n\s*", " ", text).splitlines():
         for part in re.split(r"&&|;", line):
             own = re.match(r"\s*((\S*/)?blocksar\s.*)", part)
@@ -85,7 +85,7 @@ def command_lines(text: str) -> Iterator[str]:
 
 
 def documented() -> dict[str, str]:
-    """Complete command lines by place: shell blocks of pages, indented lines of module docstrings."""
+    """Return complete command lines by place: shell blocks of pages, indented lines of module docstrings."""
     lines = {
         f"{page}:{line}: {command}": command
         for page, text in PAGES.items()
@@ -99,17 +99,17 @@ def documented() -> dict[str, str]:
 
 
 def inline() -> list[str]:
-    """Command lines in running text, complete or not."""
+    """Return the command lines in running text, complete or not."""
     spans = [span for text in PAGES.values() for span in re.findall(r"`([^`\n]+)`", prose(text))]
     return sorted({span for span in spans if list(command_lines(span)) and not NOTATION.search(span)})
 
 
-# ---------------------------------------------------------------- programs
+# Programs
 
 
 @cache
 def program(name: str) -> Any:
-    """The command of `blocksar`, or of a script by its module's name."""
+    """Return the command of `blocksar`, or that of a script by its module name."""
     if name == "blocksar":
         return typer.main.get_command(commands.app)
     app = typer.Typer(add_completion=False)
@@ -124,7 +124,7 @@ def _scripts_can_be_imported(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def split(command: str) -> tuple[str, list[str]]:
-    """Name of the program and its words."""
+    """Return the program's name and its arguments."""
     first, *words = shlex.split(command, comments=True)
     if Path(first).name == "blocksar":
         return "blocksar", words
@@ -132,7 +132,7 @@ def split(command: str) -> tuple[str, list[str]]:
 
 
 def command_of(command: str) -> tuple[Any, list[str]]:
-    """The command that a line names, below its groups, and the words that are its own."""
+    """Return the command that a line names, resolved through its groups, and the command's own arguments."""
     name, words = split(command)
     entry = program(name)
     while words and words[0] in getattr(entry, "commands", {}):
@@ -141,7 +141,7 @@ def command_of(command: str) -> tuple[Any, list[str]]:
 
 
 def parse(command: str) -> None:
-    """Parse a command line as its program would, without running it."""
+    """Parse a command line as its program does, without running it."""
     entry, words = command_of(command)
     if hasattr(entry, "commands"):
         raise LookupError(f"No such command: {command}")
@@ -152,7 +152,7 @@ def parse(command: str) -> None:
 
 
 def below(entry: Any, *names: str) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """A command and all commands below it, with the words that name them."""
+    """Yield a command and all its subcommands, each with its path of names."""
     yield names, entry
     for name, command in getattr(entry, "commands", {}).items():
         yield from below(command, *names, name)
@@ -161,7 +161,7 @@ def below(entry: Any, *names: str) -> Iterator[tuple[tuple[str, ...], Any]]:
 BLOCKSAR = dict(below(program("blocksar")))
 
 
-# ---------------------------------------------------------------- Python runs
+# Python examples
 
 
 def check_own_data(names: dict[str, Any]) -> None:
@@ -178,7 +178,7 @@ def check_xarray(names: dict[str, Any]) -> None:
 def check_reference(names: dict[str, Any]) -> None:
     assert names["plan"].refusal is None
     assert names["image"].sizes == {"y": 80, "x": 80}
-    assert 0.5 < float(abs(names["image"]).max()) < 1.1  # a target of reflectivity 1 between pixels
+    assert 0.5 < float(abs(names["image"]).max()) < 1.1  # the target has reflectivity 1 and lies between pixels
 
 
 CHECKS: dict[str, Callable[[dict[str, Any]], None]] = {
@@ -188,13 +188,13 @@ CHECKS: dict[str, Callable[[dict[str, Any]], None]] = {
 }
 
 
-def test_every_page_with_python_is_run_and_checked() -> None:
+def test_every_page_with_python_has_a_check() -> None:
     assert {page for page, text in PAGES.items() if fenced(text, "python")} == set(CHECKS)
 
 
 @pytest.mark.parametrize("page", CHECKS)
 def test_python_on_a_page_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Block after block, in a folder with a run of a small scene."""
+    """Run the code blocks in order, in a folder with a run of a small scene."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "scene.toml").write_text(importlib.import_module("first_image").SCENE)
     if page == "blocksar/products/README.md":
@@ -210,8 +210,8 @@ def test_python_on_a_page_runs(page: str, tmp_path: Path, monkeypatch: pytest.Mo
 
 
 @pytest.mark.parametrize("name", [*(page for page, text in PAGES.items() if ">>>" in text), *WORKFLOWS])
-def test_prompts_are_answered_as_documented(name: str) -> None:
-    """`>>>` of pages and workflows; those of the package's modules are run with all tests."""
+def test_interactive_examples_give_the_documented_output(name: str) -> None:
+    """Test `>>>` examples of pages and workflows; pytest collects those of the package's modules."""
     if name in PAGES:
         tests = [doctest.DocTestParser().get_doctest(PAGES[name], {}, name, name, 0)]
     else:
@@ -222,12 +222,12 @@ def test_prompts_are_answered_as_documented(name: str) -> None:
     assert runner.failures == 0
 
 
-def test_prompts_of_the_package_are_run_with_all_tests() -> None:
+def test_pytest_collects_the_doctests_of_the_package() -> None:
     options = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["pytest"]["ini_options"]
     assert "--doctest-modules" in options["addopts"] and "blocksar" in options["testpaths"]
 
 
-# ---------------------------------------------------------------- command lines parse
+# Command lines
 
 
 @pytest.mark.parametrize("command", documented().values(), ids=documented().keys())
@@ -235,7 +235,7 @@ def test_a_documented_command_line_parses(command: str) -> None:
     parse(command)
 
 
-def test_command_lines_are_collected() -> None:
+def test_command_lines_are_found_on_the_expected_pages() -> None:
     programs = {split(command)[0] for command in documented().values()}
     assert programs == {"blocksar", *WORKFLOWS, "focus_on_slurm", "focused_scene"}
     assert {name.split(":")[0] for name in documented()} >= {
@@ -253,8 +253,8 @@ def test_running_text_names_known_commands_and_options(command: str) -> None:
     assert not hasattr(entry, "commands") or all(word.startswith("-") for word in words) or not words[1:], "no command"
 
 
-def test_a_wrong_command_line_fails() -> None:
-    """Otherwise the tests above show nothing."""
+def test_an_invalid_command_line_fails() -> None:
+    """Check that `parse` detects errors; the tests above rely on it."""
     for wrong in ("blocksar focus ph.zarr", "blocksar focus ph.zarr --out run --block 3", "blocksar defocus run"):
         with pytest.raises(Exception, match=r"Missing parameter|No such"):
             parse(wrong)
@@ -264,19 +264,19 @@ def test_a_wrong_command_line_fails() -> None:
         parse("python workflows/first_image.py --nothing")
 
 
-def test_the_second_command_is_the_test_command() -> None:
-    """`.ci/run` reads it from there."""
+def test_the_second_command_of_the_readme_runs_the_checks() -> None:
+    """`.ci/run` reads the command from the README."""
     section = PAGES["README.md"].split("\n## Two commands\n")[1].split("\n## ")[0]
     first, second = (text for _, text in fenced(section, "bash"))
     assert "blocksar demo" in first
     assert all(tool in second for tool in ("ruff check", "ruff format --check", "mypy", "pytest"))
 
 
-# ---------------------------------------------------------------- help has examples
+# Help texts
 
 
 def examples(entry: Any) -> list[str]:
-    """Command lines after "Example:" in a command's help."""
+    """Return the command lines after "Example:" in a command's help."""
     text = re.sub(r"\[/?bold\]", "", entry.help or "")
     return [" ".join(line.split()) for line in re.findall(r"Example: (.*?)(?:\n\n|\Z)", text, re.S)]
 
@@ -302,25 +302,25 @@ def test_help_of_a_script_has_an_example_that_parses(name: str) -> None:
         parse(command)
 
 
-# ---------------------------------------------------------------- links lead somewhere
+# Links
 
 
 def links(text: str) -> list[str]:
-    """Relative targets of a page's links and pictures."""
+    """Return the relative targets of a page's links and pictures."""
     plain = re.sub(r"`[^`\n]*`", "", prose(text))
     targets = re.findall(r"\]\(([^)\s]+)\)", plain)
     return [target for target in targets if not re.match(r"[a-z]+:", target)]
 
 
 def anchors(text: str) -> set[str]:
-    """Anchors of a page's headings, as GitHub and the site make them."""
+    """Return the anchors of a page's headings, as GitHub and the site generate them."""
     headings = re.findall(r"^#+ +(.*?)\s*$", prose(text), re.M)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
-# Links of the site's own pages have targets on the site only; its strict build checks them.
+# Links between pages of the site resolve on the site only; its strict build checks them.
 @pytest.mark.parametrize("page", [page for page in PAGES if page.endswith("README.md")])
-def test_links_lead_to_files_and_headings(page: str) -> None:
+def test_links_resolve_to_files_and_headings(page: str) -> None:
     wrong = []
     for link in links(PAGES[page]):
         path, _, anchor = link.partition("#")
@@ -333,15 +333,15 @@ def test_links_lead_to_files_and_headings(page: str) -> None:
 
 
 @pytest.mark.parametrize("place", [*PAGES, *(path for path, text in DOCSTRINGS.items() if text)])
-def test_files_that_are_named_exist(place: str) -> None:
-    """Files of the repository by their path from its root, in backticks or in a command."""
+def test_named_files_exist(place: str) -> None:
+    """Check files of the repository that backticks or commands name by their path from the root."""
     text = PAGES.get(place) or DOCSTRINGS[place]
     named = re.findall(r"(?<![\w/.-])(?:blocksar|workflows|deploy|tests)/[\w./-]*\w\.(?:py|md|toml|sh)\b", text)
     assert not [name for name in named if not (ROOT / name).exists()]
 
 
 def test_every_page_is_listed() -> None:
-    """README.md's table leads to every page, that of deploy/ to its own."""
+    """The tables in README.md and deploy/README.md together link to every page."""
     listed = set()
     for page in ("README.md", "deploy/README.md"):
         for link in links(PAGES[page]):
@@ -349,10 +349,10 @@ def test_every_page_is_listed() -> None:
     assert {page for page in PAGES if page.endswith("README.md")} <= listed | {"README.md"}
 
 
-# ---------------------------------------------------------------- tables that say what code says
+# Tables that repeat the code
 
 
-def test_the_table_of_layers_is_that_of_the_test() -> None:
+def test_the_table_of_layers_matches_test_layers() -> None:
     tree = ast.parse((ROOT / "tests" / "test_layers.py").read_text(encoding="utf-8"))
     (value,) = (
         node.value for node in tree.body if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "LAYERS"
@@ -364,7 +364,7 @@ def test_the_table_of_layers_is_that_of_the_test() -> None:
 
 
 def sentences(path: Path) -> Iterator[str]:
-    """Strings of a module, without the values of f-strings."""
+    """Yield the strings of a module, without the values of f-strings."""
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.JoinedStr):
             yield "\0".join(part.value for part in node.values if isinstance(part, ast.Constant))
@@ -372,7 +372,7 @@ def sentences(path: Path) -> Iterator[str]:
             yield node.value
 
 
-def test_messages_on_the_page_are_those_of_the_code() -> None:
+def test_documented_messages_occur_in_the_code() -> None:
     section = PAGES["blocksar/cli/README.md"].split("\n## When something is wrong\n")[1]
     cells = re.findall(r"^\| (.*?) \|", section, re.M)
     quoted = [span for cell in cells for span in re.findall(r"`([^`]+)`", cell) if not span.startswith(("Nanny", "--"))]
@@ -383,7 +383,7 @@ def test_messages_on_the_page_are_those_of_the_code() -> None:
     assert not missing
 
 
-def test_every_requirement_says_what_it_is_for() -> None:
+def test_every_requirement_has_a_comment_with_its_reason() -> None:
     text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
     project = tomllib.loads(text)["project"]
     declared = [project["dependencies"], *project["optional-dependencies"].values()]

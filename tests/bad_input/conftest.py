@@ -1,4 +1,4 @@
-"""The bench of the tests of bad input."""
+"""The `bench` fixture of the tests of bad input."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Options of any text, and processes from outside."""
+"""Command-line options with arbitrary text, and commands in separate processes."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from typer.testing import CliRunner
 
 from blocksar.cli import commands
 
-# ---------------------------------------------------------------- the command line
+# Options
 
 
 @contextlib.contextmanager
 def little_memory(spare: int = 1 << 30) -> Iterator[None]:
-    """What asks for more than a GiB gets none, rather than all that the machine has."""
+    """Limit the address space so that large allocations fail instead of exhausting the machine's memory."""
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
     resource.setrlimit(resource.RLIMIT_AS, (used + spare, hard))
@@ -41,7 +41,7 @@ def command(*words: str) -> Any:
 
 
 def told_well(bench: Bench, kind: str, result: Any) -> None:
-    """Done, or refused with exit status 2 and one message."""
+    """Check that the command succeeded, or was refused with exit status 2 and one message."""
     assert result.exit_code in (0, 2), (result.exit_code, result.output, result.exception)
     if result.exit_code == 2:
         assert "Traceback" not in result.stderr and result.stderr.strip()
@@ -58,13 +58,13 @@ AXIS = st.lists(st.one_of(st.floats(), st.integers(-(10**20), 10**20)), min_size
 
 @settings(MANY, max_examples=60)
 @given(grid=st.one_of(WORDS, st.lists(AXIS, min_size=2, max_size=2).map(",".join)))
-def test_grids_of_any_text(bench: Bench, grid: str) -> None:
+def test_arbitrary_text_as_grid(bench: Bench, grid: str) -> None:
     told_well(bench, "--grid", command("plan", str(bench.store), "--processor", "backprojection", f"--grid={grid}"))
 
 
 @settings(MANY, max_examples=50)
 @given(blocks=st.one_of(WORDS, st.integers(-3, 10**30).map(str), st.just("9" * 5000)))
-def test_blocks_of_any_text(bench: Bench, blocks: str) -> None:
+def test_arbitrary_text_as_blocks(bench: Bench, blocks: str) -> None:
     told_well(
         bench, "--blocks", command("plan", str(bench.store), "--processor", "backprojection", f"--blocks={blocks}")
     )
@@ -72,7 +72,7 @@ def test_blocks_of_any_text(bench: Bench, blocks: str) -> None:
 
 @settings(MANY, max_examples=40)
 @given(memory=st.one_of(WORDS, st.from_regex(r"\A[0-9]{1,3}(e[0-9]{1,4})?[kMGT]?i?B?\Z")))
-def test_memory_limits_of_any_text(bench: Bench, memory: str) -> None:
+def test_arbitrary_text_as_memory_limit(bench: Bench, memory: str) -> None:
     told_well(
         bench,
         "--memory-limit",
@@ -80,8 +80,8 @@ def test_memory_limits_of_any_text(bench: Bench, memory: str) -> None:
     )
 
 
-def test_settings_beyond_reason(bench: Bench) -> None:
-    """They end, and soon."""
+def test_extreme_settings(bench: Bench) -> None:
+    """Every command ends within the deadline."""
     words = {
         "a thousand million blocks": ["--blocks=1000000000"],
         "more blocks than there are numbers": ["--blocks=" + "9" * 30],
@@ -111,7 +111,7 @@ def process(*words: str | bytes, **options: Any) -> subprocess.CompletedProcess[
 
 
 def test_processes_end_with_one_message_and_status_2(bench: Bench) -> None:
-    """The same through the front door, samples read by workers of their own included."""
+    """Test `python -m blocksar` in its own process, including samples that its own workers read."""
     damaged = bench.copy()
     truncated(damaged / "signal/c/0/0", seeded("process"))
     piped = bench.copy()
@@ -137,5 +137,5 @@ def test_processes_end_with_one_message_and_status_2(bench: Bench) -> None:
     bench.all({name: lambda case_=case_: case(*case_) for name, case_ in cases.items()})
 
 
-def test_there_were_many_cases_of_every_outcome(bench: Bench, request: pytest.FixtureRequest) -> None:
+def test_the_number_and_outcomes_of_cases_are_as_expected(bench: Bench, request: pytest.FixtureRequest) -> None:
     bench.check_tally(request, 150, ("the clean image", "taken at its word", "refused"))

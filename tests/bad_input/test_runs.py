@@ -1,4 +1,4 @@
-"""Damaged runs and targets' files."""
+"""Damaged runs and damaged files of targets."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from hypothesis import strategies as st
 import blocksar
 from blocksar.errors import InputError, ProcessingError
 
-# ---------------------------------------------------------------- runs that lie
+# Damaged run records
 
 
 RECORD_KEYS = [
@@ -50,8 +50,8 @@ RECORD_KEYS = [
 
 @settings(MANY, max_examples=40)
 @given(key=st.sampled_from(RECORD_KEYS), value=JSON, wanted=st.sampled_from(["finished", "unfinished"]))
-def test_records_of_runs_that_lie(bench: Bench, key: str, value: Any, wanted: str) -> None:
-    """A run whose record is not its own is refused, or done anew; never a wrong image, never a traceback."""
+def test_false_records_of_runs(bench: Bench, key: str, value: Any, wanted: str) -> None:
+    """A run with a false record is refused or computed again; it never gives a wrong image or a traceback."""
     run = bench.finished_run(**EXACT)
     record = json.loads((run / "run.json").read_bytes())
     (run / "run.json").write_text(json.dumps({**record, "status": wanted, key: value}))
@@ -99,7 +99,7 @@ def test_damaged_records_are_refused(how: str, bench: Bench) -> None:
     assert listing(run) == before
 
 
-# ---------------------------------------------------------------- quality
+# Quality
 
 
 MEASURED = [
@@ -112,7 +112,7 @@ MEASURED += [f"image.zarr/{name}" for name in ("zarr.json", "x/zarr.json", "x/c/
 
 
 def test_quality_of_damaged_runs(bench: Bench) -> None:
-    """Refused, or measured: damage to samples may show, but nothing falls over."""
+    """Damaged runs are refused or measured; damaged samples may change the figures, but nothing crashes."""
 
     def case(name: str, damage: Callable[[Path], Any]) -> None:
         run = bench.finished_run(**CHAIN)
@@ -139,7 +139,7 @@ def test_quality_of_damaged_runs(bench: Bench) -> None:
 
 @settings(MANY, max_examples=40)
 @given(value=st.one_of(JSON, st.lists(st.fixed_dictionaries({"name": JSON, "x": JSON, "y": JSON}), max_size=2)))
-def test_targets_of_any_kind(bench: Bench, value: Any) -> None:
+def test_arbitrary_targets(bench: Bench, value: Any) -> None:
     file = bench.fresh(".json")
     file.write_text(json.dumps(value))
     measure(bench, file)
@@ -158,7 +158,7 @@ def measure(bench: Bench, targets: Path) -> None:
     bench.tally["targets", outcome] += 1
 
 
-def test_targets_files_that_are_none(bench: Bench) -> None:
+def test_invalid_targets_files(bench: Bench) -> None:
     made = {
         "empty.json": b"", "text.json": b"targets", "latin.json": b'[{"name": "\xff"}]', "deep.json": b"[" * 100_000,
         "empty.toml": b"", "text.toml": b"targets", "bytes.toml": b"\xff\xfe", "none": b"[]", "nan.json": b"[NaN]",
@@ -177,5 +177,5 @@ def test_targets_files_that_are_none(bench: Bench) -> None:
     bench.all({name: lambda name=name: measure(bench, folder / name) for name in names})
 
 
-def test_there_were_many_cases_of_every_outcome(bench: Bench, request: pytest.FixtureRequest) -> None:
+def test_the_number_and_outcomes_of_cases_are_as_expected(bench: Bench, request: pytest.FixtureRequest) -> None:
     bench.check_tally(request, 160, ("the clean image", "taken at its word", "refused"))

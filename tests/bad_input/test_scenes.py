@@ -1,4 +1,4 @@
-"""Scene files of any content."""
+"""Scene files with arbitrary content."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ import blocksar
 from blocksar.errors import InputError
 from blocksar.simulation.scene import Scene
 
-# ---------------------------------------------------------------- scene files
+# Scene files
 
 
 def plan_scene(bench: Bench, content: bytes, kind: str) -> str:
@@ -35,7 +35,7 @@ def plan_scene(bench: Bench, content: bytes, kind: str) -> str:
         outcome = "refused"
         out = bench.fresh(".zarr")
         with contextlib.suppress(InputError), deadline(60):
-            if Scene.read(scene).n_pulse < 1000:  # a sound scene that cannot be focused may be simulated
+            if Scene.read(scene).n_pulse < 1000:  # a valid scene that cannot be focused may still be simulated
                 blocksar.simulate(scene, out)
                 shutil.rmtree(out)
         assert not out.exists()
@@ -48,7 +48,7 @@ def plan_scene(bench: Bench, content: bytes, kind: str) -> str:
     place=st.integers(0, len(SCENE) - 1), removed=st.integers(0, 4), text=st.binary(max_size=6),
     again=st.integers(0, len(SCENE) - 1),
 )  # fmt: skip
-def test_scene_files_of_any_bytes(bench: Bench, place: int, removed: int, text: bytes, again: int) -> None:
+def test_arbitrary_bytes_in_scene_files(bench: Bench, place: int, removed: int, text: bytes, again: int) -> None:
     data = SCENE.encode()
     data = data[:place] + text + data[place + removed :]
     plan_scene(bench, data[:again] + text[::-1] + data[again:], "scene bytes")
@@ -78,7 +78,7 @@ TOML = st.one_of(
 
 @settings(MANY, max_examples=80)
 @given(key=st.sampled_from(SCENE_KEYS), value=TOML)
-def test_scene_values_of_any_kind(bench: Bench, key: str, value: str) -> None:
+def test_arbitrary_values_in_scene_files(bench: Bench, key: str, value: str) -> None:
     lines = [f"{key} = {value}" if line.startswith(f"{key} = ") else line for line in SCENE.splitlines()]
     plan_scene(bench, "\n".join(lines).encode(), "scene values")
 
@@ -126,7 +126,7 @@ def claims_too_much(path: str) -> None:
     Path(path).write_bytes(b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header.encode() + bytes(800))
 
 
-def test_scenes_that_are_none(bench: Bench) -> None:
+def test_invalid_scenes(bench: Bench) -> None:
     def case(make: Callable[[Path], Any]) -> None:
         folder = bench.fresh()
         folder.mkdir()
@@ -138,5 +138,5 @@ def test_scenes_that_are_none(bench: Bench) -> None:
     bench.all({name: lambda make=make: case(make) for name, make in SCENES.items()})
 
 
-def test_there_were_many_cases_of_every_outcome(bench: Bench, request: pytest.FixtureRequest) -> None:
+def test_the_number_and_outcomes_of_cases_are_as_expected(bench: Bench, request: pytest.FixtureRequest) -> None:
     bench.check_tally(request, 180, ("taken at its word", "refused"))

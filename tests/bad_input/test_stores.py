@@ -1,4 +1,4 @@
-"""Damaged stores, and names and links of every kind: handled, taken at their word, or refused."""
+"""Damaged stores, unusual names and links: each is handled, accepted as stated, or refused."""
 
 from __future__ import annotations
 
@@ -46,10 +46,10 @@ from blocksar import stores
 from blocksar.errors import InputError
 from blocksar.stores import arrays
 
-OUTLIER = 100  # times its neighbours: up to here a sample may be meant
+OUTLIER = 100  # times its neighbours: a sample up to this ratio may be valid
 
 
-# ---------------------------------------------------------------- the files of a store
+# Files of a store
 
 FILES = [
     "zarr.json",
@@ -61,7 +61,7 @@ FILES = [
 
 
 def what_it_says(store: Path) -> Any:
-    """The collection, if it can be read."""
+    """Return the collection, or None if it cannot be read."""
     try:
         return stores.open_phase_history(store).collection.as_dict()
     except InputError:
@@ -69,13 +69,14 @@ def what_it_says(store: Path) -> Any:
 
 
 def tolerance(bench: Bench, store: Path) -> float:
-    """By how much the image of a store may differ: by nothing but rounding, where it says the same; where a few
-    pulses are said otherwise, by their share of a dwell, once for what is missing and once for what is wrong;
-    where a number that holds for all pulses is another, there is no knowing.
+    """Return the largest permitted difference between the image of a store and the clean image.
+
+    Only rounding if the metadata agree. Where some pulses differ: twice their share of a dwell, once for the missing
+    contribution and once for the wrong one. Unlimited where a value that holds for all pulses differs.
     """
     said, clean = what_it_says(store), what_it_says(bench.store)
     if said is None:
-        return ROUNDING  # it will be refused
+        return ROUNDING  # the store will be refused
     if any(said[name] != clean[name] for name in ("carrier", "beam_width", "ground_height")):
         return np.inf
     if any(said[name].shape != clean[name].shape for name in clean if isinstance(clean[name], np.ndarray)):
@@ -83,9 +84,9 @@ def tolerance(bench: Bench, store: Path) -> float:
     pulses = np.zeros(clean["time"].size, bool)
     for name in ("reference_range", "antenna_position", "beam_azimuth"):
         pulses |= (said[name] != clean[name]).reshape(pulses.size, -1).any(axis=1)
-    # An axis is uniform to a thousandth of a step, whatever is done to one of its values.
+    # An axis must be uniform to a thousandth of a step, so one changed value has a bounded effect.
     axes = [name for name in ("time", "range_frequency") if (said[name] != clean[name]).any()]
-    lit = 2 if pulses.any() else 0  # another track may light one pulse more or less at either end of a dwell
+    lit = 2 if pulses.any() else 0  # a changed track may light one pulse more or less at either end of a dwell
     return ROUNDING + 2 * (pulses.sum() + lit) / LIT + (0.02 if axes else 0.0)
 
 
@@ -107,7 +108,7 @@ def test_damaged_bytes(damage: Any, bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("how", REPLACED)
-def test_files_that_are_something_else(how: str, bench: Bench) -> None:
+def test_files_replaced_by_something_else(how: str, bench: Bench) -> None:
     def case(name: str) -> None:
         store = bench.copy()
         REPLACED[how](store / name)
@@ -120,11 +121,11 @@ def test_files_that_are_something_else(how: str, bench: Bench) -> None:
     bench.all({name: lambda name=name: case(name) for name in FILES})
 
 
-# ---------------------------------------------------------------- samples
+# Samples
 
 
 def with_values(bench: Bench, name: str, change: Callable[[Any], Any]) -> Path:
-    """The store with a variable's values changed, in place or to what comes back."""
+    """Copy the store and change a variable's values: `change` edits them in place or returns new ones."""
     store = bench.copy()
     array: Any = zarr.open_array(str(store / name), mode="r+")
     values = array[...]
@@ -143,7 +144,7 @@ def lit_samples(bench: Bench) -> Any:
 
 
 def test_one_flipped_bit_of_one_sample(bench: Bench) -> None:
-    """Impossible samples count as missing; what can still be a sample moves the image by its share of it."""
+    """Impossible samples count as missing; a changed sample that is still possible changes the image by its share."""
     lit = lit_samples(bench)
     columns = lit.size / LIT
 
@@ -186,7 +187,7 @@ MISSING: dict[str, tuple[Callable[[Any], None], float]] = {
 
 
 @pytest.mark.parametrize("processor", [EXACT, CHAIN], ids=["exact", "chain"])
-def test_missing_samples_cost_their_share(processor: dict[str, Any], bench: Bench) -> None:
+def test_missing_samples_change_the_image_by_their_share(processor: dict[str, Any], bench: Bench) -> None:
     bench.all(
         {
             name: lambda change=change, share=share: bench.attempt(
@@ -198,22 +199,22 @@ def test_missing_samples_cost_their_share(processor: dict[str, Any], bench: Benc
 
 
 @pytest.mark.parametrize("processor", [EXACT, CHAIN], ids=["exact", "chain"])
-def test_no_sample_at_all_is_refused(processor: dict[str, Any], bench: Bench) -> None:
+def test_a_store_without_valid_samples_is_refused(processor: dict[str, Any], bench: Bench) -> None:
     for value in (np.nan, np.inf):
         store = with_samples(bench, rows(value, slice(None)))
         assert bench.attempt("missing samples", store, **processor) == "refused"
 
 
-# ---------------------------------------------------------------- arrays that are not what the contract says
+# Arrays that violate the contract
 
 
 def altered(bench: Bench, change: Callable[[xr.Dataset], xr.Dataset], **options: Any) -> Path:
-    """The store as another program would write it after some change."""
+    """Write the store as another program would, after a change."""
     with xr.open_zarr(bench.store, consolidated=False) as opened:
         dataset = opened.load()
     path = bench.fresh(".zarr")
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # data types that zarr 3 does not specify
+        warnings.simplefilter("ignore")  # zarr 3 has no specification for some of these data types
         changed = change(dataset.drop_encoding()).drop_encoding()
         changed.to_zarr(path, **{"zarr_format": 3, "consolidated": False, **options})
     return path
@@ -228,7 +229,7 @@ def put(where: Any, value: float) -> Callable[[Any], Any]:
 
 
 def astray(values: Any, where: int) -> Any:
-    """One pulse far from its neighbours, as far as they span together or 50 m."""
+    """Displace one pulse by the span of the values, and at least by 50 m."""
     values[where] += (1 if where else -1) * max(np.ptp(values), 50.0)
     return values
 
@@ -256,10 +257,10 @@ AXES = ("time", "range_frequency")
 
 
 @pytest.mark.parametrize("name", [*AXES, *stores.TRACK_AND_BEAM])
-def test_values_that_cannot_be(name: str, bench: Bench) -> None:
+def test_impossible_values_are_refused(name: str, bench: Bench) -> None:
     def case(what: str) -> None:
         outcome = bench.attempt("bad values", with_values(bench, name, BAD_VALUES[what]), error=np.inf)
-        scaled = what in ("in kilo", "all tiny")  # an axis in other units is an axis
+        scaled = what in ("in kilo", "all tiny")  # a scaled axis is still a valid axis
         never = ("one NaN", "the last is NaN", "infinity", "one huge", "all huge")
         if (name in AXES and not scaled) or what in never or "astray" in what:
             assert outcome == "refused"
@@ -268,7 +269,7 @@ def test_values_that_cannot_be(name: str, bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("first", [100, 199])
-def test_a_beam_that_leaps_over_yaws(first: int, bench: Bench) -> None:
+def test_a_beam_that_jumps_in_yaw_is_refused(first: int, bench: Bench) -> None:
     def leap(yaw: Any) -> None:
         yaw[first:] += 0.5
 
@@ -354,7 +355,7 @@ def with_metadata(bench: Bench, name: str, change: Callable[[dict[str, Any]], An
 
 @settings(MANY, max_examples=40)
 @given(name=st.sampled_from(ATTRIBUTES), value=JSON)
-def test_attributes_of_any_kind(bench: Bench, name: str, value: Any) -> None:
+def test_arbitrary_attributes(bench: Bench, name: str, value: Any) -> None:
     store = with_metadata(bench, "", lambda m: m["attributes"].update({name: value}))
     bench.attempt("attributes", store, error=np.inf)
     shutil.rmtree(store)
@@ -362,7 +363,7 @@ def test_attributes_of_any_kind(bench: Bench, name: str, value: Any) -> None:
 
 @settings(MANY, max_examples=100)
 @given(variable=st.sampled_from(["", *stores.PHASE_HISTORY]), key=st.sampled_from(KEYS), value=JSON)
-def test_metadata_of_any_kind(bench: Bench, variable: str, key: str, value: Any) -> None:
+def test_arbitrary_metadata(bench: Bench, variable: str, key: str, value: Any) -> None:
     store = with_metadata(bench, variable, lambda m: m.update({key: value}))
     error = np.inf if key in ("fill_value", "attributes", "chunk_grid", "data_type") else ROUNDING
     bench.attempt("metadata", store, error=error)
@@ -397,7 +398,7 @@ def nested(depth: int) -> Any:
     return value
 
 
-def test_metadata_that_lie(bench: Bench) -> None:
+def test_false_metadata(bench: Bench) -> None:
     def case(what: str) -> None:
         outcome = bench.attempt("lying metadata", with_metadata(bench, *LIES[what]))
         assert outcome == ("the clean image" if what == "deep" else "refused")
@@ -420,7 +421,7 @@ TEXTS = {
 }
 
 
-def test_metadata_as_text(bench: Bench) -> None:
+def test_malformed_or_unusual_metadata_text(bench: Bench) -> None:
     def case(what: str) -> None:
         store = bench.copy()
         text = (store / "zarr.json").read_text()
@@ -447,18 +448,18 @@ def test_metadata_in_other_encodings(bench: Bench) -> None:
     )
 
 
-def test_a_file_of_metadata_without_end(bench: Bench) -> None:
+def test_a_metadata_file_of_a_terabyte_is_refused(bench: Bench) -> None:
     for name in ("zarr.json", "time/zarr.json"):
         store = bench.copy()
-        os.truncate(store / name, 1 << 40)  # without taking the room
+        os.truncate(store / name, 1 << 40)  # a sparse file that takes no disk space
         assert "1099511627776 bytes" in bench.refused("metadata as text", blocksar.plan, store)
 
 
-# ---------------------------------------------------------------- stores of other kinds
+# Stores of other kinds
 
 
 def foreign(bench: Bench) -> dict[str, Callable[[Path], Any]]:
-    """Makers of things that are stores, or look like it."""
+    """Return functions that each make a foreign store, or something that resembles a store."""
     example = xr.Dataset({"air": (("lat", "lon"), np.ones((4, 5)))}, {"lat": np.arange(4.0), "lon": np.arange(5.0)})
     return {
         "xarray's example": lambda path: example.to_zarr(path, zarr_format=3, consolidated=False),
@@ -493,7 +494,7 @@ def test_foreign_stores(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("version", [2, 3])
-def test_stores_of_other_programs_work(version: int, bench: Bench) -> None:
+def test_stores_of_other_programs_can_be_focused(version: int, bench: Bench) -> None:
     compressors = [numcodecs.Zlib(1), numcodecs.Blosc(), numcodecs.Zstd(1), numcodecs.BZ2(1), numcodecs.LZMA(preset=0)]
     modern = [zarr.codecs.GzipCodec(level=1), zarr.codecs.BloscCodec(), zarr.codecs.ZstdCodec(level=1)]
     for compressor in compressors if version == 2 else modern:
@@ -509,7 +510,7 @@ def test_stores_of_other_programs_work(version: int, bench: Bench) -> None:
 
 
 class Trojan(numcodecs.abc.Codec):
-    """As a codec that some installed package offers, and that trusts what it decodes."""
+    """A codec that unpickles its input, as an installed package might offer."""
 
     codec_id = "trojan"
 
@@ -533,14 +534,14 @@ ARMED = {
 
 @pytest.fixture
 def armed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every safety catch of the libraries off: ours is to hold alone."""
+    """Disable the safety checks of the libraries, so that only those of blocksar protect."""
     monkeypatch.setattr(numcodecs.pickles, "ALLOW_UNSAFE_PICKLE_DECODE", True, raising=False)
     monkeypatch.setitem(numcodecs.registry.codec_registry, "trojan", Trojan)
 
 
 @pytest.mark.parametrize("variable", ["time", "signal", "antenna_position"])
 @pytest.mark.parametrize("how", ARMED)
-def test_nothing_is_unpickled(how: str, variable: str, armed: None, bench: Bench) -> None:
+def test_focus_and_plan_unpickle_nothing(how: str, variable: str, armed: None, bench: Bench) -> None:
     store = altered(bench, lambda d: d, zarr_format=2)
     fuse = bench.fresh()
     arm(store / variable, fuse, ARMED[how])
@@ -560,7 +561,7 @@ def arm(variable: Path, fuse: Path, change: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("how", ARMED)
-def test_nothing_is_unpickled_when_an_image_is_opened(how: str, armed: None, bench: Bench) -> None:
+def test_opening_an_image_unpickles_nothing(how: str, armed: None, bench: Bench) -> None:
     run, fuse = bench.fresh(), bench.fresh()
     blocksar.open(bench.run(**EXACT)).drop_encoding().to_zarr(run / "image.zarr", zarr_format=2, consolidated=False)
     arm(run / "image.zarr" / "x", fuse, ARMED[how])
@@ -568,8 +569,8 @@ def test_nothing_is_unpickled_when_an_image_is_opened(how: str, armed: None, ben
     assert not fuse.exists()
 
 
-def test_the_bomb_goes_off_where_nobody_is_careful(armed: None, bench: Bench) -> None:
-    """Else the tests above say nothing."""
+def test_zarr_alone_runs_the_bomb(armed: None, bench: Bench) -> None:
+    """Check that the bomb works; the tests above rely on it."""
     store, fuse = altered(bench, lambda d: d, zarr_format=2), bench.fresh()
     arm(store / "time", fuse, ARMED["a codec of another package"])
     with contextlib.suppress(Exception):
@@ -577,16 +578,16 @@ def test_the_bomb_goes_off_where_nobody_is_careful(armed: None, bench: Bench) ->
     assert fuse.exists()
 
 
-def test_codecs_within_shards_are_known_too(monkeypatch: pytest.MonkeyPatch, bench: Bench) -> None:
+def test_codecs_within_shards_are_checked(monkeypatch: pytest.MonkeyPatch, bench: Bench) -> None:
     encoding = {"signal": {"chunks": (50, 53), "shards": (100, 53)}}
     store = altered(bench, lambda d: d, encoding=encoding)
-    monkeypatch.setattr(arrays, "CODECS", arrays.CODECS - {"crc32c"})  # the index's
+    monkeypatch.setattr(arrays, "CODECS", arrays.CODECS - {"crc32c"})  # codec of the index
     assert "crc32c" in bench.refused("armed", blocksar.plan, store)
-    monkeypatch.setattr(arrays, "CODECS", arrays.CODECS - {"zstd"})  # the samples'
+    monkeypatch.setattr(arrays, "CODECS", arrays.CODECS - {"zstd"})  # codec of the samples
     assert "zstd" in bench.refused("armed", blocksar.plan, store)
 
 
-# ---------------------------------------------------------------- names
+# Names
 
 NAMES = [
     *("with space", "quo'te\"s", "per%cent", "%41%2F", "#hash", "why?", "a::b", "zip::a", "a:b", "-leading", "--out"),
@@ -605,7 +606,7 @@ PLAIN = [name for name in NAMES if name.isprintable() and len(name) < 100]
 URLS = ["mem://x", "file://x", "http://localhost/x", "memory://x", "zip://x", "simplecache::s3://x", "gs://bucket/x"]
 
 
-def test_sources_of_any_name(bench: Bench) -> None:
+def test_unusual_names_of_sources(bench: Bench) -> None:
     def case(name: str) -> None:
         folder = bench.fresh()
         path = Path(shutil.copytree(bench.store, folder / name))
@@ -616,13 +617,13 @@ def test_sources_of_any_name(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("command", [blocksar.plan, blocksar.quality, lambda path: blocksar.focus(path, "x")])
-def test_what_is_not_there_is_named_in_one_line(command: Any, bench: Bench) -> None:
+def test_a_missing_source_is_refused_in_one_line(command: Any, bench: Bench) -> None:
     bench.all(
         {repr(name): lambda name=name: bench.refused("names of nothing", command, bench.room / name) for name in NAMES}
     )
 
 
-def test_runs_of_any_name(bench: Bench) -> None:
+def test_unusual_names_of_runs(bench: Bench) -> None:
     def case(name: str) -> None:
         out = bench.fresh() / name
         outcome = bench.attempt("names of runs", bench.store, out=out)
@@ -635,7 +636,7 @@ def test_runs_of_any_name(bench: Bench) -> None:
 
 
 def test_relative_names(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As they are typed: what looks like a URL and is none of ours is a path."""
+    """Relative paths as typed: a name that resembles a URL of an unknown scheme is a path."""
 
     def case(name: str) -> None:
         folder = bench.fresh()
@@ -649,7 +650,7 @@ def test_relative_names(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     bench.all({repr(name): lambda name=name: case(name) for name in ["-x", "--help", "~", "a b", "$HOME", "%s", *URLS]})
 
 
-def test_simulated_stores_of_any_name(bench: Bench) -> None:
+def test_unusual_names_of_simulated_stores(bench: Bench) -> None:
     def case(name: str) -> None:
         folder = bench.fresh()
         (folder / "in").mkdir(parents=True)
@@ -668,7 +669,7 @@ def test_simulated_stores_of_any_name(bench: Bench) -> None:
     bench.all({repr(name): lambda name=name: case(name) for name in ["per%cent", "a::b", "x" * 255, "a\nb", NAMES[12]]})
 
 
-def test_impossible_names_of_runs(bench: Bench) -> None:
+def test_impossible_names_of_runs_are_refused(bench: Bench) -> None:
     file = bench.fresh()
     file.write_text("x")
     loop = bench.fresh()
@@ -703,7 +704,7 @@ def test_impossible_names_of_runs(bench: Bench) -> None:
     assert file.read_text() == "x"
 
 
-# ---------------------------------------------------------------- who lies where
+# Overlapping paths
 
 
 def test_links_to_stores_and_runs_work(bench: Bench) -> None:
@@ -720,7 +721,7 @@ def test_links_to_stores_and_runs_work(bench: Bench) -> None:
 
 
 def overlapping(bench: Bench) -> dict[str, tuple[Path, Path]]:
-    """Source and run, where the one lies in the other."""
+    """Return pairs of source and run of which one lies inside the other."""
     inside = bench.fresh()
     shutil.copytree(bench.store, inside / "input.zarr")
     beside = bench.fresh()
@@ -749,7 +750,7 @@ def overlapping(bench: Bench) -> dict[str, tuple[Path, Path]]:
 
 
 @pytest.mark.parametrize("overwrite", [False, True])
-def test_the_input_is_never_destroyed(overwrite: bool, bench: Bench) -> None:
+def test_the_input_is_never_changed(overwrite: bool, bench: Bench) -> None:
     def case(source: Path, out: Path) -> None:
         samples = {p: p.read_bytes() for p in sorted(source.rglob("*")) if p.is_file()}
         try:
@@ -769,8 +770,8 @@ def test_the_input_is_never_destroyed(overwrite: bool, bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("wanted", [EXACT, CHAIN], ids=["exact", "chain"])
-def test_a_bad_input_leaves_the_old_run_as_it_was(wanted: dict[str, Any], bench: Bench) -> None:
-    """With --overwrite as well: also where the input is found out only when its samples are read."""
+def test_a_bad_input_leaves_the_old_run_unchanged(wanted: dict[str, Any], bench: Bench) -> None:
+    """This also holds with --overwrite, and for errors that appear only when samples are read."""
     bad: dict[str, Path] = {
         "no store": bench.fresh(),
         "no track": bench.copy(),
@@ -800,12 +801,12 @@ def test_a_bad_input_leaves_the_old_run_as_it_was(wanted: dict[str, Any], bench:
     )
 
 
-# ---------------------------------------------------------------- permission
+# Permissions
 
 LOCKED = ["", "zarr.json", "time", "time/c", "time/c/0", "signal/zarr.json", "signal/c"]
 
 
-def test_without_permission(bench: Bench) -> None:
+def test_stores_without_read_permission_are_refused(bench: Bench) -> None:
     with tempfile.TemporaryDirectory() as room:
         os.chmod(room, 0o755)
         paths = [Path(shutil.copytree(bench.store, f"{room}/{i}.zarr")) for i in range(len(LOCKED))]
@@ -830,11 +831,11 @@ def refusal(source: Path, out: Path) -> str:
 
 
 def as_nobody(ask: Callable[[], list[str]]) -> list[str]:
-    """What somebody without rights is told: root becomes that in a process of its own."""
+    """Return the messages that an unprivileged user gets; as root, ask in a forked process that drops its rights."""
     if os.geteuid() != 0:
         return ask()
     reading, writing = os.pipe()
-    with warnings.catch_warnings(action="ignore", category=DeprecationWarning):  # of forks beside threads
+    with warnings.catch_warnings(action="ignore", category=DeprecationWarning):  # about forking a process with threads
         child = os.fork()
     if child == 0:
         os.setgroups([])
@@ -849,5 +850,5 @@ def as_nobody(ask: Callable[[], list[str]]) -> list[str]:
     return list(json.loads(said))
 
 
-def test_there_were_many_cases_of_every_outcome(bench: Bench, request: pytest.FixtureRequest) -> None:
+def test_the_number_and_outcomes_of_cases_are_as_expected(bench: Bench, request: pytest.FixtureRequest) -> None:
     bench.check_tally(request, 400, OUTCOMES)

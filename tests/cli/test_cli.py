@@ -1,4 +1,4 @@
-"""The command line: what is typed becomes the right call, and what goes wrong becomes one message and a status."""
+"""The command line: arguments become the right call, and an error becomes one message and an exit status."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ REPORT = SimpleNamespace(
 
 
 class Calls(ModuleType):
-    """Stands for blocksar.api: keeps what it is called with, answers or raises what it is told."""
+    """Replace blocksar.api: record each call, and return or raise what the test sets."""
 
     def __init__(self) -> None:
         super().__init__("blocksar.api")
@@ -66,7 +66,7 @@ def run(*words: str) -> Result:
     return CliRunner().invoke(commands.app, words, prog_name="blocksar")
 
 
-# ---------------------------------------------------------------- what is typed
+# Arguments
 
 
 def test_focus_passes_every_option(api: Calls) -> None:
@@ -126,7 +126,7 @@ def test_quality_and_simulate_pass_their_options(api: Calls) -> None:
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_the_calls_fit_the_api(command: str, api: Calls, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_calls_match_the_signatures_of_the_api(command: str, api: Calls, monkeypatch: pytest.MonkeyPatch) -> None:
     assert run(*COMMANDS[command]).exit_code == 0
     args, kwargs = api.seen[command]
     monkeypatch.undo()
@@ -147,7 +147,7 @@ def test_the_calls_fit_the_api(command: str, api: Calls, monkeypatch: pytest.Mon
         ("", "1 axes"),
     ],
 )
-def test_a_wrong_grid_is_named(text: str, message: str) -> None:
+def test_an_invalid_grid_is_refused_with_the_reason(text: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         parsing.parse_grid(text)
 
@@ -157,23 +157,23 @@ def test_a_wrong_grid_is_named(text: str, message: str) -> None:
     [("1GiB", 2**30), ("1.5 gib", 3 * 2**29), ("500MB", 500_000_000), ("4k", 4000), ("4Ki", 4096), ("1e9", 10**9),
      (".5GB", 500_000_000), ("123", 123), ("7B", 7)],
 )  # fmt: skip
-def test_memory(text: str, size: int) -> None:
+def test_memory_sizes_are_parsed(text: str, size: int) -> None:
     assert parsing.parse_memory(text) == size
 
 
 @pytest.mark.parametrize("text", ["", "GiB", "-1GiB", "0", "2 Gib b", "nan", "1i", "2PiB", "1e", "auto"])
-def test_wrong_memory_is_named(text: str) -> None:
+def test_an_invalid_memory_size_is_refused_with_its_value(text: str) -> None:
     with pytest.raises(InputError, match="is no amount of memory"):
         parsing.parse_memory(text)
 
 
 @pytest.mark.parametrize("text", ["0", "-1", "2.5", "many", "", "²"])
-def test_wrong_blocks_are_named(text: str) -> None:
+def test_invalid_blocks_are_refused_with_their_value(text: str) -> None:
     with pytest.raises(InputError, match="neither 'auto' nor a whole number"):
         parsing.parse_blocks(text)
 
 
-# ---------------------------------------------------------------- exit status and messages
+# Exit status and messages
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -187,7 +187,7 @@ def test_wrong_blocks_are_named(text: str) -> None:
         (endings.Terminated(143), 143, "blocksar: terminated;"),
     ],
 )
-def test_an_error_is_one_message_and_a_status(
+def test_an_error_gives_one_message_and_an_exit_status(
     command: str, error: BaseException, status: int, message: str, api: Calls
 ) -> None:
     api.answer = error
@@ -198,12 +198,12 @@ def test_an_error_is_one_message_and_a_status(
     assert result.stdout == ""
 
 
-def test_our_own_error_keeps_its_traceback(api: Calls) -> None:
+def test_an_internal_error_keeps_its_traceback(api: Calls) -> None:
     api.answer = ZeroDivisionError("ours")
     assert isinstance(run(*COMMANDS["plan"]).exception, ZeroDivisionError)
 
 
-def test_a_wrong_option_runs_nothing(api: Calls) -> None:
+def test_an_invalid_option_runs_nothing(api: Calls) -> None:
     for words in (
         ["--grid", "0:1"],
         ["--blocks", "0"],
@@ -232,7 +232,7 @@ def test_a_wrong_option_runs_nothing(api: Calls) -> None:
         ("export tiff run --out a", "no such command 'tiff'. Did you mean 'geotiff'? See blocksar export --help"),
     ],
 )
-def test_a_wrong_command_line_is_one_sentence(words: str, sentence: str, api: Calls) -> None:
+def test_an_invalid_command_line_gives_one_sentence(words: str, sentence: str, api: Calls) -> None:
     result = run(*words.split())
     assert (result.exit_code, result.stdout) == (2, "")
     assert result.stderr.startswith("blocksar: ")
@@ -242,7 +242,7 @@ def test_a_wrong_command_line_is_one_sentence(words: str, sentence: str, api: Ca
 
 
 @pytest.mark.parametrize("words", [(), ("export",), ("ingest",)])
-def test_a_group_alone_shows_its_commands(words: tuple[str, ...]) -> None:
+def test_a_group_without_a_command_lists_its_commands(words: tuple[str, ...]) -> None:
     result = run(*words)
     assert (result.exit_code, result.stderr) == (2, "")
     assert "Commands" in result.stdout
@@ -255,7 +255,7 @@ def test_plan_prints_its_refusal_after_the_table(api: Calls) -> None:
     assert "A1" in result.stdout
 
 
-# A process of its own, for real signals: the api's plan tells that it runs, then waits.
+# A separate process receives real signals: its `plan` prints a line when it runs, then waits.
 WAITING = """
 import signal, sys, time, types
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job is born deaf to it
@@ -294,14 +294,14 @@ def ended(process: subprocess.Popen[str], status: int) -> None:
 
 
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_signals(number: int, status: int) -> None:
+def test_a_signal_sets_the_exit_status(number: int, status: int) -> None:
     with waiting(60, "table1") as process:
         process.send_signal(number)
         ended(process, status)
 
 
 @pytest.mark.parametrize("again", [True, False])
-def test_what_does_not_end_in_good_order_is_ended(again: bool) -> None:
+def test_a_process_that_hangs_after_a_signal_is_ended(again: bool) -> None:
     with waiting(60 if again else 0.2, "hang") as process:
         process.send_signal(signal.SIGTERM)
         assert process.stdout is not None
@@ -311,16 +311,16 @@ def test_what_does_not_end_in_good_order_is_ended(again: bool) -> None:
         ended(process, 143)
 
 
-# ---------------------------------------------------------------- what is shown
+# Output
 
 
-def test_tables_and_summary(api: Calls) -> None:
+def test_tables_and_summary_are_printed(api: Calls) -> None:
     output = run("quality", "run").stdout
-    assert "width [m]" in output and "[bold]1.90" in output  # nothing is taken for markup
+    assert "width [m]" in output and "[bold]1.90" in output  # nothing is interpreted as markup
     assert output.endswith("three blocks\n")
 
 
-def test_no_table_is_folded_where_there_is_no_terminal(api: Calls) -> None:
+def test_table_rows_are_not_wrapped_without_a_terminal(api: Calls) -> None:
     row = [f"{i:08d}" for i in range(20)]
     api.answer = SimpleNamespace(summary=[], table=lambda: [(row, [row])], refusal=None)
     lines = run("plan", "table1").stdout.splitlines()
@@ -329,7 +329,7 @@ def test_no_table_is_folded_where_there_is_no_terminal(api: Calls) -> None:
 
 @pytest.mark.parametrize("width", [40, 80, 120])
 def test_a_terminal_shows_every_figure_of_a_wide_table(width: int) -> None:
-    """In parts, each with its first column; titles are folded between words, nothing is cut."""
+    """A wide table is split into parts that repeat its first column; titles wrap between words, nothing is cut off."""
     header = ["target", *(f"residual phase {i} (rad)" for i in range(14))]
     rows = [[f"T{j}", *(f"-{j}.{i:04d} .. 1" for i in range(14))] for j in range(2)]
     parts = []
@@ -345,7 +345,7 @@ def test_a_terminal_shows_every_figure_of_a_wide_table(width: int) -> None:
     assert len(list(display.tables(header, rows, 1000))) == 1
 
 
-def test_sentences_are_folded_between_words_on_a_terminal(api: Calls) -> None:
+def test_sentences_wrap_between_words_on_a_terminal(api: Calls) -> None:
     path = "/a/path-that/is-longer/than-a-narrow/terminal/is-wide.zarr"
     line = f"  wrote {path} in 9.7 s (recover 8.0 s, focus 1.0 s, mosaic 0.2 s)"
     api.answer = SimpleNamespace(summary=[line], table=list, refusal=None)
@@ -370,13 +370,13 @@ class Terminal(io.StringIO):
         return True
 
 
-def test_bars_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_progress_bars_are_drawn_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     screen = Terminal()
     monkeypatch.setattr(sys, "stderr", screen)
     with Progress() as progress:
         progress.update("focus [block 1]", 1, 4)
         progress.update("focus [block 1]", 4, 4)
-    assert "focus [block 1]" in screen.getvalue()  # nothing is taken for markup
+    assert "focus [block 1]" in screen.getvalue()  # nothing is interpreted as markup
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -386,15 +386,15 @@ def test_every_command_has_help_with_an_example(command: str) -> None:
     assert f"Example: blocksar {command}" in result.stdout
 
 
-def test_version() -> None:
+def test_version_is_printed() -> None:
     assert run("--version").stdout == f"blocksar {blocksar.__version__}\n"
 
 
-def test_help_is_quick() -> None:
+def test_help_takes_less_than_half_a_second() -> None:
     def seconds() -> float:
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
         subprocess.run([sys.executable, "-m", "blocksar", "--help"], capture_output=True, check=True)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
-    assert min(seconds() for _ in range(3)) < 0.5  # CPU; the best of three, for a busy machine
+    assert min(seconds() for _ in range(3)) < 0.5  # CPU time, s; the best of three, because the machine may be busy

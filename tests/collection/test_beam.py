@@ -1,4 +1,4 @@
-"""Which pulses light a point, against an obviously right double loop."""
+"""Which pulses light a point, against an explicit double loop."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from blocksar.errors import InputError
 TURN = 2 * math.pi
 WIDTH = 0.02  # rad, of the beam of `small_collection`, which turns by 0.064 rad
 
-# Where the beam looks at the middle pulse, rad: ahead, across +-pi from either side, and one turn further on.
+# Beam azimuth at the middle pulse, rad: ahead, near +-pi on either side, and one turn further.
 CENTRES = pytest.mark.parametrize("centre", [0.87, math.pi, -math.pi + 0.01, 3 * math.pi - 0.01])
 SWEEPS = pytest.mark.parametrize("sweep", [1.0, -1.0, 0.0])  # rad/s
 
@@ -49,14 +49,14 @@ def unsteered(collection: Collection) -> Geometry:
 
 
 def points_about(geometry: Geometry, centre: float) -> tuple[FloatArray, FloatArray]:
-    """x, y (m) of points in and about what is lit, and all round."""
+    """Coordinates x, y (m) of points within and near the lit sector, and in all directions."""
     rng = np.random.default_rng(7)
     yaw = np.concatenate([centre + rng.uniform(-0.06, 0.06, 60), rng.uniform(-math.pi, math.pi, 20)])
     return geometry.nadir[0] + 9e3 * np.cos(yaw), geometry.nadir[1] + 9e3 * np.sin(yaw)
 
 
 def slow_mask(geometry: Geometry, yaw: FloatArray) -> Any:
-    """The definition, point by point and pulse by pulse."""
+    """Evaluate the definition point by point and pulse by pulse."""
     collection = geometry.collection
     mask = np.zeros((yaw.size, collection.n_pulse), bool)
     for i in range(yaw.size):
@@ -74,7 +74,7 @@ def test_wrapped_is_the_same_angle_within_half_a_turn() -> None:
     assert np.abs(wrapped(angle)).max() <= math.pi
     np.testing.assert_allclose(wrapped(angle), [math.remainder(a, TURN) for a in angle], atol=1e-14)
     inside = np.linspace(-math.pi, math.pi, 1001)
-    np.testing.assert_array_equal(wrapped(inside), inside)  # to the bit
+    np.testing.assert_array_equal(wrapped(inside), inside)  # exactly equal
 
 
 def test_turned_near_is_the_same_angle_near_the_centre() -> None:
@@ -85,7 +85,7 @@ def test_turned_near_is_the_same_angle_near_the_centre() -> None:
         np.testing.assert_allclose(np.exp(1j * near), np.exp(1j * angle), atol=1e-13)
 
 
-def test_the_very_edge_is_in_the_beam_and_the_next_number_is_not() -> None:
+def test_the_edge_is_in_the_beam_and_the_next_float_is_not() -> None:
     azimuth, half = 0.875, 2.0**-7  # binary fractions: their sum is exact
     assert in_beam(azimuth + half, azimuth, half)
     assert in_beam(azimuth - half, azimuth, half)
@@ -93,7 +93,7 @@ def test_the_very_edge_is_in_the_beam_and_the_next_number_is_not() -> None:
     assert not in_beam(np.nextafter(azimuth - half, 0.0), azimuth, half)
 
 
-def test_the_rule_wraps_as_wrapped_does_and_compiles_to_the_same() -> None:
+def test_the_beam_rule_wraps_as_wrapped_does_and_gives_the_same_compiled() -> None:
     compiled = njit(in_beam)
     rng = np.random.default_rng(1)
     yaw, azimuth = rng.uniform(-10, 10, 2000), rng.uniform(-10, 10, 2000)
@@ -120,14 +120,14 @@ def test_lit_pulses_are_those_of_the_double_loop(small_collection: Collection, c
     np.testing.assert_array_equal((pulse >= first[:, None]) & (pulse < last[:, None]), expected)
     assert (last[~expected.any(axis=1)] == 0).all()
 
-    valid = np.random.default_rng(3).choice([0.0, 0.5, 1.0], collection.n_pulse)  # missing, torn and whole pulses
+    valid = np.random.default_rng(3).choice([0.0, 0.5, 1.0], collection.n_pulse)  # missing, partial and complete pulses
     for turns in (0.0, -TURN, TURN):
         np.testing.assert_array_equal(lit_pulses(collection, yaw + turns, valid), (expected * valid).sum(axis=1))
 
 
 @CENTRES
 @SWEEPS
-def test_a_dwell_is_as_long_as_its_pulses(small_collection: Collection, centre: float, sweep: float) -> None:
+def test_a_dwell_covers_its_lit_pulses(small_collection: Collection, centre: float, sweep: float) -> None:
     geometry = steered(small_collection, centre, sweep)
     x, y = points_about(geometry, centre)
     count = slow_mask(geometry, np.asarray(geometry.yaw(x, y))).sum(axis=1)
@@ -149,14 +149,14 @@ def test_a_full_dwell_has_the_most_pulses(small_collection: Collection, centre: 
     full = np.array([has_full_dwell(geometry, *point) for point in zip(x, y, strict=True)])
     most = most_lit_pulses(geometry.collection)
     assert full.any() and not full.all()
-    assert (count[full] >= most - 2).all()  # one pulse by definition, one by where pulses fall in the beam
+    assert (count[full] >= most - 2).all()  # one pulse by definition, one because of where pulses fall in the beam
     assert count.max() in (most - 1, most)
     low, high = full_dwell_yaw(geometry.collection)
     assert (high - low) == pytest.approx(abs(sweep) * np.ptp(geometry.collection.time) - WIDTH)
 
 
 @CENTRES
-def test_the_edges_of_a_beam_that_stands_still_are_lit(small_collection: Collection, centre: float) -> None:
+def test_the_edges_of_a_beam_at_rest_are_lit(small_collection: Collection, centre: float) -> None:
     geometry = steered(small_collection, centre, 0.0)
     low, high = lit_yaw(geometry.collection)
     inside = np.linspace(low, high, 65)
@@ -168,7 +168,7 @@ def test_the_edges_of_a_beam_that_stands_still_are_lit(small_collection: Collect
 
 @CENTRES
 @SWEEPS
-def test_the_ends_of_what_is_lit_have_a_pulse(small_collection: Collection, centre: float, sweep: float) -> None:
+def test_the_ends_of_the_lit_sector_have_a_pulse(small_collection: Collection, centre: float, sweep: float) -> None:
     collection = steered(small_collection, centre, sweep).collection
     least = 1 if sweep else collection.n_pulse
     ends = np.array(lit_yaw(collection))  # rounded: the exact comparison may miss them
@@ -176,7 +176,7 @@ def test_the_ends_of_what_is_lit_have_a_pulse(small_collection: Collection, cent
     assert not lit_pulses(collection, ends + np.array([-1e-9, 1e-9]), np.ones(collection.n_pulse)).any()
 
 
-def test_pulses_at_one_azimuth_are_lit_together(small_collection: Collection) -> None:
+def test_pulses_at_the_same_azimuth_are_lit_together(small_collection: Collection) -> None:
     azimuth = np.repeat(np.linspace(0.75, 1.0, 9), 29)[: small_collection.n_pulse]
     geometry = steered(small_collection, 0.0, 0.0, beam_azimuth=azimuth, beam_width=2.0**-4)
     yaw = np.concatenate([np.linspace(0.7, 1.05, 57), azimuth[::29] + 2.0**-5, azimuth[::29] - 2.0**-5])
@@ -184,7 +184,7 @@ def test_pulses_at_one_azimuth_are_lit_together(small_collection: Collection) ->
     np.testing.assert_array_equal(lit_pulses(geometry.collection, yaw, np.ones(azimuth.size)), expected)
 
 
-def test_everything_is_lit_where_the_beam_is_not_steered(small_collection: Collection) -> None:
+def test_without_steering_everything_is_lit(small_collection: Collection) -> None:
     geometry = unsteered(small_collection)
     collection = geometry.collection
     n = collection.n_pulse
@@ -204,7 +204,7 @@ def test_everything_is_lit_where_the_beam_is_not_steered(small_collection: Colle
     assert has_full_dwell(geometry, float(x[0]), float(y[0]))
 
 
-def test_a_beam_that_goes_all_round_is_refused(small_collection: Collection) -> None:
+def test_a_beam_wider_than_a_full_turn_is_refused(small_collection: Collection) -> None:
     n = small_collection.n_pulse
     geometry = steered(small_collection, 0.0, 0.0, beam_azimuth=np.linspace(0, 6.28, n), beam_width=0.05)
     with pytest.raises(InputError, match=r"beam_azimuth scans 6\.28 rad .* cut the collection"):

@@ -15,7 +15,7 @@ from blocksar.errors import InputError
 # ---------------------------------------------------------------- georeference
 
 
-def test_the_frame_is_projs_topocentric_one() -> None:
+def test_the_frame_is_the_topocentric_frame_of_proj() -> None:
     frame = Georeference(latitude=47.5, longitude=-122.3, height=120.0)
     points = np.random.default_rng(4).uniform(-2e4, 2e4, (50, 3))
     where = "+lat_0=47.5 +lon_0=-122.3 +h_0=120"
@@ -55,14 +55,14 @@ GOOD = {"kind": "ENU", "latitude": 1.0, "longitude": 2.0, "height": 3.0}
         ({**GOOD, "ecef": [6378137.0, 0, 0]}, "ecef lies 2.* m from its latitude"),
     ],
 )
-def test_a_wrong_georeference_is_one_sentence(found: Any, said: str) -> None:
+def test_a_wrong_georeference_gives_a_one_line_error(found: Any, said: str) -> None:
     with pytest.raises(InputError, match=said) as error:
         Georeference.from_attribute(found)
     assert "\n" not in str(error.value) and len(str(error.value)) < 300
 
 
 @pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (39.78, -84.1, 300.0), (-89.9, 179.0, -50.0), (90.0, 0.0, 5e3)])
-def test_the_origin_is_where_proj_puts_it(place: tuple[float, float, float]) -> None:
+def test_the_origin_agrees_with_proj(place: tuple[float, float, float]) -> None:
     latitude, longitude, height = place
     exact = Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True).transform(longitude, latitude, height)
     origin = Georeference(latitude=latitude, longitude=longitude, height=height).origin

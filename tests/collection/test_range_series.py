@@ -14,7 +14,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.range_series import range_series, yaw_series
 from blocksar.constants import SPEED_OF_LIGHT
 
-# -- series of the range ------------------------------------------------------------------------------------
+# -- Series of the range ------------------------------------------------------------------------------------
 
 GEOMETRIES = {
     "table-1": collection(n_pulse=4800),
@@ -25,7 +25,7 @@ GEOMETRIES = {
 
 @pytest.mark.parametrize("name", GEOMETRIES)
 def test_the_range_series_squares_to_the_exact_squared_range(name: str) -> None:
-    """R^2 is a polynomial in t: worked out in fractions from the track, against the square of the series."""
+    """R^2 is a polynomial in t: compute it in fractions from the track and compare it with the square of the series."""
     geometry = Geometry(collection=GEOMETRIES[name])
     epoch = Fraction(geometry.epoch)
     jerk = (40, -60, 25) if name == "jerk" else (0, 0, 0)
@@ -41,7 +41,7 @@ def test_the_range_series_squares_to_the_exact_squared_range(name: str) -> None:
     for index in np.ndindex(3, 3):
         squared = [Fraction(0)] * 7
         for axis, coefficients in enumerate(track):
-            about = [Fraction(0)] * 4  # the track's polynomial about the epoch, by the binomial sum
+            about = [Fraction(0)] * 4  # the track's polynomial about the epoch, by the binomial theorem
             for n, c in enumerate(coefficients):
                 for m in range(n + 1):
                     about[m] += c * epoch ** (n - m) * [[1], [1, 1], [1, 2, 1], [1, 3, 3, 1]][n][m]
@@ -56,7 +56,7 @@ def test_the_range_series_squares_to_the_exact_squared_range(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", GEOMETRIES)
-def test_the_range_series_is_the_range(name: str) -> None:
+def test_the_range_series_equals_the_range(name: str) -> None:
     case = GEOMETRIES[name]
     geometry = Geometry(collection=case)
     yaw = np.radians(-50.0 if name == "jerk" else 50.0) + np.radians([-6.0, 0.0, 6.0])
@@ -65,10 +65,10 @@ def test_the_range_series_is_the_range(name: str) -> None:
     k = range_series(geometry, ranges, yaw, order=12)
     series = power.polyval(slow, np.moveaxis(k, -1, 0))
     exact, _ = geometry.range_history(geometry.ground_point(ranges, yaw)[..., None, :], slow + geometry.epoch)
-    assert np.abs(series - exact).max() < 1e-7  # m: a thousandth of a milliradian on 2 cm
+    assert np.abs(series - exact).max() < 1e-7  # m: a thousandth of a milliradian at a wavelength of 2 cm
 
 
-def test_first_and_second_coefficients_are_those_of_mechanics() -> None:
+def test_the_first_two_coefficients_follow_from_velocity_and_acceleration() -> None:
     geometry = Geometry(collection=GEOMETRIES["table-1"])
     yaw, ranges = np.radians([44.0, 50.0, 56.0]), np.array([28e3, 30e3, 32e3])
     k = range_series(geometry, ranges, yaw, order=2)
@@ -81,7 +81,7 @@ def test_first_and_second_coefficients_are_those_of_mechanics() -> None:
 
 
 @pytest.mark.parametrize("name", GEOMETRIES)
-def test_the_yaw_series_holds_the_yaw_derivatives(name: str) -> None:
+def test_the_yaw_series_contains_the_yaw_derivatives(name: str) -> None:
     geometry = Geometry(collection=GEOMETRIES[name])
     yaw = np.radians(-50.0 if name == "jerk" else 50.0)
     ranges = np.array([27.6e3, 30e3, 32.4e3])
@@ -89,10 +89,10 @@ def test_the_yaw_series_holds_the_yaw_derivatives(name: str) -> None:
     assert k.shape == (3, 5, 5)
     for m in range(5):
         direct = derivatives(lambda turn: range_series(geometry, ranges, np.array(yaw + turn), order=4), m, 0.03)
-        # Differences over 0.12 rad err by their ninth order, and both by the rounding of 3e4 m.
+        # Differences over 0.12 rad have a ninth-order error, and both have the rounding of 3e4 m.
         np.testing.assert_allclose(k[:, 1:, m], direct[:, 1:], rtol=2e-5, atol=2e-5)
     np.testing.assert_allclose(k[:, 0, 0], ranges, rtol=1e-12)
-    assert np.abs(k[:, 0, 1:]).max() < 1e-5  # the epoch range does not depend on yaw: it is the coordinate
+    assert np.abs(k[:, 0, 1:]).max() < 1e-5  # the epoch range is the coordinate and does not depend on yaw
 
 
 # Paper A, Figures 2 to 4, read off at the scene centre's range and the last yaw: units of pi.

@@ -1,4 +1,4 @@
-"""A new step is its own class and a place in a chain: planning, applying and tracing follow without a change."""
+"""A new step needs its own class and a place in a chain; planning, applying and tracing follow without a change."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from blocksar.kernels.phase import Phase
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TurnAndBack(Step):
-    """Multiply by a phase along slow time and by its conjugate: nothing changes, in samples and in lines."""
+    """Multiply by a phase along slow time and by its conjugate: samples and lines do not change."""
 
     name = "turn-and-back"
     centre: float
@@ -59,7 +59,7 @@ class TurnAndBack(Step):
 
 
 @pytest.mark.parametrize("before", [Keystone, AzimuthTransform])
-def test_a_step_is_added_by_its_class_and_its_place_in_the_chain(
+def test_a_new_step_needs_its_class_and_a_place_in_the_chain(
     before: type[Step], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plain = planned(collection())

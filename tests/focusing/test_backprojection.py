@@ -1,4 +1,4 @@
-"""Back-projection against the obvious double loop, and its own promises: exact phase, exact beam, same bits."""
+"""Back-projection against an explicit double loop: exact phase, exact beam, reproducible bits."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def collection(
     frequency_offset: float = 0.0,
     ground_height: float = 0.0,
 ) -> Collection:
-    """Table 1's diving, turning platform at a low PRF; the scene centre is lit at the aperture's middle."""
+    """Table 1's diving, turning platform at a low PRF; the beam lights the scene centre at the aperture's middle."""
     time = middle + duration * (np.arange(n_pulse) - n_pulse // 2) / n_pulse
     position = np.array([0.0, 0.0, height]) + time[:, None] * [-40.0, 1300.0, -600.0]
     position = position + time[:, None] ** 2 / 2 * [-15.0, -30.0, -35.0]
@@ -71,7 +71,7 @@ def collection(
 
 
 def around(collection: Collection, along: Any, across: Any) -> tuple[FloatArray, FloatArray]:
-    """Ground points at offsets (m) from the point the beam, or the reference range, is on at the middle pulse."""
+    """Ground points at offsets (m) from the point at the beam centre or the reference range at the middle pulse."""
     geometry, p = Geometry(collection=collection), collection.n_pulse // 2
     yaw = collection.beam_azimuth[p] if collection.steered else np.deg2rad(50.0)
     x, y = geometry.ground_point(np.array(collection.reference_range[p]), np.array(yaw))[:2]
@@ -105,8 +105,8 @@ COLLECTIONS: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.parametrize("name", COLLECTIONS)
-def test_it_is_the_double_loop(name: str) -> None:
-    """White noise fills the whole band at every range: no error of the interpolation can hide."""
+def test_back_projection_equals_the_double_loop(name: str) -> None:
+    """White noise fills the whole band at every range and therefore shows every interpolation error."""
     c = collection(**COLLECTIONS[name])
     rng = np.random.default_rng(1)
     x, y = around(c, rng.uniform(-60, 60, 60), rng.uniform(-300, 300, 60))
@@ -115,11 +115,11 @@ def test_it_is_the_double_loop(name: str) -> None:
     np.testing.assert_array_equal(np.isnan(image), np.isnan(expected))
     assert np.count_nonzero(~np.isnan(image)) >= 20
     error = np.sqrt(np.nanmean(np.abs(image - expected) ** 2) / np.nanmean(np.abs(expected) ** 2))
-    assert error < 5e-4  # the spline's -69 dB, 3.5e-4, on few pixels
+    assert error < 5e-4  # the spline's error is -69 dB, 3.5e-4; there are few pixels
 
 
 @pytest.mark.parametrize("name", COLLECTIONS)
-def test_a_unit_target_is_one(name: str) -> None:
+def test_a_unit_target_has_amplitude_one(name: str) -> None:
     c = collection(**COLLECTIONS[name])
     sigma = np.array([1.0, 0.5j, -1.0])
     tx, ty = around(c, [3.3, -41.0, 30.0], [-2.1, -20.0, 70.0])
@@ -132,7 +132,7 @@ def test_a_unit_target_is_one(name: str) -> None:
     assert np.abs(image - expected).max() < 1e-3  # of the peak, at every pixel: -60 dB
 
 
-def test_missing_pulses_and_samples_leave_the_mean_alone() -> None:
+def test_missing_pulses_and_samples_do_not_change_the_mean() -> None:
     c = collection()
     rng = np.random.default_rng(3)
     tx, ty = around(c, [0.0], [0.0])
@@ -148,7 +148,7 @@ def test_missing_pulses_and_samples_leave_the_mean_alone() -> None:
     assert abs(form(c, signal, tx, ty)[0] - 1) < 2e-3
 
 
-def test_nothing_valid_lit_is_nan() -> None:
+def test_pixels_without_a_valid_lit_pulse_are_nan() -> None:
     c = collection()
     signal = noise(c).copy()
     x, y = around(c, np.zeros(2), [0.0, 12e3])  # the second is far outside the scan
@@ -159,7 +159,7 @@ def test_nothing_valid_lit_is_nan() -> None:
 
 @pytest.mark.parametrize("side", [-1, 1])
 def test_the_window_ends_where_ranges_become_ambiguous(side: int) -> None:
-    """Right up to its edge, where the spline reaches round the end, the image is exact; beyond, it is NaN."""
+    """Up to the window's edge, where the spline wraps round the end, the image is exact; beyond, it is NaN."""
     c = collection(reference="tracked", n_frequency=96, n_pulse=60)
     half = c.range_window / 2
     x, y = around(c, side * np.linspace(0.9, 1.4, 2001) * half, np.zeros(2001))
@@ -177,7 +177,7 @@ def test_the_window_ends_where_ranges_become_ambiguous(side: int) -> None:
 
 
 def test_phase_is_exact_at_900_km() -> None:
-    """With one frequency there is nothing to interpolate: what is left is the phase, 6e7 cycles of it."""
+    """A single frequency needs no interpolation: this tests the phase alone, of 6e7 cycles."""
     c = collection(height=600e3, ground=670e3, carrier=35e9, reference="tracked", n_pulse=100)
     middle = c.n_range_frequency // 2
     signal = np.zeros((c.n_pulse, c.n_range_frequency), np.complex64)
@@ -188,8 +188,8 @@ def test_phase_is_exact_at_900_km() -> None:
     assert np.abs(image - expected).max() < 1e-6
 
 
-def test_interpolation_errs_by_less_than_60_db() -> None:
-    """One pulse, many ranges: measured, and as the spline's frequency response predicts."""
+def test_the_interpolation_error_is_below_60_db() -> None:
+    """One pulse, many ranges: the measured error agrees with that of the spline's frequency response."""
     c = collection(reference="tracked", n_frequency=500)
     geometry, p = Geometry(collection=c), c.n_pulse // 2
     x, y = around(c, np.linspace(-500, 500, 2000)[None], np.zeros((1, 2000)))
@@ -209,7 +209,7 @@ def test_interpolation_errs_by_less_than_60_db() -> None:
 
 @pytest.mark.parametrize("steering", [26.23, -26.23, 0.0])
 @pytest.mark.parametrize("yaw", [50.0, -50.0, 179.5, -178.0, 3 * 180.0])
-def test_lit_interval_is_the_inequality(yaw: float, steering: float) -> None:
+def test_the_lit_interval_satisfies_the_inequality(yaw: float, steering: float) -> None:
     c = collection(yaw=np.deg2rad(yaw), steering=np.deg2rad(26.23), n_frequency=16)
     geometry = Geometry(collection=c)
     rng = np.random.default_rng(5)
@@ -219,7 +219,7 @@ def test_lit_interval_is_the_inequality(yaw: float, steering: float) -> None:
     x, y = 2e4 * np.cos(theta) + geometry.nadir[0], 2e4 * np.sin(theta) + geometry.nadir[1]
     exact = geometry.yaw(x, y)
     if steering:
-        # Put the beam's edge on a pixel, to the last bit, at many pulses, and let it rest there for a few.
+        # Put the edge of the beam exactly on a pixel at many pulses, and hold it there for a few.
         branch = TURN * np.rint((np.deg2rad(yaw) - exact[:100]) / TURN)
         beam[::6][:40] = exact[:40] + branch[:40] + width / 2
         beam[3::6][:40] = exact[40:80] + branch[40:80] - width / 2
@@ -232,25 +232,25 @@ def test_lit_interval_is_the_inequality(yaw: float, steering: float) -> None:
     pulse = np.arange(c.n_pulse)
     np.testing.assert_array_equal((pulse >= first[:, None]) & (pulse < last[:, None]), lit)
     if steering and abs(yaw) < 57:
-        assert np.count_nonzero(np.abs(away) == width / 2) > 20  # nothing was rounded: an equality is lit
+        assert np.count_nonzero(np.abs(away) == width / 2) > 20  # exact equality, which counts as lit
     assert lit.any() and not lit.any(axis=1).all()
     assert ((first < last) | ((first == 0) & (last == 0))).all()
 
 
-def test_lit_interval_without_steering_is_all() -> None:
+def test_without_steering_every_pulse_is_lit() -> None:
     c = collection(steered=False, n_frequency=16)
     first, last = lit_interval(Geometry(collection=c), np.zeros((2, 3)), np.ones((2, 3)))
     assert (first == 0).all() and (last == c.n_pulse).all() and first.shape == (2, 3)
 
 
-def test_a_beam_that_goes_all_round_is_refused() -> None:
+def test_a_beam_wider_than_a_full_turn_is_refused() -> None:
     c = collection(n_frequency=16)
     c = Collection(**{**c.as_dict(), "beam_azimuth": np.linspace(0.0, 6.28, c.n_pulse)})
     with pytest.raises(InputError, match=r"beam_azimuth scans 6\.28 rad .* cut the collection"):
         lit_interval(Geometry(collection=c), np.zeros(1), np.ones(1))
 
 
-def test_same_bits_for_any_number_of_threads() -> None:
+def test_the_number_of_threads_changes_no_bit() -> None:
     c = collection(n_frequency=256, reference="tracked")
     x, y = around(c, 0.0, 0.0)
     columns, rows = x + np.arange(-75, 75) * 1.5, y + np.arange(-70, 71) * 1.5
@@ -284,10 +284,10 @@ def test_points_of_any_shape(shape: tuple[int, ...]) -> None:
     assert image.tobytes() == flat.tobytes()
 
 
-def test_only_lit_pulses_are_read_once_in_order() -> None:
+def test_only_lit_pulses_are_read_each_once_and_in_order() -> None:
     c = collection(n_frequency=64, n_pulse=480, reference="tracked")
     geometry = Geometry(collection=c)
-    # Two chips whose dwells do not meet: the pulses between them are nobody's.
+    # Two chips whose dwells do not overlap: no pixel needs the pulses between them.
     x, y = around(c, np.zeros(2), [-1800.0, 1800.0])
     first, last = lit_interval(geometry, x, y)
     assert 0 < last[0] < first[1]
@@ -304,7 +304,7 @@ def test_only_lit_pulses_are_read_once_in_order() -> None:
     np.testing.assert_array_equal(read_pulses, lit)
 
 
-def test_memory_is_bounded_as_stated() -> None:
+def test_memory_stays_within_the_stated_bound() -> None:
     c = collection(n_frequency=400, n_pulse=1200, reference="tracked")
     signal, geometry = noise(c), Geometry(collection=c)
     x, y = around(c, 0.0, 0.0)
@@ -336,8 +336,8 @@ def test_wrong_shapes_are_refused() -> None:
 
 
 @pytest.mark.skipif(platform.machine() not in {"x86_64", "AMD64"}, reason="reads x86 assembly")
-def test_the_inner_loop_runs_in_vector_lanes() -> None:
-    """Compiled afresh, for assembly is not kept with the cache: packed square roots show that all vectorised."""
+def test_the_inner_loop_is_vectorised() -> None:
+    """Compile afresh, since the cache does not keep the assembly: packed square roots show that all is vectorised."""
     c = collection(n_frequency=64, reference="tracked")
     form(c, noise(c), *around(c, np.zeros((2, 2)), np.zeros((2, 2))))
     kernel = backprojection._accumulate

@@ -1,4 +1,4 @@
-"""Geometric correction: against signals that are known between samples, and seams that leave no pixel out."""
+"""Geometric correction: against signals known between samples, and seams that leave no pixel out."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from blocksar.focusing.ground_map import GroundMap, Surface, fit_surface
 from blocksar.focusing.lines import focus
 from blocksar.kernels import interpolation
 
-LEVEL = 1300.0  # pulses light a target: images are brought to about 1 before they are compared
+LEVEL = 1300.0  # about as many pulses light a target: images are scaled to about 1 before they are compared
 
 
 @lru_cache(maxsize=4)
 def case_of(
     *, blocks: int = 3, yaw_deg: float = 50.0, steering_deg: float | None = 26.23, swath: str = "narrow"
 ) -> Planned:
-    """A swath 200 m wide, or 2.5 km at a tenth of the bandwidth: the geometry is what counts here."""
+    """A swath 200 m wide, or 2.5 km at a tenth of the bandwidth: only the geometry matters here."""
     options = {} if swath == "narrow" else {"bandwidth": 5e6, "n_frequency": 100}
     prf = 8e3 if steering_deg else 12e3
-    beam_deg = 2.5 if yaw_deg == 180.0 else 4.25  # broadside, a beam as wide as Table 1's asks for more PRF
+    beam_deg = 2.5 if yaw_deg == 180.0 else 4.25  # at broadside, a beam as wide as Table 1's would need a higher PRF
     scene = collection(yaw_deg=yaw_deg, steering_deg=steering_deg, beam_deg=beam_deg, prf=prf, **options)
     return planned(scene, blocks=blocks)
 
@@ -47,7 +47,7 @@ def around(
     return middle[0] + step * columns, middle[1] + step * rows
 
 
-# -- a block whose values are known everywhere ---------------------------------------------------------------
+# -- A block whose values are known everywhere ---------------------------------------------------------------
 
 
 def known_block(ground: GroundMap, x: float, y: float, seed: int = 0) -> tuple[ComplexArray, Callable[..., np.ndarray]]:
@@ -74,7 +74,7 @@ def known_block(ground: GroundMap, x: float, y: float, seed: int = 0) -> tuple[C
 
 
 def slowly(ground: GroundMap, value: Callable[..., np.ndarray], x: FloatArray, y: FloatArray) -> np.ndarray:
-    """Every pixel by its own: where it focuses, the value there, less its phase, over its gain and its pulses."""
+    """Compute each pixel by itself: the value where it focuses, less its phase, divided by its gain and its pulses."""
     row, doppler, cycles, gain, turn, _ = ground.locate(*np.meshgrid(x, y))
     place = np.rint((ground.middle_yaw + turn - ground.yaw_axis[0]) / (ground.yaw_axis[1] - ground.yaw_axis[0]))
     lit = ground.lit[np.clip(place, 0, ground.lit.size - 1).astype(int)]
@@ -83,7 +83,7 @@ def slowly(ground: GroundMap, value: Callable[..., np.ndarray], x: FloatArray, y
 
 @pytest.mark.parametrize("step", [0.4, 1.0, 2.3, 11.0, 60.0])
 @pytest.mark.parametrize("yaw_deg", [50.0, 180.0])
-def test_every_pixel_is_the_blocks_value_where_it_focuses(step: float, yaw_deg: float) -> None:
+def test_every_pixel_is_the_value_of_the_block_where_it_focuses(step: float, yaw_deg: float) -> None:
     case = case_of(yaw_deg=yaw_deg, swath="wide")
     ground = case.plan.ground
     n = 131 if step < 3 else 11
@@ -94,7 +94,7 @@ def test_every_pixel_is_the_blocks_value_where_it_focuses(step: float, yaw_deg: 
     held = np.isfinite(image)
     assert held.mean() > 0.9 or step == 60.0
     error = (image - slowly(ground, value, x, y))[held] * LEVEL
-    # Taps are planned to err by so much at most in either of two directions, root mean square over the band.
+    # Taps are planned for this error in each of two directions, root mean square over the band.
     assert np.sqrt(np.mean(np.abs(error) ** 2)) < np.sqrt(2) * IMAGE_TAP_ERROR
     assert np.abs(error).max() < 4 * np.sqrt(2) * IMAGE_TAP_ERROR
 
@@ -111,7 +111,7 @@ def weigh(positions: FloatArray, taps: tuple[int, float], n: int) -> tuple[Float
 
 
 def tap_by_tap(block: ComplexArray, ground: GroundMap, x: FloatArray, y: FloatArray) -> np.ndarray:
-    """What `correct` computes, every pixel by its own in float64: NaN only where its window leaves the block."""
+    """Compute what `correct` computes, pixel by pixel in float64: NaN only where the window leaves the block."""
     place = [v.ravel() for v in ground.locate(*np.meshgrid(x, y))]
     row, doppler, cycles, gain, turn, middle = place
     first_row, range_weights = weigh(row, ground.range_taps, block.shape[0])
@@ -129,13 +129,13 @@ def tap_by_tap(block: ComplexArray, ground: GroundMap, x: FloatArray, y: FloatAr
 
 @pytest.mark.parametrize("doppler_taps", [4, 6, 8, 10, 16, 20, 32])
 @pytest.mark.parametrize("range_taps", [4, 10, 12, 16, 18, 32])
-def test_any_number_of_taps_against_one_tap_after_the_other(range_taps: int, doppler_taps: int) -> None:
-    """On noise, where no tap may be missed; also where windows meet the block's ends."""
+def test_any_number_of_taps_agrees_with_a_tap_by_tap_sum(range_taps: int, doppler_taps: int) -> None:
+    """Use noise, where every tap counts; windows also meet the block's ends."""
     case = case_of()
     ground = replace(case.plan.ground, range_taps=(range_taps, 0.7), doppler_taps=(doppler_taps, 0.6))
     x, y = around(case, 30e3, ground.middle_yaw, step=2.2, shape=(40, 50))
     row, doppler = ground.locate(*np.meshgrid(x, y))[:2]
-    # The block's ends lie within the image, in either direction.
+    # The ends of the block lie within the image, in both directions.
     rows = ground.rows.part(int(row.min()) + 3, int(np.ptp(row)) - 2)
     columns = ground.doppler.part(int(doppler.min()) + 2, int(np.ptp(doppler)) - 3)
     ground = replace(ground, rows=rows, doppler=columns)
@@ -149,7 +149,7 @@ def test_any_number_of_taps_against_one_tap_after_the_other(range_taps: int, dop
     assert np.abs(image - slow)[held].max() < 3e-6 * level
 
 
-def test_a_block_smaller_than_a_window_is_read_no_further_than_it_goes() -> None:
+def test_a_block_smaller_than_a_window_is_not_read_beyond_its_ends() -> None:
     case = case_of(swath="wide")
     ground = case.plan.ground
     x, y = around(case, 30e3, ground.middle_yaw, step=1.0, shape=(9, 9))
@@ -167,7 +167,7 @@ def test_a_block_smaller_than_a_window_is_read_no_further_than_it_goes() -> None
     np.testing.assert_allclose(image, slow, rtol=1e-4)
 
 
-def test_a_block_in_a_larger_array_is_read_no_further_than_its_axes_go() -> None:
+def test_a_block_in_a_larger_array_is_not_read_beyond_its_axes() -> None:
     case = case_of()
     ground = case.plan.ground
     rng = np.random.default_rng(4)
@@ -185,8 +185,8 @@ def test_a_block_in_a_larger_array_is_read_no_further_than_its_axes_go() -> None
 
 
 @pytest.mark.parametrize("blocks", [30, 60])
-def test_a_block_narrower_than_a_tile_is_as_good(blocks: int) -> None:
-    """180 and 90 m of ground at 30 km: what lies beyond the block must not bend what lies inside."""
+def test_a_block_narrower_than_a_tile_is_as_accurate(blocks: int) -> None:
+    """180 and 90 m of ground at 30 km: values beyond the block must not affect those inside."""
     case = case_of(blocks=blocks)
     ground = case.plan.ground
     x, y = around(case, 30e3, ground.high, step=2.3, shape=(80, 80))
@@ -197,13 +197,13 @@ def test_a_block_narrower_than_a_tile_is_as_good(blocks: int) -> None:
     assert np.abs(error).max() < 4 * np.sqrt(2) * IMAGE_TAP_ERROR
 
 
-def test_pixels_do_not_depend_on_the_chunk_that_they_are_computed_in() -> None:
+def test_pixels_do_not_depend_on_the_chunk() -> None:
     case = case_of(swath="wide")
     ground = case.plan.ground
     x, y = around(case, 30e3, ground.high - 0.001, step=0.9, shape=(170, 190))
     block, _ = known_block(ground, x[60], y[60])
     whole = correct(block, ground, x=x, y=y)
-    assert 0.3 < np.isfinite(whole).mean() < 0.95  # the block's edge runs through
+    assert 0.3 < np.isfinite(whole).mean() < 0.95  # the edge of the block crosses the image
     for rows, columns in (
         (slice(0, 64), slice(0, 190)),
         (slice(13, 170), slice(77, 151)),
@@ -217,7 +217,7 @@ def test_pixels_do_not_depend_on_the_chunk_that_they_are_computed_in() -> None:
     assert abs(single[0, 0] - whole[60, 60]) * LEVEL < 3e-6
 
 
-def test_threads_change_no_bit_and_the_block_stays() -> None:
+def test_threads_change_no_bit_and_the_block_is_not_modified() -> None:
     case = case_of(swath="wide")
     ground = case.plan.ground
     x, y = around(case, 30e3, ground.middle_yaw, step=0.5, shape=(401, 399))
@@ -227,12 +227,12 @@ def test_threads_change_no_bit_and_the_block_stays() -> None:
         np.testing.assert_array_equal(correct(block, ground, x=x, y=y, threads=threads), one)
 
 
-# -- where targets are ---------------------------------------------------------------------------------------
+# -- Positions of targets ------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("steering_deg", [26.23, -26.23, None])
-def test_the_map_is_what_tracing_says_anywhere(steering_deg: float | None) -> None:
-    """Surfaces of (range, yaw), fitted once, against lines traced for these very targets."""
+def test_the_ground_map_agrees_with_traced_lines_everywhere(steering_deg: float | None) -> None:
+    """Compare surfaces of (range, yaw), fitted once, with lines traced for the same targets."""
     if steering_deg is None:
         case = case_of(steering_deg=None, blocks=1)
     else:
@@ -263,7 +263,7 @@ def test_the_map_is_what_tracing_says_anywhere(steering_deg: float | None) -> No
 
 @pytest.mark.parametrize("place", [(0.5, 0.5), (0.02, 0.1), (0.97, 0.9)])
 @pytest.mark.parametrize("steering_deg", [26.23, None])
-def test_a_unit_target_reads_one_at_its_place(steering_deg: float | None, place: tuple[float, float]) -> None:
+def test_a_unit_target_has_amplitude_one_at_its_place(steering_deg: float | None, place: tuple[float, float]) -> None:
     case = case_of(steering_deg=steering_deg, blocks=3 if steering_deg else 1)
     ground = case.plan.ground
     yaw = ground.low + (ground.high - ground.low) * place[0]
@@ -276,12 +276,12 @@ def test_a_unit_target_reads_one_at_its_place(steering_deg: float | None, place:
     x, y = point[0] + 0.1 * np.arange(-6, 7), point[1] + 0.1 * np.arange(-6, 7)
     image = correct(block, ground, x=x, y=y)
     assert abs(image[6, 6] - 1) < 5e-3
-    # And nowhere more than there, though cells are 3 m in range and 1.9 m across: 0.1 m is 3 per cent of one.
+    # The maximum is there as well; cells are 3 m in range and 1.9 m across, and 0.1 m is 3 per cent of a cell.
     i, j = np.unravel_index(np.nanargmax(np.abs(image)), image.shape)
     assert max(abs(i - 6), abs(j - 6)) <= 1
 
 
-def test_a_surface_goes_through_polynomials_of_its_degree() -> None:
+def test_a_surface_reproduces_polynomials_of_its_degree() -> None:
     rng = np.random.default_rng(3)
     ranges, yaw = np.linspace(27e3, 33e3, 12), np.linspace(0.7, 1.1, 20)
 
@@ -294,8 +294,8 @@ def test_a_surface_goes_through_polynomials_of_its_degree() -> None:
     np.testing.assert_allclose(surface(r, v), smooth(r, v), atol=1e-10)
 
 
-def test_a_surface_is_its_series() -> None:
-    """Against numpy's evaluation, for any shape of points: none, one, and more than go through the loop at once."""
+def test_a_surface_equals_its_series() -> None:
+    """Compare with numpy's evaluation, for any shape of points: none, one, and more than one pass of the loop takes."""
     rng = np.random.default_rng(4)
     for degree in ((0, 0), (1, 3), (9, 16)):
         series = np.asfortranarray(rng.normal(0, 1, (degree[0] + 1, degree[1] + 1)))
@@ -308,13 +308,13 @@ def test_a_surface_is_its_series() -> None:
     assert surface(np.full((5, 1), 30e3), np.full(4, 0.1)).shape == (5, 4)
 
 
-# -- seams ---------------------------------------------------------------------------------------------------
+# -- Seams ---------------------------------------------------------------------------------------------------
 
 
 def between(
     ground: GroundMap, low: float, high: float, *, near: float | None = None, far: float | None = None
 ) -> GroundMap:
-    """The same map owning other yaws and ranges, as a neighbour would."""
+    """The same map with other limits in yaw and range, as a neighbour would have."""
     yaw_axis = np.linspace(low, high, ground.yaw_axis.size)
     near_limit, far_limit = (np.interp(yaw_axis, ground.yaw_axis, v) for v in (ground.near_limit, ground.far_limit))
     return replace(
@@ -345,7 +345,7 @@ def owned(ground: GroundMap, x: FloatArray, y: FloatArray) -> np.ndarray:
 def test_neighbours_own_every_pixel_exactly_once(
     yaw_deg: float, seam: float, step: float, shape: tuple[int, int], on: tuple[int, int], exact: bool
 ) -> None:
-    """Also pixels that lie on the seam's ray, and a seam on the cut of atan2."""
+    """This includes pixels on the seam's ray, and a seam on the branch cut of atan2."""
     case = case_of(yaw_deg=yaw_deg, swath="wide")
     ground = case.plan.ground
     at = ground.middle_yaw + seam * 0.4 * (ground.high - ground.low)
@@ -358,7 +358,7 @@ def test_neighbours_own_every_pixel_exactly_once(
 
 
 def test_pixels_on_a_seam_ray_of_small_whole_numbers_have_one_owner() -> None:
-    """(4k, 3k) from the nadir: products of the ray test cancel to the last bit, or nearly."""
+    """(4k, 3k) from the nadir: products of the ray test cancel exactly, or almost."""
     case = case_of(swath="wide")
     ground = case.plan.ground
     for p, q in ((1, 1), (4, 5), (7, 9), (5, 6)):
@@ -388,18 +388,18 @@ def test_range_neighbours_own_every_pixel_exactly_once(seam: float, step: float,
     np.testing.assert_array_equal(counted, 1)
 
 
-def test_what_no_block_holds_is_nan() -> None:
+def test_pixels_outside_all_blocks_are_nan() -> None:
     case = case_of(swath="wide")
     ground = case.plan.ground
     for epoch_range, yaw in (
-        (30e3, ground.high + 0.02),  # the neighbour's
+        (30e3, ground.high + 0.02),  # of the neighbour
         (30e3, ground.middle_yaw + np.pi),  # behind
         (float(ground.far_limit.max()) + 300, ground.middle_yaw),  # beyond the range window
         (float(ground.near_limit.min()) - 300, ground.middle_yaw),
     ):
         x, y = around(case, epoch_range, yaw, step=1.0, shape=(20, 30))
         assert not owned(ground, x, y).any()
-    # The window's own edge: owned up to the limit of each yaw, and no further.
+    # The edge of the window: the block owns pixels up to the limit at each yaw, and none beyond.
     x, y = around(case, float(ground.far_limit[2048]), ground.middle_yaw, step=2.0, shape=(60, 60))
     far = np.interp(ground.middle_yaw + ground.relative_yaw(*np.meshgrid(x, y)), ground.yaw_axis, ground.far_limit)
     inside = far - ground.geometry.epoch_range(*np.meshgrid(x, y))
@@ -414,7 +414,7 @@ def test_what_no_block_holds_is_nan() -> None:
     step=st.floats(0.5, 8.0),
     shape=st.tuples(st.integers(1, 60), st.integers(1, 60)),
 )
-def test_pixels_that_are_not_covered_are_nan(
+def test_a_grid_that_is_not_covered_has_no_owned_pixels(
     yaw: float, epoch_range: float, step: float, shape: tuple[int, int]
 ) -> None:
     case = case_of(swath="wide")
@@ -424,7 +424,7 @@ def test_pixels_that_are_not_covered_are_nan(
     assert covers(ground, x, y) or not owned(ground, x, y).any()
 
 
-def test_what_is_far_from_the_block_is_not_covered() -> None:
+def test_an_image_far_from_the_block_is_not_covered() -> None:
     case = case_of(swath="wide")
     ground = case.plan.ground
     assert covers(ground, *around(case, 30e3, ground.middle_yaw, step=1.0, shape=(20, 30)))
@@ -432,8 +432,8 @@ def test_what_is_far_from_the_block_is_not_covered() -> None:
         assert not covers(ground, *around(case, epoch_range, yaw, step=1.0, shape=(20, 30)))
 
 
-def test_what_is_compiled_once_is_all_that_is_used() -> None:
-    """`compile_kernels` fills the cache for blocks, maps and pixels as they come to a worker: read-only or not."""
+def test_precompiled_kernels_serve_every_use() -> None:
+    """`compile_kernels` fills the cache for blocks, maps and pixels as workers receive them: read-only or writeable."""
     script = """
 import pickle, sys
 from blocksar.focusing import correction, ground_map
@@ -461,7 +461,7 @@ assert not any(loop.stats.cache_misses for loop in loops) or "fresh" in sys.argv
         )  # fmt: skip
 
 
-def test_pulses_are_counted_as_they_light() -> None:
+def test_lit_pulses_are_counted() -> None:
     case = case_of(swath="wide")
     scene = case.collection
     valid = np.ones(scene.n_pulse)
@@ -469,7 +469,7 @@ def test_pulses_are_counted_as_they_light() -> None:
     yaw = np.linspace(case.region.yaw[0] - 0.01, case.region.yaw[-1] + 0.01, 301)
     direct = [valid[np.abs(v - scene.beam_azimuth) <= scene.beam_width / 2].sum() for v in yaw]
     found = lit_pulses(scene, yaw, valid)
-    # A pulse whose beam edge meets a yaw to the last bit may be counted or not.
+    # The count may differ by a pulse whose beam edge coincides with a yaw.
     assert np.abs(found - direct).max() <= 1
     assert np.mean(found == direct) > 0.98
     np.testing.assert_array_equal(lit_pulses(scene, yaw - 2 * np.pi, valid), found)

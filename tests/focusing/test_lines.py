@@ -1,4 +1,4 @@
-"""Time-frequency lines against signals that are really multiplied and transformed, and series against exact algebra."""
+"""Time-frequency lines against signals that are multiplied and transformed, and series against exact algebra."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from blocksar.focusing.lines import Line, RowPolynomial, focus, row_polynomial
 from blocksar.kernels import fourier, rows
 from blocksar.kernels.fourier import Axis
 
-# -- phases along rows --------------------------------------------------------------------------------------
+# -- Phases along rows --------------------------------------------------------------------------------------
 
 
 def some_phase(*, order: int = 5, seed: int = 0) -> RowPolynomial:
@@ -22,7 +22,7 @@ def some_phase(*, order: int = 5, seed: int = 0) -> RowPolynomial:
 
 @pytest.mark.parametrize("order", [0, 1, 2, 5])
 @pytest.mark.parametrize("shape", [(), (3,), (3, 2)])
-def test_derivatives_along_the_row_are_those_of_the_phase(order: int, shape: tuple[int, ...]) -> None:
+def test_derivatives_along_the_row_equal_those_of_the_phase(order: int, shape: tuple[int, ...]) -> None:
     phases = some_phase(order=order)
     rng = np.random.default_rng(1)
     ranges, values = rng.uniform(-2000, 2400, shape), rng.uniform(0.1, 0.5, (*shape, 7))
@@ -32,14 +32,14 @@ def test_derivatives_along_the_row_are_those_of_the_phase(order: int, shape: tup
     def at(step: float) -> FloatArray:
         return phases.evaluate(ranges, values + step)[0]
 
-    h = 2e-3  # s: the fourth-order differences below err by h^4 f^(5) / 30, 1e-9 of these phases
+    h = 2e-3  # s: the error of the fourth-order differences below is h^4 f^(5) / 30, 1e-9 of these phases
     np.testing.assert_allclose(slope, (8 * (at(h) - at(-h)) - at(2 * h) + at(-2 * h)) / (12 * h), rtol=1e-6, atol=1e-5)
     bent = (16 * (at(h) + at(-h)) - at(2 * h) - at(-2 * h) - 30 * at(0)) / (12 * h**2)
     np.testing.assert_allclose(bend, bent, rtol=1e-5, atol=1e-2)
 
 
-def test_a_row_polynomial_goes_through_the_polynomials_that_it_is_made_of() -> None:
-    """Each polynomial about its own centre, as its range says: also when the phase is about a common centre."""
+def test_a_row_polynomial_passes_through_its_polynomials() -> None:
+    """Each polynomial has the centre of its range, also when the phase has a common centre."""
     rng = np.random.default_rng(2)
     ranges = np.linspace(-1500.0, 1800.0, 6)
     coefficients, centres = rng.normal(0, 30, (6, 5)), rng.uniform(-40, 60, 6)
@@ -51,14 +51,14 @@ def test_a_row_polynomial_goes_through_the_polynomials_that_it_is_made_of() -> N
     np.testing.assert_allclose(smooth.evaluate(np.array(77.0), v)[0], 3.0, atol=1e-12)
 
 
-# -- operations on samples move lines -----------------------------------------------------------------------
+# -- Lines traced through operations on samples -------------------------------------------------------------
 
 LENGTH, STEP, SIZE = 1.2, 1e-4, 12_000  # s, s, samples
 NODES, WEIGHTS = leggauss(16)
 
 
 def chirp(phase: FloatArray, *, middle: float, dwell: float) -> tuple[FloatArray, Line]:
-    """A line over one dwell whose phase, cycles, is this polynomial in t: (polynomial, line)."""
+    """Return the polynomial and the line of a dwell whose phase, in cycles, is this polynomial in t."""
     time = middle + dwell / 2 * NODES
     line = Line(
         time=time,
@@ -73,7 +73,7 @@ def chirp(phase: FloatArray, *, middle: float, dwell: float) -> tuple[FloatArray
 
 
 def envelope(time: FloatArray, *, middle: float, dwell: float) -> FloatArray:
-    """No sharp ends: what a line leaves out is then of second order in one over the time-bandwidth product."""
+    """Smooth envelope: what a line neglects is then of second order in 1 / (time-bandwidth product)."""
     along = np.clip((time - middle) / dwell + 0.5, 0, 1)
     return np.sin(np.pi * along) ** 2
 
@@ -104,10 +104,10 @@ IN_DOPPLER = {
 @pytest.mark.parametrize("in_doppler", IN_DOPPLER)
 @pytest.mark.parametrize("in_time", IN_TIME)
 @pytest.mark.parametrize("kind", CHIRPS)
-def test_a_chirp_through_time_and_doppler_multiplication_is_where_its_line_says(
+def test_a_chirp_through_time_and_doppler_multiplication_follows_its_line(
     kind: str, in_time: str, in_doppler: str
 ) -> None:
-    """Phase, Doppler and amplitude of the samples, and not only places: multiply, transform, multiply, transform."""
+    """Compare phase, Doppler, amplitude and place of the samples: multiply, transform, multiply, transform."""
     middle, dwell = 0.1, 0.35
     time_axis = fourier.centred(0.0, STEP, SIZE)
     doppler_axis = fourier.dual(time_axis, size=SIZE, centre=0.0)
@@ -130,19 +130,19 @@ def test_a_chirp_through_time_and_doppler_multiplication_is_where_its_line_says(
     found = value_at(signal, time_axis, moved.time)[inner]
     wanted = np.exp(2j * np.pi * moved.phase[inner])
     shape = envelope(line.time, middle=middle, dwell=dwell)[inner] / np.sqrt(moved.stretch[inner])
-    # Stationary phase leaves out terms of 1 / (2 pi time-bandwidth), about 1 / 3000 here, times the envelope's bend.
+    # Stationary phase neglects terms of 1 / (2 pi time-bandwidth), about 1 / 3000 here, times the envelope's curvature.
     assert np.abs(np.angle(found * wanted.conj())).max() < 0.01
     np.testing.assert_allclose(np.abs(found), shape, rtol=0.01)
     h = STEP / 4
     ahead, behind = value_at(signal, time_axis, moved.time + h), value_at(signal, time_axis, moved.time - h)
     doppler = np.angle(ahead * behind.conj())[inner] / (4 * np.pi * h)
     np.testing.assert_allclose(doppler, moved.doppler[inner], atol=0.3)  # Hz, of a band of 1000
-    # The traced rate is the slope of the traced line.
+    # The traced rate equals the slope of the traced line.
     slope = np.gradient(moved.doppler, moved.time, edge_order=2)
     np.testing.assert_allclose(moved.rate[inner], slope[inner], rtol=0.03)
 
 
-def test_a_line_that_turns_back_in_time_is_called_folded() -> None:
+def test_a_line_that_turns_back_in_time_is_folded() -> None:
     _, line = chirp(np.array([0.0, 0.0, 2000.0]), middle=0.0, dwell=0.3)
     for curvature, folded in ((1 / 4100, False), (1 / 3900, True)):
         rate = np.asarray(line.doppler * curvature)
@@ -152,7 +152,7 @@ def test_a_line_that_turns_back_in_time_is_called_folded() -> None:
 
 
 def test_levelled_lines_focus_where_the_sum_over_the_dwell_peaks() -> None:
-    """`focus` against the sum itself, scanned: place, phase, gain, also where a residual phase is left."""
+    """Compare `focus` with a scan of the sum: place, phase and gain, also with a residual phase."""
     rng = np.random.default_rng(3)
     middle, dwell = -0.04, 0.3
     for residual in (0.0, 0.01, 0.05):  # cycles
@@ -166,7 +166,7 @@ def test_levelled_lines_focus_where_the_sum_over_the_dwell_peaks() -> None:
         signal = np.exp(2j * np.pi * (power.polyval(fine, phase) + curve(2 * (fine - middle) / dwell)))
         offsets = found.doppler + np.linspace(-0.1, 0.1, 201)
         response = np.array([np.mean(signal * np.exp(-2j * np.pi * f * fine)) for f in offsets])
-        # A cubic moves the peak of the sum a little off the regression's: third order in the residual.
+        # A cubic moves the peak of the sum off that of the regression: third order in the residual.
         assert abs(offsets[np.abs(response).argmax()] - found.doppler) < 2e-3 + 20 * residual**2
         assert abs(np.angle(response[100] * np.exp(-2j * np.pi * found.phase))) < 1e-6
         assert abs(found.gain - np.abs(response[100])) < 1e-6

@@ -1,4 +1,4 @@
-"""Recovery: from folded pulses to the spectrum that pulses without folding would have given."""
+"""Recovery: from folded pulses to the spectrum that a sufficient PRF would have given."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from blocksar.kernels.fourier import Axis
 from blocksar.planning.recovery import plan_recovery
 from blocksar.simulation.scatterers import simulate_pulses
 
-COLUMNS = slice(None, None, 13)  # some range frequencies, the first and nearly the last of them
+COLUMNS = slice(None, None, 13)  # every 13th range frequency, from the first to nearly the last
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,7 +48,7 @@ def case_of(**options: Any) -> Case:
 
 
 def samples(case: Case, yaw: float, *, epoch_range: float = 30e3) -> ComplexArray:
-    """One target, (n_pulse, n_column)."""
+    """The samples of one target, (n_pulse, n_column)."""
     point = target_at(case.geometry, epoch_range, yaw)
     signal = simulate_pulses(case.collection, point[:1], point[1:2], np.ones(1, complex))[:, COLUMNS].copy()
     signal.flags.writeable = False
@@ -82,7 +82,7 @@ def direct(case: Case, yaw: float, *, epoch_range: float = 30e3, smooth: bool = 
         )
     )
     light = taper(case.geometry, yaw, slow + case.geometry.epoch) if smooth else lit_at(case, yaw, slow)
-    # The samples are folded nowhere: the axis covers the whole Doppler band.
+    # The samples are not folded: the axis covers the whole Doppler band.
     return rows.to_doppler(fourier.unit_phasor(cycles) * light.astype(np.float32), recovery.time, recovery.doppler)
 
 
@@ -91,7 +91,7 @@ def smooth(case: Case, signal: ComplexArray, yaw: float) -> ComplexArray:
 
 
 def relative(found: ComplexArray, wanted: ComplexArray, *, ratio: float = 1.0) -> float:
-    """Root mean square difference over the root mean square."""
+    """Root mean square of the difference over the root mean square of the expected values."""
     return float(np.linalg.norm(found - ratio * wanted) / np.linalg.norm(ratio * wanted))
 
 
@@ -110,16 +110,16 @@ CASES: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_the_recovered_spectrum_is_the_one_of_a_rate_high_enough(name: str) -> None:
-    """At the first, a middle and the last fully lit yaw: three places in the band, each folded another way."""
+def test_the_recovered_spectrum_is_that_of_a_sufficient_prf(name: str) -> None:
+    """Test the first, a middle and the last fully lit yaw: three places in the band, each folded differently."""
     case = case_of(**CASES[name])
     scene, recovery = case.collection, case.recovery
     assert recovery.doppler.size % 2 == 0
-    # A plain sum over pulses, read on an axis of more samples: each counts for less.
+    # A plain sum over pulses, on an axis of more samples: each sample counts for less.
     ratio = recovery.padded / recovery.time.size
     yaws = [np.radians(50.0)]
     if scene.steered:
-        assert recovery.doppler.extent > 1.3 * scene.prf  # else there is nothing to recover
+        assert recovery.doppler.extent > 1.3 * scene.prf  # otherwise recovery is not needed
         beam, half = scene.beam_azimuth, scene.beam_width / 2
         low, high = np.sort(beam[[0, -1]])
         yaws = [low + 1.1 * half, (low + high) / 2 + 0.003, high - 1.1 * half]
@@ -127,20 +127,20 @@ def test_the_recovered_spectrum_is_the_one_of_a_rate_high_enough(name: str) -> N
         signal = samples(case, yaw, epoch_range=30_030.0)
         found = recovered(case, smooth(case, signal, yaw))
         assert relative(found, direct(case, yaw, epoch_range=30_030.0), ratio=ratio) < 2e-6
-        # Sharply lit: the two samplings cut the dwell's ends differently, by half a pulse of some 1300 each.
+        # Sharp ends: the two samplings cut the dwell differently, by half a pulse of some 1300 at each end.
         sharp = direct(case, yaw, epoch_range=30_030.0, smooth=False)
         assert relative(recovered(case, signal), sharp, ratio=ratio) < 0.05
 
 
 def with_reference(case: Case, ranges: FloatArray) -> Case:
-    """The same plan for samples whose stored reference range is another: a bulk phase per pulse, nothing else."""
+    """The same plan for samples with another stored reference range: only a bulk phase per pulse differs."""
     scene = Collection(**{**case.collection.as_dict(), "reference_range": ranges})
     moved = 2 * scene.carrier / SPEED_OF_LIGHT * (ranges - case.collection.reference_range)
     recovery = replace(case.recovery, bulk=case.recovery.bulk + moved)
     return Case(collection=scene, geometry=Geometry(collection=scene), recovery=recovery)
 
 
-def test_any_reference_range_gives_one_spectrum() -> None:
+def test_any_reference_range_gives_the_same_spectrum() -> None:
     yaw = np.radians(51.0)
     following = case_of()
     n = following.collection.n_pulse
@@ -152,8 +152,8 @@ def test_any_reference_range_gives_one_spectrum() -> None:
         assert relative(recovered(case, signal), wanted) < 1e-6
 
 
-def test_motion_that_no_polynomial_holds_is_taken_out_as_bulk_phase() -> None:
-    """A track that shakes by 2 mm at 60 Hz recovers to the spectrum of the smooth track: 1.3 rad made good."""
+def test_motion_that_a_polynomial_cannot_follow_is_removed_as_bulk_phase() -> None:
+    """A track that vibrates by 2 mm at 60 Hz recovers to the spectrum of the smooth track: 1.3 rad is corrected."""
     still = collection()
     shake = 2e-3 * np.sin(2 * np.pi * 60 * still.time)[:, None] * [0.6, -0.48, 0.64]
     scene = Collection(**{**still.as_dict(), "antenna_position": still.antenna_position + shake})
@@ -162,12 +162,12 @@ def test_motion_that_no_polynomial_holds_is_taken_out_as_bulk_phase() -> None:
     assert geometry.track.max_misfit > 1e-3
     yaw = np.radians(50.4)
     found = recovered(case, smooth(case, samples(case, yaw), yaw))
-    # Exact along the beam's centre; towards its edges, 2 degrees off, a thirtieth of the shake is left.
+    # Exact at the beam's centre; towards its edges, 2 degrees off, a thirtieth of the vibration remains.
     assert relative(found, direct(case, yaw), ratio=case.recovery.padded / case.recovery.time.size) < 0.03
 
 
-def test_missing_pulses_are_only_missing() -> None:
-    """Samples that are zero take their own part out of the spectrum, and nothing else; energy counts the rest."""
+def test_missing_pulses_remove_only_their_own_part() -> None:
+    """Samples that are zero remove their own part of the spectrum and nothing else; the energy comes from the rest."""
     case, yaw = case_of(n_pulse=2401), np.radians(50.4)
     signal = samples(case, yaw)
     missing = np.zeros(signal.shape[0], bool)
@@ -180,12 +180,12 @@ def test_missing_pulses_are_only_missing() -> None:
     for part in (signal, kept):
         lit = np.count_nonzero(part[:, 0])
         energy = np.sum(np.abs(recovered(case, part)).astype(float) ** 2, axis=1)
-        # A plain sum over the padded aperture spreads each pulse evenly over as many bins.
+        # A plain sum over the padded aperture spreads each pulse evenly over that many bins.
         np.testing.assert_allclose(energy, lit * case.recovery.padded, rtol=1e-5)
     assert not recovered(case, np.zeros_like(signal)).any()
 
 
-def test_threads_change_no_bit_and_the_input_stays() -> None:
+def test_threads_change_no_bit_and_the_input_is_not_modified() -> None:
     case = case_of(n_pulse=2401)
     rng = np.random.default_rng(3)
     signal = (rng.standard_normal((2401, 79)) + 1j * rng.standard_normal((2401, 79))).astype(np.complex64)
@@ -196,12 +196,12 @@ def test_threads_change_no_bit_and_the_input_stays() -> None:
         found = recover_columns(signal, range_frequency=frequency, recovery=case.recovery, threads=threads)
         np.testing.assert_array_equal(found, one)
     np.testing.assert_array_equal(signal, before)
-    # A column's spectrum does not depend on its neighbours: recovery may be cut into any groups of columns.
+    # A column's spectrum does not depend on its neighbours: any groups of columns give the same result.
     part = recover_columns(signal[:, 40:47], range_frequency=frequency[40:47], recovery=case.recovery)
     assert relative(part, one[:, 40:47]) < 1e-6
 
 
-# -- how much PRF is enough ---------------------------------------------------------------------------------
+# -- Sufficient PRF -----------------------------------------------------------------------------------------
 
 
 def needed(message: str) -> float:
@@ -211,14 +211,14 @@ def needed(message: str) -> float:
 
 
 @pytest.mark.parametrize("options", [{}, {"yaw_deg": 130.0}, {"steering_deg": -26.23}], ids=str)
-def test_a_prf_too_low_is_refused_and_the_prf_that_is_named_suffices(options: dict[str, Any]) -> None:
+def test_a_prf_that_is_too_low_is_refused_and_the_stated_prf_suffices(options: dict[str, Any]) -> None:
     duration = 0.3
     with pytest.raises(InputError, match="PRF 4000 Hz is too low") as caught:
         case_of(prf=4000.0, n_pulse=round(duration * 4000), **options)
     named = needed(str(caught.value))
     with pytest.raises(InputError, match="is too low"):
         case_of(prf=0.99 * named, n_pulse=round(duration * 0.99 * named), **options)
-    prf = 1.002 * named  # another PRF cuts the dwells a little differently
+    prf = 1.002 * named  # another PRF cuts the dwells slightly differently
     case = case_of(prf=prf, n_pulse=round(duration * prf), **options)
     ratio = case.recovery.padded / case.recovery.time.size
     beam, half = case.collection.beam_azimuth, case.collection.beam_width / 2
@@ -228,12 +228,12 @@ def test_a_prf_too_low_is_refused_and_the_prf_that_is_named_suffices(options: di
             epoch_range = case.recovery.origin + offset
             signal = smooth(case, samples(case, yaw, epoch_range=epoch_range), yaw)
             wanted = direct(case, yaw, epoch_range=epoch_range)
-            # The band nearly fills the PRF: the outermost target's faint tails fold, 1e-4 of it.
+            # The band nearly fills the PRF: the faint tails of the outermost target fold, 1e-4 of it.
             assert relative(recovered(case, signal), wanted, ratio=ratio) < 2e-4
 
 
-def test_at_two_thirds_of_the_prf_asked_for_the_spectrum_folds() -> None:
-    """The refusal is no mere caution: made to recover at two thirds of that PRF, the spectrum is wrong."""
+def test_at_two_thirds_of_the_required_prf_the_spectrum_folds() -> None:
+    """The refusal is necessary: a recovery forced at two thirds of that PRF gives a wrong spectrum."""
     good = case_of()
     prf = good.collection.prf / 2
     slow = Collection(
@@ -256,11 +256,11 @@ def test_at_two_thirds_of_the_prf_asked_for_the_spectrum_folds() -> None:
     assert relative(found, wanted, ratio=recovery.padded / recovery.time.size) > 0.3
 
 
-# -- raw echoes ---------------------------------------------------------------------------------------------
+# -- Raw echoes ---------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("chirp_rate", [12.5e12, -12.5e12])
-def test_a_raw_echo_compresses_to_the_signal_of_the_contract(chirp_rate: float) -> None:
+def test_a_raw_echo_compresses_to_the_phase_history(chirp_rate: float) -> None:
     sampling, pulse_width = 60e6, 4e-6
     scene = collection(n_frequency=500, bandwidth=50e6, n_pulse=1201, prf=4000.0)
     fast_time = 2 * 30e3 / SPEED_OF_LIGHT + (np.arange(600) - 300) / sampling
@@ -270,8 +270,8 @@ def test_a_raw_echo_compresses_to_the_signal_of_the_contract(chirp_rate: float) 
     point = target_at(Geometry(collection=scene), 30_030.0, np.radians(50.0))
     pulses = [590, 600, 611]
     targets = [(float(point[0]), float(point[1]), 1.0 + 0j)]
-    # An ideal receiver in front of the sampler, or the chirp's sharp ends would fold back into the band: sampled
-    # sixteen times as fast, and only the receiver's band of it kept.
+    # Simulate an ideal receiver in front of the sampler: sample sixteen times as fast and keep the receiver's band.
+    # Otherwise the sharp ends of the chirp would fold back into the band.
     fine = fast_time[0] + np.arange(16 * 600) / (16 * sampling)
     dense = slow_twins.raw_echo(
         scene, targets, fast_time=fine, chirp_rate=chirp_rate, pulse_width=pulse_width, pulses=pulses
@@ -290,7 +290,7 @@ def test_a_raw_echo_compresses_to_the_signal_of_the_contract(chirp_rate: float) 
     wanted = slow_twins.phase_history(scene, targets, pulses)
     for row, pulse in enumerate(pulses):
         found = compression.apply(echo[row : row + 1].astype(np.complex64), pulses=slice(pulse, pulse + 1))[0]
-        # What still folds, at sixteen times the rate, is 1 / (16 times 200) of the chirp.
+        # The part that still folds, at sixteen times the rate, is 1 / (16 times 200) of the chirp.
         assert np.abs(found - wanted[row]).max() < 0.02
         assert relative(found, wanted[row]) < 0.004
         assert abs(np.vdot(wanted[row], found) / frequency.size - 1) < 2e-3
@@ -299,7 +299,7 @@ def test_a_raw_echo_compresses_to_the_signal_of_the_contract(chirp_rate: float) 
     assert np.isnan(compression.apply(gap, pulses=slice(590, 591))).all()
 
 
-def test_compression_holds_a_few_pulses_in_double_precision() -> None:
+def test_compression_keeps_only_a_few_pulses_in_double_precision() -> None:
     n_pulse, n_time, n_band = 512, 4000, 3001
     band = (np.arange(n_band) - n_band // 2) / n_time * 60e6
     compression = RawCompression.of(
@@ -317,8 +317,8 @@ def test_compression_holds_a_few_pulses_in_double_precision() -> None:
     np.testing.assert_array_equal(found[50:51], compression.apply(echo[50:51], pulses=slice(50, 51)))
 
 
-def test_there_is_room_on_either_side_of_the_pulses() -> None:
-    """The keystone moves ends of dwells by the band's share of their time: early ones earlier."""
+def test_the_padding_leaves_room_on_both_sides_of_the_pulses() -> None:
+    """The keystone shifts the ends of a dwell by the band's share of their time: early ends become earlier."""
     case = case_of()
     recovery, band = case.recovery, np.abs(case.collection.range_frequency).max() / case.collection.carrier
     pulses, time = recovery.pulses.values, recovery.time.values

@@ -1,7 +1,7 @@
-"""One property for every step: simulate a target, apply the step, and the line that is measured is the line traced.
+"""A property of every step: simulate a target, apply the step, and the measured line equals the traced one.
 
-Lines are stationary phase, so they are measured on a target that is lit smoothly (sin^2 over its dwell): sharp ends
-ring, and would hide the last digits. A sharply lit target is then focused, and must be what `focus` says of it.
+Lines are a stationary-phase approximation. They are measured on a smoothly lit target (sin^2 over its dwell), because
+sharp ends ring and would hide the last digits. A sharply lit target is then focused and compared with `focus`.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ GEOMETRIES: dict[str, dict[str, Any]] = {
     "not steered": {"steering_deg": None, "prf": 12e3},
     "jerk": {"jerk": (300.0, -400.0, 200.0)},
 }
-METHODS: dict[str, dict[str, Any]] = {  # on Table 1's geometry, or on another one that is named
+METHODS: dict[str, dict[str, Any]] = {  # on Table 1's geometry, unless another is named
     "closed form": {"coefficients": "closed-form"},
     "resampling": {"processor": "keystone-resampling"},
     "resampling, closed form": {"processor": "keystone-resampling", "coefficients": "closed-form"},
@@ -84,9 +84,9 @@ METHODS: dict[str, dict[str, Any]] = {  # on Table 1's geometry, or on another o
     "no perturbation": {"perturbation": "none"},
 }
 EVERY = [*GEOMETRIES, *METHODS]
-# Across the block's yaws and ranges, 0 .. 1: off centre, where every coefficient counts.
+# Fractions 0 .. 1 across the block's yaws and ranges: off centre, where every coefficient counts.
 PLACES = [(0.04, 0.15), (0.93, 0.8)]
-INNER = slice(3, 13)  # of 16 nodes: an eighth of the dwell at either end is left to the ends
+INNER = slice(3, 13)  # of 16 nodes: leaves out an eighth of the dwell at each end
 
 
 @lru_cache(maxsize=2)
@@ -106,7 +106,7 @@ DOPPLER_STEPS = (AzimuthTransform, DopplerCompression, FrequencyPerturbation, Do
 
 
 def compressed(case: Planned, step: Any) -> bool:
-    """Whether rows are ranges after a step, not range frequencies."""
+    """Whether rows are ranges after a step, rather than range frequencies."""
     chain = case.plan.chain
     return chain.index(step) >= next(i for i, s in enumerate(chain) if isinstance(s, Compression))
 
@@ -122,20 +122,20 @@ def as_frequency(case: Planned, step: Any, samples: Any) -> tuple[Complex128Arra
 
 
 def time_of(case: Planned, step: Any) -> Axis:
-    """Slow time of `as_frequency`."""
+    """Slow-time axis of `as_frequency`."""
     inside = isinstance(step, (*DOPPLER_STEPS, Deramp, DopplerTransform))
     return case.plan.sampling.long_time if inside else case.plan.sampling.time
 
 
 def amplitude_of(case: Planned, step: Any) -> float:
-    """Of a unit target: recovery and the transforms between axes of other lengths change it."""
+    """Amplitude of a unit target: recovery and transforms between axes of different lengths change it."""
     level = case.recovery.padded / case.plan.sampling.time.size
     return level * case.plan.ground.scale if compressed(case, step) else level
 
 
 @pytest.mark.parametrize("place", PLACES, ids=["near, low yaw", "far, high yaw"])
 @pytest.mark.parametrize("name", EVERY)
-def test_after_every_step_the_measured_line_is_the_traced_one(name: str, place: tuple[float, float]) -> None:
+def test_after_every_step_the_measured_line_equals_the_traced_one(name: str, place: tuple[float, float]) -> None:
     case = case_of(name)
     at = place_of(case, place)
     cell = SPEED_OF_LIGHT / (2 * case.collection.bandwidth)
@@ -146,7 +146,7 @@ def test_after_every_step_the_measured_line_is_the_traced_one(name: str, place: 
     def check(step: Any, samples: Any, line: Line, *, time: Axis, name: str) -> None:
         values, frequency = as_frequency(case, step, samples)
         found = measure_line(values, line, time=time, frequency=frequency, cell=cell)
-        # Stationary phase is good to 1e-3 rad here; before SRC the range response is not quite symmetric.
+        # Stationary phase is accurate to 1e-3 rad here; before SRC the range response is not quite symmetric.
         assert np.abs(found.phase[INNER]).max() * 2 * np.pi < 7e-3, name
         assert np.abs(found.doppler[INNER]).max() < 0.2, name  # Hz; the dwell resolves 6
         assert np.abs(found.range[INNER]).max() < 0.005 * cell, name
@@ -168,14 +168,14 @@ def test_after_every_step_the_measured_line_is_the_traced_one(name: str, place: 
     method = Method(**METHODS.get(name, {}))
     assert tuple(seen) == steps_of(method)
     if not method.rival:
-        assert np.ptp(line.doppler) < 0.5  # Hz: level, which is what the chain is for
+        assert np.ptp(line.doppler) < 0.5  # Hz: level, the purpose of the chain
 
 
 @pytest.mark.parametrize(
     "name", ["table 1", "acceleration cancels the Doppler rate", "not steered", "resampling", "high order phase"]
 )
-def test_the_perturbed_spectrum_is_the_line_read_along_doppler(name: str) -> None:
-    """In Doppler itself: at f = line.doppler the phase is phase - f t +- 1/8 and the group delay t."""
+def test_the_perturbed_spectrum_equals_the_line_along_doppler(name: str) -> None:
+    """In the Doppler domain: at f = line.doppler the phase is phase - f t +- 1/8 and the group delay is t."""
     case, kind = case_of(name), DopplerResampling if name == "resampling" else FrequencyPerturbation
     at = place_of(case, PLACES[0])
     line = line_of(case, *at)
@@ -200,13 +200,13 @@ def test_the_perturbed_spectrum_is_the_line_read_along_doppler(name: str) -> Non
     np.testing.assert_allclose(np.abs(found[INNER]), level[INNER], rtol=0.03)
     h = 0.01  # Hz
     delay = -np.angle(at_doppler(line.doppler + h) * at_doppler(line.doppler - h).conj()) / (4 * np.pi * h)
-    # Without a bias chirp lines are short, and stationary phase holds less well.
+    # Without a bias chirp the lines are short, and stationary phase is less accurate.
     np.testing.assert_allclose(delay[INNER], line.time[INNER], atol=8e-4 if name == "high order phase" else 2e-4)
 
 
 @pytest.mark.parametrize("name", EVERY)
-def test_a_target_focuses_where_and_as_its_line_says(name: str) -> None:
-    """Sharply lit, as targets are: the focused peak's place, phase and gain; its line along the way to 0.02 rad."""
+def test_a_target_focuses_as_its_line_predicts(name: str) -> None:
+    """For a sharply lit target, compare place, phase and gain of the peak, and its line after each step to 0.02 rad."""
     case = case_of(name)
     at = place_of(case, (0.3, 0.6))
     cell = SPEED_OF_LIGHT / (2 * case.collection.bandwidth)
@@ -217,7 +217,7 @@ def test_a_target_focuses_where_and_as_its_line_says(name: str) -> None:
             found = measure_line(values, line, time=time_of(case, step), frequency=frequency, cell=cell)
             assert np.abs(found.phase[INNER]).max() * 2 * np.pi < 0.02, step.name
             assert np.abs(found.range[INNER]).max() < 0.01 * cell, step.name
-    # What the gate leaves along Doppler: a short signal about t = 0, under a phase that all rows share.
+    # After the gate, the signal along Doppler is short, about t = 0, under a phase that all rows share.
     final = case.plan.sampling
     held = final.long_time if final.gate is None else final.gate.time
     in_time = rows.to_time(values.astype(np.complex64), final.image_doppler, held).astype(np.complex128)
@@ -235,24 +235,24 @@ def test_a_target_focuses_where_and_as_its_line_says(name: str) -> None:
     around = np.linspace(-0.4, 0.4, 17)
     along = np.abs(response(spot.doppler + around / dwell, np.array([spot.range])))[0] ** 2
     across = np.abs(response(np.array([spot.doppler]), spot.range + around * cell))[:, 0] ** 2
-    # A hundredth of a resolution cell: at 1.9 m and 3 m that is 2 and 3 cm.
+    # A hundredth of a resolution cell: with cells of 1.9 m and 3 m, 2 and 3 cm.
     assert abs(peak(along, around)) < 0.01
     assert abs(peak(across, around)) < 0.01
     lit = np.count_nonzero(signal[:, 0])
     value = response(np.array([spot.doppler]), np.array([spot.range]))[0, 0] / (lit * case.plan.ground.scale)
     value *= np.exp(-2j * np.pi * (spot.phase + given)) / spot.gain
     assert abs(np.angle(value)) < 5e-3
-    # 1e-3 of a target's energy may lie outside its block's Doppler support, and the gate's own edges are soft.
-    # The walk that is left without keystone smears in range, which lines do not sum.
+    # Up to 1e-3 of a target's energy may lie outside its block's Doppler support, and the gate's edges are soft.
+    # Without keystone the residual walk smears the target in range, which lines do not include.
     assert abs(np.abs(value) - 1) < (0.05 if name == "no keystone" else 4e-3)
-    # The carrier along Doppler that the geometric correction takes out: the dwell's middle, less the common delay.
+    # The geometric correction removes this carrier along Doppler: the dwell's middle, less the common delay.
     behind, ahead = response(spot.doppler + np.array([-0.01, 0.01]), np.array([spot.range]))[0]
     middle = -np.angle(ahead * behind.conj()) / (2 * np.pi * 0.02)
     assert middle == pytest.approx(spot.time - delay, abs=0.01 * dwell)
 
 
 @pytest.mark.parametrize("name", ["table 1", "odd numbers of samples"])
-def test_no_step_depends_on_the_number_of_threads_or_writes_into_its_input(name: str) -> None:
+def test_no_step_depends_on_the_number_of_threads_or_modifies_its_input(name: str) -> None:
     case = case_of(name)
     rng = np.random.default_rng(5)
     shape = (case.collection.n_range_frequency, case.plan.n_bin)
@@ -266,18 +266,18 @@ def test_no_step_depends_on_the_number_of_threads_or_writes_into_its_input(name:
         samples = one
 
 
-# -- the gate -----------------------------------------------------------------------------------------------
+# -- The dwell gate -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("slope", [-2e-4, 1.5e-4])  # s/Hz: the dwell's middle over 800 Hz of Doppler moves by 0.16 s
-def test_each_doppler_sees_the_time_about_its_own_middle_only(slope: float) -> None:
-    """S(f) = sum over |t - c(f)| <= length / 2 of x(t) exp(-2j pi f t), for c linear: sample by sample, slowly."""
+@pytest.mark.parametrize("slope", [-2e-4, 1.5e-4])  # s/Hz: the dwell's middle moves by 0.16 s over 800 Hz of Doppler
+def test_the_gate_keeps_at_each_doppler_the_time_about_its_own_middle(slope: float) -> None:
+    """Compare with S(f) = sum over |t - c(f)| <= length / 2 of x(t) exp(-2j pi f t), for c linear, sample by sample."""
     length = 0.06
     time = fourier.centred(0.02, 1 / 1000, 500)
     doppler = fourier.dual(time, size=500, centre=0.0)
     ranges = Axis(-10.0, 5.0, 4)
     first = 0.013
-    # psi' = c(f) = first + slope f, and its share that all rows keep.
+    # psi' = c(f) = first + slope f, and the part of it that all rows share.
     series = np.array([[0.0, first * 100, slope * 100**2 / 2]])
     phases = RowPolynomial(series=series, near=-10.0, far=5.0, centre=0.0, scale=100.0)
     common = RowPolynomial(series=series * 0.9, near=-10.0, far=5.0, centre=0.0, scale=100.0)
@@ -298,18 +298,18 @@ def test_each_doppler_sees_the_time_about_its_own_middle_only(slope: float) -> N
     f, t = image.values, time.values
     given = common.evaluate(np.array(0.0), f)[0]
     kernel = np.exp(-2j * np.pi * np.multiply.outer(t, f))
-    # A sharp gate cannot be sampled: between samples it is the share of the sample that is lit.
+    # A sharp gate cannot be sampled: at its edge a sample counts by the share that is lit.
     edge = (length / 2 - np.abs(t[:, None] - (first + slope * f))) / time.step + 0.5
     wanted = samples @ (kernel * np.clip(edge, 0, 1)) * np.exp(2j * np.pi * given)
     inner = np.abs(f) < 300  # the windows of the outermost Dopplers reach beyond the samples' time, or wrap in Doppler
     error = np.sqrt(np.mean(np.abs(found - wanted)[:, inner] ** 2) / np.mean(np.abs(wanted[:, inner]) ** 2))
     assert error < 0.1
-    # Without a gate it is the plain transform.
+    # Without a gate the result is the plain transform.
     plain = DopplerTransform(sampling=replace(axes, gate=None)).apply(samples, threads=1)
     assert np.abs(plain - explicit_transform(samples, time, doppler, inverse=False, period=500)).max() < 1e-4
 
 
-# -- single steps, without a plan ---------------------------------------------------------------------------
+# -- Single steps, without a plan ---------------------------------------------------------------------------
 
 CARRIER, BANDWIDTH, N_FREQUENCY = 10e9, 400e6, 64
 FREQUENCY = fourier.centred(0.0, BANDWIDTH / N_FREQUENCY, N_FREQUENCY)
@@ -317,7 +317,7 @@ TIME = fourier.centred(0.0, 1 / 60e3, 6000)  # 0.1 s, at a rate that holds the D
 
 
 def echo(rng: FloatArray) -> np.ndarray:
-    """S(f, t) of a range history less the origin."""
+    """S(f, t) for a range history relative to the origin."""
     cycles = -2 / SPEED_OF_LIGHT * np.multiply.outer(CARRIER + FREQUENCY.values, rng)
     samples = fourier.unit_phasor(cycles)
     samples.flags.writeable = False
@@ -325,7 +325,7 @@ def echo(rng: FloatArray) -> np.ndarray:
 
 
 def peaks(samples: np.ndarray, times: np.ndarray, near: FloatArray) -> FloatArray:
-    """Range of the envelope's peak at some time samples, m."""
+    """Range of the envelope's peak at the given time samples, m."""
     around = np.linspace(-0.2, 0.2, 41)
     power = np.abs(compress_range(samples[:, times], FREQUENCY.values, near + around[:, None])) ** 2
     return near + np.array([peak(column, around) for column in power.T])
@@ -340,16 +340,16 @@ def test_the_keystone_straightens_any_linear_walk(speed: float) -> None:
     straight = keystone.apply(samples, threads=1)
     times = np.arange(200, 5800, 400)  # the outermost 2 % come from beyond the ends at half of the frequencies
     assert np.ptp(peaks(straight, times, np.full(times.size, 1.7))) < 0.01 * cell
-    middle = N_FREQUENCY // 2  # f = 0: on the carrier nothing moves
+    middle = N_FREQUENCY // 2  # f = 0: the keystone does not change the carrier
     assert np.abs(straight[middle] - samples[middle])[20:-20].max() < 1e-3
-    # Nothing wraps: what would come from beyond an end is zero.
+    # Nothing wraps: values from beyond an end are zero.
     scale = CARRIER / (CARRIER + FREQUENCY.values[0])
     beyond = np.abs(t * scale) > np.abs(t[0]) + 10 * TIME.step
     assert beyond.any() and (straight[0, beyond] == 0).all()
 
 
-def test_the_residual_walk_takes_out_a_linear_walk_of_the_whole_band() -> None:
-    """From Doppler to time with the walk gone at each frequency: not only on the carrier."""
+def test_the_residual_walk_is_removed_over_the_whole_band() -> None:
+    """From Doppler to time with the walk removed at each frequency, not only at the carrier."""
     t = TIME.values
     speed = 37.3  # m/s
     doppler = fourier.dual(TIME, size=TIME.size, centre=-2 * CARRIER / SPEED_OF_LIGHT * speed)
@@ -362,7 +362,7 @@ def test_the_residual_walk_takes_out_a_linear_walk_of_the_whole_band() -> None:
 
 
 def test_range_compression_straightens_its_reference_exactly() -> None:
-    """All orders at once, without expanding in f / fc: the keystoned reference becomes one row, phase and all."""
+    """All orders at once, without an expansion in f / fc: the keystoned reference becomes one row, phase included."""
     reference = np.array([0.0, 0.0, 18.0, -40.0, 300.0])
     t, f = TIME.values, FREQUENCY.values
     # After keystone, order n of the range has become (fc + f) (fc / (fc + f))^n: paper A (18).
@@ -375,19 +375,19 @@ def test_range_compression_straightens_its_reference_exactly() -> None:
     axes = sampling(time=TIME, range_frequency=FREQUENCY, rows=ranges)
     step = RangeCompression(carrier=CARRIER, reference=reference, sampling=axes)
     found = step.apply(fourier.unit_phasor(cycles), threads=1)
-    # One row's profile times the carrier's own phase at every time.
+    # The profile of one row times the phase of the carrier at each time.
     profile = compress_range(np.ones((N_FREQUENCY, 1)), f, ranges.values[:, None]) * N_FREQUENCY / period
     carrier = -2 * CARRIER / SPEED_OF_LIGHT * (reference @ t ** order[:, None])
     assert np.abs(found - profile * np.exp(2j * np.pi * carrier)).max() < 1e-5
 
 
 @pytest.mark.parametrize(("n", "kept"), [(200, 84), (187, 61)])
-def test_a_range_gate_keeps_what_lies_in_it_on_fewer_frequencies(n: int, kept: int) -> None:
-    """A target's spectrum over the coarser frequencies, or nothing, by where it lies about the moving centre."""
+def test_a_range_gate_keeps_targets_inside_it_on_fewer_frequencies(n: int, kept: int) -> None:
+    """A target inside the gate, whose centre moves, keeps its spectrum on the coarser frequencies; others vanish."""
     full = Axis(-20e6, 40e6 / n, n)
     cell = SPEED_OF_LIGHT / (2 * full.extent)
     step = 1 / full.extent
-    size = kept  # the band is as full of frequencies before as after
+    size = kept  # the density of frequencies in the band does not change
     gate = fourier.centred(0.0, step, size)
     coarse = full.extent / size
     slab = Axis(-300.0, 25.0, 24)
@@ -398,15 +398,15 @@ def test_a_range_gate_keeps_what_lies_in_it_on_fewer_frequencies(n: int, kept: i
     step_ = RangeGate(slab=slab, centre=centre, gate=gate, window=window, full=full, range_frequency=frequency)
 
     def target(f: FloatArray, beside: float) -> np.ndarray:
-        """Spectrum of a target so many whole cells from the gate's centre at each bin: it is one delay."""
+        """Spectrum of a target that lies `beside` whole cells from the gate's centre at each bin: a single delay."""
         cycles = -2 / SPEED_OF_LIGHT * np.multiply.outer(f, centre + beside * cell)
         return np.exp(2j * np.pi * cycles)
 
     for beside in (0.0, 9.0, -14.0):
         found = step_.apply(target(full.values, beside).astype(np.complex64), threads=1)
         assert found.shape == (size, 24)
-        # One delay, a sample of the gate: its spectrum is the same phase ramp wherever it is sampled, but for the
-        # half step between the two grids' edges.
+        # A single delay of one gate sample has the same phase ramp on both grids, except for the half step between
+        # their edges.
         wanted = target(frequency.values, beside)
         turned = found * wanted.conj()
         assert np.abs(turned - turned.mean(axis=0)).max() < 2e-4

@@ -1,8 +1,10 @@
-"""Bad input: hundreds of damaged stores, runs, scene files, names and options through the public commands.
+"""Bad input: hundreds of damaged stores, runs, scene files, names and options passed to the public commands.
 
-Each is handled, so that the image is the clean one, or differs by no more than what is missing or in error explains;
-or it is taken at its word, where its words are sound though others; or it is refused: one sentence, nothing written.
-A traceback, a hang, or a changed input is a defect. The table of outcomes is printed with `-s`.
+Each case must have one of three outcomes. The input is handled: the image equals the clean one, or differs by no more
+than the missing or wrong data explain. It is taken at its word: it is valid, though its values differ from the clean
+ones. It is refused: one sentence, nothing written.
+
+A traceback, a hang or a changed input is a defect. `-s` prints the table of outcomes.
 """
 
 from __future__ import annotations
@@ -54,12 +56,12 @@ name = "P"
 range = 5050.0
 yaw_deg = 0.0
 """
-LIT = 60  # pulses of a dwell
-GRID = ((4040.0, 4121.0, 3.0), (-40.0, 41.0, 3.0))  # around the target, where every pixel has a full dwell
-EXACT: dict[str, Any] = {"processor": "backprojection", "grid": GRID}  # a whole run in a tenth of a second
-CHAIN: dict[str, Any] = {"blocks": 1, "grid": GRID}  # and in half a second
+LIT = 60  # number of pulses in a dwell
+GRID = ((4040.0, 4121.0, 3.0), (-40.0, 41.0, 3.0))  # around the target; every pixel has a full dwell
+EXACT: dict[str, Any] = {"processor": "backprojection", "grid": GRID}  # a whole run takes 0.1 s
+CHAIN: dict[str, Any] = {"blocks": 1, "grid": GRID}  # a whole run takes 0.5 s
 OUTCOMES = ("the clean image", "within what is missing or in error", "taken at its word", "refused")
-ROUNDING = 1e-5  # of images that are the same but for the order of additions
+ROUNDING = 1e-5  # difference of images that are equal except for the order of additions
 
 MANY = settings(
     derandomize=True, deadline=None, database=None, suppress_health_check=list(HealthCheck), print_blob=False
@@ -67,12 +69,12 @@ MANY = settings(
 
 
 class Hang(BaseException):
-    """No exception that anybody would take for an answer of the file system."""
+    """A case exceeded its deadline; not an OSError or Exception, so that no code under test handles it."""
 
 
 @contextlib.contextmanager
 def deadline(seconds: float) -> Iterator[None]:
-    """A hang is an error of the case that hangs, and what pytest's own alarm has left goes on afterwards."""
+    """Raise Hang after a time, s; afterwards continue pytest's own alarm with its remaining time."""
 
     def late(*_: Any) -> None:
         raise Hang(f"it hangs: no answer within {seconds:g} s")
@@ -90,7 +92,7 @@ def deadline(seconds: float) -> Iterator[None]:
 
 
 def listing(folder: Path) -> dict[str, tuple[int, int, int]]:
-    """All that lies below, as it would have to stay: kind, size and time of each, links not followed."""
+    """Return mode, size and time of modification of everything below a folder; links are not followed."""
     found = {}
     for parent, folders, names in os.walk(folder):
         for name in (*folders, *names):
@@ -113,7 +115,7 @@ def one_sentence(error: BaseException | str) -> str:
 
 @dataclass(repr=False)
 class Bench:
-    """A clean store, what it gives, and the cluster that everybody shares; counts what became of every case."""
+    """A clean store, its images, and the shared cluster; counts the outcomes of all cases."""
 
     client: Client
     room: Path
@@ -129,11 +131,11 @@ class Bench:
         return Path(shutil.copytree(self.store, self.fresh(".zarr"), symlinks=True))
 
     def finished_run(self, **wanted: Any) -> Path:
-        """A copy of a finished run."""
+        """Return a copy of a finished run."""
         return Path(shutil.copytree(self.run(**wanted), self.fresh()))
 
     def run(self, **wanted: Any) -> Path:
-        """The clean store's own run; made once."""
+        """Return the run of the clean store, computed on the first call."""
         name = f"clean-{wanted.get('processor', 'chain')}"
         if name not in self.clean:
             blocksar.focus(self.store, self.room / name, client=self.client, **wanted)
@@ -146,12 +148,12 @@ class Bench:
     def attempt(
         self, kind: str, source: Any, *, out: Path | None = None, error: float = ROUNDING, **wanted: Any
     ) -> str:
-        """Focus a source that may be bad.
+        """Focus a source that may be bad, and return the outcome.
 
         Parameters
         ----------
         error : float
-            By how much the image may differ from the clean one; infinite where the source may be taken at its word.
+            Largest permitted difference from the clean image; infinite where the source may be taken at its word.
         """
         wanted = wanted or EXACT
         out = out or self.fresh()
@@ -185,7 +187,7 @@ class Bench:
         return np.inf if lost.any() else float(np.abs((image - clean)[covered]).max())
 
     def refused(self, kind: str, command: Callable[..., Any], *args: Any, listed: bool = False, **kwargs: Any) -> str:
-        """A command that may only be refused, by an InputError; of scene files it may list many wrong fields."""
+        """Check that a command raises InputError; with `listed`, the message may list many wrong fields of a scene."""
         with deadline(60), pytest.raises(InputError) as caught:
             command(*args, **kwargs)
         self.tally[kind, "refused"] += 1
@@ -195,7 +197,7 @@ class Bench:
         return text
 
     def check_tally(self, request: pytest.FixtureRequest, least: int, outcomes: Collection[str]) -> None:
-        """Print what became of a module's cases; there were `least` or more, and just these outcomes."""
+        """Print the outcomes of a module's cases; check that there are `least` or more, with exactly these outcomes."""
         collected = {getattr(item, "originalname", None) for item in request.session.items if item.path == request.path}
         if collected != {name for name in vars(request.module) if name.startswith("test_")}:
             pytest.skip("only a part of this file was asked for")
@@ -207,7 +209,7 @@ class Bench:
         assert {outcome for _, outcome in self.tally} == set(outcomes) <= set(OUTCOMES)
 
     def all(self, cases: dict[str, Callable[[], Any]]) -> None:
-        """Every case, and then the defects of all of them at once."""
+        """Run every case, then report the defects of all of them together."""
         defects = []
         for name, case in cases.items():
             try:
@@ -257,7 +259,7 @@ REPLACED: dict[str, Callable[[Path], Any]] = {
 }
 
 
-# ---------------------------------------------------------------- metadata
+# Metadata
 
 NUMBERS = st.one_of(st.integers(), st.floats(), st.sampled_from([0, -1, 2**31, 2**63, 10**400, 1e308, -0.0]))
 JSON = st.recursive(
@@ -267,11 +269,11 @@ JSON = st.recursive(
 )
 
 
-# ---------------------------------------------------------------- nothing in a store is run
+# Pickled code
 
 
 class Bomb:
-    """What pickle runs when it reads it."""
+    """An object that runs code when it is unpickled."""
 
     def __init__(self, file: Path) -> None:
         self.file = file

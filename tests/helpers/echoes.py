@@ -1,4 +1,4 @@
-"""A small scene, and what its echoes are made of."""
+"""A small scene and the parameters of its echoes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A run's progress under a clock of its own, and its log read back."""
+"""Progress of a run with a simulated clock, and a reader of its log."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Any
 from blocksar.progress import Progress, Work, Workers
 
 GIB = 2**30
-HIDDEN, SHOWN = b"\x1b[?25l", b"\x1b[?25h"  # the cursor
+HIDDEN, SHOWN = b"\x1b[?25l", b"\x1b[?25h"  # control sequences that hide and show the cursor
 
 
 class Clock:
-    """Time that passes when it is told to."""
+    """A clock that advances only when a test sets it."""
 
     def __init__(self) -> None:
         self.now = 100.0
@@ -25,7 +25,7 @@ WORK: Work = {"recover": [0.5] * 8, "focus": [3.0, 2.0, 4.0, 2.5, 2.5, 3.0], "mo
 
 
 def under_way(clock: Clock, **options: Any) -> Progress:
-    """Progress of a run in the middle of its blocks, in work of sixty workers."""
+    """Return the progress of a run in the middle of its blocks, with work for sixty workers."""
     told = Progress(clock=clock, **options)
     told.update("plan", 0, 1)
     told.update("plan", 1, 1)
@@ -41,7 +41,7 @@ def under_way(clock: Clock, **options: Any) -> Progress:
 
 
 def strictly(text: str) -> list[dict[str, Any]]:
-    """Lines of JSON, every one of them whole; NaN and Infinity are not JSON."""
+    """Parse lines of JSON strictly: every line is complete, and NaN and Infinity are refused."""
 
     def refuse(constant: str) -> None:
         raise AssertionError(f"{constant} is no JSON")

@@ -1,8 +1,8 @@
-"""Processes that can be hurt, disks that fill up, and a scene small enough to be focused a hundred times.
+"""Processes that tests can kill, disks that fill up, and a scene small enough to be focused a hundred times.
 
-Run as a program it is a launcher: it imports everything once, then forks a process for each order that comes on its
-standard input. Such a process is the command line to the last bit, but begins at once, and in a mount namespace
-where the launcher may mount what the rest of the machine never sees, and which ends with it.
+Run as a program, this module is a launcher: it imports everything once, then forks a process for each order that it
+reads from standard input. Such a process behaves exactly like the command line, but starts at once. It runs in the
+launcher's mount namespace: its mounts are invisible to the rest of the machine and end with the launcher.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from typing import Any
 
 from scenes import write_store
 
-SIDE = 1024  # pixels of an image's chunk along x
+SIDE = 1024  # pixels of an image chunk along x
 GRID = ((15620.0, 16600.0, 0.1), (18680.0, 19720.0, 140.0))  # m: ten chunks in one row, three tasks of the mosaic
-SETTINGS: dict[str, Any] = {"blocks": 3, "coefficients": "closed-form", "grid": GRID}  # the plan takes no time
+SETTINGS: dict[str, Any] = {"blocks": 3, "coefficients": "closed-form", "grid": GRID}  # planning takes almost no time
 STAGES = ("recover", "focus", "mosaic")
 SCENE: dict[str, Any] = {  # 400 pulses of 1777 range frequencies: four column groups, three blocks
     "carrier": 10e9,
@@ -41,20 +41,20 @@ SCENE: dict[str, Any] = {  # 400 pulses of 1777 range frequencies: four column g
 }
 RAW_SCENE = SCENE | {"prf": 16e3, "bandwidth": 100e6, "range_sampling": 120e6}  # 1600 pulses: four range-compress tasks
 NAMES = {"run.json", "collection.zarr", "spectrum.zarr", "patches", "image.zarr"}  # in a finished run, by README.md
-PATIENCE = 120  # s that anything may take on a busy machine before it counts as hung
+PATIENCE = 120  # s after which anything counts as hung, even on a busy machine
 LOOPBACK = ("--host", "127.0.0.1", "--no-dashboard")
-PAGE = 4096  # bytes of a tmpfs' unit
-TICK = 0.002  # s between two looks
+PAGE = 4096  # bytes, the allocation unit of a tmpfs
+TICK = 0.002  # s between two polls
 
 
 def make_store(folder: Path, *, raw: bool = False) -> Path:
-    """Simulate the small scene's phase history, or the raw one's echo."""
+    """Simulate the small scene's phase history, or the raw scene's echo."""
     folder.mkdir(parents=True)
     return write_store(folder, raw=raw, **(RAW_SCENE if raw else SCENE))
 
 
 def words(store: Path, run: Path, *more: str) -> list[str]:
-    """What is typed to focus the small scene."""
+    """Return the arguments that focus the small scene."""
     axes = ",".join(":".join(str(number) for number in axis) for axis in GRID)
     return [
         "focus", str(store), "--out", str(run), "--blocks", "3", "--coefficients", "closed-form", "--grid", axes,
@@ -62,19 +62,19 @@ def words(store: Path, run: Path, *more: str) -> list[str]:
     ]  # fmt: skip
 
 
-# ---------------------------------------------------------------- what a run has left
+# Contents of a run
 
 
 @dataclass(frozen=True)
 class Left:
-    """What two runs have to have in common, to the last bit: the image's chunk files, and all checksums."""
+    """The results that two runs must share to the last bit: the chunk files of the image, and all checksums."""
 
     chunks: dict[str, str]
     checksums: dict[str, Any]
 
 
 def left(run: Path) -> Left:
-    """What a finished run has left."""
+    """Return the results of a finished run."""
     record = json.loads((run / "run.json").read_text())
     assert record["status"] == "finished"
     names = ("written", "found", "origin")
@@ -82,19 +82,19 @@ def left(run: Path) -> Left:
 
 
 def digests(store: Path) -> dict[str, str]:
-    """Every chunk's file of a store, and a hash of its bytes."""
+    """Return every chunk file of a store with a hash of its bytes."""
     files = sorted(p for p in store.rglob("*") if p.is_file() and "c" in p.relative_to(store).parts)
     return {str(p.relative_to(store)): hashlib.blake2b(p.read_bytes(), digest_size=16).hexdigest() for p in files}
 
 
 def receipts(run: Path) -> dict[str, Any]:
-    """The receipts of an unfinished run's units of work, by unit: none is half-written."""
+    """Return the receipts of an unfinished run's units of work, by unit; each must be complete JSON."""
     found = [json.loads(path.read_text()) for path in sorted((run / "receipts").glob("[!.]*.json"))]
     return {receipt["unit"]: receipt for receipt in found if not receipt["unit"].startswith("store-")}
 
 
 def computed_again(run: Path, before: dict[str, Any]) -> set[str]:
-    """Units whose receipts the finished run has not kept: who computes a unit signs another time."""
+    """Return the units whose receipts differ in the finished run: a unit that is computed again signs a new receipt."""
     after = {r["unit"]: r for r in json.loads((run / "run.json").read_text())["receipts"]}
     return {
         unit
@@ -104,16 +104,16 @@ def computed_again(run: Path, before: dict[str, Any]) -> set[str]:
 
 
 def litter(run: Path) -> list[str]:
-    """What lies in a finished run that does not belong there."""
+    """Return the files in a finished run that do not belong there."""
     strange = [p.name for p in run.iterdir() if p.name not in NAMES]
     return strange + [str(p) for p in run.rglob("*") if p.name.startswith(".") or p.suffix in (".part", ".old")]
 
 
-# ---------------------------------------------------------------- processes
+# Processes
 
 
 def until(met: Callable[[], Any], what: str, *, within: float = PATIENCE) -> Any:
-    """Look again and again until there is something, and return it."""
+    """Poll until `met` returns a true value, and return it."""
     end = time.monotonic() + within
     while not (found := met()):
         assert time.monotonic() < end, f"waited {within} s for {what}"
@@ -122,7 +122,7 @@ def until(met: Callable[[], Any], what: str, *, within: float = PATIENCE) -> Any
 
 
 def members(session: int) -> list[int]:
-    """Processes of a session that are alive."""
+    """Return the living processes of a session."""
     found = []
     for entry in Path("/proc").iterdir():
         if not entry.name.isdigit():
@@ -130,14 +130,14 @@ def members(session: int) -> list[int]:
         try:
             state, _, _, of = (entry / "stat").read_text().rpartition(")")[2].split()[:4]
         except OSError:
-            continue  # it has ended in the meantime
+            continue  # the process has ended in the meantime
         if int(of) == session and state not in "ZX":
             found.append(int(entry.name))
     return found
 
 
 def workers_of(session: int) -> list[int]:
-    """Dask workers of a session, which its main process has spawned."""
+    """Return the dask workers of a session, which its main process has spawned."""
     found = []
     for pid in members(session):
         try:
@@ -151,14 +151,14 @@ def workers_of(session: int) -> list[int]:
 
 @dataclass(frozen=True)
 class Process:
-    """A process that a launcher started: leader of a session and a process group of its own."""
+    """A process started by a launcher: leader of a session and of a process group of its own."""
 
     launcher: Launcher
     pid: int
     folder: Path
 
     def poll(self) -> int | None:
-        """Its exit status, negative for a signal; None while it runs."""
+        """Return the exit status, negative for a signal, or None while the process runs."""
         if self.pid not in self.launcher.ended:
             status = self.launcher.ask(poll=self.pid)
             if status is None:
@@ -180,12 +180,12 @@ class Process:
 
     @property
     def scratch(self) -> list[str]:
-        """What it has left in its folder of temporary files."""
+        """Return what the process has left in its folder of temporary files."""
         return os.listdir(self.folder / f"{self.pid}.tmp")
 
     @property
     def message(self) -> str:
-        """Stderr without the progress."""
+        """Return stderr without the progress."""
         return "".join(
             line
             for line in self.stderr.splitlines(keepends=True)
@@ -193,33 +193,33 @@ class Process:
         )
 
     def await_line(self, text: str) -> None:
-        """Until it has said that, or has ended."""
+        """Wait until the process prints a text or ends."""
         until(lambda: text in self.stderr or self.poll() is not None, repr(text))
         assert text in self.stderr, f"ended with {self.poll()} before {text!r}: {self.stderr}"
 
     def send(self, number: int) -> None:
-        """A signal to this process alone."""
+        """Send a signal to this process alone."""
         os.kill(self.pid, number)
 
     def send_all(self, number: int) -> None:
-        """A signal to its group, as a terminal sends it."""
+        """Send a signal to the process group, as a terminal does."""
         os.killpg(self.pid, number)
 
     def gone(self, within: float = PATIENCE) -> None:
-        """Until nothing that it started is left."""
+        """Wait until all processes of the session have ended."""
         until(lambda: not members(self.pid), f"processes of {self.pid} to end", within=within)
 
 
 @dataclass
 class Launcher:
-    """Starts processes in a mount namespace of its own, where there are any.
+    """Starts processes in a mount namespace of its own, where the machine permits one.
 
     Attributes
     ----------
     folder : Path
-        Where what its processes say is kept.
+        Holds the output of the processes.
     mounts : bool
-        Whether it may mount something.
+        Whether the launcher may mount file systems.
     """
 
     folder: Path
@@ -260,11 +260,11 @@ class Launcher:
         return process
 
     def call(self, *typed: str) -> str:
-        """Run a program to its end in the namespace; what it complained of, empty if nothing."""
+        """Run a program to its end in the namespace; return its error message, empty on success."""
         return str(self.ask(call=typed))
 
     def view(self, path: Path) -> Path:
-        """A path of the namespace, as this process sees it."""
+        """Return a path of the namespace as this process can open it."""
         return Path(f"/proc/{self._process.pid}/root{path}")
 
 
@@ -279,7 +279,7 @@ def _may_mount(option: str) -> bool:
 
 @dataclass(frozen=True)
 class Cluster:
-    """A dask scheduler and workers, each a process of its own that nobody watches over."""
+    """A dask scheduler and workers, each a process of its own, without nannies."""
 
     launcher: Launcher
     folder: Path
@@ -308,7 +308,7 @@ class Cluster:
 
 @contextmanager
 def cluster(launcher: Launcher, folder: Path, *, workers: int = 1, **values: float) -> Iterator[Cluster]:
-    """A cluster that ends with the block; `values` are of dask's configuration, for the scheduler."""
+    """Run a cluster for the block; `values` configure dask in the scheduler."""
     folder.mkdir(parents=True)
     file = str(folder / "scheduler.json")
     scheduler = launcher.start("scheduler", *LOOPBACK, "--port", "0", "--scheduler-file", file, **values)
@@ -341,7 +341,7 @@ class Disk:
 
     @property
     def used(self) -> int:
-        """Bytes, whole pages."""
+        """Return the space used, bytes in whole pages."""
         found = os.statvfs(self.view)
         return (found.f_blocks - found.f_bfree) * found.f_frsize
 
@@ -354,7 +354,7 @@ class Disk:
 
 @contextmanager
 def read_only(launcher: Launcher, folder: Path) -> Iterator[None]:
-    """A folder that new files cannot be opened in; what is open may still be written to."""
+    """Make a folder read-only: no new files can be opened in it; open files may still be written."""
     assert not launcher.call("mount", "--bind", str(folder), str(folder))
     until(lambda: not launcher.call("mount", "-o", "remount,bind,ro", str(folder)), f"{folder} to be read-only")
     try:
@@ -363,11 +363,11 @@ def read_only(launcher: Launcher, folder: Path) -> Iterator[None]:
         assert not launcher.call("umount", "-l", str(folder))
 
 
-# ---------------------------------------------------------------- the launcher itself
+# The launcher itself
 
 
 def serve() -> dict[str, Any] | None:
-    """Obey the orders on standard input to their end; in a process that was forked, return its order."""
+    """Carry out the orders on standard input until it ends; in a forked process, return its order."""
     for line in sys.stdin:
         order: dict[str, Any] = json.loads(line)
         answer: Any = None
@@ -387,13 +387,13 @@ def serve() -> dict[str, Any] | None:
 
 
 def become(order: dict[str, Any], programs: dict[str, Callable[[], Any]]) -> None:
-    """Turn into the program that was ordered: session, streams, signals and temporary files of its own."""
+    """Run the ordered program with a session, streams, signals and temporary files of its own."""
     import dask
 
     from blocksar.graph import admission, cluster
 
     os.setsid()
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # who runs the tests in the background is deaf to it
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job of a shell ignores SIGINT
     here = Path(order["folder"]) / str(os.getpid())
     tempfile.tempdir = os.environ["TMPDIR"] = f"{here}.tmp"
     os.mkdir(tempfile.tempdir)
@@ -415,7 +415,7 @@ def become(order: dict[str, Any], programs: dict[str, Callable[[], Any]]) -> Non
 def main() -> None:
     from distributed.cli import dask_scheduler, dask_worker
 
-    from blocksar import api, cli  # noqa: F401  (the api is what takes long to import)
+    from blocksar import api, cli  # noqa: F401  (importing the api takes long)
     from blocksar.focusing import correction
 
     correction.compile_kernels()

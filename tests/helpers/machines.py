@@ -1,7 +1,8 @@
-"""Two machines on one: network namespaces that a pair of virtual Ethernet devices joins.
+"""Two simulated machines: network namespaces joined by a pair of virtual Ethernet devices.
 
-Each namespace is held by a process that waits on a pipe of ours: however this process ends, so do they, and with the
-last process in it the kernel removes a namespace and its devices. Nothing has a name that could be left behind.
+A process that waits on a pipe of this process holds each namespace. When this process ends, in whatever way, the
+holders end too, and the kernel removes a namespace and its devices with its last process. Nothing is named, so nothing
+can be left behind.
 """
 
 from __future__ import annotations
@@ -20,16 +21,16 @@ HOLD = ["sh", "-c", "echo ready && exec cat"]
 
 @dataclass(frozen=True)
 class Machine:
-    """A network of its own, and the file system of all.
+    """A machine with its own network and the shared file system.
 
     Attributes
     ----------
     address : str
-        By which the other machine reaches it.
+        Address at which the other machine reaches it.
     holder : int
-        Process that keeps it alive.
+        Process that keeps the namespace alive.
     enter : sequence of str
-        What stands before a command that is to run there.
+        Command prefix that runs a command in the namespace.
     """
 
     address: str
@@ -40,14 +41,14 @@ class Machine:
         return subprocess.Popen([*self.enter, *command], text=True, **more)
 
     def run(self, *command: str) -> None:
-        """Run a command there to its good end."""
+        """Run a command on the machine and check that it succeeds."""
         done = subprocess.run([*self.enter, *command], capture_output=True, text=True, check=False)
         assert done.returncode == 0, f"{' '.join(command)}: {done.stderr}"
 
 
 @contextmanager
 def two_machines() -> Iterator[tuple[Machine, Machine]]:
-    """Two machines that reach each other, and nothing else; skips the test where they may not be made."""
+    """Yield two machines that reach only each other; skip the test where namespaces are not permitted."""
     with ExitStack() as stack:
         try:
             first = stack.enter_context(_machine("10.77.0.1", user=os.geteuid() != 0))
@@ -64,7 +65,7 @@ def two_machines() -> Iterator[tuple[Machine, Machine]]:
 
 @contextmanager
 def _machine(address: str, *, user: bool = False, beside: Machine | None = None) -> Iterator[Machine]:
-    """One machine: as root of a user namespace of its own for `user` who is not root, or in that of another."""
+    """Yield one machine: in a new user namespace if `user`, or in the user namespace of the machine `beside`."""
     prefix = [] if beside is None else [word for word in beside.enter if word != "--net"]
     unshare = [*prefix, "unshare", "--net", *(["--user", "--map-root-user"] if user else [])]
     with subprocess.Popen(

@@ -1,4 +1,4 @@
-"""A library that is not installed, as far as one test is concerned."""
+"""Hide a library, as if it were not installed, for one test."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 
 
 def hide(library: str, *users: str, patch: pytest.MonkeyPatch) -> None:
-    """Let imports of a library fail, and the modules and packages that use it be imported anew."""
+    """Make imports of a library fail, and reload the modules and packages that use it on their next import."""
     modules = dict(sys.modules)
     for name in modules:
         if any(name == each or name.startswith(f"{each}.") for each in (library, *users)):

@@ -1,4 +1,4 @@
-"""The project's quality bar, and what end-to-end tests compare images with."""
+"""The project's quality bar, and the references that end-to-end tests compare images with."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from blocksar.focusing.backprojection import form_image
 from blocksar.measurement.coherence import ChipComparison, coherence
 from blocksar.planning.plan import Plan
 
-MARGIN = 30.0  # m that a place keeps from the image's edge: room for a chip and for the side lobes of a response
+MARGIN = 30.0  # m from the image's edge: room for a chip and for the side lobes of a response
 SHIPPED = Path(blocksar.__file__).parent / "simulation" / "scenes"
 
 
 def check_targets(found: dict[str, Any], expected: int) -> None:
-    """Every full-dwell target meets the quality bar."""
+    """Check that every full-dwell target meets the quality bar."""
     full = [t for t in found["targets"] if t["full_dwell"]]
     assert len(full) >= expected
     for target in full:
@@ -36,7 +36,7 @@ def check_targets(found: dict[str, Any], expected: int) -> None:
 
 
 def emptied(name: str) -> str:
-    """A shipped scene without its targets."""
+    """Return a shipped scene without its targets."""
     return (SHIPPED / f"{name}.toml").read_text().split("[matrix]")[0]
 
 
@@ -47,13 +47,13 @@ def planned(path: Path, **settings: Any) -> Plan:
 
 
 def coarse_grid(store: Path, step: float = 4.0) -> Any:
-    """Pixels to compare complex values at: they need not sample the image."""
+    """Return a grid for comparing complex values: it need not sample the image adequately."""
     grid = planned(store, blocks=3).grid
     return ((grid.x0, grid.x1, step), (grid.y0, grid.y1, step))
 
 
 def telling_places(plan: Plan) -> dict[str, tuple[float, float]]:
-    """Ground points at three ranges of block centres, of seams and of the ends of full dwell: name -> (x, y)."""
+    """Return ground points at block centres, seams and ends of full dwell, at three ranges each: name -> (x, y)."""
     beam = plan.geometry.collection
     low, high = plan.blocks[0].low, plan.blocks[-1].high
     if beam.beam_width is not None:
@@ -72,7 +72,7 @@ def telling_places(plan: Plan) -> dict[str, tuple[float, float]]:
 
 
 def places(plan: Plan) -> dict[str, tuple[float, float]]:
-    """Some places at the image's edges, on seams and at the centre of its blocks, well within it: name -> (x, y)."""
+    """Return some points at the image's edges, on seams and at a block centre, inside the margin: name -> (x, y)."""
     geometry, grid = plan.geometry, plan.grid
     known = telling_places(plan)
     middle = plan.n_blocks // 2
@@ -80,20 +80,20 @@ def places(plan: Plan) -> dict[str, tuple[float, float]]:
     wanted += [f"seam {i}|{i + 1}, middle range" for i in (0, plan.n_blocks - 2)]
     wanted += [f"block {middle} centre, {where} range" for where in ("near", "far")]
     found = {name: known[name] for name in wanted if name in known}
-    if not geometry.collection.steered:  # the sector's ends lie outside the box: its own edges instead
+    if not geometry.collection.steered:  # the sector's ends lie outside the grid: use the grid's edges
         for i, x in enumerate((grid.x0 + 1.2 * MARGIN, grid.x1 - 1.2 * MARGIN)):
             found |= {f"edge {i}{j}": (x, y) for j, y in enumerate((grid.y0 + 1.2 * MARGIN, grid.y1 - 1.2 * MARGIN))}
     kept: dict[str, tuple[float, float]] = {}
     for name, (x, y) in found.items():
         inside = min(x - grid.x0, grid.x1 - x, y - grid.y0, grid.y1 - y) >= MARGIN
-        # Side lobes of one target must not reach another.
+        # Keep the side lobes of one target away from the others.
         if inside and all(np.hypot(x - other[0], y - other[1]) > 2 * MARGIN for other in kept.values()):
             kept[name] = (x, y)
     return kept
 
 
 def chips(store: Path, run: Path, at: dict[str, tuple[float, float]], *, half: int = 32) -> dict[str, ChipComparison]:
-    """The image about some places against exact back-projection of the same samples."""
+    """Compare the image about some places with exact back-projection of the same samples."""
     history = stores.open_phase_history(store)
     geometry = Geometry(collection=history.collection.centred())
     image = blocksar.open(run).image
@@ -116,7 +116,7 @@ def with_targets(text: str, at: dict[str, tuple[float, float]]) -> str:
 
 
 def with_clutter(text: str, plan: Plan) -> str:
-    """Clutter all over the image: more than its grid would span more Doppler than the PRF of paper B holds."""
+    """Add clutter over the image: beyond the grid it would occupy more Doppler bandwidth than the PRF of paper B."""
     text += "\n[clutter]\nscatterers = 30000\nseed = 3\n"
     if plan.geometry.collection.steered:
         return text

@@ -1,4 +1,4 @@
-"""Runs for the report page, and a reader of the page."""
+"""Runs for the report page, and a parser of the page."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from blocksar.runs.finished import FinishedRun
 
 HOSTILE = "</title></script><script>window.pwned = 1</script><img src=x onerror=window.pwned=1> & \u202e{{ 7 * 7 }}"
 TARGETS = {"A": (29900.0, 48.5), "B": (30100.0, 51.5), "seam": (30000.0, 50.2), "<i>D": (29950.0, 50.0)}
-EDGE = {"edge": (30000.0, 43.5)}  # lit by a part of the beam's sweep only, and outside the image
+EDGE = {"edge": (30000.0, 43.5)}  # lit by only a part of the beam's sweep, and outside the image
 VOID = ["area", "base", "br", "col", "embed", "hr", "img", "input", "link", "meta", "source", "track", "wbr"]
 
 
 def write_scene(folder: Path) -> Path:
-    """A part of Table 1's scene, with a title that is markup."""
+    """Simulate a part of Table 1's scene, with markup in its title."""
     folder.mkdir(parents=True, exist_ok=True)
     rows = [f"[[targets]]\nname = '{n}'\nrange = {r}\nyaw_deg = {y}\n" for n, (r, y) in (TARGETS | EDGE).items()]
     text = scene(swath=[29850.0, 30150.0], more="\n".join(rows))
@@ -51,7 +51,7 @@ def source_of(run: Path) -> FinishedRun:
 
 
 class Reading(HTMLParser):
-    """Elements with their attributes, and the text of each, in order; refuses tags that do not match."""
+    """Collects elements with their attributes and their text, in order; refuses unbalanced tags."""
 
     def __init__(self, text: str) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""A real server of the S3 protocol on the loopback interface, for tests: processes that are started reach it too."""
+"""A real server of the S3 protocol on the loopback interface, which subprocesses reach too."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
 
 from blocksar.places import objects
 
-# moto is talkative; the one line that matters is the port, whichever was free.
+# Silence moto except for the line with the port, which the system chooses.
 SERVER = """
 import contextlib, logging, sys
 from moto.server import ThreadedMotoServer
@@ -29,9 +29,9 @@ server.stop()
 
 @contextmanager
 def server(*, refusing: bool = False) -> Iterator[str]:
-    """A server in a process of its own, and the environment variables that lead to it; answers its URL.
+    """Run a server in a process of its own and set the environment variables that select it; yields its URL.
 
-    One that is `refusing` takes no credentials.
+    A server that is `refusing` accepts no credentials.
     """
     settings = {"INITIAL_NO_AUTH_ACTION_COUNT": "0"} if refusing else {}
     with (
@@ -56,13 +56,13 @@ def server(*, refusing: bool = False) -> Iterator[str]:
             objects._bucket.cache_clear()
             yield url
         finally:
-            process.stdin.close()  # which ends it
+            process.stdin.close()  # ends the server
             process.wait(30)
             objects._bucket.cache_clear()
 
 
 def make_bucket() -> str:
-    """Make a bucket that nobody has; answers its name."""
+    """Create a bucket with an unused name; returns the name."""
     import boto3
 
     name = f"blocksar-{secrets.token_hex(6)}"

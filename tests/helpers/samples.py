@@ -8,8 +8,8 @@ import numpy as np
 
 from blocksar.arrays import ComplexArray, FloatArray
 
-N_SCATTERER = 400  # of clutter: as many as are summed directly
-SINGLE = 5e-7  # a complex64 product (1.2e-7) with a float32 sine and cosine, which are good to 3.5e-7
+N_SCATTERER = 400  # scatterers of clutter: few enough to sum directly
+SINGLE = 5e-7  # a complex64 product (1.2e-7) and float32 sine and cosine, accurate to 3.5e-7
 
 
 def noise(*shape: int, seed: int = 0) -> ComplexArray:
@@ -34,7 +34,7 @@ def clutter(n_pulse: int, n_column: int, *, seed: int = 0) -> ComplexArray:
 
 
 def derivatives(function: Callable[[float], FloatArray], order: int, step: float) -> FloatArray:
-    """Divided derivative f^(order) / order! by central differences on nine points: weights from a Vandermonde."""
+    """Divided derivative f^(order) / order! by central differences on nine points; Vandermonde weights."""
     places = np.arange(-4, 5.0)
     weights = np.linalg.solve(np.vander(places, increasing=True).T, np.eye(9)[order])
     return sum(w * function(p * step) for w, p in zip(weights, places, strict=True)) / step**order

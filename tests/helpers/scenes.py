@@ -1,4 +1,4 @@
-"""Scene texts for the end-to-end tests: Table 1's platform with one thing changed at a time."""
+"""Scene texts for the end-to-end tests: Table 1's platform with one change each."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ TABLE1: dict[str, Any] = {
     "more": "",
 }
 
-# One departure from Table 1 each; physics says what the fit has to find for it.
+# Each geometry changes Table 1 in one way; physics gives the coefficients that the fit must find.
 GEOMETRIES: dict[str, dict[str, Any]] = {
     "table1": {},
     "scan reversed": {"steering": (57.87, 42.13)},
@@ -60,7 +60,7 @@ GEOMETRIES: dict[str, dict[str, Any]] = {
 }
 
 
-# The scenes of papers B and C: each paper's processor, and the grid of an image, m.
+# Scenes of papers B and C: the processor of each paper, and the grid of an image, m.
 PAPERS: dict[str, tuple[Any, Any]] = {
     "paper_b": ("keystone-resampling", ((10960.0, 11670.0, 0.25), (-1050.0, 1050.0, 0.25))),
     "paper_c": ("high-order-phase", ((17830.0, 18830.0, 0.4), (-800.0, 800.0, 0.4))),
@@ -68,7 +68,7 @@ PAPERS: dict[str, tuple[Any, Any]] = {
 
 
 def scene(**changes: Any) -> str:
-    """A scene file's text."""
+    """Return the text of a scene file."""
     s = {**TABLE1, **changes}
     lines = ['title = "test"', "[radar]"]
     lines += [f"{name} = {float(s[name])}" for name in ("carrier", "bandwidth", "range_sampling", "prf")]
@@ -86,6 +86,6 @@ def scene(**changes: Any) -> str:
 
 
 def write_store(folder: Path, *, raw: bool = False, **changes: Any) -> Path:
-    """The phase history of such a scene, in a folder that is there."""
+    """Simulate the phase history of such a scene in an existing folder."""
     (folder / "scene.toml").write_text(scene(**changes))
     return Path(blocksar.simulate(folder / "scene.toml", folder / "phase_history.zarr", raw=raw))

@@ -1,4 +1,4 @@
-"""SICD files read back."""
+"""Reader and checker of SICD files."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import sarkit.sicd as sksicd
 import sarkit.verification as skver
 
-# ---------------------------------------------------------------- SICD
+# Reading and checking
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Sicd:
 
 
 def errors(checked: Any) -> list[Any]:
-    """Warnings there are: of pixels more than 2.2 times as close as the band asks."""
+    """Return failed checks of severity Error; warnings occur for pixels over 2.2 times as close as the band needs."""
     details = [detail for failure in checked.failures().values() for detail in failure["details"]]
     assert {detail["severity"] for detail in details} <= {"Error", "Warning"}
     return [detail for detail in details if detail["severity"] == "Error" and not detail["passed"]]

@@ -1,4 +1,4 @@
-"""Slow twins: obviously right loops that fast code is compared with."""
+"""Slow twins: simple loops as references for fast code."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def geometry(collection: Collection) -> Geometry:
 
 
 def lit(collection: Collection, pulse: int, x: float, y: float) -> bool:
-    """Whether the beam lights a ground point at a pulse, by the definition of the store."""
+    """Return whether the beam lights a ground point at a pulse, by the definition of the store."""
     if collection.beam_width is None:
         return True
     yaw = float(geometry(collection).yaw(np.array(x), np.array(y)))
@@ -37,7 +37,7 @@ def distance(collection: Collection, pulse: int, x: float, y: float) -> float:
 def phase_history(
     collection: Collection, targets: Iterable[tuple[float, float, complex]], pulses: Iterable[int] | None = None
 ) -> NDArray[np.complex128]:
-    """Samples of targets (x, y, reflectivity), (n_pulse, n_range_frequency), straight from the contract."""
+    """Samples of targets (x, y, reflectivity), (n_pulse, n_range_frequency), by the formula of the contract."""
     chosen, targets = list(range(collection.n_pulse) if pulses is None else pulses), list(targets)
     signal = np.zeros((len(chosen), collection.n_range_frequency), np.complex128)
     wavenumber = 4 * np.pi * (collection.carrier + collection.range_frequency) / SPEED_OF_LIGHT

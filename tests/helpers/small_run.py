@@ -1,4 +1,4 @@
-"""A small run made by exact back-projection: what is known of its scene is what a product must say."""
+"""A small run made by exact back-projection; products must reproduce its known scene."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ TARGETS = [Target("A", 0.3, -0.2), Target("B", 20.1, 11.3), Target("C", -17.7, 1
 
 @dataclass(frozen=True)
 class Made:
-    """A run, and what is known of it."""
+    """A run and its known scene."""
 
     folder: Path
     collection: Collection
@@ -41,7 +41,7 @@ class Made:
         return finished.FinishedRun(folder, self.x, self.y, geometry, attrs, RunRecord(status="finished"))
 
     def peak(self, target: Target) -> Any:
-        """Fractional (row of y, column of x) of the target's peak: its chip, transformed, padded 16 times and back."""
+        """Fractional (row of y, column of x) of the target's peak, from a chip upsampled 16 times by zero padding."""
         at = [round((v - axis[0]) / (axis[1] - axis[0])) for v, axis in ((target.y, self.y), (target.x, self.x))]
         chip = self.image[at[0] - 12 : at[0] + 12, at[1] - 12 : at[1] + 12]
         return np.array(at) - 12 + upsampled_peak(chip)
@@ -72,7 +72,7 @@ def make(
     hole: bool = True,
     more: dict[str, Any] | None = None,
 ) -> Made:
-    """A finished run over targets about `centre`; a corner in the south-west and rows in the north are not covered."""
+    """Make a finished run over targets about `centre`; no coverage in a south-west corner and some northern rows."""
     n = 160
     time = (np.arange(n) - n // 2) / 60.0 + 0.5
     cos, sin = np.cos(look), np.sin(look)

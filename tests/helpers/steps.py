@@ -1,4 +1,4 @@
-"""What the tests of the processing steps share: small collections, explicit Fourier sums, how a line is measured."""
+"""Helpers for the tests of the processing steps: small collections, explicit Fourier sums, measured lines."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def collection(
     centre_range: float = 30e3,
     reference: str = "scene_centre",
 ) -> Collection:
-    """Table 1 in small: 0.3 s of it, and a range window of 240 m that follows the scene's centre."""
+    """A small version of Table 1: 0.3 s, and a range window of 240 m that follows the scene's centre."""
     time = middle + (np.arange(n_pulse) - n_pulse // 2) / prf
     t = time[:, None]
     position = [0.0, 0.0, 16500.0] + np.array(velocity) * t + np.array(acceleration) * t**2 / 2
@@ -70,7 +70,7 @@ def collection(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Planned:
-    """A collection with everything that is planned for one of its blocks."""
+    """A collection with the complete plan of one of its blocks."""
 
     collection: Collection
     geometry: Geometry
@@ -110,7 +110,7 @@ def target_at(geometry: Geometry, epoch_range: float, yaw: float) -> FloatArray:
 
 
 def taper(geometry: Geometry, yaw: float, time: FloatArray) -> FloatArray:
-    """A smooth illumination, sin^2 over the dwell: it has no ends to ring, so that a line shows itself pure.
+    """A smooth illumination, sin^2 over the dwell: no abrupt ends, so the line shows no ringing.
 
     time (n,) s, absolute.
     """
@@ -150,7 +150,7 @@ def line_of(case: Planned, epoch_range: float, yaw: float) -> Line:
 
 
 def after_each_step(case: Planned, slab: ComplexArray, line: Line) -> Iterator[tuple[Any, ComplexArray, Line]]:
-    """(step, samples, line) after every step of the block's chain."""
+    """Yield (step, samples, line) after every step of the block's chain."""
     for step in case.plan.chain:
         slab = step.apply(slab, threads=1)
         slab.flags.writeable = False
@@ -158,7 +158,7 @@ def after_each_step(case: Planned, slab: ComplexArray, line: Line) -> Iterator[t
         yield step, slab, line
 
 
-# -- explicit sums ------------------------------------------------------------------------------------------
+# Explicit sums
 
 
 def explicit_transform(x: NDArray[Any], source: Axis, target: Axis, *, inverse: bool, period: int) -> Complex128Array:
@@ -182,38 +182,38 @@ def compress_range(values: ComplexArray, frequency: FloatArray, rng: FloatArray)
 
 
 def rows_to_frequency(values: ComplexArray, rows: Axis, period: int) -> tuple[Complex128Array, FloatArray]:
-    """Range rows (n_row, n_t) back to range frequency, (period, n_t), and those frequencies, Hz.
+    """Transform range rows (n_row, n_t) back to range frequency, (period, n_t); also return those frequencies, Hz.
 
-    Rows that are not kept count as zero. Nothing is cut from the band: phases that differ from row to row widen it.
+    Rows outside the slab count as zero. The band is not truncated: phases that differ from row to row widen it.
     """
     frequency = (np.arange(period) - period // 2) * SPEED_OF_LIGHT / (2 * rows.step * period)
     kernel = np.exp(-4j * np.pi / SPEED_OF_LIGHT * np.multiply.outer(frequency, rows.values))
     return kernel @ values.astype(np.complex128), frequency
 
 
-# -- measured lines -----------------------------------------------------------------------------------------
+# Measured lines
 
 
 class Measured(NamedTuple):
-    """A line as samples show it, at the line's own times."""
+    """A line measured from samples, at the times of the traced line."""
 
-    phase: FloatArray  # cycles, less the traced phase, wrapped to +-1/2
-    doppler: FloatArray  # Hz, less the traced one
-    range: FloatArray  # m, less the traced one
+    phase: FloatArray  # cycles, minus the traced phase, wrapped to +-1/2
+    doppler: FloatArray  # Hz, minus the traced Doppler
+    range: FloatArray  # m, minus the traced range
     amplitude: FloatArray  # of the compressed samples
 
 
 def measure_line(values: Complex128Array, line: Line, *, time: Axis, frequency: FloatArray, cell: float) -> Measured:
-    """Measure S(f, t), (n_frequency, time.size), where the traced line says that the target is.
+    """Measure S(f, t), (n_frequency, time.size), at the traced position of the target.
 
-    Phase and Doppler: value and slope of the phase of the range-compressed signal, at the traced range, about the
-    sample nearest to each traced time. Range: where the envelope of a compressed column peaks.
+    Phase and Doppler: value and slope of the phase of the range-compressed signal, at the traced range, around the
+    sample nearest to each traced time. Range: position of the peak of a compressed column's envelope.
     """
     near = np.rint(time.position(line.time)).astype(int)
     index = near + np.arange(-2, 3)[:, None]
     assert index.min() >= 0 and index.max() < time.size
     offset = time.values[index] - line.time
-    # The traced line is continued over these few samples by its own rate.
+    # Extrapolate the traced line over these few samples with its own rate.
     wanted = line.phase + line.doppler * offset + line.rate * offset**2 / 2
     at = line.range + np.gradient(line.range, line.time, edge_order=2) * offset
     samples = np.stack([compress_range(values[:, i], frequency, r[None])[0] for i, r in zip(index, at, strict=True)])
@@ -230,17 +230,17 @@ def measure_line(values: Complex128Array, line: Line, *, time: Axis, frequency: 
 
 
 def peak(power: FloatArray, around: FloatArray) -> float:
-    """Place of the maximum of a smooth hump, by a polynomial of order 6 through it."""
+    """Return the position of the maximum of a smooth peak, by a polynomial of order 6 through it."""
     fit = np.polynomial.Polynomial.fit(around, power / power.max(), 6)
     fine = np.linspace(around[0], around[-1], 4001)
     return float(fine[np.argmax(fit(fine))])
 
 
-# -- sampling -----------------------------------------------------------------------------------------------
+# Sampling
 
 
 def sampling(**axes: Any) -> Sampling:
-    """A sampling for one step alone: the axes that are given, and axes that nothing asks for."""
+    """Return a sampling for a test of one step: the axes given, and placeholders for the others."""
     unused = Axis(0.0, 1.0, 1)
     whole: dict[str, Any] = dict.fromkeys(Sampling.__dataclass_fields__, unused)
     return Sampling(**whole | {"time_occupancy": 0.5, "doppler_occupancy": 0.5, "gate": None} | axes)

@@ -1,4 +1,4 @@
-"""Lines of targets seen from a squinted straight track, where closed forms are exact."""
+"""Lines of targets seen from a straight, squinted track, where closed forms are exact."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from blocksar.planning import closed_form
 
 CARRIER = 15e9
 LAMBDA = SPEED_OF_LIGHT / CARRIER
-SPEED, SQUINT = 300.0, np.radians(50.0)  # m/s, from broadside
+SPEED, SQUINT = 300.0, np.radians(50.0)  # SPEED in m/s, SQUINT from broadside
 SIN, COS = np.sin(SQUINT), np.cos(SQUINT)
 
 
@@ -24,7 +24,7 @@ def history(time: FloatArray, crossing_range: FloatArray, place: FloatArray) -> 
 
 
 def straight_lines(cell: float, places: FloatArray, *, dwell: float = 2.0) -> Line:
-    """(n_place, 24) lines of targets that share an output range, R' = R0 + place sin(squint); all lit about t = 0."""
+    """(n_place, 24) lines of targets that share an output range, R' = R0 + place sin(squint); all lit around t = 0."""
     node, weight = np.polynomial.legendre.leggauss(24)
     time = np.broadcast_to(node * dwell / 2, (places.size, node.size))
     place = places[:, None]
@@ -44,7 +44,7 @@ def straight_lines(cell: float, places: FloatArray, *, dwell: float = 2.0) -> Li
 
 
 def straight_series(cell: float, *, half: float = 500.0) -> FloatArray:
-    """k_nm (1, 5, 5) in place, at constant output range: by interpolation through exact power series in time."""
+    """k_nm (1, 5, 5) in place at constant output range, interpolated through exact power series in time."""
     u = np.cos(np.pi * (np.arange(16) + 0.5) / 16)
     rows = []
     for place in half * u:
@@ -64,7 +64,7 @@ def straight_series(cell: float, *, half: float = 500.0) -> FloatArray:
 
 
 def levelled(line: Line, found: closed_form.Levelling) -> Line:
-    """Lines through the steps that closed-form coefficients (of one range) belong to."""
+    """Apply the steps that closed-form coefficients (of one range) define to the lines."""
 
     def polynomial(powers: FloatArray, values: FloatArray) -> Any:
         series = np.polynomial.Polynomial(powers)

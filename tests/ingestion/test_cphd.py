@@ -1,4 +1,4 @@
-"""CPHD files: from a scene, through the standard's checker, and back; every convention against sums written here."""
+"""CPHD files: write from a scene, validate with the standard's checker, ingest; conventions against explicit sums."""
 
 from __future__ import annotations
 
@@ -72,11 +72,11 @@ ORIGIN = (-33.5, 151.2, 40.0)
 
 
 class Base(NamedTuple):
-    """A small CPHD file, and what is in it."""
+    """A small CPHD file and its contents."""
 
     path: Path
     scene: Scene
-    targets: Array  # (n, 3) m, local to the scene's centre
+    targets: Array  # (n, 3) m, relative to the scene's centre
     sigma: Array
 
 
@@ -91,7 +91,7 @@ def base(tmp_path_factory: pytest.TempPathFactory) -> Base:
     return Base(path, scene, targets, np.array([t.reflectivity for t in points]))
 
 
-# ---------------------------------------------------------------- a CPHD's parts, changed by hand
+# ---------------------------------------------------------------- Editing the parts of a CPHD
 
 
 class Parts(NamedTuple):
@@ -121,7 +121,7 @@ def parts_of(path: Path) -> Parts:
 
 
 def write(path: Path, parts: Parts, fields: dict[str, str] | None = None) -> Path:
-    """Write parts with sarkit; `fields` are per-vector parameters to be there besides, with their formats."""
+    """Write parts with sarkit; `fields` are additional per-vector parameters with their formats."""
     root, vectors, samples = parts
     names = {name: vectors.dtype[name] for name in vectors.dtype.names or ()}
     for name, form in (fields or {}).items():
@@ -147,7 +147,7 @@ def write(path: Path, parts: Parts, fields: dict[str, str] | None = None) -> Pat
 
 
 def delays(parts: Parts, base: Base) -> Array:
-    """Two-way delay of every target less that of the SRP, (n_vector, n_target) s."""
+    """Two-way delay of every target relative to that of the SRP, (n_vector, n_target) s."""
     frame = Georeference(latitude=ORIGIN[0], longitude=ORIGIN[1], height=ORIGIN[2])
     ground = frame.to_ecef(base.targets)
     v = parts.vectors
@@ -160,9 +160,9 @@ def delays(parts: Parts, base: Base) -> Array:
 
 
 def echo(fx: Array, dtoa: Array, sigma: Array, sign: int) -> Array:
-    """The standard's signal at frequencies (n_vector, n_sample): written down from its definition.
+    """The signal at frequencies (n_vector, n_sample), from the definition in the standard.
 
-    Where delays turn the phase forwards, time runs backwards: the same target has the conjugate reflectivity.
+    Where the phase increases with delay (sign +1), the same target has the conjugate reflectivity.
     """
     total = np.zeros(fx.shape, np.complex128)
     for one, late in zip(sigma if sign < 0 else sigma.conj(), dtoa.T, strict=True):
@@ -176,7 +176,7 @@ def grid_of(parts: Parts) -> Array:
 
 
 def expected(collection: Collection, base: Base) -> Array:
-    """What the store must hold: the contract's own formula."""
+    """The expected content of the store, by the definition of the phase history."""
     return simulate_pulses(collection, base.targets[:, 0], base.targets[:, 1], base.sigma)
 
 
@@ -195,20 +195,20 @@ def failures(path: Path) -> list[str]:
     return [f"{name}: {found}" for name, found in checker.failures().items()]
 
 
-# ---------------------------------------------------------------- from a scene
+# ---------------------------------------------------------------- Files from a scene
 
 
-def test_the_standards_checker_finds_nothing(base: Base) -> None:
+def test_the_checker_of_the_standard_reports_no_failure(base: Base) -> None:
     assert failures(base.path) == []
 
 
-def test_the_checker_sees_a_fault(base: Base, tmp_path: Path) -> None:
+def test_the_checker_reports_a_fault(base: Base, tmp_path: Path) -> None:
     parts = parts_of(base.path)
     parts.set("Channel/Parameters/FxC", 9e9)
     assert any("fxc" in line for line in failures(write(tmp_path / "wrong.cphd", parts)))
 
 
-def test_a_file_comes_back_as_it_went(base: Base) -> None:
+def test_a_file_reads_back_as_it_was_written(base: Base) -> None:
     collection, samples, said, attrs = ingested(base.path)
     direct = base.scene.collection()
     np.testing.assert_allclose(collection.antenna_position + base.scene.centre, direct.antenna_position, atol=1e-6)
@@ -225,11 +225,11 @@ def test_a_file_comes_back_as_it_went(base: Base) -> None:
     assert (place["longitude"], place["height"]) == pytest.approx(ORIGIN[1:], abs=1e-6)
     assert attrs["source"]["format"] == "CPHD/1.1.0"
     assert (attrs["collector"], attrs["classification"]) == ("blocksar", "UNCLASSIFIED")
-    assert "polarization" not in attrs  # of point targets there is none
+    assert "polarization" not in attrs  # point targets have none
     assert "ingested by blocksar from small.cphd" in attrs["history"]
 
 
-def test_what_products_say_of_the_collection_is_kept(base: Base, tmp_path: Path) -> None:
+def test_attributes_that_products_need_are_kept(base: Base, tmp_path: Path) -> None:
     parts = parts_of(base.path)
     for path, text in {
         "CollectionID/CollectorName": "C-1",
@@ -243,8 +243,8 @@ def test_what_products_say_of_the_collection_is_kept(base: Base, tmp_path: Path)
     assert attrs["polarization"] == {"transmit": "H", "receive": "V"}
 
 
-def test_positions_survive_the_way_through_the_earths_frame(base: Base) -> None:
-    """Targets at their places: latitude and longitude to ECEF by the textbook, to where the image has its peaks."""
+def test_positions_survive_conversion_to_the_earth_frame_and_back(base: Base) -> None:
+    """Target places: latitude and longitude to ECEF by the textbook formula, compared with the peaks of the image."""
     collection, samples, _, attrs = ingested(base.path)
     a, e2 = 6378137.0, (2 - 1 / 298.257223563) / 298.257223563
     lat, lon = np.radians(ORIGIN[:2])
@@ -262,8 +262,8 @@ def test_positions_survive_the_way_through_the_earths_frame(base: Base) -> None:
         assert abs(image[20, 20] - sigma) < 0.05
 
 
-def test_the_image_is_that_of_the_direct_store(tmp_path: Path) -> None:
-    """Squint TOPS in small: simulated to a store, and to a CPHD and from there to a store; both focused."""
+def test_the_focused_image_equals_that_of_the_direct_store(tmp_path: Path) -> None:
+    """A small squint TOPS scene, simulated to a store, and to a CPHD that is then ingested; both are focused."""
     text = scene_text(
         velocity=[0.0, 200.0, -20.0], acceleration=[0.0, 2.0, -1.0], duration=None, pulses=1200, prf=2000.0,
         steering=(47.0, 53.0), dwell=0.2, swath=[29900.0, 30100.0],
@@ -297,8 +297,8 @@ def test_the_image_is_that_of_the_direct_store(tmp_path: Path) -> None:
     assert two.attrs["georeference"]["kind"] == "ENU"
 
 
-def test_the_exact_image_is_that_of_the_direct_store(base: Base) -> None:
-    """Back-projection of both, on the same frequencies: the direct store has another reference range."""
+def test_the_back_projected_image_equals_that_of_the_direct_store(base: Base) -> None:
+    """Back-project both on the same frequencies; the direct store has another reference range."""
     ours, samples, _, _ = ingested(base.path)
     same = {"carrier": ours.carrier, "range_frequency": ours.range_frequency}
     theirs, centre = Collection(**{**base.scene.collection().as_dict(), **same}), base.scene.centre
@@ -313,7 +313,7 @@ def test_the_exact_image_is_that_of_the_direct_store(base: Base) -> None:
     assert abs(np.angle(coherence)) < 1e-4
 
 
-def test_lost_pulses_stay_lost(base: Base, tmp_path: Path) -> None:
+def test_dropped_pulses_stay_missing(base: Base, tmp_path: Path) -> None:
     text = SCENE + "[dropped]\npulses = [0, 5, 6, 100]\n[noise]\npower = 0.01\nseed = 3\n"
     path = cphd_simulation.simulate(Scene.parse(text), tmp_path / "lost.cphd", origin=ORIGIN)
     assert failures(path) == []
@@ -327,14 +327,14 @@ def test_lost_pulses_stay_lost(base: Base, tmp_path: Path) -> None:
 
 def test_a_scene_that_was_used_before_gives_the_same_file(base: Base, tmp_path: Path) -> None:
     scene = Scene.parse(SCENE)
-    assert np.ptp(scene.reference_range) == 0  # derived before: must not be taken over
+    assert np.ptp(scene.reference_range) == 0  # derived before: must not be reused
     assert scene.collection().n_pulse == 160
     parts = parts_of(cphd_simulation.simulate(scene, tmp_path / "a.cphd", origin=ORIGIN))
     np.testing.assert_array_equal(parts.samples, parts_of(base.path).samples)
     assert np.ptp(scene.reference_range) == 0
 
 
-def test_vectors_agree_with_each_other(base: Base) -> None:
+def test_vectors_are_consistent(base: Base) -> None:
     v = parts_of(base.path).vectors
     assert (1 / (v["SCSS"] * (v["TOA2"] - v["TOA1"]))).min() >= 1.2
     rate = np.gradient(v["TxPos"], v["TxTime"], axis=0)
@@ -345,11 +345,11 @@ def test_vectors_agree_with_each_other(base: Base) -> None:
     assert v["TxTime"][0] == 0
 
 
-# ---------------------------------------------------------------- every convention, against the direct samples
+# ---------------------------------------------------------------- Conventions, against the direct samples
 
 
 def check(path: Path, base: Base, tolerance: float = 2e-5, inner: float = 1.0) -> tuple[Collection, list[str]]:
-    """Ingest, and compare the inner part of the band with the contract's formula."""
+    """Ingest, and compare the inner part of the band with the definition."""
     collection, samples, said, _ = ingested(path)
     want = expected(collection, base)
     cut = round(samples.shape[1] * (1 - inner) / 2)
@@ -391,7 +391,7 @@ def test_sample_formats_and_amplitude_factors(base: Base, tmp_path: Path, form: 
 
 
 def test_frequency_grids_that_differ(base: Base, tmp_path: Path) -> None:
-    """SC0 and SCSS wander, so that no two vectors have a grid in common."""
+    """SC0 and SCSS vary, so that no two vectors share a grid."""
     parts = parts_of(base.path)
     rng = np.random.default_rng(2)
     v, n = parts.vectors, parts.samples.shape[1]
@@ -409,8 +409,8 @@ def test_frequency_grids_that_differ(base: Base, tmp_path: Path) -> None:
     assert 0 < error <= ACCURACY
 
 
-def test_samples_beyond_the_band_are_not_interpolated_from(base: Base, tmp_path: Path) -> None:
-    """FX1 .. FX2 is what a vector holds: rubbish in the samples on either side reaches no frequency of the store."""
+def test_interpolation_does_not_use_samples_beyond_the_band(base: Base, tmp_path: Path) -> None:
+    """A vector is valid in FX1 .. FX2: invalid samples on either side must not reach any frequency of the store."""
     parts = parts_of(base.path)
     v, n = parts.vectors, parts.samples.shape[1]
     v["SC0"] += v["SCSS"] * np.random.default_rng(6).random(v.size)
@@ -423,14 +423,14 @@ def test_samples_beyond_the_band_are_not_interpolated_from(base: Base, tmp_path:
 
 
 @pytest.mark.parametrize("late", [0.0, 0.3])
-def test_the_bound_of_interpolation_holds(base: Base, tmp_path: Path, late: float) -> None:
-    """One target at either end of the saved delays, where interpolation is worst: the reported error covers it."""
+def test_the_interpolation_error_stays_below_its_bound(base: Base, tmp_path: Path, late: float) -> None:
+    """One target at each end of the saved delays, where interpolation is worst: the reported error covers it."""
     parts = parts_of(base.path)
     v = parts.vectors
     v["SC0"] += v["SCSS"] * np.linspace(0, 1, v.size, endpoint=False)
     v["FX1"], v["FX2"] = v["SC0"], v["SC0"] + (parts.samples.shape[1] - 1) * v["SCSS"]
     for edge in ("TOA1", "TOA2"):
-        v[edge] += late / v["SCSS"]  # beside the SRP
+        v[edge] += late / v["SCSS"]  # the saved delays are not centred at the SRP
     worst = []
     for edge in ("TOA1", "TOA2"):
         parts.samples[...] = echo(grid_of(parts), v[edge][:, None], np.ones(1), -1)
@@ -441,7 +441,7 @@ def test_the_bound_of_interpolation_holds(base: Base, tmp_path: Path, late: floa
         want = np.exp(-4j * np.pi * fx / SPEED_OF_LIGHT * away[:, None])
         worst.append(np.abs(samples - want).max())
         assert worst[-1] <= attrs["source"]["frequency_resampling_error"] + 2e-5
-    assert max(worst) > 1e-4  # that it is this test which finds it
+    assert max(worst) > 1e-4  # large enough to test the bound
 
 
 def test_grids_that_differ_by_whole_samples_are_not_interpolated(base: Base, tmp_path: Path) -> None:
@@ -456,7 +456,7 @@ def test_grids_that_differ_by_whole_samples_are_not_interpolated(base: Base, tmp
 
 
 def test_toa_domain_by_lines(base: Base, tmp_path: Path) -> None:
-    """A TOA vector that is a sum of the lines of the band: the way back is exact."""
+    """A TOA vector that is a sum of the lines of the band converts back exactly."""
     parts = parts_of(base.path)
     fx = grid_of(parts)
     for sign in (-1, 1):
@@ -470,7 +470,7 @@ def test_toa_domain_by_lines(base: Base, tmp_path: Path) -> None:
 
 
 def lines_to_toa(parts: Parts, spectrum: Array, sign: int, fx: Array) -> tuple[Array, Array]:
-    """Time samples that are a mean of lines exp(-2j pi sign (fx - fx_C) t), and their per-vector parameters."""
+    """Time samples as a mean of lines exp(-2j pi sign (fx - fx_C) t), and their per-vector parameters."""
     v, n = parts.vectors.copy(), fx.shape[1]
     count = round(1.25 * n)
     step = 1 / (count * parts.vectors["SCSS"][0])
@@ -484,7 +484,7 @@ def lines_to_toa(parts: Parts, spectrum: Array, sign: int, fx: Array) -> tuple[A
 
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_toa_domain_by_its_closed_form(base: Base, tmp_path: Path, sign: int) -> None:
-    """The standard's mainlobes, SC0, SCSS and fx_C of every vector its own; the window cuts side lobes off."""
+    """The standard's mainlobes, with SC0, SCSS and fx_C different for every vector; the window cuts side lobes off."""
     parts = parts_of(base.path)
     rng = np.random.default_rng(4)
     v, n = parts.vectors, 4000
@@ -505,7 +505,7 @@ def test_toa_domain_by_its_closed_form(base: Base, tmp_path: Path, sign: int) ->
     assert collection.bandwidth == pytest.approx(98e6, rel=0.01)
 
 
-def test_the_srp_moves(base: Base, tmp_path: Path) -> None:
+def test_a_moving_srp(base: Base, tmp_path: Path) -> None:
     parts = parts_of(base.path)
     v = parts.vectors
     frame = Georeference(latitude=ORIGIN[0], longitude=ORIGIN[1], height=ORIGIN[2])
@@ -516,15 +516,15 @@ def test_the_srp_moves(base: Base, tmp_path: Path) -> None:
     away = np.linalg.norm(collection.antenna_position - places, axis=1)
     np.testing.assert_allclose(collection.reference_range, away, atol=1e-6)
     assert any("the SRP moves" in line for line in said)
-    # An image needs no more than that.
+    # An image needs nothing else.
     exact, samples, _, _ = ingested(tmp_path / "moving.cphd")
     x, y = base.targets[0, 0] + np.array([0.0, 40]), base.targets[0, 1] + np.array([0.0, 40])
     image = form_image(lambda pulses: samples[pulses], Geometry(collection=exact), x, y, threads=1)
     assert abs(image[0, 0] - base.sigma[0]) < 0.05
 
 
-def test_saved_delays_beside_the_srp(base: Base, tmp_path: Path) -> None:
-    """The range window is centred at what was saved, not at the SRP."""
+def test_saved_delays_that_are_not_centred_at_the_srp(base: Base, tmp_path: Path) -> None:
+    """The range window is centred at the saved delays, not at the SRP."""
     parts = parts_of(base.path)
     v = parts.vectors
     late = 0.7 / v["SCSS"][0]
@@ -538,7 +538,7 @@ def test_saved_delays_beside_the_srp(base: Base, tmp_path: Path) -> None:
     assert any("not centred at the SRP" in line for line in said)
 
 
-def test_transmitter_and_receiver_at_two_places(base: Base, tmp_path: Path) -> None:
+def test_transmitter_and_receiver_at_different_places(base: Base, tmp_path: Path) -> None:
     parts = parts_of(base.path)
     v = parts.vectors
     arp = v["TxPos"].copy()
@@ -551,7 +551,7 @@ def test_transmitter_and_receiver_at_two_places(base: Base, tmp_path: Path) -> N
     assert any("up to 3 m apart" in line for line in said)
 
 
-def test_narrow_bands_are_cut_out_and_only_they_are_read(
+def test_only_the_samples_of_a_narrow_band_are_read(
     base: Base, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     parts = parts_of(base.path)
@@ -597,8 +597,8 @@ def test_gaps_and_vectors_without_signal_are_missing_pulses(base: Base, tmp_path
 
 
 @pytest.mark.parametrize("junk", [0.0, -1.0])
-def test_vectors_without_signal_need_no_place(base: Base, tmp_path: Path, junk: float) -> None:
-    """SIGNAL = 0: what else such a vector says is not looked at, at the ends of the collection as within."""
+def test_vectors_without_signal_need_no_position(base: Base, tmp_path: Path, junk: float) -> None:
+    """With SIGNAL = 0 the other parameters of a vector are ignored, at the ends of the collection and within it."""
     parts = parts_of(base.path)
     where = [0, 1, 40, 41, 100, 159]
     for name in parts.vectors.dtype.names or ():
@@ -647,7 +647,7 @@ def test_two_channels(base: Base, tmp_path: Path) -> None:
 
 
 def test_a_surface_of_constant_height(base: Base, tmp_path: Path) -> None:
-    """Dwell over an image area given in latitude and longitude: positions are the same."""
+    """With the dwell over an image area given in latitude and longitude, positions do not change."""
     parts = parts_of(base.path)
     planar = parts.root.find("{*}SceneCoordinates/{*}ReferenceSurface/{*}Planar")
     surface = planar.getparent()
@@ -664,7 +664,7 @@ def test_a_surface_of_constant_height(base: Base, tmp_path: Path) -> None:
 
 
 def uneven(base: Base) -> Parts:
-    """Times that jitter by a third of a step, positions and samples those of their times; the SRP moves, too."""
+    """Parts with times that jitter by a third of a step, positions and samples to match, and a moving SRP."""
     parts = parts_of(base.path)
     v, track = parts.vectors, base.scene.geometry.track
     frame = Georeference(latitude=ORIGIN[0], longitude=ORIGIN[1], height=ORIGIN[2])
@@ -695,7 +695,7 @@ def test_uneven_times_are_resampled_within_the_reported_error(base: Base, tmp_pa
     assert any("vectors are 0.00" in line and "dB on any echo of the image area" in line for line in said)
 
 
-# ---------------------------------------------------------------- beams
+# ---------------------------------------------------------------- Beams
 
 
 def dwell(parts: Parts, cod: dict[tuple[int, int], float], length: dict[tuple[int, int], float]) -> None:
@@ -710,8 +710,8 @@ def dwell(parts: Parts, cod: dict[tuple[int, int], float], length: dict[tuple[in
             node.set(f"order{axis}", str(max(key[axis - 1] for key in table)))
 
 
-def test_a_strip_map_is_not_said_to_be_steered(base: Base, tmp_path: Path) -> None:
-    """Its beam moves with the platform: centre of dwell depends on the place along the track, not on yaw."""
+def test_a_strip_map_is_not_reported_as_steered(base: Base, tmp_path: Path) -> None:
+    """The beam moves with the platform: the centre of dwell depends on the place along the track, not on yaw."""
     parts = parts_of(base.path)
     dwell(parts, {(0, 0): 0.2, (0, 1): 1e-3, (1, 0): 2e-3}, {(0, 0): 0.05})
     collection, said = check(write(tmp_path / "strip.cphd", parts), base)
@@ -719,7 +719,7 @@ def test_a_strip_map_is_not_said_to_be_steered(base: Base, tmp_path: Path) -> No
     assert any("do not depend on yaw alone" in line for line in said)
 
 
-def test_a_constant_centre_of_dwell_is_not_said_to_be_steered(base: Base, tmp_path: Path) -> None:
+def test_a_constant_centre_of_dwell_is_not_reported_as_steered(base: Base, tmp_path: Path) -> None:
     parts = parts_of(base.path)
     dwell(parts, {(0, 0): 0.2}, {(0, 0): 0.05})
     collection, said = check(write(tmp_path / "short.cphd", parts), base)
@@ -727,7 +727,7 @@ def test_a_constant_centre_of_dwell_is_not_said_to_be_steered(base: Base, tmp_pa
     assert any("hardly changes" in line for line in said)
 
 
-def test_polynomials_that_are_missing_leave_the_beam_open(base: Base, tmp_path: Path) -> None:
+def test_without_its_polynomials_the_beam_is_undefined(base: Base, tmp_path: Path) -> None:
     parts = parts_of(base.path)
     parts.set("Channel/Parameters/DwellTimes/CODId", "nowhere")
     collection, said = check(write(tmp_path / "none.cphd", parts), base)
@@ -735,11 +735,11 @@ def test_polynomials_that_are_missing_leave_the_beam_open(base: Base, tmp_path: 
     assert any("cannot be used" in line for line in said)
 
 
-# ---------------------------------------------------------------- what is refused
+# ---------------------------------------------------------------- Refusals
 
 
 def refused(path: Path, match: str, **options: Any) -> str:
-    """One sentence that names the file, and nothing written."""
+    """Check that the error is one sentence that names the file, and that nothing is written."""
     out = path.parent / "refused.zarr"
     with pytest.raises(InputError, match=match) as caught:
         cphd.ingest(path, out, **options)
@@ -753,7 +753,7 @@ def refused(path: Path, match: str, **options: Any) -> str:
 
 
 def test_times_that_are_too_uneven_are_refused_with_figures(base: Base, tmp_path: Path) -> None:
-    """Every third vector, unevenly: the image area has more Doppler than they sample."""
+    """Every third vector, unevenly: the Doppler band of the image area exceeds their sampling."""
     parts = uneven(base)
     kept = np.flatnonzero(np.random.default_rng(7).random(160) < 0.3)
     parts = Parts(parts.root, parts.vectors[kept], parts.samples[kept])
@@ -860,7 +860,7 @@ def test_mutated_parts(base: Base, tmp_path: Path, name: str) -> None:
     parts = parts_of(base.path)
     path = tmp_path / "mutated.cphd"
     if "PVP" in name or name in ("vector where a number is", "compressed", "other samples", "no identifier"):
-        # sarkit would not write these: the XML of a good file is changed in its place.
+        # sarkit would not write these: replace the XML of a good file.
         change(parts)
         with_xml(base.path, path, etree.tostring(parts.root))
     else:
@@ -869,11 +869,11 @@ def test_mutated_parts(base: Base, tmp_path: Path, name: str) -> None:
     if match:
         refused(path, match)
     else:
-        ingested(path)  # what is of no use is not asked for
+        ingested(path)  # unused fields may be wrong
 
 
 def with_xml(source: Path, path: Path, text: bytes) -> None:
-    """Another XML block, everything else as it is."""
+    """Write a copy of the file with another XML block."""
     with open(source, "rb") as file:
         _, header = skcphd.read_file_header(file)
     data = source.read_bytes()
@@ -889,7 +889,7 @@ def with_xml(source: Path, path: Path, text: bytes) -> None:
 
 
 def header_line(key: str, value: str | None) -> Callable[[bytes], bytes]:
-    """Change a line of the header in place; what follows stays where it is."""
+    """Change a line of the header in place, without moving what follows."""
 
     def change(data: bytes) -> bytes:
         end = data.index(b"\f\n")
@@ -943,7 +943,7 @@ def test_mutated_bytes(base: Base, tmp_path: Path, name: str) -> None:
 
 
 def test_flipped_bytes_of_header_xml_and_vectors(base: Base, tmp_path: Path) -> None:
-    """Seeded: what a file says with one to three bytes wrong is one sentence, or a store that opens."""
+    """Up to three wrong bytes, seeded: the result is a one-sentence error or a store that opens."""
     data = base.path.read_bytes()
     with open(base.path, "rb") as file:
         _, header = skcphd.read_file_header(file)
@@ -978,7 +978,7 @@ def test_truncations(base: Base, tmp_path: Path) -> None:
         refused(path, ".")
 
 
-def test_a_file_that_shrinks_while_it_is_read(base: Base, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_shrinks_during_reading(base: Base, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "shrinking.cphd"
     shutil.copy(base.path, path)
     prepare = ingestion._prepare
@@ -992,7 +992,7 @@ def test_a_file_that_shrinks_while_it_is_read(base: Base, tmp_path: Path, monkey
     refused(path, "became shorter")
 
 
-def test_what_is_no_file(base: Base, tmp_path: Path) -> None:
+def test_paths_that_are_not_regular_files(base: Base, tmp_path: Path) -> None:
     for name, match in {"nowhere.cphd": "does not exist", "": "no regular file"}.items():
         with pytest.raises(InputError, match=match):
             cphd.ingest(tmp_path / name, tmp_path / "out.zarr")
@@ -1020,13 +1020,13 @@ def test_existing_files_are_kept(base: Base, tmp_path: Path) -> None:
         cphd.ingest(path, tmp_path / "a.zarr")
 
 
-def test_without_its_library(base: Base, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_sarkit_the_error_names_the_extra(base: Base, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "sarkit.cphd", None)
     with pytest.raises(InputError, match=r"install blocksar\[formats\]"):
         cphd.ingest(base.path, tmp_path / "out.zarr")
 
 
-# ---------------------------------------------------------------- the commands
+# ---------------------------------------------------------------- Commands
 
 
 def test_the_commands(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -1035,7 +1035,7 @@ def test_the_commands(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     words = ["simulate", str(tmp_path / "scene.toml"), "--out", file, "--cphd", "--origin", "10,20,30", "--quiet"]
     with caplog.at_level(logging.WARNING):
         assert runner.invoke(commands.app, words).exit_code == 0
-    assert not caplog.records  # sarkit has nothing to say either
+    assert not caplog.records  # no warning of sarkit's either
     done = runner.invoke(commands.app, ["ingest", "cphd", file, "--out", store])
     assert (done.exit_code, store in done.output) == (0, True)
     assert "latitude 10.0000000, longitude 20.0000000, height 30.00 m" in done.output
@@ -1057,7 +1057,7 @@ def test_the_commands(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
 
 
 def test_samples_are_big_endian(base: Base) -> None:
-    """By hand: the first sample of the file."""
+    """Decode the first sample of the file by hand."""
     parts = parts_of(base.path)
     data = base.path.read_bytes()
     real, imaginary = struct.unpack(">ff", data[-8 * parts.samples.size :][:8])

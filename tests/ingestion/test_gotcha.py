@@ -1,7 +1,7 @@
-"""Gotcha files: what is simulated into them comes out of the store; what is damaged is refused in one sentence.
+"""Gotcha files: simulated files ingest to the simulated samples, and damaged files give a one-sentence error.
 
-The measured files are used where the environment variable BLOCKSAR_DATA names the folder whose subfolder gotcha/
-has them.
+The tests of measured files need the environment variable BLOCKSAR_DATA: a folder with these files in its
+subfolder gotcha/.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ Record = dict[str, Any]
 
 
 def collection_at(position: np.ndarray) -> Collection:
-    """Pulses at positions (n, 3), with the range to the origin taken out."""
+    """Collection with pulses at positions (n, 3) and the range to the origin as reference range."""
     n = len(position)
     return Collection(
         carrier=9.6e9,
@@ -64,7 +64,7 @@ def circle(azimuth: np.ndarray, height: np.ndarray | float = HEIGHT) -> np.ndarr
 
 
 def record_of(position: np.ndarray) -> Record:
-    """The struct of a file: as the real ones, float32 rows."""
+    """The struct of a file, with float32 rows as in measured files."""
     collection = collection_at(position)
     away = collection.reference_range
     fields = {
@@ -89,7 +89,7 @@ def packed(record: Record, *, name: str = "data", compressed: bool = False) -> b
 
 
 def written(folder: Path, *positions: np.ndarray, first: int = 1) -> list[Path]:
-    """One file for each array of positions."""
+    """Write one file for each array of positions."""
     paths = []
     for k, position in enumerate(positions, first):
         paths.append(folder / f"data_3dsar_pass1_az{k:03d}_HH.mat")
@@ -109,7 +109,7 @@ def samples(path: Path) -> np.ndarray:
     return stores.open_phase_history(path).read(slice(None), slice(None))
 
 
-# ---------------------------------------------------------------- joined
+# ---------------------------------------------------------------- Joining files
 
 
 def test_files_in_any_order_are_joined_in_azimuth(tmp_path: Path) -> None:
@@ -120,7 +120,7 @@ def test_files_in_any_order_are_joined_in_azimuth(tmp_path: Path) -> None:
     found = history.collection
     assert found.n_pulse == 90
     assert np.abs(found.antenna_position - wanted.antenna_position).max() < 3e-4  # float32
-    # The centre has no phase: not r0, which is rounded apart from x, y and z.
+    # The reference range is computed from x, y and z; r0 has its own rounding.
     assert np.abs(found.reference_range - np.linalg.norm(found.antenna_position, axis=1)).max() < 1e-9
     assert np.abs(found.carrier + found.range_frequency - FREQUENCY).max() < 1100  # Hz, float32 again
     assert np.array_equal(samples(tmp_path / "ph.zarr"), simulate_pulses(wanted, *SCENE))
@@ -132,21 +132,21 @@ def test_files_in_any_order_are_joined_in_azimuth(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("turn", [-0.4, 3.0, 5.0])
 def test_the_circle_has_no_seam(tmp_path: Path, turn: float) -> None:
-    """Files on either side of azimuth zero are neighbours; a flight the other way round is sorted."""
+    """Files on either side of azimuth zero are neighbours; a flight in the other direction is sorted."""
     position = circle(AZIMUTH + turn * STEP * 90)[::-1]
     made = ingestion.ingest(written(tmp_path, *np.split(position, 2)), tmp_path / "ph.zarr")
     assert np.abs(made.collection.antenna_position - position[::-1]).max() < 3e-4
     assert np.array_equal(samples(tmp_path / "ph.zarr"), simulate_pulses(collection_at(position[::-1]), *SCENE))
 
 
-def test_pulses_that_are_there_twice_go_once(tmp_path: Path) -> None:
+def test_duplicate_pulses_are_kept_once(tmp_path: Path) -> None:
     position = circle(AZIMUTH)
     paths = written(tmp_path, position[:50], position[40:])
     ingestion.ingest([*paths, paths[0]], tmp_path / "ph.zarr")
     assert np.array_equal(samples(tmp_path / "ph.zarr"), simulate_pulses(collection_at(position), *SCENE))
 
 
-def test_a_few_lost_pulses_are_missing(tmp_path: Path) -> None:
+def test_a_few_lost_pulses_become_missing(tmp_path: Path) -> None:
     position = circle(AZIMUTH)
     made = ingestion.ingest(written(tmp_path, position[:40], position[45:]), tmp_path / "ph.zarr")
     wanted = simulate_pulses(collection_at(position), *SCENE)
@@ -167,21 +167,21 @@ def test_chunks_of_pulses_are_gathered_across_files(tmp_path: Path, monkeypatch:
     assert told == [(n, 90) for n in (16, 32, 48, 64, 80, 90)]
 
 
-def test_track_figures_are_told(tmp_path: Path) -> None:
-    """A wobble of 4 mm that no polynomial follows, up and down: it is the misfit, and nearly nothing is left of it."""
+def test_track_figures_are_reported(tmp_path: Path) -> None:
+    """A vertical wobble of 4 mm that no polynomial follows appears as the misfit; almost none of it remains."""
     wobble = 0.004 * np.sin(2.0 * np.arange(90))
     made = ingestion.ingest(written(tmp_path, circle(AZIMUTH, HEIGHT + wobble)), tmp_path / "ph.zarr")
     line = next(line for line in made.messages if line.startswith("track"))
     track = Geometry(collection=made.collection).track
     assert f"order {track.order} misses" in line
     assert 3 < float(line.split("at most ")[1].split(" mm")[0]) < 5
-    # 46 m from the centre, seen under another angle by so much, of 4 mm.
+    # At 46 m from the centre the line of sight differs by this angle: its share of the 4 mm.
     assert float(line.split("leaves ")[1].split(" mm")[0]) < 0.004 * 1e3 * 90 / 10_000
     found = samples(tmp_path / "ph.zarr")
     assert np.array_equal(found, simulate_pulses(collection_at(circle(AZIMUTH, HEIGHT + wobble)), *SCENE))
 
 
-def test_r0_stays_where_it_is_not_the_distance(tmp_path: Path) -> None:
+def test_r0_is_kept_where_it_differs_from_the_distance(tmp_path: Path) -> None:
     position = circle(AZIMUTH)
     record = record_of(position)
     record["r0"] = record["r0"].astype(np.float64) + 3.0
@@ -190,11 +190,11 @@ def test_r0_stays_where_it_is_not_the_distance(tmp_path: Path) -> None:
     assert np.abs(made.collection.reference_range - np.linalg.norm(position, axis=1) - 3).max() < 2e-3
 
 
-# ---------------------------------------------------------------- uneven pulses
+# ---------------------------------------------------------------- Uneven pulses
 
 
 @pytest.mark.parametrize(("band", "jitter", "most"), [(0.5, 0.3, 2e-3), (0.8, 0.2, 2e-3), (0.9, 0.2, 4e-3)])
-def test_no_echo_errs_by_more_than_the_bound(band: float, jitter: float, most: float) -> None:
+def test_no_echo_exceeds_the_error_bound(band: float, jitter: float, most: float) -> None:
     random = np.random.default_rng(7)
     time = np.arange(300) + random.uniform(-jitter, jitter, 300)
     uniform = np.arange(300.0)
@@ -208,12 +208,12 @@ def test_no_echo_errs_by_more_than_the_bound(band: float, jitter: float, most: f
     assert (error[good] <= made.bound[good, None] + 2e-6).all()
     assert made.bound[good].max() <= 0.05
     assert made.bound[20:-20].max() < most
-    # The bound is no exaggeration: echoes come near it. And taking pulses as they are would be far worse.
+    # The bound is tight: echoes come near it. Without resampling the error would be far larger.
     assert (error[good].max(axis=1) > 0.2 * made.bound[good] - 2e-6).mean() > 0.9
     assert np.abs(echoes - np.exp(2j * np.pi * uniform[:, None] * doppler)).max() > 10 * error[good].max()
 
 
-def test_even_pulses_are_left_as_they_are() -> None:
+def test_even_pulses_are_not_changed() -> None:
     time = np.arange(40.0)
     made = plan_resampling(time, time, band=0.7)
     echoes = np.exp(2j * np.pi * 0.3 * time)[:, None].astype(np.complex64)
@@ -221,7 +221,7 @@ def test_even_pulses_are_left_as_they_are() -> None:
     assert made.good.all()
 
 
-def test_gaps_that_neighbours_do_not_fill_are_missing() -> None:
+def test_gaps_that_neighbours_cannot_fill_are_missing() -> None:
     time = np.delete(np.arange(120.0), slice(50, 60))
     made = plan_resampling(time, np.arange(120.0), band=0.8)
     assert not made.good[51:59].any()
@@ -229,18 +229,18 @@ def test_gaps_that_neighbours_do_not_fill_are_missing() -> None:
 
 
 @pytest.mark.parametrize("wrong", [{"band": 0.0}, {"time": np.zeros(9)}])
-def test_resampling_refuses(wrong: dict[str, Any]) -> None:
+def test_resampling_refuses_invalid_arguments(wrong: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match="must"):
         plan_resampling(**{"time": np.arange(9.0), "uniform": np.arange(9.0), "band": 0.5, **wrong})
 
 
-def test_uneven_pulses_become_uniform_within_the_error_told(tmp_path: Path) -> None:
+def test_uneven_pulses_become_uniform_within_the_reported_error(tmp_path: Path) -> None:
     random = np.random.default_rng(3)
     azimuth = STEP * (np.arange(300) + random.uniform(-0.2, 0.2, 300))
     made = ingestion.ingest(written(tmp_path, *np.split(circle(azimuth), 2)), tmp_path / "ph.zarr")
     found = made.collection
     steps = np.diff(np.arctan2(found.antenna_position[:, 1], found.antenna_position[:, 0]))
-    assert np.ptp(steps) < 1e-3 * STEP  # uniform now
+    assert np.ptp(steps) < 1e-3 * STEP  # uniform after resampling
     line = next(line for line in made.messages if line.startswith("slow time"))
     bound = 10 ** (float(line.split("at most ")[1].split(" dB")[0]) / 20)
     assert bound < 0.06
@@ -250,7 +250,7 @@ def test_uneven_pulses_become_uniform_within_the_error_told(tmp_path: Path) -> N
     assert found.n_pulse > 285
 
 
-# ---------------------------------------------------------------- refused
+# ---------------------------------------------------------------- Refusals
 
 
 def changed(name: str, change: Callable[[np.ndarray], Any]) -> Callable[[Record], bytes]:
@@ -281,7 +281,7 @@ def patched(offset: int, what: bytes, *, compressed: bool = False) -> Callable[[
 
 
 def with_rows(count: int) -> Callable[[Record], bytes]:
-    """A vector that says it has `count` rows: it would take all of the memory to hold them."""
+    """Make a vector that claims `count` rows, more than memory could hold."""
 
     def make(record: Record) -> bytes:
         data = bytearray(packed(record))
@@ -372,11 +372,13 @@ def one_sentence(text: str) -> None:
 
 
 @pytest.mark.parametrize("compressed", [False, True])
-def test_flipped_bytes_never_escape(tmp_path: Path, record: Record, compressed: bool) -> None:
-    """Whatever byte changes: either what was read makes sense, or one sentence says that it does not."""
+def test_flipped_bytes_give_a_valid_store_or_a_one_sentence_error(
+    tmp_path: Path, record: Record, compressed: bool
+) -> None:
+    """Whichever byte changes, the file either reads sensibly or gives a one-sentence error."""
     whole = packed(record, compressed=compressed)
     random = np.random.default_rng(11)
-    # Of the uncompressed file those that say what is where, which are few among the samples.
+    # In the uncompressed file, flip bytes of the structure, which are few among those of the samples.
     places = random.integers(120, min(len(whole), 1500), 150) if not compressed else random.integers(0, len(whole), 100)
     file, refused = tmp_path / "a.mat", 0
     for at in places:
@@ -391,7 +393,7 @@ def test_flipped_bytes_never_escape(tmp_path: Path, record: Record, compressed: 
     assert refused > 50
 
 
-def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
+def test_paths_that_are_not_regular_files_are_refused(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.mat")
     for path, said in ((tmp_path, "regular file"), (tmp_path / "pipe.mat", "regular"), (tmp_path / "no", "not exist")):
         with pytest.raises(InputError, match=said):
@@ -412,7 +414,7 @@ def test_files_that_do_not_belong_together_are_refused(tmp_path: Path) -> None:
     moved.write_bytes(packed({**record, "freq": record["freq"] + 2e6}))
     fewer = tmp_path / "fewer_HH.mat"
     fewer.write_bytes(packed({**record, "freq": record["freq"][:-1], "fp": record["fp"][:-1]}))
-    higher = tmp_path / "higher_HH.mat"  # of another pass, which no name tells
+    higher = tmp_path / "higher_HH.mat"  # of another pass, which the name does not show
     higher.write_bytes(packed(record_of(circle(STEP * np.arange(40, 80), HEIGHT + 30))))
     bump = tmp_path / "bump_HH.mat"
     bump.write_bytes(packed(record_of(circle(STEP * np.arange(40, 80), HEIGHT + 30.0 * (np.arange(40) >= 20)))))
@@ -439,25 +441,25 @@ def test_files_that_do_not_belong_together_are_refused(tmp_path: Path) -> None:
 
 
 def test_pulses_too_uneven_to_resample_are_refused(tmp_path: Path) -> None:
-    azimuth = STEP * np.sort(np.random.default_rng(1).uniform(0, 200, 200))  # wherever chance has it
+    azimuth = STEP * np.sort(np.random.default_rng(1).uniform(0, 200, 200))  # at random places
     with pytest.raises(InputError, match="so unevenly in azimuth"):
         ingestion.ingest(written(tmp_path, circle(azimuth)), tmp_path / "ph.zarr")
 
 
 @pytest.mark.parametrize("count", [1 << 30, -1, 19])
-def test_an_array_has_the_numbers_that_its_shape_says(record: Record, count: int) -> None:
+def test_an_array_must_match_its_stated_shape(record: Record, count: int) -> None:
     with pytest.raises(InputError, match="damaged"):
         read_struct(with_rows(count)(record), "data")
 
 
-def test_a_compressed_variable_that_does_not_end_is_refused(record: Record) -> None:
+def test_a_compressed_variable_without_an_end_is_refused(record: Record) -> None:
     whole = packed(record, compressed=True)
     short = struct.pack("<II", 15, 1000) + whole[136:1136]
     with pytest.raises(InputError, match="does not end"):
         read_struct(whole[:128] + short, "data")
 
 
-def test_a_file_that_changes_meanwhile_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_changes_during_ingestion_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (path,) = written(tmp_path, circle(AZIMUTH))
     lay_out = ingestion._lay_out
 
@@ -471,7 +473,7 @@ def test_a_file_that_changes_meanwhile_is_refused(tmp_path: Path, monkeypatch: p
     assert not (tmp_path / "ph.zarr").exists()
 
 
-def test_the_command_says_what_it_did(tmp_path: Path) -> None:
+def test_the_command_reports_its_result(tmp_path: Path) -> None:
     paths = [str(path) for path in written(tmp_path, *np.split(circle(AZIMUTH), 3))]
     out = str(tmp_path / "ph.zarr")
     run = CliRunner().invoke(commands.app, ["ingest", "gotcha", *paths, "--out", out])
@@ -485,12 +487,12 @@ def test_the_command_says_what_it_did(tmp_path: Path) -> None:
     assert not (tmp_path / "other.zarr").exists()
 
 
-# ---------------------------------------------------------------- what such a track asks of the plan
+# ---------------------------------------------------------------- Planning for such a track
 
 
 @pytest.fixture(scope="module")
 def bumpy() -> Collection:
-    """A circle with 3 mm of a fifth-order bump towards the scene: every target sees it alike."""
+    """A circle with a fifth-order bump of 3 mm towards the scene: the same for every target."""
     n = 256
     azimuth = np.radians(4.0) * np.linspace(-0.5, 0.5, n)
     u = np.linspace(-1, 1, n)
@@ -506,19 +508,21 @@ def bumpy() -> Collection:
 GRID = Grid(-20, 20, 0.5, -20, 20, 0.5)
 
 
-def test_what_all_targets_have_in_common_is_no_phase_error(bumpy: Collection, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_range_variation_common_to_all_targets_is_no_phase_error(
+    bumpy: Collection, monkeypatch: pytest.MonkeyPatch
+) -> None:
     made = plan_collection(bumpy, blocks=1, grid=GRID)
     prediction = made.blocks[0].prediction
     assert prediction.residual_phase < 0.01 and prediction.migration < 0.03  # cells of 2 m
     assert np.abs(made.recovery.common.series).sum() == pytest.approx(0.003, rel=0.05)
-    # Azimuth steps have no terms of such orders: left to them, it would be there in full.
+    # Azimuth steps have no terms of such orders: they would leave it in full.
     monkeypatch.setattr(recovery_planning, "COMMON_LEAST", np.inf)
     without = plan_collection(bumpy, blocks=1, grid=GRID).blocks[0].prediction
     assert without.residual_phase > 0.5
 
 
-def test_a_wide_band_loses_neither_end_of_a_dwell(tmp_path: Path) -> None:
-    """768 MHz at 9.6 GHz: the keystone moves the ends of dwells by 4 %, and weighs frequencies by as much."""
+def test_a_wide_band_keeps_both_ends_of_a_dwell(tmp_path: Path) -> None:
+    """768 MHz at 9.6 GHz: the keystone shifts the ends of dwells by 4 %, and weights frequencies by as much."""
     position = circle(np.radians(4.0) * np.linspace(-0.5, 0.5, 256))
     wide = replace(collection_at(position), range_frequency=16e6 * (np.arange(48) - 24.0)).centred()
     x, y = np.meshgrid(np.arange(-3.0, 3.5, 1.5), np.arange(-3.0, 3.5, 1.5))
@@ -537,8 +541,8 @@ def test_a_wide_band_loses_neither_end_of_a_dwell(tmp_path: Path) -> None:
     assert found.gain == pytest.approx(1, abs=2e-3)
 
 
-def test_lines_go_without_what_is_common(bumpy: Collection) -> None:
-    """Phase, Doppler and its rate of a line are those of one function: range less walk and the common part."""
+def test_lines_exclude_the_common_range(bumpy: Collection) -> None:
+    """Phase, Doppler and Doppler rate of a line derive from one function: range less walk and the common part."""
     geometry = Geometry(collection=bumpy)
     common = recovery.CommonRange(series=np.array([0, 0, 0, 0, 0, 2e-3, 1e-3]), centre=0.3, half=2.0)
     where = {"epoch_range": np.array(10_030.0), "yaw": np.array(np.pi), "origin": 10_000.0, "walk": 1.0}
@@ -551,7 +555,7 @@ def test_lines_go_without_what_is_common(bumpy: Collection) -> None:
     assert np.abs(with_it.rate - plain.rate + cycles * common.at(plain.time, 2)).max() < 1e-9
 
 
-def test_the_common_range_is_one_function() -> None:
+def test_derivatives_and_series_of_the_common_range_agree() -> None:
     common = recovery.CommonRange(series=np.array([0, 0, 0, 0, 0, 2e-3, 1e-3]), centre=0.3, half=2.0)
     time = np.linspace(-1.5, 2.0, 7)
     for derivative in (1, 2):
@@ -561,9 +565,9 @@ def test_the_common_range_is_one_function() -> None:
     assert np.abs(np.polynomial.polynomial.polyval(time, powers) - common.at(time)).max() < 1e-12
 
 
-# ---------------------------------------------------------------- measured
+# ---------------------------------------------------------------- Measured data
 
-POINTS = ((-27.8, 38.8), (-15.5, 21.6))  # m: the two that look like points
+POINTS = ((-27.8, 38.8), (-15.5, 21.6))  # m: the two point-like targets
 
 
 @pytest.fixture(scope="module")
@@ -603,7 +607,7 @@ def test_measured_figures(measured: list[Path], tmp_path: Path) -> None:
 
 
 def test_measured_sign_and_reference(store: Path, reference: np.ndarray, measured: list[Path]) -> None:
-    """The two points lie where they are, and are brightest with the reference range that is written."""
+    """The two points are at their places, and brightest with the stored reference range."""
     history = stores.open_phase_history(store)
     collection = history.collection.centred()
     signal = history.read(slice(None), slice(None))
@@ -624,7 +628,7 @@ def test_measured_sign_and_reference(store: Path, reference: np.ndarray, measure
 
 
 @pytest.mark.parametrize("processor", ["angular-division", "keystone-resampling"])
-def test_measured_image_is_that_of_back_projection(
+def test_the_measured_image_agrees_with_back_projection(
     store: Path, reference: np.ndarray, tmp_path: Path, processor: Any
 ) -> None:
     axis = (-50.0, 50.0, 0.125)
@@ -634,7 +638,7 @@ def test_measured_image_is_that_of_back_projection(
     found = coherence(image, reference)
     assert abs(found.coherence) > 0.9995
     assert found.gain == pytest.approx(1, abs=1e-3) and abs(found.phase) < 1e-3
-    # Cars and points stand out: of one scene, much brighter than the ground's middle.
+    # Cars and points are much brighter than the median of the ground.
     power = np.abs(image) ** 2
     assert np.quantile(power, 0.999) > 100 * np.median(power)
     targets = [Target(f"point {i}", x, y, 1.0) for i, (x, y) in enumerate(POINTS)]
@@ -647,12 +651,12 @@ def test_measured_image_is_that_of_back_projection(
 
 
 def test_a_circle_needs_a_bias_chirp(store: Path, tmp_path: Path) -> None:
-    """No Doppler rate on a circle: the chain that has no room for a bias says so, and does not blame the look."""
+    """A circle has no Doppler rate: a chain without a bias chirp names this reason, not the look direction."""
     axis = (-50.0, 50.0, 0.125)
     with pytest.raises(InputError, match="acceleration cancels the Doppler rate"):
         api.focus(store, tmp_path / "run", processor="high-order-phase", grid=(axis, axis))
     assert not (tmp_path / "run").exists()
 
 
-def test_wavelength_of_the_set(store: Path) -> None:
+def test_the_wavelength_of_the_data_set(store: Path) -> None:
     assert stores.open_phase_history(store).collection.wavelength == pytest.approx(SPEED_OF_LIGHT / 9.599e9, rel=1e-3)

@@ -1,4 +1,4 @@
-"""The Doppler centroid of the samples against the one that track and beam predict."""
+"""The Doppler centroid of the samples, against the one that track and beam predict."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def changed(collection: Collection, **fields: Any) -> Collection:
 
 
 def echoes(plan: Plan, thin: Collection, yaw: FloatArray, place: FloatArray, sigma: Any) -> ComplexArray:
-    """Targets at yaws, and at places 0 .. 1 between near and far."""
+    """Simulate targets at yaws and at places 0 .. 1 between near and far range."""
     near, far = plan.region.at(yaw)
     point = plan.geometry.ground_point(near + place * (far - near), yaw)
     return simulate_pulses(thin, point[:, 0], point[:, 1], sigma * np.ones(yaw.size), threads=2)
@@ -62,7 +62,7 @@ def echoes(plan: Plan, thin: Collection, yaw: FloatArray, place: FloatArray, sig
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Case:
-    """A plan, a few of its range frequencies, far apart, and clutter."""
+    """A plan, a few widely spaced range frequencies, and clutter."""
 
     name: str
     plan: Plan
@@ -98,7 +98,7 @@ def judge(signal: ComplexArray, thin: Collection, plan: Plan) -> str | None:
     return disagreement(found, plan.expectation())
 
 
-def test_the_right_track_and_beam_raise_no_alarm(case: Case) -> None:
+def test_the_right_track_and_beam_cause_no_disagreement(case: Case) -> None:
     plan, thin = case.plan, case.thin
     assert judge(case.clutter, thin, plan) is None
     rng = np.random.default_rng(2)
@@ -130,16 +130,16 @@ def wrong_plans(collection: Collection) -> dict[str, Collection]:
     }
 
 
-# Each of these moves Doppler by about whole PRFs at some time and another part at others, and leaves the least real
-# part so small that segments of clutter may add up to it: it is not told.
+# These errors shift Doppler by about whole PRFs at some times and by other amounts at others. The least real part is
+# then so small that segments of clutter may add up to it: the error is not reported.
 UNSEEN = {("30-degree scan", "mirrored in y")}
 
 
-def test_a_wrong_track_or_beam_is_told(case: Case) -> None:
+def test_a_wrong_track_or_beam_is_reported(case: Case) -> None:
     for error, collection in wrong_plans(case.plan.collection).items():
         try:
             wrong = plan_of(collection)
-        except InputError as refused:  # seen before a sample is read
+        except InputError as refused:  # detected before a sample is read
             assert "PRF" in str(refused) or "swath" in str(refused)
             continue
         said = judge(case.clutter, case.thin, wrong)
@@ -152,14 +152,14 @@ def test_a_wrong_track_or_beam_is_told(case: Case) -> None:
         assert "\n" not in said
 
 
-def test_a_phase_of_the_wrong_sign_is_told(case: Case) -> None:
+def test_a_phase_of_the_wrong_sign_is_reported(case: Case) -> None:
     said = judge(case.clutter.conj(), case.thin, case.plan)
     assert said is not None
     assert "wanders" in said
 
 
-def test_the_figure_is_the_shift(table1: Case) -> None:
-    """Doppler added to clutter is read off again, modulo the PRF, and told beyond a tolerance on either side."""
+def test_the_measured_offset_is_the_doppler_shift(table1: Case) -> None:
+    """A Doppler shift of clutter is measured modulo the PRF, and reported beyond a tolerance on either side."""
     plan, thin = table1.plan, table1.thin
     prf, wanted = thin.prf, plan.expectation()
     offsets = {}
@@ -199,7 +199,7 @@ def test_expectations_hold_for_targets_anywhere(table1: Case) -> None:
     angle = np.angle(vectors) / (2 * np.pi) * thin.prf
     assert wanted.angle[0] - 20 < angle.min() < angle.max() < wanted.angle[1] + 20  # Hz: the band's tails
     assert wanted.real - 0.02 < np.real(vectors).min() < wanted.real + 0.1
-    # Targets that the ends cut are lit outside the whole segments, and reach as far as these.
+    # Targets whose dwell the ends cut are lit outside the whole segments, and reach at least to their edge.
     for yaw, side in ((low + 0.999 * width, 0), (high - 0.999 * width, -1)):
         signal = echoes(plan, thin, np.array([yaw]), np.array([0.5]), 1.0)
         found = inspect(signal, range_frequency=thin.range_frequency, recovery=plan.recovery)
@@ -209,7 +209,7 @@ def test_expectations_hold_for_targets_anywhere(table1: Case) -> None:
         assert min(abs(int(k) - edge) for k in lit for edge in wanted.whole) <= 2
 
 
-def test_nothing_is_expected_without_a_beam_or_a_whole_dwell(small_collection: Collection) -> None:
+def test_without_a_beam_or_a_whole_dwell_there_is_no_expectation(small_collection: Collection) -> None:
     plan = plan_of(small_collection)
     lit = {"yaw": plan.region.yaw, "near": plan.region.near, "far": plan.region.far}
     assert expect(plan.geometry, plan.recovery, **lit) is not None
@@ -227,7 +227,7 @@ def test_nothing_is_expected_without_a_beam_or_a_whole_dwell(small_collection: C
 def drawn(
     rng: np.random.Generator, *, sweep: float, dwell: float, count: int, decades: float, ends: float, shift: float = 0.0
 ) -> Inspection:
-    """Segments of targets at random, some of them surely at the start; PRF and aperture 1."""
+    """Segments of random targets, a share `ends` of them near the start; PRF and aperture are 1."""
     n = 640
     time = (np.arange(n) + 0.5) / n
     middle = rng.uniform(-dwell / 2, 1 + dwell / 2, count)
@@ -255,7 +255,7 @@ def drawn_expectation(sweep: float, dwell: float) -> Expectation:
 
 @pytest.mark.parametrize("sweep", [0.3, 0.6, 0.9])
 @pytest.mark.parametrize("dwell", [0.1, 0.4])
-def test_no_scene_raises_an_alarm_by_itself(sweep: float, dwell: float) -> None:
+def test_a_scene_alone_causes_no_disagreement(sweep: float, dwell: float) -> None:
     rng, wanted = np.random.default_rng(11), drawn_expectation(sweep, dwell)
     alarms = sum(
         disagreement(drawn(rng, sweep=sweep, dwell=dwell, count=count, decades=decades, ends=0.5), wanted) is not None
@@ -269,9 +269,9 @@ def test_no_scene_raises_an_alarm_by_itself(sweep: float, dwell: float) -> None:
         assert all(disagreement(drawn(rng, **lit, shift=shift), wanted) for shift in (-0.4, 0.45) for _ in range(10))
 
 
-def test_noise_is_no_disagreement() -> None:
+def test_noise_is_not_reported_as_disagreement() -> None:
     rng, wanted = np.random.default_rng(12), drawn_expectation(0.6, 0.05)
-    deviation = 1 / np.sqrt(4800 / SEGMENTS * 1000)  # of a sum, over its energy
+    deviation = 1 / np.sqrt(4800 / SEGMENTS * 1000)  # of a sum, relative to its energy
     for _ in range(200):
         sums = rng.normal(0, deviation / np.sqrt(2), (SEGMENTS, 2))
         pairs = np.concatenate([sums, np.ones((SEGMENTS, 1))], axis=1)
@@ -280,7 +280,7 @@ def test_noise_is_no_disagreement() -> None:
         assert disagreement(Inspection(n_pulse=4800, n_column=1000, pairs=pairs.tolist()), wanted) is not None
 
 
-def test_noise_alone_and_nothing_at_all_say_nothing(table1: Case) -> None:
+def test_noise_alone_and_empty_samples_report_nothing(table1: Case) -> None:
     wanted = table1.plan.expectation()
     assert judge(clutter(*table1.clutter.shape, seed=8), table1.thin, table1.plan) is None
     empty = Inspection(n_pulse=4800, n_column=24, pairs=[[0.0, 0.0, 0.0]] * SEGMENTS)

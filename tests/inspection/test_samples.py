@@ -1,4 +1,4 @@
-"""Inspection: damage is found and nothing else, and track and beam that are not those of the data are told."""
+"""Inspection of samples: damage is found, and undamaged samples are left alone."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ CARRIER, STEP = 10e9, 1e6  # Hz
 
 
 def recovery_of(n_pulse: int, *, seed: int = 0) -> Recovery:
-    """Only what inspection reads matters; the reference range jumps about."""
+    """A recovery with only the fields that inspection reads; the reference range varies at random."""
     rng = np.random.default_rng(seed)
     return Recovery(
         carrier=CARRIER,
@@ -44,17 +44,17 @@ def frequency(n_column: int, first: int = 0) -> FloatArray:
 
 
 def look(signal: ComplexArray, **options: Any) -> tuple[Inspection, ComplexArray]:
-    """What is found, and the samples as they are left."""
+    """Return the inspection and the samples as it leaves them."""
     left = signal.copy()
     options = {"recovery": recovery_of(signal.shape[0]), "range_frequency": frequency(signal.shape[1])} | options
     return inspect(left, **options), left
 
 
-# ---------------------------------------------------------------- the pass, against loops
+# ---------------------------------------------------------------- The pass against explicit loops
 
 
 def outliers_of(column: list[float]) -> list[int]:
-    """Impossible samples of a column of moduli; 0 where there is none."""
+    """Indices of the impossible samples in a column of moduli; a modulus of 0 marks a missing sample."""
     held = sorted(m for m in column if m > 0)
     if not held:
         return []
@@ -128,7 +128,7 @@ DAMAGE = st.tuples(
 
 
 @settings(max_examples=60, deadline=None)
-@example(shape=(8, 1), seed=0, levels=False, damage=[(np.nan, 0, 2, 1), (1e30, 2, 3, 1)])  # half of what is there
+@example(shape=(8, 1), seed=0, levels=False, damage=[(np.nan, 0, 2, 1), (1e30, 2, 3, 1)])  # half of the samples
 @example(shape=(13, 2), seed=0, levels=False, damage=[(np.nan, 7, 2, 1), (3e4, 11, 1, 1), (1e12, 0, 3, 2)])
 @given(
     shape=st.tuples(st.integers(8, 90), st.sampled_from([1, 2, 31, 32, 33, 70])),
@@ -136,7 +136,7 @@ DAMAGE = st.tuples(
     levels=st.booleans(),
     damage=st.lists(DAMAGE, max_size=8),
 )
-def test_the_pass_finds_what_loops_find(
+def test_the_pass_finds_the_same_as_explicit_loops(
     shape: tuple[int, int], seed: int, levels: bool, damage: list[tuple[complex, int, int, int]]
 ) -> None:
     signal = clutter(*shape, seed=seed)
@@ -158,7 +158,7 @@ def test_sums_hold_at_any_level(level: float) -> None:
 
 
 def damaged(n_pulse: int, n_column: int) -> ComplexArray:
-    """Everything at once."""
+    """Samples with every kind of damage."""
     signal = clutter(n_pulse, n_column, seed=4).view(np.float32).clip(-1.5, 1.5).view(np.complex64)
     signal[17:20] = np.nan
     signal[40, ::7] = np.inf
@@ -217,7 +217,7 @@ def test_without_a_recovery_there_are_no_pairs() -> None:
         merge([with_pairs, without])
 
 
-def test_what_does_not_fit_is_an_error() -> None:
+def test_mismatched_arguments_raise() -> None:
     signal = clutter(64, 8)
     for wrong in (signal[:, ::2], signal.T, signal.astype(np.complex128)):
         with pytest.raises(ValueError, match="contiguous"):
@@ -230,12 +230,12 @@ def test_what_does_not_fit_is_an_error() -> None:
         merge([Inspection(n_pulse=64, n_column=1), Inspection(n_pulse=65, n_column=1)])
 
 
-# ---------------------------------------------------------------- what is impossible, and what is not
+# ---------------------------------------------------------------- Impossible and possible samples
 
 
 @pytest.mark.parametrize("bit", [26, 27, 28, 29, 30])
 def test_a_flipped_high_bit_of_the_exponent_is_found(bit: int) -> None:
-    """Where it makes a sample larger at all; 2^4 = 16-fold (bit 25) may pass for a target."""
+    """Where the flip makes a sample larger; 2^4 = 16-fold (bit 25) may pass for a target."""
     signal = clutter(300, 4, seed=bit)
     clean = signal.copy()
     bits = signal.view(np.uint32)
@@ -254,15 +254,17 @@ def test_a_flipped_high_bit_of_the_exponent_is_found(bit: int) -> None:
 @pytest.mark.parametrize(("times", "found"), [(99.0, False), (101.0, True)])
 @pytest.mark.parametrize("pulse", [0, 1, 50, 98, 99])
 @pytest.mark.parametrize("highest", ["neighbour", "median"])
-def test_a_hundredfold_of_neighbours_and_median(times: float, found: bool, pulse: int, highest: str) -> None:
+def test_an_outlier_stands_a_hundredfold_above_neighbours_and_median(
+    times: float, found: bool, pulse: int, highest: str
+) -> None:
     signal = np.ones((100, 1), np.complex64)
     near = signal[max(pulse - 2, 0) : pulse + 3]
     near[:] = 0.1
     if highest == "neighbour":
-        near[-1 if pulse < 98 else 0] = 3  # two pulses off, or one where there are no two
+        near[-1 if pulse < 98 else 0] = 3  # two pulses away, or one where two are not possible
     signal[pulse] = -1j * times * (3 if highest == "neighbour" else 1)
     assert look(signal)[0].outliers == ({pulse: [0]} if found else {})
-    # The same in a column that is looked at for something else.
+    # The same in a column that is examined because of another sample.
     signal[(pulse + 50) % 100] = 1e12
     assert set(look(signal)[0].outliers) == {(pulse + 50) % 100} | ({pulse} if found else set())
 
@@ -303,14 +305,14 @@ POSSIBLE: dict[str, ComplexArray] = {
 
 
 @pytest.mark.parametrize("name", POSSIBLE)
-def test_what_scenes_and_jammers_give_is_left_alone(name: str) -> None:
+def test_possible_samples_of_scenes_and_jammers_are_left_alone(name: str) -> None:
     signal = POSSIBLE[name]
     found, left = look(signal, recovery=None)
     assert not found.outliers
     np.testing.assert_array_equal(left, np.nan_to_num(signal, nan=0.0))
 
 
-def test_damage_is_found_where_its_neighbours_are_missing_or_damaged_too() -> None:
+def test_damage_is_found_where_neighbours_are_missing_or_damaged() -> None:
     signal = clutter(400, 3)
     signal[98:103, 1] = np.nan
     signal[100, 1] = 1e30
@@ -320,7 +322,7 @@ def test_damage_is_found_where_its_neighbours_are_missing_or_damaged_too() -> No
     assert np.abs(left).max() < 10
 
 
-def test_damage_is_struck_from_pulses_too() -> None:
+def test_outliers_are_masked_in_groups_of_pulses() -> None:
     signal = damaged(128, 70)
     found, _ = look(signal)
     rows = signal[50:62].copy()
@@ -329,7 +331,7 @@ def test_damage_is_struck_from_pulses_too() -> None:
     np.testing.assert_array_equal(np.nan_to_num(rows, nan=7), np.where(np.isnan(rows), 7, signal[50:62]))
 
 
-# ---------------------------------------------------------------- what is said
+# ---------------------------------------------------------------- Messages
 
 
 @pytest.mark.parametrize(
@@ -383,7 +385,7 @@ WHOLE = {p: 10 for p in range(12)}
     ],
     ids=str,
 )
-def test_what_was_found_is_said_plainly(facts: dict[str, Any], said: list[str]) -> None:
+def test_the_description_lists_missing_samples_outliers_and_saturation(facts: dict[str, Any], said: list[str]) -> None:
     assert describe(Inspection(n_pulse=100, n_column=10, valid=900, **facts)) == said
 
 

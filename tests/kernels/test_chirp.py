@@ -1,4 +1,4 @@
-"""The chirp's spectrum."""
+"""The spectrum of the chirp."""
 
 from __future__ import annotations
 

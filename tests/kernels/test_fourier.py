@@ -1,4 +1,4 @@
-"""Axes and the transform."""
+"""Centred axes, FFT lengths and the Fourier transform."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from blocksar.kernels import fourier
 
 
 @pytest.mark.parametrize("size", [1, 2, 7, 8])
-def test_a_centred_axis_holds_its_centre_and_its_parts_are_its_own_samples(size: int) -> None:
+def test_a_centred_axis_contains_its_centre_and_its_parts_contain_its_samples(size: int) -> None:
     axis = fourier.centred(3.0, 0.25, size)
     assert axis.values[size // 2] == 3.0
     assert axis.centre == 3.0
@@ -23,7 +23,7 @@ def test_a_centred_axis_holds_its_centre_and_its_parts_are_its_own_samples(size:
     assert fourier.dual(axis, size=12, centre=-1.0).step == pytest.approx(1 / 3)
 
 
-def test_the_fast_length_is_the_smallest_even_one_without_large_prime_factors() -> None:
+def test_the_fast_length_is_the_smallest_even_length_without_large_prime_factors() -> None:
     def smooth(n: int) -> bool:
         for prime in (2, 3, 5):
             while n % prime == 0:
@@ -35,7 +35,7 @@ def test_the_fast_length_is_the_smallest_even_one_without_large_prime_factors() 
         assert fourier.fast_length(minimum) == least
 
 
-def test_the_bare_transform_and_the_phasor() -> None:
+def test_the_array_transform_and_the_phasor() -> None:
     x = noise(3, 20)
     np.testing.assert_allclose(fourier.fft_rows(x.copy(), inverse=False), np.fft.fft(x, axis=1), atol=2e-5)
     np.testing.assert_allclose(fourier.fft_rows(x.copy(), inverse=True), np.fft.ifft(x, axis=1), atol=1e-6)

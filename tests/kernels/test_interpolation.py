@@ -17,13 +17,13 @@ from blocksar.kernels.interpolation import PIECE
 
 
 def interpolated(taps: np.ndarray, f: FloatArray) -> np.ndarray:
-    """What taps (n_fraction, n_tap) make of exp(2j pi f n): (n_fraction, n_f)."""
+    """Interpolate exp(2j pi f n) with taps (n_fraction, n_tap): (n_fraction, n_f)."""
     k = np.arange(taps.shape[1]) - (taps.shape[1] // 2 - 1)
     return taps @ np.exp(2j * np.pi * np.multiply.outer(k, f))
 
 
 @pytest.mark.parametrize(("n_tap", "occupancy"), [(4, 0.3), (8, 0.7), (12, 0.7), (16, 0.8), (20, 0.8)])
-def test_taps_err_as_little_as_they_say_and_no_others_err_less(n_tap: int, occupancy: float) -> None:
+def test_taps_meet_their_stated_error_and_no_other_taps_err_less(n_tap: int, occupancy: float) -> None:
     nodes, share = np.polynomial.legendre.leggauss(200)
     f = occupancy / 2 * nodes
     fraction = np.arange(257) / 256
@@ -37,9 +37,9 @@ def test_taps_err_as_little_as_they_say_and_no_others_err_less(n_tap: int, occup
 
     found = worst(taps)
     told = interpolation.interpolation_error(n_tap, occupancy)
-    # What is told counts the band's edges, where the error is largest, a little too much: on the safe side.
+    # The stated error gives slightly too much weight to the band's edges, where the error is largest: a safe estimate.
     assert 0.7 * told - 1e-7 < found.max() < 1.01 * told + 1e-7
-    # A sample's own place is nobody else's business, at either end of the table.
+    # At either end of the table, the place coincides with a sample, and the error is smaller.
     assert found[[0, -1]].max() < 0.3 * told + 3e-7
 
     # Slow twin: the same least squares over sampled frequencies instead of sinc integrals.
@@ -48,14 +48,14 @@ def test_taps_err_as_little_as_they_say_and_no_others_err_less(n_tap: int, occup
     aims = exact[::64].T * np.sqrt(share / 2)[:, None]
     best = np.linalg.lstsq(np.vstack([tones.real, tones.imag]), np.vstack([aims.real, aims.imag]), rcond=1e-14)[0].T
     np.testing.assert_allclose(worst(taps[::64]), worst(best), rtol=1e-3, atol=2e-7)
-    # Any windowed sinc is one more candidate; the best Kaiser window comes within a few per cent at high occupancy.
+    # A windowed sinc cannot do better; the best Kaiser window comes within a few per cent at high occupancy.
     distance = fraction[::64, None] - k
     for beta in np.linspace(0, 12, 25):
         window = np.interp(np.abs(distance) / (n_tap / 2), np.linspace(0, 1, 501), kaiser(1001, beta)[500:])
         assert worst(best).max() <= worst(np.sinc(distance) * window).max()
 
 
-def test_no_fewer_taps_would_do() -> None:
+def test_fewer_taps_would_not_reach_the_error() -> None:
     for occupancy in (0.3, 0.62, 0.8):
         for wanted in (1e-2, 1e-3, 1e-4):
             n_tap = interpolation.taps_needed(occupancy, error=wanted)
@@ -65,7 +65,7 @@ def test_no_fewer_taps_would_do() -> None:
 
 
 @pytest.mark.parametrize(("n_tap", "occupancy"), [(4, 0.3), (8, 0.7), (16, 0.8), (22, 0.78)])
-def test_expanded_taps_are_the_same_taps(n_tap: int, occupancy: float) -> None:
+def test_expanded_taps_equal_the_computed_taps(n_tap: int, occupancy: float) -> None:
     fine = interpolation.TAP_PHASES * 40
     taps = interpolation.interpolation_taps(n_tap, occupancy=occupancy, n_phase=fine)
     table = interpolation.tap_polynomials(n_tap, occupancy=occupancy)
@@ -87,8 +87,8 @@ PLACES = [(2000, 1000.0), (1201, 600.0), (777, 300.37), (600, -200.0), (600, 900
 
 @pytest.mark.parametrize("scale", SCALES)
 @pytest.mark.parametrize(("n", "middle"), PLACES)
-def test_stretched_rows_are_the_exact_signal_elsewhere(scale: float, n: int, middle: float) -> None:
-    """A signal of 200 tones over 0.7 of the band is known at any place between samples."""
+def test_stretched_rows_equal_the_exact_signal_between_samples(scale: float, n: int, middle: float) -> None:
+    """Test with a sum of 200 tones over 0.7 of the band, whose value between samples is known."""
     rng = np.random.default_rng(n)
     f = rng.uniform(-0.35, 0.35, 200)
     tones = np.exp(2j * np.pi * rng.uniform(0, 1, (2, 200))) / np.sqrt(200)
@@ -105,11 +105,11 @@ def test_stretched_rows_are_the_exact_signal_elsewhere(scale: float, n: int, mid
     interpolation.stretch_rows(values, found, scales, middle, taps)
     for row in range(2):
         position = middle + (np.arange(n) - middle) * scales[row]
-        # A strip's window may lie a fraction of a sample to the side of the place that it is read at.
+        # The window of a strip may be off by a fraction of a sample from the place at which it is read.
         inside = (position >= n_tap / 2) & (position <= n - n_tap / 2 - 2)
         outside = (position < -n_tap / 2 - 1) | (position > n + n_tap / 2)
         error = np.abs(found[row] / scales[row] - signal(position)[row])
-        # Half-way between samples sixteen taps err by 1e-4, and nowhere by more; expanding their weights adds 1e-5.
+        # Sixteen taps err by at most 1e-4, half-way between samples; expanding their weights adds 1e-5.
         assert np.sqrt(np.mean(error[inside] ** 2)) < interpolation.interpolation_error(n_tap, 0.7)
         assert largest(error[inside]) < 3e-4
         assert (found[row, outside] == 0).all()
@@ -118,11 +118,11 @@ def test_stretched_rows_are_the_exact_signal_elsewhere(scale: float, n: int, mid
 
 
 def nearest_sums_differ(values: ComplexArray, found: np.ndarray, position: np.ndarray, n_tap: int) -> float:
-    """From least-squares weights at occupancy 0.6, relative to the largest sample; zeros lie beyond the ends."""
+    """Error relative to the largest sample, against least-squares weights at occupancy 0.6; zeros beyond the ends."""
     padded = np.concatenate([np.zeros(2000), values, np.zeros(2000)])
     k = np.arange(n_tap) - (n_tap // 2 - 1)
     gram = np.sinc(0.6 * (k[:, None] - k)) + 1e-9 * np.eye(n_tap)
-    # The window is the one about the place, or that of a neighbour in its strip, by as much as weights are expanded.
+    # Within the reach of the expanded weights, a place may use the window of a neighbour in its strip.
     error = np.full((3, position.size), np.inf)
     for side in (-1, 0, 1):
         whole = np.floor(position).astype(int) + side
@@ -141,7 +141,7 @@ def nearest_sums_differ(values: ComplexArray, found: np.ndarray, position: np.nd
 def test_stretched_rows_are_weighted_sums_of_the_nearest_samples(
     n: int, middle: float, scale: float, n_tap: int
 ) -> None:
-    """Against least-squares weights one output at a time, zeros beyond the ends; any length, any fixed point."""
+    """Compare with least-squares weights, one output at a time: any length and fixed point; zeros beyond the ends."""
     values = noise(1, n, seed=n)
     found = np.full((1, n), np.nan, np.complex64)
     interpolation.stretch_rows(
@@ -171,21 +171,21 @@ def test_a_stretched_row_does_not_depend_on_the_others() -> None:
 
 
 @pytest.mark.parametrize("scale", [-1.0, 0.4, 2.1, np.nan])
-def test_a_scale_that_is_not_near_one_is_refused(scale: float) -> None:
+def test_a_scale_far_from_one_is_refused(scale: float) -> None:
     taps = interpolation.tap_polynomials(4, occupancy=0.5)
     with pytest.raises(ValueError, match="scale"):
         interpolation.stretch_rows(noise(1, 50), np.empty((1, 50), np.complex64), np.array([scale]), 25.0, taps)
 
 
 def curve(n: int, slopes: FloatArray) -> FloatArray:
-    """Positions (1, order + 1) that begin at 0.3, and move by a polynomial of u through these slopes at even steps."""
+    """Positions (1, order + 1) that start at 0.3; the slope is a polynomial of u through these values at even steps."""
     u, at = (np.array([0, n - 1]) - n // 2) * (2 / n), np.linspace(-1, 1, slopes.size)
     slope = np.polynomial.Polynomial.fit(at, slopes, slopes.size - 1).convert() * (n / 2)
     return (slope.integ(lbnd=u[0]) + 0.3).coef[None, :]
 
 
 def position_and_slope(positions: FloatArray, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Along the one row, in extended precision; the slope in samples a sample."""
+    """Position and slope (samples per sample) along the only row, in extended precision."""
     u = np.longdouble(np.arange(n) - n // 2) * 2 / n
     order = np.arange(1, positions.shape[1])
     return power_sum(positions, u)[0], power_sum(positions[:, 1:] * order, u)[0] * 2 / n
@@ -203,7 +203,7 @@ CURVES = {
 @pytest.mark.parametrize("slopes", CURVES.values(), ids=CURVES.keys())
 @pytest.mark.parametrize("n", [90, 777, 2 * PIECE + 5])
 @pytest.mark.parametrize(("n_tap", "occupancy"), [(8, 0.5), (16, 0.7), (22, 0.8), (32, 0.9)])
-def test_resampled_rows_are_the_exact_signal_elsewhere(
+def test_resampled_rows_equal_the_exact_signal_between_samples(
     n_tap: int, occupancy: float, n: int, slopes: FloatArray
 ) -> None:
     rng = np.random.default_rng(n)
@@ -241,7 +241,7 @@ def test_resampled_rows_are_the_exact_signal_elsewhere(
 def test_resampled_rows_are_weighted_sums_of_the_nearest_samples(
     n: int, begin: float, slopes: list[float], n_tap: int
 ) -> None:
-    """Against least-squares weights one output at a time, zeros beyond the ends; any length, any curve."""
+    """Compare with least-squares weights, one output at a time: any length and curve; zeros beyond the ends."""
     positions = curve(n, np.array(slopes if n > 400 else slopes[:2]))
     positions[0, 0] += begin
     position, slope = position_and_slope(positions, n)
@@ -251,8 +251,8 @@ def test_resampled_rows_are_weighted_sums_of_the_nearest_samples(
 
 
 @pytest.mark.parametrize("scale", [0.5, 0.93, 1.0, 1.0005, 2.0])
-def test_a_straight_curve_is_a_stretch(scale: float) -> None:
-    """But for the gain; the highest orders may be zero."""
+def test_a_straight_curve_equals_a_stretch(scale: float) -> None:
+    """Except for the gain; the highest orders may be zero."""
     n, middle = 1201, 400.25
     values = np.fft.ifft(np.fft.fft(noise(1, n)) * (np.abs(np.fft.fftfreq(n)) < 0.25)).astype(np.complex64)
     taps = interpolation.tap_polynomials(20, occupancy=0.6)
@@ -261,12 +261,12 @@ def test_a_straight_curve_is_a_stretch(scale: float) -> None:
     positions = np.array([[middle + (n // 2 - middle) * scale, scale * n / 2, *np.zeros(11)]])
     interpolation.resample_rows(values, resampled, positions, taps)
     position = middle + (np.arange(n) - middle) * scale
-    inside = (position > 10) & (position < n - 12)  # where the row is cut off, one sample's weights are not another's
+    inside = (position > 10) & (position < n - 12)  # where a row is cut off, the windows of the two operations differ
     assert largest((resampled - stretched / np.sqrt(scale))[0, inside]) < 2e-5 * largest(values)
 
 
 @pytest.mark.parametrize("n", [1, 2, 31, 33, 1000, PIECE + 1])
-def test_positions_of_the_samples_give_the_samples_back(n: int) -> None:
+def test_resampling_at_the_sample_positions_returns_the_samples(n: int) -> None:
     values = noise(1, n)
     found = np.empty_like(values)
     for n_tap, occupancy in ((8, 0.5), (16, 0.8)):
@@ -302,7 +302,7 @@ def test_a_curve_that_is_too_steep_or_too_flat_is_refused(n: int, slopes: list[f
         interpolation.resample_rows(noise(1, n), np.empty((1, n), np.complex64), positions, taps)
 
 
-def test_positions_that_are_no_curves_of_the_rows_are_refused() -> None:
+def test_positions_that_do_not_fit_the_rows_are_refused() -> None:
     taps, values, out = interpolation.tap_polynomials(4, occupancy=0.5), noise(2, 50), np.empty((2, 50), np.complex64)
     for positions in ([[25.0, 25.0]], [[25.0, 25.0]] * 3, [[25.0], [25.0]]):
         with pytest.raises(ValueError, match="one polynomial per row"):

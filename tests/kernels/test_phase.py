@@ -1,4 +1,4 @@
-"""Rotations by phases, and columns that become rows: against formulas in extended precision."""
+"""Rotation by phases and transposition of columns, against formulas in extended precision."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def turned(values: ComplexArray, cycles: np.ndarray) -> np.ndarray:
     return values.astype(np.complex128) * np.exp(2j * np.pi * np.asarray(cycles - np.rint(cycles), np.float64))
 
 
-def test_a_phase_is_the_polynomial_that_it_says() -> None:
+def test_a_phase_is_the_stated_polynomial() -> None:
     given = Phase(np.array([[1.0, 2.0, 3.0], [0.0, -1.0, 0.5]]), centre=10.0, scale=4.0)
     z = (np.array([6.0, 10.0, 18.0]) - 10.0) / 4.0
     np.testing.assert_allclose(given.cycles(np.array([6.0, 10.0, 18.0])), [1 + 2 * z + 3 * z**2, -z + 0.5 * z**2])
@@ -40,14 +40,16 @@ def test_a_phase_is_the_polynomial_that_it_says() -> None:
     centre=st.floats(-100, 100),
     order=st.integers(0, 9),
 )
-def test_a_phase_along_an_axis_is_the_same_phase(n: int, start: float, step: float, centre: float, order: int) -> None:
+def test_a_phase_on_the_variable_of_an_axis_has_the_same_values(
+    n: int, start: float, step: float, centre: float, order: int
+) -> None:
     rng = np.random.default_rng(order)
     axis = Axis(start, step, n)
     scale = 1.0 + np.abs(axis.values - centre).max()
     given = Phase(rng.uniform(-1, 1, (2, order + 1)), centre=centre, scale=float(scale))
     along = given.along(axis)
     assert along.shape == (2, order + 1)
-    # Moved and scaled, the powers add up to what they were but for the rounding of terms up to 2^order as large.
+    # Shifting and scaling the powers changes only the rounding, of terms up to 2^order as large.
     np.testing.assert_allclose(
         np.asarray(power_sum(along, phase.unit(n)), np.float64),
         given.cycles(axis.values),
@@ -57,7 +59,7 @@ def test_a_phase_along_an_axis_is_the_same_phase(n: int, start: float, step: flo
 
 
 @pytest.mark.parametrize("n", [1, 2, 7, 8])
-def test_the_own_variable_of_an_axis(n: int) -> None:
+def test_the_normalised_variable_of_an_axis(n: int) -> None:
     np.testing.assert_array_equal(phase.unit(n), (np.arange(n) - n // 2) / (n / 2))
     assert not phase.unit(n).flags.writeable
 
@@ -70,17 +72,17 @@ def test_rotation_by_a_polynomial_of_millions_of_cycles(order: int, n: int) -> N
     wanted = turned(values, power_sum(coefficients, phase.unit(n)))
     found = values.copy()
     phase.rotate(found, n, coefficients)
-    # Ten terms of 1e7 cycles: float64 holds their sum to some 1e-8 of a cycle.
+    # Ten terms of 1e7 cycles: float64 holds their sum to about 1e-8 of a cycle.
     assert largest(found - wanted) < SINGLE * largest(values)
 
-    # Into another array, wider at that, the same bits; no more than n samples of it, and the source as it was.
+    # Into another, wider array: the same bits; only n samples are written, and the source does not change.
     wide, out = np.pad(values, ((0, 0), (0, 3))), np.full((5, n + 5), 7, np.complex64)
     wide.flags.writeable = coefficients.flags.writeable = False
     phase.rotate(wide, n, coefficients, out)
     np.testing.assert_array_equal(out[:, :n], found)
     assert (out[:, n:] == 7).all()
 
-    # In place in a wider array, one row at a time: neither the other rows nor the rest of its own matter.
+    # In place in a wider array, one row at a time: the other rows and the rest of the row do not change.
     for row in range(5):
         alone = np.full((1, n + 3), 7, np.complex64)
         alone[:, :n] = values[row]
@@ -89,7 +91,7 @@ def test_rotation_by_a_polynomial_of_millions_of_cycles(order: int, n: int) -> N
         assert (alone[0, n:] == 7).all()
 
 
-def test_rotations_that_make_no_sense_are_refused() -> None:
+def test_rotations_with_invalid_arguments_are_refused() -> None:
     values = noise(2, 4).copy()
     with pytest.raises(ValueError, match="order 10"):
         phase.rotate(values, 4, np.zeros((2, 11)))
@@ -144,7 +146,7 @@ def test_rotation_at_whole_half_and_quarter_cycles() -> None:
     assert largest(rows - wanted[:, None]) < SINGLE
 
 
-def test_sine_and_cosine_err_as_little_as_they_say() -> None:
+def test_sine_and_cosine_meet_their_stated_error() -> None:
     x = np.linspace(-0.5, 0.5, 20_001).astype(np.float32)
     wanted = np.exp(2j * np.pi * x.astype(np.float64))
     found = trigonometry.cosine(x).astype(np.float64) + 1j * trigonometry.sine(x)
@@ -152,7 +154,7 @@ def test_sine_and_cosine_err_as_little_as_they_say() -> None:
     assert np.sqrt(np.mean(np.abs(found - wanted) ** 2)) < 1.1e-7  # numpy rounds every product, the loops do not
 
 
-def test_missing_samples_stay_missing_and_spread_no_further() -> None:
+def test_missing_samples_stay_missing_and_do_not_spread() -> None:
     values = noise(2, 100).copy()
     values[1, 40] = np.nan
     phase.rotate(values, 100, np.full((2, 3), 0.3))
@@ -160,11 +162,11 @@ def test_missing_samples_stay_missing_and_spread_no_further() -> None:
     assert np.isnan(values).sum() == 1
 
 
-# -- columns ------------------------------------------------------------------------------------------------
+# -- Columns ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("n", "first", "count"), [(1, 0, 1), (5, 2, 8), (130, 3, 7), (64, 40, 16), (300, 1, 33)])
-def test_columns_become_rows_and_go_back(n: int, first: int, count: int) -> None:
+def test_columns_become_rows_and_back(n: int, first: int, count: int) -> None:
     values = noise(n, first + count + 2)
     rows = np.empty((count, n), np.complex64)
     wanted = values[:, first : first + count].T
@@ -185,11 +187,11 @@ def test_columns_become_rows_and_go_back(n: int, first: int, count: int) -> None
     assert (short[n // 2 :] == 7).all()
 
 
-# -- the compiler -------------------------------------------------------------------------------------------
+# -- Compilation --------------------------------------------------------------------------------------------
 
 
 def test_a_second_process_compiles_nothing() -> None:
-    """The loops come from numba's cache: nothing is saved to it that was not there."""
+    """The loops come from numba's cache: a second process adds nothing to it."""
     program = (
         "from blocksar.kernels import interpolation as i, phase as p; "
         "loops = [f for module in (i, p) for f in vars(module).values() if hasattr(f, 'stats')]; "

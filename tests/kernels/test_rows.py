@@ -1,4 +1,4 @@
-"""Programs of operations along rows against the same done slowly in double precision."""
+"""Programs of operations along rows, against a slow reference in double precision."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from blocksar.kernels.operations import Operation, Resample, ScaledTurn, Stretch
 from blocksar.kernels.phase import Phase
 from blocksar.kernels.rows import Layout, Program
 
-ROUNDING = 5e-7  # of complex64 through a transform, relative to the largest sample's scale
+ROUNDING = 5e-7  # of complex64 through a transform, relative to the scale of the largest sample
 
 
 def noise(*shape: int, seed: int = 0) -> ComplexArray:
@@ -29,7 +29,7 @@ def noise(*shape: int, seed: int = 0) -> ComplexArray:
 
 
 def error(found: ComplexArray, wanted: np.ndarray) -> float:
-    """Largest difference over the root mean square of what is wanted."""
+    """Largest difference, relative to the root mean square of the expected values."""
     return float(np.abs(found - wanted).max() / np.sqrt(np.mean(np.abs(wanted) ** 2)))
 
 
@@ -42,7 +42,7 @@ def phasor(cycles: np.ndarray) -> np.ndarray:
 
 
 def resampled(row: np.ndarray, position: np.ndarray, n_tap: int, occupancy: float) -> np.ndarray:
-    """A row at any positions by least-squares weights of the samples about each, zero beyond the ends."""
+    """Resample a row at any positions by least-squares weights of the nearest samples; zeros beyond the ends."""
     k = np.arange(n_tap) - (n_tap // 2 - 1)
     gram = np.sinc(occupancy * (k[:, None] - k)) + 1e-9 * np.eye(n_tap)
     whole = np.floor(position).astype(int)
@@ -54,7 +54,7 @@ def resampled(row: np.ndarray, position: np.ndarray, n_tap: int, occupancy: floa
 def slowly(
     operations: Sequence[Operation], x: np.ndarray, axis: Axis, *, n_tap: int = 0, occupancy: float = 0.0
 ) -> np.ndarray:
-    """What the operations say, one after the other, in complex128."""
+    """Apply the operations one after the other, in complex128."""
     x = x.astype(np.complex128)
     for operation in operations:
         match operation:
@@ -90,9 +90,7 @@ STARTS = [(0.0, 0.0), (-0.4137, 3977.77), (123.456, -9000.1)]
 @pytest.mark.parametrize("inverse", [False, True])
 @pytest.mark.parametrize("starts", STARTS)
 @pytest.mark.parametrize("sizes", SIZES)
-def test_a_transform_is_the_sum_that_it_says(
-    sizes: tuple[int, int], starts: tuple[float, float], inverse: bool
-) -> None:
+def test_a_transform_equals_its_sum(sizes: tuple[int, int], starts: tuple[float, float], inverse: bool) -> None:
     source, target = pair(*sizes, step=1.25e-4, start=starts[0], dual_start=starts[1])
     x = noise(5, source.size)
     wanted = explicit_transform(x, source, target, inverse=inverse, period=target.size)
@@ -109,8 +107,10 @@ def test_a_transform_is_the_sum_that_it_says(
     start=st.floats(-50, 50),
     dual_start=st.floats(-50, 50),
 )
-def test_forth_and_back_is_the_identity(n: int, padding: int, step: float, start: float, dual_start: float) -> None:
-    """Starts in samples, any of them; the padding comes back as zeros."""
+def test_a_transform_and_its_inverse_are_the_identity(
+    n: int, padding: int, step: float, start: float, dual_start: float
+) -> None:
+    """Axes start at any fraction of a sample; the padding returns as zeros."""
     size = n + padding
     time, doppler = pair(n, size, step=step, start=start * step, dual_start=dual_start / (size * step))
     x = noise(3, n)
@@ -137,7 +137,7 @@ def test_a_transform_of_columns_is_padded_and_cut(n: int, period: int, kept: int
     assert error(found, wanted) < 4 * ROUNDING
 
 
-def test_axes_that_are_no_pair_are_refused() -> None:
+def test_axes_that_do_not_form_a_pair_are_refused() -> None:
     x = noise(2, 8)
     axis = Axis(0.0, 1.0, 8)
     with pytest.raises(ValueError, match="no transform pair"):
@@ -159,20 +159,20 @@ STRETCHED = 4e-5
 
 
 def resampling(n_row: int, n: int) -> Resample:
-    """About the middle of the row, by 0.9 to 1.1 samples a sample."""
+    """Resampling about the middle of the row, at 0.9 to 1.1 samples per sample."""
     bend = np.random.default_rng(n).uniform(-0.02, 0.02, (n_row, 3)) / [2, 3, 4]
     positions = n / 2 * np.column_stack([np.full(n_row, 1.0), np.full(n_row, 1.01), bend])
     return Resample(positions, interpolation.tap_polynomials(TAPS, occupancy=OCCUPANCY))
 
 
 def long_program(n_row: int) -> tuple[list[Operation], Axis, Axis]:
-    """Everything that a program can do, in an order in which only the spectrum between the transforms is resampled."""
+    """A program with every kind of operation; only the spectrum between the transforms is resampled."""
     rng = np.random.default_rng(n_row)
     time = centred(0.3, 1e-3, 150)
     doppler = dual(time, size=256, centre=55.0)
     long = centred(0.28, 1e-3, 256)
     wide = dual(long, size=320, centre=-20.0)
-    # Half the band, from zero to zero, so that the signal fades out before its ends: a stretch cuts nothing off.
+    # A window over half the band, zero at both ends: the signal fades out there, and a stretch cuts nothing off.
     away = np.abs(np.arange(256) - 128) / 60
     edge = np.where(away < 1, np.cos(np.pi / 2 * away) ** 4, 0)
     windows = (edge * np.array([[1.0], [0.7]])).astype(np.complex64)
@@ -194,7 +194,7 @@ def long_program(n_row: int) -> tuple[list[Operation], Axis, Axis]:
     return operations, time, wide
 
 
-def test_a_program_is_its_operations_one_after_the_other() -> None:
+def test_a_program_equals_its_operations_one_after_the_other() -> None:
     operations, time, target = long_program(21)
     x = noise(21, time.size) * np.hanning(time.size).astype(np.float32)
     program = Program(operations, source=time, n_row=21)
@@ -205,8 +205,8 @@ def test_a_program_is_its_operations_one_after_the_other() -> None:
 
 
 @pytest.mark.parametrize("cut", range(14))
-def test_a_program_may_end_anywhere(cut: int) -> None:
-    """What waits for the next copy is not forgotten at the end, whatever the last operation."""
+def test_a_program_may_end_after_any_operation(cut: int) -> None:
+    """Operations deferred to the next copy are applied at the end, whatever the last operation."""
     operations, time, _ = long_program(5)
     operations = operations[:cut]
     x = noise(5, time.size) * np.hanning(time.size).astype(np.float32)
@@ -217,7 +217,7 @@ def test_a_program_may_end_anywhere(cut: int) -> None:
     np.testing.assert_array_equal(stored, found.T)
 
 
-def test_a_window_comes_first_or_a_stretch_or_a_curve() -> None:
+def test_a_program_may_begin_with_a_window_a_stretch_or_a_curve() -> None:
     axis = Axis(0.0, 1.0, 200)
     x = noise(6, 200) * np.hanning(200).astype(np.float32)
     spectrum = np.fft.fft(x, axis=1)
@@ -231,14 +231,14 @@ def test_a_window_comes_first_or_a_stretch_or_a_curve() -> None:
     for operations in ([window], [stretch], [curve], *pairs):
         found = Program(operations, source=axis, n_row=6).run(x)
         wanted = slowly(operations, x, axis, n_tap=TAPS, occupancy=OCCUPANCY)
-        # Beyond its ends the row is no longer of that band: there weights are only as good as each other.
+        # Near its ends the row is no longer band-limited, and any set of weights errs.
         inner = slice(30, -30)
         tolerance = 4 * ROUNDING if {*operations} == {window} else STRETCHED
         assert error(found[:, inner], wanted[:, inner]) < tolerance
         np.testing.assert_array_equal(x, given)
 
 
-def test_programs_that_cannot_be_are_refused() -> None:
+def test_invalid_programs_are_refused() -> None:
     axis = Axis(0.0, 1.0, 8)
     other = Axis(0.0, 0.125, 8)
     scaled = ScaledTurn(np.ones(2), np.zeros(8))
@@ -259,7 +259,7 @@ def test_programs_that_cannot_be_are_refused() -> None:
             program.run(x, first=first, load=load)  # type: ignore[arg-type]
 
 
-# -- where rows come from and go to -------------------------------------------------------------------------
+# -- Layouts of the input and the output --------------------------------------------------------------------
 
 N_ROW, LENGTH, PERIOD, KEPT = 117, 900, 1000, 950
 
@@ -277,7 +277,7 @@ def turned_transform(*, inverse: bool = False) -> Program:
 
 @pytest.mark.parametrize("store", ["rows", "columns"])
 @pytest.mark.parametrize("load", ["rows", "columns"])
-def test_rows_come_from_rows_or_columns_and_go_to_either(load: Layout, store: Layout) -> None:
+def test_rows_are_read_from_and_stored_as_rows_or_columns(load: Layout, store: Layout) -> None:
     program, x = turned_transform(), noise(N_ROW, LENGTH)
     assert len(program.groups(0, N_ROW, columns=load == "columns")) > 1
     assert N_ROW % program.groups(0, N_ROW, columns=True)[0].stop
@@ -287,7 +287,7 @@ def test_rows_come_from_rows_or_columns_and_go_to_either(load: Layout, store: La
     found = found if store == "rows" else found.T
     assert found.shape == (N_ROW, KEPT)
     assert error(found, program.run(x)) < 4 * ROUNDING
-    # Read through a stride, and written to an array that was there: the same bits.
+    # Read through a stride and written into an existing array: the same bits.
     spread = np.repeat(given, 2, axis=1)[:, ::2] if load == "columns" else given
     out = np.empty((N_ROW, KEPT) if store == "rows" else (KEPT, N_ROW), np.complex64)
     again = program.run(spread, out=out, load=load, store=store)
@@ -297,7 +297,7 @@ def test_rows_come_from_rows_or_columns_and_go_to_either(load: Layout, store: La
 
 @pytest.mark.parametrize("store", ["rows", "columns"])
 @pytest.mark.parametrize("load", ["rows", "columns"])
-def test_some_rows_of_a_program_are_those_rows_of_its_result(load: Layout, store: Layout) -> None:
+def test_a_program_run_on_some_rows_gives_those_rows_of_its_result(load: Layout, store: Layout) -> None:
     program, x = turned_transform(), noise(N_ROW, LENGTH)
     whole = program.run(x)
     first, last = 37, 110
@@ -312,7 +312,7 @@ def test_some_rows_of_a_program_are_those_rows_of_its_result(load: Layout, store
     np.testing.assert_array_equal(written[first:last], part)
     assert (written[:first] == 7).all() and (written[last:] == 7).all()
 
-    # From the beginning of a group on, even the bits are the same.
+    # From the start of a group on, the result is the same to the bit.
     second = program.groups(0, N_ROW, columns=False)[1]
     np.testing.assert_array_equal(program.run(x[second], first=second.start), whole[second])
 
@@ -329,8 +329,8 @@ def test_a_resampled_row_has_the_same_bits_in_any_group_and_on_any_thread(layout
 
 
 @pytest.mark.parametrize("sizes", [(30, 40, 40), (40, 40, 25), (17, 40, 23)])
-def test_columns_may_be_written_over_themselves(sizes: tuple[int, int, int]) -> None:
-    """The column before and the column after lie in the same buffer, one of them shorter than the other."""
+def test_columns_may_be_overwritten_in_place(sizes: tuple[int, int, int]) -> None:
+    """Input and output columns share one buffer, although one may be shorter than the other."""
     n, period, kept = sizes
     source, target = pair(n, period, step=0.1, start=-1.0, dual_start=3.0)
     n_column = 77
@@ -363,8 +363,8 @@ def test_the_number_of_threads_changes_no_bit(inverse: bool) -> None:
     np.testing.assert_array_equal(program.run(x, threads=3), program.run(x))
 
 
-def test_inputs_are_not_written_to() -> None:
-    """`noise` is read-only already; a caller's writeable array must stay as it is, too."""
+def test_inputs_are_not_modified() -> None:
+    """`noise` returns a read-only array; a caller's writeable array must not change either."""
     operations, time, _ = long_program(9)
     x = noise(9, time.size).copy()
     for cut in range(len(operations) + 1):
@@ -376,12 +376,12 @@ def test_inputs_are_not_written_to() -> None:
     np.testing.assert_array_equal(x, noise(9, time.size))
 
 
-# -- groups -------------------------------------------------------------------------------------------------
+# -- Groups -------------------------------------------------------------------------------------------------
 
 
 @settings(max_examples=100, deadline=None)
 @given(first=st.integers(0, 50), count=st.integers(0, 3000), length=st.integers(1, 300_000), columns=st.booleans())
-def test_groups_cover_the_rows_once_each(first: int, count: int, length: int, columns: bool) -> None:
+def test_groups_cover_each_row_once(first: int, count: int, length: int, columns: bool) -> None:
     some = groups.row_groups(first, first + count, length, columns=columns)
     assert [i for group in some for i in range(group.start, group.stop)] == list(range(first, first + count))
     multiple = 2 * groups.GROUP_ROWS if columns else groups.GROUP_ROWS
@@ -393,7 +393,7 @@ def test_groups_cover_the_rows_once_each(first: int, count: int, length: int, co
 
 
 @pytest.mark.parametrize("threads", [1, 4])
-def test_a_failure_in_a_group_is_not_lost(threads: int) -> None:
+def test_a_failure_in_a_group_is_raised(threads: int) -> None:
     done: list[int] = []
 
     def work(group: slice) -> None:

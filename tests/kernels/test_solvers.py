@@ -7,7 +7,7 @@ import numpy as np
 from blocksar.kernels import solvers
 
 
-def test_least_squares_is_least_squares() -> None:
+def test_least_squares_minimises_the_residual() -> None:
     rng = np.random.default_rng(1)
     terms, values = rng.standard_normal((4, 50)), rng.standard_normal(50)
     wanted = np.linalg.lstsq(terms.T, values, rcond=None)[0]

@@ -1,4 +1,4 @@
-"""Quality: measured against exact back-projection of single targets, whose response is known to the last digit."""
+"""Quality figures, against exact back-projection of single targets, whose response is known exactly."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ SPACING = 0.95  # m, about half the resolution
 
 
 def collection(*, steered: bool, duration: float = 0.6) -> Collection:
-    """Table 1 with 200 range frequencies; unsteered and 0.162 s long, every pixel is lit by every pulse."""
+    """Table 1 with 200 range frequencies; unsteered and 0.162 s long, every pulse lights every pixel."""
     n = round(duration * PULSE_RATE)
     time = (np.arange(n) - n // 2) / PULSE_RATE
     velocity, acceleration = np.array([-40.0, 1300.0, -600.0]), np.array([-15.0, -30.0, -35.0])
@@ -79,7 +79,7 @@ def grid_about(target: Target, *, n: int = 112, spacing: float = SPACING) -> tup
 def back_project(
     geometry: Geometry, target: Target, x: FloatArray, y: FloatArray, *, pulse_phase: FloatArray | None = None
 ) -> Complex128Array:
-    """Mean over a target's lit pulses and all frequencies, pulse by pulse; `pulse_phase` (rad) spoils the focus."""
+    """Mean over a target's lit pulses and all frequencies, pulse by pulse; `pulse_phase` (rad) defocuses it."""
     c = geometry.collection
     start, end = dwell(geometry, np.array(target.x), np.array(target.y))
     lit = np.flatnonzero((c.time > start) & (c.time < end))
@@ -119,7 +119,7 @@ Scene = tuple[Target, FloatArray, FloatArray, ComplexArray]
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    """One target off the pixels, every pixel lit by every pulse."""
+    """One target between pixels; every pulse lights every pixel."""
     target = target_at(reflectivity=1.2 - 0.5j)
     image_x, image_y = grid_about(target)
     return target, image_x, image_y, image_of(UNSTEERED, target, image_x, image_y)
@@ -130,10 +130,10 @@ def measured(geometry: Geometry, scene: Scene) -> PointResponse:
     return measure_target(reader(image), image_x, image_y, geometry, target)
 
 
-# ---- definitions and theory
+# ---- Definitions and theory
 
 
-def test_ideal_figures_are_those_of_the_sinc() -> None:
+def test_the_ideal_figures_are_those_of_the_sinc() -> None:
     def power(u: float) -> float:
         return float(np.sinc(u) ** 2)
 
@@ -146,11 +146,11 @@ def test_ideal_figures_are_those_of_the_sinc() -> None:
     assert stated == pytest.approx((width, 10 * np.log10(lobe), islr), abs=5e-4)
     u = np.arange(-700, 701) / 64
     found = profile_quality(u, np.sinc(u * SINC_WIDTH).astype(complex), width=1.0)
-    # 64 samples a width: the lobe's top is missed by at most 0.001 dB.
+    # 64 samples per width miss the lobe's top by at most 0.001 dB.
     assert found == pytest.approx((1, SINC_PSLR, IDEAL_ISLR), abs=1e-3)
 
 
-def test_theory_gives_table_1() -> None:
+def test_theory_agrees_with_table_1() -> None:
     axes = response_axes(
         STEERED, float(GROUND_RANGE * np.cos(np.deg2rad(50))), float(GROUND_RANGE * np.sin(np.deg2rad(50)))
     )
@@ -172,17 +172,17 @@ def test_axes_are_iso_range_and_iso_doppler(yaw: float) -> None:
 
     (here, rate), step = at(np.zeros(2)), 1.0  # m
     along_range, along_azimuth = at(step * axes.range_direction), at(step * axes.azimuth_direction)
-    # A metre on a curved surface at 30 km: second order is 1 / 30 000 of it.
+    # A metre on a curved surface at 30 km: the second-order term is 1 / 30 000 of it.
     assert along_range[0] - here == pytest.approx(step, abs=1e-4)
     assert along_azimuth[0] - here == pytest.approx(0, abs=1e-4)
-    # Against the 0.04 m/s that a metre along range would otherwise change.
+    # Compare with the 0.04 m/s by which a metre along range would otherwise change the rate.
     assert along_range[1] - rate == pytest.approx(0, abs=2e-5)
     dx, dy = axes.ground_offset(np.array(3.0), np.array(-2.0))
     assert axes.own_offset(dx, dy) == pytest.approx((3.0, -2.0))
 
 
 @pytest.mark.parametrize("geometry", [STEERED, UNSTEERED], ids=["steered", "unsteered"])
-def test_ideal_response_is_the_direct_double_sum(geometry: Geometry) -> None:
+def test_the_ideal_response_equals_the_direct_double_sum(geometry: Geometry) -> None:
     target, rng = target_at(reflectivity=0.3 + 2j), np.random.default_rng(60)
     x, y = target.x + rng.uniform(-20, 20, 6), target.y + rng.uniform(-20, 20, 6)
     c = geometry.collection
@@ -198,11 +198,11 @@ def test_ideal_response_is_the_direct_double_sum(geometry: Geometry) -> None:
         if c.beam_width is not None:
             lit = [np.abs(np.arctan2(b, a) - c.beam_azimuth) <= c.beam_width / 2 for a, b in ((px, py), target[1:3])]
         slow.append(target.reflectivity * (signal * lit[0] * lit[1]).sum() / lit[0].sum())
-    # 1e-5 wavelengths of track misfit are allowed to Geometry: 4 pi 1e-5 rad.
+    # Geometry allows a track misfit of 1e-5 wavelengths: 4 pi 1e-5 rad.
     assert ideal_response(geometry, target, x, y) == pytest.approx(np.array(slow), abs=2e-4)
 
 
-# ---- one response
+# ---- A single response
 
 
 def test_interpolation_is_exact_to_1e_4(scene: Scene) -> None:
@@ -216,7 +216,7 @@ def test_interpolation_is_exact_to_1e_4(scene: Scene) -> None:
     assert np.abs(response.at(x, y) - exact).max() < 1e-5
 
 
-def test_ideal_target_measures_ideal(scene: Scene) -> None:
+def test_an_ideal_target_has_ideal_figures(scene: Scene) -> None:
     found = measured(UNSTEERED, scene)
     assert found.range_pslr == pytest.approx(SINC_PSLR, abs=0.01)
     assert found.azimuth_pslr == pytest.approx(SINC_PSLR, abs=0.01)
@@ -229,14 +229,14 @@ def test_ideal_target_measures_ideal(scene: Scene) -> None:
     assert found.covered and found.full_dwell
 
 
-def test_beam_steered_target_with_pixels_own_lit_pulses() -> None:
-    """The contract's image: each pixel is the mean over its own lit pulses, not over the target's."""
+def test_beam_steered_target_with_each_pixel_s_own_lit_pulses() -> None:
+    """By definition each pixel is the mean over its own lit pulses, not over those of the target."""
     target = target_at(52.0)
     image_x, image_y = grid_about(target)
     x, y = np.meshgrid(image_x, image_y)
     image = ideal_response(STEERED, target, x.ravel(), y.ravel()).reshape(x.shape).astype(np.complex64)
     found = measure_target(reader(image), image_x, image_y, STEERED, target)
-    # Pulses enter and leave one by one from pixel to pixel: steps of 1 / 648 = 0.0015 that are really there.
+    # Pulses enter and leave one by one from pixel to pixel: real steps of 1 / 648 = 0.0015.
     assert found.range_pslr == pytest.approx(SINC_PSLR, abs=0.1)
     assert found.azimuth_pslr == pytest.approx(SINC_PSLR, abs=0.1)
     assert found.range_irw == pytest.approx(found.range_irw_theory, rel=5e-3)
@@ -247,12 +247,12 @@ def test_beam_steered_target_with_pixels_own_lit_pulses() -> None:
 
 
 @pytest.mark.parametrize("yaw", [-50.0, 130.0])
-def test_cuts_are_those_of_exact_back_projection(yaw: float) -> None:
+def test_cuts_equal_those_of_exact_back_projection(yaw: float) -> None:
     target = target_at(yaw)
     axes = response_axes(UNSTEERED, target.x, target.y)
     assert axes is not None
     reach = 14 * max(axes.range_width * np.abs(axes.range_direction).max(), axes.azimuth_width)
-    spacing = float(0.25 / axes.band.max())  # twice oversampled
+    spacing = float(0.25 / axes.band.max())  # oversampled by two
     image_x, image_y = grid_about(target, n=2 * int(reach / spacing) + 26, spacing=spacing)
     image = image_of(UNSTEERED, target, image_x, image_y)
     response = read_response(reader(image), image_x, image_y, UNSTEERED, target)
@@ -270,7 +270,7 @@ def test_cuts_are_those_of_exact_back_projection(yaw: float) -> None:
     assert (found.azimuth_irw, found.azimuth_pslr, found.azimuth_islr) == pytest.approx(exact, abs=1e-3)
 
 
-def test_known_shift_and_phase_are_found(scene: Scene) -> None:
+def test_a_known_shift_and_phase_are_measured(scene: Scene) -> None:
     target, image_x, image_y, image = scene
     shift = np.array([0.31, -0.24])
     believed = target._replace(x=target.x - shift[0], y=target.y - shift[1])
@@ -281,13 +281,13 @@ def test_known_shift_and_phase_are_found(scene: Scene) -> None:
     assert found.value == pytest.approx(0.9 * np.exp(0.3j), abs=1e-4)
 
 
-def test_quadratic_phase_is_seen_as_width(scene: Scene) -> None:
+def test_quadratic_phase_broadens_the_response(scene: Scene) -> None:
     target, image_x, image_y, _ = scene
     u = np.linspace(-1, 1, UNSTEERED.collection.n_pulse)
     image = image_of(UNSTEERED, target, image_x, image_y, pulse_phase=np.pi / 2 * u**2)
     found = measure_target(reader(image), image_x, image_y, UNSTEERED, target)
     # Textbook: pi/2 of quadratic phase at the edge broadens the unweighted response by about a tenth,
-    # turns its value and leaves range alone.
+    # rotates its value and does not affect range.
     fine = np.arange(-1000, 1001) / 64
     spoiled = np.exp(1j * (np.pi / 2 * u**2)) @ np.exp(1j * np.pi * SINC_WIDTH * np.outer(u, fine)) / u.size
     expected = profile_quality(fine, spoiled, width=1.0)
@@ -298,10 +298,10 @@ def test_quadratic_phase_is_seen_as_width(scene: Scene) -> None:
     assert found.value == pytest.approx(np.exp(0.5j * np.pi * u**2).mean(), abs=2e-3)
 
 
-# ---- coverage, reading, refusals
+# ---- Coverage, reading, refusals
 
 
-def test_missing_pixels_are_missing(scene: Scene) -> None:
+def test_figures_that_missing_pixels_affect_are_nan(scene: Scene) -> None:
     target, image_x, image_y, image = scene
     torn = image.copy()
     axes = response_axes(UNSTEERED, target.x, target.y)
@@ -312,7 +312,7 @@ def test_missing_pixels_are_missing(scene: Scene) -> None:
     whole = measured(UNSTEERED, scene)
     assert not found.covered
     assert np.isnan([found.range_pslr, found.range_islr]).all()
-    # What does not touch the gap is measured as if it were not there.
+    # Figures that do not involve the gap are measured as without it.
     assert found.azimuth_pslr == whole.azimuth_pslr
     assert found.range_irw == whole.range_irw
     assert found.value == whole.value
@@ -322,7 +322,7 @@ def test_missing_pixels_are_missing(scene: Scene) -> None:
     assert np.isnan([found.value, found.error_x, found.azimuth_irw]).all()
 
 
-def test_target_near_the_image_edge_or_outside(scene: Scene) -> None:
+def test_a_target_near_the_image_edge_or_outside_is_not_covered(scene: Scene) -> None:
     target, image_x, image_y, image = scene
     near = slice(int(np.searchsorted(image_x, target.x)) - 20, None)
     found = measure_target(reader(image[:, near]), image_x[near], image_y, UNSTEERED, target)
@@ -334,7 +334,7 @@ def test_target_near_the_image_edge_or_outside(scene: Scene) -> None:
     assert np.isfinite(outside.azimuth_irw_theory)
 
 
-def test_reads_only_the_chip_it_needs() -> None:
+def test_only_the_chip_needed_is_read() -> None:
     target, asked = target_at(), list[tuple[int, int]]()
     image_x, image_y = grid_about(target, n=6000)
 
@@ -347,7 +347,7 @@ def test_reads_only_the_chip_it_needs() -> None:
     assert max(asked[0]) < 120  # +-16 widths
 
 
-def test_full_dwell_is_where_the_beam_sweeps_wholly_over() -> None:
+def test_a_full_dwell_requires_the_whole_beam_to_sweep_over() -> None:
     # The beam runs from 42.13 to 57.87 degrees and is 4.25 degrees wide.
     inside, outside = (44.26, 55.73), (44.2, 55.8, 42.5, 10.0)
     at = {yaw: target_at(yaw) for yaw in inside + outside}
@@ -356,7 +356,7 @@ def test_full_dwell_is_where_the_beam_sweeps_wholly_over() -> None:
     assert has_full_dwell(UNSTEERED, at[10.0].x, at[10.0].y)
 
 
-def test_target_never_lit_is_reported_not_measured() -> None:
+def test_a_target_that_is_never_lit_is_reported_but_not_measured() -> None:
     target = target_at(10.0)
     image_x, image_y = grid_about(target)
     found = measure_target(reader(np.ones((112, 112), np.complex64)), image_x, image_y, STEERED, target)
@@ -365,7 +365,7 @@ def test_target_never_lit_is_reported_not_measured() -> None:
     assert np.isnan(found.azimuth_irw_theory)
 
 
-def test_grid_too_coarse_is_refused_with_the_spacing_needed() -> None:
+def test_a_grid_too_coarse_is_refused_with_the_spacing_needed() -> None:
     target = target_at()
     image_x, image_y = grid_about(target, spacing=2.0)
     with pytest.raises(InputError, match=r"spacing is 2 m in x and 2 m in y.*T; focus on a grid of at most 1\.5"):
@@ -382,7 +382,7 @@ def test_target_records() -> None:
         Target.from_record({"name": "A", "x": 1, "y": 2, "reflectivity": [0, 0]})
 
 
-# ---- tables
+# ---- Tables
 
 
 def test_summary_and_json(scene: Scene) -> None:
@@ -396,7 +396,7 @@ def test_summary_and_json(scene: Scene) -> None:
     assert found.worst["error_x"][:2] == ("bad", -0.4)
     assert found.worst["amplitude"].value == pytest.approx(0.8)
     assert found.worst["phase"].value == pytest.approx(0.2)
-    # A covered target without a width is the worst case, not an absent one.
+    # A covered target without a width counts as the worst case, not as absent.
     assert (
         summary([good, good._replace(name="lost", range_irw=float("nan"))]).worst["range_irw_over_theory"].name
         == "lost"
@@ -427,7 +427,7 @@ def test_coherence() -> None:
     assert same.pixels == 64 * 60 - 1
     # Independent noise: about 1 / sqrt(4096) = 0.016.
     assert abs(coherence(other, b).coherence) < 0.06
-    # Noise of a tenth of the power costs 1 / sqrt(1.1).
+    # Noise of a tenth of the power lowers it to 1 / sqrt(1.1).
     mixed = coherence((b + np.sqrt(0.1) * other).astype(np.complex64), b)
     assert abs(mixed.coherence) == pytest.approx(1 / np.sqrt(1.1), abs=0.01)
     assert np.isnan(coherence(np.full_like(b, np.nan), b).gain)
@@ -436,7 +436,7 @@ def test_coherence() -> None:
 
 
 def test_agrees_with_perseo_quality(scene: Scene) -> None:
-    """An independent implementation (MIT), fed with the response on its own axes."""
+    """Compare with an independent implementation (MIT), given the response on its own axes."""
     irf = pytest.importorskip("perseo_quality.point_targets_analysis.core.irf")
     processing = pytest.importorskip("perseo_quality.core.signal_processing")
     target, image_x, image_y, image = scene
@@ -455,10 +455,10 @@ def test_agrees_with_perseo_quality(scene: Scene) -> None:
     assert theirs.azimuth_pslr == pytest.approx(found.azimuth_pslr, abs=0.05)
 
 
-# ---- pictures
+# ---- Pictures
 
 
-def test_overview_streams_and_keeps_power() -> None:
+def test_the_overview_reads_in_parts_and_preserves_power() -> None:
     from blocksar.products.pictures.overview import overview
 
     rng = np.random.default_rng(63)
@@ -486,13 +486,13 @@ def test_overview_streams_and_keeps_power() -> None:
     assert (seen.x_edges[0], seen.x_edges[1]) == (-0.5, 3.5)
 
 
-def test_stretch_suits_clutter_and_isolated_targets() -> None:
+def test_the_stretch_suits_clutter_and_isolated_targets() -> None:
     from blocksar.products.pictures.overview import stretch
 
     rng = np.random.default_rng(64)
     clutter = -23 + rng.standard_normal(10_000)
     low, high = stretch(clutter)
-    assert 0.4 < (-23 - low) / (high - low) < 0.6  # even clutter is mid-grey
+    assert 0.4 < (-23 - low) / (high - low) < 0.6  # uniform clutter is mid-grey
     targets = np.full(10_000, -90.0)
     targets[::2000] = 0.0
     assert stretch(targets) == (-80.0, -20.0)  # the background is black, targets are white

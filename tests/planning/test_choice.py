@@ -1,4 +1,4 @@
-"""Which processor is proposed, and what closed forms and rivals leave in a plan."""
+"""The proposed processor, and the phase errors that closed forms and rival processors leave in a plan."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from blocksar.planning.plan import Plan
 
 
 def test_the_frequency_perturbation_alone_does_not_focus_paper_b() -> None:
-    """The stand-in for the FDPF column of paper B's Table 2: -3.98 dB and -4.78 dB at its edges."""
+    """Stand-in for the FDPF column of paper B's Table 2: -3.98 dB and -4.78 dB at its edges."""
     processor, grid = PAPERS["paper_b"]
     plans = {
         kind: blocksar.plan("paper_b", processor=processor, blocks=1, perturbation=kind, grid=grid).result
@@ -24,7 +24,7 @@ def test_the_frequency_perturbation_alone_does_not_focus_paper_b() -> None:
     assert plans["frequency"].blocks[0].prediction.pslr > -11.0
 
 
-def test_without_keystone_range_walk_stays() -> None:
+def test_range_walk_remains_without_keystone() -> None:
     """Paper A, Figure 11: much more than a range cell, against a fraction of one."""
     plans = {kept: blocksar.plan("table1", blocks=3, keystone=kept).result for kept in (True, False)}
     worst = {kept: max(block.prediction.migration for block in plan.blocks) for kept, plan in plans.items()}
@@ -32,7 +32,7 @@ def test_without_keystone_range_walk_stays() -> None:
     assert worst[False] > 1.5
 
 
-# ---------------------------------------------------------------- closed form
+# ---------------------------------------------------------------- Closed form
 
 
 @pytest.mark.parametrize(
@@ -45,10 +45,8 @@ def test_without_keystone_range_walk_stays() -> None:
         ("paper_c", "high-order-phase", 4, 0.05),
     ],
 )
-def test_closed_form_against_fitted_and_against_a_deramp_alone(
-    name: str, processor: Any, blocks: int, most: float
-) -> None:
-    """Quadratic phase at the edge of the dwell, rad. Table 1 in the printed formulas, the others as derived here."""
+def test_closed_form_against_fit_and_against_deramp_alone(name: str, processor: Any, blocks: int, most: float) -> None:
+    """Quadratic phase at the edge of the dwell, rad: Table 1 with the printed formulas, the others as derived here."""
     grid = PAPERS[name][1] if name in PAPERS else None
     left = {}
     for kind, settings in {
@@ -62,11 +60,11 @@ def test_closed_form_against_fitted_and_against_a_deramp_alone(
     assert left["deramp"] > 4 * left["closed"]
 
 
-# ---------------------------------------------------------------- which processor
+# ---------------------------------------------------------------- Choice of the processor
 
 
 @pytest.mark.parametrize("name", ["table1", "paper_c"])
-def test_auto_sets_the_processors_side_by_side(name: str) -> None:
+def test_auto_compares_the_processors_in_a_table(name: str) -> None:
     grid = PAPERS[name][1] if name in PAPERS else None
     report = blocksar.plan(name, processor="auto", grid=grid)
     (header, rows), _ = report.tables
@@ -85,8 +83,8 @@ def test_auto_sets_the_processors_side_by_side(name: str) -> None:
     assert float(by_name[chosen]["residual phase (rad)"]) <= worst + 1e-4
 
 
-def test_auto_says_why_a_processor_does_not_serve(tmp_path: Path) -> None:
-    """Where acceleration cancels the Doppler rate a chain without time perturbation has nothing to work on."""
+def test_auto_gives_the_reason_why_a_processor_does_not_serve(tmp_path: Path) -> None:
+    """Where acceleration cancels the Doppler rate, a chain without time perturbation cannot work."""
     from scenes import GEOMETRIES
 
     (tmp_path / "scene.toml").write_text(scene(**GEOMETRIES["acceleration cancels the Doppler rate"]))
@@ -98,6 +96,6 @@ def test_auto_says_why_a_processor_does_not_serve(tmp_path: Path) -> None:
     assert "would keep" in refused.refusal
 
 
-def test_auto_and_rivals_do_not_go_together() -> None:
+def test_auto_and_rivals_cannot_be_combined() -> None:
     with pytest.raises(InputError, match="keystone and derotation: processor auto compares processors as they are"):
         blocksar.plan("table1", processor="auto", keystone=False, derotation="linear")

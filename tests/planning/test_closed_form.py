@@ -1,4 +1,4 @@
-"""Closed forms of the coefficients, on a squinted straight track."""
+"""Closed forms of the coefficients, for a squinted straight track."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from blocksar.focusing.range_steps import DopplerCompression
 from blocksar.kernels import fourier, solvers
 from blocksar.planning import closed_form
 
-# ---------------------------------------------------------------- closed forms
+# ---------------------------------------------------------------- Closed forms
 
 
 def test_high_order_phase_of_the_straight_track() -> None:
-    """The general form, fed with the squinted hyperbola, is paper C's in R', v and theta_0."""
+    """The general form, applied to the squinted hyperbola, equals paper C's in R', v and theta_0."""
     cell = 15e3
     found = closed_form.corrected(straight_series(cell), wavelength=LAMBDA)
     wanted = -cell * LAMBDA**2 * SIN / (12 * SPEED**3 * COS**4)
@@ -27,14 +27,14 @@ def test_high_order_phase_of_the_straight_track() -> None:
     assert found.doppler[0, 4] == pytest.approx(wanted, rel=1e-5)
     assert found.deramp[0, 2] == pytest.approx(SPEED**2 * COS**2 / (LAMBDA * cell), rel=1e-9)
     assert found.deramp[0, 3] == pytest.approx(SPEED**3 * SIN * COS**2 / (3 * LAMBDA * cell**2), rel=1e-6)
-    # Of paper A's (30) the cubic term is the same, in any coordinate of azimuth.
+    # The cubic term equals that of paper A's (30), in any azimuth coordinate.
     printed = closed_form.printed(straight_series(cell), wavelength=LAMBDA)
     assert printed.doppler[0, 3] == pytest.approx(found.doppler[0, 3], rel=1e-6)
 
 
 @pytest.mark.parametrize(("kind", "order"), [("corrected", 3), ("resampled", 3), ("deramped", 1)])
-def test_what_a_closed_form_leaves_falls_with_the_order_it_was_made_for(kind: str, order: int) -> None:
-    """The Doppler rate that is left grows as place^order: halved places leave 2^order less."""
+def test_the_residual_of_a_closed_form_decreases_with_its_order(kind: str, order: int) -> None:
+    """The residual Doppler rate grows as place^order: at half the distance it is smaller by 2^order."""
     k = straight_series(15e3)
     settings = {"half_dwell": 1.0} if kind == "resampled" else {}
     found = getattr(closed_form, kind)(k, wavelength=LAMBDA, **settings)
@@ -44,8 +44,8 @@ def test_what_a_closed_form_leaves_falls_with_the_order_it_was_made_for(kind: st
         assert (slope[1:] > 0.75 * 2**order * slope[:-1]).all(), (kind, slope)
 
 
-def test_closed_forms_level_lines_that_a_deramp_does_not() -> None:
-    """Largest phase error over a dwell of 2 s, targets within 300 m: rad."""
+def test_closed_forms_level_lines_that_a_deramp_does_not_level() -> None:
+    """Largest phase error over a dwell of 2 s, for targets within 300 m: rad."""
     k, line = straight_series(15e3), straight_lines(15e3, np.linspace(-300, 300, 7))
     left = {
         "deramped": closed_form.deramped(k, wavelength=LAMBDA),
@@ -60,8 +60,8 @@ def test_closed_forms_level_lines_that_a_deramp_does_not() -> None:
     assert errors["resampled"] < 0.2
 
 
-def test_without_variation_there_is_nothing_to_perturb() -> None:
-    """Looking broadside r1 = 0: the time perturbation would be infinite, and is left out."""
+def test_without_variation_there_is_no_perturbation() -> None:
+    """At broadside r1 = 0: the time perturbation would be infinite, and is omitted."""
     k = np.zeros((1, 5, 5))
     k[0, 0, 0], k[0, 1, 1], k[0, 2, 0] = 15e3, -300.0, 3.0
     found = closed_form.resampled(k, wavelength=LAMBDA, half_dwell=1.0)
@@ -69,7 +69,7 @@ def test_without_variation_there_is_nothing_to_perturb() -> None:
     assert found.deramp[0, 2] == pytest.approx(2 * 3.0 / LAMBDA)
 
 
-# ---------------------------------------------------------------- range curvature in the 2-D frequency domain
+# ---------------------------------------------------------------- Range curvature in the 2-D frequency domain
 
 
 def phi(order: int, doppler: FloatArray) -> FloatArray:
@@ -82,7 +82,7 @@ def phi(order: int, doppler: FloatArray) -> FloatArray:
 
 
 def spectrum_phase(frequency: float, doppler: float, crossing_range: float, place: float) -> float:
-    """Of exact samples' transform at a range frequency and a Doppler, cycles: a plain sum under a smooth window."""
+    """Phase in cycles of the transform of exact samples at one range frequency and Doppler, under a smooth window."""
     time = (np.arange(1 << 15) - (1 << 14)) / 3000.0
     window = np.exp(-(((time - place / SPEED) / 3.0) ** 8))
     cycles = -2 * (CARRIER + frequency) / SPEED_OF_LIGHT * history(time, np.array(crossing_range), np.array(place))
@@ -92,7 +92,7 @@ def spectrum_phase(frequency: float, doppler: float, crossing_range: float, plac
 
 @pytest.mark.parametrize("frequency", [-75e6, 75e6])
 @pytest.mark.parametrize("place", [-400.0, 0.0, 300.0])
-def test_paper_c_s_spectrum_is_that_of_exact_samples(frequency: float, place: float) -> None:
+def test_the_spectrum_of_paper_c_equals_that_of_exact_samples(frequency: float, place: float) -> None:
     crossing_range = 15e3
     for doppler in (-120.0, -40.0, 0.0, 55.0, 120.0):
         series = sum(phi(n, np.array(doppler)) * frequency**n for n in range(3))
@@ -103,8 +103,8 @@ def test_paper_c_s_spectrum_is_that_of_exact_samples(frequency: float, place: fl
         assert abs(error - np.rint(error)) * 2 * np.pi < 0.05, (doppler, error)
 
 
-def test_on_a_straight_track_the_correction_is_paper_c_s() -> None:
-    """With the pace of the hyperbola: conjugate of Phi_1's change with Doppler and of Phi_2, to second order in f."""
+def test_on_a_straight_track_the_correction_equals_that_of_paper_c() -> None:
+    """For the hyperbola: the conjugate of Phi_1's change with Doppler and of Phi_2, to second order in f."""
     crossing_range, half = 15e3, 400.0
     doppler = fourier.centred(0.0, 2.0, 400)
     frequency = fourier.centred(0.0, 5e6, 64)
@@ -125,7 +125,7 @@ def test_on_a_straight_track_the_correction_is_paper_c_s() -> None:
     inside = np.abs(doppler.values) < half
     difference = (found - 2 * crossing_range * COS * wanted)[inside]
     assert np.abs(difference).max() < 2e-3
-    assert np.abs(2 * crossing_range * COS * coupling[:, None] * frequency.values**2).max() > 20e-3  # SRC is in it
-    # And what it moves in range, as lines are told.
+    assert np.abs(2 * crossing_range * COS * coupling[:, None] * frequency.values**2).max() > 20e-3  # includes SRC
+    # The shift in range, as traced lines have it.
     moved = -SPEED_OF_LIGHT * crossing_range * COS * curvature
     np.testing.assert_allclose(step.curvature(doppler.values)[inside], -moved[inside], atol=2e-3)

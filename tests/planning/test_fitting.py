@@ -1,4 +1,4 @@
-"""The fit of the coefficients, on a squinted straight track."""
+"""The fit of the coefficients, for a squinted straight track."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from blocksar.focusing.lines import Line, focus
 from blocksar.planning import closed_form, fitting
 from blocksar.planning.fitting import Candidate, Freedom
 
-# ---------------------------------------------------------------- the fit
+# ---------------------------------------------------------------- The fit
 
 
 @pytest.mark.parametrize(
@@ -26,8 +26,8 @@ from blocksar.planning.fitting import Candidate, Freedom
         Freedom(True, True, True),
     ],
 )
-def test_the_fit_s_derivatives(freedom: Freedom, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Against differences of the faults themselves, at a place where no term is zero."""
+def test_the_derivatives_of_the_fit(freedom: Freedom, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compare with finite differences of the faults, at a place where no term is zero."""
     checked = []
 
     def check(faults: Any, jacobian: Any, start: FloatArray, **_: Any) -> FloatArray:

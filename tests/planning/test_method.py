@@ -23,7 +23,7 @@ from blocksar.focusing.method import Method, method_of
         ({"processor": "backprojection", "derotation": "linear"}, "backprojection has no derotation to choose"),
     ],
 )
-def test_options_that_mean_nothing_are_refused(options: dict[str, Any], message: str, tmp_path: Path) -> None:
+def test_meaningless_options_are_refused(options: dict[str, Any], message: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=message):
         method_of(**{"processor": "angular-division", **options})
     with pytest.raises(InputError, match=message):
@@ -31,7 +31,7 @@ def test_options_that_mean_nothing_are_refused(options: dict[str, Any], message:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_method_is_what_its_settings_say() -> None:
+def test_a_method_matches_its_settings() -> None:
     method = Method(processor="keystone-resampling", perturbation="frequency", derotation="linear")
     assert Method.of_settings({**method.as_settings(), "blocks": 3}) == method
     assert method.departures == ["perturbation", "derotation"]

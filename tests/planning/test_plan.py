@@ -1,4 +1,4 @@
-"""Plans: how many blocks, what the closed forms leave, and what is refused."""
+"""Plans: the number of blocks, the residuals of the closed forms, and refusals."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from blocksar.simulation.scene import Scene
 @pytest.mark.parametrize(
     ("excess", "chosen"),
     [
-        ({2: 90.0, 3: 4.0, 4: 0.9, 5: 0.5}, 4),  # more blocks help, though the first would blur
-        ({2: 3.0, 3: 2.9, 4: 2.95, 5: 2.99, 6: 2.89, 7: 0.1}, 6),  # three times no help: it will not come
+        ({2: 90.0, 3: 4.0, 4: 0.9, 5: 0.5}, 4),  # more blocks help, although two blocks would blur
+        ({2: 3.0, 3: 2.9, 4: 2.95, 5: 2.99, 6: 2.89, 7: 0.1}, 6),  # no improvement three times: the search ends
     ],
 )
-def test_auto_asks_for_more_blocks_as_long_as_they_help(excess: dict[int, float], chosen: int) -> None:
+def test_auto_adds_blocks_as_long_as_they_help(excess: dict[int, float], chosen: int) -> None:
     def plan(count: int, *, probe: bool = False) -> Any:
         refusal = "would keep a phase error" if excess[count] > 10 else None
         return SimpleNamespace(excess=lambda: excess[count], blocks=(), refusal=refusal, count=count)
@@ -39,8 +39,8 @@ def test_auto_asks_for_more_blocks_as_long_as_they_help(excess: dict[int, float]
 
 
 @pytest.mark.parametrize(("blocks", "least", "most"), [(3, 0.9, 1.4), (2, 1.2, 1.3), (1, 1.5, 5.0)])
-def test_closed_form_leaves_what_the_printed_formulas_leave(blocks: int, least: float, most: float) -> None:
-    """Quadratic phase at the edge of the dwell, rad: a study of the paper's swath found up to 1.36, 1.25 and 4.6."""
+def test_closed_form_leaves_the_residual_of_the_printed_formulas(blocks: int, least: float, most: float) -> None:
+    """Quadratic phase at the edge of the dwell, rad: a study of the paper's swath gave up to 1.36, 1.25 and 4.6."""
     geometry = Geometry(collection=Scene.read("table1").collection())
     region = plan_region(geometry, None)
     recovery = plan_recovery(geometry, region)
@@ -79,7 +79,7 @@ def test_looking_along_the_velocity_is_refused(client: Client, tmp_path: Path) -
     assert not (tmp_path / "run").exists()
 
 
-def test_plan_reads_no_samples_and_is_made_of_a_scene_or_a_store(table1: Path) -> None:
+def test_a_plan_reads_no_samples_and_accepts_a_scene_or_a_store(table1: Path) -> None:
     from_scene, from_store = planned("table1", blocks=3), planned(table1, blocks=3)  # type: ignore[arg-type]
     assert [b.first_bin for b in from_scene.blocks] == [b.first_bin for b in from_store.blocks]
     assert planned(table1, blocks="auto", workers=2).n_blocks >= 2

@@ -1,4 +1,4 @@
-"""What a terminal and a pipe are shown."""
+"""Progress on a terminal and in a pipe."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rich.console import Console
 
 from blocksar.progress import Progress, display
 
-# ---------------------------------------------------------------- what is shown
+# Display
 
 
 class Terminal(io.StringIO):
@@ -34,18 +34,19 @@ def test_a_frame_fits_the_terminal(width: int) -> None:
     assert "60/120" in lines[2] and lines[2].endswith("1:06:40")
     assert ("54/h" in lines[2]) == (width >= display.RATE_NEEDS)
     assert ("━" in lines[2]) == (width >= display.BAR_NEEDS)
-    assert lines[5] == "1:06:40 elapsed, about 68 min left"[:width].rstrip()  # another round, and a fiftieth
+    # One more round of blocks takes 4000 s; mosaic and finish add a fiftieth.
+    assert lines[5] == "1:06:40 elapsed, about 68 min left"[:width].rstrip()
     assert lines[6].startswith("60 workers, the fullest holds 1.5 of 4.0 GiB"[:width].rstrip())
     assert lines[7].startswith("at work: block-60") and "more" in lines[7]
     assert len(lines) == 8
 
 
-def test_a_low_terminal_keeps_what_matters() -> None:
+def test_a_low_terminal_shows_the_unfinished_stages_and_the_totals() -> None:
     lines = lines_of(under_way(Clock()), 80, height=6)
     assert [line.split()[0] for line in lines] == ["focus", "mosaic", "1:06:40", "60", "at"]
 
 
-def test_nothing_on_the_terminal_is_taken_for_markup(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_terminal_output_is_not_interpreted_as_markup(monkeypatch: pytest.MonkeyPatch) -> None:
     screen = Terminal()
     monkeypatch.setattr(sys, "stderr", screen)
     monkeypatch.setenv("TERM", "xterm")
@@ -65,7 +66,7 @@ def test_a_dumb_terminal_gets_plain_lines(monkeypatch: pytest.MonkeyPatch) -> No
     assert "focus: 120 of 120" in screen.getvalue() and "\x1b" not in screen.getvalue()
 
 
-def test_plain_lines(capsys: pytest.CaptureFixture[str]) -> None:
+def test_plain_lines_in_a_pipe(capsys: pytest.CaptureFixture[str]) -> None:
     clock = Clock()
     with under_way(clock) as told:
         told.dashboard("http://127.0.0.1:8787/status")
@@ -87,7 +88,7 @@ def test_plain_lines(capsys: pytest.CaptureFixture[str]) -> None:
     assert lines[-1] == "focus: 120 of 120, 2:06:40 elapsed, about 76 s left"
 
 
-def test_quiet_is_quiet(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_quiet_progress_prints_nothing(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     for screen in (sys.stderr, Terminal()):
         monkeypatch.setattr(sys, "stderr", screen)
         with under_way(Clock(), quiet=True) as told:

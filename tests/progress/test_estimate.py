@@ -1,4 +1,4 @@
-"""Estimates of the time left, against runs whose end is known."""
+"""Estimates of the time left, compared with simulated runs whose end is known."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ def carried_out(
     cold: float = 0.0,
     reused: dict[str, int] | None = None,
 ) -> list[tuple[str, int, float, float | None]]:
-    """Simulate a run to its end: stage, units done, time and time left told, whenever a unit is finished.
+    """Simulate a run: stage, units done, time and estimated time left, after each unit.
 
-    `cold`: seconds that every worker needs before its first unit. The run takes its units as a cluster does.
+    `cold`: start-up time of each worker before its first unit, s. Units are scheduled as on a cluster.
     """
     clock = estimate.clock
     assert isinstance(clock, Clock)
@@ -48,7 +48,7 @@ def carried_out(
 
 @pytest.mark.parametrize("workers", [1, 2, 3])
 @pytest.mark.parametrize("cold", [0.0, 7.0])
-def test_a_run_at_one_pace_is_known_to_its_end_once_the_workers_are_warm(workers: int, cold: float) -> None:
+def test_the_estimate_is_exact_at_constant_pace_once_the_workers_are_warm(workers: int, cold: float) -> None:
     estimate = Estimate(Clock())
     estimate.expect(WORK, workers)
     assert estimate.left() is None
@@ -59,7 +59,7 @@ def test_a_run_at_one_pace_is_known_to_its_end_once_the_workers_are_warm(workers
         assert left == pytest.approx(end - now, abs=1e-6)
 
 
-def test_a_stage_that_is_slower_than_the_others_is_followed() -> None:
+def test_the_estimate_adapts_to_a_slower_stage() -> None:
     estimate = Estimate(Clock())
     estimate.expect(WORK, 2)
     told = carried_out(estimate, WORK, 2, dict.fromkeys(WORK, 1.0) | {"focus": 3.0})
@@ -71,12 +71,12 @@ def test_a_stage_that_is_slower_than_the_others_is_followed() -> None:
             assert abs(left - (end - now)) < 0.2 * (end - begun), (stage, done)
 
 
-def test_what_an_earlier_run_finished_is_neither_work_nor_time() -> None:
+def test_reused_units_count_neither_as_work_nor_as_time() -> None:
     estimate = Estimate(Clock())
     estimate.expect(WORK, 1)
     told = carried_out(estimate, WORK, 1, dict.fromkeys(WORK, 2.0), reused={"recover": 8, "focus": 4})
     end = told[-1][2]
-    assert [stage for stage, *_ in told[:2]] == ["focus", "focus"]  # of six, four were there
+    assert [stage for stage, *_ in told[:2]] == ["focus", "focus"]  # four of its six units are reused
     for _, _, now, left in told:
         assert left == pytest.approx(end - now, abs=1e-6)
     recover, focus = estimate.stages["recover"], estimate.stages["focus"]
@@ -84,8 +84,8 @@ def test_what_an_earlier_run_finished_is_neither_work_nor_time() -> None:
     assert focus.rate() == pytest.approx(2 / (2.0 * (2.5 + 3.0)))
 
 
-def test_a_first_stage_that_ends_before_workers_are_warm_is_no_measure() -> None:
-    """One unit of recovery, in a small run: its time is that of loading the code."""
+def test_a_stage_that_ends_before_the_workers_are_warm_is_not_used_for_the_estimate() -> None:
+    """In a small run with one unit of recovery, the unit's time is mostly that of loading the code."""
     work = WORK | {"recover": [0.1]}
     estimate = Estimate(Clock())
     estimate.expect(work, 1)
@@ -96,7 +96,7 @@ def test_a_first_stage_that_ends_before_workers_are_warm_is_no_measure() -> None
         assert left == pytest.approx(end - now, abs=1e-6)
 
 
-def test_a_unit_that_is_overdue_makes_time_left_grow() -> None:
+def test_an_overdue_unit_increases_the_time_left() -> None:
     clock = Clock()
     estimate = Estimate(clock)
     estimate.expect({"focus": [1.0] * 4}, 1)
@@ -108,14 +108,14 @@ def test_a_unit_that_is_overdue_makes_time_left_grow() -> None:
     assert estimate.left() == pytest.approx(2.0)
     clock.now += 0.5
     assert estimate.left() == pytest.approx(1.5)
-    clock.now += 9.5  # of the third unit, which is late by nine times its length
+    clock.now += 9.5  # the third unit is overdue by nine times its length
     left = estimate.left()
-    assert left is not None and left > 4.0  # the fourth will take long as well, by all that is known
+    assert left is not None and left > 4.0  # the fourth unit must be expected to take long as well
     clock.now += 10.0
     assert (estimate.left() or 0.0) > left
 
 
-def test_a_stage_that_nobody_announced_counts_by_itself() -> None:
+def test_an_unannounced_stage_is_estimated_from_its_own_units() -> None:
     clock = Clock()
     estimate = Estimate(clock)
     estimate.begin("export")
@@ -128,7 +128,7 @@ def test_a_stage_that_nobody_announced_counts_by_itself() -> None:
     assert estimate.left() == 0.0
 
 
-def test_other_units_than_announced_share_the_work() -> None:
+def test_the_announced_work_is_divided_among_a_different_number_of_units() -> None:
     clock = Clock()
     estimate = Estimate(clock)
     estimate.expect({"recover": [1.0] * 4, "mosaic": [1.0, 2.0, 3.0]}, 2)
@@ -136,17 +136,17 @@ def test_other_units_than_announced_share_the_work() -> None:
         estimate.update("recover", done, 4)
         clock.now += 2.0 if done < 4 else 0.0
     estimate.update("mosaic", 0, 11)
-    assert estimate.left() == pytest.approx(12.0 / 11 * 6)  # by two workers, in six rounds
+    assert estimate.left() == pytest.approx(12.0 / 11 * 6)  # two workers, six rounds
 
 
-def test_stages_that_do_not_come_after_all_are_forgotten() -> None:
+def test_cancelled_stages_are_removed() -> None:
     estimate = Estimate(Clock())
     estimate.expect({"focus": [1.0], "draw": [1.0]}, 1)
     estimate.expect({"focus": ()}, 1)
     assert list(estimate.stages) == ["draw"]
 
 
-def test_stages_stand_in_the_order_of_their_beginning() -> None:
+def test_stages_are_listed_in_the_order_in_which_they_begin() -> None:
     estimate = Estimate(Clock())
     estimate.expect({"recover": [1.0], "focus": [1.0]}, 1)
     for stage in ("start-workers", "recover", "check-focus"):

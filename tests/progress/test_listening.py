@@ -1,4 +1,4 @@
-"""Listeners."""
+"""Progress listeners."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from fake_clock import WORK
 
 from blocksar.progress import NOBODY, Listener, as_listener
 
-# ---------------------------------------------------------------- who is told what
+# Listeners
 
 
 class Plain:
-    """What a script may give as progress."""
+    """A minimal listener, as a script may pass it as `progress`."""
 
     def __init__(self) -> None:
         self.told: list[tuple[str, int, int]] = []
@@ -19,7 +19,7 @@ class Plain:
         self.told.append((stage, done, total))
 
 
-def test_an_object_with_update_alone_will_do() -> None:
+def test_an_object_with_only_update_is_accepted_as_listener() -> None:
     plain = Plain()
     told = as_listener(plain)
     told.expect(WORK, 1)

@@ -28,7 +28,7 @@ def test_the_log_of_a_run(tmp_path: Path) -> None:
         told.dashboard("http://127.0.0.1:8787/status")
         told.note("one pulse is missing", again=True)
         clock.now += 11.0
-        told.watch(["block-60"], Workers(1, GIB, 0))  # nothing has been heard of for long
+        told.watch(["block-60"], Workers(1, GIB, 0))  # long after the previous event
         for done in range(61, 121):
             clock.now += 0.1
             told.update("focus", done, 120)
@@ -49,15 +49,15 @@ def test_the_log_of_a_run(tmp_path: Path) -> None:
     assert of_focus[2]["done"] == 60
     assert (of_focus[2]["workers"], of_focus[2]["memory"], of_focus[2]["at_work"]) == (1, GIB, ["block-60"])
     assert of_focus[-1]["done"] == of_focus[-1]["total"] == 120
-    assert len(of_focus) == 3 + 6  # one a second
+    assert len(of_focus) == 3 + 6  # one per second
     assert log[-1] | {"time": ""} == {
         "time": "", "event": "end", "status": 1, "message": "out of luck", "seconds": 4017.0,
     }  # fmt: skip
 
 
-def test_the_log_is_appended_to_and_a_line_without_end_is_ended(tmp_path: Path) -> None:
+def test_the_log_is_appended_to_after_an_unfinished_line(tmp_path: Path) -> None:
     file = tmp_path / "log.jsonl"
-    file.write_text('{"event": "start"}\n{"event": "st')  # the machine went down
+    file.write_text('{"event": "start"}\n{"event": "st')  # as after a crash of the machine
     for number in (1, 2):
         log = Log(file)
         log.write("note", message=number)
@@ -68,7 +68,7 @@ def test_the_log_is_appended_to_and_a_line_without_end_is_ended(tmp_path: Path) 
 
 
 @pytest.mark.parametrize("name", ["", "no/such/folder/log", ".", "a\0b"])
-def test_a_log_that_cannot_be_written_stops_a_command_before_it_begins(
+def test_an_unwritable_log_stops_a_command_before_it_begins(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, api: Fake
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -79,14 +79,14 @@ def test_a_log_that_cannot_be_written_stops_a_command_before_it_begins(
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
-def test_a_full_disk_costs_lines_and_nothing_else(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_full_disk_loses_log_lines_but_the_run_goes_on(capsys: pytest.CaptureFixture[str]) -> None:
     with under_way(Clock(), log="/dev/full") as told:
         told.end(0)
     said = [line for line in capsys.readouterr().err.splitlines() if "/dev/full" in line]
     assert said == ["note: /dev/full cannot be written (No space left on device): the run goes on without it"]
 
 
-def test_no_line_is_written_by_half(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_partial_line_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file, write = tmp_path / "log.jsonl", os.write
     log = Log(file)
     log.write("note", message="before")
@@ -100,7 +100,7 @@ def test_no_line_is_written_by_half(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 class Fake(ModuleType):
-    """Stands for blocksar.api: raises what it is told."""
+    """Replace blocksar.api: `focus` raises the error that the test sets."""
 
     error: BaseException | None = None
     called = 0
@@ -145,7 +145,7 @@ def test_the_log_ends_with_the_exit_status(
     assert (end["event"], end["status"], end["message"]) == ("end", status, message)
 
 
-def test_every_command_that_can_be_quiet_can_log() -> None:
+def test_every_command_with_quiet_has_json_log() -> None:
     from typer.main import get_command
 
     def walk(command: Any, path: Sequence[str] = ()) -> Iterator[tuple[Sequence[str], set[str]]]:

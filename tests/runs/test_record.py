@@ -1,4 +1,4 @@
-"""Records of runs: JSON to typed records and back, damage named field by field, and what an older version wrote."""
+"""Records of runs: conversion to JSON and back, messages for damaged fields, and records of older versions."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ RECORD: dict[str, Any] = {
 
 
 def changed(*keys: str | int, value: Any) -> dict[str, Any]:
-    """The record with one field replaced."""
+    """Return the record with one field replaced."""
     record: Any = copy.deepcopy(RECORD)
     entry = record
     for key in keys[:-1]:
@@ -67,10 +67,10 @@ def write(path: Path, record: Any) -> Path:
     return path
 
 
-# ---------------------------------------------------------------- JSON
+# JSON
 
 
-def test_a_record_goes_through_json_and_back() -> None:
+def test_a_record_survives_conversion_to_json_and_back() -> None:
     record = RunRecord.from_json(RECORD)
     assert json.loads(json.dumps(record.as_json())) == RECORD
     assert RunRecord.from_json(json.loads(json.dumps(record.as_json()))) == record
@@ -87,13 +87,13 @@ def test_an_unfinished_record_holds_no_results() -> None:
     }  # fmt: skip
 
 
-def test_only_the_status_is_needed() -> None:
+def test_only_the_status_is_required() -> None:
     record = RunRecord.from_json({"status": "finished"})
     assert record.finished and record.version == "" and record.plan == RunPlan() and record.input == RunInput()
     assert RunRecord.from_json({"status": "finished", "plan": None, "receipts": None, "more": 1}) == record
 
 
-def test_null_stands_for_nan() -> None:
+def test_null_is_read_as_nan() -> None:
     block = RunRecord.from_json(changed("plan", "predicted", 0, "pslr", value=None)).plan.predicted[0]
     assert np.isnan(block.pslr)
     centroid = RunRecord.from_json(changed("doppler_centroid", "error", value=None)).doppler_centroid
@@ -130,7 +130,9 @@ def test_null_stands_for_nan() -> None:
         (("timings", "total"), "x", r"timings.total is 'x', not a number"),
     ],
 )
-def test_damage_is_named_with_its_remedy(keys: tuple[str | int, ...], value: Any, message: str, tmp_path: Path) -> None:
+def test_a_damaged_field_is_named_with_its_remedy(
+    keys: tuple[str | int, ...], value: Any, message: str, tmp_path: Path
+) -> None:
     run = write(tmp_path / "run", changed(*keys, value=value))
     with pytest.raises(
         FolderError, match=rf"run.json is damaged: {message}.*; focus again with --overwrite$"
@@ -144,7 +146,7 @@ def test_damage_is_named_with_its_remedy(keys: tuple[str | int, ...], value: Any
 
 
 @pytest.mark.parametrize("record", [[], 1, None, "text", {}])
-def test_what_is_no_record_is_refused(record: Any, tmp_path: Path) -> None:
+def test_json_that_is_not_a_record_is_refused(record: Any, tmp_path: Path) -> None:
     with pytest.raises(FolderError, match=r"is damaged: .*; focus again with --overwrite"):
         finished_record(place(write(tmp_path / "run", record)))
 
@@ -154,7 +156,7 @@ def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
         finished_record(place(tmp_path))
 
 
-# ---------------------------------------------------------------- formats and versions
+# Formats and versions
 
 
 def test_a_newer_format_is_refused(tmp_path: Path) -> None:
@@ -176,7 +178,7 @@ def test_a_newer_format_is_refused(tmp_path: Path) -> None:
         ({"status": "unfinished", "versions": {}}, "holds an unfinished run of blocksar unknown"),
     ],
 )  # fmt: skip
-def test_a_run_that_is_not_the_one_asked_for_is_refused(change: Any, message: str, tmp_path: Path) -> None:
+def test_a_run_with_other_settings_or_input_or_version_is_refused(change: Any, message: str, tmp_path: Path) -> None:
     run = write(tmp_path / "run", RECORD | change)
     with pytest.raises(FolderError, match=message) as caught:
         folder.find_run(place(run), SETTINGS, "f", overwrite=False)
@@ -197,14 +199,14 @@ def test_a_finished_run_of_an_older_version_is_kept(tmp_path: Path) -> None:
         ("backprojection", ["range-compress", "inspect", "focus", "backprojection", ""]),
     ],
 )
-def test_receipts_without_a_stage_get_it(processor: str, stages: list[str]) -> None:
+def test_receipts_without_a_stage_get_one_from_their_unit(processor: str, stages: list[str]) -> None:
     units = ["pulses-0", "columns-256", "block-1.0", "chunk-0-2", "tea"]
     old = [{"run": "id", "unit": unit, "seconds": 1.0, "written": []} for unit in units]
     record = RunRecord.from_json(RECORD | {"receipts": old, "settings": {"processor": processor}})
     assert [receipt.stage for receipt in record.receipts] == stages
 
 
-def test_a_receipt_says_what_its_unit_did() -> None:
+def test_a_receipt_survives_conversion_to_json_and_back() -> None:
     receipt = Receipt(unit="columns-0", stage="recover", run="id", seconds=1.0)
     assert receipt.as_json() == {
         "run": "id", "unit": "columns-0", "stage": "recover", "seconds": 1.0, "written": [],
@@ -212,15 +214,15 @@ def test_a_receipt_says_what_its_unit_did() -> None:
     assert Receipt.from_json(receipt.as_json(), "receipt") == receipt
 
 
-def test_a_block_has_the_keys_of_its_plan() -> None:
+def test_a_predicted_block_keeps_its_keys() -> None:
     block = RunRecord.from_json(RECORD).plan.predicted[0]
     assert isinstance(block, PredictedBlock) and block.as_json() == BLOCK
 
 
-# ---------------------------------------------------------------- errors
+# Errors
 
 
 @pytest.mark.parametrize("error", [PrfTooLow("too low\x1b", 1230.0), FolderError("held"), FolderError("other", True)])
-def test_errors_travel_between_processes(error: InputError) -> None:
+def test_errors_can_be_pickled(error: InputError) -> None:
     again = pickle.loads(pickle.dumps(error))
     assert type(again) is type(error) and str(again) == str(error) and vars(again) == vars(error)

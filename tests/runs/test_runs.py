@@ -1,4 +1,4 @@
-"""Runs: resume, refuse, never half-finished; wrong input leaves nothing behind."""
+"""Runs: they resume after an interruption, refuse wrong input, and never leave a partial result."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def checksum(run: Path) -> str:
     return stores.checksum(blocksar.open(run).image.values)
 
 
-def test_finished_run_does_nothing(store: Path, client: Client, tmp_path: Path) -> None:
+def test_a_finished_run_is_not_computed_again(store: Path, client: Client, tmp_path: Path) -> None:
     run = tmp_path / "run"
     blocksar.focus(store, run, blocks=3, grid=GRID, client=client)
     before = {p: p.stat().st_mtime_ns for p in run.rglob("*") if p.is_file()}
@@ -62,7 +62,7 @@ def test_finished_run_does_nothing(store: Path, client: Client, tmp_path: Path) 
 
 
 @pytest.mark.parametrize("stage", ["focus_blocks", "mosaic"])
-def test_interrupted_run_resumes(
+def test_an_interrupted_run_resumes(
     stage: str, store: Path, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupted(*_: Any) -> Any:
@@ -91,7 +91,7 @@ def test_interrupted_run_resumes(
     assert not (tmp_path / "run" / "receipts").exists()
 
 
-def test_task_that_fails_names_what_failed(
+def test_a_failed_task_is_named_in_the_error(
     store: Path, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     real = stages.focus_blocks
@@ -106,7 +106,7 @@ def test_task_that_fails_names_what_failed(
     assert (tmp_path / "run" / "receipts").exists()
 
 
-def test_given_scheduler_is_used_and_left_running(store: Path, client: Client, tmp_path: Path) -> None:
+def test_a_given_scheduler_is_used_and_left_running(store: Path, client: Client, tmp_path: Path) -> None:
     address = client.scheduler.address
     report = blocksar.focus(store, tmp_path / "run", blocks=2, grid=GRID, scheduler=address, threads=1)
     assert report.result["workers"] == len(client.scheduler_info(n_workers=-1)["workers"])
@@ -115,7 +115,9 @@ def test_given_scheduler_is_used_and_left_running(store: Path, client: Client, t
         blocksar.focus(store, tmp_path / "other", grid=GRID, scheduler="nowhere:1:2")
 
 
-def test_keys_say_step_and_block(store: Path, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_task_keys_name_step_and_block(
+    store: Path, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     keys: list[str] = []
     submit = client.submit
     monkeypatch.setattr(client, "submit", lambda f, *a, **k: keys.append(k["key"]) or submit(f, *a, **k))
@@ -125,12 +127,12 @@ def test_keys_say_step_and_block(store: Path, client: Client, tmp_path: Path, mo
     names = ["read-slab+residual-walk+keystone", "rcmc-src", azimuth, "geometric-correction"]
     assert [k for k in keys if "block-1" in k] == [f"{stage}-{run}-block-1" for stage in names]
     assert len(set(keys)) == len(keys)
-    # The receipt of a block is that of all its tasks.
+    # The receipt of a block covers all its tasks.
     receipt = next(r for r in report.result["receipts"] if r["unit"] == "block-1")
     assert receipt["seconds"] == pytest.approx(sum(receipt["steps"].values()), rel=0.05)
 
 
-def test_memory_that_does_not_hold_a_raw_echo_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_memory_limit_too_small_for_a_raw_echo_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "scene.toml").write_text(scene(swath=[29900.0, 30100.0]))
     raw = blocksar.simulate(tmp_path / "scene.toml", tmp_path / "raw.zarr", raw=True)
     history = stores.open_phase_history(raw)
@@ -142,7 +144,7 @@ def test_memory_that_does_not_hold_a_raw_echo_is_refused(tmp_path: Path, monkeyp
 
 
 def damaged(store: Path, folder: Path, **replace: Any) -> Path:
-    """A copy of the store with arrays or attributes replaced, or removed where None."""
+    """Copy the store with arrays or attributes replaced, or removed where the value is None."""
     copy = folder / "damaged.zarr"
     shutil.copytree(store, copy)
     group = zarr.open_group(str(copy), mode="r+")
@@ -186,7 +188,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_wrong_input_is_refused_and_leaves_nothing(name: str, store: Path, client: Client, tmp_path: Path) -> None:
+def test_wrong_input_is_refused_and_writes_nothing(name: str, store: Path, client: Client, tmp_path: Path) -> None:
     change, message = WRONG[name]
     bad = damaged(store, tmp_path, **change(store))
     with pytest.raises(InputError, match=message) as caught:
@@ -220,13 +222,13 @@ def test_wrong_settings_are_refused(settings: dict[str, Any], message: str, stor
     assert not (tmp_path / "run").exists()
 
 
-def test_prf_too_low_names_the_prf_needed(tmp_path: Path) -> None:
+def test_a_prf_too_low_is_refused_with_the_prf_needed(tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_text(scene(prf=3000.0))
     with pytest.raises(InputError, match=r"PRF 3000 Hz is too low: .* at least \d+(\.\d+)? Hz is needed"):
         blocksar.plan(tmp_path / "scene.toml")
 
 
-def test_folders_that_are_no_runs_are_left_alone(store: Path, client: Client, tmp_path: Path) -> None:
+def test_folders_that_are_not_runs_are_not_changed(store: Path, client: Client, tmp_path: Path) -> None:
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "thesis.tex").write_text("years of work")
     for overwrite in (False, True):
@@ -240,8 +242,8 @@ def test_folders_that_are_no_runs_are_left_alone(store: Path, client: Client, tm
         blocksar.quality(tmp_path / "run")
 
 
-def test_peak_memory_is_the_process_own() -> None:
-    """Not its parent's: a small process started by a large one."""
+def test_peak_memory_is_that_of_the_process() -> None:
+    """A small process started by a large one does not report its parent's peak."""
     ballast = np.ones(400 * 2**20, np.uint8)
     script = "from blocksar.graph.tasks import peak_memory; print(peak_memory())"
     child = int(subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, text=True).stdout)
@@ -249,8 +251,8 @@ def test_peak_memory_is_the_process_own() -> None:
     assert child < ballast.size
 
 
-def test_a_block_that_has_travelled_is_as_good(store: Path, tmp_path: Path) -> None:
-    """What comes from another worker may not be written to, and a stage works in place."""
+def test_a_block_from_another_worker_gives_the_same_result(store: Path, tmp_path: Path) -> None:
+    """Arrays received from another worker are read-only, although a stage works in place."""
     block = blocksar.plan(store, blocks=3).result.blocks[1]
     stage = step.stages(block.chain)[1]
     rng = np.random.default_rng(2)
@@ -265,8 +267,8 @@ def test_a_block_that_has_travelled_is_as_good(store: Path, tmp_path: Path) -> N
     np.testing.assert_array_equal(here.values, there.values)
 
 
-def test_a_task_of_a_run_that_was_replaced_writes_nothing(store: Path, client: Client, tmp_path: Path) -> None:
-    """As on a given cluster, at work for a process that is dead, while --overwrite has begun another run."""
+def test_a_task_of_a_replaced_run_writes_nothing(store: Path, client: Client, tmp_path: Path) -> None:
+    """A given cluster may still run tasks of a dead process while --overwrite has started another run."""
     run = tmp_path / "run"
     blocksar.focus(store, run, blocks=3, grid=GRID, client=client)
     before = {p: p.stat().st_mtime_ns for p in run.rglob("*") if p.is_file()}
@@ -282,7 +284,7 @@ FAR = '[[targets]]\nname = "Q"\nrange = 30100.0\nyaw_deg = 51.0\namplitude = 0.5
 
 
 def changed(store: Path, folder: Path, variable: str, change: Any) -> Path:
-    """A copy of the store whose samples have been through a function."""
+    """Copy the store and apply a function to its samples."""
     shutil.copytree(store, folder / "changed.zarr")
     samples = zarr.open_array(str(folder / "changed.zarr" / variable), mode="r+")
     samples[...] = change(np.array(samples[...]))
@@ -297,7 +299,7 @@ def lose(signal: Any) -> Any:
 
 
 @pytest.mark.parametrize("processor", ["angular-division", "backprojection"])
-def test_missing_and_impossible_samples_are_not_lit_and_reported(
+def test_missing_and_impossible_samples_count_as_not_lit_and_are_reported(
     processor: Any, store: Path, client: Client, tmp_path: Path
 ) -> None:
     point = ground(30000.0, 50.0)
@@ -319,9 +321,7 @@ def test_missing_and_impossible_samples_are_not_lit_and_reported(
     assert np.abs(image.image.values).max() == pytest.approx(1, abs=0.01)
 
 
-def test_a_track_that_does_not_belong_to_the_samples_is_pointed_out(
-    store: Path, client: Client, tmp_path: Path
-) -> None:
+def test_a_track_that_does_not_match_the_samples_is_reported(store: Path, client: Client, tmp_path: Path) -> None:
     collection = stores.open_phase_history(store).collection
     wrong = collection.antenna_position + collection.time[:, None] * np.array([0.0, 60.0, 0.0])
     bad = damaged(store, tmp_path, antenna_position=wrong)
@@ -351,7 +351,7 @@ def ground(rng: float, yaw_deg: float) -> tuple[float, float]:
     return float(point[0]), float(point[1])
 
 
-def test_a_receipt_that_was_changed_is_not_trusted(tmp_path: Path) -> None:
+def test_a_changed_receipt_is_not_accepted(tmp_path: Path) -> None:
     run = Run(folder=place(tmp_path), identity="x", threads=1)
     steps = {"b": 1.5, "a": np.float64(2)}
     signed = run.sign(Receipt(unit="block-1", stage="focus", origin=(17, 4), found={"x": np.nan}, steps=steps), 0.0)
@@ -361,12 +361,12 @@ def test_a_receipt_that_was_changed_is_not_trusted(tmp_path: Path) -> None:
     assert run.receipt("block-1") is None
 
 
-def test_what_a_run_left_that_was_killed_at_its_very_end_goes(
+def test_receipts_of_a_run_killed_at_its_very_end_are_removed(
     store: Path, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run, settings = tmp_path / "run", {"blocks": 3, "grid": GRID, "client": client}
     blocksar.focus(store, run, **settings)  # type: ignore[arg-type]
-    for first_looks in (0, 1):  # the second time another process finishes it while this one waits for the folder
+    for first_looks in (0, 1):  # 1: another process finishes the run while this one waits for the folder
         (run / "receipts").mkdir()
         real, looks = folder.find_run, iter([None] * first_looks)
         monkeypatch.setattr(folder, "find_run", lambda *a, r=real, i=looks, **k: next(i, r(*a, **k)))

@@ -16,11 +16,11 @@ from blocksar.simulation.scatterers import simulate_pulses
 from blocksar.simulation.scene import Scene
 
 
-def test_noise_has_its_power_and_is_the_same_however_the_pulses_are_cut() -> None:
+def test_noise_has_its_power_and_does_not_depend_on_the_cut_into_pulses() -> None:
     whole = noise((400, 500), first_pulse=0, power=0.25, seed=9)
     parts = [noise((100, 500), first_pulse=first, power=0.25, seed=9) for first in range(0, 400, 100)]
     assert np.array_equal(whole, np.concatenate(parts))
-    # 200000 samples: the mean power strays by 1 / sqrt(200000) = 0.0022 of itself; five times that.
+    # 200000 samples: the mean power varies by 1 / sqrt(200000) = 0.0022 of itself; five times that.
     assert np.mean(np.abs(whole) ** 2) == pytest.approx(0.25, rel=0.011)
     assert abs(np.mean(whole**2)) < 0.011 * 0.25
     assert abs(np.vdot(whole[:-1], whole[1:])) / whole[1:].size < 0.011 * 0.25
@@ -61,7 +61,7 @@ def test_store_holds_targets_clutter_noise_and_gaps(tmp_path: Path) -> None:
     expected += noise(signal.shape, first_pulse=0, power=0.5, seed=8)
     targets = scene.point_targets()
     expected += slow_twins.phase_history(collection, [target[1:] for target in targets])
-    # Sums of complex64 numbers of modulus up to some 100.
+    # Sums of complex64 numbers with a modulus up to about 100.
     assert np.abs(signal - expected)[~lost].max() < 1e-4
     assert store.attrs["scene"] == "small"
     assert store.attrs["noise"] == 0.5
@@ -87,7 +87,7 @@ def test_raw_store_holds_the_chirped_echo(tmp_path: Path) -> None:
     assert np.abs(echo - expected)[~lost].max() < 1e-5
 
 
-def test_existing_stores_stay_unless_asked_and_failures_leave_nothing(tmp_path: Path) -> None:
+def test_existing_stores_are_kept_unless_overwrite_is_set_and_failures_leave_nothing(tmp_path: Path) -> None:
     scene, path = Scene.parse(SCENE + TARGETS), tmp_path / "ph.zarr"
     simulate(scene, path)
     with pytest.raises(InputError, match="exists"):

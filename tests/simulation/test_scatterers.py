@@ -1,4 +1,4 @@
-"""The simulator against plain double loops, and what it writes against what the scene asks for."""
+"""The simulator against plain double loops."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from blocksar.simulation.scene import Scene
 
 
 def turned(text: str, by: float) -> str:
-    """The small scene with its beam turned by some degrees, ahead of the targets."""
+    """The small scene with only its beam turned, by this many degrees."""
     return text.replace("start_deg = 40", f"start_deg = {40 + by}").replace("stop_deg = 60", f"stop_deg = {60 + by}")
 
 
 def spread(scene: Scene, n: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Scatterers over the lit sector, and a little beyond: no yaw sits on the edge of a beam."""
+    """Scatterers over the lit sector and slightly beyond; no yaw coincides with a beam edge."""
     random = np.random.default_rng(seed)
     yaw = random.uniform(scene.lit_yaw[0] - 0.02, scene.lit_yaw[1] + 0.02, n)
     x, y = scene.ground_point(random.uniform(9800, 10200, n), yaw)
@@ -39,13 +39,13 @@ SCENES = {"plain": SCENE, "across pi": turned(SCENE, 131), "negative": turned(SC
 
 @pytest.fixture(params=[0, 10**9], ids=["transform", "direct"])
 def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Either way of summing, whatever the number of scatterers."""
+    """Each of the two ways of summing, whatever the number of scatterers."""
     monkeypatch.setattr(sys.modules["blocksar.simulation.scatterers"], "DIRECT_LIMIT", request.param)
 
 
 @pytest.mark.usefixtures("way")
 @pytest.mark.parametrize("name", SCENES)
-def test_samples_are_those_of_the_double_loop(name: str) -> None:
+def test_samples_equal_those_of_the_double_loop(name: str) -> None:
     scene = Scene.parse(SCENES[name])
     collection = scene.collection()
     x, y, sigma = spread(scene, 150, seed=3)
@@ -54,13 +54,13 @@ def test_samples_are_those_of_the_double_loop(name: str) -> None:
     found = simulate_pulses(collection, x, y, sigma)
     assert found.dtype == np.complex64
     assert found.shape == (151, collection.n_range_frequency)
-    # complex64 rounds to 6e-8 of a sample; the transform errs by 1e-6 of the root sum square of what is lit.
+    # complex64 rounds to 6e-8 of a sample; the transform errs by 1e-6 of the root sum of squares of the lit scatterers.
     assert np.abs(found[pulses] - expected).max() < 1e-6 * np.linalg.norm(sigma)
     assert np.linalg.norm(expected) > 1
 
 
 @pytest.mark.usefixtures("way")
-def test_a_target_is_lit_at_exactly_the_pulses_of_its_dwell() -> None:
+def test_a_target_is_lit_by_exactly_the_pulses_of_its_dwell() -> None:
     for text in (SCENE, BACKWARDS, turned(SCENE, 131)):
         scene = Scene.parse(text)
         collection = scene.collection()
@@ -69,7 +69,7 @@ def test_a_target_is_lit_at_exactly_the_pulses_of_its_dwell() -> None:
         lit = np.abs(simulate_pulses(collection, x, y, np.ones(1))).max(axis=1) > 0.5
         assert lit.tolist() == [slow_twins.lit(collection, pulse, float(x), float(y)) for pulse in range(151)]
         first, last = dwell_at(Geometry(collection=collection), np.array(yaw))
-        # The dwell ends on the edge of the beam; a pulse is lit if it lies inside.
+        # The dwell ends at the edge of the beam; a pulse is lit if it lies inside.
         assert lit.sum() == pytest.approx(float(last - first) * collection.prf, abs=1)
         assert 0 < lit.sum() < 151
 
@@ -82,7 +82,7 @@ def test_ranges_are_exact_at_table_1() -> None:
     pulses = slice(2100, 2103)
     found = simulate_pulses(collection, x, y, sigma, pulses=pulses)
     expected = slow_twins.phase_history(collection, targets, range(2100, 2103))
-    # Rounding of complex64 at a modulus of some 20.
+    # Rounding of complex64 at a modulus of about 20.
     assert np.abs(found - expected).max() < 2e-6
 
 
@@ -97,7 +97,7 @@ def test_samples_do_not_depend_on_threads_or_chunks() -> None:
     assert np.array_equal(whole, np.concatenate(cut))
 
 
-def test_nothing_lit_is_zero_and_wrong_arrays_are_refused() -> None:
+def test_unlit_samples_are_zero_and_wrong_arrays_are_refused() -> None:
     collection = Scene.parse(SCENE).collection()
     many = np.full(DIRECT_LIMIT + 1, -9000.0)
     assert not simulate_pulses(collection, many, many, many).any()
@@ -108,7 +108,7 @@ def test_nothing_lit_is_zero_and_wrong_arrays_are_refused() -> None:
         simulate_pulses(collection, np.full(1, np.nan), np.ones(1), np.ones(1))
 
 
-def test_raw_echo_is_that_of_the_double_loop() -> None:
+def test_raw_echo_equals_that_of_the_double_loop() -> None:
     scene = Scene.parse(SCENE)
     collection = scene.collection(raw=True)
     x, y, sigma = spread(scene, 40, seed=2)
@@ -118,7 +118,7 @@ def test_raw_echo_is_that_of_the_double_loop() -> None:
 
 
 def compressed(echo: np.ndarray, scene: Scene, collection: Collection, pulses: slice) -> np.ndarray:
-    """Range-frequency samples of a raw echo: its spectrum over the chirp's, moved to the reference range."""
+    """Range-frequency samples of a raw echo: its spectrum divided by the chirp's, moved to the reference range."""
     axes, n = chirp(scene), echo.shape[1]
     tau, f = axes.pop("fast_time"), collection.range_frequency
     index = np.rint(f / collection.range_frequency_step).astype(int) % n
@@ -128,19 +128,19 @@ def compressed(echo: np.ndarray, scene: Scene, collection: Collection, pulses: s
 
 
 @pytest.mark.parametrize("exact", [True, False])
-def test_compressed_raw_echo_is_the_phase_history(exact: bool) -> None:
+def test_the_compressed_raw_echo_equals_the_phase_history(exact: bool) -> None:
     scene, pulses = Scene.parse(SCENE), slice(70, 73)
     collection = scene.collection(raw=True)
     scatterers = field(collection, *spread(scene, 60, seed=4))
     expected = phase_history(scatterers, pulses=pulses)
     echo = raw_echo(scatterers, **chirp(scene), pulses=pulses, exact=exact)
     error = np.linalg.norm(compressed(echo, scene, collection, pulses) - expected) / np.linalg.norm(expected)
-    # Without an anti-alias filter the sampled chirp folds its spectral tails into the band: the energy beyond
-    # half the sampling rate F, some 2 / (pi^2 (F - B / 2) T) = 1 % of it here.
+    # Without an anti-alias filter the spectral tails of the sampled chirp fold into the band: the energy beyond
+    # half the sampling rate F, about 2 / (pi^2 (F - B / 2) T) = 1 % of it here.
     assert error < (0.15 if exact else 3e-6)
 
 
-def test_filtered_echo_differs_from_the_exact_one_by_the_tails_only() -> None:
+def test_the_filtered_echo_differs_from_the_exact_one_only_by_the_tails() -> None:
     scene, pulses = Scene.parse(SCENE), slice(70, 73)
     collection = scene.collection(raw=True)
     scatterers = field(collection, *spread(scene, 60, seed=4))

@@ -1,4 +1,4 @@
-"""Scene files: what is read is what is meant, and what is wrong is named, all of it at once."""
+"""Scene files: values are read correctly, and one error names every wrong field."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def problems(text: str, folder: Path | None = None) -> list[str]:
     return rest
 
 
-def test_table1_is_the_papers_table() -> None:
+def test_table1_agrees_with_table_1_of_paper_a() -> None:
     scene = Scene.read("table1")
     collection = scene.collection()
     assert (collection.carrier, scene.radar.bandwidth, scene.radar.pulse_width) == (15e9, 50e6, 10e-6)
@@ -98,7 +98,7 @@ def test_table1_matrix_lies_along_ground_range_and_is_lit_where_the_scene_says()
 
 
 @pytest.mark.parametrize("reference", ['"constant"', '"scene_centre"', "9000.0"])
-def test_window_holds_every_lit_range_with_its_migration(reference: str) -> None:
+def test_the_window_holds_every_lit_range_with_its_migration(reference: str) -> None:
     scene = Scene.parse(PLAIN + f"reference_range = {reference}\n")
     collection = scene.collection()
     yaw = np.linspace(*scene.lit_yaw, 201)
@@ -115,7 +115,7 @@ def test_window_holds_every_lit_range_with_its_migration(reference: str) -> None
     assert collection.range_frequency == pytest.approx(np.rint(collection.range_frequency * n / 120e6) * 120e6 / n)
 
 
-def test_raw_window_holds_every_echo_in_full() -> None:
+def test_the_raw_window_holds_every_whole_echo() -> None:
     scene = Scene.parse(PLAIN)
     collection, tau = scene.collection(raw=True), scene.fast_time
     assert np.diff(tau) == pytest.approx(1 / 120e6)
@@ -130,14 +130,14 @@ def test_raw_window_holds_every_echo_in_full() -> None:
         Scene.parse(plain(pulse_width="")).collection(raw=True)
 
 
-def test_odd_pulses_start_and_t_zero_elsewhere() -> None:
+def test_an_odd_number_of_pulses_and_a_start_away_from_t_zero() -> None:
     assert Scene.parse(PLAIN).pulse_times[50] == 0.0
     late = Scene.parse(plain(pulses="duration = 0.1\nstart = 0.05")).collection()
     assert late.n_pulse == 100
     assert late.time[[0, -1]] == pytest.approx([0.05, 0.149])
 
 
-def test_three_ways_to_give_one_track(tmp_path: Path) -> None:
+def test_three_ways_to_give_a_track_agree(tmp_path: Path) -> None:
     time = np.linspace(-0.06, 0.06, 25)
     taylor = "velocity = [150.0, 10.0, -20.0]\nacceleration = [2.0, -4.0, 6.0]\njerk = [6.0, 0.0, -12.0]"
     vectors = [[100, 200, 3000], [150, 10, -20], [1, -2, 3], [1, 0, -2]]
@@ -158,7 +158,7 @@ def test_three_ways_to_give_one_track(tmp_path: Path) -> None:
         Scene.parse(plain(position="", velocity=short)).collection()
 
 
-def test_three_ways_to_place_one_target() -> None:
+def test_three_ways_to_place_a_target_agree() -> None:
     scene = Scene.parse(
         PLAIN
         + """
@@ -190,7 +190,7 @@ def test_three_ways_to_place_one_target() -> None:
         assert (other.x, other.y) == pytest.approx((polar.x, polar.y), abs=1e-6)
 
 
-def test_unsteered_scene_needs_and_uses_its_centre_yaw() -> None:
+def test_an_unsteered_scene_needs_and_uses_its_centre_yaw() -> None:
     text = PLAIN.replace("[beam]\nstart_deg = 40\nstop_deg = 60\nwidth_deg = 8\n", "")
     assert problems(text) == ["scene.centre_yaw_deg is missing: a scene without [beam] needs it"]
     text += "centre_yaw_deg = -120\n"
@@ -208,16 +208,16 @@ def test_clutter_is_uniform_over_ground_area_and_has_its_power() -> None:
     distance2 = (x - 100) ** 2 + (y - 200) ** 2
     near, far = 9500.0**2 - 3000**2, 10500.0**2 - 3000**2
     assert near <= distance2.min() and distance2.max() <= far
-    # The mean of n uniform numbers strays by 1 / sqrt(12 n) = 0.00065; five times that.
+    # The mean of n uniform numbers varies by 1 / sqrt(12 n) = 0.00065; five times that.
     assert (distance2.mean() - near) / (far - near) == pytest.approx(0.5, abs=0.0033)
     yaw = np.rad2deg(np.arctan2(y - 200, x - 100))
     assert yaw.min() >= 36 and yaw.max() <= 64
-    # The mean power of n such numbers strays by 1 / sqrt(n) = 0.0022 of itself; five times that.
+    # The mean power of n such numbers varies by 1 / sqrt(n) = 0.0022 of itself; five times that.
     assert np.mean(np.abs(sigma) ** 2) == pytest.approx(3.0, rel=0.011)
     assert abs(np.mean(sigma**2)) < 0.011 * 3
 
 
-def test_reflectivity_map_puts_each_pixel_in_its_place(tmp_path: Path) -> None:
+def test_a_reflectivity_map_puts_each_pixel_in_its_place(tmp_path: Path) -> None:
     pixels = np.zeros((3, 4))
     pixels[2, 1] = 5.0
     np.save(tmp_path / "map.npy", pixels)
@@ -231,7 +231,7 @@ def test_reflectivity_map_puts_each_pixel_in_its_place(tmp_path: Path) -> None:
     assert problem.startswith("reflectivity.file = 'none.npy': must be a readable .npy file")
 
 
-def test_dropped_pulses_are_those_listed_and_the_share_at_random() -> None:
+def test_dropped_pulses_are_those_listed_and_a_random_share() -> None:
     text = PLAIN + "[dropped]\npulses = [3]\nranges = [[10, 12]]\n"
     assert Scene.parse(text).dropped_pulses().tolist() == [3, 10, 11, 12]
     some = Scene.parse(PLAIN + "[dropped]\nfraction = 0.2\nseed = 1\n").dropped_pulses()
@@ -292,7 +292,7 @@ def test_wrong_field(replaced: dict[str, str], expected: str) -> None:
     assert problem.startswith(expected)
 
 
-def test_syntax_missing_files_and_unknown_scenes_are_input_errors(tmp_path: Path) -> None:
+def test_syntax_errors_missing_files_and_unknown_scenes_raise_input_errors(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"my\.toml is not TOML: .*line 2"):
         Scene.parse("title = 'a'\n[radar\n", label="my.toml")
     with pytest.raises(InputError, match=r"neither a file nor one of the shipped scenes: .*table1"):
@@ -311,7 +311,7 @@ KEYS = st.from_regex(r"[a-z]{1,12}_[a-z]{1,6}", fullmatch=True).filter(
 
 @settings(max_examples=60, deadline=None)
 @given(unknown=st.dictionaries(st.tuples(st.sampled_from(TABLES), KEYS), st.integers(-9, 9), min_size=1, max_size=6))
-def test_unknown_keys_are_refused_wherever_they_stand(unknown: dict[tuple[str, str], int]) -> None:
+def test_unknown_keys_are_refused_at_every_level(unknown: dict[tuple[str, str], int]) -> None:
     blocks: dict[str, list[str]] = {table: [] for table in TABLES}
     for (table, key), value in unknown.items():
         blocks[table].append(f"{key} = {value}")
@@ -333,7 +333,7 @@ NUMBERS = ["radar.carrier", "radar.bandwidth", "radar.range_sampling", "radar.pr
     fields=st.sets(st.sampled_from(NUMBERS), min_size=1),
     wrong=st.sampled_from(['"7"', "true", "[1.0]", "nan", "inf", "2026-01-01", "{}"]),
 )
-def test_many_wrong_numbers_are_each_reported(fields: set[str], wrong: str) -> None:
+def test_each_of_many_wrong_numbers_is_reported(fields: set[str], wrong: str) -> None:
     replaced = {field.split(".")[1]: f"{field.split('.')[1]} = {wrong}" for field in fields}
     found = problems(plain(**replaced))
     assert {problem.split(" = ")[0] for problem in found} == fields

@@ -1,4 +1,4 @@
-"""Object stores: what is true of a store in a folder is true below a prefix, on a real server of the S3 protocol."""
+"""Object stores: stores below a prefix behave as stores in a folder, tested on a real server of the S3 protocol."""
 
 from __future__ import annotations
 
@@ -52,13 +52,13 @@ def bucket() -> Iterator[str]:
 
 @pytest.fixture
 def there(bucket: str) -> Place:
-    """A prefix that nobody has."""
+    """An unused prefix."""
     return place(f"s3://{bucket}/{secrets.token_hex(4)}")
 
 
 @pytest.fixture
 def unreached(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    """A port where nobody listens, as endpoint."""
+    """Set an endpoint on which no server listens; yields its URL."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
     with endpoint(port, monkeypatch) as url:
@@ -67,7 +67,7 @@ def unreached(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
 
 @contextmanager
 def endpoint(port: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    """Another one for a while, with one more try where it fails."""
+    """Use another endpoint within the block, with one retry."""
     with monkeypatch.context() as patch:
         patch.setattr(objects, "RETRIES", 1)
         patch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{port}")
@@ -84,12 +84,12 @@ def noise(shape: tuple[int, ...], seed: int = 0) -> np.ndarray:
 
 
 def contents(where: Place) -> dict[str, bytes]:
-    """All files, or all objects, with their bytes."""
+    """Return all files, or all objects, with their bytes."""
     return {name: (where / name).read_bytes() for name, _, _ in where.files()}
 
 
 def history(where: Any, collection: Collection, **options: Any) -> stores.PhaseHistory:
-    """A phase history with samples in chunks of 128 by 64."""
+    """Write a phase history with samples in chunks of 128 by 64."""
     stores.create(
         where,
         stores.PHASE_HISTORY,
@@ -110,11 +110,11 @@ def one_sentence(error: pytest.ExceptionInfo[Exception]) -> str:
     return text
 
 
-# ---------------------------------------------------------------- the same as in a folder
+# Agreement with folders
 
 
 @pytest.mark.parametrize("name", ["PHASE_HISTORY", "RAW_ECHO", "COLLECTION", "SPECTRUM", "PATCH", "IMAGE"])
-def test_every_store_has_the_bytes_that_it_has_in_a_folder(name: str, there: Place, tmp_path: Path) -> None:
+def test_every_store_has_the_same_bytes_as_in_a_folder(name: str, there: Place, tmp_path: Path) -> None:
     schema = getattr(stores, name)
     sizes = dict.fromkeys({dim for variable in schema.values() for dim in variable.dims}, 5)
     coords = {"x": np.arange(5.0), "y": np.arange(5.0)} if "x" in schema else {}
@@ -164,7 +164,7 @@ def test_regions_are_written_as_whole_chunks(there: Place) -> None:
 
 
 @pytest.mark.parametrize("raw", [False, True])
-def test_phase_history_comes_back(raw: bool, small_collection: Collection, there: Place) -> None:
+def test_a_phase_history_is_read_back_as_written(raw: bool, small_collection: Collection, there: Place) -> None:
     fast_time = 80e-6 + np.arange(1200) / 60e6
     echo = RawEcho(fast_time=fast_time, chirp_rate=5e12, pulse_width=10e-6, sampling_rate=60e6)
     collection = small_collection
@@ -187,14 +187,14 @@ def test_phase_history_comes_back(raw: bool, small_collection: Collection, there
     assert np.array_equal(found.read(slice(3, 200), slice(5, 7)), samples[3:200, 5:7])
 
 
-def test_collection_comes_back_and_is_replaced(small_collection: Collection, there: Place) -> None:
+def test_a_collection_is_read_back_as_written_and_can_be_replaced(small_collection: Collection, there: Place) -> None:
     for name in ("first", "second"):
         stores.write_collection(there, small_collection, {"scene": name})
         collection, attrs = stores.read_collection(str(there))
         assert np.array_equal(collection.time, small_collection.time) and attrs["scene"] == name
 
 
-def test_json_comes_back(there: Place) -> None:
+def test_json_is_read_back_as_written(there: Place) -> None:
     for value in (1, [2.5, None]):
         stores.write_json(f"{there}/run.json", {"value": value, "where": there})
         assert stores.read_json(there / "run.json") == {"value": value, "where": str(there)}
@@ -206,7 +206,9 @@ def test_json_comes_back(there: Place) -> None:
         assert str(there / name) in one_sentence(error)
 
 
-def test_a_phase_history_goes_to_other_processes(small_collection: Collection, there: Place, tmp_path: Path) -> None:
+def test_a_phase_history_can_be_pickled_for_other_processes(
+    small_collection: Collection, there: Place, tmp_path: Path
+) -> None:
     pickled = pickle.dumps(history(there, small_collection))
     assert len(pickled) < 50_000
     (tmp_path / "history").write_bytes(pickled)
@@ -222,7 +224,7 @@ def test_a_phase_history_goes_to_other_processes(small_collection: Collection, t
 
 
 @pytest.mark.parametrize("name", ["a b", "50%", "%41", "a#b", "a?b=c&d", "é", "a::b", "a+b", "-a", "'", "a:b"])
-def test_odd_names_are_names(name: str, there: Place, tmp_path: Path, small_collection: Collection) -> None:
+def test_unusual_names_are_used_as_given(name: str, there: Place, tmp_path: Path, small_collection: Collection) -> None:
     for where in (there / name / "ph.zarr", LocalPlace(tmp_path) / name / "ph.zarr"):
         again = str(where)
         stores.write_collection(again, small_collection)
@@ -232,7 +234,7 @@ def test_odd_names_are_names(name: str, there: Place, tmp_path: Path, small_coll
 
 
 @pytest.mark.parametrize("name", ["s3:/a", "memory://a", "a\nb", "file::zip", "https://x", os.fsdecode(b"\xff\xfe")])
-def test_local_names_mean_nothing_to_libraries(name: str, tmp_path: Path, small_collection: Collection) -> None:
+def test_libraries_do_not_interpret_local_names(name: str, tmp_path: Path, small_collection: Collection) -> None:
     path = f"{tmp_path}/{name}"
     found = history(path, small_collection)
     try:
@@ -244,7 +246,7 @@ def test_local_names_mean_nothing_to_libraries(name: str, tmp_path: Path, small_
     assert stores.open_dataset(path)["signal"].shape == (256, 128)
 
 
-def test_files_of_objects_are_not_shared(there: Place, tmp_path: Path) -> None:
+def test_chunks_of_object_stores_are_not_shared(there: Place, tmp_path: Path) -> None:
     axes = {"x": np.arange(4.0), "y": np.arange(4.0)}
     for where in (there / "a", there / "b", tmp_path / "c"):
         stores.create(where, stores.PATCH, sizes={}, coords=axes, attrs={}, chunks={})
@@ -254,7 +256,7 @@ def test_files_of_objects_are_not_shared(there: Place, tmp_path: Path) -> None:
         assert not stores.share_region(target, "image", whole, source=source, source_region=whole)
 
 
-# ---------------------------------------------------------------- what others write, and read
+# Exchange with other programs
 
 
 OTHERWISE: dict[str, dict[str, Any]] = {
@@ -265,7 +267,7 @@ OTHERWISE: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.parametrize("name", OTHERWISE)
-def test_what_xarray_wrote_is_read(name: str, there: ObjectPlace, small_collection: Collection) -> None:
+def test_stores_written_by_xarray_are_read(name: str, there: ObjectPlace, small_collection: Collection) -> None:
     c = small_collection
     data = {
         "signal": (("pulse", "range_frequency"), noise((256, 128))),
@@ -285,7 +287,7 @@ def test_what_xarray_wrote_is_read(name: str, there: ObjectPlace, small_collecti
     assert stores.open_phase_history(there).fingerprint() != before
 
 
-def test_an_image_opens_in_xarray(there: ObjectPlace) -> None:
+def test_xarray_opens_an_image(there: ObjectPlace) -> None:
     axes = {"x": np.arange(20.0), "y": np.arange(10.0)}
     stores.create(there, stores.IMAGE, sizes={}, coords=axes, attrs={"title": "image"}, chunks={"x": 8, "y": 8})
     stores.write_region(there, "image", ALL, noise((10, 20)))
@@ -301,7 +303,7 @@ def test_an_image_opens_in_xarray(there: ObjectPlace) -> None:
     assert ours.encoding["source"] == str(there)
 
 
-# ---------------------------------------------------------------- whole or not there
+# Atomic creation
 
 
 def make(where: Place, value: float, **options: Any) -> None:
@@ -328,13 +330,13 @@ stores.create(
 
 
 @pytest.mark.parametrize("before", [False, True])
-def test_a_store_whose_maker_was_killed_is_no_store(before: bool, there: Place) -> None:
+def test_a_store_is_unfinished_if_its_writer_was_killed(before: bool, there: Place) -> None:
     make(there / "whole", 1)
     if before:
         make(there / "killed", 2)
     killed = subprocess.run([sys.executable, "-c", KILLED, str(there / "killed")], check=False)
     assert killed.returncode == -signal.SIGKILL
-    assert "c" in (there / "killed" / "image").names()  # it had come this far
+    assert "c" in (there / "killed" / "image").names()  # a chunk was already written
     for opened in (stores.open_dataset, stores.open_phase_history):
         with pytest.raises(InputError, match="left unfinished"):
             opened(there / "killed")
@@ -345,7 +347,7 @@ def test_a_store_whose_maker_was_killed_is_no_store(before: bool, there: Place) 
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), ProcessingError("no room"), OSError(5, "oh")])
-def test_a_store_that_fails_to_be_made_leaves_nothing(error: BaseException, there: Place, tmp_path: Path) -> None:
+def test_a_failed_creation_leaves_nothing(error: BaseException, there: Place, tmp_path: Path) -> None:
     def fill(part: Place) -> None:
         stores.write_region(part, "image", np.s_[:8, :8], np.zeros((8, 8), np.complex64))
         raise error
@@ -357,7 +359,7 @@ def test_a_store_that_fails_to_be_made_leaves_nothing(error: BaseException, ther
     assert os.listdir(tmp_path) == []
 
 
-def test_existing_store_is_kept_unless_asked(there: Place) -> None:
+def test_an_existing_store_is_kept_without_overwrite(there: Place) -> None:
     make(there, 1)
     before = contents(there)
     with pytest.raises(InputError, match=f"{re.escape(str(there))} exists"):
@@ -368,7 +370,7 @@ def test_existing_store_is_kept_unless_asked(there: Place) -> None:
 
 
 @pytest.mark.parametrize("name", ["thesis/chapter1.tex", "thesis"])
-def test_overwriting_spares_what_is_no_store(name: str, there: Place) -> None:
+def test_overwrite_spares_what_is_not_a_store(name: str, there: Place) -> None:
     precious = there / name
     precious.write_bytes(b"...")
     with pytest.raises(InputError, match="not a zarr store"):
@@ -376,8 +378,8 @@ def test_overwriting_spares_what_is_no_store(name: str, there: Place) -> None:
     assert precious.read_bytes() == b"..."
 
 
-def test_what_is_overwritten_is_gone_before_what_is_new_begins(there: Place) -> None:
-    """Else the old metadata would make a whole store of the first new chunks."""
+def test_overwrite_removes_the_old_store_before_it_writes_the_new_one(there: Place) -> None:
+    """Otherwise the old metadata would present the first new chunks as a whole store."""
     make(there, 1)
 
     def fill(part: Place) -> None:
@@ -388,7 +390,7 @@ def test_what_is_overwritten_is_gone_before_what_is_new_begins(there: Place) -> 
     assert "zarr.json" in there.names() and stores.UNFINISHED not in there.names()
 
 
-def test_the_group_goes_first_when_a_store_is_removed_and_comes_last(
+def test_overwrite_removes_the_group_metadata_first_and_writes_it_last(
     there: ObjectPlace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     order: list[str] = []
@@ -408,10 +410,10 @@ def test_the_group_goes_first_when_a_store_is_removed_and_comes_last(
     assert order[-2:] == ["write_bytes zarr.json", f"remove {stores.UNFINISHED}"]
 
 
-def test_of_two_makers_of_one_store_one_is_refused(there: Place) -> None:
+def test_a_writer_is_refused_if_another_replaces_its_store(there: Place) -> None:
     def overtaken(part: Place) -> None:
         stores.write_region(part, "image", np.s_[:8, :8], np.zeros((8, 8), np.complex64))
-        make(there, 7, overwrite=True)  # somebody else, who is quicker
+        make(there, 7, overwrite=True)  # another writer, which finishes first
         with pytest.raises(InputError, match="exists"):
             make(there, 8)
 
@@ -422,10 +424,10 @@ def test_of_two_makers_of_one_store_one_is_refused(there: Place) -> None:
     assert stores.open_dataset(there).sizes == {"x": 16, "y": 16}
 
 
-# ---------------------------------------------------------------- fingerprint
+# Fingerprint
 
 
-def test_fingerprint_tells_every_change(small_collection: Collection, there: Place) -> None:
+def test_the_fingerprint_changes_with_every_change_of_the_store(small_collection: Collection, there: Place) -> None:
     found = history(there, small_collection)
     first = found.fingerprint()
     assert history(there / "elsewhere", small_collection).fingerprint() == first
@@ -433,7 +435,7 @@ def test_fingerprint_tells_every_change(small_collection: Collection, there: Pla
     chunk = there / "signal" / "c" / "1" / "1"
     data = chunk.read_bytes()
     chunk.write_bytes(data)
-    assert found.fingerprint() == first  # the same bytes
+    assert found.fingerprint() == first  # the same bytes give the same fingerprint
     chunk.write_bytes(data[:-1] + b"\x01")
     seen.add(found.fingerprint())
     chunk.remove()
@@ -448,7 +450,7 @@ def test_fingerprint_tells_every_change(small_collection: Collection, there: Pla
     assert found.fingerprint() in seen
 
 
-# ---------------------------------------------------------------- errors
+# Errors
 
 
 READERS: list[Callable[[Place], Any]] = [
@@ -470,7 +472,7 @@ def writers(collection: Collection) -> list[Callable[[Place], Any]]:
     ]
 
 
-def test_what_does_not_exist(there: Place) -> None:
+def test_a_missing_store_is_refused(there: Place) -> None:
     (there / "object").write_bytes(b"...")
     for where in (there / "nothing", there / "object" / "below", place("s3://no-such-bucket/ph.zarr")):
         for read in READERS:
@@ -481,7 +483,7 @@ def test_what_does_not_exist(there: Place) -> None:
         stores.open_phase_history(there / "object")
 
 
-def test_writing_to_no_bucket(small_collection: Collection, there: Place) -> None:
+def test_writing_to_a_missing_bucket_is_refused(small_collection: Collection, there: Place) -> None:
     where = place("s3://no-such-bucket/ph.zarr")
     for write in writers(small_collection):
         with pytest.raises((InputError, ProcessingError), match="bucket does not exist") as error:
@@ -497,14 +499,16 @@ def refused(call: Callable[[], Any], kinds: Any, words: str) -> None:
     assert time.monotonic() - started < 20
 
 
-def test_an_endpoint_out_of_reach(small_collection: Collection, there: Place, unreached: str) -> None:
+def test_an_unreachable_endpoint_is_reported(small_collection: Collection, there: Place, unreached: str) -> None:
     for read in READERS:
         refused(lambda read=read: read(there), InputError, rf"{unreached} does not answer.*AWS_ENDPOINT_URL")
     for write in writers(small_collection):
         refused(lambda write=write: write(there), ProcessingError, f"{unreached} does not answer")
 
 
-def test_an_endpoint_that_falls_silent(small_collection: Collection, there: Place, monkeypatch: Any) -> None:
+def test_an_endpoint_that_stops_answering_is_reported(
+    small_collection: Collection, there: Place, monkeypatch: Any
+) -> None:
     found = history(there, small_collection)
     monkeypatch.setattr(objects, "REQUEST", "1s")
     monkeypatch.setattr(objects, "PATIENCE", 1.0)
@@ -518,7 +522,7 @@ def test_an_endpoint_that_falls_silent(small_collection: Collection, there: Plac
 
 @contextmanager
 def unreliable(behind: str, failures: float, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[str]]:
-    """An endpoint that fails some times to hand out chunks of samples; answers what it was asked for in vain."""
+    """Run an endpoint that refuses the first `failures` requests for chunks of samples; yields their paths."""
     failed: list[str] = []
 
     class Handler(BaseHTTPRequestHandler):
@@ -556,23 +560,23 @@ def unreliable(behind: str, failures: float, monkeypatch: pytest.MonkeyPatch) ->
             thread.join()
 
 
-def test_an_endpoint_that_fails_is_asked_again(small_collection: Collection, there: Place, monkeypatch: Any) -> None:
+def test_a_failed_request_is_repeated(small_collection: Collection, there: Place, monkeypatch: Any) -> None:
     found = history(there, small_collection)
     with unreliable(os.environ["AWS_ENDPOINT_URL"], 1, monkeypatch) as failed:
         assert np.array_equal(found.read(*ALL), noise((256, 128)))
     assert len(failed) == 1
 
 
-def test_samples_out_of_reach_are_not_called_damaged(
+def test_unreachable_samples_are_not_reported_as_damaged(
     small_collection: Collection, there: Place, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = history(there, small_collection)
     with unreliable(os.environ["AWS_ENDPOINT_URL"], np.inf, monkeypatch) as failed:
         refused(lambda: found.read(slice(0, 9), slice(0, 9)), InputError, r"cannot be read .*503 .*; check AWS_")
-    assert len(failed) == 2  # the same chunk, once more
+    assert len(failed) == 2  # the same chunk, requested twice
 
 
-def test_many_chunks_are_in_flight_at_once() -> None:
+def test_many_chunks_are_transferred_at_once() -> None:
     met = threading.Barrier(8)
     moved = []
 
@@ -593,7 +597,7 @@ def test_many_chunks_are_in_flight_at_once() -> None:
     )
 
 
-def test_credentials_that_are_refused(small_collection: Collection, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_refused_credentials_are_reported(small_collection: Collection, monkeypatch: pytest.MonkeyPatch) -> None:
     with s3.server(refusing=True):
         where = place("s3://bucket/ph.zarr")
         for read in READERS:
@@ -602,10 +606,10 @@ def test_credentials_that_are_refused(small_collection: Collection, monkeypatch:
             refused(lambda write=write: write(where), (InputError, ProcessingError), "refuses these credentials")
 
 
-def test_no_credentials(there: Place, unreached: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_credentials_are_reported(there: Place, unreached: str, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
         monkeypatch.delenv(name)
-    monkeypatch.setenv("AWS_METADATA_ENDPOINT", unreached)  # of the machine itself, which has none
+    monkeypatch.setenv("AWS_METADATA_ENDPOINT", unreached)  # credentials of the machine itself, which has none
     refused(lambda: stores.open_phase_history(there), InputError, r"no credentials.*AWS_ACCESS_KEY_ID")
 
 
@@ -619,13 +623,13 @@ def test_a_damaged_chunk_is_named(small_collection: Collection, there: Place) ->
 
 
 @pytest.mark.parametrize("url", ["s3://", "s3:///a", "s3://b/../c", "s3://b/a//c", "s3://b/./c"])
-def test_a_url_that_names_no_place(url: str) -> None:
+def test_a_url_that_is_not_a_place_is_refused(url: str) -> None:
     with pytest.raises(InputError) as error:
         place(url)
     one_sentence(error)
 
 
-# ---------------------------------------------------------------- from end to end
+# Complete runs
 
 
 POINT = '[[targets]]\nname = "P"\nrange = 30000.0\nyaw_deg = 50.0\n'
@@ -635,7 +639,7 @@ WORDS = ("--blocks", "3", "--coefficients", "closed-form", "--grid", "15950:1625
 
 
 def command(*words: str) -> subprocess.Popen[str]:
-    """The command line, and all that it starts, in a process group of its own."""
+    """Start the command line in a process group of its own."""
     return subprocess.Popen(
         [sys.executable, "-m", "blocksar", *words],
         stdout=subprocess.PIPE,
@@ -655,7 +659,7 @@ def chunks(run: Place) -> dict[str, bytes]:
     return {name: data for name, data in contents(run / "image.zarr").items() if "/c/" in name}
 
 
-def test_a_run_below_a_prefix_is_the_run_in_a_folder_though_it_was_killed(there: Place, tmp_path: Path) -> None:
+def test_a_run_that_was_killed_and_resumed_equals_the_run_in_a_folder(there: Place, tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_text(scene(swath=[29700.0, 30300.0], more=POINT))
     local = LocalPlace(tmp_path)
     for where in (there, local):
@@ -684,7 +688,7 @@ def test_a_run_below_a_prefix_is_the_run_in_a_folder_though_it_was_killed(there:
     assert (run / "quality.json").read_bytes() == (local / "run" / "quality.json").read_bytes()
 
 
-def test_the_command_line_refuses_in_one_line(there: Place) -> None:
+def test_the_command_line_refuses_a_missing_store_in_one_line(there: Place) -> None:
     with command("focus", f"{there}/ph.zarr", "--out", f"{there}/run") as refused_:
         said = refused_.communicate()[0]
     assert refused_.returncode == 2 and said.count("\n") == 1 and f"{there}/ph.zarr does not exist" in said

@@ -1,4 +1,4 @@
-"""Stores: what is written comes back, and whatever else lies on disk is refused in one sentence."""
+"""Stores: data are read back as written, and everything else on disk is refused in one sentence."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def noise(shape: tuple[int, ...], seed: int = 0) -> np.ndarray:
 
 
 def dataset(collection: Collection, **changes: Any) -> xr.Dataset:
-    """A phase history as another program would build it, by the contract's words alone."""
+    """A phase history as another program would build it from the contract alone."""
     n, m = collection.n_pulse, collection.n_range_frequency
     data: dict[str, Any] = {
         "signal": (("pulse", "range_frequency"), noise((n, m))),
@@ -71,7 +71,7 @@ def written(ds: xr.Dataset, path: Path, **options: Any) -> Path:
 
 @pytest.fixture
 def own(small_collection: Collection, tmp_path: Path) -> Path:
-    """A phase history of our own, in four chunks."""
+    """A phase history written by blocksar, in four chunks."""
     path = tmp_path / "ph.zarr"
     c = small_collection
     stores.create(
@@ -109,10 +109,10 @@ def one_sentence(error: pytest.ExceptionInfo[InputError]) -> str:
     return text
 
 
-# What is written comes back
+# Round trips
 
 
-def test_phase_history_comes_back_to_the_last_bit(small_collection: Collection, tmp_path: Path) -> None:
+def test_a_phase_history_is_read_back_to_the_last_bit(small_collection: Collection, tmp_path: Path) -> None:
     path = tmp_path / "deep" / "ph.zarr"
     targets = [{"name": "A1", "x": np.float64(1.5), "y": 2, "reflectivity": (1.0, 0.0)}]
     stores.create_phase_history(path, small_collection, attrs={"targets": targets, "seed": np.int64(3)})
@@ -128,14 +128,16 @@ def test_phase_history_comes_back_to_the_last_bit(small_collection: Collection, 
     assert read.dtype == np.complex64 and np.array_equal(read, samples[3:200, 5:7])
 
 
-def test_unsteered_collection_comes_back(small_collection: Collection, tmp_path: Path) -> None:
+def test_an_unsteered_collection_is_read_back_as_written(small_collection: Collection, tmp_path: Path) -> None:
     fields = small_collection.as_dict() | {"beam_azimuth": np.full(256, np.nan), "beam_width": None}
     stores.create_phase_history(tmp_path / "ph.zarr", Collection(**fields))
     collection = stores.open_phase_history(tmp_path / "ph.zarr").collection
     assert same(collection, Collection(**fields)) and not collection.steered
 
 
-def test_collection_store_comes_back_and_is_replaced(small_collection: Collection, tmp_path: Path) -> None:
+def test_a_collection_store_is_read_back_as_written_and_can_be_replaced(
+    small_collection: Collection, tmp_path: Path
+) -> None:
     path = tmp_path / "collection.zarr"
     for scene in ("first", "second"):
         stores.write_collection(path, small_collection, {"scene": scene})
@@ -144,7 +146,7 @@ def test_collection_store_comes_back_and_is_replaced(small_collection: Collectio
     assert os.listdir(tmp_path) == ["collection.zarr"]
 
 
-def test_samples_never_written_read_as_nan_not_as_zero(small_collection: Collection, tmp_path: Path) -> None:
+def test_unwritten_samples_are_nan_not_zero(small_collection: Collection, tmp_path: Path) -> None:
     stores.create_phase_history(tmp_path / "ph.zarr", small_collection)
     assert np.isnan(stores.open_phase_history(tmp_path / "ph.zarr").read(slice(None), slice(None))).all()
     coords = {"x": np.arange(5.0), "y": np.arange(4.0)}
@@ -154,7 +156,7 @@ def test_samples_never_written_read_as_nan_not_as_zero(small_collection: Collect
     assert (stores.read_region(tmp_path / "i.zarr", "block", (slice(None), slice(None))) == -1).all()
 
 
-def test_zeros_stay_zeros_and_their_chunk_exists(own: Path) -> None:
+def test_zeros_are_written_as_a_chunk(own: Path) -> None:
     stores.write_region(own, "signal", (slice(0, 128), slice(0, 64)), np.zeros((128, 64), np.complex64))
     assert (own / "signal" / "c" / "0" / "0").stat().st_size == 128 * 64 * 8
     assert (stores.open_dataset(own)["signal"].values[:128, :64] == 0).all()
@@ -181,22 +183,22 @@ def test_xarray_opens_every_store_without_a_warning(own: Path, tmp_path: Path, o
     assert set(ds.coords) == {"time", "range_frequency"} and ds["time"].dtype == np.float64
 
 
-def test_raw_echo_comes_back(small_collection: Collection, echo: RawEcho, tmp_path: Path) -> None:
+def test_a_raw_echo_is_read_back_as_written(small_collection: Collection, echo: RawEcho, tmp_path: Path) -> None:
     fields = small_collection.as_dict() | {"range_frequency": echo.range_frequency}
     stores.create_phase_history(tmp_path / "raw.zarr", Collection(**fields), raw=echo)
     history = stores.open_phase_history(tmp_path / "raw.zarr")
     assert history.raw is not None and history.shape == (256, 1200) and history.variable == "echo"
     assert np.array_equal(history.raw.fast_time, echo.fast_time)
     assert (history.raw.chirp_rate, history.raw.pulse_width) == (5e12, 10e-6)
-    # The rate is read off the axis, whose values are rounded to 1e-20 s at 1e-4 s.
+    # The rate is computed from the axis, whose values are rounded to 1e-20 s at 1e-4 s.
     assert history.raw.sampling_rate == pytest.approx(60e6, rel=1e-9)
     assert history.collection.range_frequency == pytest.approx(echo.range_frequency, rel=1e-9)
     assert np.isnan(history.read(slice(0, 4), slice(1000, 1200))).all()
 
 
-def test_raw_range_frequencies_are_the_transform_grid_within_the_chirp_band(echo: RawEcho) -> None:
+def test_raw_range_frequencies_are_those_of_the_transform_within_the_chirp_band(echo: RawEcho) -> None:
     f = echo.range_frequency
-    assert f[0] == -25e6 and f[-1] == 25e6  # the band's edge is a grid point here, and belongs to it
+    assert f[0] == -25e6 and f[-1] == 25e6  # the band's edge is a grid point here and is included
     assert np.allclose(np.diff(f), 60e6 / 1200) and 0.0 in f
 
 
@@ -212,17 +214,17 @@ def test_raw_range_frequencies_are_the_transform_grid_within_the_chirp_band(echo
         ({"fast_time": np.zeros(9)}, "fast_time"),
     ],
 )
-def test_raw_echo_is_checked_at_birth(echo: RawEcho, change: dict[str, Any], words: str) -> None:
+def test_a_raw_echo_is_validated_on_creation(echo: RawEcho, change: dict[str, Any], words: str) -> None:
     fields = {name: getattr(echo, name) for name in echo.__dataclass_fields__}
     with pytest.raises(InputError, match=words):
         RawEcho(**(fields | change))
 
 
-def test_phase_history_pickles_small(own: Path) -> None:
+def test_a_pickled_phase_history_is_small(own: Path) -> None:
     history = stores.open_phase_history(own)
     again = pickle.loads(pickle.dumps(history))
     assert np.array_equal(again.read(slice(0, 9), slice(0, 9)), history.read(slice(0, 9), slice(0, 9)))
-    assert len(pickle.dumps(history)) < 50_000  # axes and track; no samples
+    assert len(pickle.dumps(history)) < 50_000  # axes and track, but no samples
 
 
 # Regions
@@ -246,7 +248,7 @@ def test_the_last_chunk_may_be_short(tmp_path: Path) -> None:
     assert np.array_equal(stores.read_region(path, "s", np.s_[1:, :6]), values[1:, :6])
 
 
-def test_values_must_fit_the_region(own: Path) -> None:
+def test_values_that_do_not_fit_the_region_are_refused(own: Path) -> None:
     with pytest.raises(ValueError, match="shape"):
         stores.write_region(own, "signal", np.s_[0:128, 0:64], np.zeros((64, 128), np.complex64))
     with pytest.raises(ValueError, match="does not go into"):
@@ -257,22 +259,22 @@ def test_values_must_fit_the_region(own: Path) -> None:
         stores.write_region(own, "image", np.s_[0:128, 0:64], np.zeros((128, 64), np.complex64))
 
 
-def test_reading_a_region_touches_only_its_chunks(own: Path) -> None:
+def test_reading_a_region_opens_only_its_chunks(own: Path) -> None:
     shutil.rmtree(own / "signal" / "c" / "1")
     (own / "signal" / "c" / "0" / "1").write_bytes(b"damaged")
     assert np.array_equal(stores.read_region(own, "signal", np.s_[5:128, 3:64]), noise((256, 128))[5:128, 3:64])
 
 
-def test_a_region_costs_milliseconds(own: Path) -> None:
+def test_reading_a_region_takes_less_than_20_ms(own: Path) -> None:
     times = []
     for _ in range(20):
         start = time.perf_counter()
         stores.read_region(own, "signal", np.s_[0:4, 0:4])
         times.append(time.perf_counter() - start)
-    assert min(times) < 0.02  # 0.03 ms measured; the rest for slower machines
+    assert min(times) < 0.02  # s; 0.03 ms measured, the margin is for slower machines
 
 
-# Plain files and zarr: the same bytes either way
+# Agreement of plain files with zarr
 
 
 BOX = stores.Variable(("a", "b", "c"), "complex64", "1", "samples")
@@ -287,13 +289,13 @@ PLAIN = {
 
 @pytest.fixture(params=[1 << 19, 300, 1])
 def slab(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Slabs of a whole chunk, of several rows and of one: what the chunks of these tests are too small for."""
+    """Slabs of a whole chunk, of several rows and of one row: the default slab holds any chunk of these tests."""
     monkeypatch.setattr(chunk_files, "SLAB", request.param)
     monkeypatch.setattr(chunk_files, "TRANSPOSED_COLUMNS", 3)
 
 
 def plain_store(path: Path, name: str) -> tuple[zarr.Array[Any], np.ndarray]:
-    """An empty variable and values for it."""
+    """Create a store with one empty variable, and values for it."""
     variable, shape, chunks = PLAIN[name]
     sizes, tiles = dict(zip(variable.dims, shape, strict=True)), dict(zip(variable.dims, chunks, strict=True))
     stores.create(path, {"s": variable}, sizes=sizes, coords={}, attrs={}, chunks=tiles)
@@ -302,7 +304,7 @@ def plain_store(path: Path, name: str) -> tuple[zarr.Array[Any], np.ndarray]:
 
 
 def layouts(values: np.ndarray) -> list[np.ndarray]:
-    """The values in memory in C order, turned, as part of something wider, and back to front."""
+    """Return the values in four memory layouts: C order, transposed, as part of a wider array, and reversed."""
     wide = np.zeros(tuple(2 * n + 1 for n in values.shape), values.dtype)[
         tuple(slice(1, None, 2) for _ in values.shape)
     ]
@@ -316,7 +318,7 @@ def chunk_bytes(path: Path) -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize("name", ["PHASE_HISTORY", "RAW_ECHO", "COLLECTION", "SPECTRUM", "PATCH", "IMAGE"])
-def test_every_variable_that_we_create_is_plain_files(tmp_path: Path, name: str) -> None:
+def test_every_variable_of_ours_is_stored_in_plain_files(tmp_path: Path, name: str) -> None:
     schema = getattr(stores, name)
     sizes = {dim: 5 for variable in schema.values() for dim in variable.dims}
     stores.create(tmp_path / "s.zarr", schema, sizes=sizes, coords={}, attrs={}, chunks={"y": 2, "pulse": 3})
@@ -328,18 +330,18 @@ def test_every_variable_that_we_create_is_plain_files(tmp_path: Path, name: str)
 
 
 @pytest.mark.parametrize("name", PLAIN)
-def test_chunks_are_the_files_that_zarr_writes(tmp_path: Path, name: str, slab: None) -> None:
+def test_chunks_equal_the_files_that_zarr_writes(tmp_path: Path, name: str, slab: None) -> None:
     array, values = plain_store(tmp_path / "zarr", name)
     array[...] = values
     for i, layout in enumerate(layouts(values)):
         plain_store(tmp_path / str(i), name)
-        for _ in range(2):  # new files, then over the old ones
+        for _ in range(2):  # first new files, then existing ones
             stores.write_region(tmp_path / str(i), "s", (slice(None),) * values.ndim, layout)
         assert chunk_bytes(tmp_path / str(i)) == chunk_bytes(tmp_path / "zarr")
 
 
 @pytest.mark.parametrize("name", PLAIN)
-def test_regions_read_as_zarr_reads_them(tmp_path: Path, name: str, slab: None) -> None:
+def test_regions_are_read_as_by_zarr(tmp_path: Path, name: str, slab: None) -> None:
     array, values = plain_store(tmp_path / "s", name)
     array[...] = values
     chunk_files = sorted(p for p in (tmp_path / "s" / "s" / "c").rglob("*") if p.is_file())
@@ -356,7 +358,7 @@ def test_regions_read_as_zarr_reads_them(tmp_path: Path, name: str, slab: None) 
             assert np.array_equal(out, expected, equal_nan=True)
 
 
-def test_wider_values_are_cast_as_zarr_casts_them(tmp_path: Path) -> None:
+def test_wider_values_are_cast_as_by_zarr(tmp_path: Path) -> None:
     array, values = plain_store(tmp_path / "zarr", "complex")
     array[...] = values.astype(np.complex128) * np.pi
     plain_store(tmp_path / "own", "complex")
@@ -378,7 +380,7 @@ OTHERWISE: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.parametrize("name", OTHERWISE)
-def test_other_layouts_are_left_to_zarr(tmp_path: Path, name: str) -> None:
+def test_other_layouts_are_delegated_to_zarr(tmp_path: Path, name: str) -> None:
     usual: dict[str, Any] = {"chunks": (8, 10), "dtype": "complex64", "fill_value": np.nan, "compressors": None}
     values = noise((23, 19))
     array = zarr.create_array(tmp_path / "s", shape=values.shape, **(usual | OTHERWISE[name]))
@@ -409,7 +411,7 @@ def test_other_layouts_are_left_to_zarr(tmp_path: Path, name: str) -> None:
         ("must_understand_this", {}),
     ],
 )
-def test_metadata_that_say_more_are_left_to_zarr(tmp_path: Path, key: str, value: Any) -> None:
+def test_unexpected_metadata_are_delegated_to_zarr(tmp_path: Path, key: str, value: Any) -> None:
     plain_store(tmp_path / "s", "complex")
     assert chunk_files.chunk_files_of(place(tmp_path / "s"), "s") is not None
     file = tmp_path / "s" / "s" / "zarr.json"
@@ -417,7 +419,7 @@ def test_metadata_that_say_more_are_left_to_zarr(tmp_path: Path, key: str, value
     assert chunk_files.chunk_files_of(place(tmp_path / "s"), "s") is None
 
 
-def test_out_must_fit(own: Path) -> None:
+def test_an_output_array_that_does_not_fit_is_refused(own: Path) -> None:
     region = np.s_[0:9, 0:5]
     for out in (np.zeros((5, 9), np.complex64), np.zeros((9, 5), np.complex128), np.zeros((9, 5), np.float32)):
         with pytest.raises(ValueError, match=r"out is .* but the region is complex64 of shape \(9, 5\)"):
@@ -425,15 +427,15 @@ def test_out_must_fit(own: Path) -> None:
 
 
 @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()])
-def test_a_chunk_is_the_old_one_or_the_new_one(own: Path, monkeypatch: Any, error: BaseException) -> None:
+def test_a_failed_write_leaves_the_old_chunk(own: Path, monkeypatch: Any, error: BaseException) -> None:
     before = stores.open_phase_history(own).fingerprint()
 
     def full(*_: object) -> None:
         raise error
 
     with monkeypatch.context() as patch:
-        patch.setattr(chunk_files, "_copy", full)  # half a chunk is written
-        patch.setattr(os, "replace", full)  # a whole one is
+        patch.setattr(chunk_files, "_copy", full)  # fails while the chunk is written
+        patch.setattr(os, "replace", full)  # fails after the chunk is written
         for values in (np.zeros((128, 64), np.complex64), np.zeros((64, 128), np.complex64).T):
             with pytest.raises((ProcessingError, KeyboardInterrupt)) as found:
                 stores.write_region(own, "signal", np.s_[:128, :64], values)
@@ -443,14 +445,14 @@ def test_a_chunk_is_the_old_one_or_the_new_one(own: Path, monkeypatch: Any, erro
 
 
 @pytest.mark.parametrize("length", [-1, 1])
-def test_a_chunk_of_wrong_length_is_damaged_though_its_part_is_there(own: Path, length: int) -> None:
+def test_a_chunk_of_wrong_length_is_damaged_even_if_the_requested_part_exists(own: Path, length: int) -> None:
     chunk = own / "signal" / "c" / "1" / "0"
     chunk.write_bytes((chunk.read_bytes() + b"\0")[: 128 * 64 * 8 + length])
     with pytest.raises(InputError, match=r"pulse 128\.\.255, range_frequency 0\.\.63"):
         stores.read_region(own, "signal", np.s_[120:140, 60:70])
 
 
-def test_writers_of_one_chunk_leave_one_whole_chunk(own: Path) -> None:
+def test_concurrent_writers_of_a_chunk_leave_one_whole_chunk(own: Path) -> None:
     def write(i: int) -> None:
         stores.write_region(own, "signal", np.s_[:128, :64], np.full((128, 64), i + 1, np.complex64))
 
@@ -462,7 +464,7 @@ def test_writers_of_one_chunk_leave_one_whole_chunk(own: Path) -> None:
 # Creation
 
 
-def test_existing_store_is_kept_unless_asked(own: Path, small_collection: Collection) -> None:
+def test_an_existing_store_is_kept_without_overwrite(own: Path, small_collection: Collection) -> None:
     before = stores.open_phase_history(own).fingerprint()
     with pytest.raises(InputError, match=re.escape(str(own))):
         stores.create_phase_history(own, small_collection)
@@ -472,7 +474,7 @@ def test_existing_store_is_kept_unless_asked(own: Path, small_collection: Collec
     assert os.listdir(own.parent) == ["ph.zarr"]
 
 
-def test_overwriting_spares_what_is_no_store(small_collection: Collection, tmp_path: Path) -> None:
+def test_overwrite_spares_what_is_not_a_store(small_collection: Collection, tmp_path: Path) -> None:
     precious = tmp_path / "thesis"
     precious.mkdir()
     (precious / "chapter1.tex").write_text("...")
@@ -485,7 +487,7 @@ def test_overwriting_spares_what_is_no_store(small_collection: Collection, tmp_p
     assert (precious / "chapter1.tex").read_text() == "..."
 
 
-def test_a_store_that_fails_to_be_made_leaves_nothing(tmp_path: Path, own: Path, monkeypatch: Any) -> None:
+def test_a_failed_creation_leaves_nothing(tmp_path: Path, own: Path, monkeypatch: Any) -> None:
     def fail(part: LocalPlace, _: bytes) -> None:
         part.path.parent.mkdir(parents=True, exist_ok=True)
         part.path.write_bytes(b"half of it")
@@ -519,7 +521,7 @@ def test_a_store_that_fails_to_be_made_leaves_nothing(tmp_path: Path, own: Path,
         ({"attrs": {"targets": [{"sigma": np.complex64(1)}]}}, "sigma"),
     ],
 )
-def test_schema_is_kept(tmp_path: Path, change: dict[str, Any], words: str) -> None:
+def test_data_that_violate_the_schema_are_refused(tmp_path: Path, change: dict[str, Any], words: str) -> None:
     right: dict[str, Any] = {
         "sizes": {"pulse": 4, "range_frequency": 4},
         "coords": {},
@@ -532,7 +534,7 @@ def test_schema_is_kept(tmp_path: Path, change: dict[str, Any], words: str) -> N
     assert os.listdir(tmp_path) == []
 
 
-# Phase histories that other programs wrote
+# Phase histories from other programs
 
 
 @pytest.mark.parametrize(
@@ -551,14 +553,14 @@ def test_any_storage_options_are_read(small_collection: Collection, tmp_path: Pa
     path = written(dataset(small_collection), tmp_path / "ph.zarr", **options)
     history = stores.open_phase_history(path)
     assert np.array_equal(history.collection.antenna_position, small_collection.antenna_position)
-    assert history.collection.beam_width == pytest.approx(0.02, rel=1e-7)  # it came as float32
+    assert history.collection.beam_width == pytest.approx(0.02, rel=1e-7)  # stored as float32
     assert np.array_equal(history.read(slice(90, 256), slice(30, 128)), noise((256, 128))[90:, 30:])
     assert len(history.fingerprint()) == 32
 
 
 def test_consolidated_metadata_of_version_3_is_read(small_collection: Collection, tmp_path: Path) -> None:
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the writer's, not ours
+        warnings.simplefilter("ignore")  # a warning of the writer, not of blocksar
         path = written(dataset(small_collection), tmp_path / "ph.zarr", consolidated=True)
     assert stores.open_phase_history(path).shape == (256, 128)
 
@@ -571,12 +573,12 @@ def test_optional_parts_may_be_absent(small_collection: Collection, tmp_path: Pa
 
 
 @pytest.mark.parametrize("beam_width", [None, np.nan])
-def test_beam_azimuth_all_nan_is_not_steered(small_collection: Collection, tmp_path: Path, beam_width: Any) -> None:
+def test_a_beam_azimuth_of_nan_means_not_steered(small_collection: Collection, tmp_path: Path, beam_width: Any) -> None:
     ds = dataset(small_collection, beam_azimuth=("pulse", np.full(256, np.nan)), beam_width=beam_width)
     assert not stores.open_phase_history(written(ds, tmp_path / "ph.zarr")).collection.steered
 
 
-def test_wider_and_swapped_numbers_are_cast(small_collection: Collection, tmp_path: Path) -> None:
+def test_wider_and_byte_swapped_numbers_are_cast(small_collection: Collection, tmp_path: Path) -> None:
     ds = dataset(
         small_collection,
         signal=(("pulse", "range_frequency"), noise((256, 128)).astype(">c16") * 1.0),
@@ -589,7 +591,7 @@ def test_wider_and_swapped_numbers_are_cast(small_collection: Collection, tmp_pa
     assert history.collection.reference_range[0] == 12_000.0 and history.collection.ground_height == 7.0
 
 
-def test_missing_pulses_stay_nan_rows(small_collection: Collection, tmp_path: Path) -> None:
+def test_missing_pulses_are_read_as_rows_of_nan(small_collection: Collection, tmp_path: Path) -> None:
     signal = noise((256, 128)).copy()
     signal[40:43] = np.nan
     ds = dataset(small_collection, signal=(("pulse", "range_frequency"), signal))
@@ -597,7 +599,7 @@ def test_missing_pulses_stay_nan_rows(small_collection: Collection, tmp_path: Pa
     assert np.array_equal(np.flatnonzero(np.isnan(read).any(axis=1)), [40, 41, 42])
 
 
-def test_chunks_a_writer_skipped_are_their_fill_value(small_collection: Collection, tmp_path: Path) -> None:
+def test_unwritten_chunks_are_read_as_their_fill_value(small_collection: Collection, tmp_path: Path) -> None:
     group = zarr.open_group(written(dataset(small_collection), tmp_path / "ph.zarr"), mode="r+")
     del group["signal"]
     array = group.create_array(
@@ -657,7 +659,7 @@ def test_departures_from_the_contract_are_refused(name: str, small_collection: C
     ds = dataset(small_collection, **{k: v for k, v in change.items() if k not in attrs})
     ds = ds.rename(extra="echo") if "extra" in ds else ds
     path = written(ds, tmp_path / "ph.zarr")
-    # Attributes by hand: some of these no writer would let through.
+    # Attributes are edited in the file, because no writer accepts some of these values.
     metadata = json.loads((path / "zarr.json").read_text())
     for key, value in attrs.items():
         metadata["attributes"].pop(key, None)
@@ -672,7 +674,7 @@ def test_departures_from_the_contract_are_refused(name: str, small_collection: C
 @pytest.mark.parametrize(
     ("attr", "words"), [("chirp_rate", "chirp_rate is missing"), ("pulse_width", "pulse_width is missing")]
 )
-def test_raw_echo_needs_its_chirp(
+def test_a_raw_echo_without_its_chirp_is_refused(
     small_collection: Collection, echo: RawEcho, tmp_path: Path, attr: str, words: str
 ) -> None:
     path = tmp_path / "raw.zarr"
@@ -703,10 +705,10 @@ def test_packed_variables_are_refused(small_collection: Collection, tmp_path: Pa
         stores.open_phase_history(path)
 
 
-# What is no phase history at all
+# Paths that hold no phase history
 
 
-def test_missing_path(tmp_path: Path) -> None:
+def test_a_missing_path_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="does not exist"):
         stores.open_phase_history(tmp_path / "nowhere.zarr")
     with pytest.raises(InputError, match="not there"):
@@ -716,7 +718,7 @@ def test_missing_path(tmp_path: Path) -> None:
             stores.open_phase_history(path)
 
 
-def test_file_and_foreign_folders(tmp_path: Path) -> None:
+def test_files_and_foreign_folders_are_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("hello")
     (tmp_path / "folder").mkdir()
     zarr.create_array(store=str(tmp_path / "array"), shape=(3,), dtype="f8")
@@ -737,10 +739,10 @@ def test_file_and_foreign_folders(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="POSIX permissions")
 @pytest.mark.parametrize("locked", ["", "zarr.json", "time", "time/c/0"])
-def test_no_permission(small_collection: Collection, locked: str) -> None:
+def test_a_store_without_read_permission_is_refused(small_collection: Collection, locked: str) -> None:
     if os.geteuid() == 0 and not hasattr(os, "setresuid"):
         pytest.skip("root reads everything, and cannot become another user here")
-    # Not tmp_path: its parents are closed to the user that root has to become, who may read everything otherwise.
+    # Root may read everything and must become another user, who cannot enter the parents of tmp_path.
     with tempfile.TemporaryDirectory() as folder:
         os.chmod(folder, 0o755)
         path = Path(folder) / "ph.zarr"
@@ -769,7 +771,7 @@ def test_no_permission(small_collection: Collection, locked: str) -> None:
 @pytest.mark.parametrize(
     "content", [b"", b"{", b"null", b"[]", b"{}", b"\xff\xfe\x00", b"[" * 100_000, b'{"zarr_format": 3}']
 )
-def test_damaged_metadata(own: Path, file: str, content: bytes) -> None:
+def test_damaged_metadata_are_refused(own: Path, file: str, content: bytes) -> None:
     (own / file).write_bytes(content)
     with pytest.raises(InputError) as error:
         stores.open_phase_history(own)
@@ -777,14 +779,14 @@ def test_damaged_metadata(own: Path, file: str, content: bytes) -> None:
 
 
 @pytest.mark.parametrize("name", ["time", "range_frequency", "reference_range", "antenna_position", "beam_azimuth"])
-def test_truncated_and_missing_coordinates(own: Path, name: str) -> None:
+def test_truncated_and_missing_coordinates_are_refused(own: Path, name: str) -> None:
     chunk = next(p for p in (own / name / "c").rglob("*") if p.is_file())
     chunk.write_bytes(chunk.read_bytes()[:-5])
     with pytest.raises(InputError, match=name) as error:
         stores.open_phase_history(own)
     assert "damaged" in one_sentence(error)
     chunk.unlink()
-    with pytest.raises(InputError, match=name):  # all fill value: NaN
+    with pytest.raises(InputError, match=name):  # a missing chunk is read as fill value, NaN
         stores.open_phase_history(own)
 
 
@@ -808,7 +810,7 @@ def test_truncated_and_missing_coordinates(own: Path, name: str) -> None:
         ("node_type", "group"),
     ],
 )
-def test_metadata_that_lie(own: Path, key: str, value: Any) -> None:
+def test_false_metadata_are_refused(own: Path, key: str, value: Any) -> None:
     metadata = json.loads((own / "time" / "zarr.json").read_text())
     (own / "time" / "zarr.json").write_text(json.dumps(metadata | {key: value}))
     with pytest.raises(InputError) as error:
@@ -816,7 +818,7 @@ def test_metadata_that_lie(own: Path, key: str, value: Any) -> None:
     assert str(own) in one_sentence(error)
 
 
-def test_whatever_bytes_are_on_disk_only_an_input_error_comes_out(own: Path) -> None:
+def test_arbitrary_bytes_raise_only_an_input_error(own: Path) -> None:
     rng = np.random.default_rng(1)
     files = sorted(p for p in own.rglob("*") if p.is_file() and "signal/c" not in p.as_posix())
     refused = 0
@@ -854,7 +856,7 @@ def test_damaged_samples_are_named(
     assert "signal" in one_sentence(error)
 
 
-def test_a_store_that_changes_under_us_is_noticed(own: Path, small_collection: Collection) -> None:
+def test_a_store_that_changes_while_open_is_detected(own: Path, small_collection: Collection) -> None:
     history = stores.open_phase_history(own)
     fields = small_collection.as_dict() | {"range_frequency": small_collection.range_frequency[:64]}
     stores.create_phase_history(own, Collection(**fields), overwrite=True)
@@ -868,7 +870,7 @@ def test_a_store_that_changes_under_us_is_noticed(own: Path, small_collection: C
 # Fingerprint, checksum, JSON
 
 
-def test_fingerprint_tells_every_change(own: Path, tmp_path: Path) -> None:
+def test_the_fingerprint_changes_with_every_change_of_the_store(own: Path, tmp_path: Path) -> None:
     history = stores.open_phase_history(own)
     seen = {history.fingerprint()}
     assert history.fingerprint() in seen
@@ -889,7 +891,7 @@ def test_fingerprint_tells_every_change(own: Path, tmp_path: Path) -> None:
     assert stores.open_phase_history(tmp_path / "moved.zarr").fingerprint() == now
 
 
-def test_checksum_is_of_the_values() -> None:
+def test_the_checksum_depends_only_on_the_values() -> None:
     values = noise((6, 8))
     assert stores.checksum(values) == stores.checksum(np.asfortranarray(values))
     assert stores.checksum(values[:, ::2]) == stores.checksum(values[:, ::2].copy())
@@ -899,7 +901,7 @@ def test_checksum_is_of_the_values() -> None:
     assert stores.checksum(np.array(1.5)) and stores.checksum(np.zeros((0, 3)))
 
 
-def test_json_comes_back(tmp_path: Path) -> None:
+def test_json_is_read_back_as_written(tmp_path: Path) -> None:
     path = tmp_path / "run.json"
     record = {"blocks": (1, np.int16(2)), "residual": np.array([0.5, np.nan]), "path": Path("a"), "ok": np.True_}
     stores.write_json(path, record)
@@ -919,13 +921,13 @@ def test_damaged_json_is_refused(tmp_path: Path, content: bytes) -> None:
         assert str(path) in one_sentence(error)
 
 
-def test_writing_where_nothing_can_be_written(tmp_path: Path) -> None:
+def test_an_unwritable_path_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("...")
     with pytest.raises(ProcessingError, match="cannot be written"):
         stores.write_json(tmp_path / "file" / "run.json", {})
 
 
-def test_two_writers_of_one_store_leave_one_whole_store(small_collection: Collection, tmp_path: Path) -> None:
+def test_concurrent_writers_of_a_store_leave_one_whole_store(small_collection: Collection, tmp_path: Path) -> None:
     def make(_: int) -> None:
         stores.create_phase_history(tmp_path / "ph.zarr", small_collection, overwrite=True)
 
@@ -939,7 +941,7 @@ def run_together(function: Callable[[int], None], times: int) -> None:
         list(pool.map(function, range(times)))
 
 
-# -- shared chunks ------------------------------------------------------------------------------------------
+# Shared chunks
 
 
 def image_store(path: Path, shape: tuple[int, int], chunk: int) -> Path:
@@ -948,13 +950,13 @@ def image_store(path: Path, shape: tuple[int, int], chunk: int) -> Path:
     return path
 
 
-def test_chunks_are_shared_without_a_copy_and_part_when_one_is_written_anew(tmp_path: Path) -> None:
+def test_shared_chunks_are_not_copied_and_separate_when_one_is_rewritten(tmp_path: Path) -> None:
     patch, image = image_store(tmp_path / "patch", (6, 11), 4), image_store(tmp_path / "image", (10, 11), 4)
     values = (np.arange(66).reshape(6, 11) * (1 - 2j)).astype(np.complex64)
     whole = (slice(None), slice(None))
     stores.write_region(patch, "image", whole, values)
     cell, window = (slice(4, 8), slice(8, 11)), (slice(0, 4), slice(8, 11))
-    for _ in range(2):  # a second time, as a task that is tried again
+    for _ in range(2):  # the second time as in a task that is retried
         assert stores.share_region(image, "image", cell, source=patch, source_region=window)
     there, here = (p / "image" / "c" / key / "2" for p, key in ((image, "1"), (patch, "0")))
     assert os.path.samefile(there, here)
@@ -967,7 +969,7 @@ def test_chunks_are_shared_without_a_copy_and_part_when_one_is_written_anew(tmp_
     np.testing.assert_array_equal(stores.read_region(patch, "image", whole), 2 * values)
 
 
-def test_chunks_that_do_not_fall_together_are_not_shared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_chunks_that_do_not_coincide_are_not_shared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     patch, image = image_store(tmp_path / "patch", (8, 8), 4), image_store(tmp_path / "image", (8, 8), 4)
     other = image_store(tmp_path / "other", (8, 8), 2)
     whole = (slice(0, 8), slice(0, 8))
