@@ -1,4 +1,4 @@
-"""deploy/ keeps to its schemas, to itself and to the workflow: as far as can be said without the engines."""
+"""The files of deploy/ match their schemas, each other and the workflow, as far as can be checked without an engine."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def text(*names: str) -> str:
 
 
 def unit(path: Path) -> dict[str, list[str]]:
-    """All values of every directive of a systemd unit; sections matter to none of these tests."""
+    """All values of every directive of a systemd unit; the sections are ignored."""
     found: dict[str, list[str]] = {}
     for line in path.read_text(encoding="utf-8").splitlines():
         if line and line[0] not in "#[":
@@ -66,7 +66,7 @@ def unit(path: Path) -> dict[str, list[str]]:
 
 
 def service_command() -> list[str]:
-    """ExecStart, with the default options put in as systemd puts them in."""
+    """ExecStart, with the default options substituted as systemd does."""
     directives = unit(SERVICE)
     (line,), defaults = directives["ExecStart"], shlex.split(" ".join(directives["Environment"]))
     options = next(value.partition("=")[2] for value in defaults if value.startswith("BLOCKSAR_OPTIONS="))
@@ -89,7 +89,7 @@ def compose() -> dict[str, Any]:
 
 @cache
 def manifests() -> list[dict[str, Any]]:
-    """Every Kubernetes object, but the kustomization."""
+    """Every Kubernetes object except the kustomization."""
     listed = yaml.safe_load(text("kubernetes", "kustomization.yaml"))["resources"]
     return [made for name in listed for made in yaml.safe_load_all(text("kubernetes", name))]
 
@@ -100,7 +100,7 @@ def manifest(kind: str, name: str) -> dict[str, Any]:
 
 
 def pods() -> dict[str, dict[str, Any]]:
-    """Specifications of pods, by what they are for."""
+    """Pod specifications by role."""
     dask_cluster = manifest("DaskCluster", "blocksar")["spec"]
     sweep = manifest("CronJob", "inbox")["spec"]["jobTemplate"]["spec"]["template"]
     return {
@@ -111,7 +111,7 @@ def pods() -> dict[str, dict[str, Any]]:
 
 
 class Box(NamedTuple):
-    """A container, of compose or of Kubernetes: what it is for, what it runs, where it may write."""
+    """A container of compose or Kubernetes: its role, image, command and writable paths."""
 
     name: str
     image: str
@@ -136,7 +136,7 @@ def commands(kind: str) -> list[list[str]]:
 
 
 def sweeps() -> dict[str, list[str]]:
-    """Every command line that runs the workflow, from its first option on."""
+    """Arguments of every command line that runs the workflow."""
     found = {
         "systemd": service_command()[2:],
         "cron": cron_command()[1:],
@@ -148,7 +148,7 @@ def sweeps() -> dict[str, list[str]]:
 
 
 def single_container() -> list[str]:
-    """Of the README's one container without compose."""
+    """Arguments of the workflow in the README's single container without compose."""
     line = next(block for block in fenced("container", "bash") if "podman run" in block)
     words = shlex.split(line.replace("\\\n", " "))
     return words[words.index(WORKFLOW) + 1 :]
@@ -183,14 +183,14 @@ def recipe() -> Iterator[Any]:
 
 
 def arguments(function: Any, words: list[str]) -> dict[str, Any]:
-    """What typer makes of a command line, which it refuses if an option or an argument is wrong."""
+    """Parameters that typer parses from a command line; it refuses invalid options and arguments."""
     app = typer.Typer()
     app.command()(function)
     return typer.main.get_command(app).make_context("command", list(words)).params
 
 
 def tool(name: str) -> str:
-    """A program, beside this Python (where pip puts it) or on the path."""
+    """Path of a program beside this Python (where pip installs it) or on the path; skip the test without it."""
     found = shutil.which(name, path=os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")]))
     if found is None:
         pytest.skip(f"{name} is not installed")
@@ -206,7 +206,7 @@ def accepts(*command: str | Path) -> None:
 # ---------------------------------------------------------------- schemas and linters
 
 
-def test_compose_keeps_to_its_specification() -> None:
+def test_the_compose_file_matches_its_specification() -> None:
     schemas = pytest.importorskip("check_jsonschema.builtin_schemas")
     import jsonschema
 
@@ -214,7 +214,7 @@ def test_compose_keeps_to_its_specification() -> None:
 
 
 def as_kubernetes(made: dict[str, Any]) -> list[dict[str, Any]]:
-    """An object as Kubernetes knows it; of a DaskCluster the pods and the service that the operator makes of it."""
+    """The native Kubernetes objects of a manifest; for a DaskCluster the pods and the service the operator creates."""
     if made["kind"] != "DaskCluster":
         return [made]
     head = {"apiVersion": "v1", "metadata": {"name": "x"}}
@@ -227,7 +227,7 @@ def as_kubernetes(made: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 @pytest.mark.parametrize("oldest", [True, False])
-def test_kubernetes_objects_keep_to_their_schemas(oldest: bool) -> None:
+def test_kubernetes_objects_match_their_schemas(oldest: bool) -> None:
     library = pytest.importorskip("kubernetes_validate")
     named = re.search(r"Kubernetes (1\.\d+) or newer", text("kubernetes", "README.md"))
     assert named is not None
@@ -237,19 +237,19 @@ def test_kubernetes_objects_keep_to_their_schemas(oldest: bool) -> None:
             assert version.startswith(library.validate(known, version, strict=True))
 
 
-def test_the_dask_cluster_has_the_form_of_the_operator() -> None:
+def test_the_dask_cluster_has_the_fields_the_operator_expects() -> None:
     made = manifest("DaskCluster", "blocksar")
     assert made["apiVersion"] == "kubernetes.dask.org/v1"
     assert set(made["spec"]) == {"scheduler", "worker"}
     assert set(made["spec"]["scheduler"]) == {"spec", "service"}
     assert set(made["spec"]["worker"]) == {"spec", "replicas"}
     service = made["spec"]["scheduler"]["service"]
-    # The operator's own labels, and the names of ports that it asks for.
+    # Labels that the operator sets, and port names that it requires.
     assert service["selector"] == {"dask.org/cluster-name": "blocksar", "dask.org/component": "scheduler"}
     assert {port["name"] for port in service["ports"]} == {"tcp-comm", "http-dashboard"}
 
 
-def test_the_dask_cluster_keeps_to_the_operators_schema() -> None:
+def test_the_dask_cluster_matches_the_operators_schema() -> None:
     if (found := importlib.util.find_spec("dask_kubernetes")) is None or not found.submodule_search_locations:
         pytest.skip("dask-kubernetes is not installed")
     import jsonschema
@@ -260,7 +260,7 @@ def test_the_dask_cluster_keeps_to_the_operators_schema() -> None:
     jsonschema.validate(manifest("DaskCluster", "blocksar"), version["schema"]["openAPIV3Schema"])
 
 
-def test_kustomize_builds_all_of_it() -> None:
+def test_kustomize_builds_every_object() -> None:
     done = subprocess.run([tool("kubectl"), "kustomize", DEPLOY / "kubernetes"], capture_output=True, check=False)
     assert done.returncode == 0, done.stderr.decode()
     built = list(yaml.safe_load_all(done.stdout))
@@ -275,13 +275,13 @@ def test_kustomize_builds_all_of_it() -> None:
 def test_systemd_accepts_the_units(tmp_path: Path) -> None:
     program = tool("systemd-analyze")
     for path in (SERVICE, SERVICE.with_suffix(".timer")):
-        # Verification asks whether the program and the manual are there.
+        # The verification requires that the program and the documentation exist.
         made = path.read_text(encoding="utf-8").replace(PYTHON, sys.executable)
         (tmp_path / path.name).write_text(re.sub(r"(?m)^Documentation=.*\n", "", made))
     accepts(program, "verify", tmp_path / SERVICE.name, tmp_path / SERVICE.with_suffix(".timer").name)
 
 
-def test_systemd_makes_the_user_and_the_folders(tmp_path: Path) -> None:
+def test_systemd_creates_the_user_and_the_folders(tmp_path: Path) -> None:
     program = tool("systemd-sysusers")
     (tmp_path / "etc").mkdir()
     conf = DEPLOY / "systemd" / "blocksar.sysusers.conf"
@@ -295,7 +295,7 @@ def test_systemd_makes_the_user_and_the_folders(tmp_path: Path) -> None:
     assert folders[OUTBOX][1:] == unit(SERVICE)["User"] + unit(SERVICE)["Group"]
 
 
-def test_shell_scripts_are_clean() -> None:
+def test_shell_scripts_pass_shellcheck() -> None:
     scripts = [DEPLOY / "cron" / "sweep", DEPLOY / "slurm" / "focus.sbatch"]
     found = [p for p in DEPLOY.rglob("*") if p.is_file() and p.read_bytes().startswith((b"#!/bin/sh", b"#!/bin/bash"))]
     assert sorted(found) == sorted(scripts)
@@ -303,11 +303,11 @@ def test_shell_scripts_are_clean() -> None:
     accepts(tool("shellcheck"), *map(str, scripts))
 
 
-def test_the_containerfile_is_clean() -> None:
+def test_the_containerfile_passes_hadolint() -> None:
     accepts(tool("hadolint"), CONTAINERFILE)
 
 
-def test_the_crontab_is_one() -> None:
+def test_the_crontab_is_valid() -> None:
     table = crontab()
     (job,) = list(table)
     assert job.is_valid() and job.is_enabled()
@@ -320,21 +320,21 @@ def test_the_crontab_is_one() -> None:
 # ---------------------------------------------------------------- options and exit statuses
 
 
-def test_every_sweep_has_options_that_exist(workflow: Any) -> None:
+def test_every_sweep_command_has_valid_options(workflow: Any) -> None:
     for name, words in sweeps().items():
         made = arguments(workflow.main, words)
         assert (made["inbox"], made["outbox"]) == (INBOX, OUTBOX), name
-        # A given scheduler's workers have one thread each; the workflow would take that of its own machine.
+        # Workers of an external scheduler have one thread each; the default is the thread count of this machine.
         assert made["threads"] == 1, name
         assert (made["workers"] is None) == (made["scheduler"] is not None), name
 
 
-def test_options_of_the_service_can_be_set() -> None:
+def test_service_options_can_be_set_in_the_environment_file() -> None:
     assert f"BLOCKSAR_OPTIONS={' '.join(service_command()[2:-2])}" in text("systemd", "inbox.env").splitlines()
     assert "/etc/blocksar/inbox.env" in text("systemd", "README.md")
 
 
-def test_every_dask_command_has_options_that_exist() -> None:
+def test_every_dask_command_has_valid_options() -> None:
     commands_of = {
         "scheduler": distributed.cli.dask_scheduler.main,
         "worker": distributed.cli.dask_worker.main,
@@ -351,18 +351,18 @@ def test_every_dask_command_has_options_that_exist() -> None:
 
 
 def documented(docstring: str) -> set[int]:
-    """Exit statuses of the workflow's docstring."""
+    """Exit statuses in the docstring of the workflow."""
     table = docstring.split("exit status   meaning\n")[1].split("\n\n", maxsplit=1)[0]
     return {int(number) for row in table.splitlines() for number in re.findall(r"\d+", row[:18])}
 
 
-def test_exit_statuses_are_those_of_the_workflow(workflow: Any) -> None:
+def test_exit_statuses_match_the_workflow(workflow: Any) -> None:
     known = documented(workflow.__doc__)
     assert known == {
         workflow.DONE, workflow.FAILED, workflow.USAGE, workflow.QUARANTINED, workflow.BUSY, endings.INTERRUPTED,
         endings.TERMINATED,
     }  # fmt: skip
-    well = {workflow.BUSY, endings.INTERRUPTED, endings.TERMINATED}  # beside 0
+    well = {workflow.BUSY, endings.INTERRUPTED, endings.TERMINATED}  # besides 0
     assert set(map(int, unit(SERVICE)["SuccessExitStatus"][0].split())) == well
     arms = re.findall(r"^([\d |]+)\)", text("cron", "sweep"), re.MULTILINE)
     assert {int(number) for arm in arms for number in arm.split("|")} == known
@@ -373,8 +373,8 @@ def test_exit_statuses_are_those_of_the_workflow(workflow: Any) -> None:
     assert {int(number) for row in rows for number in row.split(",")} == known
 
 
-def test_a_sweep_has_time_to_end() -> None:
-    """Whoever asks it to end waits longer than it takes."""
+def test_stop_timeouts_leave_a_sweep_time_to_end() -> None:
+    """Every stop timeout is at least twice the grace period of a sweep."""
     job = manifest("CronJob", "inbox")["spec"]["jobTemplate"]["spec"]["template"]["spec"]
     waits = [unit(SERVICE)["TimeoutStopSec"][0], job["terminationGracePeriodSeconds"]]
     waits += [service["stop_grace_period"].removesuffix("s") for service in compose()["services"].values()]
@@ -384,7 +384,7 @@ def test_a_sweep_has_time_to_end() -> None:
 
 
 def installation(folder: Path, python: str) -> Path:
-    """What stands in for /opt/blocksar: this working tree, and a Python of which nothing else is wanted."""
+    """A stand-in for /opt/blocksar: links to this working tree, and a given script as its Python."""
     (folder / ".venv" / "bin").mkdir(parents=True)
     (folder / ".venv" / "bin" / "python").write_text(python)
     (folder / ".venv" / "bin" / "python").chmod(0o755)
@@ -394,7 +394,7 @@ def installation(folder: Path, python: str) -> Path:
 
 
 @pytest.mark.parametrize("status", [0, 1, 2, 3, 75, 130, 137, 143])
-def test_cron_mails_what_people_have_to_look_at(status: int, tmp_path: Path) -> None:
+def test_cron_sends_mail_only_when_attention_is_needed(status: int, tmp_path: Path) -> None:
     home = installation(tmp_path / "opt", f"#!/bin/sh\necho said; echo also >&2; exit {status}\n")
     command = [DEPLOY / "cron" / "sweep", "in", "out"]
     done = subprocess.run(
@@ -408,8 +408,8 @@ def test_cron_mails_what_people_have_to_look_at(status: int, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("name", ["systemd", "cron", "compose", "kubernetes"])
-def test_a_dry_run_of_the_very_command(name: str, workflow: Any, tmp_path: Path) -> None:
-    """With an empty inbox: it ends with 0, and has said so."""
+def test_the_deployed_command_runs_on_an_empty_inbox(name: str, workflow: Any, tmp_path: Path) -> None:
+    """The command exits with status 0 and records it in status.json."""
     made = {
         "systemd": service_command,
         "cron": cron_command,
@@ -431,10 +431,10 @@ def test_a_dry_run_of_the_very_command(name: str, workflow: Any, tmp_path: Path)
     assert (status["state"], status["exit_status"], status["left"]) == ("ended", 0, 0)
 
 
-# ---------------------------------------------------------------- one file and the next
+# ---------------------------------------------------------------- consistency between files
 
 
-def test_all_run_one_image_of_this_version() -> None:
+def test_all_containers_use_the_image_of_this_version() -> None:
     assert {box.image for box in boxes()} == {IMAGE}
     assert f'image.version="{blocksar.__version__}"' in CONTAINERFILE.read_text()
     (override,) = yaml.safe_load(text("kubernetes", "kustomization.yaml"))["images"]
@@ -443,7 +443,7 @@ def test_all_run_one_image_of_this_version() -> None:
         assert set(re.findall(r"blocksar:(\d[\w.]*)", path.read_text())) == {blocksar.__version__}
 
 
-def test_the_image_has_what_is_run_in_it() -> None:
+def test_the_image_contains_the_files_it_runs() -> None:
     made = CONTAINERFILE.read_text()
     assert f"COPY workflows/process_inbox.py {WORKFLOW}\n" in made
     assert f"COPY workflows/inbox {Path(WORKFLOW).parent / 'inbox'}\n" in made
@@ -455,7 +455,7 @@ def test_the_image_has_what_is_run_in_it() -> None:
 
 
 def test_the_script_runs_with_only_its_package_beside_it(tmp_path: Path) -> None:
-    """As in the image, which has no other file of workflows/."""
+    """The image contains no other files of workflows/."""
     shutil.copy(ROOT / "workflows" / "process_inbox.py", tmp_path)
     shutil.copytree(ROOT / "workflows" / "inbox", tmp_path / "inbox")
     command = [sys.executable, str(tmp_path / "process_inbox.py"), "--help"]
@@ -465,7 +465,7 @@ def test_the_script_runs_with_only_its_package_beside_it(tmp_path: Path) -> None
 
 
 def test_the_command_that_compiles_the_loops_exists() -> None:
-    """Compose, Kubernetes and the Slurm recipe compile in a process of their own."""
+    """Compose, Kubernetes and the Slurm recipe compile the loops in a separate process."""
     commands = [
         (path.name, name)
         for path in DEPLOY.rglob("*")
@@ -476,7 +476,7 @@ def test_the_command_that_compiles_the_loops_exists() -> None:
     assert all(callable(importlib.import_module(module).compile_kernels) for _, module in commands)
 
 
-def test_nobody_is_root() -> None:
+def test_nothing_runs_as_root() -> None:
     (user,) = re.findall(r"^USER (\d+:\d+)$", CONTAINERFILE.read_text(), re.MULTILINE)
     number = int(user.partition(":")[0])
     assert number > 0
@@ -495,8 +495,8 @@ def test_nobody_is_root() -> None:
     assert unit(SERVICE)["User"] == ["blocksar"]
 
 
-def test_everybody_can_compile() -> None:
-    """Numba refuses to load blocksar where it has no writable place for what it compiles: the scheduler's, too."""
+def test_every_container_has_a_writable_numba_cache() -> None:
+    """Without a writable cache numba refuses to load blocksar, in the scheduler as well."""
     assert f"NUMBA_CACHE_DIR={KERNELS}" in CONTAINERFILE.read_text()
     for box in boxes():
         assert KERNELS in box.writable, box.name
@@ -504,7 +504,7 @@ def test_everybody_can_compile() -> None:
     assert "NUMBA_CACHE_DIR=%C/blocksar" in directives["Environment"] and directives["CacheDirectory"] == ["blocksar"]
 
 
-def test_volumes_are_there_and_the_inbox_is_only_read() -> None:
+def test_volumes_exist_and_the_inbox_is_read_only() -> None:
     made = compose()
     named = {mount.split(":")[0] for service in made["services"].values() for mount in service["volumes"]}
     assert {name for name in named if not name.startswith("$")} == set(made["volumes"])
@@ -525,8 +525,8 @@ def option(words: list[str], name: str) -> str:
     return words[words.index(name) + 1]
 
 
-def test_memory_limits_fit_together() -> None:
-    """A container may use a little more than dask allows the worker in it: that is its nanny's."""
+def test_memory_limits_are_consistent() -> None:
+    """The limit of a container exceeds the limit of its dask worker by a margin for the nanny."""
     in_compose, in_pod = commands("worker")
     limits = [
         (in_compose, compose()["services"]["worker"]["mem_limit"].replace("m", "MiB")),
@@ -542,7 +542,7 @@ def test_memory_limits_fit_together() -> None:
     assert f"--memory {needed // GIB + 1}g" in single
 
 
-def test_ports_fit_together() -> None:
+def test_ports_are_consistent() -> None:
     listening = [commands("scheduler"), commands("worker")]
     for words in listening[0]:
         assert option(words, "--port") == "8786" and option(words, "--dashboard-address") == ":8787"
@@ -573,7 +573,7 @@ def test_ports_fit_together() -> None:
         assert asked <= {53, 8786, 9000, 9001}
 
 
-def test_nobody_from_outside_reaches_the_scheduler() -> None:
+def test_the_scheduler_is_not_reachable_from_outside() -> None:
     made = compose()
     assert made["networks"]["cluster"] == {"internal": True}
     assert all(service["networks"] == ["cluster"] and "ports" not in service for service in made["services"].values())
@@ -582,7 +582,7 @@ def test_nobody_from_outside_reaches_the_scheduler() -> None:
     assert unit(SERVICE)["IPAddressDeny"] == ["any"] and unit(SERVICE)["IPAddressAllow"] == ["localhost"]
 
 
-def test_policies_speak_of_pods_that_are_there() -> None:
+def test_network_policies_select_existing_pods() -> None:
     sweep = manifest("CronJob", "inbox")["spec"]["jobTemplate"]["spec"]["template"]["metadata"]["labels"]
     by_operator = [{"dask.org/cluster-name": "blocksar", "dask.org/component": c} for c in ("scheduler", "worker")]
     there = [sweep, *by_operator]
@@ -601,10 +601,10 @@ def test_policies_speak_of_pods_that_are_there() -> None:
         assert any(wanted.items() <= labels.items() for labels in there), wanted
 
 
-def test_addresses_of_the_scheduler() -> None:
+def test_scheduler_addresses_match_the_services() -> None:
     assert {option(words, "--scheduler") for words in commands("inbox")} == {
-        "tcp://scheduler:8786",  # the service of compose
-        f"tcp://{manifest('DaskCluster', 'blocksar')['metadata']['name']}-scheduler:8786",  # of the operator
+        "tcp://scheduler:8786",  # service in compose
+        f"tcp://{manifest('DaskCluster', 'blocksar')['metadata']['name']}-scheduler:8786",  # service of the operator
     }
     assert "scheduler" in compose()["services"]
     assert "tcp://scheduler:8786" in compose()["services"]["worker"]["command"]
@@ -615,11 +615,11 @@ def environment_name(key: str) -> str:
 
 
 class Enough(Exception):
-    """What was to be seen has been seen."""
+    """Raised to stop a run once the settings have been recorded."""
 
 
-def test_given_clusters_are_set_as_ones_own(recipe: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Image and Slurm recipe say by the environment what `blocksar` sets for a cluster that it starts."""
+def test_external_clusters_use_the_settings_of_a_local_cluster(recipe: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The image and the Slurm recipe set by environment variables what `blocksar` sets for its own cluster."""
     own: dict[str, Any] = {}
 
     def look(**_: Any) -> Any:
@@ -646,7 +646,7 @@ def test_given_clusters_are_set_as_ones_own(recipe: Any, monkeypatch: pytest.Mon
     assert {key: image[key] for key in recipe.ENVIRONMENT} == recipe.ENVIRONMENT
 
 
-def test_the_base_image_has_a_python_that_will_do() -> None:
+def test_the_base_image_has_a_supported_python() -> None:
     bases = re.findall(r"python:(\d+\.\d+)", CONTAINERFILE.read_text())
     assert bases and all(version in SpecifierSet(PROJECT["requires-python"]) for version in bases)
     for part in ("systemd", "cron", "slurm"):
@@ -656,7 +656,7 @@ def test_the_base_image_has_a_python_that_will_do() -> None:
 
 
 def locked(name: str) -> dict[str, str]:
-    """Versions by name, each with the hashes of its files."""
+    """Locked versions by name; every entry must have file hashes."""
     found = {}
     for entry in re.split(r"\n(?=\w)", text("container", name)):
         if "==" in (first := entry.splitlines()[0]):
@@ -666,7 +666,7 @@ def locked(name: str) -> dict[str, str]:
     return found
 
 
-def test_every_library_is_locked() -> None:
+def test_every_dependency_is_locked() -> None:
     versions, made = locked("requirements.txt"), text("container", "requirements.txt")
     extras = re.findall(r"--extra (\w+)", made.splitlines()[1])
     (said,) = re.findall(r"extras(.*?), so", text("container", "README.md"), re.DOTALL)
@@ -689,7 +689,7 @@ def focus_on_slurm(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, env=environment, cwd=cwd, capture_output=True, text=True, check=False)
 
 
-def test_the_job_of_a_worker(tmp_path: Path) -> None:
+def test_the_job_script_of_a_worker(tmp_path: Path) -> None:
     pytest.importorskip("dask_jobqueue")
     words = (
         "ph.zarr",
@@ -714,7 +714,7 @@ def test_the_job_of_a_worker(tmp_path: Path) -> None:
     words_of_worker = shlex.split(worker.replace("${TMPDIR:-/tmp}", "/tmp"))
     assert words_of_worker[:3] == [sys.executable, "-m", "distributed.cli.dask_worker"]
     folder = tmp_path / "run.slurm"
-    folder.joinpath("pem").touch()  # the certificates went with the process
+    folder.joinpath("pem").touch()  # the certificates were removed when the process ended
     words_of_worker = [str(folder / "pem") if "/.dask-jobqueue." in word else word for word in words_of_worker]
     made = distributed.cli.dask_worker.main.make_context("worker", words_of_worker[3:]).params
     assert made["nthreads"] == 1 and parse_bytes(made["memory_limit"]) == 2 * GIB
@@ -723,7 +723,7 @@ def test_the_job_of_a_worker(tmp_path: Path) -> None:
     accepts(tool("shellcheck"), "--severity=error", tmp_path / "job.sh")
 
 
-def test_wrong_input_is_told_before_anything_waits(tmp_path: Path) -> None:
+def test_wrong_input_is_reported_before_any_job_is_submitted(tmp_path: Path) -> None:
     pytest.importorskip("dask_jobqueue")
     done = focus_on_slurm("nowhere.zarr", "--out", "run", cwd=tmp_path)
     assert done.returncode == endings.WRONG_INPUT and "nowhere.zarr" in done.stderr
@@ -755,10 +755,10 @@ def test_the_batch_script_calls_the_recipe(recipe: Any, tmp_path: Path) -> None:
         assert arguments(recipe.main, rest)["jobs"] == 8
 
 
-# ---------------------------------------------------------------- what people read
+# ---------------------------------------------------------------- documentation
 
 
-def test_everything_has_a_readme_that_says_what_is_asked() -> None:
+def test_every_deployment_has_a_readme_with_the_required_sections() -> None:
     assert sorted(p.name for p in DEPLOY.iterdir() if p.is_dir() and p.name != "site") == sorted(PARTS)
     for part in PARTS:
         readme = text(part, "README.md")
@@ -769,7 +769,7 @@ def test_everything_has_a_readme_that_says_what_is_asked() -> None:
             assert (DEPLOY / part / target).exists(), f"{part}: {target}"
 
 
-def test_files_that_readmes_name_are_there() -> None:
+def test_files_named_in_readmes_exist() -> None:
     for part in PARTS:
         readme = text(part, "README.md")
         for name in re.findall(r"\bdeploy/[\w./-]*\w", readme):

@@ -1,4 +1,4 @@
-"""The documentation site builds strictly, holds every page, and documents every parameter of the public interface."""
+"""The documentation site: strict build, complete pages and links, and documented public parameters."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def build(config: Path, out: Path) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The built site, made with the command of its page, which fails with the first warning."""
+    """The site, built with the documented command, which fails on any warning."""
     out = tmp_path_factory.mktemp("site")
     run = build(CONFIG, out)
     assert run.returncode == 0, run.stdout + run.stderr
@@ -39,7 +39,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 class Links(HTMLParser):
-    """What a page loads or links to, and the anchors that it has."""
+    """Resources that a page loads, targets that it links to, and its anchors."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -62,7 +62,7 @@ def pages(site: Path) -> dict[Path, Links]:
     return {path: Links(path.read_text(encoding="utf-8")) for path in site.rglob("*.html") if path.name != "404.html"}
 
 
-def test_the_site_holds_every_page(site: Path) -> None:
+def test_the_site_contains_every_page(site: Path) -> None:
     settings = CONFIG.read_text(encoding="utf-8")
     listed = re.findall(r": (\S+\.md)$", settings.split("\nnav:\n")[1].split("\n\n")[0], re.M)
     assert len(listed) == len(set(listed)) >= 20
@@ -71,7 +71,7 @@ def test_the_site_holds_every_page(site: Path) -> None:
         assert (site / stem / "index.html").is_file(), name
 
 
-def test_links_of_the_site_lead_somewhere(site: Path) -> None:
+def test_links_of_the_site_are_valid(site: Path) -> None:
     found, wrong = pages(site), []
     for path, links in found.items():
         for target in links.targets:
@@ -91,7 +91,7 @@ def test_the_site_loads_nothing_from_the_network(site: Path) -> None:
 
 
 def test_a_broken_link_fails_the_build(tmp_path: Path) -> None:
-    """Otherwise a strict build shows nothing."""
+    """This confirms that a strict build detects broken links."""
     (tmp_path / "docs").mkdir()
     (tmp_path / "docs" / "index.md").write_text("[nowhere](nowhere.md)\n")
     settings = CONFIG.read_text(encoding="utf-8")
@@ -102,11 +102,11 @@ def test_a_broken_link_fails_the_build(tmp_path: Path) -> None:
     assert "nowhere.md" in run.stdout + run.stderr
 
 
-# ---------------------------------------------------------------- the reference
+# ---------------------------------------------------------------- reference
 
 
 def documented(function: Callable[..., Any]) -> set[str]:
-    """Names of the parameters that a docstring describes, and those in a table of the reference."""
+    """Names of the parameters described in a docstring or in a table of the reference."""
     text = inspect.getdoc(function) or ""
     section = re.search(r"^Parameters\n-+\n(.*?)(?=^\w+\n---|\Z)", text, re.M | re.S)
     names = re.findall(r"^(\S.*?) : .+\n {4}\S", section[1], re.M) if section else []
@@ -121,13 +121,13 @@ def test_every_parameter_is_documented(function: Callable[..., Any]) -> None:
 
 
 @pytest.mark.parametrize("function", FUNCTIONS, ids=lambda function: function.__name__)
-def test_every_function_says_what_it_returns_and_raises(function: Callable[..., Any]) -> None:
+def test_every_function_documents_returns_and_raises(function: Callable[..., Any]) -> None:
     text = inspect.getdoc(function) or ""
     assert "\nReturns\n-------\n" in text
     assert "\nRaises\n------\nInputError\n" in text
 
 
-def test_the_reference_shows_the_public_interface() -> None:
+def test_the_reference_covers_the_public_interface() -> None:
     shown = {name.rpartition(".")[2] for name in re.findall(r"^::: (\S+)$", REFERENCE, re.M)}
     assert set(blocksar.__all__) - {"__version__"} <= shown
     assert {"SarAccessor", "Scene", "Report", "ingest_cphd", "ingest_gotcha", "demo"} <= shown

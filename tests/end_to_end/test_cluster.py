@@ -1,4 +1,4 @@
-"""Whom a run talks to: two machines, TLS, loopback alone; what it leaves behind; what it never evaluates."""
+"""Communication and safety of runs: two machines, TLS, loopback, leftover files and evaluation of input."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ BLOCKSAR = (sys.executable, "-m", "blocksar")
 SCHEDULER = (sys.executable, "-m", "distributed.cli.dask_scheduler", "--no-dashboard")
 WORKER = (sys.executable, "-m", "distributed.cli.dask_worker", "--no-dashboard", "--nthreads", "1")
 LOOPBACK = {"127.0.0.1", "::1"}
-PATIENCE = 200  # s: on a busy machine compiling takes its time
+PATIENCE = 200  # s; compiling is slow on a busy machine
 
 
-def test_units_that_the_scheduler_forgets_are_started_again(client: Client) -> None:
-    """As when a worker dies with an outcome that nobody has fetched yet."""
+def test_units_lost_by_the_scheduler_are_started_again(client: Client) -> None:
+    """A worker may die with a result that has not been fetched yet."""
     started: list[str] = []
 
     def start(unit: str) -> Future[str]:
@@ -71,7 +71,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def image(store: Path, client: Client, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """What every cluster has to come to."""
+    """Digests of the image expected from every cluster."""
     run = tmp_path_factory.mktemp("here") / "run"
     blocksar.focus(store, run, client=client, **SETTINGS)
     found = digests(run / "image.zarr")
@@ -80,7 +80,7 @@ def image(store: Path, client: Client, tmp_path_factory: pytest.TempPathFactory)
 
 
 class Said:
-    """Programs that run beside a test, and what they say."""
+    """Programs that run beside a test, and their output."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -93,7 +93,7 @@ class Said:
         self.stack.close()
 
     def start(self, start: Any, name: str, *command: str, **more: Any) -> subprocess.Popen[str]:
-        """Start a program through `start`, which is subprocess.Popen or another machine's; it ends with the block."""
+        """Start a program through `start`, on this or another machine; it is killed at the end of the block."""
         with open(self.folder / name, "w") as output:
             process = start(*command, stdout=output, stderr=output, **more)
         self.stack.callback(process.wait, 30)
@@ -115,8 +115,8 @@ def here(*command: str, **more: Any) -> subprocess.Popen[str]:
 
 
 @pytest.mark.parametrize("between", ["folder", "bucket"])
-def test_two_machines_come_to_the_same_bytes(between: str, store: Path, image: dict[str, str], tmp_path: Path) -> None:
-    """Scheduler and main process on one, workers on the other; input and run lie in a folder or a bucket of both."""
+def test_two_machines_compute_the_same_bytes(between: str, store: Path, image: dict[str, str], tmp_path: Path) -> None:
+    """Scheduler and main process on one, workers on the other; input and run lie in a shared folder or bucket."""
     address, shared = "tcp://10.77.0.1:8786", str(tmp_path / "run")
     with two_machines() as (first, second), Said(tmp_path) as said, contextlib.ExitStack() as stack:
         env = dict(os.environ)
@@ -158,7 +158,7 @@ else:
 
 
 def bucket_work(machine: Machine, env: dict[str, str], *what: str) -> None:
-    """Put a folder into the bucket, or get one from it, on a machine that reaches it."""
+    """Upload a folder to the bucket, or download one, on a machine that reaches the bucket."""
     with machine.start(sys.executable, "-c", BUCKET_WORK, *what, env=env, stderr=subprocess.PIPE) as process:
         said = process.communicate(timeout=PATIENCE)[1]
     assert process.returncode == 0, said
@@ -166,7 +166,7 @@ def bucket_work(machine: Machine, env: dict[str, str], *what: str) -> None:
 
 @contextlib.contextmanager
 def bucket_on(machine: Machine) -> Iterator[dict[str, str]]:
-    """A server of the S3 protocol on a machine; the environment that leads to it."""
+    """Run an S3 server on a machine; yield the environment variables that select it."""
     for library in ("obstore", "moto", "boto3"):
         pytest.importorskip(library)
     import s3
@@ -184,7 +184,7 @@ def bucket_on(machine: Machine) -> Iterator[dict[str, str]]:
                 "AWS_DEFAULT_REGION": "us-east-1",
             }
         finally:
-            server.stdin.close()  # which ends it
+            server.stdin.close()  # ends the server
             server.wait(30)
 
 
@@ -193,7 +193,7 @@ def bucket_on(machine: Machine) -> Iterator[dict[str, str]]:
 
 @pytest.fixture(scope="module")
 def certificates(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """Files of an authority and of a certificate for this machine, as dask's configuration names them."""
+    """Environment variables of dask's configuration for a certificate authority and a certificate of this machine."""
     trustme = pytest.importorskip("trustme")
     folder = tmp_path_factory.mktemp("certificates")
     authority = trustme.CA()
@@ -210,10 +210,10 @@ def certificates(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 ROLES = ("SCHEDULER", "WORKER", "CLIENT")
 
 
-def test_tls_by_dasks_own_configuration(
+def test_tls_is_configured_through_dask(
     store: Path, image: dict[str, str], certificates: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A run with certificates is served; one without, and one that does not encrypt, are refused in a sentence."""
+    """A run with certificates succeeds; without certificates or encryption it is refused with a one-line message."""
     secure = os.environ | certificates
     with Said(tmp_path) as said:
         loopback = ("--host", "127.0.0.1", "--protocol", "tls")
@@ -238,13 +238,13 @@ def test_tls_by_dasks_own_configuration(
     assert digests(tmp_path / "run" / "image.zarr") == image
 
 
-# ---------------------------------------------------------------- a run's own cluster
+# ---------------------------------------------------------------- local cluster
 
 
-def test_an_own_cluster_listens_on_loopback_and_leaves_nothing(
+def test_a_local_cluster_listens_on_loopback_only_and_leaves_no_files(
     store: Path, image: dict[str, str], tmp_path: Path
 ) -> None:
-    """Watched from outside: sockets of all its processes, its temporary files while it runs and afterwards."""
+    """Observe the sockets of all processes of a run, and its temporary files during and after the run."""
     temporary, out = tmp_path / "tmp", tmp_path / "run"
     temporary.mkdir()
     sockets: dict[tuple[str, int], str] = {}
@@ -263,7 +263,7 @@ def test_an_own_cluster_listens_on_loopback_and_leaves_nothing(
             time.sleep(0.05)
         assert run.returncode == 0, said.text("main")
     assert {ip for ip, _ in sockets} <= LOOPBACK, sockets
-    # The scheduler and two nannies in the main process, the two workers: none of them was missed.
+    # The scheduler and two nannies in the main process, and the two workers, were all observed.
     assert len(sockets) >= 5 and len(set(sockets.values())) == 3, sockets
     assert any(name.startswith("worker-") for name in scratch), scratch
     assert strays == set()
@@ -272,7 +272,7 @@ def test_an_own_cluster_listens_on_loopback_and_leaves_nothing(
 
 
 def listening(main: psutil.Process) -> dict[tuple[str, int], str]:
-    """Addresses and ports at which a process and its children wait, of TCP and UDP, and whose they are."""
+    """TCP and UDP addresses and ports on which a process and its children listen, with the process id."""
     found = {}
     with contextlib.suppress(psutil.NoSuchProcess):
         for process in (main, *main.children(recursive=True)):
@@ -283,7 +283,7 @@ def listening(main: psutil.Process) -> dict[tuple[str, int], str]:
     return found
 
 
-# ---------------------------------------------------------------- what is never evaluated
+# ---------------------------------------------------------------- no evaluation of input
 
 UNSAFE_MODULES = {"pickle", "cPickle", "_pickle", "cloudpickle", "dill", "joblib", "marshal", "shelve", "yaml", "code"}
 UNSAFE_CALLS = {"eval", "exec", "compile", "__import__", "execfile"}
@@ -292,7 +292,7 @@ MODULES = sorted([*(ROOT / "blocksar").rglob("*.py"), *(ROOT / "workflows").rglo
 
 
 def unsafe(text: str) -> Iterator[str]:
-    """What in a module would unpickle or evaluate what it is given, or pass it to a shell."""
+    """Constructs in a module that could unpickle or evaluate input, or pass it to a shell."""
     for node in ast.walk(ast.parse(text)):
         match node:
             case ast.Import(names=names):
@@ -317,7 +317,7 @@ def test_nothing_is_unpickled_or_evaluated(path: Path) -> None:
     ["import pickle", "from yaml import load", "def f(x):\n    return eval(x)", "np.load(x, allow_pickle=y)",
      "subprocess.run(x, shell=True)", "import cloudpickle.x as y", "exec('x')", "os.system(x)", "__import__(x)"],
 )  # fmt: skip
-def test_the_search_finds_what_it_looks_for(text: str) -> None:
+def test_the_search_detects_unsafe_code(text: str) -> None:
     assert list(unsafe(text))
     assert not list(
         unsafe("import ast, json\nre.compile(x)\nnp.load(x, allow_pickle=False)\nsubprocess.run(x, shell=False)")

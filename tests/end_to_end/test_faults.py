@@ -1,7 +1,7 @@
-"""What really goes wrong: killed and stopped processes, full and read-only disks, signals, receipts that lie.
+"""Faults in real runs: killed and stopped processes, full and read-only disks, signals, damaged results.
 
-After every fault the same command is given again, and the image has to be that of an undisturbed run, to the last
-bit. Moments are drawn from seeds, which stand in the names of the tests: five by default, twenty with
+After every fault the same command is given again, and the image must equal that of an undisturbed run bit for bit.
+The times of faults are drawn from seeds, which are part of the test ids: five by default, twenty with
 `-m "slow or not slow"`.
 """
 
@@ -51,14 +51,14 @@ from faults import (
 import blocksar
 from blocksar.graph.cluster import open_client
 
-OWN = ("--workers", "1", "--memory-limit", "2GiB")  # a cluster of the run's own, as small as can be
-STOPPED_WITHIN = 20.0  # s after a signal: generous, for a busy machine
+OWN = ("--workers", "1", "--memory-limit", "2GiB")  # the smallest local cluster
+STOPPED_WITHIN = 20.0  # s after a signal; generous for busy machines
 PROMPT = "give the same command again"
 
 
 @dataclass(frozen=True)
 class Undisturbed:
-    """What every run has to come to, and how long it takes from its first write to its last."""
+    """Expected results of every run, and the time in s from its first write to its last."""
 
     left: Left
     spectrum: dict[str, str]
@@ -79,7 +79,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def dask_cluster(launcher: Launcher, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
-    """A cluster that the run has been given: it need not be started for each."""
+    """An external cluster shared by the runs, so that it starts only once."""
     with cluster(launcher, tmp_path_factory.mktemp("cluster") / "dask", workers=2) as started:
         yield started
 
@@ -88,7 +88,7 @@ def dask_cluster(launcher: Launcher, tmp_path_factory: pytest.TempPathFactory) -
 def undisturbed(
     launcher: Launcher, store: Path, dask_cluster: Cluster, tmp_path_factory: pytest.TempPathFactory
 ) -> Undisturbed:
-    """Two fresh runs, which are the same to the last bit; the second one finds everything compiled."""
+    """Two fresh runs, which agree bit for bit; the second one is timed, with everything compiled."""
     folder = tmp_path_factory.mktemp("undisturbed")
     given = ("--scheduler", dask_cluster.address)
     seconds = [
@@ -103,7 +103,7 @@ def undisturbed(
 
 
 def _seconds(process: Process, run: Path) -> float:
-    """That a run takes from its first write to its last."""
+    """Time of a run from its first write to its last, s."""
     until(run.exists, "the first write")
     begun = time.monotonic()
     until(lambda: _status(run) == "finished" or process.poll(), "the last write")
@@ -123,9 +123,9 @@ def _status(run: Path) -> str | None:
 def again(
     launcher: Launcher, store: Path, dask_cluster: Cluster, undisturbed: Undisturbed
 ) -> Callable[[Path], set[str]]:
-    """Give the same command again: what it leaves is what an undisturbed run leaves, and nothing but that.
+    """Give the same command again, and check that it leaves exactly what an undisturbed run leaves.
 
-    Returns the units that were computed although they had a receipt.
+    The function returns the units that were computed although they had a receipt.
     """
 
     def resume(run: Path) -> set[str]:
@@ -141,7 +141,7 @@ def again(
 
 
 def one_sentence(process: Process) -> str:
-    """What a run that failed has said to its user."""
+    """The message of a failed run, checked to be a single line."""
     assert process.message.startswith("blocksar: "), process.stderr
     assert process.message.count("\n") == 1, process.stderr
     assert "Traceback" not in process.stderr
@@ -152,7 +152,7 @@ def one_sentence(process: Process) -> str:
 
 
 class Assassin(SchedulerPlugin):
-    """Sees tasks begin, and kills the worker of one of them a while after."""
+    """Kill the worker of a chosen task after a delay from the start of the task."""
 
     name = "assassin"
 
@@ -161,13 +161,13 @@ class Assassin(SchedulerPlugin):
         self._workers = ours.workers
         self._tasks = ours.scheduler.tasks
         self._begun: dict[str, float] = {}
-        self.seconds: dict[str, float] = {}  # that a task takes, by name
+        self.seconds: dict[str, float] = {}  # duration by task name
         self.arm("", 0.0)
 
     def arm(self, victim: str, delay: float) -> None:
         self._victim, self._delay = victim, delay
-        self.times = 0  # that the victim's task began
-        self.hit = False  # while it was at work
+        self.times = 0  # number of starts of the victim's task
+        self.hit = False  # whether the worker was killed during the task
 
     def transition(self, key: Any, start: str, finish: str, *_: Any, **__: Any) -> None:
         name = re.sub(r"-[0-9a-f]{8}-", " ", str(key))
@@ -195,10 +195,10 @@ def stage_of(task: str) -> str:
 
 @pytest.fixture(scope="module")
 def guarded() -> Iterator[tuple[Client, Assassin]]:
-    """A cluster of ours with nannies, which start a worker anew at once: by a fork of what is imported already."""
+    """A local cluster whose nannies restart workers quickly, by forking a process with the imports done."""
     settings = {
         "distributed.worker.multiprocessing-method": "forkserver",
-        # So long after a worker was lost dask looks whether it is lost at that moment, and if so gives its nanny up.
+        # After this time dask checks whether a lost worker is still missing, and if so gives up its nanny.
         "distributed.deploy.lost-worker-timeout": "1h",
     }
     with dask.config.set(settings):
@@ -218,7 +218,7 @@ def guarded() -> Iterator[tuple[Client, Assassin]]:
         *(pytest.param(stage, range(5, 20), marks=pytest.mark.slow) for stage in STAGES),
     ],
 )
-def test_killed_worker(
+def test_a_killed_worker_does_not_change_the_result(
     stage: str,
     seeds: range,
     store: Path,
@@ -261,7 +261,7 @@ FEW = (0, 5, 11, 14, 19)
 @pytest.mark.parametrize(
     "seed", [seed if seed in FEW else pytest.param(seed, marks=pytest.mark.slow) for seed in range(20)]
 )
-def test_killed_run(
+def test_a_killed_run_is_resumed(
     seed: int,
     launcher: Launcher,
     store: Path,
@@ -270,7 +270,7 @@ def test_killed_run(
     again: Callable[[Path], set[str]],
     tmp_path: Path,
 ) -> None:
-    """At twenty moments from the first write to the last; every fourth run has a cluster of its own."""
+    """Runs are killed at twenty times between first and last write; every fourth run starts a local cluster."""
     moment = (seed + random.Random(seed).random()) / 20
     own = seed % 4 == 3
     where = OWN if own else ("--scheduler", dask_cluster.address)
@@ -279,20 +279,20 @@ def test_killed_run(
         process = launcher.start("blocksar", *words(store, run, *where))
         until(run.exists, "the first write")
         if own:
-            process.await_line("recover: 0")  # the workers have been started: nothing is written while they are
+            process.await_line("recover: 0")  # wait for the workers: nothing is written while they start
         time.sleep(seconds)
         process.send(signal.SIGKILL)
         assert process.wait() in (-signal.SIGKILL, 0)
         if _status(run) != "finished" or moment > 0.7:
             break
-        seconds *= 0.7  # this machine is not as busy as it was when the time was taken
+        seconds *= 0.7  # this run is faster than the timed one, on a less busy machine
         shutil.rmtree(run)
     assert again(tmp_path / "run") == set()
     process.gone()
 
 
 @pytest.mark.parametrize("attempt", [0, *(pytest.param(more, marks=pytest.mark.slow) for more in (1, 2))])
-def test_killed_at_the_first_file(
+def test_a_run_killed_at_its_first_file_is_resumed(
     attempt: int,
     launcher: Launcher,
     store: Path,
@@ -300,7 +300,7 @@ def test_killed_at_the_first_file(
     again: Callable[[Path], set[str]],
     tmp_path: Path,
 ) -> None:
-    """What a run leaves that was killed before it wrote run.json is taken for no stranger's."""
+    """The folder of a run killed before it wrote run.json is recognised as one of ours."""
     process = launcher.start("blocksar", *words(store, tmp_path / "run", "--scheduler", dask_cluster.address))
     until(lambda: (tmp_path / "run").exists() and os.listdir(tmp_path / "run"), "the first file")
     process.send(signal.SIGKILL)
@@ -308,10 +308,10 @@ def test_killed_at_the_first_file(
     again(tmp_path / "run")
 
 
-def test_killed_with_a_patch_half_made(
+def test_a_run_killed_while_writing_a_patch_is_resumed(
     launcher: Launcher, store: Path, again: Callable[[Path], set[str]], tmp_path: Path
 ) -> None:
-    """What has a temporary name when its process is killed is gone when the run is finished."""
+    """Temporary files of a killed process are removed by the time the run is finished."""
     run = tmp_path / "run"
     with cluster(launcher, tmp_path / "dask") as made:
         process = launcher.start("blocksar", *words(store, run, "--scheduler", made.address))
@@ -326,14 +326,16 @@ def test_killed_with_a_patch_half_made(
 
 
 @pytest.mark.parametrize("name", [".run.json.0123abcd.part", "run.lock"])
-def test_a_temporary_file_alone_is_no_strangers(name: str, again: Callable[[Path], set[str]], tmp_path: Path) -> None:
+def test_a_folder_with_only_a_temporary_file_is_accepted(
+    name: str, again: Callable[[Path], set[str]], tmp_path: Path
+) -> None:
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / name).write_text("{")
     again(tmp_path / "run")
 
 
 @pytest.mark.parametrize("stage", STAGES)
-def test_killed_scheduler(
+def test_a_run_resumes_after_its_scheduler_was_killed(
     stage: str, launcher: Launcher, store: Path, again: Callable[[Path], set[str]], tmp_path: Path
 ) -> None:
     with cluster(launcher, tmp_path / "dask") as made:
@@ -349,7 +351,7 @@ def test_killed_scheduler(
 
 
 def pages(*paths: Path) -> int:
-    """Bytes that files take on a tmpfs, each of them once."""
+    """Bytes that files occupy on a tmpfs; each hard-linked file counts once."""
     files = {p.stat().st_ino: p.stat().st_size for path in paths for p in [path, *path.rglob("*")] if p.is_file()}
     return sum(-(-size // PAGE) * PAGE for size in files.values())
 
@@ -364,7 +366,7 @@ def disk(launcher: Launcher, tmp_path: Path) -> Iterator[Disk]:
 
 
 def sizes(run: Path) -> dict[str, int]:
-    """Sizes of a disk that fills up in each stage, bytes."""
+    """Disk sizes at which the disk fills up in each stage, bytes."""
     spectrum, patches, image = (run / name for name in ("spectrum.zarr", "patches", "image.zarr"))
     beginning = pages(run) - pages(spectrum, patches, image) + 64 * PAGE
     return {
@@ -375,7 +377,7 @@ def sizes(run: Path) -> dict[str, int]:
 
 
 def most_used(disk: Disk, process: Process) -> int:
-    """Bytes that a disk holds at most while a process runs."""
+    """Largest disk usage while a process runs, bytes."""
     most = 0
     while process.poll() is None:
         for _ in range(100):
@@ -384,7 +386,7 @@ def most_used(disk: Disk, process: Process) -> int:
 
 
 @pytest.mark.parametrize("stage", [*STAGES, "run.json"])
-def test_full_disk(
+def test_a_run_resumes_after_the_disk_was_full(
     stage: str,
     launcher: Launcher,
     store: Path,
@@ -412,7 +414,7 @@ def test_full_disk(
     assert again(disk.folder / "run") == set()
 
 
-def test_full_disk_from_the_start(
+def test_a_disk_full_from_the_start_is_reported(
     launcher: Launcher, store: Path, disk: Disk, dask_cluster: Cluster, again: Callable[[Path], set[str]]
 ) -> None:
     disk.resize(2 * PAGE)
@@ -427,7 +429,7 @@ def test_full_disk_from_the_start(
 # ---------------------------------------------------------------- read-only disks
 
 
-def test_read_only_output(launcher: Launcher, store: Path, disk: Disk) -> None:
+def test_a_read_only_output_is_refused(launcher: Launcher, store: Path, disk: Disk) -> None:
     with read_only(launcher, disk.folder):
         process = launcher.start("blocksar", *words(store, disk.folder / "deep" / "run", *OWN))
         assert process.wait() == 2, process.stderr
@@ -436,7 +438,7 @@ def test_read_only_output(launcher: Launcher, store: Path, disk: Disk) -> None:
 
 
 @pytest.mark.parametrize("stage", STAGES)
-def test_becomes_read_only(
+def test_a_run_resumes_after_its_output_became_read_only(
     stage: str,
     launcher: Launcher,
     store: Path,
@@ -461,7 +463,7 @@ def test_becomes_read_only(
 
 
 @pytest.mark.parametrize(("stage", "workers"), [("recover", 1), ("focus", 2), ("mosaic", 1)])
-def test_hung_worker(
+def test_a_hung_worker_does_not_change_the_result(
     stage: str, workers: int, launcher: Launcher, store: Path, again: Callable[[Path], set[str]], tmp_path: Path
 ) -> None:
     own = ("--workers", str(workers), "--memory-limit", "2GiB")
@@ -477,14 +479,14 @@ def test_hung_worker(
     assert again(tmp_path / "run") == set()
 
 
-def test_worker_that_wakes_up_late(
+def test_a_worker_that_resumes_late_does_not_change_the_result(
     launcher: Launcher,
     store: Path,
     undisturbed: Undisturbed,
     again: Callable[[Path], set[str]],
     tmp_path: Path,
 ) -> None:
-    """It hung while it made a block's patch, was given up, and goes on when another has long made that patch."""
+    """A worker hangs while writing a patch and continues after another worker has written that patch."""
     run = tmp_path / "run"
     with cluster(launcher, tmp_path / "dask", **{"distributed.scheduler.worker-ttl": 4}) as made:
         late = made.workers[0]
@@ -498,7 +500,7 @@ def test_worker_that_wakes_up_late(
         for one in (process, made.workers[1]):
             one.send(signal.SIGSTOP)
         late.send(signal.SIGCONT)
-        time.sleep(0.5)  # to write what it has in its hands, once more
+        time.sleep(0.5)  # time for the late worker to write its data again
         late.send(signal.SIGSTOP)
         for one in (process, made.workers[1]):
             one.send(signal.SIGCONT)
@@ -513,7 +515,7 @@ def test_worker_that_wakes_up_late(
 
 
 def _patch_begun(run: Path, worker: Process) -> str | None:
-    """Let a stopped worker go on for a moment, until it has written a part of a patch; whose."""
+    """Name of a patch that is partly written; without one, let a stopped worker run for one tick."""
     for chunk in (run / "patches").glob("*/image/c/*/*"):
         return chunk.parents[3].name
     worker.send(signal.SIGCONT)
@@ -528,7 +530,7 @@ def _patch_begun(run: Path, worker: Process) -> str | None:
 def signal_at(
     stage: str, seed: int, send: Callable[[Process], None], launcher: Launcher, store: Path, run: Path
 ) -> tuple[Process, float]:
-    """Start a run, send it something in a stage; the process, and how long it took to end, s."""
+    """Start a run and call `send` in a stage; return the process and the time it took to end, s."""
     process = launcher.start("blocksar", *words(store, run, *OWN))
     until(run.exists, "the first write")
     if stage != "start":
@@ -553,7 +555,7 @@ INTERRUPTED, TERMINATED = (signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 
         (*INTERRUPTED, "mosaic"),
     ],
 )
-def test_signal(
+def test_a_signal_stops_a_run_cleanly(
     stage: str,
     number: signal.Signals,
     status: int,
@@ -563,7 +565,7 @@ def test_signal(
     again: Callable[[Path], set[str]],
     tmp_path: Path,
 ) -> None:
-    """As a terminal sends the one, to the whole group, and a batch system the other, to the process."""
+    """SIGINT goes to the whole process group, as from a terminal; SIGTERM to the process, as from a batch system."""
 
     def send(process: Process) -> None:
         if number == signal.SIGINT:
@@ -575,7 +577,7 @@ def test_signal(
         run = tmp_path / f"run{attempt}"
         process, seconds = signal_at(stage, attempt, send, launcher, store, run)
         if process.wait():
-            break  # else it was finished before
+            break  # otherwise the run finished before the signal
     assert process.wait() == status, process.stderr
     print(f"stopped within {seconds:.2f} s")
     assert seconds < STOPPED_WITHIN
@@ -586,8 +588,10 @@ def test_signal(
     assert again(run) == set()
 
 
-def test_impatient_user(launcher: Launcher, store: Path, again: Callable[[Path], set[str]], tmp_path: Path) -> None:
-    """Ctrl-C again and again."""
+def test_repeated_interrupts_stop_a_run_cleanly(
+    launcher: Launcher, store: Path, again: Callable[[Path], set[str]], tmp_path: Path
+) -> None:
+    """The user presses Ctrl-C five times."""
 
     def send(process: Process) -> None:
         for _ in range(5):
@@ -596,7 +600,7 @@ def test_impatient_user(launcher: Launcher, store: Path, again: Callable[[Path],
                 time.sleep(0.1)
 
     process, seconds = signal_at("focus", 0, send, launcher, store, tmp_path / "run")
-    # A signal that comes when all is done but leaving ends the process as such: 130 to a shell, too.
+    # A signal during the exit of the interpreter ends the process directly, which a shell also reports as 130.
     assert process.wait() in (130, -signal.SIGINT), process.stderr
     assert seconds < STOPPED_WITHIN
     process.gone(within=5)
@@ -605,10 +609,10 @@ def test_impatient_user(launcher: Launcher, store: Path, again: Callable[[Path],
     assert again(tmp_path / "run") == set()
 
 
-# ---------------------------------------------------------------- two runs at a time
+# ---------------------------------------------------------------- concurrent runs
 
 
-def test_two_writers(
+def test_a_second_writer_is_refused(
     launcher: Launcher,
     store: Path,
     dask_cluster: Cluster,
@@ -630,7 +634,7 @@ def test_two_writers(
     assert litter(tmp_path / "run") == []
 
 
-def test_dead_writer(
+def test_the_lock_of_a_killed_writer_is_ignored(
     launcher: Launcher,
     store: Path,
     dask_cluster: Cluster,
@@ -638,14 +642,14 @@ def test_dead_writer(
     again: Callable[[Path], set[str]],
     tmp_path: Path,
 ) -> None:
-    """A lock that outlives its process is none, though the folder still names the owner."""
+    """The lock of a dead process does not count, although the folder still names its owner."""
     first = launcher.start("blocksar", *words(store, tmp_path / "run", "--scheduler", dask_cluster.address))
     first.await_line("recover: 0")
     first.send(signal.SIGKILL)
-    again(tmp_path / "run")  # without waiting for anything
+    again(tmp_path / "run")  # does not wait for the lock
 
 
-# ---------------------------------------------------------------- receipts that lie
+# ---------------------------------------------------------------- damaged results
 
 
 class Interrupted(Exception):
@@ -653,7 +657,7 @@ class Interrupted(Exception):
 
 
 class UntilMerged:
-    """Ends a run when all of its work is done but for calling it finished."""
+    """Interrupt a run when its work is complete but it is not yet marked as finished."""
 
     def update(self, stage: str, done: int, total: int) -> None:
         if stage == "mosaic" and done == total:
@@ -662,7 +666,7 @@ class UntilMerged:
 
 @pytest.fixture(scope="module")
 def unfinished(store: Path, guarded: tuple[Client, Assassin], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run with all its receipts that is not finished."""
+    """An unfinished run with all its receipts."""
     run = tmp_path_factory.mktemp("unfinished") / "run"
     with pytest.raises(Interrupted):
         blocksar.focus(store, run, client=guarded[0], progress=UntilMerged(), **SETTINGS)
@@ -672,7 +676,7 @@ def unfinished(store: Path, guarded: tuple[Client, Assassin], tmp_path_factory: 
 
 
 def flip(path: Path) -> None:
-    """One bit, where the file stands: other names of the same file see it too."""
+    """Flip one bit of a file in place, so that all its hard links change."""
     with open(path, "r+b") as file:
         file.seek(path.stat().st_size // 3)
         byte = file.read(1)[0]
@@ -691,7 +695,7 @@ def garble(path: Path) -> None:
 COLUMNS = {"columns-0", "columns-512", "columns-1024", "columns-1536"}
 BLOCKS = {"block-0", "block-1", "block-2"}
 CHUNKS = {"chunk-0-0", "chunk-0-4", "chunk-0-8"}
-DAMAGES: dict[str, tuple[Callable[[Path], Any], str, set[str]]] = {  # what is done, to what, what is computed again
+DAMAGES: dict[str, tuple[Callable[[Path], Any], str, set[str]]] = {  # damage, its target, units computed again
     "bit of a spectrum chunk": (flip, "spectrum.zarr/spectrum/c/0/2", {"columns-512"}),
     "half of a spectrum chunk": (truncate, "spectrum.zarr/spectrum/c/1/6", {"columns-1536"}),
     "spectrum chunk gone": (os.unlink, "spectrum.zarr/spectrum/c/0/0", {"columns-0"}),
@@ -727,7 +731,7 @@ DAMAGES: dict[str, tuple[Callable[[Path], Any], str, set[str]]] = {  # what is d
 
 
 @pytest.mark.parametrize("damage", DAMAGES)
-def test_receipt_that_lies(
+def test_damaged_results_are_computed_again_despite_their_receipts(
     damage: str,
     store: Path,
     unfinished: Path,
@@ -735,10 +739,10 @@ def test_receipt_that_lies(
     guarded: tuple[Client, Assassin],
     tmp_path: Path,
 ) -> None:
-    """All is as in an undisturbed run, and only what was damaged is computed again."""
+    """The result equals that of an undisturbed run, and only damaged units are computed again."""
     harm, name, lost = DAMAGES[damage]
     run = tmp_path / "run"
-    subprocess.run(["cp", "-a", unfinished, run], check=True)  # which keeps hard links
+    subprocess.run(["cp", "-a", unfinished, run], check=True)  # keeps hard links
     assert (run / name).stat().st_nlink == 2 or "image shares" not in damage
     before = receipts(run)
     harm(run / name)

@@ -1,6 +1,6 @@
 """End to end: scene file to measured image, against theory and against exact back-projection.
 
-Tolerances are those of the project's quality bar, not of what the chain happens to reach.
+Tolerances are those of the project's quality bar, not the values that the chain happens to reach.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from blocksar.simulation.scene import Scene
 CLUTTER = "[clutter]\nscatterers = 100000\nseed = 3\n"
 
 
-def test_targets_on_seams(client: Client, tmp_path: Path) -> None:
+def test_targets_on_seams_meet_the_quality_bar(client: Client, tmp_path: Path) -> None:
     made = Scene.parse(scene()).collection()
     geometry = Geometry(collection=made)
     seams = block_seams(geometry, plan_region(geometry, None), 3)[1:-1]
@@ -53,13 +53,13 @@ def targets(run: Path) -> list[dict[str, Any]]:
 
 @pytest.fixture(scope="module")
 def clutter(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
-    """The phase history of clutter in one of the geometries: made once."""
+    """Phase history of clutter by name of the geometry, each simulated once."""
     return cache(lambda name: write_store(tmp_path_factory.mktemp("clutter"), **GEOMETRIES[name], more=CLUTTER))
 
 
-# "scan reversed" is compared by every processor in test_processors.py.
+# test_processors.py covers "scan reversed" with every processor.
 @pytest.mark.parametrize("name", [name for name in GEOMETRIES if name != "scan reversed"])
-def test_coherence_with_back_projection_on_clutter(
+def test_clutter_is_coherent_with_back_projection(
     name: str, clutter: Callable[[str], Path], client: Client, tmp_path: Path
 ) -> None:
     store = clutter(name)
@@ -74,10 +74,10 @@ def test_coherence_with_back_projection_on_clutter(
 
 
 @pytest.mark.parametrize("name", ["table1", "35 GHz, 100 MHz"])
-def test_range_sub_blocks_are_as_good_as_whole_blocks(
+def test_range_sub_blocks_are_as_accurate_as_whole_blocks(
     name: str, clutter: Callable[[str], Path], client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Coherence with back-projection on clutter, across the seams in range too, and calibration."""
+    """Compare clutter with back-projection in coherence, gain and phase, also across the range seams."""
     monkeypatch.setattr(jobs, "plan_collection", lambda *a, **k: plan_collection(*a, **{**k, "parts": 3}))
     store = clutter(name)
     blocksar.focus(store, tmp_path / "run", blocks=2, grid=coarse_grid(store), client=client)
@@ -92,7 +92,7 @@ def test_range_sub_blocks_are_as_good_as_whole_blocks(
         assert abs(chip["phase"]) <= 0.02, chip
 
 
-def test_unsteered_beam(client: Client, tmp_path: Path) -> None:
+def test_an_unsteered_beam_is_coherent_with_back_projection(client: Client, tmp_path: Path) -> None:
     clutter = "[clutter]\nscatterers = 30000\nseed = 5\nx = [15306.0, 16906.0]\ny = [18394.0, 19994.0]\n"
     store = write_store(tmp_path, steering=None, prf=12e3, more=clutter)
     grid = ((15506.0, 16706.0, 3.0), (18594.0, 19794.0, 3.0))
@@ -105,7 +105,7 @@ def test_unsteered_beam(client: Client, tmp_path: Path) -> None:
         blocksar.focus(store, tmp_path / "other", client=client)
 
 
-def test_raw_echo_with_dropped_pulses(client: Client, tmp_path: Path) -> None:
+def test_raw_echo_with_dropped_pulses_is_focused(client: Client, tmp_path: Path) -> None:
     more = (
         '[[targets]]\nname = "P"\nrange = 30000.0\nyaw_deg = 50.5\n'
         "[dropped]\nfraction = 0.05\nseed = 2\n[noise]\npower = 1e-4\nseed = 1\n"
@@ -114,13 +114,13 @@ def test_raw_echo_with_dropped_pulses(client: Client, tmp_path: Path) -> None:
     store = blocksar.simulate(tmp_path / "scene.toml", tmp_path / "raw.zarr", raw=True)
     blocksar.focus(store, tmp_path / "run", blocks=2, client=client)
     (target,) = blocksar.quality(tmp_path / "run").result["targets"]
-    # Dropping every twentieth pulse at random raises side lobes by its own noise, and must not move the rest.
+    # Randomly dropping 5 % of the pulses adds noise to the side lobes, and must not change the other figures.
     assert abs(complex(*target["value"])) == pytest.approx(1.0, abs=0.02)
     assert np.hypot(target["error_x"], target["error_y"]) <= 0.05
     assert target["azimuth_irw"] == pytest.approx(target["azimuth_irw_theory"], rel=0.01)
     assert not (tmp_path / "run" / "compressed.zarr").exists()
     compared = blocksar.quality(tmp_path / "run", reference=True).result["reference"]
-    # Away from the target there is nothing but its side lobes and noise.
+    # Away from the target there are only side lobes and noise.
     assert min(chip["coherence"] for chip in compared) > 0.95
 
 
@@ -141,7 +141,7 @@ def test_back_projection_processor_writes_the_same_store(client: Client, tmp_pat
     check_targets(blocksar.quality(tmp_path / "fft").result, 1)
 
 
-def test_bits_do_not_depend_on_workers_or_threads(tmp_path: Path) -> None:
+def test_results_do_not_depend_on_workers_or_threads(tmp_path: Path) -> None:
     store = write_store(tmp_path, swath=[29800.0, 30200.0], more=CLUTTER.replace("100000", "2000"))
     grid = coarse_grid(store, 8.0)
     sums = set()
@@ -153,7 +153,7 @@ def test_bits_do_not_depend_on_workers_or_threads(tmp_path: Path) -> None:
     assert len(sums) == 1
 
 
-def test_dataset_in_and_dataset_out(table1: Path, client: Client, tmp_path: Path) -> None:
+def test_a_dataset_is_accepted_and_returned(table1: Path, client: Client, tmp_path: Path) -> None:
     grid = ((16000.0, 16200.0, 1.0), (19100.0, 19300.0, 1.0))
     with xr.open_zarr(table1) as source:
         blocksar.focus(source, tmp_path / "run", blocks=3, grid=grid, client=client)
@@ -165,8 +165,8 @@ def test_dataset_in_and_dataset_out(table1: Path, client: Client, tmp_path: Path
     assert set(np.unique(image.block)) == {1}
 
 
-def test_phase_history_of_another_program(client: Client, tmp_path: Path) -> None:
-    """Written by xarray, in its own chunks, with compression: the contract is all that counts."""
+def test_a_phase_history_written_by_another_program_is_accepted(client: Client, tmp_path: Path) -> None:
+    """xarray writes the store with other chunks and compression; the image must be the same."""
     (tmp_path / "scene.toml").write_text(scene(more='[[targets]]\nname = "P"\nrange = 30000.0\nyaw_deg = 50.5\n'))
     ours = blocksar.simulate(tmp_path / "scene.toml", tmp_path / "ours.zarr")
     with xr.open_zarr(ours) as source:
@@ -182,5 +182,5 @@ def test_phase_history_of_another_program(client: Client, tmp_path: Path) -> Non
     assert np.array_equal(images[0], images[1], equal_nan=True)
 
 
-def test_api_names_are_the_commands() -> None:
+def test_the_api_has_the_names_of_the_commands() -> None:
     assert set(api.__all__) >= {"simulate", "plan", "focus", "quality", "open", "demo"}

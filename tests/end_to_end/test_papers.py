@@ -1,4 +1,4 @@
-"""What papers B and C show on their own scenes, what their rivals lack, and linear derotation."""
+"""Scenes of papers B and C, with and without their corrections, and linear derotation."""
 
 from __future__ import annotations
 
@@ -34,8 +34,10 @@ def measured(run: Path) -> dict[str, dict[str, Any]]:
 
 
 @pytest.mark.parametrize("name", PAPERS)
-def test_a_paper_s_scene(name: str, stores: dict[str, Path], client: Client, tmp_path: Path) -> None:
-    """All fifteen targets to the quality bar, and clutter at their places like back-projection."""
+def test_a_papers_scene_meets_the_quality_bar(
+    name: str, stores: dict[str, Path], client: Client, tmp_path: Path
+) -> None:
+    """All fifteen targets meet the quality bar, and clutter at their positions agrees with back-projection."""
     processor, grid = PAPERS[name]
     blocksar.focus(stores[name], tmp_path / "run", processor=processor, grid=grid, client=client)
     found = blocksar.quality(tmp_path / "run").result
@@ -53,8 +55,10 @@ def test_a_paper_s_scene(name: str, stores: dict[str, Path], client: Client, tmp
 
 
 @pytest.mark.parametrize("name", PAPERS)
-def test_what_the_correction_cures(name: str, stores: dict[str, Path], client: Client, tmp_path: Path) -> None:
-    """The same chain without it, deramped as the block's centre asks: the centre is sharp, the ends are not."""
+def test_without_correction_the_block_ends_are_defocused(
+    name: str, stores: dict[str, Path], client: Client, tmp_path: Path
+) -> None:
+    """Deramping with the coefficients of the block centre alone focuses the centre but not the ends."""
     processor, grid = PAPERS[name]
     settings: dict[str, Any] = {"processor": processor, "blocks": 1, "perturbation": "none"}
     settings["coefficients"] = "closed-form"
@@ -64,14 +68,14 @@ def test_what_the_correction_cures(name: str, stores: dict[str, Path], client: C
     found = measured(tmp_path / "run")
     assert found["M3"]["azimuth_pslr"] == pytest.approx(-13.26, abs=1.0)
     for end in ("M1", "M5"):
-        pslr = found[end]["azimuth_pslr"]  # none where no main lobe can be made out
+        pslr = found[end]["azimuth_pslr"]  # None if no main lobe is found
         assert pslr is None or pslr > -6.0, (end, pslr)
     prediction = blocksar.plan(stores[name], grid=grid, **settings).result.blocks[0].prediction
     assert prediction.quadratic_phase > 30.0
 
 
 def test_linear_derotation_needs_a_higher_prf(client: Client, tmp_path: Path) -> None:
-    """Paper A, Figure 6: refused at a PRF that holds the nonlinearly derotated band, with the PRF that it needs."""
+    """Paper A, Figure 6: a PRF sufficient for nonlinear derotation is refused; the message gives the required PRF."""
     (tmp_path / "low.toml").write_text(scene(prf=6900.0, swath=[27500.0, 32500.0]))
     assert blocksar.plan(tmp_path / "low.toml", blocks=3).refusal is None
     with pytest.raises(InputError, match=r"after linear derotation .* a PRF of at least 7\d\d\d Hz is needed"):
@@ -82,7 +86,7 @@ def test_linear_derotation_needs_a_higher_prf(client: Client, tmp_path: Path) ->
     straight = blocksar.focus(store, tmp_path / "straight", blocks=1, client=client, grid=GRID)
     assert straight.result["settings"]["derotation"] == "nonlinear"
     one, other = (blocksar.open(tmp_path / name).image.values for name in ("run", "straight"))
-    np.testing.assert_allclose(one, other, atol=1e-3)  # derotation is undone: it must not be seen in the image
+    np.testing.assert_allclose(one, other, atol=1e-3)  # derotation is undone, so it must not affect the image
 
 
 GRID = ((15900.0, 16300.0, 4.0), (19000.0, 19400.0, 4.0))

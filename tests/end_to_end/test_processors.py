@@ -1,7 +1,7 @@
-"""One grid for all: every processor, on every geometry, at block centres, at seams, at the image's edges.
+"""Every processor on every geometry, at block centres, at seams and at the edges of the image.
 
-Targets are held to the quality bar, clutter is compared with exact back-projection of the same samples; where they
-stand follows from the plan's own blocks. Then what each paper shows, and what its rivals lack.
+Targets must meet the quality bar, and clutter is compared with exact back-projection of the same samples. Their
+positions follow from the blocks of the plan.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from blocksar.planning.plan import Plan
 
 
 class Ground(NamedTuple):
-    """A geometry: a scene without anything in it, the grid of an image of it, and how coarse one of clutter may be."""
+    """A geometry: an empty scene, the grid of its image, and the pixel spacing in m for images of clutter."""
 
     scene: str
     grid: tuple[tuple[float, float, float], tuple[float, float, float]] | None
     coarse: float
-    least: float  # coherence
+    least: float  # least coherence
     blocks: Any = "auto"
 
     def coarser(self, plan: Plan) -> Any:
@@ -44,20 +44,20 @@ GROUNDS = {
 }
 
 
-# Held to the same bar in full size by test_table1.py and test_focus.py, and with the papers' targets by test_papers.py.
+# test_table1.py and test_focus.py test these at full size, and test_papers.py with the targets of the papers.
 ELSEWHERE = {("table1", "angular-division"), *((name, processor) for name, (processor, _) in PAPERS.items())}
 CASES = [(ground, processor) for ground in GROUNDS for processor in get_args(Chain)]
 
 
 @pytest.fixture(scope="module")
 def clutter(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, str], Path]:
-    """The phase history of clutter, by name and scene: made once."""
+    """Phase history of clutter by name and scene, each simulated once."""
     folder = tmp_path_factory.mktemp("clutter")
     return cache(partial(simulated, folder))
 
 
 @pytest.mark.parametrize(("ground", "processor"), [case for case in CASES if case not in ELSEWHERE])
-def test_every_processor_on_every_geometry_at_every_place(
+def test_every_processor_meets_the_quality_bar_on_every_geometry(
     ground: str, processor: Any, clutter: Callable[[str, str], Path], client: Client, tmp_path: Path
 ) -> None:
     made = GROUNDS[ground]

@@ -1,4 +1,4 @@
-"""Progress of real runs: what a terminal, a listener and a log get, and how each ends."""
+"""Progress of real runs in a terminal, a listener and a log, including their endings."""
 
 from __future__ import annotations
 
@@ -28,9 +28,6 @@ from blocksar.progress import Listener, Work, Workers
 needs_bokeh = pytest.mark.skipif(importlib.util.find_spec("bokeh") is None, reason="bokeh is not installed")
 
 
-# ---------------------------------------------------------------- real runs
-
-
 @pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return make_store(tmp_path_factory.mktemp("progress") / "store")
@@ -38,14 +35,14 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @contextmanager
 def in_terminal(*command: str) -> Iterator[tuple[subprocess.Popen[bytes], Callable[[], bytes]]]:
-    """A program whose stderr is a terminal of 80 columns, and what it has written there so far, or to its end."""
+    """Run a program whose stderr is a terminal of 80 columns; yield it with a function that reads its output."""
     ours, theirs = pty.openpty()
     termios.tcsetwinsize(theirs, (24, 80))
     environment = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "NO_COLOR")}
     seen = bytearray()
 
     def read() -> bytes:
-        with suppress(OSError):  # how Linux says that the other end is closed
+        with suppress(OSError):  # Linux raises this when the other end is closed
             while True:
                 data = os.read(ours, 65536)
                 seen.extend(data)
@@ -66,20 +63,20 @@ def in_terminal(*command: str) -> Iterator[tuple[subprocess.Popen[bytes], Callab
 
 BLOCKSAR = (
     sys.executable, "-c",
-    "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a background job is born deaf to it
+    "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # background jobs ignore SIGINT
     "from blocksar import cli; cli.main()",
 )  # fmt: skip
 
 
 def frames(written: bytes) -> list[list[str]]:
-    """What a terminal was shown, frame by frame: rich goes back to a frame's first line by erasing its lines."""
+    """Frames shown in a terminal; rich erases the lines of a frame to return to its first line."""
     texts = re.split(r"(?:\r?\x1b\[2K(?:\x1b\[1A)?)+", written.decode())
     plain = [re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", text) for text in texts]
     return [text.replace("\r", "").splitlines() for text in plain if text.strip()]
 
 
 @needs_bokeh
-def test_a_run_in_a_terminal(store: Path, tmp_path: Path) -> None:
+def test_a_run_shows_its_progress_in_a_terminal(store: Path, tmp_path: Path) -> None:
     log, page = tmp_path / "log.jsonl", tmp_path / "page.html"
     typed = words(store, tmp_path / "run", "--workers", "1", "--json-log", str(log), "--performance-report", str(page))
     with in_terminal(*BLOCKSAR, *typed) as (process, read):
@@ -103,7 +100,7 @@ def test_a_run_in_a_terminal(store: Path, tmp_path: Path) -> None:
     assert "<html" in page.read_text() and [p.name for p in tmp_path.glob(".*")] == []
 
 
-def test_ctrl_c_leaves_the_terminal_and_the_log_in_order(store: Path, tmp_path: Path) -> None:
+def test_ctrl_c_restores_the_terminal_and_completes_the_log(store: Path, tmp_path: Path) -> None:
     log = tmp_path / "log.jsonl"
     typed = words(store, tmp_path / "run", "--workers", "1", "--json-log", str(log))
     with in_terminal(*BLOCKSAR, *typed) as (process, read):
@@ -136,7 +133,7 @@ cli.main()
 """
 
 
-def test_a_run_that_does_not_end_in_good_order_gives_the_terminal_back(tmp_path: Path) -> None:
+def test_a_run_that_hangs_while_ending_restores_the_terminal(tmp_path: Path) -> None:
     log = tmp_path / "log.jsonl"
     typed = ("focus", "ph.zarr", "--out", "run", "--json-log", str(log))
     with in_terminal(sys.executable, "-c", HANGING, *typed) as (process, read):
@@ -151,7 +148,7 @@ def test_a_run_that_does_not_end_in_good_order_gives_the_terminal_back(tmp_path:
 
 
 class Heard(Listener):
-    """Keeps what it is told; fails a run when a block is finished."""
+    """Record all calls; on request, fail the run after its first block."""
 
     def __init__(self, *, fail: bool) -> None:
         self.fail = fail
@@ -183,7 +180,7 @@ class Heard(Listener):
 
 
 @needs_bokeh
-def test_what_a_listener_hears_of_a_run_that_fails_and_goes_on(store: Path, client: Client, tmp_path: Path) -> None:
+def test_a_listener_follows_a_run_that_fails_and_is_resumed(store: Path, client: Client, tmp_path: Path) -> None:
     page = tmp_path / "page.html"
     page.write_text("of an earlier run")
     failing = Heard(fail=True)
@@ -198,7 +195,7 @@ def test_what_a_listener_hears_of_a_run_that_fails_and_goes_on(store: Path, clie
     assert going_on.workers == len(client.scheduler_info(n_workers=-1)["workers"])
     assert going_on.begun["recover"] == failing.totals["recover"] == 4
     assert 1 <= going_on.begun["focus"] < 3 and going_on.totals["check-recover"] == 4
-    # What was predicted is what was done, unit by unit.
+    # The predicted units equal the completed units.
     assert {stage: len(costs) for stage, costs in going_on.work.items()} == {
         stage: going_on.totals[stage] for stage in ("recover", "focus", "mosaic", "finish")
     }
@@ -229,7 +226,7 @@ def test_units_of_raw_echo_and_back_projection_are_predicted(
     assert {stage: len(heard.work[stage]) for stage in stages} == {stage: heard.totals[stage] for stage in stages}
 
 
-def test_without_bokeh_there_is_no_dashboard_and_no_performance_report(
+def test_without_bokeh_there_is_no_dashboard_or_performance_report(
     store: Path, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = importlib.util.find_spec
@@ -242,7 +239,7 @@ def test_without_bokeh_there_is_no_dashboard_and_no_performance_report(
 
 @needs_bokeh
 @pytest.mark.parametrize("name", [".", "no/such/folder/page.html"])
-def test_a_performance_report_that_cannot_be_written_is_refused_first(
+def test_an_unwritable_performance_report_is_refused_before_the_run(
     name: str, store: Path, client: Client, tmp_path: Path
 ) -> None:
     address = recording.dashboard(client)

@@ -1,4 +1,4 @@
-"""Table 1 of the angular-division paper in full: 81 targets, the paper's comparison, memory limits."""
+"""Full Table 1 scene of the angular-division paper: 81 targets, the paper's comparison and memory limits."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ EDGES = ("A1", "A3", "B1", "B3", "C1", "C3")
 
 @pytest.fixture(scope="module")
 def proposed(table1: Path, client: Client, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """The quality of a run of three blocks, as the paper proposes."""
+    """Quality of a run with three blocks, as proposed in the paper."""
     run = tmp_path_factory.mktemp("proposed") / "run"
     blocksar.focus(table1, run, blocks=3, client=client)
     return dict(blocksar.quality(run).result)
@@ -29,19 +29,19 @@ def by_name(quality: dict[str, Any]) -> dict[str, dict[str, Any]]:
     return {target["name"]: target for target in quality["targets"]}
 
 
-def test_every_full_dwell_target(proposed: dict[str, Any]) -> None:
+def test_every_full_dwell_target_meets_the_quality_bar(proposed: dict[str, Any]) -> None:
     check_targets(proposed, 73)
     assert proposed["table3"]["B2"]["azimuth_irw"] == 1.89
 
 
-def test_a_small_memory_divides_blocks_in_range_and_is_kept_to(table1: Path, tmp_path: Path) -> None:
+def test_a_low_memory_limit_divides_blocks_in_range_and_is_kept(table1: Path, tmp_path: Path) -> None:
     limit = 520 * 2**20
     blocksar.focus(table1, tmp_path / "run", blocks=2, workers=2, memory_limit=limit)
     record = json.loads((tmp_path / "run" / "run.json").read_text())
     assert record["plan"]["parts"] > 1
     assert record["peak_memory"] <= max(b["memory"] for b in record["plan"]["predicted"]) <= limit
     check_targets(blocksar.quality(tmp_path / "run").result, 73)
-    # As many sub-blocks as the first plan made, whatever the memory is when the run goes on.
+    # A resumed run keeps the sub-blocks of its first plan, whatever the memory limit is now.
     assert "nothing to do" in blocksar.focus(table1, tmp_path / "run", blocks=2, workers=1).summary[0]
 
 
@@ -67,7 +67,7 @@ def test_memory_of_back_projection_is_predicted_and_kept(table1: Path, tmp_path:
     assert not (tmp_path / "tight").exists()
 
 
-def test_one_block_of_fitted_coefficients_serves_and_of_closed_forms_does_not(
+def test_one_block_suffices_with_fitted_but_not_closed_form_coefficients(
     table1: Path, client: Client, tmp_path: Path
 ) -> None:
     blocksar.focus(table1, tmp_path / "fitted", blocks=1, client=client)
@@ -78,8 +78,10 @@ def test_one_block_of_fitted_coefficients_serves_and_of_closed_forms_does_not(
     assert by_name(blocksar.quality(tmp_path / "closed").result)["B1"]["azimuth_pslr"] > -12.0
 
 
-def test_table_2_and_table_3(proposed: dict[str, Any], table1: Path, client: Client, tmp_path: Path) -> None:
-    """The reference method blurs the edge targets, the proposed one does not (azimuth PSLR, dB)."""
+def test_edge_targets_as_in_table_2_and_table_3(
+    proposed: dict[str, Any], table1: Path, client: Client, tmp_path: Path
+) -> None:
+    """The reference method blurs the edge targets and the proposed method does not (azimuth PSLR, dB)."""
     blocksar.focus(
         table1, tmp_path / "run", blocks=1, coefficients="closed-form", range_model="conventional", client=client
     )

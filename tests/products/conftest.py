@@ -1,4 +1,4 @@
-"""Runs that several tests of products read."""
+"""Finished runs shared by the tests of products."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def unplaced(tmp_path_factory: pytest.TempPathFactory) -> Made:
 
 @pytest.fixture(scope="session")
 def runs(client: Client, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """A run of two blocks of two range sub-blocks each, and one of exact back-projection, too coarse to measure in."""
+    """A run with two blocks of two range sub-blocks each, and a back-projection run too coarse to measure in."""
     folder = tmp_path_factory.mktemp("report")
     store = write_scene(folder)
     with pytest.MonkeyPatch.context() as patch:
@@ -45,17 +45,17 @@ def runs(client: Client, tmp_path_factory: pytest.TempPathFactory) -> dict[str, 
 
 @pytest.fixture(scope="session")
 def whole(runs: dict[str, Path]) -> Path:
-    """The page of the first, as anybody gets it."""
+    """The report page of the first run, with default options."""
     return Path(str(blocksar.report(runs["run"]).result))
 
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No pictures of responses: most of a page's time."""
+    """Skip the pictures of responses, which take most of the time of a page."""
     monkeypatch.setattr(page, "draw_responses", lambda *_: [])
 
 
 @pytest.fixture
 def run(runs: dict[str, Path], tmp_path: Path) -> Path:
-    """A run whose records may be changed; its image is not copied."""
+    """A run whose records a test may change; its image is shared, not copied."""
     return borrowed(runs["run"], tmp_path / "run")

@@ -1,4 +1,4 @@
-"""What `blocksar.open` gives, and its xarray accessor."""
+"""Datasets returned by `blocksar.open`, and their xarray accessor."""
 
 from __future__ import annotations
 
@@ -20,19 +20,17 @@ from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.products import geotiff
 
-pytestmark = pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")  # by rioxarray, of affine
-
-# ---------------------------------------------------------------- xarray
+pytestmark = pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")  # by affine, in rioxarray
 
 
-def test_db_is_that_of_the_pixels(made: Made) -> None:
+def test_db_equals_the_power_of_the_pixels(made: Made) -> None:
     with blocksar.open(made.folder) as opened:
         power = opened.sar.db()
         assert power.attrs["units"] == "dB"
         np.testing.assert_allclose(power.values, 20 * np.log10(np.abs(made.image)), rtol=0, atol=1e-4)
 
 
-def test_crop_is_by_ground_coordinates_and_lazy(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_crop_selects_by_ground_coordinates_and_is_lazy(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
     with blocksar.open(made.folder) as opened:
         part = opened.sar.crop(x=(-4.1, 5.0), y=(None, 2.0))
         assert not part["image"].variable._in_memory
@@ -45,8 +43,8 @@ def test_crop_is_by_ground_coordinates_and_lazy(made: Made, monkeypatch: pytest.
 
 
 @pytest.mark.parametrize("azimuth", [None, 37.0, 90.0])
-def test_a_cut_is_the_response(azimuth: float | None, made: Made) -> None:
-    """Against back-projection right at the points of the line."""
+def test_a_cut_agrees_with_back_projection(azimuth: float | None, made: Made) -> None:
+    """Compare with exact back-projection at the points of the line."""
     target = TARGETS[0]
     with blocksar.open(made.folder) as opened:
         cut = opened.sar.cut(target.x, target.y, azimuth=azimuth, length=8.0, samples=41)
@@ -61,10 +59,10 @@ def test_a_cut_is_the_response(azimuth: float | None, made: Made) -> None:
         distance = np.linalg.norm(point - made.collection.antenna_position, axis=1)
         exact = np.abs((signal * np.exp(4j * np.pi / SPEED_OF_LIGHT * np.outer(distance, frequency))).mean())
         assert 10 ** (cut.values[i] / 20) == pytest.approx(exact, abs=3e-3)
-    assert cut.values[20] == pytest.approx(0.0, abs=0.1)  # side lobes of the others included
+    assert cut.values[20] == pytest.approx(0.0, abs=0.1)  # includes the side lobes of the other targets
 
 
-def test_a_cut_outside_is_refused(made: Made) -> None:
+def test_a_cut_outside_the_image_is_refused(made: Made) -> None:
     with blocksar.open(made.folder) as opened:
         with pytest.raises(InputError, match="lies outside the image"):
             opened.sar.cut(500.0, 0.0)
@@ -73,7 +71,7 @@ def test_a_cut_outside_is_refused(made: Made) -> None:
         assert np.isnan(opened.sar.cut(made.x[0], 0.0, length=30.0).values[0])
 
 
-def test_an_image_that_runs_the_other_way_is_the_same_image(made: Made) -> None:
+def test_descending_axes_give_the_same_results(made: Made) -> None:
     from matplotlib.figure import Figure
 
     with blocksar.open(made.folder) as opened:
@@ -91,7 +89,7 @@ def test_an_image_that_runs_the_other_way_is_the_same_image(made: Made) -> None:
 
 
 @pytest.mark.parametrize("span", [3.0, (1.0, 2.0, 3.0), ("west", 3.0)])
-def test_a_span_is_two_numbers(span: Any, made: Made) -> None:
+def test_a_span_that_is_not_two_numbers_is_refused(span: Any, made: Made) -> None:
     with blocksar.open(made.folder) as opened, pytest.raises(InputError, match=r"give two ends in m, the lower first"):
         opened.sar.crop(x=span)
     with (
@@ -102,13 +100,13 @@ def test_a_span_is_two_numbers(span: Any, made: Made) -> None:
 
 
 @pytest.mark.parametrize("wrong", [{"length": np.inf}, {"azimuth": np.nan}, {"azimuth": np.inf}])
-def test_a_cut_of_no_numbers_is_refused(wrong: Any, made: Made) -> None:
+def test_a_cut_with_non_finite_parameters_is_refused(wrong: Any, made: Made) -> None:
     with blocksar.open(made.folder) as opened, pytest.raises(InputError, match=r"is no line|azimuth is"):
         opened.sar.cut(0.0, 0.0, **wrong)
 
 
 @pytest.mark.filterwarnings("error")
-def test_db_of_chunks_is_lazy_and_says_nothing(made: Made) -> None:
+def test_db_of_a_chunked_image_is_lazy_and_raises_no_warning(made: Made) -> None:
     with blocksar.open(made.folder) as opened:
         power = opened.chunk(y=64).sar.db()
         assert power.chunks
@@ -116,8 +114,8 @@ def test_db_of_chunks_is_lazy_and_says_nothing(made: Made) -> None:
         np.testing.assert_array_equal(power.values, opened.sar.db().values)
 
 
-def test_what_is_derived_can_be_saved_as_netcdf(tmp_path: Path) -> None:
-    """netCDF knows no complex numbers, and attributes of numbers and text only; CF no fill value of coordinates."""
+def test_derived_datasets_can_be_saved(tmp_path: Path) -> None:
+    """netCDF has no complex numbers and only numeric or text attributes; CF forbids a fill value for coordinates."""
     told = {"settings": {"blocks": 3}, "predicted": [{"block": 0}], "warnings": []}
     run = make(tmp_path / "run", size=(40, 30))
     zarr.open_group(run.folder / "image.zarr").attrs.update(told)
@@ -159,18 +157,18 @@ def test_rioxarray_reads_the_grid_mapping(made: Made, unplaced: Made) -> None:
         latitude, longitude, _ = DAYTON.to_geodetic(np.array([target.x, target.y, 0.0]))
         (east,), (north,) = rasterio.warp.transform("EPSG:4326", opened.rio.crs, [longitude], [latitude])
         assert (east, north) == pytest.approx((target.x, target.y), abs=0.01)
-        # What is derived keeps it.
+        # Derived arrays keep the grid mapping.
         assert opened.sar.db().rio.crs == opened.rio.crs
         assert opened.sar.db().attrs["grid_mapping"] == "spatial_ref"
     with blocksar.open(unplaced.folder) as opened:
         assert "spatial_ref" not in opened.coords
 
 
-def test_a_turned_frame_has_no_grid_mapping(tmp_path: Path) -> None:
+def test_a_rotated_frame_has_no_grid_mapping(tmp_path: Path) -> None:
     run = make(tmp_path, size=(40, 40), frame=Georeference(latitude=1.0, longitude=2.0, height=3.0, rotation=10.0))
     with blocksar.open(run.folder) as opened:
         assert "spatial_ref" not in opened.coords
 
 
-def test_the_default_projection_is_kept_where_it_is_good(made: Made) -> None:
+def test_the_default_projection_is_kept_where_it_is_accurate(made: Made) -> None:
     assert geotiff.place_pixels(made.source, DAYTON).offset.tolist() == [0.0, 0.0]

@@ -15,9 +15,7 @@ import blocksar
 from blocksar.collection.georeference import Georeference
 from blocksar.measurement.targets import Target
 
-pytestmark = pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")  # by rioxarray, of affine
-
-# ---------------------------------------------------------------- GeoTIFF
+pytestmark = pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")  # by affine, in rioxarray
 
 
 @pytest.mark.parametrize("content", ["amplitude", "complex"])
@@ -39,12 +37,12 @@ def test_geotiff_is_a_valid_cog_with_the_pixels_of_the_image(content: Any, tmp_p
     ("frame", "centre"),
     [
         (DAYTON, (0.0, 0.0)),
-        (DAYTON, (24000.0, -18000.0)),  # the projection about the origin is off by a third of a pixel here
+        (DAYTON, (24000.0, -18000.0)),  # the projection about the origin has an error of a third of a pixel here
         (Georeference(latitude=-33.1, longitude=151.2, height=40.0, rotation=200.0), (0.0, 0.0)),
         (Georeference(latitude=78.2, longitude=179.9995, height=-5.0), (300.0, 50.0)),
     ],
 )
-def test_geotiff_lands_targets_at_their_latitude_and_longitude(
+def test_geotiff_places_targets_at_their_latitude_and_longitude(
     frame: Georeference, centre: tuple[float, float], tmp_path: Path
 ) -> None:
     run = make(tmp_path, frame=frame, centre=centre)

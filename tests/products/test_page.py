@@ -1,4 +1,4 @@
-"""The report page: what it says is what is known of the run, and nothing in it can run but its own script."""
+"""The report page: its content agrees with the records of the run, and only its own script can run in it."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ from blocksar.products.page import facts, picture, provenance, tables, words
 from blocksar.runs.finished import FinishedRun
 from blocksar.runs.record import RunRecord
 
-# ---------------------------------------------------------------- what the page is
+# ---------------------------------------------------------------- structure and pictures
 
 
-def test_the_page_stands_by_itself(whole: Path) -> None:
+def test_the_page_is_self_contained(whole: Path) -> None:
     text = whole.read_text(encoding="utf-8")
     found = read(whole)
     assert len(text) < 5e6
@@ -49,7 +49,7 @@ def test_the_page_stands_by_itself(whole: Path) -> None:
     assert len(ids) == len(set(ids))
 
 
-def test_only_its_own_script_and_style_may_run(whole: Path) -> None:
+def test_the_content_policy_allows_only_the_pages_own_script_and_style(whole: Path) -> None:
     found = read(whole)
     policy = found.all("meta")[1]["content"]
     assert policy.startswith("default-src 'none'; img-src data:;") and "unsafe" not in policy
@@ -60,31 +60,33 @@ def test_only_its_own_script_and_style_may_run(whole: Path) -> None:
     assert not [attrs for _, attrs in found.elements if any(name == "style" or name.startswith("on") for name in attrs)]
 
 
-def test_what_comes_from_files_is_text(whole: Path) -> None:
+def test_text_from_files_is_escaped(whole: Path) -> None:
     found = read(whole)
     heading = found.text("h1")
-    assert heading == HOSTILE.replace("\u202e", "\\u202e")  # what would turn the text around is shown as an escape
+    assert heading == HOSTILE.replace("\u202e", "\\u202e")  # the right-to-left override is shown as an escape
     assert found.text("title").startswith(heading)
     assert not [attrs for attrs in found.all("img") if not attrs["src"].startswith("data:image/png")]
     assert not found.all("i") and "<i>D" in found.text("a")
     assert "49" not in heading
 
 
-def test_twice_is_the_same_and_missing_measurements_are_made(run: Path, runs: dict[str, Path], quick: None) -> None:
+def test_reports_are_reproducible_and_missing_measurements_are_computed(
+    run: Path, runs: dict[str, Path], quick: None
+) -> None:
     first = Path(str(blocksar.report(run).result)).read_bytes()
     (run / "quality.json").unlink()
     report = blocksar.report(run)
     assert report.result.path.read_bytes() == first
-    assert not (run / "quality.json").exists()  # a report looks, and changes nothing
+    assert not (run / "quality.json").exists()  # a report does not change the run
     assert report.summary[-1] == f"wrote {run / 'report.html'}"
 
 
-def test_the_picture_is_the_image(runs: dict[str, Path]) -> None:
+def test_the_picture_matches_the_image(runs: dict[str, Path]) -> None:
     source = source_of(runs["run"])
     made = picture.draw(source, looks="max")
     decoded = imread(io.BytesIO(base64.b64decode(made.data.partition(",")[2])), format="webp")
     factor = -(-max(source.x.size, source.y.size) // picture.PIXELS)
-    assert factor > 1  # else nothing is decimated here
+    assert factor > 1  # otherwise the test decimates nothing
     whole = (slice(0, source.y.size), slice(0, source.x.size))
     power = np.abs(source.read(*whole)).astype(np.float64) ** 2
     rng = np.random.default_rng(0)
@@ -98,22 +100,22 @@ def test_the_picture_is_the_image(runs: dict[str, Path]) -> None:
             said = made.bottom + level / 255 * (made.top - made.bottom)
             true = max(10 * np.log10(max(np.nanmax(cell), 1e-30)), made.bottom)
             assert said == pytest.approx(true, abs=0.51 * (made.top - made.bottom) / 255)
-    x, y = made.place(source.x[0], source.y[-1])  # upper left pixel of a picture whose rows go down
+    x, y = made.place(source.x[0], source.y[-1])  # upper left pixel; the rows of the picture run downwards
     assert float(x) == pytest.approx(-made.width / 2 + source.spacing[0] / 2, abs=1e-3)
     assert float(y) >= -made.height / 2
 
 
 class Wide(FinishedRun):
-    """A scene of 80 million pixels that is nowhere; keeps what was read at once."""
+    """A simulated image of 80 million pixels that records the size of each read."""
 
-    sizes: list[int] = []  # noqa: RUF012  (one test uses it)
+    sizes: list[int] = []  # noqa: RUF012  (used by one test only)
 
     def read(self, rows: slice, columns: slice) -> Any:
         self.sizes.append((rows.stop - rows.start) * (columns.stop - columns.start))
         return np.full((rows.stop - rows.start, columns.stop - columns.start), 0.5 + 0j, np.complex64)
 
 
-def test_the_image_is_read_by_strips(runs: dict[str, Path]) -> None:
+def test_the_image_is_read_in_strips(runs: dict[str, Path]) -> None:
     real = source_of(runs["run"])
     made = Wide(real.folder, np.arange(20000.0), np.arange(4000.0), real.geometry, {}, RunRecord(status="finished"))
     told: list[tuple[int, int]] = []
@@ -123,7 +125,7 @@ def test_the_image_is_read_by_strips(runs: dict[str, Path]) -> None:
     assert len(drawn.data) < 100_000
 
 
-def test_pixels_about_targets_lie_where_they_are(runs: dict[str, Path]) -> None:
+def test_chips_lie_at_their_targets(runs: dict[str, Path]) -> None:
     source = source_of(runs["run"])
     drawn = picture.draw(source, looks="max")
     dx, dy = source.spacing
@@ -144,7 +146,7 @@ def test_pixels_about_targets_lie_where_they_are(runs: dict[str, Path]) -> None:
     assert np.abs(said - expected)[np.isfinite(true)].max() < 0.51 * (drawn.top - drawn.bottom) / 255
 
 
-def test_the_worst_picture_leaves_a_page_below_five_megabytes() -> None:
+def test_a_picture_of_noise_keeps_the_page_below_five_megabytes() -> None:
     rng = np.random.default_rng(1)
     noise = rng.uniform(-100, 0, (picture.PIXELS, picture.PIXELS))
     assert len(picture.data_uri("webp", picture._grey(noise, -100.0, 0.0))) < 3.6e6
@@ -152,7 +154,7 @@ def test_the_worst_picture_leaves_a_page_below_five_megabytes() -> None:
     assert max(chips) * picture.MOST_CHIPS < 0.7e6
 
 
-def test_blocks_own_what_the_image_says(runs: dict[str, Path]) -> None:
+def test_block_names_agree_with_the_block_map_of_the_image(runs: dict[str, Path]) -> None:
     source = source_of(runs["run"])
     predicted = source.record.plan.predicted
     assert [block.name for block in predicted] == ["0.0", "0.1", "1.0", "1.1"]
@@ -166,7 +168,7 @@ def test_blocks_own_what_the_image_says(runs: dict[str, Path]) -> None:
     assert found == {"0.0", "0.1", "1.0", "1.1"}
 
 
-def test_outlines_bound_the_blocks(runs: dict[str, Path]) -> None:
+def test_outlines_follow_the_block_limits(runs: dict[str, Path]) -> None:
     source = source_of(runs["run"])
     predicted, geometry = facts.Facts(source, None).predicted, source.geometry
     drawn = picture.draw(source, looks="max")
@@ -179,10 +181,10 @@ def test_outlines_bound_the_blocks(runs: dict[str, Path]) -> None:
         assert outline.label is not None
 
 
-# ---------------------------------------------------------------- what it says
+# ---------------------------------------------------------------- reported values
 
 
-def test_a_good_run_says_so(whole: Path) -> None:
+def test_a_good_run_is_reported_as_good(whole: Path) -> None:
     said = read(whole).text()
     assert "4 of 4 fully lit targets within the bar" in said
     assert "no warnings" in said and "% of the plan" in said
@@ -191,12 +193,12 @@ def test_a_good_run_says_so(whole: Path) -> None:
     assert 'class="off"' not in whole.read_text()
 
 
-def test_what_is_beyond_the_bar_is_said_and_marked(run: Path, quick: None) -> None:
+def test_figures_beyond_the_quality_bar_are_reported_and_marked(run: Path, quick: None) -> None:
     def spoil(record: Any) -> None:
         found = {t["name"]: t for t in record["targets"]}
         found["A"]["azimuth_pslr"] = -12.9
         found["B"]["error_x"] = None
-        found["edge"]["azimuth_pslr"] = -5.0  # not judged: lit in part
+        found["edge"]["azimuth_pslr"] = -5.0  # not judged: partly illuminated
 
     changed(run / "quality.json", spoil)
     report = blocksar.report(run)
@@ -205,13 +207,13 @@ def test_what_is_beyond_the_bar_is_said_and_marked(run: Path, quick: None) -> No
     assert 'class="verdict attention"' in text
     off = re.findall(r'data-sort="([^"]*)" class="off"', text)
     assert "-5.0" not in off
-    assert off.count("-12.9") == 2 and "" in off  # in the plan's table too; what could not be measured is marked
+    assert off.count("-12.9") == 2 and "" in off  # also in the plan table; values that could not be measured are marked
     share = words.number(100 * abs(-12.9 - constants.SINC_PSLR) / 0.2, 0)
     assert f"! {share}" in re.sub(r"<[^>]*>", "", text)
 
 
-def test_targets_beyond_the_grid_are_no_reproach(run: Path, quick: None) -> None:
-    """As the bar is told: what the image does not cover is not judged; but a hole in the image is no good news."""
+def test_targets_outside_the_grid_are_not_judged(run: Path, quick: None) -> None:
+    """The quality bar ignores targets outside the image, but a hole in the image counts as a failure."""
 
     def lost(target: Any, **place: float) -> None:
         target |= {name: None for name in target if name.endswith(("lr", "irw")) or name.startswith("error")}
@@ -243,14 +245,14 @@ def test_warnings_come_first(run: Path, quick: None) -> None:
     assert "2 warnings" in found.text()
 
 
-def test_more_memory_than_planned_is_no_good_news(run: Path, quick: None) -> None:
+def test_more_memory_than_planned_needs_attention(run: Path, quick: None) -> None:
     changed(run / "run.json", lambda r: r.update(peak_memory=2 * r["plan"]["memory"]))
     report = blocksar.report(run)
     assert "200 % of the plan" in report.summary[0]
     assert 'class="verdict attention"' in report.result.path.read_text(encoding="utf-8")
 
 
-def test_the_plan_stands_beside_what_was_measured(whole: Path, runs: dict[str, Path]) -> None:
+def test_the_plan_table_shows_predicted_and_measured_values(whole: Path, runs: dict[str, Path]) -> None:
     record = json.loads((runs["run"] / "run.json").read_text())
     quality = {t["name"]: t for t in json.loads((runs["run"] / "quality.json").read_text())["targets"]}
     text = whole.read_text(encoding="utf-8")
@@ -271,7 +273,7 @@ def test_the_plan_stands_beside_what_was_measured(whole: Path, runs: dict[str, P
     assert sum(measured) == 4
 
 
-def test_times_are_those_of_the_receipts(whole: Path, runs: dict[str, Path]) -> None:
+def test_times_match_the_timings_and_receipts(whole: Path, runs: dict[str, Path]) -> None:
     record = json.loads((runs["run"] / "run.json").read_text())
     cells = read(whole).text("td")
     for name in ("recover", "focus", "mosaic", "total"):
@@ -309,7 +311,7 @@ def test_the_command_repeats_the_run(settings: dict[str, Any], monkeypatch: pyte
     assert {name: seen[name] for name in usual} == usual | settings
 
 
-def test_many_targets_are_the_worst_of_them(run: Path, quick: None) -> None:
+def test_only_the_worst_of_many_targets_are_listed(run: Path, quick: None) -> None:
     def copy(record: Any) -> None:
         one = record["targets"][0]
         record["targets"] = [one | {"name": f"N{i}", "error_x": 1e-5 * i} for i in range(3000)]
@@ -324,21 +326,23 @@ def test_many_targets_are_the_worst_of_them(run: Path, quick: None) -> None:
     assert path.stat().st_size < 5e6
 
 
-# ---------------------------------------------------------------- other runs
+# ---------------------------------------------------------------- special runs
 
 
-def test_back_projection_and_an_image_too_coarse(runs: dict[str, Path], tmp_path: Path, quick: None) -> None:
+def test_report_of_a_back_projection_image_too_coarse_to_measure(
+    runs: dict[str, Path], tmp_path: Path, quick: None
+) -> None:
     report = blocksar.report(runs["exact"], out=tmp_path / "new" / "exact.html")
     found = read(report.result)
     said = found.text()
     assert "Exact back-projection makes no approximation" in said
     assert "targets could not be measured" in said and "too coarse for the response" in said
     marks = [a["data-name"] for a in found.all("g") if "mark" in a.get("class", "")]
-    assert marks == ["seam", "<i>D"]  # where they should be; the others lie outside this image
+    assert marks == ["seam", "<i>D"]  # at their nominal positions; the other targets lie outside this image
     assert not any(a.get("id") in ("borders", "toggle-borders") for _, a in found.elements)
 
 
-def test_no_targets_and_a_place_on_the_earth(run: Path, tmp_path: Path) -> None:
+def test_report_of_a_georeferenced_run_without_targets(run: Path, tmp_path: Path) -> None:
     where = {"kind": "ENU", "latitude": 39.78, "longitude": -84.09, "height": 250.0, "rotation_deg": 30.0}
 
     def place_it(metadata: Any) -> None:
@@ -352,17 +356,17 @@ def test_no_targets_and_a_place_on_the_earth(run: Path, tmp_path: Path) -> None:
     assert "no targets to measure" in said and "names no targets" in said
     assert "latitude 39.78°, longitude -84.09°, height 250.0 m, x rotated 30.0° from east" in said
     turns = [a["transform"] for a in found.all("g") if a.get("transform", "").startswith("rotate")]
-    assert turns[1] == "rotate(-60.0)"  # x points 30 degrees from east towards north, so north is 60 degrees up from it
+    assert turns[1] == "rotate(-60.0)"  # x points 30 degrees north of east, so north is 60 degrees left of x
     assert "mean power" in said
 
 
-def test_a_run_that_says_little(run: Path, quick: None) -> None:
+def test_report_of_a_run_with_a_minimal_record(run: Path, quick: None) -> None:
     (run / "run.json").write_text(json.dumps({"status": "finished"}))
     said = read(blocksar.report(run).result).text()
     assert "Provenance" in said and "Command that repeats the run" not in said
 
 
-def test_a_run_in_an_object_store(runs: dict[str, Path], tmp_path: Path, quick: None) -> None:
+def test_report_of_a_run_in_an_object_store(runs: dict[str, Path], tmp_path: Path, quick: None) -> None:
     run = borrowed(runs["exact"], tmp_path / "run")
     with s3.server():
         there = place(f"s3://{s3.make_bucket()}/run")
@@ -381,11 +385,11 @@ def test_a_run_in_an_object_store(runs: dict[str, Path], tmp_path: Path, quick: 
     )
 
 
-# ---------------------------------------------------------------- wrong input, and failures
+# ---------------------------------------------------------------- progress, wrong input and failures
 
 
-def test_all_that_takes_time_is_told(run: Path) -> None:
-    """Drawing responses takes longer than reading the image: a display that stood at 100 % meanwhile would mislead."""
+def test_progress_covers_the_drawing_of_responses(run: Path) -> None:
+    """Drawing responses takes longer than reading the image, so progress must not stay at 100 % meanwhile."""
     told: list[tuple[str, int, int]] = []
     blocksar.report(run, progress=SimpleNamespace(update=lambda *update: told.append(update)))
     drawn = [update for update in told if update[0] == "responses"]
@@ -394,7 +398,7 @@ def test_all_that_takes_time_is_told(run: Path) -> None:
     assert told[-number - 2][0] == "report" and told[-number - 2][1] == told[-number - 2][2]
 
 
-def test_what_stands_there_is_kept_unless_asked(run: Path, tmp_path: Path, quick: None) -> None:
+def test_an_existing_page_is_kept_unless_overwrite_is_given(run: Path, tmp_path: Path, quick: None) -> None:
     target = tmp_path / "page.html"
     target.write_text("mine")
     told = CliRunner().invoke(commands.app, ["report", str(run), "--out", str(target), "--quiet"])
@@ -405,12 +409,12 @@ def test_what_stands_there_is_kept_unless_asked(run: Path, tmp_path: Path, quick
     assert target.read_text(encoding="utf-8").startswith("\n<!DOCTYPE html>".strip())
 
 
-def test_help_has_an_example() -> None:
+def test_help_shows_an_example() -> None:
     assert "Example: blocksar report run" in CliRunner().invoke(commands.app, ["report", "--help"]).stdout
 
 
 @pytest.mark.parametrize("what", ["folder", "file above"])
-def test_bad_destinations(what: str, run: Path, tmp_path: Path, quick: None) -> None:
+def test_invalid_destinations_are_refused(what: str, run: Path, tmp_path: Path, quick: None) -> None:
     if what == "folder":
         (tmp_path / "out").mkdir()
         with pytest.raises(InputError, match="out exists"):
@@ -423,7 +427,7 @@ def test_bad_destinations(what: str, run: Path, tmp_path: Path, quick: None) -> 
             blocksar.report(run, out=tmp_path / "out" / "page.html")
 
 
-def test_a_full_disk_leaves_what_was_there(run: Path, quick: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_leaves_the_existing_page(run: Path, quick: None, monkeypatch: pytest.MonkeyPatch) -> None:
     (run / "report.html").write_text("earlier")
 
     def full(_: int) -> None:
@@ -451,14 +455,14 @@ def test_a_full_disk_leaves_what_was_there(run: Path, quick: None, monkeypatch: 
         ("run.json", '{"status": "unfinished"}', "not finished"),
     ],
 )
-def test_damaged_records_are_named(name: str, text: str, message: str, run: Path, quick: None) -> None:
+def test_damaged_records_are_reported_by_name(name: str, text: str, message: str, run: Path, quick: None) -> None:
     (run / name).write_text(text)
     with pytest.raises(InputError, match=message):
         blocksar.report(run)
     assert not (run / "report.html").exists()
 
 
-def test_a_damaged_place_on_the_earth_is_named(run: Path, quick: None) -> None:
+def test_a_damaged_georeference_is_reported(run: Path, quick: None) -> None:
     where = {"kind": "ENU", "rotation_deg": "east"}
     changed(run / "collection.zarr" / "zarr.json", lambda metadata: metadata["attributes"].update(georeference=where))
     with pytest.raises(InputError, match=r"the attributes of .* are damaged \(could not convert"):
@@ -466,7 +470,7 @@ def test_a_damaged_place_on_the_earth_is_named(run: Path, quick: None) -> None:
 
 
 @pytest.mark.parametrize("library", ["jinja2", "matplotlib"])
-def test_a_missing_library_is_named_with_its_extra(library: str, run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_library_is_reported_with_its_extra(library: str, run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     hide(library, "blocksar.products.page", "blocksar.products.pictures", patch=monkeypatch)
     with pytest.raises(InputError, match=rf"{library} is not installed.*install blocksar\[plots\]$"):
         blocksar.report(run)

@@ -1,6 +1,6 @@
 """The report page's controls, in a real browser.
 
-The browser is whatever Chromium BLOCKSAR_CHROMIUM or the path names; without one these tests are skipped.
+The tests use the Chromium that BLOCKSAR_CHROMIUM names or that is on the path; without one they are skipped.
 """
 
 from __future__ import annotations
@@ -18,8 +18,6 @@ import numpy as np
 import pytest
 from report_page import HOSTILE
 
-# ---------------------------------------------------------------- in a browser
-
 CHROMIUM = os.environ.get("BLOCKSAR_CHROMIUM") or next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
 )
@@ -30,7 +28,7 @@ NARROWER = "(width) => document.getElementById('scene').viewBox.baseVal.width < 
 
 
 class Browser:
-    """Opens the page, and holds whatever the page complained of or asked for."""
+    """Opens the page; checks that it reports no errors and requests no other resources."""
 
     def __init__(self, chromium: Any, path: Path) -> None:
         self._chromium, self.path = chromium, path
@@ -50,7 +48,7 @@ class Browser:
             yield shown
         finally:
             made.close()
-        assert complaints == [self.path.as_uri()]  # itself, and nothing else
+        assert complaints == [self.path.as_uri()]  # the page requests nothing but itself
 
 
 def wanted(url: str) -> bool:
@@ -61,7 +59,7 @@ def wanted(url: str) -> bool:
 def browser(whole: Path) -> Iterator[Browser]:
     from playwright.sync_api import sync_playwright
 
-    # As root Chromium has no sandbox; it opens nothing but a file that was made here.
+    # Chromium cannot use its sandbox as root; it opens only a file written by these tests.
     arguments = ["--no-sandbox"] if os.geteuid() == 0 else []
     with sync_playwright() as playwright:
         chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=arguments)
@@ -72,7 +70,7 @@ def browser(whole: Path) -> Iterator[Browser]:
 
 
 def view(shown: Any) -> Any:
-    """x, y, width and height of what is shown of the picture, m."""
+    """x, y, width and height of the visible part of the picture, m."""
     return np.array(shown.get_attribute("#scene", "viewBox").split(), float)
 
 
@@ -86,7 +84,7 @@ def pressed(shown: Any, button: str) -> str:
 
 
 @in_browser
-def test_it_opens_without_a_word(browser: Browser) -> None:
+def test_the_page_opens_without_errors(browser: Browser) -> None:
     with browser.open() as shown:
         assert shown.inner_text("h1") == HOSTILE.replace("\u202e", "\\u202e")
         assert shown.evaluate("window.pwned") is None
@@ -96,7 +94,7 @@ def test_it_opens_without_a_word(browser: Browser) -> None:
 
 
 @in_browser
-def test_buttons_zoom_move_and_reset(browser: Browser) -> None:
+def test_buttons_zoom_pan_and_reset(browser: Browser) -> None:
     with browser.open() as shown:
         first = view(shown)
         assert shown.is_disabled("#zoom-out") and shown.is_disabled("#reset")
@@ -116,7 +114,7 @@ def test_buttons_zoom_move_and_reset(browser: Browser) -> None:
 
 
 @in_browser
-def test_the_image_cannot_be_lost(browser: Browser) -> None:
+def test_panning_and_zooming_stay_within_limits(browser: Browser) -> None:
     with browser.open() as shown:
         width, height = (float(shown.get_attribute("#scene", f"data-{name}")) for name in ("width", "height"))
         for _ in range(4):
@@ -129,7 +127,7 @@ def test_the_image_cannot_be_lost(browser: Browser) -> None:
 
 
 @in_browser
-def test_the_mouse_drags_and_zooms(browser: Browser) -> None:
+def test_the_mouse_pans_and_zooms(browser: Browser) -> None:
     with browser.open() as shown:
         shown.click("#zoom-in")
         shown.click("#zoom-in")
@@ -143,20 +141,20 @@ def test_the_mouse_drags_and_zooms(browser: Browser) -> None:
         shown.mouse.up()
         assert view(shown)[:2] == pytest.approx(before[:2] + scale * np.array([60, -25]), abs=1e-6 * before[2])
         dropped = view(shown)
-        shown.mouse.move(x, y)  # the button is up: nothing is dragged
+        shown.mouse.move(x, y)  # the button is released, so nothing is dragged
         assert view(shown) == pytest.approx(dropped)
         under = view(shown)[:2] + scale * np.array([300, 200])
-        shown.mouse.wheel(0, -300)  # the viewer has been clicked, so the wheel is its own
+        shown.mouse.wheel(0, -300)  # after a click in the viewer the wheel zooms
         shown.wait_for_function(NARROWER, arg=before[2])
         zoomed = view(shown)[2] / frame["width"]
-        assert view(shown)[:2] + zoomed * np.array([300, 200]) == pytest.approx(under, abs=scale)  # a pixel
+        assert view(shown)[:2] + zoomed * np.array([300, 200]) == pytest.approx(under, abs=scale)  # one pixel
         assert shown.evaluate("scrollY") == 0
         shown.mouse.dblclick(x, y)
         assert view(shown)[2] == pytest.approx(zoomed * frame["width"] / 2)
 
 
 @in_browser
-def test_the_wheel_scrolls_the_page_until_the_image_is_asked(browser: Browser) -> None:
+def test_the_wheel_scrolls_the_page_unless_control_is_held(browser: Browser) -> None:
     with browser.open() as shown:
         before = view(shown)
         frame = shown.locator("#viewer").bounding_box()
@@ -171,7 +169,7 @@ def test_the_wheel_scrolls_the_page_until_the_image_is_asked(browser: Browser) -
 
 
 @in_browser
-def test_fingers_pinch_and_drag(browser: Browser) -> None:
+def test_touch_pinches_and_pans(browser: Browser) -> None:
     with browser.open(width=375, height=667, has_touch=True, is_mobile=True) as shown:
         shown.locator("#viewer").scroll_into_view_if_needed()
         frame = shown.locator("#viewer").bounding_box()
@@ -201,7 +199,7 @@ def test_fingers_pinch_and_drag(browser: Browser) -> None:
 
 
 @in_browser
-def test_what_lies_over_the_image_can_be_switched_off(browser: Browser) -> None:
+def test_overlays_can_be_switched_off(browser: Browser) -> None:
     with browser.open() as shown:
         for name, what in (("borders", "#borders path"), ("marks", ".mark circle")):
             assert pressed(shown, f"#toggle-{name}") == "true" and shown.locator(what).first.is_visible()
@@ -217,8 +215,8 @@ def test_what_lies_over_the_image_can_be_switched_off(browser: Browser) -> None:
 
 
 @in_browser
-def test_a_row_leads_to_its_target_in_the_picture(browser: Browser) -> None:
-    """The whole way from ground coordinates to pixels: the cell under the mark has the target's power."""
+def test_a_table_row_links_to_its_target_in_the_picture(browser: Browser) -> None:
+    """Check ground coordinates against pixels: the cell under the mark has the power of the target."""
     with browser.open() as shown:
         shown.wait_for_function("() => document.getElementById('readout').textContent.includes('dB')")
         bottom, top = (float(shown.get_attribute("#scene", f"data-{name}")) for name in ("bottom", "top"))
@@ -234,13 +232,13 @@ def test_a_row_leads_to_its_target_in_the_picture(browser: Browser) -> None:
             said = shown.inner_text("#readout").replace("\u202f", "").replace("\N{MINUS SIGN}", "-")
             x, y, power = map(float, re.findall(r"-?\d+\.\d+", said))
             assert (x, y) == pytest.approx((target["x"], target["y"]), abs=0.1)
-            # The strongest pixel of a cell of 4 or 5; the peak lies between pixels, or just across a cell's edge.
+            # The cell shows its strongest pixel of 4 or 5; the peak may lie between pixels or just outside the cell.
             assert -3.5 < power < 0.1 + (top - bottom) / 255
             assert shown.locator("#chips").is_visible()
 
 
 @in_browser
-def test_the_keyboard_does_all(browser: Browser) -> None:
+def test_every_control_works_from_the_keyboard(browser: Browser) -> None:
     with browser.open() as shown:
         for _ in range(20):
             shown.keyboard.press("Tab")
@@ -281,7 +279,7 @@ def test_the_keyboard_does_all(browser: Browser) -> None:
 
 
 @in_browser
-def test_columns_sort(browser: Browser) -> None:
+def test_columns_can_be_sorted(browser: Browser) -> None:
     with browser.open() as shown:
         heads = shown.locator("#targets thead th")
         titles = heads.all_inner_texts()
@@ -297,13 +295,13 @@ def test_columns_sort(browser: Browser) -> None:
             assert heads.nth(column).get_attribute("aria-sort") == direction
             known = sorted((float(v) for v in before if v), reverse=direction == "descending")
             assert [float(v) for v in values()[:-1]] == known
-            assert values()[-1] == ""  # the target that is not judged
+            assert values()[-1] == ""  # the target without a verdict
         heads.nth(0).locator("button").click()
         assert shown.locator("#targets [aria-sort]").count() == 1
 
 
 @in_browser
-def test_the_grey_scale_can_be_set(browser: Browser) -> None:
+def test_the_grey_scale_can_be_adjusted(browser: Browser) -> None:
     def slope() -> float:
         return float(shown.get_attribute("#stretch feFuncG", "slope"))
 
@@ -313,7 +311,7 @@ def test_the_grey_scale_can_be_set(browser: Browser) -> None:
         shown.locator("#black").fill(str(round(bottom) + 1))
         white = float(shown.get_attribute("#scene", "data-white"))
         assert slope() == pytest.approx((top - bottom) / (white - round(bottom) - 1), rel=1e-6)
-        shown.locator("#black").fill(str(round(top)))  # beyond white
+        shown.locator("#black").fill(str(round(top)))  # above the white level
         assert slope() == pytest.approx(top - bottom, rel=1e-6)
         assert "dB" in shown.inner_text("#black-value")
         shown.click("#grey-reset")
@@ -322,7 +320,7 @@ def test_the_grey_scale_can_be_set(browser: Browser) -> None:
 
 @in_browser
 @pytest.mark.parametrize(("width", "scheme"), [(375, "light"), (1440, "dark")])
-def test_readable_by_everybody(width: int, scheme: Any, browser: Browser) -> None:
+def test_the_page_meets_the_accessibility_rules(width: int, scheme: Any, browser: Browser) -> None:
     from axe_playwright_python.sync_playwright import Axe
 
     with browser.open(width=width, color_scheme=scheme) as shown:
@@ -338,7 +336,7 @@ def test_readable_by_everybody(width: int, scheme: Any, browser: Browser) -> Non
 
 
 @in_browser
-def test_on_paper_and_without_motion(browser: Browser) -> None:
+def test_print_layout_and_reduced_motion(browser: Browser) -> None:
     with browser.open(width=794, height=1123, reduced_motion="reduce", color_scheme="dark") as shown:
         assert shown.evaluate("getComputedStyle(document.documentElement).scrollBehavior") == "auto"
         shown.emulate_media(media="print", color_scheme="light", reduced_motion="reduce")
@@ -349,7 +347,7 @@ def test_on_paper_and_without_motion(browser: Browser) -> None:
 
 
 @in_browser
-def test_without_script_it_can_still_be_read(browser: Browser) -> None:
+def test_the_page_is_readable_without_scripts(browser: Browser) -> None:
     with browser.open(java_script_enabled=False) as shown:
         assert not shown.locator(".controls").is_visible()
         assert shown.locator("#pixels").is_visible() and shown.locator("#borders path").first.is_visible()

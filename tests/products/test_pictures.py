@@ -1,4 +1,4 @@
-"""Panels of figures."""
+"""Figures with several panels."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from blocksar.products.pictures import panels
 
 
-def test_panels_share_a_scale_and_a_legend(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_panels_share_one_scale_and_one_legend(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     kept: list[Any] = []
     monkeypatch.setattr(panels, "save", lambda figure, path: kept.append(figure))
     edges, x = np.arange(5.0), np.linspace(0, 4, 9)

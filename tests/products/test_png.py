@@ -15,10 +15,8 @@ from blocksar.cli import commands
 from blocksar.collection.georeference import Georeference
 from blocksar.products.pictures import quicklook
 
-# ---------------------------------------------------------------- PNG
 
-
-def test_png_is_a_picture(made: Made, tmp_path: Path) -> None:
+def test_png_export_writes_a_picture_with_contrast(made: Made, tmp_path: Path) -> None:
     said = blocksar.export("png", made.folder, tmp_path / "image.png").summary
     picture = imread(tmp_path / "image.png")
     assert picture.shape[0] > 800
@@ -27,7 +25,7 @@ def test_png_is_a_picture(made: Made, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("degrees", [0, 45, 90, 135, 180, 225, 270, 315])
-def test_words_of_arrows_stay_within_the_picture_and_apart(degrees: int) -> None:
+def test_arrow_labels_stay_inside_the_picture_and_do_not_overlap(degrees: int) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -36,7 +34,7 @@ def test_words_of_arrows_stay_within_the_picture_and_apart(degrees: int) -> None
     axes = figure.add_subplot()
     turn = np.radians(degrees)
     for place, word in enumerate(("look", "N")):
-        direction = np.array([np.cos(turn), np.sin(turn)]) * (1 - 2 * place)  # towards one another at 180
+        direction = np.array([np.cos(turn), np.sin(turn)]) * (1 - 2 * place)  # opposed at 180 degrees
         quicklook._draw_arrow(axes, quicklook.Arrow(word, direction, "white"), place)
     canvas.draw()
     boxes = [text.get_window_extent(canvas.get_renderer()) for text in axes.texts if text.get_text()]
@@ -45,7 +43,7 @@ def test_words_of_arrows_stay_within_the_picture_and_apart(degrees: int) -> None
     assert not boxes[0].overlaps(boxes[1])
 
 
-def test_north_turns_with_the_frame() -> None:
+def test_the_north_arrow_follows_the_rotation_of_the_frame() -> None:
     frame = Georeference(latitude=10.0, longitude=20.0, height=0.0, rotation=30.0)
     arrow = quicklook.north_arrow(30.0).direction
     tip = frame.to_geodetic(np.array([100 * arrow[0], 100 * arrow[1], 0.0]))
@@ -53,7 +51,7 @@ def test_north_turns_with_the_frame() -> None:
     assert tip[1] == pytest.approx(20.0, abs=1e-9)
 
 
-def test_a_picture_needs_no_georeference(unplaced: Made, tmp_path: Path) -> None:
+def test_png_export_needs_no_georeference(unplaced: Made, tmp_path: Path) -> None:
     done = CliRunner().invoke(
         commands.app, ["export", "png", str(unplaced.folder), "--out", str(tmp_path / "a.png"), "-q"]
     )

@@ -1,4 +1,4 @@
-"""SICD files of a small run, read back by sarkit and held to its checker."""
+"""SICD files of a small run, read back by sarkit and verified with its checker."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from blocksar.errors import InputError
 from blocksar.products.sicd.layout import Layout, lay_out, valid_data
 from blocksar.runs import finished
 
-LOOKS = [0.1, 0.9, 2.6, -1.9, -0.2]  # rad: rows of the file run along each of the four directions
+LOOKS = [0.1, 0.9, 2.6, -1.9, -0.2]  # rad; rows of the file run along each of the four directions
 
 
 @pytest.fixture(scope="module", params=[*((look, False) for look in LOOKS), (0.9, True)], ids=str)
@@ -33,12 +33,12 @@ def exported(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     return run, read_sicd(run.folder / "image.nitf")
 
 
-def test_sicd_passes_the_checker_with_no_error(exported: tuple[Made, Sicd]) -> None:
+def test_sicd_passes_the_checker_without_errors(exported: tuple[Made, Sicd]) -> None:
     assert errors(exported[1].checked) == []
     assert len(exported[1].checked.passes()) > 40
 
 
-def test_the_checker_finds_what_is_wrong(exported: tuple[Made, Sicd]) -> None:
+def test_the_checker_detects_a_wrong_sample_spacing(exported: tuple[Made, Sicd]) -> None:
     spoiled = etree.fromstring(etree.tostring(exported[1].tree)).getroottree()
     spoiled.find("{*}Grid/{*}Row/{*}SS").text = "3.0"
     checked = skver.SicdConsistency.from_parts(spoiled)
@@ -46,7 +46,7 @@ def test_the_checker_finds_what_is_wrong(exported: tuple[Made, Sicd]) -> None:
     assert errors(checked)
 
 
-def test_sicd_metadata_project_targets_to_their_peaks(exported: tuple[Made, Sicd]) -> None:
+def test_sicd_metadata_project_targets_onto_their_peaks(exported: tuple[Made, Sicd]) -> None:
     run, found = exported
     layout = lay_out(run.source)
     for target in TARGETS:
@@ -58,13 +58,13 @@ def test_sicd_metadata_project_targets_to_their_peaks(exported: tuple[Made, Sicd
         chip = found.pixels[middle[0] - 12 : middle[0] + 12, middle[1] - 12 : middle[1] + 12]
         assert np.abs(middle - 12 + upsampled_peak(chip) - [row, column]).max() < 0.1
         assert layout.point(row, column)[:2] == pytest.approx([target.x, target.y], abs=0.01)
-        # Back to the ground: range and Doppler contour through the pixel meet the plane where the target is.
+        # Inverse projection: the range-Doppler contour of the pixel intersects the ground plane at the target.
         ground, _, success = sksicd.image_to_ground_plane(found.tree, place, ecef, DAYTON.axes[2])
         assert success
         assert ground == pytest.approx(ecef, abs=0.01)
 
 
-def test_sicd_pixels_are_those_of_the_image(exported: tuple[Made, Sicd]) -> None:
+def test_sicd_pixels_equal_those_of_the_image(exported: tuple[Made, Sicd]) -> None:
     run, found = exported
     layout = lay_out(run.source)
     rows, columns = (v.astype(float).ravel() for v in np.indices(found.pixels.shape))
@@ -73,7 +73,7 @@ def test_sicd_pixels_are_those_of_the_image(exported: tuple[Made, Sicd]) -> None
     np.testing.assert_array_equal(found.pixels.ravel(), np.nan_to_num(run.image[i, j], nan=0.0))
 
 
-def test_sicd_valid_data_bound_what_is_covered(exported: tuple[Made, Sicd]) -> None:
+def test_sicd_valid_data_bound_the_covered_pixels(exported: tuple[Made, Sicd]) -> None:
     _, found = exported
     outline = matplotlib.path.Path(found.load("ImageData/ValidData"))
     covered = np.argwhere(found.pixels != 0)
@@ -99,7 +99,7 @@ SHAPES = {
 
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("look", [0.1, 1.6, 3.1, -1.5])
-def test_valid_data_are_a_polygon_around_any_shape(shape: str, look: float) -> None:
+def test_valid_data_is_a_valid_polygon_around_any_shape(shape: str, look: float) -> None:
     covered = SHAPES[shape](*np.indices((30, 40)))
     some = covered.any(axis=1), covered.any(axis=0)
     spans = []
@@ -127,10 +127,10 @@ def test_valid_data_are_a_polygon_around_any_shape(shape: str, look: float) -> N
     assert outline.buffer(1.01).contains(pixels).all()
 
 
-def test_sicd_spatial_frequencies_are_those_of_targets(exported: tuple[Made, Sicd]) -> None:
-    """The mean step of phase from pixel to pixel about a target is DeltaKCOAPoly there, but for whole turns.
+def test_sicd_spatial_frequencies_match_the_targets(exported: tuple[Made, Sicd]) -> None:
+    """The mean phase step between pixels near a target equals DeltaKCOAPoly there, modulo whole turns.
 
-    And KCtr with it is 2 fc / c times the line of sight.
+    KCtr plus DeltaKCOAPoly is 2 fc / c times the line of sight.
     """
     run, found = exported
     target = DAYTON.to_ecef(np.array([TARGETS[0].x, TARGETS[0].y, 0.0]))
@@ -151,7 +151,7 @@ def test_sicd_spatial_frequencies_are_those_of_targets(exported: tuple[Made, Sic
         assert found.load(f"Grid/{name}/KCtr") * spacing == pytest.approx(
             round(found.load(f"Grid/{name}/KCtr") * spacing)
         )
-        # The cut through the target, upsampled along the axis.
+        # Cut through the target, upsampled along the axis.
         cut = np.abs(np.fft.ifft(np.pad(np.roll(np.fft.fft(_line(found.pixels, row, column, axis)), 32), (0, 64 * 31))))
         width = (cut > cut.max() / np.sqrt(2)).sum() / 32 * spacing
         assert found.load(f"Grid/{name}/ImpRespWid") == pytest.approx(width, rel=0.1)
@@ -163,7 +163,7 @@ def _line(pixels: Any, row: int, column: int, axis: int) -> Any:
     return line * np.exp(-1j * step * np.arange(line.size))
 
 
-def test_sicd_track_and_times(exported: tuple[Made, Sicd]) -> None:
+def test_sicd_track_and_times_match_the_collection(exported: tuple[Made, Sicd]) -> None:
     run, found = exported
     collection, time = run.collection, run.collection.time - run.collection.time[0]
     there = np.polynomial.polynomial.polyval(time, found.load("Position/ARPPoly")).T
@@ -180,7 +180,7 @@ def test_sicd_track_and_times(exported: tuple[Made, Sicd]) -> None:
     assert found.load("Timeline/CollectDuration") == pytest.approx(160 / 60)
 
 
-def test_sicd_date_is_that_of_the_source(tmp_path: Path) -> None:
+def test_sicd_collection_start_comes_from_the_source(tmp_path: Path) -> None:
     date = {"collection_start": "2024-05-06T07:08:09.5Z", "time_zero": 1.25}
     run = make(tmp_path, size=(60, 50), more={"source": date})
     blocksar.export("sicd", run.folder, tmp_path / "a.nitf")
@@ -191,7 +191,7 @@ def test_sicd_date_is_that_of_the_source(tmp_path: Path) -> None:
     )
 
 
-def test_sicd_tells_of_the_collection_what_is_known(tmp_path: Path) -> None:
+def test_sicd_contains_the_known_collection_metadata(tmp_path: Path) -> None:
     known = {"collector": "C-1", "classification": "SECRET//X", "polarization": {"transmit": "H", "receive": "V"}}
     run = make(tmp_path, size=(60, 50), more=known)
     blocksar.export("sicd", run.folder, tmp_path / "a.nitf")
@@ -210,7 +210,7 @@ def test_sicd_tells_of_the_collection_what_is_known(tmp_path: Path) -> None:
     assert not (tmp_path / "b.nitf").exists()
 
 
-def test_a_coarse_image_is_no_sicd(tmp_path: Path) -> None:
+def test_export_of_a_coarse_image_as_sicd_is_refused(tmp_path: Path) -> None:
     run = make(tmp_path, size=(40, 40), step=2.0)
     with pytest.raises(InputError, match=r"spacing is 2 m in [xy], too coarse .* --grid of at most [\d.]+ m$"):
         blocksar.export("sicd", run.folder, tmp_path / "a.nitf")

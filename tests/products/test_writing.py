@@ -1,4 +1,4 @@
-"""What holds for every product: strips, full disks, what is kept and what is refused."""
+"""Common behaviour of all products: reading in strips, full disks, existing files and invalid input."""
 
 from __future__ import annotations
 
@@ -22,12 +22,14 @@ from blocksar.errors import InputError
 from blocksar.products import writing
 from blocksar.runs import finished
 
-pytestmark = pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")  # by rioxarray, of affine
+pytestmark = pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")  # by affine, in rioxarray
 
 
 @pytest.mark.parametrize("kind", ["sicd", "geotiff", "png"])
-def test_no_product_depends_on_strips(kind: Any, made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nor is more read at once than a strip."""
+def test_products_do_not_depend_on_the_strip_size(
+    kind: Any, made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No product reads more than a strip at once."""
     blocksar.export(kind, made.folder, tmp_path / "whole")
     largest, read = 0, finished.FinishedRun.read
 
@@ -40,7 +42,7 @@ def test_no_product_depends_on_strips(kind: Any, made: Made, tmp_path: Path, mon
     monkeypatch.setattr(finished, "STRIP", 1000)
     monkeypatch.setattr(finished.FinishedRun, "read", watched)
     blocksar.export(kind, made.folder, tmp_path / "strips")
-    if kind != "png":  # whose picture is as small as the image here
+    if kind != "png":  # the picture has as few pixels as the image here
         assert 0 < largest <= 1000
     if kind == "sicd":
         np.testing.assert_array_equal(read_sicd(tmp_path / "whole").pixels, read_sicd(tmp_path / "strips").pixels)
@@ -48,7 +50,7 @@ def test_no_product_depends_on_strips(kind: Any, made: Made, tmp_path: Path, mon
         assert (tmp_path / "whole").read_bytes() == (tmp_path / "strips").read_bytes()
 
 
-def test_coverage_is_that_of_the_pixels(made: Made) -> None:
+def test_coverage_matches_the_finite_pixels(made: Made) -> None:
     found, covered = made.source.coverage(), np.isfinite(made.image)
     for first, last, along in ((*found[:2], covered), (*found[2:], covered.T)):
         for i, line in enumerate(along):
@@ -62,8 +64,8 @@ def large(tmp_path_factory: pytest.TempPathFactory) -> Made:
 
 
 @pytest.mark.parametrize("kind", ["sicd", "geotiff", "png"])
-def test_a_full_disk_leaves_nothing(kind: Any, large: Made, tmp_path: Path) -> None:
-    """GDAL tells nobody when the last that it writes is lost, and has errors of its own for the rest."""
+def test_a_full_disk_leaves_no_partial_file(kind: Any, large: Made, tmp_path: Path) -> None:
+    """GDAL does not report a failure of its last write, and raises errors of its own for earlier ones."""
     content: Any = "complex" if kind == "geotiff" else None
     blocksar.export(kind, large.folder, tmp_path / "whole", content=content)
     size = (tmp_path / "whole").stat().st_size
@@ -82,11 +84,11 @@ def test_a_full_disk_leaves_nothing(kind: Any, large: Made, tmp_path: Path) -> N
     assert list((tmp_path / "out").iterdir()) == []
 
 
-# ---------------------------------------------------------------- what is refused
+# ---------------------------------------------------------------- refused input and existing files
 
 
 @pytest.mark.parametrize("kind", ["sicd", "geotiff"])
-def test_without_a_georeference_nothing_is_placed(kind: Any, unplaced: Made, tmp_path: Path) -> None:
+def test_export_without_a_georeference_is_refused(kind: Any, unplaced: Made, tmp_path: Path) -> None:
     out = tmp_path / "new" / "file"
     done = CliRunner().invoke(commands.app, ["export", kind, str(unplaced.folder), "--out", str(out)])
     assert done.exit_code == 2
@@ -96,7 +98,7 @@ def test_without_a_georeference_nothing_is_placed(kind: Any, unplaced: Made, tmp
 
 
 @pytest.mark.parametrize("kind", ["sicd", "geotiff", "png"])
-def test_what_stands_there_is_kept_unless_asked(kind: Any, made: Made, tmp_path: Path) -> None:
+def test_an_existing_file_is_kept_unless_overwrite_is_given(kind: Any, made: Made, tmp_path: Path) -> None:
     out = tmp_path / "file"
     out.write_text("mine")
     arguments = ["export", kind, str(made.folder), "--out", str(out), "--quiet"]
@@ -109,7 +111,7 @@ def test_what_stands_there_is_kept_unless_asked(kind: Any, made: Made, tmp_path:
 
 
 @pytest.mark.parametrize("kind", ["sicd", "geotiff", "png"])
-def test_a_damaged_chunk_leaves_what_was_there(kind: Any, tmp_path: Path) -> None:
+def test_a_damaged_chunk_leaves_the_existing_file(kind: Any, tmp_path: Path) -> None:
     run = make(tmp_path / "run", size=(60, 140))
     chunk = run.folder / "image.zarr" / "image" / "c" / "1" / "0"
     chunk.write_bytes(chunk.read_bytes()[:-8])
@@ -120,7 +122,7 @@ def test_a_damaged_chunk_leaves_what_was_there(kind: Any, tmp_path: Path) -> Non
     assert [(p.name, p.read_text()) for p in (tmp_path / "out").iterdir()] == [("file", "mine")]
 
 
-def test_bad_destinations(made: Made, tmp_path: Path) -> None:
+def test_invalid_destinations_are_refused(made: Made, tmp_path: Path) -> None:
     for out, said in ((tmp_path, "is a folder"), ("s3://bucket/image.png", "is no local path")):
         with pytest.raises(InputError, match=said):
             blocksar.export("png", made.folder, out)
@@ -134,10 +136,10 @@ def test_bad_destinations(made: Made, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["sicd", "geotiff", "png"])
-def test_a_folder_that_is_not_ours_is_wrong_input_for_all_alike(
+def test_a_folder_without_write_permission_is_wrong_input_for_every_format(
     kind: Any, made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """GDAL would say so in an error of its own; root may write everywhere, so the system's answer is made here."""
+    """GDAL would raise an error of its own. Root may write everywhere, so the test simulates the system error."""
 
     def refused(*_: Any, **__: Any) -> Any:
         raise PermissionError(13, "Permission denied")
@@ -148,7 +150,7 @@ def test_a_folder_that_is_not_ours_is_wrong_input_for_all_alike(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_image_of_one_row_says_so(tmp_path: Path) -> None:
+def test_export_of_an_image_of_one_row_is_refused(tmp_path: Path) -> None:
     run = make(tmp_path, size=(40, 30))
     stores.create(
         run.folder / "image.zarr", stores.IMAGE, sizes={}, coords={"x": run.x, "y": run.y[:1]}, attrs={},
@@ -158,7 +160,7 @@ def test_an_image_of_one_row_says_so(tmp_path: Path) -> None:
         blocksar.export("png", run.folder, tmp_path / "a.png")
 
 
-def test_bad_sources(made: Made, tmp_path: Path) -> None:
+def test_invalid_sources_are_refused(made: Made, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"holds no run\.json"):
         blocksar.export("png", tmp_path, tmp_path / "a.png")
     with pytest.raises(InputError, match="kind is 'jpeg'"):
@@ -176,7 +178,7 @@ def test_bad_sources(made: Made, tmp_path: Path) -> None:
     ("kind", "library", "extra"),
     [("sicd", "sarkit", "formats"), ("geotiff", "rasterio", "geotiff"), ("png", "matplotlib", "plots")],
 )
-def test_a_missing_library_is_named_with_its_extra(
+def test_a_missing_library_is_reported_with_its_extra(
     kind: Any, library: str, extra: str, made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     hide(library, "blocksar.products.pictures", patch=monkeypatch)

@@ -1,4 +1,4 @@
-"""The benchmark on a scene of a few seconds: that it measures what it says, not how fast anything is."""
+"""The benchmark on a scene of a few seconds: the correctness of its measurements, not their values."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from blocksar.planning.plan import Plan, Transforms
 from blocksar.simulation.scene import Scene
 
 SMALL = {"duration": 0.15, "steering": (48.0, 52.0), "swath": [29900.0, 30100.0]}
-SIDE = 64  # pixels of the peer's chip
+SIDE = 64  # pixels per side of the peer's chip
 CLUTTER = "[clutter]\nscatterers = 2000\nseed = 3\n"
 
 
 @pytest.fixture(scope="module")
 def benchmark() -> Any:
-    """The script as a module: on the path, so that workers find it too."""
+    """The script as a module, on the import path so that workers find it."""
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(WORKFLOWS))
         import benchmark
@@ -57,12 +57,12 @@ def every_number(value: Any, name: str = "") -> list[tuple[str, float]]:
     return [(name, value)] if isinstance(value, int | float) else []
 
 
-@pytest.mark.timeout(600)  # two clusters, each warmed up
-def test_everything_is_measured(
+@pytest.mark.timeout(600)  # two clusters are started and warmed up
+def test_a_benchmark_measures_every_quantity(
     benchmark: Any, small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(benchmark.bench, "SETTLING", 0.1)  # s
-    # Another Python, which has this very tree and not whatever is installed.
+    # Another Python that imports this working tree, not an installed version.
     python, root = small.with_name("python"), Path(__file__).parents[1]
     python.write_text(f'#!/bin/sh\nPYTHONPATH="{root}" exec "{sys.executable}" "$@"\n')
     python.chmod(0o755)
@@ -81,7 +81,7 @@ def test_everything_is_measured(
     plan = blocksar.plan(small, blocks=2).result
     steps = {part for name in seconds["steps_summed_over_workers"] for part in name.split("+")}
     chain = {step.name for block in plan.blocks for step in block.chain}
-    assert chain < steps  # and reading the slab, the geometric correction
+    assert chain < steps  # steps also contain reading the slab and the geometric correction
     assert set(seconds["fft_floor_summed_over_workers"]) == {made.stage for made in plan.transforms()}
     assert {"read input", "write spectrum", "read spectrum", "write image"} <= set(seconds["io_floor_by_kind"])
     for name, value in every_number(seconds):
@@ -119,7 +119,7 @@ def test_a_scaled_scene_keeps_dwell_and_resolution(benchmark: Any, source: str, 
     assert sum(wide.area.swath) == pytest.approx(sum(first.area.swath))
 
 
-def test_a_scene_file_survives(benchmark: Any) -> None:
+def test_scene_tables_survive_a_toml_round_trip(benchmark: Any) -> None:
     tables = {
         "title": "t", "track": {"position": [0.0, 1.0, 2e3]}, "matrix": {"rows": 2, "names": {"A1": [0, 0]}},
         "targets": [{"name": "P", "x": 1.5, "y": -2.0}, {"name": "Q", "x": 1e-7, "y": 3.0}],
@@ -127,7 +127,7 @@ def test_a_scene_file_survives(benchmark: Any) -> None:
     assert tomllib.loads(benchmark.scenes.as_toml(tables)) == tables
 
 
-def test_the_prf_is_raised_as_asked_and_no_further(benchmark: Any) -> None:
+def test_the_prf_is_raised_only_as_far_as_needed(benchmark: Any) -> None:
     case = benchmark.scenes.plan_case(
         "table1", benchmark.scenes.Scale(1, 1.5), blocks=3, workers=2, memory_limit=8 * 2**30
     )
@@ -144,7 +144,7 @@ def test_a_wrong_scale_is_refused(benchmark: Any, text: str) -> None:
         benchmark.scenes.Scale.parse(text)
 
 
-def test_shares_make_the_whole(benchmark: Any, tmp_path: Path) -> None:
+def test_io_shares_add_up_to_the_whole_traffic(benchmark: Any, tmp_path: Path) -> None:
     source = tmp_path / "source"
     source.mkdir()
     for i in range(5):
@@ -160,7 +160,7 @@ def test_shares_make_the_whole(benchmark: Any, tmp_path: Path) -> None:
     assert all(set(share) == {"read input", "write patches", "read patches"} for share in found)
 
 
-def test_a_file_of_two_names_is_written_once(benchmark: Any, collected: Any, tmp_path: Path) -> None:
+def test_a_hard_linked_file_counts_as_written_once(benchmark: Any, collected: Any, tmp_path: Path) -> None:
     history, plan, *_ = collected
     patch, image = tmp_path / "patches" / "0" / "image" / "c", tmp_path / "image.zarr" / "image" / "c"
     for folder in (patch, image):
@@ -196,7 +196,7 @@ def test_every_group_is_transformed_once(benchmark: Any, monkeypatch: pytest.Mon
 
 @pytest.fixture(scope="module")
 def collected(benchmark: Any, small: Path, tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """A phase history, its plan, and one chip in the middle of its image."""
+    """A phase history, its plan, one chip in the middle of its image, and the exact pixels of the chip."""
     store = blocksar.simulate(small, tmp_path_factory.mktemp("peer") / "phase_history.zarr")
     plan = blocksar.plan(store, blocks=1).result
     assert isinstance(plan, Plan)
@@ -208,7 +208,9 @@ def collected(benchmark: Any, small: Path, tmp_path_factory: pytest.TempPathFact
     return history, plan, chips, exact
 
 
-def test_a_peer_that_is_not_there(benchmark: Any, collected: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_peer_is_reported_as_not_installed(
+    benchmark: Any, collected: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "torchbp", None)
     monkeypatch.setitem(sys.modules, "torch", None)
     found = benchmark.back_projection.run_peer(*collected, 1)
@@ -217,7 +219,7 @@ def test_a_peer_that_is_not_there(benchmark: Any, collected: Any, monkeypatch: p
 
 
 def backprojection_cart_2d(data: Any, grid: Any, fc: float, r_res: float, pos: Any, d0: float = 0.0) -> Any:
-    """What torchbp documents of its function: nearest two samples, ground at z = 0, pixels [x, y]."""
+    """The function as torchbp documents it: interpolation of two samples, ground at z = 0, pixels [x, y]."""
     x, y = (
         grid[axis][0] + (grid[axis][1] - grid[axis][0]) / grid[n] * np.arange(grid[n])
         for axis, n in (("x", "nx"), ("y", "ny"))
@@ -242,5 +244,5 @@ def test_the_peer_is_given_the_same_scene(benchmark: Any, collected: Any, monkey
     monkeypatch.setattr(benchmark.back_projection, "CHIP", SIDE)
     found = benchmark.back_projection.run_peer(*collected, 1)
     assert found["status"] == "run"
-    assert found["coherence"] > 0.8  # positions in float32 are known to a millimetre
+    assert found["coherence"] > 0.8  # float32 positions are accurate to a millimetre only
     assert "M updates/s" in benchmark.tables._peer_line(found)

@@ -1,4 +1,4 @@
-"""The scheduled workflow: every good collection exactly once, whatever happens in between, and nothing grows."""
+"""The scheduled workflow: each good collection is processed exactly once despite failures, without resource leaks."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ SCENE: dict[str, Any] = {  # 150 pulses of 91 range frequencies
     "dwell": 0.02,
     "more": '[[targets]]\nname = "P"\nrange = 30000.0\nyaw_deg = 50.0\n',
 }
-SETTINGS: dict[str, Any] = {  # the plan takes no time
+SETTINGS: dict[str, Any] = {  # fast to plan
     "processor": "angular-division",
     "blocks": 1,
     "coefficients": "closed-form",
@@ -54,7 +54,7 @@ WORDS = (
     "--blocks", "1", "--coefficients", "closed-form", "--grid", "15900:16300:4,19000:19400:4", "--workers", "1",
     "--threads", "1", "--memory-limit", "2GiB",
 )  # fmt: skip
-PATIENCE = 200  # s: on a busy machine compiling takes its time
+PATIENCE = 200  # s; compiling is slow on a busy machine
 YEAR = 365 * 86400  # s
 
 
@@ -80,7 +80,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def image(store: Path, client: Client, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """What every good collection has to come to."""
+    """Digests of the image expected from every good collection."""
     run = tmp_path_factory.mktemp("straight") / "run"
     settings = {name: SETTINGS[name] for name in ("blocks", "coefficients", "grid")}
     blocksar.focus(store, run, client=client, **settings)
@@ -89,7 +89,7 @@ def image(store: Path, client: Client, tmp_path_factory: pytest.TempPathFactory)
 
 @dataclass
 class Post:
-    """An inbox and an outbox, and those who use them."""
+    """An inbox and an outbox, with methods to deliver collections, run sweeps and read the results."""
 
     module: Any
     store: Path
@@ -106,7 +106,7 @@ class Post:
         return self.folder / "outbox"
 
     def deliver(self, *names: str, written: float | None = None) -> None:
-        """Put copies of the store there, each a second younger than the one before it."""
+        """Put copies of the store into the inbox, each one second newer than the previous one."""
         self.inbox.mkdir(exist_ok=True)
         for number, name in enumerate(names):
             part = self.inbox / ".part"
@@ -116,18 +116,18 @@ class Post:
             part.rename(self.inbox / f"{name}.zarr")
 
     def sweep(self, hook: Any = None, **changes: Any) -> int:
-        """One sweep in this process, by the workers that are there."""
+        """Run one sweep in this process on the existing workers; return its exit status."""
         return self.module.sweep(
             str(self.inbox), str(self.outbox), SETTINGS | changes, hook or self.module.Hook([]), quiet=True,
             scheduler=self.client.scheduler.address,
         )  # fmt: skip
 
     def start(self, *more: str) -> subprocess.Popen[str]:
-        """The script, as a timer starts it."""
+        """Start the script as a timer would."""
         return subprocess.Popen(
             [sys.executable, str(SCRIPT), str(self.inbox), str(self.outbox), *WORDS, *more],
             stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True,
-            # What a shell runs in the background is deaf to Ctrl-C, and so would this be then.
+            # Background jobs of a shell ignore SIGINT, and the script would inherit that.
             preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # noqa: PLW1509 (calls nothing else)
         )  # fmt: skip
 
@@ -137,7 +137,7 @@ class Post:
         return [json.loads(line) for line in text.splitlines(keepends=True) if line.endswith("\n")]
 
     def names(self, event: str) -> list[str]:
-        """Of those to whom it has happened, in this order."""
+        """Names of the collections with this event in the log, in log order."""
         return [entry["name"].removesuffix(".zarr") for entry in self.log() if entry["event"] == event]
 
     def status(self) -> dict[str, Any]:
@@ -169,10 +169,10 @@ def everything(folder: Path) -> dict[str, tuple[int, int]]:
     return {str(p): (p.stat().st_size, p.stat().st_mtime_ns) for p in folder.rglob("*")}
 
 
-# ---------------------------------------------------------------- what a sweep does
+# ---------------------------------------------------------------- sweeps
 
 
-def test_good_ones_are_done_once_and_bad_ones_are_put_aside(post: Post, image: dict[str, str]) -> None:
+def test_good_collections_are_processed_once_and_bad_ones_quarantined(post: Post, image: dict[str, str]) -> None:
     post.deliver("c", "cut", "a", "foreign", "b")
     post.damage("cut")
     (post.inbox / "foreign.zarr" / "time" / "zarr.json").write_text("{}")
@@ -183,7 +183,7 @@ def test_good_ones_are_done_once_and_bad_ones_are_put_aside(post: Post, image: d
     before = everything(post.inbox)
 
     assert post.sweep() == post.module.QUARANTINED
-    assert post.names("done") == ["c", "a", "b"]  # the oldest first
+    assert post.names("done") == ["c", "a", "b"]  # oldest first
     assert post.images() == {"a": image, "b": image, "c": image}
     assert post.records("done")["a"]["run"] == str(post.outbox / "runs" / "a")
     bad = post.records("quarantine")
@@ -205,8 +205,10 @@ def test_good_ones_are_done_once_and_bad_ones_are_put_aside(post: Post, image: d
     assert sorted(p.name for p in post.outbox.iterdir()) == ["done", "log.jsonl", "quarantine", "runs", "status.json"]
 
 
-def test_quarantine_is_said_once_whatever_happens_to_the_sweep(post: Post, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Schedulers hear of it by exit status 3: not lost with a sweep that is stopped, nor behind one that fails."""
+def test_quarantine_is_reported_once_even_after_a_failed_or_interrupted_sweep(
+    post: Post, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Exit status 3 reports a quarantine, and a stopped or failed sweep must not suppress it."""
     post.deliver("bad", "good")
     post.damage("bad")
     stopped = (blocksar.ProcessingError("no room"), post.module.FAILED), (KeyboardInterrupt(), None)
@@ -231,7 +233,7 @@ def _raise_at(name: str, trouble: BaseException, call: Callable[..., Any], args:
     return call(*args, **kwargs)
 
 
-def test_what_has_changed_is_done_again(post: Post, store: Path, image: dict[str, str]) -> None:
+def test_changed_collections_are_processed_again(post: Post, store: Path, image: dict[str, str]) -> None:
     post.deliver("a", "b")
     post.damage("a")
     assert post.sweep() == post.module.QUARANTINED
@@ -239,14 +241,14 @@ def test_what_has_changed_is_done_again(post: Post, store: Path, image: dict[str
     assert post.sweep() == post.module.DONE
     assert post.records("quarantine") == {}
     assert post.images() == {"a": image, "b": image}
-    # Other bytes under a name that is done: another image, and the first one stays.
+    # Changed bytes under a finished name give a new image; the first image is kept.
     chunk = samples_of(post.inbox / "b.zarr")
     chunk.write_bytes(bytes(chunk.stat().st_size // 2) + chunk.read_bytes()[chunk.stat().st_size // 2 :])
     assert post.sweep() == post.module.DONE
     images = post.images()
     assert set(images) == {"a", "b", "b.2"} and images["b"] == image != images["b.2"]
     assert post.records("done")["b"]["run"].endswith("b.2")
-    # The first bytes again: their image is there.
+    # The original bytes return: their image exists already.
     shutil.rmtree(post.inbox / "b.zarr")
     post.deliver("b", written=1e9 + 1)
     assert post.sweep() == post.module.DONE
@@ -255,7 +257,7 @@ def test_what_has_changed_is_done_again(post: Post, store: Path, image: dict[str
     assert len(post.names("done")) == 4
 
 
-def test_other_options_concern_what_is_not_done(post: Post) -> None:
+def test_changed_options_do_not_reprocess_finished_collections(post: Post) -> None:
     post.deliver("good", "bad")
     post.damage("bad")
     assert post.sweep() == post.module.QUARANTINED
@@ -263,7 +265,9 @@ def test_other_options_concern_what_is_not_done(post: Post) -> None:
     assert post.names("started") == ["good", "bad", "bad"]
 
 
-def test_an_interrupted_one_goes_on(post: Post, image: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupted_collection_is_resumed(
+    post: Post, image: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     def interrupted(*_: Any) -> Any:
         raise KeyboardInterrupt
 
@@ -282,7 +286,7 @@ def test_an_interrupted_one_goes_on(post: Post, image: dict[str, str], monkeypat
 
 
 @pytest.mark.parametrize("change", ["options", "bytes", "version"])
-def test_an_unfinished_one_that_is_not_wanted_any_more_is_begun_again(
+def test_an_outdated_unfinished_run_is_restarted(
     change: str, post: Post, image: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupted(*_: Any) -> Any:
@@ -301,12 +305,12 @@ def test_an_unfinished_one_that_is_not_wanted_any_more_is_begun_again(
     assert post.names("restarted") == ["a"] and post.images() == {"a": image}
 
 
-def test_no_clock_is_asked(post: Post, image: dict[str, str]) -> None:
-    """Collections and outbox from years that were never: every one is done once, in the order of their dates."""
+def test_sweeps_do_not_depend_on_the_clock(post: Post, image: dict[str, str]) -> None:
+    """With arbitrary dates each collection is processed once, in the order of the dates."""
     post.deliver("from-2100", written=130 * YEAR)
     post.deliver("from-1970", written=0)
     assert post.sweep() == post.module.DONE
-    for shift in (-20 * YEAR, 200 * YEAR):  # the clock is put right, one way or the other
+    for shift in (-20 * YEAR, 200 * YEAR):  # the clock is set backwards, then forwards
         for path in post.outbox.rglob("*"):
             os.utime(path, (path.stat().st_atime, path.stat().st_mtime + shift))
         assert post.sweep() == post.module.DONE
@@ -316,7 +320,7 @@ def test_no_clock_is_asked(post: Post, image: dict[str, str]) -> None:
     assert set(map(str, post.images().values())) == {str(image)}
 
 
-def test_names_mean_nothing(post: Post) -> None:
+def test_any_collection_name_is_accepted(post: Post) -> None:
     names = ["a b", 'it\'s "so"\n', "ü%41#?&", "-rf", "x::y", "~", "done", os.fsdecode(b"\xff"), "n" * 250, "a.2"]
     post.deliver(*names)
     assert post.sweep() == post.module.DONE
@@ -327,7 +331,7 @@ def test_names_mean_nothing(post: Post) -> None:
     assert post.names("done") == names
 
 
-def test_folders_of_others_are_left_alone(post: Post) -> None:
+def test_foreign_folders_in_the_outbox_are_kept(post: Post) -> None:
     post.deliver("a")
     thesis = post.outbox / "runs" / "a" / "thesis.tex"
     thesis.parent.mkdir(parents=True)
@@ -338,11 +342,11 @@ def test_folders_of_others_are_left_alone(post: Post) -> None:
     assert post.records("done")["a"]["run"] == str(post.outbox / "runs" / "a.3")
 
 
-# ---------------------------------------------------------------- who is told
+# ---------------------------------------------------------------- hooks
 
 
 def taking(folder: Path, *, status: int = 0) -> list[str]:
-    """A command that keeps what it reads, and ends with a status."""
+    """A command that records its standard input and exits with a status."""
     code = f"import sys; open({str(folder / 'told')!r}, 'a').write(sys.stdin.read() + '\\n'); sys.exit({status})"
     return [sys.executable, "-S", "-c", code]
 
@@ -352,7 +356,7 @@ def told(folder: Path) -> list[tuple[str, str]]:
     return [(entry["event"], entry["name"]) for entry in entries]
 
 
-def test_everything_that_was_settled_is_told(post: Post, tmp_path: Path) -> None:
+def test_every_settled_collection_is_reported_to_the_hook(post: Post, tmp_path: Path) -> None:
     post.deliver("a", "bad", "b")
     post.damage("bad")
     settled = [("done", "a.zarr"), ("quarantined", "bad.zarr"), ("done", "b.zarr")]
@@ -360,21 +364,21 @@ def test_everything_that_was_settled_is_told(post: Post, tmp_path: Path) -> None
     assert told(tmp_path) == settled and post.status()["untold"] == 3
     reasons = [entry["reason"] for entry in post.log() if entry["event"] == "untold"]
     assert reasons == ["the hook exited with status 5"] * 3
-    assert post.sweep(post.module.Hook(taking(tmp_path))) == post.module.QUARANTINED  # told again, nothing done again
+    assert post.sweep(post.module.Hook(taking(tmp_path))) == post.module.QUARANTINED  # reported, not processed
     assert told(tmp_path) == settled * 2
     assert post.sweep(post.module.Hook(taking(tmp_path))) == post.module.DONE
     assert told(tmp_path) == settled * 2
     assert len(post.names("done")) == 2
 
 
-def test_a_hook_that_hangs_is_ended(post: Post, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_hook_that_hangs_is_terminated(post: Post, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(post.module.hooks, "HOOK_SECONDS", 0.2)
     trouble = post.module.Hook(["sleep", "1000"]).send({"event": "done"})
     assert "timed out" in trouble
     assert not [child for child in psutil.Process().children() if "1000" in child.cmdline()]
 
 
-def test_hooks_are_no_shell_lines(post: Post, tmp_path: Path) -> None:
+def test_hooks_are_not_run_by_a_shell(post: Post, tmp_path: Path) -> None:
     hook = post.module.Hook.parse(f"touch {tmp_path}/a ';' '$(touch {tmp_path}/b)'")
     assert hook.command == ["touch", f"{tmp_path}/a", ";", f"$(touch {tmp_path}/b)"]
     for wrong, why in (("'", "quotes"), ("", "no executable"), ("/no/such/command", "no executable")):
@@ -382,13 +386,15 @@ def test_hooks_are_no_shell_lines(post: Post, tmp_path: Path) -> None:
             post.module.Hook.parse(wrong)
 
 
-# ---------------------------------------------------------------- what fails, and whose fault it is
+# ---------------------------------------------------------------- failures
 
 
-def test_what_is_not_the_collections_fault_is_tried_again(post: Post, image: dict[str, str], tmp_path: Path) -> None:
+def test_a_collection_that_fails_for_external_reasons_is_retried(
+    post: Post, image: dict[str, str], tmp_path: Path
+) -> None:
     post.deliver("a", "b")
     with ExitStack() as held:
-        held.enter_context(folder.claim(place(post.outbox / "runs" / "a")))  # somebody focuses it by hand
+        held.enter_context(folder.claim(place(post.outbox / "runs" / "a")))  # another process focuses this collection
         assert post.sweep(post.module.Hook(taking(tmp_path))) == post.module.FAILED
         assert told(tmp_path) == [("failed", "a.zarr"), ("done", "b.zarr")]
         assert [entry["name"] for entry in post.status()["failed"]] == ["a.zarr"]
@@ -397,7 +403,7 @@ def test_what_is_not_the_collections_fault_is_tried_again(post: Post, image: dic
     assert post.images() == {"a": image, "b": image}
 
 
-def test_a_defect_holds_up_nobody(post: Post, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_defect_does_not_stop_the_other_collections(post: Post, monkeypatch: pytest.MonkeyPatch) -> None:
     real = blocksar.focus
 
     def defective(source: str, *args: Any, **settings: Any) -> Any:
@@ -418,19 +424,19 @@ def test_a_defect_holds_up_nobody(post: Post, monkeypatch: pytest.MonkeyPatch) -
     [(PermissionError(13, "x"), True), (OSError(5, "x"), True), (FileNotFoundError(2, "x"), False), (None, False),
      (OSError("of a codec"), False), (ValueError("x"), False)],
 )  # fmt: skip
-def test_what_the_machine_refused_is_no_fault_of_the_bytes(cause: Exception | None, passing: bool, post: Post) -> None:
+def test_system_errors_count_as_external(cause: Exception | None, passing: bool, post: Post) -> None:
     error = InputError("it cannot be read")
     error.__cause__ = cause
     assert post.module.is_external(error) == passing
 
 
-def test_a_cause_behind_a_cause_counts(post: Post) -> None:
+def test_indirect_causes_of_an_error_are_examined(post: Post) -> None:
     error, between = InputError("it cannot be read"), ValueError("of a library")
     error.__cause__, between.__cause__ = between, OSError(113, "no route to host")
     assert post.module.is_external(error)
 
 
-def test_without_a_cluster_nothing_is_blamed(post: Post, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_cluster_no_collection_is_quarantined(post: Post, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster, "CONNECT", 0.5)
     post.deliver("a", "b")
     arguments = (str(post.inbox), str(post.outbox), SETTINGS, post.module.Hook([]))
@@ -440,7 +446,7 @@ def test_without_a_cluster_nothing_is_blamed(post: Post, monkeypatch: pytest.Mon
     assert post.records("quarantine") == {} and post.records("done") == {}
 
 
-def test_one_that_is_taken_away_is_nobodys_fault(post: Post) -> None:
+def test_a_removed_collection_is_not_a_failure(post: Post) -> None:
     class Thief(post.module.Hook):  # type: ignore[name-defined, misc]
         def send(self, event: dict[str, Any]) -> None:
             shutil.rmtree(post.inbox / "b.zarr", ignore_errors=True)
@@ -451,7 +457,7 @@ def test_one_that_is_taken_away_is_nobodys_fault(post: Post) -> None:
     assert post.records("quarantine") == {}
 
 
-def test_a_torn_line_of_the_log_harms_no_other(post: Post) -> None:
+def test_a_truncated_log_line_leaves_the_others_intact(post: Post) -> None:
     post.deliver("a")
     assert post.sweep() == post.module.DONE
     with open(post.outbox / "log.jsonl", "a") as file:
@@ -477,7 +483,7 @@ WRONG: dict[str, tuple[Callable[[Path], dict[str, Any]], str]] = {
 
 
 @pytest.mark.parametrize("case", WRONG)
-def test_wrong_use_is_refused_and_leaves_nothing(
+def test_wrong_usage_is_refused_and_writes_nothing(
     case: str, post: Post, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     change, message = WRONG[case]
@@ -494,8 +500,8 @@ def test_wrong_use_is_refused_and_leaves_nothing(
 
 
 @pytest.mark.parametrize("inbox", ["scratch", "elsewhere"])
-def test_no_folder_of_others_is_removed_as_scratch(inbox: str, post: Post) -> None:
-    """An outbox may be given where somebody has a folder of that name: his collections, or what he keeps."""
+def test_a_foreign_scratch_folder_is_not_removed(inbox: str, post: Post) -> None:
+    """The given outbox may already contain a user's folder named scratch, with collections or other files."""
     kept = post.outbox / "scratch" / "kept"
     kept.mkdir(parents=True)
     shutil.copytree(post.store, post.outbox / inbox / "a.zarr")
@@ -508,14 +514,14 @@ def test_no_folder_of_others_is_removed_as_scratch(inbox: str, post: Post) -> No
 # ---------------------------------------------------------------- processes
 
 
-def test_two_starts_and_a_kill(post: Post, image: dict[str, str]) -> None:
-    """Two at once, a bad one among the good, SIGKILL in the middle, and again: every good one exactly once."""
+def test_concurrent_sweeps_and_a_kill_process_each_collection_once(post: Post, image: dict[str, str]) -> None:
+    """Two sweeps at once, a bad collection, a SIGKILL, then two more sweeps: each good collection runs once."""
     post.deliver("a", "bad", "b", "c", "d", "e")
     post.damage("bad")
     address = ("--scheduler", post.client.scheduler.address, "--quiet")
     with post.start(*address) as first:
         until(lambda: "b" in post.names("started") or first.poll() is not None, "the third collection")
-        first.send_signal(signal.SIGSTOP)  # on a busy machine it would be through before the second has started
+        first.send_signal(signal.SIGSTOP)  # otherwise it could finish before the second starts
         with post.start(*address) as second:
             _, said = second.communicate(timeout=PATIENCE)
         assert second.returncode == post.module.BUSY
@@ -523,12 +529,12 @@ def test_two_starts_and_a_kill(post: Post, image: dict[str, str]) -> None:
         first.kill()
     settled = {*post.records("done"), *post.records("quarantine")}
     assert settled, "killed too early to say anything"
-    assert post.status()["state"] == "running"  # so it has said
+    assert post.status()["state"] == "running"  # the killed sweep could not update its status
     with post.start(*address) as third, post.start(*address) as fourth:
         statuses = {third.wait(PATIENCE), fourth.wait(PATIENCE)}
-    # One may be too late to meet the other, and finds nothing to do.
+    # If one starts after the other has ended, it finds nothing to do.
     assert statuses <= {post.module.DONE, post.module.QUARANTINED, post.module.BUSY}
-    assert post.module.QUARANTINED in statuses  # the first one did not live to say so
+    assert post.module.QUARANTINED in statuses  # the killed sweep could not report it
     assert post.images() == dict.fromkeys("abcde", image)
     assert set(post.records("done")) == set("abcde") and set(post.records("quarantine")) == {"bad"}
     started = post.names("started") + post.names("resumed")
@@ -537,12 +543,12 @@ def test_two_starts_and_a_kill(post: Post, image: dict[str, str]) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_signals_end_a_sweep_in_good_order(number: int, post: Post, image: dict[str, str]) -> None:
+def test_a_signal_ends_a_sweep_cleanly(number: int, post: Post, image: dict[str, str]) -> None:
     post.deliver(*"abcdef")
     with post.start() as process:
         until(lambda: post.names("started")[2:] or process.poll() is not None, "the third collection")
         asked = time.monotonic()
-        # A terminal sends Ctrl-C to all, the workers too.
+        # A terminal sends Ctrl-C to the whole process group, workers included.
         (os.killpg if number == signal.SIGINT else os.kill)(process.pid, number)
         _, said = process.communicate(timeout=PATIENCE)
     assert time.monotonic() - asked < 20
@@ -558,11 +564,11 @@ def test_signals_end_a_sweep_in_good_order(number: int, post: Post, image: dict[
     assert post.images() == dict.fromkeys("abcdef", image)
 
 
-# ---------------------------------------------------------------- a bucket
+# ---------------------------------------------------------------- inbox in a bucket
 
 
-def test_an_inbox_may_be_a_bucket(post: Post, image: dict[str, str]) -> None:
-    """Of the same rules, in the order of names: the runs lie in the local outbox all the same."""
+def test_the_inbox_may_be_a_bucket(post: Post, image: dict[str, str]) -> None:
+    """The same rules hold, in the order of names; the runs are written to the local outbox."""
     for library in ("obstore", "moto", "boto3"):
         pytest.importorskip(library)
     import obstore
@@ -576,7 +582,7 @@ def test_an_inbox_may_be_a_bucket(post: Post, image: dict[str, str]) -> None:
         store = obstore.store.S3Store(bucket, client_options={"allow_http": True})
         for path in sorted(path for path in post.inbox.rglob("*") if path.is_file()):
             obstore.put(store, f"in/{path.relative_to(post.inbox)}", path)
-        # A cluster of the sweep's own: its workers know the way to the bucket.
+        # The sweep starts its own cluster, so the workers inherit the settings of the bucket.
         sweep = (f"s3://{bucket}/in", str(post.outbox), SETTINGS, post.module.Hook([]))
         assert post.module.sweep(*sweep, quiet=True) == post.module.QUARANTINED
         assert post.names("done") == ["a", "b"] and set(post.records("quarantine")) == {"bad"}
@@ -586,14 +592,14 @@ def test_an_inbox_may_be_a_bucket(post: Post, image: dict[str, str]) -> None:
         assert post.names("done") == ["a", "b"]
 
 
-# ---------------------------------------------------------------- the soak
+# ---------------------------------------------------------------- soak test
 
-MANY, SETTLED = 30, 10  # collections; after so many everything is loaded that ever will be
-GROWTH = 6 * 2**20  # bytes of one process in the twenty after: 0.3 MiB each, less than a plan's arrays
-FEW = 4  # files or threads more: what one collection in five would leave behind
+MANY, SETTLED = 30, 10  # collections; number of them after which everything is loaded
+GROWTH = 6 * 2**20  # bytes per process over the twenty after that: 0.3 MiB each, less than a plan's arrays
+FEW = 4  # additional files or threads: a leak in one collection of five exceeds it
 
 
-# The hook weighs who has started it and all whom that one has started, itself left out: a line for each collection.
+# The hook logs the sizes of its parent and of the parent's other descendants, one line per collection.
 SCALES = """
 import json, os, sys
 import psutil
@@ -610,10 +616,10 @@ with open(sys.argv[1], "a") as log:
 """
 
 
-def test_thirty_collections_leave_nothing_behind(post: Post, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In one process, on one cluster: memory, open files, threads, shared memory and temporary files do not grow.
+def test_thirty_collections_do_not_leak_resources(post: Post, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Memory, open files, threads, shared memory and temporary files of a sweep do not grow.
 
-    The process is the script's own, as a timer starts it: that of the tests grows by what the tests do.
+    The sweep runs in a process of its own, because the tests themselves make the test process grow.
     """
     scratch, log = tmp_path / "tmp", tmp_path / "sizes.jsonl"
     scratch.mkdir()

@@ -1,4 +1,4 @@
-"""The page of the papers' figures: that its numbers are measured, compared rightly, and told as they are."""
+"""The page of the papers' figures: its numbers are measured and compared correctly with the printed ones."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from blocksar.planning.plan import plan_collection
 from blocksar.products.pictures import panels
 from blocksar.simulation.scene import Scene
 
-# Nine targets with the paper's names, on so little ground that a run takes seconds.
+# Nine targets with the paper's names, in an area so small that a run takes seconds.
 SMALL = {"duration": 0.3, "steering": (46.0, 54.0), "dwell": 0.08, "swath": [29900.0, 30100.0]}
 MATRIX = "[matrix]\nrows = 3\ncolumns = 3\nextent = [120.0, 900.0]\n[matrix.names]\n" + "\n".join(
     f"{letter}{digit} = [{i}, {j}]" for i, letter in enumerate("ABC") for j, digit in enumerate("123")
@@ -34,7 +34,7 @@ MATRIX = "[matrix]\nrows = 3\ncolumns = 3\nextent = [120.0, 900.0]\n[matrix.name
 
 @pytest.fixture(scope="module")
 def reproduce() -> Iterator[Any]:
-    """The script as a module: on the path, so that workers find it too."""
+    """The script as a module, on the import path so that workers find it."""
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(WORKFLOWS))
         import reproduce_papers
@@ -54,7 +54,7 @@ def small() -> Scene:
 
 @pytest.fixture(scope="module")
 def page(reproduce: Any, small: Scene, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Two figures and a table of the small scene in place of paper A's, and one that fails."""
+    """Two figures and a table of the small scene instead of paper A's, and one figure that fails."""
     out = tmp_path_factory.mktemp("page") / "reproduced"
 
     def fails(bench: Any) -> Any:
@@ -78,23 +78,23 @@ def forget(reproduce: Any) -> None:
 
 
 def cells(page: Path, key: str) -> list[list[str]]:
-    """All table lines of an exhibit, as README.md shows them."""
+    """All table rows of an exhibit in README.md."""
     text = (page / "README.md").read_text(encoding="utf-8").replace("\N{MINUS SIGN}", "-")
     part = text.split(f'<a id="{key}"></a>')[1].split("<a id=")[0]
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in re.findall(r"^\|.*\|$", part, re.M)]
 
 
-def test_the_page_holds_what_was_asked_for(page: Path) -> None:
+def test_the_page_holds_the_requested_exhibits(page: Path) -> None:
     names = {"index.html", "README.md", "fig4.png", "fig8.png"}
-    assert {path.name for path in page.iterdir()} == names  # no scratch is left
+    assert {path.name for path in page.iterdir()} == names  # no scratch folder is left
     html = (page / "index.html").read_text(encoding="utf-8")
     assert re.findall(r'<h2 id="([\w-]+)">', html) == ["fig2", "fig4", "fig8", "table3"]
     assert html.count("data:image/png;base64,iVBOR") == 2
-    assert "src=" not in html.replace('src="data:', "")  # nothing is fetched from elsewhere
+    assert "src=" not in html.replace('src="data:', "")  # the page loads no external resources
     assert "fig2 failed" in html and "the disk is full" in html
 
 
-def test_both_pages_say_the_same(page: Path) -> None:
+def test_html_and_markdown_pages_agree(page: Path) -> None:
     html = (page / "index.html").read_text(encoding="utf-8")
     marked = (page / "README.md").read_text(encoding="utf-8")
     shown = re.findall(r"<td[^>]*>(?:<a [^>]*>)?([^<]*)", html)
@@ -103,8 +103,8 @@ def test_both_pages_say_the_same(page: Path) -> None:
     assert [cell for cell in shown if cell] == [cell for cell in listed if cell in set(shown)]
 
 
-def test_figure_4_is_what_numeric_differentiation_gives(page: Path, small: Scene) -> None:
-    """k_3 of the range by a polynomial through exact ranges, at yaws about the sector's centre, near, middle, far."""
+def test_figure_4_agrees_with_numerical_differentiation(page: Path, small: Scene) -> None:
+    """k_3 comes from a polynomial fit to exact ranges, at yaws across the sector and at near and far range."""
     time = 0.3 * np.cos(np.pi * (np.arange(16) + 0.5) / 16)
     position = np.array([0.0, 0.0, 16500.0]) + np.outer(time, TABLE1["velocity"])
     position = position + np.outer(time**2 / 2, TABLE1["acceleration"])
@@ -115,7 +115,7 @@ def test_figure_4_is_what_numeric_differentiation_gives(page: Path, small: Scene
         ranges = np.linalg.norm(position - place, axis=1)
         return float(np.polynomial.Polynomial.fit(time, ranges - rng, 9).convert().coef[3])
 
-    half = 0.15  # s: half the small scene's aperture
+    half = 0.15  # s; half the aperture of the small scene
     sector = np.radians(np.linspace(46.0, 54.0, 61))
     for row, blocks in zip(cells(page, "fig4")[2:], (1, 3), strict=True):
         parts = [sector[60 // blocks * i : 60 // blocks * (i + 1) + 1] for i in range(blocks)]
@@ -129,10 +129,10 @@ def test_figure_4_is_what_numeric_differentiation_gives(page: Path, small: Scene
         assert float(row[2].strip("*")) == pytest.approx(expected, abs=6e-4)
 
 
-def test_figure_8_measures_what_it_traces(page: Path, small: Scene) -> None:
+def test_figure_8_measurements_agree_with_the_traced_lines(page: Path, small: Scene) -> None:
     rows = {row[0]: row[2].strip("*") for row in cells(page, "fig8")}
     assert float(rows["peaks and traced lines, largest difference"]) < 0.05
-    # After the unified walk alone a target of the first block wanders by its own range walk: exact ranges say how far.
+    # After the unified walk correction a target of the first block keeps its own residual walk, here from exact ranges.
     geometry = Geometry(collection=small.collection().centred())
     collection = geometry.collection
     _, walk = geometry.range_history(geometry.ground_point(np.array(30e3), np.array(small.centre_yaw)), np.array(0.0))
@@ -144,7 +144,7 @@ def test_figure_8_measures_what_it_traces(page: Path, small: Scene) -> None:
     assert found == pytest.approx(wandered, rel=0.03)
 
 
-def test_table_3_is_what_a_run_of_its_own_measures(page: Path, small: Scene, tmp_path: Path) -> None:
+def test_table_3_agrees_with_a_separate_run(page: Path, small: Scene, tmp_path: Path) -> None:
     store = blocksar.simulate(small, tmp_path / "phase_history.zarr")
     blocksar.focus(store, tmp_path / "run", blocks=3, workers=1)
     measured = {target["name"]: target for target in blocksar.quality(tmp_path / "run").result["targets"]}
@@ -157,12 +157,12 @@ def test_table_3_is_what_a_run_of_its_own_measures(page: Path, small: Scene, tmp
         for name, line in lines.items():
             for column, quantity in ((1, "pslr"), (4, "islr"), (7, "irw")):
                 assert line[column] == f"{measured[name][f'{axis}_{quantity}']:.2f}", (name, axis, quantity)
-    # The printed ones stand beside: paper A's Table 3, A1.
+    # The printed values beside them: paper A's Table 3, target A1.
     assert of_azimuth["A1"][2::3][:3] == ["-12.81", "-10.30", "1.85"]
     assert float(of_azimuth["A1"][3]) == pytest.approx(float(of_azimuth["A1"][1]) + 12.81, abs=0.011)
 
 
-def test_the_least_prf_is_what_a_plan_accepts(reproduce: Any, page: Path) -> None:
+def test_a_prf_below_the_minimum_is_refused_by_the_plan(reproduce: Any, page: Path) -> None:
     for derotation in ("linear", "nonlinear"):
         least = 1 / reproduce.recovery.least_recovery(derotation).pulses.step
         with pytest.raises(InputError, match=r"PRF .* is too low"):
@@ -170,7 +170,7 @@ def test_the_least_prf_is_what_a_plan_accepts(reproduce: Any, page: Path) -> Non
 
 
 @pytest.mark.parametrize("repeats", [0, 1])
-def test_a_spectrogram_shows_a_chirp_where_it_is(reproduce: Any, repeats: int) -> None:
+def test_a_spectrogram_locates_a_chirp(reproduce: Any, repeats: int) -> None:
     axis = Axis(-0.3, 1 / 4000, 2400)
     start, rate, centre = 900.0, 2500.0, 700.0
     time = axis.values
@@ -185,10 +185,10 @@ def test_a_spectrogram_shows_a_chirp_where_it_is(reproduce: Any, repeats: int) -
     assert np.abs(off - 4000 * np.rint(off / 4000)).max() < 1.1 * step
 
 
-def test_a_definition_is_found_for_a_printed_islr(reproduce: Any) -> None:
+def test_a_printed_islr_is_explained_by_an_integration_width(reproduce: Any) -> None:
     said = re.search(r"within about ([\d.]+) widths", reproduce.responses.why_islr(IDEAL_ISLR, "it prints"))
     assert said is not None
-    assert float(said[1]) == pytest.approx(10, abs=0.6)  # at a null hardly anything is added
+    assert float(said[1]) == pytest.approx(10, abs=0.6)  # near a null the integral is almost constant
 
 
 @pytest.mark.parametrize("only", ["fig5", "", "fig2,,fig3", "2", "table3;fig2"])
@@ -203,7 +203,7 @@ def test_an_unknown_figure_is_refused(
     assert not (tmp_path / "out").exists()
 
 
-def test_a_file_is_no_folder(reproduce: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_file_as_output_folder_is_refused(reproduce: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "out").write_text("mine")
     with pytest.raises(typer.Exit) as ended:
         reproduce.main(out=tmp_path / "out", only="fig4", workers=1)
@@ -212,7 +212,7 @@ def test_a_file_is_no_folder(reproduce: Any, tmp_path: Path, capsys: pytest.Capt
     assert (tmp_path / "out").read_text() == "mine"
 
 
-def test_a_difference_is_told(reproduce: Any) -> None:
+def test_differences_from_printed_values_are_reported(reproduce: Any) -> None:
     row, claim = reproduce.comparison.Row, reproduce.comparison.below(1.0, "below 1")
     found = [
         row("near: width", 1.904, "m", 1.89, 0.05),
@@ -240,7 +240,7 @@ def test_a_difference_is_told(reproduce: Any) -> None:
     assert not row("missing", float("nan"), "dB", -13.0, 0.5).agrees
 
 
-def test_panels_share_a_scale_and_a_legend(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_panels_share_one_scale_and_one_legend(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     kept: list[Any] = []
     monkeypatch.setattr(panels, "save", lambda figure, path: kept.append(figure))
     edges, x = np.arange(5.0), np.linspace(0, 4, 9)

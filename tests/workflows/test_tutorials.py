@@ -1,4 +1,4 @@
-"""The tutorial workflows as a user runs them: what they print and leave is true, and what they refuse they say."""
+"""The tutorial workflows as a user runs them: printed values, written files and refusals are correct."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ from blocksar.simulation.scene import Scene
 
 WORKFLOWS = ROOT / "workflows"
 TUTORIALS = ("first_image", "look_at_outputs", "blocks_against_residual_phase", "on_a_cluster")
-PIXEL = 1.5  # m, of first_image's image
+PIXEL = 1.5  # m, pixel spacing of the image of first_image
 
 
 def run(name: str, *words: str, cwd: Path, status: int = 0) -> subprocess.CompletedProcess[str]:
-    """Give a tutorial's command line in a folder, and expect an exit status."""
+    """Run a tutorial's command line in a folder, and check its exit status."""
     command = [sys.executable, str(WORKFLOWS / f"{name}.py"), *words]
     env = os.environ | {"PYTHONPATH": str(ROOT), "MPLBACKEND": "agg"}
     done = subprocess.run(command, cwd=cwd, env=env, capture_output=True, text=True, timeout=250, check=False)
@@ -45,7 +45,7 @@ def run(name: str, *words: str, cwd: Path, status: int = 0) -> subprocess.Comple
 
 
 def refused(name: str, *words: str, cwd: Path) -> str:
-    """The one sentence with which a command line is refused."""
+    """Run a command line that is refused, and return its one-sentence message."""
     before = sorted(cwd.rglob("*"))
     done = run(name, *words, cwd=cwd, status=2)
     (sentence,) = done.stderr.strip().splitlines()
@@ -56,7 +56,7 @@ def refused(name: str, *words: str, cwd: Path) -> str:
 
 @pytest.fixture(scope="module")
 def first(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """The first image's folder, and what was printed."""
+    """The folder of the first image, and the printed output."""
     folder = tmp_path_factory.mktemp("first")
     return folder / "first-image", run("first_image", "first-image", cwd=folder).stdout
 
@@ -75,8 +75,8 @@ def modules() -> Iterator[dict[str, ModuleType]]:
 # ---------------------------------------------------------------- first_image
 
 
-def test_the_first_image_shows_what_the_scene_has(first: tuple[Path, str]) -> None:
-    """Every target peaks in its own pixel, within the bar: a newcomer's first page has nothing to explain away."""
+def test_the_first_image_shows_every_target_of_the_scene(first: tuple[Path, str]) -> None:
+    """Every target peaks in its own pixel and meets the quality bar."""
     folder, said = first
     image = blocksar.open(folder / "run")
     targets = Scene.read(folder / "scene.toml").point_targets()
@@ -96,15 +96,15 @@ def test_the_first_image_shows_what_the_scene_has(first: tuple[Path, str]) -> No
     assert (folder / "image.png").stat().st_size > 50_000
 
 
-def test_the_first_image_takes_twenty_lines() -> None:
+def test_the_first_image_needs_at_most_twenty_lines() -> None:
     source = (WORKFLOWS / "first_image.py").read_text(encoding="utf-8")
     (main,) = (n for n in ast.parse(source).body if isinstance(n, ast.FunctionDef) and n.name == "main")
-    lines = source.splitlines()[main.body[1].lineno - 1 : main.end_lineno]  # the docstring comes first
+    lines = source.splitlines()[main.body[1].lineno - 1 : main.end_lineno]  # without the docstring
     assert 10 < len([line for line in lines if line.strip()]) <= 20
 
 
-def test_the_first_image_keeps_its_own_scene(first: tuple[Path, str], tmp_path: Path) -> None:
-    """A file that is named is read or refused, never written; a changed scene is used, and refused for what it is."""
+def test_the_first_image_does_not_overwrite_a_scene_file(first: tuple[Path, str], tmp_path: Path) -> None:
+    """A named file is read or refused but never written; a changed scene is used, and here refused for its low PRF."""
     (tmp_path / "here").mkdir()
     assert "nowhere.toml" in refused("first_image", "here", "--scene", "nowhere.toml", cwd=tmp_path)
     text = (first[0] / "scene.toml").read_text()
@@ -117,7 +117,7 @@ def test_the_first_image_keeps_its_own_scene(first: tuple[Path, str], tmp_path: 
 # ---------------------------------------------------------------- look_at_outputs
 
 
-def test_looking_at_outputs_tells_the_truth(first: tuple[Path, str], tmp_path: Path) -> None:
+def test_look_at_outputs_prints_correct_values(first: tuple[Path, str], tmp_path: Path) -> None:
     folder, _ = first
     said = run("look_at_outputs", str(folder / "run"), "--out", "look.png", cwd=tmp_path).stdout
     targets = Scene.read(folder / "scene.toml").point_targets()
@@ -133,7 +133,7 @@ def test_looking_at_outputs_tells_the_truth(first: tuple[Path, str], tmp_path: P
     assert end - begin == pytest.approx(0.1, abs=2e-4)
     assert direction == pytest.approx(50, abs=1.5)
     for (level, width), theory in zip(numbers(r" the look: # dB, # m wide"), (3.2, 3.05), strict=True):
-        # In range 0.886 c / 2B over the sine of the incidence; in azimuth as quality.json has it.
+        # Range: 0.886 c / 2B over the sine of the incidence angle; azimuth: the value in quality.json.
         assert level == pytest.approx(0, abs=0.1) and width == pytest.approx(theory, abs=0.1)
     areas = [area for (area,) in numbers(r"block(?: \d+)?: # km\^2")]
     assert sum(areas) == pytest.approx(image["block"].size * PIXEL**2 / 1e6, abs=2e-3)
@@ -143,7 +143,7 @@ def test_looking_at_outputs_tells_the_truth(first: tuple[Path, str], tmp_path: P
     promised = numbers(r"predicted # dB, width # of theory; measured at # targets # dB, #")
     owners = [int(image["block"].sel(x=t.x, y=t.y, method="nearest")) for t in targets]
     assert [row[2] for row in promised] == [owners.count(b["block"]) for b in record["plan"]["predicted"]]
-    assert len(set(row[2] for row in promised)) > 1  # else nobody sees whether they are the right way round
+    assert len(set(row[2] for row in promised)) > 1  # otherwise a wrong order would go unnoticed
     measured = stores.read_json(folder / "run" / "quality.json")["targets"]
     assert max(row[3] for row in promised) == pytest.approx(max(t["azimuth_pslr"] for t in measured), abs=0.006)
     assert "patches/0 equals the image" in said
@@ -151,7 +151,7 @@ def test_looking_at_outputs_tells_the_truth(first: tuple[Path, str], tmp_path: P
 
 
 def test_cuts_follow_the_two_axes_of_a_response(first: tuple[Path, str], modules: dict[str, ModuleType]) -> None:
-    """In any other direction a response has next to no side lobes."""
+    """A response has visible side lobes only along its two axes."""
     target = next(t for t in Scene.read(first[0] / "scene.toml").point_targets() if t.name == "centre")
     look = modules["look"]
     direction = look.look_direction(blocksar.open(first[0] / "run" / "collection.zarr").load(), target[1:3])
@@ -160,7 +160,9 @@ def test_cuts_follow_the_two_axes_of_a_response(first: tuple[Path, str], modules
         assert float(beside.max() - cut.max()) == pytest.approx(-13.3, abs=1.0)
 
 
-def test_a_patch_that_is_not_the_images_is_seen(first: tuple[Path, str], modules: dict[str, ModuleType]) -> None:
+def test_a_patch_that_differs_from_the_image_is_detected(
+    first: tuple[Path, str], modules: dict[str, ModuleType]
+) -> None:
     run_folder = first[0] / "run"
     image, patch = blocksar.open(run_folder), blocksar.open(run_folder / "patches" / "0").load()
     same = modules["look"].same_pixels
@@ -170,8 +172,8 @@ def test_a_patch_that_is_not_the_images_is_seen(first: tuple[Path, str], modules
     assert not same(patch, image)
 
 
-def test_looking_holds_no_scene_sized_array(modules: dict[str, ModuleType]) -> None:
-    """A picture of 512 MB of samples, of which dask may hold a few chunks at a time."""
+def test_decimation_holds_no_scene_sized_array(modules: dict[str, ModuleType]) -> None:
+    """Decimate 512 MB of samples, of which dask may hold only a few chunks at a time."""
     import tracemalloc
 
     made = da.random.default_rng(1).normal(size=(8192, 8192), chunks=1024).astype(np.complex64)
@@ -184,11 +186,11 @@ def test_looking_holds_no_scene_sized_array(modules: dict[str, ModuleType]) -> N
         finally:
             tracemalloc.stop()
     assert max(picture.shape) <= 800
-    assert float(picture.max()) == pytest.approx(20 * np.log10(5.5), abs=1.5)  # of 67 million normal numbers
+    assert float(picture.max()) == pytest.approx(20 * np.log10(5.5), abs=1.5)  # of 67 million normal samples
     assert peak < made.nbytes / 4
 
 
-def test_a_decimated_picture_keeps_what_is_strong_and_what_is_missing(modules: dict[str, ModuleType]) -> None:
+def test_a_decimated_picture_keeps_strong_pixels_and_gaps(modules: dict[str, ModuleType]) -> None:
     values = np.full((1700, 900), np.nan, np.complex64)
     values[:, 450:] = 0.1
     values[1234, 777] = 2j
@@ -199,7 +201,7 @@ def test_a_decimated_picture_keeps_what_is_strong_and_what_is_missing(modules: d
     assert (np.delete(picture.values[:, 150:].ravel(), 1234 // 3 * 150 + 777 // 3 - 150) < -19.9).all()
 
 
-def test_what_is_no_finished_run_is_refused(
+def test_a_folder_without_a_finished_run_is_refused(
     first: tuple[Path, str], modules: dict[str, ModuleType], tmp_path: Path
 ) -> None:
     assert "holds no run.json" in refused("look_at_outputs", ".", cwd=tmp_path)
@@ -212,11 +214,11 @@ def test_what_is_no_finished_run_is_refused(
 # ---------------------------------------------------------------- blocks_against_residual_phase
 
 
-def test_the_study_of_blocks(tmp_path: Path) -> None:
-    """About a target at the end of table1's scan: what is left falls with the blocks, and is what measuring finds."""
+def test_residual_phase_falls_with_blocks_and_predictions_match_measurements(tmp_path: Path) -> None:
+    """At the end of table1's scan more blocks leave less residual phase; predictions match measurements."""
     text = (resources.files("blocksar.simulation") / "scenes" / "table1.toml").read_text(encoding="utf-8")
     text = text.replace("[27500.0, 32500.0]", "[29950.0, 30050.0]").split("[matrix]")[0]
-    for yaw in (44.3, 50.0):  # the beam sweeps wholly what lies between 44.26 and 55.74; the second is not in the grid
+    for yaw in (44.3, 50.0):  # full dwell holds from 44.26 to 55.74; the second is outside the grid
         text += f'[[targets]]\nname = "{yaw}"\nrange = 30000.0\nyaw_deg = {yaw}\n'
     (tmp_path / "narrow.toml").write_text(text)
     grid = "17882:17982:1,17449:17549:1"
@@ -243,10 +245,10 @@ def test_the_study_of_blocks(tmp_path: Path) -> None:
         assert float(row["measured_pslr_db"]) == pytest.approx(float(row["pslr_db"]), abs=lobes)
         assert float(row["measured_width"]) == pytest.approx(float(row["width"]), abs=width)
         assert float(row["measured_memory_mib"]) < float(row["memory_mib"])
-    assert float(rows["angular-division", "closed-form", 1]["pslr_db"]) > -9  # else the comparison says nothing
+    assert float(rows["angular-division", "closed-form", 1]["pslr_db"]) > -9  # otherwise the comparison is meaningless
 
 
-def test_the_worst_target_that_was_swept_wholly_counts(
+def test_a_study_takes_the_worst_target_of_full_dwell(
     modules: dict[str, ModuleType], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     def target(lobes: float | None, width: float, **more: bool) -> dict[str, object]:
@@ -261,11 +263,11 @@ def test_the_worst_target_that_was_swept_wholly_counts(
     measured = modules["study"].measure(row, tmp_path, tmp_path, None)
     assert (measured["measured_pslr_db"], measured["measured_memory_mib"]) == (-11, 3)
     assert measured["measured_width"] == pytest.approx(1.1)
-    found[0]["azimuth_pslr"] = None  # so blurred that there is nothing to measure
+    found[0]["azimuth_pslr"] = None  # too blurred to measure
     assert np.isnan(modules["study"].measure(row, tmp_path, tmp_path, None)["measured_pslr_db"])
 
 
-def test_a_study_that_cannot_be_made_is_refused(modules: dict[str, ModuleType], tmp_path: Path) -> None:
+def test_invalid_studies_are_refused(modules: dict[str, ModuleType], tmp_path: Path) -> None:
     said = refused("blocks_against_residual_phase", "paper_b", "--blocks", "1", cwd=tmp_path)
     assert "grid is missing" in said
     numbers = modules["study"].parse_numbers
@@ -278,8 +280,8 @@ def test_a_study_that_cannot_be_made_is_refused(modules: dict[str, ModuleType], 
 # ---------------------------------------------------------------- on_a_cluster
 
 
-def test_a_run_on_a_cluster_survives_trouble(tmp_path: Path) -> None:
-    """Ctrl-C in the middle, then a worker killed: the image is there all the same, and is right."""
+def test_a_run_on_a_cluster_survives_an_interrupt_and_a_killed_worker(tmp_path: Path) -> None:
+    """After Ctrl-C and a killed worker the image is complete and correct."""
     words = ("--local-test", "--out", "run", "--blocks", "4", "--report", "report.html")
     said = run("on_a_cluster", *words, cwd=tmp_path).stdout
     events = [said.index(text) for text in ("(Ctrl-C)", "interrupted; the same call", "(kill -9 of", "went on from")]
@@ -293,8 +295,10 @@ def test_a_run_on_a_cluster_survives_trouble(tmp_path: Path) -> None:
     assert not list(tmp_path.glob(".probe-*"))
 
 
-def test_a_cluster_with_certificates(first: tuple[Path, str], modules: dict[str, ModuleType], tmp_path: Path) -> None:
-    """A scheduler that talks to holders of certificates only; without them it is not reached."""
+def test_a_tls_cluster_is_reached_only_with_certificates(
+    first: tuple[Path, str], modules: dict[str, ModuleType], tmp_path: Path
+) -> None:
+    """The scheduler accepts only clients with certificates; without them the connection is refused."""
     ca = trustme.CA()
     ca.cert_pem.write_to_path(tmp_path / "ca.pem")
     own = ca.issue_cert("127.0.0.1")
@@ -323,7 +327,7 @@ def test_a_cluster_with_certificates(first: tuple[Path, str], modules: dict[str,
     assert abs(complex(blocksar.open(tmp_path / "run")["image"].sel(x=0, y=0, method="nearest"))) > 0
 
 
-def test_workers_that_would_make_a_run_fail_are_named(modules: dict[str, ModuleType], tmp_path: Path) -> None:
+def test_unsuitable_workers_are_reported_by_address(modules: dict[str, ModuleType], tmp_path: Path) -> None:
     cluster, here = modules["cluster"], {"blocksar": blocksar.__version__, "numpy": "2.1"}
 
     def versions(**there: str) -> Any:
@@ -341,18 +345,18 @@ def test_workers_that_would_make_a_run_fail_are_named(modules: dict[str, ModuleT
 
     with pytest.raises(blocksar.InputError, match=r"^tcp://w:2 does not share .*no such folder"):
         cluster.check_folder(SimpleNamespace(run=elsewhere), tmp_path)
-    with pytest.raises(blocksar.InputError, match=r"^tcp://w:3 does not share"):  # it wrote, but not here
+    with pytest.raises(blocksar.InputError, match=r"^tcp://w:3 does not share"):  # writes elsewhere
         cluster.check_folder(SimpleNamespace(run=lambda mark, on_error: {"tcp://w:3": "w3"}), tmp_path)
     with pytest.raises(blocksar.InputError, match="has no worker"):
         cluster.print_workers(SimpleNamespace(scheduler_info=lambda n_workers: {"workers": {}}))
     assert not list(tmp_path.iterdir())
 
 
-# ---------------------------------------------------------------- all of them
+# ---------------------------------------------------------------- all tutorials
 
 
 @pytest.mark.parametrize("name", TUTORIALS)
-def test_a_tutorial_uses_what_is_public(name: str) -> None:
+def test_a_tutorial_uses_only_public_names(name: str) -> None:
     tree = ast.parse((WORKFLOWS / f"{name}.py").read_text(encoding="utf-8"))
     taken = [alias.name for n in ast.walk(tree) if isinstance(n, ast.ImportFrom) for alias in n.names]
     taken += [n.attr for n in ast.walk(tree) if isinstance(n, ast.Attribute)]
