@@ -194,6 +194,53 @@ def test_no_room_is_named_as_a_public_function() -> None:
     assert not set(blocksar.__all__) & set(LAYER)
 
 
+def functions_of(path: Path) -> Iterator[tuple[ast.FunctionDef, int, bool]]:
+    """Functions with the lines of their bodies, docstrings excluded, and whether a comment says why they are long."""
+    text = path.read_text(encoding="utf-8")
+    lines = text.splitlines()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.FunctionDef):
+            documented = ast.get_docstring(node) is not None
+            first = node.body[0].end_lineno or 0 if documented else node.body[0].lineno - 1
+            excused = any("# longer than most: " in line for line in lines[node.lineno - 1 : node.body[0].lineno])
+            yield node, (node.end_lineno or 0) - first, excused
+
+
+def test_modules_and_functions_stay_small() -> None:
+    sizes, wrong = [], []
+    for path in [*MODULES, *sorted((ROOT / "workflows").rglob("*.py")), *sorted((ROOT / "deploy").rglob("*.py"))]:
+        if (length := len(path.read_text(encoding="utf-8").splitlines())) > 500:
+            wrong.append(f"{path.relative_to(ROOT)} has {length} lines; split it where it has two subjects")
+        for function, size, excused in functions_of(path):
+            sizes.append(size)
+            if size > 60 and not excused:
+                wrong.append(f"{line_in(path, function.lineno)}: {function.name} has {size} lines")
+    assert not wrong, "\n".join(wrong)
+    assert sorted(sizes)[len(sizes) // 2] < 12
+
+
+def test_tests_use_public_names_and_no_other_tests() -> None:
+    wrong = []
+    for path in sorted((ROOT / "tests").rglob("*.py")):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        modules = {
+            alias.asname or alias.name.split(".")[-1]
+            for node in ast.walk(tree)
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(PACKAGE.name)
+            for alias in node.names
+        }
+        for node in ast.walk(tree):
+            private = isinstance(node, ast.Attribute) and node.attr.startswith("_") and not node.attr.startswith("__")
+            if private and isinstance(node.value, ast.Name) and node.value.id in modules:
+                wrong.append(f"{line_in(path, node.lineno)}: {ast.unparse(node)}")
+            if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0].startswith("test_"):
+                wrong.append(f"{line_in(path, node.lineno)}: imports the test {node.module}")
+            if isinstance(node, ast.ImportFrom) and any(alias.name.startswith("_") for alias in node.names):
+                names = [alias.name for alias in node.names if alias.name != "__version__"]
+                wrong += [f"{line_in(path, node.lineno)}: imports {name}" for name in names if name.startswith("_")]
+    assert not wrong, "\n".join(wrong)
+
+
 def test_an_unknown_name_is_refused() -> None:
     with pytest.raises(AttributeError, match="no attribute 'defocus'"):
         _ = blocksar.defocus

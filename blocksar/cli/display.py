@@ -38,7 +38,7 @@ def show(report: Report) -> None:
         for part in tables(header, rows, console.width):
             console.print(part)
     for line in report.summary:
-        typer.echo(_wrapped(line, console.width) if terminal else line)
+        typer.echo(wrap_line(line, console.width) if terminal else line)
 
 
 def tables(header: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> Iterator[Table]:
@@ -81,7 +81,7 @@ def _total_width(least: Sequence[int], part: Sequence[int]) -> int:
     return TABLE_SIDES + sum(least[i] + COLUMN_GAP for i in part) - COLUMN_GAP
 
 
-def _wrapped(line: str, width: int) -> str:
+def wrap_line(line: str, width: int) -> str:
     """Wrap a text between words, as terminals do not; a word that is too long, such as a path, stays whole."""
     wrapper = textwrap.TextWrapper(max(width, 20), break_long_words=False, break_on_hyphens=False)
     wrapped = []

@@ -183,7 +183,7 @@ def accumulate(
 
     def work(tile: Tile) -> None:
         rows, columns = tile
-        _accumulate(
+        accumulate_pulses(
             image,
             outside,
             rows.start,
@@ -364,7 +364,7 @@ _real, _imag = _float_in_word(0), _float_in_word(32)  # of a complex64, little-e
 
 # "reassoc" lets the sum over pulses run in vector lanes: in another order than written, but always in the same.
 @njit(cache=True, nogil=True, fastmath={"contract", "nsz", "reassoc"})
-def _accumulate(
+def accumulate_pulses(
     image: ComplexArray,
     outside: BoolArray,
     row_start: int,

@@ -50,7 +50,7 @@ class ObjectPlace(Place):
 
         with os_errors(self):
             try:
-                obstore.head(_bucket(self.bucket), self.key)
+                obstore.head(open_bucket(self.bucket), self.key)
                 return True
             except FileNotFoundError:
                 return bool(self.names())
@@ -59,7 +59,7 @@ class ObjectPlace(Place):
         import obstore
 
         with os_errors(self):
-            listing = obstore.list_with_delimiter(_bucket(self.bucket), self.key or None)
+            listing = obstore.list_with_delimiter(open_bucket(self.bucket), self.key or None)
         paths = [*listing["common_prefixes"], *(entry["path"] for entry in listing["objects"])]
         return sorted({path.rstrip("/").rpartition("/")[2] for path in paths})
 
@@ -68,7 +68,7 @@ class ObjectPlace(Place):
 
         first = len(self.key) + 1 if self.key else 0
         with os_errors(self):
-            for page in obstore.list(_bucket(self.bucket), self.key or None):
+            for page in obstore.list(open_bucket(self.bucket), self.key or None):
                 for entry in page:
                     yield entry["path"][first:], entry["size"], str(entry["e_tag"])
 
@@ -76,13 +76,13 @@ class ObjectPlace(Place):
         import obstore
 
         with os_errors(self):
-            return bytes(obstore.get(_bucket(self.bucket), self.key).bytes())
+            return bytes(obstore.get(open_bucket(self.bucket), self.key).bytes())
 
     def write_bytes(self, data: bytes) -> None:
         import obstore
 
         with os_errors(self):
-            obstore.put(_bucket(self.bucket), self.key, data)
+            obstore.put(open_bucket(self.bucket), self.key, data)
 
     def remove(self) -> None:
         import obstore
@@ -90,10 +90,10 @@ class ObjectPlace(Place):
         with os_errors(self):
             below = [f"{self.key}/{name}" if self.key else name for name, _, _ in self.files()]
             for first in range(0, len(below), 1000):
-                obstore.delete(_bucket(self.bucket), below[first : first + 1000])
+                obstore.delete(open_bucket(self.bucket), below[first : first + 1000])
             if self.key:
                 with suppress(FileNotFoundError):
-                    obstore.delete(_bucket(self.bucket), self.key)
+                    obstore.delete(open_bucket(self.bucket), self.key)
 
     def sweep(self) -> None:
         pass  # objects have no temporary names
@@ -104,7 +104,7 @@ class ObjectPlace(Place):
     def zarr_path(self) -> StorePath:
         from zarr.storage import ObjectStore, StorePath
 
-        return StorePath(ObjectStore(_bucket(self.bucket)), self.key)
+        return StorePath(ObjectStore(open_bucket(self.bucket)), self.key)
 
     @contextmanager
     def lock(self) -> Iterator[None]:
@@ -149,7 +149,7 @@ class ObjectPlace(Place):
         import obstore
 
         with os_errors(self):
-            result = obstore.put(_bucket(self.bucket), self.key, owner, mode=mode)
+            result = obstore.put(open_bucket(self.bucket), self.key, owner, mode=mode)
         return str(result["e_tag"])
 
     def _current(self) -> tuple[str, datetime, bytes]:
@@ -157,7 +157,7 @@ class ObjectPlace(Place):
         import obstore
 
         with os_errors(self):
-            response = obstore.get(_bucket(self.bucket), self.key)
+            response = obstore.get(open_bucket(self.bucket), self.key)
             return str(response.meta["e_tag"]), response.meta["last_modified"], bytes(response.bytes())
 
     def _now(self) -> datetime:
@@ -166,14 +166,14 @@ class ObjectPlace(Place):
 
         probe = f"{self.key}.{secrets.token_hex(4)}"
         with os_errors(self):
-            obstore.put(_bucket(self.bucket), probe, b"")
-            now = obstore.head(_bucket(self.bucket), probe)["last_modified"]
-            obstore.delete(_bucket(self.bucket), probe)
+            obstore.put(open_bucket(self.bucket), probe, b"")
+            now = obstore.head(open_bucket(self.bucket), probe)["last_modified"]
+            obstore.delete(open_bucket(self.bucket), probe)
         return now
 
 
 @lru_cache(maxsize=64)
-def _bucket(bucket: str) -> S3Store:
+def open_bucket(bucket: str) -> S3Store:
     """Return the bucket's client; there is one per bucket, so that its connections are reused."""
     from obstore.store import S3Store
 

@@ -175,7 +175,7 @@ class ChunkFiles:
         for first in range(0, len(values), len(slab)):
             rows = values[first : first + len(slab)]
             _read_into(stream, slab[: len(rows)])
-            _copy(slab[(slice(len(rows)), *inside[1:])], rows)
+            copy_values(slab[(slice(len(rows)), *inside[1:])], rows)
 
     def _write_chunk(self, stream: BinaryIO, values: Array, slab: Array) -> None:
         if values.flags.c_contiguous and values.shape == self.chunks and values.dtype == self.dtype:
@@ -185,7 +185,7 @@ class ChunkFiles:
             slab[...] = fill_value(self.dtype.name)
         for first in range(0, self.chunks[0], len(slab)):
             rows = values[first : first + len(slab)]
-            _copy(rows, slab[tuple(slice(n) for n in rows.shape)])
+            copy_values(rows, slab[tuple(slice(n) for n in rows.shape)])
             slab[len(rows) :] = fill_value(self.dtype.name)
             stream.write(slab[: self.chunks[0] - first].data)
 
@@ -243,7 +243,7 @@ def _read_into(stream: BinaryIO, values: Array) -> None:
         raise OSError("a chunk became shorter while it was read")
 
 
-def _copy(source: Array, target: Array) -> None:
+def copy_values(source: Array, target: Array) -> None:
     """Copy an array, in strips of columns if rows become columns."""
     transposed = source.ndim == 2 and (source.strides[0] < source.strides[1]) != (target.strides[0] < target.strides[1])
     step = TRANSPOSED_COLUMNS if transposed else max(source.shape[-1], 1)

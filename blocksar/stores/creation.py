@@ -85,7 +85,7 @@ def create(
     assert isinstance(place, LocalPlace)
     with _replacing(place.path, overwrite=overwrite) as part:
         for key, data in {**files, "zarr.json": metadata}.items():
-            _put_file(part / key, data)
+            put_file(part / key, data)
         if fill is not None:
             fill(part)
 
@@ -140,7 +140,7 @@ def _consolidate(group: bytes, variables: Mapping[str, bytes]) -> bytes:
     return json.dumps(metadata, indent=2).encode()
 
 
-def _put_file(place: LocalPlace, data: bytes) -> None:
+def put_file(place: LocalPlace, data: bytes) -> None:
     os.makedirs(place.path.parent, exist_ok=True)
     place.path.write_bytes(data)
 

@@ -76,7 +76,9 @@ def write_region(path: Location, name: str, region: Sequence[slice], values: Arr
             array[whole] = values
         else:
             with os_errors(place):
-                _each_chunk(whole, chunks, lambda in_array, in_region: array.__setitem__(in_array, values[in_region]))
+                for_each_chunk(
+                    whole, chunks, lambda in_array, in_region: array.__setitem__(in_array, values[in_region])
+                )
     except OSError as error:
         raise ProcessingError(f"{name} in {place} cannot be written ({error.strerror or error})") from error
 
@@ -189,11 +191,11 @@ def _fetch(array: zarr.Array[Any], region: Region) -> Array:
         return np.asarray(array[region])
     values = np.empty([len(range(*part.indices(n))) for part, n in zip(region, array.shape, strict=True)], array.dtype)
     region = tuple(slice(*part.indices(n)) for part, n in zip(region, array.shape, strict=True))
-    _each_chunk(region, array.chunks, lambda in_array, in_region: values.__setitem__(in_region, array[in_array]))
+    for_each_chunk(region, array.chunks, lambda in_array, in_region: values.__setitem__(in_region, array[in_array]))
     return values
 
 
-def _each_chunk(region: Region, chunks: Sequence[int], move: Callable[[Region, Region], None]) -> None:
+def for_each_chunk(region: Region, chunks: Sequence[int], move: Callable[[Region, Region], None]) -> None:
     """Call `move` for every chunk of a region, many at a time, with its slices in the array and in the region.
 
     zarr's own number of chunks in flight suits files, and holds for the whole process.

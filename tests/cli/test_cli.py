@@ -350,9 +350,9 @@ def test_sentences_wrap_between_words_on_a_terminal(api: Calls) -> None:
     line = f"  wrote {path} in 9.7 s (recover 8.0 s, focus 1.0 s, mosaic 0.2 s)"
     api.answer = SimpleNamespace(summary=[line], table=list, refusal=None)
     assert run("plan", "table1").stdout == f"{line}\n"
-    assert display._wrapped(line, 40).split() == line.split()
-    assert path in display._wrapped(line, 40) and "mosaic 0.2 s)" in display._wrapped(line, 40).splitlines()[-1]
-    assert all(part.startswith("  ") for part in display._wrapped(line, 40).splitlines())
+    assert display.wrap_line(line, 40).split() == line.split()
+    assert path in display.wrap_line(line, 40) and "mosaic 0.2 s)" in display.wrap_line(line, 40).splitlines()[-1]
+    assert all(part.startswith("  ") for part in display.wrap_line(line, 40).splitlines())
 
 
 def test_plain_progress_is_a_few_lines(api: Calls) -> None:

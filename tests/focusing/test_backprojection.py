@@ -340,7 +340,7 @@ def test_the_inner_loop_is_vectorised() -> None:
     """Compile afresh, since the cache does not keep the assembly: packed square roots show that all is vectorised."""
     c = collection(n_frequency=64, reference="tracked")
     form(c, noise(c), *around(c, np.zeros((2, 2)), np.zeros((2, 2))))
-    kernel = backprojection._accumulate
+    kernel = backprojection.accumulate_pulses
     fresh = njit(nogil=True, fastmath=kernel.targetoptions["fastmath"])(kernel.py_func)
     fresh.compile(kernel.signatures[0])
     (assembly,) = fresh.inspect_asm().values()

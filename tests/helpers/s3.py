@@ -53,12 +53,12 @@ def server(*, refusing: bool = False) -> Iterator[str]:
             environment.setenv("AWS_ENDPOINT_URL", url)
             for name in ("AWS_SESSION_TOKEN", "AWS_PROFILE", "HTTP_PROXY", "http_proxy", "ALL_PROXY", "all_proxy"):
                 environment.delenv(name, raising=False)
-            objects._bucket.cache_clear()
+            objects.open_bucket.cache_clear()
             yield url
         finally:
             process.stdin.close()  # ends the server
             process.wait(30)
-            objects._bucket.cache_clear()
+            objects.open_bucket.cache_clear()
 
 
 def make_bucket() -> str:

@@ -560,13 +560,13 @@ def test_only_the_samples_of_a_narrow_band_are_read(
     v["FX2"] = v["SC0"] + 49 * v["SCSS"]
     path = write(tmp_path / "narrow.cphd", parts)
     taken: list[int] = []
-    take = CphdFile._take
+    take = CphdFile.take
 
     def counted(self: Any, file: Any, start: int, count: int) -> Any:
         taken.append(count)
         return take(self, file, start, count)
 
-    monkeypatch.setattr(CphdFile, "_take", counted)
+    monkeypatch.setattr(CphdFile, "take", counted)
     collection, _ = check(path, base)
     assert collection.n_range_frequency == 40
     assert max(taken) == 40
@@ -981,14 +981,14 @@ def test_truncations(base: Base, tmp_path: Path) -> None:
 def test_a_file_that_shrinks_during_reading(base: Base, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "shrinking.cphd"
     shutil.copy(base.path, path)
-    prepare = ingestion._prepare
+    prepare = ingestion.prepare
 
     def then_cut(file: Any) -> Any:
         made = prepare(file)
         path.write_bytes(base.path.read_bytes()[:-1000])
         return made
 
-    monkeypatch.setattr(ingestion, "_prepare", then_cut)
+    monkeypatch.setattr(ingestion, "prepare", then_cut)
     refused(path, "became shorter")
 
 

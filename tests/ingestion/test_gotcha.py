@@ -461,13 +461,13 @@ def test_a_compressed_variable_without_an_end_is_refused(record: Record) -> None
 
 def test_a_file_that_changes_during_ingestion_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (path,) = written(tmp_path, circle(AZIMUTH))
-    lay_out = ingestion._lay_out
+    lay_out = ingestion.lay_out
 
     def meddling(joined: Any) -> Any:
         written(tmp_path, circle(AZIMUTH + STEP))
         return lay_out(joined)
 
-    monkeypatch.setattr(ingestion, "_lay_out", meddling)
+    monkeypatch.setattr(ingestion, "lay_out", meddling)
     with pytest.raises(InputError, match="changed while"):
         ingestion.ingest(path, tmp_path / "ph.zarr")
     assert not (tmp_path / "ph.zarr").exists()
@@ -611,7 +611,7 @@ def test_measured_sign_and_reference(store: Path, reference: np.ndarray, measure
     history = stores.open_phase_history(store)
     collection = history.collection.centred()
     signal = history.read(slice(None), slice(None))
-    rounded = np.concatenate([files._read(places.place(path)).r0 for path in measured])
+    rounded = np.concatenate([files.read_file(places.place(path)).r0 for path in measured])
     axis = -50 + 0.125 * np.arange(800)
     for x, y in POINTS:
         near = np.hypot(axis[None, :] - x, axis[:, None] - y) < 3

@@ -149,8 +149,8 @@ def test_chips_lie_at_their_targets(runs: dict[str, Path]) -> None:
 def test_a_picture_of_noise_keeps_the_page_below_five_megabytes() -> None:
     rng = np.random.default_rng(1)
     noise = rng.uniform(-100, 0, (picture.PIXELS, picture.PIXELS))
-    assert len(picture.data_uri("webp", picture._grey(noise, -100.0, 0.0))) < 3.6e6
-    chips = [len(picture.data_uri("webp", picture._grey(noise[:64, i : i + 64], -100.0, 0.0))) for i in range(3)]
+    assert len(picture.data_uri("webp", picture.grey_levels(noise, -100.0, 0.0))) < 3.6e6
+    chips = [len(picture.data_uri("webp", picture.grey_levels(noise[:64, i : i + 64], -100.0, 0.0))) for i in range(3)]
     assert max(chips) * picture.MOST_CHIPS < 0.7e6
 
 
@@ -277,9 +277,9 @@ def test_times_match_the_timings_and_receipts(whole: Path, runs: dict[str, Path]
     record = json.loads((runs["run"] / "run.json").read_text())
     cells = read(whole).text("td")
     for name in ("recover", "focus", "mosaic", "total"):
-        assert tables._seconds(record["timings"][name]) in cells
+        assert tables.seconds_text(record["timings"][name]) in cells
     block = next(r for r in record["receipts"] if r["unit"] == "block-0.0")
-    assert tables._seconds(sum(block["steps"].values())) in cells
+    assert tables.seconds_text(sum(block["steps"].values())) in cells
     bars = [float(a["width"]) for a in read(whole).all("rect") if a.get("height") == "8"]
     assert max(bars) == 100 and min(bars) >= 0
 

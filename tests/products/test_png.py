@@ -35,7 +35,7 @@ def test_arrow_labels_stay_inside_the_picture_and_do_not_overlap(degrees: int) -
     turn = np.radians(degrees)
     for place, word in enumerate(("look", "N")):
         direction = np.array([np.cos(turn), np.sin(turn)]) * (1 - 2 * place)  # opposed at 180 degrees
-        quicklook._draw_arrow(axes, quicklook.Arrow(word, direction, "white"), place)
+        quicklook.draw_arrow(axes, quicklook.Arrow(word, direction, "white"), place)
     canvas.draw()
     boxes = [text.get_window_extent(canvas.get_renderer()) for text in axes.texts if text.get_text()]
     assert len(boxes) == 2

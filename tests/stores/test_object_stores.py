@@ -71,11 +71,11 @@ def endpoint(port: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     with monkeypatch.context() as patch:
         patch.setattr(objects, "RETRIES", 1)
         patch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{port}")
-        objects._bucket.cache_clear()
+        objects.open_bucket.cache_clear()
         try:
             yield f"http://127.0.0.1:{port}"
         finally:
-            objects._bucket.cache_clear()
+            objects.open_bucket.cache_clear()
 
 
 def noise(shape: tuple[int, ...], seed: int = 0) -> np.ndarray:
@@ -584,7 +584,7 @@ def test_many_chunks_are_transferred_at_once() -> None:
         met.wait(20)
         moved.append((there, here))
 
-    regions._each_chunk(np.s_[3:16, 4:8], (4, 2), move)
+    regions.for_each_chunk(np.s_[3:16, 4:8], (4, 2), move)
     assert sorted(moved, key=repr) == sorted(
         (
             (

@@ -434,7 +434,7 @@ def test_a_failed_write_leaves_the_old_chunk(own: Path, monkeypatch: Any, error:
         raise error
 
     with monkeypatch.context() as patch:
-        patch.setattr(chunk_files, "_copy", full)  # fails while the chunk is written
+        patch.setattr(chunk_files, "copy_values", full)  # fails while the chunk is written
         patch.setattr(os, "replace", full)  # fails after the chunk is written
         for values in (np.zeros((128, 64), np.complex64), np.zeros((64, 128), np.complex64).T):
             with pytest.raises((ProcessingError, KeyboardInterrupt)) as found:
@@ -493,7 +493,7 @@ def test_a_failed_creation_leaves_nothing(tmp_path: Path, own: Path, monkeypatch
         part.path.write_bytes(b"half of it")
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(creation, "_put_file", fail)
+    monkeypatch.setattr(creation, "put_file", fail)
     before = stores.open_phase_history(own).fingerprint()
     for path in (tmp_path / "new.zarr", own):
         with pytest.raises(KeyboardInterrupt):

@@ -215,7 +215,7 @@ def test_a_missing_peer_is_reported_as_not_installed(
     monkeypatch.setitem(sys.modules, "torch", None)
     found = benchmark.back_projection.run_peer(*collected, 1)
     assert (found["name"], found["status"]) == ("torchbp", "not installed")
-    assert "not installed" in benchmark.tables._peer_line(found)
+    assert "not installed" in benchmark.tables.peer_line(found)
 
 
 def backprojection_cart_2d(data: Any, grid: Any, fc: float, r_res: float, pos: Any, d0: float = 0.0) -> Any:
@@ -245,4 +245,4 @@ def test_the_peer_is_given_the_same_scene(benchmark: Any, collected: Any, monkey
     found = benchmark.back_projection.run_peer(*collected, 1)
     assert found["status"] == "run"
     assert found["coherence"] > 0.8  # float32 positions are accurate to a millimetre only
-    assert "M updates/s" in benchmark.tables._peer_line(found)
+    assert "M updates/s" in benchmark.tables.peer_line(found)

@@ -137,7 +137,7 @@ def _notes(result: dict[str, Any]) -> list[str]:
     for scene in result["scenes"].values():
         notes += scene["notes"]
         if "peer" in scene:
-            notes.append(_peer_line(scene["peer"]))
+            notes.append(peer_line(scene["peer"]))
         if "other_version" in scene:
             other = scene["other_version"]
             notes.append(f"other version: blocksar {other['version']} of {other['python']}, in turns with this one")
@@ -145,7 +145,7 @@ def _notes(result: dict[str, Any]) -> list[str]:
     return list(dict.fromkeys(notes))
 
 
-def _peer_line(peer: dict[str, Any]) -> str:
+def peer_line(peer: dict[str, Any]) -> str:
     if peer["status"] != "run":
         return f"{peer['name']}: {peer['status']} ({peer['reason']})"
     rate = _cell(_scaled(peer["updates_per_second"], 1e-6))

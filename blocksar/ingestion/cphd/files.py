@@ -83,15 +83,15 @@ class CphdFile:
         width, size = self.shape[1], self.dtype.itemsize
         count = samples.stop - samples.start
         if 2 * count >= width:
-            raw = self._take(file, self.first_byte + first * width * size, (stop - first) * width)
+            raw = self.take(file, self.first_byte + first * width * size, (stop - first) * width)
             return _complex(raw.reshape(-1, width)[:, samples])
         rows = np.empty((stop - first, count), np.complex64)
         for row, vector in enumerate(range(first, stop)):
             start = self.first_byte + (vector * width + samples.start) * size
-            rows[row] = _complex(self._take(file, start, count))
+            rows[row] = _complex(self.take(file, start, count))
         return rows
 
-    def _take(self, file: BinaryIO, start: int, count: int) -> NDArray[Any]:
+    def take(self, file: BinaryIO, start: int, count: int) -> NDArray[Any]:
         """Read `count` samples from byte `start` on, in the file's format."""
         file.seek(start)
         data = file.read(count * self.dtype.itemsize)

@@ -79,7 +79,7 @@ def ingest(
         # Damaged numbers may cause floating-point warnings; the checks report them.
         with open(where.path, "rb") as stream, np.errstate(all="ignore"):
             file = open_file(stream, where.path, channel)
-            prepared = _prepare(file)
+            prepared = prepare(file)
     write = _writer(file, prepared, progress)
     attributes = {**prepared.attributes, "history": stores.history_line(f"ingested by blocksar from {where.name}")}
     stores.create_phase_history(target, prepared.collection, attrs=attributes, overwrite=overwrite, fill=write)
@@ -103,7 +103,7 @@ class _Prepared:
     messages: list[str]
 
 
-def _prepare(file: CphdFile) -> _Prepared:
+def prepare(file: CphdFile) -> _Prepared:
     """Determine everything but the samples."""
     frame = _frame(file)
     pulses = assign_pulses(file)

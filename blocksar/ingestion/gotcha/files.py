@@ -63,7 +63,7 @@ class File:
             If the file has changed since it was first read.
         """
         with _reading(self.path):
-            samples = _read(self.path).samples
+            samples = read_file(self.path).samples
             if _checksums(samples) != self.checksums:
                 raise InputError("it changed while it was read; start again when no program writes to it")
         return samples
@@ -82,7 +82,7 @@ def read_headers(path: Place) -> File:
         If the file is damaged or not one of the set.
     """
     with _reading(path):
-        contents = _read(path)
+        contents = read_file(path)
         checksums = _checksums(contents.samples)
     return File(
         path=path,
@@ -100,7 +100,7 @@ def _checksums(samples: ComplexArray) -> list[str]:
     return [stores.checksum(pulse) for pulse in samples]
 
 
-def _read(path: Place) -> _Contents:
+def read_file(path: Place) -> _Contents:
     """Read a file and check that its fields agree with each other."""
     fields = _fields(_read_bytes(path))
     frequency = _frequency(_numbers(fields, "freq"))

@@ -70,7 +70,7 @@ def ingest(
         raise InputError("source is empty; give at least one MATLAB file")
     files = [read_headers(place(path)) for path in sources]
     check_same_collection(files)
-    layout = _lay_out(join(files))
+    layout = lay_out(join(files))
     target = place(out)
     attributes = {**layout.attributes, "history": stores.history_line(f"ingested by blocksar from {len(files)} files")}
     stores.create_phase_history(
@@ -95,7 +95,7 @@ class _Layout:
     messages: list[str]
 
 
-def _lay_out(joined: Joined) -> _Layout:
+def lay_out(joined: Joined) -> _Layout:
     """Determine slow time, track and reference range of the store, and how its rows follow from the pulses."""
     frequency = joined.files[0].frequency
     carrier = float(frequency[0] + frequency[-1]) / 2

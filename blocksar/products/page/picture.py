@@ -130,7 +130,7 @@ def draw(source: FinishedRun, *, looks: Literal["max", "mean"], progress: Callba
     x, y = reduced.x_edges, reduced.y_edges
     # Cells at the right and upper ends may reach beyond the image, so the picture takes its sides from the cells.
     return Picture(
-        data=data_uri("webp", _grey(decibel, bottom, top)),
+        data=data_uri("webp", grey_levels(decibel, bottom, top)),
         centre=(float(x[0] + x[-1]) / 2, float(y[0] + y[-1]) / 2),
         width=float(x[-1] - x[0]),
         height=float(y[-1] - y[0]),
@@ -143,7 +143,7 @@ def draw(source: FinishedRun, *, looks: Literal["max", "mean"], progress: Callba
     )
 
 
-def _grey(decibel: FloatArray, bottom: float, top: float) -> bytes:
+def grey_levels(decibel: FloatArray, bottom: float, top: float) -> bytes:
     """Encode dB (n_y, n_x) as lossless WebP, upper row first: level 0 is `bottom` or less, 255 is `top`."""
     level = np.nan_to_num((decibel - bottom) / (top - bottom), nan=0.0, neginf=0.0).clip(0, 1)
     grey: NDArray[np.uint8] = np.round(255 * level).astype(np.uint8)
@@ -179,7 +179,7 @@ def chips(source: FinishedRun, targets: Sequence[PointResponse | Target], pictur
         with np.errstate(divide="ignore"):
             decibel = 20 * np.log10(np.abs(source.read(rows, columns)))
         corner = picture.place(float(x[0]) - dx / 2, float(y[-1]) + dy / 2)
-        data = data_uri("webp", _grey(decibel, picture.bottom, picture.top))
+        data = data_uri("webp", grey_levels(decibel, picture.bottom, picture.top))
         yield Chip(data, *corner, f"{x.size * dx:.3f}", f"{y.size * dy:.3f}")
 
 

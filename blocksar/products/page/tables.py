@@ -242,7 +242,7 @@ def _bars(values: Sequence[float], ticks: Sequence[float | None], text: Callable
     ]
 
 
-def _seconds(value: float) -> str:
+def seconds_text(value: float) -> str:
     """Format s, with decimals below 100 s."""
     return number(value, 2 if value < 100 else 0)
 
@@ -254,9 +254,9 @@ def stage_table(run: Facts) -> Table | None:
     stages = {name: seconds for name, seconds in run.timings.items() if name != "total"}
     total = run.timings.get("total", sum(stages.values()))
     stages["rest"] = max(total - sum(stages.values()), 0.0)
-    bars = _bars(list(stages.values()), [None] * len(stages), _seconds)
+    bars = _bars(list(stages.values()), [None] * len(stages), seconds_text)
     rows = [Row([Cell(STAGES.get(name, name)), bar]) for name, bar in zip(stages, bars, strict=True)]
-    rows.append(Row([Cell("total"), Cell(_seconds(total), total)]))
+    rows.append(Row([Cell("total"), Cell(seconds_text(total), total)]))
     return Table("stages", "Stages", [Column("stage"), Column("time", "s")], rows)
 
 
@@ -268,8 +268,8 @@ def unit_table(run: Facts) -> Table | None:
             Cell(name),
             Cell(str(len(units))),
             Cell(str(sum(r.reused for r in units))),
-            Cell(_seconds(sum(r.seconds for r in units))),
-            Cell(_seconds(max(r.seconds for r in units))),
+            Cell(seconds_text(sum(r.seconds for r in units))),
+            Cell(seconds_text(max(r.seconds for r in units))),
             _cell(max(r.peak_memory or 0 for r in units) / MIB, 0),
         ])
         for name, units in kinds
@@ -287,7 +287,7 @@ def block_table(run: Facts) -> Table | None:
     blocks = [(b, r) for b in run.predicted[:MOST_ROWS] if (r := run.receipt(b))]
     if not blocks:
         return None
-    times = _bars([r.seconds for _, r in blocks], [None] * len(blocks), _seconds)
+    times = _bars([r.seconds for _, r in blocks], [None] * len(blocks), seconds_text)
     peaks = [(r.peak_memory or 0) / MIB for _, r in blocks]
     memories = _bars(peaks, [b.memory / MIB for b, _ in blocks], lambda v: number(v, 0))
     rows = [Row([Cell(b.name), t, m]) for (b, _), t, m in zip(blocks, times, memories, strict=True)]

@@ -105,7 +105,7 @@ def draw(axes: Axes, reduced: Overview, *, arrows: list[Arrow] | None = None) ->
     _draw_colour_bar(axes, picture)
     _draw_scale_bar(axes, reduced)
     for place, arrow in enumerate(arrows or []):
-        _draw_arrow(axes, arrow, place)
+        draw_arrow(axes, arrow, place)
     if np.isnan(reduced.power).any():
         handles = [Patch(facecolor=NOT_COVERED, label="not covered")]
         axes.legend(handles=handles, loc="upper left", fontsize=8, framealpha=0.85)
@@ -208,7 +208,7 @@ def _draw_scale_bar(axes: Axes, reduced: Overview) -> None:
     axes.text(x + length / 2, y + 1.5 * thick, text, color="white", ha="center", va="bottom", fontsize=9)
 
 
-def _draw_arrow(axes: Axes, arrow: Arrow, place: int) -> None:
+def draw_arrow(axes: Axes, arrow: Arrow, place: int) -> None:
     """Draw an arrow at the upper right, to the left of the `place` arrows drawn before it.
 
     Its length is fixed in points, its direction that of the scene. The spacing keeps all labels within the picture and
