@@ -160,8 +160,8 @@ def _first_pulse(holds: Callable[[IntArray, IntArray], BoolArray], guess: IntArr
     low, high = np.zeros(wrong.size, np.int64), np.full(wrong.size, n, np.int64)
     while (low < high).any():
         middle = np.minimum((low + high) // 2, n - 1)
-        found = holds(wrong, middle)
-        low, high = np.where((low < high) & ~found, middle + 1, low), np.where((low < high) & found, middle, high)
+        true = holds(wrong, middle)
+        low, high = np.where((low < high) & ~true, middle + 1, low), np.where((low < high) & true, middle, high)
     first = guess.astype(np.int64)
     first[wrong] = low
     return first

@@ -76,7 +76,7 @@ class Georeference:
                 raise InputError(f"georeference: {name} is {value!r}, which is not in {low:g} .. {high:g}; {REMEDY}")
 
     @classmethod
-    def from_attribute(cls, found: Any) -> Georeference:
+    def from_attribute(cls, attribute: Any) -> Georeference:
         """Read the attribute `georeference` of a store.
 
         Raises
@@ -84,23 +84,23 @@ class Georeference:
         InputError
             If it is not such a mapping, or its ecef or unit vectors contradict latitude, longitude and height.
         """
-        if not isinstance(found, Mapping):
-            raise InputError(f"georeference is {type(found).__name__} instead of a mapping; {REMEDY}")
-        if (kind := found.get("kind")) != "ENU":
+        if not isinstance(attribute, Mapping):
+            raise InputError(f"georeference is {type(attribute).__name__} instead of a mapping; {REMEDY}")
+        if (kind := attribute.get("kind")) != "ENU":
             raise InputError(f"georeference is of kind {reprlib.repr(kind)}, and only 'ENU' is known; {REMEDY}")
         names = {"latitude": "latitude", "longitude": "longitude", "height": "height", "rotation_deg": "rotation"}
-        numbers = {names[key]: _number(found, key) for key in names if key != "rotation_deg" or key in found}
-        made = cls(**numbers)
-        for name, axis in zip(("east", "north", "up"), made.east_north_up, strict=True):
-            if name in found and not np.allclose(_vector(found, name), axis, rtol=0, atol=AXIS_TOLERANCE):
+        numbers = {names[key]: _number(attribute, key) for key in names if key != "rotation_deg" or key in attribute}
+        georeference = cls(**numbers)
+        for name, axis in zip(("east", "north", "up"), georeference.east_north_up, strict=True):
+            if name in attribute and not np.allclose(_vector(attribute, name), axis, rtol=0, atol=AXIS_TOLERANCE):
                 raise InputError(f"georeference: {name} is not that of its latitude and longitude; leave {name} out")
-        if "ecef" in found:
-            apart = float(np.linalg.norm(_vector(found, "ecef") - made.origin))
+        if "ecef" in attribute:
+            apart = float(np.linalg.norm(_vector(attribute, "ecef") - georeference.origin))
             if not apart <= ECEF_TOLERANCE:
                 raise InputError(
                     f"georeference: ecef lies {apart:.4g} m from its latitude, longitude and height; leave ecef out"
                 )
-        return made
+        return georeference
 
     @classmethod
     def at(cls, ecef: FloatArray, *, rotation: float = 0.0) -> Georeference:
@@ -225,20 +225,21 @@ def _geodetic_of_ecef() -> Transformer:
     return Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
 
 
-def _number(found: Mapping[str, Any], name: str) -> float:
-    value = found.get(name)
+def _number(attribute: Mapping[str, Any], name: str) -> float:
+    value = attribute.get(name)
     if isinstance(value, bool) or not isinstance(value, int | float) or abs(value) > 1e9:
         raise InputError(f"georeference: {name} is {reprlib.repr(value)} instead of a number; {REMEDY}")
     return float(value)
 
 
-def _vector(found: Mapping[str, Any], name: str) -> FloatArray:
+def _vector(attribute: Mapping[str, Any], name: str) -> FloatArray:
     try:
-        values = np.array(found[name], np.float64)
+        values = np.array(attribute[name], np.float64)
     except (TypeError, ValueError):
         values = np.empty(0)
     if values.shape != (3,) or not np.isfinite(values).all():
         raise InputError(
-            f"georeference: {name} is {reprlib.repr(found[name])} instead of three numbers; leave it out, or correct it"
+            f"georeference: {name} is {reprlib.repr(attribute[name])} instead of three numbers; "
+            "leave it out, or correct it"
         )
     return values

@@ -105,10 +105,10 @@ def _window(geometry: Geometry, yaw: FloatArray, within: tuple[float, float] | N
     if within is not None:
         near, far = np.maximum(near, within[0]), np.minimum(far, within[1])
     if not (far > near).all():
-        shown = "" if within is None else f" (the grid's ranges are {within[0]:.6g} .. {within[1]:.6g} m)"
+        grid_range = "" if within is None else f" (the grid's ranges are {within[0]:.6g} .. {within[1]:.6g} m)"
         raise InputError(
             f"grid lies outside the swath: the range window of {collection.range_window:.6g} m about the reference "
-            f"range {reference:.6g} m holds none of it{shown}; move the grid"
+            f"range {reference:.6g} m holds none of it{grid_range}; move the grid"
         )
     return near, far
 

@@ -55,12 +55,12 @@ class Field:
             return [(0, self.yaw.size)]
         azimuth, half = _beam(self.collection, pulse)
         azimuth, half = wrapped(azimuth), half + EDGE
-        found = []
+        slices = []
         for beam in (azimuth - TURN, azimuth, azimuth + TURN):
             first, last = np.searchsorted(self.yaw, [beam - half, beam + half])
             if last > first:
-                found.append((int(first), int(last)))
-        return found
+                slices.append((int(first), int(last)))
+        return slices
 
 
 def field(collection: Collection, x: FloatArray, y: FloatArray, reflectivity: NDArray[Any]) -> Field:
