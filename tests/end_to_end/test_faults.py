@@ -1,8 +1,8 @@
 """Faults in real runs: killed and stopped processes, full and read-only disks, signals, damaged results.
 
 After every fault the same command is given again, and the image must equal that of an undisturbed run bit for bit.
-The times of faults are drawn from seeds, which are part of the test ids: five by default, twenty with
-`-m "slow or not slow"`.
+The times of faults are drawn from seeds: of at most five, the first that kills a worker at its stage ends a case;
+twenty with `-m "slow or not slow"`.
 """
 
 from __future__ import annotations
@@ -211,21 +211,23 @@ def guarded() -> Iterator[tuple[Client, Assassin]]:
 
 
 @pytest.mark.parametrize(
-    ("stage", "seeds"),
+    ("stage", "seeds", "enough"),
     [
-        *((stage, range(5)) for stage in STAGES),
-        ("range-compress", range(1)),
-        *(pytest.param(stage, range(5, 20), marks=pytest.mark.slow) for stage in STAGES),
+        *((stage, range(5), 1) for stage in STAGES),
+        ("range-compress", range(5), 1),
+        *(pytest.param(stage, range(20), 20, marks=pytest.mark.slow) for stage in STAGES),
     ],
 )
 def test_a_killed_worker_does_not_change_the_result(
     stage: str,
     seeds: range,
+    enough: int,
     store: Path,
     undisturbed: Undisturbed,
     guarded: tuple[Client, Assassin],
     tmp_path: Path,
 ) -> None:
+    """Seed by seed, until enough workers were killed while they worked on the stage."""
     client, assassin = guarded
     source, expected = store, undisturbed.left
     raw = stage == "range-compress"
@@ -249,7 +251,9 @@ def test_a_killed_worker_does_not_change_the_result(
         hits += assassin.hit
         assert left(tmp_path / f"{seed}") == expected, (seed, victim)
         assert litter(tmp_path / f"{seed}") == [], (seed, victim)
-    assert 3 * hits > len(seeds), f"only {hits} of {len(seeds)} workers were killed at work"
+        if hits == enough:
+            break
+    assert 2 * hits > min(enough, len(seeds)), f"only {hits} of {len(seeds)} workers were killed at work"
 
 
 # ---------------------------------------------------------------- killed runs

@@ -46,7 +46,13 @@ GROUNDS = {
 
 # test_table1.py and test_focus.py test these at full size, and test_papers.py with the targets of the papers.
 ELSEWHERE = {("table1", "angular-division"), *((name, processor) for name, (processor, _) in PAPERS.items())}
-CASES = [(ground, processor) for ground in GROUNDS for processor in get_args(Chain)]
+SLOWEST = {("paper_b", "high-order-phase"), ("paper_c", "angular-division")}
+CASES = [
+    pytest.param(ground, processor, marks=pytest.mark.slow if (ground, processor) in SLOWEST else ())
+    for ground in GROUNDS
+    for processor in get_args(Chain)
+    if (ground, processor) not in ELSEWHERE
+]
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +62,7 @@ def clutter(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, str], Pa
     return cache(partial(simulated, folder))
 
 
-@pytest.mark.parametrize(("ground", "processor"), [case for case in CASES if case not in ELSEWHERE])
+@pytest.mark.parametrize(("ground", "processor"), CASES)
 def test_every_processor_meets_the_quality_bar_on_every_geometry(
     ground: str, processor: Any, clutter: Callable[[str, str], Path], client: Client, tmp_path: Path
 ) -> None:

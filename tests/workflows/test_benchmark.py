@@ -63,7 +63,7 @@ def test_a_benchmark_measures_every_quantity(
 ) -> None:
     monkeypatch.setattr(benchmark.bench, "SETTLING", 0.1)  # s
     # Another Python that imports this working tree, not an installed version.
-    python, root = small.with_name("python"), Path(__file__).parents[1]
+    python, root = small.with_name("python"), WORKFLOWS.parent
     python.write_text(f'#!/bin/sh\nPYTHONPATH="{root}" exec "{sys.executable}" "$@"\n')
     python.chmod(0o755)
     benchmark.main(
