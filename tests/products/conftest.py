@@ -6,12 +6,12 @@ from pathlib import Path
 
 import matplotlib
 import pytest
-from distributed import Client
 from report_page import borrowed, write_scene
 from small_run import Made, make
 
 import blocksar
 from blocksar.api import jobs
+from blocksar.graph.cluster import open_client
 from blocksar.planning.plan import plan_collection
 from blocksar.products.page import page
 
@@ -29,11 +29,14 @@ def unplaced(tmp_path_factory: pytest.TempPathFactory) -> Made:
 
 
 @pytest.fixture(scope="session")
-def runs(client: Client, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """A run with two blocks of two range sub-blocks each, and a back-projection run too coarse to measure in."""
+def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """A run with two blocks of two range sub-blocks each, and a back-projection run too coarse to measure in.
+
+    By a worker of their own: its peak memory and times are judged, and other tests must not add to them.
+    """
     folder = tmp_path_factory.mktemp("report")
     store = write_scene(folder)
-    with pytest.MonkeyPatch.context() as patch:
+    with pytest.MonkeyPatch.context() as patch, open_client(workers=1, threads=1, memory_limit=3 * 2**30) as client:
         patch.setattr(jobs, "plan_collection", lambda *a, **k: plan_collection(*a, **{**k, "parts": 2}))
         wide = ((15000.0, 17200.0, 1.2), (18000.0, 20400.0, 1.2))
         blocksar.focus(store, folder / "run", blocks=2, grid=wide, client=client)
