@@ -22,7 +22,6 @@ from blocksar.focusing.method import Method
 from blocksar.kernels.fourier import Axis
 from blocksar.measurement.figures import IDEAL_ISLR
 from blocksar.planning.plan import plan_collection
-from blocksar.products.pictures import panels
 from blocksar.simulation.scene import Scene
 
 # Nine targets with the paper's names, in an area so small that a run takes seconds.
@@ -238,18 +237,3 @@ def test_differences_from_printed_values_are_reported(reproduce: Any) -> None:
     assert reproduce.comparison.crossed(found).header[:4] == ["target", "width (m)", "width, printed", "difference"]
     assert [len(line) for line in reproduce.comparison.crossed(found).lines] == [10, 10]
     assert not row("missing", float("nan"), "dB", -13.0, 0.5).agrees
-
-
-def test_panels_share_one_scale_and_one_legend(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    kept: list[Any] = []
-    monkeypatch.setattr(panels, "save", lambda figure, path: kept.append(figure))
-    edges, x = np.arange(5.0), np.linspace(0, 4, 9)
-    maps = [panels.Map(np.full((4, 4), value), edges, edges, value - 30, value) for value in (0.0, -20.0)]
-    drawn = [
-        panels.Panel("map", "s", "Hz", [panels.Trace("line", x, x, "red", style)], [panels.Level("limit", 2.0)], shown)
-        for shown, style in zip(maps, ("--", "."), strict=True)
-    ]
-    panels.plot_panels(drawn, tmp_path / "panels.png", bar="power (dB)")
-    figure = kept[0]
-    assert [mesh.get_clim() for axes in figure.axes[:2] for mesh in axes.collections] == [(-50.0, 0.0)] * 2
-    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["line", "limit"]
