@@ -10,11 +10,11 @@ import numpy as np
 
 from blocksar import stores
 from blocksar.api.reports import Report, Table
-from blocksar.arrays import ComplexArray
+from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.collection.beam import full_dwell_yaw
 from blocksar.collection.geometry import Geometry
 from blocksar.errors import InputError
-from blocksar.focusing.backprojection import form_image
+from blocksar.focusing.backprojection import form_chips
 from blocksar.focusing.range_compression import RawCompression
 from blocksar.graph.cluster import machine
 from blocksar.measurement.coherence import ChipComparison, coherence
@@ -174,7 +174,9 @@ def _compare(run: FinishedRun) -> Compared:
         raise InputError(f"run.json of {run.folder} does not name the input (input.path); focus again with --overwrite")
     read = pulse_reader(stores.open_phase_history(run.record.input.path))
     half = 32
-    compared: Compared = []
+    places: list[tuple[str, float, float]] = []
+    chips: list[ComplexArray] = []
+    axes: list[tuple[FloatArray, FloatArray]] = []
     for name, x, y in reference_places(run.geometry, run.record.plan):
         column, row = (round((at - axis[0]) / (axis[1] - axis[0])) for at, axis in ((x, run.x), (y, run.y)))
         rows, columns = slice(max(row - half, 0), row + half), slice(max(column - half, 0), column + half)
@@ -183,9 +185,11 @@ def _compare(run: FinishedRun) -> Compared:
         chip = run.read(rows, columns)
         if np.isfinite(chip.real).mean() < 0.5:
             continue
-        exact = form_image(read, run.geometry, run.x[columns], run.y[rows], threads=machine()[0])
-        compared.append((name, float(x), float(y), coherence(chip, exact)))
-    return compared
+        places.append((name, float(x), float(y)))
+        chips.append(chip)
+        axes.append((run.x[columns], run.y[rows]))
+    exact = form_chips(read, run.geometry, axes, threads=machine()[0])
+    return [(*place, coherence(chip, one)) for place, chip, one in zip(places, chips, exact, strict=True)]
 
 
 def pulse_reader(history: stores.PhaseHistory) -> Callable[[slice], ComplexArray]:

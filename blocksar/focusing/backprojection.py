@@ -14,7 +14,7 @@ missing or not, sees the pixel outside the unambiguous window |R_xy - reference_
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -282,6 +282,29 @@ def form_image(
     """
     mesh_x, mesh_y = np.meshgrid(np.asarray(x, np.float64), np.asarray(y, np.float64))
     return form_points(read, geometry, mesh_x, mesh_y, threads=threads, pulse_block=pulse_block)
+
+
+def form_chips(
+    read: ReadPulses, geometry: Geometry, chips: Sequence[tuple[FloatArray, FloatArray]], *, threads: int
+) -> list[ComplexArray]:
+    """Back-project to several small grids in one pass over the pulses: each range profile is formed once.
+
+    Parameters
+    ----------
+    chips : sequence of (x, y)
+        Columns (n_column,) and rows (n_row,) of each chip, m, as in `form_image`.
+
+    Returns
+    -------
+    list of (n_row, n_column) complex64
+    """
+    meshes = [np.meshgrid(np.asarray(x, np.float64), np.asarray(y, np.float64)) for x, y in chips]
+    if not meshes:
+        return []
+    points_x, points_y = (np.concatenate([mesh[axis].ravel() for mesh in meshes]) for axis in (0, 1))
+    image = form_points(read, geometry, points_x, points_y, threads=threads)
+    ends = np.cumsum([mesh[0].size for mesh in meshes])[:-1]
+    return [part.reshape(mesh[0].shape) for part, mesh in zip(np.split(image, ends), meshes, strict=True)]
 
 
 def pulse_block_size(collection: Collection) -> int:

@@ -67,10 +67,11 @@ def words(store: Path, run: Path, *more: str) -> list[str]:
 
 @dataclass(frozen=True)
 class Left:
-    """The results that two runs must share to the last bit: the chunk files of the image, and all checksums."""
+    """What two runs must share to the last bit: the plan, all checksums, and the chunk files of the image."""
 
-    chunks: dict[str, str]
+    plan: dict[str, Any]
     checksums: dict[str, Any]
+    chunks: dict[str, str]
 
 
 def left(run: Path) -> Left:
@@ -78,7 +79,8 @@ def left(run: Path) -> Left:
     record = json.loads((run / "run.json").read_text())
     assert record["status"] == "finished"
     names = ("written", "found", "origin")
-    return Left(digests(run / "image.zarr"), {r["unit"]: [r.get(name) for name in names] for r in record["receipts"]})
+    checksums = {r["unit"]: [r.get(name) for name in names] for r in record["receipts"]}
+    return Left(record["plan"], checksums, digests(run / "image.zarr"))
 
 
 def digests(store: Path) -> dict[str, str]:

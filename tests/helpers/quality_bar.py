@@ -11,7 +11,7 @@ import pytest
 import blocksar
 from blocksar import stores
 from blocksar.collection.geometry import Geometry
-from blocksar.focusing.backprojection import form_image
+from blocksar.focusing.backprojection import form_chips
 from blocksar.measurement.coherence import ChipComparison, coherence
 from blocksar.planning.plan import Plan
 
@@ -97,17 +97,19 @@ def chips(store: Path, run: Path, at: dict[str, tuple[float, float]], *, half: i
     history = stores.open_phase_history(store)
     geometry = Geometry(collection=history.collection.centred())
     image = blocksar.open(run).image
-    found = {}
+    parts = {}
     for name, (x, y) in at.items():
         column, row = (
             int(np.argmin(np.abs(axis - value))) for axis, value in ((image.x.values, x), (image.y.values, y))
         )
-        chip = image.isel(x=slice(max(column - half, 0), column + half), y=slice(max(row - half, 0), row + half))
-        exact = form_image(
-            lambda pulses: history.read(pulses, slice(None)), geometry, chip.x.values, chip.y.values, threads=2
-        )
-        found[name] = coherence(chip.values, exact)
-    return found
+        parts[name] = image.isel(x=slice(max(column - half, 0), column + half), y=slice(max(row - half, 0), row + half))
+    exact = form_chips(
+        lambda pulses: history.read(pulses, slice(None)),
+        geometry,
+        [(chip.x.values, chip.y.values) for chip in parts.values()],
+        threads=2,
+    )
+    return {name: coherence(chip.values, one) for (name, chip), one in zip(parts.items(), exact, strict=True)}
 
 
 def with_targets(text: str, at: dict[str, tuple[float, float]]) -> str:
