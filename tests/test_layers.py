@@ -23,7 +23,7 @@ PACKAGE = ROOT / "blocksar"
 # no other room of its own layer.
 LAYERS = (
     {"errors", "constants", "budget", "version"},
-    {"places", "progress", "arrays", "chunks"},
+    {"places", "progress", "arrays", "solvers", "chunks"},
     {"collection", "kernels"},
     {"stores", "measurement", "focusing"},
     {"ingestion", "runs", "planning", "inspection"},
@@ -60,7 +60,7 @@ HOMES: dict[str, set[str] | None] = {
 }
 
 # Arrays, numbers and frozen objects only: no files, no logging, no graphs.
-PURE = {"kernels", "collection", "focusing", "inspection", "planning", "measurement"}
+PURE = {"solvers", "kernels", "collection", "focusing", "inspection", "planning", "measurement"}
 IMPURE_LIBRARIES = {"io", "json", "logging", "os", "pathlib", "shutil", "tempfile"}
 
 # scipy.fft outside kernels/fourier.py, where a comment beside the import gives the reason. numpy.fft: nowhere.

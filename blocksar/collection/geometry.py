@@ -8,12 +8,13 @@ the middle of the aperture.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.polynomial import chebyshev
 
+from blocksar import solvers
 from blocksar.arrays import FloatArray
 from blocksar.collection.collection import Collection
 from blocksar.errors import InputError
@@ -86,24 +87,27 @@ def fit_track(time: FloatArray, position: FloatArray, *, accuracy: float) -> Tra
     """
     centre, half = (time[0] + time[-1]) / 2, (time[-1] - time[0]) / 2
     u = (time - centre) / half
-    basis = chebyshev.chebvander(u, min(MAX_TRACK_ORDER, time.size // 2 - 1))
-    # One QR serves all orders: a lower order is a leading part of the same orthogonal basis.
-    q, r = np.linalg.qr(basis)
-    projection = q.T @ position
-
-    def fitted(order: int) -> FloatArray:
-        head = slice(0, order + 1)
-        return np.asarray(np.linalg.solve(r[head, head], projection[head]))
-
-    misfits = [float(np.abs(position - basis[:, : n + 1] @ fitted(n)).max()) for n in range(basis.shape[1])]
+    # One orthogonal basis serves all orders: the basis of a lower order is its leading part.
+    basis, r = solvers.orthogonal_basis(chebyshev.chebvander(u, min(MAX_TRACK_ORDER, time.size // 2 - 1)).T)
+    projection, misfit = np.zeros((len(basis), 3)), position.T.copy()
+    misfits = []
+    for n, row in enumerate(basis):
+        projection[n] = (misfit * row).sum(axis=1)
+        misfit -= projection[n, :, None] * row
+        misfits.append(float(np.abs(misfit).max()))
     order = len(misfits) - 1
     for n, largest in enumerate(misfits):
         if largest <= accuracy or (n >= 1 and min(misfits[n:][:5]) > largest / 2):
             order = n
             break
-    coefficients = fitted(order)
-    misfit = position - basis[:, : order + 1] @ coefficients
-    return Track(coefficients=coefficients, centre=float(centre), half=float(half), misfit=misfit)
+    head = slice(0, order + 1)
+    track = Track(
+        coefficients=solvers.back_substitute(r[head, head], projection[head]),
+        centre=float(centre),
+        half=float(half),
+        misfit=np.zeros_like(position),
+    )
+    return replace(track, misfit=position - track.position(time))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -74,7 +74,7 @@ def ground_resolution(geometry: Geometry, epoch_range: float, yaw: float) -> tup
     sight = point - geometry.track.position(ends)
     gradient = (sight / np.linalg.norm(sight, axis=1, keepdims=True))[:, :2]
     mean = gradient.mean(axis=0)
-    along = np.array([-mean[1], mean[0]]) / np.linalg.norm(mean)
-    turned = abs(float((gradient[1] - gradient[0]) @ along))
+    along = np.array([-mean[1], mean[0]]) / np.hypot(*mean)
+    turned = abs(float(((gradient[1] - gradient[0]) * along).sum()))
     azimuth = SINC_WIDTH * collection.wavelength / 2 / max(turned, 1e-12)
-    return SINC_WIDTH * SPEED_OF_LIGHT / (2 * collection.bandwidth) / float(np.linalg.norm(mean)), azimuth
+    return SINC_WIDTH * SPEED_OF_LIGHT / (2 * collection.bandwidth) / float(np.hypot(*mean)), azimuth

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.polynomial import polynomial as power
 
+from blocksar import solvers
 from blocksar.arrays import FloatArray
 from blocksar.collection.geometry import Geometry
 
@@ -49,9 +50,9 @@ def yaw_series(geometry: Geometry, epoch_range: FloatArray, yaw: float, *, order
     """
     epoch_range = epoch_range.reshape(epoch_range.shape[0], -1)
     k = range_series(geometry, epoch_range, yaw + half_width * YAW_NODES, order=order)
-    fitted = np.polynomial.chebyshev.chebfit(YAW_NODES, np.moveaxis(k, 1, 0).reshape(9, -1), 8)
+    fitted = solvers.chebyshev_series(YAW_NODES, np.moveaxis(k, 1, 0).reshape(9, -1), 8)
     to_powers = np.zeros((9, 9))
     for degree in range(9):
         to_powers[degree, : degree + 1] = np.polynomial.chebyshev.cheb2poly(np.eye(9)[degree, : degree + 1])
-    powers = (fitted.T @ to_powers)[:, :5] / half_width ** np.arange(5)
+    powers = solvers.product(fitted.T, to_powers)[:, :5] / half_width ** np.arange(5)
     return powers.reshape(epoch_range.shape[0], order + 1, 5)

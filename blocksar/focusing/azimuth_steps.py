@@ -21,7 +21,7 @@ from blocksar.kernels.fourier import Axis
 from blocksar.kernels.interpolation import tap_polynomials, taps_needed
 from blocksar.kernels.operations import Operation, Resample, Transform, Turn, Window
 from blocksar.kernels.phase import Phase
-from blocksar.kernels.solvers import through_nodes
+from blocksar.solvers import through_nodes
 
 GATE_WINDOWS = 17  # windows of the dwell gate over the slopes of a swath
 INVERSE_ORDER = 9  # of the polynomial that inverts a Doppler resampling: to a thousandth of a bin, and far below

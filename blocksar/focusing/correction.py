@@ -21,6 +21,7 @@ from blocksar.kernels import interpolation
 from blocksar.kernels.groups import run_groups
 from blocksar.kernels.phase import Float32Array
 from blocksar.kernels.trigonometry import cosine, sine
+from blocksar.solvers import least_squares, product
 
 TILE_DEGREE = 5
 TILE_PIXELS = 64
@@ -149,7 +150,7 @@ def _tile_polynomials(ground: GroundMap, x: FloatArray, y: FloatArray, tiles: Fl
     py = y[0] + dy * (tiles[:, 0, None, None] + half * (1 + nodes[None, :, None]))
     px, py = np.broadcast_arrays(px, py)
     values = np.stack(ground.locate(px, py), axis=1)
-    coefficients = np.moveaxis(to_power @ values @ to_power.T, 1, 2)
+    coefficients = np.moveaxis(product(product(to_power, values), to_power.T), 1, 2)
     return np.ascontiguousarray(coefficients).reshape(tiles.shape[0], nodes.size, -1)
 
 
@@ -158,7 +159,7 @@ def _tile_nodes() -> tuple[FloatArray, FloatArray]:
     """Chebyshev nodes (degree + 1,) in [-1, 1] and the matrix from values there to power coefficients."""
     n = TILE_DEGREE + 1
     nodes = np.cos(np.pi * (np.arange(n) + 0.5) / n)[::-1]
-    return nodes, np.linalg.inv(np.vander(nodes, n, increasing=True))
+    return nodes, least_squares(np.vander(nodes, n, increasing=True).T, np.eye(n))
 
 
 class _Window(NamedTuple):

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.polynomial import chebyshev
 
+from blocksar import solvers
 from blocksar.arrays import FloatArray
 from blocksar.collection.beam import wrapped
 from blocksar.collection.geometry import Geometry
@@ -42,8 +42,8 @@ def fit_surface(values: FloatArray, *, epoch_range: FloatArray, yaw: FloatArray,
     near, far, low, high = epoch_range[0], epoch_range[-1], yaw[0], yaw[-1]
     u = (2 * epoch_range - near - far) / (far - near)
     v = (2 * yaw - low - high) / (high - low)
-    in_range = chebyshev.chebfit(u, values, min(degree[0], u.size - 1))
-    series = chebyshev.chebfit(v, in_range.T, min(degree[1], v.size - 1)).T
+    in_range = solvers.chebyshev_series(u, values, min(degree[0], u.size - 1))
+    series = solvers.chebyshev_series(v, in_range.T, min(degree[1], v.size - 1)).T
     return Surface(series=np.asarray(series), near=float(near), far=float(far), low=float(low), high=float(high))
 
 

@@ -23,6 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial import chebyshev
 
+from blocksar import solvers
 from blocksar.arrays import FloatArray
 
 
@@ -229,7 +230,7 @@ def row_polynomial(
     near, far = float(ranges[0]), float(ranges[-1])
     degree = min(degree, ranges.size - 1)
     u = (2 * ranges - near - far) / (far - near)
-    series = chebyshev.chebfit(u, shifted, degree)
+    series = solvers.chebyshev_series(u, shifted, degree)
     return RowPolynomial(series=np.asarray(series), near=near, far=far, centre=centre, scale=scale)
 
 

@@ -16,12 +16,13 @@ from numpy.polynomial import chebyshev
 from numpy.polynomial import polynomial as power
 from numpy.typing import NDArray
 
+from blocksar import solvers
 from blocksar.arrays import FloatArray
 from blocksar.budget import AZIMUTH_TAP_ERROR
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.lines import Line
 from blocksar.focusing.step import Constants, Step
-from blocksar.kernels import interpolation, phase, solvers
+from blocksar.kernels import interpolation, phase
 from blocksar.kernels.fourier import Axis
 from blocksar.kernels.operations import Operation, Stretch, Transform, Turn, Window
 from blocksar.kernels.phase import Phase
@@ -253,7 +254,9 @@ class RangeCompression(Compression):
         order = np.arange(2, self.reference.size)
         migration = self.reference[2:] * self.columns.values[:, None] ** order
         to_cycles = 2 * self.carrier / SPEED_OF_LIGHT
-        return self.interpolate(lambda ratio: to_cycles * (ratio[:, None] ** (1 - order) - 1) @ migration.T)
+        return self.interpolate(
+            lambda ratio: to_cycles * solvers.product(ratio[:, None] ** (1 - order) - 1, migration.T)
+        )
 
     def trace(self, line: Line) -> Line:
         return line.shift_range(self._along(line.time, np.arange(self.reference.size) - 1.0))

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numba import njit, types
 
+from blocksar import solvers
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.kernels.lanes import LANES, count_lanes, load, load_imag, load_real, spread, store, store_complex
 from blocksar.kernels.phase import Float32Array
@@ -42,7 +43,7 @@ def interpolation_taps(n_tap: int, *, occupancy: float, n_phase: int = 256) -> F
     gram = np.sinc(occupancy * (k[:, None] - k[None, :])) + 1e-9 * np.eye(n_tap)
     fraction = np.arange(n_phase + 1) / n_phase
     right = np.sinc(occupancy * (fraction[None, :] - k[:, None]))
-    return np.ascontiguousarray(np.linalg.solve(gram, right).T, dtype=np.float32)
+    return np.ascontiguousarray(solvers.least_squares(gram, right.T).T, dtype=np.float32)
 
 
 def interpolation_error(n_tap: int, occupancy: float) -> float:
@@ -50,7 +51,7 @@ def interpolation_error(n_tap: int, occupancy: float) -> float:
     taps = interpolation_taps(n_tap, occupancy=occupancy, n_phase=2)[1].astype(np.float64)
     k = np.arange(n_tap) - (n_tap // 2 - 1)
     f = np.linspace(-occupancy / 2, occupancy / 2, 129)
-    error = np.exp(2j * np.pi * f[:, None] * k) @ taps - np.exp(1j * np.pi * f)
+    error = (np.exp(2j * np.pi * f[:, None] * k) * taps).sum(axis=1) - np.exp(1j * np.pi * f)
     return float(np.sqrt(np.mean(np.abs(error) ** 2)))
 
 
@@ -76,9 +77,9 @@ def tap_polynomials(n_tap: int, *, occupancy: float) -> Float32Array:
     gram = np.sinc(occupancy * (k[:, None] - k[None, :])) + 1e-9 * np.eye(n_tap)
     nodes = np.cos(np.pi * (np.arange(TAP_ORDER + 1) + 0.5) / (TAP_ORDER + 1))
     fraction = np.arange(TAP_PHASES + 1)[:, None] / TAP_PHASES + TAP_REACH * nodes
-    weights = np.linalg.solve(gram, np.sinc(occupancy * (fraction.ravel() - k[:, None])))
+    weights = solvers.least_squares(gram, np.sinc(occupancy * (fraction.reshape(-1, 1) - k)))
     weights = weights.reshape(n_tap, TAP_PHASES + 1, TAP_ORDER + 1)
-    to_power = np.linalg.inv(np.vander(TAP_REACH * nodes, increasing=True))
+    to_power = solvers.least_squares(np.vander(TAP_REACH * nodes, increasing=True).T, np.eye(nodes.size))
     return np.ascontiguousarray(np.einsum("kqn,pn->qkp", weights, to_power), dtype=np.float32)
 
 

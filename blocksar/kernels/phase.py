@@ -20,6 +20,7 @@ from numba import njit, types
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
+from blocksar import solvers
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.kernels.fourier import Axis
 from blocksar.kernels.lanes import LANES, load, load_imag, load_real, prefetch, remainder, store_complex
@@ -57,7 +58,7 @@ class Phase:
         for k in range(order + 1):
             for j in range(k + 1):
                 shift[k, j] = comb(k, j) * offset ** (k - j) * ratio**j
-        return np.asarray(self.coefficients @ shift)
+        return solvers.product(self.coefficients, shift)
 
 
 @lru_cache(maxsize=32)

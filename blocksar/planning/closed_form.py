@@ -63,6 +63,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from blocksar import solvers
 from blocksar.arrays import FloatArray
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.range_series import YAW_NODES, yaw_series
@@ -110,7 +111,7 @@ def levelling(
     """
     lam, collection = geometry.collection.wavelength, geometry.collection
     yaw, half_width = float(yaws[0] + yaws[-1]) / 2, float(yaws[-1] - yaws[0]) / 2
-    along = np.polynomial.chebyshev.chebfit((yaws - yaw) / half_width, epoch_range.T, 8)
+    along = solvers.chebyshev_series((yaws - yaw) / half_width, epoch_range.T, 8)
     at_nodes = np.asarray(np.polynomial.chebyshev.chebval(YAW_NODES, along), dtype=np.float64)
     k = yaw_series(geometry, at_nodes, yaw, order=4, half_width=half_width)
     half_dwell = collection.pulse_interval * collection.n_pulse / 2

@@ -14,14 +14,13 @@ deramp of orders 2 to 4.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import prod
 from typing import NamedTuple
 
 import numpy as np
 
 from blocksar.arrays import FloatArray
 from blocksar.focusing.lines import AzimuthPolynomials, Line, RowPolynomial, row_polynomial
-from blocksar.kernels.solvers import ENOUGH, MOST_STEPS, levenberg_marquardt
+from blocksar.kernels.levelling import level_lines
 
 TIME_ORDERS = (3, 4)
 DOPPLER_ORDERS = (2, 3, 4, 5)
@@ -30,6 +29,9 @@ DERAMP_ORDERS = (2, 3, 4)
 SERIES_DEGREE = 6  # of the series of each coefficient in range
 GOOD_RESIDUAL = 0.02  # rad: below this a cheaper chain is preferred to a better one
 GOOD_LOSS = 0.008  # fraction of the dwell lost at its ends: likewise
+# A fit stops when a step lowers the cost by less than the fraction ENOUGH, or after MOST_STEPS steps. Order 2 in
+# Doppler and the deramp nearly cancel, which makes a long valley; its beginning suffices to choose a kind of chain.
+ENOUGH, MOST_STEPS = 1e-7, 200
 ROUGHLY_ENOUGH, FEW_STEPS = 1e-4, 40  # a rough fit stops at this relative decrease of the cost, or after these steps
 SETTLED = 100.0  # rad: the penalty for changing an unknown that an earlier range has settled
 STRETCH_WEIGHT = 0.5  # rad of phase error that count as much as a stretch of 2 in the fit
@@ -192,103 +194,26 @@ def _fit_range(
     *,
     pull: FloatArray,
     roughly: bool,
-) -> FloatArray:  # longer than most: the residuals and their Jacobian are checked side by side
+) -> FloatArray:
     """Level the lines (n_yaw, n) of one range; unknowns are scaled to the lines' extent in time and Doppler.
 
-    With v = f / F + P(z), delayed to y = z - D(v) and resampled to h = v + R(v), z' = y / h'(v), the level is h + E(z')
-    and the stretch is dz'/dz. P, D, R and E are sums of powers with the unknown coefficients. In the code `bend` is
-    D'(v), `pace` is h'(v) and `curl` is h''(v). `pull` (n_unknown,), rad, penalises departures from `start`.
+    `pull` (n_unknown,), rad, penalises departures from `start`.
     """
-    split = unknowns.ends
-    z_in = (time - scales.time_centre) / scales.time
-    doppler_in, slope_in = doppler / scales.doppler, rate * scales.time / scales.doppler
-    p_terms, p_slopes = _powers(z_in, unknowns.time), _slopes(z_in, unknowns.time, 1)
-    r_orders = tuple(order + 1 for order in unknowns.resampling)  # R is a shift, the other orders are of phases
     duration = weight.sum(axis=-1, keepdims=True)
     share = weight / duration
-    # The Doppler error over a dwell times its length is about the phase error that it causes.
-    level_weight = 2 * np.pi * scales.doppler * duration * np.sqrt(share)
-    stretch_weight = STRETCH_WEIGHT * np.sqrt(share)
-
-    def chain(x: FloatArray) -> tuple[FloatArray, ...]:
-        p, d, r, e = np.split(x, split)
-        v = doppler_in + _combine(p, p_terms)
-        slope = slope_in + _combine(p, p_slopes)
-        y = z_in - _combine(d, _powers(v, unknowns.doppler))
-        bend = _combine(d, _slopes(v, unknowns.doppler, 1))
-        h = v + _combine(r, _powers(v, r_orders))
-        pace, curl = 1 + _combine(r, _slopes(v, r_orders, 1)), _combine(r, _slopes(v, r_orders, 2))
-        return v, slope, y, bend, h, pace, curl, e
-
-    def centred(values: FloatArray) -> FloatArray:
-        return values - (values * share).sum(axis=-1, keepdims=True)
-
-    def residuals(x: FloatArray) -> FloatArray:
-        _, slope, y, bend, h, pace, curl, e = chain(x)
-        level = h + _combine(e, _powers(y / pace, unknowns.deramp))
-        stretch = (1 - bend * slope - y / pace * curl * slope) / pace
-        penalty = pull * (x - start)
-        level_error, stretch_error = level_weight * centred(level), stretch_weight * (stretch - 1)
-        return np.concatenate([level_error.ravel(), stretch_error.ravel(), penalty])
-
-    def jacobian(x: FloatArray) -> FloatArray:
-        v, slope, y, bend, _, pace, curl, e = chain(x)
-        d, r = np.split(x, split)[1:3]
-        z = y / pace
-        e_slope = _combine(e, _slopes(z, unknowns.deramp, 1))
-        d_curl, r_twist = _combine(d, _slopes(v, unknowns.doppler, 2)), _combine(r, _slopes(v, r_orders, 3))
-        # Derivatives by v and slope, which only P changes, and by the terms of D and R.
-        stretch = (1 - bend * slope - z * curl * slope) / pace
-        z_by_v = -(bend + z * curl) / pace
-        stretch_by_v = -(d_curl * slope + (z_by_v * curl + z * r_twist) * slope + stretch * curl) / pace
-        stretch_by_slope = -(bend + z * curl) / pace
-        d_terms, d_slopes = _powers(v, unknowns.doppler), _slopes(v, unknowns.doppler, 1)
-        r_terms, r_slopes, r_curls = (_powers(v, r_orders), _slopes(v, r_orders, 1), _slopes(v, r_orders, 2))
-        z_by_r = -z * r_slopes / pace
-        level_rows = [
-            (pace + e_slope * z_by_v) * p_terms,
-            -e_slope / pace * d_terms,
-            r_terms + e_slope * z_by_r,
-            _powers(z, unknowns.deramp),
-        ]
-        stretch_rows = [
-            stretch_by_v * p_terms + stretch_by_slope * p_slopes,
-            (-d_slopes * slope + d_terms / pace * curl * slope) / pace,
-            -(z_by_r * curl * slope + z * r_curls * slope + stretch * r_slopes) / pace,
-            np.zeros_like(level_rows[3]),
-        ]
-        level, stretched = np.concatenate(level_rows), np.concatenate(stretch_rows)
-        rows = np.concatenate([level_weight * centred(level), stretch_weight * stretched], axis=1)
-        return np.concatenate([rows.reshape(x.size, -1), np.diag(pull)], axis=1)
-
     enough, steps = (ROUGHLY_ENOUGH, FEW_STEPS) if roughly else (ENOUGH, MOST_STEPS)
-    return levenberg_marquardt(residuals, jacobian, start, enough=enough, steps=steps)
-
-
-def _combine(x: FloatArray, terms: FloatArray) -> FloatArray:
-    """sum x_k terms_k, term by term: a BLAS product's last bit depends on where its operands lie in memory."""
-    total = np.zeros(terms.shape[1:])
-    for coefficient, term in zip(x, terms, strict=True):
-        total += coefficient * term
-    return total
-
-
-def _powers(z: FloatArray, orders: tuple[int, ...]) -> FloatArray:
-    """z^(order - 1) for each order: the slopes of z^order / order."""
-    powers = _all_powers(z, max(orders, default=1) - 1)
-    return np.stack([powers[order - 1] for order in orders]) if orders else np.zeros((0, *z.shape))
-
-
-def _slopes(z: FloatArray, orders: tuple[int, ...], derivative: int) -> FloatArray:
-    """Derivatives of `_powers`."""
-    powers = _all_powers(z, max(max(orders, default=1) - 1 - derivative, 0))
-    rows = [prod(range(order - derivative, order)) * powers[max(order - 1 - derivative, 0)] for order in orders]
-    return np.stack(rows) if rows else np.zeros((0, *z.shape))
-
-
-def _all_powers(z: FloatArray, highest: int) -> list[FloatArray]:
-    """1, z, z^2, ...: by multiplication, in a tenth of the time of raising to a power."""
-    powers = [np.ones_like(z)]
-    for _ in range(highest):
-        powers.append(powers[-1] * z)
-    return powers
+    return level_lines(
+        np.ascontiguousarray((time - scales.time_centre) / scales.time),
+        np.ascontiguousarray(doppler / scales.doppler),
+        np.ascontiguousarray(rate * scales.time / scales.doppler),
+        np.ascontiguousarray(share),
+        # The Doppler error over a dwell times its length is about the phase error that it causes.
+        np.ascontiguousarray(2 * np.pi * scales.doppler * duration * np.sqrt(share)),
+        np.ascontiguousarray(STRETCH_WEIGHT * np.sqrt(share)),
+        np.array([order for orders in unknowns for order in orders], np.int64),
+        np.array(unknowns.ends, np.int64),
+        start,
+        pull,
+        enough,
+        steps,
+    )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.polynomial import chebyshev
 
+from blocksar import solvers
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.lines import Focus, Line, RowPolynomial
@@ -74,9 +75,11 @@ def plan_gate(line: Line, spots: Focus, *, rows: Axis, slow: Axis) -> DwellGate 
     u = (2 * spots.range[:, full] - near - far) / (far - near)
     z = (doppler - centre) / scale
     basis = chebyshev.chebvander2d(u.ravel(), z.ravel(), [2, 3])
-    series = np.linalg.lstsq(basis, middles[:, full].ravel(), rcond=1e-10)[0].reshape(3, 4)
+    series = solvers.least_squares(
+        np.asarray(basis.T, np.float64), middles[:, full].ravel(), damping=1e-20 * u.size
+    ).reshape(3, 4)
     powers = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [-1, 0, 2, 0], [0, -3, 0, 4]], dtype=float)
-    series = series @ powers  # from Chebyshev to powers of z
+    series = solvers.product(series, powers)  # from Chebyshev to powers of z
     integral = np.zeros((3, 5))
     integral[:, 1:] = series / np.arange(1, 5) * scale
     phase = RowPolynomial(series=integral, near=near, far=far, centre=centre, scale=scale)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.polynomial import chebyshev
 
+from blocksar import solvers
 from blocksar.arrays import FloatArray
 from blocksar.collection.beam import dwell_at
 from blocksar.collection.geometry import Geometry
@@ -121,7 +122,7 @@ def _common_range(geometry: Geometry, centre: FloatArray) -> CommonRange:
     # Range is as smooth as the track: somewhat more than twice its order suffices.
     nodes = chebyshev.chebpts1(2 * track.order + 16)
     rng, _ = geometry.range_history(centre, track.centre + track.half * nodes)
-    series = chebyshev.chebfit(nodes, rng, nodes.size - 1)
+    series = solvers.chebyshev_series(nodes, rng, nodes.size - 1)
     series[:COMMON_ORDER] = 0
     if np.abs(series).sum() < COMMON_LEAST * geometry.collection.wavelength:
         return NO_COMMON_RANGE

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.polynomial import chebyshev
 
+from blocksar import solvers
 from blocksar.arrays import FloatArray
 from blocksar.collection.beam import dwell_at
 from blocksar.collection.geometry import Geometry
@@ -79,4 +79,4 @@ def middle_line(u: FloatArray, doppler: FloatArray, *, order: int) -> FloatArray
     # The middle of a time bin, not of its samples: a bin cut by the aperture's end would bias the fit.
     bin_centre = ((np.arange(48) + 0.5) / 24 - 1)[filled]
     middle = (low[filled] + high[filled]) / 2
-    return np.asarray(chebyshev.chebfit(bin_centre, middle, min(order, int(filled.sum()) - 1)))
+    return solvers.chebyshev_series(bin_centre, middle, min(order, int(filled.sum()) - 1))

@@ -7,11 +7,12 @@ import pytest
 from steps import sampling
 from straight_track import CARRIER, COS, LAMBDA, SIN, SPEED, history, levelled, straight_lines, straight_series
 
+from blocksar import solvers
 from blocksar.arrays import FloatArray
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.lines import focus
 from blocksar.focusing.range_steps import DopplerCompression
-from blocksar.kernels import fourier, solvers
+from blocksar.kernels import fourier
 from blocksar.planning import closed_form
 
 # ---------------------------------------------------------------- Closed forms

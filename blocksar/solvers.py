@@ -1,0 +1,103 @@
+"""Small linear algebra with bit-identical results in every process: least squares and series.
+
+BLAS and LAPACK, and with them `numpy.linalg`, `chebfit` and the operator @, round differently depending on where their
+operands lie in memory. But a plan that is computed again to resume a run has to equal the one with which the run began,
+and a task that is repeated has to give the same bytes. So whatever leads to a plan or to an image is computed here, in
+numpy's own sums, whose order depends on shapes alone. The systems have a few dozen unknowns at most.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.polynomial import chebyshev
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+def product(a: FloatArray, b: FloatArray) -> FloatArray:
+    """The matrix product of a (..., n, m) and b (..., m, k): (..., n, k)."""
+    return np.einsum("...ij,...jk->...ik", a, b)
+
+
+def least_squares(terms: FloatArray, values: FloatArray, *, damping: float = 0.0) -> FloatArray:
+    """The x that minimises |sum_k x_k terms_k - values|^2 + damping |x|^2, by modified Gram-Schmidt.
+
+    Parameters
+    ----------
+    terms : (n, m) float
+        Linearly independent, unless damped.
+    values : (m,) or (..., m) float
+
+    Returns
+    -------
+    (n,) or (n, ...) float
+    """
+    if not damping:
+        return _solve(terms.copy(), values)
+    n = terms.shape[0]
+    damped = np.concatenate([terms, np.sqrt(damping) * np.eye(n)], axis=1)
+    return _solve(damped, np.concatenate([values, np.zeros((*values.shape[:-1], n))], axis=-1))
+
+
+def chebyshev_series(u: FloatArray, values: FloatArray, degree: int) -> FloatArray:
+    """Least-squares Chebyshev series of values (m, ...) at u (m,) in [-1, 1]: (degree + 1, ...)."""
+    return least_squares(
+        np.asarray(chebyshev.chebvander(u, degree).T, np.float64), np.moveaxis(np.asarray(values, np.float64), 0, -1)
+    )
+
+
+def orthogonal_basis(terms: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Orthonormal rows q (n, m) and upper triangular r (n, n) with terms_k = sum_(i <= k) r_ik q_i, terms (n, m)."""
+    q, n = terms.copy(), terms.shape[0]
+    r = np.zeros((n, n))
+    for _ in range(2):  # twice is enough for orthogonality to rounding
+        again = np.eye(n)
+        for i in range(n):
+            again[i, i] = np.sqrt((q[i] * q[i]).sum())
+            q[i] /= again[i, i]
+            again[i, i + 1 :] = (q[i] * q[i + 1 :]).sum(axis=1)
+            q[i + 1 :] -= again[i, i + 1 :, None] * q[i]
+        r = product(again, r) if r.any() else again
+    return q, r
+
+
+def back_substitute(r: FloatArray, right: FloatArray) -> FloatArray:
+    """The x (n, ...) with r x = right, for an upper triangular r (n, n) and right (n, ...)."""
+    x = np.zeros_like(right)
+    for i in range(r.shape[0] - 1, -1, -1):
+        known = (r[i, i + 1 :] * np.moveaxis(x[i + 1 :], 0, -1)).sum(axis=-1)
+        x[i] = (right[i] - known) / r[i, i]
+    return x
+
+
+def through_nodes(values: FloatArray) -> FloatArray:
+    """Power coefficients (n, ...) of the polynomial through values (n, ...) at the Chebyshev nodes, `chebpts1(n)`."""
+    n = values.shape[0]
+    nodes = chebyshev.chebpts1(n)
+    coefficients = np.zeros_like(values)
+    for j in range(n):
+        basis = np.polynomial.chebyshev.Chebyshev.basis(j)
+        share = np.zeros(values.shape[1:])
+        for node, value in zip(nodes, values, strict=True):
+            share = share + basis(node) * value
+        for order, coefficient in enumerate(chebyshev.cheb2poly(basis.coef)):
+            coefficients[order] += coefficient * (1 if j == 0 else 2) / n * share
+    return coefficients
+
+
+def _solve(q: FloatArray, right: FloatArray) -> FloatArray:
+    """`least_squares` with the terms q, which are overwritten.
+
+    The right side is made orthogonal along with them, which keeps the solution stable without a second pass.
+    """
+    n = q.shape[0]
+    r, projected = np.zeros((n, n)), np.zeros((n, *right.shape[:-1]))
+    for i in range(n):
+        r[i, i] = np.sqrt((q[i] * q[i]).sum())
+        q[i] /= r[i, i]
+        projected[i] = (q[i] * right).sum(axis=-1)
+        right = right - projected[i, ..., None] * q[i]
+        r[i, i + 1 :] = (q[i] * q[i + 1 :]).sum(axis=1)
+        q[i + 1 :] -= r[i, i + 1 :, None] * q[i]
+    return back_substitute(r, projected)
