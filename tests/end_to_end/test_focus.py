@@ -27,7 +27,7 @@ from blocksar.errors import InputError
 from blocksar.planning.plan import plan_collection
 from blocksar.simulation.scene import Scene
 
-CLUTTER = "[clutter]\nscatterers = 100000\nseed = 3\n"
+CLUTTER = "[clutter]\nscatterers = 30000\nseed = 3\n"
 
 
 def test_targets_on_seams_meet_the_quality_bar(client: Client, tmp_path: Path) -> None:
@@ -110,7 +110,7 @@ def test_raw_echo_with_dropped_pulses_is_focused(client: Client, tmp_path: Path)
         '[[targets]]\nname = "P"\nrange = 30000.0\nyaw_deg = 50.5\n'
         "[dropped]\nfraction = 0.05\nseed = 2\n[noise]\npower = 1e-4\nseed = 1\n"
     )
-    (tmp_path / "scene.toml").write_text(scene(more=more))
+    (tmp_path / "scene.toml").write_text(scene(swath=[29500.0, 30500.0], more=more))
     store = blocksar.simulate(tmp_path / "scene.toml", tmp_path / "raw.zarr", raw=True)
     blocksar.focus(store, tmp_path / "run", blocks=2, client=client)
     (target,) = blocksar.quality(tmp_path / "run").result["targets"]
@@ -142,10 +142,10 @@ def test_back_projection_processor_writes_the_same_store(client: Client, tmp_pat
 
 
 def test_results_do_not_depend_on_workers_or_threads(tmp_path: Path) -> None:
-    store = write_store(tmp_path, swath=[29800.0, 30200.0], more=CLUTTER.replace("100000", "2000"))
+    store = write_store(tmp_path, swath=[29800.0, 30200.0], more=CLUTTER.replace("30000", "2000"))
     grid = coarse_grid(store, 8.0)
     sums = set()
-    for workers, threads in ((1, 1), (1, 3), (3, 1)):
+    for workers, threads in ((1, 3), (3, 1)):
         run = tmp_path / f"run-{workers}-{threads}"
         blocksar.focus(store, run, blocks=3, grid=grid, workers=workers, threads=threads)
         image = blocksar.open(run)

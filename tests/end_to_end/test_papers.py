@@ -44,7 +44,7 @@ def test_a_papers_scene_meets_the_quality_bar(
     check_targets(found, 15)
 
     x, y = (f"[{low}, {high}]" for low, high, _ in grid)
-    text = emptied(name) + f"[clutter]\nscatterers = 30000\nseed = 5\nx = {x}\ny = {y}\n"
+    text = emptied(name) + f"[clutter]\nscatterers = 8000\nseed = 5\nx = {x}\ny = {y}\n"
     clutter = simulated(tmp_path, "clutter", text)
     blocksar.focus(clutter, tmp_path / "clutter", processor=processor, grid=coarser(grid, 1.0), client=client)
     at = {target.name: (target.x, target.y) for target in Scene.read(name).point_targets()}

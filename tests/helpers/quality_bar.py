@@ -119,7 +119,7 @@ def with_targets(text: str, at: dict[str, tuple[float, float]]) -> str:
 
 def with_clutter(text: str, plan: Plan) -> str:
     """Add clutter over the image: beyond the grid it would occupy more Doppler bandwidth than the PRF of paper B."""
-    text += "\n[clutter]\nscatterers = 30000\nseed = 3\n"
+    text += "\n[clutter]\nscatterers = 8000\nseed = 3\n"
     if plan.geometry.collection.steered:
         return text
     return text + f"x = [{plan.grid.x0}, {plan.grid.x1}]\ny = [{plan.grid.y0}, {plan.grid.y1}]\n"
