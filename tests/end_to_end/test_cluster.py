@@ -114,7 +114,7 @@ def here(*command: str, **more: Any) -> subprocess.Popen[str]:
 # ---------------------------------------------------------------- two machines
 
 
-@pytest.mark.parametrize("between", ["folder", "bucket"])
+@pytest.mark.parametrize("between", ["folder", pytest.param("bucket", marks=pytest.mark.slow)])
 def test_two_machines_compute_the_same_bytes(between: str, store: Path, image: dict[str, str], tmp_path: Path) -> None:
     """Scheduler and main process on one, workers on the other; input and run lie in a shared folder or bucket."""
     address, shared = "tcp://10.77.0.1:8786", str(tmp_path / "run")

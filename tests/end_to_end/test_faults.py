@@ -151,6 +151,10 @@ def one_sentence(process: Process) -> str:
 # ---------------------------------------------------------------- lost workers
 
 
+# Stages of a run at which something happens to it; recovery resumes as the others do, and is left to the slow tests.
+OFTEN = [pytest.param(stage, marks=pytest.mark.slow if stage == "recover" else ()) for stage in STAGES]
+
+
 class Assassin(SchedulerPlugin):
     """Kill the worker of a chosen task after a delay from the start of the task."""
 
@@ -214,8 +218,7 @@ def guarded() -> Iterator[tuple[Client, Assassin]]:
     ("stage", "seeds", "enough"),
     [
         *((stage, range(5), 1) for stage in STAGES),
-        ("range-compress", range(5), 1),
-        *(pytest.param(stage, range(20), 20, marks=pytest.mark.slow) for stage in STAGES),
+        *(pytest.param(stage, range(20), 20, marks=pytest.mark.slow) for stage in (*STAGES, "range-compress")),
     ],
 )
 def test_a_killed_worker_does_not_change_the_result(
@@ -338,7 +341,7 @@ def test_a_folder_with_only_a_temporary_file_is_accepted(
     again(tmp_path / "run")
 
 
-@pytest.mark.parametrize("stage", STAGES)
+@pytest.mark.parametrize("stage", OFTEN)
 def test_a_run_resumes_after_its_scheduler_was_killed(
     stage: str, launcher: Launcher, store: Path, again: Callable[[Path], set[str]], tmp_path: Path
 ) -> None:
@@ -441,7 +444,7 @@ def test_a_read_only_output_is_refused(launcher: Launcher, store: Path, disk: Di
     assert list(disk.view.iterdir()) == []
 
 
-@pytest.mark.parametrize("stage", STAGES)
+@pytest.mark.parametrize("stage", OFTEN)
 def test_a_run_resumes_after_its_output_became_read_only(
     stage: str,
     launcher: Launcher,
@@ -466,7 +469,9 @@ def test_a_run_resumes_after_its_output_became_read_only(
 # ---------------------------------------------------------------- hung workers
 
 
-@pytest.mark.parametrize(("stage", "workers"), [("recover", 1), ("focus", 2), ("mosaic", 1)])
+@pytest.mark.parametrize(
+    ("stage", "workers"), [("recover", 1), ("focus", 2), pytest.param("mosaic", 1, marks=pytest.mark.slow)]
+)
 def test_a_hung_worker_does_not_change_the_result(
     stage: str, workers: int, launcher: Launcher, store: Path, again: Callable[[Path], set[str]], tmp_path: Path
 ) -> None:
@@ -553,10 +558,10 @@ INTERRUPTED, TERMINATED = (signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 
     ("number", "status", "word", "stage"),
     [
         (*INTERRUPTED, "start"),
-        (*TERMINATED, "recover"),
-        (*INTERRUPTED, "focus"),
         (*TERMINATED, "focus"),
         (*INTERRUPTED, "mosaic"),
+        pytest.param(*TERMINATED, "recover", marks=pytest.mark.slow),
+        pytest.param(*INTERRUPTED, "focus", marks=pytest.mark.slow),
     ],
 )
 def test_a_signal_stops_a_run_cleanly(
