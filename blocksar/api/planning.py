@@ -187,7 +187,7 @@ def _plan_lines(plan: Plan) -> list[str]:
     divided = f" of {plan.parts} range sub-blocks each" if plan.parts > 1 else ""
     lines = [
         f"{plan.n_blocks} blocks{divided}, {plan.method.coefficients} coefficients; "
-        f"track of order {plan.geometry.track.order}, misfit {plan.geometry.track.max_misfit:.2g} m",
+        f"track: {plan.geometry.track}, misfit {plan.geometry.track.max_misfit:.2g} m",
         f"derotated band {recovery.band[1] - recovery.band[0]:.0f} Hz at PRF {collection.prf:.0f} Hz; recovered "
         f"spectrum {recovery.doppler.size} x {collection.n_range_frequency} ({spectrum / MIB:.0f} MiB), "
         f"{recovery.doppler.extent:.0f} Hz wide",

@@ -32,6 +32,7 @@ from blocksar.planning.coefficients import choose
 from blocksar.planning.fitting import Candidate
 from blocksar.planning.gates import plan_gate, plan_range_gate
 from blocksar.planning.memory import block_memory
+from blocksar.planning.motion import plan_motion
 from blocksar.planning.prediction import Prediction, predict
 from blocksar.planning.target_lines import recovered_line, tail_margin
 
@@ -140,8 +141,11 @@ def plan_block(
     slab = _plan_slab(collection, recovery.doppler, line, margin=tail_margin(duration))
     band = Axis(float(collection.range_frequency[0]), collection.range_frequency_step, collection.n_range_frequency)
     range_gate = None if part is None else plan_range_gate(band, slab.doppler, line, collection.carrier)
-    constants = Constants(carrier=collection.carrier, walk=slab.walk, reference=sector.reference())
-    range_part = RangePart.bind(steps_of(method), constants, line)
+    motion = plan_motion(
+        sector.geometry, near=sector.near, far=sector.far, origin=recovery.origin, yaw=(sector.low + sector.high) / 2
+    )
+    constants = Constants(carrier=collection.carrier, walk=slab.walk, reference=sector.reference(), motion=motion)
+    range_part = RangePart.bind(steps_of(method, measured=motion is not None), constants, line)
     straight = range_part.trace(line)
     azimuth, chosen = _plan_azimuth(sector, range_part, method, straight, nodes=nodes, yaws=yaws, candidate=candidate)
 

@@ -65,6 +65,8 @@ GEOMETRIES: dict[str, dict[str, Any]] = {
     "three times the relative bandwidth": {"carrier": 10e9, "bandwidth": 150e6, "n_frequency": 240},
     "not steered": {"steering_deg": None, "prf": 12e3},
     "jerk": {"jerk": (300.0, -400.0, 200.0)},
+    "wobble": {"wobble": (0.03, 0.05, 0.02)},
+    "not steered, wobble": {"steering_deg": None, "prf": 12e3, "wobble": (0.03, 0.05, 0.02)},
 }
 METHODS: dict[str, dict[str, Any]] = {  # on Table 1's geometry, unless another is named
     "closed form": {"coefficients": "closed-form"},
@@ -73,6 +75,8 @@ METHODS: dict[str, dict[str, Any]] = {  # on Table 1's geometry, unless another 
     "resampling, scan reversed": {"processor": "keystone-resampling"},
     "resampling, not steered": {"processor": "keystone-resampling"},
     "resampling, acceleration cancels the Doppler rate": {"processor": "keystone-resampling"},
+    "resampling, wobble": {"processor": "keystone-resampling"},
+    "high order phase, wobble": {"processor": "high-order-phase"},
     "high order phase": {"processor": "high-order-phase"},
     "high order phase, closed form": {"processor": "high-order-phase", "coefficients": "closed-form"},
     "high order phase, scan reversed": {"processor": "high-order-phase"},
