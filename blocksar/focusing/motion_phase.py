@@ -74,7 +74,7 @@ class Motion:
     def factors(self, rng: FloatArray) -> FloatArray:
         """What multiplies each psi_k at ranges (...): (..., n_term)."""
         u = (2 * rng - self.near - self.far) / (self.far - self.near)
-        return np.asarray(chebyshev.chebvander(u, self.n_term - 1), np.float64)
+        return np.asarray(chebyshev.chebvander(u, self.n_term - 1), np.float64).reshape(*np.shape(rng), self.n_term)
 
     @property
     def middle(self) -> FloatArray:

@@ -20,6 +20,7 @@ from blocksar.focusing.chains import steps_of
 from blocksar.focusing.ground_map import YAW_STEPS, GroundMap, surfaces
 from blocksar.focusing.lines import Focus, Line, focus
 from blocksar.focusing.method import Method
+from blocksar.focusing.motion import RangeMotionInFrequency
 from blocksar.focusing.range_steps import RangeGate
 from blocksar.focusing.recovery import Recovery
 from blocksar.focusing.sampling import Sampling
@@ -367,8 +368,10 @@ def _plan_ground(
 
 def _plan_memory(range_gate: RangeGate | None, range_part: RangePart, sampling: Sampling) -> int:
     """Peak memory of a worker that focuses the block, bytes."""
+    lengthened = any(isinstance(step, RangeMotionInFrequency) for step in range_part.steps)
     return block_memory(
         gate=range_gate,
+        n_short=sampling.time.size if lengthened else 0,
         frequency=sampling.range_frequency,
         n_bin=sampling.slab.size,
         n_column=(sampling.doppler if range_part.compression.in_doppler else sampling.time).size,
