@@ -151,8 +151,8 @@ def one_sentence(process: Process) -> str:
 # ---------------------------------------------------------------- lost workers
 
 
-# Stages of a run at which something happens to it; recovery resumes as the others do, and is left to the slow tests.
-OFTEN = [pytest.param(stage, marks=pytest.mark.slow if stage == "recover" else ()) for stage in STAGES]
+# Stages of a run at which something happens to it; all resume in the same way, and one is enough most of the time.
+OFTEN = [pytest.param(stage, marks=() if stage == "focus" else pytest.mark.slow) for stage in STAGES]
 
 
 class Assassin(SchedulerPlugin):
@@ -392,7 +392,7 @@ def most_used(disk: Disk, process: Process) -> int:
     return most
 
 
-@pytest.mark.parametrize("stage", [*STAGES, "run.json"])
+@pytest.mark.parametrize("stage", [*OFTEN, "run.json"])
 def test_a_run_resumes_after_the_disk_was_full(
     stage: str,
     launcher: Launcher,
@@ -470,7 +470,8 @@ def test_a_run_resumes_after_its_output_became_read_only(
 
 
 @pytest.mark.parametrize(
-    ("stage", "workers"), [("recover", 1), ("focus", 2), pytest.param("mosaic", 1, marks=pytest.mark.slow)]
+    ("stage", "workers"),
+    [("focus", 2), *(pytest.param(stage, 1, marks=pytest.mark.slow) for stage in ("recover", "mosaic"))],
 )
 def test_a_hung_worker_does_not_change_the_result(
     stage: str, workers: int, launcher: Launcher, store: Path, again: Callable[[Path], set[str]], tmp_path: Path
