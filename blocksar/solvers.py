@@ -8,6 +8,8 @@ numpy's own sums, whose order depends on shapes alone. The systems have a few do
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
@@ -45,6 +47,22 @@ def chebyshev_series(u: FloatArray, values: FloatArray, degree: int) -> FloatArr
     return least_squares(
         np.asarray(chebyshev.chebvander(u, degree).T, np.float64), np.moveaxis(np.asarray(values, np.float64), 0, -1)
     )
+
+
+@lru_cache(maxsize=16)
+def gauss_legendre(n: int) -> tuple[FloatArray, FloatArray]:
+    """Nodes in (-1, 1), ascending, and weights (n,) of Gauss-Legendre quadrature, by Newton's method; read-only."""
+    nodes = -np.cos(np.pi * (np.arange(1, n + 1) - 0.25) / (n + 0.5))
+    slope = np.ones(n)
+    for _ in range(6):
+        before, value = np.ones(n), nodes.copy()
+        for k in range(2, n + 1):
+            before, value = value, ((2 * k - 1) * nodes * value - (k - 1) * before) / k
+        slope = n * (nodes * value - before) / (nodes * nodes - 1)
+        nodes = nodes - value / slope
+    weights = 2 / ((1 - nodes * nodes) * slope * slope)
+    nodes.flags.writeable = weights.flags.writeable = False
+    return nodes, weights
 
 
 def orthogonal_basis(terms: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -14,7 +14,21 @@ from blocksar import solvers
 PACKAGE = Path(blocksar.__file__).parent
 TO_IMAGES = ("collection", "kernels", "focusing", "planning")  # what leads from axes and samples to plans and images
 # Not reproducible to the bit: they call BLAS or LAPACK. A norm along an axis is a plain sum.
-LIBRARY = {"chebfit", "polyfit", "legfit", "dot", "vdot", "inner", "matmul", "tensordot", "lstsq", "inv", "qr", "solve"}
+LIBRARY = {
+    "chebfit",
+    "polyfit",
+    "legfit",
+    "leggauss",
+    "dot",
+    "vdot",
+    "inner",
+    "matmul",
+    "tensordot",
+    "lstsq",
+    "inv",
+    "qr",
+    "solve",
+}
 
 
 @pytest.mark.parametrize("shape", [(50,), (7, 50), (2, 3, 50)])
@@ -59,6 +73,13 @@ def test_an_orthogonal_basis_spans_the_terms() -> None:
     assert np.all(r == np.triu(r))
     right = np.random.default_rng(5).standard_normal((41, 3))
     np.testing.assert_allclose(solvers.back_substitute(r, right), np.linalg.solve(r, right), rtol=1e-9)
+
+
+@pytest.mark.parametrize("n", [2, 16, 17, 200])
+def test_quadrature_is_that_of_numpy(n: int) -> None:
+    wanted = np.polynomial.legendre.leggauss(n)
+    for found, values in zip(solvers.gauss_legendre(n), wanted, strict=True):
+        np.testing.assert_allclose(found, values, atol=1e-14)
 
 
 def test_power_coefficients_through_nodes() -> None:

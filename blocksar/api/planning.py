@@ -36,6 +36,9 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
+TRACK_TOLD = 0.01  # rad: noise of the track that leaves less is not mentioned
+
+
 def plan(
     source: Location | xr.Dataset,
     *,
@@ -187,13 +190,18 @@ def _plan_lines(plan: Plan) -> list[str]:
     divided = f" of {plan.parts} range sub-blocks each" if plan.parts > 1 else ""
     lines = [
         f"{plan.n_blocks} blocks{divided}, {plan.method.coefficients} coefficients; "
-        f"track of order {plan.geometry.track.order}, misfit {plan.geometry.track.max_misfit:.2g} m",
+        f"track: {plan.geometry.track}, misfit {plan.geometry.track.max_misfit:.2g} m",
         f"derotated band {recovery.band[1] - recovery.band[0]:.0f} Hz at PRF {collection.prf:.0f} Hz; recovered "
         f"spectrum {recovery.doppler.size} x {collection.n_range_frequency} ({spectrum / MIB:.0f} MiB), "
         f"{recovery.doppler.extent:.0f} Hz wide",
         f"image {grid.shape[1]} x {grid.shape[0]} pixels: x {grid.x[0]:g} .. {grid.x[-1]:g} m every {grid.dx:g}, "
         f"y {grid.y[0]:g} .. {grid.y[-1]:g} m every {grid.dy:g}",
     ]
+    noise = max(block.prediction.track_phase for block in plan.blocks)
+    if noise > TRACK_TOLD:
+        lines.append(
+            f"the noise of the track leaves a phase of {noise:.2g} rad r.m.s. over a dwell; smooth the positions"
+        )
     if not plan.within_budget():
         lines.append(
             "the predicted residual phase or migration is above its budget: more blocks, or fitted coefficients"

@@ -17,16 +17,22 @@ from numpy.polynomial import chebyshev
 from blocksar import solvers
 from blocksar.arrays import FloatArray
 from blocksar.collection.collection import Collection
+from blocksar.collection.spline import Spline, fit_spline
 from blocksar.errors import InputError
 
 MAX_TRACK_ORDER = 12
+BASE_ORDER = 5  # of the polynomial under a spline
 TRACK_ACCURACY = 1e-5  # wavelengths of track misfit, too small to be visible in an image
+SPLINE_ACCURACY = 2e-4  # wavelengths, a phase of 0.0025 rad: a spline need not be finer
+MIN_INTERVALS, MAX_INTERVALS, PULSES_PER_INTERVAL = 8, 2048, 6  # of a spline
+SPLINE_GAIN = 0.7  # a spline that leaves more of the polynomial's misfit than this is no gain: it is noise
+SAME_MISFIT = 1.1  # times the misfit of the finest spline: a coarser one with less is preferred
 MAX_EXTRAPOLATION = 2.0  # aperture lengths by which t = 0 may lie outside the collection
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Track:
-    """A polynomial track: one Chebyshev series over slow time per axis.
+    """A smooth track: one Chebyshev series over slow time per axis, and a spline where a polynomial does not suffice.
 
     Attributes
     ----------
@@ -34,14 +40,17 @@ class Track:
         m, in the scaled variable u = (t - centre) / half.
     centre, half : float
         s.
+    wobble : Spline or None
+        What a measured track has besides the polynomial, (3,) m over slow time; None where it has nothing besides.
     misfit : (n_pulse, 3) float
-        Sampled minus polynomial position, m.
+        Sampled minus smooth position, m: noise.
     """
 
     coefficients: FloatArray
     centre: float
     half: float
     misfit: FloatArray
+    wobble: Spline | None = None
 
     @property
     def order(self) -> int:
@@ -51,19 +60,31 @@ class Track:
     def max_misfit(self) -> float:
         return float(np.abs(self.misfit).max())
 
+    def __str__(self) -> str:
+        spline = "" if self.wobble is None else f" and a spline of {self.wobble.n_interval} intervals"
+        return f"a polynomial of order {self.order}{spline}"
+
     def position(self, time: FloatArray) -> FloatArray:
         """Antenna phase centre, (..., 3) m, at slow times of any shape."""
-        return self._series(time, self.coefficients)
+        return self._with_wobble(self._series(time, self.coefficients), time, 0)
 
     def velocity(self, time: FloatArray) -> FloatArray:
         """Antenna velocity, (..., 3) m/s, at slow times of any shape."""
-        return self._series(time, np.asarray(chebyshev.chebder(self.coefficients, axis=0), np.float64)) / self.half
+        slope = np.asarray(chebyshev.chebder(self.coefficients, axis=0), np.float64)
+        return self._with_wobble(self._series(time, slope) / self.half, time, 1)
 
     def acceleration(self, time: FloatArray) -> FloatArray:
         """Antenna acceleration, (..., 3) m/s^2, at slow times of any shape."""
-        return (
-            self._series(time, np.asarray(chebyshev.chebder(self.coefficients, 2, axis=0), np.float64)) / self.half**2
-        )
+        curvature = np.asarray(chebyshev.chebder(self.coefficients, 2, axis=0), np.float64)
+        return self._with_wobble(self._series(time, curvature) / self.half**2, time, 2)
+
+    @property
+    def base(self) -> Track:
+        """The polynomial alone."""
+        return replace(self, wobble=None)
+
+    def _with_wobble(self, values: FloatArray, time: FloatArray, derivative: int) -> FloatArray:
+        return values if self.wobble is None else values + self.wobble(time, derivative)
 
     def _series(self, time: FloatArray, coefficients: FloatArray) -> FloatArray:
         u = (np.asarray(time, dtype=np.float64) - self.centre) / self.half
@@ -74,7 +95,8 @@ def fit_track(time: FloatArray, position: FloatArray, *, accuracy: float) -> Tra
     """Fit a polynomial of the lowest sufficient order to sampled positions.
 
     The order grows until the largest misfit is below `accuracy`, or until four more orders no longer
-    halve it. The remaining motion is not polynomial; it is kept per pulse as `misfit`.
+    halve it. If a spline describes the remaining motion, it is added to a polynomial of order BASE_ORDER. What
+    remains then is noise; it is kept per pulse as `misfit`.
 
     Parameters
     ----------
@@ -100,14 +122,43 @@ def fit_track(time: FloatArray, position: FloatArray, *, accuracy: float) -> Tra
         if largest <= accuracy or (n >= 1 and min(misfits[n:][:5]) > largest / 2):
             order = n
             break
-    head = slice(0, order + 1)
-    track = Track(
-        coefficients=solvers.back_substitute(r[head, head], projection[head]),
-        centre=float(centre),
-        half=float(half),
-        misfit=np.zeros_like(position),
-    )
-    return replace(track, misfit=position - track.position(time))
+
+    def polynomial(order: int) -> Track:
+        head = slice(0, order + 1)
+        track = Track(
+            coefficients=solvers.back_substitute(r[head, head], projection[head]),
+            centre=float(centre),
+            half=float(half),
+            misfit=np.zeros_like(position),
+        )
+        return replace(track, misfit=position - track.position(time))
+
+    track = polynomial(order)
+    if track.max_misfit <= accuracy:
+        return track
+    base = polynomial(min(order, BASE_ORDER))
+    spline = _fit_wobble(time, base.misfit, enough=accuracy * SPLINE_ACCURACY / TRACK_ACCURACY)
+    if spline is None or _rms(base.misfit - spline(time)) > SPLINE_GAIN * _rms(track.misfit):
+        return track
+    return replace(base, wobble=spline, misfit=base.misfit - spline(time))
+
+
+def _fit_wobble(time: FloatArray, misfit: FloatArray, *, enough: float) -> Spline | None:
+    """The coarsest spline that leaves `enough` m at most, or hardly more than the finest one; None for few pulses."""
+    tried: list[tuple[float, Spline]] = []
+    n_interval = MIN_INTERVALS
+    while n_interval <= min(time.size // PULSES_PER_INTERVAL, MAX_INTERVALS):
+        spline = fit_spline(time, misfit, n_interval)
+        remaining = misfit - spline(time)
+        tried.append((_rms(remaining), spline))
+        if np.abs(remaining).max() <= enough:
+            break
+        n_interval *= 2
+    return next((spline for left, spline in tried if left <= SAME_MISFIT * tried[-1][0]), None)
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values * values)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -19,6 +19,7 @@ from blocksar.focusing.azimuth_steps import (
     TimePerturbation,
 )
 from blocksar.focusing.method import Chain, Method
+from blocksar.focusing.motion import MotionCompensation, RangeMotionCompensation, RangeMotionInFrequency
 from blocksar.focusing.range_steps import (
     DopplerCompression,
     Keystone,
@@ -32,23 +33,31 @@ Steps = tuple[type[Step], ...]
 
 CHAINS: dict[Chain, Steps] = {
     "angular-division": (
-        ResidualRangeWalk, Keystone, RangeCompression,
+        ResidualRangeWalk, MotionCompensation, Keystone, RangeCompression, RangeMotionCompensation,
         TimePerturbation, AzimuthTransform, FrequencyPerturbation, Deramp, DopplerTransform,
     ),
     "keystone-resampling": (
-        ResidualRangeWalk, Keystone, RangeCompression,
+        ResidualRangeWalk, MotionCompensation, Keystone, RangeCompression, RangeMotionCompensation,
         TimePerturbation, AzimuthTransform, DopplerResampling, Deramp, DopplerTransform,
     ),
     "high-order-phase": (
-        ResidualRangeWalk, AzimuthTransform, DopplerCompression,
+        ResidualRangeWalk, MotionCompensation, RangeMotionInFrequency, AzimuthTransform, DopplerCompression,
         FrequencyPerturbation, Deramp, DopplerTransform,
     ),
 }  # fmt: skip
 
 
-def steps_of(method: Method) -> Steps:
-    """The kinds of steps in order; range sub-blocks have a range gate before them."""
+MOTION = (MotionCompensation, RangeMotionCompensation, RangeMotionInFrequency)
+
+
+def steps_of(method: Method, *, measured: bool = False) -> Steps:
+    """The kinds of steps in order; range sub-blocks have a range gate before them.
+
+    Only the chain for a measured track, one that is no polynomial, has motion compensation.
+    """
     chain = CHAINS[method.processor]
+    if not measured:
+        chain = tuple(s for s in chain if s not in MOTION)
     if not method.keystone:
         chain = tuple(TimeDomainCompression if s is RangeCompression else s for s in chain if s is not Keystone)
     if method.perturbation == "frequency":

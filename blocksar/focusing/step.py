@@ -14,6 +14,7 @@ from typing import ClassVar, Literal, Self
 
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.focusing.lines import AzimuthPolynomials, Line
+from blocksar.focusing.motion_phase import Motion
 from blocksar.focusing.sampling import Sampling
 from blocksar.kernels.fourier import Axis
 from blocksar.kernels.operations import Operation
@@ -33,6 +34,8 @@ class Constants:
     reference : (n,) float
         k_0 .. k_(n-1) of the range history of the block's centre about the epoch, m/s^n, less the common range that
         recovery removes.
+    motion : Motion or None
+        What motion compensation removes; None for a polynomial track, whose chain has no such step.
     polynomials : AzimuthPolynomials or None
         Coefficients of the steps after range compression; None for the steps before, on which they depend.
     """
@@ -40,7 +43,21 @@ class Constants:
     carrier: float
     walk: float
     reference: FloatArray
+    motion: Motion | None = None
     polynomials: AzimuthPolynomials | None = None
+
+    @property
+    def measured(self) -> Motion:
+        """The motion of a measured track, for a step that compensates it.
+
+        Raises
+        ------
+        ValueError
+            If the track is a polynomial.
+        """
+        if self.motion is None:
+            raise ValueError("a chain with motion compensation needs a measured track; leave the step out")
+        return self.motion
 
     @property
     def azimuth(self) -> AzimuthPolynomials:

@@ -188,7 +188,9 @@ def run_stage(run: Run, block: BlockPlan, stage: Stage, samples: Samples) -> Sam
         result = values
     else:
         out: ComplexArray | None = values if program.target.size <= values.shape[1] else None
-        if program.source == block.sampling.slab:  # the slab as a range gate leaves it: the later stages need a buffer
+        # The later stages need a buffer: the slab as a range gate leaves it has none, or rows become longer.
+        inner = out is None and stage.steps[-1].name != block.chain[-1].name
+        if program.source == block.sampling.slab or inner:
             out = np.empty((block.sampling.n_buffer_row, program.target.size), np.complex64)
         result = program.run(values[: program.n_row], out=out, threads=run.threads)
     return Samples(result, samples.seconds | {stage.name: time.perf_counter() - started})

@@ -61,8 +61,8 @@ class Program:
                 case Turn():
                     self._add_phase(operation.phase)
                 case ScaledTurn():
-                    if self._scaled is not None:
-                        raise ValueError("two scaled phases without a transform between them")
+                    if self._scaled is not None or self._pending.shape[1] > 2:
+                        self._passes.append(self._flush())  # one pass applies one scaled phase and linear ones
                     self._scaled = operation
                 case Transform():
                     self._transform(operation)
@@ -78,6 +78,8 @@ class Program:
     def _add_phase(self, added: Phase) -> None:
         """Add a phase to those pending."""
         coefficients = added.along(self.target)
+        if self._scaled is not None and coefficients.shape[1] > 2:
+            self._passes.append(self._flush())
         pending = np.zeros((self.n_row, max(coefficients.shape[1], self._pending.shape[1])))
         pending[:, : self._pending.shape[1]] = self._pending
         pending[:, : coefficients.shape[1]] += coefficients
@@ -86,8 +88,6 @@ class Program:
     def _flush(self, size: int | None = None) -> _CopyPass:
         """Make the pass that copies to rows of `size` samples, applies all pending phases and appends zeros."""
         filled = self.target.size
-        if self._scaled and self._pending.shape[1] > 2:
-            raise ValueError("a scaled phase can be combined with linear phases only")
         coefficients = self._pending if self._scaled else phase.as_coefficients(self._pending)
         copy = _CopyPass(coefficients=coefficients, scaled=self._scaled, filled=filled, size=size or filled)
         self._pending, self._scaled = np.zeros((self.n_row, 2)), None

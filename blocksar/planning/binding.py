@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 from blocksar.focusing.chains import Steps
 from blocksar.focusing.lines import AzimuthPolynomials, Line
+from blocksar.focusing.motion import RangeMotionCompensation
 from blocksar.focusing.range_steps import Compression
 from blocksar.focusing.sampling import Sampling
 from blocksar.focusing.step import Constants, Step, trace
@@ -42,7 +43,7 @@ class RangePart:
     ----------
     constants : Constants
     steps : tuple of Step
-        The last one is the range compression.
+        The last one is the range compression, or the motion compensation that follows it.
     azimuth_kinds : tuple of type
         The kinds of steps that follow, in order.
     """
@@ -54,7 +55,7 @@ class RangePart:
     @classmethod
     def bind(cls, kinds: Steps, constants: Constants, line: Line) -> RangePart:
         """Bind the kinds up to range compression; `line` holds the block's lines in the recovered signal."""
-        last = next(i for i, kind in enumerate(kinds) if issubclass(kind, Compression))
+        last = max(i for i, kind in enumerate(kinds) if issubclass(kind, Compression | RangeMotionCompensation))
         steps: tuple[Step, ...] = ()
         for kind in kinds[: last + 1]:
             steps += (kind.bind(constants, partial(trace, steps, line)),)
@@ -66,10 +67,8 @@ class RangePart:
 
     @property
     def compression(self) -> Compression:
-        """The last step."""
-        compression = self.steps[-1]
-        assert isinstance(compression, Compression)
-        return compression
+        """The range compression."""
+        return next(step for step in self.steps if isinstance(step, Compression))
 
     @property
     def freedom(self) -> Freedom:

@@ -20,6 +20,7 @@ from blocksar.focusing.chains import steps_of
 from blocksar.focusing.ground_map import YAW_STEPS, GroundMap, surfaces
 from blocksar.focusing.lines import Focus, Line, focus
 from blocksar.focusing.method import Method
+from blocksar.focusing.motion import RangeMotionInFrequency
 from blocksar.focusing.range_steps import RangeGate
 from blocksar.focusing.recovery import Recovery
 from blocksar.focusing.sampling import Sampling
@@ -32,6 +33,7 @@ from blocksar.planning.coefficients import choose
 from blocksar.planning.fitting import Candidate
 from blocksar.planning.gates import plan_gate, plan_range_gate
 from blocksar.planning.memory import block_memory
+from blocksar.planning.motion import plan_motion
 from blocksar.planning.prediction import Prediction, predict
 from blocksar.planning.target_lines import recovered_line, tail_margin
 
@@ -140,8 +142,11 @@ def plan_block(
     slab = _plan_slab(collection, recovery.doppler, line, margin=tail_margin(duration))
     band = Axis(float(collection.range_frequency[0]), collection.range_frequency_step, collection.n_range_frequency)
     range_gate = None if part is None else plan_range_gate(band, slab.doppler, line, collection.carrier)
-    constants = Constants(carrier=collection.carrier, walk=slab.walk, reference=sector.reference())
-    range_part = RangePart.bind(steps_of(method), constants, line)
+    motion = plan_motion(
+        sector.geometry, near=sector.near, far=sector.far, origin=recovery.origin, yaw=(sector.low + sector.high) / 2
+    )
+    constants = Constants(carrier=collection.carrier, walk=slab.walk, reference=sector.reference(), motion=motion)
+    range_part = RangePart.bind(steps_of(method, measured=motion is not None), constants, line)
     straight = range_part.trace(line)
     azimuth, chosen = _plan_azimuth(sector, range_part, method, straight, nodes=nodes, yaws=yaws, candidate=candidate)
 
@@ -363,8 +368,10 @@ def _plan_ground(
 
 def _plan_memory(range_gate: RangeGate | None, range_part: RangePart, sampling: Sampling) -> int:
     """Peak memory of a worker that focuses the block, bytes."""
+    lengthened = any(isinstance(step, RangeMotionInFrequency) for step in range_part.steps)
     return block_memory(
         gate=range_gate,
+        n_short=sampling.time.size if lengthened else 0,
         frequency=sampling.range_frequency,
         n_bin=sampling.slab.size,
         n_column=(sampling.doppler if range_part.compression.in_doppler else sampling.time).size,

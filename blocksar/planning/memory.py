@@ -67,11 +67,20 @@ def back_projection_memory(collection: Collection, grid: Grid, *, threads: int) 
 
 
 def block_memory(
-    *, gate: RangeGate | None, frequency: Axis, n_bin: int, n_column: int, n_row: int, n_image: int, length: int
+    *,
+    gate: RangeGate | None,
+    frequency: Axis,
+    n_bin: int,
+    n_column: int,
+    n_row: int,
+    n_image: int,
+    length: int,
+    n_short: int = 0,
 ) -> int:
     """Peak memory of a worker that focuses a block, bytes: the largest input and output of its stages.
 
-    Stages work in place, except on the slab of a range gate, and on an image wider in Doppler than the signal is long.
+    Stages work in place, except on the slab of a range gate, on rows of `n_short` samples that become longer, and on an
+    image wider in Doppler than the signal is long.
     """
     buffer = max(frequency.size, n_row) * n_column
     if gate is None:
@@ -81,6 +90,8 @@ def block_memory(
         slab, loaded = frequency.size * n_bin, DOPPLER_GROUP * gate.full.size
         held = [2 * loaded + slab, slab + buffer]
     groups = 4 * max(GROUP_BYTES, 8 * 8 * length)
+    if n_short:
+        held.append(buffer + max(frequency.size, n_row) * n_short)
     if n_image > n_column:
         held.append(buffer + n_row * n_image)
     return PROCESS_MEMORY + 8 * max(*held, buffer + 3 * IMAGE_PIXELS) + groups

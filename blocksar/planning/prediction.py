@@ -8,7 +8,8 @@ import numpy as np
 
 from blocksar.arrays import FloatArray
 from blocksar.budget import MIGRATION_BUDGET, PHASE_BUDGET, SIDE_LOBE_BUDGET
-from blocksar.collection.geometry import Geometry
+from blocksar.collection.beam import dwell_at
+from blocksar.collection.geometry import TRACK_ACCURACY, Geometry
 from blocksar.constants import SINC_PSLR, SINC_WIDTH, SPEED_OF_LIGHT
 from blocksar.focusing.lines import Focus, Line
 from blocksar.planning import fitting
@@ -24,14 +25,16 @@ class Prediction(NamedTuple):
     migration: float  # range resolution cells over the dwell
     resolution: float  # azimuth, m
     loss: float  # fraction of a dwell lost to dispersion at its ends
+    track_phase: float  # rad, root mean square: what the noise of the track leaves
 
     @property
     def excess(self) -> float:
-        """The worst of phase, side lobes and migration, each over its budget."""
+        """The worst of phase, side lobes, migration and the noise of the track, each over its budget."""
         return max(
             self.residual_phase / PHASE_BUDGET,
             abs(self.pslr - SINC_PSLR) / SIDE_LOBE_BUDGET,
             self.migration / MIGRATION_BUDGET,
+            self.track_phase / PHASE_BUDGET,
         )
 
 
@@ -63,7 +66,37 @@ def predict(
         migration=float(spots.migration.max() / range_cell),
         resolution=float(width[rng.size // 2, middle] * ground[rng.size // 2]),
         loss=float(fitting.end_loss(line, rate).max()),
+        track_phase=_track_phase(geometry, rng, yaw),
     )
+
+
+def _track_phase(geometry: Geometry, rng: FloatArray, yaw: FloatArray) -> float:
+    """Largest root mean square phase that the noise of the track leaves over a dwell, rad.
+
+    Recovery removes the noise along the line of sight of the beam's centre at the middle range.
+    """
+    collection, misfit = geometry.collection, geometry.track.misfit
+    if geometry.track.max_misfit <= TRACK_ACCURACY * collection.wavelength:
+        return 0.0
+    turns, n = 4 * np.pi / collection.wavelength, collection.n_pulse
+    centre = float(np.mean(rng))
+    beam = collection.beam_azimuth if collection.steered else np.full(n, float(np.mean(yaw)))
+    removed = _along_sight(geometry, np.full(n, centre), beam, misfit)
+    worst = 0.0
+    for target_range in (rng[0], centre, rng[-1]):
+        for target_yaw in (yaw[0], yaw[yaw.size // 2], yaw[-1]):
+            first, last = dwell_at(geometry, np.array(target_yaw))
+            lit = (collection.time >= first) & (collection.time <= last)
+            if lit.any():
+                along = _along_sight(geometry, np.full(n, target_range), np.full(n, target_yaw), misfit)
+                worst = max(worst, float(np.std(turns * (along - removed)[lit])))
+    return worst
+
+
+def _along_sight(geometry: Geometry, rng: FloatArray, yaw: FloatArray, misfit: FloatArray) -> FloatArray:
+    """The misfit along the line of sight of one point at each pulse, (n_pulse,) m."""
+    sight = geometry.ground_point(rng, yaw) - geometry.collection.antenna_position
+    return np.asarray((sight * misfit).sum(axis=1) / np.sqrt((sight * sight).sum(axis=1)))
 
 
 def _pslr(response: FloatArray) -> float:

@@ -121,7 +121,8 @@ def _common_range(geometry: Geometry, centre: FloatArray) -> CommonRange:
     track = geometry.track
     # Range is as smooth as the track: somewhat more than twice its order suffices.
     nodes = chebyshev.chebpts1(2 * track.order + 16)
-    rng, _ = geometry.range_history(centre, track.centre + track.half * nodes)
+    sight = centre - track.base.position(track.centre + track.half * nodes)
+    rng = np.sqrt((sight * sight).sum(axis=-1))
     series = solvers.chebyshev_series(nodes, rng, nodes.size - 1)
     series[:COMMON_ORDER] = 0
     if np.abs(series).sum() < COMMON_LEAST * geometry.collection.wavelength:

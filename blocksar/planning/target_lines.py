@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from blocksar import solvers
@@ -12,7 +14,8 @@ from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.lines import Line
 from blocksar.focusing.recovery import NO_COMMON_RANGE, CommonRange
 
-LINE_NODES = 16
+LINE_NODES = 16  # of a line along a polynomial track
+NODES_PER_INTERVAL, MOST_NODES = 2.0, 256  # of a line along a spline
 TAIL_ENERGY = 1e-3  # fraction of a target's energy that may lie outside its block's Doppler support
 
 
@@ -25,14 +28,14 @@ def recovered_line(
     walk: float,
     common: CommonRange = NO_COMMON_RANGE,
 ) -> Line:
-    """Lines of targets in the recovered signal, LINE_NODES samples each; `epoch_range` and `yaw` are broadcast.
+    """Lines of targets in the recovered signal, at Gauss-Legendre nodes; `epoch_range` and `yaw` are broadcast.
 
     Dwells cut by the ends of the collection are traced as cut. Targets lit for less than a twentieth of the longest
     dwell are traced over that much, inside the collection.
     """
-    nodes, weights = np.polynomial.legendre.leggauss(LINE_NODES)
     epoch_range, yaw = np.broadcast_arrays(epoch_range, yaw)
     first, last = dwell_at(geometry, yaw)
+    nodes, weights = solvers.gauss_legendre(_line_nodes(geometry, float(np.max(last - first))))
     collection = geometry.collection
     shortest = 0.05 * float(np.max(last - first))
     middle = np.clip((first + last) / 2, collection.time[0] + shortest / 2, collection.time[-1] - shortest / 2)
@@ -53,6 +56,14 @@ def recovered_line(
         stretch=np.ones_like(rho),
         weight=length / 2 * weights,
     )
+
+
+def _line_nodes(geometry: Geometry, longest: float) -> int:
+    """Nodes along a dwell of at most `longest` s: more where a spline bends the track within it."""
+    wobble = geometry.track.wobble
+    if wobble is None:
+        return LINE_NODES
+    return min(max(LINE_NODES, math.ceil(NODES_PER_INTERVAL * longest / wobble.step) + 8), MOST_NODES)
 
 
 def tail_margin(duration: float) -> float:

@@ -198,6 +198,8 @@ class PredictedBlock:
         In azimuth, m.
     loss : float
         Fraction of a dwell lost at its ends by dispersion.
+    track_phase : float
+        Root mean square phase that the noise of the track leaves over a dwell, rad.
     """
 
     block: int
@@ -213,6 +215,7 @@ class PredictedBlock:
     migration: float
     resolution: float = nan
     loss: float = nan
+    track_phase: float = nan
 
     @property
     def name(self) -> str:
@@ -222,7 +225,7 @@ class PredictedBlock:
     @classmethod
     def of(cls, entry: Field) -> Self:
         required = ("residual_phase", "pslr", "width", "migration")
-        optional = [name for name in ("bias", "quadratic_phase", "resolution", "loss") if entry[name]]
+        optional = [name for name in ("bias", "quadratic_phase", "resolution", "loss", "track_phase") if entry[name]]
         return cls(
             block=entry["block"].integer(),
             part=entry["part"].optional(Field.integer),

@@ -6,6 +6,7 @@ about a wrong file lists every wrong field with its value and the remedy.
     title = "..."
     [radar]         carrier, bandwidth, range_sampling, prf, pulse_width (raw echo only)
     [track]         position, velocity, acceleration, jerk | coefficients | samples | file
+    [[track.wobble]]  amplitude, frequency, phase_deg
     [time]          duration | pulses; start
     [beam]          start_deg, stop_deg, dwell | width_deg          (omit if not steered)
     [scene]         swath, centre_yaw_deg, centre_range, ground_height, reference_range

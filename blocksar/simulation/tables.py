@@ -65,6 +65,17 @@ class RadarTable(Table):
         return self
 
 
+class WobbleTable(Table):
+    amplitude: Vector = Field(description="[x, y, z], m")
+    frequency: Positive = Field(description="Hz")
+    phase_deg: Vector = Field((0.0, 0.0, 0.0), description="[x, y, z] at t = 0, of a sine")
+
+    def positions(self, time: FloatArray) -> FloatArray:
+        """Return the displacement (n, 3), m, at slow times (n,), s."""
+        angle = 2 * np.pi * self.frequency * time[:, None] + np.radians(self.phase_deg)
+        return np.asarray(np.array(self.amplitude) * np.sin(angle))
+
+
 class TrackTable(Table):
     position: Vector | None = Field(None, description="[x, y, z] at t = 0, m")
     velocity: Vector | None = Field(None, description="[x, y, z] at t = 0, m/s")
@@ -77,6 +88,9 @@ class TrackTable(Table):
         None, description="rows [t, x, y, z] in s and m, at least 4, t ascending"
     )
     file: str | None = Field(None, description="CSV file of rows t, x, y, z in s and m; relative to the scene file")
+    wobble: Annotated[tuple[WobbleTable, ...], Field(strict=False)] = Field(
+        (), description="oscillations that are added to the track, and known: the phase history has the sum"
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -111,13 +125,18 @@ class TrackTable(Table):
         return self
 
     def positions(self, time: FloatArray) -> FloatArray:
-        """Return the antenna phase centre (n, 3), m, at slow times (n,), s: a polynomial, or a cubic spline of samples.
+        """Return the antenna phase centre (n, 3), m, at slow times (n,), s.
+
+        It is a polynomial, or a cubic spline of samples, and the oscillations.
 
         Raises
         ------
         InputError
             If the samples do not cover `time`.
         """
+        return sum((wobble.positions(time) for wobble in self.wobble), self._smooth(time))
+
+    def _smooth(self, time: FloatArray) -> FloatArray:
         if self.samples is not None:
             from scipy.interpolate import CubicSpline  # slow to import, and only sampled tracks need it
 

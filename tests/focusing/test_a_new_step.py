@@ -15,6 +15,7 @@ from blocksar.focusing import chains
 from blocksar.focusing.azimuth_steps import AzimuthTransform, DopplerTransform
 from blocksar.focusing.chains import CHAINS
 from blocksar.focusing.lines import Line
+from blocksar.focusing.method import Method
 from blocksar.focusing.range_steps import Keystone
 from blocksar.focusing.step import Constants, Step, trace
 from blocksar.kernels.fourier import Axis
@@ -67,7 +68,8 @@ def test_a_new_step_needs_its_class_and_a_place_in_the_chain(
     kinds.insert(kinds.index(before), TurnAndBack)
     monkeypatch.setitem(chains.CHAINS, "angular-division", tuple(kinds))
     case = planned(collection())
-    assert [type(step) for step in case.plan.chain] == kinds
+    assert tuple(type(step) for step in case.plan.chain) == chains.steps_of(Method())
+    assert TurnAndBack in chains.steps_of(Method())
     yaw = (case.plan.low + case.plan.high) / 2
     line = line_of(case, 30e3, yaw)
     for name in ("doppler", "time", "range", "phase"):

@@ -38,6 +38,7 @@ def collection(
     velocity: Sequence[float] = TABLE1["velocity"],
     acceleration: Sequence[float] = TABLE1["acceleration"],
     jerk: Sequence[float] = (0.0, 0.0, 0.0),
+    wobble: Sequence[float] = (0.0, 0.0, 0.0),
     carrier: float = TABLE1["carrier"],
     bandwidth: float = TABLE1["bandwidth"],
     n_frequency: int = 80,
@@ -52,6 +53,8 @@ def collection(
     t = time[:, None]
     position = [0.0, 0.0, 16500.0] + np.array(velocity) * t + np.array(acceleration) * t**2 / 2
     position = position + np.array(jerk) * t**3 / 6
+    if any(wobble):  # m, oscillations of 3 to 7 Hz along the axes
+        position = position + np.array(wobble) * np.sin(2 * np.pi * np.array([3.0, 5.0, 7.0]) * t + [0.3, 1.0, 2.0])
     yaw = np.radians(yaw_deg)
     across = np.sqrt(centre_range**2 - 16500.0**2)
     centre = np.array([across * np.cos(yaw), across * np.sin(yaw), 0.0])

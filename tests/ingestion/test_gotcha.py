@@ -173,7 +173,7 @@ def test_track_figures_are_reported(tmp_path: Path) -> None:
     made = ingestion.ingest(written(tmp_path, circle(AZIMUTH, HEIGHT + wobble)), tmp_path / "ph.zarr")
     line = next(line for line in made.messages if line.startswith("track"))
     track = Geometry(collection=made.collection).track
-    assert f"order {track.order} misses" in line
+    assert f"{track} misses" in line
     assert 3 < float(line.split("at most ")[1].split(" mm")[0]) < 5
     # At 46 m from the centre the line of sight differs by this angle: its share of the 4 mm.
     assert float(line.split("leaves ")[1].split(" mm")[0]) < 0.004 * 1e3 * 90 / 10_000

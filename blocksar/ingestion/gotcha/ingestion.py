@@ -172,7 +172,7 @@ def _unevenness(rows: IntArray, steps: FloatArray) -> float:
 
 
 def _interpolate_track(track: Track, time: FloatArray, uniform: FloatArray) -> FloatArray:
-    """Positions (n, 3) at uniform times: those of the polynomial plus its linearly interpolated misfit."""
+    """Positions (n, 3) at uniform times: those of the smooth track plus its linearly interpolated misfit."""
     misfit = np.stack([np.interp(uniform, time, column) for column in track.misfit.T], axis=1)
     return track.position(uniform) + misfit
 
@@ -239,7 +239,7 @@ def _describe_resampling(resampling: Resampling, unevenness: float, within: floa
 
 
 def _describe_track(track: Track, collection: Collection, radius: float) -> str:
-    """Order and misfit of the polynomial in words, and the misfit that remains once it is corrected at the centre."""
+    """The smooth track and its misfit in words, and the misfit that remains once it is corrected at the centre."""
     sight = -collection.antenna_position / np.linalg.norm(collection.antenna_position, axis=1, keepdims=True)
     remaining = 0.0
     for point in _disc(radius):
@@ -248,7 +248,7 @@ def _describe_track(track: Track, collection: Collection, radius: float) -> str:
         remaining = max(remaining, float(np.abs(np.einsum("ij,ij->i", other - sight, track.misfit)).max()))
     phase = 4 * np.pi * collection.carrier / SPEED_OF_LIGHT * remaining
     return (
-        f"track: a polynomial of order {track.order} misses the positions by at most {1e3 * track.max_misfit:.3g} mm; "
+        f"track: {track} misses the positions by at most {1e3 * track.max_misfit:.3g} mm; "
         f"kept as a correction of each pulse, that leaves {1e3 * remaining:.2g} mm ({phase:.2g} rad) {radius:.0f} m "
         "from the centre"
     )
