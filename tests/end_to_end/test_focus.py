@@ -96,7 +96,7 @@ frequency = 4.2
     "processor", ["angular-division", "keystone-resampling", pytest.param("high-order-phase", marks=pytest.mark.slow)]
 )
 def test_a_track_that_wobbles_is_coherent_with_back_projection(processor: Any, client: Client, tmp_path: Path) -> None:
-    """2 to 5 cm in all axes, which no polynomial follows; one correction for each pulse at the beam's centre leaves 0.83."""
+    """2 to 5 cm in all axes, which no polynomial follows; one correction for each pulse leaves 0.83."""
     store = write_store(tmp_path, swath=[29500.0, 30500.0], more=WOBBLE + CLUTTER)
     limited = processor == "high-order-phase"  # its residual phase of 0.05 rad costs more side lobes than its budget
     plan = planned(store, blocks=5 if limited else "auto", processor=processor)
