@@ -2,17 +2,18 @@
 
 Let e(t) be the wobble of a track, `geometry.Track.wobble`, and u_T the unit vector from the antenna to a target. The
 signal of the target then has the additional phase +2 fc / c e(t) . u_T(t), in cycles. Removing e . u_b of the beam's
-centre leaves e . (u_T - u_b), which is not small where the beam turns: over a dwell u_b moves by a whole beam width.
-Its second derivative has the term -2 e' . u_b'. So the phase that is removed is the one whose second derivative is
+centre leaves e . (u_T - u_b), which is not small where the beam turns: over a dwell u_b moves by a whole beam width. So
+the phase that is removed is the one whose second derivative at each time is that of the target that is in the centre of
+the beam then,
 
-    psi''(t) = -2 fc / c e''(t) . u_b(t),
+    psi''(t) = -2 fc / c [e'' . u + 2 e' . u' + e . u''],    u' and u'' those of a fixed target,
 
 integrated twice: every target then keeps its own line of sight at the middle of its own dwell, to first order. The
-constant and the slope that the integration leaves open are chosen so that psi follows -2 fc / c e . u_b on average.
-What remains is traced like every other phase. Where the beam is not steered, u_b is the line of sight of the centre of
-the block.
+constant and the slope that the integration leaves open are chosen so that psi follows -2 fc / c e . u on average. What
+remains is traced like every other phase. Where the beam is not steered, the target is the centre of the block, and psi
+is -2 fc / c e . u itself.
 
-u_b also depends on range, through the angle of incidence: psi is a short Chebyshev series in range. Its value at the
+u also depends on range, through the angle of incidence: psi is a short Chebyshev series in range. Its value at the
 middle range is removed in the first place, at all range frequencies, with the range shift that belongs to it; the rest
 after range compression, row by row.
 """

@@ -25,19 +25,25 @@ def plan_motion(geometry: Geometry, *, near: float, far: float, origin: float, y
     beam = np.interp(time, collection.time, collection.beam_azimuth) if collection.steered else np.full(n, yaw)
     nodes = np.cos(np.pi * (np.arange(RANGE_NODES) + 0.5) / RANGE_NODES)[::-1]
     ranges = (near + far) / 2 + (far - near) / 2 * nodes
-    sight = geometry.ground_point(ranges[:, None], beam) - geometry.track.position(time)
-    sight /= np.sqrt((sight * sight).sum(axis=-1, keepdims=True))
+    point, step = geometry.ground_point(ranges[:, None], beam), float(time[1] - time[0])
 
-    def along(vectors: FloatArray) -> FloatArray:
-        """(n, n_term) Chebyshev series in range of -2 fc / c vectors . u, cycles."""
-        cycles = -2 * collection.carrier / SPEED_OF_LIGHT * (sight * vectors).sum(axis=-1)
+    def sight(at: FloatArray) -> FloatArray:
+        """Unit vectors (n_range, n, 3) at times (n,) to the points that are in the beam's centre at `time`."""
+        away = point - geometry.track.base.position(at)
+        return np.asarray(away / np.sqrt((away * away).sum(axis=-1, keepdims=True)))
+
+    def series(lengths: FloatArray) -> FloatArray:
+        """(n, n_term) Chebyshev series in range of -2 fc / c times lengths (n_range, n, 3), summed over the axes."""
+        cycles = -2 * collection.carrier / SPEED_OF_LIGHT * lengths.sum(axis=-1)
         return np.ascontiguousarray(solvers.chebyshev_series(nodes, cycles, RANGE_NODES - 1).T)
 
+    before, now, after = (sight(time + offset) for offset in (-step, 0.0, step))
+    turn, bend = (after - before) / (2 * step), (after - 2 * now + before) / step**2
     return Motion.integrate(
-        along(wobble(time, 2)),
-        along(wobble(time)),
+        series(wobble(time, 2) * now + 2 * wobble(time, 1) * turn + wobble(time) * bend),
+        series(wobble(time) * now),
         start=float(time[0]) - geometry.epoch,
-        step=float(time[1] - time[0]),
+        step=step,
         near=near - origin,
         far=far - origin,
     )

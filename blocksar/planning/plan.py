@@ -33,6 +33,7 @@ from blocksar.planning.recovery import plan_recovery
 from blocksar.planning.refusal import find_folding, find_refusal
 
 MAX_BLOCKS = 32  # that `auto` tries
+FAR, GROWTH = 2.0, 1.3  # excess above which `auto` tries more than one block more, and how many times as many
 MOST_BLOCKS = 1000  # that a caller may ask for
 MAX_PARTS = 64  # range sub-blocks of a block
 
@@ -170,22 +171,37 @@ def plan_collection(
 def fewest_blocks(plan: Callable[..., Plan], workers: int) -> Plan:
     """The plan with the fewest blocks within the budgets; without one, the last that was tried.
 
-    Probes of the outermost blocks and the middle one decide while plans are far from the budgets.
+    Probes of the outermost blocks and the middle one decide while plans are far from the budgets. Far from them, the
+    number grows by a third at a time; once a number serves, those in between are tried by bisection.
     """
     best, stale = math.inf, 0
-    for count in range(min(max(workers, 1), MAX_BLOCKS), MAX_BLOCKS + 1):
+    failed, count = 0, min(max(workers, 1), MAX_BLOCKS)
+    while True:
         outermost = plan(count, probe=True)
-        if outermost.excess() <= 1.0 and (whole := plan(count)).excess() <= 1.0:
-            return whole
-        if find_folding(outermost.blocks) is not None:
-            break
-        # Margins do not shrink with the blocks: stop when more blocks have gained nothing three times.
         excess = outermost.excess()
+        if excess <= 1.0 and (whole := plan(count)).excess() <= 1.0:
+            return _fewest_between(plan, failed, count, whole)
+        if find_folding(outermost.blocks) is not None or count == MAX_BLOCKS:
+            return plan(count)
+        # Margins do not shrink with the blocks: stop when more blocks have gained nothing three times.
         stale = stale + 1 if excess > 0.97 * best else 0
         best = min(best, excess)
         if stale == 3:
-            break
-    return plan(count)
+            return plan(count)
+        failed = count
+        count = min(math.ceil(GROWTH * count) if excess > FAR else count + 1, MAX_BLOCKS)
+
+
+def _fewest_between(plan: Callable[..., Plan], failed: int, serving: int, whole: Plan) -> Plan:
+    """The plan with the fewest blocks above `failed` and up to `serving`, whose plan is `whole`."""
+    while serving - failed > 1 and failed:
+        count = (failed + serving) // 2
+        tried = plan(count)
+        if tried.excess() <= 1.0:
+            serving, whole = count, tried
+        else:
+            failed = count
+    return whole
 
 
 def _fewest_parts(plan: Callable[[int], Plan], first: Plan, memory_limit: int, *, fixed: bool) -> Plan:

@@ -15,7 +15,7 @@ from blocksar.focusing.lines import Line
 from blocksar.focusing.recovery import NO_COMMON_RANGE, CommonRange
 
 LINE_NODES = 16  # of a line along a polynomial track
-NODES_PER_INTERVAL, MOST_NODES = 2.0, 256  # of a line along a spline
+NODES_PER_INTERVAL, MOST_NODES = 0.75, 256  # of a line along a spline, whose intervals are a fraction of its waves
 TAIL_ENERGY = 1e-3  # fraction of a target's energy that may lie outside its block's Doppler support
 
 
