@@ -27,7 +27,8 @@ from blocksar.simulation.scene import Scene
     ("excess", "chosen"),
     [
         ({2: 90.0, 3: 4.0, 4: 0.9, 5: 0.5}, 4),  # more blocks help, although two blocks would blur
-        ({2: 3.0, 3: 2.9, 4: 2.95, 5: 2.99, 6: 2.89, 7: 0.1}, 6),  # no improvement three times: the search ends
+        ({2: 3.0, 3: 2.9, 4: 2.95, 6: 2.89, 8: 2.9, 11: 0.1}, 8),  # no improvement three times: the search ends
+        ({2: 90.0, 3: 40.0, 4: 20.0, 6: 9.0, 8: 5.0, 9: 0.95, 11: 0.9}, 9),  # a third more at a time, then fewer
     ],
 )
 def test_auto_adds_blocks_as_long_as_they_help(excess: dict[int, float], chosen: int) -> None:
