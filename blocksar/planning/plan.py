@@ -36,6 +36,7 @@ MAX_BLOCKS = 32  # that `auto` tries
 FAR, GROWTH = 2.0, 1.3  # excess above which `auto` tries more than one block more, and how many times as many
 MOST_BLOCKS = 1000  # that a caller may ask for
 MAX_PARTS = 64  # range sub-blocks of a block
+MOST_REFERENCES = 8  # range sub-blocks for the sake of migration
 
 
 @dataclass(frozen=True)
@@ -121,9 +122,11 @@ class Plan:
                     total += step.n_row * 4 * step.source.size * operation.taps.shape[1]
         return total
 
-    def excess(self) -> float:
+    def excess(self, *, migration: bool = True) -> float:
         """The worst of phase, side lobes and migration of all blocks over its budget; a good plan has at most 1."""
-        return max(block.prediction.excess for block in self.blocks)
+        if migration:
+            return max(block.prediction.excess for block in self.blocks)
+        return max(block.prediction.excess_without_migration for block in self.blocks)
 
     def within_budget(self) -> bool:
         """Whether all blocks stay within the budgets of phase, side lobes and migration."""
@@ -143,7 +146,8 @@ def plan_collection(
     """Plan a collection for a method.
 
     `auto` takes the fewest blocks that meet the phase and migration budgets, at least one a worker, and the fewest
-    range sub-blocks of each that fit a worker's memory.
+    range sub-blocks of each that fit a worker's memory. Range migration that differs along range, where a swath is wide
+    for its distance, does not shrink with the blocks: sub-blocks then have references of their own.
 
     Raises
     ------
@@ -163,6 +167,8 @@ def plan_collection(
 
     least = 1 if parts == "auto" else parts
     first = plan(blocks, least) if blocks != "auto" else fewest_blocks(partial(plan, n_parts=least), workers)
+    if blocks == parts == "auto":
+        first = _enough_parts(partial(plan, first.n_blocks), first)
     if memory_limit is None or first.refusal is not None:
         return first
     return _fewest_parts(partial(plan, first.n_blocks), first, memory_limit, fixed=parts != "auto")
@@ -183,7 +189,9 @@ def fewest_blocks(plan: Callable[..., Plan], workers: int) -> Plan:
             return _fewest_between(plan, failed, count, whole)
         if find_folding(outermost.blocks) is not None or count == MAX_BLOCKS:
             return plan(count)
-        # Margins do not shrink with the blocks: stop when more blocks have gained nothing three times.
+        # Margins do not shrink with the blocks: stop when more blocks have gained nothing three times. Migration may
+        # not shrink either, while the rest does.
+        excess = rest if (rest := outermost.excess(migration=False)) > 1.0 else excess
         stale = stale + 1 if excess > 0.97 * best else 0
         best = min(best, excess)
         if stale == 3:
@@ -202,6 +210,16 @@ def _fewest_between(plan: Callable[..., Plan], failed: int, serving: int, whole:
         else:
             failed = count
     return whole
+
+
+def _enough_parts(plan: Callable[[int], Plan], first: Plan) -> Plan:
+    """If only migration is above its budget, the plan with the fewest range sub-blocks that mend it; else `first`."""
+    divided = first
+    while divided.excess() > 1.0 and divided.parts < MOST_REFERENCES:
+        if divided.refusal is not None or divided.excess(migration=False) > 1.0:
+            return first
+        divided = plan(divided.parts + 1)
+    return divided if divided.excess() <= 1.0 else first
 
 
 def _fewest_parts(plan: Callable[[int], Plan], first: Plan, memory_limit: int, *, fixed: bool) -> Plan:

@@ -34,7 +34,7 @@ from blocksar.simulation.scene import Scene
 def test_auto_adds_blocks_as_long_as_they_help(excess: dict[int, float], chosen: int) -> None:
     def plan(count: int, *, probe: bool = False) -> Any:
         refusal = "would keep a phase error" if excess[count] > 10 else None
-        return SimpleNamespace(excess=lambda: excess[count], blocks=(), refusal=refusal, count=count)
+        return SimpleNamespace(excess=lambda migration=True: excess[count], blocks=(), refusal=refusal, count=count)
 
     assert fewest_blocks(plan, 2).count == chosen
 
