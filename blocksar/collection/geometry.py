@@ -138,9 +138,10 @@ def fit_track(time: FloatArray, position: FloatArray, *, accuracy: float) -> Tra
         return track
     base = polynomial(min(order, BASE_ORDER))
     spline = _fit_wobble(time, base.misfit, enough=accuracy * SPLINE_ACCURACY / TRACK_ACCURACY)
-    if spline is None or _rms(base.misfit - spline(time)) > SPLINE_GAIN * _rms(track.misfit):
+    if spline is None:
         return track
-    return replace(base, wobble=spline, misfit=base.misfit - spline(time))
+    noise = base.misfit - spline(time)
+    return track if _rms(noise) > SPLINE_GAIN * _rms(track.misfit) else replace(base, wobble=spline, misfit=noise)
 
 
 def _fit_wobble(time: FloatArray, misfit: FloatArray, *, enough: float) -> Spline | None:

@@ -90,10 +90,7 @@ class RangeMotionCompensation(Step):
         """Rows of time.size samples, one per range."""
         factors = self._factors(self.axes.rows.values)
         terms = self.motion.terms(self.axes.time.values)[0]
-        return [
-            ScaledTurn(np.ascontiguousarray(factors[:, k]), np.ascontiguousarray(terms[:, k]))
-            for k in range(1, self.motion.n_term)
-        ]
+        return _turns(factors, terms)
 
     def trace(self, line: Line) -> Line:
         factors = self._factors(line.range.mean(axis=-1))[..., None, :]
@@ -144,10 +141,7 @@ class RangeMotionInFrequency(Step):
         terms = self.motion.terms(self.axes.time.values)[0]
         return [
             Transform(frequency, delay, inverse=True),
-            *(
-                ScaledTurn(np.ascontiguousarray(terms[:, k]), np.ascontiguousarray(factors[:, k]))
-                for k in range(1, self.motion.n_term)
-            ),
+            *_turns(terms, factors),
             Transform(delay, frequency, inverse=False),
         ]
 
@@ -167,3 +161,12 @@ class RangeMotionInFrequency(Step):
         step = 1e-3 * (self.motion.far - self.motion.near)
         along = (self.motion.factors(rng + step) - self.motion.factors(rng - step)) / (2 * step)
         return here - self.motion.middle, along
+
+
+def _turns(factors: FloatArray, cycles: FloatArray) -> list[Operation]:
+    """One operation for each term, from what changes from row to row (n_row, n_term) and along rows (n, n_term).
+
+    The first term is the same at all ranges: `MotionCompensation` removes it.
+    """
+    columns = zip(np.ascontiguousarray(factors.T)[1:], np.ascontiguousarray(cycles.T)[1:], strict=True)
+    return [ScaledTurn(factor, along) for factor, along in columns]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.polynomial import chebyshev
 
 from blocksar import solvers
 from blocksar.arrays import FloatArray
@@ -23,7 +24,7 @@ def plan_motion(geometry: Geometry, *, near: float, far: float, origin: float, y
     n = NODES_PER_INTERVAL * wobble.n_interval + 1
     time = np.linspace(collection.time[0], collection.time[-1], n)
     beam = np.interp(time, collection.time, collection.beam_azimuth) if collection.steered else np.full(n, yaw)
-    nodes = np.cos(np.pi * (np.arange(RANGE_NODES) + 0.5) / RANGE_NODES)[::-1]
+    nodes = chebyshev.chebpts1(RANGE_NODES)
     ranges = (near + far) / 2 + (far - near) / 2 * nodes
     point, step = geometry.ground_point(ranges[:, None], beam), float(time[1] - time[0])
 
@@ -39,9 +40,10 @@ def plan_motion(geometry: Geometry, *, near: float, far: float, origin: float, y
 
     before, now, after = (sight(time + offset) for offset in (-step, 0.0, step))
     turn, bend = (after - before) / (2 * step), (after - 2 * now + before) / step**2
+    shift, rate, pull = (wobble(time, derivative) for derivative in range(3))
     return Motion.integrate(
-        series(wobble(time, 2) * now + 2 * wobble(time, 1) * turn + wobble(time) * bend),
-        series(wobble(time) * now),
+        series(pull * now + 2 * rate * turn + shift * bend),
+        series(shift * now),
         start=float(time[0]) - geometry.epoch,
         step=step,
         near=near - origin,
