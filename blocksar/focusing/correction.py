@@ -215,7 +215,7 @@ def _with_room(block: ComplexArray, along_range: _Window, along_doppler: _Window
 # out negative ones, for which it would load element by element.
 
 
-@njit(cache=True, nogil=True)
+@njit(forceinline=True, nogil=True)
 def _left(ray_x: float, ray_y: float, x: float, y: float) -> bool:
     """Whether a point is on a ray or to its left.
 
@@ -225,7 +225,7 @@ def _left(ray_x: float, ray_y: float, x: float, y: float) -> bool:
     return ray_x * y >= ray_y * x
 
 
-@njit(cache=True, nogil=True)
+@njit(forceinline=True, nogil=True)
 def _sector(
     x: FloatArray, first: int, n: int, y: float, rays: FloatArray, frame: FloatArray, rng: FloatArray, owned: FloatArray
 ) -> bool:
@@ -247,7 +247,7 @@ def _sector(
     return n_inside > 0
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+@njit(forceinline=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
 def _limit(
     turn: FloatArray, start: float, step: float, near_limit: FloatArray, far_limit: FloatArray, rng: FloatArray,
     owned: FloatArray,
@@ -263,7 +263,7 @@ def _limit(
             owned[k] = np.nan
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+@njit(forceinline=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
 def _amplitude(
     turn: FloatArray, start: float, step: float, weight: FloatArray, gain: FloatArray, owned: FloatArray,
     amplitude: Float32Array,
@@ -274,7 +274,7 @@ def _amplitude(
         amplitude[k] = owned[k] * weight[np.uint64(np.int64(place + 0.5))] / gain[k]
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
+@njit(forceinline=True, nogil=True, fastmath={"contract", "nsz"})
 def _along(coefficients: FloatArray, t: int, v: float, along: FloatArray) -> None:
     """Polynomials of tile t at one v: power coefficients in u, quantity by quantity."""
     c = coefficients
@@ -283,7 +283,7 @@ def _along(coefficients: FloatArray, t: int, v: float, along: FloatArray) -> Non
         along[m] = c[t, 0, m] + v * (c[t, 1, m] + v * inner)
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
+@njit(forceinline=True, nogil=True, fastmath={"contract", "nsz"})
 def _evaluate(along: FloatArray, q: int, across: FloatArray, values: FloatArray) -> None:
     """Quantity q of a row of pixels, at all u."""
     m = q * (TILE_DEGREE + 1)
@@ -293,7 +293,7 @@ def _evaluate(along: FloatArray, q: int, across: FloatArray, values: FloatArray)
         values[k] = c0 + u * (c1 + u * (c2 + u * (c3 + u * (c4 + u * c5))))
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
+@njit(forceinline=True, nogil=True, fastmath={"contract", "nsz"})
 def _place(
     position: FloatArray, n_tap: int, width: int, size: int, room: int, first: IntArray, row: IntArray,
     part: Float32Array,
@@ -315,7 +315,7 @@ def _place(
         part[k] = fine - i
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
+@njit(forceinline=True, nogil=True, fastmath={"contract", "nsz"})
 def _turns(
     doppler: FloatArray, cycles: FloatArray, middle: FloatArray, first: IntArray, own: Float32Array,
     unit: Float32Array, coarse: Float32Array, fine: Float32Array,
@@ -338,7 +338,7 @@ def _turns(
         unit[k] = total - np.rint(total)
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
+@njit(forceinline=True, nogil=True, fastmath={"contract", "nsz"})
 def _phasors(cycles: Float32Array, real: Float32Array, imag: Float32Array) -> None:
     """exp(2j pi cycles), real and imaginary part."""
     for k in range(cycles.size):
@@ -346,19 +346,19 @@ def _phasors(cycles: Float32Array, real: Float32Array, imag: Float32Array) -> No
         imag[k] = sine(cycles[k])
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "nsz", "reassoc"})
+@njit(forceinline=True, nogil=True, fastmath={"contract", "nsz", "reassoc"})
 def _add(total: Any, term: Any) -> Any:
     """total + term, reordered at will: the sum may run in several lanes."""
     return total + term
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
+@njit(forceinline=True, nogil=True, fastmath={"contract", "nsz"})
 def _between(taps: Float32Array, at: int, step: int, part: float) -> Any:
     """A tap, interpolated by the fraction `part` to the next row of its table, `step` entries further."""
     return taps[at] + part * (taps[at + step] - taps[at])
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
+@njit(forceinline=True, nogil=True, fastmath={"contract", "nsz"})
 def _window_sums(  # type: ignore[no-untyped-def]
     flat, stride, at, range_taps, range_step, range_row, range_part, doppler_taps, doppler_step, doppler_row,
     doppler_part, coarse, fine, unit_real, unit_imag, range_unit, doppler_unit, lanes, weight, real, imag,

@@ -185,7 +185,7 @@ def sum_series(series: FloatArray, u: FloatArray, v: FloatArray, values: FloatAr
         values[first : first + n] = total[:n]
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
+@njit(forceinline=True, nogil=True, fastmath={"contract", "nsz"})
 def _chebyshev(u: FloatArray, t: FloatArray) -> None:
     """t[i, k] = T_i(u[k]) in all rows of t, at least two; zeros beyond the end of u."""
     t[:] = 0.0

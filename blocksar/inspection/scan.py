@@ -25,7 +25,7 @@ _SIGNLESS = np.int32(0x7FFFFFFF)
 _LONE, _ALL = np.float32(STANDS_OUT), np.float32(BEYOND_ALL)
 
 
-@njit(cache=True, nogil=True)
+@njit(forceinline=True, nogil=True)
 def _moduli(row: Float32Array, modulus: Float32Array) -> None:
     """Store the modulus of each sample's larger part; -1 where a part is not finite."""
     for c in range(modulus.size):
@@ -34,7 +34,7 @@ def _moduli(row: Float32Array, modulus: Float32Array) -> None:
         modulus[c] = larger if (a <= _LARGEST) & (b <= _LARGEST) else np.float32(-1)
 
 
-@njit(cache=True, nogil=True)
+@njit(forceinline=True, nogil=True)
 def _extent(bits: Any) -> tuple[Any, int, int]:
     """The largest of a row of moduli, the number above zero and the number below zero.
 
@@ -48,7 +48,7 @@ def _extent(bits: Any) -> tuple[Any, int, int]:
     return largest, valid, missing
 
 
-@njit(cache=True, nogil=True)
+@njit(forceinline=True, nogil=True)
 def _count(bits: Any, modulus: int) -> tuple[int, int]:
     """Count the real and the imaginary parts of a row that have this modulus; both as the integers of their bits."""
     real, imag = 0, 0
@@ -65,7 +65,7 @@ def _is_suspect(m: Any, before: Any, after: Any) -> Any:
     return ((m > _LONE * larger) & (m > 0)) | ((smaller > 0) & (m > _ALL * smaller))
 
 
-@njit(cache=True, nogil=True)
+@njit(forceinline=True, nogil=True)
 def _mark_suspects(moduli: Float32Array, p: int, suspect: BoolArray) -> None:
     """Mark the columns in which pulse p stands out; pulse q is row q % 5."""
     a, b, m, d, e = moduli[(p - 2) % 5], moduli[(p - 1) % 5], moduli[p % 5], moduli[(p + 1) % 5], moduli[(p + 2) % 5]

@@ -19,10 +19,10 @@ from numba import njit
 from blocksar.arrays import FloatArray, IntArray
 
 POWERS = 8  # of a variable, from 0: orders up to 6 with their derivatives
-OPTIONS: Any = {"cache": True, "nogil": True, "fastmath": {"contract", "nsz", "reassoc"}}
+OPTIONS: Any = {"nogil": True, "fastmath": {"contract", "nsz", "reassoc"}}
 
 
-@njit(**OPTIONS)
+@njit(cache=True, **OPTIONS)
 def level_lines(
     time: FloatArray,
     doppler: FloatArray,
@@ -102,7 +102,7 @@ def level_lines(
             step[i] /= scale[i] if scale[i] > 0 else 1.0
 
 
-@njit(**OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def evaluate(
     time: FloatArray,
     doppler: FloatArray,
@@ -182,7 +182,7 @@ def evaluate(
             rows[i, 2 * size + k] = pull[i] if k == i else 0.0
 
 
-@njit(**OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _fill(powers: FloatArray, value: float) -> None:
     """1, value, value^2, ..."""
     powers[0] = 1.0
@@ -190,7 +190,7 @@ def _fill(powers: FloatArray, value: float) -> None:
         powers[k] = powers[k - 1] * value
 
 
-@njit(**OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _term(powers: FloatArray, order: int, derivative: int) -> float:
     """A derivative of z^(order - 1), from the powers of z."""
     if order - 1 < derivative:
@@ -201,7 +201,7 @@ def _term(powers: FloatArray, order: int, derivative: int) -> float:
     return factor * powers[order - 1 - derivative]
 
 
-@njit(**OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _sum(
     powers: FloatArray, x: FloatArray, orders: IntArray, first: int, end: int, more: int, derivative: int
 ) -> float:
@@ -212,7 +212,7 @@ def _sum(
     return total
 
 
-@njit(**OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _dot(a: FloatArray, b: FloatArray) -> float:
     total = 0.0
     for k in range(a.size):
@@ -220,7 +220,7 @@ def _dot(a: FloatArray, b: FloatArray) -> float:
     return total
 
 
-@njit(**OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _solve(q: FloatArray, right: FloatArray, x: FloatArray) -> None:
     """Write the x that minimises |sum_k x_k q_k - right|; the other arrays are overwritten."""
     n, m = q.shape

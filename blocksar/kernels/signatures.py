@@ -1,4 +1,10 @@
-"""Argument types and compiler options of the compiled loops over rows of samples."""
+"""Argument types and compiler options of the compiled loops over rows of samples.
+
+A compiled function that is called by others is compiled with `inline="always"`, or with `forceinline=True` where it has
+compiler options of its own. A call left standing is resolved differently in the process that compiles (to the callee's
+own machine code) and in those that load the caller from numba's cache (to a copy that was optimised with the caller):
+they would round differently, and images would differ from process to process.
+"""
 
 from __future__ import annotations
 
