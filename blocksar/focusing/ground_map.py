@@ -173,22 +173,27 @@ def sum_series(series: FloatArray, u: FloatArray, v: FloatArray, values: FloatAr
         n = min(strip, u.size - first)
         _chebyshev(u[first : first + n], tu)
         _chebyshev(v[first : first + n], tv)
-        total[:] = 0.0
+        for k in range(strip):
+            total[k] = 0.0
         for j in range(series.shape[1]):
-            inner[:] = 0.0
+            for k in range(strip):
+                inner[k] = 0.0
             for i in range(series.shape[0]):
                 c = series[i, j]
                 for k in range(strip):
                     inner[k] += c * tu[i, k]
             for k in range(strip):
                 total[k] += inner[k] * tv[j, k]
-        values[first : first + n] = total[:n]
+        for k in range(n):
+            values[first + k] = total[k]
 
 
 @njit(forceinline=True, nogil=True, fastmath={"contract", "nsz"})
 def _chebyshev(u: FloatArray, t: FloatArray) -> None:
     """t[i, k] = T_i(u[k]) in all rows of t, at least two; zeros beyond the end of u."""
-    t[:] = 0.0
+    for i in range(t.shape[0]):
+        for k in range(t.shape[1]):
+            t[i, k] = 0.0
     for k in range(u.size):
         t[0, k] = 1.0
         t[1, k] = u[k]

@@ -99,7 +99,8 @@ def scan_pulses(
         if 0 <= ahead < n_pulse:
             _moduli(parts[ahead], moduli[ahead % 5])
         else:
-            moduli[ahead % 5] = 0
+            for c in range(n_column):
+                moduli[ahead % 5, c] = 0
         p = ahead - 2
         if p < first:
             continue
@@ -151,7 +152,8 @@ def sum_pairs(
         cycles, step = (advance[p] * factor[0], advance[p] * factor[1]) if paired else (0.0, 0.0)
         turn = -TURN * LANES * step
         wr, wi = np.float32(np.cos(turn)), np.float32(np.sin(turn))
-        rest[: n_column - whole], rest_next[: n_column - whole] = row[whole:], after[whole:]
+        for c in range(whole, n_column):
+            rest[c - whole], rest_next[c - whole] = row[c], after[c]
         real, imag, energy = _conjugate_product(rest, rest_next, 0, scale)
         for k in range(whole // LANES):
             pr, pi, more = _conjugate_product(row, after, whole - LANES * (k + 1), scale)

@@ -91,7 +91,10 @@ def _fetch(row: Any, first: Any, count: Any, real: Any, imag: Any) -> None:
     """
     begin = min(max(-first, 0), count)
     end = max(min(row.size - first, count), begin)
-    real[:begin], real[end:count], imag[:begin], imag[end:count] = 0, 0, 0, 0
+    for j in range(begin):
+        real[j], imag[j] = 0, 0
+    for j in range(end, count):
+        real[j], imag[j] = 0, 0
     whole = end - (end - begin) % LANES
     for j in range(begin, whole, LANES):
         store(real, j, load_real(row, first + j))
@@ -181,7 +184,8 @@ def stretch_rows(values: ComplexArray, out: ComplexArray, scale: FloatArray, mid
                 store_complex(result, i, re, im)
             else:
                 store_complex(strip, 0, re, im)
-                result[i:n] = strip[: n - i]
+                for j in range(i, n):
+                    result[j] = strip[j - i]
 
 
 @njit(inline="always")
@@ -190,11 +194,13 @@ def _expand(c: Any, n: Any, terms: Any) -> Any:
 
     Returns the order of the last term above 1e-7 samples, at least 1.
     """
-    terms[0] = c
+    for m in range(c.size):
+        terms[0, m] = c[m]
     last = 1
     for k in range(1, c.size):
         size = 0.0
-        terms[k] = 0.0
+        for m in range(c.size):
+            terms[k, m] = 0.0
         for m in range(c.size - k):
             terms[k, m] = terms[k - 1, m + 1] * ((m + 1) / k * LANES / n)
             size += abs(terms[k, m])
@@ -252,7 +258,10 @@ def resample_rows(values: ComplexArray, out: ComplexArray, positions: FloatArray
     origin = 0
     for r in range(values.shape[0]):
         row, result = values[r], out[r]
-        if not np.abs(positions[r]).sum() < 1e9:
+        extent = 0.0
+        for k in range(order + 1):
+            extent += abs(positions[r, k])
+        if not extent < 1e9:
             raise ValueError("positions are not near the row")
         last = _expand(positions[r], n, terms)
         for i in range(0, n, LANES):
@@ -293,4 +302,5 @@ def resample_rows(values: ComplexArray, out: ComplexArray, positions: FloatArray
                     store_complex(result, i + j, re, im)
                 else:
                     store_complex(strip, 0, re, im)
-                    result[i + j : n] = strip[: n - i - j]
+                    for k in range(i + j, n):
+                        result[k] = strip[k - i - j]

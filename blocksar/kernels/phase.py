@@ -96,7 +96,8 @@ def _rest(values: Any) -> Any:
     """The samples of a row after its last whole vector, padded with zeros to one vector."""
     rest = np.zeros(LANES, values.dtype)
     count = values.size % LANES
-    rest[:count] = values[values.size - count :]
+    for k in range(count):
+        rest[k] = values[values.size - count + k]
     return rest
 
 
@@ -112,7 +113,8 @@ def _rotate(values: ComplexArray, out: ComplexArray, u: FloatArray, coefficients
         if whole < n:
             rest = _rest(row)
             _turn(rest, rest, 0, horner(c, order, load(u_rest, 0)))
-            result[whole:] = rest[: n - whole]
+            for i in range(whole, n):
+                result[i] = rest[i - whole]
 
 
 def rotate(values: ComplexArray, n: int, coefficients: FloatArray, out: ComplexArray | None = None) -> None:
@@ -170,7 +172,8 @@ def rotate_scaled(
         if whole < n:
             rest = _rest(row)
             _turn(rest, rest, 0, f * load(cycles_rest, 0) + (c[0] + c[1] * load(u_rest, 0)))
-            result[whole:] = rest[: n - whole]
+            for i in range(whole, n):
+                result[i] = rest[i - whole]
 
 
 @njit([(SAMPLES_OUT, SAMPLES_IN, types.Array(types.int64, 1, "C", readonly=True))], **COMPILED)
