@@ -193,6 +193,8 @@ def _focus(
 ) -> Report:
     """Plan and carry out a run in a folder that this process has claimed."""
     listener.update("plan", 0, 1)
+    if client is None:
+        cluster.prepare_workers(machine.threads)
     job = Job.of(request, earlier, machine)
     listener.expect(job.predict_effort(), machine.workers)
     listener.update("plan", 1, 1)

@@ -1,7 +1,8 @@
 """The dask cluster: a local one that starts and ends with a run, or a running one.
 
 The local cluster listens on loopback only and keeps its temporary files in the run folder. It ends within seconds,
-however the run ends: its workers are killed rather than waited for.
+however the run ends: its workers are killed rather than waited for. They are forked from one process that has done all
+imports (`multiprocessing`'s fork server), so that they start, and start again, at once.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import tempfile
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from multiprocessing import resource_tracker
+from multiprocessing import forkserver, resource_tracker
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ import dask
 from dask.system import CPU_COUNT
 from distributed import Client, LocalCluster
 from distributed.system import MEMORY_LIMIT
+from distributed.utils import get_mp_context
 
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing import correction
@@ -31,6 +33,8 @@ from blocksar.version import __version__
 
 WORKER_TTL = 60.0  # s without a message from a worker of the local cluster before it counts as lost
 CONNECT = 20.0  # s for a running scheduler to answer
+PRE_SPAWN = "distributed.nanny.pre-spawn-environ"  # variables that libraries read when they are loaded
+WORKER_MODULE = "blocksar.graph.worker"
 SETTINGS = {"distributed.admin.low-level-log-length": 10}  # dask would keep the last 1000 messages to workers
 
 
@@ -61,6 +65,32 @@ def kernels_cached() -> bool:
     name = f"{Path(correction.__file__).stem}.*.nbi"
     indexes = Path(folder).rglob(name) if folder else Path(correction.__file__).parent.glob(f"__pycache__/{name}")
     return next(indexes, None) is not None
+
+
+def prepare_workers(threads: int) -> None:
+    """Let the process that a local cluster's workers are forked from begin its imports in the background."""
+    if kernels_cached():  # else it would compile them, and so would this process
+        with dask.config.set(_local_settings(threads, tempfile.gettempdir())):
+            _start_fork_server()
+
+
+def _start_fork_server() -> None:
+    """Start the process that workers are forked from, if it does not run yet.
+
+    A terminal sends Ctrl-C to all processes of a command, and the main process ends the others: they inherit that it is
+    blocked.
+    """
+    get_mp_context().set_forkserver_preload([WORKER_MODULE])
+    resource_tracker.ensure_running()  # otherwise the next line starts it, and that unblocks SIGINT
+    own = dict(os.environ)
+    os.environ.update({name: str(value) for name, value in dask.config.get(PRE_SPAWN).items()})
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        forkserver.ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        os.environ.clear()
+        os.environ.update(own)
 
 
 @contextmanager
@@ -172,6 +202,7 @@ def _local_cluster(
     listener.update("start-workers", 0, workers)
     with ExitStack() as stack:
         stack.enter_context(dask.config.set(_local_settings(threads, scratch)))
+        _start_fork_server()
         with _defer_signals():  # an interrupted start would leave a cluster that cannot be closed
             cluster = LocalCluster(
                 n_workers=0,
@@ -183,7 +214,6 @@ def _local_cluster(
                 silence_logs=logging.CRITICAL,
             )
             stack.enter_context(cluster)
-            cluster.sync(_block_interrupts)
             cluster.scale(workers)
             client = stack.enter_context(Client(cluster))
         try:
@@ -215,20 +245,14 @@ def _local_settings(threads: int, scratch: str) -> dict[str, Any]:
         # A lost worker is given up for good after this time, even while it restarts.
         "distributed.deploy.lost-worker-timeout": "1h",
         "temporary-directory": scratch,
-        "distributed.nanny.pre-spawn-environ.NUMBA_NUM_THREADS": threads,
+        "distributed.worker.multiprocessing-method": "forkserver",
+        # Workers would inherit the environment of the time at which the process that they are forked from began.
+        "distributed.nanny.environ": dict(os.environ),
+        f"{PRE_SPAWN}.NUMBA_NUM_THREADS": threads,
         # Blocks are returned to the system at once; malloc keeps groups of rows and chunks, which stay in the cache.
-        "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": 24 * 2**20,
-        "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": 64 * 2**20,
+        f"{PRE_SPAWN}.MALLOC_MMAP_THRESHOLD_": 24 * 2**20,
+        f"{PRE_SPAWN}.MALLOC_TRIM_THRESHOLD_": 64 * 2**20,
     }
-
-
-async def _block_interrupts() -> None:
-    """Block SIGINT in the cluster's thread; workers inherit this.
-
-    A terminal sends Ctrl-C to all processes of a command, and the main process ends the workers.
-    """
-    resource_tracker.ensure_running()  # otherwise the first child process starts it, and that unblocks SIGINT
-    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
 
 
 @contextmanager

@@ -21,10 +21,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import dask
 import pytest
 from distributed import Client, LocalCluster, SchedulerPlugin
-from distributed.utils import get_mp_context
 from faults import (
     PAGE,
     SETTINGS,
@@ -199,19 +197,12 @@ def stage_of(task: str) -> str:
 
 @pytest.fixture(scope="module")
 def guarded() -> Iterator[tuple[Client, Assassin]]:
-    """A local cluster whose nannies restart workers quickly, by forking a process with the imports done."""
-    settings = {
-        "distributed.worker.multiprocessing-method": "forkserver",
-        # After this time dask checks whether a lost worker is still missing, and if so gives up its nanny.
-        "distributed.deploy.lost-worker-timeout": "1h",
-    }
-    with dask.config.set(settings):
-        get_mp_context().set_forkserver_preload(["distributed", "blocksar.graph"])
-        with open_client(workers=2, threads=1, memory_limit=2 * 2**30) as client:
-            assert isinstance(client.cluster, LocalCluster) and client.cluster.scheduler
-            assassin = Assassin(client.cluster)
-            client.cluster.scheduler.add_plugin(assassin)
-            yield client, assassin
+    """A local cluster of two workers, and what kills them."""
+    with open_client(workers=2, threads=1, memory_limit=2 * 2**30) as client:
+        assert isinstance(client.cluster, LocalCluster) and client.cluster.scheduler
+        assassin = Assassin(client.cluster)
+        client.cluster.scheduler.add_plugin(assassin)
+        yield client, assassin
 
 
 @pytest.mark.parametrize(
