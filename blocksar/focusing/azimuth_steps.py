@@ -13,7 +13,7 @@ from typing import Self
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from blocksar.arrays import FloatArray
+from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.budget import AZIMUTH_TAP_ERROR
 from blocksar.focusing.lines import Line, RowPolynomial
 from blocksar.focusing.step import Constants, Step
@@ -226,17 +226,18 @@ class DopplerTransform(_AzimuthStep):
         to_doppler = Transform(axes.long_time, axes.focused_doppler, inverse=False)
         if gate is None:
             return [to_doppler]
-        slopes = gate.slope.coefficients(axes.rows.values)[:, 0]
-        # The slope changes by a tenth over a swath: a window for every range would cost more than the transforms.
-        window_slopes = np.linspace(slopes.min(), slopes.max(), GATE_WINDOWS)
-        windows = np.stack([gate.window(float(slope)) for slope in window_slopes])
         return [
             to_doppler,
-            _turn(gate.phase, axes.rows),
+            _turn(gate.begin, axes.rows),
             Transform(axes.focused_doppler, gate.time, inverse=True),
-            Window(windows, np.abs(window_slopes - slopes[:, None]).argmin(axis=1)),
+            _windows(gate.begin_window, gate.begin_slope, axes.rows),
             Transform(gate.time, axes.image_doppler, inverse=False),
-            _turn(gate.phase, axes.rows, sign=-1.0),
+            _turn(gate.begin, axes.rows, sign=-1.0),
+            _turn(gate.end, axes.rows),
+            Transform(axes.image_doppler, gate.time, inverse=True),
+            _windows(gate.end_window, gate.end_slope, axes.rows),
+            Transform(gate.time, axes.image_doppler, inverse=False),
+            _turn(gate.end, axes.rows, sign=-1.0),
             _turn(gate.common, axes.rows),
         ]
 
@@ -247,6 +248,17 @@ class DopplerTransform(_AzimuthStep):
 def _turn(phases: RowPolynomial, rows: Axis, *, sign: float = 1.0) -> Turn:
     """Multiplication of each range row by its phase polynomial."""
     return Turn(Phase(sign * phases.coefficients(rows.values), phases.centre, phases.scale))
+
+
+def _windows(window: Callable[[float], ComplexArray], slope: RowPolynomial, rows: Axis) -> Window:
+    """The window of each range row.
+
+    The slope changes by a tenth over a swath: a window for every range would cost more than the transforms.
+    """
+    slopes = slope.coefficients(rows.values)[:, 0]
+    window_slopes = np.linspace(slopes.min(), slopes.max(), GATE_WINDOWS)
+    windows = np.stack([window(float(each)) for each in window_slopes])
+    return Window(windows, np.abs(window_slopes - slopes[:, None]).argmin(axis=1))
 
 
 def _mean_range(line: Line) -> FloatArray:

@@ -18,38 +18,57 @@ class DwellGate:
 
     The final transform sums over all of slow time, so the sharp ends of other targets' dwells leave side lobes.
     Back-projection sums over the pixel's own lit pulses and has none; on clutter the difference costs 0.005 of
-    coherence. A window rect((t - c(f)) / length) in time with a centre that moves along Doppler is a convolution in
-    Doppler. With psi' = c, and exactly where c is linear, it is
+    coherence. A step H(t - e(f)) in time, at an end e of the dwell that moves along Doppler, is a convolution in
+    Doppler. With psi' = e, and exactly where e is linear, it is
 
         S(f) -> exp(-2j pi psi) F{ G(t) F^-1{ exp(2j pi psi) S } },
-        G(t) = integral of rect((t - u) / length) exp(j pi u^2 / c') / sqrt(j c') du,
+        G(t) = integral of H(t - u) exp(j pi u^2 / e') / sqrt(j e') du,
 
-    a Fresnel-smoothed rectangle. Between these transforms all targets lie about t = 0, so the last one is short.
+    a Fresnel-smoothed step. The two ends are gated one after the other, since after the steps in Doppler the dwells
+    differ in length. Between these transforms all targets lie about t = 0, so the later ones are short.
+
+    A step in Doppler that delays by D(f) turns a sharp end after it into a smeared one before it. The smear is again
+    that of a Fresnel integral, with D' in place of e', and adds to it: with e' + D' instead of e' the dwell has sharp
+    ends at the time when the target was lit, as in back-projection, for the targets with the mean D' of the block.
 
     Attributes
     ----------
-    phase : RowPolynomial
-        psi(r, f), cycles.
+    begin, end : RowPolynomial
+        psi(r, f) of the two ends, cycles, with the ends moved by half of `length` to t = 0.
     common : RowPolynomial
-        psi at the middle range, for all rows. It stays applied, so that the image can be sampled coarsely in Doppler.
-    slope : RowPolynomial
-        One coefficient, c'(r), s/Hz.
+        psi of the dwell's middle at the middle range, for all rows. It stays applied, so that the image can be sampled
+        coarsely in Doppler.
+    begin_slope, end_slope : RowPolynomial
+        One coefficient each, e'(r) + D', s/Hz.
     length : float
-        The dwell after all steps, s.
+        The mean dwell after all steps, s.
     time : Axis
         Slow time after the gate, about 0, s.
     """
 
-    phase: RowPolynomial
+    begin: RowPolynomial
+    end: RowPolynomial
     common: RowPolynomial
-    slope: RowPolynomial
+    begin_slope: RowPolynomial
+    end_slope: RowPolynomial
     length: float
     time: Axis
 
-    def window(self, slope: float) -> ComplexArray:
-        """G over `time`, (time.size,) complex64."""
+    def begin_window(self, slope: float) -> ComplexArray:
+        """G over `time` for the dwell's begin, (time.size,) complex64; it falls to zero again well after the end."""
+        return self._window(slope, -self.length / 2, self.length / 2 + self._room)
+
+    def end_window(self, slope: float) -> ComplexArray:
+        """G over `time` for the dwell's end, (time.size,) complex64; it is zero well before the begin."""
+        return self._window(slope, -self.length / 2 - self._room, self.length / 2)
+
+    @property
+    def _room(self) -> float:
+        return (self.time.extent - self.length) / 4
+
+    def _window(self, slope: float, first: float, last: float) -> ComplexArray:
         scale = np.sqrt(2 / abs(slope))
-        upper_sine, upper_cosine = fresnel(scale * (self.time.values + self.length / 2))
-        lower_sine, lower_cosine = fresnel(scale * (self.time.values - self.length / 2))
+        upper_sine, upper_cosine = fresnel(scale * (self.time.values - first))
+        lower_sine, lower_cosine = fresnel(scale * (self.time.values - last))
         window = (upper_cosine - lower_cosine + 1j * (upper_sine - lower_sine)) * np.exp(-0.25j * np.pi) / np.sqrt(2)
         return (window if slope > 0 else window.conj()).astype(np.complex64)

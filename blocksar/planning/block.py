@@ -155,8 +155,9 @@ def plan_block(
     compressed = range_part.trace(sector.lines(fine_range[:, None], fine_yaw))
     fine = azimuth.trace(compressed)
     spots = focus(fine)
+    rate = azimuth.perturb_time(compressed).rate  # before the steps in Doppler
     sampling = _plan_sampling(
-        recovery, slab, azimuth, straight, fine, spots,
+        recovery, slab, azimuth, straight, fine, spots, rate,
         range_frequency=band if range_gate is None else range_gate.range_frequency, duration=duration,
     )  # fmt: skip
     steps = azimuth.sampled(sampling)
@@ -170,9 +171,7 @@ def plan_block(
         chain=steps if range_gate is None else (range_gate, *steps),
         sampling=sampling,
         ground=_plan_ground(sector, sampling, fine, spots, epoch_range=fine_range, yaw=fine_yaw),
-        prediction=predict(
-            fine, spots, fine_range, fine_yaw, sector.geometry, rate=azimuth.perturb_time(compressed).rate
-        ),
+        prediction=predict(fine, spots, fine_range, fine_yaw, sector.geometry, rate=rate),
         memory=_plan_memory(range_gate, range_part, sampling),
         candidate=chosen,
     )
@@ -251,6 +250,7 @@ def _plan_sampling(
     straight: Line,
     fine: Line,
     fine_spots: Focus,
+    fine_rate: FloatArray,
     *,
     range_frequency: Axis,
     duration: float,
@@ -281,7 +281,7 @@ def _plan_sampling(
         focused_doppler=fourier.dual(
             long_time, size=n_padded, centre=float((spots.doppler.min() + spots.doppler.max()) / 2)
         ),
-        gate=plan_gate(fine, fine_spots, rows=rows, slow=long_time),
+        gate=plan_gate(fine, fine_spots, fine_rate, rows=rows, slow=long_time),
     )
 
 

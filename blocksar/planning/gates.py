@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.polynomial import chebyshev
 
 from blocksar import solvers
+from blocksar.arrays import FloatArray
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.lines import Focus, Line, RowPolynomial
@@ -16,6 +19,7 @@ from blocksar.planning.target_lines import middle_line
 
 RANGE_GUARD = 48  # range cells on either side of a sub-block, for side lobes of targets at its ends
 GATE_ROOM = 1.62  # dwells that the sampling in Doppler has room for
+CUBIC_POWERS = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [-1, 0, 2, 0], [0, -3, 0, 4]], float)  # of Chebyshev polynomials
 
 
 def plan_range_gate(full: Axis, slab: Axis, line: Line, carrier: float) -> RangeGate:
@@ -54,15 +58,15 @@ def _gate_length(needed: float, share: float, at_most: int) -> tuple[int, int]:
     return min(((n, round(n * share)) for n in lengths), key=lambda pair: abs(pair[1] / pair[0] / share - 1))
 
 
-def plan_gate(line: Line, spots: Focus, *, rows: Axis, slow: Axis) -> DwellGate | None:
-    """The gate that follows the middles of the dwells along Doppler, from the lines (n_range, n_yaw) with full dwell.
+def plan_gate(line: Line, spots: Focus, rate: FloatArray, *, rows: Axis, slow: Axis) -> DwellGate | None:
+    """The gate that follows the ends of the dwells along Doppler, from the lines (n_range, n_yaw) with full dwell.
 
     Targets with a dwell cut by the ends of the collection are gated as if it continued. None where all targets dwell at
-    the same time, as under a beam that is not steered: a gate could not separate them.
+    the same time, as under a beam that is not steered: a gate could not separate them. `rate` is the lines' Doppler
+    rate before the steps in Doppler, Hz/s.
     """
-    weight = line.weight * line.stretch
-    lengths = weight.sum(axis=-1)
-    middles = (weight * line.time).sum(axis=-1) / lengths
+    begins, ends = dwell_ends(line)
+    middles, lengths = (begins + ends) / 2, ends - begins
     if np.ptp(middles) < 0.02 * lengths.max():
         return None
     lit = line.weight.sum(axis=-1)[0]
@@ -70,26 +74,70 @@ def plan_gate(line: Line, spots: Focus, *, rows: Axis, slow: Axis) -> DwellGate 
     if full.sum() < 6:  # a narrow block at an end of the swath has cut dwells only
         full = np.ones_like(full)
     doppler = spots.doppler[:, full]
-    centre, scale = float((doppler.min() + doppler.max()) / 2), max(float(np.ptp(spots.doppler) / 2), 1e-6)
     near, far = rows.start, rows.start + rows.extent
-    u = (2 * spots.range[:, full] - near - far) / (far - near)
-    z = (doppler - centre) / scale
-    basis = chebyshev.chebvander2d(u.ravel(), z.ravel(), [2, 3])
-    series = solvers.least_squares(
-        np.asarray(basis.T, np.float64), middles[:, full].ravel(), damping=1e-20 * u.size
-    ).reshape(3, 4)
-    powers = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [-1, 0, 2, 0], [0, -3, 0, 4]], dtype=float)
-    series = solvers.product(series, powers)  # from Chebyshev to powers of z
-    integral = np.zeros((3, 5))
-    integral[:, 1:] = series / np.arange(1, 5) * scale
-    phase = RowPolynomial(series=integral, near=near, far=far, centre=centre, scale=scale)
-    at_middle = phase.coefficients(np.array((near + far) / 2))[None]
-    common = RowPolynomial(series=at_middle, near=near, far=far, centre=centre, scale=scale)
-    slope = RowPolynomial(series=series[:, 1:2] / scale, near=near, far=far, centre=centre, scale=scale)
-    # The longest dwell: a gate that cuts one costs width and amplitude, a gate slightly too wide only some coherence.
-    length = float(lengths[:, full].max())
-    _, own, _ = phase.evaluate(spots.range, spots.doppler[..., None])
+    scale = max(float(np.ptp(spots.doppler) / 2), 1e-6)
+    place = _RowPlace(near, far, centre=float((doppler.min() + doppler.max()) / 2), scale=scale)
+    basis = chebyshev.chebvander2d(
+        (2 * spots.range[:, full].ravel() - near - far) / (far - near),
+        (doppler.ravel() - place.centre) / scale,
+        [2, 3],
+    )
+
+    def fit(values: FloatArray) -> FloatArray:
+        """(3, 4) series in range of powers of z."""
+        series = solvers.least_squares(
+            np.asarray(basis.T, np.float64), values[:, full].ravel(), damping=1e-20 * basis.shape[0]
+        ).reshape(3, 4)
+        return solvers.product(series, CUBIC_POWERS)
+
+    length = float(lengths[:, full].mean())
+    begin, end = fit(begins + length / 2), fit(ends - length / 2)
+    smear = ((1 - line.stretch) / rate)[:, full]  # D', s/Hz
+    phases = place.integral(begin), place.integral(end)
+    at_middle = place.integral((begin + end) / 2).coefficients(np.array((near + far) / 2))[None]
+    common = place.polynomial(at_middle)
     _, shared, _ = common.evaluate(spots.range, spots.doppler[..., None])
-    apart = float(np.abs(own - shared).max())
+    apart = max(
+        float(np.abs(phase.evaluate(spots.range, spots.doppler[..., None])[1] - shared).max()) for phase in phases
+    )
     size = min(fourier.fast_length((GATE_ROOM * length + 2 * apart) / slow.step), slow.size)
-    return DwellGate(phase=phase, common=common, slope=slope, length=length, time=fourier.centred(0.0, slow.step, size))
+    return DwellGate(
+        begin=phases[0],
+        end=phases[1],
+        common=common,
+        begin_slope=place.slope(begin, smear[..., 0].mean()),
+        end_slope=place.slope(end, smear[..., -1].mean()),
+        length=length,
+        time=fourier.centred(0.0, slow.step, size),
+    )
+
+
+def dwell_ends(line: Line) -> tuple[FloatArray, FloatArray]:
+    """Times at which the dwells of lines (..., n) begin and end after all steps, (...) s: beyond the outer nodes."""
+    outside = line.weight.sum(axis=-1) * (1 + solvers.gauss_legendre(line.time.shape[-1])[0][0]) / 2
+    begins = line.time[..., 0] - outside * line.stretch[..., 0]
+    return begins, line.time[..., -1] + outside * line.stretch[..., -1]
+
+
+class _RowPlace(NamedTuple):
+    """Where polynomials along rows lie: ranges, m, and the centre and scale of Doppler, Hz."""
+
+    near: float
+    far: float
+    centre: float
+    scale: float
+
+    def polynomial(self, series: FloatArray) -> RowPolynomial:
+        return RowPolynomial(series=series, near=self.near, far=self.far, centre=self.centre, scale=self.scale)
+
+    def integral(self, series: FloatArray) -> RowPolynomial:
+        """The polynomial whose derivative has these coefficients (n, 4): cycles."""
+        integral = np.zeros((series.shape[0], 5))
+        integral[:, 1:] = series / np.arange(1, 5) * self.scale
+        return self.polynomial(integral)
+
+    def slope(self, series: FloatArray, more: float) -> RowPolynomial:
+        """The linear coefficient, per Hz, plus `more`."""
+        slope = series[:, 1:2] / self.scale
+        slope[0] += more
+        return self.polynomial(slope)

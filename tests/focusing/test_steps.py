@@ -251,9 +251,12 @@ def test_a_target_focuses_as_its_line_predicts(name: str) -> None:
     value = response(np.array([spot.doppler]), np.array([spot.range]))[0, 0] / (lit * case.plan.ground.scale)
     value *= np.exp(-2j * np.pi * (spot.phase + given)) / spot.gain
     assert abs(np.angle(value)) < 5e-3
-    # Up to 1e-3 of a target's energy may lie outside its block's Doppler support, and the gate's edges are soft.
-    # Without keystone the residual walk smears the target in range, which lines do not include.
-    assert abs(np.abs(value) - 1) < {"no keystone": 0.05, "high order phase, wobble": 6e-3}.get(name, 4e-3)
+    # Up to 1e-3 of a target's energy may lie outside its block's Doppler support. The gate's edges are soft, and lie at
+    # other times at the ends of a wide band. Without keystone the residual walk smears the target in range, which lines
+    # do not include.
+    soft = {"no keystone": 0.05, "high order phase, wobble": 6e-3}
+    tolerance = soft.get(name, 7e-3 if "three times the relative bandwidth" in name else 4e-3)
+    assert abs(np.abs(value) - 1) < tolerance
     # The geometric correction removes this carrier along Doppler: the dwell's middle, less the common delay.
     behind, ahead = response(spot.doppler + np.array([-0.01, 0.01]), np.array([spot.range]))[0]
     middle = -np.angle(ahead * behind.conj()) / (2 * np.pi * 0.02)
@@ -278,22 +281,30 @@ def test_no_step_depends_on_the_number_of_threads_or_modifies_its_input(name: st
 # -- The dwell gate -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("growth", [0.0, 1e-5])  # s/Hz: the dwell's length changes by a tenth over 600 Hz
 @pytest.mark.parametrize("slope", [-2e-4, 1.5e-4])  # s/Hz: the dwell's middle moves by 0.16 s over 800 Hz of Doppler
-def test_the_gate_keeps_at_each_doppler_the_time_about_its_own_middle(slope: float) -> None:
-    """Compare with S(f) = sum over |t - c(f)| <= length / 2 of x(t) exp(-2j pi f t), for c linear, sample by sample."""
+def test_the_gate_keeps_at_each_doppler_the_time_about_its_own_middle(slope: float, growth: float) -> None:
+    """Compare with S(f) = sum over |t - c(f)| <= L(f) / 2 of x(t) exp(-2j pi f t), c and L linear, sample by sample."""
     length = 0.06
     time = fourier.centred(0.02, 1 / 1000, 500)
     doppler = fourier.dual(time, size=500, centre=0.0)
     ranges = Axis(-10.0, 5.0, 4)
     first = 0.013
-    # psi' = c(f) = first + slope f, and the part of it that all rows share.
-    series = np.array([[0.0, first * 100, slope * 100**2 / 2]])
-    phases = RowPolynomial(series=series, near=-10.0, far=5.0, centre=0.0, scale=100.0)
-    common = RowPolynomial(series=series * 0.9, near=-10.0, far=5.0, centre=0.0, scale=100.0)
+
+    def row_polynomial(*powers: float) -> RowPolynomial:
+        return RowPolynomial(series=np.array([powers]), near=-10.0, far=5.0, centre=0.0, scale=100.0)
+
+    def phase(slope: float) -> RowPolynomial:
+        """psi, with psi' = first + slope f."""
+        return row_polynomial(0.0, first * 100, slope * 100**2 / 2)
+
+    common = row_polynomial(0.0, 0.9 * first * 100, 0.9 * slope * 100**2 / 2)  # the part that all rows share
     gate = DwellGate(
-        phase=phases,
+        begin=phase(slope - growth / 2),
+        end=phase(slope + growth / 2),
         common=common,
-        slope=RowPolynomial(series=np.array([[slope]]), near=-10.0, far=5.0, centre=0.0, scale=100.0),
+        begin_slope=row_polynomial(slope - growth / 2),
+        end_slope=row_polynomial(slope + growth / 2),
         length=length,
         time=fourier.centred(0.0, time.step, 400),
     )
@@ -308,7 +319,7 @@ def test_the_gate_keeps_at_each_doppler_the_time_about_its_own_middle(slope: flo
     given = common.evaluate(np.array(0.0), f)[0]
     kernel = np.exp(-2j * np.pi * np.multiply.outer(t, f))
     # A sharp gate cannot be sampled: at its edge a sample counts by the share that is lit.
-    edge = (length / 2 - np.abs(t[:, None] - (first + slope * f))) / time.step + 0.5
+    edge = ((length + growth * f) / 2 - np.abs(t[:, None] - (first + slope * f))) / time.step + 0.5
     wanted = samples @ (kernel * np.clip(edge, 0, 1)) * np.exp(2j * np.pi * given)
     inner = np.abs(f) < 300  # the windows of the outermost Dopplers reach beyond the samples' time, or wrap in Doppler
     error = np.sqrt(np.mean(np.abs(found - wanted)[:, inner] ** 2) / np.mean(np.abs(wanted[:, inner]) ** 2))

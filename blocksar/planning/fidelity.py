@@ -1,0 +1,127 @@
+"""Predicted coherence of a block's image with exact back-projection, from traced lines.
+
+On clutter every pulse holds the echoes of all that is lit, so a pixel of back-projection and of a processor's image are
+two weighted sums over the same uncorrelated samples: their coherence is the normalised inner product of the weights.
+Back-projection's weights are those of the pixel's echo over its lit pulses. A processor's differ in four ways, each of
+which takes its loss, 1 - coherence:
+
+    phase        the residual phase of the line over the dwell
+    range        its range migration, as a phase across the band: sinc(2 B dr / c)
+    dispersion   ends of the dwell that are smeared or displaced
+    track        what the noise of the track leaves
+
+The ends: steps in Doppler that delay by D(f) smear a sharp end of the dwell gate into a Fresnel integral of area D'
+(less the mean of the block, with which the gate is made), and displace it where the gate's fit does not meet it. The
+keystone scales time by 1 + f / fc, which displaces the ends at the band's edges. With F the smeared end and H the sharp
+one displaced by d, the weights differ by the energy
+
+    integral of |F(t) - H(t - d)|^2 dt = sqrt(a) h(d / sqrt(a)),    z = sqrt(2) d / sqrt(a),
+    h = (z (C(z) + S(z)) + (cos(pi z^2 / 2) - sin(pi z^2 / 2)) / pi) / sqrt(2),
+
+from |F - H|^2 integrated at d = 0 in frequency, sqrt(a / 2) / pi, and d/dd = 2 Re F(d) - 1. Half of it, over the dwell,
+is lost at each end.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import fresnel
+
+from blocksar.arrays import FloatArray
+from blocksar.collection.beam import dwell_at
+from blocksar.collection.geometry import Geometry
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.focusing.dwell_gate import DwellGate
+from blocksar.focusing.lines import Focus, Line
+from blocksar.planning.gates import dwell_ends
+
+BAND_NODES = (-0.8, -0.4, 0.0, 0.4, 0.8)  # of the half band: middles of its fifths, for means over range frequency
+
+
+class Losses(NamedTuple):
+    """What each cause takes from the coherence of targets (n_range, n_yaw)."""
+
+    phase: FloatArray
+    range: FloatArray
+    dispersion: FloatArray
+
+
+def losses(
+    line: Line,
+    spots: Focus,
+    yaw: FloatArray,
+    geometry: Geometry,
+    *,
+    rate: FloatArray,
+    gate: DwellGate | None,
+    keystone: bool,
+) -> Losses:
+    """Losses of lines (n_range, n_yaw, n) after all steps.
+
+    `rate` is their Doppler rate before the steps in Doppler, Hz/s.
+    """
+    ends = np.zeros(line.time.shape[:-1])
+    if gate is not None:
+        ends = _at_ends(line, spots, yaw, geometry, rate=rate, gate=gate, keystone=keystone)
+    return Losses(*_along_dwell(line, spots, geometry), ends)
+
+
+def _along_dwell(line: Line, spots: Focus, geometry: Geometry) -> tuple[FloatArray, FloatArray]:
+    """Loss by residual phase, and what range migration takes besides."""
+    amplitude = np.sqrt(np.maximum(line.stretch, 0.0))
+    level = line.phase - spots.doppler[..., None] * line.time - spots.phase[..., None]
+    offset = line.range - spots.range[..., None]
+    response = np.sinc(2 * geometry.collection.bandwidth / SPEED_OF_LIGHT * offset)
+    norm = np.sqrt(line.weight.sum(axis=-1) * (line.weight * line.stretch).sum(axis=-1))
+    turned = line.weight * amplitude * np.exp(2j * np.pi * level)
+    phase = 1 - np.abs(turned.sum(axis=-1)) / norm
+    both = 1 - np.abs((turned * response).sum(axis=-1)) / norm
+    return phase, np.maximum(both - phase, 0.0)
+
+
+def _at_ends(
+    line: Line,
+    spots: Focus,
+    yaw: FloatArray,
+    geometry: Geometry,
+    *,
+    rate: FloatArray,
+    gate: DwellGate,
+    keystone: bool,
+) -> FloatArray:
+    """Loss by ends of the dwell that are smeared or displaced; none at an end that the collection's end cuts."""
+    collection = geometry.collection
+    lit = line.weight.sum(axis=-1)
+    lost = np.zeros(lit.shape)
+    for end, placed, moment, phase, slope in zip(
+        (0, -1),
+        dwell_ends(line),
+        dwell_at(geometry, yaw),
+        (gate.begin, gate.end),
+        (gate.begin_slope, gate.end_slope),
+        strict=True,
+    ):
+        side = -1 if end == 0 else 1
+        _, at, moves = (v[..., 0] for v in phase.evaluate(spots.range, spots.doppler[..., None]))
+        smear = (1 - line.stretch[..., end]) / rate[..., end]
+        left = smear - (slope.coefficients(spots.range)[..., 0] - moves)
+        displaced = (at + side * gate.length / 2 - placed) / line.stretch[..., end]
+        shift = np.array(BAND_NODES) * (collection.bandwidth / 2 / collection.carrier if keystone else 0.0)
+        total = np.zeros(lit.shape)
+        for part in shift:
+            apart = np.hypot(displaced - part * (moment - geometry.epoch), collection.pulse_interval / np.sqrt(12))
+            total += _end_energy(left, apart) / len(BAND_NODES)
+        cut = np.abs(moment - collection.time[end]) < collection.pulse_interval
+        lost += np.where(cut, 0.0, total)
+    return lost / (2 * lit)
+
+
+def _end_energy(area: FloatArray, displaced: FloatArray) -> FloatArray:
+    """Energy by which a smeared and displaced end differs from a sharp one, s; area, s^2; displacement, s."""
+    size = np.sqrt(np.maximum(np.abs(area), 1e-18))
+    z = np.sqrt(2) * np.abs(displaced) / size
+    sine, cosine = fresnel(z)
+    quarter = np.pi / 2 * z**2
+    return np.asarray(size * (z * (sine + cosine) + (np.cos(quarter) - np.sin(quarter)) / np.pi) / np.sqrt(2))
