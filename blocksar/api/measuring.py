@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -89,6 +90,11 @@ def measure(
         ]
         tables.append(_reference_table(compared))
         lines.append("reference: exact back-projection of the same samples; chips of 64 x 64 pixels")
+        predicted = min((block.coherence for block in run.record.plan.predicted), default=math.nan)
+        if compared and not math.isnan(predicted):
+            measured = min(abs(c.coherence) for *_, c in compared)
+            result["least_coherence"] = {"measured": measured, "predicted": predicted}
+            lines.append(f"least coherence: {measured:.4f} measured, {predicted:.4f} predicted for full dwells")
     stores.write_json(folder / "quality.json", result)
     return Report(tables=tables, summary=lines, result=result), drawn
 

@@ -31,6 +31,7 @@ from blocksar.planning.block import BlockPlan
 from blocksar.planning.choice import Contender
 from blocksar.planning.memory import checked_back_projection_memory
 from blocksar.planning.plan import Plan, plan_collection
+from blocksar.planning.prediction import Prediction
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -122,7 +123,12 @@ def plan(
 
 
 def _report_plan(plan: Plan) -> Report:
-    return Report(tables=[_block_table(plan)], summary=_plan_lines(plan), refusal=plan.refusal, result=plan)
+    return Report(
+        tables=[_block_table(plan), _coherence_table(plan)],
+        summary=_plan_lines(plan),
+        refusal=plan.refusal,
+        result=plan,
+    )
 
 
 def _report_contenders(contenders: list[Contender]) -> Report:
@@ -131,7 +137,7 @@ def _report_contenders(contenders: list[Contender]) -> Report:
     least = min(c.plan.work() for c in contenders if c.plan is not None)
     header = (
         "processor", "blocks", "residual phase (rad)", "quadratic (rad)", "PSLR (dB)", "width / limit",
-        "migration (cells)", "dwell lost (%)", "work", "memory (MiB)", "within its budgets",
+        "migration (cells)", "dwell lost (%)", "coherence", "work", "memory (MiB)", "within its budgets",
     )  # fmt: skip
     rows = [_contender_row(c, least) for c in contenders]
     if best is None or best.plan is None:
@@ -147,11 +153,12 @@ def _report_contenders(contenders: list[Contender]) -> Report:
 def _contender_row(contender: Contender, least: float) -> list[str]:
     plan = contender.plan
     if plan is None:
-        return [contender.processor, *["-"] * 9, "no"]
+        return [contender.processor, *["-"] * 10, "no"]
     p = contender.worst.prediction
     return [
         contender.processor, str(plan.n_blocks), f"{p.residual_phase:.4f}", f"{p.quadratic_phase:.4f}", f"{p.pslr:.2f}",
-        f"{p.width:.3f}", f"{p.migration:.3f}", f"{100 * contender.loss:.1f}", f"{plan.work() / least:.2f}",
+        f"{p.width:.3f}", f"{p.migration:.3f}", f"{100 * contender.loss:.1f}", f"{plan.coherence:.4f}",
+        f"{plan.work() / least:.2f}",
         f"{plan.memory / MIB:.0f}", "yes" if contender.serves else "no",
     ]  # fmt: skip
 
@@ -162,6 +169,19 @@ def _block_table(plan: Plan) -> Table:
         "quadratic (rad)", "PSLR (dB)", "width / limit", "azimuth width (m)", "migration (cells)", "memory (MiB)",
     )  # fmt: skip
     return header, [_block_row(block) for block in plan.blocks]
+
+
+def _coherence_table(plan: Plan) -> Table:
+    header = (
+        "block", "predicted coherence", "lost by residual phase", "by range migration", "at the ends of the dwell",
+        "by noise of the track",
+    )  # fmt: skip
+    return header, [_coherence_row(block.name, block.prediction) for block in plan.blocks]
+
+
+def _coherence_row(name: str, p: Prediction) -> list[str]:
+    losses = (p.phase_loss, p.range_loss, p.dispersion_loss, p.track_loss)
+    return [name, f"{p.coherence:.4f}", *(f"{loss:.4f}" for loss in losses)]
 
 
 def _block_row(block: BlockPlan) -> list[str]:
@@ -197,6 +217,9 @@ def _plan_lines(plan: Plan) -> list[str]:
         f"image {grid.shape[1]} x {grid.shape[0]} pixels: x {grid.x[0]:g} .. {grid.x[-1]:g} m every {grid.dx:g}, "
         f"y {grid.y[0]:g} .. {grid.y[-1]:g} m every {grid.dy:g}",
     ]
+    lines.append(
+        f"predicted coherence with exact back-projection: at least {plan.coherence:.4f} for targets with full dwell"
+    )
     noise = max(block.prediction.track_phase for block in plan.blocks)
     if noise > TRACK_TOLD:
         lines.append(

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import fresnel
 
-from blocksar.arrays import ComplexArray
+from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.focusing.lines import RowPolynomial
 from blocksar.kernels.fourier import Axis
+
+FADE_START = 0.5  # of the fall's length, from the dwell's other end to where a window begins to fade out
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,20 +57,18 @@ class DwellGate:
     time: Axis
 
     def begin_window(self, slope: float) -> ComplexArray:
-        """G over `time` for the dwell's begin, (time.size,) complex64; it falls to zero again well after the end."""
-        return self._window(slope, -self.length / 2, self.length / 2 + self._room)
+        """G over `time` for the dwell's begin, (time.size,) complex64; it fades out well after the end."""
+        return self._window(slope, self.time.values)
 
     def end_window(self, slope: float) -> ComplexArray:
-        """G over `time` for the dwell's end, (time.size,) complex64; it is zero well before the begin."""
-        return self._window(slope, -self.length / 2 - self._room, self.length / 2)
+        """G over `time` for the dwell's end, (time.size,) complex64; it fades out well before the begin."""
+        return self._window(slope, -self.time.values)
 
-    @property
-    def _room(self) -> float:
-        return (self.time.extent - self.length) / 4
-
-    def _window(self, slope: float, first: float, last: float) -> ComplexArray:
-        scale = np.sqrt(2 / abs(slope))
-        upper_sine, upper_cosine = fresnel(scale * (self.time.values - first))
-        lower_sine, lower_cosine = fresnel(scale * (self.time.values - last))
-        window = (upper_cosine - lower_cosine + 1j * (upper_sine - lower_sine)) * np.exp(-0.25j * np.pi) / np.sqrt(2)
+    def _window(self, slope: float, time: FloatArray) -> ComplexArray:
+        """A smeared step up at -length / 2, times a smooth fall from 1 to 0 between length / 2 and the last time."""
+        sine, cosine = fresnel(np.sqrt(2 / abs(slope)) * (time + self.length / 2))
+        step = 0.5 + (cosine + 1j * sine) * np.exp(-0.25j * np.pi) / np.sqrt(2)
+        room = (self.time.extent - self.length) / 2
+        fall = np.clip((time - self.length / 2) / room * (1 + FADE_START) - FADE_START, 0, 1)
+        window = step * np.cos(np.pi / 2 * fall) ** 2
         return (window if slope > 0 else window.conj()).astype(np.complex64)

@@ -7,6 +7,7 @@ unified walk.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
@@ -142,17 +143,31 @@ class ResidualRangeWalk(_FrequencyStep):
 class Keystone(_FrequencyStep):
     """Rescale slow time at each range frequency so that any linear range walk cancels (paper A (17)).
 
-    S_out(f, t) = fc / (fc + f) S(f, t fc / (fc + f)). The factor, which the paper omits, preserves the sum over slow
-    time, so that all range frequencies have equal weight, as in back-projection. On the carrier nothing moves. A
-    target's apparent range becomes rho - t rho', without the walk.
+    S_out(f, t) = fc / (fc + f) S(f, m + (t - m) fc / (fc + f)). The factor, which the paper omits, preserves the sum
+    over slow time, so that all range frequencies have equal weight, as in back-projection. On the carrier nothing
+    moves. A target's apparent range becomes rho - (t - m) rho', without the walk. The paper scales time about the
+    epoch, m = 0. But the dwell gate cuts all frequencies at one scaled time: about the middle m of the block itself,
+    the ends of dwells are displaced least at the ends of the band.
+
+    Attributes
+    ----------
+    carrier : float
+        Hz.
+    middle : float
+        m, s from the epoch.
     """
 
     name = "keystone"
     carrier: float
+    middle: float = 0.0
 
     @classmethod
     def bind(cls, constants: Constants, arriving: Callable[[], Line]) -> Self:
-        return cls(carrier=constants.carrier)
+        return cls(carrier=constants.carrier, middle=constants.middle)
+
+    @property
+    def scales_time_about(self) -> float:
+        return self.middle
 
     @property
     def source(self) -> Axis:
@@ -161,12 +176,12 @@ class Keystone(_FrequencyStep):
     def operations(self) -> list[Operation]:
         """Rows of time.size samples, one per range frequency; zero where the input has no data."""
         scale = self.carrier / (self.carrier + self.axes.range_frequency.values)
-        middle, filled = float(self.axes.time.position(np.array(0.0))), self.axes.time_occupancy
+        middle, filled = float(self.axes.time.position(np.array(self.middle))), self.axes.time_occupancy
         taps = interpolation.taps_needed(filled, error=AZIMUTH_TAP_ERROR)
         return [Stretch(scale, middle, interpolation.tap_polynomials(taps, occupancy=filled))]
 
     def trace(self, line: Line) -> Line:
-        return line.shift_range(SPEED_OF_LIGHT / (2 * self.carrier) * line.doppler * line.time)
+        return line.shift_range(SPEED_OF_LIGHT / (2 * self.carrier) * line.doppler * (line.time - self.middle))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -234,25 +249,31 @@ class Compression(Step):
 class RangeCompression(Compression):
     """RCMC and SRC by one reference, then the transform to range (paper A (18)-(23), errata applied).
 
-    Multiplies by exp{4j pi fc / c sum_n ((1 + f / fc)^(1-n) - 1) k_n t^n}, n >= 2: exact in f, where (22)
-    expands to second order in f / fc. The phase on the carrier is unchanged.
+    Multiplies by exp{4j pi fc / c sum_n ((1 + f / fc)^(1-n) - 1) k_n (t - m)^n}, n >= 2: exact in f, where (22)
+    expands to second order in f / fc. The phase on the carrier is unchanged. The k_n are those about the time m about
+    which the keystone has scaled time.
 
     Attributes
     ----------
     reference : (n,) float
-        k_0 .. k_(n-1) of the reference target's range about the epoch, m/s^n.
+        k_0 .. k_(n-1) of the reference target's range about m, m/s^n.
+    middle : float
+        m, s from the epoch.
     """
 
     name = "rcmc-src"
     reference: FloatArray
+    middle: float = 0.0
 
     @classmethod
     def bind(cls, constants: Constants, arriving: Callable[[], Line]) -> Self:
-        return cls(carrier=constants.carrier, reference=constants.reference)
+        k, m = constants.reference, constants.middle
+        about = [sum(k[n] * math.comb(n, j) * m ** (n - j) for n in range(j, k.size)) for j in range(k.size)]
+        return cls(carrier=constants.carrier, reference=np.array(about, np.float64), middle=m)
 
     def correction(self) -> Phase:
         order = np.arange(2, self.reference.size)
-        migration = self.reference[2:] * self.columns.values[:, None] ** order
+        migration = self.reference[2:] * (self.columns.values[:, None] - self.middle) ** order
         to_cycles = 2 * self.carrier / SPEED_OF_LIGHT
         return self.interpolate(
             lambda ratio: to_cycles * solvers.product(ratio[:, None] ** (1 - order) - 1, migration.T)
@@ -262,8 +283,9 @@ class RangeCompression(Compression):
         return line.shift_range(self._along(line.time, np.arange(self.reference.size) - 1.0))
 
     def _along(self, time: FloatArray, factor: NDArray[Any]) -> FloatArray:
-        """sum_n factor_n k_n t^n, n >= 2, m."""
-        return np.asarray(power.polyval(time, np.concatenate([[0.0, 0.0], factor[2:] * self.reference[2:]])))
+        """sum_n factor_n k_n (t - m)^n, n >= 2, m."""
+        series = np.concatenate([[0.0, 0.0], factor[2:] * self.reference[2:]])
+        return np.asarray(power.polyval(time - self.middle, series))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -275,6 +297,10 @@ class TimeDomainCompression(RangeCompression):
     """
 
     name = "time-domain-rcmc"
+
+    @classmethod
+    def bind(cls, constants: Constants, arriving: Callable[[], Line]) -> Self:
+        return cls(carrier=constants.carrier, reference=constants.reference)
 
     def correction(self) -> Phase:
         migration = self._along(self.columns.values, np.ones(self.reference.size))

@@ -34,6 +34,8 @@ class Constants:
     reference : (n,) float
         k_0 .. k_(n-1) of the range history of the block's centre about the epoch, m/s^n, less the common range that
         recovery removes.
+    middle : float
+        Middle of the time in which the block's targets are lit, s from the epoch: the keystone scales time about it.
     motion : Motion or None
         What motion compensation removes; None for a polynomial track, whose chain has no such step.
     polynomials : AzimuthPolynomials or None
@@ -43,6 +45,7 @@ class Constants:
     carrier: float
     walk: float
     reference: FloatArray
+    middle: float = 0.0
     motion: Motion | None = None
     polynomials: AzimuthPolynomials | None = None
 
@@ -121,6 +124,11 @@ class Step:
         if self.sampling is None:
             raise ValueError(f"{self.name} has no sampling yet: call sampled() first")
         return self.sampling
+
+    @property
+    def scales_time_about(self) -> float | None:
+        """The time, s from the epoch, about which the step scales time with range frequency; None if it does not."""
+        return None
 
     @property
     def source(self) -> Axis:

@@ -145,7 +145,13 @@ def plan_block(
     motion = plan_motion(
         sector.geometry, near=sector.near, far=sector.far, origin=recovery.origin, yaw=(sector.low + sector.high) / 2
     )
-    constants = Constants(carrier=collection.carrier, walk=slab.walk, reference=sector.reference(), motion=motion)
+    constants = Constants(
+        carrier=collection.carrier,
+        walk=slab.walk,
+        reference=sector.reference(),
+        middle=float((line.time.min() + line.time.max()) / 2),
+        motion=motion,
+    )
     range_part = RangePart.bind(steps_of(method, measured=motion is not None), constants, line)
     straight = range_part.trace(line)
     azimuth, chosen = _plan_azimuth(sector, range_part, method, straight, nodes=nodes, yaws=yaws, candidate=candidate)
@@ -171,7 +177,16 @@ def plan_block(
         chain=steps if range_gate is None else (range_gate, *steps),
         sampling=sampling,
         ground=_plan_ground(sector, sampling, fine, spots, epoch_range=fine_range, yaw=fine_yaw),
-        prediction=predict(fine, spots, fine_range, fine_yaw, sector.geometry, rate=rate),
+        prediction=predict(
+            fine,
+            spots,
+            fine_range,
+            fine_yaw,
+            sector.geometry,
+            rate=rate,
+            gate=sampling.gate,
+            scaled_about=next((about for step in steps if (about := step.scales_time_about) is not None), None),
+        ),
         memory=_plan_memory(range_gate, range_part, sampling),
         candidate=chosen,
     )

@@ -37,18 +37,20 @@ from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.lines import Focus, Line
 from blocksar.planning.gates import dwell_ends
 
+FULL = 0.999  # of the longest dwell: a full one
 BAND_NODES = (-0.8, -0.4, 0.0, 0.4, 0.8)  # of the half band: middles of its fifths, for means over range frequency
 
 
 class Losses(NamedTuple):
-    """What each cause takes from the coherence of targets (n_range, n_yaw)."""
+    """What each cause takes from the coherence of a target."""
 
-    phase: FloatArray
-    range: FloatArray
-    dispersion: FloatArray
+    phase: float
+    range: float
+    dispersion: float
+    track: float
 
 
-def losses(
+def worst_losses(
     line: Line,
     spots: Focus,
     yaw: FloatArray,
@@ -56,16 +58,33 @@ def losses(
     *,
     rate: FloatArray,
     gate: DwellGate | None,
-    keystone: bool,
+    scaled_about: float | None,
+    track_phase: float,
 ) -> Losses:
-    """Losses of lines (n_range, n_yaw, n) after all steps.
+    """Losses of the target that loses most, of those with full dwell where there are any.
 
-    `rate` is their Doppler rate before the steps in Doppler, Hz/s.
+    Parameters
+    ----------
+    line : Line
+        (n_range, n_yaw, n), after all steps.
+    yaw : (n_yaw,) float
+    rate : (n_range, n_yaw, n) float
+        The lines' Doppler rate before the steps in Doppler, Hz/s.
+    scaled_about : float or None
+        Time, s from the epoch, about which a keystone scales time with range frequency; None without one.
+    track_phase : float
+        Root mean square phase that the noise of the track leaves, rad.
     """
-    ends = np.zeros(line.time.shape[:-1])
+    phase, migration = _along_dwell(line, spots, geometry)
+    ends = np.zeros_like(phase)
     if gate is not None:
-        ends = _at_ends(line, spots, yaw, geometry, rate=rate, gate=gate, keystone=keystone)
-    return Losses(*_along_dwell(line, spots, geometry), ends)
+        ends = _at_ends(line, spots, yaw, geometry, rate=rate, gate=gate, scaled_about=scaled_about)
+    lit = line.weight.sum(axis=-1)
+    total = np.where(lit >= FULL * lit.max(), phase + migration + ends, -1.0)
+    worst = np.unravel_index(int(np.argmax(total)), total.shape)
+    return Losses(
+        float(phase[worst]), float(migration[worst]), float(ends[worst]), 1 - float(np.exp(-(track_phase**2) / 2))
+    )
 
 
 def _along_dwell(line: Line, spots: Focus, geometry: Geometry) -> tuple[FloatArray, FloatArray]:
@@ -89,7 +108,7 @@ def _at_ends(
     *,
     rate: FloatArray,
     gate: DwellGate,
-    keystone: bool,
+    scaled_about: float | None,
 ) -> FloatArray:
     """Loss by ends of the dwell that are smeared or displaced; none at an end that the collection's end cuts."""
     collection = geometry.collection
@@ -108,17 +127,18 @@ def _at_ends(
         smear = (1 - line.stretch[..., end]) / rate[..., end]
         left = smear - (slope.coefficients(spots.range)[..., 0] - moves)
         displaced = (at + side * gate.length / 2 - placed) / line.stretch[..., end]
-        shift = np.array(BAND_NODES) * (collection.bandwidth / 2 / collection.carrier if keystone else 0.0)
+        shift = np.array(BAND_NODES) * (collection.bandwidth / 2 / collection.carrier)
         total = np.zeros(lit.shape)
         for part in shift:
-            apart = np.hypot(displaced - part * (moment - geometry.epoch), collection.pulse_interval / np.sqrt(12))
-            total += _end_energy(left, apart) / len(BAND_NODES)
+            scaled = 0.0 if scaled_about is None else part * (moment - geometry.epoch - scaled_about)
+            apart = np.hypot(displaced - scaled, collection.pulse_interval / np.sqrt(12))
+            total += end_energy(left, apart) / len(BAND_NODES)
         cut = np.abs(moment - collection.time[end]) < collection.pulse_interval
         lost += np.where(cut, 0.0, total)
     return lost / (2 * lit)
 
 
-def _end_energy(area: FloatArray, displaced: FloatArray) -> FloatArray:
+def end_energy(area: FloatArray, displaced: FloatArray) -> FloatArray:
     """Energy by which a smeared and displaced end differs from a sharp one, s; area, s^2; displacement, s."""
     size = np.sqrt(np.maximum(np.abs(area), 1e-18))
     z = np.sqrt(2) * np.abs(displaced) / size

@@ -19,7 +19,8 @@ from blocksar.planning.target_lines import middle_line
 
 RANGE_GUARD = 48  # range cells on either side of a sub-block, for side lobes of targets at its ends
 GATE_ROOM = 1.62  # dwells that the sampling in Doppler has room for
-CUBIC_POWERS = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [-1, 0, 2, 0], [0, -3, 0, 4]], float)  # of Chebyshev polynomials
+GATE_RANGE_DEGREE = 4  # of the ends of dwells in range
+GATE_DEGREES = 5, 3  # in Doppler: between full dwells, and where they are extrapolated to those that are cut
 
 
 def plan_range_gate(full: Axis, slab: Axis, line: Line, carrier: float) -> RangeGate:
@@ -73,6 +74,7 @@ def plan_gate(line: Line, spots: Focus, rate: FloatArray, *, rows: Axis, slow: A
     full = lit >= 0.999 * lit.max()
     if full.sum() < 6:  # a narrow block at an end of the swath has cut dwells only
         full = np.ones_like(full)
+    order = GATE_DEGREES[0] if full.all() else GATE_DEGREES[1]
     doppler = spots.doppler[:, full]
     near, far = rows.start, rows.start + rows.extent
     scale = max(float(np.ptp(spots.doppler) / 2), 1e-6)
@@ -80,15 +82,16 @@ def plan_gate(line: Line, spots: Focus, rate: FloatArray, *, rows: Axis, slow: A
     basis = chebyshev.chebvander2d(
         (2 * spots.range[:, full].ravel() - near - far) / (far - near),
         (doppler.ravel() - place.centre) / scale,
-        [2, 3],
+        [GATE_RANGE_DEGREE, order],
     )
+    powers = np.stack([np.pad(chebyshev.cheb2poly(row), (0, n)) for n, row in enumerate(np.eye(order + 1)[::-1])])[::-1]
 
     def fit(values: FloatArray) -> FloatArray:
-        """(3, 4) series in range of powers of z."""
+        """(n, order + 1) series in range of powers of z."""
         series = solvers.least_squares(
             np.asarray(basis.T, np.float64), values[:, full].ravel(), damping=1e-20 * basis.shape[0]
-        ).reshape(3, 4)
-        return solvers.product(series, CUBIC_POWERS)
+        ).reshape(-1, order + 1)
+        return solvers.product(series, powers)
 
     length = float(lengths[:, full].mean())
     begin, end = fit(begins + length / 2), fit(ends - length / 2)
@@ -131,9 +134,9 @@ class _RowPlace(NamedTuple):
         return RowPolynomial(series=series, near=self.near, far=self.far, centre=self.centre, scale=self.scale)
 
     def integral(self, series: FloatArray) -> RowPolynomial:
-        """The polynomial whose derivative has these coefficients (n, 4): cycles."""
-        integral = np.zeros((series.shape[0], 5))
-        integral[:, 1:] = series / np.arange(1, 5) * self.scale
+        """The polynomial whose derivative has these coefficients (n, order + 1): cycles."""
+        integral = np.zeros((series.shape[0], series.shape[1] + 1))
+        integral[:, 1:] = series / np.arange(1, series.shape[1] + 1) * self.scale
         return self.polynomial(integral)
 
     def slope(self, series: FloatArray, more: float) -> RowPolynomial:

@@ -102,6 +102,11 @@ class Plan:
         """Peak memory of a worker, bytes."""
         return max(self.recovery_memory, *(block.memory for block in self.blocks))
 
+    @property
+    def coherence(self) -> float:
+        """The least coherence with exact back-projection that any block predicts."""
+        return min(block.prediction.coherence for block in self.blocks)
+
     def transforms(self) -> list[Transforms]:
         """All FFTs of samples in the plan, in order."""
         frequency = self.geometry.collection.range_frequency

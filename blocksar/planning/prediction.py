@@ -11,8 +11,10 @@ from blocksar.budget import MIGRATION_BUDGET, PHASE_BUDGET, SIDE_LOBE_BUDGET
 from blocksar.collection.beam import dwell_at
 from blocksar.collection.geometry import TRACK_ACCURACY, Geometry
 from blocksar.constants import SINC_PSLR, SINC_WIDTH, SPEED_OF_LIGHT
+from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.lines import Focus, Line
 from blocksar.planning import fitting
+from blocksar.planning.fidelity import worst_losses
 
 
 class Prediction(NamedTuple):
@@ -26,6 +28,11 @@ class Prediction(NamedTuple):
     resolution: float  # azimuth, m
     loss: float  # fraction of a dwell lost to dispersion at its ends
     track_phase: float  # rad, root mean square: what the noise of the track leaves
+    coherence: float  # with exact back-projection: 1 less the four losses of the target that loses most
+    phase_loss: float
+    range_loss: float
+    dispersion_loss: float
+    track_loss: float
 
     @property
     def excess(self) -> float:
@@ -43,7 +50,15 @@ class Prediction(NamedTuple):
 
 
 def predict(
-    line: Line, spots: Focus, rng: FloatArray, yaw: FloatArray, geometry: Geometry, *, rate: FloatArray
+    line: Line,
+    spots: Focus,
+    rng: FloatArray,
+    yaw: FloatArray,
+    geometry: Geometry,
+    *,
+    rate: FloatArray,
+    gate: DwellGate | None,
+    scaled_about: float | None,
 ) -> Prediction:
     """The worst figures of traced lines (n_range, n_yaw); `rate` is their Doppler rate before the steps in Doppler."""
     range_cell = SPEED_OF_LIGHT / (2 * geometry.collection.bandwidth)
@@ -62,6 +77,10 @@ def predict(
     width = SINC_WIDTH / np.maximum(np.abs(slope) * dwell, 1e-12)
     ground = np.sqrt(np.maximum(rng**2 - (geometry.epoch_position[2] - geometry.collection.ground_height) ** 2, 0.0))
     middle = yaw.size // 2
+    track_phase = _track_phase(geometry, rng, yaw)
+    lost = worst_losses(
+        line, spots, yaw, geometry, rate=rate, gate=gate, scaled_about=scaled_about, track_phase=track_phase
+    )  # fmt: skip
     return Prediction(
         residual_phase=float(residual.max()),
         quadratic_phase=float(spots.quadratic.max()),
@@ -70,7 +89,12 @@ def predict(
         migration=float(spots.migration.max() / range_cell),
         resolution=float(width[rng.size // 2, middle] * ground[rng.size // 2]),
         loss=float(fitting.end_loss(line, rate).max()),
-        track_phase=_track_phase(geometry, rng, yaw),
+        track_phase=track_phase,
+        coherence=1 - sum(lost),
+        phase_loss=lost.phase,
+        range_loss=lost.range,
+        dispersion_loss=lost.dispersion,
+        track_loss=lost.track,
     )
 
 

@@ -167,6 +167,13 @@ def _stage_of(unit: str, *, back_projection: bool) -> str:
     return (_BACK_PROJECTION_STAGES if back_projection else _STAGES).get(unit.partition("-")[0], "")
 
 
+# Figures of a block that records of earlier versions lack.
+_ADDED = (
+    "bias", "quadratic_phase", "resolution", "loss", "track_phase", "coherence", "phase_loss", "range_loss",
+    "dispersion_loss", "track_loss",
+)  # fmt: skip
+
+
 @dataclass(frozen=True, kw_only=True)
 class PredictedBlock:
     """Predicted quality of a block, or of a range sub-block: that of its worst target.
@@ -200,6 +207,10 @@ class PredictedBlock:
         Fraction of a dwell lost at its ends by dispersion.
     track_phase : float
         Root mean square phase that the noise of the track leaves over a dwell, rad.
+    coherence : float
+        With exact back-projection: 1 less the losses of the target that loses most.
+    phase_loss, range_loss, dispersion_loss, track_loss : float
+        What residual phase, range migration, the ends of the dwell and the noise of the track take from it.
     """
 
     block: int
@@ -216,6 +227,11 @@ class PredictedBlock:
     resolution: float = nan
     loss: float = nan
     track_phase: float = nan
+    coherence: float = nan
+    phase_loss: float = nan
+    range_loss: float = nan
+    dispersion_loss: float = nan
+    track_loss: float = nan
 
     @property
     def name(self) -> str:
@@ -225,7 +241,7 @@ class PredictedBlock:
     @classmethod
     def of(cls, entry: Field) -> Self:
         required = ("residual_phase", "pslr", "width", "migration")
-        optional = [name for name in ("bias", "quadratic_phase", "resolution", "loss", "track_phase") if entry[name]]
+        optional = [name for name in _ADDED if entry[name]]
         return cls(
             block=entry["block"].integer(),
             part=entry["part"].optional(Field.integer),

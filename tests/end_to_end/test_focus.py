@@ -72,11 +72,14 @@ def test_clutter_is_coherent_with_back_projection(
 ) -> None:
     store = clutter(name)
     blocksar.focus(store, tmp_path / "run", blocks=3, grid=coarse_grid(store), client=client)
-    chips = blocksar.quality(tmp_path / "run", reference=True).result["reference"]
+    quality = blocksar.quality(tmp_path / "run", reference=True).result
+    chips = quality["reference"]
+    # Chips differ from each other by 5e-4: they hold a few thousand resolution cells. Where fewer scatterers are lit
+    # than the beam would hold, as at the ends of a scene, the ends of dwells lose less than predicted.
+    assert -0.001 < quality["least_coherence"]["measured"] - quality["least_coherence"]["predicted"] < 0.0015
     assert len(chips) >= 15  # block centres, seams and swath ends, each at near, middle and far range
-    least = 0.995 if name == "table1" else 0.99
     for chip in chips:
-        assert chip["coherence"] >= least, chip
+        assert chip["coherence"] >= 0.996, chip
         assert chip["gain"] == pytest.approx(1.0, abs=0.02), chip
         assert abs(chip["phase"]) <= 0.02, chip
 
@@ -124,9 +127,8 @@ def test_range_sub_blocks_are_as_accurate_as_whole_blocks(
     assert [(b["block"], b["part"]) for b in record["plan"]["predicted"]] == [(b, p) for b in (0, 1) for p in (0, 1, 2)]
     chips = blocksar.quality(tmp_path / "run", reference=True).result["reference"]
     assert sum("range seam" in chip["place"] for chip in chips) >= 2
-    least = 0.995 if name == "table1" else 0.99
     for chip in chips:
-        assert chip["coherence"] >= least, chip
+        assert chip["coherence"] >= 0.996, chip
         assert chip["gain"] == pytest.approx(1.0, abs=0.02), chip
         assert abs(chip["phase"]) <= 0.02, chip
 

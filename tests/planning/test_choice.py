@@ -67,7 +67,7 @@ def test_closed_form_against_fit_and_against_deramp_alone(name: str, processor: 
 def test_auto_compares_the_processors_in_a_table(name: str) -> None:
     grid = PAPERS[name][1] if name in PAPERS else None
     report = blocksar.plan(name, processor="auto", grid=grid)
-    (header, rows), _ = report.tables
+    (header, rows), *_ = report.tables
     assert [row[0] for row in rows] == ["angular-division", "keystone-resampling", "high-order-phase"]
     assert isinstance(report.result, Plan)
     assert report.result.within_budget()

@@ -1,0 +1,52 @@
+"""Predicted coherence: the closed form of what the ends of a dwell lose, and what a plan says of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scenes import PAPERS
+from scipy.special import fresnel
+
+import blocksar
+from blocksar.planning.fidelity import end_energy
+
+
+@pytest.mark.parametrize("displaced", [0.0, 0.3e-3, -1e-3, 4e-3])  # s
+@pytest.mark.parametrize("area", [1e-6, -4e-7])  # s^2
+def test_the_energy_at_an_end_is_that_of_its_integral(area: float, displaced: float) -> None:
+    """Integrate |F(t) - H(t - d)|^2 with F the Fresnel-smoothed step, sample by sample; its tails fall as 1 / t^2."""
+    step, reach = 2e-7, 0.5
+    t = np.arange(-reach, reach, step) + step / 2
+    sine, cosine = fresnel(t * np.sqrt(2 / abs(area)))
+    smeared = 0.5 + (cosine + 1j * sine) * np.exp(-0.25j * np.pi) / np.sqrt(2)
+    total = np.sum(np.abs(smeared - (t > displaced)) ** 2) * step + abs(area) / (2 * np.pi**2 * reach)
+    assert end_energy(np.array(area), np.array(displaced)) == pytest.approx(total, rel=2e-3)
+
+
+def test_a_sharp_end_loses_its_displacement() -> None:
+    assert end_energy(np.array(0.0), np.array(-2e-3)) == pytest.approx(2e-3, rel=1e-3)
+
+
+def test_a_plan_predicts_coherence_and_what_it_is_made_of() -> None:
+    report = blocksar.plan("table1", blocks=3)
+    for block in report.result.blocks:
+        p = block.prediction
+        losses = (p.phase_loss, p.range_loss, p.dispersion_loss, p.track_loss)
+        assert p.coherence == pytest.approx(1 - sum(losses))
+        assert 0.997 < p.coherence < 0.9995
+        assert p.dispersion_loss == max(losses)
+    assert report.result.coherence == min(block.prediction.coherence for block in report.result.blocks)
+    assert len(report.tables[1][1]) == 3
+    assert any("predicted coherence" in line for line in report.summary)
+
+
+def test_more_blocks_lose_less_at_the_ends_of_dwells() -> None:
+    found = [blocksar.plan("table1", blocks=blocks).result.coherence for blocks in (1, 2, 4)]
+    assert found == sorted(found)
+
+
+def test_without_a_steered_beam_nothing_is_lost_at_the_ends_of_dwells() -> None:
+    processor, grid = PAPERS["paper_b"]
+    for block in blocksar.plan("paper_b", processor=processor, blocks=3, grid=grid).result.blocks:
+        assert block.prediction.dispersion_loss == 0.0
+        assert 0.99 < block.prediction.coherence < 1.0
