@@ -18,7 +18,7 @@ from blocksar.errors import InputError
 
 CARRIERS = (1e6, 1e15)  # Hz: accepted carriers, from below HF radar to beyond visible light
 FARTHEST = 1e9  # m: largest coordinate; beyond the moon, and float64 still resolves phase there
-MAX_YAW = 100.0  # rad: larger beam azimuths are taken for degrees
+SPEEDS = (0.1, 20e3)  # m/s: of platforms, from one that hovers to a satellite on a high orbit
 SPIKE = 1.0  # m: a single pulse that deviates more than this from its neighbours is corrupt
 JUMP = 50.0  # times the median step between pulses: a larger step is a gap between two passes
 
@@ -94,6 +94,7 @@ class Collection:
             self._check_size(name, "m", FARTHEST)
             self._check_spikes(name)
         self._check_jumps()
+        self._check_speed()
         if not (np.isfinite(self.carrier) and self.carrier > 0):
             raise InputError(f"carrier_frequency must be a positive number of Hz, got {self.carrier!r}")
         if not CARRIERS[0] <= self.carrier <= CARRIERS[1]:
@@ -106,6 +107,11 @@ class Collection:
             raise InputError(
                 f"range_frequency starts at {self.range_frequency[0]:.6g} Hz, below minus the carrier "
                 f"({self.carrier:.6g} Hz); it must be baseband, relative to carrier_frequency"
+            )
+        if self.range_frequency[0] > self.carrier / 2:
+            raise InputError(
+                f"range_frequency is {self.range_frequency[0]:.6g} .. {self.range_frequency[-1]:.6g} Hz with "
+                f"carrier_frequency = {self.carrier:.6g} Hz: it looks absolute; subtract the carrier"
             )
         if not np.isfinite(self.ground_height):
             raise InputError(f"ground_height must be a finite number of m, got {self.ground_height!r}")
@@ -156,6 +162,20 @@ class Collection:
                 "between pulses otherwise; correct it there, or give each part as a collection of its own"
             )
 
+    def _check_speed(self) -> None:
+        way = np.linalg.norm(np.diff(self.antenna_position, axis=0), axis=1)
+        speed = float(way.sum() / (self.time[-1] - self.time[0]))
+        if speed > SPEEDS[1]:
+            raise InputError(
+                f"antenna_position moves at {speed:.6g} m/s, but platforms move at up to {SPEEDS[1]:g} m/s: correct "
+                "the unit of antenna_position (m) or of time (s)"
+            )
+        if speed < SPEEDS[0]:
+            raise InputError(
+                f"antenna_position moves at {speed:.6g} m/s, but an aperture needs at least {SPEEDS[0]:g} m/s: correct "
+                "the unit of antenna_position (it looks like km) or of time (it looks like ms)"
+            )
+
     def _check_beam(self) -> None:
         finite = np.isfinite(self.beam_azimuth)
         if not finite.any():
@@ -171,10 +191,17 @@ class Collection:
                 "every pulse, or NaN for all of them if the beam is not steered"
             )
         if self.beam_width is None or not 0 < self.beam_width < np.pi:
+            degrees = self.beam_width is not None and np.pi <= self.beam_width <= 180
             raise InputError(
                 f"beam_width must lie between 0 and pi rad where beam_azimuth is given, got {self.beam_width!r}"
+                + ("; it looks like degrees" if degrees else "")
             )
-        self._check_size("beam_azimuth", "rad", MAX_YAW)
+        least = float(np.abs(self.beam_azimuth).min())
+        if least > 2 * np.pi:
+            raise InputError(
+                f"beam_azimuth is {self.beam_azimuth[0]:.6g} .. {self.beam_azimuth[-1]:.6g} rad, more than a full turn "
+                "throughout" + ("; it looks like degrees" if least <= 360 else "; correct it, or its unit")
+            )
         azimuth = np.unwrap(self.beam_azimuth)
         azimuth.flags.writeable = False
         object.__setattr__(self, "beam_azimuth", azimuth)

@@ -81,11 +81,6 @@ class Method:
     def as_settings(self) -> dict[str, Any]:
         return asdict(self)
 
-    @classmethod
-    def of_settings(cls, settings: dict[str, Any]) -> Method:
-        """The method in a run's settings."""
-        return cls(**{field.name: settings[field.name] for field in fields(cls)})
-
 
 DEFAULT = Method()
 

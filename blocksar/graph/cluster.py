@@ -82,15 +82,19 @@ def _start_fork_server() -> None:
     """
     get_mp_context().set_forkserver_preload([WORKER_MODULE])
     resource_tracker.ensure_running()  # otherwise the next line starts it, and that unblocks SIGINT
-    own = dict(os.environ)
-    os.environ.update({name: str(value) for name, value in dask.config.get(PRE_SPAWN).items()})
+    wanted = {name: str(value) for name, value in dask.config.get(PRE_SPAWN).items()}
+    own = {name: os.environ.get(name) for name in wanted}
+    os.environ.update(wanted)
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         forkserver.ensure_running()
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        os.environ.clear()
-        os.environ.update(own)
+        for name, value in own.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
 
 
 @contextmanager

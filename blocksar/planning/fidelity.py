@@ -35,7 +35,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.lines import Focus, Line
-from blocksar.planning.gates import dwell_ends
+from blocksar.planning.gates import dwell_ends, end_smear
 
 FULL = 0.999  # of the longest dwell: a full one
 BAND_NODES = (-0.8, -0.4, 0.0, 0.4, 0.8)  # of the half band: middles of its fifths, for means over range frequency
@@ -124,7 +124,7 @@ def _at_ends(
     ):
         side = -1 if end == 0 else 1
         _, at, moves = (v[..., 0] for v in phase.evaluate(spots.range, spots.doppler[..., None]))
-        smear = (1 - line.stretch[..., end]) / rate[..., end]
+        smear = end_smear(line, rate)[..., end]
         left = smear - (slope.coefficients(spots.range)[..., 0] - moves)
         displaced = (at + side * gate.length / 2 - placed) / line.stretch[..., end]
         shift = np.array(BAND_NODES) * (collection.bandwidth / 2 / collection.carrier)

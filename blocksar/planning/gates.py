@@ -95,7 +95,7 @@ def plan_gate(line: Line, spots: Focus, rate: FloatArray, *, rows: Axis, slow: A
 
     length = float(lengths[:, full].mean())
     begin, end = fit(begins + length / 2), fit(ends - length / 2)
-    smear = ((1 - line.stretch) / rate)[:, full]  # D', s/Hz
+    smear = end_smear(line, rate)[:, full]
     phases = place.integral(begin), place.integral(end)
     at_middle = place.integral((begin + end) / 2).coefficients(np.array((near + far) / 2))[None]
     common = place.polynomial(at_middle)
@@ -108,8 +108,8 @@ def plan_gate(line: Line, spots: Focus, rate: FloatArray, *, rows: Axis, slow: A
         begin=phases[0],
         end=phases[1],
         common=common,
-        begin_slope=place.slope(begin, smear[..., 0].mean()),
-        end_slope=place.slope(end, smear[..., -1].mean()),
+        begin_slope=place.slope(begin, float(smear[..., 0].mean())),
+        end_slope=place.slope(end, float(smear[..., 1].mean())),
         length=length,
         time=fourier.centred(0.0, slow.step, size),
     )
@@ -120,6 +120,16 @@ def dwell_ends(line: Line) -> tuple[FloatArray, FloatArray]:
     outside = line.weight.sum(axis=-1) * (1 + solvers.gauss_legendre(line.time.shape[-1])[0][0]) / 2
     begins = line.time[..., 0] - outside * line.stretch[..., 0]
     return begins, line.time[..., -1] + outside * line.stretch[..., -1]
+
+
+def end_smear(line: Line, rate: FloatArray) -> FloatArray:
+    """Slope D' (..., 2) of the delay that the steps in Doppler give the begin and the end of dwells, s/Hz.
+
+    `rate` is the lines' Doppler rate before these steps. Where it vanishes, so does the smear: no Doppler is passed.
+    """
+    ends, rate = line.stretch[..., [0, -1]], rate[..., [0, -1]]
+    passed = np.abs(rate) > 1e-6 * np.abs(rate).max()
+    return np.where(passed, (1 - ends) / np.where(passed, rate, 1.0), 0.0)
 
 
 class _RowPlace(NamedTuple):
