@@ -181,8 +181,10 @@ def dwell(geometry: Geometry, x: FloatArray, y: FloatArray) -> tuple[FloatArray,
     return dwell_at(geometry, geometry.yaw(x, y))
 
 
-def dwell_at(geometry: Geometry, yaw: FloatArray) -> tuple[FloatArray, FloatArray]:
+def dwell_at(geometry: Geometry, yaw: FloatArray, *, uncut: bool = False) -> tuple[FloatArray, FloatArray]:
     """First and last lit slow time of points at yaws (...), rad: two arrays (...), s; start > end where never lit.
+
+    With `uncut`, as if a scanning beam went on beyond the ends of the collection as it did on average.
 
     These are the times at which the edges of the beam, taken as a continuous function of time, pass the point. A pulse
     stands for the half interval on either side of it, so N lit pulses dwell for N intervals, give or take one.
@@ -204,7 +206,8 @@ def dwell_at(geometry: Geometry, yaw: FloatArray) -> tuple[FloatArray, FloatArra
         slope = (time[-1] - time[0]) / (beam[-1] - beam[0])
         return inside + slope * (level - np.clip(level, min(beam[0], beam[-1]), max(beam[0], beam[-1])))
 
-    return np.maximum(crossing(yaw - sign * half), start), np.minimum(crossing(yaw + sign * half), end)
+    first, last = crossing(yaw - sign * half), crossing(yaw + sign * half)
+    return (first, last) if uncut else (np.maximum(first, start), np.minimum(last, end))
 
 
 def has_full_dwell(geometry: Geometry, x: float, y: float) -> bool:

@@ -18,6 +18,7 @@ from blocksar.errors import InputError
 
 CARRIERS = (1e6, 1e15)  # Hz: accepted carriers, from below HF radar to beyond visible light
 FARTHEST = 1e9  # m: largest coordinate; beyond the moon, and float64 still resolves phase there
+MAX_YAW = 4 * np.pi  # rad: where all beam azimuths are larger, they are taken for degrees
 SPEEDS = (0.1, 20e3)  # m/s: of platforms, from one that hovers to a satellite on a high orbit
 SPIKE = 1.0  # m: a single pulse that deviates more than this from its neighbours is corrupt
 JUMP = 50.0  # times the median step between pulses: a larger step is a gap between two passes
@@ -197,9 +198,9 @@ class Collection:
                 + ("; it looks like degrees" if degrees else "")
             )
         least = float(np.abs(self.beam_azimuth).min())
-        if least > 2 * np.pi:
+        if least > MAX_YAW:
             raise InputError(
-                f"beam_azimuth is {self.beam_azimuth[0]:.6g} .. {self.beam_azimuth[-1]:.6g} rad, more than a full turn "
+                f"beam_azimuth is {self.beam_azimuth[0]:.6g} .. {self.beam_azimuth[-1]:.6g} rad, more than two turns "
                 "throughout" + ("; it looks like degrees" if least <= 360 else "; correct it, or its unit")
             )
         azimuth = np.unwrap(self.beam_azimuth)

@@ -5,18 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from blocksar.arrays import FloatArray
 from blocksar.budget import IMAGE_TAP_ERROR
 from blocksar.collection import range_series
-from blocksar.collection.beam import lit_pulses
+from blocksar.collection.beam import dwell_at, lit_pulses
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import Region
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.chains import steps_of
+from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.ground_map import YAW_STEPS, GroundMap, surfaces
 from blocksar.focusing.lines import Focus, Line, focus
 from blocksar.focusing.method import Method
@@ -158,13 +160,17 @@ def plan_block(
 
     # Fine lines through the whole chain: for the gate, the ground map and the prediction.
     fine_range, fine_yaw = _end_nodes(sector.near, sector.far, 13), _end_nodes(sector.low, sector.high, 33)
-    compressed = range_part.trace(sector.lines(fine_range[:, None], fine_yaw))
+    lit = sector.lines(fine_range[:, None], fine_yaw)
+    compressed = range_part.trace(lit)
     fine = azimuth.trace(compressed)
     spots = focus(fine)
     rate = azimuth.perturb_time(compressed).rate  # before the steps in Doppler
+    first, last = dwell_at(sector.geometry, fine_yaw, uncut=True)
+    uncut = first - sector.geometry.epoch, last - sector.geometry.epoch
     sampling = _plan_sampling(
-        recovery, slab, azimuth, straight, fine, spots, rate,
+        recovery, slab, azimuth, straight, fine,
         range_frequency=band if range_gate is None else range_gate.range_frequency, duration=duration,
+        make_gate=partial(plan_gate, fine, spots, rate, lit=lit, uncut=uncut),
     )  # fmt: skip
     steps = azimuth.sampled(sampling)
     return BlockPlan(
@@ -264,11 +270,10 @@ def _plan_sampling(
     azimuth: AzimuthPart,
     straight: Line,
     fine: Line,
-    fine_spots: Focus,
-    fine_rate: FloatArray,
     *,
     range_frequency: Axis,
     duration: float,
+    make_gate: Callable[..., DwellGate | None],
 ) -> Sampling:
     """The axes that hold a block's lines: `straight` after range compression, `fine` after the last step."""
     focused = azimuth.trace(straight)
@@ -296,7 +301,7 @@ def _plan_sampling(
         focused_doppler=fourier.dual(
             long_time, size=n_padded, centre=float((spots.doppler.min() + spots.doppler.max()) / 2)
         ),
-        gate=plan_gate(fine, fine_spots, fine_rate, rows=rows, slow=long_time),
+        gate=make_gate(rows=rows, slow=long_time),
     )
 
 

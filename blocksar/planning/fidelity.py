@@ -89,12 +89,12 @@ def worst_losses(
 
 def _along_dwell(line: Line, spots: Focus, geometry: Geometry) -> tuple[FloatArray, FloatArray]:
     """Loss by residual phase, and what range migration takes besides."""
-    amplitude = np.sqrt(np.maximum(line.stretch, 0.0))
+    stretch = np.maximum(line.stretch, 1e-3)  # a line that is folded over is refused elsewhere
     level = line.phase - spots.doppler[..., None] * line.time - spots.phase[..., None]
     offset = line.range - spots.range[..., None]
     response = np.sinc(2 * geometry.collection.bandwidth / SPEED_OF_LIGHT * offset)
-    norm = np.sqrt(line.weight.sum(axis=-1) * (line.weight * line.stretch).sum(axis=-1))
-    turned = line.weight * amplitude * np.exp(2j * np.pi * level)
+    norm = np.sqrt(line.weight.sum(axis=-1) * (line.weight * stretch).sum(axis=-1))
+    turned = line.weight * np.sqrt(stretch) * np.exp(2j * np.pi * level)
     phase = 1 - np.abs(turned.sum(axis=-1)) / norm
     both = 1 - np.abs((turned * response).sum(axis=-1)) / norm
     return phase, np.maximum(both - phase, 0.0)

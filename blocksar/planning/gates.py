@@ -20,7 +20,7 @@ from blocksar.planning.target_lines import middle_line
 RANGE_GUARD = 48  # range cells on either side of a sub-block, for side lobes of targets at its ends
 GATE_ROOM = 1.62  # dwells that the sampling in Doppler has room for
 GATE_RANGE_DEGREE = 4  # of the ends of dwells in range
-GATE_DEGREES = 5, 3  # in Doppler: between full dwells, and where they are extrapolated to those that are cut
+GATE_DEGREE = 5  # and in Doppler
 
 
 def plan_range_gate(full: Axis, slab: Axis, line: Line, carrier: float) -> RangeGate:
@@ -59,43 +59,62 @@ def _gate_length(needed: float, share: float, at_most: int) -> tuple[int, int]:
     return min(((n, round(n * share)) for n in lengths), key=lambda pair: abs(pair[1] / pair[0] / share - 1))
 
 
-def plan_gate(line: Line, spots: Focus, rate: FloatArray, *, rows: Axis, slow: Axis) -> DwellGate | None:
-    """The gate that follows the ends of the dwells along Doppler, from the lines (n_range, n_yaw) with full dwell.
+def plan_gate(
+    line: Line,
+    spots: Focus,
+    rate: FloatArray,
+    *,
+    lit: Line,
+    uncut: tuple[FloatArray, FloatArray],
+    rows: Axis,
+    slow: Axis,
+) -> DwellGate | None:
+    """The gate that follows the ends of the dwells along Doppler, from the lines (n_range, n_yaw) of targets.
 
-    Targets with a dwell cut by the ends of the collection are gated as if it continued. None where all targets dwell at
-    the same time, as under a beam that is not steered: a gate could not separate them. `rate` is the lines' Doppler
-    rate before the steps in Doppler, Hz/s.
+    Dwells that the ends of the collection cut are gated as if they continued: nothing lies beyond. None where all
+    targets dwell at the same time, as under a beam that is not steered: a gate could not separate them.
+
+    Parameters
+    ----------
+    line : Line
+        After all steps.
+    rate : (n_range, n_yaw, n) float
+        The lines' Doppler rate before the steps in Doppler, Hz/s.
+    lit : Line
+        The lines before all steps.
+    uncut : pair of (n_yaw,) float
+        Slow time, s from the epoch, at which the dwells would begin and end if the collection did not cut them.
     """
     begins, ends = dwell_ends(line)
+    first, last = dwell_ends(lit)
+    begins = begins - (first - uncut[0]) * line.stretch[..., 0]
+    ends = ends + (uncut[1] - last) * line.stretch[..., -1]
     middles, lengths = (begins + ends) / 2, ends - begins
     if np.ptp(middles) < 0.02 * lengths.max():
         return None
-    lit = line.weight.sum(axis=-1)[0]
-    full = lit >= 0.999 * lit.max()
-    if full.sum() < 6:  # a narrow block at an end of the swath has cut dwells only
-        full = np.ones_like(full)
-    order = GATE_DEGREES[0] if full.all() else GATE_DEGREES[1]
-    doppler = spots.doppler[:, full]
+    doppler = spots.doppler
     near, far = rows.start, rows.start + rows.extent
     scale = max(float(np.ptp(spots.doppler) / 2), 1e-6)
     place = _RowPlace(near, far, centre=float((doppler.min() + doppler.max()) / 2), scale=scale)
     basis = chebyshev.chebvander2d(
-        (2 * spots.range[:, full].ravel() - near - far) / (far - near),
+        (2 * spots.range.ravel() - near - far) / (far - near),
         (doppler.ravel() - place.centre) / scale,
-        [GATE_RANGE_DEGREE, order],
+        [GATE_RANGE_DEGREE, GATE_DEGREE],
     )
-    powers = np.stack([np.pad(chebyshev.cheb2poly(row), (0, n)) for n, row in enumerate(np.eye(order + 1)[::-1])])[::-1]
+    powers = np.zeros((GATE_DEGREE + 1, GATE_DEGREE + 1))
+    for degree, row in enumerate(np.eye(GATE_DEGREE + 1)):
+        powers[degree, : degree + 1] = chebyshev.cheb2poly(row[: degree + 1])
 
     def fit(values: FloatArray) -> FloatArray:
-        """(n, order + 1) series in range of powers of z."""
+        """(GATE_RANGE_DEGREE + 1, GATE_DEGREE + 1): series in range of powers of z."""
         series = solvers.least_squares(
-            np.asarray(basis.T, np.float64), values[:, full].ravel(), damping=1e-20 * basis.shape[0]
-        ).reshape(-1, order + 1)
+            np.asarray(basis.T, np.float64), values.ravel(), damping=1e-20 * basis.shape[0]
+        ).reshape(-1, GATE_DEGREE + 1)
         return solvers.product(series, powers)
 
-    length = float(lengths[:, full].mean())
+    length = float(lengths.mean())
     begin, end = fit(begins + length / 2), fit(ends - length / 2)
-    smear = end_smear(line, rate)[:, full]
+    smear = end_smear(line, rate)
     phases = place.integral(begin), place.integral(end)
     at_middle = place.integral((begin + end) / 2).coefficients(np.array((near + far) / 2))[None]
     common = place.polynomial(at_middle)

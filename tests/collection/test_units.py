@@ -19,7 +19,7 @@ MISTAKES: dict[str, tuple[Callable[[Collection], dict[str, Any]], str]] = {
     ),
     "yaw in degrees": (
         lambda c: {"beam_azimuth": np.degrees(c.beam_azimuth)},
-        r"beam_azimuth is 48\..* \.\. 51\..* rad, more than a full turn throughout; it looks like degrees",
+        r"beam_azimuth is 48\..* \.\. 51\..* rad, more than two turns throughout; it looks like degrees",
     ),
     "width in degrees": (lambda c: {"beam_width": 4.25}, r"beam_width .* got 4\.25; it looks like degrees"),
     "time in us": (
