@@ -551,7 +551,7 @@ INTERRUPTED, TERMINATED = (signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 
     [
         (*INTERRUPTED, "start"),
         (*TERMINATED, "focus"),
-        (*INTERRUPTED, "mosaic"),
+        pytest.param(*INTERRUPTED, "mosaic", marks=pytest.mark.slow),
         pytest.param(*TERMINATED, "recover", marks=pytest.mark.slow),
         pytest.param(*INTERRUPTED, "focus", marks=pytest.mark.slow),
     ],

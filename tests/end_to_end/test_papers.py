@@ -44,7 +44,8 @@ def test_a_papers_scene_meets_the_quality_bar(
     check_targets(found, 15)
 
 
-@pytest.mark.parametrize("name", [pytest.param("paper_b", marks=pytest.mark.slow), "paper_c"])
+@pytest.mark.parametrize("name", PAPERS)
+@pytest.mark.slow
 def test_clutter_in_a_papers_scene_is_coherent_with_back_projection(name: str, client: Client, tmp_path: Path) -> None:
     processor, grid = PAPERS[name]
     x, y = (f"[{low}, {high}]" for low, high, _ in grid)

@@ -47,7 +47,11 @@ GROUNDS = {
 # test_table1.py and test_focus.py test these at full size, and test_papers.py with the targets of the papers.
 ELSEWHERE = {("table1", "angular-division"), *((name, processor) for name, (processor, _) in PAPERS.items())}
 SLOWEST = {("paper_b", "high-order-phase"), ("paper_c", "angular-division"), ("paper_c", "keystone-resampling")}
-SLOWEST |= {("scan reversed", "keystone-resampling"), ("scan reversed", "high-order-phase")}
+SLOWEST |= {
+    ("scan reversed", "keystone-resampling"),
+    ("scan reversed", "high-order-phase"),
+    ("paper_b", "angular-division"),
+}
 CASES = [
     pytest.param(ground, processor, marks=pytest.mark.slow if (ground, processor) in SLOWEST else ())
     for ground in GROUNDS

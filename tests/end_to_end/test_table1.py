@@ -76,6 +76,7 @@ def test_memory_of_back_projection_is_predicted_and_kept(table1: Path, tmp_path:
     assert not (tmp_path / "tight").exists()
 
 
+@pytest.mark.slow
 def test_one_block_suffices_with_fitted_but_not_closed_form_coefficients(
     table1: Path, client: Client, tmp_path: Path
 ) -> None:
@@ -87,6 +88,7 @@ def test_one_block_suffices_with_fitted_but_not_closed_form_coefficients(
     assert by_name(blocksar.quality(tmp_path / "closed").result)["B1"]["azimuth_pslr"] > -12.0
 
 
+@pytest.mark.slow
 def test_edge_targets_as_in_table_2_and_table_3(
     proposed: dict[str, Any], table1: Path, client: Client, tmp_path: Path
 ) -> None:
