@@ -146,8 +146,10 @@ def test_raw_echo_with_dropped_pulses_is_focused(client: Client, tmp_path: Path)
     assert target["azimuth_irw"] == pytest.approx(target["azimuth_irw_theory"], rel=0.01)
     assert not (tmp_path / "run" / "compressed.zarr").exists()
     compared = blocksar.quality(tmp_path / "run", reference=True).result["reference"]
-    # Away from the target there are only side lobes and noise.
-    assert min(chip["coherence"] for chip in compared) > 0.95
+    # Away from the target there are only side lobes and noise. The chip on the seam, half a degree beside the target,
+    # holds its far side lobes alone: they come from the ends of its dwell, which are a little smeared at a block's end.
+    assert min(chip["coherence"] for chip in compared) > 0.9
+    assert sorted(chip["coherence"] for chip in compared)[3] > 0.997
 
 
 def test_back_projection_processor_writes_the_same_store(client: Client, tmp_path: Path) -> None:
