@@ -18,7 +18,8 @@ from blocksar.errors import InputError
 
 CARRIERS = (1e6, 1e15)  # Hz: accepted carriers, from below HF radar to beyond visible light
 FARTHEST = 1e9  # m: largest coordinate; beyond the moon, and float64 still resolves phase there
-MAX_YAW = 4 * np.pi  # rad: where all beam azimuths are larger, they are taken for degrees
+TWO_TURNS = 4 * np.pi  # rad: where all beam azimuths are larger, they are taken for degrees
+MAX_YAW = 100.0  # rad: likewise where any is larger
 SPEEDS = (0.1, 20e3)  # m/s: of platforms, from one that hovers to a satellite on a high orbit
 SPIKE = 1.0  # m: a single pulse that deviates more than this from its neighbours is corrupt
 JUMP = 50.0  # times the median step between pulses: a larger step is a gap between two passes
@@ -94,8 +95,9 @@ class Collection:
                 )
             self._check_size(name, "m", FARTHEST)
             self._check_spikes(name)
-        self._check_jumps()
-        self._check_speed()
+        way = np.linalg.norm(np.diff(self.antenna_position, axis=0), axis=1)
+        self._check_jumps(way)
+        self._check_speed(way)
         if not (np.isfinite(self.carrier) and self.carrier > 0):
             raise InputError(f"carrier_frequency must be a positive number of Hz, got {self.carrier!r}")
         if not CARRIERS[0] <= self.carrier <= CARRIERS[1]:
@@ -153,9 +155,8 @@ class Collection:
                 "write the pulse's samples as NaN if they are in doubt"
             )
 
-    def _check_jumps(self) -> None:
-        """Refuse a track with a jump, as two passes joined into one collection have."""
-        way = np.linalg.norm(np.diff(self.antenna_position, axis=0), axis=1)
+    def _check_jumps(self, way: FloatArray) -> None:
+        """Refuse a track with a jump, as two passes joined into one collection have; way between pulses (n - 1,), m."""
         usual, where = float(np.median(way)), int(way.argmax())
         if way[where] > max(SPIKE, JUMP * usual):
             raise InputError(
@@ -163,8 +164,7 @@ class Collection:
                 "between pulses otherwise; correct it there, or give each part as a collection of its own"
             )
 
-    def _check_speed(self) -> None:
-        way = np.linalg.norm(np.diff(self.antenna_position, axis=0), axis=1)
+    def _check_speed(self, way: FloatArray) -> None:
         speed = float(way.sum() / (self.time[-1] - self.time[0]))
         if speed > SPEEDS[1]:
             raise InputError(
@@ -198,11 +198,12 @@ class Collection:
                 + ("; it looks like degrees" if degrees else "")
             )
         least = float(np.abs(self.beam_azimuth).min())
-        if least > MAX_YAW:
+        if least > TWO_TURNS:
             raise InputError(
                 f"beam_azimuth is {self.beam_azimuth[0]:.6g} .. {self.beam_azimuth[-1]:.6g} rad, more than two turns "
                 "throughout" + ("; it looks like degrees" if least <= 360 else "; correct it, or its unit")
             )
+        self._check_size("beam_azimuth", "rad", MAX_YAW)
         azimuth = np.unwrap(self.beam_azimuth)
         azimuth.flags.writeable = False
         object.__setattr__(self, "beam_azimuth", azimuth)

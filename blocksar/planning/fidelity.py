@@ -114,6 +114,8 @@ def _at_ends(
     collection = geometry.collection
     lit = line.weight.sum(axis=-1)
     lost = np.zeros(lit.shape)
+    smear = end_smear(line, rate)
+    shift = np.array(BAND_NODES) * (collection.bandwidth / 2 / collection.carrier)
     for end, placed, moment, phase, slope in zip(
         (0, -1),
         dwell_ends(line),
@@ -124,10 +126,8 @@ def _at_ends(
     ):
         side = -1 if end == 0 else 1
         _, at, moves = (v[..., 0] for v in phase.evaluate(spots.range, spots.doppler[..., None]))
-        smear = end_smear(line, rate)[..., end]
-        left = smear - (slope.coefficients(spots.range)[..., 0] - moves)
+        left = smear[..., end] - (slope.coefficients(spots.range)[..., 0] - moves)
         displaced = (at + side * gate.length / 2 - placed) / line.stretch[..., end]
-        shift = np.array(BAND_NODES) * (collection.bandwidth / 2 / collection.carrier)
         total = np.zeros(lit.shape)
         for part in shift:
             scaled = 0.0 if scaled_about is None else part * (moment - geometry.epoch - scaled_about)

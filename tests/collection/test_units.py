@@ -21,6 +21,10 @@ MISTAKES: dict[str, tuple[Callable[[Collection], dict[str, Any]], str]] = {
         lambda c: {"beam_azimuth": np.degrees(c.beam_azimuth)},
         r"beam_azimuth is 48\..* \.\. 51\..* rad, more than two turns throughout; it looks like degrees",
     ),
+    "yaw in degrees, through zero": (
+        lambda c: {"beam_azimuth": np.linspace(0.0, 150.0, c.n_pulse)},
+        r"beam_azimuth reaches 150 rad, beyond the 100 rad that can be meant",
+    ),
     "width in degrees": (lambda c: {"beam_width": 4.25}, r"beam_width .* got 4\.25; it looks like degrees"),
     "time in us": (
         lambda c: {"time": c.time / 1e3},
