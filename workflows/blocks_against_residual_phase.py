@@ -50,7 +50,7 @@ from rich.console import Console
 from rich.table import Table
 
 import blocksar
-from blocksar.budget import PHASE_BUDGET, SIDE_LOBE_BUDGET
+from blocksar.budget import SIDE_LOBE_BUDGET
 from blocksar.cli.parsing import parse_grid
 from blocksar.focusing.method import Chain, Coefficients
 
@@ -152,7 +152,6 @@ def draw(rows: list[Row], path: Path, title: str) -> None:
     for ax in axes[1]:
         ax.set(xlabel="blocks")
     panels["residual_phase_rad"].set(yscale="log")
-    panels["residual_phase_rad"].axhline(PHASE_BUDGET, color="black", linewidth=1)
     panels["pslr_db"].axhline(-13.26 + SIDE_LOBE_BUDGET, color="black", linewidth=1)
     figure.suptitle(f"{title}: predicted (lines), measured (circles), budgets (black)")
     figure.legend(*panels["memory_mib"].get_legend_handles_labels(), loc="outside lower center", ncols=3)

@@ -17,6 +17,7 @@ from blocksar import stores
 from blocksar.api.arguments import GridLike, Resources, grid_of, resources
 from blocksar.api.jobs import Job, Request
 from blocksar.api.reports import Report
+from blocksar.budget import FIDELITY
 from blocksar.constants import MIB
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.method import Coefficients, Derotation, Perturbation, Processor, RangeModel, method_of
@@ -59,6 +60,7 @@ def focus(
     *,
     processor: Processor = "angular-division",
     blocks: int | Literal["auto"] = "auto",
+    fidelity: float = FIDELITY,
     coefficients: Coefficients = "fitted",
     perturbation: Perturbation = "all",
     keystone: bool = True,
@@ -85,8 +87,9 @@ def focus(
     processor : {"angular-division", "keystone-resampling", "high-order-phase", "backprojection"}
         Chain of steps; "backprojection" is exact and slow. Default: "angular-division".
     blocks : int or "auto"
-        Number of angular blocks, at least 1. "auto" (default): the fewest that meet the budgets of residual phase, side
-        lobes, migration and memory.
+        Number of angular blocks, at least 1. "auto" (default): the fewest that keep `fidelity` and fit the memory.
+    fidelity : float
+        Coherence with exact back-projection that "auto" keeps where it can, below 1. Default: 0.999.
     coefficients : {"fitted", "closed-form"}
         "fitted" (default): fitted to traced time-frequency lines. "closed-form": expanded about the centre of each
         block, as in the papers.
@@ -142,7 +145,9 @@ def focus(
         derotation=derotation,
         range_model=range_model,
     )
-    request = Request.open(source, place(out), method=method, blocks=blocks, grid=grid_of(grid), overwrite=overwrite)
+    request = Request.open(
+        source, place(out), method=method, blocks=blocks, fidelity=fidelity, grid=grid_of(grid), overwrite=overwrite
+    )
     if profile is not None:
         recording.check_recordable(profile, client)
     record = request.find_run()

@@ -38,6 +38,8 @@ class Request:
         None for back-projection.
     blocks : int or "auto"
         Number of angular blocks.
+    fidelity : float
+        Coherence that "auto" keeps.
     grid : Grid or None
         None to cover the lit sector.
     fingerprint : str
@@ -50,6 +52,7 @@ class Request:
     folder: Place
     method: Method | None
     blocks: int | Literal["auto"]
+    fidelity: float
     grid: Grid | None
     fingerprint: str
     overwrite: bool
@@ -62,6 +65,7 @@ class Request:
         *,
         method: Method | None,
         blocks: int | Literal["auto"],
+        fidelity: float,
         grid: Grid | None,
         overwrite: bool,
     ) -> Request:
@@ -78,8 +82,8 @@ class Request:
         fingerprint = history.fingerprint()
         run_folder.refuse_overlap(place(history.path), folder)
         return cls(
-            history=history, folder=folder, method=method, blocks=blocks, grid=grid, fingerprint=fingerprint,
-            overwrite=overwrite,
+            history=history, folder=folder, method=method, blocks=blocks, fidelity=fidelity, grid=grid,
+            fingerprint=fingerprint, overwrite=overwrite,
         )  # fmt: skip
 
     @property
@@ -89,6 +93,7 @@ class Request:
         return {
             **(exact if self.method is None else self.method.as_settings()),
             "blocks": self.blocks,
+            "fidelity": self.fidelity,
             "grid": None if self.grid is None else list(grid_numbers(self.grid)),
         }
 
@@ -146,6 +151,7 @@ class Job:
             blocks=division.blocks or request.blocks,
             parts=division.parts or "auto",
             method=request.method,
+            fidelity=request.fidelity,
             grid=grid,
             workers=machine.workers,
             memory_limit=machine.memory_limit,
@@ -200,7 +206,7 @@ def predicted_blocks(plan: Plan) -> tuple[PredictedBlock, ...]:
             yaw=(block.low, block.high),
             range=(block.ground.near, block.ground.far),
             memory=block.memory,
-            bias=block.candidate.bias,
+            bias=block.choice.candidate.bias,
             **block.prediction._asdict(),
         )
         for block in plan.blocks

@@ -9,6 +9,7 @@ import numpy as np
 
 from blocksar.api.arguments import GridLike, collection_of, grid_of, resources
 from blocksar.api.reports import Report, Table
+from blocksar.budget import FIDELITY
 from blocksar.collection.beam import most_lit_pulses
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
@@ -45,6 +46,7 @@ def plan(
     *,
     processor: PlannedProcessor = "angular-division",
     blocks: int | Literal["auto"] = "auto",
+    fidelity: float = FIDELITY,
     coefficients: Coefficients = "fitted",
     perturbation: Perturbation = "all",
     keystone: bool = True,
@@ -63,8 +65,9 @@ def plan(
     processor : {"angular-division", "keystone-resampling", "high-order-phase", "backprojection", "auto"}
         Chain to plan. "auto" compares the first three and proposes one. Default: "angular-division".
     blocks : int or "auto"
-        Number of angular blocks, at least 1. "auto" (default): the fewest that meet the budgets of residual phase, side
-        lobes, migration and memory.
+        Number of angular blocks, at least 1. "auto" (default): the fewest that keep `fidelity` and fit the memory.
+    fidelity : float
+        Coherence with exact back-projection that "auto" keeps where it can, below 1. Default: 0.999.
     coefficients : {"fitted", "closed-form"}
         "fitted" (default): fitted to traced time-frequency lines. "closed-form": expanded about the centre of each
         block, as in the papers.
@@ -116,8 +119,9 @@ def plan(
 
     def plan_by(method: Method) -> Plan:
         return plan_collection(
-            collection, blocks=blocks, method=method, grid=points, workers=workers, memory_limit=memory_limit
-        )
+            collection, blocks=blocks, fidelity=fidelity, method=method, grid=points, workers=workers,
+            memory_limit=memory_limit,
+        )  # fmt: skip
 
     return _report_contenders(choice.contend(plan_by)) if automatic else _report_plan(plan_by(method))
 
@@ -137,7 +141,7 @@ def _report_contenders(contenders: list[Contender]) -> Report:
     least = min(c.plan.work() for c in contenders if c.plan is not None)
     header = (
         "processor", "blocks", "residual phase (rad)", "quadratic (rad)", "PSLR (dB)", "width / limit",
-        "migration (cells)", "dwell lost (%)", "coherence", "work", "memory (MiB)", "within its budgets",
+        "migration (cells)", "coherence", "work", "memory (MiB)", "keeps the fidelity",
     )  # fmt: skip
     rows = [_contender_row(c, least) for c in contenders]
     if best is None or best.plan is None:
@@ -153,12 +157,11 @@ def _report_contenders(contenders: list[Contender]) -> Report:
 def _contender_row(contender: Contender, least: float) -> list[str]:
     plan = contender.plan
     if plan is None:
-        return [contender.processor, *["-"] * 10, "no"]
+        return [contender.processor, *["-"] * 9, "no"]
     p = contender.worst.prediction
     return [
         contender.processor, str(plan.n_blocks), f"{p.residual_phase:.4f}", f"{p.quadratic_phase:.4f}", f"{p.pslr:.2f}",
-        f"{p.width:.3f}", f"{p.migration:.3f}", f"{100 * contender.loss:.1f}", f"{plan.coherence:.4f}",
-        f"{plan.work() / least:.2f}",
+        f"{p.width:.3f}", f"{p.migration:.3f}", f"{plan.coherence:.4f}", f"{plan.work() / least:.2f}",
         f"{plan.memory / MIB:.0f}", "yes" if contender.serves else "no",
     ]  # fmt: skip
 
@@ -193,7 +196,7 @@ def _block_row(block: BlockPlan) -> list[str]:
         f"{block.ground.near / 1e3:.3f} .. {block.ground.far / 1e3:.3f}",
         f"{block.first_bin} .. {block.first_bin + block.n_bin}",
         str(block.ground.doppler.size),
-        f"{block.candidate.bias:.1f}",
+        f"{block.choice.candidate.bias:.1f}",
         f"{p.residual_phase:.4f}",
         f"{p.quadratic_phase:.4f}",
         f"{p.pslr:.2f}",
@@ -225,11 +228,28 @@ def _plan_lines(plan: Plan) -> list[str]:
         lines.append(
             f"the noise of the track leaves a phase of {noise:.2g} rad r.m.s. over a dwell; smooth the positions"
         )
-    if not plan.within_budget():
-        lines.append(
-            "the predicted residual phase or migration is above its budget: more blocks, or fitted coefficients"
-        )
+    if not plan.faithful:
+        lines.append(_shortfall(plan))
     return lines
+
+
+def _shortfall(plan: Plan) -> str:
+    """Which fidelity is not kept, and what would help most."""
+    worst = max(plan.blocks, key=lambda block: block.prediction.excess(plan.fidelity))
+    p = worst.prediction
+    losses = {
+        "residual phase": p.phase_loss, "range migration": p.range_loss, "the ends of the dwell": p.dispersion_loss,
+        "noise of the track": p.track_loss,
+    }  # fmt: skip
+    cause = max(losses, key=losses.__getitem__)
+    remedy = "smooth the positions" if cause == "noise of the track" else "ask for more --blocks, or for --blocks auto"
+    if plan.method.rival:
+        remedy += ", or leave the alternative methods out"
+    figure = f"coherence {p.coherence:.6g}" if 1 - p.coherence > 1 - plan.fidelity else f"side lobes {p.pslr:.2f} dB"
+    return (
+        f"fidelity {plan.fidelity:g} is not kept: block {worst.name} predicts {figure}, and most is lost by {cause}; "
+        f"{remedy}"
+    )
 
 
 def _plan_backprojection(

@@ -12,11 +12,13 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+from blocksar.budget import FIDELITY
 from blocksar.cli.display import show
 from blocksar.cli.endings import WRONG_INPUT, Commands, catch_signals, complain, ending
 from blocksar.cli.options import (
     PROCESSORS,
     Blocks,
+    Fidelity,
     GridOption,
     JsonLog,
     MemoryLimit,
@@ -158,6 +160,7 @@ def plan(
         typer.Option(metavar="NAME", help=f"{PROCESSORS}; auto: compare all chains and propose the best."),
     ] = "angular-division",
     blocks: Blocks = "auto",
+    fidelity: Fidelity = FIDELITY,
     grid: GridOption = None,
     workers: Workers = None,
     memory_limit: MemoryLimit = None,
@@ -165,13 +168,13 @@ def plan(
 ) -> None:
     """Show how a collection would be focused, and the predicted quality of its image.
 
-    Prints blocks, residual phase, predicted side lobes and widths, and memory, without reading any samples.
+    Prints blocks, predicted coherence, side lobes, widths and memory, without reading any samples.
 
     If the collection cannot be focused with these options, prints the reason and exits with status 2.
 
     Example: [bold]blocksar plan table1 --blocks 3[/bold]
     """
-    settings = parse_settings(blocks, grid, workers, memory_limit)
+    settings = parse_settings(blocks, fidelity, grid, workers, memory_limit)
 
     from blocksar import api
 
@@ -189,6 +192,7 @@ def focus(
     out: Annotated[str, typer.Option(metavar="RUN", help="Folder of the run; an unfinished one is resumed.")],
     processor: ProcessorOption = "angular-division",
     blocks: Blocks = "auto",
+    fidelity: Fidelity = FIDELITY,
     grid: GridOption = None,
     workers: Workers = None,
     threads: Threads = None,
@@ -208,7 +212,7 @@ def focus(
 
     Example: [bold]blocksar focus table1.zarr --out run --blocks 3[/bold]
     """
-    settings = parse_settings(blocks, grid, workers, memory_limit)
+    settings = parse_settings(blocks, fidelity, grid, workers, memory_limit)
 
     from blocksar import api
 

@@ -27,7 +27,12 @@ METHOD_HELP = {
 CoefficientsOption = Annotated[
     Coefficients, typer.Option(help=METHOD_HELP["coefficients"], rich_help_panel=ALTERNATIVES)
 ]
-Blocks = Annotated[str, typer.Option(metavar="auto|N", help="Number of angular blocks; auto: the fewest that suffice.")]
+Blocks = Annotated[
+    str, typer.Option(metavar="auto|N", help="Number of angular blocks; auto: the fewest that keep the fidelity.")
+]
+Fidelity = Annotated[
+    float, typer.Option(metavar="C", help="Coherence with exact back-projection that --blocks auto keeps.")
+]
 ProcessorOption = Annotated[Processor, typer.Option(metavar="NAME", help=f"{PROCESSORS}.")]
 GridOption = Annotated[
     str | None,
@@ -58,12 +63,15 @@ class Settings(TypedDict):
     """The settings besides the method that `plan` and `focus` share, as arguments of `blocksar.api`."""
 
     blocks: int | Literal["auto"]
+    fidelity: float
     grid: tuple[Axis, Axis] | None
     workers: int | None
     memory_limit: int | None  # bytes
 
 
-def parse_settings(blocks: str, grid: str | None, workers: int | None, memory_limit: str | None) -> Settings:
+def parse_settings(
+    blocks: str, fidelity: float, grid: str | None, workers: int | None, memory_limit: str | None
+) -> Settings:
     """Convert the options that `plan` and `focus` share.
 
     Raises
@@ -73,6 +81,7 @@ def parse_settings(blocks: str, grid: str | None, workers: int | None, memory_li
     """
     return {
         "blocks": parse_blocks(blocks),
+        "fidelity": fidelity,
         "grid": None if grid is None else parse_grid(grid),
         "workers": workers,
         "memory_limit": None if memory_limit is None else parse_memory(memory_limit),

@@ -30,8 +30,10 @@ TILE_GROUP = 16  # tiles per call of the compiled loop
 N_PHASE = 256  # intervals of a sample in a table of taps
 COARSE = 4096  # steps per cycle: a step times a sample's number is exact in float32
 DOPPLER_UNIT = 4  # Doppler samples of a vector register, eight floats
-RANGE_UNITS = (12, 16)  # rows of a window that are unrolled: the loop is compiled for each of these
-DOPPLER_UNITS = (2, 3)  # vector registers of a window that are unrolled: likewise
+RANGE_UNITS = (12,)  # rows of a window that are unrolled: as many as its taps along range, and a few need more
+DOPPLER_UNITS = (2, 3)  # vector registers of a window that are unrolled: the loop is compiled for each of these
+# Tuples of these lengths, since the length of a tuple is known when the loop is compiled.
+TWELVE, TWO, THREE = (0,) * RANGE_UNITS[0], (0,) * DOPPLER_UNITS[0], (0,) * DOPPLER_UNITS[1]
 
 
 def covers(ground: GroundMap, x: FloatArray, y: FloatArray) -> bool:
@@ -94,7 +96,7 @@ def correct(
     def resample(group: slice) -> None:
         _resample(
             floats, out, tiles[group], coefficients[group], x, y, tile, along_range.taps, along_doppler.taps,
-            (along_range.n_tap, along_doppler.n_tap), along_range.unit, along_doppler.unit,
+            (along_range.n_tap, along_doppler.n_tap), along_doppler.unit,
             (ground.rows.size, ground.doppler.size), rays, frame, yaw_start, yaw_step, near_limit, far_limit, weight,
         )  # fmt: skip
 
@@ -171,13 +173,13 @@ class _Window(NamedTuple):
         Padded to `width` with zeros behind; in the second half of the rows in front, for windows at the block's end.
     n_tap : int
         Taps without the padding.
-    unit : tuple of int
-        A zero for each unrolled tap or register: the length of a tuple is known when the loop is compiled.
+    unit : int
+        Number of unrolled taps or registers.
     """
 
     taps: Float32Array
     n_tap: int
-    unit: tuple[int, ...]
+    unit: int
 
 
 def _window(n_tap: int, occupancy: float, units: tuple[int, ...], samples: int) -> _Window:
@@ -187,7 +189,7 @@ def _window(n_tap: int, occupancy: float, units: tuple[int, ...], samples: int) 
     room = groups * unit * samples - n_tap
     taps = interpolation.interpolation_taps(n_tap, occupancy=occupancy, n_phase=N_PHASE)
     sides = np.concatenate([np.pad(taps, ((0, 0), (0, room))), np.pad(taps, ((0, 0), (room, 0)))])
-    return _Window(taps=sides, n_tap=n_tap, unit=(0,) * unit)
+    return _Window(taps=sides, n_tap=n_tap, unit=unit)
 
 
 @lru_cache(maxsize=8)
@@ -419,8 +421,8 @@ def _window_sums(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
 def _resample(  # type: ignore[no-untyped-def]
-    floats, out, tiles, coefficients, x, y, tile, range_table, doppler_table, n_taps, range_unit, doppler_unit,
-    sizes, rays, frame, yaw_start, yaw_step, near_limit, far_limit, weight,
+    floats, out, tiles, coefficients, x, y, tile, range_table, doppler_table, n_taps, n_register, sizes,
+    rays, frame, yaw_start, yaw_step, near_limit, far_limit, weight,
 ):  # fmt: skip
     """Write the owned pixels of some tiles to `out`, row by row."""
     n_row, n_doppler = floats.shape[0], floats.shape[1] // 2
@@ -428,7 +430,7 @@ def _resample(  # type: ignore[no-untyped-def]
     range_taps, range_width = range_table.reshape(-1), range_table.shape[1]
     doppler_taps, doppler_width = doppler_table.reshape(-1), doppler_table.shape[1] // 2
     range_step, doppler_step = np.uint64(range_width), np.uint64(2 * doppler_width)
-    range_weight, lanes = np.empty(len(range_unit), np.float32), np.empty((2, 2 * DOPPLER_UNIT), np.float32)
+    range_weight, lanes = np.empty(len(TWELVE), np.float32), np.empty((2, 2 * DOPPLER_UNIT), np.float32)
     for m in range(2 * DOPPLER_UNIT):
         lanes[0, m], lanes[1, m] = m // 2, 0.25 * (m % 2)
     across, along = np.arange(tile) / max((tile - 1) / 2, 0.5) - 1.0, np.empty(coefficients.shape[2])
@@ -466,11 +468,18 @@ def _resample(  # type: ignore[no-untyped-def]
             for k in range(tile):
                 outside = np.isnan(amplitude[k]) or first_row[k] < 0 or first_doppler[k] < 0
                 at[k] = -1 if outside else first_row[k] * floats.shape[1] + 2 * first_doppler[k]
-            _window_sums(
-                flat, stride, at, range_taps, range_step, range_row, range_part, doppler_taps, doppler_step,
-                doppler_row, doppler_part, coarse, fine, unit_real, unit_imag, range_unit, doppler_unit, lanes,
-                range_weight, real, imag,
-            )  # fmt: skip
+            if n_register == len(TWO):
+                _window_sums(
+                    flat, stride, at, range_taps, range_step, range_row, range_part, doppler_taps, doppler_step,
+                    doppler_row, doppler_part, coarse, fine, unit_real, unit_imag, TWELVE, TWO, lanes,
+                    range_weight, real, imag,
+                )  # fmt: skip
+            else:
+                _window_sums(
+                    flat, stride, at, range_taps, range_step, range_row, range_part, doppler_taps, doppler_step,
+                    doppler_row, doppler_part, coarse, fine, unit_real, unit_imag, TWELVE, THREE, lanes,
+                    range_weight, real, imag,
+                )  # fmt: skip
             for k in range(n):
                 if at[k] >= 0:
                     c, s = amplitude[k] * own_real[k], amplitude[k] * own_imag[k]
@@ -484,9 +493,7 @@ def compile_kernels() -> None:
     floats = np.zeros((1, 2), np.float32)
     floats.flags.writeable = False
     tiles, table = np.zeros((0, 3), np.int64), np.zeros((2, 2), np.float32)
-    for n_range in RANGE_UNITS:
-        for n_doppler in DOPPLER_UNITS:
-            _resample(
-                floats, np.zeros((1, 1), np.complex64), tiles, np.zeros((0, 6, 36)), line, line, 1, table, table,
-                (2, 2), (0,) * n_range, (0,) * n_doppler, (1, 1), np.zeros(4), np.zeros(7), 0.0, 1.0, line, line, line,
-            )  # fmt: skip
+    _resample(
+        floats, np.zeros((1, 1), np.complex64), tiles, np.zeros((0, 6, 36)), line, line, 1, table, table,
+        (2, 2), len(TWO), (1, 1), np.zeros(4), np.zeros(7), 0.0, 1.0, line, line, line,
+    )  # fmt: skip

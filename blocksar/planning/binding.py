@@ -71,6 +71,11 @@ class RangePart:
         return next(step for step in self.steps if isinstance(step, Compression))
 
     @property
+    def scales_time_about(self) -> float | None:
+        """Time about which a keystone scales slow time with range frequency, s; None without one."""
+        return next((about for step in self.steps if (about := step.scales_time_about) is not None), None)
+
+    @property
     def freedom(self) -> Freedom:
         """The fitted polynomials that the steps after range compression need."""
         fitted = {kind.fitted for kind in self.azimuth_kinds}

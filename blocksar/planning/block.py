@@ -31,8 +31,8 @@ from blocksar.kernels import fourier
 from blocksar.kernels.fourier import Axis
 from blocksar.kernels.interpolation import taps_needed
 from blocksar.planning.binding import AzimuthPart, RangePart, Slab
-from blocksar.planning.coefficients import choose
-from blocksar.planning.fitting import Candidate
+from blocksar.planning.coefficients import Choice, choose
+from blocksar.planning.fidelity import gate_blur
 from blocksar.planning.gates import plan_gate, plan_range_gate
 from blocksar.planning.memory import block_memory
 from blocksar.planning.motion import plan_motion
@@ -42,6 +42,7 @@ from blocksar.planning.target_lines import recovered_line, tail_margin
 TIME_GUARD = 0.1  # dwells kept on either side of the time in which a block's targets are lit
 # Oversampling of a focused block: twelve taps in range and eight in Doppler then err by less than IMAGE_TAP_ERROR.
 RANGE_ROOM = 1.42
+LEAST_ROOM = 1.4  # dwells that slow time has room for, so that the windows of the gate can fade out
 RANGE_STEPS = 4  # of the iteration that finds the targets of an apparent range
 RESAMPLING_ROOM = 1.35  # oversampling of Doppler by padding in time: dense enough to interpolate
 REFERENCE_ORDER = 8  # of the range series of a block's centre
@@ -99,7 +100,7 @@ class BlockPlan:
     prediction : Prediction
     memory : int
         Peak memory of a worker that focuses the block, bytes.
-    candidate : Candidate
+    choice : Choice
         The chosen kind of chain. Its bias is the range acceleration that the time perturbation adds, m/s^2.
     """
 
@@ -114,7 +115,7 @@ class BlockPlan:
     ground: GroundMap
     prediction: Prediction
     memory: int
-    candidate: Candidate
+    choice: Choice
 
     @property
     def name(self) -> str:
@@ -122,7 +123,7 @@ class BlockPlan:
 
 
 def plan_block(
-    sector: Sector, method: Method, *, index: int, part: int | None = None, candidate: Candidate | None = None
+    sector: Sector, method: Method, *, index: int, part: int | None = None, neighbour: Choice | None = None
 ) -> BlockPlan:
     """Plan one block, or a range sub-block of it.
 
@@ -133,8 +134,8 @@ def plan_block(
     index : int
     part : int or None
         Number of the range sub-block; None for a whole block.
-    candidate : Candidate or None
-        The kind of chain, the same in all sub-blocks of a block; None to choose it.
+    neighbour : Choice or None
+        The kind of chain of the sub-block before, taken if it serves here too; None to choose it.
     """
     collection, recovery = sector.geometry.collection, sector.recovery
     # Coarse lines through the range steps: for the slab, the coefficients and the sampling.
@@ -156,7 +157,7 @@ def plan_block(
     )
     range_part = RangePart.bind(steps_of(method, measured=motion is not None), constants, line)
     straight = range_part.trace(line)
-    azimuth, chosen = _plan_azimuth(sector, range_part, method, straight, nodes=nodes, yaws=yaws, candidate=candidate)
+    azimuth, choice = _plan_azimuth(sector, range_part, method, straight, nodes=nodes, yaws=yaws, neighbour=neighbour)
 
     # Fine lines through the whole chain: for the gate, the ground map and the prediction.
     fine_range, fine_yaw = _end_nodes(sector.near, sector.far, 13), _end_nodes(sector.low, sector.high, 33)
@@ -167,10 +168,13 @@ def plan_block(
     rate = azimuth.perturb_time(compressed).rate  # before the steps in Doppler
     first, last = dwell_at(sector.geometry, fine_yaw, uncut=True)
     uncut = first - sector.geometry.epoch, last - sector.geometry.epoch
+    about = azimuth.range_part.scales_time_about
+    blur = gate_blur(sector.geometry, fine_yaw, scaled_about=about)
     sampling = _plan_sampling(
         recovery, slab, azimuth, straight, fine,
         range_frequency=band if range_gate is None else range_gate.range_frequency, duration=duration,
-        make_gate=partial(plan_gate, fine, spots, rate, lit=lit, uncut=uncut),
+        uncut=float((last - first).max()) if sector.geometry.collection.steered else 0.0,
+        make_gate=partial(plan_gate, fine, spots, rate, blur=blur, lit=lit, uncut=uncut),
     )  # fmt: skip
     steps = azimuth.sampled(sampling)
     return BlockPlan(
@@ -184,17 +188,10 @@ def plan_block(
         sampling=sampling,
         ground=_plan_ground(sector, sampling, fine, spots, epoch_range=fine_range, yaw=fine_yaw),
         prediction=predict(
-            fine,
-            spots,
-            fine_range,
-            fine_yaw,
-            sector.geometry,
-            rate=rate,
-            gate=sampling.gate,
-            scaled_about=next((about for step in steps if (about := step.scales_time_about) is not None), None),
+            fine, spots, fine_range, fine_yaw, sector.geometry, rate=rate, gate=sampling.gate, scaled_about=about
         ),
         memory=_plan_memory(range_gate, range_part, sampling),
-        candidate=chosen,
+        choice=choice,
     )
 
 
@@ -206,15 +203,15 @@ def _plan_azimuth(
     *,
     nodes: FloatArray,
     yaws: FloatArray,
-    candidate: Candidate | None,
-) -> tuple[AzimuthPart, Candidate]:
+    neighbour: Choice | None,
+) -> tuple[AzimuthPart, Choice]:
     """The steps after range compression, with coefficients for targets that share an apparent range."""
     recovery = sector.recovery
     ranges, epoch_range = _common_ranges(
         lambda at: range_part.trace(sector.lines(at, yaws)), straight, nodes, origin=recovery.origin
     )
     shared = range_part.trace(sector.lines(epoch_range, yaws))
-    polynomials, chosen = choose(
+    polynomials, choice = choose(
         sector.geometry,
         shared,
         range_part,
@@ -223,9 +220,9 @@ def _plan_azimuth(
         epoch_range=epoch_range,
         yaws=yaws,
         shift=-2 / sector.geometry.collection.wavelength * recovery.walk + range_part.constants.walk,
-        candidate=candidate,
+        neighbour=neighbour,
     )
-    return AzimuthPart.bind(range_part, polynomials, straight), chosen
+    return AzimuthPart.bind(range_part, polynomials, straight), choice
 
 
 def _common_ranges(
@@ -273,9 +270,13 @@ def _plan_sampling(
     *,
     range_frequency: Axis,
     duration: float,
+    uncut: float,
     make_gate: Callable[..., DwellGate | None],
 ) -> Sampling:
-    """The axes that hold a block's lines: `straight` after range compression, `fine` after the last step."""
+    """The axes that hold a block's lines: `straight` after range compression, `fine` after the last step.
+
+    `uncut` is the longest dwell that the gate has to hold, s, as if the ends of the collection did not cut it.
+    """
     focused = azimuth.trace(straight)
     spots = focus(focused)
     bands = _doppler_bands(slab, azimuth, straight)
@@ -284,7 +285,7 @@ def _plan_sampling(
     begin = min(float(focused.time.min()) - guard, time.start)
     end = max(float(focused.time.max()) + guard, time.start + time.extent)
     room = RESAMPLING_ROOM if azimuth.range_part.freedom.resampling else 1.0
-    n_padded = fourier.fast_length(max((end - begin) / time.step, room * time.size))
+    n_padded = fourier.fast_length(max((end - begin) / time.step, room * time.size, LEAST_ROOM * uncut / time.step))
     long_time = Axis(begin, time.step, n_padded)
     middle = azimuth.polynomials.middle
     reach = 2 * max(time.start + time.extent - middle, middle - time.start)

@@ -10,7 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import get_args
 
-from blocksar.budget import LOSS_BUDGET, MIGRATION_BUDGET, PHASE_BUDGET, SIDE_LOBE_BUDGET
+from blocksar.budget import side_lobe_budget
+from blocksar.constants import SINC_PSLR
 from blocksar.errors import InputError
 from blocksar.focusing.method import Chain, Method
 from blocksar.planning.block import BlockPlan
@@ -29,20 +30,15 @@ class Contender:
 
     @property
     def worst(self) -> BlockPlan:
-        """The block with the largest excess over its budgets."""
-        assert self.plan is not None
-        return max(self.plan.blocks, key=lambda block: block.prediction.excess)
+        """The block with the largest excess over what the fidelity allows."""
+        plan = self.plan
+        assert plan is not None
+        return max(plan.blocks, key=lambda block: block.prediction.excess(plan.fidelity))
 
     @property
     def serves(self) -> bool:
-        """Whether the plan stays within all budgets."""
-        return self.plan is not None and self.refusal is None and self.plan.within_budget() and self.loss <= LOSS_BUDGET
-
-    @property
-    def loss(self) -> float:
-        """The largest fraction of a dwell lost to dispersion at its ends."""
-        assert self.plan is not None
-        return max(block.prediction.loss for block in self.plan.blocks)
+        """Whether the plan keeps the fidelity."""
+        return self.plan is not None and self.refusal is None and self.plan.faithful
 
 
 def contend(planner: Callable[[Method], Plan]) -> list[Contender]:
@@ -75,12 +71,12 @@ def propose(contenders: list[Contender]) -> tuple[Contender | None, str]:
     good = [c for c in feasible if c.serves]
     if not good:
         best = min(feasible, key=_excess)
-        return best, f"no processor stays within the budgets; {best.processor} comes closest: {_figures(best)}"
+        return best, f"no processor keeps the fidelity; {best.processor} comes closest: {_figures(best)}"
     least = min(_work(c) for c in good)
     best = min((c for c in good if _work(c) <= ALIKE * least), key=_excess)
     others = [f"{c.processor} takes {_work(c) / _work(best):.2f} times its work" for c in good if c is not best]
     others += [f"{c.processor} does not ({_failing(c)})" for c in contenders if c not in good]
-    return best, f"{best.processor} is proposed: it stays within the budgets ({_figures(best)}); " + ", ".join(others)
+    return best, f"{best.processor} is proposed: it keeps the fidelity ({_figures(best)}); " + ", ".join(others)
 
 
 def _excess(contender: Contender) -> float:
@@ -94,11 +90,12 @@ def _work(contender: Contender) -> float:
 
 
 def _figures(contender: Contender) -> str:
+    plan = contender.plan
+    assert plan is not None
     worst = contender.worst.prediction
     return (
-        f"phase {worst.residual_phase:.3g} of {PHASE_BUDGET:g} rad, side lobes {worst.pslr:.2f} dB, allowed "
-        f"-13.26 +- {SIDE_LOBE_BUDGET:g}, migration {worst.migration:.2g} of {MIGRATION_BUDGET:g} cells, "
-        f"{100 * contender.loss:.1f} of {100 * LOSS_BUDGET:g} % of the dwell lost at its ends"
+        f"predicted coherence {plan.coherence:.6g} of {plan.fidelity:.6g} in {plan.n_blocks} blocks, side lobes "
+        f"{worst.pslr:.2f} dB, allowed {SINC_PSLR:.2f} +- {side_lobe_budget(plan.fidelity):.2g}"
     )
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,7 +13,20 @@ from blocksar.focusing.lines import AzimuthPolynomials, Line, focus
 from blocksar.focusing.method import Method
 from blocksar.planning import closed_form, fitting
 from blocksar.planning.binding import AzimuthPart, RangePart
+from blocksar.planning.fidelity import smear_loss
 from blocksar.planning.fitting import Candidate
+
+GOOD_LOSS = 4e-4  # of coherence, at the ends of the dwell: below this a cheaper chain is preferred to a better one
+ENOUGH_COST = 1.2  # of a kind of chain: no other is tried
+KEPT = 1.5  # times the promised cost: what a fit at all ranges may cost to be taken without a look at others
+FINER = (1.4, 1.2, 1.1, 1.05)  # factors by which the spread of the best bias is varied, one after the other
+
+
+class Choice(NamedTuple):
+    """A kind of chain, and the cost of its fit."""
+
+    candidate: Candidate
+    cost: float
 
 
 def choose(
@@ -24,8 +39,8 @@ def choose(
     epoch_range: FloatArray,
     yaws: FloatArray,
     shift: float,
-    candidate: Candidate | None,
-) -> tuple[AzimuthPolynomials, Candidate]:
+    neighbour: Choice | None,
+) -> tuple[AzimuthPolynomials, Choice]:
     """Coefficients by the method: in closed form, or of the cheapest fitted chain whose lines end level and unfolded.
 
     Parameters
@@ -43,8 +58,8 @@ def choose(
         rad.
     shift : float
         Doppler that recovery and the range part remove from every line, Hz.
-    candidate : Candidate or None
-        The kind of chain; None to choose it.
+    neighbour : Choice or None
+        What a neighbour chose, to be taken if it serves here too.
     """
     lam, freedom = geometry.collection.wavelength, range_part.freedom
     if method.coefficients == "closed-form":
@@ -52,42 +67,74 @@ def choose(
             geometry, freedom, epoch_range=epoch_range, ranges=ranges, yaws=yaws, shift=shift,
             in_doppler=range_part.compression.in_doppler, range_model=method.range_model,
         )  # fmt: skip
-        return polynomials, Candidate(0.0, False)
-    chosen = candidate or _find_cheapest(line, range_part, ranges=ranges, wavelength=lam)
-    return fitting.fit(line, ranges=ranges, candidate=chosen, freedom=freedom, wavelength=lam), chosen
+        return polynomials, Choice(Candidate(0.0, False), 0.0)
+    if neighbour is not None:
+        polynomials = fitting.fit(line, ranges=ranges, candidate=neighbour.candidate, freedom=freedom, wavelength=lam)
+        cost = _cost(polynomials, line, range_part, geometry)
+        if cost <= KEPT * neighbour.cost:
+            return polynomials, Choice(neighbour.candidate, max(cost, neighbour.cost))
+    return _find_cheapest(line, range_part, geometry, ranges=ranges)
 
 
-def _find_cheapest(line: Line, range_part: RangePart, *, ranges: FloatArray, wavelength: float) -> Candidate:
-    """The kind of chain with the least cost: phase error or loss above the good ones, times the growth in samples."""
-    freedom = range_part.freedom
+def _find_cheapest(
+    line: Line, range_part: RangePart, geometry: Geometry, *, ranges: FloatArray
+) -> tuple[AzimuthPolynomials, Choice]:
+    """The kind of chain with the least cost, fitted. All kinds are tried roughly, at three ranges.
+
+    Under a steered beam the bias of the best kind is then varied: what the ends lose has a sharp minimum where the
+    delays of the steps in Doppler vary least over the block. A kind whose fit at all ranges does not keep what it
+    promised is passed over.
+    """
+    wavelength, freedom = geometry.collection.wavelength, range_part.freedom
     rows = np.array([0, ranges.size // 2, ranges.size - 1])
     subset = Line(**{name: _pick(getattr(line, name), rows, ranges.size) for name in Line.__dataclass_fields__})
-    best: tuple[float, Candidate] | None = None
+
+    def fit(candidate: Candidate) -> AzimuthPolynomials:
+        return fitting.fit(line, ranges=ranges, candidate=candidate, freedom=freedom, wavelength=wavelength)
+
     kinds = fitting.candidates(line, wavelength=wavelength, freedom=freedom)
     if len(kinds) == 1:
-        return kinds[0]
-    for candidate in kinds:
-        polynomials = fitting.fit(
-            subset, ranges=ranges[rows], candidate=candidate, freedom=freedom, wavelength=wavelength, roughly=True
-        )
-        azimuth = AzimuthPart.bind(range_part, polynomials, subset)
-        biased, traced = azimuth.perturb_time(subset), azimuth.trace(subset)
-        spread = biased.rate * subset.weight.sum(axis=-1, keepdims=True) ** 2
-        if traced.folded or not np.isfinite(traced.time).all():
-            continue
-        if spread.min() * spread.max() < 0:
-            continue
-        residual = float(focus(traced).residual.max())
-        loss = float(fitting.end_loss(traced, biased.rate).max())
-        length = np.ptp(traced.time) / np.ptp(subset.time)
-        fault = max(residual / fitting.GOOD_RESIDUAL, loss / fitting.GOOD_LOSS, 1.0)
-        growth = max(length, 1.0) * max(np.ptp(biased.doppler) / np.ptp(subset.doppler), 1.0)
-        cost = fault * growth
-        if best is None or cost < 0.9 * best[0]:
-            best = (cost, candidate)
-        if fault <= 1.0 and growth < 2.5:
+        return fit(kinds[0]), Choice(kinds[0], np.inf)
+    costs: dict[Candidate, float] = {}
+
+    def cheapest(candidates: list[Candidate]) -> float:
+        for candidate in candidates:
+            polynomials = fitting.fit(
+                subset, ranges=ranges[rows], candidate=candidate, freedom=freedom, wavelength=wavelength, roughly=True
+            )
+            costs[candidate] = _cost(polynomials, subset, range_part, geometry)
+            if costs[candidate] < ENOUGH_COST:
+                break
+        return min(costs.values())
+
+    if cheapest(kinds) >= ENOUGH_COST and geometry.collection.steered:
+        for factor in FINER:
+            best = min(costs, key=costs.__getitem__)
+            cheapest(fitting.with_spread(line, best, wavelength=wavelength, factors=(1 / factor, factor)))
+    fitted: list[tuple[AzimuthPolynomials, Choice]] = []
+    for candidate in sorted(costs, key=costs.__getitem__):
+        if fitted and costs[candidate] >= min(choice.cost for _, choice in fitted):
             break
-    return Candidate(0.0, freedom.time) if best is None else best[1]
+        polynomials = fit(candidate)
+        cost = _cost(polynomials, line, range_part, geometry)
+        fitted.append((polynomials, Choice(candidate, cost)))
+        if cost <= KEPT * costs[candidate]:
+            break
+    return min(fitted, key=lambda fit: fit[1].cost)
+
+
+def _cost(polynomials: AzimuthPolynomials, line: Line, range_part: RangePart, geometry: Geometry) -> float:
+    """Phase error or loss of coherence above the good ones, times the growth in samples; infinite if lines fold."""
+    azimuth = AzimuthPart.bind(range_part, polynomials, line)
+    biased, traced = azimuth.perturb_time(line), azimuth.trace(line)
+    spread = biased.rate * line.weight.sum(axis=-1, keepdims=True) ** 2
+    if traced.folded or not np.isfinite(traced.time).all() or spread.min() * spread.max() < 0:
+        return np.inf
+    spots = focus(traced)
+    lost = smear_loss(traced, spots, biased.rate, geometry) if geometry.collection.steered else 0.0
+    fault = max(float(spots.residual.max()) / fitting.GOOD_RESIDUAL, lost / GOOD_LOSS, 1.0)
+    growth = max(np.ptp(traced.time) / np.ptp(line.time), 1.0) * max(np.ptp(biased.doppler) / np.ptp(line.doppler), 1.0)
+    return float(fault * growth)
 
 
 def _pick(values: FloatArray, which: NDArray[np.intp], size: int) -> FloatArray:

@@ -38,7 +38,7 @@ from blocksar.focusing.lines import Focus, Line
 from blocksar.planning.gates import dwell_ends, end_smear
 
 FULL = 0.999  # of the longest dwell: a full one
-BAND_NODES = (-0.8, -0.4, 0.0, 0.4, 0.8)  # of the half band: middles of its fifths, for means over range frequency
+BAND_NODES = (np.arange(6) - 2.5) / 3  # of the half band: middles of its sixths, for means over range frequency
 
 
 class Losses(NamedTuple):
@@ -115,7 +115,7 @@ def _at_ends(
     lit = line.weight.sum(axis=-1)
     lost = np.zeros(lit.shape)
     smear = end_smear(line, rate)
-    shift = np.array(BAND_NODES) * (collection.bandwidth / 2 / collection.carrier)
+    band = collection.bandwidth / 2 / collection.carrier
     for end, placed, moment, phase, slope in zip(
         (0, -1),
         dwell_ends(line),
@@ -128,14 +128,58 @@ def _at_ends(
         _, at, moves = (v[..., 0] for v in phase.evaluate(spots.range, spots.doppler[..., None]))
         left = smear[..., end] - (slope.coefficients(spots.range)[..., 0] - moves)
         displaced = (at + side * gate.length / 2 - placed) / line.stretch[..., end]
-        total = np.zeros(lit.shape)
-        for part in shift:
-            scaled = 0.0 if scaled_about is None else part * (moment - geometry.epoch - scaled_about)
-            apart = np.hypot(displaced - scaled, collection.pulse_interval / np.sqrt(12))
-            total += end_energy(left, apart) / len(BAND_NODES)
+        scaled = np.zeros(yaw.shape) if scaled_about is None else moment - geometry.epoch - scaled_about
+        total = _blurred_energy(left, displaced, scaled * band, gate.blur, collection.pulse_interval)
         cut = np.abs(moment - collection.time[end]) < collection.pulse_interval
         lost += np.where(cut, 0.0, total)
     return lost / (2 * lit)
+
+
+def smear_loss(line: Line, spots: Focus, rate: FloatArray, geometry: Geometry) -> float:
+    """The most that any of these lines loses at its ends, under the gate that suits them best.
+
+    An estimate from few lines (n_range, n_yaw, n), without a gate: the slopes of the ends along Doppler are differences
+    between neighbouring yaws, and only the keystone displaces them.
+    """
+    collection = geometry.collection
+    lit = np.broadcast_to(line.weight, line.time.shape).sum(axis=-1)
+    full = lit >= FULL * lit.max()
+    full[:, 1:-1] &= full[:, :-2] & full[:, 2:]  # both neighbours, for the differences
+    spread = lit / 2 * collection.bandwidth / 2 / collection.carrier  # by the keystone, at the band's edges
+    lost = np.zeros(lit.shape)
+    for smear, end in zip(np.moveaxis(end_smear(line, rate), -1, 0), dwell_ends(line), strict=True):
+        slope = smear + np.gradient(end, axis=1) / np.gradient(spots.doppler, axis=1)
+        low = np.min(slope, axis=1, where=full, initial=np.inf)
+        high = np.max(slope, axis=1, where=full, initial=-np.inf)
+        middle = np.where(full.any(axis=1), (low + high) / 2, 0.0)[:, None]
+        lost += _blurred_energy(slope - middle, np.zeros(1), spread, spread, collection.pulse_interval) / (2 * lit)
+    return float(lost[full].max())
+
+
+def gate_blur(geometry: Geometry, yaw: FloatArray, *, scaled_about: float | None) -> float:
+    """Half of the time over which the ends of dwells are spread, s: by a keystone, and by the grid of pulses."""
+    collection = geometry.collection
+    spread = 0.0
+    if scaled_about is not None:
+        away = np.abs(np.array(dwell_at(geometry, yaw, uncut=True)) - geometry.epoch - scaled_about)
+        spread = float(away.mean()) * collection.bandwidth / 2 / collection.carrier
+    return float(np.hypot(spread, collection.pulse_interval / 2))
+
+
+def _blurred_energy(
+    area: FloatArray, displaced: FloatArray, spread: FloatArray, blur: FloatArray | float, pulse_interval: float
+) -> FloatArray:
+    """Mean energy by which smeared ends, spread by +-`spread` over the band, differ from their gate, s.
+
+    The gate is the mean of sharp ends spread by +-`blur`; the energy by which it differs from an end is the mean of the
+    energies by which those do, less their own variance, blur / 3.
+    """
+    total = np.zeros(np.broadcast_shapes(area.shape, displaced.shape, spread.shape))
+    for band in BAND_NODES:
+        for gate in BAND_NODES:
+            apart = np.hypot(displaced - band * spread - gate * blur, pulse_interval / np.sqrt(12))
+            total += end_energy(area, apart) / BAND_NODES.size**2
+    return np.maximum(total - blur / 3, 0.0)
 
 
 def end_energy(area: FloatArray, displaced: FloatArray) -> FloatArray:

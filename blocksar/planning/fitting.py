@@ -28,7 +28,6 @@ RESAMPLING_ORDERS = (2, 3, 4)
 DERAMP_ORDERS = (2, 3, 4)
 SERIES_DEGREE = 6  # of the series of each coefficient in range
 GOOD_RESIDUAL = 0.02  # rad: below this a cheaper chain is preferred to a better one
-GOOD_LOSS = 0.008  # fraction of the dwell lost at its ends: likewise
 # A fit stops when a step lowers the cost by less than the fraction ENOUGH, or after MOST_STEPS steps. Order 2 in
 # Doppler and the deramp nearly cancel, which makes a long valley; its beginning suffices to choose a kind of chain.
 ENOUGH, MOST_STEPS = 1e-7, 200
@@ -64,13 +63,26 @@ def candidates(line: Line, *, wavelength: float, freedom: Freedom) -> list[Candi
     if not freedom.time:
         return [plain]
     duration = float(np.max(line.weight.sum(axis=-1)))
-    acceleration = float(np.mean(-line.rate * wavelength / 2)) / 2  # k_2, m/s^2
+    acceleration = _acceleration(line, wavelength)
     least = TIME_BANDWIDTH * wavelength / (4 * duration**2)  # k_2 that gives a target this product, m/s^2
     kinds = [plain, Candidate(0.0, True)]
     for factor in (1.25, 2.5, 5.0, 8.0):
         targets = sorted((factor * least, -factor * least), key=lambda k: abs(k - acceleration))
         kinds += [Candidate(k - acceleration, True) for k in targets]
     return kinds
+
+
+def with_spread(line: Line, candidate: Candidate, *, wavelength: float, factors: tuple[float, ...]) -> list[Candidate]:
+    """The candidate with biases that bring the range acceleration of the lines to these multiples of its own."""
+    if not candidate.perturb_time:
+        return []
+    acceleration = _acceleration(line, wavelength)
+    return [Candidate(k * (acceleration + candidate.bias) - acceleration, True) for k in factors]
+
+
+def _acceleration(line: Line, wavelength: float) -> float:
+    """Half the mean range acceleration of lines, k_2, m/s^2."""
+    return float(np.mean(-line.rate * wavelength / 2)) / 2
 
 
 def fit(
@@ -135,17 +147,6 @@ def fit(
         deramp=make_row(unknowns.deramp, area * e / np.array(unknowns.deramp), same, scales.time),
         middle=centre,
     )
-
-
-def end_loss(line: Line, rate: FloatArray) -> FloatArray:
-    """Fraction of each dwell lost to dispersion at its ends: 1.3 sqrt(|stretch - 1| / time-bandwidth product).
-
-    `rate` is the Doppler rate of the lines before the frequency perturbation, Hz/s. The factor was measured on single
-    targets against their traced lines.
-    """
-    duration = line.weight.sum(axis=-1).max()
-    ends = np.abs(line.stretch[..., [0, -1]] - 1).max(axis=-1)
-    return np.asarray(1.3 * np.sqrt(ends / (np.abs(rate).min(axis=-1) * duration**2)))
 
 
 class _Unknowns(NamedTuple):

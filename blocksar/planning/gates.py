@@ -8,7 +8,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from blocksar import solvers
-from blocksar.arrays import FloatArray
+from blocksar.arrays import BoolArray, FloatArray
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.lines import Focus, Line, RowPolynomial
@@ -64,6 +64,7 @@ def plan_gate(
     spots: Focus,
     rate: FloatArray,
     *,
+    blur: float,
     lit: Line,
     uncut: tuple[FloatArray, FloatArray],
     rows: Axis,
@@ -80,6 +81,8 @@ def plan_gate(
         After all steps.
     rate : (n_range, n_yaw, n) float
         The lines' Doppler rate before the steps in Doppler, Hz/s.
+    blur : float
+        Half of the time over which range frequency spreads an end, s.
     lit : Line
         The lines before all steps.
     uncut : pair of (n_yaw,) float
@@ -112,9 +115,10 @@ def plan_gate(
         ).reshape(-1, GATE_DEGREE + 1)
         return solvers.product(series, powers)
 
-    length = float(lengths.mean())
+    length, smear = float(lengths.mean()), end_smear(line, rate)
+    lit_time = line.weight.sum(axis=-1)
+    full = lit_time >= 0.999 * lit_time.max()
     begin, end = fit(begins + length / 2), fit(ends - length / 2)
-    smear = end_smear(line, rate)
     phases = place.integral(begin), place.integral(end)
     at_middle = place.integral((begin + end) / 2).coefficients(np.array((near + far) / 2))[None]
     common = place.polynomial(at_middle)
@@ -127,8 +131,9 @@ def plan_gate(
         begin=phases[0],
         end=phases[1],
         common=common,
-        begin_slope=place.slope(begin, float(smear[..., 0].mean())),
-        end_slope=place.slope(end, float(smear[..., 1].mean())),
+        begin_slope=_slope(place, begin, phases[0], spots, smear[..., 0], full=full),
+        end_slope=_slope(place, end, phases[1], spots, smear[..., 1], full=full),
+        blur=blur,
         length=length,
         time=fourier.centred(0.0, slow.step, size),
     )
@@ -151,6 +156,26 @@ def end_smear(line: Line, rate: FloatArray) -> FloatArray:
     return np.where(passed, (1 - ends) / np.where(passed, rate, 1.0), 0.0)
 
 
+def _slope(
+    place: _RowPlace, series: FloatArray, phase: RowPolynomial, spots: Focus, smear: FloatArray, *, full: BoolArray
+) -> RowPolynomial:
+    """Slope of an end in Doppler with which its window is made, s/Hz.
+
+    At each range it lies amid those of the targets with full dwell there, their smear included.
+    """
+    slope = place.slope(series)
+    _, _, moves = phase.evaluate(spots.range, spots.doppler[..., None])
+    left = smear + moves[..., 0] - slope.coefficients(spots.range)[..., 0]
+    whole = full.any(axis=1)
+    rows = [(left[i, full[i]], spots.range[i, full[i]].mean()) for i in np.flatnonzero(whole)]
+    u = np.array([(2 * rng - place.near - place.far) / (place.far - place.near) for _, rng in rows])
+    middles = np.array([(values.min() + values.max()) / 2 for values, _ in rows])
+    degree = min(GATE_RANGE_DEGREE, (len(rows) - 1) // 2)
+    terms = chebyshev.chebvander(u, degree).T
+    slope.series[: degree + 1, 0] += solvers.least_squares(terms, middles, damping=1e-20 * u.size)
+    return slope
+
+
 class _RowPlace(NamedTuple):
     """Where polynomials along rows lie: ranges, m, and the centre and scale of Doppler, Hz."""
 
@@ -168,8 +193,6 @@ class _RowPlace(NamedTuple):
         integral[:, 1:] = series / np.arange(1, series.shape[1] + 1) * self.scale
         return self.polynomial(integral)
 
-    def slope(self, series: FloatArray, more: float) -> RowPolynomial:
-        """The linear coefficient, per Hz, plus `more`."""
-        slope = series[:, 1:2] / self.scale
-        slope[0] += more
-        return self.polynomial(slope)
+    def slope(self, series: FloatArray) -> RowPolynomial:
+        """The linear coefficient, per Hz."""
+        return self.polynomial(series[:, 1:2] / self.scale)

@@ -9,13 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 
 from blocksar.arrays import FloatArray
+from blocksar.budget import FIDELITY, LEAST_FIDELITY
 from blocksar.chunks import CHUNK_SAMPLES, COLUMN_CHUNK, SIGNAL_BYTES, SIGNAL_COLUMNS, SPECTRUM_BYTES
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
@@ -28,15 +28,13 @@ from blocksar.focusing.recovery import Recovery
 from blocksar.focusing.step import stages
 from blocksar.kernels.operations import Resample, Stretch, Transform
 from blocksar.planning.block import BlockPlan, Sector, plan_block
+from blocksar.planning.division import find_division
 from blocksar.planning.memory import MEMORY_SHARE, PROCESS_MEMORY
 from blocksar.planning.recovery import plan_recovery
-from blocksar.planning.refusal import find_folding, find_refusal
+from blocksar.planning.refusal import find_refusal
 
-MAX_BLOCKS = 32  # that `auto` tries
-FAR, GROWTH = 2.0, 1.3  # excess above which `auto` tries more than one block more, and how many times as many
 MOST_BLOCKS = 1000  # that a caller may ask for
 MAX_PARTS = 64  # range sub-blocks of a block
-MOST_REFERENCES = 8  # range sub-blocks for the sake of migration
 
 
 @dataclass(frozen=True)
@@ -58,6 +56,8 @@ class Plan:
         Yaws between which the blocks lie, rad; only blocks that the grid touches are planned.
     parts : int
         Range sub-blocks of every block, 1 for whole blocks; each is a `BlockPlan` of its own.
+    fidelity : float
+        Coherence with exact back-projection that `auto` keeps where it can.
     refusal : str or None
         Why the geometry cannot be focused, with the figure.
     """
@@ -70,6 +70,7 @@ class Plan:
     parts: int
     blocks: tuple[BlockPlan, ...]
     method: Method
+    fidelity: float
     refusal: str | None
 
     @property
@@ -128,13 +129,12 @@ class Plan:
         return total
 
     def excess(self, *, migration: bool = True) -> float:
-        """The worst of phase, side lobes and migration of all blocks over its budget; a good plan has at most 1."""
-        if migration:
-            return max(block.prediction.excess for block in self.blocks)
-        return max(block.prediction.excess_without_migration for block in self.blocks)
+        """The largest excess of any block over what the fidelity allows; see `Prediction.excess`."""
+        return max(block.prediction.excess(self.fidelity, migration=migration) for block in self.blocks)
 
-    def within_budget(self) -> bool:
-        """Whether all blocks stay within the budgets of phase, side lobes and migration."""
+    @property
+    def faithful(self) -> bool:
+        """Whether all blocks keep the fidelity, and side lobes as close to the ideal ones as it asks for."""
         return self.excess() <= 1.0
 
 
@@ -144,21 +144,26 @@ def plan_collection(
     blocks: int | Literal["auto"] = "auto",
     parts: int | Literal["auto"] = "auto",
     method: Method = DEFAULT,
+    fidelity: float = FIDELITY,
     grid: Grid | None = None,
     workers: int = 1,
     memory_limit: int | None = None,
 ) -> Plan:
     """Plan a collection for a method.
 
-    `auto` takes the fewest blocks that meet the phase and migration budgets, at least one a worker, and the fewest
-    range sub-blocks of each that fit a worker's memory. Range migration that differs along range, where a swath is wide
-    for its distance, does not shrink with the blocks: sub-blocks then have references of their own.
+    `auto` takes the fewest blocks that keep the fidelity, at least one a worker, and the fewest range sub-blocks of
+    each that migration needs (`find_division`) and that fit a worker's memory.
 
     Raises
     ------
     InputError
-        If the PRF is too low, the grid is empty or outside the swath, or no number of sub-blocks fits the memory.
+        If the PRF is too low, the grid is empty or outside the swath, the fidelity is none, or no number of sub-blocks
+        fits the memory.
     """
+    if not LEAST_FIDELITY <= fidelity < 1:
+        raise InputError(
+            f"fidelity = {fidelity:g}: ask for a coherence from {LEAST_FIDELITY:g} to below 1, such as {FIDELITY:g}"
+        )
     if blocks != "auto" and not 1 <= blocks <= MOST_BLOCKS:
         raise InputError(f"blocks = {blocks}: ask for 1 to {MOST_BLOCKS}, or for 'auto'")
     geometry = Geometry(collection=collection)
@@ -167,64 +172,20 @@ def plan_collection(
     grid = grid or default_grid(geometry, region)
     extent = grid_extent(geometry, region, grid)
 
-    def plan(count: int, n_parts: int, *, probe: bool = False) -> Plan:
-        return _plan_blocks(geometry, region, recovery, grid, extent, count, n_parts, method, probe=probe)
+    def plan(count: int, n_parts: int, probe: bool) -> Plan:
+        return _plan_blocks(geometry, region, recovery, grid, extent, count, n_parts, method, fidelity, probe=probe)
 
-    least = 1 if parts == "auto" else parts
-    first = plan(blocks, least) if blocks != "auto" else fewest_blocks(partial(plan, n_parts=least), workers)
-    if blocks == parts == "auto":
-        first = _enough_parts(partial(plan, first.n_blocks), first)
+    if blocks == "auto":
+        first = find_division(plan, workers=workers, parts=None if parts == "auto" else parts)
+    else:
+        first = plan(blocks, 1 if parts == "auto" else parts, False)
     if memory_limit is None or first.refusal is not None:
         return first
-    return _fewest_parts(partial(plan, first.n_blocks), first, memory_limit, fixed=parts != "auto")
 
+    def divide(n_parts: int) -> Plan:
+        return plan(first.n_blocks, n_parts, False)
 
-def fewest_blocks(plan: Callable[..., Plan], workers: int) -> Plan:
-    """The plan with the fewest blocks within the budgets; without one, the last that was tried.
-
-    Probes of the outermost blocks and the middle one decide while plans are far from the budgets. Far from them, the
-    number grows by a third at a time; once a number serves, those in between are tried by bisection.
-    """
-    best, stale = math.inf, 0
-    failed, count = 0, min(max(workers, 1), MAX_BLOCKS)
-    while True:
-        outermost = plan(count, probe=True)
-        excess = outermost.excess()
-        if excess <= 1.0 and (whole := plan(count)).excess() <= 1.0:
-            return _fewest_between(plan, failed, count, whole)
-        if find_folding(outermost.blocks) is not None or count == MAX_BLOCKS:
-            return plan(count)
-        # Margins do not shrink with the blocks: stop when more blocks have gained nothing three times. Migration may
-        # not shrink either, while the rest does.
-        excess = rest if (rest := outermost.excess(migration=False)) > 1.0 else excess
-        stale = stale + 1 if excess > 0.97 * best else 0
-        best = min(best, excess)
-        if stale == 3:
-            return plan(count)
-        failed = count
-        count = min(math.ceil(GROWTH * count) if excess > FAR else count + 1, MAX_BLOCKS)
-
-
-def _fewest_between(plan: Callable[..., Plan], failed: int, serving: int, whole: Plan) -> Plan:
-    """The plan with the fewest blocks above `failed` and up to `serving`, whose plan is `whole`."""
-    while serving - failed > 1 and failed:
-        count = (failed + serving) // 2
-        tried = plan(count)
-        if tried.excess() <= 1.0:
-            serving, whole = count, tried
-        else:
-            failed = count
-    return whole
-
-
-def _enough_parts(plan: Callable[[int], Plan], first: Plan) -> Plan:
-    """If only migration is above its budget, the plan with the fewest range sub-blocks that mend it; else `first`."""
-    divided = first
-    while divided.excess() > 1.0 and divided.parts < MOST_REFERENCES:
-        if divided.refusal is not None or divided.excess(migration=False) > 1.0:
-            return first
-        divided = plan(divided.parts + 1)
-    return divided if divided.excess() <= 1.0 else first
+    return _fewest_parts(divide, first, memory_limit, fixed=parts != "auto")
 
 
 def _fewest_parts(plan: Callable[[int], Plan], first: Plan, memory_limit: int, *, fixed: bool) -> Plan:
@@ -263,6 +224,7 @@ def _plan_blocks(
     count: int,
     n_parts: int,
     method: Method,
+    fidelity: float,
     *,
     probe: bool,
 ) -> Plan:
@@ -286,17 +248,17 @@ def _plan_blocks(
         least = 64 * SPEED_OF_LIGHT / (2 * geometry.collection.bandwidth)
         room = max(least - (far - near), 0.0) / 2
         edges = np.linspace(near - room, far + room, n_parts + 1)
-        candidate = None
+        neighbour = None
         for part, (nearest, farthest) in enumerate(pairwise(edges.tolist())):
             sector = Sector(
                 geometry=geometry, recovery=recovery, region=region, low=low, high=high, near=nearest, far=farthest
             )
-            block = plan_block(sector, method, index=index, part=part if n_parts > 1 else None, candidate=candidate)
-            candidate = block.candidate
+            block = plan_block(sector, method, index=index, part=part if n_parts > 1 else None, neighbour=neighbour)
+            neighbour = block.choice
             planned.append(block)
     if not planned:
         raise InputError(f"none of {count} blocks holds a point of the grid; give it a finer step, or move it")
     return Plan(
         geometry=geometry, grid=grid, region=region, recovery=recovery, seams=seams, parts=n_parts,
-        blocks=tuple(planned), method=method, refusal=find_refusal(planned, method),
+        blocks=tuple(planned), method=method, fidelity=fidelity, refusal=find_refusal(planned, method),
     )  # fmt: skip

@@ -7,13 +7,12 @@ from typing import NamedTuple
 import numpy as np
 
 from blocksar.arrays import FloatArray
-from blocksar.budget import MIGRATION_BUDGET, PHASE_BUDGET, SIDE_LOBE_BUDGET
+from blocksar.budget import side_lobe_budget
 from blocksar.collection.beam import dwell_at
 from blocksar.collection.geometry import TRACK_ACCURACY, Geometry
 from blocksar.constants import SINC_PSLR, SINC_WIDTH, SPEED_OF_LIGHT
 from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.lines import Focus, Line
-from blocksar.planning import fitting
 from blocksar.planning.fidelity import worst_losses
 
 
@@ -26,7 +25,6 @@ class Prediction(NamedTuple):
     width: float  # azimuth width over the limit that the dwell sets
     migration: float  # range resolution cells over the dwell
     resolution: float  # azimuth, m
-    loss: float  # fraction of a dwell lost to dispersion at its ends
     track_phase: float  # rad, root mean square: what the noise of the track leaves
     coherence: float  # with exact back-projection: 1 less the four losses of the target that loses most
     phase_loss: float
@@ -34,19 +32,13 @@ class Prediction(NamedTuple):
     dispersion_loss: float
     track_loss: float
 
-    @property
-    def excess(self) -> float:
-        """The worst of phase, side lobes, migration and the noise of the track, each over its budget."""
-        return max(self.excess_without_migration, self.migration / MIGRATION_BUDGET)
+    def excess(self, fidelity: float, *, migration: bool = True) -> float:
+        """Loss of coherence and change of the side lobes over what `fidelity` allows: the worse of the two.
 
-    @property
-    def excess_without_migration(self) -> float:
-        """The worst of the others over its budget."""
-        return max(
-            self.residual_phase / PHASE_BUDGET,
-            abs(self.pslr - SINC_PSLR) / SIDE_LOBE_BUDGET,
-            self.track_phase / PHASE_BUDGET,
-        )
+        Without `migration`, the loss by range migration is left out.
+        """
+        loss = 1 - self.coherence - (0.0 if migration else self.range_loss)
+        return max(loss / (1 - fidelity), abs(self.pslr - SINC_PSLR) / side_lobe_budget(fidelity))
 
 
 def predict(
@@ -88,7 +80,6 @@ def predict(
         width=_width(response) / _width(ideal),
         migration=float(spots.migration.max() / range_cell),
         resolution=float(width[rng.size // 2, middle] * ground[rng.size // 2]),
-        loss=float(fitting.end_loss(line, rate).max()),
         track_phase=track_phase,
         coherence=1 - sum(lost),
         phase_loss=lost.phase,

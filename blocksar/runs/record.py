@@ -169,7 +169,7 @@ def _stage_of(unit: str, *, back_projection: bool) -> str:
 
 # Figures of a block that records of earlier versions lack.
 _ADDED = (
-    "bias", "quadratic_phase", "resolution", "loss", "track_phase", "coherence", "phase_loss", "range_loss",
+    "bias", "quadratic_phase", "resolution", "track_phase", "coherence", "phase_loss", "range_loss",
     "dispersion_loss", "track_loss",
 )  # fmt: skip
 
@@ -203,8 +203,6 @@ class PredictedBlock:
         Over the dwell, range resolution cells.
     resolution : float
         In azimuth, m.
-    loss : float
-        Fraction of a dwell lost at its ends by dispersion.
     track_phase : float
         Root mean square phase that the noise of the track leaves over a dwell, rad.
     coherence : float
@@ -225,7 +223,6 @@ class PredictedBlock:
     width: float
     migration: float
     resolution: float = nan
-    loss: float = nan
     track_phase: float = nan
     coherence: float = nan
     phase_loss: float = nan

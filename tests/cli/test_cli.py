@@ -71,7 +71,7 @@ def run(*words: str) -> Result:
 
 def test_focus_passes_every_option(api: Calls) -> None:
     words = "focus ph.zarr --out run --processor high-order-phase --blocks 5 --coefficients closed-form"
-    words += " --perturbation none --no-keystone --derotation linear --range-model conventional"
+    words += " --fidelity 0.9995 --perturbation none --no-keystone --derotation linear --range-model conventional"
     words += (
         " --grid -10:10:0.5,100:200:1 --workers 3 --threads 2 --memory-limit 2GiB --scheduler tcp://a:1 --overwrite"
     )
@@ -82,6 +82,7 @@ def test_focus_passes_every_option(api: Calls) -> None:
     assert kwargs == {
         "processor": "high-order-phase",
         "blocks": 5,
+        "fidelity": 0.9995,
         "coefficients": "closed-form",
         "perturbation": "none",
         "keystone": False,
@@ -104,6 +105,7 @@ def test_defaults(api: Calls) -> None:
         {
             "processor": "angular-division",
             "blocks": "auto",
+            "fidelity": 0.999,
             "coefficients": "fitted",
             "perturbation": "all",
             "keystone": True,

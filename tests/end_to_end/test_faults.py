@@ -468,7 +468,7 @@ def test_a_hung_worker_does_not_change_the_result(
     stage: str, workers: int, launcher: Launcher, store: Path, again: Callable[[Path], set[str]], tmp_path: Path
 ) -> None:
     own = ("--workers", str(workers), "--memory-limit", "2GiB")
-    process = launcher.start("blocksar", *words(store, tmp_path / "run", *own), WORKER_TTL=10, NO_WORKER=10)
+    process = launcher.start("blocksar", *words(store, tmp_path / "run", *own), WORKER_TTL=5, NO_WORKER=8)
     process.await_line(f"{stage}: 0")
     hung = workers_of(process.pid)[0]
     os.kill(hung, signal.SIGSTOP)

@@ -77,7 +77,7 @@ def test_every_processor_meets_the_quality_bar_on_every_geometry(
     at = places(plan)
     for kind, least in (("centre", 1), ("seam", 1), ("full dwell" if made.grid is None else "edge", 4)):
         assert sum(kind in name for name in at) >= least, (kind, list(at))
-    assert plan.within_budget()
+    assert plan.faithful
 
     store = simulated(tmp_path, "targets", with_targets(made.scene, at))
     blocksar.focus(store, tmp_path / "sharp", processor=processor, blocks=plan.n_blocks, grid=made.grid, client=client)

@@ -210,7 +210,8 @@ def test_the_perturbed_spectrum_equals_the_line_along_doppler(name: str) -> None
     h = 0.01  # Hz
     delay = -np.angle(at_doppler(line.doppler + h) * at_doppler(line.doppler - h).conj()) / (4 * np.pi * h)
     # Without a bias chirp the lines are short, and stationary phase is less accurate.
-    np.testing.assert_allclose(inner(delay), inner(line.time), atol=8e-4 if name == "high order phase" else 2e-4)
+    tolerance = {"high order phase": 8e-4, "not steered": 4e-4}.get(name, 2e-4)
+    np.testing.assert_allclose(inner(delay), inner(line.time), atol=tolerance)
 
 
 @pytest.mark.parametrize("name", EVERY)
@@ -305,6 +306,7 @@ def test_the_gate_keeps_at_each_doppler_the_time_about_its_own_middle(slope: flo
         common=common,
         begin_slope=row_polynomial(slope - growth / 2),
         end_slope=row_polynomial(slope + growth / 2),
+        blur=time.step / 2,
         length=length,
         time=fourier.centred(0.0, time.step, 400),
     )

@@ -33,7 +33,7 @@ def test_a_plan_predicts_coherence_and_what_it_is_made_of() -> None:
         p = block.prediction
         losses = (p.phase_loss, p.range_loss, p.dispersion_loss, p.track_loss)
         assert p.coherence == pytest.approx(1 - sum(losses))
-        assert 0.997 < p.coherence < 0.9995
+        assert 0.999 < p.coherence < 0.9998
         assert p.dispersion_loss == max(losses)
     assert report.result.coherence == min(block.prediction.coherence for block in report.result.blocks)
     assert len(report.tables[1][1]) == 3

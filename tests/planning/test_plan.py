@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,25 +16,9 @@ from blocksar.collection.region import plan_region
 from blocksar.errors import InputError
 from blocksar.focusing.method import Method
 from blocksar.planning.block import Sector, plan_block
-from blocksar.planning.plan import fewest_blocks
+from blocksar.planning.plan import plan_collection
 from blocksar.planning.recovery import plan_recovery
 from blocksar.simulation.scene import Scene
-
-
-@pytest.mark.parametrize(
-    ("excess", "chosen"),
-    [
-        ({2: 90.0, 3: 4.0, 4: 0.9, 5: 0.5}, 4),  # more blocks help, although two blocks would blur
-        ({2: 3.0, 3: 2.9, 4: 2.95, 6: 2.89, 8: 2.9, 11: 0.1}, 8),  # no improvement three times: the search ends
-        ({2: 90.0, 3: 40.0, 4: 20.0, 6: 9.0, 8: 5.0, 9: 0.95, 11: 0.9}, 9),  # a third more at a time, then fewer
-    ],
-)
-def test_auto_adds_blocks_as_long_as_they_help(excess: dict[int, float], chosen: int) -> None:
-    def plan(count: int, *, probe: bool = False) -> Any:
-        refusal = "would keep a phase error" if excess[count] > 10 else None
-        return SimpleNamespace(excess=lambda migration=True: excess[count], blocks=(), refusal=refusal, count=count)
-
-    assert fewest_blocks(plan, 2).count == chosen
 
 
 @pytest.mark.parametrize(("blocks", "least", "most"), [(3, 0.9, 1.4), (2, 1.2, 1.3), (1, 1.5, 5.0)])
@@ -87,3 +69,17 @@ def test_a_plan_reads_no_samples_and_accepts_a_scene_or_a_store(table1: Path) ->
     header, rows = blocksar.plan(table1, blocks=3).table()[0]
     assert len(rows) == 3
     assert all(len(row) == len(header) for row in rows)
+
+
+def test_the_gate_has_room_for_dwells_that_the_collection_cuts() -> None:
+    """In narrow outer blocks the dwells that are left are much shorter than those that the gate continues."""
+    made = Scene.parse(
+        scene(carrier=9.6e9, bandwidth=250e6, range_sampling=300e6, prf=900.0, velocity=[4.0, 55.0, -1.5],
+              acceleration=[0.3, -0.2, 0.1], duration=6.0, steering=(28.0, 36.0), dwell=2.0, centre=32.0,
+              swath=[16700.0, 17100.0])
+    )  # fmt: skip
+    blocks = plan_collection(made.collection().centred(), blocks=16).blocks
+    assert len(blocks) == 16
+    for block in blocks:
+        gate = block.sampling.gate
+        assert gate is not None and gate.time.extent > 1.2 * gate.length

@@ -263,13 +263,14 @@ def test_the_plan_table_shows_predicted_and_measured_values(whole: Path, runs: d
         cells = [re.sub(r"<[^>]*>", "", cell).strip() for cell in re.findall(r"<t[hd].*?</t[hd]>", row, re.DOTALL)]
         receipt = next(r for r in record["receipts"] if r["unit"] == f"block-{cells[0]}")
         assert cells[0] == f"{block['block']}.{block['part']}"
-        assert cells[1] == words.number(block["residual_phase"], 4)
-        assert cells[2] == words.number(block["pslr"], 2)
-        assert cells[7] == words.number(block["memory"] / 2**20, 0)
-        assert cells[8] == words.number(receipt["peak_memory"] / 2**20, 0)
-        measured.append(int(cells[6]))
-        if cells[6] != "0":
-            assert cells[3] in {words.number(t["azimuth_pslr"], 2) for t in quality.values()}
+        assert cells[1] == words.number(block["coherence"], 4)
+        assert cells[2] == words.number(block["residual_phase"], 4)
+        assert cells[3] == words.number(block["pslr"], 2)
+        assert cells[8] == words.number(block["memory"] / 2**20, 0)
+        assert cells[9] == words.number(receipt["peak_memory"] / 2**20, 0)
+        measured.append(int(cells[7]))
+        if cells[7] != "0":
+            assert cells[4] in {words.number(t["azimuth_pslr"], 2) for t in quality.values()}
     assert sum(measured) == 4
 
 

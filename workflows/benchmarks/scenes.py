@@ -13,7 +13,8 @@ from typing import Any, Literal, NamedTuple
 
 from blocksar.collection.collection import Collection
 from blocksar.errors import InputError, PrfTooLow
-from blocksar.planning.plan import MAX_BLOCKS, Plan, plan_collection
+from blocksar.planning.division import MAX_BLOCKS
+from blocksar.planning.plan import Plan, plan_collection
 from blocksar.simulation.scene import Scene
 
 Tables = dict[str, Any]  # of a scene file, as TOML reads it
@@ -148,8 +149,8 @@ def plan_case(source: str, scale: Scale, *, blocks: Blocks, workers: int, memory
             prf = error.needed
     if prf is not None:
         notes.append(f"{scale}: PRF {tables['radar']['prf']:g} Hz raised to the {prf:g} Hz that the plan requires")
-    if not plan.within_budget():
-        notes.append(f"{scale}: the plan exceeds its budget of phase or migration: valid for speed, not for quality")
+    if not plan.faithful:
+        notes.append(f"{scale}: predicted coherence {plan.coherence:.4f}, below the fidelity {plan.fidelity:g}")
     return Case(scale, scene, plan, notes)
 
 

@@ -6,6 +6,7 @@ import shlex
 from collections.abc import Mapping
 from typing import Any
 
+from blocksar.budget import FIDELITY
 from blocksar.focusing.method import Method
 from blocksar.products.page.facts import Facts
 from blocksar.products.page.words import number
@@ -17,7 +18,12 @@ def repeat_command(settings: Mapping[str, Any], path: str, folder: str) -> str:
     if not settings or not path:
         return ""
     words = ["blocksar", "focus", path, "--out", folder]
-    defaults = Method().as_settings() | {"processor": "angular-division", "blocks": "auto", "grid": None}
+    defaults = Method().as_settings() | {
+        "processor": "angular-division",
+        "blocks": "auto",
+        "fidelity": FIDELITY,
+        "grid": None,
+    }
     for name, value in settings.items():
         if value == defaults.get(name, value):
             continue

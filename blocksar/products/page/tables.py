@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from blocksar.budget import MIGRATION_BUDGET, PHASE_BUDGET, SIDE_LOBE_BUDGET
+from blocksar.budget import FIDELITY, side_lobe_budget
 from blocksar.constants import MIB, SINC_PSLR
 from blocksar.measurement.bar import excess, worst_excess
 from blocksar.measurement.figures import PointResponse
@@ -95,7 +95,8 @@ def plan_table(run: Facts) -> Table | None:
         return None
     columns = [
         Column("block"),
-        Column("residual phase planned", f"rad, \N{LESS-THAN OR EQUAL TO} {PHASE_BUDGET:g}"),
+        Column("coherence planned", f"\N{GREATER-THAN OR EQUAL TO} {_fidelity(run):g}"),
+        Column("residual phase planned", "rad"),
         Column("azimuth PSLR planned", "dB"),
         Column("azimuth PSLR measured", "dB, worst"),
         Column("width planned", "relative to its limit"),
@@ -103,7 +104,7 @@ def plan_table(run: Facts) -> Table | None:
         Column("targets measured"),
         Column("memory planned", "MiB"),
         Column("memory measured", "MiB, peak of its worker so far"),
-        Column("migration planned", f"cells, \N{LESS-THAN OR EQUAL TO} {MIGRATION_BUDGET:g}"),
+        Column("migration planned", "cells"),
         Column("yaw", "degrees"),
         Column("range", "km"),
     ]
@@ -115,15 +116,16 @@ def _plan_row(run: Facts, block: PredictedBlock) -> Row:
     """Predicted and measured figures of one block."""
     judged = [r for r in run.judged if run.places[id(r)] == block.name]
     pslr, width = _worst_of(judged, "azimuth_pslr"), _worst_of(judged, "azimuth_irw")
-    phase, migration, predicted = block.residual_phase, block.migration, block.pslr
+    fidelity, predicted = _fidelity(run), block.pslr
     receipt = run.receipt(block)
     peak = None if receipt is None else receipt.peak_memory
     low, high = np.degrees(block.yaw)
     near, far = (distance / 1e3 for distance in block.range)
     return Row([
         Cell(block.name),
-        _cell(phase, 4, off=phase > PHASE_BUDGET),
-        _cell(predicted, 2, off=abs(predicted - SINC_PSLR) > SIDE_LOBE_BUDGET),
+        _cell(block.coherence, 4, off=block.coherence < fidelity),
+        _cell(block.residual_phase, 4),
+        _cell(predicted, 2, off=abs(predicted - SINC_PSLR) > side_lobe_budget(fidelity)),
         _cell(pslr and pslr.azimuth_pslr, 2, off=pslr is not None and excess(pslr, "azimuth_pslr") > 1),
         _cell(block.width, 4),
         _cell(
@@ -133,10 +135,15 @@ def _plan_row(run: Facts, block: PredictedBlock) -> Row:
         Cell(str(len(judged))),
         _cell(block.memory / MIB, 0),
         _cell(peak and peak / MIB, 0, off=peak is not None and peak > (run.planned_memory or np.inf)),
-        _cell(migration, 3, off=migration > MIGRATION_BUDGET),
+        _cell(block.migration, 3),
         Cell(f"{number(low)} .. {number(high)}"),
         Cell(f"{number(near, 3)} .. {number(far, 3)}"),
     ])  # fmt: skip
+
+
+def _fidelity(run: Facts) -> float:
+    """The fidelity that was asked for; records of earlier versions have none."""
+    return float(run.settings.get("fidelity", FIDELITY))
 
 
 def _worst_of(responses: Sequence[PointResponse], figure: str) -> PointResponse | None:

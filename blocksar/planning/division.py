@@ -1,0 +1,97 @@
+"""Division of the scene: the fewest angular blocks and range sub-blocks that keep the fidelity.
+
+Blocks reduce all errors that vary with angle. Range migration may vary with range instead, where a swath is wide for
+its distance, or where a track wobbles close by: then range sub-blocks reduce it, since each has a reference of its own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import cache
+from typing import Protocol, TypeVar
+
+from blocksar.planning.block import BlockPlan
+from blocksar.planning.refusal import find_folding
+
+MAX_BLOCKS = 32  # that `auto` tries
+GROWTH = 0.6  # power of the excess by which the number of blocks grows at a time
+MOST_GROWTH, LEAST_GROWTH = 4.0, 1.2  # excess above which it grows no faster; factor by which it grows at least
+FINE = 12  # the fewest blocks are found to one in as many
+MOST_REFERENCES = 8  # range sub-blocks of a block, for the sake of migration
+USEFUL = 0.9  # excess that a division in range may leave, to be tried again
+MIGRATION_SHARE = 0.7  # of the allowed loss that migration may take when a block is divided in range
+ALIKE = 1.03  # times the least excess: among divisions within that, the one with the fewest blocks is taken
+
+
+class Planned(Protocol):
+    """What the search asks of a plan."""
+
+    @property
+    def blocks(self) -> tuple[BlockPlan, ...]: ...
+
+    def excess(self, *, migration: bool = True) -> float: ...
+
+
+P = TypeVar("P", bound=Planned)
+
+
+def find_division(plan: Callable[[int, int, bool], P], *, workers: int, parts: int | None) -> P:
+    """The plan with the fewest blocks that keep the fidelity, at least one a worker; without one, the closest.
+
+    Numbers grow with the excess; once one serves, those in between are tried by bisection. Probes of the outermost
+    blocks and the middle one decide while plans are far from the fidelity. The search ends without success if three
+    numbers in a row have gained nothing, since margins do not shrink with the blocks.
+
+    Parameters
+    ----------
+    plan : callable
+        Plan for a number of blocks and of range sub-blocks in each; True for a probe.
+    workers : int
+    parts : int or None
+        Number of range sub-blocks; None to take as many as migration needs.
+    """
+    plan = cache(plan)
+    tried: list[tuple[float, int, int]] = []
+    failed, count, n_parts, stale = 0, min(max(workers, 1), MAX_BLOCKS), parts or 1, 0
+    divisible = parts is None
+    while True:
+        division = plan(count, n_parts, True)
+        if division.excess() <= 1.0:
+            division = plan(count, n_parts, False)
+        excess, rest = division.excess(), division.excess(migration=False)
+        if excess <= 1.0:
+            return _fewest_between(plan, failed, count, n_parts)
+        if find_folding(division.blocks) is not None:
+            return plan(count, n_parts, False)
+        stale = stale + 1 if tried and excess > 0.97 * min(tried)[0] else 0
+        tried.append((excess, count, n_parts))
+        if stale == 3 or count == MAX_BLOCKS:
+            closest = min(tried)[0]
+            return plan(*min((n, m) for e, n, m in tried if e <= ALIKE * closest), False)
+        failed = count
+        count = min(math.ceil(count * max(min(excess, MOST_GROWTH) ** GROWTH, LEAST_GROWTH)), MAX_BLOCKS)
+        if divisible and rest < excess / 2:  # migration costs the most: by angle or by range?
+            more = math.ceil(n_parts * max(math.sqrt((excess - rest) / MIGRATION_SHARE), 1.1))
+            more = min(more, MOST_REFERENCES)
+            divided = plan(failed, more, True).excess()
+            divisible = divided < USEFUL * excess and more < MOST_REFERENCES
+            by_angle = _worth(excess, plan(count, n_parts, True).excess(), count / failed)
+            if more > n_parts and _worth(excess, divided, more / n_parts) > by_angle:
+                failed, count, n_parts = failed - 1, failed, more
+
+
+def _worth(before: float, after: float, growth: float) -> float:
+    """How much a division gains for what it adds: the power of its growth by which the excess falls."""
+    return math.log(before / max(after, 1e-9)) / math.log(growth)
+
+
+def _fewest_between(plan: Callable[[int, int, bool], P], failed: int, serving: int, parts: int) -> P:
+    """The plan with the fewest blocks above `failed` and up to `serving`, which serves."""
+    while serving - failed > max(1, serving // FINE) and failed:
+        count = (failed + serving) // 2
+        if plan(count, parts, True).excess() <= 1.0 and plan(count, parts, False).excess() <= 1.0:
+            serving = count
+        else:
+            failed = count
+    return plan(serving, parts, False)

@@ -1,0 +1,85 @@
+"""The division that `auto` takes: the fewest blocks and range sub-blocks that keep the fidelity."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import pytest
+
+from blocksar.planning.block import BlockPlan
+from blocksar.planning.division import MAX_BLOCKS, MOST_REFERENCES, find_division
+
+
+@dataclass(frozen=True)
+class Division:
+    """A plan that knows its losses only."""
+
+    count: int
+    parts: int
+    migration: float
+    rest: float
+    blocks: tuple[BlockPlan, ...] = ()
+
+    def excess(self, *, migration: bool = True) -> float:
+        return self.rest + (self.migration if migration else 0.0)
+
+
+def divide(
+    migration: Callable[[int, int], float], rest: Callable[[int], float], *, workers: int = 2, parts: int | None = None
+) -> tuple[tuple[int, int], int]:
+    """Blocks and sub-blocks that are taken, and how many divisions were planned as a whole."""
+    whole = set()
+
+    def plan(count: int, n_parts: int, probe: bool) -> Division:
+        if not probe:
+            assert (count, n_parts) not in whole, "planned twice"
+            whole.add((count, n_parts))
+        return Division(count, n_parts, migration(count, n_parts), rest(count))
+
+    division = find_division(plan, workers=workers, parts=parts)
+    return (division.count, division.parts), len(whole)
+
+
+def nothing(*_: int) -> float:
+    return 0.0
+
+
+@pytest.mark.parametrize("needed", [2, 3, 5, 9, 11])
+def test_auto_takes_the_fewest_blocks_that_serve(needed: int) -> None:
+    taken, whole = divide(nothing, lambda count: 0.99 if count >= needed else (needed / count) ** 2)
+    assert taken == (needed, 1)
+    assert whole <= 4
+
+
+def test_many_blocks_are_found_to_a_twelfth() -> None:
+    (count, _), _ = divide(nothing, lambda count: (26 / count) ** 2)
+    assert 26 <= count <= 28
+
+
+def test_the_search_ends_where_more_blocks_gain_nothing() -> None:
+    (count, _), whole = divide(nothing, lambda count: 2.5 + 0.01 / count)
+    assert count == 2
+    assert whole == 1
+    assert divide(nothing, lambda count: 3.0 - count / 100)[0][0] <= MAX_BLOCKS
+
+
+def test_at_least_a_block_a_worker() -> None:
+    assert divide(nothing, nothing, workers=5)[0] == (5, 1)
+    assert divide(nothing, nothing, workers=1)[0] == (1, 1)
+
+
+def test_migration_that_varies_with_range_takes_range_sub_blocks() -> None:
+    taken, _ = divide(lambda count, parts: 20.0 / parts**2, lambda count: 0.6 / count)
+    assert taken[0] == 2
+    assert 5 <= taken[1] <= MOST_REFERENCES
+
+
+def test_migration_that_varies_with_angle_takes_blocks() -> None:
+    taken, _ = divide(lambda count, parts: 20.0 / count**1.7, partial(nothing))
+    assert taken == (6, 1)
+
+
+def test_sub_blocks_that_were_asked_for_stay() -> None:
+    assert divide(lambda count, parts: 3.0 / count / parts**2, nothing, parts=3)[0] == (2, 3)
