@@ -11,6 +11,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 ComplexArray = NDArray[np.complex64]
+Complex128Array = NDArray[np.complex128]
 
 UNIFORM_TOLERANCE = 1e-3  # of one step: a deviation this small has no relevant effect on the phase
 

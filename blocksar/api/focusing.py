@@ -15,7 +15,9 @@ from typing import TYPE_CHECKING, Literal
 
 from blocksar import stores
 from blocksar.api.arguments import GridLike, Resources, grid_of, resources
+from blocksar.api.checking import check_samples
 from blocksar.api.jobs import Job, Request
+from blocksar.api.planning import undersampling
 from blocksar.api.reports import Report
 from blocksar.budget import FIDELITY
 from blocksar.constants import MIB
@@ -209,7 +211,9 @@ def _focus(
         finished = _carry_out(job, run, record, client, listener, profile, resumed=earlier is not None)
     except ProcessingError as error:
         raise ProcessingError(f"{error}; what was finished stays, the same command goes on from there") from error
-    return Report(summary=_summary(request.folder, finished, job.memory), result=finished.as_json())
+    coarse = None if job.plan is None else undersampling(job.plan)
+    notes = [f"note: {coarse}"] if coarse else []
+    return Report(summary=[*_summary(request.folder, finished, job.memory), *notes], result=finished.as_json())
 
 
 def _carry_out(
@@ -306,15 +310,18 @@ def _add_findings(
     history = job.history
     if not inspection.lit.any():
         raise InputError(f"{history.variable} in {history.path} holds no valid sample; is it the right store?")
+    if not inspection.valid:
+        raise InputError(f"{history.variable} in {history.path} holds zeros only; write it again from its source")
     echoes = [Inspection.from_dict(dict(r.found)) for r in receipts if r.found and r.stage == "range-compress"]
     inspections = [samples.merge_echoes(echoes), inspection] if echoes else [inspection]
     warnings = [line for each in inspections for line in sentences.describe(each)]
     counts = SampleCounts(sum(inspection.missing.values()), sum(each.n_outlier for each in inspections))
     offset, disagreement = _compare_centroid(job, inspection)
-    warnings += [disagreement] if disagreement else []
+    warning, check = _check_samples(job)
+    warnings += [line for line in (disagreement, warning) if line]
     for warning in warnings:
         listener.note(warning, again=True)
-    record = replace(record, warnings=tuple(warnings), samples=counts, doppler_centroid=offset)
+    record = replace(record, warnings=tuple(warnings), samples=counts, doppler_centroid=offset, check=check)
     run.establish(run.image, lambda: _create_image(run, job, record))
     return record
 
@@ -332,6 +339,24 @@ def _compare_centroid(job: Job, inspection: Inspection) -> tuple[CentroidError |
         return None, None
     measured = centroid.measure_centroid(inspection, prf=job.geometry.collection.prf)
     return CentroidError(measured.mean_offset, measured.mean_coherence), centroid.disagreement(inspection, expected)
+
+
+def _check_samples(job: Job) -> tuple[str | None, str]:
+    """Compare prominent places with what is said of the samples: a warning, or a sentence that all is well.
+
+    Raises
+    ------
+    InputError
+        If the samples are constant.
+    """
+    try:
+        findings = check_samples(job.history, job.grid, threads=cluster.machine()[0], thorough=False)
+    except InputError:
+        if job.plan is not None:
+            raise
+        return None, ""  # back-projection also forms images about the nadir, where yaw has no meaning
+    warning = findings.warning()
+    return warning, "" if warning else findings.sentence()
 
 
 def _create_image(run: Run, job: Job, record: RunRecord) -> None:
@@ -370,6 +395,7 @@ def _summary(folder: Place, record: RunRecord, planned: int) -> list[str]:
         *_resumed_line(record.receipts),
         f"{folder / 'image.zarr'} is finished in {timings['total']:.1f} s ({stages})",
         f"peak memory of a worker {peak / MIB:.0f} MiB, planned {planned / MIB:.0f} MiB",
+        *([record.check] if record.check else []),
     ]
 
 

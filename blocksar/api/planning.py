@@ -13,9 +13,9 @@ from blocksar.budget import FIDELITY
 from blocksar.collection.beam import most_lit_pulses
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
-from blocksar.collection.grid import Grid
+from blocksar.collection.grid import Grid, ground_resolution
 from blocksar.collection.region import default_grid, plan_region
-from blocksar.constants import MIB
+from blocksar.constants import MIB, SINC_WIDTH
 from blocksar.errors import InputError
 from blocksar.focusing.method import (
     Coefficients,
@@ -223,6 +223,8 @@ def _plan_lines(plan: Plan) -> list[str]:
     lines.append(
         f"predicted coherence with exact back-projection: at least {plan.coherence:.4f} for targets with full dwell"
     )
+    if (coarse := undersampling(plan)) is not None:
+        lines.append(coarse)
     noise = max(block.prediction.track_phase for block in plan.blocks)
     if noise > TRACK_TOLD:
         lines.append(
@@ -231,6 +233,22 @@ def _plan_lines(plan: Plan) -> list[str]:
     if not plan.faithful:
         lines.append(_shortfall(plan))
     return lines
+
+
+def undersampling(plan: Plan) -> str | None:
+    """A sentence if the grid is coarser than the resolution of any block, else None."""
+    step = max(plan.grid.dx, plan.grid.dy)
+    widths = [
+        min(ground_resolution(plan.geometry, (b.ground.near + b.ground.far) / 2, (b.low + b.high) / 2))
+        for b in plan.blocks
+    ]
+    finest = min(widths)
+    if step <= finest / SINC_WIDTH:
+        return None
+    return (
+        f"the grid's step of {step:g} m undersamples the image, whose resolution is {finest:.3g} m: targets between "
+        f"its points are lost, and spectra fold; a step of {finest / 2:.2g} m shows everything"
+    )
 
 
 def _shortfall(plan: Plan) -> str:

@@ -31,7 +31,7 @@ from blocksar.cli.options import (
     method_options,
     parse_settings,
 )
-from blocksar.cli.parsing import parse_memory, parse_origin
+from blocksar.cli.parsing import parse_grid, parse_memory, parse_origin
 from blocksar.focusing.method import PlannedProcessor
 from blocksar.progress import Progress
 from blocksar.version import __version__
@@ -182,6 +182,26 @@ def plan(
     show(proposal)
     if proposal.refusal is not None:
         complain(proposal.refusal, WRONG_INPUT)
+
+
+@app.command()
+def check(
+    source: Annotated[str, typer.Argument(metavar="PH.zarr", help="Phase-history store.")],
+    grid: GridOption = None,
+    threads: Threads = None,
+) -> None:
+    """Check that the samples are what is said of them: sign, order, track and beam.
+
+    Compares the sharpness of prominent places as given with what it would be if something were said wrongly, and says
+    what to change. Reads a part of the samples.
+
+    Example: [bold]blocksar check table1.zarr[/bold]
+    """
+    points = None if grid is None else parse_grid(grid)
+
+    from blocksar import api
+
+    show(api.check(source, grid=points, threads=threads))
 
 
 @app.command()

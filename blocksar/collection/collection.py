@@ -20,6 +20,7 @@ CARRIERS = (1e6, 1e15)  # Hz: accepted carriers, from below HF radar to beyond v
 FARTHEST = 1e9  # m: largest coordinate; beyond the moon, and float64 still resolves phase there
 TWO_TURNS = 4 * np.pi  # rad: where all beam azimuths are larger, they are taken for degrees
 MAX_YAW = 100.0  # rad: likewise where any is larger
+GRAZING = 2e-3  # rad: least angle at which the ground is seen, about a tenth of a degree
 SPEEDS = (0.1, 20e3)  # m/s: of platforms, from one that hovers to a satellite on a high orbit
 SPIKE = 1.0  # m: a single pulse that deviates more than this from its neighbours is corrupt
 JUMP = 50.0  # times the median step between pulses: a larger step is a gap between two passes
@@ -123,6 +124,7 @@ class Collection:
                 f"antenna_position falls to z = {np.min(self.antenna_position[:, 2]):.6g} m, not above "
                 f"ground_height = {self.ground_height:.6g} m; z must point up"
             )
+        self._check_grazing()
         self._check_beam()
 
     def _check_shape(self, name: str, shape: tuple[int, ...]) -> None:
@@ -175,6 +177,16 @@ class Collection:
             raise InputError(
                 f"antenna_position moves at {speed:.6g} m/s, but an aperture needs at least {SPEEDS[0]:g} m/s: correct "
                 "the unit of antenna_position (it looks like km) or of time (it looks like ms)"
+            )
+
+    def _check_grazing(self) -> None:
+        height = float(np.median(self.antenna_position[:, 2])) - self.ground_height
+        distance = float(np.median(self.reference_range))
+        if 0 < height < GRAZING * distance:
+            raise InputError(
+                f"antenna_position lies {height:.6g} m above the ground, which a range of {distance:.6g} m would reach "
+                f"at {np.degrees(height / distance):.2g} degrees: correct the unit of antenna_position (it looks like "
+                "km), or ground_height"
             )
 
     def _check_beam(self) -> None:

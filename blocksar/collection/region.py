@@ -12,6 +12,7 @@ import numpy as np
 
 from blocksar.arrays import FloatArray
 from blocksar.collection.beam import dwell_at, lit_yaw, wrapped
+from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid, ground_resolution, outline
 from blocksar.constants import SPEED_OF_LIGHT
@@ -105,12 +106,38 @@ def _window(geometry: Geometry, yaw: FloatArray, within: tuple[float, float] | N
     if within is not None:
         near, far = np.maximum(near, within[0]), np.minimum(far, within[1])
     if not (far > near).all():
-        grid_range = "" if within is None else f" (the grid's ranges are {within[0]:.6g} .. {within[1]:.6g} m)"
-        raise InputError(
-            f"grid lies outside the swath: the range window of {collection.range_window:.6g} m about the reference "
-            f"range {reference:.6g} m holds none of it{grid_range}; move the grid"
-        )
+        raise InputError(_outside(collection, half, within, held, trial))
     return near, far
+
+
+def _outside(
+    collection: Collection, half: float, within: tuple[float, float] | None, held: FloatArray, trial: FloatArray
+) -> str:
+    """Why no range stays in the range window while it is lit.
+
+    `held` (n_yaw, n_time, n_range) are ranges less the reference range, of points at epoch ranges `trial`.
+    """
+    low, high = within or (float(trial[0]), float(trial[-1]))
+    some = held[..., (trial >= low) & (trial <= high)] if ((trial >= low) & (trial <= high)).any() else held
+    moves = float(np.nanmin(np.ptp(some, axis=1)))
+    still = np.ptp(collection.reference_range) == 0
+    swath = f"the range window of {collection.range_window:.6g} m about the reference range"
+    where = "" if within is None else f" (the grid's ranges are {low:.6g} .. {high:.6g} m at the epoch)"
+    if moves > 2 * half:
+        remedy = (
+            "re-reference the samples to a range that follows the scene, reference_range = distance to its centre"
+            if still
+            else "let reference_range follow the scene's centre"
+        )
+        return (
+            f"grid lies outside the swath: {swath} is shorter than the {moves:.4g} m by which ranges change while they "
+            f"are lit{where}, so every point leaves it; {remedy}, or cut the collection in time"
+        )
+    reference = collection.reference_range
+    return (
+        f"grid lies outside the swath: no range stays in {swath}, {reference.min():.6g} .. {reference.max():.6g} m, "
+        f"while it is lit, and the ranges change by {moves:.4g} m{where}; move the grid"
+    )
 
 
 def grid_extent(geometry: Geometry, region: Region, grid: Grid) -> Extent:

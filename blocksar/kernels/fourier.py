@@ -10,11 +10,15 @@ vectors of phase factors, which `rows` applies. No fftshift is needed, because e
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import scipy.fft
+from numpy.typing import NDArray
 
 from blocksar.arrays import ComplexArray, FloatArray
+
+Samples = TypeVar("Samples", np.complex64, np.complex128)
 
 
 @dataclass(frozen=True)
@@ -70,6 +74,6 @@ def unit_phasor(cycles: FloatArray) -> ComplexArray:
     return np.exp(2j * np.pi * (cycles - np.rint(cycles))).astype(np.complex64)
 
 
-def fft_rows(group: ComplexArray, *, inverse: bool) -> ComplexArray:
+def fft_rows(group: NDArray[Samples], *, inverse: bool) -> NDArray[Samples]:
     """FFT of each row over bare indices: 1 / N in the inverse, one thread, the input is overwritten."""
     return np.asarray((scipy.fft.ifft if inverse else scipy.fft.fft)(group, axis=1, overwrite_x=True))

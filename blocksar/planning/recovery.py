@@ -83,7 +83,8 @@ def _check_prf(geometry: Geometry, method: Method, spread: float) -> None:
         raise PrfTooLow(
             f"PRF {collection.prf:.6g} Hz is too low: after {method.derotation} derotation the lit scene still spans "
             f"{spread:.6g} Hz of Doppler, so a PRF of at least {needed:.6g} Hz is needed; collect with a higher PRF or "
-            + ("a narrower beam" if collection.steered else "image a smaller grid"),
+            + ("a narrower beam" if collection.steered else "image a smaller grid")
+            + "; `blocksar check` tells whether the track fits the samples",
             needed,
         )
 

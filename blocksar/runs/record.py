@@ -357,6 +357,8 @@ class RunRecord:
     plan : RunPlan
     warnings : tuple of str
     samples : SampleCounts or None
+    check : str
+        What the check of the samples against track and beam gave; empty where it was not made.
     doppler_centroid : CentroidError or None
     receipts : tuple of Receipt
     timings : mapping of str to float
@@ -377,6 +379,7 @@ class RunRecord:
     plan: RunPlan = RunPlan()
     warnings: tuple[str, ...] = ()
     samples: SampleCounts | None = None
+    check: str = ""
     doppler_centroid: CentroidError | None = None
     receipts: tuple[Receipt, ...] = ()
     timings: Mapping[str, float] = field(default_factory=dict)
@@ -439,6 +442,7 @@ class RunRecord:
             plan=entry["plan"].optional(RunPlan.of) or RunPlan(),
             warnings=tuple(line.text() for line in entry["warnings"]),
             samples=entry["samples"].optional(SampleCounts.of),
+            check=entry["check"].text(""),
             doppler_centroid=entry["doppler_centroid"].optional(CentroidError.of),
             receipts=tuple(Receipt.of(receipt, back_projection=exact) for receipt in entry["receipts"]),
             timings={name: seconds.number() for name, seconds in entry["timings"].items()},
@@ -464,6 +468,7 @@ class RunRecord:
         return begun | {
             "warnings": list(self.warnings),
             "samples": self.samples and asdict(self.samples),
+            **({"check": self.check} if self.check else {}),
             **({"doppler_centroid": asdict(self.doppler_centroid)} if self.doppler_centroid else {}),
             "receipts": [receipt.as_json() for receipt in self.receipts],
             "timings": dict(self.timings),

@@ -1,0 +1,260 @@
+"""Whether the samples are what is said of them: prominent places over the whole dwell, as given and otherwise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from blocksar.arrays import ComplexArray
+from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.grid import Grid
+from blocksar.collection.region import plan_region
+from blocksar.errors import InputError
+from blocksar.inspection.alternatives import Alternative, alternatives, as_given
+from blocksar.inspection.prominent import Line, Lines, Samples
+from blocksar.inspection.sharpness import blurring_phase, concentration, explain, refocus
+
+PLACES = 12  # that are compared
+FEWEST = 2  # places on which anything can be said
+SIGNIFICANT = 30.0  # times 1 / n: concentration that chance does not give
+SHARPER = 1.02  # times the concentration as given: an alternative that is believed
+AS_REFOCUSED = 0.95  # of the concentration after a refocus, that it reaches as well
+CERTAIN = 0.7  # share of the quantiles of its places that are higher
+CLEAR = 0.65  # concentration that only points in focus have: below it, alternatives are tried
+SHARP = 0.8  # of the concentration after a refocus: below it the track is doubted
+EXPLAINED = 0.8  # of a phase error: what is named as its cause
+# To be read: a part of the band, and of very many pulses those in the middle. Under a beam that is not steered less
+# depends on the sign and order of the samples.
+MOST_SAMPLES, MOST_UNSTEERED = 1 << 20, 1 << 21
+SPIKE = 1e4  # times the median modulus: samples that are left out
+LEAST_BAND, MOST_PULSES = 128, 1 << 15
+
+
+@dataclass(frozen=True)
+class Trial:
+    """An alternative, and how sharp its prominent places are.
+
+    Attributes
+    ----------
+    name : str
+    concentration : tuple of float
+        Of each place, the most prominent first.
+    significance : float
+        Median of concentration over what chance gives.
+    """
+
+    name: str
+    remedy: str
+    concentration: tuple[float, ...] = ()
+    significance: float = 0.0
+
+    @property
+    def places(self) -> int:
+        """Number of prominent places."""
+        return len(self.concentration)
+
+    @property
+    def sharpness(self) -> float:
+        """Median concentration of the places."""
+        return float(np.median(self.concentration)) if self.concentration else 0.0
+
+
+@dataclass(frozen=True)
+class Findings:
+    """The result of a check.
+
+    Attributes
+    ----------
+    trials : tuple of Trial
+        As given first, then the alternatives that were tried, the sharpest first.
+    refocused : float
+        Median concentration as given, after a refocus.
+    track_phase : float
+        Root mean square phase error that the refocus removed, rad.
+    cause : str
+        What explains that error, empty if nothing simple does.
+    remedy : str
+    """
+
+    trials: tuple[Trial, ...]
+    refocused: float
+    track_phase: float
+    cause: str
+    remedy: str
+
+    @property
+    def given(self) -> Trial:
+        return self.trials[0]
+
+    @property
+    def speaks(self) -> bool:
+        """Whether prominent places allow a judgement."""
+        return max((trial.significance for trial in self.trials if trial.places >= FEWEST), default=0.0) > SIGNIFICANT
+
+    @property
+    def better(self) -> Trial | None:
+        """The alternative to be believed, if any."""
+        good = [t for t in self.trials[1:] if t.places >= FEWEST and t.significance > SIGNIFICANT]
+        best = max(good, key=lambda trial: trial.sharpness, default=None)
+        if best is None or best.sharpness < max(SHARPER * self.given.sharpness, AS_REFOCUSED * self.refocused):
+            return None
+        if not self.given.places:
+            return best
+        levels = np.linspace(0.0, 1.0, 13)
+        gain = np.quantile(best.concentration, levels) - np.quantile(self.given.concentration, levels)
+        return best if np.mean(gain > 0) > CERTAIN else None
+
+    @property
+    def sharpness(self) -> float:
+        """Concentration as given over that after a refocus."""
+        return self.given.sharpness / max(self.refocused, 1e-30)
+
+    @property
+    def blurred(self) -> bool:
+        """Whether a refocus helps so much that the track must be wrong."""
+        return self.speaks and self.better is None and self.sharpness < SHARP
+
+    def warning(self) -> str | None:
+        """What is wrong, with figures and the remedy; None if nothing is."""
+        if (better := self.better) is not None:
+            gain = 10 * np.log10(better.sharpness / max(self.given.sharpness, 1e-30))
+            return (
+                f"{better.name}, it seems: so {better.places} prominent places are sharper by {gain:.1f} dB over their "
+                f"whole dwell; {better.remedy}"
+            )
+        if self.blurred:
+            cause = f", as by {self.cause}" if self.cause else ""
+            return (
+                f"prominent places reach {self.sharpness:.2f} of the sharpness that a refocus gives them: the track is "
+                f"off by a phase of {self.track_phase:.2g} rad r.m.s. over a dwell{cause}; {self.remedy}"
+            )
+        return None
+
+    def sentence(self) -> str:
+        """One line for people."""
+        if (warning := self.warning()) is not None:
+            return warning
+        if not self.speaks:
+            return "no prominent places: nothing can be said of the samples' sign and order, or of errors of the track"
+        return (
+            f"the samples fit what is said of them: {self.given.places} prominent places reach "
+            f"{min(self.sharpness, 1):.2f} of the sharpness that a refocus gives them"
+        )
+
+
+def part_to_read(collection: Collection) -> tuple[slice, slice]:
+    """Pulses and range frequencies that a check reads: the middle of the band."""
+    most = MOST_SAMPLES if collection.steered else MOST_UNSTEERED
+    pulses = _middle(collection.n_pulse, MOST_PULSES)
+    width = max(most // (pulses.stop - pulses.start), LEAST_BAND)
+    return pulses, _middle(collection.n_range_frequency, width)
+
+
+def part_of(collection: Collection, pulses: slice, columns: slice) -> Collection:
+    """The collection of some pulses and range frequencies."""
+    names = ("time", "reference_range", "antenna_position", "beam_azimuth")
+    return replace(
+        collection,
+        range_frequency=collection.range_frequency[columns],
+        **{name: getattr(collection, name)[pulses] for name in names},
+    )
+
+
+def _middle(size: int, at_most: int) -> slice:
+    width = min(size, at_most)
+    return slice((size - width) // 2, (size - width) // 2 + width)
+
+
+def check(signal: ComplexArray, collection: Collection, *, grid: Grid | None, threads: int, thorough: bool) -> Findings:
+    """Compare prominent places as given with the alternatives.
+
+    Parameters
+    ----------
+    signal : (n_pulse, n_range_frequency) complex64
+    collection : Collection
+        Of these samples.
+    grid : Grid or None
+        Where to look; needed if the beam is not steered.
+    threads : int
+    thorough : bool
+        Try all alternatives, even if the places are sharp as given.
+
+    Raises
+    ------
+    InputError
+        If the samples are constant, the beam is not steered and there is no grid, or the grid lies outside the swath.
+    """
+    signal = _cleaned(signal)
+    given, samples = as_given(collection), Samples(signal, collection, threads=threads)
+    lines = _lines(collection, samples, grid)
+    first = _trial(given, lines)
+    n_pulse, remedy, cause, refocused, left = collection.n_pulse, "", "", first.sharpness, 0.0
+    if first.places >= FEWEST:
+        mended = refocus(lines, n_pulse)
+        refocused, left = float(np.median(mended.concentration)), blurring_phase(lines, mended.phase)
+        good = [error for error in explain(lines, mended.phase, collection) if error.explained > EXPLAINED]
+        cause = " or ".join(error.text for error in good)
+        remedy = good[0].remedy if good else "mend the track from the data (autofocus)"
+    findings = Findings((first,), refocused, left, cause, remedy)
+    if thorough or first.places >= FEWEST:
+        doubtful = first.sharpness < CLEAR or first.significance < SIGNIFICANT or findings.sharpness < SHARP
+        tried = alternatives(collection)
+        # Under a beam that is not steered a conjugated signal gives a mirrored image, nearly as sharp.
+        tried = tried if thorough or doubtful else [] if collection.steered else tried[:1]
+        others = [_tried(other, samples, grid) for other in tried]
+        findings = replace(findings, trials=(first, *sorted(others, key=lambda trial: -trial.sharpness)))
+    return findings
+
+
+def _cleaned(signal: ComplexArray) -> ComplexArray:
+    """The samples over their median modulus, zero where they are missing or spikes.
+
+    Raises
+    ------
+    InputError
+        If all of them have the same value.
+    """
+    modulus = np.abs(signal).astype(np.float64)
+    valid = np.isfinite(modulus) & (modulus > 0)
+    if not valid.any():
+        return np.zeros_like(signal)
+    if signal.size > 1 and (signal == signal.flat[0]).all():
+        raise InputError(
+            f"signal is constant: all samples that were looked at are {complex(signal.flat[0]):.6g}, which no echo is; "
+            "write the store again from its source"
+        )
+    median = float(np.median(modulus[valid]))
+    valid &= modulus < SPIKE * median
+    return np.where(valid, signal / median, 0).astype(np.complex64)
+
+
+def _tried(other: Alternative, given: Samples, grid: Grid | None) -> Trial:
+    samples = given
+    if other.samples is not None:
+        signal = np.ascontiguousarray(other.samples(given.signal))
+        samples = Samples(signal, given.collection, threads=given.threads)
+    try:
+        return _trial(other, _lines(other.collection, samples, grid))
+    except InputError:  # its track does not see the grid, for example
+        return Trial(other.name, other.remedy)
+
+
+def _lines(collection: Collection, samples: Samples, grid: Grid | None) -> list[Line]:
+    geometry = Geometry(collection=collection)
+    source = Lines(samples, geometry)
+    places = source.places(plan_region(geometry, grid), PLACES)
+    return [line for line in map(source.line, places) if line is not None]
+
+
+def _trial(alternative: Alternative, lines: list[Line]) -> Trial:
+    if not lines:
+        return Trial(alternative.name, alternative.remedy)
+    values = np.array([concentration(line.values) for line in lines])
+    return Trial(
+        alternative.name,
+        alternative.remedy,
+        concentration=tuple(values.tolist()),
+        significance=float(np.median(values * [line.values.size for line in lines])),
+    )

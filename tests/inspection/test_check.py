@@ -1,0 +1,176 @@
+"""The check of the samples against what is said of them: each mistake is found and named, and right ones pass."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scenes import PAPERS, write_store
+from typer.testing import CliRunner
+
+import blocksar
+from blocksar import stores
+from blocksar.arrays import ComplexArray
+from blocksar.cli import commands
+from blocksar.collection.collection import Collection
+from blocksar.collection.grid import Grid
+from blocksar.errors import InputError
+from blocksar.inspection.check import Findings, check, part_of, part_to_read
+
+Part = tuple[ComplexArray, Collection, Grid | None]
+GRID = PAPERS["paper_b"][1]
+
+
+def targets() -> str:
+    rng = np.random.default_rng(4)
+    places = zip(rng.uniform(29750, 30250, 24), rng.uniform(43.0, 57.0, 24), strict=True)
+    return "\n".join(
+        f'[[targets]]\nname = "{k}"\nrange = {r:.3f}\nyaw_deg = {y:.4f}' for k, (r, y) in enumerate(places)
+    )
+
+
+def part(store: Path, grid: Any) -> Part:
+    history = stores.open_phase_history(store)
+    collection = history.collection.centred()
+    pulses, columns = part_to_read(collection)
+    points = None if grid is None else Grid(*grid[0], *grid[1])
+    return history.read(pulses, columns), part_of(collection, pulses, columns), points
+
+
+@pytest.fixture(scope="module")
+def steered_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_store(tmp_path_factory.mktemp("steered"), swath=[29700.0, 30300.0], more=targets())
+
+
+@pytest.fixture(scope="module")
+def spotlight_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """All of the scene is lit all the time: the Doppler centroid tells nothing."""
+    return Path(blocksar.simulate("paper_b", tmp_path_factory.mktemp("spotlight") / "ph.zarr"))
+
+
+@pytest.fixture(scope="module")
+def steered(steered_store: Path) -> Part:
+    return part(steered_store, None)
+
+
+@pytest.fixture(scope="module")
+def spotlight(spotlight_store: Path) -> Part:
+    return part(spotlight_store, GRID)
+
+
+def run(signal: ComplexArray, collection: Collection, grid: Grid | None, *, thorough: bool = False) -> Findings:
+    return check(signal, collection, grid=grid, threads=2, thorough=thorough)
+
+
+@pytest.mark.parametrize("kind", ["steered", "spotlight"])
+@pytest.mark.parametrize("thorough", [False, True])
+def test_right_samples_pass(kind: str, thorough: bool, request: pytest.FixtureRequest) -> None:
+    findings = run(*request.getfixturevalue(kind), thorough=thorough)
+    assert findings.speaks
+    assert findings.warning() is None
+    assert findings.sentence().startswith("the samples fit what is said of them")
+    assert findings.sharpness > 0.9
+    if thorough:
+        assert len(findings.trials) > 5
+        assert findings.given.sharpness > max(trial.sharpness for trial in findings.trials[1:])
+
+
+SAMPLES: dict[str, Callable[[ComplexArray], ComplexArray]] = {
+    "the signal is conjugated": np.conj,
+    "the range axis is reversed": lambda s: s[:, ::-1],
+    "the phase of the carrier has the other sign": lambda s: np.conj(s[:, ::-1]),
+    "the pulses are in the opposite order": lambda s: s[::-1],
+}
+
+
+@pytest.mark.parametrize("kind", ["steered", "spotlight"])
+@pytest.mark.parametrize("name", SAMPLES)
+def test_wrong_samples_are_found_and_named(name: str, kind: str, request: pytest.FixtureRequest) -> None:
+    signal, collection, grid = request.getfixturevalue(kind)
+    warning = run(SAMPLES[name](signal), collection, grid).warning()
+    assert warning is not None
+    assert warning.startswith(name)
+
+
+METADATA: dict[str, Callable[[Collection], dict[str, Any]]] = {
+    "x and y are swapped": lambda c: {"antenna_position": c.antenna_position[:, [1, 0, 2]]},
+    "the track runs backwards": lambda c: {"antenna_position": c.antenna_position[::-1]},
+    "the beam turns the other way": lambda c: {"beam_azimuth": c.beam_azimuth[::-1]},
+    "the beam looks to the other side": lambda c: {"beam_azimuth": -c.beam_azimuth},
+    "the beam is off by +4.25 degrees": lambda c: {"beam_azimuth": c.beam_azimuth + c.beam_width},
+}
+
+
+@pytest.mark.parametrize("name", METADATA)
+def test_wrong_tracks_and_beams_are_found_and_named(name: str, steered: Part) -> None:
+    signal, collection, _ = steered
+    warning = run(signal, replace(collection, **METADATA[name](collection)), None).warning()
+    assert warning is not None
+    assert warning.startswith(name)
+
+
+def wobble(collection: Collection, size: float) -> Collection:
+    """A sinusoidal error of the track, `size` m, in all axes."""
+    error = size * np.sin(2 * np.pi * 0.7 * collection.time)[:, None] * np.array([0.6, 0.3, 0.74])
+    return replace(collection, antenna_position=collection.antenna_position + error)
+
+
+def test_six_millimetres_of_track_error_are_noticed(spotlight: Part) -> None:
+    signal, collection, grid = spotlight
+    findings = run(signal, wobble(collection, 0.006), grid)
+    assert findings.blurred
+    assert findings.sharpness < 0.7
+    assert "autofocus" in (findings.warning() or "")
+    assert run(signal, wobble(collection, 0.0003), grid).warning() is None
+
+
+def test_an_error_of_velocity_or_height_is_measured(spotlight: Part) -> None:
+    signal, collection, grid = spotlight
+    position, time = collection.antenna_position, collection.time - collection.time.mean()
+    velocity = (position[-1] - position[0]) / (time[-1] - time[0])
+    fast = replace(collection, antenna_position=position + 0.01 * np.outer(time, velocity))
+    assert "a velocity that is about 0.99 % too high" in (run(signal, fast, grid).warning() or "")
+    high = replace(collection, antenna_position=position + np.array([0.0, 0.0, 20.0]))
+    assert "an offset of about 20 m towards +z" in (run(signal, high, grid).warning() or "")
+
+
+def test_a_scene_without_prominent_places_tells_nothing(steered: Part) -> None:
+    signal, collection, _ = steered
+    rng = np.random.default_rng(0)
+    noise = (rng.standard_normal(signal.shape) + 1j * rng.standard_normal(signal.shape)).astype(np.complex64)
+    findings = run(noise, collection, None)
+    assert not findings.speaks
+    assert findings.warning() is None
+    assert "no prominent places" in findings.sentence()
+
+
+def test_missing_samples_and_spikes_do_not_matter(steered: Part) -> None:
+    signal, collection, _ = steered
+    damaged = signal.copy()
+    damaged[::7] = np.nan
+    damaged[100, 50] = 1e30
+    findings = run(damaged, collection, None)
+    assert findings.speaks
+    assert findings.warning() is None
+
+
+def test_constant_samples_are_refused(steered: Part) -> None:
+    signal, collection, _ = steered
+    with pytest.raises(InputError, match=r"signal is constant: all samples that were looked at are 1\+2j"):
+        run(np.full_like(signal, 1 + 2j), collection, None)
+
+
+def test_the_command_compares_everything(steered_store: Path) -> None:
+    result = CliRunner().invoke(commands.app, ["check", str(steered_store)], prog_name="blocksar")
+    assert result.exit_code == 0
+    for words in ("as given", "the signal is conjugated", "the samples fit what is said of them"):
+        assert words in result.output
+
+
+def test_a_spotlight_collection_needs_a_grid(spotlight_store: Path) -> None:
+    with pytest.raises(InputError, match="grid is missing"):
+        blocksar.check(spotlight_store)
