@@ -26,6 +26,7 @@ Angle = TypeVar("Angle", float, FloatArray)
 
 # rad; 3 micrometres at 30 km. The only tolerance, for yaws that were themselves computed from the beam's edge: they
 # carry rounding errors (4e-16 at pi, 1e-14 at 100 rad, 1e-11 where coordinates are large) and still count as on it.
+STILL = 1e-9  # rad: a beam that turns by less stands still
 EDGE = 1e-10
 
 
@@ -195,7 +196,7 @@ def dwell_at(geometry: Geometry, yaw: FloatArray, *, uncut: bool = False) -> tup
     if collection.beam_width is None:
         return np.full(yaw.shape, start), np.full(yaw.shape, end)
     beam, time, half = collection.beam_azimuth, collection.time, collection.beam_width / 2
-    if beam[0] == beam[-1]:
+    if abs(beam[-1] - beam[0]) < STILL:
         lit = in_beam(yaw, beam[0], half + EDGE)
         return np.where(lit, start, np.inf), np.where(lit, end, -np.inf)
     yaw = turned_near(yaw, (beam[0] + beam[-1]) / 2)

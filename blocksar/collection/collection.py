@@ -107,6 +107,11 @@ class Collection:
                 f"{CARRIERS[1]:g} Hz; correct it, or its unit"
             )
         self._check_size("range_frequency", "Hz", CARRIERS[1])
+        if self.range_window > FARTHEST:
+            raise InputError(
+                f"range_frequency is spaced by {self.range_frequency_step:.3g} Hz, for a range window of "
+                f"{self.range_window:.3g} m, beyond the {FARTHEST:g} m that can be meant; correct it, or its unit"
+            )
         if self.carrier + self.range_frequency[0] <= 0:
             raise InputError(
                 f"range_frequency starts at {self.range_frequency[0]:.6g} Hz, below minus the carrier "

@@ -21,7 +21,7 @@ FEWEST = 2  # places on which anything can be said
 SIGNIFICANT = 30.0  # times 1 / n: concentration that chance does not give
 SHARPER = 1.02  # times the concentration as given: an alternative that is believed
 AS_REFOCUSED = 0.95  # of the concentration after a refocus, that it reaches as well
-CERTAIN = 0.7  # share of the quantiles of its places that are higher
+CERTAIN = 0.6  # share of the quantiles of its places that are higher
 CLEAR = 0.65  # concentration that only points in focus have: below it, alternatives are tried
 SHARP = 0.8  # of the concentration after a refocus: below it the track is doubted
 EXPLAINED = 0.8  # of a phase error: what is named as its cause
@@ -227,7 +227,9 @@ def _cleaned(signal: ComplexArray) -> ComplexArray:
         )
     median = float(np.median(modulus[valid]))
     valid &= modulus < SPIKE * median
-    return np.where(valid, signal / median, 0).astype(np.complex64)
+    clean = np.zeros(signal.shape, np.complex64)
+    np.divide(signal, median, out=clean, where=valid, casting="unsafe")
+    return clean
 
 
 def _tried(other: Alternative, given: Samples, grid: Grid | None) -> Trial:
