@@ -15,6 +15,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from multiprocessing import forkserver, resource_tracker
+from multiprocessing.util import get_temp_dir
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,7 @@ from blocksar.version import __version__
 WORKER_TTL = 60.0  # s without a message from a worker of the local cluster before it counts as lost
 CONNECT = 20.0  # s for a running scheduler to answer
 PRE_SPAWN = "distributed.nanny.pre-spawn-environ"  # variables that libraries read when they are loaded
+LONGEST_FOLDER, SHORT_FOLDER = 70, "/tmp"  # characters that leave room for the name of a socket
 WORKER_MODULE = "blocksar.graph.worker"
 SETTINGS = {"distributed.admin.low-level-log-length": 10}  # dask would keep the last 1000 messages to workers
 
@@ -74,6 +76,22 @@ def prepare_workers(threads: int) -> None:
             _start_fork_server()
 
 
+@contextmanager
+def _short_sockets() -> Iterator[None]:
+    """Let the sockets of `multiprocessing` lie in /tmp where the temporary folder's path is too long for them.
+
+    A socket's path has at most 107 characters. `get_temp_dir` makes the folder once for the life of this process.
+    """
+    usual = tempfile.tempdir
+    if len(tempfile.gettempdir()) > LONGEST_FOLDER and os.access(SHORT_FOLDER, os.W_OK):
+        tempfile.tempdir = SHORT_FOLDER
+    try:
+        get_temp_dir()
+        yield
+    finally:
+        tempfile.tempdir = usual
+
+
 def _start_fork_server() -> None:
     """Start the process that workers are forked from, if it does not run yet.
 
@@ -87,7 +105,8 @@ def _start_fork_server() -> None:
     os.environ.update(wanted)
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
-        forkserver.ensure_running()
+        with _short_sockets():
+            forkserver.ensure_running()
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         for name, value in own.items():

@@ -144,14 +144,18 @@ def smear_loss(line: Line, spots: Focus, rate: FloatArray, geometry: Geometry) -
     collection = geometry.collection
     lit = np.broadcast_to(line.weight, line.time.shape).sum(axis=-1)
     full = lit >= FULL * lit.max()
-    full[:, 1:-1] &= full[:, :-2] & full[:, 2:]  # both neighbours, for the differences
+    inner = full.copy()
+    inner[:, 1:-1] &= full[:, :-2] & full[:, 2:]  # both neighbours, for the differences
+    full = inner if inner.any() else full
     spread = lit / 2 * collection.bandwidth / 2 / collection.carrier  # by the keystone, at the band's edges
     lost = np.zeros(lit.shape)
     for smear, end in zip(np.moveaxis(end_smear(line, rate), -1, 0), dwell_ends(line), strict=True):
         slope = smear + np.gradient(end, axis=1) / np.gradient(spots.doppler, axis=1)
         low = np.min(slope, axis=1, where=full, initial=np.inf)
         high = np.max(slope, axis=1, where=full, initial=-np.inf)
-        middle = np.where(full.any(axis=1), (low + high) / 2, 0.0)[:, None]
+        none = ~full.any(axis=1)
+        low[none], high[none] = 0.0, 0.0
+        middle = (low + high)[:, None] / 2
         lost += _blurred_energy(slope - middle, np.zeros(1), spread, spread, collection.pulse_interval) / (2 * lit)
     return float(lost[full].max())
 

@@ -59,10 +59,10 @@ def test_clutter_is_coherent_with_back_projection(
     chips = quality["reference"]
     # Chips differ from each other by 5e-4: they hold a few thousand resolution cells. Where fewer scatterers are lit
     # than the beam would hold, as at the ends of a scene, the ends of dwells lose less than predicted.
-    assert -0.001 < quality["least_coherence"]["measured"] - quality["least_coherence"]["predicted"] < 0.0015
+    assert abs(quality["least_coherence"]["measured"] - quality["least_coherence"]["predicted"]) < 0.0011
     assert len(chips) >= 15  # block centres, seams and swath ends, each at near, middle and far range
     for chip in chips:
-        assert chip["coherence"] >= 0.996, chip
+        assert chip["coherence"] >= 0.998, chip
         assert chip["gain"] == pytest.approx(1.0, abs=0.02), chip
         assert abs(chip["phase"]) <= 0.02, chip
 
@@ -94,8 +94,10 @@ def test_a_track_that_wobbles_is_coherent_with_back_projection(processor: Any, c
     grid = coarse_grid(store)
     blocksar.focus(store, tmp_path / "run", blocks=plan.n_blocks, processor=processor, grid=grid, client=client)
     chips = blocksar.quality(tmp_path / "run", reference=True).result["reference"]
+    # Its steps in Doppler smear the ends of dwells the most; single chips of sparse clutter lose up to twice the mean.
+    least = 0.998 if processor == "high-order-phase" else 0.999
     for chip in chips:
-        assert chip["coherence"] >= 0.999, chip
+        assert chip["coherence"] >= least, chip
         assert chip["gain"] == pytest.approx(1.0, abs=0.02), chip
         assert abs(chip["phase"]) <= 0.02, chip
 

@@ -15,6 +15,8 @@ import blocksar
 from blocksar.errors import InputError
 from blocksar.simulation.scene import Scene
 
+TARGET = '[[targets]]\nname = "P"\nrange = 30000.0\nyaw_deg = 50.0\n'
+
 
 @pytest.fixture(scope="module")
 def stores(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
@@ -85,7 +87,7 @@ def test_linear_derotation_needs_a_higher_prf(client: Client, tmp_path: Path) ->
     assert blocksar.plan(tmp_path / "low.toml", blocks=3).refusal is None
     with pytest.raises(InputError, match=r"after linear derotation .* a PRF of at least 7\d\d\d Hz is needed"):
         blocksar.plan(tmp_path / "low.toml", blocks=3, derotation="linear")
-    store = write_store(tmp_path, duration=0.3, steering=(46.0, 54.0), swath=[29800.0, 30200.0])
+    store = write_store(tmp_path, duration=0.3, steering=(46.0, 54.0), swath=[29800.0, 30200.0], more=TARGET)
     report = blocksar.focus(store, tmp_path / "run", blocks=1, derotation="linear", client=client, grid=GRID)
     assert report.result["settings"]["derotation"] == "linear"
     straight = blocksar.focus(store, tmp_path / "straight", blocks=1, client=client, grid=GRID)
