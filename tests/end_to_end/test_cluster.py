@@ -324,3 +324,11 @@ def test_the_search_detects_unsafe_code(text: str) -> None:
     assert not list(
         unsafe("import ast, json\nre.compile(x)\nnp.load(x, allow_pickle=False)\nsubprocess.run(x, shell=False)")
     )
+
+
+def test_a_temporary_folder_with_a_long_name_serves(tmp_path: Path) -> None:
+    """Workers are forked by a process with a socket, whose path may have 107 characters."""
+    folder = tmp_path / ("x" * 100)
+    folder.mkdir()
+    code = "from blocksar.graph.cluster import prepare_workers; prepare_workers(1)"
+    subprocess.run([sys.executable, "-c", code], env=os.environ | {"TMPDIR": str(folder)}, check=True, timeout=60)

@@ -383,7 +383,7 @@ def most_used(disk: Disk, process: Process) -> int:
     return most
 
 
-@pytest.mark.parametrize("stage", [*OFTEN, "run.json"])
+@pytest.mark.parametrize("stage", [*OFTEN, pytest.param("run.json", marks=pytest.mark.slow)])
 def test_a_run_resumes_after_the_disk_was_full(
     stage: str,
     launcher: Launcher,

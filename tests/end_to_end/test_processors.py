@@ -50,6 +50,7 @@ GROUNDS = {
 ELSEWHERE = {("table1", "angular-division"), *((name, processor) for name, (processor, _) in PAPERS.items())}
 SLOWEST = {("paper_b", "high-order-phase"), ("paper_c", "angular-division"), ("paper_c", "keystone-resampling")}
 SLOWEST |= {
+    ("table1", "keystone-resampling"),
     ("scan reversed", "keystone-resampling"),
     ("scan reversed", "high-order-phase"),
     ("paper_b", "angular-division"),

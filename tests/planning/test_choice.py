@@ -63,7 +63,7 @@ def test_closed_form_against_fit_and_against_deramp_alone(name: str, processor: 
 # ---------------------------------------------------------------- Choice of the processor
 
 
-@pytest.mark.parametrize("name", ["table1", "paper_c"])
+@pytest.mark.parametrize("name", [pytest.param("table1", marks=pytest.mark.slow), "paper_c"])
 def test_auto_compares_the_processors_in_a_table(name: str) -> None:
     grid = PAPERS[name][1] if name in PAPERS else None
     report = blocksar.plan(name, processor="auto", grid=grid)
