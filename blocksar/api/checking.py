@@ -10,6 +10,8 @@ from blocksar import stores
 from blocksar.api.arguments import GridLike, grid_of, path_of
 from blocksar.api.measuring import pulse_reader
 from blocksar.api.reports import Report, Table
+from blocksar.arrays import ComplexArray
+from blocksar.chunks import TILE
 from blocksar.collection.grid import Grid
 from blocksar.graph.cluster import machine
 from blocksar.inspection import check as samples_check
@@ -69,10 +71,19 @@ def check_samples(history: stores.PhaseHistory, grid: Grid | None, *, threads: i
     """
     collection = history.collection.centred()
     pulses, columns = samples_check.part_to_read(collection)
-    raw = history.raw is not None
-    signal = pulse_reader(history)(pulses)[:, columns] if raw else history.read(pulses, columns)
+    signal = history.read(pulses, columns) if history.raw is None else _compressed(history, pulses, columns)
     part = samples_check.part_of(collection, pulses, columns)
     return samples_check.check(signal, part, grid=grid, threads=threads, thorough=thorough)
+
+
+def _compressed(history: stores.PhaseHistory, pulses: slice, columns: slice) -> ComplexArray:
+    """Some range frequencies of a raw echo, which is compressed a few pulses at a time."""
+    read = pulse_reader(history)
+    signal = np.empty((pulses.stop - pulses.start, columns.stop - columns.start), np.complex64)
+    for first in range(pulses.start, pulses.stop, TILE[0]):
+        part = slice(first, min(first + TILE[0], pulses.stop))
+        signal[part.start - pulses.start : part.stop - pulses.start] = read(part)[:, columns]
+    return signal
 
 
 def _table(findings: Findings) -> Table:

@@ -7,6 +7,7 @@ pulse by pulse - are constant if the long aperture is right too.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -119,8 +120,8 @@ class Lines:
         way = float(np.linalg.norm(position[-1] - position[0]))
         ranges = np.arange(near, far, 0.7 * self.cell)
         yaws = np.linspace(low, high, max(int((high - low) * way / (0.35 * collection.wavelength)), 3))
-        coarser = np.sqrt(max(ranges.size * yaws.size * position.shape[0] / MOST_UPDATES, 1.0))
-        ranges = ranges[:: int(np.ceil(coarser))] if coarser > 1 else ranges
+        every = math.ceil(np.sqrt(max(ranges.size * yaws.size * position.shape[0] / MOST_UPDATES, 1.0)))
+        ranges, yaws = ranges[::every], yaws[::every]  # of a large scene some places are missed
         point = geometry.ground_point(ranges[None, :], yaws[:, None])
         x, y = (np.ascontiguousarray(point[..., axis]) for axis in (0, 1))
         image, outside = np.zeros(x.shape, np.complex64), np.zeros(x.shape, np.bool_)
