@@ -55,7 +55,7 @@ def refocus(lines: Sequence[Line], n_pulse: int) -> Refocus:
                 gradient = np.conj(lobe[:-1]) * lobe[1:] / level
                 steps[line.pulses.start : line.pulses.stop - 1] += concentration(lobe) * gradient
                 weight += 1.0
-        phase = phase + _smooth(np.concatenate([[0.0], np.cumsum(np.angle(_averaged(steps, longest)))]), longest)
+        phase = phase + _level(np.concatenate([[0.0], np.cumsum(np.angle(_averaged(steps, longest)))]))
         left = np.array([concentration(line.values * np.exp(-1j * phase[line.pulses])) for line in lines])
         if np.median(left) > np.median(best.concentration):
             best = Refocus(left, phase)
@@ -75,13 +75,6 @@ def _averaged(steps: Complex128Array, longest: int) -> Complex128Array:
     """Running mean of phasors over a KNOTS-th of the longest dwell."""
     size = min(max(round(longest / KNOTS), 1), steps.size)
     return np.convolve(steps, np.ones(size), mode="same")
-
-
-def _smooth(phase: FloatArray, longest: int) -> FloatArray:
-    """The phase without its line, which displaces and does not blur."""
-    time = np.linspace(-1.0, 1.0, phase.size)
-    terms = np.stack([np.ones_like(time), time])
-    return np.asarray(phase - least_squares(terms, phase) @ terms)
 
 
 class TrackError(NamedTuple):
@@ -135,8 +128,10 @@ def _blur(distance: FloatArray, ground: FloatArray) -> FloatArray:
 
 
 def _level(phase: FloatArray) -> FloatArray:
-    """The phase without its mean and its line."""
-    return _smooth(phase, phase.size)
+    """The phase without its mean and its line, which displace and do not blur."""
+    time = np.linspace(-1.0, 1.0, phase.size)
+    terms = np.stack([np.ones_like(time), time])
+    return np.asarray(phase - least_squares(terms, phase) @ terms)
 
 
 def blurring_phase(lines: Sequence[Line], phase: FloatArray) -> float:

@@ -35,9 +35,8 @@ from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.lines import Focus, Line
-from blocksar.planning.gates import dwell_ends, end_smear
+from blocksar.planning.gates import dwell_ends, end_smear, full_dwells
 
-FULL = 0.999  # of the longest dwell: a full one
 BAND_NODES = (np.arange(6) - 2.5) / 3  # of the half band: middles of its sixths, for means over range frequency
 
 
@@ -79,8 +78,7 @@ def worst_losses(
     ends = np.zeros_like(phase)
     if gate is not None:
         ends = _at_ends(line, spots, yaw, geometry, rate=rate, gate=gate, scaled_about=scaled_about)
-    lit = line.weight.sum(axis=-1)
-    total = np.where(lit >= FULL * lit.max(), phase + migration + ends, -1.0)
+    total = np.where(full_dwells(line), phase + migration + ends, -1.0)
     worst = np.unravel_index(int(np.argmax(total)), total.shape)
     return Losses(
         float(phase[worst]), float(migration[worst]), float(ends[worst]), 1 - float(np.exp(-(track_phase**2) / 2))
@@ -143,7 +141,7 @@ def smear_loss(line: Line, spots: Focus, rate: FloatArray, geometry: Geometry) -
     """
     collection = geometry.collection
     lit = np.broadcast_to(line.weight, line.time.shape).sum(axis=-1)
-    full = lit >= FULL * lit.max()
+    full = full_dwells(line)
     inner = full.copy()
     inner[:, 1:-1] &= full[:, :-2] & full[:, 2:]  # both neighbours, for the differences
     full = inner if inner.any() else full

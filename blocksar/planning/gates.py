@@ -19,6 +19,7 @@ from blocksar.planning.target_lines import middle_line
 
 RANGE_GUARD = 48  # range cells on either side of a sub-block, for side lobes of targets at its ends
 GATE_ROOM = 1.62  # dwells that the sampling in Doppler has room for
+FULL = 0.999  # of the longest dwell: a full one
 GATE_RANGE_DEGREE = 4  # of the ends of dwells in range
 GATE_DEGREE = 5  # and in Doppler
 
@@ -116,8 +117,7 @@ def plan_gate(
         return solvers.product(series, powers)
 
     length, smear = float(lengths.mean()), end_smear(line, rate)
-    lit_time = line.weight.sum(axis=-1)
-    full = lit_time >= 0.999 * lit_time.max()
+    full = full_dwells(line)
     begin, end = fit(begins + length / 2), fit(ends - length / 2)
     phases = place.integral(begin), place.integral(end)
     at_middle = place.integral((begin + end) / 2).coefficients(np.array((near + far) / 2))[None]
@@ -137,6 +137,12 @@ def plan_gate(
         length=length,
         time=fourier.centred(0.0, slow.step, size),
     )
+
+
+def full_dwells(line: Line) -> BoolArray:
+    """Which of some lines (..., n) are lit over a full dwell: the longest of them, or nearly."""
+    lit = np.broadcast_to(line.weight, line.time.shape).sum(axis=-1)
+    return np.asarray(lit >= FULL * lit.max())
 
 
 def dwell_ends(line: Line) -> tuple[FloatArray, FloatArray]:
