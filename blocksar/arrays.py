@@ -1,4 +1,4 @@
-"""Array types, and a check for uniform axes."""
+"""Array types, a check for uniform axes, and repeated axes."""
 
 from __future__ import annotations
 
@@ -39,3 +39,8 @@ def check_axis(axis: FloatArray, name: str, unit: str) -> None:
             f"{name} is not uniform: index {int(error.argmax())} lies {error.max():.3g} steps of "
             f"{step:.6g} {unit} from its place; resample it to a uniform axis"
         )
+
+
+def unrepeated(values: FloatArray) -> FloatArray:
+    """A view of an array without the repetitions of `np.broadcast_to`: axes of stride 0 get length 1."""
+    return values[tuple(slice(1) if stride == 0 else slice(None) for stride in values.strides)]

@@ -49,6 +49,33 @@ def chebyshev_series(u: FloatArray, values: FloatArray, degree: int) -> FloatArr
     )
 
 
+@lru_cache(maxsize=64)
+def end_nodes(n: int) -> FloatArray:
+    """The n Chebyshev nodes that include both ends, ascending from -1 to 1; read-only."""
+    nodes = -np.cos(np.pi * np.arange(n) / (n - 1))
+    nodes.flags.writeable = False
+    return nodes
+
+
+def node_series(values: FloatArray, degree: int) -> FloatArray:
+    """Chebyshev series (degree + 1, ...), degree < n, of values (n, ...) at `end_nodes(n)`.
+
+    The series through all values, cut off at the degree: least squares in which each end counts half.
+    """
+    return np.einsum("ij,j...->i...", _node_weights(values.shape[0], degree), values)
+
+
+@lru_cache(maxsize=64)
+def _node_weights(n: int, degree: int) -> FloatArray:
+    """What `node_series` multiplies values at nodes by, (degree + 1, n)."""
+    weights = np.asarray(chebyshev.chebvander(end_nodes(n), degree).T, np.float64) * 2 / (n - 1)
+    weights[:, [0, -1]] /= 2
+    weights[0] /= 2
+    if degree == n - 1:
+        weights[-1] /= 2
+    return weights
+
+
 @lru_cache(maxsize=16)
 def gauss_legendre(n: int) -> tuple[FloatArray, FloatArray]:
     """Nodes in (-1, 1), ascending, and weights (n,) of Gauss-Legendre quadrature, by Newton's method; read-only."""
@@ -82,10 +109,10 @@ def orthogonal_basis(terms: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def back_substitute(r: FloatArray, right: FloatArray) -> FloatArray:
     """The x (n, ...) with r x = right, for an upper triangular r (n, n) and right (n, ...)."""
-    x = np.zeros_like(right)
+    x = right.copy()
     for i in range(r.shape[0] - 1, -1, -1):
-        known = (r[i, i + 1 :] * np.moveaxis(x[i + 1 :], 0, -1)).sum(axis=-1)
-        x[i] = (right[i] - known) / r[i, i]
+        x[i] /= r[i, i]
+        x[:i] -= r[:i, i].reshape(-1, *(1,) * (x.ndim - 1)) * x[i]
     return x
 
 

@@ -65,6 +65,15 @@ def test_chebyshev_series_is_that_of_numpy() -> None:
     np.testing.assert_allclose(solvers.chebyshev_series(u, values, 9), wanted, atol=1e-12)
 
 
+@pytest.mark.parametrize("degree", [3, 8, 11])
+def test_a_series_at_nodes_is_that_of_weighted_least_squares(degree: int) -> None:
+    u, values = solvers.end_nodes(12), np.random.default_rng(6).standard_normal((12, 3, 2))
+    assert u[0] == -1 and u[-1] == 1
+    weights = np.r_[0.5, np.ones(10), 0.5]
+    wanted = np.polynomial.chebyshev.chebfit(u, values.reshape(12, 6), degree, w=np.sqrt(weights))
+    np.testing.assert_allclose(solvers.node_series(values, degree).reshape(-1, 6), wanted, atol=1e-12)
+
+
 def test_an_orthogonal_basis_spans_the_terms() -> None:
     terms = np.polynomial.chebyshev.chebvander(np.linspace(-1, 1, 300), 40).T
     q, r = solvers.orthogonal_basis(terms)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.polynomial import chebyshev
+from numpy.polynomial import Chebyshev, Polynomial, chebyshev
 
 from blocksar import solvers
 from blocksar.arrays import FloatArray
@@ -202,6 +202,16 @@ class Geometry:
         """Antenna position at the epoch, (3,) m."""
         return self.track.position(np.array(self.epoch))
 
+    @cached_property
+    def track_powers(self) -> list[FloatArray]:
+        """Power coefficients of the polynomial track about the epoch, one array for each axis, m/s^n."""
+        track = self.track
+        axis = Polynomial([self.epoch - track.centre, 1.0]) / track.half
+        return [
+            np.asarray(Chebyshev(column).convert(kind=Polynomial)(axis).coef, np.float64)
+            for column in track.coefficients.T
+        ]
+
     def yaw(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Yaw of ground points about the nadir at t = 0: atan2(y - y0, x - x0), rad (paper A (33) misprints atan)."""
         return np.arctan2(y - self.nadir[1], x - self.nadir[0])
@@ -236,14 +246,21 @@ class Geometry:
     def range_history(self, point: FloatArray, time: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Exact range (m) and range rate (m/s) of points (..., 3) at slow times, broadcast against the leading axes."""
         sight = point - self.track.position(time)
-        distance = np.sqrt(np.einsum("...i,...i->...", sight, sight))
-        rate = -np.einsum("...i,...i->...", sight, self.track.velocity(time)) / distance
-        return distance, rate
+        distance = np.sqrt(_inner(sight, sight))
+        return distance, -_inner(sight, self.track.velocity(time)) / distance
 
-    def range_curvature(self, point: FloatArray, time: FloatArray) -> FloatArray:
-        """Second time derivative of the range, m/s^2: (v.v - s.a - rate^2) / range, with s the line of sight."""
+    def range_motion(self, point: FloatArray, time: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """As `range_history`, and the second derivative of the range, m/s^2.
+
+        It is (v.v - s.a - rate^2) / range, with s the line of sight.
+        """
         sight, velocity = point - self.track.position(time), self.track.velocity(time)
-        distance, rate = self.range_history(point, time)
-        speed2 = np.einsum("...i,...i->...", velocity, velocity)
-        pull = np.einsum("...i,...i->...", sight, self.track.acceleration(time))
-        return (speed2 - pull - rate**2) / distance
+        distance = np.sqrt(_inner(sight, sight))
+        rate = -_inner(sight, velocity) / distance
+        pull = _inner(sight, self.track.acceleration(time))
+        return distance, rate, (_inner(velocity, velocity) - pull - rate**2) / distance
+
+
+def _inner(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Inner products of vectors (..., 3), broadcast: (...)."""
+    return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.polynomial import polynomial as power
 
 from blocksar import solvers
 from blocksar.arrays import FloatArray
@@ -16,15 +15,9 @@ def range_series(geometry: Geometry, epoch_range: FloatArray, yaw: FloatArray, *
     The squared range is a short polynomial in t. A power-series recursion takes its square root, exact to
     machine precision for any polynomial track.
     """
-    track = geometry.track
-    axis = power.Polynomial([geometry.epoch - track.centre, 1.0]) / track.half
-    position = [
-        np.polynomial.Chebyshev(column).convert(kind=np.polynomial.Polynomial)(axis).coef
-        for column in track.coefficients.T
-    ]
     point = geometry.ground_point(epoch_range, yaw)
     squared = np.zeros((*point.shape[:-1], order + 1))
-    for i, column in enumerate(position):
+    for i, column in enumerate(geometry.track_powers):
         sight = np.zeros((*point.shape[:-1], order + 1))
         kept = min(order + 1, column.size)
         sight[..., :kept] = -column[:kept]

@@ -38,13 +38,11 @@ class Surface:
 
 
 def fit_surface(values: FloatArray, *, epoch_range: FloatArray, yaw: FloatArray, degree: tuple[int, int]) -> Surface:
-    """Fit a tensor series by least squares to values (n_range, n_yaw) on a grid that spans the domain."""
-    near, far, low, high = epoch_range[0], epoch_range[-1], yaw[0], yaw[-1]
-    u = (2 * epoch_range - near - far) / (far - near)
-    v = (2 * yaw - low - high) / (high - low)
-    in_range = solvers.chebyshev_series(u, values, min(degree[0], u.size - 1))
-    series = solvers.chebyshev_series(v, in_range.T, min(degree[1], v.size - 1)).T
-    return Surface(series=np.asarray(series), near=float(near), far=float(far), low=float(low), high=float(high))
+    """The tensor series of values (n_range, n_yaw), at ranges and yaws that lie as `solvers.end_nodes` do."""
+    in_range = solvers.node_series(values, min(degree[0], epoch_range.size - 1))
+    series = solvers.node_series(in_range.T, min(degree[1], yaw.size - 1)).T
+    near, far, low, high = map(float, (epoch_range[0], epoch_range[-1], yaw[0], yaw[-1]))
+    return Surface(series=series, near=near, far=far, low=low, high=high)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

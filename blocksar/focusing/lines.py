@@ -21,7 +21,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.polynomial import chebyshev
 
 from blocksar import solvers
 from blocksar.arrays import FloatArray
@@ -187,8 +186,11 @@ class RowPolynomial:
 
     def coefficients(self, rng: FloatArray) -> FloatArray:
         """(..., order + 1) power coefficients at ranges of any shape."""
-        u = (2 * rng - self.near - self.far) / (self.far - self.near)
-        return np.moveaxis(np.asarray(chebyshev.chebval(np.clip(u, -1.1, 1.1), self.series), dtype=np.float64), 0, -1)
+        u = np.clip((2 * np.asarray(rng) - self.near - self.far) / (self.far - self.near), -1.1, 1.1)[..., None]
+        last, total = np.zeros(1), np.zeros((*u.shape[:-1], self.series.shape[1]))
+        for term in self.series[:0:-1]:  # Clenshaw's recurrence
+            last, total = total, term + 2 * u * total - last
+        return np.asarray(self.series[0] + u * total - last)
 
     def variable(self, values: FloatArray) -> FloatArray:
         """z at values along the row."""
@@ -200,10 +202,15 @@ class RowPolynomial:
         z = self.variable(values)
         value, slope, bend = (np.zeros(np.broadcast_shapes(z.shape, terms.shape[1:])) for _ in range(3))
         for term in terms[::-1]:
-            bend = bend * z + 2 * slope
-            slope = slope * z + value
-            value = value * z + term
-        return value, slope / self.scale, bend / self.scale**2
+            bend *= z
+            bend += slope
+            slope *= z
+            slope += value
+            value *= z
+            value += term
+        slope /= self.scale
+        bend *= 2 / self.scale**2
+        return value, slope, bend
 
 
 def row_polynomial(
@@ -216,9 +223,9 @@ def row_polynomial(
     coefficients : (n_range, order + 1) float
         Coefficients of the powers of z = (v - centres[i]) / scale.
     ranges : (n_range,) float
-        Ascending, m.
+        m, at Chebyshev nodes that include both ends, `solvers.end_nodes`.
     degree : int
-        Degree of the series in range, fitted by least squares.
+        Largest degree of the series in range.
     """
     centre = float(np.mean(centres))
     order = coefficients.shape[1] - 1
@@ -228,10 +235,8 @@ def row_polynomial(
         for j in range(k + 1):
             shifted[:, j] += coefficients[:, k] * math.comb(k, j) * move ** (k - j)
     near, far = float(ranges[0]), float(ranges[-1])
-    degree = min(degree, ranges.size - 1)
-    u = (2 * ranges - near - far) / (far - near)
-    series = solvers.chebyshev_series(u, shifted, degree)
-    return RowPolynomial(series=np.asarray(series), near=near, far=far, centre=centre, scale=scale)
+    series = solvers.node_series(shifted, min(degree, ranges.size - 1))
+    return RowPolynomial(series=series, near=near, far=far, centre=centre, scale=scale)
 
 
 class AzimuthPolynomials(NamedTuple):

@@ -58,11 +58,11 @@ class MotionCompensation(Step):
 
     def operations(self) -> list[Operation]:
         """Rows of time.size samples, one per range frequency."""
-        cycles = (self.motion.terms(self.axes.time.values)[0] * self.motion.middle).sum(axis=-1)
+        cycles = self.motion.at_middle.terms(self.axes.time.values)[0][..., 0]
         return [ScaledTurn(1 + self.axes.range_frequency.values / self.carrier, cycles)]
 
     def trace(self, line: Line) -> Line:
-        cycles, rate, curvature = ((term * self.motion.middle).sum(axis=-1) for term in self.motion.terms(line.time))
+        cycles, rate, curvature = (term[..., 0] for term in self.motion.at_middle.terms(line.time))
         turned = line.multiply_time(cycles, rate, curvature)
         return turned.shift_range(-SPEED_OF_LIGHT / (2 * self.carrier) * cycles)
 
@@ -94,7 +94,8 @@ class RangeMotionCompensation(Step):
 
     def trace(self, line: Line) -> Line:
         factors = self._factors(line.range.mean(axis=-1))[..., None, :]
-        return line.multiply_time(*((term * factors).sum(axis=-1) for term in self.motion.terms(line.time)))
+        terms = self.motion.terms(line.time)
+        return line.multiply_time(*(np.einsum("...k,...k->...", term, factors) for term in terms))
 
     def _factors(self, rng: FloatArray) -> FloatArray:
         return self.motion.factors(rng) - self.motion.middle

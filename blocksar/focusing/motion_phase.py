@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Self
 
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from blocksar.arrays import FloatArray
+from blocksar.arrays import FloatArray, unrepeated
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,7 +60,11 @@ class Motion:
         return self.value.shape[1]
 
     def terms(self, time: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """psi_k and its first two derivatives, (..., n_term), at slow times of any shape."""
+        """psi_k and its first two derivatives, (..., n_term), at slow times of any shape.
+
+        Axes along which the times are repeated (`np.broadcast_to`) have length 1 in the result.
+        """
+        time = unrepeated(time)
         position = (time - self.start) / self.step
         i = np.clip(np.floor(position), 0, self.value.shape[0] - 2).astype(np.int64)
         t = ((position - i) * self.step)[..., None]
@@ -70,6 +75,13 @@ class Motion:
             slope + t * (bend + t * twist / 2),
             bend + t * twist,
         )
+
+    @cached_property
+    def at_middle(self) -> Motion:
+        """psi of the middle range alone: one term, with the factor 1."""
+        sums = ((values * self.middle).sum(axis=1, keepdims=True) for values in (self.value, self.slope, self.bend))
+        value, slope, bend = sums
+        return replace(self, value=value, slope=slope, bend=bend)
 
     def factors(self, rng: FloatArray) -> FloatArray:
         """What multiplies each psi_k at ranges (...): (..., n_term)."""

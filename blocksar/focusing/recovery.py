@@ -12,6 +12,7 @@ a narrow one.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial, chebyshev
@@ -49,9 +50,13 @@ class CommonRange:
 
     def taylor(self, order: int) -> FloatArray:
         """Its power series about the epoch, (order + 1,), m/s^n: to be subtracted from k_0 .. k_order."""
-        axis = Polynomial([-self.centre, 1.0]) / self.half
-        powers = Chebyshev(self.series).convert(kind=Polynomial)(axis).coef[: order + 1]
+        powers = self._powers[: order + 1]
         return np.asarray(np.pad(powers, (0, order + 1 - powers.size)), np.float64)
+
+    @cached_property
+    def _powers(self) -> FloatArray:
+        axis = Polynomial([-self.centre, 1.0]) / self.half
+        return np.asarray(Chebyshev(self.series).convert(kind=Polynomial)(axis).coef)
 
 
 NO_COMMON_RANGE = CommonRange(series=np.zeros(1), centre=0.0, half=1.0)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -17,6 +19,7 @@ from blocksar.kernels.trigonometry import horner
 PIECE = LANES * LANES  # samples of a row interpolated from one buffer that fits the first-level cache
 TAP_PHASES = 32  # fractions of a sample about which interpolation weights are expanded
 TAP_ORDER = 4
+OCCUPANCIES = 1024  # steps in which occupancies are told apart when taps are counted
 TAP_REACH = 0.2  # samples: largest distance from a fraction at which its expansion is used; it errs by 1e-5
 
 
@@ -56,11 +59,24 @@ def interpolation_error(n_tap: int, occupancy: float) -> float:
 
 
 def taps_needed(occupancy: float, *, error: float, at_most: int = 32) -> int:
-    """The smallest even number of taps whose error is at most `error`, or `at_most` if none is."""
-    for n_tap in range(4, at_most + 1, 2):
-        if interpolation_error(n_tap, occupancy) <= error:
-            return n_tap
-    return at_most
+    """The smallest even number of taps whose error is at most `error`, or `at_most` if none is.
+
+    The occupancy is rounded up to the next 1 / OCCUPANCIES: blocks of a plan ask for nearly the same.
+    """
+    return _taps_needed(math.ceil(min(occupancy, 1.0) * OCCUPANCIES - 1e-9), error, at_most)
+
+
+@lru_cache(maxsize=256)
+def _taps_needed(occupancy: int, error: float, at_most: int) -> int:
+    """`taps_needed` for an occupancy of so many OCCUPANCIES; the error falls with the number of taps."""
+    low, high = 2, at_most // 2
+    while low < high:
+        middle = (low + high) // 2
+        if interpolation_error(2 * middle, occupancy / OCCUPANCIES) <= error:
+            high = middle
+        else:
+            low = middle + 1
+    return 2 * low
 
 
 def tap_polynomials(n_tap: int, *, occupancy: float) -> Float32Array:

@@ -7,6 +7,11 @@ powers, z^(order - 1) for each order, whose coefficients are the unknowns, in th
 The sum of squares has three parts: the level less its weighted mean over each line, times `level_weight`; the stretch
 less 1, times `stretch_weight`; and the departure of each unknown from its start, times `pull`. Every sum runs in one
 fixed order, so that a plan is the same to the bit in every process.
+
+Order 2 in Doppler and the deramp nearly cancel: the minimum lies at the end of a long, curved valley. Steps follow its
+bend by geodesic acceleration (Transtrum and Sethna, arXiv:1201.5885): with v the step of Levenberg-Marquardt and r''
+the second derivative of the residuals along it, taken as a difference, the same damped system with r'' for r gives a,
+and the step is v + a / 2. No step leads from lines that do not fold, and whose Doppler rate has one sign, to others.
 """
 
 from __future__ import annotations
@@ -18,7 +23,12 @@ from numba import njit
 
 from blocksar.arrays import FloatArray, IntArray
 
-POWERS = 8  # of a variable, from 0: orders up to 6 with their derivatives
+POWERS = 6  # of a variable, from 0: orders up to 5, with their derivatives
+LEAST_DAMPING, MOST_DAMPING = 1e-14, 1e12
+EASE = 10.0  # by which the damping falls after a step that lowers the sum of squares
+PROBE = 0.1  # fraction of a step at which its bend is measured
+FOLDED = 0.02  # stretch at which a line folds over
+MOST_BEND = 1.0  # times v: with a larger a the step is not tried, but shortened
 OPTIONS: Any = {"nogil": True, "fastmath": {"contract", "nsz", "reassoc"}}
 
 
@@ -34,10 +44,11 @@ def level_lines(
     ends: IntArray,
     start: FloatArray,
     pull: FloatArray,
+    damping: float,
     enough: float,
     steps: int,
 ) -> FloatArray:
-    """The unknowns that minimise the sum of squares, by modified Gram-Schmidt on the damped, scaled system.
+    """The unknowns that minimise the sum of squares; systems are solved by modified Gram-Schmidt.
 
     Parameters
     ----------
@@ -47,10 +58,12 @@ def level_lines(
         Weights of the mean over a line; their sum over each line is 1.
     level_weight, stretch_weight : (n_line, n) float
     orders : (n_unknown,) int
-        Order of each unknown: of P, of D, of R, of E.
+        Order of each unknown, 2 to 5: of P, of D, of R (to 4), of E.
     ends : (3,) int
         Where the unknowns of D, R and E begin.
     start, pull : (n_unknown,) float
+    damping : float
+        The first, of squared steps in units of the derivatives' norms.
     enough : float
         Stop when a step lowers the sum of squares by less than this fraction.
     steps : int
@@ -63,43 +76,53 @@ def level_lines(
     n, m = start.size, 2 * time.size + start.size
     residual, trial = np.empty(m), np.empty(m)
     rows, trial_rows = np.empty((n, m)), np.empty((n, m))
-    q, right = np.empty((n, m + n)), np.empty(m + n)
-    x, step, scale = start.copy(), np.zeros(n), np.zeros(n)
-    cost, damping, growth, taken = np.inf, 1e-3, 2.0, 0
+    q, r = np.empty((n, m)), np.zeros((n, n))
+    x, at, scale = start.copy(), start.copy(), np.zeros(n)
+    step, bend = np.zeros(n), np.zeros(n)  # in units of the scale
+    cost, growth, taken, probing, kept = np.inf, 2.0, 0, False, False
     while True:
-        evaluate(
-            time, doppler, rate, share, level_weight, stretch_weight, orders, ends, x + step, start, pull,
-            trial, trial_rows,
+        sound = evaluate(
+            time, doppler, rate, share, level_weight, stretch_weight, orders, ends, at, start, pull, trial, trial_rows,
+            not probing,
         )  # fmt: skip
-        new_cost = _dot(trial, trial)
-        if taken == 0 and not np.isfinite(new_cost):
-            return x
-        if new_cost < cost:
-            last = taken == steps or cost - new_cost <= enough * new_cost
-            x, cost = x + step, new_cost
-            if last:
-                return x
-            residual, trial, rows, trial_rows = trial, residual, trial_rows, rows
-            if taken > 0:
-                damping, growth = max(damping / 5, 1e-14), 2.0
-            taken += 1
-            for i in range(n):
-                scale[i] = max(scale[i], np.sqrt(_dot(rows[i], rows[i])))
-        else:
-            damping, growth = damping * growth, growth * 2
-            if damping > 1e12:
-                return x
-        for i in range(n):
-            size = scale[i] if scale[i] > 0 else 1.0
+        if probing:
             for k in range(m):
-                q[i, k] = rows[i, k] / size
-            for k in range(n):
-                q[i, m + k] = np.sqrt(damping) if k == i else 0.0
-        for k in range(m + n):
-            right[k] = -residual[k] if k < m else 0.0
-        _solve(q, right, step)
-        for i in range(n):
-            step[i] /= scale[i] if scale[i] > 0 else 1.0
+                along = 0.0
+                for i in range(n):
+                    along += rows[i, k] * step[i] / scale[i]
+                trial[k] = 2 / PROBE * ((trial[k] - residual[k]) / PROBE - along)
+            _solve_damped(q, r, trial, damping, bend)
+            if _dot(bend, bend) <= MOST_BEND**2 * _dot(step, step):
+                at, probing = x + (step + bend / 2) / scale, False
+                continue
+            damping, growth = damping * growth, growth * 2
+        else:
+            new_cost = _dot(trial, trial)
+            if taken == 0 and not np.isfinite(new_cost):
+                return x
+            if new_cost < cost and (sound or not kept):
+                kept = sound
+                last = taken == steps or cost - new_cost <= enough * new_cost
+                x[:], cost = at, new_cost
+                if last:
+                    return x
+                residual, trial, rows, trial_rows = trial, residual, trial_rows, rows
+                if taken > 0:
+                    damping, growth = max(damping / EASE, LEAST_DAMPING), 2.0
+                taken += 1
+                for i in range(n):
+                    scale[i] = max(scale[i], np.sqrt(_dot(rows[i], rows[i])))
+                    if scale[i] == 0.0:
+                        scale[i] = 1.0
+                    for k in range(m):
+                        q[i, k] = rows[i, k] / scale[i]
+                _orthogonalise(q, r)
+            else:
+                damping, growth = damping * growth, growth * 2
+        if damping > MOST_DAMPING:
+            return x
+        _solve_damped(q, r, residual, damping, step)
+        at, probing = x + PROBE * step / scale, True
 
 
 @njit(forceinline=True, **OPTIONS)
@@ -117,98 +140,95 @@ def evaluate(
     pull: FloatArray,
     residual: FloatArray,
     rows: FloatArray,
-) -> None:  # longer than most: the residuals and their derivatives are checked side by side
-    """Write the residuals (m,) and their derivatives (n_unknown, m), one row an unknown."""
+    derivatives: bool,
+) -> bool:  # longer than most: the residuals and their derivatives are checked side by side
+    """Write the residuals (m,) and, if asked for, their derivatives (n_unknown, m), one row an unknown.
+
+    Returns whether no line folds over and the Doppler rate before the steps in Doppler has one sign.
+    """
     n_line, count, n = time.shape[0], time.shape[1], x.size
     size = n_line * count
-    zs, vs, ws = np.empty(POWERS), np.empty(POWERS), np.empty(POWERS)
-    at_level, at_stretch = np.empty((n, count)), np.empty(n)
-    levels = np.empty(count)
+    # Power coefficients of P, D, R and E and of their derivatives. R is a shift, the others are of phases: one order
+    # less.
+    series = np.zeros((11, POWERS))
+    for i in range(n):
+        first = 0 if i < ends[0] else 2 if i < ends[1] else 5 if i < ends[2] else 9
+        power, factor = orders[i] - (0 if first == 5 else 1), x[i]
+        for derivative in range(2 if first in (0, 9) else 3 if first == 2 else 4):
+            if power >= 0:
+                series[first + derivative, power] += factor
+            factor *= power
+            power -= 1
+    zs, vs, ws = np.ones((POWERS, count)), np.ones((POWERS, count)), np.ones((POWERS, count))
+    # By time: level, stretch, slope of the line, slope of h, its derivative, slope of E; derivatives of z and stretch.
+    nodes = np.empty((8, count))
+    level, stretch, slope, pace, curl, e_slope, z_by_v, stretch_by_v = nodes
+    at_level, least, low, high = np.empty(count), np.inf, np.inf, -np.inf
     for line in range(n_line):
-        mean = 0.0
         for k in range(count):
             z0 = time[line, k]
-            _fill(zs, z0)
-            v = doppler[line, k] + _sum(zs, x, orders, 0, ends[0], 0, 0)
-            slope = rate[line, k] + _sum(zs, x, orders, 0, ends[0], 0, 1)
-            _fill(vs, v)
-            y = z0 - _sum(vs, x, orders, ends[0], ends[1], 0, 0)
-            bend = _sum(vs, x, orders, ends[0], ends[1], 0, 1)
-            # R is a shift, the other orders are of phases: one more.
-            h = v + _sum(vs, x, orders, ends[1], ends[2], 1, 0)
-            pace = 1 + _sum(vs, x, orders, ends[1], ends[2], 1, 1)
-            curl = _sum(vs, x, orders, ends[1], ends[2], 1, 2)
-            z = y / pace
-            _fill(ws, z)
-            levels[k] = h + _sum(ws, x, orders, ends[2], n, 0, 0)
-            stretch = (1 - bend * slope - z * curl * slope) / pace
-            mean += levels[k] * share[line, k]
-            residual[size + line * count + k] = stretch_weight[line, k] * (stretch - 1)
-            e_slope = _sum(ws, x, orders, ends[2], n, 0, 1)
-            d_curl = _sum(vs, x, orders, ends[0], ends[1], 0, 2)
-            r_twist = _sum(vs, x, orders, ends[1], ends[2], 1, 3)
-            # Derivatives by v and slope, which only P changes, and by the terms of D and R.
-            z_by_v = -(bend + z * curl) / pace
-            stretch_by_v = -(d_curl * slope + (z_by_v * curl + z * r_twist) * slope + stretch * curl) / pace
-            stretch_by_slope = -(bend + z * curl) / pace
-            for i in range(ends[0]):
-                term, term_slope = _term(zs, orders[i], 0), _term(zs, orders[i], 1)
-                at_level[i, k] = (pace + e_slope * z_by_v) * term
-                at_stretch[i] = stretch_by_v * term + stretch_by_slope * term_slope
-            for i in range(ends[0], ends[1]):
-                term, term_slope = _term(vs, orders[i], 0), _term(vs, orders[i], 1)
-                at_level[i, k] = -e_slope / pace * term
-                at_stretch[i] = (-term_slope * slope + term / pace * curl * slope) / pace
-            for i in range(ends[1], ends[2]):
-                term, term_slope = _term(vs, orders[i] + 1, 0), _term(vs, orders[i] + 1, 1)
-                z_by_r = -z * term_slope / pace
-                at_level[i, k] = term + e_slope * z_by_r
-                term_curl = _term(vs, orders[i] + 1, 2)
-                at_stretch[i] = -(z_by_r * curl * slope + z * term_curl * slope + stretch * term_slope) / pace
-            for i in range(ends[2], n):
-                at_level[i, k] = _term(ws, orders[i], 0)
-                at_stretch[i] = 0.0
-            for i in range(n):
-                rows[i, size + line * count + k] = stretch_weight[line, k] * at_stretch[i]
+            v = doppler[line, k] + _horner(series[0], z0)
+            slope[k] = rate[line, k] + _horner(series[1], z0)
+            pace[k], curl[k] = 1 + _horner(series[6], v), _horner(series[7], v)
+            z = (z0 - _horner(series[2], v)) / pace[k]
+            level[k] = v + _horner(series[5], v) + _horner(series[9], z)
+            z_by_v[k] = -(_horner(series[3], v) + z * curl[k]) / pace[k]
+            stretch[k] = 1 / pace[k] + z_by_v[k] * slope[k]
+            if derivatives:
+                twist = _horner(series[4], v) + z_by_v[k] * curl[k] + z * _horner(series[8], v)
+                stretch_by_v[k] = -(twist * slope[k] + stretch[k] * curl[k]) / pace[k]
+                e_slope[k] = _horner(series[10], z)
+                for power in range(1, POWERS):
+                    zs[power, k], vs[power, k], ws[power, k] = (
+                        zs[power - 1, k] * z0,
+                        vs[power - 1, k] * v,
+                        ws[power - 1, k] * z,
+                    )
+        mean = _dot(level, share[line])
+        first = line * count
         for k in range(count):
-            residual[line * count + k] = level_weight[line, k] * (levels[k] - mean)
+            residual[first + k] = level_weight[line, k] * (level[k] - mean)
+            residual[size + first + k] = stretch_weight[line, k] * (stretch[k] - 1)
+            least, low, high = min(least, stretch[k]), min(low, slope[k]), max(high, slope[k])
+        if not derivatives:
+            continue
         for i in range(n):
-            middle = _dot(at_level[i], share[line])
+            order, at_stretch = orders[i], rows[i, size + first : size + first + count]
             for k in range(count):
-                rows[i, line * count + k] = level_weight[line, k] * (at_level[i, k] - middle)
+                if i < ends[0]:
+                    term, term_slope = zs[order - 1, k], (order - 1) * zs[order - 2, k]
+                    at_level[k] = (pace[k] + e_slope[k] * z_by_v[k]) * term
+                    at_stretch[k] = stretch_by_v[k] * term + z_by_v[k] * term_slope
+                elif i < ends[1]:
+                    term, term_slope = vs[order - 1, k], (order - 1) * vs[order - 2, k]
+                    at_level[k] = -e_slope[k] / pace[k] * term
+                    at_stretch[k] = (term / pace[k] * curl[k] - term_slope) * slope[k] / pace[k]
+                elif i < ends[2]:
+                    term, term_slope = vs[order, k], order * vs[order - 1, k]
+                    term_curl = order * (order - 1) * vs[order - 2, k]
+                    z_by_r = -ws[1, k] * term_slope / pace[k]
+                    at_level[k] = term + e_slope[k] * z_by_r
+                    at_stretch[k] = (
+                        -((z_by_r * curl[k] + ws[1, k] * term_curl) * slope[k] + stretch[k] * term_slope) / pace[k]
+                    )
+                else:
+                    at_level[k], at_stretch[k] = ws[order - 1, k], 0.0
+            middle = _dot(at_level, share[line])
+            for k in range(count):
+                rows[i, first + k] = level_weight[line, k] * (at_level[k] - middle)
+                at_stretch[k] *= stretch_weight[line, k]
     for i in range(n):
         residual[2 * size + i] = pull[i] * (x[i] - start[i])
         for k in range(n):
             rows[i, 2 * size + k] = pull[i] if k == i else 0.0
+    return least > FOLDED and low * high > 0.0
 
 
 @njit(forceinline=True, **OPTIONS)
-def _fill(powers: FloatArray, value: float) -> None:
-    """1, value, value^2, ..."""
-    powers[0] = 1.0
-    for k in range(1, powers.size):
-        powers[k] = powers[k - 1] * value
-
-
-@njit(forceinline=True, **OPTIONS)
-def _term(powers: FloatArray, order: int, derivative: int) -> float:
-    """A derivative of z^(order - 1), from the powers of z."""
-    if order - 1 < derivative:
-        return 0.0
-    factor = 1.0
-    for k in range(order - derivative, order):
-        factor *= k
-    return factor * powers[order - 1 - derivative]
-
-
-@njit(forceinline=True, **OPTIONS)
-def _sum(
-    powers: FloatArray, x: FloatArray, orders: IntArray, first: int, end: int, more: int, derivative: int
-) -> float:
-    """A derivative of the sum of x_i z^(orders_i + more - 1), i = first .. end - 1."""
+def _horner(series: FloatArray, value: float) -> float:
     total = 0.0
-    for i in range(first, end):
-        total += x[i] * _term(powers, orders[i] + more, derivative)
+    for power in range(POWERS - 1, -1, -1):
+        total = total * value + series[power]
     return total
 
 
@@ -221,22 +241,37 @@ def _dot(a: FloatArray, b: FloatArray) -> float:
 
 
 @njit(forceinline=True, **OPTIONS)
-def _solve(q: FloatArray, right: FloatArray, x: FloatArray) -> None:
-    """Write the x that minimises |sum_k x_k q_k - right|; the other arrays are overwritten."""
+def _orthogonalise(q: FloatArray, r: FloatArray) -> None:
+    """Make the rows of q (n, m) orthonormal, in place; r (n, n) is upper triangular, and q before is r^T q after."""
     n, m = q.shape
-    r = np.zeros((n, n))
     for i in range(n):
         r[i, i] = np.sqrt(_dot(q[i], q[i]))
-        for k in range(m):
-            q[i, k] /= r[i, i]
-        x[i] = _dot(q[i], right)
-        for k in range(m):
-            right[k] -= x[i] * q[i, k]
+        if r[i, i] > 0.0:
+            for k in range(m):
+                q[i, k] /= r[i, i]
         for j in range(i + 1, n):
             r[i, j] = _dot(q[i], q[j])
             for k in range(m):
                 q[j, k] -= r[i, j] * q[i, k]
+
+
+@njit(forceinline=True, **OPTIONS)
+def _solve_damped(q: FloatArray, r: FloatArray, values: FloatArray, damping: float, x: FloatArray) -> None:
+    """Write the x that minimises |sum_k x_k (r^T q)_k + values|^2 + damping |x|^2."""
+    n = r.shape[0]
+    damped, below = np.zeros((n, 2 * n)), np.zeros((n, n))
+    right = np.zeros(2 * n)
+    for i in range(n):
+        right[i] = -_dot(q[i], values)
+        damped[i, n + i] = np.sqrt(damping)
+        for k in range(i + 1):
+            damped[i, k] = r[k, i]
+    _orthogonalise(damped, below)
+    for i in range(n):
+        x[i] = _dot(damped[i], right)
+        for k in range(2 * n):
+            right[k] -= x[i] * damped[i, k]
     for i in range(n - 1, -1, -1):
         for j in range(i + 1, n):
-            x[i] -= r[i, j] * x[j]
-        x[i] /= r[i, i]
+            x[i] -= below[i, j] * x[j]
+        x[i] /= below[i, i]

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from numpy.polynomial import chebyshev
 
+from blocksar import solvers
 from blocksar.arrays import FloatArray
 from blocksar.budget import IMAGE_TAP_ERROR
 from blocksar.collection import range_series
@@ -43,7 +45,8 @@ TIME_GUARD = 0.1  # dwells kept on either side of the time in which a block's ta
 # Oversampling of a focused block: twelve taps in range and eight in Doppler then err by less than IMAGE_TAP_ERROR.
 RANGE_ROOM = 1.42
 LEAST_ROOM = 1.4  # dwells that slow time has room for, so that the windows of the gate can fade out
-RANGE_STEPS = 4  # of the iteration that finds the targets of an apparent range
+RANGE_STEPS = 3  # of the iteration that finds the targets of an apparent range
+MOST_BEYOND = 1.05  # half swaths from its middle at which the series of that iteration is trusted
 RESAMPLING_ROOM = 1.35  # oversampling of Doppler by padding in time: dense enough to interpolate
 REFERENCE_ORDER = 8  # of the range series of a block's centre
 
@@ -60,7 +63,7 @@ class Sector:
     near: float
     far: float
 
-    def lines(self, epoch_range: FloatArray, yaw: FloatArray) -> Line:
+    def lines(self, epoch_range: FloatArray, yaw: FloatArray, *, coarsely: bool = False) -> Line:
         """Lines of targets in the recovered signal; `epoch_range` and `yaw` are broadcast."""
         recovery = self.recovery
         return recovered_line(
@@ -70,6 +73,7 @@ class Sector:
             origin=recovery.origin,
             walk=recovery.walk,
             common=recovery.common,
+            coarsely=coarsely,
         )
 
     def reference(self) -> FloatArray:
@@ -140,7 +144,7 @@ def plan_block(
     collection, recovery = sector.geometry.collection, sector.recovery
     # Coarse lines through the range steps: for the slab, the coefficients and the sampling.
     nodes, yaws = _end_nodes(sector.near, sector.far, 9), np.linspace(sector.low, sector.high, 15)
-    line = sector.lines(nodes[:, None], yaws)
+    line = sector.lines(nodes[:, None], yaws, coarsely=True)
     duration = float(line.weight.sum(axis=-1).max())
     slab = _plan_slab(collection, recovery.doppler, line, margin=tail_margin(duration))
     band = Axis(float(collection.range_frequency[0]), collection.range_frequency_step, collection.n_range_frequency)
@@ -208,9 +212,9 @@ def _plan_azimuth(
     """The steps after range compression, with coefficients for targets that share an apparent range."""
     recovery = sector.recovery
     ranges, epoch_range = _common_ranges(
-        lambda at: range_part.trace(sector.lines(at, yaws)), straight, nodes, origin=recovery.origin
+        lambda at: range_part.trace(sector.lines(at, yaws, coarsely=True)), straight, nodes, origin=recovery.origin
     )
-    shared = range_part.trace(sector.lines(epoch_range, yaws))
+    shared = range_part.trace(sector.lines(epoch_range, yaws, coarsely=True))
     polynomials, choice = choose(
         sector.geometry,
         shared,
@@ -240,15 +244,18 @@ def _common_ranges(
     """
     apparent = line.range.mean(axis=-1)
     ranges = _end_nodes(float(apparent.min()), float(apparent.max()), nodes.size)
-    epoch_range = origin + ranges[:, None] - np.mean(apparent - (nodes[:, None] - origin), axis=0)
+    # How far ranges move, as a series over the nodes; targets beyond the nodes need one step with their own lines.
+    moved = solvers.node_series(apparent - (nodes[:, None] - origin), nodes.size - 1)
+    epoch_range = origin + ranges[:, None] - moved[0]
     for _ in range(RANGE_STEPS):
-        epoch_range = epoch_range + ranges[:, None] - trace(epoch_range).range.mean(axis=-1)
-    return ranges, epoch_range
+        u = np.clip((2 * epoch_range - nodes[0] - nodes[-1]) / (nodes[-1] - nodes[0]), -MOST_BEYOND, MOST_BEYOND)
+        epoch_range = origin + ranges[:, None] - chebyshev.chebval(u, moved[:, None], tensor=False)
+    return ranges, epoch_range + ranges[:, None] - trace(epoch_range).range.mean(axis=-1)
 
 
 def _end_nodes(low: float, high: float, count: int) -> FloatArray:
-    """Chebyshev nodes including both ends, ascending."""
-    return low + (high - low) * (1 - np.cos(np.pi * np.arange(count) / (count - 1))) / 2
+    """`solvers.end_nodes` from low to high."""
+    return low + (high - low) * (1 + solvers.end_nodes(count)) / 2
 
 
 def _plan_slab(collection: Collection, spectrum: Axis, line: Line, *, margin: float) -> Slab:

@@ -72,7 +72,7 @@ def choose(
         polynomials = fitting.fit(line, ranges=ranges, candidate=neighbour.candidate, freedom=freedom, wavelength=lam)
         cost = _cost(polynomials, line, range_part, geometry)
         if cost <= KEPT * neighbour.cost:
-            return polynomials, Choice(neighbour.candidate, max(cost, neighbour.cost))
+            return polynomials, neighbour
     return _find_cheapest(line, range_part, geometry, ranges=ranges)
 
 

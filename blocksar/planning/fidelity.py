@@ -29,6 +29,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import fresnel
 
+from blocksar import solvers
 from blocksar.arrays import FloatArray
 from blocksar.collection.beam import dwell_at
 from blocksar.collection.geometry import Geometry
@@ -37,7 +38,7 @@ from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.lines import Focus, Line
 from blocksar.planning.gates import dwell_ends, end_smear, full_dwells
 
-BAND_NODES = (np.arange(6) - 2.5) / 3  # of the half band: middles of its sixths, for means over range frequency
+BAND_NODES = 4  # of the means over range frequency
 
 
 class Losses(NamedTuple):
@@ -176,11 +177,12 @@ def _blurred_energy(
     The gate is the mean of sharp ends spread by +-`blur`; the energy by which it differs from an end is the mean of the
     energies by which those do, less their own variance, blur / 3.
     """
-    total = np.zeros(np.broadcast_shapes(area.shape, displaced.shape, spread.shape))
-    for band in BAND_NODES:
-        for gate in BAND_NODES:
-            apart = np.hypot(displaced - band * spread - gate * blur, pulse_interval / np.sqrt(12))
-            total += end_energy(area, apart) / BAND_NODES.size**2
+    nodes, weights = solvers.gauss_legendre(BAND_NODES)
+    shape = np.broadcast_shapes(area.shape, displaced.shape, spread.shape)
+    band = nodes.reshape(-1, 1, *(1,) * len(shape))
+    gate = band.swapaxes(0, 1)
+    apart = np.hypot(displaced - band * spread - gate * blur, pulse_interval / np.sqrt(12))
+    total = np.einsum("i,j,ij...->...", weights, weights, end_energy(area, apart)) / 4
     return np.maximum(total - blur / 3, 0.0)
 
 

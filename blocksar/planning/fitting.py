@@ -32,6 +32,8 @@ GOOD_RESIDUAL = 0.02  # rad: below this a cheaper chain is preferred to a better
 # Doppler and the deramp nearly cancel, which makes a long valley; its beginning suffices to choose a kind of chain.
 ENOUGH, MOST_STEPS = 1e-7, 200
 ROUGHLY_ENOUGH, FEW_STEPS = 1e-4, 40  # a rough fit stops at this relative decrease of the cost, or after these steps
+DAMPING, NEAR_DAMPING = 1e-4, 1e-6  # of the first step: at the first range, and from the solution of the one before
+NEAR = 10.0  # rad: the penalty for a departure of any unknown from where the ranges before lead
 SETTLED = 100.0  # rad: the penalty for changing an unknown that an earlier range has settled
 STRETCH_WEIGHT = 0.5  # rad of phase error that count as much as a stretch of 2 in the fit
 TIME_BANDWIDTH = 100.0  # product of a target's line: stationary phase and a sharp spectrum need about this
@@ -117,15 +119,18 @@ def fit(
     x = np.zeros(unknowns.size)
     slope = np.mean((doppler[0, :, -1] - doppler[0, :, 0]) / (time[0, :, -1] - time[0, :, 0]))
     x[unknowns.ends[-1]] = -slope * scales.time / scales.doppler
-    solutions = []
+    solutions: list[FloatArray] = []
     pull = np.zeros(unknowns.size)
     for i in range(ranges.size):
+        if i > 1:  # where the two ranges before lead
+            x = x + (x - solutions[-2]) * (ranges[i] - ranges[i - 1]) / (ranges[i - 1] - ranges[i - 2])
         x = _fit_range(
             time[i], doppler[i] - centres[i], rate[i], weight[i], scales, unknowns, x,
-            pull=pull, roughly=roughly,
+            pull=pull, roughly=roughly, damping=DAMPING if i == 0 else NEAR_DAMPING,
         )  # fmt: skip
         # Without a time perturbation, order 2 in Doppler has nearly the effect of the deramp. The first range settles
         # it for all, since coefficients must change smoothly with range.
+        pull[:] = NEAR
         if unknowns.doppler and not unknowns.time:
             pull[0] = SETTLED
         solutions.append(x)
@@ -195,6 +200,7 @@ def _fit_range(
     *,
     pull: FloatArray,
     roughly: bool,
+    damping: float,
 ) -> FloatArray:
     """Level the lines (n_yaw, n) of one range; unknowns are scaled to the lines' extent in time and Doppler.
 
@@ -215,6 +221,7 @@ def _fit_range(
         np.array(unknowns.ends, np.int64),
         start,
         pull,
+        damping,
         enough,
         steps,
     )

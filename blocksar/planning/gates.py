@@ -109,16 +109,15 @@ def plan_gate(
     for degree, row in enumerate(np.eye(GATE_DEGREE + 1)):
         powers[degree, : degree + 1] = chebyshev.cheb2poly(row[: degree + 1])
 
-    def fit(values: FloatArray) -> FloatArray:
-        """(GATE_RANGE_DEGREE + 1, GATE_DEGREE + 1): series in range of powers of z."""
-        series = solvers.least_squares(
-            np.asarray(basis.T, np.float64), values.ravel(), damping=1e-20 * basis.shape[0]
-        ).reshape(-1, GATE_DEGREE + 1)
-        return solvers.product(series, powers)
-
     length, smear = float(lengths.mean()), end_smear(line, rate)
     full = full_dwells(line)
-    begin, end = fit(begins + length / 2), fit(ends - length / 2)
+    fitted = solvers.least_squares(
+        np.asarray(basis.T, np.float64),
+        np.stack([begins + length / 2, ends - length / 2]).reshape(2, -1),
+        damping=1e-20 * basis.shape[0],
+    )
+    # Series in range of powers of z, (GATE_RANGE_DEGREE + 1, GATE_DEGREE + 1).
+    begin, end = (solvers.product(fitted[:, k].reshape(-1, GATE_DEGREE + 1), powers) for k in (0, 1))
     phases = place.integral(begin), place.integral(end)
     at_middle = place.integral((begin + end) / 2).coefficients(np.array((near + far) / 2))[None]
     common = place.polynomial(at_middle)

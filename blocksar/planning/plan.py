@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Literal
 
@@ -28,7 +28,8 @@ from blocksar.focusing.recovery import Recovery
 from blocksar.focusing.step import stages
 from blocksar.kernels.operations import Resample, Stretch, Transform
 from blocksar.planning.block import BlockPlan, Sector, plan_block
-from blocksar.planning.division import find_division
+from blocksar.planning.coefficients import Choice
+from blocksar.planning.division import MAX_BLOCKS, find_division
 from blocksar.planning.memory import MEMORY_SHARE, PROCESS_MEMORY
 from blocksar.planning.recovery import plan_recovery
 from blocksar.planning.refusal import find_refusal
@@ -172,18 +173,18 @@ def plan_collection(
     grid = grid or default_grid(geometry, region)
     extent = grid_extent(geometry, region, grid)
 
-    def plan(count: int, n_parts: int, probe: bool) -> Plan:
-        return _plan_blocks(geometry, region, recovery, grid, extent, count, n_parts, method, fidelity, probe=probe)
-
+    planner = _Planner(
+        geometry=geometry, region=region, recovery=recovery, grid=grid, extent=extent, method=method, fidelity=fidelity
+    )
     if blocks == "auto":
-        first = find_division(plan, workers=workers, parts=None if parts == "auto" else parts)
+        first = find_division(planner.plan, workers=workers, parts=None if parts == "auto" else parts)
     else:
-        first = plan(blocks, 1 if parts == "auto" else parts, False)
+        first = planner.plan(blocks, 1 if parts == "auto" else parts, False)
     if memory_limit is None or first.refusal is not None:
         return first
 
     def divide(n_parts: int) -> Plan:
-        return plan(first.n_blocks, n_parts, False)
+        return planner.plan(first.n_blocks, n_parts, False)
 
     return _fewest_parts(divide, first, memory_limit, fixed=parts != "auto")
 
@@ -215,50 +216,73 @@ def _fewest_parts(plan: Callable[[int], Plan], first: Plan, memory_limit: int, *
     return divided
 
 
-def _plan_blocks(
-    geometry: Geometry,
-    region: Region,
-    recovery: Recovery,
-    grid: Grid,
-    extent: Extent,
-    count: int,
-    n_parts: int,
-    method: Method,
-    fidelity: float,
-    *,
-    probe: bool,
-) -> Plan:
-    """Plan all blocks that the grid touches; a probe plans only the outermost ones and the one in the middle."""
-    seams = block_seams(geometry, region, count)
-    planned = []
-    touched = [i for i in range(count) if seams[i + 1] > extent.low and seams[i] < extent.high]
-    if probe:
-        touched = sorted({touched[0], touched[len(touched) // 2], touched[-1]})
-    for index in touched:
-        low, high = float(seams[index]), float(seams[index + 1])
-        near, far = region.limits(low, high)
-        near, far = max(near, extent.near), min(far, extent.far)
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Planner:
+    """Plans of one collection for any division of it.
+
+    Attributes
+    ----------
+    planned : dict
+        The blocks of the last division, by (blocks, sub-blocks, index): a plan after its probe plans the rest.
+    """
+
+    geometry: Geometry
+    region: Region
+    recovery: Recovery
+    grid: Grid
+    extent: Extent
+    method: Method
+    fidelity: float
+    planned: dict[tuple[int, int, int], list[BlockPlan]] = field(default_factory=dict)
+
+    def plan(self, count: int, n_parts: int, probe: bool) -> Plan:
+        """Plan all blocks that the grid touches; a probe plans only the outermost ones and the one in the middle."""
+        seams = block_seams(self.geometry, self.region, count)
+        touched = [i for i in range(count) if seams[i + 1] > self.extent.low and seams[i] < self.extent.high]
+        if probe:
+            touched = sorted({touched[0], touched[len(touched) // 2], touched[-1]})
+        before = {key: blocks for key, blocks in self.planned.items() if key[:2] == (count, n_parts)}
+        self.planned.clear()
+        self.planned.update(before)
+        planned: list[BlockPlan] = []
+        for index in touched:
+            key = count, n_parts, index
+            if key not in self.planned:
+                # Narrow blocks are of one kind: each takes what the one before it chose, if that serves.
+                like = planned[-1].choice if planned and count > MAX_BLOCKS else None
+                self.planned[key] = self._plan_angle(index, float(seams[index]), float(seams[index + 1]), n_parts, like)
+            planned += self.planned[key]
+        if not planned:
+            raise InputError(f"none of {count} blocks holds a point of the grid; give it a finer step, or move it")
+        return Plan(
+            geometry=self.geometry, grid=self.grid, region=self.region, recovery=self.recovery, seams=seams,
+            parts=n_parts, blocks=tuple(planned), method=self.method, fidelity=self.fidelity,
+            refusal=find_refusal(planned, self.method),
+        )  # fmt: skip
+
+    def _plan_angle(
+        self, index: int, low: float, high: float, n_parts: int, neighbour: Choice | None
+    ) -> list[BlockPlan]:
+        """The range sub-blocks of one block; none where the grid has no point."""
+        near, far = self.region.limits(low, high)
+        near, far = max(near, self.extent.near), min(far, self.extent.far)
         # Ranges are unambiguous within the range window only: a block cannot hold more.
-        excess = (far - near) - 0.97 * geometry.collection.range_window
+        excess = (far - near) - 0.97 * self.geometry.collection.range_window
         if excess > 0:
             near, far = near + excess / 2, far - excess / 2
         if far <= near:
-            continue
+            return []
         # The nine ranges of the fit need some distance between them for meaningful polynomials.
-        least = 64 * SPEED_OF_LIGHT / (2 * geometry.collection.bandwidth)
+        least = 64 * SPEED_OF_LIGHT / (2 * self.geometry.collection.bandwidth)
         room = max(least - (far - near), 0.0) / 2
         edges = np.linspace(near - room, far + room, n_parts + 1)
-        neighbour = None
+        parts: list[BlockPlan] = []
         for part, (nearest, farthest) in enumerate(pairwise(edges.tolist())):
             sector = Sector(
-                geometry=geometry, recovery=recovery, region=region, low=low, high=high, near=nearest, far=farthest
-            )
-            block = plan_block(sector, method, index=index, part=part if n_parts > 1 else None, neighbour=neighbour)
-            neighbour = block.choice
-            planned.append(block)
-    if not planned:
-        raise InputError(f"none of {count} blocks holds a point of the grid; give it a finer step, or move it")
-    return Plan(
-        geometry=geometry, grid=grid, region=region, recovery=recovery, seams=seams, parts=n_parts,
-        blocks=tuple(planned), method=method, fidelity=fidelity, refusal=find_refusal(planned, method),
-    )  # fmt: skip
+                geometry=self.geometry, recovery=self.recovery, region=self.region, low=low, high=high, near=nearest,
+                far=farthest,
+            )  # fmt: skip
+            like = parts[-1].choice if parts else neighbour
+            number = part if n_parts > 1 else None
+            parts.append(plan_block(sector, self.method, index=index, part=number, neighbour=like))
+        return parts

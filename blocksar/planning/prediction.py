@@ -60,10 +60,11 @@ def predict(
     time = line.time[worst] - spots.time[worst]
     level = line.phase[worst] - spots.doppler[worst] * line.time[worst]
     spread = float(np.ptp(time))
-    offsets = np.linspace(-4, 4, 1601) / max(spread, 1e-9)
+    offsets = np.linspace(-4, 4, 401) / max(spread, 1e-9)
     # The ends of the dwell lie slightly outside the outermost nodes. The quadrature over the nodes is still exact.
-    response = np.abs((weight * np.exp(2j * np.pi * (level - offsets[:, None] * time))).sum(axis=1))
-    ideal = np.abs((weight * np.exp(-2j * np.pi * offsets[:, None] * time)).sum(axis=1))
+    waves = np.exp(-2j * np.pi * offsets[:, None] * time)
+    response = np.abs((weight * np.exp(2j * np.pi * level) * waves).sum(axis=1))
+    ideal = np.abs((weight * waves).sum(axis=1))
     slope = np.gradient(spots.doppler, yaw, axis=1)
     dwell = (line.weight * line.stretch).sum(axis=-1)
     width = SINC_WIDTH / np.maximum(np.abs(slope) * dwell, 1e-12)
@@ -131,5 +132,8 @@ def _pslr(response: FloatArray) -> float:
 
 
 def _width(response: FloatArray) -> float:
-    """Number of samples within 3 dB of the peak."""
-    return float(np.count_nonzero(response >= response.max() / np.sqrt(2)))
+    """Distance between the outermost crossings of 3 dB below the peak, samples."""
+    above = np.pad(response / response.max() - np.sqrt(0.5), 1, constant_values=-1.0)
+    first, last = np.flatnonzero(above >= 0)[[0, -1]]
+    left, right = above[first] - above[first - 1], above[last] - above[last + 1]
+    return float(last - first + above[first] / left + above[last] / right)

@@ -27,43 +27,45 @@ def recovered_line(
     origin: float,
     walk: float,
     common: CommonRange = NO_COMMON_RANGE,
+    coarsely: bool = False,
 ) -> Line:
     """Lines of targets in the recovered signal, at Gauss-Legendre nodes; `epoch_range` and `yaw` are broadcast.
+
+    Along a spline, lines have nodes enough to integrate its waves; `coarsely`, to see them.
 
     Dwells cut by the ends of the collection are traced as cut. Targets lit for less than a twentieth of the longest
     dwell are traced over that much, inside the collection.
     """
-    epoch_range, yaw = np.broadcast_arrays(epoch_range, yaw)
-    first, last = dwell_at(geometry, yaw)
-    nodes, weights = solvers.gauss_legendre(_line_nodes(geometry, float(np.max(last - first))))
+    first, last = dwell_at(geometry, yaw if geometry.collection.steered else np.zeros(1))
+    nodes, weights = solvers.gauss_legendre(_line_nodes(geometry, float(np.max(last - first)), coarsely=coarsely))
     collection = geometry.collection
     shortest = 0.05 * float(np.max(last - first))
     middle = np.clip((first + last) / 2, collection.time[0] + shortest / 2, collection.time[-1] - shortest / 2)
     length = np.maximum(last - first, shortest)[..., None]
     time = middle[..., None] + length / 2 * nodes
     point = geometry.ground_point(epoch_range, yaw)[..., None, :]
-    rng, rate = geometry.range_history(point, time)
-    curvature = geometry.range_curvature(point, time)
+    rng, rate, curvature = geometry.range_motion(point, time)
     slow = time - geometry.epoch
-    rho = rng - origin - walk * slow - common.at(slow)
+    rho = rng - (origin + walk * slow + common.at(slow))
     to_cycles = -2 * collection.carrier / SPEED_OF_LIGHT
     return Line(
-        time=slow,
-        doppler=to_cycles * (rate - walk - common.at(slow, 1)),
+        time=np.broadcast_to(slow, rho.shape),
+        doppler=to_cycles * (rate - (walk + common.at(slow, 1))),
         rate=to_cycles * (curvature - common.at(slow, 2)),
         phase=to_cycles * rho,
         range=rho,
         stretch=np.ones_like(rho),
-        weight=length / 2 * weights,
+        weight=np.broadcast_to(length / 2 * weights, rho.shape),
     )
 
 
-def _line_nodes(geometry: Geometry, longest: float) -> int:
+def _line_nodes(geometry: Geometry, longest: float, *, coarsely: bool) -> int:
     """Nodes along a dwell of at most `longest` s: more where a spline bends the track within it."""
     wobble = geometry.track.wobble
     if wobble is None:
         return LINE_NODES
-    return min(max(LINE_NODES, math.ceil(NODES_PER_INTERVAL * longest / wobble.step) + 8), MOST_NODES)
+    density = NODES_PER_INTERVAL / 2 if coarsely else NODES_PER_INTERVAL
+    return min(max(LINE_NODES, math.ceil(density * longest / wobble.step) + 8), MOST_NODES)
 
 
 def tail_margin(duration: float) -> float:

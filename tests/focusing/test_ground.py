@@ -17,6 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from steps import Planned, collection, line_of, planned, signal_of, slab_of, target_at
 
+from blocksar import solvers
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.budget import IMAGE_TAP_ERROR
 from blocksar.collection.beam import lit_pulses
@@ -285,7 +286,7 @@ def test_a_unit_target_has_amplitude_one_at_its_place(steering_deg: float | None
 
 def test_a_surface_reproduces_polynomials_of_its_degree() -> None:
     rng = np.random.default_rng(3)
-    ranges, yaw = np.linspace(27e3, 33e3, 12), np.linspace(0.7, 1.1, 20)
+    ranges, yaw = 30e3 + 3e3 * solvers.end_nodes(12), 0.9 + 0.2 * solvers.end_nodes(20)
 
     def smooth(r: FloatArray, v: FloatArray) -> FloatArray:
         return np.polynomial.polynomial.polyval2d((r - 30e3) / 3e3, (v - 0.9) / 0.2, coefficients)

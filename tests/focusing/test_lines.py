@@ -7,6 +7,7 @@ import pytest
 from numpy.polynomial import polynomial as power
 from numpy.polynomial.legendre import leggauss
 
+from blocksar import solvers
 from blocksar.arrays import FloatArray
 from blocksar.focusing.lines import Line, RowPolynomial, focus, row_polynomial
 from blocksar.kernels import fourier, rows
@@ -41,7 +42,7 @@ def test_derivatives_along_the_row_equal_those_of_the_phase(order: int, shape: t
 def test_a_row_polynomial_passes_through_its_polynomials() -> None:
     """Each polynomial has the centre of its range, also when the phase has a common centre."""
     rng = np.random.default_rng(2)
-    ranges = np.linspace(-1500.0, 1800.0, 6)
+    ranges = 150.0 + 1650.0 * solvers.end_nodes(6)
     coefficients, centres = rng.normal(0, 30, (6, 5)), rng.uniform(-40, 60, 6)
     phases = row_polynomial(coefficients, ranges=ranges, centres=centres, scale=500.0, degree=5)
     v = np.linspace(-600, 600, 13)

@@ -33,12 +33,12 @@ def test_the_fit_and_its_derivatives(freedom: Freedom, monkeypatch: pytest.Monke
     checked = []
 
     def check(*problem: Any) -> FloatArray:
-        *lines, orders, ends, start, pull, _, _ = problem
+        *lines, orders, ends, start, pull, _, _, _ = problem
 
         def evaluated(x: FloatArray) -> tuple[FloatArray, FloatArray]:
             size = 2 * lines[0].size + x.size
             residual, rows = np.empty(size), np.empty((x.size, size))
-            levelling.evaluate(*lines, orders, ends, x, start, pull, residual, rows)
+            levelling.evaluate(*lines, orders, ends, x, start, pull, residual, rows, True)
             return residual, rows
 
         rng = np.random.default_rng(len(checked))
