@@ -36,7 +36,7 @@ def recovered_line(
     Dwells cut by the ends of the collection are traced as cut. Targets lit for less than a twentieth of the longest
     dwell are traced over that much, inside the collection.
     """
-    first, last = dwell_at(geometry, yaw if geometry.collection.steered else np.zeros(1))
+    first, last = dwell_at(geometry, yaw if geometry.collection.steered else np.zeros((1,) * np.ndim(yaw)))
     nodes, weights = solvers.gauss_legendre(_line_nodes(geometry, float(np.max(last - first)), coarsely=coarsely))
     collection = geometry.collection
     shortest = 0.05 * float(np.max(last - first))
