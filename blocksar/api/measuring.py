@@ -12,7 +12,7 @@ import numpy as np
 from blocksar import stores
 from blocksar.api.reports import Report, Table
 from blocksar.arrays import ComplexArray, FloatArray
-from blocksar.collection.beam import full_dwell_yaw
+from blocksar.collection.beam import full_dwell_yaw, has_full_dwell
 from blocksar.collection.geometry import Geometry
 from blocksar.errors import InputError
 from blocksar.focusing.backprojection import form_chips
@@ -85,16 +85,19 @@ def measure(
     if reference:
         compared = _compare(run)
         result["reference"] = [
-            {"place": name, "x": x, "y": y, "coherence": abs(c.coherence), "gain": c.gain, "phase": c.phase}
+            {
+                "place": name, "x": x, "y": y, "full_dwell": bool(has_full_dwell(run.geometry, x, y)),
+                "coherence": abs(c.coherence), "gain": c.gain, "phase": c.phase,
+            }
             for name, x, y, c in compared
-        ]
-        tables.append(_reference_table(compared))
+        ]  # fmt: skip
+        tables.append(_reference_table(result["reference"]))
         lines.append("reference: exact back-projection of the same samples; chips of 64 x 64 pixels")
         predicted = min((block.coherence for block in run.record.plan.predicted), default=math.nan)
-        if compared and not math.isnan(predicted):
-            measured = min(abs(c.coherence) for *_, c in compared)
-            result["least_coherence"] = {"measured": measured, "predicted": predicted}
-            lines.append(f"least coherence: {measured:.4f} measured, {predicted:.4f} predicted for full dwells")
+        full = [chip["coherence"] for chip in result["reference"] if chip["full_dwell"]]
+        if full and not math.isnan(predicted):
+            result["least_coherence"] = {"measured": min(full), "predicted": predicted}
+            lines.append(f"least coherence at full dwells: {min(full):.4f} measured, {predicted:.4f} predicted")
     stores.write_json(folder / "quality.json", result)
     return Report(tables=tables, summary=lines, result=result), drawn
 
@@ -171,6 +174,8 @@ Compared = list[tuple[str, float, float, ChipComparison]]
 def _compare(run: FinishedRun) -> Compared:
     """Compare chips of the image with exact back-projection of the run's input.
 
+    Of chips around a place with full dwell, those pixels are compared that have it too.
+
     Raises
     ------
     InputError
@@ -191,6 +196,8 @@ def _compare(run: FinishedRun) -> Compared:
         chip = run.read(rows, columns)
         if np.isfinite(chip.real).mean() < 0.5:
             continue
+        if has_full_dwell(run.geometry, x, y):  # its neighbours may be lit for a few pulses only
+            chip = np.where(has_full_dwell(run.geometry, run.x[columns], run.y[rows, None]), chip, np.nan)
         places.append((name, float(x), float(y)))
         chips.append(chip)
         axes.append((run.x[columns], run.y[rows]))
@@ -241,9 +248,12 @@ def reference_places(geometry: Geometry, plan: RunPlan) -> list[tuple[str, float
     return [(name, float(p[0]), float(p[1])) for (name, _, _), p in zip(places, points, strict=True)]
 
 
-def _reference_table(compared: Compared) -> Table:
-    header = ("place", "x (m)", "y (m)", "coherence", "gain", "phase (rad)")
+def _reference_table(chips: list[dict[str, Any]]) -> Table:
+    header = ("place", "x (m)", "y (m)", "full dwell", "coherence", "gain", "phase (rad)")
     return header, [
-        [name, f"{x:.0f}", f"{y:.0f}", f"{abs(c.coherence):.5f}", f"{c.gain:.4f}", f"{c.phase:.4f}"]
-        for name, x, y, c in compared
-    ]
+        [
+            c["place"], f"{c['x']:.0f}", f"{c['y']:.0f}", "yes" if c["full_dwell"] else "no",
+            f"{c['coherence']:.5f}", f"{c['gain']:.4f}", f"{c['phase']:.4f}",
+        ]
+        for c in chips
+    ]  # fmt: skip

@@ -211,23 +211,23 @@ def dwell_at(geometry: Geometry, yaw: FloatArray, *, uncut: bool = False) -> tup
     return (first, last) if uncut else (np.maximum(first, start), np.minimum(last, end))
 
 
-def has_full_dwell(geometry: Geometry, x: float, y: float) -> bool:
-    """Whether the whole beam sweeps over a target at x, y (m), to within one pulse; true if it is not steered.
+def has_full_dwell(geometry: Geometry, x: FloatArray | float, y: FloatArray | float) -> BoolArray:
+    """Whether the whole beam sweeps over targets at x, y (...), m, to within one pulse; true if it is not steered.
 
-    Where the beam stands still: whether it lights the target.
+    Where the beam stands still: whether it lights them.
     """
     collection = geometry.collection
+    yaw = geometry.yaw(np.asarray(x), np.asarray(y))
     if collection.beam_width is None:
-        return True
-    yaw = geometry.yaw(np.array(x), np.array(y))
+        return np.ones(yaw.shape, bool)
     beam = collection.beam_azimuth
     low, high = float(beam.min()), float(beam.max())
     if low == high:
-        return bool(in_beam(yaw, beam[0], collection.beam_width / 2 + EDGE))
+        return in_beam(yaw, beam[0], collection.beam_width / 2 + EDGE)
     yaw = turned_near(yaw, (low + high) / 2)
     first, last = full_dwell_yaw(collection)
     pulse = (high - low) / (collection.n_pulse - 1)
-    return bool(first - pulse <= yaw <= last + pulse)
+    return np.asarray((first - pulse <= yaw) & (yaw <= last + pulse))
 
 
 # ---------------------------------------------------------------- yaws

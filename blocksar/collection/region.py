@@ -115,11 +115,11 @@ def _outside(
 ) -> str:
     """Why no range stays in the range window while it is lit.
 
-    `held` (n_yaw, n_time, n_range) are ranges less the reference range, of points at epoch ranges `trial`.
+    `held` (n_yaw, n_range, n_time) are ranges less the reference range, of points at epoch ranges `trial`.
     """
     low, high = within or (float(trial[0]), float(trial[-1]))
-    some = held[..., (trial >= low) & (trial <= high)] if ((trial >= low) & (trial <= high)).any() else held
-    change = np.ptp(some, axis=1)
+    meant = (trial >= low) & (trial <= high)
+    change = np.ptp(held[:, meant] if meant.any() else held, axis=-1)
     moves = float(np.min(change, where=np.isfinite(change), initial=np.inf))
     still = np.ptp(collection.reference_range) == 0
     swath = f"the range window of {collection.range_window:.6g} m about the reference range"

@@ -16,7 +16,7 @@ and the step is v + a / 2. No step leads from lines that do not fold, and whose 
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -32,25 +32,10 @@ MOST_BEND = 1.0  # times v: with a larger a the step is not tried, but shortened
 OPTIONS: Any = {"nogil": True, "fastmath": {"contract", "nsz", "reassoc"}}
 
 
-@njit(cache=True, **OPTIONS)
-def level_lines(
-    time: FloatArray,
-    doppler: FloatArray,
-    rate: FloatArray,
-    share: FloatArray,
-    level_weight: FloatArray,
-    stretch_weight: FloatArray,
-    orders: IntArray,
-    ends: IntArray,
-    start: FloatArray,
-    pull: FloatArray,
-    damping: float,
-    enough: float,
-    steps: int,
-) -> FloatArray:
-    """The unknowns that minimise the sum of squares; systems are solved by modified Gram-Schmidt.
+class Problem(NamedTuple):
+    """Lines to level, and the unknowns to do it with.
 
-    Parameters
+    Attributes
     ----------
     time, doppler, rate : (n_line, n) float
         The lines, scaled: z, f and df/dz.
@@ -62,6 +47,27 @@ def level_lines(
     ends : (3,) int
         Where the unknowns of D, R and E begin.
     start, pull : (n_unknown,) float
+    """
+
+    time: FloatArray
+    doppler: FloatArray
+    rate: FloatArray
+    share: FloatArray
+    level_weight: FloatArray
+    stretch_weight: FloatArray
+    orders: IntArray
+    ends: IntArray
+    start: FloatArray
+    pull: FloatArray
+
+
+@njit(cache=True, **OPTIONS)
+def level_lines(problem: Problem, damping: float, enough: float, steps: int) -> FloatArray:
+    """The unknowns that minimise the sum of squares; systems are solved by modified Gram-Schmidt.
+
+    Parameters
+    ----------
+    problem : Problem
     damping : float
         The first, of squared steps in units of the derivatives' norms.
     enough : float
@@ -73,18 +79,16 @@ def level_lines(
     -------
     (n_unknown,) float
     """
-    n, m = start.size, 2 * time.size + start.size
+    start = problem.start
+    n, m = start.size, 2 * problem.time.size + start.size
     residual, trial = np.empty(m), np.empty(m)
     rows, trial_rows = np.empty((n, m)), np.empty((n, m))
     q, r = np.empty((n, m)), np.zeros((n, n))
-    x, at, scale = start.copy(), start.copy(), np.zeros(n)
+    x, at, norm, scale = start.copy(), start.copy(), np.zeros(n), np.ones(n)
     step, bend = np.zeros(n), np.zeros(n)  # in units of the scale
     cost, growth, taken, probing, kept = np.inf, 2.0, 0, False, False
     while True:
-        sound = evaluate(
-            time, doppler, rate, share, level_weight, stretch_weight, orders, ends, at, start, pull, trial, trial_rows,
-            not probing,
-        )  # fmt: skip
+        sound = evaluate(problem, at, trial, trial_rows, not probing)
         if probing:
             for k in range(m):
                 along = 0.0
@@ -111,9 +115,8 @@ def level_lines(
                     damping, growth = max(damping / EASE, LEAST_DAMPING), 2.0
                 taken += 1
                 for i in range(n):
-                    scale[i] = max(scale[i], np.sqrt(_dot(rows[i], rows[i])))
-                    if scale[i] == 0.0:
-                        scale[i] = 1.0
+                    norm[i] = max(norm[i], np.sqrt(_dot(rows[i], rows[i])))
+                    scale[i] = norm[i] if norm[i] > 0.0 else 1.0
                     for k in range(m):
                         q[i, k] = rows[i, k] / scale[i]
                 _orthogonalise(q, r)
@@ -127,25 +130,13 @@ def level_lines(
 
 @njit(forceinline=True, **OPTIONS)
 def evaluate(
-    time: FloatArray,
-    doppler: FloatArray,
-    rate: FloatArray,
-    share: FloatArray,
-    level_weight: FloatArray,
-    stretch_weight: FloatArray,
-    orders: IntArray,
-    ends: IntArray,
-    x: FloatArray,
-    start: FloatArray,
-    pull: FloatArray,
-    residual: FloatArray,
-    rows: FloatArray,
-    derivatives: bool,
+    problem: Problem, x: FloatArray, residual: FloatArray, rows: FloatArray, derivatives: bool
 ) -> bool:  # longer than most: the residuals and their derivatives are checked side by side
     """Write the residuals (m,) and, if asked for, their derivatives (n_unknown, m), one row an unknown.
 
     Returns whether no line folds over and the Doppler rate before the steps in Doppler has one sign.
     """
+    time, doppler, rate, share, level_weight, stretch_weight, orders, ends, start, pull = problem
     n_line, count, n = time.shape[0], time.shape[1], x.size
     size = n_line * count
     # Power coefficients of P, D, R and E and of their derivatives. R is a shift, the others are of phases: one order

@@ -258,7 +258,7 @@ def measure_target(
         error_x=nan,
         error_y=nan,
         value=complex(nan, nan),
-        full_dwell=axes is not None and has_full_dwell(geometry, target.x, target.y),
+        full_dwell=axes is not None and bool(has_full_dwell(geometry, target.x, target.y)),
         covered=False,
     )
 

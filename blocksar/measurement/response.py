@@ -349,5 +349,5 @@ def read_response(
         values=values,
         x=columns.position,
         y=rows.position,
-        full_dwell=has_full_dwell(geometry, target.x, target.y),
+        full_dwell=bool(has_full_dwell(geometry, target.x, target.y)),
     )

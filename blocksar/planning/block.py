@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -20,7 +19,6 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import Region
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.chains import steps_of
-from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.ground_map import YAW_STEPS, GroundMap, surfaces
 from blocksar.focusing.lines import Focus, Line, focus
 from blocksar.focusing.method import Method
@@ -175,11 +173,14 @@ def plan_block(
     about = azimuth.range_part.scales_time_about
     blur = gate_blur(sector.geometry, fine_yaw, scaled_about=about)
     sampling = _plan_sampling(
-        recovery, slab, azimuth, straight, fine,
+        recovery, slab, azimuth, straight,
         range_frequency=band if range_gate is None else range_gate.range_frequency, duration=duration,
         uncut=float((last - first).max()) if sector.geometry.collection.steered else 0.0,
-        make_gate=partial(plan_gate, fine, spots, rate, blur=blur, lit=lit, uncut=uncut),
     )  # fmt: skip
+    gate = plan_gate(
+        fine, spots, rate, blur=blur, lit=lit, uncut=uncut, rows=sampling.rows, slow=sampling.long_time
+    )  # fmt: skip
+    sampling = replace(sampling, gate=gate)
     steps = azimuth.sampled(sampling)
     return BlockPlan(
         index=index,
@@ -273,14 +274,12 @@ def _plan_sampling(
     slab: Slab,
     azimuth: AzimuthPart,
     straight: Line,
-    fine: Line,
     *,
     range_frequency: Axis,
     duration: float,
     uncut: float,
-    make_gate: Callable[..., DwellGate | None],
 ) -> Sampling:
-    """The axes that hold a block's lines: `straight` after range compression, `fine` after the last step.
+    """The axes that hold a block's lines, `straight` after range compression, without a gate.
 
     `uncut` is the longest dwell that the gate has to hold, s, as if the ends of the collection did not cut it.
     """
@@ -309,7 +308,7 @@ def _plan_sampling(
         focused_doppler=fourier.dual(
             long_time, size=n_padded, centre=float((spots.doppler.min() + spots.doppler.max()) / 2)
         ),
-        gate=make_gate(rows=rows, slow=long_time),
+        gate=None,
     )
 
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from blocksar.arrays import FloatArray
 from blocksar.focusing.lines import AzimuthPolynomials, Line, RowPolynomial, row_polynomial
-from blocksar.kernels.levelling import level_lines
+from blocksar.kernels.levelling import Problem, level_lines
 
 TIME_ORDERS = (3, 4)
 DOPPLER_ORDERS = (2, 3, 4, 5)
@@ -209,19 +209,17 @@ def _fit_range(
     duration = weight.sum(axis=-1, keepdims=True)
     share = weight / duration
     enough, steps = (ROUGHLY_ENOUGH, FEW_STEPS) if roughly else (ENOUGH, MOST_STEPS)
-    return level_lines(
-        np.ascontiguousarray((time - scales.time_centre) / scales.time),
-        np.ascontiguousarray(doppler / scales.doppler),
-        np.ascontiguousarray(rate * scales.time / scales.doppler),
-        np.ascontiguousarray(share),
+    problem = Problem(
+        time=np.ascontiguousarray((time - scales.time_centre) / scales.time),
+        doppler=np.ascontiguousarray(doppler / scales.doppler),
+        rate=np.ascontiguousarray(rate * scales.time / scales.doppler),
+        share=np.ascontiguousarray(share),
         # The Doppler error over a dwell times its length is about the phase error that it causes.
-        np.ascontiguousarray(2 * np.pi * scales.doppler * duration * np.sqrt(share)),
-        np.ascontiguousarray(STRETCH_WEIGHT * np.sqrt(share)),
-        np.array([order for orders in unknowns for order in orders], np.int64),
-        np.array(unknowns.ends, np.int64),
-        start,
-        pull,
-        damping,
-        enough,
-        steps,
+        level_weight=np.ascontiguousarray(2 * np.pi * scales.doppler * duration * np.sqrt(share)),
+        stretch_weight=np.ascontiguousarray(STRETCH_WEIGHT * np.sqrt(share)),
+        orders=np.array([order for orders in unknowns for order in orders], np.int64),
+        ends=np.array(unknowns.ends, np.int64),
+        start=start,
+        pull=pull,
     )
+    return level_lines(problem, damping, enough, steps)

@@ -12,6 +12,7 @@ from straight_track import LAMBDA, levelled, straight_lines, straight_series
 from blocksar.arrays import FloatArray
 from blocksar.focusing.lines import Line, focus
 from blocksar.kernels import levelling
+from blocksar.kernels.levelling import Problem
 from blocksar.planning import closed_form, fitting
 from blocksar.planning.fitting import Candidate, Freedom
 
@@ -32,13 +33,13 @@ def test_the_fit_and_its_derivatives(freedom: Freedom, monkeypatch: pytest.Monke
     """Compare with finite differences of the residuals, at a place where no term is zero, and with MINPACK's fit."""
     checked = []
 
-    def check(*problem: Any) -> FloatArray:
-        *lines, orders, ends, start, pull, _, _, _ = problem
+    def check(problem: Problem, *limits: Any) -> FloatArray:
+        start = problem.start
 
         def evaluated(x: FloatArray) -> tuple[FloatArray, FloatArray]:
-            size = 2 * lines[0].size + x.size
+            size = 2 * problem.time.size + x.size
             residual, rows = np.empty(size), np.empty((x.size, size))
-            levelling.evaluate(*lines, orders, ends, x, start, pull, residual, rows, True)
+            levelling.evaluate(problem, x, residual, rows, True)
             return residual, rows
 
         rng = np.random.default_rng(len(checked))
@@ -50,7 +51,7 @@ def test_the_fit_and_its_derivatives(freedom: Freedom, monkeypatch: pytest.Monke
             np.testing.assert_allclose(found[i], wanted, atol=1e-5 * np.abs(wanted).max() + 1e-6)
         # MINPACK, from the same start, finds no lower cost.
         best = scipy.optimize.least_squares(lambda x: evaluated(x)[0], start, lambda x: evaluated(x)[1].T, method="lm")
-        reached = (evaluated(levelling.level_lines(*problem))[0] ** 2).sum() / 2
+        reached = (evaluated(levelling.level_lines(problem, *limits))[0] ** 2).sum() / 2
         assert reached <= 1.02 * best.cost + 1e-9
         checked.append(x.size)
         return start

@@ -1,0 +1,40 @@
+"""Which ground a collection sees."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.grid import Grid
+from blocksar.collection.region import plan_region
+from blocksar.errors import InputError
+
+GRID = Grid(7e3, 7.1e3, 1.0, 8e3, 8.1e3, 1.0)
+
+
+def passing(small_collection: Collection) -> Collection:
+    """An unsteered pass of 4 km, in a range window of 375 m about one range."""
+    time = np.arange(-1000, 1000) / 100
+    track = np.stack([200 * time, 0 * time, 5000 + 0 * time], axis=1)
+    return replace(
+        small_collection, time=time, antenna_position=track, beam_azimuth=np.full(2000, np.nan), beam_width=None,
+        reference_range=np.full(2000, 11_700.0),
+    )  # fmt: skip
+
+
+def test_ranges_that_leave_the_window_while_they_are_lit_are_told_from_ranges_outside_it(
+    small_collection: Collection,
+) -> None:
+    collection = passing(small_collection)
+    with pytest.raises(InputError, match=r"shorter than the \d+ m by which ranges change .* re-reference the samples"):
+        plan_region(Geometry(collection=collection), GRID)
+    centre = np.array([7.05e3, 8.05e3, 0.0])
+    following = np.linalg.norm(collection.antenna_position - centre, axis=1)
+    region = plan_region(Geometry(collection=replace(collection, reference_range=following)), GRID)
+    assert (region.far > region.near).all()
+    with pytest.raises(InputError, match="no range stays in"):
+        plan_region(Geometry(collection=replace(collection, reference_range=following + 500)), GRID)
