@@ -13,6 +13,7 @@ BoolArray = NDArray[np.bool_]
 ComplexArray = NDArray[np.complex64]
 Complex128Array = NDArray[np.complex128]
 
+FINEST, WIDEST = 1e-15, 1e15  # in SI units, the step and the extent of an axis that can be meant
 UNIFORM_TOLERANCE = 1e-3  # of one step: a deviation this small has no relevant effect on the phase
 
 
@@ -28,11 +29,15 @@ def check_axis(axis: FloatArray, name: str, unit: str) -> None:
         raise InputError(f"{name} has shape {axis.shape}, but an axis of at least 8 samples is needed")
     if not np.isfinite(axis).all():
         raise InputError(f"{name} has {np.count_nonzero(~np.isfinite(axis))} values that are not finite")
+    if np.abs(axis).max() > WIDEST:
+        raise InputError(f"{name} reaches {np.abs(axis).max():.3g} {unit}, which cannot be meant; correct its values")
     steps = np.diff(axis)
     if not (steps > 0).all():
         where = int(np.argmin(steps > 0))
         raise InputError(f"{name} does not ascend at index {where + 1}: sort it, or cut it there")
     step = (axis[-1] - axis[0]) / (axis.size - 1)
+    if step < FINEST:
+        raise InputError(f"{name} has steps of {step:.3g} {unit}, which cannot be meant; correct its values, or unit")
     error = np.abs(axis - (axis[0] + step * np.arange(axis.size))) / step
     if error.max() > UNIFORM_TOLERANCE:
         raise InputError(

@@ -43,7 +43,7 @@ from benchmarks.tables import show
 from blocksar import stores
 from blocksar.cli.parsing import parse_blocks, parse_memory
 from blocksar.errors import InputError, ProcessingError
-from blocksar.graph.cluster import machine
+from blocksar.graph.machine import machine
 
 
 @contextmanager

@@ -6,15 +6,28 @@ One module for each stage: `sources`, `checking`, `planning`, `focusing` (with `
 
 from __future__ import annotations
 
-from blocksar.api.checking import check
-from blocksar.api.demo import demo
-from blocksar.api.exporting import export, open, report
-from blocksar.api.focusing import focus
-from blocksar.api.measuring import quality
-from blocksar.api.planning import plan
-from blocksar.api.reports import Report
-from blocksar.api.sources import ingest, ingest_cphd, ingest_gotcha, simulate
+import gc
+import importlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
 
+if TYPE_CHECKING:
+    from blocksar.api.checking import check
+    from blocksar.api.demo import demo
+    from blocksar.api.exporting import export, open, report
+    from blocksar.api.focusing import focus
+    from blocksar.api.measuring import quality
+    from blocksar.api.planning import plan
+    from blocksar.api.reports import Report
+    from blocksar.api.sources import ingest, ingest_cphd, ingest_gotcha, simulate
+
+# The module of each function: it is loaded on first use, since a command needs one of them.
+_HOMES = {
+    "Report": "reports", "check": "checking", "demo": "demo", "export": "exporting", "focus": "focusing",
+    "ingest": "sources", "ingest_cphd": "sources", "ingest_gotcha": "sources", "open": "exporting",
+    "plan": "planning", "quality": "measuring", "report": "exporting", "simulate": "sources",
+}  # fmt: skip
 __all__ = [
     "Report",
     "check",
@@ -30,3 +43,24 @@ __all__ = [
     "report",
     "simulate",
 ]
+
+
+@contextmanager
+def _no_collection() -> Iterator[None]:
+    """Pause garbage collection: imports create many objects and no garbage, and take half as long without it."""
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collecting:
+            gc.enable()
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOMES:
+        with _no_collection():
+            found = getattr(importlib.import_module(f"blocksar.api.{_HOMES[name]}"), name)
+        globals()[name] = found  # also where a module has the function's name
+        return found
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -10,7 +10,7 @@ from blocksar import stores
 from blocksar.collection.collection import Collection
 from blocksar.collection.grid import Grid
 from blocksar.errors import InputError
-from blocksar.graph.cluster import machine
+from blocksar.graph.machine import machine
 from blocksar.places import Location
 from blocksar.places.place import Place
 from blocksar.simulation.scene import Scene, shipped_scenes

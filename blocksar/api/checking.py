@@ -13,7 +13,7 @@ from blocksar.api.reports import Report, Table
 from blocksar.arrays import ComplexArray
 from blocksar.chunks import TILE
 from blocksar.collection.grid import Grid
-from blocksar.graph.cluster import machine
+from blocksar.graph.machine import machine
 from blocksar.inspection import check as samples_check
 from blocksar.inspection.check import Findings
 from blocksar.places import Location

@@ -24,6 +24,7 @@ from blocksar.constants import MIB
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.method import Coefficients, Derotation, Perturbation, Processor, RangeModel, method_of
 from blocksar.graph import cluster, recording, stages
+from blocksar.graph.machine import machine
 from blocksar.inspection import centroid, samples, sentences
 from blocksar.inspection.samples import Inspection
 from blocksar.places import Location, place
@@ -290,7 +291,7 @@ def _run_stages(
     timings["recover"] = lap()
     record = _add_findings(job, run, record, recovered, inspection, listener)
     input_read()
-    focused = stages.focus_blocks(client, plan, run, inspection.lit, listener)
+    focused = stages.focus_blocks(client, plan, run, recovered, inspection.lit, listener)
     timings["focus"] = lap()
     merged = stages.mosaic(client, plan, run, focused, listener)
     timings["mosaic"] = lap()
@@ -350,7 +351,7 @@ def _check_samples(job: Job) -> tuple[str | None, str]:
         If the samples are constant.
     """
     try:
-        findings = check_samples(job.history, job.grid, threads=cluster.machine()[0], thorough=False)
+        findings = check_samples(job.history, job.grid, threads=machine()[0], thorough=False)
     except InputError:
         if job.plan is not None:
             raise
@@ -400,8 +401,8 @@ def _summary(folder: Place, record: RunRecord, planned: int) -> list[str]:
 
 
 def _resumed_line(receipts: Sequence[Receipt]) -> list[str]:
-    """Return a sentence on the units that an earlier, unfinished run had finished, if any."""
-    if not any(receipt.reused for receipt in receipts):
+    """Return a sentence on the units that an earlier, unfinished run had finished or damaged, if any."""
+    if not any(receipt.reused or receipt.damaged for receipt in receipts):
         return []
     counts = []
     for stage, name in UNITS.items():

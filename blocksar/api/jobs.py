@@ -12,7 +12,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
 from blocksar.collection.region import default_grid, plan_region
-from blocksar.errors import InputError
+from blocksar.errors import FolderError, InputError
 from blocksar.focusing.method import Method
 from blocksar.places import Location, place
 from blocksar.places.place import Place
@@ -76,10 +76,12 @@ class Request:
         InputError
             If there is none, its georeference is wrong, or it and the folder lie in each other.
         """
-        history = stores.open_phase_history(path_of(source))
+        history = stores.open_phase_history(path_of(source)).pinned()
         if "georeference" in history.attrs:
             Georeference.from_attribute(history.attrs["georeference"])  # refuse a wrong one before the work starts
         fingerprint = history.fingerprint()
+        if not stores.open_phase_history(history.path).same(history):
+            raise InputError(f"{history.path} changes while it is read; start again once nothing writes to it")
         run_folder.refuse_overlap(place(history.path), folder)
         return cls(
             history=history, folder=folder, method=method, blocks=blocks, fidelity=fidelity, grid=grid,
@@ -97,9 +99,29 @@ class Request:
             "grid": None if self.grid is None else list(grid_numbers(self.grid)),
         }
 
+    def identity(self, division: tuple[int | None, int | None] | None) -> str:
+        """Hash everything that the results depend on; `division` is the number of blocks, and of parts of each."""
+        text = repr((FORMAT, sorted(self.settings.items(), key=str), self.fingerprint, division))
+        return stores.checksum_bytes(text.encode("utf-8", "surrogateescape"))
+
     def find_run(self) -> RunRecord | None:
-        """Return the record of the run to be resumed, or of a finished one; see `folder.find_run`."""
-        return run_folder.find_run(self.folder, self.settings, self.fingerprint, overwrite=self.overwrite)
+        """Return the record of the run to be resumed, or of a finished one; see `folder.find_run`.
+
+        Raises
+        ------
+        FolderError
+            As it does, and if an unfinished run's division is not the one that it began with.
+        """
+        record = run_folder.find_run(self.folder, self.settings, self.fingerprint, overwrite=self.overwrite)
+        if record is not None and not record.finished:
+            division = None if self.method is None else (record.plan.blocks, record.plan.parts)
+            if record.identity != self.identity(division):
+                raise FolderError(
+                    f"{self.folder} is damaged: its run.json does not have the plan that the run began with; use "
+                    "--overwrite to begin it again",
+                    replaceable=True,
+                )
+        return record
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,10 +193,7 @@ class Job:
 
     def identity(self) -> str:
         """Hash everything that the results depend on: settings, input, format, and the division into blocks."""
-        request = self.request
-        division = None if self.plan is None else (self.plan.n_blocks, self.plan.parts)
-        text = repr((FORMAT, sorted(request.settings.items(), key=str), request.fingerprint, division))
-        return stores.checksum_bytes(text.encode("utf-8", "surrogateescape"))
+        return self.request.identity(None if self.plan is None else (self.plan.n_blocks, self.plan.parts))
 
     def record(self) -> RunRecord:
         """Return the record of the run at its start."""

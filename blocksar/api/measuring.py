@@ -17,7 +17,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.errors import InputError
 from blocksar.focusing.backprojection import form_chips
 from blocksar.focusing.range_compression import RawCompression
-from blocksar.graph.cluster import machine
+from blocksar.graph.machine import machine
 from blocksar.measurement.coherence import ChipComparison, coherence
 from blocksar.measurement.figures import DEFINITIONS, PointResponse, as_json, measure_target, summary
 from blocksar.measurement.response import Response, read_response

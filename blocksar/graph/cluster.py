@@ -7,42 +7,39 @@ imports (`multiprocessing`'s fork server), so that they start, and start again, 
 
 from __future__ import annotations
 
+import ast
 import logging
 import os
 import signal
+import sys
 import tempfile
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from importlib.util import find_spec
 from multiprocessing import forkserver, resource_tracker
 from multiprocessing.util import get_temp_dir
 from pathlib import Path
 from typing import Any
 
 import dask
-from dask.system import CPU_COUNT
 from distributed import Client, LocalCluster
-from distributed.system import MEMORY_LIMIT
 from distributed.utils import get_mp_context
 
 from blocksar.errors import InputError, ProcessingError
-from blocksar.focusing import correction
-from blocksar.focusing.correction import compile_kernels
 from blocksar.graph.admission import NO_WORKER
+from blocksar.graph.machine import machine
 from blocksar.progress import Listener
 from blocksar.version import __version__
 
 WORKER_TTL = 60.0  # s without a message from a worker of the local cluster before it counts as lost
+HUNG = 8.0  # s after which a worker that has been given up, but lives, is killed
 CONNECT = 20.0  # s for a running scheduler to answer
 PRE_SPAWN = "distributed.nanny.pre-spawn-environ"  # variables that libraries read when they are loaded
 LONGEST_FOLDER, SHORT_FOLDER = 70, "/tmp"  # characters that leave room for the name of a socket
 WORKER_MODULE = "blocksar.graph.worker"
 SETTINGS = {"distributed.admin.low-level-log-length": 10}  # dask would keep the last 1000 messages to workers
-
-
-def machine() -> tuple[int, int]:
-    """Return the number of cores and the bytes of memory that this process may use, within its control group."""
-    return int(CPU_COUNT), int(MEMORY_LIMIT)
 
 
 def cluster_size(client: Client) -> tuple[int, int]:
@@ -64,8 +61,11 @@ def cluster_size(client: Client) -> tuple[int, int]:
 def kernels_cached() -> bool:
     """Tell whether numba's cache folder has files of compiled kernels, without checking that they still apply."""
     folder = os.environ.get("NUMBA_CACHE_DIR")
-    name = f"{Path(correction.__file__).stem}.*.nbi"
-    indexes = Path(folder).rglob(name) if folder else Path(correction.__file__).parent.glob(f"__pycache__/{name}")
+    spec = find_spec("blocksar.focusing.correction")  # loads no kernels
+    assert spec is not None and spec.origin is not None
+    source = Path(spec.origin)
+    name = f"{source.stem}.*.nbi"
+    indexes = Path(folder).rglob(name) if folder else source.parent.glob(f"__pycache__/{name}")
     return next(indexes, None) is not None
 
 
@@ -215,11 +215,16 @@ def _local_cluster(
 
     Raises
     ------
+    InputError
+        If the caller is a script that its workers would run again.
     ProcessingError
         If the workers do not start.
     """
+    _refuse_unguarded_script()
     listener.update("compile", 0, 1)
     # Compilation takes more memory than a worker may use. Compile here, once; workers load the kernels from the cache.
+    from blocksar.focusing.correction import compile_kernels
+
     compile_kernels()
     listener.update("compile", 1, 1)
     listener.update("start-workers", 0, workers)
@@ -242,10 +247,8 @@ def _local_cluster(
         try:
             client.wait_for_workers(workers, timeout=NO_WORKER)
         except TimeoutError:
-            raise ProcessingError(
-                f"{workers} workers did not start within {NO_WORKER:.0f} s; in a script, call focus below "
-                '`if __name__ == "__main__":`, as workers import the script again'
-            ) from None
+            raise ProcessingError(f"{workers} workers did not start within {NO_WORKER:.0f} s") from None
+        stack.enter_context(_replacing_hung_workers(cluster))
         listener.update("start-workers", workers, workers)
         try:
             yield client
@@ -253,6 +256,64 @@ def _local_cluster(
             # Closing the cluster would wait for tasks whose results are no longer needed.
             _kill_workers(cluster)
             raise
+
+
+def _refuse_unguarded_script() -> None:
+    """Check that this is not called from a script's own statements: workers, which import it, would call it again.
+
+    Raises
+    ------
+    InputError
+        If it is, without `if __name__ == "__main__":`.
+    """
+    frame = sys._getframe()
+    while frame.f_back is not None:
+        frame = frame.f_back
+    main = sys.modules["__main__"]
+    file, spec = getattr(main, "__file__", None), getattr(main, "__spec__", None)
+    if frame.f_globals is not vars(main) or file is None or (spec is not None and spec.name.endswith("__main__")):
+        return  # a thread, an interactive session, or a package: none is imported by workers
+    try:
+        statements = ast.parse(Path(file).read_bytes()).body
+    except (OSError, SyntaxError, ValueError):
+        return
+    for statement in statements:
+        if statement.lineno <= frame.f_lineno <= (statement.end_lineno or statement.lineno):
+            names = {node.id for node in ast.walk(statement) if isinstance(node, ast.Name)}
+            if not isinstance(statement, ast.If) or not names & {"__name__", "current_process", "parent_process"}:
+                raise InputError(
+                    f"{file}, line {frame.f_lineno}: workers import this script, and would call focus again; call it "
+                    'below `if __name__ == "__main__":`'
+                )
+
+
+@contextmanager
+def _replacing_hung_workers(cluster: LocalCluster) -> Iterator[None]:
+    """Kill workers that the scheduler has given up although they live: their nannies start others in their place."""
+    ended = threading.Event()
+
+    def watch() -> None:
+        since: dict[int, float] = {}
+        while (scheduler := cluster.scheduler) is not None and not ended.wait(HUNG / 4):
+            known = set(scheduler.workers)
+            lost = {
+                nanny.pid
+                for nanny in list(cluster.workers.values())
+                if nanny.pid is not None and nanny.worker_address is not None and nanny.worker_address not in known
+            }
+            since = {pid: since.get(pid, time.monotonic()) for pid in lost}
+            for pid, first in since.items():
+                if time.monotonic() - first > HUNG:
+                    with suppress(ProcessLookupError):
+                        os.kill(pid, signal.SIGKILL)
+
+    thread = threading.Thread(target=watch, name="hung-workers", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
 
 
 def _local_settings(threads: int, scratch: str) -> dict[str, Any]:

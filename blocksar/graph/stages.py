@@ -28,6 +28,7 @@ from blocksar.focusing.step import stages
 from blocksar.graph.admission import Unit, as_completed
 from blocksar.graph.tasks import (
     PatchChunk,
+    SpectrumChunks,
     back_project_chunk,
     compress_pulses,
     inspect_group,
@@ -69,10 +70,17 @@ def recover(
         )  # fmt: skip
 
     run.establish(run.spectrum, create, volatile=["lit"])
-    width = plan.spectrum_chunk[1]
     units = [
         _single_task(
-            client, run, "recover", f"columns-{columns[0]}", recover_group, source, columns, plan.recovery, width
+            client,
+            run,
+            "recover",
+            f"columns-{columns[0]}",
+            recover_group,
+            source.within(columns=slice(*columns)),
+            columns,
+            plan.recovery,
+            plan.spectrum_chunk,
         )
         for columns in _spans(collection.n_range_frequency, plan.column_group)
     ]
@@ -82,14 +90,21 @@ def recover(
     return compressed + recovered, inspection
 
 
-def focus_blocks(client: Client, plan: Plan, run: Run, lit: FloatArray, listener: Listener) -> list[Receipt]:
-    """Focus every block, from spectrum.zarr to patches/<block>, by a chain of tasks of its own."""
+def focus_blocks(
+    client: Client, plan: Plan, run: Run, recovered: Sequence[Receipt], lit: FloatArray, listener: Listener
+) -> list[Receipt]:
+    """Focus every block, from spectrum.zarr to patches/<block>, by a chain of tasks of its own.
+
+    The receipts of recovery have the checksums of the spectrum, `lit` the valid fraction of each pulse.
+    """
     # Create all patches here, before the first task: a late task of a lost worker must not empty a store that another
     # task has written to.
     for block in plan.blocks:
         run.establish(run.patch(block.name), partial(_create_patch, run, block, plan.grid))
+    shape = plan.recovery.doppler.size, plan.geometry.collection.n_range_frequency
+    spectrum = SpectrumChunks.of(recovered, shape, plan.spectrum_chunk)
     units: list[Unit] = [
-        (block_unit(block.name), partial(_submit_chain, client, plan, run, lit, block, -position))
+        (block_unit(block.name), partial(_submit_chain, client, plan, run, spectrum, lit, block, -position))
         for position, block in enumerate(plan.blocks)
     ]
     return run_units(client, "focus", units, run, listener)
@@ -106,7 +121,7 @@ def _create_patch(run: Run, block: BlockPlan, grid: Grid) -> None:
 
 
 def _submit_chain(
-    client: Client, plan: Plan, run: Run, lit: FloatArray, block: BlockPlan, priority: int
+    client: Client, plan: Plan, run: Run, spectrum: SpectrumChunks, lit: FloatArray, block: BlockPlan, priority: int
 ) -> Future[Any]:
     """Submit the tasks of a block; return the future of the last one.
 
@@ -117,7 +132,8 @@ def _submit_chain(
     submit = partial(client.submit, pure=False, priority=priority)
     ground = replace(block.ground, lit=lit_pulses(plan.geometry.collection, block.ground.yaw_axis, lit))
     first, *others = stages(block.chain)
-    node = submit(read_slab, run, block, first, plan.spectrum_chunk[1], key=f"read-slab+{first.name}-{tail}")
+    slab = spectrum.within(block.first_bin, block.first_bin + block.n_bin)
+    node = submit(read_slab, run, block, first, slab, key=f"read-slab+{first.name}-{tail}")
     for stage in others:
         node = submit(run_stage, run, block, stage, node, key=f"{stage.name}-{tail}")
     return submit(write_patch, run, unit, block.name, node, ground, plan.grid, key=f"geometric-correction-{tail}")
@@ -160,7 +176,15 @@ def inspect_samples(
     """
     source, compressed = _compress_raw(client, source, run, listener)
     units = [
-        _single_task(client, run, "inspect", f"columns-{columns[0]}", inspect_group, source, columns)
+        _single_task(
+            client,
+            run,
+            "inspect",
+            f"columns-{columns[0]}",
+            inspect_group,
+            source.within(columns=slice(*columns)),
+            columns,
+        )
         for columns in _spans(source.collection.n_range_frequency, inspection_width(source.collection))
     ]
     inspected = run_units(client, "inspect", units, run, listener, source=source)
@@ -213,12 +237,21 @@ def _compress_raw(
     run.establish(run.compressed, lambda: stores.create_phase_history(run.compressed, collection, overwrite=True))
     compression = RawCompression.of_echo(source.raw, collection)
     units = [
-        _single_task(client, run, "compress", f"pulses-{pulses[0]}", compress_pulses, source, pulses, compression)
+        _single_task(
+            client,
+            run,
+            "compress",
+            f"pulses-{pulses[0]}",
+            compress_pulses,
+            source.within(pulses=slice(*pulses)),
+            pulses,
+            compression,
+        )
         for pulses in _spans(collection.n_pulse, TILE[0])
     ]
     receipts = run_units(client, "range-compress", units, run, listener, per_worker=2, source=source)
     try:
-        return stores.open_phase_history(run.compressed), receipts
+        return stores.open_phase_history(run.compressed).pinned(), receipts
     except InputError as error:  # about the run's own store, not about the input
         raise ProcessingError(str(error)) from error
 

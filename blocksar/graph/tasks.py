@@ -27,6 +27,7 @@ from blocksar.focusing.range_compression import RawCompression
 from blocksar.focusing.recovery import Recovery, recover_columns
 from blocksar.focusing.step import Stage
 from blocksar.inspection.samples import Inspection, inspect, mask_outliers
+from blocksar.places.place import Place
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.tiling import image_chunk, patch_window
 from blocksar.runs.receipts import Run, write, written_entry
@@ -88,10 +89,16 @@ def compress_pulses(
 
 
 def recover_group(
-    run: Run, unit: str, source: stores.PhaseHistory, columns: tuple[int, int], recovery: Recovery, width: int
+    run: Run,
+    unit: str,
+    source: stores.PhaseHistory,
+    columns: tuple[int, int],
+    recovery: Recovery,
+    chunk: tuple[int, int],
 ) -> Receipt:
-    """Recover the spectrum of a column group, `width` columns at a time; missing and impossible samples are unlit."""
+    """Recover the spectrum of a column group, a chunk's columns at a time; missing and impossible samples are unlit."""
     started = time.perf_counter()
+    height, width = chunk
     signal = source.read(slice(None), slice(*columns))
     frequency = source.collection.carrier + source.collection.range_frequency - recovery.carrier
     inspection = inspect(
@@ -110,7 +117,11 @@ def recover_group(
             threads=run.threads,
             out=buffer[: shape[0] * shape[1]].reshape(shape),
         )
-        parts.append(write(run, run.spectrum, "spectrum", (slice(0, shape[0]), part), spectrum))
+        # One entry for each chunk, so that a block can check those that it reads.
+        parts += [
+            write(run, run.spectrum, "spectrum", (slice(*bins), part), spectrum[slice(*bins)])
+            for bins in _chunks(0, shape[0], height)
+        ]
     receipt = Receipt(unit=unit, stage="recover", written=tuple(parts), found=inspection.as_dict())
     return _sign(run, receipt, started)
 
@@ -146,33 +157,84 @@ class Samples:
         return values if values.flags.writeable else values.copy()
 
 
+def _chunks(first: int, last: int, size: int) -> Iterator[tuple[int, int]]:
+    """Divide first .. last at multiples of `size`, the borders of a store's chunks."""
+    edges = [first, *range(first - first % size + size, last, size), last]
+    return pairwise(edges)
+
+
+@dataclass(frozen=True)
+class SpectrumChunks:
+    """The chunks of spectrum.zarr that a block reads, with the checksums of their receipts.
+
+    Attributes
+    ----------
+    shape, chunk : (int, int)
+        Doppler bins and range frequencies of the spectrum, and of a chunk.
+    checksums : mapping
+        By first bin and first column.
+    """
+
+    shape: tuple[int, int]
+    chunk: tuple[int, int]
+    checksums: Mapping[tuple[int, int], str]
+
+    @classmethod
+    def of(cls, receipts: Sequence[Receipt], shape: tuple[int, int], chunk: tuple[int, int]) -> SpectrumChunks:
+        """All chunks, from the receipts of recovery."""
+        parts = [part for receipt in receipts for part in receipt.written if receipt.stage == "recover"]
+        return cls(shape, chunk, {(part.region[0][0], part.region[1][0]): part.checksum for part in parts})
+
+    def within(self, first_bin: int, last_bin: int) -> SpectrumChunks:
+        """Those with some of the bins first_bin .. last_bin."""
+        first = first_bin - first_bin % self.chunk[0]
+        kept = {place: checksum for place, checksum in self.checksums.items() if first <= place[0] < last_bin}
+        return replace(self, checksums=kept)
+
+    def read(self, store: Place, region: tuple[slice, slice]) -> ComplexArray:
+        """Read a region; its columns are whole chunks.
+
+        Raises
+        ------
+        ProcessingError
+            If a chunk that it touches does not have its checksum.
+        """
+        bins, columns = region
+        height, width = self.chunk
+        first, last = bins.start - bins.start % height, min(-(-bins.stop // height) * height, self.shape[0])
+        values = stores.read_region(store, "spectrum", (slice(first, last), columns))
+        for a, b in _chunks(first, last, height):
+            for c, d in _chunks(columns.start, columns.stop, width):
+                chunk = values[a - first : b - first, c - columns.start : d - columns.start]
+                if stores.checksum(chunk) != self.checksums.get((a, c)):
+                    raise ProcessingError(
+                        f"{store} no longer has the checksum of its receipt at doppler {a}..{b - 1}, range_frequency "
+                        f"{c}..{d - 1}"
+                    )
+        return values[bins.start - first : bins.stop - first]
+
+
 @naming_failures(lambda run, block, stage, *_: f"read-slab+{stage.name} of block {block.name}")
-def read_slab(run: Run, block: BlockPlan, stage: Stage, width: int) -> Samples:
-    """Run a block's first stage on its part of the spectrum, which is read in groups of bins or of `width` columns."""
+def read_slab(run: Run, block: BlockPlan, stage: Stage, spectrum: SpectrumChunks) -> Samples:
+    """Run a block's first stage on its part of the spectrum, which is read by chunks' bins or by chunks' columns."""
     started, reading = time.perf_counter(), 0.0
     program, first_bin, last_bin = stage.program, block.first_bin, block.first_bin + block.n_bin
     if stage.layout == "columns":
         # The range gate works along rows of the store: read groups of Doppler bins.
         out = np.empty((program.target.size, program.n_row), np.complex64)
-        parts = [(slice(a, b), slice(None)) for a, b in _chunks(first_bin, last_bin, DOPPLER_GROUP)]
+        parts = [(slice(a, b), slice(0, spectrum.shape[1])) for a, b in _chunks(first_bin, last_bin, DOPPLER_GROUP)]
     else:
         out = np.empty((block.sampling.n_buffer_row, program.target.size), np.complex64)
-        parts = [(slice(first_bin, last_bin), slice(a, b)) for a, b in _chunks(0, program.n_row, width)]
+        parts = [(slice(first_bin, last_bin), slice(a, b)) for a, b in _chunks(0, program.n_row, spectrum.chunk[1])]
     for region in parts:
         read_from = time.perf_counter()
-        part = stores.read_region(run.spectrum, "spectrum", region)
+        part = spectrum.read(run.spectrum, region)
         reading += time.perf_counter() - read_from
         if stage.layout == "columns":
             program.run(part, out=out, first=region[0].start - first_bin, store="columns", threads=run.threads)
         else:
             program.run(part, out=out, first=region[1].start, load="columns", threads=run.threads)
     return Samples(out, {"read-slab": reading, stage.name: time.perf_counter() - started - reading})
-
-
-def _chunks(first: int, last: int, size: int) -> Iterator[tuple[int, int]]:
-    """Divide first .. last at multiples of `size`, the borders of a store's chunks."""
-    edges = [first, *range(first - first % size + size, last, size), last]
-    return pairwise(edges)
 
 
 @naming_failures(lambda run, block, stage, *_: f"{stage.name} of block {block.name}")

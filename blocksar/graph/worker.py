@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
-import distributed  # noqa: F401
+import gc
 
-from blocksar.focusing.correction import compile_kernels
-from blocksar.graph import tasks  # noqa: F401
+gc.disable()  # imports create many objects and no garbage
+
+import distributed  # noqa: E402, F401
+
+from blocksar.focusing.correction import compile_kernels  # noqa: E402
+from blocksar.graph import tasks  # noqa: E402, F401
 
 compile_kernels()
+gc.freeze()  # a collection in a worker would write to the pages that it shares with the others
+gc.enable()

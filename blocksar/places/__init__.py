@@ -13,6 +13,7 @@ from __future__ import annotations
 import os
 import re
 from pathlib import Path
+from urllib.parse import urlsplit
 
 from blocksar.errors import InputError
 from blocksar.places.local import LocalPlace
@@ -46,4 +47,21 @@ def place(path: Location) -> Place:
         import obstore  # noqa: F401  (only to report that it is missing)
     except ModuleNotFoundError:
         raise InputError(f"{text} needs obstore, which is not installed; install blocksar[s3]") from None
+    _check_endpoint(os.environ.get("AWS_ENDPOINT_URL", ""))
     return ObjectPlace(bucket, key)
+
+
+def _check_endpoint(endpoint: str) -> None:
+    """Check the address of the object store; it may hold a password, so that no message repeats it."""
+    try:
+        parts = urlsplit(endpoint)
+        good = not endpoint or (parts.scheme in ("http", "https") and bool(parts.hostname) and parts.port != 0)
+        secret = parts.username is not None or parts.password is not None
+    except ValueError:
+        good, secret = False, False
+    if not good or secret or not endpoint.isascii() or any(c.isspace() for c in endpoint):
+        what = "holds a user name or password" if good and secret else "is no address"
+        raise InputError(
+            f"AWS_ENDPOINT_URL {what}; give http://host:port or https://host:port, and keys in AWS_ACCESS_KEY_ID and "
+            "AWS_SECRET_ACCESS_KEY"
+        )

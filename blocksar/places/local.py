@@ -58,6 +58,11 @@ class LocalPlace(Place):
                 status = os.stat(file)
                 yield os.path.relpath(file, self.path), status.st_size, str(status.st_mtime_ns)
 
+    def version(self) -> str:
+        with suppress(FileNotFoundError, NotADirectoryError):
+            return file_version(os.stat(self.path))
+        return ""
+
     def read_bytes(self) -> bytes:
         return self.path.read_bytes()
 
@@ -118,7 +123,7 @@ class LocalPlace(Place):
 
     def _flock(self) -> int:
         while True:
-            descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT, 0o666)
+            descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
             try:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 # The last owner may have removed the file after it was opened here: such a lock excludes nobody.
@@ -133,6 +138,11 @@ class LocalPlace(Place):
                     raise Held(describe_owner(owner)) from None
                 raise
             os.close(descriptor)
+
+
+def file_version(status: os.stat_result) -> str:
+    """Return size and time of modification, as `Place.version` does."""
+    return f"{status.st_size} {status.st_mtime_ns}"
 
 
 @contextmanager

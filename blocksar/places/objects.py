@@ -72,6 +72,14 @@ class ObjectPlace(Place):
                 for entry in page:
                     yield entry["path"][first:], entry["size"], str(entry["e_tag"])
 
+    def version(self) -> str:
+        import obstore
+
+        with suppress(FileNotFoundError), os_errors(self):
+            entry = obstore.head(open_bucket(self.bucket), self.key)
+            return f"{entry['size']} {entry['e_tag']}"
+        return ""
+
     def read_bytes(self) -> bytes:
         import obstore
 

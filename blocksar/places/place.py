@@ -49,6 +49,10 @@ class Place(ABC):
         """Iterate over all files below: relative name, size in bytes, and a version that changes when it is written."""
 
     @abstractmethod
+    def version(self) -> str:
+        """Return size and version of a file, as `files` tells them; empty if there is none."""
+
+    @abstractmethod
     def read_bytes(self) -> bytes:
         """Read a file."""
 

@@ -84,6 +84,13 @@ class Field:
             raise self.fail("a text")
         return self.value
 
+    def path(self) -> str:
+        """Return a path below the folder of the file."""
+        parts = self.text().split("/")
+        if not all(parts) or {".", ".."} & set(parts) or "\0" in self.text():
+            raise self.fail("a path within the run")
+        return self.text()
+
     def number(self) -> float:
         """Return a finite number; integers stay integers."""
         value = self.value

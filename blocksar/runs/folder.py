@@ -91,8 +91,17 @@ def find_run(folder: Place, settings: Mapping[str, Any], fingerprint: str, *, ov
     if isinstance(folder, LocalPlace) and folder.exists() and not folder.path.is_dir():
         raise FolderError(f"{folder} is not a folder; choose another --out")
     names = _names(folder)
+    refuse_links(folder)
     if RECORD not in names:
         foreign = [name for name in names if name not in (*LEFT_ALONE, LOCK, ASIDE) and not is_temporary(name)]
+        if "receipts" in foreign and set(foreign) <= set(OWN):
+            if overwrite:
+                return None
+            raise FolderError(
+                f"{folder} holds an unfinished run without its {RECORD}; use --overwrite to begin it again, or another "
+                "--out",
+                replaceable=True,
+            )
         if foreign:
             raise FolderError(f"{folder} exists and holds no run of blocksar (but {foreign[0]}); choose another --out")
         return None
@@ -113,6 +122,24 @@ def find_run(folder: Place, settings: Mapping[str, Any], fingerprint: str, *, ov
             replaceable=True,
         )
     return record
+
+
+def refuse_links(folder: Place) -> None:
+    """Check that nothing that a run writes is a symbolic link: it would be followed to somewhere else.
+
+    Raises
+    ------
+    FolderError
+        If something is.
+    """
+    if not isinstance(folder, LocalPlace):
+        return
+    for name in (*OWN, LOCK, ASIDE):
+        if (folder.path / name).is_symlink():
+            raise FolderError(
+                f"{folder / name} is a symbolic link, which a run would write through; remove it, or choose another "
+                "--out"
+            )
 
 
 def _read_record(folder: Place) -> RunRecord:
@@ -179,10 +206,27 @@ def begin(folder: Place) -> Iterator[Callable[[], None]]:
 
 
 def _move_own(source: Place, target: Place) -> None:
+    """Move all files of a run to another folder of the same file system, or none.
+
+    Raises
+    ------
+    FolderError
+        If one cannot be moved.
+    """
     os.makedirs(str(target), exist_ok=True)
-    for name in OWN:
-        with suppress(FileNotFoundError):
-            os.rename(str(source / name), str(target / name))
+    moved: list[str] = []
+    try:
+        for name in OWN:
+            if os.path.lexists(str(source / name)):
+                os.rename(str(source / name), str(target / name))
+                moved.append(name)
+    except OSError as error:
+        for done in moved:
+            os.rename(str(target / done), str(source / done))
+        target.remove()
+        raise FolderError(
+            f"{source / name} cannot be moved ({error.strerror or error}); make it writable, or choose another --out"
+        ) from error
 
 
 def finish(folder: Place, record: RunRecord) -> None:
@@ -202,16 +246,23 @@ def finish(folder: Place, record: RunRecord) -> None:
 
 
 def tidy(folder: Place) -> None:
-    """Remove leftovers from a finished run, including those of a killed process."""
+    """Remove leftovers from a finished run, including those of a killed process, as far as that is allowed."""
     for name in (*TEMPORARY, ASIDE):
-        (folder / name).remove()
+        with suppress(PermissionError):
+            (folder / name).remove()
     folder.sweep()
 
 
 def scratch(folder: Place) -> str | None:
-    """Return a folder for temporary files of own workers; None in an object store, or if its name is not printable."""
+    """Return a folder for temporary files of own workers; None where there can be none that dask accepts."""
     path = str(folder / "scratch")
-    return path if isinstance(folder, LocalPlace) and path.isprintable() else None
+    if not isinstance(folder, LocalPlace) or not path.isprintable():
+        return None
+    with suppress(OSError):
+        (folder / "scratch").remove()
+        os.makedirs(path)
+        return path
+    return None
 
 
 def is_tidy(folder: Place) -> bool:

@@ -85,9 +85,7 @@ class Run:
             return False
 
     def _same_files(self, checksums: Mapping[str, str]) -> bool:
-        return all(
-            stores.checksum_bytes((self.folder / name).read_bytes()) == checksum for name, checksum in checksums.items()
-        )
+        return all(stores.file_checksum(self.folder / name) == checksum for name, checksum in checksums.items())
 
     def file_checksums(self, store: Place, *, volatile: Sequence[str] = ()) -> dict[str, str]:
         """Return the checksums of a new store's files (metadata and coordinates) by path relative to the run folder.
@@ -101,7 +99,7 @@ class Run:
         """
         prefix, left_out = self.name_of(store), tuple(f"{name}/c/" for name in volatile)
         return {
-            f"{prefix}/{name}": stores.checksum_bytes((store / name).read_bytes())
+            f"{prefix}/{name}": stores.file_checksum(store / name)
             for name, _, _ in store.files()
             if not name.startswith(left_out)
         }

@@ -49,7 +49,7 @@ class Written:
     @classmethod
     def of(cls, entry: Field) -> Self:
         region = tuple(span.integers() for span in entry["region"])
-        return cls(entry["store"].text(), entry["variable"].text(), region, entry["checksum"].text())
+        return cls(entry["store"].path(), entry["variable"].path(), region, entry["checksum"].text())
 
     def intact(self, folder: Place) -> bool:
         """Read the values and compare their checksum.
@@ -121,7 +121,10 @@ class Receipt:
             found=entry["found"].optional(Field.mapping),
             origin=entry["origin"].optional(Field.integers),
             steps={name: seconds.number() for name, seconds in entry["steps"].items()},
-            files={name: checksum.text() for name, checksum in entry["files"].items()},
+            files={
+                Field(name, f"a name in {checksum.name}", entry.file).path(): checksum.text()
+                for name, checksum in entry["files"].items()
+            },
             reused=entry["reused"].flag(),
             damaged=entry["damaged"].flag(),
         )

@@ -27,7 +27,7 @@ from blocksar.stores.phase_history import (
     read_collection,
     write_collection,
 )
-from blocksar.stores.records import checksum, checksum_bytes, json_checksum, read_json, write_json
+from blocksar.stores.records import checksum, checksum_bytes, file_checksum, json_checksum, read_json, write_json
 from blocksar.stores.regions import chunk_shape, read_region, share_region, write_region
 from blocksar.stores.schema import (
     COLLECTION,
@@ -60,6 +60,7 @@ __all__ = [
     "chunk_shape",
     "create",
     "create_phase_history",
+    "file_checksum",
     "history_line",
     "json_checksum",
     "open_dataset",

@@ -6,7 +6,7 @@ import json
 import os
 import stat
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from blocksar.errors import InputError
-from blocksar.places.local import LocalPlace, replacing_file
+from blocksar.places.local import LocalPlace, file_version, replacing_file
 from blocksar.places.place import Place
 
 Region = tuple[slice, ...]
@@ -82,8 +82,13 @@ class ChunkFiles:
         """Bytes of one row of a chunk: the samples with the same first index."""
         return self.dtype.itemsize * prod(self.chunks[1:])
 
-    def read(self, region: Region, out: Array | None = None) -> Array:
+    def read(
+        self, region: Region, out: Array | None = None, *, seen: Callable[[str, str], None] | None = None
+    ) -> Array:
         """Read a region of step 1, into `out` if given.
+
+        `seen` is told the name of each chunk, relative to the folder, and the version that was read; see
+        `Place.version`.
 
         Raises
         ------
@@ -102,8 +107,11 @@ class ChunkFiles:
                 refuse_odd_file(file, sys.maxsize)
                 with open(file, "rb") as stream:
                     self._read_chunk(stream, inside, values[outside], slab)
+                    version = file_version(os.fstat(stream.fileno()))
             except FileNotFoundError:
-                values[outside] = fill_value(self.dtype.name)
+                values[outside], version = fill_value(self.dtype.name), ""
+            if seen is not None:
+                seen(os.path.relpath(file, self.folder), version)
         return values
 
     def write(self, region: Region, values: Array) -> None:

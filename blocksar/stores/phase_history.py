@@ -7,7 +7,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from math import prod
 from typing import TYPE_CHECKING, Any
@@ -30,7 +30,8 @@ from blocksar.stores.arrays import dimension_names, metadata_file, open_array, r
 from blocksar.stores.chunk_files import chunk_files_of, refuse_odd_file
 from blocksar.stores.creation import UNFINISHED, create
 from blocksar.stores.faults import cause_of, unreachable
-from blocksar.stores.regions import read_array
+from blocksar.stores.records import json_checksum
+from blocksar.stores.regions import chunk_names, read_array
 from blocksar.stores.schema import (
     COLLECTION,
     COLLECTION_ATTRS,
@@ -66,12 +67,15 @@ class PhaseHistory:
         None if the samples are `signal`, over range frequency; otherwise they are `echo`, over fast time.
     attrs : dict
         Other attributes of the store: title, history, targets, scene, georeference ...
+    versions : mapping of str to str or None
+        Version of each chunk of samples, by name relative to their variable, if they are `pinned`; see `Place.version`.
     """
 
     path: Place
     collection: Collection
     raw: RawEcho | None = None
     attrs: dict[str, Any] = field(default_factory=dict)
+    versions: Mapping[str, str] | None = None
 
     @property
     def variable(self) -> str:
@@ -90,6 +94,37 @@ class PhaseHistory:
         pulse, column = open_array(self.path, self.variable).chunks
         return int(pulse), int(column)
 
+    def same(self, other: PhaseHistory) -> bool:
+        """Whether everything that was read at opening is the same."""
+        mine, yours = self.collection.as_dict(), other.collection.as_dict()
+        return (
+            (self.raw is None) == (other.raw is None)
+            and json_checksum(self.attrs) == json_checksum(other.attrs)
+            and all(np.array_equal(mine[name], yours[name], equal_nan=name == "beam_azimuth") for name in mine)
+        )
+
+    def pinned(self) -> PhaseHistory:
+        """The same with the versions that its chunks have now: it reads no other ones.
+
+        Raises
+        ------
+        InputError
+            If they cannot be listed.
+        """
+        with _reading(self.path):
+            versions = {
+                name.partition("/")[2]: version for name, version, _ in replace(self, versions=None)._files() if version
+            }
+        return replace(self, versions=versions)
+
+    def within(self, pulses: slice = slice(None), columns: slice = slice(None)) -> PhaseHistory:
+        """The same with the versions of those chunks only that hold these samples: its pickle is small."""
+        if self.versions is None:
+            return self
+        array = chunk_files_of(self.path, self.variable) or open_array(self.path, self.variable)
+        names = chunk_names(array, (pulses, columns))
+        return replace(self, versions={name: self.versions.get(name, "") for name in names})
+
     def read(self, pulses: slice, columns: slice) -> ComplexArray:
         """Read the samples of some pulses and columns.
 
@@ -101,7 +136,7 @@ class PhaseHistory:
         Raises
         ------
         InputError
-            If a chunk is damaged (the message names it), or the store has changed since it was opened.
+            If a chunk is damaged (the message names it), or the store has changed since it was opened or pinned.
         """
         array = chunk_files_of(self.path, self.variable) or open_array(self.path, self.variable)
         if array.shape != self.shape:
@@ -109,15 +144,25 @@ class PhaseHistory:
                 f"{self.variable} in {self.path} now has shape {array.shape}, not {self.shape}; it changed since it "
                 "was opened: start again"
             )
-        samples = read_array(array, (pulses, columns), self.path, f"{self.variable} in {self.path}")
+        seen = None if self.versions is None else self._refuse_change
+        samples = read_array(array, (pulses, columns), self.path, f"{self.variable} in {self.path}", seen=seen)
         with np.errstate(over="ignore"):
             return samples.astype(np.complex64, copy=False)
+
+    def _refuse_change(self, name: str, version: str) -> None:
+        assert self.versions is not None
+        if version != self.versions.get(name, ""):
+            what = "was gone" if not version else "appeared" if not self.versions.get(name) else "was written"
+            raise InputError(
+                f"{self.path} changes while it is read: {self.variable}/{name} {what} after the start; start again "
+                "once nothing writes to it"
+            )
 
     def fingerprint(self) -> str:
         """Return a hash that identifies the input without reading its samples.
 
         It covers all bytes of metadata, axes, track and beam; of the samples it covers the chunks' names, sizes and
-        times of modification, or their versions in an object store.
+        times of modification, or their versions in an object store: those that are pinned, if any are.
 
         Raises
         ------
@@ -146,7 +191,8 @@ class PhaseHistory:
             files = sorted((self.path / variable).files(), key=lambda file: file[0].split("/"))
             for name, size, version in files:
                 chunk = variable == self.variable and name not in ("zarr.json", ".zarray", ".zattrs")
-                yield f"{variable}/{name}", f"{size} {version}" if chunk else "", self.path / variable / name
+                known = (self.versions or {}).get(name, f"{size} {version}")
+                yield f"{variable}/{name}", known if chunk else "", self.path / variable / name
 
 
 def create_phase_history(
@@ -348,7 +394,8 @@ def _open_group(place: Place) -> zarr.Group:
             raise InputError(f"{place} is a single zarr array, not a group; give the path of the store that holds it")
         # Consolidated metadata is a copy that may be out of date.
         with os_errors(place):
-            return zarr.open_group(store=place.zarr_path(), mode="r", use_consolidated=False)
+            version: Any = 3 if metadata == "zarr.json" else 2
+            return zarr.open_group(store=place.zarr_path(), mode="r", zarr_format=version, use_consolidated=False)
     except (InputError, PermissionError):
         raise
     except Exception as error:

@@ -101,6 +101,19 @@ def checksum_bytes(data: bytes) -> str:
     return xxhash.xxh3_128(data).hexdigest()
 
 
+def file_checksum(place: Place) -> str:
+    """Return `checksum_bytes` of a small file.
+
+    Raises
+    ------
+    InputError
+        If it is no regular file, or too large.
+    """
+    if isinstance(place, LocalPlace):
+        refuse_odd_file(place.path)
+    return checksum_bytes(place.read_bytes())
+
+
 def json_checksum(obj: Any) -> str:
     """Return the checksum of an object as `write_json` writes it; the order of keys does not matter.
 

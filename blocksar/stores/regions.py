@@ -148,13 +148,22 @@ def share_region(path: Location, name: str, region: Region, *, source: Location,
 
 
 def read_array(
-    array: ChunkFiles | zarr.Array[Any], region: Region, store: Place, label: str, out: Array | None = None
+    array: ChunkFiles | zarr.Array[Any],
+    region: Region,
+    store: Place,
+    label: str,
+    out: Array | None = None,
+    *,
+    seen: Callable[[str, str], None] | None = None,
 ) -> Array:
-    """Read a region of an open array; `label` names it in messages. If that fails, name the first damaged chunk."""
+    """Read a region of an open array; `label` names it in messages. If that fails, name the first damaged chunk.
+
+    `seen` is told the name of each chunk's file, relative to the variable, and the version that was read.
+    """
     if isinstance(array, ChunkFiles):
         if len(region) == array.ndim and all(part.step in (None, 1) for part in region):
             with suppress(OSError):
-                return array.read(region, out)
+                return array.read(region, out, seen=seen)
         # Otherwise let zarr read it, or say what is wrong.
         array = open_array(store, os.path.basename(array.folder))
     try:
@@ -178,6 +187,10 @@ def read_array(
             f"{label} cannot be read{f' at {position}' if position else ''} ({cause_of(cause)}); "
             "that chunk is damaged or unreachable: write it again"
         ) from error
+    if seen is not None:
+        with os_errors(store):
+            for name in chunk_names(array, region):
+                seen(name, (store / array.basename / name).version())
     if out is None:
         return values
     check_out(out, values.shape, values.dtype)
@@ -212,6 +225,20 @@ def for_each_chunk(region: Region, chunks: Sequence[int], move: Callable[[Region
     with ThreadPoolExecutor(OBJECTS_AT_ONCE) as pool:
         for _ in pool.map(move, product(*in_array), product(*in_region)):
             pass
+
+
+def chunk_names(array: ChunkFiles | zarr.Array[Any], region: Region) -> Iterator[str]:
+    """Iterate over the files that hold a region of step 1, by name relative to the variable."""
+    sides = array.chunks if isinstance(array, ChunkFiles) else array.shards or array.chunks
+    cells = []
+    for part, n, side in zip(region, array.shape, sides, strict=True):
+        start, stop, _ = part.indices(n)
+        cells.append(range(start // side, -(-stop // side)))
+    for cell in product(*cells):
+        if isinstance(array, ChunkFiles):
+            yield "/".join(("c", *map(str, cell)))
+        else:
+            yield array.metadata.encode_chunk_key(cell)
 
 
 def _cells(array: zarr.Array[Any], region: Region) -> Iterator[Region]:

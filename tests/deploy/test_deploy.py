@@ -32,6 +32,7 @@ from repository import ROOT
 
 import blocksar
 from blocksar.cli import endings
+from blocksar.focusing import correction
 from blocksar.graph import cluster
 
 DEPLOY = ROOT / "deploy"
@@ -629,7 +630,7 @@ def test_external_clusters_use_the_settings_of_a_local_cluster(recipe: Any, monk
         raise Enough
 
     monkeypatch.setattr(cluster, "LocalCluster", look)
-    monkeypatch.setattr(cluster, "compile_kernels", lambda: None)
+    monkeypatch.setattr(correction, "compile_kernels", lambda: None)
     with pytest.raises(Enough), cluster.open_client():
         pass
     assert own.pop("environment") == recipe.ENVIRONMENT

@@ -20,7 +20,8 @@ from benchmarks.floors import fft_share, io_share, on_every_worker, traffic_of
 from benchmarks.other_version import OtherVersion, other_version
 from benchmarks.scenes import Blocks, Case, Scale, plan_case
 from blocksar import stores
-from blocksar.graph.cluster import machine, open_client
+from blocksar.graph.cluster import open_client
+from blocksar.graph.machine import machine
 from blocksar.graph.tasks import peak_memory
 from blocksar.runs.record import RunRecord
 

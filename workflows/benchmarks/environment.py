@@ -9,7 +9,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from blocksar.graph.cluster import machine
+from blocksar.graph.machine import machine
 
 PACKAGES = ("blocksar", "numpy", "scipy", "numba", "dask", "distributed", "zarr", "xarray")
 

@@ -56,7 +56,8 @@ class Cluster:
             If no cluster can be started or reached.
         """
         # Heavy, and not needed by a sweep without new collections.
-        from blocksar.graph.cluster import cluster_size, machine, open_client
+        from blocksar.graph.cluster import cluster_size, open_client
+        from blocksar.graph.machine import machine
 
         try:
             if self._client is None:

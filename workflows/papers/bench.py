@@ -16,7 +16,8 @@ import blocksar
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.focusing.method import Method
-from blocksar.graph.cluster import machine, open_client
+from blocksar.graph.cluster import open_client
+from blocksar.graph.machine import machine
 from blocksar.measurement.figures import PointResponse, measure
 from blocksar.measurement.response import Response, read_response
 from blocksar.measurement.targets import Target
