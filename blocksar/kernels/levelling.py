@@ -85,7 +85,7 @@ def level_lines(problem: Problem, damping: float, enough: float, steps: int) -> 
     rows, trial_rows = np.empty((n, m)), np.empty((n, m))
     q, r = np.empty((n, m)), np.zeros((n, n))
     x, at, norm, scale = start.copy(), start.copy(), np.zeros(n), np.ones(n)
-    step, bend = np.zeros(n), np.zeros(n)  # in units of the scale
+    step, found = np.zeros(n), np.zeros(n)  # in units of the scale
     cost, growth, taken, probing, kept = np.inf, 2.0, 0, False, False
     while True:
         sound = evaluate(problem, at, trial, trial_rows, not probing)
@@ -95,11 +95,6 @@ def level_lines(problem: Problem, damping: float, enough: float, steps: int) -> 
                 for i in range(n):
                     along += rows[i, k] * step[i] / scale[i]
                 trial[k] = 2 / PROBE * ((trial[k] - residual[k]) / PROBE - along)
-            _solve_damped(q, r, trial, damping, bend)
-            if _dot(bend, bend) <= MOST_BEND**2 * _dot(step, step):
-                at, probing = x + (step + bend / 2) / scale, False
-                continue
-            damping, growth = damping * growth, growth * 2
         else:
             new_cost = _dot(trial, trial)
             if taken == 0 and not np.isfinite(new_cost):
@@ -122,10 +117,18 @@ def level_lines(problem: Problem, damping: float, enough: float, steps: int) -> 
                 _orthogonalise(q, r)
             else:
                 damping, growth = damping * growth, growth * 2
-        if damping > MOST_DAMPING:
-            return x
-        _solve_damped(q, r, residual, damping, step)
-        at, probing = x + PROBE * step / scale, True
+        while True:
+            if damping > MOST_DAMPING:
+                return x
+            _solve_damped(q, r, trial if probing else residual, damping, found)
+            if not probing:
+                step[:], at, probing = found, x + PROBE * found / scale, True
+                break
+            probing = False
+            if _dot(found, found) <= MOST_BEND**2 * _dot(step, step):
+                at = x + (step + found / 2) / scale
+                break
+            damping, growth = damping * growth, growth * 2
 
 
 @njit(forceinline=True, **OPTIONS)

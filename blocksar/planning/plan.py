@@ -238,7 +238,7 @@ class _Planner:
     def plan(self, count: int, n_parts: int, probe: bool) -> Plan:
         """Plan all blocks that the grid touches; a probe plans only the outermost ones and the one in the middle."""
         seams = block_seams(self.geometry, self.region, count)
-        touched = [i for i in range(count) if seams[i + 1] > self.extent.low and seams[i] < self.extent.high]
+        touched = [i for i in range(count) if seams[i + 1] > self.extent.low and seams[i] <= self.extent.high]
         if probe:
             touched = sorted({touched[0], touched[len(touched) // 2], touched[-1]})
         before = {key: blocks for key, blocks in self.planned.items() if key[:2] == (count, n_parts)}
@@ -270,7 +270,7 @@ class _Planner:
         excess = (far - near) - 0.97 * self.geometry.collection.range_window
         if excess > 0:
             near, far = near + excess / 2, far - excess / 2
-        if far <= near:
+        if far < near:
             return []
         # The nine ranges of the fit need some distance between them for meaningful polynomials.
         least = 64 * SPEED_OF_LIGHT / (2 * self.geometry.collection.bandwidth)

@@ -23,7 +23,7 @@ from blocksar.places.place import Place
 
 Region = tuple[slice, ...]
 Array = NDArray[Any]
-MAX_METADATA = 1 << 26  # bytes of a metadata file: a larger one is damaged, and could exhaust the memory
+MAX_METADATA = 1 << 24  # bytes of a metadata file: a larger one is damaged, and could exhaust the memory
 SLAB = 1 << 19  # bytes copied at a time between a chunk's file and memory of another layout: they stay in the L2 cache
 TRANSPOSED_COLUMNS = 64  # columns copied at a time in a transposition: more would touch more pages than the TLB holds
 FILLS = {"complex64": ["NaN", "NaN"], "float64": "NaN", "int16": -1}  # fill values by dtype, as in the metadata

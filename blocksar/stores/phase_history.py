@@ -47,8 +47,8 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-MAX_AXIS = 1 << 26  # samples of an axis: metadata that states more is damaged, and could exhaust the memory
-MAX_CHUNK = 1 << 34  # bytes of a chunk, for the same reason
+MAX_AXIS = 1 << 22  # samples of an axis: metadata that states more is damaged, and could exhaust the memory
+MAX_CHUNK, MAX_PADDED = 1 << 34, 1 << 26  # bytes of a chunk of samples, and of one that is larger than its axis
 MAX_CHUNKS = 1 << 15  # chunks of a variable that is read as a whole: more take minutes, or do not exist
 GROUP_METADATA = (".zattrs", ".zgroup", ".zmetadata", "zarr.json")
 
@@ -145,7 +145,7 @@ class PhaseHistory:
                 "was opened: start again"
             )
         seen = None if self.versions is None else self._refuse_change
-        samples = read_array(array, (pulses, columns), self.path, f"{self.variable} in {self.path}", seen=seen)
+        samples = read_array(array, (pulses, columns), self.path, self.variable, seen=seen)
         with np.errstate(over="ignore"):
             return samples.astype(np.complex64, copy=False)
 
@@ -301,16 +301,14 @@ def open_phase_history(path: Location) -> PhaseHistory:
                 f"{variables}); a phase history has one of the two"
             )
         attrs = _attrs(group)
+        samples = _checked(place, names[0])
+        for name, n in zip(
+            ("time", "range_frequency" if names == ["signal"] else "fast_time"), samples.shape, strict=True
+        ):
+            if (shape := _checked(place, name).shape) != (n,):
+                raise InputError(f"{names[0]} has shape {samples.shape}, but {name} has {shape}; make them agree")
         raw = _read_raw(place, attrs) if names == ["echo"] else None
         collection = _read_collection(place, attrs, None if raw is None else raw.range_frequency)
-        column = "range_frequency" if raw is None else "fast_time"
-        columns = collection.n_range_frequency if raw is None else raw.fast_time.size
-        samples = _checked(place, names[0])
-        if samples.shape != (collection.n_pulse, columns):
-            raise InputError(
-                f"{names[0]} has shape {samples.shape}, but time and {column} have {collection.n_pulse} and {columns} "
-                "values; make them agree"
-            )
         own = (*COLLECTION_ATTRS, *(RAW_ATTRS if raw is not None else ()))
         rest = {name: value for name, value in attrs.items() if name not in own}
         return PhaseHistory(path=place, collection=collection, raw=raw, attrs=rest)
@@ -480,6 +478,8 @@ def _checked(place: Place, name: str) -> zarr.Array[Any]:
     chunks = array.shards or array.chunks
     if not 0 < prod(chunks) * array.dtype.itemsize <= MAX_CHUNK:
         raise InputError(f"{name} claims chunks of {chunks}; its metadata is damaged, write it again")
+    if name not in ("signal", "echo") and prod(chunks) * array.dtype.itemsize > max(MAX_PADDED, 2 * array.nbytes):
+        raise InputError(f"{name} has chunks of {chunks}, far larger than itself; write it again")
     count = prod(-(-n // chunk) for n, chunk in zip(array.shape, chunks, strict=True))
     if count > MAX_CHUNKS and name not in ("signal", "echo"):
         raise InputError(f"{name} has {count} chunks, but is read as a whole; write it in at most {MAX_CHUNKS}")
@@ -496,5 +496,5 @@ def _checked(place: Place, name: str) -> zarr.Array[Any]:
 def _real(place: Place, name: str) -> FloatArray:
     """Check and read a variable of real numbers."""
     array = _checked(place, name)
-    values = read_array(array, (slice(None),) * array.ndim, place, name)
+    values = read_array(array, (slice(None),) * array.ndim, place, name, label=name)
     return np.asarray(values, dtype=np.float64)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -111,7 +110,7 @@ def read_region(path: Location, name: str, region: Sequence[slice], out: Array |
     """
     place = place_of(path)
     array = chunk_files_of(place, name) or open_array(place, name)
-    return read_array(array, tuple(region), place, f"{name} in {place}", out)
+    return read_array(array, tuple(region), place, name, out)
 
 
 def chunk_shape(path: Location, name: str) -> tuple[int, ...]:
@@ -151,12 +150,15 @@ def read_array(
     array: ChunkFiles | zarr.Array[Any],
     region: Region,
     store: Place,
-    label: str,
+    name: str,
     out: Array | None = None,
     *,
+    label: str = "",
     seen: Callable[[str, str], None] | None = None,
 ) -> Array:
     """Read a region of an open array; `label` names it in messages. If that fails, name the first damaged chunk.
+
+    `name` is that of the variable.
 
     `seen` is told the name of each chunk's file, relative to the variable, and the version that was read.
     """
@@ -165,7 +167,8 @@ def read_array(
             with suppress(OSError):
                 return array.read(region, out, seen=seen)
         # Otherwise let zarr read it, or say what is wrong.
-        array = open_array(store, os.path.basename(array.folder))
+        array = open_array(store, name)
+    label = label or f"{name} in {store}"
     try:
         with os_errors(store):
             values = np.asarray(array[region]) if isinstance(store, LocalPlace) else _fetch(array, region)
@@ -189,8 +192,8 @@ def read_array(
         ) from error
     if seen is not None:
         with os_errors(store):
-            for name in chunk_names(array, region):
-                seen(name, (store / array.basename / name).version())
+            for chunk in chunk_names(array, region):
+                seen(chunk, (store / name / chunk).version())
     if out is None:
         return values
     check_out(out, values.shape, values.dtype)

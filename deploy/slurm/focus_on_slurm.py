@@ -129,9 +129,9 @@ def make_cluster(
         death_timeout=120,
         security=security,
         protocol="tls://",
-        # Dashboards have no access control: the scheduler's is on this node only, the workers have none.
+        # Their HTTP servers have no access control: each answers on its own node only.
         scheduler_options={"dashboard_address": "127.0.0.1:0"},
-        worker_extra_args=["--no-dashboard"],
+        worker_extra_args=["--no-dashboard", "--dashboard-address", "127.0.0.1:0"],
         silence_logs="critical",
     )
 

@@ -268,7 +268,10 @@ def test_a_killed_run_is_resumed(
     again: Callable[[Path], set[str]],
     tmp_path: Path,
 ) -> None:
-    """Runs are killed at twenty times between first and last write; every fourth run starts a local cluster."""
+    """Runs are killed at twenty times between first and last write; every fourth run starts a local cluster.
+
+    Some go on where they are, some after they were moved, some in a copy.
+    """
     moment = (seed + random.Random(seed).random()) / 20
     own = seed % 4 == 3
     where = OWN if own else ("--scheduler", dask_cluster.address)
@@ -285,8 +288,12 @@ def test_a_killed_run_is_resumed(
             break
         seconds *= 0.7  # this run is faster than the timed one, on a less busy machine
         shutil.rmtree(run)
-    assert again(tmp_path / "run") == set()
     process.gone()
+    if seed % 3:
+        other = tmp_path / "other"
+        shutil.copytree(run, other) if seed % 3 == 2 else run.rename(other)
+        run = other
+    assert again(run) == set()
 
 
 @pytest.mark.parametrize("attempt", [0, *(pytest.param(more, marks=pytest.mark.slow) for more in (1, 2))])
@@ -462,20 +469,18 @@ def test_a_run_resumes_after_its_output_became_read_only(
 
 @pytest.mark.parametrize(
     ("stage", "workers"),
-    [("focus", 2), *(pytest.param(stage, 1, marks=pytest.mark.slow) for stage in ("recover", "mosaic"))],
+    [("focus", 1), *(pytest.param(stage, 2, marks=pytest.mark.slow) for stage in ("recover", "focus", "mosaic"))],
 )
-def test_a_hung_worker_does_not_change_the_result(
+def test_a_hung_worker_is_replaced(
     stage: str, workers: int, launcher: Launcher, store: Path, again: Callable[[Path], set[str]], tmp_path: Path
 ) -> None:
+    """Also the only one."""
     own = ("--workers", str(workers), "--memory-limit", "2GiB")
-    process = launcher.start("blocksar", *words(store, tmp_path / "run", *own), WORKER_TTL=5, NO_WORKER=8)
+    process = launcher.start("blocksar", *words(store, tmp_path / "run", *own), WORKER_TTL=4, HUNG=1)
     process.await_line(f"{stage}: 0")
     hung = workers_of(process.pid)[0]
     os.kill(hung, signal.SIGSTOP)
-    status = process.wait()
-    assert status in (0, 1), process.stderr
-    if status:
-        one_sentence(process)
+    assert process.wait() == 0, process.stderr
     process.gone()
     assert again(tmp_path / "run") == set()
 

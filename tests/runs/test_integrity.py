@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
+import subprocess
+import sys
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+import zarr
 from distributed import Client
 from scenes import scene
 
@@ -36,7 +42,8 @@ def store(original: Path, tmp_path: Path) -> Path:
 @pytest.fixture(scope="module")
 def right(original: Path, client: Client, tmp_path_factory: pytest.TempPathFactory) -> str:
     run = tmp_path_factory.mktemp("right") / "run"
-    blocksar.focus(original, run, blocks=2, grid=GRID, client=client)
+    report = blocksar.focus(original, run, blocks=2, grid=GRID, client=client)
+    assert report.result["status"] == "finished"
     return checksum(run)
 
 
@@ -143,3 +150,186 @@ def test_a_chunk_of_a_patch_that_is_lost_is_noticed(
             blocksar.focus(store, run, blocks=2, grid=GRID, client=client)
     blocksar.focus(store, run, blocks=2, grid=GRID, client=client)
     assert checksum(run) == right
+
+
+# ---------------------------------------------------------------- the run folder
+
+
+@pytest.fixture
+def unfinished(store: Path, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A run that was interrupted before its mosaic."""
+
+    def interrupted(*_: Any) -> Any:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(stages, "mosaic", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            blocksar.focus(store, tmp_path / "run", blocks=2, grid=GRID, client=client)
+    return tmp_path / "run"
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(file.relative_to(folder)): file.read_bytes() for file in sorted(folder.rglob("*")) if file.is_file()}
+
+
+@pytest.mark.parametrize("plan", [{"blocks": None}, {"blocks": 2.5}, {"blocks": 3}, {"parts": 10**9}, {"parts": "two"}])
+def test_a_plan_that_was_altered_is_refused(
+    plan: dict[str, Any], store: Path, client: Client, unfinished: Path
+) -> None:
+    record = json.loads((unfinished / "run.json").read_text())
+    (unfinished / "run.json").write_text(json.dumps(record | {"plan": record["plan"] | plan}))
+    before = contents(unfinished)
+    with pytest.raises(InputError, match=r"run\.json.*--overwrite"):
+        blocksar.focus(store, unfinished, blocks=2, grid=GRID, client=client)
+    assert contents(unfinished) == before
+
+
+def test_a_run_without_its_record_can_be_begun_again(store: Path, right: str, client: Client, unfinished: Path) -> None:
+    (unfinished / "run.json").unlink()
+    with pytest.raises(InputError, match=r"unfinished run without its run\.json; use --overwrite"):
+        blocksar.focus(store, unfinished, blocks=2, grid=GRID, client=client)
+    blocksar.focus(store, unfinished, blocks=2, grid=GRID, client=client, overwrite=True)
+    assert checksum(unfinished) == right
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"files": {"/dev/zero": "00"}},
+        {"files": {"../phase_history.zarr/zarr.json": "00"}},
+        {"files": [1]},
+        {"written": 7},
+        {"written": [{"store": "/dev", "variable": "zero", "region": [[0, 1]], "checksum": "00"}]},
+        {"written": [{"store": "spectrum.zarr", "variable": "spectrum", "region": [[0, 1e300]], "checksum": 1}]},
+        {"origin": "here"},
+        {"found": [None]},
+    ],
+)
+def test_a_receipt_that_was_altered_does_not_count(
+    change: dict[str, Any], store: Path, right: str, client: Client, unfinished: Path
+) -> None:
+    """Even with a seal that fits."""
+    for path in (unfinished / "receipts").iterdir():
+        value = {name: item for name, item in json.loads(path.read_text()).items() if name != "seal"} | change
+        path.write_text(json.dumps(value | {"seal": stores.json_checksum(value)}))
+    blocksar.focus(store, unfinished, blocks=2, grid=GRID, client=client)
+    assert checksum(unfinished) == right
+
+
+@pytest.mark.parametrize("name", ["run.lock", "patches", "receipts", "run.json", "image.zarr"])
+def test_symbolic_links_are_not_written_through(name: str, store: Path, client: Client, tmp_path: Path) -> None:
+    run, elsewhere = tmp_path / "run", tmp_path / "elsewhere"
+    run.mkdir()
+    elsewhere.mkdir()
+    (run / name).symlink_to(elsewhere / "file" if name == "run.lock" else elsewhere)
+    with pytest.raises(InputError, match="is a symbolic link"):
+        blocksar.focus(store, run, blocks=2, grid=GRID, client=client)
+    assert list(elsewhere.iterdir()) == []
+
+
+def test_an_overwriting_that_cannot_move_the_old_run_leaves_it_whole(
+    store: Path, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As in a folder of another user."""
+    run = tmp_path / "run"
+    blocksar.focus(store, run, blocks=2, grid=GRID, client=client)
+    before, rename = contents(run), os.rename
+
+    def refusing(source: Any, target: Any) -> None:
+        if os.path.basename(source) == "patches" and ".replaced" in str(target):
+            raise PermissionError(13, "Permission denied")
+        rename(source, target)
+
+    monkeypatch.setattr(os, "rename", refusing)
+    with pytest.raises(InputError, match=r"patches cannot be moved \(Permission denied\)"):
+        blocksar.focus(store, run, blocks=1, grid=GRID, client=client, overwrite=True)
+    assert contents(run) == before
+    assert "nothing to do" in blocksar.focus(store, run, blocks=2, grid=GRID, client=client).summary[0]
+
+
+def test_a_foreign_scratch_is_in_nobodys_way(store: Path, right: str, tmp_path: Path, unfinished: Path) -> None:
+    """With a local cluster, whose temporary files lie there."""
+    (unfinished / "scratch").write_text("a file")
+    blocksar.focus(store, unfinished, blocks=2, grid=GRID, workers=1)
+    assert checksum(unfinished) == right
+
+
+# ---------------------------------------------------------------- unusual input
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 40), (40, 1)])
+@pytest.mark.parametrize("processor", ["angular-division", "backprojection"])
+def test_a_row_or_a_pixel_is_an_image(
+    shape: tuple[int, int], processor: Any, store: Path, right: str, client: Client, tmp_path: Path
+) -> None:
+    grid = ((15900.0, 15900.0 + 4 * shape[1], 4.0), (19000.0, 19000.0 + 4 * shape[0], 4.0))
+    blocksar.focus(store, tmp_path / "run", processor=processor, blocks=1, grid=grid, client=client)
+    assert blocksar.open(tmp_path / "run").image.shape == shape
+
+
+def rewrite(store: Path, name: str, values: Any) -> None:
+    shutil.rmtree(store / name)
+    zarr.create_array(store / name, data=values, chunks=values.shape, dimension_names=(DIMENSIONS[name],))
+
+
+DIMENSIONS = {"time": "pulse", "range_frequency": "range_frequency"}
+
+
+@pytest.mark.parametrize("name", ["time", "range_frequency"])
+@pytest.mark.parametrize("scale", [1e-300, 1e-30, 1e300])
+@pytest.mark.filterwarnings("error")
+def test_axes_of_impossible_scale_are_refused(
+    name: str, scale: float, store: Path, client: Client, tmp_path: Path
+) -> None:
+    values = stores.read_region(store, name, (slice(None),)) * scale
+    values = np.arange(values.size) * scale if not np.isfinite(values).all() else values
+    rewrite(store, name, values)
+    with pytest.raises(InputError, match=name):
+        blocksar.focus(store, tmp_path / "run", blocks=2, grid=GRID, client=client)
+
+
+def test_a_coordinate_that_expands_is_refused_before_it_is_read(store: Path, client: Client, tmp_path: Path) -> None:
+    shutil.rmtree(store / "time")
+    huge = zarr.create_array(
+        store / "time", shape=(400_000_000,), chunks=(400_000_000,), dtype="float64", dimension_names=("pulse",)
+    )
+    assert huge.nbytes > 3e9
+    (store / "time" / "c").mkdir()
+    (store / "time" / "c" / "0").write_bytes(b"whatever it is")
+    with pytest.raises(InputError, match=r"time claims the shape \(400000000,\)"):
+        blocksar.focus(store, tmp_path / "run", blocks=2, grid=GRID, client=client)
+    small = zarr.create_array(
+        store / "time", shape=(100,), chunks=(400_000_000,), dtype="float64", dimension_names=("pulse",), overwrite=True
+    )
+    assert small.nbytes == 800
+    with pytest.raises(InputError, match="time has chunks of"):
+        blocksar.focus(store, tmp_path / "run", blocks=2, grid=GRID, client=client)
+
+
+def test_old_metadata_beside_the_new_says_nothing(store: Path, client: Client, tmp_path: Path) -> None:
+    (store / ".zgroup").write_text('{"zarr_format": 2}')
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        stores.open_phase_history(store)
+
+
+@pytest.mark.parametrize("endpoint", ["http//no", "://", "http://[::1", "http://me:secret@host:9000", "http://h:99999"])
+def test_a_malformed_endpoint_is_refused_and_not_repeated(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("AWS_ENDPOINT_URL", endpoint)
+    with pytest.raises(InputError, match="AWS_ENDPOINT_URL") as refused:
+        stores.open_phase_history("s3://bucket/ph.zarr")
+    assert "secret" not in str(refused.value)
+
+
+def test_a_script_without_the_guard_is_told_at_once(store: Path, tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    call = f"blocksar.focus({str(store)!r}, {str(tmp_path / 'run')!r}, blocks=1, grid={GRID!r}, workers=1)\n"
+    script.write_text(f"import blocksar\ndef main():\n    {call}\nmain()\n")
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=100, check=False)
+    assert done.returncode == 1 and not (tmp_path / "run").exists()
+    last = done.stderr.strip().splitlines()[-1]
+    assert "script.py, line 5: workers import this script" in last and "__main__" in last
+    script.write_text(f'import blocksar\nif __name__ == "__main__":\n    {call}')
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=100, check=False)
+    assert done.returncode == 0, done.stderr
