@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -45,7 +46,6 @@ from blocksar.stores.schema import (
 
 if TYPE_CHECKING:
     import xarray as xr
-
 
 MAX_AXIS = 1 << 22  # samples of an axis: metadata that states more is damaged, and could exhaust the memory
 MAX_CHUNK, MAX_PADDED = 1 << 34, 1 << 26  # bytes of a chunk of samples, and of one that is larger than its axis
@@ -173,12 +173,9 @@ class PhaseHistory:
         try:
             for name, chunk, file in self._files():
                 digest.update(os.fsencode(f"{name}\n"))
-                if chunk:
-                    digest.update(f"{chunk}\n".encode())
-                    continue
-                if isinstance(file, LocalPlace):
+                if not chunk and isinstance(file, LocalPlace):
                     refuse_odd_file(file.path, sys.maxsize)
-                digest.update(file.read_bytes())
+                digest.update(f"{chunk}\n".encode() if chunk else file.read_bytes())
         except OSError as error:
             raise unreachable(self.path, error) from error
         return digest.hexdigest()
@@ -342,7 +339,8 @@ def open_dataset(path: Location) -> xr.Dataset:
         group = _open_group(place)
         for child in place.names() if isinstance(place, LocalPlace) else []:
             metadata_file(place / child)  # refuses pipes, at which zarr would hang
-        with os_errors(place):
+        with os_errors(place), warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about files that do not belong to the store
             for name, array in group.arrays():
                 refuse_codecs(array, f"{place}/{name}")
             zarr_path = place.zarr_path()

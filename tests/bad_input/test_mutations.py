@@ -35,7 +35,9 @@ VALUES = [None, True, -1, 0, 2.5, 1e300, 10**30, "", "../..", "/dev/zero", [], [
 
 def seeds(test: Callable[..., None]) -> Callable[..., None]:
     """Parametrise a test by seed: a few by default."""
-    return pytest.mark.parametrize("first", [0, pytest.param(FEW, marks=pytest.mark.slow)])(test)
+    return pytest.mark.parametrize(
+        "first", [0, pytest.param(FEW, marks=[pytest.mark.slow, pytest.mark.timeout(1800)])]
+    )(test)
 
 
 def cases(first: int) -> range:
@@ -116,7 +118,7 @@ def test_unfinished_runs(first: int, bench: Bench, unfinished: Path) -> None:
 
 @pytest.fixture(scope="module")
 def product(bench: Bench) -> Path:
-    return Path(blocksar.simulate(bench.room / "scene.toml", bench.room / "clean.cphd"))
+    return Path(blocksar.simulate(bench.room / "scene.toml", bench.room / "clean.cphd", cphd=True))
 
 
 @seeds
@@ -142,7 +144,7 @@ def test_cphd_files(first: int, bench: Bench, product: Path) -> None:
         file.write_bytes(data)
         try:
             with deadline(60):
-                blocksar.ingest(file, out)
+                blocksar.ingest("cphd", file, out)
         except InputError as error:
             one_sentence(error)
             assert not os.path.lexists(out)
