@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,6 +18,23 @@ from blocksar.graph.cluster import open_client
 
 # Files that take longest, first: two processes that share the files then end at about the same time.
 FIRST = ("end_to_end", "workflows", "bad_input", "deploy")
+
+
+# Two processes that compile the loops which most tests need, each another part: the first run of a fresh clone. Without
+# them each of the processes that share the tests would compile all of them.
+COMPILING = (
+    "from blocksar.focusing.correction import compile_kernels; compile_kernels()",
+    "import numpy as n; from blocksar.kernels import levelling as l;"
+    "a = n.ones((1, 4)); i = n.array([2]); x = n.zeros(1);"
+    "l.level_lines(l.Problem(a, a, a, a / 4, a, a, i, n.zeros(3, int), x, x), 1.0, 1.0, 1)",
+)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Compile before the processes start that share the tests."""
+    if getattr(config.option, "numprocesses", None) and not hasattr(config, "workerinput"):
+        for process in [subprocess.Popen([sys.executable, "-c", text]) for text in COMPILING]:
+            process.wait()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

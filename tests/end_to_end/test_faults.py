@@ -554,11 +554,11 @@ INTERRUPTED, TERMINATED = (signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 
 @pytest.mark.parametrize(
     ("number", "status", "word", "stage"),
     [
-        (*INTERRUPTED, "start"),
-        (*TERMINATED, "focus"),
+        (*INTERRUPTED, "focus"),
+        pytest.param(*INTERRUPTED, "start", marks=pytest.mark.slow),
+        pytest.param(*TERMINATED, "focus", marks=pytest.mark.slow),
         pytest.param(*INTERRUPTED, "mosaic", marks=pytest.mark.slow),
         pytest.param(*TERMINATED, "recover", marks=pytest.mark.slow),
-        pytest.param(*INTERRUPTED, "focus", marks=pytest.mark.slow),
     ],
 )
 def test_a_signal_stops_a_run_cleanly(
@@ -594,6 +594,7 @@ def test_a_signal_stops_a_run_cleanly(
     assert again(run) == set()
 
 
+@pytest.mark.slow
 def test_repeated_interrupts_stop_a_run_cleanly(
     launcher: Launcher, store: Path, again: Callable[[Path], set[str]], tmp_path: Path
 ) -> None:

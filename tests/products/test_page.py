@@ -389,6 +389,7 @@ def test_report_of_a_run_in_an_object_store(runs: dict[str, Path], tmp_path: Pat
 # ---------------------------------------------------------------- progress, wrong input and failures
 
 
+@pytest.mark.slow
 def test_progress_covers_the_drawing_of_responses(run: Path) -> None:
     """Drawing responses takes longer than reading the image, so progress must not stay at 100 % meanwhile."""
     told: list[tuple[str, int, int]] = []

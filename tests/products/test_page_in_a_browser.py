@@ -319,7 +319,7 @@ def test_the_grey_scale_can_be_adjusted(browser: Browser) -> None:
 
 
 @in_browser
-@pytest.mark.parametrize(("width", "scheme"), [(375, "light"), (1440, "dark")])
+@pytest.mark.parametrize(("width", "scheme"), [(1440, "dark"), pytest.param(375, "light", marks=pytest.mark.slow)])
 def test_the_page_meets_the_accessibility_rules(width: int, scheme: Any, browser: Browser) -> None:
     from axe_playwright_python.sync_playwright import Axe
 

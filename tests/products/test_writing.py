@@ -63,7 +63,7 @@ def large(tmp_path_factory: pytest.TempPathFactory) -> Made:
     return make(tmp_path_factory.mktemp("large"), size=(700, 600), step=0.1)
 
 
-@pytest.mark.parametrize("kind", ["sicd", "geotiff", "png"])
+@pytest.mark.parametrize("kind", ["geotiff", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("sicd", "png"))])
 def test_a_full_disk_leaves_no_partial_file(kind: Any, large: Made, tmp_path: Path) -> None:
     """GDAL does not report a failure of its last write, and raises errors of its own for earlier ones."""
     content: Any = "complex" if kind == "geotiff" else None

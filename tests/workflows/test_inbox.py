@@ -320,6 +320,7 @@ def test_sweeps_do_not_depend_on_the_clock(post: Post, image: dict[str, str]) ->
     assert set(map(str, post.images().values())) == {str(image)}
 
 
+@pytest.mark.slow
 def test_any_collection_name_is_accepted(post: Post) -> None:
     names = ["a b", 'it\'s "so"\n', "ü%41#?&", "-rf", "x::y", "~", "done", os.fsdecode(b"\xff"), "n" * 250, "a.2"]
     post.deliver(*names)
@@ -616,6 +617,7 @@ with open(sys.argv[1], "a") as log:
 """
 
 
+@pytest.mark.slow
 def test_twenty_collections_do_not_leak_resources(post: Post, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Memory, open files, threads, shared memory and temporary files of a sweep do not grow.
 

@@ -103,6 +103,7 @@ def test_the_first_image_needs_at_most_twenty_lines() -> None:
     assert 10 < len([line for line in lines if line.strip()]) <= 20
 
 
+@pytest.mark.slow
 def test_the_first_image_does_not_overwrite_a_scene_file(first: tuple[Path, str], tmp_path: Path) -> None:
     """A named file is read or refused but never written; a changed scene is used, and here refused for its low PRF."""
     (tmp_path / "here").mkdir()
@@ -215,6 +216,7 @@ def test_a_folder_without_a_finished_run_is_refused(
 # ---------------------------------------------------------------- blocks_against_residual_phase
 
 
+@pytest.mark.slow
 def test_residual_phase_falls_with_blocks_and_predictions_match_measurements(tmp_path: Path) -> None:
     """At the end of table1's scan more blocks leave less residual phase; predictions match measurements."""
     text = (resources.files("blocksar.simulation") / "scenes" / "table1.toml").read_text(encoding="utf-8")
