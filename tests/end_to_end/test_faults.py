@@ -485,6 +485,7 @@ def test_a_hung_worker_is_replaced(
     assert again(tmp_path / "run") == set()
 
 
+@pytest.mark.slow
 def test_a_worker_that_resumes_late_does_not_change_the_result(
     launcher: Launcher,
     store: Path,

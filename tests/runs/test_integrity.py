@@ -155,18 +155,23 @@ def test_a_chunk_of_a_patch_that_is_lost_is_noticed(
 # ---------------------------------------------------------------- the run folder
 
 
-@pytest.fixture
-def unfinished(store: Path, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A run that was interrupted before its mosaic."""
+@pytest.fixture(scope="module")
+def interrupted(original: Path, client: Client, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of the original that was interrupted before its mosaic."""
 
-    def interrupted(*_: Any) -> Any:
+    def interrupt(*_: Any) -> Any:
         raise KeyboardInterrupt
 
-    with monkeypatch.context() as patch:
-        patch.setattr(stages, "mosaic", interrupted)
-        with pytest.raises(KeyboardInterrupt):
-            blocksar.focus(store, tmp_path / "run", blocks=2, grid=GRID, client=client)
-    return tmp_path / "run"
+    run = tmp_path_factory.mktemp("interrupted") / "run"
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(stages, "mosaic", interrupt)
+        blocksar.focus(original, run, blocks=2, grid=GRID, client=client)
+    return run
+
+
+@pytest.fixture
+def unfinished(interrupted: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(interrupted, tmp_path / "run"))
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -175,21 +180,23 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 @pytest.mark.parametrize("plan", [{"blocks": None}, {"blocks": 2.5}, {"blocks": 3}, {"parts": 10**9}, {"parts": "two"}])
 def test_a_plan_that_was_altered_is_refused(
-    plan: dict[str, Any], store: Path, client: Client, unfinished: Path
+    plan: dict[str, Any], original: Path, client: Client, unfinished: Path
 ) -> None:
     record = json.loads((unfinished / "run.json").read_text())
     (unfinished / "run.json").write_text(json.dumps(record | {"plan": record["plan"] | plan}))
     before = contents(unfinished)
     with pytest.raises(InputError, match=r"run\.json.*--overwrite"):
-        blocksar.focus(store, unfinished, blocks=2, grid=GRID, client=client)
+        blocksar.focus(original, unfinished, blocks=2, grid=GRID, client=client)
     assert contents(unfinished) == before
 
 
-def test_a_run_without_its_record_can_be_begun_again(store: Path, right: str, client: Client, unfinished: Path) -> None:
+def test_a_run_without_its_record_can_be_begun_again(
+    original: Path, right: str, client: Client, unfinished: Path
+) -> None:
     (unfinished / "run.json").unlink()
     with pytest.raises(InputError, match=r"unfinished run without its run\.json; use --overwrite"):
-        blocksar.focus(store, unfinished, blocks=2, grid=GRID, client=client)
-    blocksar.focus(store, unfinished, blocks=2, grid=GRID, client=client, overwrite=True)
+        blocksar.focus(original, unfinished, blocks=2, grid=GRID, client=client)
+    blocksar.focus(original, unfinished, blocks=2, grid=GRID, client=client, overwrite=True)
     assert checksum(unfinished) == right
 
 
@@ -207,13 +214,13 @@ def test_a_run_without_its_record_can_be_begun_again(store: Path, right: str, cl
     ],
 )
 def test_a_receipt_that_was_altered_does_not_count(
-    change: dict[str, Any], store: Path, right: str, client: Client, unfinished: Path
+    change: dict[str, Any], original: Path, right: str, client: Client, unfinished: Path
 ) -> None:
     """Even with a seal that fits."""
     for path in (unfinished / "receipts").iterdir():
         value = {name: item for name, item in json.loads(path.read_text()).items() if name != "seal"} | change
         path.write_text(json.dumps(value | {"seal": stores.json_checksum(value)}))
-    blocksar.focus(store, unfinished, blocks=2, grid=GRID, client=client)
+    blocksar.focus(original, unfinished, blocks=2, grid=GRID, client=client)
     assert checksum(unfinished) == right
 
 
@@ -248,10 +255,10 @@ def test_an_overwriting_that_cannot_move_the_old_run_leaves_it_whole(
     assert "nothing to do" in blocksar.focus(store, run, blocks=2, grid=GRID, client=client).summary[0]
 
 
-def test_a_foreign_scratch_is_in_nobodys_way(store: Path, right: str, tmp_path: Path, unfinished: Path) -> None:
+def test_a_foreign_scratch_is_in_nobodys_way(original: Path, right: str, unfinished: Path) -> None:
     """With a local cluster, whose temporary files lie there."""
     (unfinished / "scratch").write_text("a file")
-    blocksar.focus(store, unfinished, blocks=2, grid=GRID, workers=1)
+    blocksar.focus(original, unfinished, blocks=2, grid=GRID, workers=1)
     assert checksum(unfinished) == right
 
 
@@ -330,6 +337,3 @@ def test_a_script_without_the_guard_is_told_at_once(store: Path, tmp_path: Path)
     assert done.returncode == 1 and not (tmp_path / "run").exists()
     last = done.stderr.strip().splitlines()[-1]
     assert "script.py, line 5: workers import this script" in last and "__main__" in last
-    script.write_text(f'import blocksar\nif __name__ == "__main__":\n    {call}')
-    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=100, check=False)
-    assert done.returncode == 0, done.stderr
