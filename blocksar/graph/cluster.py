@@ -279,8 +279,9 @@ def _refuse_unguarded_script() -> None:
         return
     for statement in statements:
         if statement.lineno <= frame.f_lineno <= (statement.end_lineno or statement.lineno):
-            names = {node.id for node in ast.walk(statement) if isinstance(node, ast.Name)}
-            if not isinstance(statement, ast.If) or not names & {"__name__", "current_process", "parent_process"}:
+            test = statement.test if isinstance(statement, ast.If) else ast.Pass()
+            names = {node.id for node in ast.walk(test) if isinstance(node, ast.Name)}
+            if not names & {"__name__", "current_process", "parent_process"}:
                 raise InputError(
                     f"{file}, line {frame.f_lineno}: workers import this script, and would call focus again; call it "
                     'below `if __name__ == "__main__":`'

@@ -16,7 +16,7 @@ import numpy as np
 
 from blocksar import stores
 from blocksar.arrays import ComplexArray
-from blocksar.chunks import BACKPROJECTION_CHUNK, DOPPLER_GROUP
+from blocksar.chunks import BACKPROJECTION_CHUNK, DOPPLER_GROUP, SPECTRUM_BYTES
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.errors import InputError, ProcessingError
@@ -202,16 +202,27 @@ class SpectrumChunks:
         bins, columns = region
         height, width = self.chunk
         first, last = bins.start - bins.start % height, min(-(-bins.stop // height) * height, self.shape[0])
-        values = stores.read_region(store, "spectrum", (slice(first, last), columns))
-        for a, b in _chunks(first, last, height):
-            for c, d in _chunks(columns.start, columns.stop, width):
-                chunk = values[a - first : b - first, c - columns.start : d - columns.start]
+        rows = slice(bins.start - first, bins.stop - first)
+        at_once = max(SPECTRUM_BYTES // (8 * (last - first) * width), 1) * width
+        if columns.stop - columns.start <= at_once:
+            return self._checked(store, (first, last), (columns.start, columns.stop))[rows]
+        values = np.empty((bins.stop - bins.start, columns.stop - columns.start), np.complex64)
+        for c, d in _chunks(columns.start, columns.stop, at_once):
+            values[:, c - columns.start : d - columns.start] = self._checked(store, (first, last), (c, d))[rows]
+        return values
+
+    def _checked(self, store: Place, bins: tuple[int, int], columns: tuple[int, int]) -> ComplexArray:
+        """Read whole chunks, and compare their checksums."""
+        values: ComplexArray = stores.read_region(store, "spectrum", (slice(*bins), slice(*columns)))
+        for a, b in _chunks(*bins, self.chunk[0]):
+            for c, d in _chunks(*columns, self.chunk[1]):
+                chunk = values[a - bins[0] : b - bins[0], c - columns[0] : d - columns[0]]
                 if stores.checksum(chunk) != self.checksums.get((a, c)):
                     raise ProcessingError(
                         f"{store} no longer has the checksum of its receipt at doppler {a}..{b - 1}, range_frequency "
                         f"{c}..{d - 1}"
                     )
-        return values[bins.start - first : bins.stop - first]
+        return values
 
 
 @naming_failures(lambda run, block, stage, *_: f"read-slab+{stage.name} of block {block.name}")

@@ -471,7 +471,7 @@ def _checked(place: Place, name: str) -> zarr.Array[Any]:
     kinds = "c" if variable.dtype == "complex64" else "fiu"
     if array.dtype.kind not in kinds:
         raise InputError(f"{name} is {array.dtype}, but must be {variable.dtype}; write it as that")
-    if max(array.shape) > MAX_AXIS:
+    if max(array.shape) > MAX_AXIS or (name not in ("signal", "echo") and array.size > 3 * MAX_AXIS):
         raise InputError(f"{name} claims the shape {array.shape}, beyond {MAX_AXIS} per axis; its metadata is damaged")
     chunks = array.shards or array.chunks
     if not 0 < prod(chunks) * array.dtype.itemsize <= MAX_CHUNK:

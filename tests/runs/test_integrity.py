@@ -314,6 +314,16 @@ def test_a_coordinate_that_expands_is_refused_before_it_is_read(store: Path, cli
         blocksar.focus(store, tmp_path / "run", blocks=2, grid=GRID, client=client)
 
 
+def test_a_variable_that_expands_is_refused_before_it_is_read(store: Path, client: Client, tmp_path: Path) -> None:
+    shutil.rmtree(store / "antenna_position")
+    zarr.create_array(
+        store / "antenna_position", shape=(4_000_000, 4_000), chunks=(10**6, 4000), dtype="float64",
+        dimension_names=("pulse", "axis"),
+    )  # fmt: skip
+    with pytest.raises(InputError, match=r"antenna_position claims the shape \(4000000, 4000\)"):
+        blocksar.focus(store, tmp_path / "run", blocks=2, grid=GRID, client=client)
+
+
 def test_old_metadata_beside_the_new_says_nothing(store: Path, client: Client, tmp_path: Path) -> None:
     (store / ".zgroup").write_text('{"zarr_format": 2}')
     with warnings.catch_warnings():
