@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from bad_input import MANY, REPLACED, Bench, deadline, seeded, truncated
+from bad_input import MANY, Bench, deadline, seeded, truncated
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
@@ -114,14 +114,11 @@ def test_processes_end_with_one_message_and_status_2(bench: Bench) -> None:
     """Test `python -m blocksar` in its own process, including samples that its own workers read."""
     damaged = bench.copy()
     truncated(damaged / "signal/c/0/0", seeded("process"))
-    piped = bench.copy()
-    REPLACED["a pipe"](piped / "zarr.json")
     odd = Path(shutil.copytree(bench.store, bench.fresh() / os.fsdecode(b"\xff \xe2\x82\xac [bold]")))
     small = ["--processor=backprojection", "--grid=4040:4120:4,-40:40:4", "--workers=1", "--threads=1"]
     out = bench.fresh()
     cases: dict[str, tuple[list[str | bytes], int]] = {
         "samples that cannot be read": (["focus", str(damaged), "--out", str(out), "--quiet", *small], 2),
-        "a pipe for a store": (["focus", str(piped), "--out", str(out), *small], 2),
         "an undecodable name": (["focus", os.fsencode(odd), "--out", os.fsencode(str(odd) + ".run"), *small], 0),
         "an undecodable name of nothing": (["plan", b"\xff\xfe"], 2),
     }

@@ -208,7 +208,7 @@ def guarded() -> Iterator[tuple[Client, Assassin]]:
 @pytest.mark.parametrize(
     ("stage", "seeds", "enough"),
     [
-        *((stage, range(5), 1) for stage in STAGES),
+        ("focus", range(5), 1),
         *(pytest.param(stage, range(20), 20, marks=pytest.mark.slow) for stage in (*STAGES, "range-compress")),
     ],
 )
@@ -313,6 +313,7 @@ def test_a_run_killed_at_its_first_file_is_resumed(
     again(tmp_path / "run")
 
 
+@pytest.mark.slow
 def test_a_run_killed_while_writing_a_patch_is_resumed(
     launcher: Launcher, store: Path, again: Callable[[Path], set[str]], tmp_path: Path
 ) -> None:

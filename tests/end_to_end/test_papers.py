@@ -35,7 +35,7 @@ def measured(run: Path) -> dict[str, dict[str, Any]]:
 # ---------------------------------------------------------------- papers B and C on their scenes
 
 
-@pytest.mark.parametrize("name", PAPERS)
+@pytest.mark.parametrize("name", ["paper_b", pytest.param("paper_c", marks=pytest.mark.slow)])
 def test_a_papers_scene_meets_the_quality_bar(
     name: str, stores: dict[str, Path], client: Client, tmp_path: Path
 ) -> None:

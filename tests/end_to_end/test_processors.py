@@ -51,6 +51,7 @@ ELSEWHERE = {("table1", "angular-division"), *((name, processor) for name, (proc
 SLOWEST = {("paper_b", "high-order-phase"), ("paper_c", "angular-division"), ("paper_c", "keystone-resampling")}
 SLOWEST |= {
     ("table1", "keystone-resampling"),
+    ("scan reversed", "angular-division"),
     ("scan reversed", "keystone-resampling"),
     ("scan reversed", "high-order-phase"),
     ("paper_b", "angular-division"),

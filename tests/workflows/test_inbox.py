@@ -543,7 +543,8 @@ def test_concurrent_sweeps_and_a_kill_process_each_collection_once(post: Post, i
     assert sorted(post.names("done")) == list("abcde")
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_ends_a_sweep_cleanly(number: int, post: Post, image: dict[str, str]) -> None:
     post.deliver(*"abcdef")
     with post.start() as process:

@@ -283,6 +283,7 @@ def test_invalid_studies_are_refused(modules: dict[str, ModuleType], tmp_path: P
 # ---------------------------------------------------------------- on_a_cluster
 
 
+@pytest.mark.slow
 def test_a_run_on_a_cluster_survives_an_interrupt_and_a_killed_worker(tmp_path: Path) -> None:
     """After Ctrl-C and a killed worker the image is complete and correct."""
     words = ("--local-test", "--out", "run", "--blocks", "4", "--report", "report.html")
@@ -298,6 +299,7 @@ def test_a_run_on_a_cluster_survives_an_interrupt_and_a_killed_worker(tmp_path: 
     assert not list(tmp_path.glob(".probe-*"))
 
 
+@pytest.mark.slow
 def test_a_tls_cluster_is_reached_only_with_certificates(
     first: tuple[Path, str], modules: dict[str, ModuleType], tmp_path: Path
 ) -> None:
