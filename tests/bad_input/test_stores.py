@@ -609,7 +609,6 @@ PLAIN = [name for name in NAMES if name.isprintable() and len(name) < 100]
 URLS = ["mem://x", "file://x", "http://localhost/x", "memory://x", "zip://x", "simplecache::s3://x", "gs://bucket/x"]
 
 
-@pytest.mark.slow
 def test_unusual_names_of_sources(bench: Bench) -> None:
     def case(name: str) -> None:
         folder = bench.fresh()

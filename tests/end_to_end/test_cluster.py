@@ -210,6 +210,7 @@ def certificates(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 ROLES = ("SCHEDULER", "WORKER", "CLIENT")
 
 
+@pytest.mark.slow
 def test_tls_is_configured_through_dask(
     store: Path, image: dict[str, str], certificates: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -253,7 +253,7 @@ def test_a_killed_worker_does_not_change_the_result(
 # ---------------------------------------------------------------- killed runs
 
 
-FEW = (0, 11, 14)
+FEW = (0, 11)
 
 
 @pytest.mark.parametrize(
@@ -341,6 +341,7 @@ def test_a_folder_with_only_a_temporary_file_is_accepted(
 
 
 @pytest.mark.parametrize("stage", OFTEN)
+@pytest.mark.slow
 def test_a_run_resumes_after_its_scheduler_was_killed(
     stage: str, launcher: Launcher, store: Path, again: Callable[[Path], set[str]], tmp_path: Path
 ) -> None:
@@ -444,6 +445,7 @@ def test_a_read_only_output_is_refused(launcher: Launcher, store: Path, disk: Di
 
 
 @pytest.mark.parametrize("stage", OFTEN)
+@pytest.mark.slow
 def test_a_run_resumes_after_its_output_became_read_only(
     stage: str,
     launcher: Launcher,

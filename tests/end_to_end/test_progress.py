@@ -100,6 +100,7 @@ def test_a_run_shows_its_progress_in_a_terminal(store: Path, tmp_path: Path) -> 
     assert "<html" in page.read_text() and [p.name for p in tmp_path.glob(".*")] == []
 
 
+@pytest.mark.slow
 def test_ctrl_c_restores_the_terminal_and_completes_the_log(store: Path, tmp_path: Path) -> None:
     log = tmp_path / "log.jsonl"
     typed = words(store, tmp_path / "run", "--workers", "1", "--json-log", str(log))
@@ -180,6 +181,7 @@ class Heard(Listener):
 
 
 @needs_bokeh
+@pytest.mark.slow
 def test_a_listener_follows_a_run_that_fails_and_is_resumed(store: Path, client: Client, tmp_path: Path) -> None:
     page = tmp_path / "page.html"
     page.write_text("of an earlier run")

@@ -61,7 +61,7 @@ def test_a_finished_run_is_not_computed_again(store: Path, client: Client, tmp_p
     assert json.loads((run / "run.json").read_text())["plan"]["blocks"] == 2
 
 
-@pytest.mark.parametrize("stage", ["focus_blocks", "mosaic"])
+@pytest.mark.parametrize("stage", ["mosaic", pytest.param("focus_blocks", marks=pytest.mark.slow)])
 def test_an_interrupted_run_resumes(
     stage: str, store: Path, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -659,6 +659,7 @@ def chunks(run: Place) -> dict[str, bytes]:
     return {name: data for name, data in contents(run / "image.zarr").items() if "/c/" in name}
 
 
+@pytest.mark.slow
 def test_a_run_that_was_killed_and_resumed_equals_the_run_in_a_folder(there: Place, tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_text(scene(swath=[29700.0, 30300.0], more=POINT))
     local = LocalPlace(tmp_path)

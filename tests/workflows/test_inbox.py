@@ -515,6 +515,7 @@ def test_a_foreign_scratch_folder_is_not_removed(inbox: str, post: Post) -> None
 # ---------------------------------------------------------------- processes
 
 
+@pytest.mark.slow
 def test_concurrent_sweeps_and_a_kill_process_each_collection_once(post: Post, image: dict[str, str]) -> None:
     """Two sweeps at once, a bad collection, a SIGKILL, then two more sweeps: each good collection runs once."""
     post.deliver("a", "bad", "b", "c", "d", "e")
