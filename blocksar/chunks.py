@@ -5,13 +5,14 @@ from __future__ import annotations
 from blocksar.constants import MIB
 
 MOSAIC_CHUNKS = 4  # output chunks merged by a task: a single one takes no longer than the scheduler's reply
-BACKPROJECTION_CHUNK = 256  # pixels on a side of a back-projection task
+BACKPROJECTION_CHUNK = 512  # pixels on a side that are back-projected in one pass over the pulses
 DOPPLER_GROUP = 512  # Doppler bins of a slab read at a time
 COLUMN_CHUNK = 256  # range frequencies in a chunk of the spectrum; fewer if there are many Doppler bins
 CHUNK_SAMPLES = DOPPLER_GROUP * COLUMN_CHUNK  # samples in a chunk of the spectrum
 SPECTRUM_BYTES = 64 * MIB  # bytes of the spectrum written at a time
 SIGNAL_BYTES = 96 * MIB  # bytes of the phase history read at a time
 SIGNAL_COLUMNS = 512  # columns of the phase history read at a time, at most
-IMAGE_CHUNK = 1024  # pixels on a side of an image's chunk
+IMAGE_CHUNK = 512  # pixels on a side of an image's chunk: 2 MiB
+WRITES_AT_ONCE = 2  # chunks that a task writes while it computes the next
 IMAGE_PIXELS = IMAGE_CHUNK**2
 TILE = (512, 1024)  # pulses by columns in a chunk of a phase history: 4 MiB, efficient to read along both axes

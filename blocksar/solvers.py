@@ -139,10 +139,11 @@ def _solve(q: FloatArray, right: FloatArray) -> FloatArray:
     n = q.shape[0]
     r, projected = np.zeros((n, n)), np.zeros((n, *right.shape[:-1]))
     for i in range(n):
-        r[i, i] = np.sqrt((q[i] * q[i]).sum())
-        q[i] /= r[i, i]
-        projected[i] = (q[i] * right).sum(axis=-1)
-        right = right - projected[i, ..., None] * q[i]
-        r[i, i + 1 :] = (q[i] * q[i + 1 :]).sum(axis=1)
-        q[i + 1 :] -= r[i, i + 1 :, None] * q[i]
+        row, rest = q[i], q[i + 1 :]
+        r[i, i] = np.sqrt(np.add.reduce(row * row))
+        row /= r[i, i]
+        projected[i] = np.add.reduce(row * right, axis=-1)
+        right = right - projected[i, ..., None] * row
+        r[i, i + 1 :] = np.add.reduce(row * rest, axis=1)
+        rest -= r[i, i + 1 :, None] * row
     return back_substitute(r, projected)

@@ -20,21 +20,10 @@ from blocksar.graph.cluster import open_client
 FIRST = ("end_to_end", "workflows", "bad_input", "deploy")
 
 
-# Two processes that compile the loops which most tests need, each another part: the first run of a fresh clone. Without
-# them each of the processes that share the tests would compile all of them.
-COMPILING = (
-    "from blocksar.focusing.correction import compile_kernels; compile_kernels()",
-    "import numpy as n; from blocksar.kernels import levelling as l;"
-    "a = n.ones((1, 4)); i = n.array([2]); x = n.zeros(1);"
-    "l.level_lines(l.Problem(a, a, a, a / 4, a, a, i, n.zeros(3, int), x, x), 1.0, 1.0, 1)",
-)
-
-
 def pytest_configure(config: pytest.Config) -> None:
-    """Compile before the processes start that share the tests."""
+    """Compile before the processes start that share the tests: each of them would compile all loops."""
     if getattr(config.option, "numprocesses", None) and not hasattr(config, "workerinput"):
-        for process in [subprocess.Popen([sys.executable, "-c", text]) for text in COMPILING]:
-            process.wait()
+        subprocess.run([sys.executable, "-m", "blocksar", "compile", "--quiet"], check=True, stdout=subprocess.DEVNULL)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

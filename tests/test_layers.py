@@ -22,7 +22,7 @@ PACKAGE = ROOT / "blocksar"
 # From the ground up. A room is a folder or a module right under blocksar/; it imports from lower layers only, and from
 # no other room of its own layer.
 LAYERS = (
-    {"errors", "constants", "budget", "version"},
+    {"errors", "constants", "budget", "garbage", "version"},
     {"places", "progress", "arrays", "solvers", "chunks"},
     {"collection", "kernels"},
     {"stores", "measurement", "focusing"},
@@ -38,10 +38,11 @@ HOMES: dict[str, set[str] | None] = {
     "numpy": None,
     "scipy": None,
     "numba": {"kernels", "focusing", "inspection", "simulation"},
-    "llvmlite": {"kernels", "focusing"},
+    "llvmlite": {"kernels"},
     "finufft": {"simulation"},
     "pydantic": {"simulation"},
     "zarr": {"places", "stores"},
+    "numcodecs": {"stores"},
     "obstore": {"places"},
     "psutil": {"places"},
     "xxhash": {"stores"},

@@ -10,11 +10,15 @@ that ratios compare measurements that are close in time:
   processes;
 - the I/O floor: the bytes that the run reads and writes, as plain files of the same sizes in the same folder, by the
   same processes, without fsync, and to memory that is already allocated;
+- the same bytes past the page cache, as a run writes them;
+- planning, commands from a shell and compilation;
 - exact back-projection of chips spread over the image, extrapolated to all covered pixels;
 - torchbp on one of these chips, if it is installed.
 
 A scene "AxB" has A times the range swath, and B times the aperture and the steering interval, at the same bandwidth,
 beam width and steering rate: resolution and dwell stay the same, data and image grow.
+
+--guard FILE compares the ratios with bounds, `workflows/benchmarks/bounds.json` for instance.
 
 --against PYTHON compares with another version of blocksar, which must be installed for the Python at that path. It
 focuses the same store on a warm cluster of its own of the same size, in turns with this version; the seconds of both
@@ -38,6 +42,7 @@ import typer
 from benchmarks.bench import Bench, log
 from benchmarks.environment import describe_machine, versions
 from benchmarks.figures import compare_scenes
+from benchmarks.guard import read_bounds, violations
 from benchmarks.scenes import Case, Scale, scene_tables
 from benchmarks.tables import show
 from blocksar import stores
@@ -60,7 +65,7 @@ def working_folder(parent: Path, *, keep: bool) -> Iterator[Path]:
             shutil.rmtree(folder, ignore_errors=True)
 
 
-def benchmark(bench: Bench, scales: Sequence[Scale], *, speedup: bool) -> dict[str, Any]:
+def benchmark(bench: Bench, scales: Sequence[Scale], *, speedup: bool, starts: bool) -> dict[str, Any]:
     """Measure every scene, the smallest first, which is the reference of the others.
 
     Raises
@@ -97,6 +102,8 @@ def benchmark(bench: Bench, scales: Sequence[Scale], *, speedup: bool) -> dict[s
     compare_scenes(result["scenes"])
     if speedup and bench.workers > 1:
         bench.add_speedup(*first, result["scenes"][str(first[0].scale)])
+    if starts:
+        bench.add_starts(*first, result["scenes"][str(first[0].scale)])
     return result
 
 
@@ -108,6 +115,10 @@ def main(
     blocks: Annotated[str, typer.Option(metavar="auto|N", help="Angular blocks.")] = "auto",
     memory_limit: Annotated[str | None, typer.Option(metavar="SIZE", help="Memory of each worker.")] = None,
     speedup: Annotated[bool, typer.Option(help="Also measure the block stage with one worker.")] = True,
+    starts: Annotated[bool, typer.Option(help="Also measure planning, commands from a shell, compilation.")] = True,
+    guard: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="End with status 1 if a ratio is outside the bounds there.")
+    ] = None,
     out: Annotated[Path, typer.Option(help="Folder to work in; its file system is measured.")] = Path(),
     json_file: Annotated[Path | None, typer.Option("--json", help="File to write the numbers to.")] = None,
     peer: Annotated[bool, typer.Option(help="Also measure torchbp, if it is installed.")] = True,
@@ -124,19 +135,23 @@ def main(
         scales = [Scale.parse(part) for part in scale.split(",")]
         limit = None if memory_limit is None else parse_memory(memory_limit)
         n_blocks = parse_blocks(blocks)
+        bounds = {} if guard is None else read_bounds(guard)
         scene_tables(scene)  # refuse a missing scene once, not for every scale
         with working_folder(out, keep=keep) as folder:
             bench = Bench(
                 source=scene, folder=folder, workers=workers, threads=max(machine()[0] // workers, 1), blocks=n_blocks,
                 memory_limit=limit, repeats=repeats, peer=peer, against=against,
             )  # fmt: skip
-            result = benchmark(bench, scales, speedup=speedup)
+            result = benchmark(bench, scales, speedup=speedup, starts=starts)
     except (InputError, ProcessingError) as error:
         log(f"benchmark: {error}")
         raise typer.Exit(2 if isinstance(error, InputError) else 1) from None
     if json_file is not None:
         stores.write_json(json_file, result)
     show(result)
+    if worse := violations(result["scenes"], bounds):
+        log("\n".join(worse))
+        raise typer.Exit(1)
 
 
 if __name__ == "__main__":

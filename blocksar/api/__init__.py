@@ -1,20 +1,20 @@
-"""The commands as functions: simulate, ingest, check, plan, focus, quality, report, export, open, demo.
+"""The commands as functions: simulate, ingest, check, plan, focus, quality, report, export, open, demo, compile.
 
 One module for each stage: `sources`, `checking`, `planning`, `focusing` (with `jobs`), `measuring`, `exporting`,
-`demo`. They share `arguments` and `reports`.
+`demonstrating`, `compiling`. They share `arguments` and `reports`.
 """
 
 from __future__ import annotations
 
-import gc
 import importlib
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
+
+from blocksar.garbage import uncollected
 
 if TYPE_CHECKING:
     from blocksar.api.checking import check
-    from blocksar.api.demo import demo
+    from blocksar.api.compiling import compile
+    from blocksar.api.demonstrating import demo
     from blocksar.api.exporting import export, open, report
     from blocksar.api.focusing import focus
     from blocksar.api.measuring import quality
@@ -24,13 +24,14 @@ if TYPE_CHECKING:
 
 # The module of each function: it is loaded on first use, since a command needs one of them.
 _HOMES = {
-    "Report": "reports", "check": "checking", "demo": "demo", "export": "exporting", "focus": "focusing",
-    "ingest": "sources", "ingest_cphd": "sources", "ingest_gotcha": "sources", "open": "exporting",
-    "plan": "planning", "quality": "measuring", "report": "exporting", "simulate": "sources",
+    "Report": "reports", "check": "checking", "compile": "compiling", "demo": "demonstrating", "export": "exporting",
+    "focus": "focusing", "ingest": "sources", "ingest_cphd": "sources", "ingest_gotcha": "sources",
+    "open": "exporting", "plan": "planning", "quality": "measuring", "report": "exporting", "simulate": "sources",
 }  # fmt: skip
 __all__ = [
     "Report",
     "check",
+    "compile",
     "demo",
     "export",
     "focus",
@@ -45,22 +46,10 @@ __all__ = [
 ]
 
 
-@contextmanager
-def _no_collection() -> Iterator[None]:
-    """Pause garbage collection: imports create many objects and no garbage, and take half as long without it."""
-    collecting = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if collecting:
-            gc.enable()
-
-
 def __getattr__(name: str) -> Any:
     if name in _HOMES:
-        with _no_collection():
+        with uncollected():
             found = getattr(importlib.import_module(f"blocksar.api.{_HOMES[name]}"), name)
-        globals()[name] = found  # also where a module has the function's name
+        globals()[name] = found
         return found
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -13,7 +13,6 @@ from blocksar.errors import InputError
 from blocksar.graph.machine import machine
 from blocksar.places import Location
 from blocksar.places.place import Place
-from blocksar.simulation.scene import Scene, shipped_scenes
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -31,8 +30,11 @@ def grid_of(grid: GridLike | None) -> Grid | None:
 def collection_of(source: Location | xr.Dataset) -> Collection:
     """Return the collection of a scene (a TOML file or the name of a shipped one) or of a phase history, centred."""
     text = str(source) if isinstance(source, str | Path) else ""
-    if text.endswith(".toml") or (text in shipped_scenes() and not Path(text).exists()):
-        return Scene.read(text).collection().centred()
+    if text.endswith(".toml") or (text and not Path(text).exists()):
+        from blocksar.simulation.scene import Scene, shipped_scenes
+
+        if text.endswith(".toml") or text in shipped_scenes():
+            return Scene.read(text).collection().centred()
     return stores.open_phase_history(path_of(source)).collection.centred()
 
 

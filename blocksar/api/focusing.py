@@ -23,7 +23,7 @@ from blocksar.budget import FIDELITY
 from blocksar.constants import MIB
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.method import Coefficients, Derotation, Perturbation, Processor, RangeModel, method_of
-from blocksar.graph import cluster, recording, stages
+from blocksar.graph import cluster, compiling, recording, stages
 from blocksar.graph.machine import machine
 from blocksar.inspection import centroid, samples, sentences
 from blocksar.inspection.samples import Inspection
@@ -202,7 +202,7 @@ def _focus(
     """Plan and carry out a run in a folder that this process has claimed."""
     listener.update("plan", 0, 1)
     if client is None:
-        cluster.prepare_workers(machine.threads)
+        cluster.prepare_workers(machine.threads, listener)
     job = Job.of(request, earlier, machine)
     listener.expect(job.predict_effort(), machine.workers)
     listener.update("plan", 1, 1)
@@ -233,6 +233,8 @@ def _carry_out(
         input_read = (lambda: None) if resumed else stack.enter_context(run_folder.begin(run.folder))
         run.folder.sweep()
         record.write(run.folder)
+        if job.plan is None:
+            compiling.compile_modules(["focusing.backprojection"], apart=False)  # here, or each worker would
         if client is None:
             scratch = run_folder.scratch(run.folder)
             client = stack.enter_context(

@@ -30,6 +30,7 @@ from blocksar.places import Location
 from blocksar.planning import choice
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.choice import Contender
+from blocksar.planning.disk import run_bytes
 from blocksar.planning.memory import checked_back_projection_memory
 from blocksar.planning.plan import Plan, plan_collection
 from blocksar.planning.prediction import Prediction
@@ -223,6 +224,7 @@ def _plan_lines(plan: Plan) -> list[str]:
     lines.append(
         f"predicted coherence with exact back-projection: at least {plan.coherence:.4f} for targets with full dwell"
     )
+    lines.append(_disk_line(plan))
     if (coarse := undersampling(plan)) is not None:
         lines.append(coarse)
     noise = max(block.prediction.track_phase for block in plan.blocks)
@@ -233,6 +235,13 @@ def _plan_lines(plan: Plan) -> list[str]:
     if not plan.faithful:
         lines.append(_shortfall(plan))
     return lines
+
+
+def _disk_line(plan: Plan) -> str:
+    """Room that a run needs; a raw echo's range compression is not counted, since a plan knows no samples."""
+    stores = run_bytes(plan)
+    parts = ", ".join(f"{name} {size / MIB:.0f}" for name, size in stores.items())
+    return f"a run writes about {sum(stores.values()) / MIB:.0f} MiB ({parts})"
 
 
 def undersampling(plan: Plan) -> str | None:

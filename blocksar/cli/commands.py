@@ -353,6 +353,22 @@ def ingest_gotcha(
     show(report)
 
 
+@app.command("compile")
+def compile_loops(context: typer.Context, quiet: Quiet = False, json_log: JsonLog = None) -> None:
+    """Compile all loops ahead of time, into numba's cache.
+
+    For images of containers and for shared caches; otherwise the first run
+    compiles what it needs. The folder is that of NUMBA_CACHE_DIR.
+
+    Example: [bold]blocksar compile[/bold]
+    """
+    from blocksar import api
+
+    with _listening(context) as progress:
+        report = api.compile(progress=progress)
+    show(report)
+
+
 export = typer.Typer(
     name="export",
     help="Export the image of a run to a standard file format.\n\n"

@@ -202,12 +202,10 @@ def dwell_at(geometry: Geometry, yaw: FloatArray, *, uncut: bool = False) -> tup
     yaw = turned_near(yaw, (beam[0] + beam[-1]) / 2)
     sign = 1.0 if beam[-1] > beam[0] else -1.0
 
-    def crossing(level: FloatArray) -> FloatArray:
-        inside = np.interp(sign * level, sign * beam, time)
-        slope = (time[-1] - time[0]) / (beam[-1] - beam[0])
-        return inside + slope * (level - np.clip(level, min(beam[0], beam[-1]), max(beam[0], beam[-1])))
-
-    first, last = crossing(yaw - sign * half), crossing(yaw + sign * half)
+    level = np.stack([yaw - sign * half, yaw + sign * half])
+    inside = np.interp(sign * level, beam if sign > 0 else -beam, time)
+    slope = (time[-1] - time[0]) / (beam[-1] - beam[0])
+    first, last = inside + slope * (level - np.clip(level, min(beam[0], beam[-1]), max(beam[0], beam[-1])))
     return (first, last) if uncut else (np.maximum(first, start), np.minimum(last, end))
 
 

@@ -8,8 +8,10 @@ the middle of the aperture.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial, chebyshev
@@ -28,6 +30,14 @@ MIN_INTERVALS, MAX_INTERVALS, PULSES_PER_INTERVAL = 8, 2048, 6  # of a spline
 SPLINE_GAIN = 0.7  # a spline that leaves more of the polynomial's misfit than this is no gain: it is noise
 SAME_MISFIT = 1.1  # times the misfit of the finest spline: a coarser one with less is preferred
 MAX_EXTRAPOLATION = 2.0  # aperture lengths by which t = 0 may lie outside the collection
+
+
+class Motion(NamedTuple):
+    """Position (m), velocity (m/s) and acceleration (m/s^2) of the antenna, each (3, ...): axes first."""
+
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,29 +76,37 @@ class Track:
 
     def position(self, time: FloatArray) -> FloatArray:
         """Antenna phase centre, (..., 3) m, at slow times of any shape."""
-        return self._with_wobble(self._series(time, self.coefficients), time, 0)
+        return np.ascontiguousarray(np.moveaxis(self._derivative(time, 0), 0, -1))
 
     def velocity(self, time: FloatArray) -> FloatArray:
         """Antenna velocity, (..., 3) m/s, at slow times of any shape."""
-        slope = np.asarray(chebyshev.chebder(self.coefficients, axis=0), np.float64)
-        return self._with_wobble(self._series(time, slope) / self.half, time, 1)
+        return np.ascontiguousarray(np.moveaxis(self._derivative(time, 1), 0, -1))
 
     def acceleration(self, time: FloatArray) -> FloatArray:
         """Antenna acceleration, (..., 3) m/s^2, at slow times of any shape."""
-        curvature = np.asarray(chebyshev.chebder(self.coefficients, 2, axis=0), np.float64)
-        return self._with_wobble(self._series(time, curvature) / self.half**2, time, 2)
+        return np.ascontiguousarray(np.moveaxis(self._derivative(time, 2), 0, -1))
 
-    @property
+    def motion(self, time: FloatArray) -> Motion:
+        """Position, velocity and acceleration at slow times of any shape."""
+        return Motion(*(self._derivative(time, n) for n in range(3)))
+
+    @cached_property
     def base(self) -> Track:
         """The polynomial alone."""
         return replace(self, wobble=None)
 
-    def _with_wobble(self, values: FloatArray, time: FloatArray, derivative: int) -> FloatArray:
-        return values if self.wobble is None else values + self.wobble(time, derivative)
-
-    def _series(self, time: FloatArray, coefficients: FloatArray) -> FloatArray:
+    def _derivative(self, time: FloatArray, order: int) -> FloatArray:
+        """Position or one of its derivatives, m/s^order, (3, ...)."""
         u = (np.asarray(time, dtype=np.float64) - self.centre) / self.half
-        return np.stack([chebyshev.chebval(u, column) for column in coefficients.T], axis=-1)
+        values = np.asarray(chebyshev.chebval(u, self._series[order]), np.float64)
+        if order:
+            values = values / self.half**order
+        return values if self.wobble is None else values + np.moveaxis(self.wobble(time, order), -1, 0)
+
+    @cached_property
+    def _series(self) -> list[FloatArray]:
+        """Series of the position and its derivatives in the scaled variable."""
+        return [np.asarray(chebyshev.chebder(self.coefficients, n, axis=0), np.float64) for n in range(3)]
 
 
 def fit_track(time: FloatArray, position: FloatArray, *, accuracy: float) -> Track:
@@ -227,7 +245,15 @@ class Geometry:
         The point lies on the ray of that yaw from the nadir at t = 0, at the given distance from the
         antenna at the epoch. This is a quadratic equation in the distance from the nadir.
         """
-        epoch_range, yaw = np.broadcast_arrays(epoch_range, yaw)
+        x, y = self.ground_axes(epoch_range, yaw)
+        point = np.empty((*x.shape, 3))
+        point[..., 0] = x
+        point[..., 1] = y
+        point[..., 2] = self.collection.ground_height
+        return point
+
+    def ground_axes(self, epoch_range: FloatArray, yaw: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """x and y of `ground_point`, m."""
         px, py, pz = self.epoch_position
         height = self.collection.ground_height
         cos, sin = np.cos(yaw), np.sin(yaw)
@@ -237,30 +263,30 @@ class Geometry:
         with np.errstate(invalid="ignore"):
             distance = along + np.sqrt(epoch_range**2 - (height - pz) ** 2 - across2)
         distance = np.where(distance > 0, distance, np.nan)
-        point = np.empty((*yaw.shape, 3))
-        point[..., 0] = self.nadir[0] + distance * cos
-        point[..., 1] = self.nadir[1] + distance * sin
-        point[..., 2] = height
-        return point
+        return self.nadir[0] + distance * cos, self.nadir[1] + distance * sin
 
     def range_history(self, point: FloatArray, time: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Exact range (m) and range rate (m/s) of points (..., 3) at slow times, broadcast against the leading axes."""
-        sight = point - self.track.position(time)
+        sight = np.moveaxis(point - self.track.position(time), -1, 0)
         distance = np.sqrt(_inner(sight, sight))
-        return distance, -_inner(sight, self.track.velocity(time)) / distance
-
-    def range_motion(self, point: FloatArray, time: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """As `range_history`, and the second derivative of the range, m/s^2.
-
-        It is (v.v - s.a - rate^2) / range, with s the line of sight.
-        """
-        sight, velocity = point - self.track.position(time), self.track.velocity(time)
-        distance = np.sqrt(_inner(sight, sight))
-        rate = -_inner(sight, velocity) / distance
-        pull = _inner(sight, self.track.acceleration(time))
-        return distance, rate, (_inner(velocity, velocity) - pull - rate**2) / distance
+        return distance, -_inner(sight, np.moveaxis(self.track.velocity(time), -1, 0)) / distance
 
 
-def _inner(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Inner products of vectors (..., 3), broadcast: (...)."""
-    return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2])
+def range_motion(
+    point: tuple[FloatArray, FloatArray, float], antenna: Motion
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Range (m) of points, its rate (m/s), and the rate of that (m/s^2), as the antenna moves.
+
+    The last is (v.v - s.a - rate^2) / range, with s the line of sight. `point` holds x, y (...) and z, m, which are
+    broadcast against the times of the motion.
+    """
+    sight, velocity = [place - at for place, at in zip(point, antenna.position, strict=True)], antenna.velocity
+    distance = np.sqrt(_inner(sight, sight))
+    rate = -_inner(sight, velocity) / distance
+    pull = _inner(sight, antenna.acceleration)
+    return distance, rate, (_inner(velocity, velocity) - pull - rate**2) / distance
+
+
+def _inner(a: Sequence[FloatArray] | FloatArray, b: Sequence[FloatArray] | FloatArray) -> FloatArray:
+    """Inner products of vectors whose axes (3, ...) come first: (...)."""
+    return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])

@@ -17,13 +17,14 @@ def range_series(geometry: Geometry, epoch_range: FloatArray, yaw: FloatArray, *
     """
     point = geometry.ground_point(epoch_range, yaw)
     squared = np.zeros((*point.shape[:-1], order + 1))
+    sight = np.zeros((3, *point.shape[:-1], order + 1))
     for i, column in enumerate(geometry.track_powers):
-        sight = np.zeros((*point.shape[:-1], order + 1))
         kept = min(order + 1, column.size)
-        sight[..., :kept] = -column[:kept]
-        sight[..., 0] += point[..., i]
-        for n in range(order + 1):
-            squared[..., n] += (sight[..., : n + 1] * sight[..., n::-1]).sum(axis=-1)
+        sight[i, ..., :kept] = -column[:kept]
+        sight[i, ..., 0] += point[..., i]
+    for n in range(order + 1):
+        x, y, z = (sight[..., : n + 1] * sight[..., n::-1]).sum(axis=-1)
+        squared[..., n] = x + y + z
     k = np.zeros_like(squared)
     k[..., 0] = np.sqrt(squared[..., 0])
     for n in range(1, order + 1):

@@ -95,6 +95,8 @@ class TimePerturbation(_AzimuthStep):
         return [_turn(self.phases, self.axes.rows)]
 
     def trace(self, line: Line) -> Line:
+        if self.phases.vanishes:
+            return line
         return line.multiply_time(*self.phases.evaluate(_mean_range(line), line.time))
 
 
@@ -257,7 +259,10 @@ def _windows(window: Callable[[float], ComplexArray], slope: RowPolynomial, rows
     """
     slopes = slope.coefficients(rows.values)[:, 0]
     window_slopes = np.linspace(slopes.min(), slopes.max(), GATE_WINDOWS)
-    windows = np.stack([window(float(each)) for each in window_slopes])
+
+    def windows() -> ComplexArray:
+        return np.stack([window(float(each)) for each in window_slopes])
+
     return Window(windows, np.abs(window_slopes - slopes[:, None]).argmin(axis=1))
 
 

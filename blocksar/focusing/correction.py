@@ -10,7 +10,7 @@ weights in vector registers.
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -19,26 +19,28 @@ from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.focusing.ground_map import GroundMap, sum_series
 from blocksar.kernels import interpolation
 from blocksar.kernels.groups import run_groups
+from blocksar.kernels.lanes import FEW, WEIGHED_ROWS, load_few, spread_few, total, weigh_rows
 from blocksar.kernels.phase import Float32Array
+from blocksar.kernels.signatures import COMPILED, KEPT, PART, UNCHECKED
 from blocksar.kernels.trigonometry import cosine, sine
 from blocksar.solvers import least_squares, product
 
 TILE_DEGREE = 5
-TILE_PIXELS = 64
+TILE_PIXELS = 128
 TILE_EXTENT = 150.0  # m: the largest tile over which its polynomials hold to a millicycle
 TILE_GROUP = 16  # tiles per call of the compiled loop
-N_PHASE = 256  # intervals of a sample in a table of taps
-COARSE = 4096  # steps per cycle: a step times a sample's number is exact in float32
-DOPPLER_UNIT = 4  # Doppler samples of a vector register, eight floats
-RANGE_UNITS = (12,)  # rows of a window that are unrolled: as many as its taps along range, and a few need more
-DOPPLER_UNITS = (2, 3)  # vector registers of a window that are unrolled: the loop is compiled for each of these
-# Tuples of these lengths, since the length of a tuple is known when the loop is compiled.
-TWELVE, TWO, THREE = (0,) * RANGE_UNITS[0], (0,) * DOPPLER_UNITS[0], (0,) * DOPPLER_UNITS[1]
+N_PHASE = 64  # intervals of a sample in a table of taps; between them taps are interpolated, to 1e-4
+N_CARRIER = 1024  # carriers along Doppler that are told apart, in steps of 1 / N_CARRIER cycles per sample
+RANGE_UNIT = WEIGHED_ROWS
+DOPPLER_UNIT = FEW // 2  # Doppler samples of a vector register
 
 
-def covers(ground: GroundMap, x: FloatArray, y: FloatArray) -> bool:
-    """Whether the block may own any of these pixels; False is certain. Takes a fraction of a millisecond."""
-    return _tiles(ground, x, y, _tile_side(ground, x, y)).shape[0] > 0
+def touched(ground: GroundMap, *, x: FloatArray, y: FloatArray, side: tuple[int, int]) -> IntArray:
+    """First row and column of each tile of side[0] x side[1] pixels of which the block may own any, (n, 2).
+
+    It owns none of the others; of those near its edge it may own none.
+    """
+    return _tiles(ground, x, y, side)[:, :2].astype(np.int64)
 
 
 def correct(
@@ -71,11 +73,14 @@ def correct(
     out = np.empty((y.size, x.size), np.complex64) if out is None else out
     out[...] = np.nan + 1j * np.nan
     tile = _tile_side(ground, x, y)
-    tiles = _tiles(ground, x, y, tile)
+    tiles = _tiles(ground, x, y, (tile, tile))
     if tiles.shape[0] == 0:
         return out
     coefficients = _tile_polynomials(ground, x, y, tiles, tile)
-    along_range, along_doppler = _range_window(*ground.range_taps), _doppler_window(*ground.doppler_taps)
+    n_taps = ground.range_taps[0], ground.doppler_taps[0]
+    range_taps, doppler_taps = _range_taps(*ground.range_taps), _doppler_taps(*ground.doppler_taps)
+    widths = -(-n_taps[0] // RANGE_UNIT) * RANGE_UNIT, doppler_taps.shape[1] // 2
+    carriers = _carriers(widths[1])
     px, py, pz = ground.geometry.epoch_position
     nx, ny = ground.geometry.nadir
     height2 = float((pz - ground.geometry.collection.ground_height) ** 2)
@@ -90,14 +95,14 @@ def correct(
     # Arrays sent to a worker are read-only, for which the loop would be compiled again: copy the small ones, and make
     # the block read-only always.
     x, y, near_limit, far_limit = (np.array(values) for values in (x, y, ground.near_limit, ground.far_limit))
-    floats = _with_room(block, along_range, along_doppler).view(np.float32)
+    floats = _with_room(block, *widths).view(np.float32)
     floats.flags.writeable = False
 
     def resample(group: slice) -> None:
         _resample(
-            floats, out, tiles[group], coefficients[group], x, y, tile, along_range.taps, along_doppler.taps,
-            (along_range.n_tap, along_doppler.n_tap), along_doppler.unit,
-            (ground.rows.size, ground.doppler.size), rays, frame, yaw_start, yaw_step, near_limit, far_limit, weight,
+            floats, out, tiles[group], coefficients[group], x, y, tile, range_taps, doppler_taps, carriers, n_taps,
+            widths, (ground.rows.size, ground.doppler.size), rays, frame, yaw_start, yaw_step, near_limit, far_limit,
+            weight,
         )  # fmt: skip
 
     # Python threads over groups of tiles, not numba's own: a dask worker may run several tasks in one process.
@@ -117,13 +122,13 @@ def _tile_side(ground: GroundMap, x: FloatArray, y: FloatArray) -> int:
     return int(np.clip(reach / step, 1, TILE_PIXELS))
 
 
-def _tiles(ground: GroundMap, x: FloatArray, y: FloatArray, tile: int) -> FloatArray:
+def _tiles(ground: GroundMap, x: FloatArray, y: FloatArray, side: tuple[int, int]) -> FloatArray:
     """Tiles with pixels that the block may own: first row, first column, whether it owns all; (n, 3) int64."""
     corners = np.stack(
-        np.meshgrid(np.arange(0, y.size, tile), np.arange(0, x.size, tile), indexing="ij"), axis=-1
+        np.meshgrid(np.arange(0, y.size, side[0]), np.arange(0, x.size, side[1]), indexing="ij"), axis=-1
     ).reshape(-1, 2)
-    last_y = np.minimum(corners[:, 0] + tile, y.size) - 1
-    last_x = np.minimum(corners[:, 1] + tile, x.size) - 1
+    last_y = np.minimum(corners[:, 0] + side[0], y.size) - 1
+    last_x = np.minimum(corners[:, 1] + side[1], x.size) - 1
     cy, cx = (y[corners[:, 0]] + y[last_y]) / 2, (x[corners[:, 1]] + x[last_x]) / 2
     radius = np.hypot(y[last_y] - y[corners[:, 0]], x[last_x] - x[corners[:, 1]]) / 2 + 1e-6
     rng = ground.geometry.epoch_range(cx, cy)
@@ -164,50 +169,44 @@ def _tile_nodes() -> tuple[FloatArray, FloatArray]:
     return nodes, least_squares(np.vander(nodes, n, increasing=True).T, np.eye(n))
 
 
-class _Window(NamedTuple):
-    """Taps along one axis, padded to whole registers, and the unrolling of the loop over them.
+def _window(n_tap: int, occupancy: float, unit: int) -> Float32Array:
+    """Taps padded with zeros to whole units, (2 (N_PHASE + 1), width).
 
-    Attributes
-    ----------
-    taps : (2 (N_PHASE + 1), width) float32
-        Padded to `width` with zeros behind; in the second half of the rows in front, for windows at the block's end.
-    n_tap : int
-        Taps without the padding.
-    unit : int
-        Number of unrolled taps or registers.
+    The zeros are behind the taps; in the second half of the rows in front, for windows at the block's end.
     """
-
-    taps: Float32Array
-    n_tap: int
-    unit: int
-
-
-def _window(n_tap: int, occupancy: float, units: tuple[int, ...], samples: int) -> _Window:
-    """Taps in the fewest groups that hold them, each of the fewest units (one of `units`) of `samples` samples."""
-    groups = -(-n_tap // (units[-1] * samples))
-    unit = next(n for n in units if groups * n * samples >= n_tap)
-    room = groups * unit * samples - n_tap
+    room = -n_tap % unit
     taps = interpolation.interpolation_taps(n_tap, occupancy=occupancy, n_phase=N_PHASE)
-    sides = np.concatenate([np.pad(taps, ((0, 0), (0, room))), np.pad(taps, ((0, 0), (room, 0)))])
-    return _Window(taps=sides, n_tap=n_tap, unit=unit)
+    return np.concatenate([np.pad(taps, ((0, 0), (0, room))), np.pad(taps, ((0, 0), (room, 0)))])
 
 
 @lru_cache(maxsize=8)
-def _range_window(n_tap: int, occupancy: float) -> _Window:
-    """Taps along range, one row of the block each."""
-    return _window(n_tap, occupancy, RANGE_UNITS, 1)
+def _range_taps(n_tap: int, occupancy: float) -> Float32Array:
+    """Taps along range, one row of the block each; the last unit of a row of the table is padded to a register."""
+    return np.pad(_window(n_tap, occupancy, RANGE_UNIT), ((0, 0), (0, FEW - RANGE_UNIT)))
 
 
 @lru_cache(maxsize=8)
-def _doppler_window(n_tap: int, occupancy: float) -> _Window:
+def _doppler_taps(n_tap: int, occupancy: float) -> Float32Array:
     """Taps along Doppler, each twice: for the real and the imaginary part of a sample."""
-    window = _window(n_tap, occupancy, DOPPLER_UNITS, DOPPLER_UNIT)
-    return window._replace(taps=np.repeat(window.taps, 2, axis=1))
+    return np.repeat(_window(n_tap, occupancy, DOPPLER_UNIT), 2, axis=1)
 
 
-def _with_room(block: ComplexArray, along_range: _Window, along_doppler: _Window) -> ComplexArray:
+@lru_cache(maxsize=8)
+def _carriers(n_sample: int) -> Float32Array:
+    """What samples of a row of the block are multiplied by to remove a carrier: (2 N_CARRIER, 2 n_sample).
+
+    Real and imaginary parts of samples alternate. Row 2 q has cos, -sin, cos, .. of the carrier q / N_CARRIER, for the
+    real part of a sum, and row 2 q + 1 has sin, cos, sin, .. for its imaginary part.
+    """
+    turn = np.outer(np.arange(N_CARRIER) / N_CARRIER, np.arange(n_sample))
+    factor = np.exp(2j * np.pi * turn)
+    rows = np.stack([factor.conj(), 1j * factor.conj()], axis=1).reshape(2 * N_CARRIER, n_sample)
+    return rows.astype(np.complex64).view(np.float32)
+
+
+def _with_room(block: ComplexArray, n_row: int, n_doppler: int) -> ComplexArray:
     """The block, padded with zeros where it is smaller than two windows, so that one fits from either end."""
-    needed = 2 * along_range.taps.shape[1], along_doppler.taps.shape[1]
+    needed = 2 * n_row, 2 * n_doppler
     lacking = [(0, max(n - size, 0)) for n, size in zip(needed, block.shape, strict=True)]
     return np.pad(block, lacking) if np.any(lacking) else np.ascontiguousarray(block)
 
@@ -217,7 +216,7 @@ def _with_room(block: ComplexArray, along_range: _Window, along_doppler: _Window
 # out negative ones, for which it would load element by element.
 
 
-@njit(forceinline=True, nogil=True)
+@njit(nogil=True, **PART)
 def _left(ray_x: float, ray_y: float, x: float, y: float) -> bool:
     """Whether a point is on a ray or to its left.
 
@@ -227,7 +226,7 @@ def _left(ray_x: float, ray_y: float, x: float, y: float) -> bool:
     return ray_x * y >= ray_y * x
 
 
-@njit(forceinline=True, nogil=True)
+@njit(nogil=True, **PART)
 def _sector(
     x: FloatArray, first: int, n: int, y: float, rays: FloatArray, frame: FloatArray, rng: FloatArray, owned: FloatArray
 ) -> bool:
@@ -249,7 +248,7 @@ def _sector(
     return n_inside > 0
 
 
-@njit(forceinline=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+@njit(**PART, **COMPILED, **UNCHECKED)
 def _limit(
     turn: FloatArray, start: float, step: float, near_limit: FloatArray, far_limit: FloatArray, rng: FloatArray,
     owned: FloatArray,
@@ -265,7 +264,7 @@ def _limit(
             owned[k] = np.nan
 
 
-@njit(forceinline=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+@njit(**PART, **COMPILED, **UNCHECKED)
 def _amplitude(
     turn: FloatArray, start: float, step: float, weight: FloatArray, gain: FloatArray, owned: FloatArray,
     amplitude: Float32Array,
@@ -276,7 +275,7 @@ def _amplitude(
         amplitude[k] = owned[k] * weight[np.uint64(np.int64(place + 0.5))] / gain[k]
 
 
-@njit(forceinline=True, nogil=True, fastmath={"contract", "nsz"})
+@njit(**PART, **COMPILED)
 def _along(coefficients: FloatArray, t: int, v: float, along: FloatArray) -> None:
     """Polynomials of tile t at one v: power coefficients in u, quantity by quantity."""
     c = coefficients
@@ -285,17 +284,18 @@ def _along(coefficients: FloatArray, t: int, v: float, along: FloatArray) -> Non
         along[m] = c[t, 0, m] + v * (c[t, 1, m] + v * inner)
 
 
-@njit(forceinline=True, nogil=True, fastmath={"contract", "nsz"})
-def _evaluate(along: FloatArray, q: int, across: FloatArray, values: FloatArray) -> None:
-    """Quantity q of a row of pixels, at all u."""
-    m = q * (TILE_DEGREE + 1)
-    c0, c1, c2, c3, c4, c5 = along[m], along[m + 1], along[m + 2], along[m + 3], along[m + 4], along[m + 5]
-    for k in range(across.size):
-        u = across[k]
-        values[k] = c0 + u * (c1 + u * (c2 + u * (c3 + u * (c4 + u * c5))))
+@njit(**PART, **COMPILED)
+def _evaluate(along: FloatArray, across: FloatArray, values: FloatArray) -> None:
+    """All quantities (n, u.size) of a row of pixels, at all u."""
+    for q in range(values.shape[0]):
+        m = q * (TILE_DEGREE + 1)
+        c0, c1, c2, c3, c4, c5 = along[m], along[m + 1], along[m + 2], along[m + 3], along[m + 4], along[m + 5]
+        for k in range(across.size):
+            u = across[k]
+            values[q, k] = c0 + u * (c1 + u * (c2 + u * (c3 + u * (c4 + u * c5))))
 
 
-@njit(forceinline=True, nogil=True, fastmath={"contract", "nsz"})
+@njit(**PART, **COMPILED)
 def _place(
     position: FloatArray, n_tap: int, width: int, size: int, room: int, first: IntArray, row: IntArray,
     part: Float32Array,
@@ -317,30 +317,24 @@ def _place(
         part[k] = fine - i
 
 
-@njit(forceinline=True, nogil=True, fastmath={"contract", "nsz"})
+@njit(**PART, **COMPILED)
 def _turns(
-    doppler: FloatArray, cycles: FloatArray, middle: FloatArray, first: IntArray, own: Float32Array,
-    unit: Float32Array, coarse: Float32Array, fine: Float32Array,
-) -> None:  # fmt: skip
-    """Phase of each pixel's response along its window, in cycles without whole ones.
+    doppler: FloatArray, cycles: FloatArray, middle: FloatArray, first: IntArray, carrier: IntArray, own: Float32Array
+) -> None:
+    """The carrier of each pixel's response along its window, and the pixel's own phase, cycles without whole ones.
 
-    The response has the carrier of its dwell time, exp(2j pi middle (sample - doppler)). The carrier's phase at the
-    window's first sample is combined with the pixel's own phase (`own`); from there it advances by coarse + fine per
-    sample and by `unit` per register.
+    The response has the carrier of its dwell time, exp(2j pi middle (sample - doppler)). It is removed to the nearest
+    step of 1 / N_CARRIER, which only shifts the band within that of the taps; whole cycles per sample do not matter.
+    The carrier's phase at the window's first sample is part of the pixel's own.
     """
     for k in range(middle.size):
-        total = middle[k] * (first[k] - doppler[k]) - cycles[k]
+        steps = np.rint(middle[k] * N_CARRIER)
+        carrier[k] = int(steps) & (N_CARRIER - 1)
+        total = steps / N_CARRIER * (first[k] - doppler[k]) - cycles[k]
         own[k] = total - np.rint(total)
-    for k in range(middle.size):
-        rest = middle[k] - np.rint(middle[k])
-        steps = np.rint(rest * COARSE) / COARSE
-        coarse[k] = steps
-        fine[k] = rest - steps
-        total = DOPPLER_UNIT * rest
-        unit[k] = total - np.rint(total)
 
 
-@njit(forceinline=True, nogil=True, fastmath={"contract", "nsz"})
+@njit(**PART, **COMPILED)
 def _phasors(cycles: Float32Array, real: Float32Array, imag: Float32Array) -> None:
     """exp(2j pi cycles), real and imaginary part."""
     for k in range(cycles.size):
@@ -348,100 +342,60 @@ def _phasors(cycles: Float32Array, real: Float32Array, imag: Float32Array) -> No
         imag[k] = sine(cycles[k])
 
 
-@njit(forceinline=True, nogil=True, fastmath={"contract", "nsz", "reassoc"})
-def _add(total: Any, term: Any) -> Any:
-    """total + term, reordered at will: the sum may run in several lanes."""
-    return total + term
-
-
-@njit(forceinline=True, nogil=True, fastmath={"contract", "nsz"})
+@njit(**PART, **COMPILED)
 def _between(taps: Float32Array, at: int, step: int, part: float) -> Any:
-    """A tap, interpolated by the fraction `part` to the next row of its table, `step` entries further."""
-    return taps[at] + part * (taps[at + step] - taps[at])
+    """A register of taps, interpolated by the fraction `part` to the next row of its table, `step` entries further."""
+    taps_here = load_few(taps, at)
+    return taps_here + part * (load_few(taps, at + step) - taps_here)
 
 
-@njit(forceinline=True, nogil=True, fastmath={"contract", "nsz"})
+@njit(**PART, **COMPILED)
 def _window_sums(  # type: ignore[no-untyped-def]
-    flat, stride, at, range_taps, range_step, range_row, range_part, doppler_taps, doppler_step, doppler_row,
-    doppler_part, coarse, fine, unit_real, unit_imag, range_unit, doppler_unit, lanes, weight, real, imag,
+    flat, stride, at, range_taps, range_step, range_width, range_row, range_part, doppler_taps, doppler_step,
+    doppler_row, doppler_part, carriers, carrier, real, imag,
 ):  # fmt: skip
     """real + 1j imag: for each pixel the weighted sum over its window, with the carrier along Doppler removed.
 
-    Real and imaginary parts alternate along a row of the block, eight floats per register. For the sum's real part the
-    lanes are multiplied by cos, -sin, cos, .. and for its imaginary part by sin, cos, sin, ..: cosine and sine of each
-    lane's phase plus zero or a quarter cycle (`lanes`: sample and quarter of each). Rows are unrolled and the two or
-    three registers written out, so that the loop over lanes becomes straight vector code. The loop over lanes stores
-    nothing, since the compiler could not rule out that a store changes a later load.
+    Real and imaginary parts alternate along a row of the block, eight samples in a register. The rows are summed
+    first, with one weight each, then the registers are multiplied by the taps along Doppler and by the carrier.
     """
-    n_row, n_unit, n_lane = len(range_unit), len(doppler_unit), 2 * DOPPLER_UNIT
-    one, two = np.uint64(n_lane), np.uint64(2 * n_lane)
     for k in range(at.size):
-        real[k] = np.float32(0.0)
-        imag[k] = np.float32(0.0)
-    for p0 in range(np.uint64(0), range_step, np.uint64(n_row)):
-        for m0 in range(np.uint64(0), doppler_step, np.uint64(n_lane * n_unit)):
-            offset = np.float32(m0 // np.uint64(2))
-            for k in range(at.size):
-                if at[k] < 0:
-                    continue
-                tap, part = np.uint64(range_row[k]) * range_step + p0, range_part[k]
-                for p in range(np.uint64(weight.size)):
-                    weight[p] = _between(range_taps, tap + p, range_step, part)
-                start = np.uint64(at[k]) + p0 * stride + m0
-                tap, part = np.uint64(doppler_row[k]) * doppler_step + m0, doppler_part[k]
-                steps, rest, unit_cos, unit_sin = coarse[k], fine[k], unit_real[k], unit_imag[k]
-                re, im = np.float32(0.0), np.float32(0.0)
-                for lane in range(n_lane):
-                    sample = lanes[0, lane] + offset
-                    turn = steps * sample + lanes[1, lane]
-                    turn = (turn - np.rint(turn)) + rest * sample
-                    cos, sin = cosine(turn), sine(turn)
-                    # All registers of a row, then the next row: these sums do not depend on each other.
-                    first, second, third = np.float32(0.0), np.float32(0.0), np.float32(0.0)
-                    m = start + np.uint64(lane)
-                    for p in range(n_row):
-                        first += weight[p] * flat[m]
-                        second += weight[p] * flat[m + one]
-                        if n_unit == 3:
-                            third += weight[p] * flat[m + two]
-                        m += stride
-                    m = tap + np.uint64(lane)
-                    first *= _between(doppler_taps, m, doppler_step, part)
-                    re, im = _add(re, first * cos), _add(im, first * sin)
-                    cos, sin = cos * unit_cos - sin * unit_sin, sin * unit_cos + cos * unit_sin
-                    second *= _between(doppler_taps, m + one, doppler_step, part)
-                    re, im = _add(re, second * cos), _add(im, second * sin)
-                    if n_unit == 3:
-                        cos, sin = cos * unit_cos - sin * unit_sin, sin * unit_cos + cos * unit_sin
-                        third *= _between(doppler_taps, m + two, doppler_step, part)
-                        re, im = _add(re, third * cos), _add(im, third * sin)
-                real[k] += re
-                imag[k] += im
+        if at[k] < 0:
+            continue
+        re, im = spread_few(np.float32(0.0)), spread_few(np.float32(0.0))
+        for m in range(0, doppler_step, FEW):
+            column = spread_few(np.float32(0.0))
+            for p in range(0, range_width, RANGE_UNIT):
+                weights = _between(range_taps, range_row[k] * range_step + p, range_step, range_part[k])
+                column = column + weigh_rows(flat, at[k] + p * stride + m, stride, weights)
+            taps = _between(doppler_taps, doppler_row[k] * doppler_step + m, doppler_step, doppler_part[k])
+            column = column * taps
+            phasor = 2 * carrier[k] * doppler_step + m
+            re = re + column * load_few(carriers, phasor)
+            im = im + column * load_few(carriers, phasor + doppler_step)
+        real[k], imag[k] = total(re), total(im)
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
+@njit(**KEPT, **COMPILED)
 def _resample(  # type: ignore[no-untyped-def]
-    floats, out, tiles, coefficients, x, y, tile, range_table, doppler_table, n_taps, n_register, sizes,
+    floats, out, tiles, coefficients, x, y, tile, range_table, doppler_table, carrier_table, n_taps, widths, sizes,
     rays, frame, yaw_start, yaw_step, near_limit, far_limit, weight,
 ):  # fmt: skip
     """Write the owned pixels of some tiles to `out`, row by row."""
     n_row, n_doppler = floats.shape[0], floats.shape[1] // 2
-    flat, stride = floats.reshape(-1), np.uint64(floats.shape[1])
-    range_taps, range_width = range_table.reshape(-1), range_table.shape[1]
-    doppler_taps, doppler_width = doppler_table.reshape(-1), doppler_table.shape[1] // 2
-    range_step, doppler_step = np.uint64(range_width), np.uint64(2 * doppler_width)
-    range_weight, lanes = np.empty(len(TWELVE), np.float32), np.empty((2, 2 * DOPPLER_UNIT), np.float32)
-    for m in range(2 * DOPPLER_UNIT):
-        lanes[0, m], lanes[1, m] = m // 2, 0.25 * (m % 2)
+    flat, stride = floats.reshape(-1), floats.shape[1]
+    range_taps, range_step = range_table.reshape(-1), range_table.shape[1]
+    doppler_taps, doppler_step = doppler_table.reshape(-1), doppler_table.shape[1]
+    carriers = carrier_table.reshape(-1)
     across, along = np.arange(tile) / max((tile - 1) / 2, 0.5) - 1.0, np.empty(coefficients.shape[2])
-    row, doppler, cycles, gain = np.empty(tile), np.empty(tile), np.empty(tile), np.empty(tile)
-    turn, middle, rng, owned = np.empty(tile), np.empty(tile), np.empty(tile), np.empty(tile)
+    values = np.empty((6, tile))
+    row, doppler, cycles, gain, turn, middle = values[0], values[1], values[2], values[3], values[4], values[5]
+    rng, owned = np.empty(tile), np.empty(tile)
     first_row, range_row, at = np.empty(tile, np.int64), np.empty(tile, np.int64), np.empty(tile, np.int64)
-    first_doppler, doppler_row = np.empty(tile, np.int64), np.empty(tile, np.int64)
-    parts = np.empty((13, tile), np.float32)
-    range_part, doppler_part, own, unit, coarse, fine = parts[0], parts[1], parts[2], parts[3], parts[4], parts[5]
-    own_real, own_imag, unit_real, unit_imag = parts[6], parts[7], parts[8], parts[9]
-    amplitude, real, imag = parts[10], parts[11], parts[12]
+    first_doppler, doppler_row, carrier = np.empty(tile, np.int64), np.empty(tile, np.int64), np.empty(tile, np.int64)
+    parts = np.empty((8, tile), np.float32)
+    range_part, doppler_part, own, own_real, own_imag = parts[0], parts[1], parts[2], parts[3], parts[4]
+    amplitude, real, imag = parts[5], parts[6], parts[7]
     for t in range(tiles.shape[0]):
         i0, j0, every = tiles[t, 0], tiles[t, 1], tiles[t, 2] != 0
         n = min(tile, out.shape[1] - j0)
@@ -451,35 +405,21 @@ def _resample(  # type: ignore[no-untyped-def]
             if not every and not _sector(x, j0, n, y[i], rays, frame, rng, owned):
                 continue
             _along(coefficients, t, across[i - i0], along)
-            _evaluate(along, 0, across, row)
-            _evaluate(along, 1, across, doppler)
-            _evaluate(along, 2, across, cycles)
-            _evaluate(along, 3, across, gain)
-            _evaluate(along, 4, across, turn)
-            _evaluate(along, 5, across, middle)
+            _evaluate(along, across, values)
             if not every:
                 _limit(turn, yaw_start, yaw_step, near_limit, far_limit, rng, owned)
             _amplitude(turn, yaw_start, yaw_step, weight, gain, owned, amplitude)
-            _place(row, n_taps[0], range_width, sizes[0], n_row, first_row, range_row, range_part)
-            _place(doppler, n_taps[1], doppler_width, sizes[1], n_doppler, first_doppler, doppler_row, doppler_part)
-            _turns(doppler, cycles, middle, first_doppler, own, unit, coarse, fine)
+            _place(row, n_taps[0], widths[0], sizes[0], n_row, first_row, range_row, range_part)
+            _place(doppler, n_taps[1], widths[1], sizes[1], n_doppler, first_doppler, doppler_row, doppler_part)
+            _turns(doppler, cycles, middle, first_doppler, carrier, own)
             _phasors(own, own_real, own_imag)
-            _phasors(unit, unit_real, unit_imag)
             for k in range(tile):
                 outside = np.isnan(amplitude[k]) or first_row[k] < 0 or first_doppler[k] < 0
                 at[k] = -1 if outside else first_row[k] * floats.shape[1] + 2 * first_doppler[k]
-            if n_register == len(TWO):
-                _window_sums(
-                    flat, stride, at, range_taps, range_step, range_row, range_part, doppler_taps, doppler_step,
-                    doppler_row, doppler_part, coarse, fine, unit_real, unit_imag, TWELVE, TWO, lanes,
-                    range_weight, real, imag,
-                )  # fmt: skip
-            else:
-                _window_sums(
-                    flat, stride, at, range_taps, range_step, range_row, range_part, doppler_taps, doppler_step,
-                    doppler_row, doppler_part, coarse, fine, unit_real, unit_imag, TWELVE, THREE, lanes,
-                    range_weight, real, imag,
-                )  # fmt: skip
+            _window_sums(
+                flat, stride, at, range_taps, range_step, widths[0], range_row, range_part, doppler_taps, doppler_step,
+                doppler_row, doppler_part, carriers, carrier, real, imag,
+            )  # fmt: skip
             for k in range(n):
                 if at[k] >= 0:
                     c, s = amplitude[k] * own_real[k], amplitude[k] * own_imag[k]
@@ -494,6 +434,6 @@ def compile_kernels() -> None:
     floats.flags.writeable = False
     tiles, table = np.zeros((0, 3), np.int64), np.zeros((2, 2), np.float32)
     _resample(
-        floats, np.zeros((1, 1), np.complex64), tiles, np.zeros((0, 6, 36)), line, line, 1, table, table,
-        (2, 2), len(TWO), (1, 1), np.zeros(4), np.zeros(7), 0.0, 1.0, line, line, line,
+        floats, np.zeros((1, 1), np.complex64), tiles, np.zeros((0, 6, 36)), line, line, 1, table, table, table,
+        (2, 2), (2, 2), (1, 1), np.zeros(4), np.zeros(7), 0.0, 1.0, line, line, line,
     )  # fmt: skip

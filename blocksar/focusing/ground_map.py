@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 
 from blocksar import solvers
 from blocksar.arrays import FloatArray
@@ -14,6 +14,8 @@ from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.lines import Focus, RowPolynomial
 from blocksar.kernels.fourier import Axis
+from blocksar.kernels.loops import loop
+from blocksar.kernels.signatures import COMPILED, PART, REAL_ROW, REAL_ROWS
 
 YAW_STEPS = 4096  # of the range window's limits and the number of lit pulses along yaw
 
@@ -161,7 +163,7 @@ def surfaces(
     )
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
+@loop(REAL_ROWS, REAL_ROW, REAL_ROW, types.float64[::1], **COMPILED)
 def sum_series(series: FloatArray, u: FloatArray, v: FloatArray, values: FloatArray) -> None:
     """values[k] = sum_ij series[i, j] T_i(u[k]) T_j(v[k]), a strip of points at a time so that the T stay in cache."""
     strip = 64
@@ -186,7 +188,7 @@ def sum_series(series: FloatArray, u: FloatArray, v: FloatArray, values: FloatAr
             values[first + k] = total[k]
 
 
-@njit(forceinline=True, nogil=True, fastmath={"contract", "nsz"})
+@njit(**PART, **COMPILED)
 def _chebyshev(u: FloatArray, t: FloatArray) -> None:
     """t[i, k] = T_i(u[k]) in all rows of t, at least two; zeros beyond the end of u."""
     for i in range(t.shape[0]):

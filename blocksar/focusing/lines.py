@@ -17,13 +17,16 @@ approximation.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from blocksar import solvers
-from blocksar.arrays import FloatArray
+from blocksar.arrays import ComplexArray, FloatArray
+
+LEAST_STRETCH = 1e-3  # with which a folded line still has a focus: it is refused elsewhere
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,7 +61,7 @@ class Line:
 
     def multiply_time(self, cycles: FloatArray, rate: FloatArray, curvature: FloatArray) -> Line:
         """Lines after multiplication by exp(2j pi cycles(t)): value, first and second derivative at self.time."""
-        return replace(self, phase=self.phase + cycles, doppler=self.doppler + rate, rate=self.rate + curvature)
+        return self._with(phase=self.phase + cycles, doppler=self.doppler + rate, rate=self.rate + curvature)
 
     def multiply_doppler(self, cycles: FloatArray, rate: FloatArray, curvature: FloatArray) -> Line:
         """Lines after multiplication by exp(2j pi cycles(f)) in Doppler: value and derivatives at self.doppler.
@@ -68,8 +71,7 @@ class Line:
         """
         time = self.time - rate
         bend = 1.0 - curvature * self.rate
-        return replace(
-            self,
+        return self._with(
             time=time,
             phase=self.phase - self.doppler * self.time + cycles + self.doppler * time,
             rate=self.rate / bend,
@@ -88,8 +90,7 @@ class Line:
         pace = (1.0 - time * bend * self.rate) / stretched
         with np.errstate(divide="ignore", invalid="ignore"):
             rate = stretched * self.rate / pace
-        return replace(
-            self,
+        return self._with(
             time=middle + time,
             doppler=moved,
             rate=rate,
@@ -99,7 +100,11 @@ class Line:
 
     def shift_range(self, offset: FloatArray) -> Line:
         """Lines after a shift of range, m."""
-        return replace(self, range=self.range + offset)
+        return self._with(range=self.range + offset)
+
+    def _with(self, **changes: FloatArray) -> Line:
+        """Lines with some arrays changed: `dataclasses.replace` takes longer than the arithmetic of small lines."""
+        return Line(**{**self.__dict__, **changes})
 
     @property
     def folded(self) -> bool:
@@ -107,59 +112,112 @@ class Line:
         return bool((self.stretch <= 0.02).any() or not np.isfinite(self.stretch).all())
 
 
-class Focus(NamedTuple):
-    """Where and how a level line focuses; arrays (...) of targets.
+@dataclass(frozen=True, eq=False)
+class Focus:
+    """Where and how level lines focus; arrays (...) of targets, each computed when it is first asked for.
 
-    `doppler` (Hz), `range` (m from the origin) and `time` (s, middle of the dwell after all steps) locate it. `phase`
-    (cycles) and `gain` (sum over the dwell relative to the lit time, near 1) calibrate it. `residual` is the largest
-    phase error over the dwell (rad), `quadratic` its quadratic part at the dwell's edge (rad; pi/4 is the usual limit),
-    `migration` the extent of its range over the dwell (m).
+    Each line is summed over its dwell at the Doppler where the final transform peaks.
+
+    `doppler` (Hz), `range` (m from the origin) and `time` (s, middle of the dwell after all steps) locate a target.
+    `phase` (cycles) and `gain` (sum over the dwell relative to the lit time, near 1) calibrate it. `residual` is the
+    largest phase error over the dwell (rad), `quadratic` its quadratic part at the dwell's edge (rad; pi/4 is the usual
+    limit), `migration` the extent of its range over the dwell (m).
     """
 
-    doppler: FloatArray
-    range: FloatArray
-    time: FloatArray
-    phase: FloatArray
-    gain: FloatArray
-    residual: FloatArray
-    quadratic: FloatArray
-    migration: FloatArray
+    line: Line
+
+    @cached_property
+    def time(self) -> FloatArray:
+        return self._mean(self.line.time)
+
+    @cached_property
+    def range(self) -> FloatArray:
+        return self._mean(self.line.range)
+
+    @cached_property
+    def doppler(self) -> FloatArray:
+        return self._middle + self._slope
+
+    @cached_property
+    def phase(self) -> FloatArray:
+        return np.asarray(self._level[1] + np.angle(self._sum) / (2 * np.pi))
+
+    @cached_property
+    def gain(self) -> FloatArray:
+        return np.asarray(np.abs(self._sum) / self.line.weight.sum(axis=-1))
+
+    @cached_property
+    def residual(self) -> FloatArray:
+        return np.asarray(np.abs(self._error).max(axis=-1))
+
+    @cached_property
+    def quadratic(self) -> FloatArray:
+        # The remaining Doppler rate by regression along the line, over the stretched half dwell.
+        tilt = self._mean((self.line.doppler - self.doppler[..., None]) * self._offset) / self._spread
+        half = (self.line.weight * self.line.stretch).sum(axis=-1) / 2
+        return np.asarray(np.abs(np.pi * tilt * half**2))
+
+    @cached_property
+    def migration(self) -> FloatArray:
+        return np.asarray(np.ptp(self.line.range, axis=-1))
+
+    @cached_property
+    def _weight(self) -> tuple[FloatArray, FloatArray]:
+        """Weights along each line, and their sum."""
+        with np.errstate(invalid="ignore"):
+            # A signal stretched in time by s keeps its energy: its amplitude falls as 1 / sqrt(s), ds = s dt.
+            weight = self.line.weight * np.sqrt(np.maximum(self.line.stretch, LEAST_STRETCH))
+        return weight, weight.sum(axis=-1)
+
+    def _mean(self, values: FloatArray) -> FloatArray:
+        weight, total = self._weight
+        return np.asarray((values * weight).sum(axis=-1) / total)
+
+    @cached_property
+    def _offset(self) -> FloatArray:
+        """Time from the middle of the dwell, s."""
+        return self.line.time - self.time[..., None]
+
+    @cached_property
+    def _spread(self) -> FloatArray:
+        """Mean square of that, s^2."""
+        return np.maximum(self._mean(self._offset**2), 1e-30)
+
+    @cached_property
+    def _middle(self) -> FloatArray:
+        """Mean Doppler, Hz."""
+        return self._mean(self.line.doppler)
+
+    @cached_property
+    def _turn(self) -> FloatArray:
+        """Phase that turns with the mean Doppler removed, cycles."""
+        return self.line.phase - self._middle[..., None] * self.line.time
+
+    @cached_property
+    def _slope(self) -> FloatArray:
+        """From the mean Doppler to the peak of |sum|, Hz: a regression of phase on time leaves no linear part there."""
+        return np.asarray(self._mean(self._turn * self._offset) / self._spread)
+
+    @cached_property
+    def _level(self) -> tuple[FloatArray, FloatArray]:
+        """Phase without its linear part, cycles, and its mean."""
+        level = self._turn - self._slope[..., None] * self.line.time
+        return level, self._mean(level)
+
+    @cached_property
+    def _error(self) -> FloatArray:
+        """Phase error along each line, rad."""
+        level, phase = self._level
+        return np.asarray(2 * np.pi * (level - phase[..., None]))
+
+    @cached_property
+    def _sum(self) -> ComplexArray:
+        return np.asarray((self._weight[0] * np.exp(1j * self._error)).sum(axis=-1))
 
 
 def focus(line: Line) -> Focus:
-    """Focus levelled lines: sum each over its dwell at the Doppler where the final transform peaks."""
-    with np.errstate(invalid="ignore"):
-        # A signal stretched in time by s keeps its energy: its amplitude falls as 1 / sqrt(s), ds = s dt.
-        weight = line.weight * np.sqrt(np.maximum(line.stretch, 0.0))
-    total = weight.sum(axis=-1)
-
-    def mean(values: FloatArray) -> FloatArray:
-        return np.asarray((values * weight).sum(axis=-1) / total)
-
-    time, rng = mean(line.time), mean(line.range)
-    # The peak of |sum| lies where the linear part of the phase vanishes: a regression of phase on time.
-    doppler = mean(line.doppler)
-    level = line.phase - doppler[..., None] * line.time
-    offset = line.time - time[..., None]
-    slope = mean(level * offset) / np.maximum(mean(offset**2), 1e-30)
-    doppler = doppler + slope
-    level = level - slope[..., None] * line.time
-    phase = mean(level)
-    error = 2 * np.pi * (level - phase[..., None])
-    sum_ = (weight * np.exp(1j * error)).sum(axis=-1)
-    # The remaining Doppler rate by regression along the line, over the stretched half dwell.
-    tilt = mean((line.doppler - doppler[..., None]) * offset) / np.maximum(mean(offset**2), 1e-30)
-    half = (line.weight * line.stretch).sum(axis=-1) / 2
-    return Focus(
-        doppler=doppler,
-        range=rng,
-        time=time,
-        phase=phase + np.angle(sum_) / (2 * np.pi),
-        gain=np.abs(sum_) / line.weight.sum(axis=-1),
-        residual=np.abs(error).max(axis=-1),
-        quadratic=np.abs(np.pi * tilt * half**2),
-        migration=np.ptp(line.range, axis=-1),
-    )
+    """Focus levelled lines."""
+    return Focus(line)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -186,11 +244,21 @@ class RowPolynomial:
 
     def coefficients(self, rng: FloatArray) -> FloatArray:
         """(..., order + 1) power coefficients at ranges of any shape."""
-        u = np.clip((2 * np.asarray(rng) - self.near - self.far) / (self.far - self.near), -1.1, 1.1)[..., None]
-        last, total = np.zeros(1), np.zeros((*u.shape[:-1], self.series.shape[1]))
-        for term in self.series[:0:-1]:  # Clenshaw's recurrence
-            last, total = total, term + 2 * u * total - last
-        return np.asarray(self.series[0] + u * total - last)
+        return np.ascontiguousarray(np.moveaxis(self._terms(np.asarray(rng)), 0, -1))
+
+    def _terms(self, rng: FloatArray) -> FloatArray:
+        """`coefficients` with the powers first, (order + 1, ...)."""
+        u = np.clip((2 * rng - self.near - self.far) / (self.far - self.near), -1.1, 1.1)
+        twice, series = 2 * u, self.series.reshape(*self.series.shape, *(1,) * u.ndim)
+        last, total = np.zeros(1), np.zeros((self.series.shape[1], *u.shape))
+        for term in series[:0:-1]:  # Clenshaw's recurrence
+            last, total = total, term + twice * total - last
+        return np.asarray(series[0] + u * total - last)
+
+    @property
+    def vanishes(self) -> bool:
+        """Whether the polynomial is zero everywhere."""
+        return not self.series.any()
 
     def variable(self, values: FloatArray) -> FloatArray:
         """z at values along the row."""
@@ -198,13 +266,15 @@ class RowPolynomial:
 
     def evaluate(self, rng: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Value and first two derivatives along the row, at ranges (...) and values (..., n)."""
-        terms = np.moveaxis(self.coefficients(rng), -1, 0)[..., None]
-        z = self.variable(values)
+        terms, z = self._terms(np.asarray(rng))[..., None], self.variable(values)
         value, slope, bend = (np.zeros(np.broadcast_shapes(z.shape, terms.shape[1:])) for _ in range(3))
-        for term in terms[::-1]:
-            bend *= z
-            bend += slope
-            slope *= z
+        value += terms[-1]
+        for power, term in enumerate(terms[-2::-1]):  # Horner's scheme; what is still zero is passed over
+            if power > 1:
+                bend *= z
+            if power > 0:
+                bend += slope
+                slope *= z
             slope += value
             value *= z
             value += term
@@ -230,10 +300,12 @@ def row_polynomial(
     centre = float(np.mean(centres))
     order = coefficients.shape[1] - 1
     move = (centre - centres) / scale  # z about its own centre = z about the common one + move
-    shifted = np.zeros_like(coefficients)
-    for k in range(order + 1):
-        for j in range(k + 1):
-            shifted[:, j] += coefficients[:, k] * math.comb(k, j) * move ** (k - j)
+    shifted = coefficients
+    if move.any():
+        shifted = np.zeros_like(coefficients)
+        for k in range(order + 1):
+            for j in range(k + 1):
+                shifted[:, j] += coefficients[:, k] * math.comb(k, j) * move ** (k - j)
     near, far = float(ranges[0]), float(ranges[-1])
     series = solvers.node_series(shifted, min(degree, ranges.size - 1))
     return RowPolynomial(series=series, near=near, far=far, centre=centre, scale=scale)

@@ -45,6 +45,8 @@ class CommonRange:
 
     def at(self, time: FloatArray, derivative: int = 0) -> FloatArray:
         """Range (m), its rate (m/s) or that rate's (m/s^2) at slow times from the epoch."""
+        if self.series.size == 1 and derivative:
+            return np.zeros(np.shape(time))
         series = chebyshev.chebder(self.series, derivative, scl=1 / self.half)
         return np.asarray(chebyshev.chebval((time - self.centre) / self.half, series), np.float64)
 

@@ -17,7 +17,6 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from importlib.util import find_spec
 from multiprocessing import forkserver, resource_tracker
 from multiprocessing.util import get_temp_dir
 from pathlib import Path
@@ -29,6 +28,7 @@ from distributed.utils import get_mp_context
 
 from blocksar.errors import InputError, ProcessingError
 from blocksar.graph.admission import NO_WORKER
+from blocksar.graph.compiling import compile_kernels, kernels_cached
 from blocksar.graph.machine import machine
 from blocksar.progress import Listener
 from blocksar.version import __version__
@@ -58,22 +58,23 @@ def cluster_size(client: Client) -> tuple[int, int]:
     return len(workers), min(int(w["memory_limit"]) or machine()[1] for w in workers.values())
 
 
-def kernels_cached() -> bool:
-    """Tell whether numba's cache folder has files of compiled kernels, without checking that they still apply."""
-    folder = os.environ.get("NUMBA_CACHE_DIR")
-    spec = find_spec("blocksar.focusing.correction")  # loads no kernels
-    assert spec is not None and spec.origin is not None
-    source = Path(spec.origin)
-    name = f"{source.stem}.*.nbi"
-    indexes = Path(folder).rglob(name) if folder else source.parent.glob(f"__pycache__/{name}")
-    return next(indexes, None) is not None
+def prepare_workers(threads: int, listener: Listener) -> None:
+    """Compile loops if need be, and let the process that workers are forked from import in the background."""
+    if not kernels_cached():
+        _compile_once(listener)
+    with dask.config.set(_local_settings(threads, tempfile.gettempdir())):
+        _start_fork_server()
 
 
-def prepare_workers(threads: int) -> None:
-    """Let the process that a local cluster's workers are forked from begin its imports in the background."""
-    if kernels_cached():  # else it would compile them, and so would this process
-        with dask.config.set(_local_settings(threads, tempfile.gettempdir())):
-            _start_fork_server()
+def _compile_once(listener: Listener) -> None:
+    """Compile the loops, unless numba's cache has them.
+
+    Compilation takes more memory than a worker may use: the process that workers are forked from finds them compiled.
+    """
+    listener.update("compile", 0, 1)
+    if not kernels_cached():
+        compile_kernels()
+    listener.update("compile", 1, 1)
 
 
 @contextmanager
@@ -221,12 +222,7 @@ def _local_cluster(
         If the workers do not start.
     """
     _refuse_unguarded_script()
-    listener.update("compile", 0, 1)
-    # Compilation takes more memory than a worker may use. Compile here, once; workers load the kernels from the cache.
-    from blocksar.focusing.correction import compile_kernels
-
-    compile_kernels()
-    listener.update("compile", 1, 1)
+    _compile_once(listener)
     listener.update("start-workers", 0, workers)
     with ExitStack() as stack:
         stack.enter_context(dask.config.set(_local_settings(threads, scratch)))

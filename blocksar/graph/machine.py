@@ -1,11 +1,50 @@
-"""The machine that this process runs on."""
+"""The machine that this process runs on, as dask sees it; without dask's imports, which take longer than a plan."""
 
 from __future__ import annotations
 
-from dask.system import CPU_COUNT
-from distributed.system import MEMORY_LIMIT
+import math
+import os
+import resource
+from contextlib import suppress
+from functools import lru_cache
+from pathlib import Path
+
+GROUPS = Path("/sys/fs/cgroup")
+CPU_QUOTAS = ("cpuacct,cpu", "cpu,cpuacct")  # folders of control groups of version 1
+MEMORY_LIMITS = (
+    *("memory/memory.limit_in_bytes", "memory/memory.soft_limit_in_bytes"),  # of version 1
+    *("memory.max", "memory.high", "memory.low"),  # of version 2
+)
 
 
+@lru_cache(maxsize=1)
 def machine() -> tuple[int, int]:
     """Return the number of cores and the bytes of memory that this process may use, within its control group."""
-    return int(CPU_COUNT), int(MEMORY_LIMIT)
+    return _cores(), _memory()
+
+
+def _cores() -> int:
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    quota = _cpu_quota()
+    return cores if quota is None else min(cores, max(math.ceil(quota), 1))
+
+
+def _cpu_quota() -> float | None:
+    """Cores that the control group may use, if it has a limit."""
+    for folder in CPU_QUOTAS:
+        with suppress(OSError, ValueError, ZeroDivisionError):
+            quota, period = (int((GROUPS / folder / f"cpu.cfs_{name}_us").read_text()) for name in ("quota", "period"))
+            return quota / period if quota > 0 else None
+    with suppress(OSError, ValueError, ZeroDivisionError):
+        group = Path("/proc/self/cgroup").read_text(encoding="ascii").strip().split(":")[-1]
+        quota, period = map(int, (GROUPS / group.strip("/") / "cpu.max").read_text().split())  # "max": no number
+        return quota / period
+    return None
+
+
+def _memory() -> int:
+    limits = [os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"), resource.getrlimit(resource.RLIMIT_RSS)[1]]
+    for name in MEMORY_LIMITS:
+        with suppress(OSError, ValueError):
+            limits.append(int((GROUPS / name).read_text()))
+    return min(limit for limit in limits if limit > 0)

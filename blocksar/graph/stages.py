@@ -8,6 +8,7 @@ from its receipts.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -42,7 +43,7 @@ from blocksar.inspection.samples import Inspection, merge
 from blocksar.inspection.sentences import refusal
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.plan import Plan
-from blocksar.planning.tiling import image_chunk, inspection_width, patch_window
+from blocksar.planning.tiling import image_chunk, inspection_width, patch_window, touched_chunks
 from blocksar.progress import Listener
 from blocksar.runs.receipts import Run
 from blocksar.runs.record import Receipt, block_unit
@@ -103,10 +104,14 @@ def focus_blocks(
         run.establish(run.patch(block.name), partial(_create_patch, run, block, plan.grid))
     shape = plan.recovery.doppler.size, plan.geometry.collection.n_range_frequency
     spectrum = SpectrumChunks.of(recovered, shape, plan.spectrum_chunk)
-    units: list[Unit] = [
-        (block_unit(block.name), partial(_submit_chain, client, plan, run, spectrum, lit, block, -position))
-        for position, block in enumerate(plan.blocks)
-    ]
+    chunks = [touched_chunks(block.ground, plan.grid) for block in plan.blocks]
+    touching = Counter(cell for cells in chunks for cell in cells)
+    units: list[Unit] = []
+    for position, (block, cells) in enumerate(zip(plan.blocks, chunks, strict=True)):
+        own = frozenset(cell for cell in cells if touching[cell] == 1)
+        units.append(
+            (block_unit(block.name), partial(_submit_chain, client, plan, run, spectrum, lit, block, own, -position))
+        )
     return run_units(client, "focus", units, run, listener)
 
 
@@ -121,8 +126,9 @@ def _create_patch(run: Run, block: BlockPlan, grid: Grid) -> None:
 
 
 def _submit_chain(
-    client: Client, plan: Plan, run: Run, spectrum: SpectrumChunks, lit: FloatArray, block: BlockPlan, priority: int
-) -> Future[Any]:
+    client: Client, plan: Plan, run: Run, spectrum: SpectrumChunks, lit: FloatArray, block: BlockPlan,
+    own: frozenset[tuple[int, int]], priority: int,
+) -> Future[Any]:  # fmt: skip
     """Submit the tasks of a block; return the future of the last one.
 
     All have the priority of the block: a worker finishes the chain that it has begun before it starts another.
@@ -136,18 +142,26 @@ def _submit_chain(
     node = submit(read_slab, run, block, first, slab, key=f"read-slab+{first.name}-{tail}")
     for stage in others:
         node = submit(run_stage, run, block, stage, node, key=f"{stage.name}-{tail}")
-    return submit(write_patch, run, unit, block.name, node, ground, plan.grid, key=f"geometric-correction-{tail}")
+    return submit(write_patch, run, unit, block, node, ground, plan.grid, own, key=f"geometric-correction-{tail}")
 
 
 def mosaic(client: Client, plan: Plan, run: Run, patches: Sequence[Receipt], listener: Listener) -> list[Receipt]:
-    """Merge the patches into image.zarr, by output chunk. Chunks that no block covers are not written."""
+    """Merge the patches into image.zarr, by output chunk, where several blocks may own pixels.
+
+    Chunks that only one block touches are there already; chunks that no block covers are not written.
+    """
     side = image_chunk(plan.grid)
     cells: dict[tuple[int, int], list[PatchChunk]] = {}
     for block, receipt in zip(plan.blocks, patches, strict=True):
         assert receipt.origin is not None
         first_y, first_x = receipt.origin
+        patch = run.name_of(run.patch(block.name))
+        complete = {part.region for part in receipt.written if part.store != patch}
         for part in receipt.written:
-            (y, _), (x, _) = part.region
+            (y, y_end), (x, x_end) = part.region
+            region = ((first_y + y, first_y + y_end), (first_x + x, first_x + x_end))
+            if part.store != patch or region in complete:
+                continue
             cell = ((first_y + y) // side[0], (first_x + x) // side[1])
             cells.setdefault(cell, []).append((block.index, block.name, first_y, first_x, part.checksum))
     ordered = sorted(cells)

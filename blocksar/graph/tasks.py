@@ -6,6 +6,7 @@ import resource
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import wraps
@@ -13,28 +14,31 @@ from itertools import pairwise
 from typing import ParamSpec, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from blocksar import stores
 from blocksar.arrays import ComplexArray
-from blocksar.chunks import BACKPROJECTION_CHUNK, DOPPLER_GROUP, SPECTRUM_BYTES
+from blocksar.chunks import BACKPROJECTION_CHUNK, DOPPLER_GROUP, SPECTRUM_BYTES, WRITES_AT_ONCE
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.backprojection import form_image
-from blocksar.focusing.correction import correct, covers
+from blocksar.focusing.correction import correct
 from blocksar.focusing.ground_map import GroundMap
 from blocksar.focusing.range_compression import RawCompression
 from blocksar.focusing.recovery import Recovery, recover_columns
 from blocksar.focusing.step import Stage
 from blocksar.inspection.samples import Inspection, inspect, mask_outliers
+from blocksar.kernels import buffers
 from blocksar.places.place import Place
 from blocksar.planning.block import BlockPlan
-from blocksar.planning.tiling import image_chunk, patch_window
-from blocksar.runs.receipts import Run, write, written_entry
+from blocksar.planning.tiling import image_chunk, patch_window, touched_chunks
+from blocksar.runs.receipts import Run, write
 from blocksar.runs.record import Receipt, Written
 
 P = ParamSpec("P")
 R = TypeVar("R")
+Window = tuple[slice, slice]  # rows and columns
 # A block's part of an output chunk: block, its name, first row and column of its patch, checksum of the part.
 PatchChunk = tuple[int, str, int, int, str]
 
@@ -106,7 +110,7 @@ def recover_group(
         threads=run.threads,
     )  # fmt: skip
     parts = []
-    buffer = np.empty(recovery.doppler.size * width, np.complex64)
+    buffer = buffers.empty((recovery.doppler.size * width,))
     for first in range(columns[0], columns[1], width):
         part = slice(first, min(first + width, columns[1]))
         shape = (recovery.doppler.size, part.stop - part.start)
@@ -206,14 +210,14 @@ class SpectrumChunks:
         at_once = max(SPECTRUM_BYTES // (8 * (last - first) * width), 1) * width
         if columns.stop - columns.start <= at_once:
             return self._checked(store, (first, last), (columns.start, columns.stop))[rows]
-        values = np.empty((bins.stop - bins.start, columns.stop - columns.start), np.complex64)
+        values = buffers.empty((bins.stop - bins.start, columns.stop - columns.start))
         for c, d in _chunks(columns.start, columns.stop, at_once):
             values[:, c - columns.start : d - columns.start] = self._checked(store, (first, last), (c, d))[rows]
         return values
 
     def _checked(self, store: Place, bins: tuple[int, int], columns: tuple[int, int]) -> ComplexArray:
         """Read whole chunks, and compare their checksums."""
-        values: ComplexArray = stores.read_region(store, "spectrum", (slice(*bins), slice(*columns)))
+        values: ComplexArray = stores.read_region(store, "spectrum", (slice(*bins), slice(*columns)), cached=False)
         for a, b in _chunks(*bins, self.chunk[0]):
             for c, d in _chunks(*columns, self.chunk[1]):
                 chunk = values[a - bins[0] : b - bins[0], c - columns[0] : d - columns[0]]
@@ -225,22 +229,37 @@ class SpectrumChunks:
         return values
 
 
+def _read_ahead(
+    spectrum: SpectrumChunks, store: Place, regions: Sequence[Window]
+) -> Iterator[tuple[Window, ComplexArray, float]]:
+    """Read regions, each while the one before is used; with the seconds that were waited for it."""
+    with ThreadPoolExecutor(1) as pool:
+        coming = [pool.submit(spectrum.read, store, regions[0])]
+        for number, region in enumerate(regions):
+            started = time.perf_counter()
+            part = coming.pop().result()
+            waited = time.perf_counter() - started
+            if number + 1 < len(regions):
+                coming.append(pool.submit(spectrum.read, store, regions[number + 1]))
+            yield region, part, waited
+            del part
+
+
 @naming_failures(lambda run, block, stage, *_: f"read-slab+{stage.name} of block {block.name}")
 def read_slab(run: Run, block: BlockPlan, stage: Stage, spectrum: SpectrumChunks) -> Samples:
     """Run a block's first stage on its part of the spectrum, which is read by chunks' bins or by chunks' columns."""
     started, reading = time.perf_counter(), 0.0
     program, first_bin, last_bin = stage.program, block.first_bin, block.first_bin + block.n_bin
     if stage.layout == "columns":
-        # The range gate works along rows of the store: read groups of Doppler bins.
-        out = np.empty((program.target.size, program.n_row), np.complex64)
-        parts = [(slice(a, b), slice(0, spectrum.shape[1])) for a, b in _chunks(first_bin, last_bin, DOPPLER_GROUP)]
+        # The range gate works along rows of the store: read groups of Doppler bins, as chunks have them.
+        group = min(DOPPLER_GROUP, spectrum.chunk[0])
+        out = buffers.empty((program.target.size, program.n_row))
+        parts = [(slice(a, b), slice(0, spectrum.shape[1])) for a, b in _chunks(first_bin, last_bin, group)]
     else:
-        out = np.empty((block.sampling.n_buffer_row, program.target.size), np.complex64)
+        out = buffers.empty((block.sampling.n_buffer_row, program.target.size))
         parts = [(slice(first_bin, last_bin), slice(a, b)) for a, b in _chunks(0, program.n_row, spectrum.chunk[1])]
-    for region in parts:
-        read_from = time.perf_counter()
-        part = spectrum.read(run.spectrum, region)
-        reading += time.perf_counter() - read_from
+    for region, part, waited in _read_ahead(spectrum, run.spectrum, parts):
+        reading += waited
         if stage.layout == "columns":
             program.run(part, out=out, first=region[0].start - first_bin, store="columns", threads=run.threads)
         else:
@@ -264,41 +283,107 @@ def run_stage(run: Run, block: BlockPlan, stage: Stage, samples: Samples) -> Sam
         # The later stages need a buffer: the slab as a range gate leaves it has none, or rows become longer.
         inner = out is None and stage.steps[-1].name != block.chain[-1].name
         if program.source == block.sampling.slab or inner:
-            out = np.empty((block.sampling.n_buffer_row, program.target.size), np.complex64)
+            out = buffers.empty((block.sampling.n_buffer_row, program.target.size))
         result = program.run(values[: program.n_row], out=out, threads=run.threads)
     return Samples(result, samples.seconds | {stage.name: time.perf_counter() - started})
 
 
-@naming_failures(lambda run, unit, name, *_: f"geometric-correction of block {name}")
-def write_patch(run: Run, unit: str, name: str, block: Samples, ground: GroundMap, grid: Grid) -> Receipt:
-    """Correct a focused block geometrically, and write its patch in chunks of the image's grid."""
+@naming_failures(lambda run, unit, block, *_: f"geometric-correction of block {block.name}")
+def write_patch(
+    run: Run,
+    unit: str,
+    block: BlockPlan,
+    samples: Samples,
+    ground: GroundMap,
+    grid: Grid,
+    own: frozenset[tuple[int, int]],
+) -> Receipt:
+    """Correct a focused block geometrically, and write its patch in chunks of the image's grid.
+
+    `own` has the chunks, by row and column, that no other block touches: they become the image's as they are. Chunks
+    are written by other threads while the next ones are computed.
+    """
     started = time.perf_counter()
-    first_y, first_x, n_y, n_x = patch_window(ground, grid)
-    path = run.patch(name)
+    first_y, first_x, _, _ = patch_window(ground, grid)
     side = image_chunk(grid)
-    assert block.values is not None
-    chunks = []
-    chunk = np.empty(side[0] * side[1], np.complex64)
-    for y in range(0, n_y, side[0]):
-        for x in range(0, n_x, side[1]):
-            rows, columns = slice(y, min(y + side[0], n_y)), slice(x, min(x + side[1], n_x))
-            place = {
-                "x": grid.x[first_x + columns.start : first_x + columns.stop],
-                "y": grid.y[first_y + rows.start : first_y + rows.stop],
-            }
-            if not covers(ground, **place):
-                continue
-            shape = (rows.stop - rows.start, columns.stop - columns.start)
+    assert samples.values is not None
+    chunks = [np.empty(side[0] * side[1], np.complex64) for _ in range(WRITES_AT_ONCE + 1)]
+    writes: list[Future[list[Written]]] = []
+    with ThreadPoolExecutor(WRITES_AT_ONCE) as pool:
+        for number, cell in enumerate(touched_chunks(ground, grid)):
+            if number >= len(chunks):
+                writes[number - len(chunks)].result()
+            window = _window(cell, grid)
+            shape = (window[0].stop - window[0].start, window[1].stop - window[1].start)
+            out = chunks[number % len(chunks)][: shape[0] * shape[1]].reshape(shape)
             pixels = correct(
-                block.values, ground, threads=run.threads, out=chunk[: shape[0] * shape[1]].reshape(shape), **place
+                samples.values, ground, x=grid.x[window[1]], y=grid.y[window[0]], threads=run.threads, out=out
             )
-            if np.isfinite(pixels.real).any():
-                chunks.append(write(run, path, "image", (rows, columns), pixels))
-    seconds = block.seconds | {"geometric-correction": time.perf_counter() - started}
+            writes.append(
+                pool.submit(_write_pixels, run, block, pixels, window, (first_y, first_x), merged=cell not in own)
+            )
+    seconds = samples.seconds | {"geometric-correction": time.perf_counter() - started}
     # The receipt covers the whole block: the tasks before this one have no receipts.
-    origin = (int(first_y), int(first_x))
-    receipt = Receipt(unit=unit, stage="focus", written=tuple(chunks), origin=origin, steps=seconds)
-    return _sign(run, receipt, started - sum(block.seconds.values()))
+    receipt = Receipt(
+        unit=unit, stage="focus", written=tuple(part for future in writes for part in future.result()),
+        origin=(int(first_y), int(first_x)), steps=seconds,
+    )  # fmt: skip
+    return _sign(run, receipt, started - sum(samples.seconds.values()))
+
+
+def _window(cell: tuple[int, int], grid: Grid) -> Window:
+    """Rows and columns of an output chunk."""
+    side = image_chunk(grid)
+    y, x = cell[0] * side[0], cell[1] * side[1]
+    return slice(y, min(y + side[0], grid.shape[0])), slice(x, min(x + side[1], grid.shape[1]))
+
+
+def _shifted(window: Window, origin: Sequence[int]) -> Window:
+    """The same window, counted from another first row and column."""
+    (rows, columns), (y, x) = window, origin
+    return slice(rows.start - y, rows.stop - y), slice(columns.start - x, columns.stop - x)
+
+
+def _write_pixels(
+    run: Run,
+    block: BlockPlan,
+    pixels: ComplexArray,
+    window: Window,
+    origin: tuple[int, int],
+    *,
+    merged: bool,
+) -> list[Written]:
+    """Write a chunk of a patch, and of the image unless the mosaic merges it; nothing if no pixel is covered."""
+    covered = np.isfinite(pixels.real)
+    if not covered.any():
+        return []
+    patch = run.patch(block.name)
+    part = _shifted(window, origin)
+    written = write(run, patch, "image", part, pixels)
+    if merged:
+        return [written]
+    owner = np.where(covered, np.int16(block.index), np.int16(-1))
+    return [written, *_write_image(run, window, pixels, owner, (patch, part), written.checksum)]
+
+
+def _write_image(
+    run: Run,
+    window: Window,
+    pixels: ComplexArray,
+    owner: NDArray[np.int16],
+    patch: tuple[Place, Window] | None,
+    checksum: str,
+) -> list[Written]:
+    """Write a chunk of the image, and the block that each pixel comes from.
+
+    A chunk that equals that of a patch, whose checksum is given, shares its storage where that is possible.
+    """
+    if patch is not None and stores.share_region(run.image, "image", window, source=patch[0], source_region=patch[1]):
+        span = tuple((part.start, part.stop) for part in window)
+        image = Written(run.name_of(run.image), "image", span, checksum)
+    else:
+        image = write(run, run.image, "image", window, pixels)
+    return [image, write(run, run.image, "block", window, owner)]
 
 
 @naming_failures(lambda run, unit, *_: f"mosaic of {unit}")
@@ -311,36 +396,25 @@ def merge_chunks(run: Run, unit: str, cells: Mapping[tuple[int, int], Sequence[P
 
 def _merge(run: Run, cell: tuple[int, int], parts: Sequence[PatchChunk], grid: Grid) -> list[Written]:
     """Write the image of one output chunk, and the block that each pixel comes from; later parts win."""
-    side = image_chunk(grid)
-    y, x = cell[0] * side[0], cell[1] * side[1]
-    rows, columns = slice(y, min(y + side[0], grid.shape[0])), slice(x, min(x + side[1], grid.shape[1]))
-    shape = (rows.stop - rows.start, columns.stop - columns.start)
-    windows = [
-        tuple(slice(part.start - first, part.stop - first) for part, first in zip((rows, columns), origin, strict=True))
-        for _, _, *origin, _ in parts
-    ]
+    window = _window(cell, grid)
     image: ComplexArray | None = None
-    owner = np.full(shape, -1, np.int16)
-    for (index, name, *_, checksum), window in zip(parts, windows, strict=True):
-        patch = stores.read_region(run.patch(name), "image", window)
+    owner = np.full([w.stop - w.start for w in window], -1, np.int16)
+    source, checksum = None, ""
+    for index, name, *origin, checksum in parts:
+        part = _shifted(window, origin)
+        patch = stores.read_region(run.patch(name), "image", part, cached=False)
         if stores.checksum(patch) != checksum:
             raise ProcessingError(f"the patch of block {name} no longer has the checksum of its receipt")
         covered = np.isfinite(patch.real)
         np.copyto(owner, index, where=covered)
         if image is None:
-            image = patch
+            image, source = patch, (run.patch(name), part)
         else:
             np.copyto(image, patch, where=covered)
     assert image is not None
-    # A chunk that only one block covers equals that block's: the two share their storage.
-    shared = len(parts) == 1 and stores.share_region(
-        run.image, "image", (rows, columns), source=run.patch(parts[0][1]), source_region=windows[0]
-    )
-    store = written_entry if shared else write
-    return [
-        store(run, run.image, "image", (rows, columns), image),
-        write(run, run.image, "block", (rows, columns), owner),
-    ]
+    if len(parts) > 1:
+        source = None
+    return _write_image(run, window, image, owner, source, checksum)
 
 
 def back_project_chunk(
@@ -354,9 +428,7 @@ def back_project_chunk(
 ) -> Receipt:
     """Form one output chunk by exact back-projection; reads only the pulses that light it."""
     started = time.perf_counter()
-    side = image_chunk(grid)
-    y, x = cell[0] * side[0], cell[1] * side[1]
-    rows, columns = slice(y, min(y + side[0], grid.shape[0])), slice(x, min(x + side[1], grid.shape[1]))
+    rows, columns = _window(cell, grid)
 
     def read(pulses: slice) -> ComplexArray:
         signal = source.read(pulses, slice(None))

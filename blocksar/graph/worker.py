@@ -8,9 +8,9 @@ gc.disable()  # imports create many objects and no garbage
 
 import distributed  # noqa: E402, F401
 
-from blocksar.focusing.correction import compile_kernels  # noqa: E402
 from blocksar.graph import tasks  # noqa: E402, F401
+from blocksar.graph.compiling import compile_kernels  # noqa: E402
 
-compile_kernels()
+compile_kernels(apart=False)
 gc.freeze()  # a collection in a worker would write to the pages that it shares with the others
 gc.enable()

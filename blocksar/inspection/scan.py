@@ -13,19 +13,21 @@ from numba import njit, types
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from blocksar.constants import TURN
 from blocksar.kernels.lanes import LANES, load_imag, load_real, store
+from blocksar.kernels.loops import loop
 from blocksar.kernels.phase import Float32Array
+from blocksar.kernels.signatures import COMPILED, PART, SAMPLES_IN
 
 STANDS_OUT = 100.0  # an impossible sample over its neighbours, and over its column's median
 BEYOND_ALL = 1e8  # an impossible sample over its column's median, whatever its neighbours
 
-_SAMPLES = types.Array(types.complex64, 2, "C", readonly=True)
 _PARTS = types.Array(types.float32, 2, "C", readonly=True)
+_REALS = types.float64[::1]
 _LARGEST = np.float32(np.finfo(np.float32).max)
 _SIGNLESS = np.int32(0x7FFFFFFF)
 _LONE, _ALL = np.float32(STANDS_OUT), np.float32(BEYOND_ALL)
 
 
-@njit(forceinline=True, nogil=True)
+@njit(**PART, nogil=True)
 def _moduli(row: Float32Array, modulus: Float32Array) -> None:
     """Store the modulus of each sample's larger part; -1 where a part is not finite."""
     for c in range(modulus.size):
@@ -34,7 +36,7 @@ def _moduli(row: Float32Array, modulus: Float32Array) -> None:
         modulus[c] = larger if (a <= _LARGEST) & (b <= _LARGEST) else np.float32(-1)
 
 
-@njit(forceinline=True, nogil=True)
+@njit(**PART, nogil=True)
 def _extent(bits: Any) -> tuple[Any, int, int]:
     """The largest of a row of moduli, the number above zero and the number below zero.
 
@@ -48,7 +50,7 @@ def _extent(bits: Any) -> tuple[Any, int, int]:
     return largest, valid, missing
 
 
-@njit(forceinline=True, nogil=True)
+@njit(**PART, nogil=True)
 def _count(bits: Any, modulus: int) -> tuple[int, int]:
     """Count the real and the imaginary parts of a row that have this modulus; both as the integers of their bits."""
     real, imag = 0, 0
@@ -65,7 +67,7 @@ def _is_suspect(m: Any, before: Any, after: Any) -> Any:
     return ((m > _LONE * larger) & (m > 0)) | ((smaller > 0) & (m > _ALL * smaller))
 
 
-@njit(forceinline=True, nogil=True)
+@njit(**PART, nogil=True)
 def _mark_suspects(moduli: Float32Array, p: int, suspect: BoolArray) -> None:
     """Mark the columns in which pulse p stands out; pulse q is row q % 5."""
     a, b, m, d, e = moduli[(p - 2) % 5], moduli[(p - 1) % 5], moduli[p % 5], moduli[(p + 1) % 5], moduli[(p + 2) % 5]
@@ -77,7 +79,7 @@ def _mark_suspects(moduli: Float32Array, p: int, suspect: BoolArray) -> None:
             suspect[c] |= _is_suspect(m[c], max(a[c], b[c]), max(d[c], e[c]))
 
 
-@njit([(_PARTS, types.int64, types.int64, types.int64[::1], types.boolean[::1])], cache=True, nogil=True)
+@loop(_PARTS, types.int64, types.int64, types.int64[::1], types.boolean[::1], nogil=True)
 def scan_pulses(
     parts: Float32Array, first: int, last: int, missing: IntArray, suspect: BoolArray
 ) -> tuple[int, int, int, int]:
@@ -122,12 +124,7 @@ def _conjugate_product(a: Any, b: Any, i: Any, scale: Any) -> Any:
     return ar * br + ai * bi, ar * bi - ai * br, ar * ar + ai * ai
 
 
-@njit(
-    [(_SAMPLES, types.float32, types.int64, types.int64, types.float64[::1], types.float64[::1], types.float64[::1])],
-    cache=True,
-    nogil=True,
-    fastmath={"contract", "nsz"},
-)
+@loop(SAMPLES_IN, types.float32, types.int64, types.int64, _REALS, _REALS, _REALS, **COMPILED)
 def sum_pairs(
     signal: ComplexArray,
     scale: np.float32,

@@ -12,14 +12,16 @@ from numba import njit, types
 from blocksar import solvers
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.kernels.lanes import LANES, count_lanes, load, load_imag, load_real, spread, store, store_complex
+from blocksar.kernels.loops import loop
 from blocksar.kernels.phase import Float32Array
-from blocksar.kernels.signatures import COMPILED, REAL_ROW, REAL_ROWS, SAMPLES_IN, SAMPLES_OUT
+from blocksar.kernels.signatures import COMPILED, PART, REAL_ROW, REAL_ROWS, SAMPLES_IN, SAMPLES_OUT
 from blocksar.kernels.trigonometry import horner
 
 PIECE = LANES * LANES  # samples of a row interpolated from one buffer that fits the first-level cache
 TAP_PHASES = 32  # fractions of a sample about which interpolation weights are expanded
 TAP_ORDER = 4
 OCCUPANCIES = 1024  # steps in which occupancies are told apart when taps are counted
+TAPS = types.Array(types.float32, 3, "C", readonly=True)
 TAP_REACH = 0.2  # samples: largest distance from a fraction at which its expansion is used; it errs by 1e-5
 
 
@@ -99,7 +101,7 @@ def tap_polynomials(n_tap: int, *, occupancy: float) -> Float32Array:
     return np.ascontiguousarray(np.einsum("kqn,pn->qkp", weights, to_power), dtype=np.float32)
 
 
-@njit(inline="always")
+@njit(**PART, **COMPILED)
 def _fetch(row: Any, first: Any, count: Any, real: Any, imag: Any) -> None:
     """Copy the real and imaginary parts of row[first : first + count]; zero beyond the row's ends.
 
@@ -119,7 +121,7 @@ def _fetch(row: Any, first: Any, count: Any, real: Any, imag: Any) -> None:
         real[j], imag[j] = row[first + j].real, row[first + j].imag
 
 
-@njit(inline="always")
+@njit(**PART, **COMPILED)
 def _strip_length(drift: Any) -> Any:
     """Samples over which the fraction stays within TAP_REACH if it drifts by at most `drift` per sample."""
     length = LANES
@@ -128,7 +130,7 @@ def _strip_length(drift: Any) -> Any:
     return length
 
 
-@njit(inline="always")
+@njit(**PART, **COMPILED)
 def _weigh(real: Any, imag: Any, first: Any, weights: Any, mu: Any) -> Any:
     """Sum over the taps for LANES samples, whose windows begin at first, first + 1, ...; weights: polynomials in mu."""
     re, im = spread(np.float32(0.0)), spread(np.float32(0.0))
@@ -139,7 +141,7 @@ def _weigh(real: Any, imag: Any, first: Any, weights: Any, mu: Any) -> Any:
     return re, im
 
 
-@njit(inline="always")
+@njit(**PART, **COMPILED)
 def _window(i: Any, length: Any, n_tap: Any, middle: Any, s: Any) -> Any:
     """First tap of the strip of output samples i .. i + length - 1, and the remaining fraction of a sample."""
     half = (length - 1) / 2
@@ -148,9 +150,7 @@ def _window(i: Any, length: Any, n_tap: Any, middle: Any, s: Any) -> Any:
     return int(min(max(whole, -1e9), 1e9)) - (n_tap // 2 - 1), position - whole
 
 
-@njit(
-    [(SAMPLES_IN, SAMPLES_OUT, REAL_ROW, types.float64, types.Array(types.float32, 3, "C", readonly=True))], **COMPILED
-)
+@loop(SAMPLES_IN, SAMPLES_OUT, REAL_ROW, types.float64, TAPS, **COMPILED)
 def stretch_rows(values: ComplexArray, out: ComplexArray, scale: FloatArray, middle: float, taps: Float32Array) -> None:
     """out[r, i] = scale[r] times values[r] at position middle + (i - middle) scale[r]; zero beyond the ends.
 
@@ -204,7 +204,16 @@ def stretch_rows(values: ComplexArray, out: ComplexArray, scale: FloatArray, mid
                     result[j] = strip[j - i]
 
 
-@njit(inline="always")
+@njit(**PART, **COMPILED)
+def _zeros(size: Any, dtype: Any) -> Any:
+    """np.zeros, which takes longer to compile."""
+    values = np.empty(size, dtype)
+    for k in range(size):
+        values[k] = 0.0
+    return values
+
+
+@njit(**PART, **COMPILED)
 def _expand(c: Any, n: Any, terms: Any) -> Any:
     """Taylor terms of a polynomial in u, in steps of half a vector: c(u + x LANES / n) = sum_k terms[k](u) x^k.
 
@@ -225,7 +234,7 @@ def _expand(c: Any, n: Any, terms: Any) -> Any:
     return last
 
 
-@njit(inline="always")
+@njit(**PART, **COMPILED)
 def _root(values: Any, middle: Any, share: Any) -> Any:
     """Square roots of LANES values within middle (1 +- share), share at most 0.6, starting from that of `middle`."""
     inverse = spread(np.float32(1.0 / np.sqrt(middle)))
@@ -236,7 +245,7 @@ def _root(values: Any, middle: Any, share: Any) -> Any:
     return inverse * values
 
 
-@njit([(SAMPLES_IN, SAMPLES_OUT, REAL_ROWS, types.Array(types.float32, 3, "C", readonly=True))], **COMPILED)
+@loop(SAMPLES_IN, SAMPLES_OUT, REAL_ROWS, TAPS, **COMPILED)
 def resample_rows(values: ComplexArray, out: ComplexArray, positions: FloatArray, taps: Float32Array) -> None:
     """out[r, i] = sqrt(dp / di) values[r] at position p = sum_k positions[r, k] u_i^k, u_i = (i - n // 2) / (n / 2).
 
@@ -267,8 +276,8 @@ def resample_rows(values: ComplexArray, out: ComplexArray, positions: FloatArray
     real, imag = np.empty(room, np.float32), np.empty(room, np.float32)
     terms, about = np.empty((order + 1, order + 1)), np.empty((order + 1, LANES))
     drift, slope = np.empty(order + 1, np.float32), np.empty(order, np.float32)
-    gain, strip = np.zeros(2 * LANES, np.float32), np.empty(LANES, np.complex64)
-    middles = np.zeros(n // LANES + 1 + LANES)  # u at the middle of every LANES samples; zeros fill up a vector
+    gain, strip = _zeros(2 * LANES, np.float32), np.empty(LANES, np.complex64)
+    middles = _zeros(n // LANES + 1 + LANES, np.float64)  # u in the middle of every LANES samples; zeros fill up
     for i in range(0, n, LANES):
         middles[i // LANES] = (i + (min(LANES, n - i) - 1) / 2 - n // 2) * (2.0 / n)
     origin = 0

@@ -10,23 +10,26 @@ import operator
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 from llvmlite import ir  # type: ignore[import-untyped, unused-ignore]
 from numba import extending, types
 
 LANES = 32  # samples processed at a time: two of the widest vector registers, to hide the latency of one
+FEW = 16  # lanes of `load_few`, for loops with so many values in use that LANES would not leave enough registers
+WEIGHED_ROWS = 12  # rows that `weigh_rows` sums: the taps along range of most windows
 
 _numba: Any = extending  # only partly annotated; Any, or every argument would need a type ignore
 
 
 class Lanes(types.Type):
-    """LANES real numbers as one value of a compiled loop, with +, - and * between vectors or with one number.
+    """`count` real numbers as one value of a compiled loop, with +, - and * between vectors or with one number.
 
-    To LLVM it is a vector, which occupies as many registers as the CPU needs for it.
+    To LLVM it is a vector, which occupies as many registers as the CPU needs for it. `count` is LANES, or FEW.
     """
 
-    def __init__(self, element: Any) -> None:
-        self.element = element
-        super().__init__(name=f"Lanes({element})")
+    def __init__(self, element: Any, count: int = LANES) -> None:
+        self.element, self.count = element, count
+        super().__init__(name=f"Lanes({element}, {count})")
 
 
 FLOATS: Any = Lanes(types.float32)
@@ -35,7 +38,7 @@ FLOATS: Any = Lanes(types.float32)
 @_numba.register_model(Lanes)
 def _vector(manager: Any, lanes: Any) -> Any:
     element = manager.lookup(lanes.element).get_value_type()
-    return _numba.models.PrimitiveModel(manager, lanes, ir.VectorType(element, LANES))
+    return _numba.models.PrimitiveModel(manager, lanes, ir.VectorType(element, lanes.count))
 
 
 def _indices(values: Any) -> Any:
@@ -44,10 +47,14 @@ def _indices(values: Any) -> Any:
 
 @_numba.lower_cast(types.Float, Lanes)
 def _spread(context: Any, builder: Any, scalar: Any, lanes: Any, value: Any) -> Any:
-    undefined = ir.Constant(context.get_value_type(lanes), ir.Undefined)
-    number = context.cast(builder, value, scalar, lanes.element)
-    one = builder.insert_element(undefined, number, ir.Constant(ir.IntType(32), 0))
-    return builder.shuffle_vector(one, undefined, _indices([0] * LANES))
+    return _repeat(builder, context.cast(builder, value, scalar, lanes.element), lanes.count)
+
+
+def _repeat(builder: Any, value: Any, count: int) -> Any:
+    """One value in all lanes."""
+    undefined = ir.Constant(ir.VectorType(value.type, count), ir.Undefined)
+    one = builder.insert_element(undefined, value, ir.Constant(ir.IntType(32), 0))
+    return builder.shuffle_vector(one, undefined, _indices([0] * count))
 
 
 def _arithmetic(operation: Callable[..., Any], instruction: str) -> None:
@@ -79,16 +86,59 @@ def _address(context: Any, builder: Any, vector: Any, array_type: Any, array: An
     return builder.bitcast(builder.gep(data, [index]), vector.as_pointer())
 
 
+def _load(count: int) -> Any:
+    """Make the intrinsic that loads array[index : index + count] of real or whole numbers."""
+
+    def load(typing_context: Any, array: Any, index: Any) -> Any:
+        lanes = Lanes(array.dtype, count)
+
+        def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+            address = _address(context, builder, context.get_value_type(lanes), signature.args[0], *values)
+            return builder.load(address, align=array.dtype.bitwidth // 8)
+
+        return lanes(array, types.intp), generate
+
+    return _numba.intrinsic(load)
+
+
+load, load_few = _load(LANES), _load(FEW)
+
+
 @_numba.intrinsic
-def load(typing_context: Any, array: Any, index: Any) -> Any:
-    """array[index : index + LANES] of real numbers."""
-    lanes = Lanes(array.dtype)
+def weigh_rows(typing_context: Any, array: Any, index: Any, stride: Any, weights: Any) -> Any:
+    """Sum over p < WEIGHED_ROWS of weights[p] array[index + p stride : index + p stride + FEW], float32.
+
+    Written out: the weights stay in one register, whose lanes are spread, rather than being loaded again one by one.
+    """
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        address = _address(context, builder, context.get_value_type(lanes), signature.args[0], *values)
-        return builder.load(address, align=array.dtype.bitwidth // 8)
+        samples, place, step, weight = values
+        column = None
+        for p in range(WEIGHED_ROWS):
+            address = _address(context, builder, weight.type, signature.args[0], samples, place)
+            row = builder.load(address, align=array.dtype.bitwidth // 8)
+            term = builder.fmul(builder.shuffle_vector(weight, weight, _indices([p] * FEW)), row)
+            column = term if column is None else builder.fadd(column, term)
+            place = builder.add(place, step)
+        return column
 
-    return lanes(array, types.intp), generate
+    return weights(array, types.intp, types.intp, weights), generate
+
+
+@_numba.intrinsic
+def total(typing_context: Any, lanes: Any) -> Any:
+    """Sum over the lanes, a power of two of them: neighbouring halves are added until one number is left."""
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        (part,) = values
+        count = lanes.count
+        while count > 1:
+            count //= 2
+            first = builder.shuffle_vector(part, part, _indices(range(count)))
+            part = builder.fadd(first, builder.shuffle_vector(part, part, _indices(range(count, 2 * count))))
+        return builder.extract_element(part, ir.Constant(ir.IntType(32), 0))
+
+    return lanes.element(lanes), generate
 
 
 @_numba.intrinsic
@@ -141,6 +191,13 @@ def spread(typing_context: Any, number: Any) -> Any:
 
 
 @_numba.intrinsic
+def spread_few(typing_context: Any, number: Any) -> Any:
+    """One number in FEW lanes."""
+    lanes = Lanes(number, FEW)
+    return lanes(number), lambda context, builder, signature, values: context.cast(builder, values[0], number, lanes)
+
+
+@_numba.intrinsic
 def count_lanes(typing_context: Any) -> Any:
     """0, 1, ..., LANES - 1, float32."""
     return FLOATS(), lambda context, *_: ir.Constant(context.get_value_type(FLOATS), [float(k) for k in range(LANES)])
@@ -149,14 +206,15 @@ def count_lanes(typing_context: Any) -> Any:
 @_numba.intrinsic
 def remainder(typing_context: Any, cycles: Any) -> Any:
     """Cycles (float64) minus the nearest whole number, as float32."""
+    lanes = Lanes(types.float32, cycles.count)
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         double = values[0].type
         kind = ir.FunctionType(double, [double])
-        rint = builder.module.declare_intrinsic(f"llvm.rint.v{LANES}f64", fnty=kind)
-        return builder.fptrunc(builder.fsub(values[0], builder.call(rint, values)), context.get_value_type(FLOATS))
+        rint = builder.module.declare_intrinsic(f"llvm.rint.v{cycles.count}f64", fnty=kind)
+        return builder.fptrunc(builder.fsub(values[0], builder.call(rint, values)), context.get_value_type(lanes))
 
-    return FLOATS(cycles), generate
+    return lanes(cycles), generate
 
 
 @_numba.intrinsic
@@ -175,3 +233,135 @@ def prefetch(typing_context: Any, array: Any, row: Any, column: Any) -> Any:
         return context.get_dummy_value()
 
     return types.void(array, types.intp, types.intp), generate
+
+
+# ---------------------------------------------------------------- functions of float64 lanes
+
+
+@_numba.intrinsic
+def square_root(typing_context: Any, value: Any) -> Any:
+    """Square root of float64 lanes."""
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        vector = values[0].type
+        name = f"llvm.sqrt.v{vector.count}f64"
+        return builder.call(builder.module.declare_intrinsic(name, fnty=ir.FunctionType(vector, [vector])), values)
+
+    return value(value), generate
+
+
+def _choice(comparison: str) -> Any:
+    """Make the intrinsic that returns a where a < b (or >), else b."""
+
+    def choice(typing_context: Any, a: Any, b: Any) -> Any:
+        lanes = a if isinstance(a, Lanes) else b
+
+        def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+            a, b = (context.cast(builder, v, kind, lanes) for v, kind in zip(values, signature.args, strict=True))
+            return builder.select(builder.fcmp_ordered(comparison, a, b), a, b)
+
+        return lanes(a, b), generate
+
+    return _numba.intrinsic(choice)
+
+
+smaller, larger = _choice("<"), _choice(">")
+
+
+@_numba.intrinsic
+def within(typing_context: Any, value: Any, begin: Any, number: Any, end: Any) -> Any:
+    """The value in the lanes where begin <= number < end, 0 in the others; begin and end are int32 lanes."""
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        every = _repeat(builder, builder.trunc(values[2], ir.IntType(32)), value.count)
+        inside = builder.and_(builder.icmp_signed("<=", values[1], every), builder.icmp_signed("<", every, values[3]))
+        return builder.select(inside, values[0], ir.Constant(values[0].type, [0.0] * value.count))
+
+    return value(value, begin, types.int64, end), generate
+
+
+# ---------------------------------------------------------------- fixed point, and samples at computed indices
+
+# A float64 in -FIXED_RANGE .. FIXED_RANGE plus FIXED_POINT is a number in fixed point: the low 32 bits of its
+# representation are the fraction, the high ones the whole number. Both come out by a shuffle, without conversions.
+FIXED_RANGE = 2.0**19
+FIXED_POINT = 3 * FIXED_RANGE
+_HIGH_WORD = int(np.float64(FIXED_POINT).view(np.uint64)) >> 32
+
+
+def _words(builder: Any, lanes: Any, half: int) -> Any:
+    """The low (0) or high (1) 32 bits of 64-bit lanes, little-endian."""
+    count = lanes.type.count
+    both = builder.bitcast(lanes, ir.VectorType(ir.IntType(32), 2 * count))
+    return builder.shuffle_vector(both, both, _indices(range(half, 2 * count, 2)))
+
+
+def _fraction(flip: int) -> Any:
+    """Make the intrinsic that returns the low 32 bits, with `flip` inverted, as a signed fraction."""
+
+    def fraction(typing_context: Any, number: Any) -> Any:
+        lanes = Lanes(types.float32, number.count)
+
+        def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+            words = _words(builder, values[0], 0)
+            words = builder.xor(words, ir.Constant(words.type, [flip] * number.count))
+            vector = context.get_value_type(lanes)
+            return builder.fmul(builder.sitofp(words, vector), ir.Constant(vector, [2.0**-32] * number.count))
+
+        return lanes(number), generate
+
+    return _numba.intrinsic(fraction)
+
+
+# Of lanes in fixed point, as float32 in -1/2 .. 1/2: the number minus the nearest whole one; the number minus the
+# middle between the whole ones below and above it.
+from_whole, from_half = _fraction(0), _fraction(1 << 31)
+
+
+@_numba.intrinsic
+def whole(typing_context: Any, number: Any) -> Any:
+    """The whole number below each of the lanes in fixed point, int32."""
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        words = _words(builder, values[0], 1)
+        return builder.sub(words, ir.Constant(words.type, [_HIGH_WORD] * number.count))
+
+    return Lanes(types.int32, number.count)(number), generate
+
+
+@_numba.intrinsic
+def gather(typing_context: Any, array: Any, origin: Any, index: Any) -> Any:
+    """array[origin + index] of float64, for int32 lanes of indices. The array's ends are not checked.
+
+    Complex64 samples are loaded by viewing them as float64: the cost is per element. (Viewed as integers, LLVM takes
+    them apart by longer instructions.)
+    """
+    lanes = Lanes(array.dtype, index.count)
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        number, element, vector = ir.IntType(32), ir.DoubleType(), context.get_value_type(lanes)
+        first = _address(context, builder, element, signature.args[0], *values[:2])
+        every = _repeat(builder, first, index.count)
+        mask = ir.Constant(ir.VectorType(ir.IntType(1), index.count), [1] * index.count)
+        kind = ir.FunctionType(vector, [every.type, number, mask.type, vector])
+        name = f"llvm.masked.gather.v{index.count}f64.v{index.count}p0"
+        addresses = builder.gep(every, [values[2]], source_etype=element)
+        arguments = [addresses, ir.Constant(number, 8), mask, ir.Constant(vector, ir.Undefined)]
+        return builder.call(builder.module.declare_intrinsic(name, fnty=kind), arguments)
+
+    return lanes(array, types.intp, index), generate
+
+
+def _part(half: int) -> Any:
+    """Make the intrinsic that returns the real (0) or imaginary (1) parts of lanes from `gather`."""
+
+    def part(typing_context: Any, samples: Any) -> Any:
+        lanes = Lanes(types.float32, samples.count)
+        return lanes(samples), lambda context, builder, signature, values: builder.bitcast(
+            _words(builder, values[0], half), context.get_value_type(lanes)
+        )
+
+    return _numba.intrinsic(part)
+
+
+real_part, imag_part = _part(0), _part(1)

@@ -19,9 +19,11 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 
 from blocksar.arrays import FloatArray, IntArray
+from blocksar.kernels.loops import loop
+from blocksar.kernels.signatures import PART
 
 POWERS = 6  # of a variable, from 0: orders up to 5, with their derivatives
 LEAST_DAMPING, MOST_DAMPING = 1e-14, 1e12
@@ -29,6 +31,9 @@ EASE = 10.0  # by which the damping falls after a step that lowers the sum of sq
 PROBE = 0.1  # fraction of a step at which its bend is measured
 FOLDED = 0.02  # stretch at which a line folds over
 MOST_BEND = 1.0  # times v: with a larger a the step is not tried, but shortened
+_ROW, _ROWS, _INDICES = types.float64[::1], types.float64[:, ::1], types.int64[::1]
+_NAMED: Any = types.NamedTuple  # carries no types
+_NUMBERS = types.float64, types.float64, types.int64
 OPTIONS: Any = {"nogil": True, "fastmath": {"contract", "nsz", "reassoc"}}
 
 
@@ -61,7 +66,7 @@ class Problem(NamedTuple):
     pull: FloatArray
 
 
-@njit(cache=True, **OPTIONS)
+@loop(_NAMED([_ROWS] * 6 + [_INDICES] * 2 + [_ROW] * 2, Problem), *_NUMBERS, **OPTIONS)
 def level_lines(problem: Problem, damping: float, enough: float, steps: int) -> FloatArray:
     """The unknowns that minimise the sum of squares; systems are solved by modified Gram-Schmidt.
 
@@ -81,11 +86,13 @@ def level_lines(problem: Problem, damping: float, enough: float, steps: int) -> 
     """
     start = problem.start
     n, m = start.size, 2 * problem.time.size + start.size
-    residual, trial = np.empty(m), np.empty(m)
-    rows, trial_rows = np.empty((n, m)), np.empty((n, m))
-    q, r = np.empty((n, m)), np.zeros((n, n))
-    x, at, norm, scale = start.copy(), start.copy(), np.zeros(n), np.ones(n)
-    step, found = np.zeros(n), np.zeros(n)  # in units of the scale
+    sums, vectors = np.empty((2, m)), np.empty((6, n))
+    residual, trial = sums[0], sums[1]
+    x, at, norm, scale, step, found = vectors[0], vectors[1], vectors[2], vectors[3], vectors[4], vectors[5]
+    rows, trial_rows, q, r = np.empty((n, m)), np.empty((n, m)), np.empty((n, m)), np.empty((n, n))
+    damped, below = np.empty((n + 1, 2 * n)), np.empty((n, n))
+    for i in range(n):
+        x[i], at[i], norm[i], scale[i], step[i], found[i] = start[i], start[i], 0.0, 1.0, 0.0, 0.0
     cost, growth, taken, probing, kept = np.inf, 2.0, 0, False, False
     while True:
         sound = evaluate(problem, at, trial, trial_rows, not probing)
@@ -97,14 +104,16 @@ def level_lines(problem: Problem, damping: float, enough: float, steps: int) -> 
                 trial[k] = 2 / PROBE * ((trial[k] - residual[k]) / PROBE - along)
         else:
             new_cost = _dot(trial, trial)
-            if taken == 0 and not np.isfinite(new_cost):
-                return x
+            if taken == 0 and not new_cost < np.inf:
+                break
             if new_cost < cost and (sound or not kept):
                 kept = sound
                 last = taken == steps or cost - new_cost <= enough * new_cost
-                x[:], cost = at, new_cost
+                cost = new_cost
+                for i in range(n):
+                    x[i] = at[i]
                 if last:
-                    return x
+                    break
                 residual, trial, rows, trial_rows = trial, residual, trial_rows, rows
                 if taken > 0:
                     damping, growth = max(damping / EASE, LEAST_DAMPING), 2.0
@@ -117,21 +126,24 @@ def level_lines(problem: Problem, damping: float, enough: float, steps: int) -> 
                 _orthogonalise(q, r)
             else:
                 damping, growth = damping * growth, growth * 2
-        while True:
-            if damping > MOST_DAMPING:
-                return x
-            _solve_damped(q, r, trial if probing else residual, damping, found)
-            if not probing:
-                step[:], at, probing = found, x + PROBE * found / scale, True
+        while damping <= MOST_DAMPING:
+            _solve_damped(q, r, trial if probing else residual, damping, damped, below, found)
+            probing = not probing
+            if probing:
+                for i in range(n):
+                    step[i], at[i] = found[i], x[i] + PROBE * found[i] / scale[i]
                 break
-            probing = False
             if _dot(found, found) <= MOST_BEND**2 * _dot(step, step):
-                at = x + (step + found / 2) / scale
+                for i in range(n):
+                    at[i] = x[i] + (step[i] + found[i] / 2) / scale[i]
                 break
             damping, growth = damping * growth, growth * 2
+        if damping > MOST_DAMPING:
+            break
+    return x
 
 
-@njit(forceinline=True, **OPTIONS)
+@njit(inline="always", **OPTIONS)
 def evaluate(
     problem: Problem, x: FloatArray, residual: FloatArray, rows: FloatArray, derivatives: bool
 ) -> bool:  # longer than most: the residuals and their derivatives are checked side by side
@@ -144,7 +156,10 @@ def evaluate(
     size = n_line * count
     # Power coefficients of P, D, R and E and of their derivatives. R is a shift, the others are of phases: one order
     # less.
-    series = np.zeros((11, POWERS))
+    series = np.empty((11, POWERS))
+    for k in range(11):
+        for power in range(POWERS):
+            series[k, power] = 0.0
     for i in range(n):
         first = 0 if i < ends[0] else 2 if i < ends[1] else 5 if i < ends[2] else 9
         power, factor = orders[i] - (0 if first == 5 else 1), x[i]
@@ -153,11 +168,12 @@ def evaluate(
                 series[first + derivative, power] += factor
             factor *= power
             power -= 1
-    zs, vs, ws = np.ones((POWERS, count)), np.ones((POWERS, count)), np.ones((POWERS, count))
+    zs, vs, ws = np.empty((POWERS, count)), np.empty((POWERS, count)), np.empty((POWERS, count))
     # By time: level, stretch, slope of the line, slope of h, its derivative, slope of E; derivatives of z and stretch.
-    nodes = np.empty((8, count))
-    level, stretch, slope, pace, curl, e_slope, z_by_v, stretch_by_v = nodes
-    at_level, least, low, high = np.empty(count), np.inf, np.inf, -np.inf
+    nodes = np.empty((10, count))
+    level, stretch, slope, pace, curl, e_slope = nodes[0], nodes[1], nodes[2], nodes[3], nodes[4], nodes[5]
+    z_by_v, stretch_by_v, at_level, at_stretch = nodes[6], nodes[7], nodes[8], nodes[9]
+    least, low, high = np.inf, np.inf, -np.inf
     for line in range(n_line):
         for k in range(count):
             z0 = time[line, k]
@@ -172,12 +188,10 @@ def evaluate(
                 twist = _horner(series[4], v) + z_by_v[k] * curl[k] + z * _horner(series[8], v)
                 stretch_by_v[k] = -(twist * slope[k] + stretch[k] * curl[k]) / pace[k]
                 e_slope[k] = _horner(series[10], z)
+                zs[0, k], vs[0, k], ws[0, k] = 1.0, 1.0, 1.0
                 for power in range(1, POWERS):
-                    zs[power, k], vs[power, k], ws[power, k] = (
-                        zs[power - 1, k] * z0,
-                        vs[power - 1, k] * v,
-                        ws[power - 1, k] * z,
-                    )
+                    zs[power, k], vs[power, k] = zs[power - 1, k] * z0, vs[power - 1, k] * v
+                    ws[power, k] = ws[power - 1, k] * z
         mean = _dot(level, share[line])
         first = line * count
         for k in range(count):
@@ -187,7 +201,7 @@ def evaluate(
         if not derivatives:
             continue
         for i in range(n):
-            order, at_stretch = orders[i], rows[i, size + first : size + first + count]
+            order = orders[i]
             for k in range(count):
                 if i < ends[0]:
                     term, term_slope = zs[order - 1, k], (order - 1) * zs[order - 2, k]
@@ -210,7 +224,7 @@ def evaluate(
             middle = _dot(at_level, share[line])
             for k in range(count):
                 rows[i, first + k] = level_weight[line, k] * (at_level[k] - middle)
-                at_stretch[k] *= stretch_weight[line, k]
+                rows[i, size + first + k] = stretch_weight[line, k] * at_stretch[k]
     for i in range(n):
         residual[2 * size + i] = pull[i] * (x[i] - start[i])
         for k in range(n):
@@ -218,7 +232,7 @@ def evaluate(
     return least > FOLDED and low * high > 0.0
 
 
-@njit(forceinline=True, **OPTIONS)
+@njit(**PART, **OPTIONS)
 def _horner(series: FloatArray, value: float) -> float:
     total = 0.0
     for power in range(POWERS - 1, -1, -1):
@@ -226,7 +240,7 @@ def _horner(series: FloatArray, value: float) -> float:
     return total
 
 
-@njit(forceinline=True, **OPTIONS)
+@njit(**PART, **OPTIONS)
 def _dot(a: FloatArray, b: FloatArray) -> float:
     total = 0.0
     for k in range(a.size):
@@ -234,10 +248,10 @@ def _dot(a: FloatArray, b: FloatArray) -> float:
     return total
 
 
-@njit(forceinline=True, **OPTIONS)
+@njit(**PART, **OPTIONS)
 def _orthogonalise(q: FloatArray, r: FloatArray) -> None:
-    """Make the rows of q (n, m) orthonormal, in place; r (n, n) is upper triangular, and q before is r^T q after."""
-    n, m = q.shape
+    """Make the first n rows of q (n, m) orthonormal, in place; q before is r^T q after, r (n, n) upper triangular."""
+    n, m = r.shape[0], q.shape[1]
     for i in range(n):
         r[i, i] = np.sqrt(_dot(q[i], q[i]))
         if r[i, i] > 0.0:
@@ -249,14 +263,21 @@ def _orthogonalise(q: FloatArray, r: FloatArray) -> None:
                 q[j, k] -= r[i, j] * q[i, k]
 
 
-@njit(forceinline=True, **OPTIONS)
-def _solve_damped(q: FloatArray, r: FloatArray, values: FloatArray, damping: float, x: FloatArray) -> None:
-    """Write the x that minimises |sum_k x_k (r^T q)_k + values|^2 + damping |x|^2."""
+@njit(inline="always", **OPTIONS)
+def _solve_damped(
+    q: FloatArray, r: FloatArray, values: FloatArray, damping: float, damped: FloatArray, below: FloatArray,
+    x: FloatArray,
+) -> None:  # fmt: skip
+    """Write the x that minimises |sum_k x_k (r^T q)_k + values|^2 + damping |x|^2.
+
+    `damped` (n + 1, 2 n) and `below` (n, n) are room for the calculation. Below its diagonal r is not read.
+    """
     n = r.shape[0]
-    damped, below = np.zeros((n, 2 * n)), np.zeros((n, n))
-    right = np.zeros(2 * n)
+    right = damped[n]
     for i in range(n):
-        right[i] = -_dot(q[i], values)
+        for k in range(2 * n):
+            damped[i, k] = 0.0
+        right[i], right[n + i] = -_dot(q[i], values), 0.0
         damped[i, n + i] = np.sqrt(damping)
         for k in range(i + 1):
             damped[i, k] = r[k, i]

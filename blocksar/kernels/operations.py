@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -55,10 +57,22 @@ class Transform:
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """Multiply row r by windows[which[r]]."""
+    """Multiply row r by values[which[r]].
 
-    windows: ComplexArray
+    Attributes
+    ----------
+    windows : (n_window, n) complex64, or callable that returns them
+        With a callable they are computed when the operation is first run: a plan that only counts operations does
+        without.
+    which : (n_row,) int
+    """
+
+    windows: ComplexArray | Callable[[], ComplexArray]
     which: IntArray
+
+    @cached_property
+    def values(self) -> ComplexArray:
+        return self.windows() if callable(self.windows) else self.windows
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,8 +4,7 @@ Phases are polynomials along a row, in cycles, in float64; whole cycles are remo
 at most half a cycle, goes to a float32 polynomial for sine and cosine (error below 4e-7, 1e-7 rms). The plain
 `numpy.exp(1j * phase)` takes a hundred times longer than these loops.
 
-The loops are compiled, or loaded from numba's cache, when this module is imported. They process LANES samples at a
-time, with the vector type of `lanes`.
+The loops process LANES samples at a time, with the vector type of `lanes`.
 """
 
 from __future__ import annotations
@@ -24,7 +23,8 @@ from blocksar import solvers
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.kernels.fourier import Axis
 from blocksar.kernels.lanes import LANES, load, load_imag, load_real, prefetch, remainder, store_complex
-from blocksar.kernels.signatures import COMPILED, REAL_ROW, REAL_ROWS, SAMPLES_IN, SAMPLES_OUT
+from blocksar.kernels.loops import loop
+from blocksar.kernels.signatures import COMPILED, PART, REAL_ROW, REAL_ROWS, SAMPLES_IN, SAMPLES_OUT
 from blocksar.kernels.trigonometry import cosine, horner, sine
 
 Float32Array = NDArray[np.float32]
@@ -82,7 +82,7 @@ def as_coefficients(coefficients: FloatArray) -> FloatArray:
     return np.ascontiguousarray(coefficients, np.float64)
 
 
-@njit(inline="always")
+@njit(**PART, **COMPILED)
 def _turn(row: Any, out: Any, i: Any, cycles: Any) -> None:
     """Rotate LANES samples from index i on by `cycles`."""
     part = remainder(cycles)
@@ -91,17 +91,19 @@ def _turn(row: Any, out: Any, i: Any, cycles: Any) -> None:
     store_complex(out, i, real * cos - imag * sin, real * sin + imag * cos)
 
 
-@njit(inline="always")
+@njit(**PART, **COMPILED)
 def _rest(values: Any) -> Any:
     """The samples of a row after its last whole vector, padded with zeros to one vector."""
-    rest = np.zeros(LANES, values.dtype)
+    rest = np.empty(LANES, values.dtype)  # np.zeros would be compiled for each type
     count = values.size % LANES
+    for k in range(count, LANES):
+        rest[k] = 0.0
     for k in range(count):
         rest[k] = values[values.size - count + k]
     return rest
 
 
-@njit([(SAMPLES_IN, SAMPLES_OUT, REAL_ROW, REAL_ROWS)], **COMPILED)
+@loop(SAMPLES_IN, SAMPLES_OUT, REAL_ROW, REAL_ROWS, **COMPILED)
 def _rotate(values: ComplexArray, out: ComplexArray, u: FloatArray, coefficients: FloatArray) -> None:
     n = u.size
     whole, order = n - n % LANES, coefficients.shape[1] - 1
@@ -141,7 +143,7 @@ def rotate(values: ComplexArray, n: int, coefficients: FloatArray, out: ComplexA
     _rotate(values, out, unit(n), as_coefficients(coefficients))
 
 
-@njit([(SAMPLES_IN, SAMPLES_OUT, REAL_ROW, REAL_ROWS, REAL_ROW, REAL_ROW)], **COMPILED)
+@loop(SAMPLES_IN, SAMPLES_OUT, REAL_ROW, REAL_ROWS, REAL_ROW, REAL_ROW, **COMPILED)
 def rotate_scaled(
     values: ComplexArray,
     out: ComplexArray,
@@ -176,7 +178,7 @@ def rotate_scaled(
                 result[i] = rest[i - whole]
 
 
-@njit([(SAMPLES_OUT, SAMPLES_IN, types.Array(types.int64, 1, "C", readonly=True))], **COMPILED)
+@loop(SAMPLES_OUT, SAMPLES_IN, types.Array(types.int64, 1, "C", readonly=True), **COMPILED)
 def multiply_windows(values: ComplexArray, windows: ComplexArray, which: IntArray) -> None:
     """values[r, i] *= windows[which[r], i], in place.
 
@@ -198,7 +200,7 @@ def multiply_windows(values: ComplexArray, windows: ComplexArray, which: IntArra
             row[i] *= window[i]
 
 
-@njit([(types.Array(types.complex64, 2, "A", readonly=True), types.int64, SAMPLES_OUT)], **COMPILED)
+@loop(types.Array(types.complex64, 2, "A", readonly=True), types.int64, SAMPLES_OUT, **COMPILED)
 def gather_columns(values: ComplexArray, first: int, out: ComplexArray) -> None:
     """out[c, i] = values[i, first + c]: copy columns to rows, whole cache lines at a time."""
     count = out.shape[0]
@@ -210,7 +212,7 @@ def gather_columns(values: ComplexArray, first: int, out: ComplexArray) -> None:
             out[c, i] = values[i, first + c]
 
 
-@njit([(SAMPLES_IN, types.int64, types.int64, SAMPLES_OUT)], **COMPILED)
+@loop(SAMPLES_IN, types.int64, types.int64, SAMPLES_OUT, **COMPILED)
 def scatter_columns(values: ComplexArray, n: int, first: int, out: ComplexArray) -> None:
     """out[i, first + c] = values[c, i], i < n: copy rows back to columns."""
     count = values.shape[0]

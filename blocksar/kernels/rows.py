@@ -17,7 +17,7 @@ from typing import Literal, Protocol
 import numpy as np
 
 from blocksar.arrays import ComplexArray, FloatArray
-from blocksar.kernels import interpolation, phase
+from blocksar.kernels import buffers, interpolation, phase
 from blocksar.kernels.fourier import Axis, fft_rows
 from blocksar.kernels.groups import row_groups, run_groups
 from blocksar.kernels.operations import Operation, Resample, ScaledTurn, Stretch, Transform, Turn, Window
@@ -143,7 +143,7 @@ class Program:
         destination = first  # row of `out` that receives the first row
         if out is None:
             shape = (n, self.target.size) if store == "rows" else (self.target.size, n)
-            out, destination = np.empty(shape, np.complex64), 0
+            out, destination = buffers.empty(shape), 0
 
         def work(rows: slice) -> None:
             target = slice(rows.start - first + destination, rows.stop - first + destination)
@@ -204,7 +204,7 @@ class _WindowPass:
     operation: Window
 
     def __call__(self, group: ComplexArray, rows: slice, out: ComplexArray | None = None) -> ComplexArray:
-        phase.multiply_windows(group, self.operation.windows, self.operation.which[rows])
+        phase.multiply_windows(group, self.operation.values, self.operation.which[rows])
         return group
 
 

@@ -9,6 +9,7 @@ from numba import njit
 from numpy.polynomial import chebyshev
 
 from blocksar.kernels.lanes import spread
+from blocksar.kernels.signatures import COMPILED, PART
 
 
 def _fit_even(function: Any, degree: int) -> tuple[float, ...]:
@@ -53,7 +54,14 @@ def cosine(x: Any) -> Any:
     return half_cosine * half_cosine - half_sine * half_sine
 
 
-@njit(inline="always")
+@njit(**PART, **COMPILED)
+def cosine_and_sine(x: Any) -> Any:
+    """Both at the cost of one."""
+    half_sine, half_cosine = _half_sine(x), _half_cosine(x)
+    return half_cosine * half_cosine - half_sine * half_sine, (half_sine + half_sine) * half_cosine
+
+
+@njit(**PART, **COMPILED)
 def horner(c: Any, order: Any, u: Any) -> Any:
     """sum_k c[k] u^k for the vector u, k up to `order`."""
     value = spread(c[order])

@@ -82,6 +82,14 @@ class RangePart:
         return Freedom("time" in fitted, "doppler" in fitted, "resampling" in fitted)
 
 
+class Traced(NamedTuple):
+    """Lines along the steps after range compression."""
+
+    biased: Line  # before the transform to Doppler
+    before_deramp: list[Line]  # after each step up to the deramp
+    focused: Line  # after the last step
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AzimuthPart:
     """The steps after range compression.
@@ -106,22 +114,17 @@ class AzimuthPart:
             steps += (kind.bind(constants, partial(trace, steps, line)),)
         return cls(range_part=range_part, polynomials=polynomials, steps=steps)
 
-    def trace(self, line: Line) -> Line:
-        """Lines after the last step, from those after range compression."""
-        return trace(self.steps, line)
-
-    def perturb_time(self, line: Line) -> Line:
-        """Lines before the transform to Doppler, from those after range compression."""
-        return line.multiply_time(*self.polynomials.time.evaluate(line.range.mean(axis=-1), line.time))
-
-    def trace_to_deramp(self, line: Line) -> list[Line]:
-        """Lines before each step up to the deramp, from those after range compression."""
-        lines = [line]
+    def trace(self, line: Line) -> Traced:
+        """Lines along the steps, from those after range compression."""
+        biased, before = line, []
         for step in self.steps:
             if step.fitted == "deramp":
                 break
-            lines.append(step.trace(lines[-1]))
-        return lines
+            line = step.trace(line)
+            before.append(line)
+            if step.fitted == "time":
+                biased = line
+        return Traced(biased, before, trace(self.steps[len(before) :], line))
 
     def sampled(self, sampling: Sampling) -> tuple[Step, ...]:
         """The whole chain, ready to be applied."""

@@ -37,7 +37,7 @@ from blocksar.planning.gates import plan_gate, plan_range_gate
 from blocksar.planning.memory import block_memory
 from blocksar.planning.motion import plan_motion
 from blocksar.planning.prediction import Prediction, predict
-from blocksar.planning.target_lines import recovered_line, tail_margin
+from blocksar.planning.target_lines import Dwells, find_dwells, tail_margin
 
 TIME_GUARD = 0.1  # dwells kept on either side of the time in which a block's targets are lit
 # Oversampling of a focused block: twelve taps in range and eight in Doppler then err by less than IMAGE_TAP_ERROR.
@@ -46,6 +46,7 @@ LEAST_ROOM = 1.4  # dwells that slow time has room for, so that the windows of t
 RANGE_STEPS = 3  # of the iteration that finds the targets of an apparent range
 MOST_BEYOND = 1.05  # half swaths from its middle at which the series of that iteration is trusted
 RESAMPLING_ROOM = 1.35  # oversampling of Doppler by padding in time: dense enough to interpolate
+REGION_STEPS, LEAST_STEPS = 64 * YAW_STEPS, 128  # of yaw over the region, in which a block has its share; at least
 REFERENCE_ORDER = 8  # of the range series of a block's centre
 
 
@@ -61,18 +62,13 @@ class Sector:
     near: float
     far: float
 
-    def lines(self, epoch_range: FloatArray, yaw: FloatArray, *, coarsely: bool = False) -> Line:
-        """Lines of targets in the recovered signal; `epoch_range` and `yaw` are broadcast."""
+    def dwells(self, yaw: FloatArray, *, coarsely: bool = False) -> Dwells:
+        """Dwells of targets at yaws (...), rad, for their lines in the recovered signal."""
         recovery = self.recovery
-        return recovered_line(
-            self.geometry,
-            epoch_range=epoch_range,
-            yaw=yaw,
-            origin=recovery.origin,
-            walk=recovery.walk,
-            common=recovery.common,
+        return find_dwells(
+            self.geometry, yaw=yaw, origin=recovery.origin, walk=recovery.walk, common=recovery.common,
             coarsely=coarsely,
-        )
+        )  # fmt: skip
 
     def reference(self) -> FloatArray:
         """Range series of the sector's centre, m/s^n, less the common range that recovery removes."""
@@ -142,7 +138,8 @@ def plan_block(
     collection, recovery = sector.geometry.collection, sector.recovery
     # Coarse lines through the range steps: for the slab, the coefficients and the sampling.
     nodes, yaws = _end_nodes(sector.near, sector.far, 9), np.linspace(sector.low, sector.high, 15)
-    line = sector.lines(nodes[:, None], yaws, coarsely=True)
+    dwells = sector.dwells(yaws, coarsely=True)
+    line = dwells.lines(nodes[:, None])
     duration = float(line.weight.sum(axis=-1).max())
     slab = _plan_slab(collection, recovery.doppler, line, margin=tail_margin(duration))
     band = Axis(float(collection.range_frequency[0]), collection.range_frequency_step, collection.n_range_frequency)
@@ -159,29 +156,29 @@ def plan_block(
     )
     range_part = RangePart.bind(steps_of(method, measured=motion is not None), constants, line)
     straight = range_part.trace(line)
-    azimuth, choice = _plan_azimuth(sector, range_part, method, straight, nodes=nodes, yaws=yaws, neighbour=neighbour)
+    azimuth, choice = _plan_azimuth(
+        sector, range_part, method, straight, nodes=nodes, dwells=dwells, neighbour=neighbour
+    )
 
     # Fine lines through the whole chain: for the gate, the ground map and the prediction.
     fine_range, fine_yaw = _end_nodes(sector.near, sector.far, 13), _end_nodes(sector.low, sector.high, 33)
-    lit = sector.lines(fine_range[:, None], fine_yaw)
+    lit = sector.dwells(fine_yaw).lines(fine_range[:, None])
     compressed = range_part.trace(lit)
-    fine = azimuth.trace(compressed)
-    spots = focus(fine)
-    rate = azimuth.perturb_time(compressed).rate  # before the steps in Doppler
+    biased, _, fine = azimuth.trace(compressed)
+    spots, rate = focus(fine), biased.rate
     first, last = dwell_at(sector.geometry, fine_yaw, uncut=True)
     uncut = first - sector.geometry.epoch, last - sector.geometry.epoch
     about = azimuth.range_part.scales_time_about
-    blur = gate_blur(sector.geometry, fine_yaw, scaled_about=about)
     sampling = _plan_sampling(
         recovery, slab, azimuth, straight,
         range_frequency=band if range_gate is None else range_gate.range_frequency, duration=duration,
-        uncut=float((last - first).max()) if sector.geometry.collection.steered else 0.0,
+        uncut=float((last - first).max()) if collection.steered else 0.0,
     )  # fmt: skip
     gate = plan_gate(
-        fine, spots, rate, blur=blur, lit=lit, uncut=uncut, rows=sampling.rows, slow=sampling.long_time
+        fine, spots, rate, blur=gate_blur(collection, uncut, scaled_about=about), lit=lit, uncut=uncut,
+        rows=sampling.rows, slow=sampling.long_time,
     )  # fmt: skip
     sampling = replace(sampling, gate=gate)
-    steps = azimuth.sampled(sampling)
     return BlockPlan(
         index=index,
         part=part,
@@ -189,11 +186,11 @@ def plan_block(
         high=sector.high,
         first_bin=slab.first_bin,
         n_bin=slab.doppler.size,
-        chain=steps if range_gate is None else (range_gate, *steps),
+        chain=azimuth.sampled(sampling) if range_gate is None else (range_gate, *azimuth.sampled(sampling)),
         sampling=sampling,
         ground=_plan_ground(sector, sampling, fine, spots, epoch_range=fine_range, yaw=fine_yaw),
         prediction=predict(
-            fine, spots, fine_range, fine_yaw, sector.geometry, rate=rate, gate=sampling.gate, scaled_about=about
+            fine, spots, fine_range, fine_yaw, sector.geometry, rate=rate, gate=gate, scaled_about=about
         ),
         memory=_plan_memory(range_gate, range_part, sampling),
         choice=choice,
@@ -207,15 +204,15 @@ def _plan_azimuth(
     straight: Line,
     *,
     nodes: FloatArray,
-    yaws: FloatArray,
+    dwells: Dwells,
     neighbour: Choice | None,
 ) -> tuple[AzimuthPart, Choice]:
     """The steps after range compression, with coefficients for targets that share an apparent range."""
     recovery = sector.recovery
     ranges, epoch_range = _common_ranges(
-        lambda at: range_part.trace(sector.lines(at, yaws, coarsely=True)), straight, nodes, origin=recovery.origin
+        lambda at: range_part.trace(dwells.lines(at)), straight, nodes, origin=recovery.origin
     )
-    shared = range_part.trace(sector.lines(epoch_range, yaws, coarsely=True))
+    shared = range_part.trace(dwells.lines(epoch_range))
     polynomials, choice = choose(
         sector.geometry,
         shared,
@@ -223,7 +220,7 @@ def _plan_azimuth(
         method,
         ranges=ranges,
         epoch_range=epoch_range,
-        yaws=yaws,
+        yaws=dwells.yaw,
         shift=-2 / sector.geometry.collection.wavelength * recovery.walk + range_part.constants.walk,
         neighbour=neighbour,
     )
@@ -283,9 +280,9 @@ def _plan_sampling(
 
     `uncut` is the longest dwell that the gate has to hold, s, as if the ends of the collection did not cut it.
     """
-    focused = azimuth.trace(straight)
+    _, before_deramp, focused = azimuth.trace(straight)
     spots = focus(focused)
-    bands = _doppler_bands(slab, azimuth, straight)
+    bands = _doppler_bands(slab, before_deramp)
     time = _plan_time(recovery, slab, straight, bandwidth=max(bands) - min(bands), duration=duration)
     guard = 0.05 * duration
     begin = min(float(focused.time.min()) - guard, time.start)
@@ -312,11 +309,11 @@ def _plan_sampling(
     )
 
 
-def _doppler_bands(slab: Slab, azimuth: AzimuthPart, straight: Line) -> list[float]:
-    """Ends of the Doppler bands that a block occupies before its deramp, Hz."""
+def _doppler_bands(slab: Slab, before_deramp: list[Line]) -> list[float]:
+    """Ends of the Doppler bands that a block occupies before its deramp, Hz, from its lines after each step."""
     start = slab.doppler.start - slab.walk
     bands = [start, slab.doppler.start + slab.doppler.extent - slab.walk]
-    for line in azimuth.trace_to_deramp(straight)[1:]:
+    for line in before_deramp:
         bands += [float(line.doppler.min()) - slab.margin, float(line.doppler.max()) + slab.margin]
     return bands
 
@@ -364,7 +361,7 @@ def _plan_ground(
     offset, doppler_focus, phase, gain, dwell_time = surfaces(
         spots, epoch_range=epoch_range, yaw=yaw, origin=origin, carrier=collection.carrier, degree=(9, 16)
     )
-    yaw_axis = np.linspace(sector.low, sector.high, YAW_STEPS)
+    yaw_axis = np.linspace(sector.low, sector.high, _yaw_steps(sector))
     near_limit, far_limit = sector.region.at(yaw_axis)
     range_taps = _range_taps(sampling.range_frequency)
     filled = _local_occupancy(line, spots, sampling.image_doppler)
@@ -391,6 +388,13 @@ def _plan_ground(
         range_taps=range_taps,
         doppler_taps=(taps_needed(filled, error=IMAGE_TAP_ERROR), filled),
     )
+
+
+def _yaw_steps(sector: Sector) -> int:
+    """Yaws at which a block knows its limits: its share of the region's, so that many narrow blocks are small."""
+    step = float(np.ptp(sector.region.yaw)) / REGION_STEPS
+    share = (sector.high - sector.low) / step if step > 0 else math.inf
+    return math.ceil(min(max(share, LEAST_STEPS), YAW_STEPS))
 
 
 def _plan_memory(range_gate: RangeGate | None, range_part: RangePart, sampling: Sampling) -> int:

@@ -83,7 +83,7 @@ def _find_cheapest(
 
     Under a steered beam the bias of the best kind is then varied: what the ends lose has a sharp minimum where the
     delays of the steps in Doppler vary least over the block. A kind whose fit at all ranges does not keep what it
-    promised is passed over.
+    promised is passed over. Where all of these fold lines, those are fitted that the rough trial did not reach.
     """
     wavelength, freedom = geometry.collection.wavelength, range_part.freedom
     rows = np.array([0, ranges.size // 2, ranges.size - 1])
@@ -112,21 +112,27 @@ def _find_cheapest(
             best = min(costs, key=costs.__getitem__)
             cheapest(fitting.with_spread(line, best, wavelength=wavelength, factors=(1 / factor, factor)))
     fitted: list[tuple[AzimuthPolynomials, Choice]] = []
-    for candidate in sorted(costs, key=costs.__getitem__):
-        if fitted and costs[candidate] >= min(choice.cost for _, choice in fitted):
-            break
+
+    def keeps(candidate: Candidate, promised: float) -> bool:
         polynomials = fit(candidate)
         cost = _cost(polynomials, line, range_part, geometry)
         fitted.append((polynomials, Choice(candidate, cost)))
-        if cost <= KEPT * costs[candidate]:
+        return cost <= KEPT * promised
+
+    for candidate in sorted(costs, key=costs.__getitem__):
+        if fitted and costs[candidate] >= min(choice.cost for _, choice in fitted):
             break
+        if keeps(candidate, costs[candidate]):
+            break
+    if all(choice.cost == np.inf for _, choice in fitted):
+        any(keeps(kind, ENOUGH_COST) for kind in kinds if kind not in costs)
     return min(fitted, key=lambda fit: fit[1].cost)
 
 
 def _cost(polynomials: AzimuthPolynomials, line: Line, range_part: RangePart, geometry: Geometry) -> float:
     """Phase error or loss of coherence above the good ones, times the growth in samples; infinite if lines fold."""
     azimuth = AzimuthPart.bind(range_part, polynomials, line)
-    biased, traced = azimuth.perturb_time(line), azimuth.trace(line)
+    biased, _, traced = azimuth.trace(line)
     spread = biased.rate * line.weight.sum(axis=-1, keepdims=True) ** 2
     if traced.folded or not np.isfinite(traced.time).all() or spread.min() * spread.max() < 0:
         return np.inf

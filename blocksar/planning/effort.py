@@ -18,10 +18,8 @@ from blocksar.chunks import MOSAIC_CHUNKS, TILE
 from blocksar.collection.beam import dwell
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
-from blocksar.focusing.correction import covers
-from blocksar.planning.block import BlockPlan
 from blocksar.planning.plan import Plan
-from blocksar.planning.tiling import image_chunk, inspection_width, patch_window
+from blocksar.planning.tiling import image_chunk, inspection_width, touched_chunks
 from blocksar.progress import Work
 
 COMPRESS = 6e-8  # per sample of the echo
@@ -30,8 +28,8 @@ STEPS = 1.3e-10  # per operation of the blocks' transforms and resamplings, as P
 CORRECT = 3.6e-8  # per written pixel of a patch's chunks
 MERGE = 1.13e-8  # per merged pixel of a patch's chunk
 INSPECT = 2e-8  # per sample
-BACK_PROJECT = 8e-9  # per lit pulse and pixel
-FINISH = 1.4  # to end the cluster and flush files to the disk
+BACK_PROJECT = 5e-9  # per lit pulse and pixel: 2e-9 for the sum, the rest for range profiles of a chunk's pulses
+FINISH = 0.8  # to end the cluster and flush files to the disk
 
 # `blocksar demo` predicts its stages before there is a plan: their seconds on two cores of that machine.
 DEMO = {
@@ -48,8 +46,7 @@ DEMO = {
     "report": 2.7,
     "responses": 6.0,
 }
-MOST_CHUNKS = 2000  # of a patch that are tested one by one
-COMPILE = 13.0  # while no kernel is in numba's cache
+COMPILE = 9.0  # while no kernel is in numba's cache
 FOCUS: Work = dict.fromkeys(("plan", "compile", "start-workers", "recover", "focus", "mosaic", "finish"), ())
 
 
@@ -57,9 +54,9 @@ def of_plan(plan: Plan, *, echo_samples: int = 0) -> Work:
     """Work of focusing by a plan; `echo_samples` is the total if the phase history is a raw echo, otherwise 0."""
     collection, side = plan.geometry.collection, image_chunk(plan.grid)
     columns = np.diff([*range(0, collection.n_range_frequency, plan.column_group), collection.n_range_frequency])
-    chunks = [touched_chunks(block, plan.grid) for block in plan.blocks]
+    chunks = [touched_chunks(block.ground, plan.grid) for block in plan.blocks]
     patches = Counter(chunk for touched in chunks for chunk in touched)  # by chunk of the mosaic
-    merged = [patches[chunk] for chunk in sorted(patches)]
+    merged = [patches[chunk] for chunk in sorted(patches) if patches[chunk] > 1]
     stages = {
         "recover": (RECOVER * plan.recovery.doppler.size * columns).tolist(),
         "focus": [
@@ -87,22 +84,6 @@ def of_demo(*, simulated: bool, compiled: bool) -> Work:
     """Work of `blocksar demo`: without simulation if `simulated`, with the kernels in numba's cache if `compiled`."""
     seconds = DEMO if compiled else DEMO | {"compile": COMPILE}
     return {stage: [cost] for stage, cost in seconds.items() if not (simulated and stage == "simulate")}
-
-
-def touched_chunks(block: BlockPlan, grid: Grid) -> list[tuple[int, int]]:
-    """Row and column of each image chunk that a block writes; beyond MOST_CHUNKS, all chunks of its patch."""
-    first_y, first_x, n_y, n_x = patch_window(block.ground, grid)
-    side = image_chunk(grid)
-    rows, columns = (
-        range(first, first + n, s) for first, n, s in zip((first_y, first_x), (n_y, n_x), side, strict=True)
-    )
-    many = len(rows) * len(columns) > MOST_CHUNKS
-    return [
-        (y // side[0], x // side[1])
-        for y in rows
-        for x in columns
-        if many or covers(block.ground, x=grid.x[x : x + side[1]], y=grid.y[y : y + side[0]])
-    ]
 
 
 def _by_pulse_group(n_pulse: int, echo_samples: int) -> dict[str, list[float]]:

@@ -32,10 +32,11 @@ from scipy.special import fresnel
 from blocksar import solvers
 from blocksar.arrays import FloatArray
 from blocksar.collection.beam import dwell_at
+from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.dwell_gate import DwellGate
-from blocksar.focusing.lines import Focus, Line
+from blocksar.focusing.lines import LEAST_STRETCH, Focus, Line
 from blocksar.planning.gates import dwell_ends, end_smear, full_dwells
 
 BAND_NODES = 4  # of the means over range frequency
@@ -88,7 +89,7 @@ def worst_losses(
 
 def _along_dwell(line: Line, spots: Focus, geometry: Geometry) -> tuple[FloatArray, FloatArray]:
     """Loss by residual phase, and what range migration takes besides."""
-    stretch = np.maximum(line.stretch, 1e-3)  # a line that is folded over is refused elsewhere
+    stretch = np.maximum(line.stretch, LEAST_STRETCH)
     level = line.phase - spots.doppler[..., None] * line.time - spots.phase[..., None]
     offset = line.range - spots.range[..., None]
     response = np.sinc(2 * geometry.collection.bandwidth / SPEED_OF_LIGHT * offset)
@@ -148,8 +149,9 @@ def smear_loss(line: Line, spots: Focus, rate: FloatArray, geometry: Geometry) -
     full = inner if inner.any() else full
     spread = lit / 2 * collection.bandwidth / 2 / collection.carrier  # by the keystone, at the band's edges
     lost = np.zeros(lit.shape)
-    for smear, end in zip(np.moveaxis(end_smear(line, rate), -1, 0), dwell_ends(line), strict=True):
-        slope = smear + np.gradient(end, axis=1) / np.gradient(spots.doppler, axis=1)
+    *moves, apart = np.gradient(np.stack([*dwell_ends(line), spots.doppler]), axis=2)
+    for smear, move in zip(np.moveaxis(end_smear(line, rate), -1, 0), moves, strict=True):
+        slope = smear + move / apart
         low = np.min(slope, axis=1, where=full, initial=np.inf)
         high = np.max(slope, axis=1, where=full, initial=-np.inf)
         none = ~full.any(axis=1)
@@ -159,12 +161,14 @@ def smear_loss(line: Line, spots: Focus, rate: FloatArray, geometry: Geometry) -
     return float(lost[full].max())
 
 
-def gate_blur(geometry: Geometry, yaw: FloatArray, *, scaled_about: float | None) -> float:
-    """Half of the time over which the ends of dwells are spread, s: by a keystone, and by the grid of pulses."""
-    collection = geometry.collection
+def gate_blur(collection: Collection, uncut: tuple[FloatArray, FloatArray], *, scaled_about: float | None) -> float:
+    """Half of the time over which the ends of dwells are spread, s: by a keystone, and by the grid of pulses.
+
+    `uncut` (2, n_yaw) are the ends, s from the epoch, as if the collection did not cut them.
+    """
     spread = 0.0
     if scaled_about is not None:
-        away = np.abs(np.array(dwell_at(geometry, yaw, uncut=True)) - geometry.epoch - scaled_about)
+        away = np.abs(np.array(uncut) - scaled_about)
         spread = float(away.mean()) * collection.bandwidth / 2 / collection.carrier
     return float(np.hypot(spread, collection.pulse_interval / 2))
 

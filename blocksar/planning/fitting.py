@@ -112,22 +112,20 @@ def fit(
     rate = line.rate + bias_rate
     centres = (doppler.max(axis=(1, 2)) + doppler.min(axis=(1, 2))) / 2
     half = float(np.max(doppler.max(axis=(1, 2)) - centres))
-    scales = _Scales(centre, float(np.abs(time - centre).max()), max(half, 1e-3))
-    weight = np.broadcast_to(line.weight, line.doppler.shape)
+    scales = _Scales(float(np.abs(time - centre).max()), max(half, 1e-3))
+    rows = _Rows.scaled(line, time - centre, doppler - centres[:, None, None], rate, scales)
 
     unknowns = _Unknowns.of(candidate, freedom)
     x = np.zeros(unknowns.size)
     slope = np.mean((doppler[0, :, -1] - doppler[0, :, 0]) / (time[0, :, -1] - time[0, :, 0]))
     x[unknowns.ends[-1]] = -slope * scales.time / scales.doppler
-    solutions: list[FloatArray] = []
-    pull = np.zeros(unknowns.size)
+    enough, steps = (ROUGHLY_ENOUGH, FEW_STEPS) if roughly else (ENOUGH, MOST_STEPS)
+    damping, pull, solutions = DAMPING, np.zeros(unknowns.size), list[FloatArray]()
     for i in range(ranges.size):
         if i > 1:  # where the two ranges before lead
             x = x + (x - solutions[-2]) * (ranges[i] - ranges[i - 1]) / (ranges[i - 1] - ranges[i - 2])
-        x = _fit_range(
-            time[i], doppler[i] - centres[i], rate[i], weight[i], scales, unknowns, x,
-            pull=pull, roughly=roughly, damping=DAMPING if i == 0 else NEAR_DAMPING,
-        )  # fmt: skip
+        x = level_lines(rows.problem(i, unknowns, start=x, pull=pull), damping, enough, steps)
+        damping = NEAR_DAMPING
         # Without a time perturbation, order 2 in Doppler has nearly the effect of the deramp. The first range settles
         # it for all, since coefficients must change smoothly with range.
         pull[:] = NEAR
@@ -182,44 +180,50 @@ class _Unknowns(NamedTuple):
 
 
 class _Scales(NamedTuple):
-    """Centre of the lines in time (s), and their half extents in time (s) and Doppler (Hz)."""
+    """Half extents of the lines in time (s) and Doppler (Hz)."""
 
-    time_centre: float
     time: float
     doppler: float
 
 
-def _fit_range(
-    time: FloatArray,
-    doppler: FloatArray,
-    rate: FloatArray,
-    weight: FloatArray,
-    scales: _Scales,
-    unknowns: _Unknowns,
-    start: FloatArray,
-    *,
-    pull: FloatArray,
-    roughly: bool,
-    damping: float,
-) -> FloatArray:
-    """Level the lines (n_yaw, n) of one range; unknowns are scaled to the lines' extent in time and Doppler.
+class _Rows(NamedTuple):
+    """Lines (n_range, n_yaw, n) as `Problem` takes those of one range."""
 
-    `pull` (n_unknown,), rad, penalises departures from `start`.
-    """
-    duration = weight.sum(axis=-1, keepdims=True)
-    share = weight / duration
-    enough, steps = (ROUGHLY_ENOUGH, FEW_STEPS) if roughly else (ENOUGH, MOST_STEPS)
-    problem = Problem(
-        time=np.ascontiguousarray((time - scales.time_centre) / scales.time),
-        doppler=np.ascontiguousarray(doppler / scales.doppler),
-        rate=np.ascontiguousarray(rate * scales.time / scales.doppler),
-        share=np.ascontiguousarray(share),
-        # The Doppler error over a dwell times its length is about the phase error that it causes.
-        level_weight=np.ascontiguousarray(2 * np.pi * scales.doppler * duration * np.sqrt(share)),
-        stretch_weight=np.ascontiguousarray(STRETCH_WEIGHT * np.sqrt(share)),
-        orders=np.array([order for orders in unknowns for order in orders], np.int64),
-        ends=np.array(unknowns.ends, np.int64),
-        start=start,
-        pull=pull,
-    )
-    return level_lines(problem, damping, enough, steps)
+    time: FloatArray
+    doppler: FloatArray
+    rate: FloatArray
+    share: FloatArray
+    level_weight: FloatArray
+    stretch_weight: FloatArray
+
+    @classmethod
+    def scaled(cls, line: Line, time: FloatArray, doppler: FloatArray, rate: FloatArray, scales: _Scales) -> _Rows:
+        """Scale lines whose time (s) and Doppler (Hz) count from their centres."""
+        weight = np.broadcast_to(line.weight, line.doppler.shape)
+        duration = weight.sum(axis=-1, keepdims=True)
+        share = weight / duration
+        root = np.sqrt(share)
+        return cls(
+            time=time / scales.time,
+            doppler=doppler / scales.doppler,
+            rate=rate * scales.time / scales.doppler,
+            share=share,
+            # The Doppler error over a dwell times its length is about the phase error that it causes.
+            level_weight=2 * np.pi * scales.doppler * duration * root,
+            stretch_weight=STRETCH_WEIGHT * root,
+        )
+
+    def problem(self, i: int, unknowns: _Unknowns, *, start: FloatArray, pull: FloatArray) -> Problem:
+        """Level the lines of range i; `pull` (n_unknown,), rad, penalises departures from `start`."""
+        return Problem(
+            time=np.ascontiguousarray(self.time[i]),
+            doppler=np.ascontiguousarray(self.doppler[i]),
+            rate=np.ascontiguousarray(self.rate[i]),
+            share=np.ascontiguousarray(self.share[i]),
+            level_weight=np.ascontiguousarray(self.level_weight[i]),
+            stretch_weight=np.ascontiguousarray(self.stretch_weight[i]),
+            orders=np.array([order for orders in unknowns for order in orders], np.int64),
+            ends=np.array(unknowns.ends, np.int64),
+            start=start,
+            pull=pull,
+        )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -105,10 +106,6 @@ def plan_gate(
         (doppler.ravel() - place.centre) / scale,
         [GATE_RANGE_DEGREE, GATE_DEGREE],
     )
-    powers = np.zeros((GATE_DEGREE + 1, GATE_DEGREE + 1))
-    for degree, row in enumerate(np.eye(GATE_DEGREE + 1)):
-        powers[degree, : degree + 1] = chebyshev.cheb2poly(row[: degree + 1])
-
     length, smear = float(lengths.mean()), end_smear(line, rate)
     full = full_dwells(line)
     fitted = solvers.least_squares(
@@ -117,25 +114,35 @@ def plan_gate(
         damping=1e-20 * basis.shape[0],
     )
     # Series in range of powers of z, (GATE_RANGE_DEGREE + 1, GATE_DEGREE + 1).
-    begin, end = (solvers.product(fitted[:, k].reshape(-1, GATE_DEGREE + 1), powers) for k in (0, 1))
+    begin, end = (solvers.product(fitted[:, k].reshape(-1, GATE_DEGREE + 1), _to_powers()) for k in (0, 1))
     phases = place.integral(begin), place.integral(end)
     at_middle = place.integral((begin + end) / 2).coefficients(np.array((near + far) / 2))[None]
     common = place.polynomial(at_middle)
     _, shared, _ = common.evaluate(spots.range, spots.doppler[..., None])
-    apart = max(
-        float(np.abs(phase.evaluate(spots.range, spots.doppler[..., None])[1] - shared).max()) for phase in phases
-    )
+    along = [phase.evaluate(spots.range, spots.doppler[..., None]) for phase in phases]
+    apart = max(float(np.abs(at - shared).max()) for _, at, _ in along)
+    moves = [bend[..., 0] for _, _, bend in along]
     size = min(fourier.fast_length((GATE_ROOM * length + 2 * apart) / slow.step), slow.size)
     return DwellGate(
         begin=phases[0],
         end=phases[1],
         common=common,
-        begin_slope=_slope(place, begin, phases[0], spots, smear[..., 0], full=full),
-        end_slope=_slope(place, end, phases[1], spots, smear[..., 1], full=full),
+        begin_slope=_slope(place, begin, spots, smear[..., 0] + moves[0], full=full),
+        end_slope=_slope(place, end, spots, smear[..., 1] + moves[1], full=full),
         blur=blur,
         length=length,
         time=fourier.centred(0.0, slow.step, size),
     )
+
+
+@lru_cache
+def _to_powers() -> FloatArray:
+    """Power coefficients of the Chebyshev polynomials of degrees 0 .. GATE_DEGREE, one a row; read-only."""
+    powers = np.zeros((GATE_DEGREE + 1, GATE_DEGREE + 1))
+    for degree, row in enumerate(np.eye(GATE_DEGREE + 1)):
+        powers[degree, : degree + 1] = chebyshev.cheb2poly(row[: degree + 1])
+    powers.flags.writeable = False
+    return powers
 
 
 def full_dwells(line: Line) -> BoolArray:
@@ -161,16 +168,13 @@ def end_smear(line: Line, rate: FloatArray) -> FloatArray:
     return np.where(passed, (1 - ends) / np.where(passed, rate, 1.0), 0.0)
 
 
-def _slope(
-    place: _RowPlace, series: FloatArray, phase: RowPolynomial, spots: Focus, smear: FloatArray, *, full: BoolArray
-) -> RowPolynomial:
+def _slope(place: _RowPlace, series: FloatArray, spots: Focus, slopes: FloatArray, *, full: BoolArray) -> RowPolynomial:
     """Slope of an end in Doppler with which its window is made, s/Hz.
 
-    At each range it lies amid those of the targets with full dwell there, their smear included.
+    At each range it lies amid those of the targets with full dwell there, `slopes`, their smear included.
     """
     slope = place.slope(series)
-    _, _, moves = phase.evaluate(spots.range, spots.doppler[..., None])
-    left = smear + moves[..., 0] - slope.coefficients(spots.range)[..., 0]
+    left = slopes - slope.coefficients(spots.range)[..., 0]
     whole = full.any(axis=1)
     rows = [(left[i, full[i]], spots.range[i, full[i]].mean()) for i in np.flatnonzero(whole)]
     u = np.array([(2 * rng - place.near - place.far) / (place.far - place.near) for _, rng in rows])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from blocksar.chunks import BACKPROJECTION_CHUNK, COLUMN_CHUNK, DOPPLER_GROUP, IMAGE_PIXELS, TILE
+from blocksar.chunks import BACKPROJECTION_CHUNK, COLUMN_CHUNK, DOPPLER_GROUP, IMAGE_PIXELS, TILE, WRITES_AT_ONCE
 from blocksar.collection.collection import Collection
 from blocksar.collection.grid import Grid
 from blocksar.collection.raw_echo import RawEcho
@@ -85,13 +85,13 @@ def block_memory(
     buffer = max(frequency.size, n_row) * n_column
     if gate is None:
         loaded = n_bin * COLUMN_CHUNK
-        held = [2 * loaded + buffer]
+        held = [3 * loaded + buffer]  # one part in use, the next one being read, and the chunks of that
     else:
         slab, loaded = frequency.size * n_bin, DOPPLER_GROUP * gate.full.size
-        held = [2 * loaded + slab, slab + buffer]
+        held = [3 * loaded + slab, slab + buffer]
     groups = 4 * max(GROUP_BYTES, 8 * 8 * length)
     if n_short:
         held.append(buffer + max(frequency.size, n_row) * n_short)
     if n_image > n_column:
         held.append(buffer + n_row * n_image)
-    return PROCESS_MEMORY + 8 * max(*held, buffer + 3 * IMAGE_PIXELS) + groups
+    return PROCESS_MEMORY + 8 * max(*held, buffer + 2 * (WRITES_AT_ONCE + 1) * IMAGE_PIXELS) + groups

@@ -80,11 +80,13 @@ class Plan:
 
     @property
     def spectrum_chunk(self) -> tuple[int, int]:
-        """Doppler bins and range frequencies of a chunk of the spectrum."""
+        """Doppler bins and range frequencies of a chunk of the spectrum; even the last chunks are nearly full."""
+        n_bin, n_frequency = self.recovery.doppler.size, self.geometry.collection.n_range_frequency
         column = COLUMN_CHUNK
-        while column > 16 and 8 * column * self.recovery.doppler.size > SPECTRUM_BYTES:
+        while column > 16 and 8 * column * n_bin > SPECTRUM_BYTES:
             column //= 2
-        return min(CHUNK_SAMPLES // column, self.recovery.doppler.size), column
+        column = _even(n_frequency, column)
+        return _even(n_bin, CHUNK_SAMPLES // column), column
 
     @property
     def column_group(self) -> int:
@@ -137,6 +139,11 @@ class Plan:
     def faithful(self) -> bool:
         """Whether all blocks keep the fidelity, and side lobes as close to the ideal ones as it asks for."""
         return self.excess() <= 1.0
+
+
+def _even(n: int, most: int) -> int:
+    """The size of the fewest parts of n that have at most `most`, all but the last alike."""
+    return math.ceil(n / math.ceil(n / most))
 
 
 def plan_collection(
@@ -223,7 +230,7 @@ class _Planner:
     Attributes
     ----------
     planned : dict
-        The blocks of the last division, by (blocks, sub-blocks, index): a plan after its probe plans the rest.
+        The blocks by (blocks, sub-blocks, index): a plan after its probe plans the rest, and none is planned twice.
     """
 
     geometry: Geometry
@@ -241,9 +248,6 @@ class _Planner:
         touched = [i for i in range(count) if seams[i + 1] > self.extent.low and seams[i] <= self.extent.high]
         if probe:
             touched = sorted({touched[0], touched[len(touched) // 2], touched[-1]})
-        before = {key: blocks for key, blocks in self.planned.items() if key[:2] == (count, n_parts)}
-        self.planned.clear()
-        self.planned.update(before)
         planned: list[BlockPlan] = []
         for index in touched:
             key = count, n_parts, index

@@ -12,7 +12,7 @@ from blocksar.collection.beam import dwell_at
 from blocksar.collection.geometry import TRACK_ACCURACY, Geometry
 from blocksar.constants import SINC_PSLR, SINC_WIDTH, SPEED_OF_LIGHT
 from blocksar.focusing.dwell_gate import DwellGate
-from blocksar.focusing.lines import Focus, Line
+from blocksar.focusing.lines import LEAST_STRETCH, Focus, Line
 from blocksar.planning.fidelity import worst_losses
 
 
@@ -56,7 +56,7 @@ def predict(
     range_cell = SPEED_OF_LIGHT / (2 * geometry.collection.bandwidth)
     residual = spots.residual
     worst = np.unravel_index(int(np.argmax(residual)), residual.shape)
-    weight = (line.weight * np.sqrt(np.maximum(line.stretch, 1e-3)))[worst]
+    weight = (line.weight * np.sqrt(np.maximum(line.stretch, LEAST_STRETCH)))[worst]
     time = line.time[worst] - spots.time[worst]
     level = line.phase[worst] - spots.doppler[worst] * line.time[worst]
     spread = float(np.ptp(time))
@@ -133,7 +133,7 @@ def _pslr(response: FloatArray) -> float:
 
 def _width(response: FloatArray) -> float:
     """Distance between the outermost crossings of 3 dB below the peak, samples."""
-    above = np.pad(response / response.max() - np.sqrt(0.5), 1, constant_values=-1.0)
+    above = np.concatenate([[-1.0], response / response.max() - np.sqrt(0.5), [-1.0]])
     first, last = np.flatnonzero(above >= 0)[[0, -1]]
     left, right = above[first] - above[first - 1], above[last] - above[last + 1]
     return float(last - first + above[first] / left + above[last] / right)

@@ -17,7 +17,7 @@ from blocksar.focusing.method import DEFAULT, Method
 from blocksar.focusing.recovery import NO_COMMON_RANGE, CommonRange, Recovery
 from blocksar.kernels import fourier
 from blocksar.kernels.fourier import Axis
-from blocksar.planning.target_lines import middle_line, recovered_line, tail_margin
+from blocksar.planning.target_lines import find_dwells, middle_line, tail_margin
 
 COMMON_ORDER = 5  # range history from this order on is removed from all targets alike: azimuth steps end at order 4
 COMMON_LEAST = 1e-3  # wavelengths, a phase of 0.013 rad: a smaller common range is not removed
@@ -138,4 +138,4 @@ def _lit_lines(
     near, far = region.at(region.yaw)
     width = far - near
     ranges = np.linspace(near + margin * width, far - margin * width, 5)
-    return recovered_line(geometry, epoch_range=ranges, yaw=region.yaw, origin=origin, walk=walk, common=common)
+    return find_dwells(geometry, yaw=region.yaw, origin=origin, walk=walk, common=common).lines(ranges)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from blocksar import solvers
 from blocksar.arrays import FloatArray
 from blocksar.collection.beam import dwell_at
-from blocksar.collection.geometry import Geometry
+from blocksar.collection.geometry import Geometry, Motion, range_motion
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.lines import Line
 from blocksar.focusing.recovery import NO_COMMON_RANGE, CommonRange
@@ -19,17 +20,59 @@ NODES_PER_INTERVAL, MOST_NODES = 0.75, 256  # of a line along a spline, whose in
 TAIL_ENERGY = 1e-3  # fraction of a target's energy that may lie outside its block's Doppler support
 
 
-def recovered_line(
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Dwells:
+    """Dwells of targets at some yaws, at Gauss-Legendre nodes, and what does not depend on the targets' ranges.
+
+    Attributes
+    ----------
+    yaw : (...) float
+        rad.
+    slow : (..., n) float
+        Slow time from the epoch, s.
+    weight : (..., n) float
+        Quadrature weights: seconds of lit time.
+    antenna : Motion
+        Of the antenna at these times.
+    removed : (..., n) float, three of them
+        Range (m) that recovery removes from all targets, its rate and that rate's.
+    """
+
+    geometry: Geometry
+    yaw: FloatArray
+    slow: FloatArray
+    weight: FloatArray
+    antenna: Motion
+    removed: tuple[FloatArray, FloatArray, FloatArray]
+
+    def lines(self, epoch_range: FloatArray) -> Line:
+        """Lines of targets in the recovered signal; `epoch_range` and the yaws are broadcast."""
+        x, y = self.geometry.ground_axes(epoch_range, self.yaw)
+        point = x[..., None], y[..., None], self.geometry.collection.ground_height
+        rng, rate, curvature = range_motion(point, self.antenna)
+        rho = rng - self.removed[0]
+        to_cycles = -2 * self.geometry.collection.carrier / SPEED_OF_LIGHT
+        return Line(
+            time=np.broadcast_to(self.slow, rho.shape),
+            doppler=to_cycles * (rate - self.removed[1]),
+            rate=to_cycles * (curvature - self.removed[2]),
+            phase=to_cycles * rho,
+            range=rho,
+            stretch=np.ones_like(rho),
+            weight=np.broadcast_to(self.weight, rho.shape),
+        )
+
+
+def find_dwells(
     geometry: Geometry,
     *,
-    epoch_range: FloatArray,
     yaw: FloatArray,
     origin: float,
     walk: float,
     common: CommonRange = NO_COMMON_RANGE,
     coarsely: bool = False,
-) -> Line:
-    """Lines of targets in the recovered signal, at Gauss-Legendre nodes; `epoch_range` and `yaw` are broadcast.
+) -> Dwells:
+    """The dwells at yaws (...), rad.
 
     Along a spline, lines have nodes enough to integrate its waves; `coarsely`, to see them.
 
@@ -43,19 +86,14 @@ def recovered_line(
     middle = np.clip((first + last) / 2, collection.time[0] + shortest / 2, collection.time[-1] - shortest / 2)
     length = np.maximum(last - first, shortest)[..., None]
     time = middle[..., None] + length / 2 * nodes
-    point = geometry.ground_point(epoch_range, yaw)[..., None, :]
-    rng, rate, curvature = geometry.range_motion(point, time)
     slow = time - geometry.epoch
-    rho = rng - (origin + walk * slow + common.at(slow))
-    to_cycles = -2 * collection.carrier / SPEED_OF_LIGHT
-    return Line(
-        time=np.broadcast_to(slow, rho.shape),
-        doppler=to_cycles * (rate - (walk + common.at(slow, 1))),
-        rate=to_cycles * (curvature - common.at(slow, 2)),
-        phase=to_cycles * rho,
-        range=rho,
-        stretch=np.ones_like(rho),
-        weight=np.broadcast_to(length / 2 * weights, rho.shape),
+    return Dwells(
+        geometry=geometry,
+        yaw=yaw,
+        slow=slow,
+        weight=length / 2 * weights,
+        antenna=geometry.track.motion(time),
+        removed=(origin + walk * slow + common.at(slow), walk + common.at(slow, 1), common.at(slow, 2)),
     )
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from blocksar.chunks import IMAGE_CHUNK, SIGNAL_BYTES, TILE
 from blocksar.collection.collection import Collection
 from blocksar.collection.grid import Grid
+from blocksar.focusing.correction import touched
 from blocksar.focusing.ground_map import GroundMap
 
 
@@ -29,6 +30,15 @@ def patch_window(ground: GroundMap, grid: Grid) -> tuple[int, int, int, int]:
         last = int(np.clip(np.searchsorted(values, high), 1, values.size))
         spans.append((first, min(-(-last // chunk) * chunk, values.size) - first))
     return spans[0][0], spans[1][0], spans[0][1], spans[1][1]
+
+
+def touched_chunks(ground: GroundMap, grid: Grid) -> list[tuple[int, int]]:
+    """Row and column of each chunk of the image of which a block may own pixels; it owns none of the others."""
+    first_y, first_x, n_y, n_x = patch_window(ground, grid)
+    side = image_chunk(grid)
+    x, y = grid.x[first_x : first_x + n_x], grid.y[first_y : first_y + n_y]
+    first = touched(ground, x=x, y=y, side=side)
+    return [(int(first_y + row) // side[0], int(first_x + column) // side[1]) for row, column in first]
 
 
 def inspection_width(collection: Collection) -> int:

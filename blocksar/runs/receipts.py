@@ -147,10 +147,5 @@ def write(run: Run, store: Place, variable: str, region: tuple[slice, ...], valu
     if run.identity.encode() not in (run.folder / RECORD).read_bytes():
         raise ProcessingError(f"{run.folder} has been taken by another run")
     stores.write_region(store, variable, region, values)
-    return written_entry(run, store, variable, region, values)
-
-
-def written_entry(run: Run, store: Place, variable: str, region: tuple[slice, ...], values: Array) -> Written:
-    """Return the entry in the receipt for a region that has been written."""
     span = tuple((part.start, part.stop) for part in region)
     return Written(run.name_of(store), variable, span, stores.checksum(values))

@@ -9,7 +9,7 @@ from typing import Any
 
 import finufft
 import numpy as np
-from numba import njit
+from numba import njit, types
 from numpy.typing import NDArray
 from scipy import fft  # not kernels.fourier: this inverse transform leads to fast time, on its own grid
 
@@ -19,11 +19,17 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT, TURN
 from blocksar.kernels.chirp import chirp_spectrum
+from blocksar.kernels.loops import loop
+from blocksar.kernels.signatures import COMPILED, REAL_ROW
 from blocksar.kernels.trigonometry import cosine, sine
 
 NUFFT_ACCURACY = 1e-7  # relative to the norm of the lit reflectivity: below the rounding error of complex64
 DIRECT_LIMIT = 400  # scatterers beyond which the non-uniform transform is faster
 BLOCK = 16  # pulses that a thread computes at a time
+_FIELD = (
+    *(REAL_ROW, REAL_ROW, REAL_ROW, types.Array(types.complex128, 1, "C", readonly=True)),
+    types.Array(types.float64, 1, "A", readonly=True),
+)  # types of a field's x, y, yaw and reflectivity, and of the antenna's position
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -252,7 +258,7 @@ def _direct(scatterers: Field, block: range, out: ComplexArray) -> None:
         )
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
+@loop(*_FIELD, *[types.float64] * 6, types.int64, types.complex64[::1], **COMPILED)
 def _direct_pulse(
     x: FloatArray,
     y: FloatArray,
@@ -324,7 +330,7 @@ def _direct_echo(
         )
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
+@loop(*_FIELD, *[types.float64] * 9, types.complex64[::1], **COMPILED)
 def _direct_echo_pulse(
     x: FloatArray,
     y: FloatArray,
@@ -408,7 +414,7 @@ def _transform(scatterers: Field, grid: _Grid, block: range, out: NDArray[Any]) 
         out[row] = plan.execute(strengths[:n])
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
+@loop(*_FIELD, *[types.float64] * 8, types.float64[::1], types.complex128[::1], **COMPILED)
 def _nodes_and_strengths(
     x: FloatArray,
     y: FloatArray,

@@ -7,25 +7,32 @@ import os
 import stat
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
 from math import prod
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from blocksar.errors import InputError
+from blocksar.places import direct
 from blocksar.places.local import LocalPlace, file_version, replacing_file
 from blocksar.places.place import Place
+
+if TYPE_CHECKING:
+    from numcodecs.zstd import Zstd  # type: ignore[import-untyped]
 
 Region = tuple[slice, ...]
 Array = NDArray[Any]
 MAX_METADATA = 1 << 24  # bytes of a metadata file: a larger one is damaged, and could exhaust the memory
+MAX_FRAME = 1 << 12  # bytes of a compressed chunk beyond those of its samples, and one in 64 of these
 SLAB = 1 << 19  # bytes copied at a time between a chunk's file and memory of another layout: they stay in the L2 cache
 TRANSPOSED_COLUMNS = 64  # columns copied at a time in a transposition: more would touch more pages than the TLB holds
+# Images: noise does not compress, and passes at the speed of memory; what is not covered takes no room. The checksum
+# lets every reader notice an altered chunk.
+COMPRESSION: dict[str, Any] = {"name": "zstd", "configuration": {"level": -5, "checksum": True}}
 FILLS = {"complex64": ["NaN", "NaN"], "float64": "NaN", "int16": -1}  # fill values by dtype, as in the metadata
 
 
@@ -52,7 +59,7 @@ def check_out(out: Array, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
 
 @dataclass(frozen=True)
 class ChunkFiles:
-    """A variable in the layout of `create`: chunk (i, j) is the file c/i/j, which holds its samples in C order only.
+    """A variable in the layout of `create`: chunk (i, j) is the file c/i/j, its samples in C order, maybe compressed.
 
     zarr reads and writes the same files much more slowly: it opens the array for each region, and copies the samples
     through newly allocated memory. Here they go directly between file and array if the chunk is contiguous in the
@@ -66,12 +73,15 @@ class ChunkFiles:
         Shape of the array, and of a chunk; chunks at the far edges have full size, padded with the fill value.
     dtype : numpy dtype
         In the machine's byte order.
+    compressed : bool
+        As COMPRESSION says; reading takes any level.
     """
 
     folder: str
     shape: tuple[int, ...]
     chunks: tuple[int, ...]
     dtype: np.dtype[Any]
+    compressed: bool = False
 
     @property
     def ndim(self) -> int:
@@ -83,9 +93,14 @@ class ChunkFiles:
         return self.dtype.itemsize * prod(self.chunks[1:])
 
     def read(
-        self, region: Region, out: Array | None = None, *, seen: Callable[[str, str], None] | None = None
+        self,
+        region: Region,
+        out: Array | None = None,
+        *,
+        seen: Callable[[str, str], None] | None = None,
+        cached: bool = True,
     ) -> Array:
-        """Read a region of step 1, into `out` if given.
+        """Read a region of step 1, into `out` if given; past the page cache if not `cached`.
 
         `seen` is told the name of each chunk, relative to the folder, and the version that was read; see
         `Place.version`.
@@ -105,7 +120,7 @@ class ChunkFiles:
         for file, inside, outside in self._parts(spans):
             try:
                 refuse_odd_file(file, sys.maxsize)
-                with open(file, "rb") as stream:
+                with open(file, "rb") if cached else direct.reading(file) as stream:
                     self._read_chunk(stream, inside, values[outside], slab)
                     version = file_version(os.fstat(stream.fileno()))
             except FileNotFoundError:
@@ -126,11 +141,7 @@ class ChunkFiles:
         slab = self._slab()
         for file, _, outside in self._parts(spans):
             os.makedirs(os.path.dirname(file), exist_ok=True)
-            with replacing_file(file) as part, open(part, "wb") as stream:
-                if os.path.exists(file):
-                    # ext4 flushes a file at once when it replaces another, unless its space is already allocated.
-                    with suppress(OSError, AttributeError):
-                        os.posix_fallocate(stream.fileno(), 0, self.row_bytes * self.chunks[0])
+            with replacing_file(file) as part, direct.writing(part) as stream:
                 self._write_chunk(stream, values[outside], slab)
 
     def link(self, region: Region, source: ChunkFiles, source_region: Region) -> None:
@@ -142,7 +153,8 @@ class ChunkFiles:
             If the file system has no hard links, or the chunks of the two arrays do not coincide.
         """
         spans, source_spans = self._whole(region), source._whole(source_region)
-        if (self.chunks, self.dtype, *map(len, spans)) != (source.chunks, source.dtype, *map(len, source_spans)):
+        layouts = [(files.chunks, files.dtype, files.compressed) for files in (self, source)]
+        if layouts[0] != layouts[1] or [*map(len, spans)] != [*map(len, source_spans)]:
             raise OSError("the chunks differ")
         for (file, _, _), (other, _, _) in zip(self._parts(spans), source._parts(source_spans), strict=True):
             os.makedirs(os.path.dirname(file), exist_ok=True)
@@ -172,8 +184,11 @@ class ChunkFiles:
             keys, inside_chunk, inside_region = zip(*cell, strict=True)
             yield os.path.join(self.folder, "c", *keys), inside_chunk, inside_region
 
-    def _read_chunk(self, stream: BinaryIO, inside: Region, values: Array, slab: Array) -> None:
+    def _read_chunk(self, stream: BinaryIO | direct.Reader, inside: Region, values: Array, slab: Array) -> None:
         length = os.fstat(stream.fileno()).st_size
+        if self.compressed:
+            copy_values(self._decode(stream, length)[inside], values)
+            return
         if length != self.row_bytes * self.chunks[0]:
             raise OSError(f"a chunk has {length} bytes instead of {self.row_bytes * self.chunks[0]}")
         stream.seek(self.row_bytes * inside[0].start)
@@ -185,8 +200,42 @@ class ChunkFiles:
             _read_into(stream, slab[: len(rows)])
             copy_values(slab[(slice(len(rows)), *inside[1:])], rows)
 
-    def _write_chunk(self, stream: BinaryIO, values: Array, slab: Array) -> None:
-        if values.flags.c_contiguous and values.shape == self.chunks and values.dtype == self.dtype:
+    def _decode(self, stream: BinaryIO | direct.Reader, length: int) -> Array:
+        """Read a compressed chunk as a whole.
+
+        Raises
+        ------
+        OSError
+            If it is damaged.
+        InputError
+            If it declares more samples than a chunk has.
+        """
+        size = self.row_bytes * self.chunks[0]
+        if length > size + size // 64 + MAX_FRAME:
+            raise OSError(f"a compressed chunk of {size} bytes has {length}")
+        data = np.empty(length, np.uint8)
+        _read_into(stream, data)
+        if (declared := _declared_size(data.tobytes()[:18])) > size:
+            # Not left to zarr, which would allocate so much.
+            raise InputError(f"{self.folder} has a chunk of {declared} bytes instead of {size}; write it again")
+        try:
+            decoded = _zstd().decode(data)
+        except (RuntimeError, ValueError) as error:
+            raise OSError(str(error)) from error
+        if len(decoded) != size:
+            raise OSError(f"a chunk has {len(decoded)} bytes instead of {size}")
+        return np.frombuffer(decoded, self.dtype).reshape(self.chunks)
+
+    def _write_chunk(self, stream: direct.Writer, values: Array, slab: Array) -> None:
+        whole = values.flags.c_contiguous and values.shape == self.chunks and values.dtype == self.dtype
+        if self.compressed:
+            chunk = values
+            if not whole:
+                chunk = np.full(self.chunks, fill_value(self.dtype.name), self.dtype)
+                chunk[tuple(slice(n) for n in values.shape)] = values
+            stream.write(_zstd().encode(chunk))
+            return
+        if whole:
             stream.write(values.data)
             return
         if values.shape != self.chunks:
@@ -218,9 +267,16 @@ def chunk_files_of(path: Place, name: str) -> ChunkFiles | None:
     return None if layout is None else ChunkFiles(folder, *layout)
 
 
+@lru_cache(maxsize=1)
+def _zstd() -> Zstd:
+    from numcodecs.zstd import Zstd  # zarr's own, loaded on use
+
+    return Zstd(**COMPRESSION["configuration"])
+
+
 @lru_cache(maxsize=256)
-def _layout(metadata: bytes) -> tuple[tuple[int, ...], tuple[int, ...], np.dtype[Any]] | None:
-    """Return shape, chunks and dtype of an array with exactly the metadata that `create` writes; None for others."""
+def _layout(metadata: bytes) -> tuple[tuple[int, ...], tuple[int, ...], np.dtype[Any], bool] | None:
+    """Return shape, chunks, dtype and whether compressed, if the metadata is as `create` writes it, else None."""
     try:
         content = json.loads(metadata)
     except (ValueError, RecursionError):
@@ -239,15 +295,37 @@ def _layout(metadata: bytes) -> tuple[tuple[int, ...], tuple[int, ...], np.dtype
                 "node_type": "array",
                 "chunk_key_encoding": {"name": "default", "configuration": {"separator": "/"}},
                 "fill_value": FILLS.get(dtype),
-                "codecs": [{"name": "bytes", "configuration": {"endian": sys.byteorder}}],
                 "storage_transformers": [],
             }
-            return (tuple(shape), tuple(chunks), np.dtype(dtype)) if dtype in FILLS and rest == plain else None
+            compressed = _compression(rest.pop("codecs", None))
+            if compressed is not None and dtype in FILLS and rest == plain:
+                return tuple(shape), tuple(chunks), np.dtype(dtype), compressed
     return None
 
 
-def _read_into(stream: BinaryIO, values: Array) -> None:
-    if stream.readinto(values.data) != values.nbytes:  # type: ignore[attr-defined]
+def _declared_size(header: bytes) -> int:
+    """Bytes that a zstd frame says it holds (RFC 8878, 3.1.1.1); 0 if it does not say, or is too short."""
+    if len(header) < 18:
+        return 0
+    single, width = header[4] >> 5 & 1, (0, 2, 4, 8)[header[4] >> 6]
+    start = 6 - single + (0, 1, 2, 4)[header[4] & 3]
+    width = width or single
+    return int.from_bytes(header[start : start + width], "little") + 256 * (width == 2)
+
+
+def _compression(codecs: Any) -> bool | None:
+    """Tell whether chunks are compressed, from an array's codecs; None if these are others."""
+    plain = {"name": "bytes", "configuration": {"endian": sys.byteorder}}
+    match codecs:
+        case [first] if first == plain:
+            return False
+        case [first, {"name": "zstd", "configuration": {"level": int(), "checksum": bool()}}] if first == plain:
+            return True
+    return None
+
+
+def _read_into(stream: BinaryIO | direct.Reader, values: Array) -> None:
+    if stream.readinto(values.data) != values.nbytes:  # type: ignore[union-attr]
         raise OSError("a chunk became shorter while it was read")
 
 

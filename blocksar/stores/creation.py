@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import zarr
+from zarr.codecs import ZstdCodec
 from zarr.storage import MemoryStore
 
 from blocksar.errors import InputError, ProcessingError
@@ -22,7 +23,7 @@ from blocksar.places.local import LocalPlace, temporary_name
 from blocksar.places.objects import ObjectPlace
 from blocksar.places.place import Place
 from blocksar.stores.arrays import metadata_file
-from blocksar.stores.chunk_files import Array, fill_value
+from blocksar.stores.chunk_files import COMPRESSION, Array, fill_value
 from blocksar.stores.faults import ENVIRONMENT
 from blocksar.stores.records import nan_to_null, plain_value
 from blocksar.stores.schema import Variable
@@ -47,7 +48,7 @@ def create(
 
     An unfinished store is never taken for a finished one: a folder is written under a temporary name and then renamed;
     in an object store the group's metadata is written last, and the objects of an overwritten store are removed first.
-    Samples are not compressed (noise does not compress). `xarray.open_zarr` opens the store.
+    Only what the schema says is compressed. `xarray.open_zarr` opens the store.
 
     Parameters
     ----------
@@ -114,7 +115,7 @@ def _metadata(
             chunks=whole if name in small else tile,
             dtype=variable.dtype,
             fill_value=fill_value(variable.dtype),
-            compressors=None,
+            compressors=[ZstdCodec(**COMPRESSION["configuration"])] if variable.compressed else None,
             filters=None,
             dimension_names=variable.dims,
             attributes=_variable_attrs(name, variable, schema, coords),

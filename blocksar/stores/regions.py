@@ -82,7 +82,9 @@ def write_region(path: Location, name: str, region: Sequence[slice], values: Arr
         raise ProcessingError(f"{name} in {place} cannot be written ({error.strerror or error})") from error
 
 
-def read_region(path: Location, name: str, region: Sequence[slice], out: Array | None = None) -> Array:
+def read_region(
+    path: Location, name: str, region: Sequence[slice], out: Array | None = None, *, cached: bool = True
+) -> Array:
     """Read a region of one variable; only the chunks that it touches are read.
 
     Parameters
@@ -95,6 +97,8 @@ def read_region(path: Location, name: str, region: Sequence[slice], out: Array |
         One per dimension, with any bounds and an ascending step.
     out : array, optional
         Filled and returned; in the region's shape and the variable's dtype. It may be a view, also a transposed one.
+    cached : bool
+        False: past the page cache, for files that were written past it and are read once.
 
     Returns
     -------
@@ -110,7 +114,7 @@ def read_region(path: Location, name: str, region: Sequence[slice], out: Array |
     """
     place = place_of(path)
     array = chunk_files_of(place, name) or open_array(place, name)
-    return read_array(array, tuple(region), place, name, out)
+    return read_array(array, tuple(region), place, name, out, cached=cached)
 
 
 def chunk_shape(path: Location, name: str) -> tuple[int, ...]:
@@ -155,6 +159,7 @@ def read_array(
     *,
     label: str = "",
     seen: Callable[[str, str], None] | None = None,
+    cached: bool = True,
 ) -> Array:
     """Read a region of an open array; `label` names it in messages. If that fails, name the first damaged chunk.
 
@@ -165,7 +170,7 @@ def read_array(
     if isinstance(array, ChunkFiles):
         if len(region) == array.ndim and all(part.step in (None, 1) for part in region):
             with suppress(OSError):
-                return array.read(region, out, seen=seen)
+                return array.read(region, out, seen=seen, cached=cached)
         # Otherwise let zarr read it, or say what is wrong.
         array = open_array(store, name)
     label = label or f"{name} in {store}"

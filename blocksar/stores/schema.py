@@ -7,12 +7,16 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Variable:
-    """One variable of a store: its dimensions, numpy dtype, units and long name."""
+    """One variable of a store: its dimensions, numpy dtype, units and long name, and whether it is compressed.
+
+    Samples are noise, which does not compress; images are compressed for their pixels that are not covered.
+    """
 
     dims: tuple[str, ...]
     dtype: str
     units: str
     long_name: str
+    compressed: bool = False
 
 
 TIME = Variable(("pulse",), "float64", "s", "slow time")
@@ -46,13 +50,17 @@ SPECTRUM = {
     "range_frequency": RANGE_FREQUENCY,
 }
 PATCH = {
-    "image": Variable(("y", "x"), "complex64", "1", "focused block on the ground; NaN where not covered"),
+    "image": Variable(
+        ("y", "x"), "complex64", "1", "focused block on the ground; NaN where not covered", compressed=True
+    ),
     "x": X,
     "y": Y,
 }
 IMAGE = {
-    "image": Variable(("y", "x"), "complex64", "1", "calibrated complex image; NaN where not covered"),
-    "block": Variable(("y", "x"), "int16", "1", "angular block the pixel comes from; -1 where not covered"),
+    "image": Variable(("y", "x"), "complex64", "1", "calibrated complex image; NaN where not covered", compressed=True),
+    "block": Variable(
+        ("y", "x"), "int16", "1", "angular block the pixel comes from; -1 where not covered", compressed=True
+    ),
     "x": X,
     "y": Y,
 }

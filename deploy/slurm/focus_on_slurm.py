@@ -56,7 +56,7 @@ ENVIRONMENT = {
     "MALLOC_MMAP_THRESHOLD_": str(24 * MIB),
     "MALLOC_TRIM_THRESHOLD_": str(64 * MIB),
 }
-COMPILE = "from blocksar.focusing.correction import compile_kernels; compile_kernels()"
+COMPILE = ["-m", "blocksar", "compile", "--quiet"]
 
 
 def prologue() -> list[str]:
@@ -69,7 +69,7 @@ def prologue() -> list[str]:
         f"DASK_{key}".upper().replace(".", "__").replace("-", "_"): str(value) for key, value in SETTINGS.items()
     }
     exports = [f"export {name}={shlex.quote(value)}" for name, value in (dask_settings | ENVIRONMENT).items()]
-    return [*exports, f"{shlex.quote(sys.executable)} -c {shlex.quote(COMPILE)}"]
+    return [*exports, shlex.join([sys.executable, *COMPILE])]
 
 
 def make_cluster(

@@ -26,6 +26,7 @@ COMMANDS = {
     "focus": ["focus", "ph.zarr", "--out", "run"],
     "quality": ["quality", "run"],
     "report": ["report", "run"],
+    "compile": ["compile"],
 }
 REPORT = SimpleNamespace(
     summary=["three blocks"],

@@ -32,7 +32,6 @@ from repository import ROOT
 
 import blocksar
 from blocksar.cli import endings
-from blocksar.focusing import correction
 from blocksar.graph import cluster
 
 DEPLOY = ROOT / "deploy"
@@ -465,16 +464,12 @@ def test_the_script_runs_with_only_its_package_beside_it(tmp_path: Path) -> None
     assert done.returncode == 0 and "INBOX" in done.stdout, done.stderr
 
 
-def test_the_command_that_compiles_the_loops_exists() -> None:
+def test_the_command_that_compiles_the_loops_is_called() -> None:
     """Compose, Kubernetes and the Slurm recipe compile the loops in a separate process."""
-    commands = [
-        (path.name, name)
-        for path in DEPLOY.rglob("*")
-        if path.suffix in (".py", ".yaml")
-        for name in re.findall(r"from ([\w.]+) import compile_kernels; compile_kernels\(\)", path.read_text())
-    ]
-    assert {name for name, _ in commands} == {"compose.yaml", "cluster.yaml", "focus_on_slurm.py"}
-    assert all(callable(importlib.import_module(module).compile_kernels) for _, module in commands)
+    files = [path for path in DEPLOY.rglob("*") if path.suffix in (".py", ".yaml")]
+    words = r"blocksar\W+compile\W+--quiet"
+    found = {path.name for path in files if re.search(words, path.read_text(encoding="utf-8"))}
+    assert found == {"compose.yaml", "cluster.yaml", "focus_on_slurm.py"}
 
 
 def test_nothing_runs_as_root() -> None:
@@ -630,7 +625,7 @@ def test_external_clusters_use_the_settings_of_a_local_cluster(recipe: Any, monk
         raise Enough
 
     monkeypatch.setattr(cluster, "LocalCluster", look)
-    monkeypatch.setattr(correction, "compile_kernels", lambda: None)
+    monkeypatch.setattr(cluster, "compile_kernels", lambda: None)
     with pytest.raises(Enough), cluster.open_client():
         pass
     assert own.pop("environment") == recipe.ENVIRONMENT
@@ -711,7 +706,7 @@ def test_the_job_script_of_a_worker(tmp_path: Path) -> None:
     assert {"-n 1", "--cpus-per-task=1", "--mem=2560M", "-t 00:20:00", "-p radar", "--constraint=avx512"} <= directives
     assert "export NUMBA_NUM_THREADS=1\n" in script
     *_, compiling, worker = script.strip().splitlines()
-    assert shlex.split(compiling)[:2] == [sys.executable, "-c"] and "compile_kernels()" in compiling
+    assert shlex.split(compiling) == [sys.executable, "-m", "blocksar", "compile", "--quiet"]
     words_of_worker = shlex.split(worker.replace("${TMPDIR:-/tmp}", "/tmp"))
     assert words_of_worker[:3] == [sys.executable, "-m", "distributed.cli.dask_worker"]
     folder = tmp_path / "run.slurm"

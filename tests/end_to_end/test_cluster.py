@@ -331,5 +331,8 @@ def test_a_temporary_folder_with_a_long_name_serves(tmp_path: Path) -> None:
     """Workers are forked by a process with a socket, whose path may have 107 characters."""
     folder = tmp_path / ("x" * 100)
     folder.mkdir()
-    code = "from blocksar.graph.cluster import prepare_workers; prepare_workers(1)"
+    code = (
+        "from blocksar.graph.cluster import prepare_workers; from blocksar.progress import Listener; "
+        "prepare_workers(1, Listener())"
+    )
     subprocess.run([sys.executable, "-c", code], env=os.environ | {"TMPDIR": str(folder)}, check=True, timeout=60)

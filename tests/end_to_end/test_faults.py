@@ -703,14 +703,16 @@ def garble(path: Path) -> None:
     path.write_text('{"zarr_format": 3, "node_type": "arr')
 
 
-COLUMNS = {"columns-0", "columns-512", "columns-1024", "columns-1536"}
+COLUMNS = {"columns-0", "columns-508", "columns-1016", "columns-1524"}
 BLOCKS = {"block-0", "block-1", "block-2"}
-CHUNKS = {"chunk-0-0", "chunk-0-4", "chunk-0-8"}
+CHUNKS = {"chunk-0-4", "chunk-0-8", "chunk-0-12"}
+IMAGE = CHUNKS | {"block-0", "block-2"}  # these blocks touch chunks that no other does
 DAMAGES: dict[str, tuple[Callable[[Path], Any], str, set[str]]] = {  # damage, its target, units computed again
-    "bit of a spectrum chunk": (flip, "spectrum.zarr/spectrum/c/0/2", {"columns-512"}),
-    "half of a spectrum chunk": (truncate, "spectrum.zarr/spectrum/c/1/6", {"columns-1536"}),
+    "bit of a spectrum chunk": (flip, "spectrum.zarr/spectrum/c/0/2", {"columns-508"}),
+    "half of a spectrum chunk": (truncate, "spectrum.zarr/spectrum/c/1/6", {"columns-1524"}),
     "spectrum chunk gone": (os.unlink, "spectrum.zarr/spectrum/c/0/0", {"columns-0"}),
-    "bit of a patch chunk that the image shares": (flip, "patches/0/image/c/0/4", {"block-0", "chunk-0-8"}),
+    "bit of a patch chunk that the image shares": (flip, "patches/0/image/c/0/6", {"block-0", "chunk-0-12"}),
+    "bit of a patch chunk that the image shares from the start": (flip, "patches/0/image/c/0/8", {"block-0"}),
     "bit of a patch chunk that two blocks share": (flip, "patches/1/image/c/0/4", {"block-1"}),
     "half of a patch chunk": (truncate, "patches/1/image/c/0/4", {"block-1"}),
     "patch chunk gone": (os.unlink, "patches/1/image/c/0/4", {"block-1"}),
@@ -719,10 +721,12 @@ DAMAGES: dict[str, tuple[Callable[[Path], Any], str, set[str]]] = {  # damage, i
     "patch's metadata": (garble, "patches/1/image/zarr.json", {"block-1"}),
     "patch's group": (garble, "patches/1/zarr.json", {"block-1"}),
     "patch's axis": (flip, "patches/1/x/c/0", {"block-1"}),
-    "bit of a chunk of owners": (flip, "image.zarr/block/c/0/0", {"chunk-0-0"}),
+    "bit of a chunk of owners": (flip, "image.zarr/block/c/0/4", {"chunk-0-4"}),
     "half of a chunk of owners": (truncate, "image.zarr/block/c/0/9", {"chunk-0-8"}),
     "image chunk gone": (os.unlink, "image.zarr/image/c/0/4", {"chunk-0-4"}),
-    "half a receipt of columns": (truncate, "receipts/columns-512.json", {"columns-512"}),
+    "image chunk of one block gone": (os.unlink, "image.zarr/image/c/0/16", {"block-0"}),
+    "owners of one block gone": (os.unlink, "image.zarr/block/c/0/0", {"block-2"}),
+    "half a receipt of columns": (truncate, "receipts/columns-508.json", {"columns-508"}),
     "half a receipt of a block": (truncate, "receipts/block-1.json", {"block-1"}),
     "half a receipt of the mosaic": (truncate, "receipts/chunk-0-4.json", {"chunk-0-4"}),
     "empty receipt": (lambda path: os.truncate(path, 0), "receipts/block-2.json", {"block-2"}),
@@ -731,10 +735,10 @@ DAMAGES: dict[str, tuple[Callable[[Path], Any], str, set[str]]] = {  # damage, i
     "spectrum's metadata": (garble, "spectrum.zarr/zarr.json", COLUMNS),
     "spectrum's array": (garble, "spectrum.zarr/spectrum/zarr.json", COLUMNS),
     "spectrum gone": (shutil.rmtree, "spectrum.zarr", COLUMNS),
-    "image's metadata": (garble, "image.zarr/zarr.json", CHUNKS),
-    "image's array": (garble, "image.zarr/image/zarr.json", CHUNKS),
-    "image's axis": (flip, "image.zarr/x/c/0", CHUNKS),
-    "image gone": (shutil.rmtree, "image.zarr", CHUNKS),
+    "image's metadata": (garble, "image.zarr/zarr.json", IMAGE),
+    "image's array": (garble, "image.zarr/image/zarr.json", IMAGE),
+    "image's axis": (flip, "image.zarr/x/c/0", IMAGE),
+    "image gone": (shutil.rmtree, "image.zarr", IMAGE),
     "collection's axis": (flip, "collection.zarr/time/c/0", set()),
     "collection gone": (shutil.rmtree, "collection.zarr", set()),
     "nothing": (lambda path: None, ".", set()),

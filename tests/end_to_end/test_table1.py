@@ -12,16 +12,23 @@ from quality_bar import MARGIN, check_targets, planned
 
 import blocksar
 from blocksar.errors import InputError
+from blocksar.planning.disk import run_bytes
 from blocksar.simulation.scene import Scene
 
 EDGES = ("A1", "A3", "B1", "B3", "C1", "C3")
 
 
 @pytest.fixture(scope="module")
-def proposed(table1: Path, client: Client, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """Quality of a run with three blocks, as proposed in the paper."""
+def run(table1: Path, client: Client, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run with three blocks, as proposed in the paper."""
     run = tmp_path_factory.mktemp("proposed") / "run"
     blocksar.focus(table1, run, blocks=3, client=client)
+    return run
+
+
+@pytest.fixture(scope="module")
+def proposed(run: Path) -> dict[str, Any]:
+    """Its quality."""
     return dict(blocksar.quality(run).result)
 
 
@@ -32,6 +39,16 @@ def by_name(quality: dict[str, Any]) -> dict[str, dict[str, Any]]:
 def test_every_full_dwell_target_meets_the_quality_bar(proposed: dict[str, Any]) -> None:
     check_targets(proposed, 73)
     assert proposed["table3"]["B2"]["azimuth_irw"] == 1.89
+
+
+def test_a_run_takes_the_room_that_was_planned(run: Path, table1: Path) -> None:
+    predicted = run_bytes(planned(table1, blocks=3))
+    files = [path for path in run.rglob("*") if path.is_file()]
+    written = {path.stat().st_ino: path.stat().st_size for path in files}  # hard links share their storage
+    assert sum(written.values()) == pytest.approx(sum(predicted.values()), rel=0.02)
+    # What only one block touches is stored once.
+    merged = [path for path in (run / "image.zarr" / "image").rglob("c/*/*") if path.stat().st_nlink == 1]
+    assert sum(path.stat().st_size for path in merged) == pytest.approx(predicted["image"], rel=0.1)
 
 
 def middle_strip(table1: Path) -> tuple[tuple[float, float, float], tuple[float, float, float]]:

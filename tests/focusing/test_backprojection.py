@@ -28,6 +28,7 @@ from blocksar.focusing.backprojection import (
     range_profiles,
     spline_error,
 )
+from blocksar.kernels import projection
 from blocksar.simulation.scatterers import simulate_pulses
 
 TURN = 2 * np.pi
@@ -100,6 +101,14 @@ COLLECTIONS: dict[str, dict[str, Any]] = {
     "baseband not centred": {"frequency_offset": 40e6},
     "scan reversed, negative yaw": {"yaw": np.deg2rad(-50.0), "steering": np.deg2rad(-26.23), "n_frequency": 768},
     "high ground": {"ground_height": 800.0},
+    "from 700 km": {"height": 500e3, "ground": 490e3, "reference": "tracked", "n_frequency": 128},
+    "so close that the series does not hold": {
+        "height": 400.0,
+        "ground": 300.0,
+        "steered": False,
+        "duration": 0.1,
+        "n_pulse": 61,
+    },
     "looking across yaw = pi": {"yaw": np.deg2rad(179.5), "reference": "tracked", "n_frequency": 128},
 }
 
@@ -186,6 +195,38 @@ def test_phase_is_exact_at_900_km() -> None:
     image = form(c, signal, x, y) * np.float32(c.n_range_frequency)
     expected = back_projection(c, signal, x, y) * c.n_range_frequency
     assert np.abs(image - expected).max() < 1e-6
+
+
+@pytest.mark.parametrize("range_km", [30, 700, 900])
+def test_the_series_and_the_square_root_agree(range_km: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tiles of which the series holds, formed also by the square root: both are exact."""
+    place: dict[int, dict[str, Any]] = {30: {}, 700: {"height": 500e3, "ground": 490e3}}
+    c = collection(**place.get(range_km, {"height": 600e3, "ground": 670e3, "carrier": 35e9}), reference="tracked")
+    x, y = around(c, np.linspace(-30, 30, 70)[:, None], np.linspace(-30, 30, 70))
+    used: list[float] = []
+    tables = projection.pulse_tables
+
+    def watched(*args: Any, **options: Any) -> tuple[FloatArray, FloatArray]:
+        series, roots = tables(*args, **options)
+        used.append(float(series[:, 0].mean()))
+        return series, roots
+
+    monkeypatch.setattr(projection, "pulse_tables", watched)
+    series = form(c, noise(c), x, y)
+    assert set(used) == {1.0}
+    used.clear()
+    monkeypatch.setattr(projection, "SERIES_ERROR", 0.0)
+    images = [form(c, noise(c), x, y, threads=n) for n in (1, 2, 5)]
+    assert set(used) == {0.0}
+    assert images[0].tobytes() == images[1].tobytes() == images[2].tobytes()
+    assert np.abs(series - images[0]).max() < 2e-6 * np.abs(series).max()
+
+
+def test_a_profile_too_long_to_address_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    c = collection(n_frequency=64)
+    monkeypatch.setattr(backprojection, "FIXED_RANGE", 128.0)
+    with pytest.raises(ValueError, match="64 range frequencies make 384 bins; at most 256"):
+        range_profiles(noise(c)[:1], collection=c, pulses=slice(0, 1), threads=1)
 
 
 def test_the_interpolation_error_is_below_60_db() -> None:
@@ -337,11 +378,12 @@ def test_wrong_shapes_are_refused() -> None:
 
 @pytest.mark.skipif(platform.machine() not in {"x86_64", "AMD64"}, reason="reads x86 assembly")
 def test_the_inner_loop_is_vectorised() -> None:
-    """Compile afresh, since the cache does not keep the assembly: packed square roots show that all is vectorised."""
+    """Compile afresh, since the cache does not keep the assembly: its square roots are packed, and it calls nothing."""
     c = collection(n_frequency=64, reference="tracked")
     form(c, noise(c), *around(c, np.zeros((2, 2)), np.zeros((2, 2))))
-    kernel = backprojection.accumulate_pulses
+    kernel = projection.add_pulses.dispatcher
     fresh = njit(nogil=True, fastmath=kernel.targetoptions["fastmath"])(kernel.py_func)
     fresh.compile(kernel.signatures[0])
     (assembly,) = fresh.inspect_asm().values()
     assert re.search(r"sqrtpd", assembly)
+    assert not re.search(r"sqrtsd", assembly)

@@ -21,7 +21,7 @@ from blocksar import solvers
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.budget import IMAGE_TAP_ERROR
 from blocksar.collection.beam import lit_pulses
-from blocksar.focusing.correction import correct, covers
+from blocksar.focusing.correction import N_CARRIER, N_PHASE, correct, touched
 from blocksar.focusing.ground_map import GroundMap, Surface, fit_surface
 from blocksar.focusing.lines import focus
 from blocksar.kernels import interpolation
@@ -104,7 +104,7 @@ def test_every_pixel_is_the_value_of_the_block_where_it_focuses(step: float, yaw
 
 def weigh(positions: FloatArray, taps: tuple[int, float], n: int) -> tuple[FloatArray, FloatArray]:
     """First sample and weights (n_position, n_tap) of each window; first is -1 where it leaves the n samples."""
-    table = interpolation.interpolation_taps(taps[0], occupancy=taps[1]).astype(np.float64)
+    table = interpolation.interpolation_taps(taps[0], occupancy=taps[1], n_phase=N_PHASE).astype(np.float64)
     whole = np.floor(positions)
     fine = (positions - whole) * (table.shape[0] - 1)
     row = np.minimum(fine.astype(int), table.shape[0] - 2)
@@ -125,7 +125,8 @@ def tap_by_tap(block: ComplexArray, ground: GroundMap, x: FloatArray, y: FloatAr
     for k in np.flatnonzero((first_row >= 0) & (first_doppler >= 0)):
         samples = first_doppler[k] + np.arange(ground.doppler_taps[0])
         window = block[first_row[k] : first_row[k] + ground.range_taps[0], samples].astype(np.complex128)
-        carrier = np.exp(2j * np.pi * middle[k] * (samples - doppler[k]))
+        nearby = np.rint(middle[k] * N_CARRIER) / N_CARRIER
+        carrier = np.exp(2j * np.pi * nearby * (samples - doppler[k]))
         out[k] = range_weights[k] @ window @ (doppler_weights[k] * carrier) * np.exp(-2j * np.pi * cycles[k])
     return (out / (gain * lit * ground.scale)).reshape(y.size, x.size)
 
@@ -215,7 +216,9 @@ def test_pixels_do_not_depend_on_the_chunk() -> None:
         part = correct(block, ground, x=x[columns], y=y[rows])
         np.testing.assert_array_equal(np.isfinite(part), np.isfinite(whole[rows, columns]))
         error = np.abs(part - whole[rows, columns])[np.isfinite(part)] * LEVEL
-        assert error.max(initial=0.0) < 3e-6  # float32 positions between samples, and rounding
+        # Float32 positions between samples; and where rounding decides between two carriers, the taps' error differs.
+        assert np.quantile(error, 0.99) < 3e-6
+        assert error.max(initial=0.0) < 0.1 * IMAGE_TAP_ERROR
     single = correct(block, ground, x=x[60:61], y=y[60:61])
     assert abs(single[0, 0] - whole[60, 60]) * LEVEL < 3e-6
 
@@ -417,22 +420,29 @@ def test_pixels_outside_all_blocks_are_nan() -> None:
     step=st.floats(0.5, 8.0),
     shape=st.tuples(st.integers(1, 60), st.integers(1, 60)),
 )
-def test_a_grid_that_is_not_covered_has_no_owned_pixels(
+def test_a_tile_that_is_not_touched_has_no_owned_pixels(
     yaw: float, epoch_range: float, step: float, shape: tuple[int, int]
 ) -> None:
     case = case_of(swath="wide")
     ground = case.plan.ground
     at = ground.middle_yaw + yaw * (ground.high - ground.low)
     x, y = around(case, epoch_range, at, step=step, shape=shape)
-    assert covers(ground, x, y) or not owned(ground, x, y).any()
+    for side in ((60, 60), (7, 20)):
+        tiles = [tuple(tile) for tile in touched(ground, x=x, y=y, side=side)]
+        inside = owned(ground, x, y)
+        for row in range(0, y.size, side[0]):
+            for column in range(0, x.size, side[1]):
+                part = inside[row : row + side[0], column : column + side[1]]
+                assert (row, column) in tiles or not part.any()
 
 
 def test_an_image_far_from_the_block_is_not_covered() -> None:
     case = case_of(swath="wide")
     ground = case.plan.ground
-    assert covers(ground, *around(case, 30e3, ground.middle_yaw, step=1.0, shape=(20, 30)))
-    for epoch_range, yaw in ((30e3, ground.high + 0.02), (30e3, ground.middle_yaw + np.pi), (34e3, ground.middle_yaw)):
-        assert not covers(ground, *around(case, epoch_range, yaw, step=1.0, shape=(20, 30)))
+    places = ((30e3, ground.middle_yaw), (30e3, ground.high + 0.02), (30e3, ground.middle_yaw + np.pi))
+    for (epoch_range, yaw), count in zip((*places, (34e3, ground.middle_yaw)), (1, 0, 0, 0), strict=True):
+        x, y = around(case, epoch_range, yaw, step=1.0, shape=(20, 30))
+        assert len(touched(ground, x=x, y=y, side=(20, 30))) == count
 
 
 @pytest.mark.parametrize("new_cache", [False, pytest.param(True, marks=pytest.mark.slow)])

@@ -24,8 +24,7 @@ from typing import Any
 
 from scenes import write_store
 
-SIDE = 1024  # pixels of an image chunk along x
-GRID = ((15620.0, 16600.0, 0.1), (18680.0, 19720.0, 140.0))  # m: ten chunks in one row, three tasks of the mosaic
+GRID = ((15620.0, 16600.0, 0.1), (18680.0, 19720.0, 140.0))  # m: chunks in one row, three tasks of the mosaic
 SETTINGS: dict[str, Any] = {"blocks": 3, "coefficients": "closed-form", "grid": GRID}  # planning takes almost no time
 STAGES = ("recover", "focus", "mosaic")
 SCENE: dict[str, Any] = {  # 400 pulses of 1777 range frequencies: four column groups, three blocks
@@ -415,9 +414,9 @@ def main() -> None:
     from distributed.cli import dask_scheduler, dask_worker
 
     from blocksar import api, cli  # noqa: F401  (importing the api takes long)
-    from blocksar.focusing import correction
+    from blocksar.graph.compiling import compile_kernels
 
-    correction.compile_kernels()
+    compile_kernels()
     order = serve()
     if order is not None:
         become(order, {"blocksar": cli.main, "scheduler": dask_scheduler.main, "worker": dask_worker.main})

@@ -24,7 +24,7 @@ from blocksar.focusing.sampling import Sampling
 from blocksar.kernels.fourier import Axis
 from blocksar.planning.block import BlockPlan, Sector, plan_block
 from blocksar.planning.recovery import plan_recovery
-from blocksar.planning.target_lines import recovered_line
+from blocksar.planning.target_lines import find_dwells
 from blocksar.simulation.scatterers import simulate_pulses
 
 Complex128Array = NDArray[np.complex128]
@@ -142,14 +142,14 @@ def slab_of(case: Planned, signal: ComplexArray) -> ComplexArray:
 
 def line_of(case: Planned, epoch_range: float, yaw: float) -> Line:
     """(n,) line of one target in the recovered signal."""
-    return recovered_line(
+    dwells = find_dwells(
         case.geometry,
-        epoch_range=np.array(epoch_range),
         yaw=np.array(yaw),
         origin=case.recovery.origin,
         walk=case.recovery.walk,
         common=case.recovery.common,
     )
+    return dwells.lines(np.array(epoch_range))
 
 
 def after_each_step(case: Planned, slab: ComplexArray, line: Line) -> Iterator[tuple[Any, ComplexArray, Line]]:

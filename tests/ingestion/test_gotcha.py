@@ -545,9 +545,9 @@ def test_lines_exclude_the_common_range(bumpy: Collection) -> None:
     """Phase, Doppler and Doppler rate of a line derive from one function: range less walk and the common part."""
     geometry = Geometry(collection=bumpy)
     common = recovery.CommonRange(series=np.array([0, 0, 0, 0, 0, 2e-3, 1e-3]), centre=0.3, half=2.0)
-    where = {"epoch_range": np.array(10_030.0), "yaw": np.array(np.pi), "origin": 10_000.0, "walk": 1.0}
-    with_it = target_lines.recovered_line(geometry, **where, common=common)
-    plain = target_lines.recovered_line(geometry, **where)
+    where = {"yaw": np.array(np.pi), "origin": 10_000.0, "walk": 1.0}
+    with_it = target_lines.find_dwells(geometry, **where, common=common).lines(np.array(10_030.0))
+    plain = target_lines.find_dwells(geometry, **where).lines(np.array(10_030.0))
     cycles = -2 / bumpy.wavelength
     assert np.abs(plain.range - with_it.range - common.at(plain.time)).max() < 1e-9
     assert np.abs(with_it.phase - plain.phase + cycles * common.at(plain.time)).max() < 1e-6

@@ -68,7 +68,7 @@ def slowly(
                 )
                 axis = operation.target
             case Window():
-                x = x * operation.windows[operation.which]
+                x = x * operation.values[operation.which]
             case Stretch():
                 at = operation.middle + (np.arange(axis.size) - operation.middle) * operation.scale[:, None]
                 x = np.array([resampled(row, place, n_tap, occupancy) for row, place in zip(x, at, strict=True)])

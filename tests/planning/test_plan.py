@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,11 +13,12 @@ from quality_bar import planned
 from scenes import scene
 
 import blocksar
+from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import plan_region
 from blocksar.errors import InputError
 from blocksar.focusing.method import Method
-from blocksar.planning.block import Sector, plan_block
+from blocksar.planning.block import BlockPlan, Sector, plan_block
 from blocksar.planning.plan import plan_collection
 from blocksar.planning.recovery import plan_recovery
 from blocksar.simulation.scene import Scene
@@ -83,3 +86,42 @@ def test_the_gate_has_room_for_dwells_that_the_collection_cuts() -> None:
     for block in blocks:
         gate = block.sampling.gate
         assert gate is not None and gate.time.extent > 1.2 * gate.length
+
+
+def wide_collection() -> Collection:
+    """Table 1 with four times the swath and the aperture: `auto` tries many divisions of it."""
+    text = (resources.files("blocksar.simulation") / "scenes" / "table1.toml").read_text(encoding="utf-8")
+    wide = {
+        "prf = 8e3": "prf = 20720.0", "duration = 0.6": "duration = 2.4", "start_deg = 42.13": "start_deg = 18.52",
+        "stop_deg = 57.87": "stop_deg = 81.48", "swath = [27500.0, 32500.0]": "swath = [20000.0, 40000.0]",
+    }  # fmt: skip
+    for before, after in wide.items():
+        assert text.count(before) == 1
+        text = text.replace(before, after)
+    return Scene.parse(text).collection().centred()
+
+
+def test_no_block_is_planned_twice(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The search ends at a division of which it planned a probe before others: those blocks are taken."""
+    planned_blocks: list[tuple[float, float, float, float, Method]] = []
+
+    def counted(sector: Sector, method: Method, **rest: Any) -> BlockPlan:
+        planned_blocks.append((sector.low, sector.high, sector.near, sector.far, method))
+        return plan_block(sector, method, **rest)
+
+    monkeypatch.setattr("blocksar.planning.plan.plan_block", counted)
+    plan = plan_collection(wide_collection(), workers=2)
+    assert len(plan.blocks) < len(planned_blocks) == len(set(planned_blocks))
+
+
+def test_where_the_kinds_tried_fold_lines_another_is_fitted() -> None:
+    """The cheapest kinds of chain fold lines of the last of 28 blocks, though not at the three ranges tried first."""
+    geometry = Geometry(collection=wide_collection())
+    region = plan_region(geometry, None)
+    recovery = plan_recovery(geometry, region)
+    low, high = 1.3828, 1.4592
+    near, far = region.limits(low, high)
+    sector = Sector(geometry=geometry, recovery=recovery, region=region, low=low, high=high, near=near, far=far)
+    plan = plan_block(sector, Method(), index=27)
+    assert np.isfinite(plan.choice.cost)
+    assert np.isfinite(list(plan.prediction)).all()

@@ -15,7 +15,7 @@ import pytest
 import zarr
 from distributed import Client
 from quality_bar import coarse_grid
-from scenes import scene
+from scenes import one_target, scene
 
 import blocksar
 from blocksar import stores
@@ -36,10 +36,7 @@ GRID = ((15900.0, 16300.0, 4.0), (19000.0, 19400.0, 4.0))
 
 @pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("small")
-    more = '[[targets]]\nname = "P"\nrange = 30000.0\nyaw_deg = 50.0\n'
-    (folder / "scene.toml").write_text(scene(swath=[29700.0, 30300.0], more=more))
-    return blocksar.simulate(folder / "scene.toml", folder / "phase_history.zarr")
+    return one_target(tmp_path_factory.mktemp("small"))
 
 
 def checksum(run: Path) -> str:

@@ -991,3 +991,20 @@ def test_chunks_that_do_not_coincide_are_not_shared(tmp_path: Path, monkeypatch:
     assert not stores.share_region(image, "image", corner, source=patch, source_region=corner)
     assert np.isnan(stores.read_region(image, "image", whole).real).all()
     assert not [p for p in image.rglob("*") if p.name.endswith(".part")]
+
+
+def test_a_compressed_chunk_that_declares_too_much_is_refused_before_it_is_decoded(tmp_path: Path) -> None:
+    """One flipped byte of its header must not exhaust the memory."""
+    axes = {"x": np.arange(600.0), "y": np.arange(600.0)}
+    stores.create(
+        tmp_path / "s", stores.PATCH, sizes={}, coords=axes, attrs={}, chunks={"x": 512, "y": 512}
+    )  # fmt: skip
+    region = (slice(0, 512), slice(0, 512))
+    stores.write_region(tmp_path / "s", "image", region, np.ones((512, 512), np.complex64))
+    chunk = tmp_path / "s" / "image" / "c" / "0" / "0"
+    frame = chunk.read_bytes()
+    width = (1, 2, 4, 8)[frame[4] >> 6]
+    header = frame[:4] + bytes([(frame[4] & 0x1F) | 0xE0]) + (1 << 50).to_bytes(8, "little")
+    chunk.write_bytes(header + frame[5 + (1 - (frame[4] >> 5 & 1)) + width :])
+    with pytest.raises(InputError, match=r"has a chunk of 1125899906842624 bytes instead of 2097152"):
+        stores.read_region(tmp_path / "s", "image", region)

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from distributed import Client
 from repository import WORKFLOWS
 from scenes import scene
 
@@ -35,10 +36,10 @@ def benchmark() -> Any:
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(WORKFLOWS))
         import benchmark
-        from benchmarks import back_projection, bench, floors, other_version, scenes, tables
+        from benchmarks import back_projection, bench, floors, guard, other_version, scenes, scheduling, tables
 
         parts = {"back_projection": back_projection, "floors": floors, "scenes": scenes, "tables": tables}
-        parts |= {"bench": bench, "other_version": other_version}
+        parts |= {"bench": bench, "other_version": other_version, "guard": guard, "scheduling": scheduling}
         yield SimpleNamespace(main=benchmark.main, **parts)
 
 
@@ -69,7 +70,8 @@ def test_a_benchmark_measures_every_quantity(
     python.chmod(0o755)
     benchmark.main(
         scene=str(small), scale="1x1", repeats=1, workers=2, blocks="auto", memory_limit="3GiB",
-        out=tmp_path, json_file=tmp_path / "result.json", speedup=True, peer=True, keep=False, against=str(python),
+        out=tmp_path, json_file=tmp_path / "result.json", speedup=True, starts=True, guard=None, peer=True, keep=False,
+        against=str(python),
     )  # fmt: skip
     assert [path.name for path in tmp_path.iterdir()] == ["result.json"]
     result = json.loads((tmp_path / "result.json").read_text())
@@ -78,7 +80,7 @@ def test_a_benchmark_measures_every_quantity(
     for name, ratio in every_number(found["ratios"]):
         assert math.isfinite(ratio) and ratio > 0, name
     seconds = found["seconds"]
-    assert set(seconds["stages"]) == {"plan", "recover", "focus", "mosaic", "stores and receipts"}
+    assert set(seconds["stages"]) == {"plan", "recover", "focus", "mosaic", "stores and receipts", "finish"}
     plan = blocksar.plan(small, blocks=2).result
     steps = {part for name in seconds["steps_summed_over_workers"] for part in name.split("+")}
     chain = {step.name for block in plan.blocks for step in block.chain}
@@ -156,9 +158,10 @@ def test_io_shares_add_up_to_the_whole_traffic(benchmark: Any, tmp_path: Path) -
     ]
     raw = tmp_path / "raw"
     raw.mkdir()
-    found = [benchmark.floors.io_share(raw, traffic, index, 3) for index in range(3)]
-    assert sum(path.stat().st_size for path in raw.iterdir()) == 7300
-    assert all(set(share) == {"read input", "write patches", "read patches"} for share in found)
+    for past_cache in (False, True):
+        found = [benchmark.floors.io_share(raw, traffic, past_cache, index, 3) for index in range(3)]
+        assert sum(path.stat().st_size for path in raw.iterdir()) == 7300
+        assert all(set(share) == {"read input", "write patches", "read patches"} for share in found)
 
 
 def test_a_hard_linked_file_counts_as_written_once(benchmark: Any, collected: Any, tmp_path: Path) -> None:
@@ -172,7 +175,7 @@ def test_a_hard_linked_file_counts_as_written_once(benchmark: Any, collected: An
     (image / "1").write_bytes(bytes(600))
     found = {kind.name: kind for kind in benchmark.floors.traffic_of(Path(history.path), tmp_path, plan)}
     assert set(found) == {"input", "patches", "image"}
-    assert (found["patches"].written, found["patches"].read) == (2000, 2000)
+    assert (found["patches"].written, found["patches"].read) == (2000, 1000)  # the mosaic reads what is not shared
     assert (found["image"].written, found["image"].read) == (600, 0)
     assert found["input"].read == 8 * np.prod(history.shape)
 
@@ -247,3 +250,26 @@ def test_the_peer_is_given_the_same_scene(benchmark: Any, collected: Any, monkey
     assert found["status"] == "run"
     assert found["coherence"] > 0.8  # float32 positions are accurate to a millimetre only
     assert "M updates/s" in benchmark.tables.peer_line(found)
+
+
+def test_ratios_are_compared_with_their_bounds(benchmark: Any, tmp_path: Path) -> None:
+    guard = benchmark.guard
+    bounds = guard.read_bounds(guard.BOUNDS)
+    assert set(bounds) <= set(benchmark.tables.RATIOS)
+    scenes = {"1x1": {"ratios": {name: {"median": next(iter(bound.values()))} for name, bound in bounds.items()}}}
+    assert guard.violations(scenes, bounds) == []
+    one = next(iter(bounds))
+    scenes["1x1"]["ratios"][one]["median"] *= 1.01 if "at_most" in bounds[one] else 0.99
+    assert len(guard.violations(scenes, bounds)) == 1
+    del scenes["1x1"]["ratios"][one]
+    assert guard.violations(scenes, bounds) == [f"{one} was not measured"]
+    for text in ("", "[]", '{"a": {}}', '{"a": {"at_most": "b"}}', '{"a": {"most": 1}}'):
+        (tmp_path / "bounds.json").write_text(text)
+        with pytest.raises(InputError, match="--guard"):
+            guard.read_bounds(tmp_path / "bounds.json")
+
+
+def test_the_cost_of_a_task_is_measured(benchmark: Any, client: Client) -> None:
+    cost = benchmark.scheduling.seconds_a_task(client, 100)
+    assert cost["tasks"] == 100
+    assert all(0 < value < 10 for name, value in cost.items() if name != "tasks")

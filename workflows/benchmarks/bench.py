@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import resource
 import shutil
 import time
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import typer
 from distributed import Client
 
 import blocksar
+from benchmarks import starts
 from benchmarks.back_projection import back_project, compare_chips, count_updates, place_chips, run_peer
-from benchmarks.figures import Measured, describe, over, spread
+from benchmarks.figures import Measured, TimedRun, describe, over, spread
 from benchmarks.floors import fft_share, io_share, on_every_worker, traffic_of
 from benchmarks.other_version import OtherVersion, other_version
 from benchmarks.scenes import Blocks, Case, Scale, plan_case
@@ -59,12 +63,21 @@ class Bench:
         blocksar.simulate(case.scene, store, threads=machine()[0])
         return store
 
-    def focus(self, client: Client, case: Case, store: Path) -> tuple[float, RunRecord, Path]:
-        """Focus into an empty folder; seconds from call to return, the run's record, the run."""
+    def focus(self, client: Client, case: Case, store: Path) -> tuple[TimedRun, RunRecord, Path]:
+        """Focus into an empty folder; its time, the run's record, the run."""
         run = empty_folder(self.folder / str(case.scale) / "run")
-        started = time.perf_counter()
-        report = blocksar.focus(store, run, blocks=case.plan.n_blocks, threads=self.threads, client=client)
-        return time.perf_counter() - started, RunRecord.from_json(report.result), run
+        planned: list[float] = []
+        clock = SimpleNamespace(
+            update=lambda stage, done, total: planned.append(time.perf_counter()) if stage == "plan" and done else None
+        )
+        before, started = client.run(processor_time), time.perf_counter()
+        report = blocksar.focus(
+            store, run, blocks=case.plan.n_blocks, threads=self.threads, client=client, progress=clock
+        )  # fmt: skip
+        seconds = time.perf_counter() - started
+        used = np.sum([np.subtract(now, before[worker]) for worker, now in client.run(processor_time).items()], axis=0)
+        timed = TimedRun(seconds, planned[0] - started, float(used[1] / used.sum()))
+        return timed, RunRecord.from_json(report.result), run
 
     def measure(self, case: Case, store: Path) -> dict[str, Any]:
         """Measure one scene, except for the speed-up; on a new cluster, as peak memory is per process."""
@@ -81,13 +94,14 @@ class Bench:
                 log(f"{case.scale}: repeat {repeat + 1} of {self.repeats}")
                 if other is not None and repeat % 2:  # in turns: neither is always the first
                     measured.other_version.append(self.focus_other(other, case, store))
-                seconds, record, _ = self.focus(client, case, store)
-                measured.add_run(seconds, record)
+                timed, record, _ = self.focus(client, case, store)
+                measured.add_run(timed, record)
                 if other is not None and not repeat % 2:
                     measured.other_version.append(self.focus_other(other, case, store))
                 fft = on_every_worker(client, fft_share, transforms, self.threads)
-                io = on_every_worker(client, io_share, empty_folder(raw), traffic)
-                measured.add_floors(fft, io)
+                io = on_every_worker(client, io_share, empty_folder(raw), traffic, False)
+                past_cache = on_every_worker(client, io_share, empty_folder(raw), traffic, True)
+                measured.add_floors(fft, io, past_cache)
                 projected.append(back_project(history, plan.geometry, chips, cores))
             peaks = list(client.run(peak_memory).values())
         measured.profiles = [part.profiles for part in projected]
@@ -107,6 +121,15 @@ class Bench:
         if self.peer and case.scale == (1, 1):
             result["peer"] = run_peer(history, plan, chips, exact, self.repeats)
         return result
+
+    def add_starts(self, case: Case, store: Path, result: dict[str, Any]) -> None:
+        """Measure what is paid before the samples, and add it to the result of `measure`."""
+        log(f"{case.scale}: planning, commands, compilation")
+        planning = starts.planning_seconds(self.source, case, workers=self.workers, memory_limit=self.limit)
+        shell = starts.shell_seconds(store, store.parent, case, workers=self.workers, repeats=self.repeats)
+        result["starts"] = starts.describe(planning, shell, starts.compilation())
+        warm = result["seconds"]["end_to_end"]["median"]
+        result["ratios"]["shell_over_warm"] = spread([seconds / warm for seconds in shell["blocksar focus"]])
 
     def start_other(self, stack: ExitStack, case: Case, store: Path) -> OtherVersion | None:
         """The version to compare with, warmed up; None without --against."""
@@ -142,6 +165,12 @@ def empty_folder(path: Path) -> Path:
     path.mkdir(parents=True)
     time.sleep(SETTLING)
     return path
+
+
+def processor_time() -> tuple[float, float]:
+    """Seconds that this process has used, its own and the system's for it."""
+    usage = resource.getrusage(resource.RUSAGE_SELF)
+    return usage.ru_utime, usage.ru_stime
 
 
 def log(text: str) -> None:

@@ -9,7 +9,17 @@ from typing import Any
 
 from benchmarks.floors import Seconds, Traffic
 from benchmarks.scenes import Case
+from blocksar.planning.disk import run_bytes
 from blocksar.runs.record import RunRecord
+
+
+@dataclass(frozen=True)
+class TimedRun:
+    """Seconds of a run from call to return and of its planning, and the system's share of its processor time."""
+
+    seconds: float
+    plan: float
+    kernel: float
 
 
 @dataclass
@@ -25,16 +35,19 @@ class Measured:
     io: list[float] = field(default_factory=list)
     io_kinds: dict[str, list[float]] = field(default_factory=dict)
     other_version: list[float] = field(default_factory=list)  # end to end, if measured
+    direct: list[float] = field(default_factory=list)  # the floor of I/O past the page cache
     profiles: list[float] = field(default_factory=list)
     accumulation: list[float] = field(default_factory=list)
+    kernel: list[float] = field(default_factory=list)  # the system's share of the workers' processor time
 
-    def add_run(self, seconds: float, record: RunRecord) -> None:
+    def add_run(self, timed: TimedRun, record: RunRecord) -> None:
         """Add a run's seconds, end to end and by the stages, steps and tasks of its record."""
-        self.end_to_end.append(seconds)
+        self.end_to_end.append(timed.seconds)
+        self.kernel.append(timed.kernel)
         timings = dict(record.timings)
-        plan = seconds - timings.pop("total")
-        rest = seconds - plan - sum(timings.values())
-        _append(self.stages, {"plan": plan, **timings, "stores and receipts": rest})
+        total = timings.pop("total")
+        rest, finish = total - sum(timings.values()), timed.seconds - timed.plan - total
+        _append(self.stages, {"plan": timed.plan, **timings, "stores and receipts": rest, "finish": finish})
         steps: Seconds = {}
         for receipt in record.receipts:
             for name, taken in receipt.steps.items():
@@ -42,8 +55,9 @@ class Measured:
         _append(self.steps, steps)
         self.recovery_tasks.append(sum(r.seconds for r in record.receipts if r.stage == "recover"))
 
-    def add_floors(self, fft: list[Seconds], io: list[Seconds]) -> None:
+    def add_floors(self, fft: list[Seconds], io: list[Seconds], direct: list[Seconds]) -> None:
         """Add the floors, one dict per worker: all start at once, so the slowest worker counts."""
+        self.direct.append(max(sum(worker.values()) for worker in direct))
         self.fft.append(max(sum(worker.values()) for worker in fft))
         self.io.append(max(sum(worker.values()) for worker in io))
         _append(self.fft_tasks, {stage: sum(worker[stage] for worker in fft) for stage in fft[0]})
@@ -84,7 +98,10 @@ def describe(case: Case, m: Measured, traffic: list[Traffic], peaks: list[int], 
         "end_to_end_over_floor": over(m.end_to_end, [a + b for a, b in zip(m.fft, m.io, strict=True)]),
         "recovery_over_own_ffts": over(m.recovery_tasks, m.fft_tasks["recover"]),
         "back_projection_over_end_to_end": over(projected, m.end_to_end),
+        "end_to_end_over_direct_floor": over(m.end_to_end, [a + b for a, b in zip(m.fft, m.direct, strict=True)]),
         "peak_memory_over_planned": [max(peaks) / plan.memory],
+        "written_over_predicted": [sum(kind.written for kind in traffic) / sum(run_bytes(plan).values())],
+        "kernel_time": m.kernel,
     }
     if steps := total(m.steps, chain):
         ratios["chain_over_own_ffts"] = over(steps, chain_fft)
@@ -101,6 +118,7 @@ def describe(case: Case, m: Measured, traffic: list[Traffic], peaks: list[int], 
             "fft_floor": spread(m.fft),
             "fft_floor_summed_over_workers": {name: spread(values) for name, values in m.fft_tasks.items()},
             "io_floor": spread(m.io),
+            "io_floor_direct": spread(m.direct),
             "io_floor_by_kind": {name: spread(values) for name, values in m.io_kinds.items()},
             "back_projection_extrapolated": spread(projected),
             "back_projection_profiles": spread(m.profiles),

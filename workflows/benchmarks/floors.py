@@ -15,6 +15,7 @@ import scipy.fft
 from distributed import Client
 
 from blocksar.kernels.groups import row_groups
+from blocksar.places import direct
 from blocksar.planning.plan import Plan, Transforms
 
 Seconds = dict[str, float]
@@ -65,8 +66,11 @@ class Traffic:
     files: tuple[Path, ...] = ()
 
 
-def io_share(folder: Path, traffic: list[Traffic], index: int, shares: int) -> Seconds:
-    """Seconds by kind and direction for one worker's share of plain files, written then read."""
+def io_share(folder: Path, traffic: list[Traffic], past_cache: bool, index: int, shares: int) -> Seconds:
+    """Seconds by kind and direction for one worker's share of plain files, written then read.
+
+    `past_cache`: as a run writes them, where the file system allows it, except for the input.
+    """
     seconds: Seconds = {}
     for kind in traffic:
         sizes = [kind.file_bytes] * (kind.written // kind.file_bytes)
@@ -74,14 +78,15 @@ def io_share(folder: Path, traffic: list[Traffic], index: int, shares: int) -> S
         mine = [folder / f"{kind.name}-{index}-{i}" for i in range(len(_share(sizes, index, shares)))]
         started = time.perf_counter()
         for path, size in zip(mine, _share(sizes, index, shares), strict=True):
-            _write(path, size)
+            (_write_direct if past_cache else _write)(path, size)
         if mine:
             seconds[f"write {kind.name}"] = time.perf_counter() - started
         paths = cycle(_share(kind.files, index, shares) or mine)
         left = kind.read // shares
         started = time.perf_counter()
         while left > 0 and (source := next(paths, None)):
-            left -= _read(source, left) or left  # an empty file counts as read
+            read = _read_direct if past_cache and not kind.files else _read
+            left -= read(source, left) or left  # an empty file counts as read
         if kind.read:
             seconds[f"read {kind.name}"] = time.perf_counter() - started
     return seconds
@@ -95,6 +100,17 @@ def _write(path: Path, size: int) -> None:
 def _read(path: Path, most: int) -> int:
     """Read at most so many bytes of a file into a new array; the number of bytes read."""
     return int(np.fromfile(path, np.uint8, count=most).size)
+
+
+def _write_direct(path: Path, size: int) -> None:
+    with direct.writing(str(path)) as file:
+        file.write(np.ones(size, np.uint8).data)
+
+
+def _read_direct(path: Path, most: int) -> int:
+    target = np.empty(min(path.stat().st_size, most), np.uint8)
+    with direct.reading(str(path)) as file:
+        return file.readinto(target.data)
 
 
 def on_every_worker(client: Client, task: Any, *arguments: Any) -> list[Seconds]:
@@ -126,7 +142,8 @@ def traffic_of(store: Path, run: Path, plan: Plan) -> list[Traffic]:
         counted |= {path.stat().st_ino for path in files}
         if files:
             stored = sum(path.stat().st_size for path in files)
-            traffic.append(Traffic(name, _largest(files), stored, reads * stored))
+            merged = sum(path.stat().st_size for path in files if path.stat().st_nlink == 1)
+            traffic.append(Traffic(name, _largest(files), stored, reads * merged))
     return traffic
 
 

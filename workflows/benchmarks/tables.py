@@ -15,6 +15,8 @@ WIDTH = 100  # columns of the tables
 
 RATIOS = {
     "end_to_end_over_floor": "end to end / (FFT + I/O floor)",
+    "end_to_end_over_direct_floor": "the same, I/O past the page cache",
+    "shell_over_warm": "blocksar focus from a shell / end to end",
     "chain_over_own_ffts": "chain / its own FFTs",
     "recovery_over_own_ffts": "recovery / its own FFTs",
     "back_projection_over_end_to_end": "back-projection / end to end",
@@ -22,6 +24,8 @@ RATIOS = {
     "block_stage_speedup": "block stage, 1 worker / all",
     "time_per_sample_over_first_scene": "time per sample / first scene's",
     "peak_memory_over_planned": "peak memory / planned",
+    "written_over_predicted": "bytes written / planned",
+    "kernel_time": "system's share of the workers' time",
 }
 
 
@@ -85,6 +89,7 @@ def _time_table(scenes: dict[str, Any]) -> Table:
     parts("fft_floor_summed_over_workers")
     row("io_floor", "I/O floor")
     parts("io_floor_by_kind")
+    row("io_floor_direct", "I/O floor past the page cache")
     row("back_projection_extrapolated", "back-projection, extrapolated")
     row("back_projection_profiles", "  range profiles, once")
     return table
@@ -104,9 +109,25 @@ def _size_table(scenes: dict[str, Any]) -> Table:
     row("read (MiB)", lambda s: f"{sum(s['size']['read_bytes'].values()) / MIB:.0f}")
     row("peak memory of each worker (MiB)", lambda s: ", ".join(_mib(s["memory"]["peak_by_worker_bytes"])))
     row("planned memory of a worker (MiB)", lambda s: _mib([s["memory"]["planned_bytes"]])[0])
+    row("geometric correction (ns a pixel)", _correction)
     row("back-projection (M updates/s)", lambda s: _cell(_scaled(s["back_projection"]["updates_per_second"], 1e-6)))
     row("coherence with it on clutter", _coherence)
     return table
+
+
+def _correction(scene: dict[str, Any]) -> str:
+    """Nanoseconds of a core for each covered pixel, with its writing."""
+    figure = scene["seconds"]["steps_summed_over_workers"].get("geometric-correction")
+    return "" if figure is None else _cell(_scaled(figure, 1e9 / scene["back_projection"]["covered_pixels"]))
+
+
+def _start_lines(starts: dict[str, Any]) -> list[str]:
+    planning = ", ".join(f"{name} {s:.2f} s" for name, s in starts["planning_processor_seconds"].items())
+    commands = ", ".join(f"{name} {min(s):.2f}..{max(s):.2f} s" for name, s in starts["commands"].items())
+    compiling = ", ".join(f"{name} {s:.1f} s" for name, s in starts["compile"].items())
+    return [
+        f"planning, processor time: {planning}", f"from a shell: {commands}", f"blocksar compile: {compiling}"
+    ]  # fmt: skip
 
 
 def _mib(values: Sequence[int]) -> list[str]:
@@ -136,6 +157,8 @@ def _notes(result: dict[str, Any]) -> list[str]:
     ]
     for scene in result["scenes"].values():
         notes += scene["notes"]
+        if "starts" in scene:
+            notes += _start_lines(scene["starts"])
         if "peer" in scene:
             notes.append(peer_line(scene["peer"]))
         if "other_version" in scene:

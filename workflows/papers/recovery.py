@@ -18,7 +18,7 @@ from blocksar.focusing.recovery import Recovery
 from blocksar.kernels import rows
 from blocksar.kernels.fourier import Axis, dual, unit_phasor
 from blocksar.planning.plan import Plan, plan_collection
-from blocksar.planning.target_lines import recovered_line
+from blocksar.planning.target_lines import find_dwells
 from blocksar.products.pictures.figures import CURVE_COLOURS
 from blocksar.products.pictures.panels import Map, Mark, Panel, Style, Trace, plot_panels
 from blocksar.simulation.scatterers import simulate_pulses
@@ -59,7 +59,7 @@ def few_targets(recovery: Recovery) -> tuple[ComplexArray, Line]:
     rng = np.array([SWATH["middle"]] * 5 + [SWATH["near"], SWATH["far"]])
     point = geo.ground_point(rng, yaw)
     echo = simulate_pulses(geo.collection, point[:, 0], point[:, 1], np.ones(yaw.size), threads=THREADS)[:, 4]
-    return echo, recovered_line(geo, epoch_range=rng, yaw=yaw, origin=recovery.origin, walk=recovery.walk)
+    return echo, find_dwells(geo, yaw=yaw, origin=recovery.origin, walk=recovery.walk).lines(rng)
 
 
 def derotate(recovery: Recovery, line: Line) -> Line:

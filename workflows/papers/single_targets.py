@@ -20,7 +20,7 @@ from blocksar.kernels.fourier import Axis
 from blocksar.measurement.response import Complex128Array
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.plan import Plan
-from blocksar.planning.target_lines import recovered_line
+from blocksar.planning.target_lines import find_dwells
 from blocksar.products.pictures.figures import CURVE_COLOURS, LIMIT
 from blocksar.products.pictures.panels import Map, Panel, Trace
 from blocksar.simulation.scatterers import simulate_pulses
@@ -33,13 +33,9 @@ PULSES = 40  # of a dwell, at which a range-compressed peak is measured
 
 def recovered_lines(plan: Plan, places: Sequence[Place]) -> Line:
     """Lines of targets in the recovered signal."""
-    return recovered_line(
-        plan.geometry,
-        epoch_range=np.array([r for r, _ in places]),
-        yaw=np.array([yaw for _, yaw in places]),
-        origin=plan.recovery.origin,
-        walk=plan.recovery.walk,
-    )
+    yaw = np.array([yaw for _, yaw in places])
+    dwells = find_dwells(plan.geometry, yaw=yaw, origin=plan.recovery.origin, walk=plan.recovery.walk)
+    return dwells.lines(np.array([r for r, _ in places]))
 
 
 def trace(line: Line, block: BlockPlan, *, through: type | None = None) -> Line:

@@ -12,7 +12,7 @@ from blocksar.api.measuring import measure, targets_of
 from blocksar.api.reports import Report
 from blocksar.api.sources import simulate
 from blocksar.errors import InputError
-from blocksar.graph import cluster, recording
+from blocksar.graph import compiling, recording
 from blocksar.measurement.response import Response
 from blocksar.measurement.table3 import TABLE3
 from blocksar.places import Location, place
@@ -76,7 +76,7 @@ def demo(
     if folder.names() and not history.exists():
         raise InputError(f"{folder} exists and is not a demonstration run; choose another --out")
     simulated = history.exists() and not overwrite
-    listener.expect(effort.of_demo(simulated=simulated, compiled=cluster.kernels_cached()), 1)
+    listener.expect(effort.of_demo(simulated=simulated, compiled=compiling.kernels_cached()), 1)
     if not simulated:
         simulate("table1", history, threads=threads, overwrite=overwrite, progress=listener)
     focused = focus(

@@ -1,0 +1,53 @@
+"""compile: all loops ahead of time, into numba's cache."""
+
+from __future__ import annotations
+
+import os
+import time
+
+from blocksar.api.reports import Report, only_stage
+from blocksar.errors import InputError
+from blocksar.graph.compiling import SECONDS, compile_modules
+from blocksar.progress import Updated as Progress
+
+
+def compile(*, progress: Progress | None = None) -> Report:
+    """Compile all loops into numba's cache, for images of containers and for machines whose workers share a cache.
+
+    Without it the first command that needs a loop compiles it. The cache is the folder NUMBA_CACHE_DIR, by default
+    `__pycache__` beside each module. It holds for one version of blocksar and numba and one type of processor.
+
+    Parameters
+    ----------
+    progress : object with a method update(stage, done, total), optional
+        Called with the name of the stage (str) and the numbers of finished and of all units (int). A
+        `blocksar.progress.Listener` receives more. Default: nothing is reported.
+
+    Returns
+    -------
+    Report
+        `summary` is a sentence. `result` is a dict: numbers of `loops` and of those `compiled`, `seconds`, `folder`.
+
+    Raises
+    ------
+    InputError
+        If there is no folder to keep compiled loops in.
+    """
+    update, started = only_stage(progress, "compile"), time.perf_counter()
+    update(0, 1)
+    try:
+        count, compiled, folder = compile_modules(SECONDS, apart=True)
+    except RuntimeError as error:
+        if "cannot cache function" not in str(error):
+            raise
+        raise InputError("no folder can be written to keep compiled loops; set NUMBA_CACHE_DIR to one") from None
+    update(1, 1)
+    chosen = os.environ.get("NUMBA_CACHE_DIR", "")
+    folder = chosen if chosen and folder.startswith(chosen) else folder
+    seconds = time.perf_counter() - started
+    if compiled == 0:
+        sentence = f"all {count} loops are compiled already, in {folder}"
+    else:
+        sentence = f"compiled {compiled} of {count} loops in {seconds:.0f} s, into {folder}"
+    result = {"loops": count, "compiled": compiled, "seconds": seconds, "folder": folder}
+    return Report(summary=[sentence], result=result)

@@ -1,0 +1,270 @@
+"""Sums of range profiles over pulses, for tiles of pixels: the loop of exact back-projection.
+
+The pixels of a tile lie at offsets (dx, dy) from its centre. A pulse's antenna is at a distance R from the centre, in
+the direction (ex, ey, ez). With g = 1 / (2 R),
+
+    z = ex dx + ey dy + g (dx^2 + dy^2),  q = g z,
+
+a pixel's range is R sqrt(1 + 4 q), without approximation, and that is a series with the Catalan numbers,
+
+    range - R = z (1 - q + 2 q^2 - 5 q^3 + 14 q^4 - 42 q^5 + ...).
+
+The loop sums it to 14 q^4, in float64. `series_error` bounds the rest. Where that exceeds SERIES_ERROR, or the tile may
+reach beyond the unambiguous window, the loop takes the square root instead. Either way ranges are rounded to a few
+1e-16 of R: 1e-10 m at 700 km. Phases are reduced to less than a cycle in fixed point, of 2^-32; sines and cosines, the
+weights of the quadratic spline and sums over pulses are float32.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit, types
+from numpy.typing import NDArray
+
+from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from blocksar.kernels.lanes import (
+    FEW,
+    FIXED_POINT,
+    FIXED_RANGE,
+    from_half,
+    from_whole,
+    gather,
+    imag_part,
+    larger,
+    load_few,
+    real_part,
+    remainder,
+    smaller,
+    square_root,
+    store,
+    whole,
+    within,
+)
+from blocksar.kernels.loops import loop
+from blocksar.kernels.signatures import COMPILED, REAL_ROW, REAL_ROWS
+from blocksar.kernels.trigonometry import cosine_and_sine
+
+SERIES_ERROR = 1e-9  # m
+CHUNK = 32  # pulses whose profiles, as far as neighbouring pixels read them, stay in the first-level cache
+SMALL = 4096  # pixels of a tile that is not divided
+NEAREST = 1.0  # m: nearer antennas are left to the square root
+PULSES = types.int32[::1]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sights:
+    """What a block of pulses sees.
+
+    Attributes
+    ----------
+    start : int
+        The first pulse of the block.
+    values : (n, n_bin) complex64
+        Spline coefficients of the range profiles.
+    middle : int
+        Bin of the reference range.
+    bins_per_metre, cycles_per_metre : float
+        How fast bins and phases go by with range.
+    antenna : (3, n) float
+        x, y and height over the ground, m.
+    reference_range : (n,) float
+        m
+    half_window : float
+        Largest unambiguous |range - reference_range|, m.
+    """
+
+    start: int
+    values: ComplexArray
+    middle: int
+    bins_per_metre: float
+    cycles_per_metre: float
+    antenna: FloatArray
+    reference_range: FloatArray
+    half_window: float
+
+
+def series_error(reach: FloatArray | float, distance: FloatArray | float) -> FloatArray:
+    """Largest error of the series at offsets up to `reach` from a point at a distance, m; infinite if it diverges."""
+    q = np.asarray(reach / (2 * distance))
+    q = q * (1 + q)
+    # |z| <= reach (1 + q); each Catalan number is less than four times the one before.
+    rest = 42 * q**5 * reach * (1 + q) / np.maximum(1 - 4 * q, 1e-9)
+    return np.where(q < 0.25, rest, np.inf)
+
+
+def project(
+    image: ComplexArray,
+    outside: BoolArray,
+    sights: Sights,
+    x: FloatArray,
+    y: FloatArray,
+    first: IntArray,
+    last: IntArray,
+) -> None:
+    """Add the pulses first <= p < last of a block to a tile of the image, in place.
+
+    A tile that is too large for the series is divided, down to SMALL pixels.
+
+    Parameters
+    ----------
+    image : (n_row, n_column) complex64
+    outside : (n_row, n_column) bool
+        Set where a lit pulse sees the pixel outside the unambiguous window.
+    x, y : (n_row, n_column) float
+        m
+    first, last : (n_row, n_column) int
+        Of the collection's pulses.
+    """
+    size, n_bin = x.size, sights.values.shape[1]
+    padded = -(-size // FEW) * FEW  # whole groups: the last pixel is repeated
+    place, lit = np.empty((2, padded)), np.empty((2, padded), np.int32)
+    for row, axis in zip((*place, *lit), (x, y, first, last), strict=True):
+        row[:size].reshape(x.shape)[...] = axis
+        row[size:] = row[size - 1]
+    groups = lit.reshape(2, -1, FEW)
+    spans = np.stack([groups[0].min(axis=1), groups[1].max(axis=1)], axis=1, dtype=np.int64)
+    np.clip(spans, sights.start, sights.start + sights.reference_range.size, out=spans)
+    begin, end = int(spans[:, 0].min()), int(spans[:, 1].max())
+    if begin >= end:
+        return
+    pulses = slice(begin - sights.start, end - sights.start)
+    low, high = place.min(axis=1), place.max(axis=1)
+    centre = (low + high) / 2
+    series, roots = pulse_tables(sights, pulses, centre, reach=float(np.hypot(*(high - low)) / 2))
+    if size > SMALL and not series[:, 0].all():
+        for part in _halves(x.shape):
+            project(image[part], outside[part], sights, x[part], y[part], first[part], last[part])
+        return
+    sums, farthest = np.zeros((2, padded), np.float32), np.zeros(padded)
+    # A sample is loaded as one number of 64 bits: the cost of a gather is per element, not per byte.
+    samples = sights.values[pulses].reshape(-1).view(np.float64)
+    add_pulses(
+        *sums, farthest, samples, n_bin, sights.middle, *place, *centre, *lit, spans, begin, series, roots,
+        sights.cycles_per_metre, sights.bins_per_metre, sights.half_window,
+    )  # fmt: skip
+    image.real += sums[0, :size].reshape(image.shape)
+    image.imag += sums[1, :size].reshape(image.shape)
+    if not series[:, 0].all():
+        outside |= (farthest[:size] > sights.half_window).reshape(image.shape)
+
+
+def _halves(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
+    """A tile's halves along its longer side."""
+    rows, columns = shape
+    if rows > columns:
+        return [(slice(0, rows // 2), slice(None)), (slice(rows // 2, None), slice(None))]
+    return [(slice(None), slice(0, columns // 2)), (slice(None), slice(columns // 2, None))]
+
+
+def pulse_tables(sights: Sights, pulses: slice, centre: FloatArray, *, reach: float) -> tuple[FloatArray, FloatArray]:
+    """For each pulse, what the series needs, first whether it may be used; and what the square root needs."""
+    x, y = centre[:, None] - sights.antenna[:2, pulses]
+    height, reference = sights.antenna[2, pulses] ** 2, sights.reference_range[pulses]
+    distance = np.maximum(np.sqrt(x**2 + y**2 + height), NEAREST)
+    away, per_metre = distance - reference, sights.cycles_per_metre
+    cycles, scale = per_metre * away, per_metre / distance
+    precise = (series_error(reach, distance) < SERIES_ERROR) & (distance > NEAREST)
+    inside = (np.abs(away) + 2 * reach < sights.half_window) & (2 * reach * per_metre < FIXED_RANGE / 2)
+    series = np.empty((distance.size, 7))
+    series[:, 0] = precise & inside
+    series[:, 1], series[:, 2], series[:, 3] = scale * x, scale * y, scale / 2
+    series[:, 4] = 0.5 / (distance * per_metre)
+    series[:, 5] = cycles - np.rint(cycles) + FIXED_POINT
+    series[:, 6] = away * sights.bins_per_metre + (FIXED_POINT + 0.5)
+    return series, np.stack([x, y, height, reference], axis=1)
+
+
+@njit(inline="always")
+def _by_series(term: Any, dx: Any, dy: Any, square: Any, bins_per_cycle: Any) -> Any:
+    """Phase, in cycles about a whole number, and position in the profile, in bins and fixed point."""
+    z = term[1] * dx + (term[2] * dy + term[3] * square)  # in cycles
+    q = term[4] * z
+    away = z + z * (q * (((14.0 * q - 5.0) * q + 2.0) * q - 1.0))
+    return from_whole(away + term[5]), away * bins_per_cycle + term[6]
+
+
+@njit(inline="always")
+def _by_root(root: Any, dx: Any, dy: Any) -> Any:
+    """Range - reference_range."""
+    x, y = dx + root[0], dy + root[1]
+    return square_root(x * x + (y * y + root[2])) - root[3]
+
+
+@njit(inline="always")
+def _sample(samples: Any, k: Any, nearest: Any, right: Any) -> Any:
+    """Real and imaginary part of the quadratic spline at `right` bins from the middle of the nearest one."""
+    half, eighth, three_quarters = np.float32(0.5), np.float32(0.125), np.float32(0.75)
+    odd, square = half * right, right * right
+    even = half * square + eighth
+    before, at, after = even - odd, three_quarters - square, even + odd
+    a, b, c = gather(samples, k - 1, nearest), gather(samples, k, nearest), gather(samples, k + 1, nearest)
+    real = before * real_part(a) + at * real_part(b) + after * real_part(c)
+    return real, before * imag_part(a) + at * imag_part(b) + after * imag_part(c)
+
+
+@loop(
+    types.float32[::1], types.float32[::1], types.float64[::1], REAL_ROW, types.int64, types.int64,
+    REAL_ROW, REAL_ROW, types.float64, types.float64, PULSES, PULSES, types.int64[:, ::1], types.int64,
+    REAL_ROWS, REAL_ROWS, types.float64, types.float64, types.float64, **COMPILED,
+)  # fmt: skip
+def add_pulses(
+    real: NDArray[np.float32],
+    imag: NDArray[np.float32],
+    farthest: FloatArray,
+    samples: FloatArray,
+    n_bin: int,
+    middle: int,
+    x: FloatArray,
+    y: FloatArray,
+    centre_x: float,
+    centre_y: float,
+    first: NDArray[np.int32],
+    last: NDArray[np.int32],
+    spans: IntArray,
+    start: int,
+    series: FloatArray,
+    roots: FloatArray,
+    cycles_per_metre: float,
+    bins_per_metre: float,
+    half_window: float,
+) -> None:
+    """Sum the lit pulses, in ascending order, at pixels (n,).
+
+    `spans` holds the pulses that light any pixel of a group of FEW; tables and samples begin at the pulse `start`.
+    `farthest` rises to |range - reference_range| where a lit pulse needed the square root.
+    """
+    turns, rights = np.empty(CHUNK * FEW, np.float32), np.empty(CHUNK * FEW, np.float32)
+    bins = np.empty(CHUNK * FEW, np.int32)
+    for begin in range(start, start + series.shape[0], CHUNK):
+        for group in range(spans.shape[0]):
+            i = group * FEW
+            dx, dy = load_few(x, i) - centre_x, load_few(y, i) - centre_y
+            square, lit, unlit = dx * dx + dy * dy, load_few(first, i), load_few(last, i)
+            low, high = max(spans[group, 0], begin), min(spans[group, 1], begin + CHUNK)
+            # Two loops, since the way from a pulse to its samples is long: the CPU then looks ahead over more pulses.
+            for p in range(low, high):
+                j, term = (p - low) * FEW, series[p - start]
+                if term[0] > 0:
+                    cycles, position = _by_series(term, dx, dy, square, bins_per_metre / cycles_per_metre)
+                else:
+                    away = _by_root(roots[p - start], dx, dy)
+                    reached = within(larger(away, 0.0 - away), lit, p, unlit)
+                    store(farthest, i, larger(reached, load_few(farthest, i)))
+                    cycles = remainder(away * cycles_per_metre)
+                    away = smaller(larger(away, -half_window), half_window)
+                    position = away * bins_per_metre + (FIXED_POINT + 0.5)
+                store(turns, j, cycles)
+                store(bins, j, whole(position))
+                store(rights, j, from_half(position))
+            re, im = load_few(real, i), load_few(imag, i)
+            for p in range(low, high):
+                j = (p - low) * FEW
+                a, b = _sample(samples, (p - start) * n_bin + middle, load_few(bins, j), load_few(rights, j))
+                a, b = within(a, lit, p, unlit), within(b, lit, p, unlit)
+                cos, sin = cosine_and_sine(load_few(turns, j))
+                re, im = re + a * cos - b * sin, im + a * sin + b * cos
+            store(real, i, re)
+            store(imag, i, im)

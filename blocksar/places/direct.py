@@ -1,0 +1,178 @@
+"""Files of samples, written and read past the page cache where the file system allows it.
+
+A run writes each sample once and reads it at most once more. Copies in the page cache would fill the machine's memory,
+take a third of all processor time where memory comes from a hypervisor, and all wait to be flushed when the run ends.
+Direct transfers need aligned memory, so samples pass through a small aligned buffer, one for each thread.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import mmap
+import os
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+from blocksar.constants import MIB
+
+ALIGNMENT = 4096  # bytes: a multiple of every disk's sectors
+BUFFER = 2 * MIB
+DIRECT = getattr(os, "O_DIRECT", 0)  # Linux's
+
+
+class _Buffers(threading.local):
+    """The aligned buffer of each thread; memory maps begin at a page."""
+
+    def __init__(self) -> None:
+        self.view = memoryview(mmap.mmap(-1, BUFFER, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS))
+
+
+_buffers = _Buffers()
+
+
+def _open(path: str, flags: int) -> int:
+    """Open a file for direct transfers, or the usual ones where the file system has none."""
+    try:
+        return os.open(path, flags | DIRECT | os.O_CLOEXEC, 0o666)
+    except OSError as error:
+        if error.errno != errno.EINVAL or not DIRECT:
+            raise
+    return os.open(path, flags | os.O_CLOEXEC, 0o666)
+
+
+def _without_direct(descriptor: int) -> None:
+    """Go on with the usual transfers, after a file system has refused the direct one that it had promised."""
+    fcntl.fcntl(descriptor, fcntl.F_SETFL, fcntl.fcntl(descriptor, fcntl.F_GETFL) & ~DIRECT)
+
+
+class Writer:
+    """A new file that is written from its beginning to its end."""
+
+    def __init__(self, descriptor: int, buffer: memoryview) -> None:
+        self._descriptor, self._buffer = descriptor, buffer
+        self._filled = self._size = 0
+
+    def write(self, data: memoryview | bytes) -> None:
+        """Append bytes.
+
+        Raises
+        ------
+        OSError
+            If they cannot be written.
+        """
+        source = memoryview(data).cast("B")
+        while len(source):
+            n = min(len(source), BUFFER - self._filled)
+            self._buffer[self._filled : self._filled + n] = source[:n]
+            self._filled, source = self._filled + n, source[n:]
+            if self._filled == BUFFER:
+                self._flush(BUFFER)
+
+    def _flush(self, length: int) -> None:
+        """Write the buffer's first `length` bytes, a multiple of ALIGNMENT."""
+        left = self._buffer[:length]
+        while len(left):
+            try:
+                left = left[os.write(self._descriptor, left) :]
+            except OSError as error:
+                if error.errno != errno.EINVAL:
+                    raise
+                _without_direct(self._descriptor)
+                left = left[os.write(self._descriptor, left) :]
+        self._size, self._filled = self._size + self._filled, 0
+
+    def finish(self) -> None:
+        """Write the rest: whole sectors, of which the last is cut."""
+        if self._filled:
+            length = -(-self._filled // ALIGNMENT) * ALIGNMENT
+            size = self._size + self._filled
+            self._buffer[self._filled : length] = bytes(length - self._filled)
+            self._flush(length)
+            if length != self._filled:
+                os.ftruncate(self._descriptor, size)
+
+
+@contextmanager
+def writing(path: str) -> Iterator[Writer]:
+    """Create a file, to be written by one thread at once.
+
+    Raises
+    ------
+    OSError
+        If it cannot be created or written.
+    """
+    descriptor = _open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+    try:
+        writer = Writer(descriptor, _buffers.view)
+        yield writer
+        writer.finish()
+    finally:
+        os.close(descriptor)
+
+
+class Reader:
+    """A file of which parts are read in ascending order."""
+
+    def __init__(self, descriptor: int, buffer: memoryview) -> None:
+        self._descriptor, self._buffer = descriptor, buffer
+        self._place = self._first = self._last = 0  # where to read next, and the part of the file in the buffer
+
+    def fileno(self) -> int:
+        return self._descriptor
+
+    def seek(self, place: int) -> None:
+        """Let the next part begin at this byte."""
+        self._place = place
+
+    def readinto(self, target: memoryview) -> int:
+        """Fill `target`; returns the number of bytes, fewer at the end of the file.
+
+        Raises
+        ------
+        OSError
+            If the file cannot be read.
+        """
+        target, done = target.cast("B"), 0
+        while done < len(target):
+            if not self._first <= self._place < self._last:
+                self._fill(len(target) - done)
+                if self._place >= self._last:
+                    break
+            start = self._place - self._first
+            n = min(len(target) - done, self._last - self._place)
+            target[done : done + n] = self._buffer[start : start + n]
+            done, self._place = done + n, self._place + n
+        return done
+
+    def _fill(self, wanted: int) -> None:
+        """Read the part of the file from the next byte on into the buffer, `wanted` bytes if it holds as many."""
+        self._first = self._place - self._place % ALIGNMENT
+        end = -(-(self._place + wanted) // ALIGNMENT) * ALIGNMENT
+        part = self._buffer[: min(end - self._first, BUFFER)]
+        try:
+            n = os.preadv(self._descriptor, [part], self._first)
+        except OSError as error:
+            if error.errno != errno.EINVAL:
+                raise
+            _without_direct(self._descriptor)
+            n = os.preadv(self._descriptor, [part], self._first)
+        self._last = self._first + n
+
+
+@contextmanager
+def reading(path: str) -> Iterator[Reader]:
+    """Open a file of which parts are read.
+
+    Raises
+    ------
+    OSError
+        If it cannot be opened.
+    """
+    descriptor = _open(path, os.O_RDONLY)
+    try:
+        yield Reader(descriptor, _buffers.view)
+    finally:
+        with suppress(OSError):
+            os.close(descriptor)

@@ -1,0 +1,95 @@
+"""Memory of large arrays: kept and used again, never more than has been in use at once."""
+
+from __future__ import annotations
+
+import pickle
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from blocksar.arrays import ComplexArray
+from blocksar.constants import MIB
+from blocksar.kernels.buffers import FIT, SMALLEST, Memory
+
+
+def address(array: ComplexArray) -> int:
+    return int(array.__array_interface__["data"][0])
+
+
+def samples(mib: float) -> tuple[int]:
+    return (int(mib * MIB) // 8,)
+
+
+def test_memory_is_used_again_once_all_views_are_gone() -> None:
+    memory = Memory()
+    array = memory.empty((1000, 2000))
+    assert array.dtype == np.complex64
+    assert array.flags.c_contiguous
+    assert array.flags.writeable
+    place, view = address(array), array[10:20].T
+    del array
+    assert memory.kept == 0
+    del view
+    assert memory.kept == 16_000_000
+    again = memory.empty((1999, 1000))
+    assert address(again) == place
+    assert memory.kept == 0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_kept_and_used_memory_never_exceed_what_was_in_use_at_once(seed: int) -> None:
+    rng, memory = np.random.default_rng(seed), Memory()
+    arrays: list[ComplexArray] = []
+    most = 0
+    for _ in range(300):
+        if arrays and rng.random() < 0.5:
+            arrays.pop(rng.integers(len(arrays)))
+        else:
+            arrays.append(memory.empty(samples(rng.uniform(4.1, 40))))
+        most = max(most, sum(array.nbytes for array in arrays))
+        # A memory may be larger than its array.
+        assert memory.kept + memory.used <= FIT * most
+
+
+def test_arrays_do_not_share_memory() -> None:
+    memory = Memory()
+
+    def work(number: int) -> None:
+        for _ in range(20):
+            array = memory.empty(samples(5))
+            array[:] = number
+            assert (array == number).all()
+
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(work, range(8)))
+
+
+def test_small_arrays_are_not_kept() -> None:
+    memory = Memory()
+    memory.empty((SMALLEST // 8 - 1,))
+    assert memory.kept == 0
+
+
+def test_kept_memory_is_given_back() -> None:
+    memory = Memory()
+    memory.empty(samples(8))
+    memory.release()
+    assert memory.kept == memory.used == 0
+
+
+def test_memory_that_is_idle_is_given_back() -> None:
+    memory = Memory(idle=0.2)
+    memory.empty(samples(8))
+    assert memory.kept
+    until = time.monotonic() + 10
+    while memory.kept and time.monotonic() < until:
+        time.sleep(0.01)
+    assert memory.kept == 0
+
+
+def test_an_array_can_be_sent_to_another_process() -> None:
+    array = Memory().empty(samples(5))
+    array[:] = 1j
+    assert (pickle.loads(pickle.dumps(array)) == 1j).all()

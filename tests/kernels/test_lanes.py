@@ -1,0 +1,69 @@
+"""Vectors of lanes: fixed point, samples at computed indices, and choices by lane."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from blocksar.kernels import lanes
+from blocksar.kernels.lanes import FEW, FIXED_POINT, FIXED_RANGE, load_few, store
+
+
+@njit
+def fixed(values: Any, nearest: Any, middle: Any, below: Any) -> None:
+    number = load_few(values, 0) + FIXED_POINT
+    store(nearest, 0, lanes.from_whole(number))
+    store(middle, 0, lanes.from_half(number))
+    store(below, 0, lanes.whole(number))
+
+
+@njit
+def gathered(samples: Any, origin: Any, index: Any, real: Any, imag: Any) -> None:
+    found = lanes.gather(samples, origin, load_few(index, 0))
+    store(real, 0, lanes.real_part(found))
+    store(imag, 0, lanes.imag_part(found))
+
+
+@njit
+def chosen(a: Any, b: Any, begin: Any, number: Any, end: Any, out: Any) -> None:
+    u, v = load_few(a, 0), load_few(b, 0)
+    store(out[0], 0, lanes.smaller(u, v))
+    store(out[1], 0, lanes.larger(u, 0.25))
+    store(out[2], 0, lanes.square_root(v))
+    store(out[3], 0, lanes.within(u, load_few(begin, 0), number, load_few(end, 0)))
+
+
+def test_fixed_point_splits_numbers_of_either_sign() -> None:
+    rng = np.random.default_rng(0)
+    ends = [0.0, 0.5, -0.5, 1 - 2.0**-31, -1.0, FIXED_RANGE - 1, -FIXED_RANGE]
+    for scale in (1.0, 1e3, FIXED_RANGE - 1):
+        values = np.concatenate([ends, rng.uniform(-scale, scale, FEW - len(ends))])
+        nearest, middle = np.empty((2, FEW), np.float32)
+        below = np.empty(FEW, np.int32)
+        fixed(values, nearest, middle, below)
+        np.testing.assert_array_equal(below, np.floor(values))
+        assert np.abs(middle - (values - np.floor(values) - 0.5)).max() < 1e-7
+        assert np.abs(nearest).max() <= 0.5
+        away = values - nearest
+        assert np.abs(away - np.rint(away)).max() < 1e-7
+
+
+def test_samples_are_gathered_on_both_sides_of_the_origin() -> None:
+    rng = np.random.default_rng(1)
+    samples = rng.standard_normal(200, np.float32).view(np.complex64)
+    index = rng.integers(-50, 50, FEW).astype(np.int32)
+    real, imag = np.empty((2, FEW), np.float32)
+    gathered(samples.view(np.float64), 50, index, real, imag)
+    np.testing.assert_array_equal(real + 1j * imag, samples[50 + index])
+
+
+def test_choices_are_made_lane_by_lane() -> None:
+    rng = np.random.default_rng(2)
+    a, b = rng.uniform(0, 1, (2, FEW))
+    begin, end = np.sort(rng.integers(-3, 9, (2, FEW)).astype(np.int32), axis=0)
+    out = np.empty((4, FEW))
+    chosen(a, b, begin, 4, end, out)
+    expected = [np.minimum(a, b), np.maximum(a, 0.25), np.sqrt(b), np.where((begin <= 4) & (end > 4), a, 0)]
+    np.testing.assert_array_equal(out, expected)
