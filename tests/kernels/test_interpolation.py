@@ -181,7 +181,8 @@ def curve(n: int, slopes: FloatArray) -> FloatArray:
     """Positions (1, order + 1) that start at 0.3; the slope is a polynomial of u through these values at even steps."""
     u, at = (np.array([0, n - 1]) - n // 2) * (2 / n), np.linspace(-1, 1, slopes.size)
     slope = np.polynomial.Polynomial.fit(at, slopes, slopes.size - 1).convert() * (n / 2)
-    return (slope.integ(lbnd=u[0]) + 0.3).coef[None, :]
+    positions = (slope.integ(lbnd=u[0]) + 0.3).coef
+    return np.pad(positions, (0, slopes.size + 1 - positions.size))[None, :]  # sums of polynomials lack zeros at the end
 
 
 def position_and_slope(positions: FloatArray, n: int) -> tuple[np.ndarray, np.ndarray]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import resource
 import shutil
+import sys
 import time
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
@@ -146,8 +148,9 @@ class Bench:
         return other.focus(store, empty_folder(self.folder / str(case.scale) / "run"), blocks=case.plan.n_blocks)
 
     def add_speedup(self, case: Case, store: Path, result: dict[str, Any]) -> None:
-        """Measure the block stage by one worker, and add it to the result of `measure`."""
+        """Measure the block stage by one worker on its share of the cores, and add it to the result of `measure`."""
         with self.cluster(1) as client:
+            client.run(keep_to_cores, self.threads)
             self.focus(client, case, store)
             log(f"{case.scale}: {self.repeats} runs by 1 worker")
             one = [self.focus(client, case, store)[1].timings["focus"] for _ in range(self.repeats)]
@@ -165,6 +168,14 @@ def empty_folder(path: Path) -> Path:
     path.mkdir(parents=True)
     time.sleep(SETTLING)
     return path
+
+
+def keep_to_cores(count: int) -> None:
+    """Run this process, with the threads it has and will have, on the first so many of its cores."""
+    if sys.platform == "linux":
+        cores = sorted(os.sched_getaffinity(0))[:count]
+        for thread in Path("/proc/self/task").iterdir():
+            os.sched_setaffinity(int(thread.name), cores)
 
 
 def processor_time() -> tuple[float, float]:

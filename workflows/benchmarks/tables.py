@@ -21,7 +21,7 @@ RATIOS = {
     "recovery_over_own_ffts": "recovery / its own FFTs",
     "back_projection_over_end_to_end": "back-projection / end to end",
     "other_version_over_end_to_end": "other version / end to end",
-    "block_stage_speedup": "block stage, 1 worker / all",
+    "block_stage_speedup": "block stage, 1 worker on its core(s) / all",
     "time_per_sample_over_first_scene": "time per sample / first scene's",
     "peak_memory_over_planned": "peak memory / planned",
     "written_over_predicted": "bytes written / planned",
