@@ -266,13 +266,13 @@ def _limit(
 
 @njit(**PART, **COMPILED, **UNCHECKED)
 def _amplitude(
-    turn: FloatArray, start: float, step: float, weight: FloatArray, gain: FloatArray, owned: FloatArray,
+    turn: FloatArray, start: float, per_step: float, weight: FloatArray, loss: FloatArray, owned: FloatArray,
     amplitude: Float32Array,
 ) -> None:  # fmt: skip
     """The factor that calibrates a pixel: the weight at the nearest yaw over the gain; NaN where not owned."""
     for k in range(owned.size):
-        place = min(max((turn[k] - start) / step, 0.0), weight.size - 1.0)
-        amplitude[k] = owned[k] * weight[np.uint64(np.int64(place + 0.5))] / gain[k]
+        place = min(max((turn[k] - start) * per_step, 0.0), weight.size - 1.0)
+        amplitude[k] = owned[k] * weight[np.uint64(np.int64(place + 0.5))] * loss[k]
 
 
 @njit(**PART, **COMPILED)
@@ -389,7 +389,7 @@ def _resample(  # type: ignore[no-untyped-def]
     carriers = carrier_table.reshape(-1)
     across, along = np.arange(tile) / max((tile - 1) / 2, 0.5) - 1.0, np.empty(coefficients.shape[2])
     values = np.empty((6, tile))
-    row, doppler, cycles, gain, turn, middle = values[0], values[1], values[2], values[3], values[4], values[5]
+    row, doppler, cycles, loss, turn, middle = values[0], values[1], values[2], values[3], values[4], values[5]
     rng, owned = np.empty(tile), np.empty(tile)
     first_row, range_row, at = np.empty(tile, np.int64), np.empty(tile, np.int64), np.empty(tile, np.int64)
     first_doppler, doppler_row, carrier = np.empty(tile, np.int64), np.empty(tile, np.int64), np.empty(tile, np.int64)
@@ -408,7 +408,7 @@ def _resample(  # type: ignore[no-untyped-def]
             _evaluate(along, across, values)
             if not every:
                 _limit(turn, yaw_start, yaw_step, near_limit, far_limit, rng, owned)
-            _amplitude(turn, yaw_start, yaw_step, weight, gain, owned, amplitude)
+            _amplitude(turn, yaw_start, 1 / yaw_step, weight, loss, owned, amplitude)
             _place(row, n_taps[0], widths[0], sizes[0], n_row, first_row, range_row, range_part)
             _place(doppler, n_taps[1], widths[1], sizes[1], n_doppler, first_doppler, doppler_row, doppler_part)
             _turns(doppler, cycles, middle, first_doppler, carrier, own)

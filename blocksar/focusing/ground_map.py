@@ -124,7 +124,7 @@ class GroundMap:
         return np.gradient(self.doppler_focus(rng_, yaw_), yaw, axis=1)
 
     def locate(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, ...]:
-        """Row and Doppler index, phase (cycles), gain, relative yaw and dwell time (cycles per Doppler sample)."""
+        """Row and Doppler index, phase (cycles), 1 / gain, relative yaw and dwell time (cycles per Doppler sample)."""
         geometry = self.geometry
         epoch_range = geometry.epoch_range(x, y)
         turn = self.relative_yaw(x, y)
@@ -141,7 +141,7 @@ class GroundMap:
             self.rows.position(rng),
             self.doppler.position(doppler),
             cycles,
-            self.gain(epoch_range, yaw),
+            1 / self.gain(epoch_range, yaw),
             turn,
             time * self.doppler.step,
         )

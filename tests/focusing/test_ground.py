@@ -77,11 +77,11 @@ def known_block(ground: GroundMap, x: float, y: float, seed: int = 0) -> tuple[C
 
 
 def slowly(ground: GroundMap, value: Callable[..., np.ndarray], x: FloatArray, y: FloatArray) -> np.ndarray:
-    """Compute each pixel by itself: the value where it focuses, less its phase, divided by its gain and its pulses."""
-    row, doppler, cycles, gain, turn, _ = ground.locate(*np.meshgrid(x, y))
+    """Compute each pixel by itself: the value where it focuses, less its phase, times the reciprocal of its gain, divided by its pulses."""
+    row, doppler, cycles, loss, turn, _ = ground.locate(*np.meshgrid(x, y))
     place = np.rint((ground.middle_yaw + turn - ground.yaw_axis[0]) / (ground.yaw_axis[1] - ground.yaw_axis[0]))
     lit = ground.lit[np.clip(place, 0, ground.lit.size - 1).astype(int)]
-    return value(row, doppler) * np.exp(-2j * np.pi * (cycles - np.rint(cycles))) / (gain * lit * ground.scale)
+    return value(row, doppler) * np.exp(-2j * np.pi * (cycles - np.rint(cycles))) * loss / (lit * ground.scale)
 
 
 @pytest.mark.parametrize("step", [0.4, 1.0, 2.3, 11.0, 60.0])
@@ -116,7 +116,7 @@ def weigh(positions: FloatArray, taps: tuple[int, float], n: int) -> tuple[Float
 def tap_by_tap(block: ComplexArray, ground: GroundMap, x: FloatArray, y: FloatArray) -> np.ndarray:
     """Compute what `correct` computes, pixel by pixel in float64: NaN only where the window leaves the block."""
     place = [v.ravel() for v in ground.locate(*np.meshgrid(x, y))]
-    row, doppler, cycles, gain, turn, middle = place
+    row, doppler, cycles, loss, turn, middle = place
     first_row, range_weights = weigh(row, ground.range_taps, block.shape[0])
     first_doppler, doppler_weights = weigh(doppler, ground.doppler_taps, block.shape[1])
     nearest = (ground.middle_yaw + turn - ground.yaw_axis[0]) / (ground.yaw_axis[1] - ground.yaw_axis[0])
@@ -128,7 +128,7 @@ def tap_by_tap(block: ComplexArray, ground: GroundMap, x: FloatArray, y: FloatAr
         nearby = np.rint(middle[k] * N_CARRIER) / N_CARRIER
         carrier = np.exp(2j * np.pi * nearby * (samples - doppler[k]))
         out[k] = range_weights[k] @ window @ (doppler_weights[k] * carrier) * np.exp(-2j * np.pi * cycles[k])
-    return (out / (gain * lit * ground.scale)).reshape(y.size, x.size)
+    return (out * loss / (lit * ground.scale)).reshape(y.size, x.size)
 
 
 @pytest.mark.parametrize("doppler_taps", [4, 6, 8, 10, 16, 20, 32])
@@ -254,7 +254,7 @@ def test_the_ground_map_agrees_with_traced_lines_everywhere(steering_deg: float 
             line = step.trace(line)
         spot = focus(line)
         point = target_at(case.geometry, epoch_range, yaw)
-        row, doppler, cycles, gain, turn, carrier = (v.item() for v in ground.locate(point[:1], point[1:2]))
+        row, doppler, cycles, loss, turn, carrier = (v.item() for v in ground.locate(point[:1], point[1:2]))
         assert abs(row - ground.rows.position(spot.range)) < 1e-3
         assert abs(doppler - ground.doppler.position(spot.doppler)) < 2e-3
         given, delay = 0.0, 0.0
@@ -262,7 +262,7 @@ def test_the_ground_map_agrees_with_traced_lines_everywhere(steering_deg: float 
             given, delay, _ = (v.item() for v in ground.common.evaluate(spot.range, spot.doppler[None]))
         off = cycles - spot.phase - given
         assert abs(off - np.rint(off)) < 5e-4  # cycles: 3 mrad
-        assert gain == pytest.approx(float(spot.gain), rel=1e-3)
+        assert loss == pytest.approx(1 / float(spot.gain), rel=1e-3)
         assert ground.middle_yaw + turn == pytest.approx(yaw, abs=1e-12)
         assert carrier == pytest.approx(float((spot.time - delay) * ground.doppler.step), abs=5e-4)
 
