@@ -77,7 +77,7 @@ def known_block(ground: GroundMap, x: float, y: float, seed: int = 0) -> tuple[C
 
 
 def slowly(ground: GroundMap, value: Callable[..., np.ndarray], x: FloatArray, y: FloatArray) -> np.ndarray:
-    """Compute each pixel by itself: the value where it focuses, less its phase, times the reciprocal of its gain, divided by its pulses."""
+    """Compute each pixel by itself: the value where it focuses, less its phase, over its gain and its pulses."""
     row, doppler, cycles, loss, turn, _ = ground.locate(*np.meshgrid(x, y))
     place = np.rint((ground.middle_yaw + turn - ground.yaw_axis[0]) / (ground.yaw_axis[1] - ground.yaw_axis[0]))
     lit = ground.lit[np.clip(place, 0, ground.lit.size - 1).astype(int)]

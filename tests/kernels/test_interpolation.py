@@ -182,7 +182,7 @@ def curve(n: int, slopes: FloatArray) -> FloatArray:
     u, at = (np.array([0, n - 1]) - n // 2) * (2 / n), np.linspace(-1, 1, slopes.size)
     slope = np.polynomial.Polynomial.fit(at, slopes, slopes.size - 1).convert() * (n / 2)
     positions = (slope.integ(lbnd=u[0]) + 0.3).coef
-    return np.pad(positions, (0, slopes.size + 1 - positions.size))[None, :]  # sums of polynomials lack zeros at the end
+    return np.pad(positions, (0, slopes.size + 1 - positions.size))[None, :]  # zeros at the end are left out
 
 
 def position_and_slope(positions: FloatArray, n: int) -> tuple[np.ndarray, np.ndarray]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import resource
-import shutil
 import sys
 import time
 from contextlib import AbstractContextManager, ExitStack
@@ -161,8 +160,8 @@ class Bench:
 def empty_folder(path: Path) -> Path:
     """Make an empty folder in place of an old one and wait some seconds, so that all measurements start alike.
 
-    A virtual machine returns freed memory to its host after a while, and getting it back costs more than writing it.
-    Whatever runs right after a deletion would be several times faster. The old files keep their names elsewhere, without
+    A virtual machine returns freed memory to its host after a while; to get it back costs more than to write it.
+    Whatever runs right after a deletion would be several times faster. The old files keep names elsewhere, without
     contents: ext4 takes no inode that was freed within a minute, and looks at each of them for every new file.
     """
     if path.exists():
