@@ -1,10 +1,20 @@
-"""Garbage collection, paused where many objects are created that stay."""
+"""Garbage collection, paused or rare where many objects are created that stay."""
 
 from __future__ import annotations
 
+import atexit
 import gc
 from collections.abc import Iterator
 from contextlib import contextmanager
+
+SELDOM = 20_000  # new objects between two collections of the youngest; by default 700
+
+
+def collect_seldom() -> None:
+    """Let this process collect seldom, and not at its end: it creates many objects, which stay, and few cycles."""
+    gc.freeze()
+    gc.set_threshold(SELDOM, *gc.get_threshold()[1:])
+    atexit.register(gc.freeze)
 
 
 @contextmanager

@@ -64,6 +64,16 @@ def test_the_second_compilation_finds_all_loops_in_the_cache() -> None:
     assert second[2].startswith(f"all {second[1]} loops are compiled already, in ")
 
 
+def test_loops_are_loaded_without_all_that_numba_can_compile() -> None:
+    """Its import takes longer than a plan; `numba.np.linalg` stands for it."""
+    blocksar.compile()
+    load = "from blocksar.graph import compiling as c; t = c.compile_modules(c.SECONDS, apart=False)"
+    code = f"import sys; {load}; print(t.loaded, t.compiled, 'numba.np.linalg' in sys.modules)"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded, compiled, imported = run.stdout.split()
+    assert int(loaded) > 15 and (compiled, imported) == ("0", "False")
+
+
 def test_a_cache_that_cannot_be_written_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(names: object, *, apart: bool) -> None:
         raise RuntimeError("cannot cache function '_rotate': no locator available")

@@ -190,6 +190,15 @@ def test_the_import_is_light(module: str) -> None:
     assert run.stdout.split() == []
 
 
+def test_a_plan_loads_neither_dask_nor_scipy_s_transforms_and_functions() -> None:
+    code = (
+        "import blocksar, sys; blocksar.plan('table1', blocks=3); "
+        "print(*(name for name in ('dask', 'distributed', 'scipy.fft', 'scipy.special') if name in sys.modules))"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert run.stdout.split() == []
+
+
 def test_no_room_is_named_as_a_public_function() -> None:
     # Importing it would hide the function.
     assert not set(blocksar.__all__) & set(LAYER)

@@ -1,16 +1,15 @@
-"""Arguments that several commands share: the source, the grid, and the resources of the machine."""
+"""Arguments that several commands share: the source and the grid."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from blocksar import stores
 from blocksar.collection.collection import Collection
 from blocksar.collection.grid import Grid
 from blocksar.errors import InputError
-from blocksar.graph.machine import machine
 from blocksar.places import Location
 from blocksar.places.place import Place
 
@@ -57,28 +56,3 @@ def _dataset_path(source: xr.Dataset) -> str:
             "that path"
         )
     return str(path)
-
-
-class Resources(NamedTuple):
-    """Resources of a cluster: processes, threads in each, and memory of each in bytes."""
-
-    workers: int
-    threads: int
-    memory_limit: int
-
-
-def resources(workers: int | None, threads: int | None, memory_limit: int | None) -> Resources:
-    """Fill in defaults: workers times threads is at most the number of cores, and workers share the memory equally.
-
-    Raises
-    ------
-    InputError
-        If a number is below 1.
-    """
-    cores, memory = machine()
-    for name, value in (("workers", workers), ("threads", threads)):
-        if value is not None and value < 1:
-            raise InputError(f"{name} must be at least 1, got {value}")
-    workers = workers or min(cores, 4)
-    threads = threads or max(cores // workers, 1)
-    return Resources(workers, threads, memory_limit or memory // workers)

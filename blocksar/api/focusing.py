@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from blocksar import stores
-from blocksar.api.arguments import GridLike, Resources, grid_of, resources
+from blocksar.api.arguments import GridLike, grid_of
 from blocksar.api.checking import check_samples
 from blocksar.api.jobs import Job, Request
 from blocksar.api.planning import undersampling
@@ -24,7 +24,7 @@ from blocksar.constants import MIB
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.method import Coefficients, Derotation, Perturbation, Processor, RangeModel, method_of
 from blocksar.graph import cluster, compiling, recording, stages
-from blocksar.graph.machine import machine
+from blocksar.graph.machine import Resources, machine, resources
 from blocksar.inspection import centroid, samples, sentences
 from blocksar.inspection.samples import Inspection
 from blocksar.places import Location, place

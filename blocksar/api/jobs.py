@@ -7,13 +7,14 @@ from importlib import metadata
 from typing import TYPE_CHECKING, Any, Literal
 
 from blocksar import stores
-from blocksar.api.arguments import Resources, path_of
+from blocksar.api.arguments import path_of
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
 from blocksar.collection.region import default_grid, plan_region
 from blocksar.errors import FolderError, InputError
 from blocksar.focusing.method import Method
+from blocksar.graph.machine import Resources
 from blocksar.places import Location, place
 from blocksar.places.place import Place
 from blocksar.planning import effort

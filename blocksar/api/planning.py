@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from blocksar.api.arguments import GridLike, collection_of, grid_of, resources
+from blocksar.api.arguments import GridLike, collection_of, grid_of
 from blocksar.api.reports import Report, Table
 from blocksar.budget import FIDELITY
 from blocksar.collection.beam import most_lit_pulses
@@ -26,6 +26,7 @@ from blocksar.focusing.method import (
     RangeModel,
     method_of,
 )
+from blocksar.graph.machine import resources
 from blocksar.places import Location
 from blocksar.planning import choice
 from blocksar.planning.block import BlockPlan

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-from blocksar.api.arguments import resources
 from blocksar.api.reports import Report, only_stage
 from blocksar.errors import InputError
+from blocksar.graph.machine import resources
 from blocksar.places import Location
 from blocksar.places.place import Place
 from blocksar.progress import Updated as Progress

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
-from blocksar.cli.commands import app, main
+from blocksar.garbage import uncollected
+
+with uncollected():
+    from blocksar.cli.commands import app, main
 
 __all__ = ["app", "main"]

@@ -6,6 +6,7 @@ Tables go to stdout, progress and messages to stderr.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Annotated, Any, Literal
@@ -15,6 +16,7 @@ import typer
 from blocksar.budget import FIDELITY
 from blocksar.cli.display import show
 from blocksar.cli.endings import WRONG_INPUT, Commands, catch_signals, complain, ending
+from blocksar.cli.helping import load_help
 from blocksar.cli.options import (
     PROCESSORS,
     Blocks,
@@ -33,6 +35,7 @@ from blocksar.cli.options import (
 )
 from blocksar.cli.parsing import parse_grid, parse_memory, parse_origin
 from blocksar.focusing.method import PlannedProcessor
+from blocksar.garbage import collect_seldom, uncollected
 from blocksar.progress import Progress
 from blocksar.version import __version__
 
@@ -235,6 +238,11 @@ def focus(
     settings = parse_settings(blocks, fidelity, grid, workers, memory_limit)
 
     from blocksar import api
+
+    if scheduler is None:
+        from blocksar.graph.starting import start_early
+
+        start_early(source, out, workers=workers, threads=threads)
 
     with _listening(context) as progress:
         report = api.focus(
@@ -450,4 +458,8 @@ def export_png(
 def main() -> None:
     """Run the command line: the entry point of `blocksar`."""
     catch_signals()
+    collect_seldom()
+    if "--help" in sys.argv[1:]:
+        with uncollected():
+            load_help()
     app(prog_name="blocksar")

@@ -30,7 +30,7 @@ from blocksar.kernels import projection
 from blocksar.kernels.fourier import Axis, fast_length, fft_rows, unit_phasor
 from blocksar.kernels.groups import GROUP_BYTES, row_groups, run_groups
 from blocksar.kernels.lanes import FIXED_RANGE
-from blocksar.kernels.loops import compile_all
+from blocksar.kernels.loops import compile_all, compile_for
 from blocksar.kernels.operations import Transform
 from blocksar.kernels.projection import Sights, project
 
@@ -374,4 +374,4 @@ def compile_kernels() -> None:
     """Compile the loops of back-projection, or load them from numba's cache."""
     compile_all(projection)
     index = np.zeros((1, 1), np.int64)
-    _normalise(np.zeros((1, 1), np.complex64), np.zeros((1, 1), np.bool_), index, index, index[0], 1)
+    compile_for(_normalise, np.zeros((1, 1), np.complex64), np.zeros((1, 1), np.bool_), index, index, index[0], 1)

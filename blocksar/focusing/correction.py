@@ -20,6 +20,7 @@ from blocksar.focusing.ground_map import GroundMap, sum_series
 from blocksar.kernels import interpolation
 from blocksar.kernels.groups import run_groups
 from blocksar.kernels.lanes import FEW, WEIGHED_ROWS, load_few, spread_few, total, weigh_rows
+from blocksar.kernels.loops import compile_for
 from blocksar.kernels.phase import Float32Array
 from blocksar.kernels.signatures import COMPILED, KEPT, PART, UNCHECKED
 from blocksar.kernels.trigonometry import cosine, sine
@@ -427,13 +428,13 @@ def _resample(  # type: ignore[no-untyped-def]
 
 
 def compile_kernels() -> None:
-    """Compile this module's loops, or load them from numba's cache, by a run on minimal arrays."""
+    """Compile this module's loops, or load them from numba's cache, for the types of minimal arrays."""
+    sum_series.compile()
     line = np.zeros(2)
-    sum_series(np.zeros((1, 1)), line, line, line)
     floats = np.zeros((1, 2), np.float32)
     floats.flags.writeable = False
     tiles, table = np.zeros((0, 3), np.int64), np.zeros((2, 2), np.float32)
-    _resample(
-        floats, np.zeros((1, 1), np.complex64), tiles, np.zeros((0, 6, 36)), line, line, 1, table, table, table,
-        (2, 2), (2, 2), (1, 1), np.zeros(4), np.zeros(7), 0.0, 1.0, line, line, line,
+    compile_for(
+        _resample, floats, np.zeros((1, 1), np.complex64), tiles, np.zeros((0, 6, 36)), line, line, 1, table, table,
+        table, (2, 2), (2, 2), (1, 1), np.zeros(4), np.zeros(7), 0.0, 1.0, line, line, line,
     )  # fmt: skip

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import fresnel
 
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.focusing.lines import RowPolynomial
@@ -99,19 +98,28 @@ def fresnel_integral(z: FloatArray) -> NDArray[np.complex128]:
 
     summed over pairs of terms, odd and even k.
     """
+    from scipy.special import fresnel  # slow to import, and a plan needs far values only
+
     far = np.abs(z) > FAR
     near = z[~far]
     sine, cosine = fresnel(near)
     integral = np.empty(z.shape, np.complex128)
     integral[~far] = near * (cosine + 1j * sine) + 1j * np.exp(0.5j * np.pi * near**2) / np.pi
-    x = np.pi * z[far] ** 2
+    integral[far] = far_fresnel_integral(z[far])
+    return integral
+
+
+def far_fresnel_integral(z: FloatArray) -> NDArray[np.complex128]:
+    """The same where all |z| are beyond FAR."""
+    integral = np.empty(z.shape, np.complex128)
+    x = np.pi * z**2
     inverse = 1 / x
     square, odd, even = inverse * inverse, np.zeros_like(x), np.zeros_like(x)
     for first, second in FAR_SERIES[::-1]:
         odd = first - square * odd
         even = second - square * even
     odd, even = odd * inverse / np.pi, even * square / np.pi
-    cosine, sine, ahead = np.cos(x / 2), np.sin(x / 2), np.abs(z[far]) / 2
-    integral.real[far] = ahead - (cosine * odd + sine * even)
-    integral.imag[far] = ahead - (sine * odd - cosine * even)
+    cosine, sine, ahead = np.cos(x / 2), np.sin(x / 2), np.abs(z) / 2
+    integral.real = ahead - (cosine * odd + sine * even)
+    integral.imag = ahead - (sine * odd - cosine * even)
     return integral

@@ -17,28 +17,28 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from multiprocessing import forkserver, resource_tracker
-from multiprocessing.util import get_temp_dir
 from pathlib import Path
 from typing import Any
 
 import dask
+import distributed.utils
 from distributed import Client, LocalCluster
-from distributed.utils import get_mp_context
 
 from blocksar.errors import InputError, ProcessingError
 from blocksar.graph.admission import NO_WORKER
 from blocksar.graph.compiling import compile_kernels, kernels_cached
+from blocksar.graph.forking import start_fork_server, worker_environment
 from blocksar.graph.machine import machine
+from blocksar.graph.recording import serve_dashboard
 from blocksar.progress import Listener
 from blocksar.version import __version__
 
 WORKER_TTL = 60.0  # s without a message from a worker of the local cluster before it counts as lost
 HUNG = 8.0  # s after which a worker that has been given up, but lives, is killed
 CONNECT = 20.0  # s for a running scheduler to answer
-PRE_SPAWN = "distributed.nanny.pre-spawn-environ"  # variables that libraries read when they are loaded
-LONGEST_FOLDER, SHORT_FOLDER = 70, "/tmp"  # characters that leave room for the name of a socket
-WORKER_MODULE = "blocksar.graph.worker"
+PRE_SPAWN = "distributed.nanny.pre-spawn-environ"
+# `forking` says what the fork server imports. Otherwise dask would import pandas here to say so.
+distributed.utils._forkserver_preload_set = True
 SETTINGS = {"distributed.admin.low-level-log-length": 10}  # dask would keep the last 1000 messages to workers
 
 
@@ -62,8 +62,7 @@ def prepare_workers(threads: int, listener: Listener) -> None:
     """Compile loops if need be, and let the process that workers are forked from import in the background."""
     if not kernels_cached():
         _compile_once(listener)
-    with dask.config.set(_local_settings(threads, tempfile.gettempdir())):
-        _start_fork_server()
+    start_fork_server(threads)
 
 
 def _compile_once(listener: Listener) -> None:
@@ -75,46 +74,6 @@ def _compile_once(listener: Listener) -> None:
     if not kernels_cached():
         compile_kernels()
     listener.update("compile", 1, 1)
-
-
-@contextmanager
-def _short_sockets() -> Iterator[None]:
-    """Let the sockets of `multiprocessing` lie in /tmp where the temporary folder's path is too long for them.
-
-    A socket's path has at most 107 characters. `get_temp_dir` makes the folder once for the life of this process.
-    """
-    usual = tempfile.tempdir
-    if len(tempfile.gettempdir()) > LONGEST_FOLDER and os.access(SHORT_FOLDER, os.W_OK):
-        tempfile.tempdir = SHORT_FOLDER
-    try:
-        get_temp_dir()
-        yield
-    finally:
-        tempfile.tempdir = usual
-
-
-def _start_fork_server() -> None:
-    """Start the process that workers are forked from, if it does not run yet.
-
-    A terminal sends Ctrl-C to all processes of a command, and the main process ends the others: they inherit that it is
-    blocked.
-    """
-    get_mp_context().set_forkserver_preload([WORKER_MODULE])
-    resource_tracker.ensure_running()  # otherwise the next line starts it, and that unblocks SIGINT
-    wanted = {name: str(value) for name, value in dask.config.get(PRE_SPAWN).items()}
-    own = {name: os.environ.get(name) for name in wanted}
-    os.environ.update(wanted)
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        with _short_sockets():
-            forkserver.ensure_running()
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        for name, value in own.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
 
 
 @contextmanager
@@ -226,7 +185,7 @@ def _local_cluster(
     listener.update("start-workers", 0, workers)
     with ExitStack() as stack:
         stack.enter_context(dask.config.set(_local_settings(threads, scratch)))
-        _start_fork_server()
+        start_fork_server(threads)
         with _defer_signals():  # an interrupted start would leave a cluster that cannot be closed
             cluster = LocalCluster(
                 n_workers=0,
@@ -235,9 +194,11 @@ def _local_cluster(
                 memory_limit=memory_limit or "auto",
                 host="127.0.0.1",
                 dashboard_address="127.0.0.1:0",  # any free port, loopback only; needs bokeh to show more than metrics
+                scheduler_kwargs={"dashboard": False},  # `serve_dashboard` makes one on demand
                 silence_logs=logging.CRITICAL,
             )
             stack.enter_context(cluster)
+            serve_dashboard(cluster)
             cluster.scale(workers)
             client = stack.enter_context(Client(cluster))
         try:
@@ -329,10 +290,7 @@ def _local_settings(threads: int, scratch: str) -> dict[str, Any]:
         "distributed.worker.multiprocessing-method": "forkserver",
         # Workers would inherit the environment of the time at which the process that they are forked from began.
         "distributed.nanny.environ": dict(os.environ),
-        f"{PRE_SPAWN}.NUMBA_NUM_THREADS": threads,
-        # Blocks are returned to the system at once; malloc keeps groups of rows and chunks, which stay in the cache.
-        f"{PRE_SPAWN}.MALLOC_MMAP_THRESHOLD_": 24 * 2**20,
-        f"{PRE_SPAWN}.MALLOC_TRIM_THRESHOLD_": 64 * 2**20,
+        PRE_SPAWN: worker_environment(threads),
     }
 
 

@@ -98,9 +98,9 @@ def _compile(name: str) -> None:
 
 
 def _compile_apart(names: Iterable[str]) -> int:
-    """Let as many processes as there are cores compile; what one of them fails to compile, this process will.
+    """Let as many processes as there are cores compile, this one included, which also does what another fails to do.
 
-    Returns the number of compiled loops.
+    Returns the number of loops that the others compiled.
     """
     groups: list[list[str]] = [[] for _ in range(max(machine()[0], 1))]
     for name in sorted(names, key=SECONDS.__getitem__, reverse=True):
@@ -112,9 +112,11 @@ def _compile_apart(names: Iterable[str]) -> int:
             [sys.executable, "-c", COMPILE, *group], env=environment,
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
         )
-        for group in filter(None, groups)
+        for group in filter(None, groups[1:])
     ]  # fmt: skip
     try:
+        for name in groups[0]:
+            _compile(name)
         printed = [process.communicate()[0].strip() for process in processes]
         return sum(int(count) for count in printed if count.isdigit())
     finally:

@@ -8,6 +8,9 @@ import resource
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple
+
+from blocksar.errors import InputError
 
 GROUPS = Path("/sys/fs/cgroup")
 CPU_QUOTAS = ("cpuacct,cpu", "cpu,cpuacct")  # folders of control groups of version 1
@@ -21,6 +24,31 @@ MEMORY_LIMITS = (
 def machine() -> tuple[int, int]:
     """Return the number of cores and the bytes of memory that this process may use, within its control group."""
     return _cores(), _memory()
+
+
+class Resources(NamedTuple):
+    """Resources of a cluster: processes, threads in each, and memory of each in bytes."""
+
+    workers: int
+    threads: int
+    memory_limit: int
+
+
+def resources(workers: int | None, threads: int | None, memory_limit: int | None) -> Resources:
+    """Fill in defaults: workers times threads is at most the number of cores, and workers share the memory equally.
+
+    Raises
+    ------
+    InputError
+        If a number is below 1.
+    """
+    cores, memory = machine()
+    for name, value in (("workers", workers), ("threads", threads)):
+        if value is not None and value < 1:
+            raise InputError(f"{name} must be at least 1, got {value}")
+    workers = workers or min(cores, 4)
+    threads = threads or max(cores // workers, 1)
+    return Resources(workers, threads, memory_limit or memory // workers)
 
 
 def _cores() -> int:

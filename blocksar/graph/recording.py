@@ -9,8 +9,11 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
-from distributed import Client, performance_report
+from distributed import Client, LocalCluster, performance_report
+from distributed.http.routing import RoutingApplication
+from distributed.http.utils import RequestHandler
 
 from blocksar.errors import InputError
 from blocksar.progress import Listener
@@ -24,6 +27,26 @@ def dashboard(client: Client) -> str | None:
     with suppress(Exception):  # a broken scheduler is reported by the run itself
         return client.dashboard_link if _has_bokeh(client) else None
     return None
+
+
+class Pages(RequestHandler):  # type: ignore[misc, unused-ignore]  # of a library without types
+    """The pages of a dashboard before anybody has looked at one: dask builds them, and the browser asks again."""
+
+    def get(self) -> None:
+        import distributed.dashboard.scheduler as dashboard_pages
+
+        main = self.server.http_application
+        main.applications.remove(self.application)
+        dashboard_pages.connect(main, self.server.http_server, self.server)
+        self.redirect(self.request.uri)
+
+
+def serve_dashboard(cluster: LocalCluster) -> None:
+    """Let a local cluster that has no dashboard make one when somebody looks at it: bokeh is slow to import."""
+    if importlib.util.find_spec("bokeh") is not None:
+        scheduler: Any = cluster.scheduler
+        pages = RoutingApplication([(r"/.*", Pages, {"dask_server": scheduler})])
+        scheduler.http_application.add_application(pages)
 
 
 def check_recordable(path: Path, client: Client | None) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import fresnel
 
 from blocksar.arrays import FloatArray
 
@@ -15,6 +14,8 @@ def chirp_spectrum(frequency: FloatArray, *, chirp_rate: float, pulse_width: flo
     P(f) = exp(-j pi f^2 / K) / sqrt(2K) [Z(u+) - Z(u-)],  u+- = sqrt(2K) (+-T/2 - f/K),  Z = C + jS.
     A down-chirp (K < 0) is the conjugate of the up-chirp.
     """
+    from scipy.special import fresnel  # slow to import, and only raw echoes need it
+
     rate = abs(chirp_rate)
     scale, centre = np.sqrt(2 * rate), frequency / rate
     upper_sine, upper_cosine = fresnel(scale * (pulse_width / 2 - centre))

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
 from blocksar.arrays import ComplexArray, FloatArray
@@ -66,7 +65,16 @@ def fast_length(minimum: float) -> int:
     The library also has loops for the factors 7 and 11, but a transform with one of them takes up to a fifth longer
     than the next length without.
     """
-    return 2 * int(scipy.fft.next_fast_len(int(np.ceil(max(minimum, 2.0) / 2)), real=True))
+    half = int(np.ceil(max(minimum, 2.0) / 2))
+    best = 1 << (half - 1).bit_length()
+    five = 1
+    while five < best:
+        odd = five  # 3^i 5^j
+        while odd < best:
+            best = min(best, odd << (-(-half // odd) - 1).bit_length())
+            odd *= 3
+        five *= 5
+    return 2 * best
 
 
 def unit_phasor(cycles: FloatArray) -> ComplexArray:
@@ -76,4 +84,6 @@ def unit_phasor(cycles: FloatArray) -> ComplexArray:
 
 def fft_rows(group: NDArray[Samples], *, inverse: bool) -> NDArray[Samples]:
     """FFT of each row over bare indices: 1 / N in the inverse, one thread, the input is overwritten."""
+    import scipy.fft  # slow to import, and a plan transforms nothing
+
     return np.asarray((scipy.fft.ifft if inverse else scipy.fft.fft)(group, axis=1, overwrite_x=True))

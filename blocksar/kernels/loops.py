@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from threading import Lock
 from types import ModuleType
 from typing import Any, NamedTuple
 
-from numba import njit
+from numba import njit, typeof
 from numba.core.dispatcher import Dispatcher  # type: ignore[attr-defined, unused-ignore]
+from numba.core.runtime.nrt import rtsys
 
 
 class Loop:
@@ -37,7 +39,7 @@ class Loop:
         """Compile, or load from numba's cache, unless that is done."""
         with self._lock:
             if not self._ready:
-                self.dispatcher.compile(self._arguments)
+                compile_as(self.dispatcher, self._arguments)
                 self.dispatcher.disable_compile()
                 self._ready = True
 
@@ -47,12 +49,42 @@ class Loop:
         return self.dispatcher(*arguments)
 
 
+def compile_as(dispatcher: Any, arguments: Sequence[Any]) -> None:
+    """Compile for arguments of these numba types, or load from numba's cache.
+
+    Before numba looks into its cache, it imports all that it can compile, which takes longer than to load a loop. Only
+    a compilation needs that; a loaded loop needs numba's runtime.
+    """
+    cache = dispatcher._cache
+    rtsys.initialize(dispatcher.targetctx)
+    cache.load_overload = partial(_load, cache)
+    try:
+        dispatcher.compile(tuple(arguments))
+    finally:
+        del cache.load_overload
+
+
+def _load(cache: Any, signature: Any, context: Any) -> Any:
+    """What numba's cache holds for a signature, else None. The dispatcher that calls this holds numba's lock."""
+    context.refresh = lambda: None
+    try:
+        return type(cache).load_overload(cache, signature, context)
+    finally:
+        del context.refresh
+
+
 def loop(*arguments: Any, **options: Any) -> Callable[[Callable[..., Any]], Loop]:
     """Decorate a function to be compiled when first called: the types of its arguments, and options of numba's `njit`.
 
     It is kept in numba's cache.
     """
     return lambda function: Loop(function, arguments, {"cache": True, "no_cfunc_wrapper": True, **options})
+
+
+def compile_for(dispatcher: Any, *arguments: Any) -> None:
+    """Compile for the types of these values, or load from numba's cache."""
+    types = [typeof(argument) for argument in arguments]  # type: ignore[no-untyped-call, unused-ignore]
+    compile_as(dispatcher, types)
 
 
 def compile_all(module: ModuleType) -> None:

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import termios
+import urllib.request
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -237,6 +238,15 @@ def test_without_bokeh_there_is_no_dashboard_or_performance_report(
     with pytest.raises(InputError, match=r"bokeh is not installed.*install blocksar\[dashboard\]"):
         blocksar.focus(store, tmp_path / "run", client=client, performance_report=tmp_path / "page.html")
     assert not list(tmp_path.iterdir())
+
+
+@needs_bokeh
+def test_the_dashboard_is_made_when_somebody_looks_at_it(client: Client) -> None:
+    address = recording.dashboard(client)
+    assert address is not None
+    for page in ("status", "", "workers"):
+        with urllib.request.urlopen(address.replace("status", page)) as answer:
+            assert b"bokeh" in answer.read().lower()
 
 
 @needs_bokeh

@@ -1,0 +1,18 @@
+"""The start of a command that needs workers: their imports begin before those of the command."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from blocksar.graph.compiling import kernels_cached
+from blocksar.graph.forking import start_fork_server
+from blocksar.graph.machine import resources
+
+
+def start_early(source: str, out: str, *, workers: int | None, threads: int | None) -> None:
+    """Start the process that workers are forked from, if `focus` with these arguments will probably need it.
+
+    It will not if there is no such source, or if the run folder may hold a finished run; nor before loops are compiled.
+    """
+    if Path(source).exists() and not Path(out).exists() and kernels_cached():
+        start_fork_server(resources(workers, threads, None).threads)
