@@ -6,7 +6,6 @@ Tables go to stdout, progress and messages to stderr.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Annotated, Any, Literal
@@ -16,7 +15,6 @@ import typer
 from blocksar.budget import FIDELITY
 from blocksar.cli.display import show
 from blocksar.cli.endings import WRONG_INPUT, Commands, catch_signals, complain, ending
-from blocksar.cli.helping import load_help
 from blocksar.cli.options import (
     PROCESSORS,
     Blocks,
@@ -35,7 +33,7 @@ from blocksar.cli.options import (
 )
 from blocksar.cli.parsing import parse_grid, parse_memory, parse_origin
 from blocksar.focusing.method import PlannedProcessor
-from blocksar.garbage import collect_seldom, uncollected
+from blocksar.garbage import collect_seldom
 from blocksar.progress import Progress
 from blocksar.version import __version__
 
@@ -459,7 +457,4 @@ def main() -> None:
     """Run the command line: the entry point of `blocksar`."""
     catch_signals()
     collect_seldom()
-    if "--help" in sys.argv[1:]:
-        with uncollected():
-            load_help()
     app(prog_name="blocksar")
