@@ -64,7 +64,7 @@ def gate_bins(
     """
     started = time.perf_counter()
     values = spectrum.read((slice(*bins), slice(0, spectrum.shape[1])))
-    reading = time.perf_counter() - started
+    reading, waiting = time.perf_counter() - started, 0.0
     transform, group = targets[0].gate.to_delay, targets[0].chunk[0]
     to_delay = Program([transform], source=transform.source, n_row=group)
     delays = buffers.empty((group, transform.period))
@@ -76,11 +76,18 @@ def gate_bins(
                 to_delay.run(values[first - bins[0] : last - bins[0]], out=delays, threads=run.threads)
             for target in touched:
                 if len(writes) > WRITES_AT_ONCE:
+                    began = time.perf_counter()
                     writes[-1 - WRITES_AT_ONCE].result()
+                    waiting += time.perf_counter() - began
                 rows = _gate(target, delays, (first, last), threads=run.threads)
                 writes.append(pool.submit(_write_rows, run, target, rows, first))
+        computed = time.perf_counter()
     written = tuple(part for future in writes for part in future.result())
-    steps = {"read-spectrum": reading, RangeGate.name: time.perf_counter() - started - reading}
+    steps = {
+        "read-spectrum": reading,
+        RangeGate.name: computed - started - reading - waiting,
+        "write-gated": time.perf_counter() - computed + waiting,
+    }
     return sign(run, Receipt(unit=unit, stage="gate", written=written, steps=steps), started)
 
 

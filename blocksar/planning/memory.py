@@ -101,8 +101,9 @@ def block_memory(
 
 def gating_memory(gate: RangeGate, *, n_bin: int, n_group: int) -> int:
     """Peak memory of a worker that gates `n_bin` Doppler bins in range, `n_group` at a time, bytes."""
-    read = n_bin * gate.full.size + 2 * SPECTRUM_BYTES // 8  # and the chunks of a part
+    read = n_bin * gate.full.size
+    read += min(read, SPECTRUM_BYTES // 8)  # and the chunks of a part
     delays = n_group * gate.to_delay.period
-    # Each group that waits to be written or is computed, alone and among whole chunks.
-    gated = 2 * (WRITES_AT_ONCE + 2) * n_group * gate.range_frequency.size
+    # Groups that are written or wait for it; the one that is computed, alone and in whole chunks; copies of chunks.
+    gated = (WRITES_AT_ONCE + 4) * n_group * gate.range_frequency.size
     return PROCESS_MEMORY + 8 * (read + delays + gated) + 4 * max(GROUP_BYTES, 8 * 8 * gate.to_delay.period)
