@@ -6,10 +6,11 @@ from blocksar.constants import MIB
 
 MOSAIC_CHUNKS = 4  # output chunks merged by a task: a single one takes no longer than the scheduler's reply
 BACKPROJECTION_CHUNK = 512  # pixels on a side that are back-projected in one pass over the pulses
-DOPPLER_GROUP = 512  # Doppler bins of a slab read at a time
+DOPPLER_GROUP = 512  # Doppler bins gated in range at a time, and in a chunk of the result; at most
 COLUMN_CHUNK = 256  # range frequencies in a chunk of the spectrum; fewer if there are many Doppler bins
 CHUNK_SAMPLES = DOPPLER_GROUP * COLUMN_CHUNK  # samples in a chunk of the spectrum
 SPECTRUM_BYTES = 64 * MIB  # bytes of the spectrum written at a time
+GATE_BYTES = 128 * MIB  # bytes of the spectrum that one task gates in range, at most
 SIGNAL_BYTES = 96 * MIB  # bytes of the phase history read at a time
 SIGNAL_COLUMNS = 512  # columns of the phase history read at a time, at most
 IMAGE_CHUNK = 512  # pixels on a side of an image's chunk: 2 MiB

@@ -51,6 +51,7 @@ UNITS = {
     "range-compress": "groups of pulses",
     "recover": "column groups",
     "inspect": "column groups",
+    "gate": "groups of Doppler bins",
     "focus": "blocks",
     "mosaic": "parts of the mosaic",
     "backprojection": "parts of the mosaic",
@@ -293,11 +294,14 @@ def _run_stages(
     timings["recover"] = lap()
     record = _add_findings(job, run, record, recovered, inspection, listener)
     input_read()
-    focused = stages.focus_blocks(client, plan, run, recovered, inspection.lit, listener)
+    gated = stages.gate_ranges(client, plan, run, recovered, listener)
+    if gated:
+        timings["gate"] = lap()
+    focused = stages.focus_blocks(client, plan, run, (*recovered, *gated), inspection.lit, listener)
     timings["focus"] = lap()
     merged = stages.mosaic(client, plan, run, focused, listener)
     timings["mosaic"] = lap()
-    return replace(record, receipts=(*recovered, *focused, *merged), timings=timings)
+    return replace(record, receipts=(*recovered, *gated, *focused, *merged), timings=timings)
 
 
 def _add_findings(

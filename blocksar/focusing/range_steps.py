@@ -1,4 +1,4 @@
-"""Range steps: range gate, residual range walk, keystone, RCMC with SRC in time or in Doppler.
+"""Range steps: residual range walk, keystone, RCMC with SRC in time or in Doppler.
 
 Each can be applied and traced. Between recovery and range compression the samples are S(f, t), one row per range
 frequency, with the factor exp(-4j pi (fc + f) / c rho(t)), where rho is the target's range less the origin and less the
@@ -25,7 +25,7 @@ from blocksar.focusing.lines import Line
 from blocksar.focusing.step import Constants, Step
 from blocksar.kernels import interpolation, phase
 from blocksar.kernels.fourier import Axis
-from blocksar.kernels.operations import Operation, Stretch, Transform, Turn, Window
+from blocksar.kernels.operations import Operation, Stretch, Transform, Turn
 from blocksar.kernels.phase import Phase
 
 MOST_REACH = 1.2  # times the largest Doppler of a reference line: beyond it the range curvature is held constant
@@ -40,61 +40,6 @@ class _FrequencyStep(Step):
     @property
     def n_row(self) -> int:
         return self.axes.range_frequency.size
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class RangeGate(Step):
-    """Keep some ranges of a block's slab, on proportionally fewer range frequencies, for a range sub-block.
-
-    At each Doppler bin the targets of a sub-block lie in an interval of range, whose centre moves along Doppler with
-    their range walk. Range frequency is transformed to delay about that centre, delays beyond the gate are dropped, and
-    the rest is transformed back to range frequency, over the same band in coarser steps.
-
-    Attributes
-    ----------
-    slab : Axis
-        Doppler bins, Hz.
-    centre : (slab.size,) float
-        Centre of the gate at each bin, m from the range origin.
-    gate : Axis
-        Delays from the centre within the gate, s.
-    window : (gate.size,) float
-        1 inside, falling to 0 at the ends.
-    full, range_frequency : Axis
-        Range frequencies before and after the gate, Hz.
-    """
-
-    name = "range-gate"
-    layout = "columns"
-    slab: Axis
-    centre: FloatArray
-    gate: Axis
-    window: FloatArray
-    full: Axis
-    range_frequency: Axis
-
-    @property
-    def source(self) -> Axis:
-        return self.full
-
-    @property
-    def n_row(self) -> int:
-        return self.slab.size
-
-    def operations(self) -> list[Operation]:
-        """Rows of full.size to rows of range_frequency.size range frequencies, one per Doppler bin."""
-        delay = 2 / SPEED_OF_LIGHT * self.centre
-        shift = np.stack([np.zeros_like(delay), delay], axis=1)
-        return [
-            Turn(Phase(shift, 0.0, 1.0)),
-            Transform(self.full, self.gate, inverse=True),
-            Window(self.window[None].astype(np.complex64), np.zeros(self.n_row, np.intp)),
-            Transform(self.gate, self.range_frequency, inverse=False),
-            Turn(Phase(-shift, 0.0, 1.0)),
-        ]
-
-    def trace(self, line: Line) -> Line:
-        return line
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -27,9 +27,10 @@ from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.range_compression import RawCompression
 from blocksar.focusing.step import stages
 from blocksar.graph.admission import Unit, as_completed
+from blocksar.graph.gating import Gated, gate_bins
+from blocksar.graph.spectrum import SpectrumChunks
 from blocksar.graph.tasks import (
     PatchChunk,
-    SpectrumChunks,
     back_project_chunk,
     compress_pulses,
     inspect_group,
@@ -41,12 +42,13 @@ from blocksar.graph.tasks import (
 )
 from blocksar.inspection.samples import Inspection, merge
 from blocksar.inspection.sentences import refusal
+from blocksar.places.place import Place
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.plan import Plan
 from blocksar.planning.tiling import image_chunk, inspection_width, patch_window, touched_chunks
 from blocksar.progress import Listener
 from blocksar.runs.receipts import Run
-from blocksar.runs.record import Receipt, block_unit
+from blocksar.runs.record import Receipt, Written, block_unit
 
 
 def recover(
@@ -91,26 +93,83 @@ def recover(
     return compressed + recovered, inspection
 
 
-def focus_blocks(
-    client: Client, plan: Plan, run: Run, recovered: Sequence[Receipt], lit: FloatArray, listener: Listener
+def gate_ranges(
+    client: Client, plan: Plan, run: Run, recovered: Sequence[Receipt], listener: Listener
 ) -> list[Receipt]:
-    """Focus every block, from spectrum.zarr to patches/<block>, by a chain of tasks of its own.
+    """Gate the spectrum in range for all sub-blocks, into gated/; nothing without sub-blocks."""
+    targets = [
+        Gated(block.name, block.range_gate, block.first_bin, plan.gated_bins(block)[0], plan.gated_chunk(block))
+        for block in plan.blocks
+        if block.range_gate is not None
+    ]
+    if not targets:
+        return []
+    for block in plan.blocks:
+        run.establish(run.gated(block.name), partial(_create_gated, run, plan, block))
+    spectrum = _whole_spectrum(plan, run, recovered)
+    units = []
+    for bins in plan.gate_spans():
+        some = [target.within(*bins) for target in targets if target.common(*bins)[0] < target.common(*bins)[1]]
+        units.append(
+            _single_task(client, run, "gate", f"bins-{bins[0]}", gate_bins, bins, spectrum.within(*bins), some)
+        )
+    return run_units(client, "gate", units, run, listener, per_worker=2)
 
-    The receipts of recovery have the checksums of the spectrum, `lit` the valid fraction of each pulse.
+
+def _create_gated(run: Run, plan: Plan, block: BlockPlan) -> None:
+    first, last = plan.gated_bins(block)
+    stores.create(
+        run.gated(block.name), stores.GATED, sizes={}, attrs={"title": f"block {block.name}"}, overwrite=True,
+        coords={
+            "doppler": plan.recovery.doppler.part(first, last - first).values,
+            "range_frequency": block.sampling.range_frequency.values,
+        },
+        chunks=dict(zip(("doppler", "range_frequency"), plan.gated_chunk(block), strict=True)),
+    )  # fmt: skip
+
+
+def _written(run: Run, store: Place, receipts: Sequence[Receipt]) -> list[Written]:
+    """What receipts say was written to a store's spectrum."""
+    name = run.name_of(store)
+    return [part for receipt in receipts for part in receipt.written if part.store == name]
+
+
+def _whole_spectrum(plan: Plan, run: Run, receipts: Sequence[Receipt]) -> SpectrumChunks:
+    shape = plan.recovery.doppler.size, plan.geometry.collection.n_range_frequency
+    written = _written(run, run.spectrum, receipts)
+    return SpectrumChunks.of(run.spectrum, written, shape=shape, chunk=plan.spectrum_chunk)
+
+
+def _gated_spectrum(plan: Plan, run: Run, block: BlockPlan, receipts: Sequence[Receipt]) -> SpectrumChunks:
+    first, last = plan.gated_bins(block)
+    store = run.gated(block.name)
+    return SpectrumChunks.of(
+        store, _written(run, store, receipts), first_bin=first, chunk=plan.gated_chunk(block),
+        shape=(last - first, block.sampling.range_frequency.size),
+    )  # fmt: skip
+
+
+def focus_blocks(
+    client: Client, plan: Plan, run: Run, receipts: Sequence[Receipt], lit: FloatArray, listener: Listener
+) -> list[Receipt]:
+    """Focus every block, from the spectrum to patches/<block>, by a chain of tasks of its own.
+
+    The receipts of recovery and of the range gates have the checksums of spectra, `lit` the valid fraction of each
+    pulse.
     """
     # Create all patches here, before the first task: a late task of a lost worker must not empty a store that another
     # task has written to.
     for block in plan.blocks:
         run.establish(run.patch(block.name), partial(_create_patch, run, block, plan.grid))
-    shape = plan.recovery.doppler.size, plan.geometry.collection.n_range_frequency
-    spectrum = SpectrumChunks.of(recovered, shape, plan.spectrum_chunk)
+    spectrum = _whole_spectrum(plan, run, receipts)
     chunks = [touched_chunks(block.ground, plan.grid) for block in plan.blocks]
     touching = Counter(cell for cells in chunks for cell in cells)
     units: list[Unit] = []
     for position, (block, cells) in enumerate(zip(plan.blocks, chunks, strict=True)):
         own = frozenset(cell for cell in cells if touching[cell] == 1)
+        slab = spectrum if block.range_gate is None else _gated_spectrum(plan, run, block, receipts)
         units.append(
-            (block_unit(block.name), partial(_submit_chain, client, plan, run, spectrum, lit, block, own, -position))
+            (block_unit(block.name), partial(_submit_chain, client, plan, run, slab, lit, block, own, -position))
         )
     return run_units(client, "focus", units, run, listener)
 
@@ -137,7 +196,7 @@ def _submit_chain(
     tail = f"{run.token}-{unit}"
     submit = partial(client.submit, pure=False, priority=priority)
     ground = replace(block.ground, lit=lit_pulses(plan.geometry.collection, block.ground.yaw_axis, lit))
-    first, *others = stages(block.chain)
+    first, *others = stages(block.steps)
     slab = spectrum.within(block.first_bin, block.first_bin + block.n_bin)
     node = submit(read_slab, run, block, first, slab, key=f"read-slab+{first.name}-{tail}")
     for stage in others:

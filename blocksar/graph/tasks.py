@@ -5,12 +5,11 @@ from __future__ import annotations
 import resource
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import wraps
-from itertools import pairwise
 from typing import ParamSpec, TypeVar
 
 import numpy as np
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 
 from blocksar import stores
 from blocksar.arrays import ComplexArray
-from blocksar.chunks import BACKPROJECTION_CHUNK, DOPPLER_GROUP, SPECTRUM_BYTES, WRITES_AT_ONCE
+from blocksar.chunks import BACKPROJECTION_CHUNK, WRITES_AT_ONCE
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.errors import InputError, ProcessingError
@@ -28,6 +27,7 @@ from blocksar.focusing.ground_map import GroundMap
 from blocksar.focusing.range_compression import RawCompression
 from blocksar.focusing.recovery import Recovery, recover_columns
 from blocksar.focusing.step import Stage
+from blocksar.graph.spectrum import SpectrumChunks, Window, chunk_spans, read_ahead
 from blocksar.inspection.samples import Inspection, inspect, mask_outliers
 from blocksar.kernels import buffers
 from blocksar.places.place import Place
@@ -38,7 +38,6 @@ from blocksar.runs.record import Receipt, Written
 
 P = ParamSpec("P")
 R = TypeVar("R")
-Window = tuple[slice, slice]  # rows and columns
 # A block's part of an output chunk: block, its name, first row and column of its patch, checksum of the part.
 PatchChunk = tuple[int, str, int, int, str]
 
@@ -55,7 +54,7 @@ def peak_memory() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
 
-def _sign(run: Run, receipt: Receipt, started: float) -> Receipt:
+def sign(run: Run, receipt: Receipt, started: float) -> Receipt:
     """Add the peak memory to a receipt, and sign it."""
     return run.sign(replace(receipt, peak_memory=peak_memory()), started)
 
@@ -89,7 +88,7 @@ def compress_pulses(
     region = (slice(*pulses), slice(0, signal.shape[1]))
     part = write(run, run.compressed, "signal", region, signal)
     receipt = Receipt(unit=unit, stage="range-compress", written=(part,), found=inspection.as_dict())
-    return _sign(run, receipt, started)
+    return sign(run, receipt, started)
 
 
 def recover_group(
@@ -124,10 +123,10 @@ def recover_group(
         # One entry for each chunk, so that a block can check those that it reads.
         parts += [
             write(run, run.spectrum, "spectrum", (slice(*bins), part), spectrum[slice(*bins)])
-            for bins in _chunks(0, shape[0], height)
+            for bins in chunk_spans(0, shape[0], height)
         ]
     receipt = Receipt(unit=unit, stage="recover", written=tuple(parts), found=inspection.as_dict())
-    return _sign(run, receipt, started)
+    return sign(run, receipt, started)
 
 
 def inspect_group(run: Run, unit: str, source: stores.PhaseHistory, columns: tuple[int, int]) -> Receipt:
@@ -136,7 +135,7 @@ def inspect_group(run: Run, unit: str, source: stores.PhaseHistory, columns: tup
     signal = source.read(slice(None), slice(*columns))
     frequency = source.collection.range_frequency[slice(*columns)]
     inspection = inspect(signal, range_frequency=frequency, recovery=None, first_column=columns[0], threads=run.threads)
-    return _sign(run, Receipt(unit=unit, stage="inspect", found=inspection.as_dict()), started)
+    return sign(run, Receipt(unit=unit, stage="inspect", found=inspection.as_dict()), started)
 
 
 @dataclass
@@ -161,109 +160,16 @@ class Samples:
         return values if values.flags.writeable else values.copy()
 
 
-def _chunks(first: int, last: int, size: int) -> Iterator[tuple[int, int]]:
-    """Divide first .. last at multiples of `size`, the borders of a store's chunks."""
-    edges = [first, *range(first - first % size + size, last, size), last]
-    return pairwise(edges)
-
-
-@dataclass(frozen=True)
-class SpectrumChunks:
-    """The chunks of spectrum.zarr that a block reads, with the checksums of their receipts.
-
-    Attributes
-    ----------
-    shape, chunk : (int, int)
-        Doppler bins and range frequencies of the spectrum, and of a chunk.
-    checksums : mapping
-        By first bin and first column.
-    """
-
-    shape: tuple[int, int]
-    chunk: tuple[int, int]
-    checksums: Mapping[tuple[int, int], str]
-
-    @classmethod
-    def of(cls, receipts: Sequence[Receipt], shape: tuple[int, int], chunk: tuple[int, int]) -> SpectrumChunks:
-        """All chunks, from the receipts of recovery."""
-        parts = [part for receipt in receipts for part in receipt.written if receipt.stage == "recover"]
-        return cls(shape, chunk, {(part.region[0][0], part.region[1][0]): part.checksum for part in parts})
-
-    def within(self, first_bin: int, last_bin: int) -> SpectrumChunks:
-        """Those with some of the bins first_bin .. last_bin."""
-        first = first_bin - first_bin % self.chunk[0]
-        kept = {place: checksum for place, checksum in self.checksums.items() if first <= place[0] < last_bin}
-        return replace(self, checksums=kept)
-
-    def read(self, store: Place, region: tuple[slice, slice]) -> ComplexArray:
-        """Read a region; its columns are whole chunks.
-
-        Raises
-        ------
-        ProcessingError
-            If a chunk that it touches does not have its checksum.
-        """
-        bins, columns = region
-        height, width = self.chunk
-        first, last = bins.start - bins.start % height, min(-(-bins.stop // height) * height, self.shape[0])
-        rows = slice(bins.start - first, bins.stop - first)
-        at_once = max(SPECTRUM_BYTES // (8 * (last - first) * width), 1) * width
-        if columns.stop - columns.start <= at_once:
-            return self._checked(store, (first, last), (columns.start, columns.stop))[rows]
-        values = buffers.empty((bins.stop - bins.start, columns.stop - columns.start))
-        for c, d in _chunks(columns.start, columns.stop, at_once):
-            values[:, c - columns.start : d - columns.start] = self._checked(store, (first, last), (c, d))[rows]
-        return values
-
-    def _checked(self, store: Place, bins: tuple[int, int], columns: tuple[int, int]) -> ComplexArray:
-        """Read whole chunks, and compare their checksums."""
-        values: ComplexArray = stores.read_region(store, "spectrum", (slice(*bins), slice(*columns)), cached=False)
-        for a, b in _chunks(*bins, self.chunk[0]):
-            for c, d in _chunks(*columns, self.chunk[1]):
-                chunk = values[a - bins[0] : b - bins[0], c - columns[0] : d - columns[0]]
-                if stores.checksum(chunk) != self.checksums.get((a, c)):
-                    raise ProcessingError(
-                        f"{store} no longer has the checksum of its receipt at doppler {a}..{b - 1}, range_frequency "
-                        f"{c}..{d - 1}"
-                    )
-        return values
-
-
-def _read_ahead(
-    spectrum: SpectrumChunks, store: Place, regions: Sequence[Window]
-) -> Iterator[tuple[Window, ComplexArray, float]]:
-    """Read regions, each while the one before is used; with the seconds that were waited for it."""
-    with ThreadPoolExecutor(1) as pool:
-        coming = [pool.submit(spectrum.read, store, regions[0])]
-        for number, region in enumerate(regions):
-            started = time.perf_counter()
-            part = coming.pop().result()
-            waited = time.perf_counter() - started
-            if number + 1 < len(regions):
-                coming.append(pool.submit(spectrum.read, store, regions[number + 1]))
-            yield region, part, waited
-            del part
-
-
 @naming_failures(lambda run, block, stage, *_: f"read-slab+{stage.name} of block {block.name}")
 def read_slab(run: Run, block: BlockPlan, stage: Stage, spectrum: SpectrumChunks) -> Samples:
-    """Run a block's first stage on its part of the spectrum, which is read by chunks' bins or by chunks' columns."""
+    """Run a block's first stage on its part of the spectrum, which is read by chunks' columns."""
     started, reading = time.perf_counter(), 0.0
-    program, first_bin, last_bin = stage.program, block.first_bin, block.first_bin + block.n_bin
-    if stage.layout == "columns":
-        # The range gate works along rows of the store: read groups of Doppler bins, as chunks have them.
-        group = min(DOPPLER_GROUP, spectrum.chunk[0])
-        out = buffers.empty((program.target.size, program.n_row))
-        parts = [(slice(a, b), slice(0, spectrum.shape[1])) for a, b in _chunks(first_bin, last_bin, group)]
-    else:
-        out = buffers.empty((block.sampling.n_buffer_row, program.target.size))
-        parts = [(slice(first_bin, last_bin), slice(a, b)) for a, b in _chunks(0, program.n_row, spectrum.chunk[1])]
-    for region, part, waited in _read_ahead(spectrum, run.spectrum, parts):
+    program, bins = stage.program, slice(block.first_bin, block.first_bin + block.n_bin)
+    out = buffers.empty((block.sampling.n_buffer_row, program.target.size))
+    parts = [(bins, slice(a, b)) for a, b in chunk_spans(0, program.n_row, spectrum.chunk[1])]
+    for region, part, waited in read_ahead(spectrum, parts):
         reading += waited
-        if stage.layout == "columns":
-            program.run(part, out=out, first=region[0].start - first_bin, store="columns", threads=run.threads)
-        else:
-            program.run(part, out=out, first=region[1].start, load="columns", threads=run.threads)
+        program.run(part, out=out, first=region[1].start, load="columns", threads=run.threads)
     return Samples(out, {"read-slab": reading, stage.name: time.perf_counter() - started - reading})
 
 
@@ -280,9 +186,9 @@ def run_stage(run: Run, block: BlockPlan, stage: Stage, samples: Samples) -> Sam
         result = values
     else:
         out: ComplexArray | None = values if program.target.size <= values.shape[1] else None
-        # The later stages need a buffer: the slab as a range gate leaves it has none, or rows become longer.
+        # The later stages need a buffer where rows become longer.
         inner = out is None and stage.steps[-1].name != block.chain[-1].name
-        if program.source == block.sampling.slab or inner:
+        if inner:
             out = buffers.empty((block.sampling.n_buffer_row, program.target.size))
         result = program.run(values[: program.n_row], out=out, threads=run.threads)
     return Samples(result, samples.seconds | {stage.name: time.perf_counter() - started})
@@ -328,7 +234,7 @@ def write_patch(
         unit=unit, stage="focus", written=tuple(part for future in writes for part in future.result()),
         origin=(int(first_y), int(first_x)), steps=seconds,
     )  # fmt: skip
-    return _sign(run, receipt, started - sum(samples.seconds.values()))
+    return sign(run, receipt, started - sum(samples.seconds.values()))
 
 
 def _window(cell: tuple[int, int], grid: Grid) -> Window:
@@ -391,7 +297,7 @@ def merge_chunks(run: Run, unit: str, cells: Mapping[tuple[int, int], Sequence[P
     """Merge patches into output chunks of the mosaic, given by row and column of the chunk."""
     started = time.perf_counter()
     parts = [part for cell, patches in cells.items() for part in _merge(run, cell, patches, grid)]
-    return _sign(run, Receipt(unit=unit, stage="mosaic", written=tuple(parts)), started)
+    return sign(run, Receipt(unit=unit, stage="mosaic", written=tuple(parts)), started)
 
 
 def _merge(run: Run, cell: tuple[int, int], parts: Sequence[PatchChunk], grid: Grid) -> list[Written]:
@@ -450,4 +356,4 @@ def back_project_chunk(
             write(run, run.image, "image", (rows, columns), image),
             write(run, run.image, "block", (rows, columns), owner),
         ]
-    return _sign(run, Receipt(unit=unit, stage="backprojection", written=tuple(parts)), started)
+    return sign(run, Receipt(unit=unit, stage="backprojection", written=tuple(parts)), started)

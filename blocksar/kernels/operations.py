@@ -76,6 +76,21 @@ class Window:
 
 
 @dataclass(frozen=True, eq=False)
+class Cut:
+    """Keep the samples first[r] .. first[r] + target.size - 1 of row r, counted modulo its length.
+
+    Attributes
+    ----------
+    first : (n_row,) int
+    target : Axis
+        Of the samples that are kept.
+    """
+
+    first: IntArray
+    target: Axis
+
+
+@dataclass(frozen=True, eq=False)
 class Stretch:
     """Resample row r at position middle + (i - middle) scale[r], preserving its sum; zero where there is no input."""
 
@@ -103,4 +118,4 @@ class Resample:
     taps: Float32Array
 
 
-Operation = Turn | ScaledTurn | Transform | Window | Stretch | Resample
+Operation = Turn | ScaledTurn | Transform | Window | Cut | Stretch | Resample

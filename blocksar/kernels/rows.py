@@ -16,11 +16,11 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.kernels import buffers, interpolation, phase
 from blocksar.kernels.fourier import Axis, fft_rows
 from blocksar.kernels.groups import row_groups, run_groups
-from blocksar.kernels.operations import Operation, Resample, ScaledTurn, Stretch, Transform, Turn, Window
+from blocksar.kernels.operations import Cut, Operation, Resample, ScaledTurn, Stretch, Transform, Turn, Window
 from blocksar.kernels.phase import Phase
 
 Layout = Literal["rows", "columns"]
@@ -70,6 +70,8 @@ class Program:
                     if not self._passes:  # windows work in place, and the input must not change
                         self._passes.append(self._flush())
                     self._passes.append(_WindowPass(operation))
+                case Cut():
+                    self._cut(operation)
                 case Stretch() | Resample():
                     self._passes += [self._flush(), _ResamplingPass(operation)]
         if self._pending.any() or not (self._passes and isinstance(self._passes[-1], _ResamplingPass)):
@@ -103,6 +105,12 @@ class Program:
         self.target = operation.target
         self.transforms.append(operation.period)
         self._add_phase(after)
+
+    def _cut(self, operation: Cut) -> None:
+        if self._scaled is not None or self._pending.any():
+            self._passes.append(self._flush())
+        self._passes.append(_CutPass(operation.first, operation.target.size))
+        self.target = operation.target
 
     def groups(self, first: int, last: int, *, columns: bool) -> list[slice]:
         """Divide the rows first .. last - 1 into groups that depend on the program only."""
@@ -206,6 +214,21 @@ class _WindowPass:
     def __call__(self, group: ComplexArray, rows: slice, out: ComplexArray | None = None) -> ComplexArray:
         phase.multiply_windows(group, self.operation.values, self.operation.which[rows])
         return group
+
+
+@dataclass(frozen=True, eq=False)
+class _CutPass:
+    first: IntArray
+    size: int
+
+    def __call__(self, group: ComplexArray, rows: slice, out: ComplexArray | None = None) -> ComplexArray:
+        if out is None:
+            out = np.empty((group.shape[0], self.size), np.complex64)
+        for row, kept, first in zip(group, out, (self.first[rows] % group.shape[1]).tolist(), strict=True):
+            ahead = row[first : first + self.size]
+            kept[: ahead.size] = ahead
+            kept[ahead.size : self.size] = row[: self.size - ahead.size]
+        return out
 
 
 @dataclass(frozen=True, eq=False)

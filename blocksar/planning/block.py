@@ -12,6 +12,7 @@ from numpy.polynomial import chebyshev
 from blocksar import solvers
 from blocksar.arrays import FloatArray
 from blocksar.budget import IMAGE_TAP_ERROR
+from blocksar.chunks import DOPPLER_GROUP
 from blocksar.collection import range_series
 from blocksar.collection.beam import dwell_at, lit_pulses
 from blocksar.collection.collection import Collection
@@ -23,7 +24,7 @@ from blocksar.focusing.ground_map import YAW_STEPS, GroundMap, surfaces
 from blocksar.focusing.lines import Focus, Line, focus
 from blocksar.focusing.method import Method
 from blocksar.focusing.motion import RangeMotionInFrequency
-from blocksar.focusing.range_steps import RangeGate
+from blocksar.focusing.range_gate import RangeGate
 from blocksar.focusing.recovery import Recovery
 from blocksar.focusing.sampling import Sampling
 from blocksar.focusing.step import Constants, Step
@@ -114,6 +115,16 @@ class BlockPlan:
     prediction: Prediction
     memory: int
     choice: Choice
+
+    @property
+    def range_gate(self) -> RangeGate | None:
+        """The range gate of a sub-block, which one task applies for all sub-blocks; None for a whole block."""
+        return self.chain[0] if isinstance(self.chain[0], RangeGate) else None
+
+    @property
+    def steps(self) -> tuple[Step, ...]:
+        """The steps that the block's own tasks apply: the chain without its range gate."""
+        return self.chain if self.range_gate is None else self.chain[1:]
 
     @property
     def name(self) -> str:
@@ -399,12 +410,12 @@ def _yaw_steps(sector: Sector) -> int:
 
 def _plan_memory(range_gate: RangeGate | None, range_part: RangePart, sampling: Sampling) -> int:
     """Peak memory of a worker that focuses the block, bytes."""
+    margin = 0 if range_gate is None else 2 * DOPPLER_GROUP  # its slab in whole chunks
     lengthened = any(isinstance(step, RangeMotionInFrequency) for step in range_part.steps)
     return block_memory(
-        gate=range_gate,
         n_short=sampling.time.size if lengthened else 0,
         frequency=sampling.range_frequency,
-        n_bin=sampling.slab.size,
+        n_bin=sampling.slab.size + margin,
         n_column=(sampling.doppler if range_part.compression.in_doppler else sampling.time).size,
         n_row=sampling.rows.size,
         n_image=sampling.image_doppler.size,

@@ -27,8 +27,14 @@ def run_bytes(plan: Plan) -> dict[str, int]:
     touching = Counter(cell for ground in grounds for cell in touched_chunks(ground, plan.grid))
     covered = covered_pixels(grounds, plan.grid)
     merged = sum(count > 1 for count in touching.values()) * math.prod(image_chunk(plan.grid))
+    gated = 0
+    for block in plan.blocks:
+        if block.range_gate is not None:
+            first, last = plan.gated_bins(block)
+            gated += SAMPLE * (last - first) * block.sampling.range_frequency.size
     return {
         "spectrum": SAMPLE * plan.recovery.doppler.size * plan.geometry.collection.n_range_frequency,
+        **({"gated": gated} if gated else {}),
         "patches": SAMPLE * covered,
         "image": SAMPLE * min(merged, covered),
     }

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import replace
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from blocksar.chunks import MOSAIC_CHUNKS, TILE
 from blocksar.collection.beam import dwell
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
-from blocksar.planning.plan import Plan
+from blocksar.planning.plan import Plan, block_work
 from blocksar.planning.tiling import image_chunk, inspection_width, touched_chunks
 from blocksar.progress import Work
 
@@ -59,8 +58,9 @@ def of_plan(plan: Plan, *, echo_samples: int = 0) -> Work:
     merged = [patches[chunk] for chunk in sorted(patches) if patches[chunk] > 1]
     stages = {
         "recover": (RECOVER * plan.recovery.doppler.size * columns).tolist(),
+        **_gating(plan),
         "focus": [
-            STEPS * replace(plan, blocks=(block,)).work() + CORRECT * len(touched) * side[0] * side[1]
+            STEPS * block_work(block) + CORRECT * len(touched) * side[0] * side[1]
             for block, touched in zip(plan.blocks, chunks, strict=True)
         ],
         "mosaic": [
@@ -69,6 +69,12 @@ def of_plan(plan: Plan, *, echo_samples: int = 0) -> Work:
         ],
     }
     return _by_pulse_group(collection.n_pulse, echo_samples) | stages | {"finish": [FINISH]}
+
+
+def _gating(plan: Plan) -> dict[str, list[float]]:
+    """Work of the range gates; nothing without sub-blocks."""
+    groups = plan.gate_spans()
+    return {"gate": [STEPS * plan.gate_work() / len(groups)] * len(groups)} if groups else {}
 
 
 def of_backprojection(geometry: Geometry, grid: Grid, *, echo_samples: int = 0) -> Work:

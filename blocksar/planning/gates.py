@@ -13,7 +13,7 @@ from blocksar.arrays import BoolArray, FloatArray
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.lines import Focus, Line, RowPolynomial
-from blocksar.focusing.range_steps import RangeGate
+from blocksar.focusing.range_gate import RangeGate
 from blocksar.kernels import fourier
 from blocksar.kernels.fourier import Axis
 from blocksar.planning.target_lines import middle_line
@@ -40,14 +40,14 @@ def plan_range_gate(full: Axis, slab: Axis, line: Line, carrier: float) -> Range
     period = fourier.fast_length(full.size)
     step = 1 / (period * full.step)
     size, n_frequency = _gate_length((high - low) * 2 / SPEED_OF_LIGHT / step, full.size / period, period)
-    gate = fourier.centred((low + high) / SPEED_OF_LIGHT, step, size)
+    middle = round((low + high) / SPEED_OF_LIGHT / step)
     coarse = 1 / (size * step)
     ramp = np.clip((np.minimum(np.arange(size), np.arange(size)[::-1]) + 0.5) / (RANGE_GUARD / 2), 0, 1)
     normalised = np.clip((2 * slab.values - 2 * slab.start - slab.extent) / slab.extent, u.min(), u.max())
     return RangeGate(
         slab=slab,
-        centre=np.asarray(chebyshev.chebval(normalised, centre)),
-        gate=gate,
+        centre=np.rint(chebyshev.chebval(normalised, centre) * 2 / SPEED_OF_LIGHT / step).astype(np.intp),
+        gate=Axis(step * (middle - size // 2), step, size),
         window=np.sin(np.pi / 2 * ramp) ** 2,
         full=full,
         range_frequency=Axis(full.start - full.step / 2 + coarse / 2, coarse, n_frequency),

@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import math
 
-from blocksar.chunks import BACKPROJECTION_CHUNK, COLUMN_CHUNK, DOPPLER_GROUP, IMAGE_PIXELS, TILE, WRITES_AT_ONCE
+from blocksar.chunks import (
+    BACKPROJECTION_CHUNK,
+    COLUMN_CHUNK,
+    IMAGE_PIXELS,
+    SPECTRUM_BYTES,
+    TILE,
+    WRITES_AT_ONCE,
+)
 from blocksar.collection.collection import Collection
 from blocksar.collection.grid import Grid
 from blocksar.collection.raw_echo import RawEcho
@@ -12,7 +19,7 @@ from blocksar.constants import MIB
 from blocksar.errors import InputError
 from blocksar.focusing.backprojection import image_memory
 from blocksar.focusing.range_compression import COMPRESSED_ROWS
-from blocksar.focusing.range_steps import RangeGate
+from blocksar.focusing.range_gate import RangeGate
 from blocksar.kernels.fourier import Axis
 from blocksar.kernels.groups import GROUP_BYTES
 from blocksar.planning.tiling import image_chunk, inspection_width
@@ -68,7 +75,6 @@ def back_projection_memory(collection: Collection, grid: Grid, *, threads: int) 
 
 def block_memory(
     *,
-    gate: RangeGate | None,
     frequency: Axis,
     n_bin: int,
     n_column: int,
@@ -79,19 +85,25 @@ def block_memory(
 ) -> int:
     """Peak memory of a worker that focuses a block, bytes: the largest input and output of its stages.
 
-    Stages work in place, except on the slab of a range gate, on rows of `n_short` samples that become longer, and on an
-    image wider in Doppler than the signal is long.
+    Stages work in place, except on rows of `n_short` samples that become longer, and on an image wider in Doppler than
+    the signal is long. `n_bin` counts the Doppler bins of whole chunks.
     """
     buffer = max(frequency.size, n_row) * n_column
-    if gate is None:
-        loaded = n_bin * COLUMN_CHUNK
-        held = [3 * loaded + buffer]  # one part in use, the next one being read, and the chunks of that
-    else:
-        slab, loaded = frequency.size * n_bin, DOPPLER_GROUP * gate.full.size
-        held = [3 * loaded + slab, slab + buffer]
+    loaded = n_bin * COLUMN_CHUNK
+    held = [3 * loaded + buffer]  # one part in use, the next one being read, and the chunks of that
     groups = 4 * max(GROUP_BYTES, 8 * 8 * length)
     if n_short:
         held.append(buffer + max(frequency.size, n_row) * n_short)
     if n_image > n_column:
         held.append(buffer + n_row * n_image)
     return PROCESS_MEMORY + 8 * max(*held, buffer + 2 * (WRITES_AT_ONCE + 1) * IMAGE_PIXELS) + groups
+
+
+def gating_memory(gate: RangeGate, *, n_bin: int, n_group: int) -> int:
+    """Peak memory of a worker that gates `n_bin` Doppler bins in range, `n_group` at a time, bytes."""
+    read = n_bin * gate.full.size
+    read += min(read, SPECTRUM_BYTES // 8)  # and the chunks of a part
+    delays = n_group * gate.to_delay.period
+    # Groups that are written or wait for it; the one that is computed, alone and in whole chunks; copies of chunks.
+    gated = (WRITES_AT_ONCE + 4) * n_group * gate.range_frequency.size
+    return PROCESS_MEMORY + 8 * (read + delays + gated) + 4 * max(GROUP_BYTES, 8 * 8 * gate.to_delay.period)

@@ -16,7 +16,15 @@ import numpy as np
 
 from blocksar.arrays import FloatArray
 from blocksar.budget import FIDELITY, LEAST_FIDELITY
-from blocksar.chunks import CHUNK_SAMPLES, COLUMN_CHUNK, SIGNAL_BYTES, SIGNAL_COLUMNS, SPECTRUM_BYTES
+from blocksar.chunks import (
+    CHUNK_SAMPLES,
+    COLUMN_CHUNK,
+    DOPPLER_GROUP,
+    GATE_BYTES,
+    SIGNAL_BYTES,
+    SIGNAL_COLUMNS,
+    SPECTRUM_BYTES,
+)
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
@@ -24,13 +32,14 @@ from blocksar.collection.region import Extent, Region, block_seams, default_grid
 from blocksar.constants import MIB, SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.focusing.method import DEFAULT, Method
+from blocksar.focusing.range_gate import RangeGate
 from blocksar.focusing.recovery import Recovery
 from blocksar.focusing.step import stages
 from blocksar.kernels.operations import Resample, Stretch, Transform
 from blocksar.planning.block import BlockPlan, Sector, plan_block
 from blocksar.planning.coefficients import Choice
 from blocksar.planning.division import MAX_BLOCKS, find_division
-from blocksar.planning.memory import MEMORY_SHARE, PROCESS_MEMORY
+from blocksar.planning.memory import MEMORY_SHARE, PROCESS_MEMORY, gating_memory
 from blocksar.planning.recovery import plan_recovery
 from blocksar.planning.refusal import find_refusal
 
@@ -86,7 +95,28 @@ class Plan:
         while column > 16 and 8 * column * n_bin > SPECTRUM_BYTES:
             column //= 2
         column = _even(n_frequency, column)
-        return _even(n_bin, CHUNK_SAMPLES // column), column
+        height = _even(n_bin, CHUNK_SAMPLES // column)
+        if self.parts > 1:  # a task gates whole chunks in range, in groups of equal size
+            height = _even(n_bin, min(height, max(GATE_BYTES // (8 * n_frequency), 1)))
+            groups = math.ceil(height / DOPPLER_GROUP)
+            height = groups * math.ceil(height / groups)
+        return height, column
+
+    @property
+    def gate_group(self) -> int:
+        """Doppler bins that are gated in range at a time: a whole fraction of a chunk of the spectrum."""
+        height = self.spectrum_chunk[0]
+        return height // math.ceil(height / DOPPLER_GROUP)
+
+    def gated_bins(self, block: BlockPlan) -> tuple[int, int]:
+        """First and last Doppler bin (exclusive) of a sub-block's gated spectrum: its slab, in whole groups."""
+        group, n_bin = self.gate_group, self.recovery.doppler.size
+        last = block.first_bin + block.n_bin
+        return block.first_bin - block.first_bin % group, min(math.ceil(last / group) * group, n_bin)
+
+    def gated_chunk(self, block: BlockPlan) -> tuple[int, int]:
+        """Doppler bins and range frequencies of a chunk of a sub-block's gated spectrum."""
+        return self.gate_group, _even(block.sampling.range_frequency.size, COLUMN_CHUNK)
 
     @property
     def column_group(self) -> int:
@@ -104,7 +134,21 @@ class Plan:
     @property
     def memory(self) -> int:
         """Peak memory of a worker, bytes."""
-        return max(self.recovery_memory, *(block.memory for block in self.blocks))
+        return max(self.recovery_memory, self.gating_memory, *(block.memory for block in self.blocks))
+
+    @property
+    def gating_memory(self) -> int:
+        """Peak memory of a worker that gates sub-blocks in range, bytes; 0 without any."""
+        return max(
+            (
+                gating_memory(gate, n_bin=self.spectrum_chunk[0], n_group=self.gate_group)
+                for gate in self._range_gates()
+            ),
+            default=0,
+        )
+
+    def _range_gates(self) -> list[RangeGate]:
+        return [block.range_gate for block in self.blocks if block.range_gate is not None]
 
     @property
     def coherence(self) -> float:
@@ -115,21 +159,37 @@ class Plan:
         """All FFTs of samples in the plan, in order."""
         frequency = self.geometry.collection.range_frequency
         transforms = [Transforms("recover", frequency.size, n) for n in self.recovery.program(frequency).transforms]
+        transforms += self._gate_transforms()
         for block in self.blocks:
-            for stage in stages(block.chain):
+            for stage in stages(block.steps):
                 transforms += [Transforms(stage.name, stage.program.n_row, n) for n in stage.program.transforms]
         return transforms
 
+    def gate_spans(self) -> list[tuple[int, int]]:
+        """First and last Doppler bin (exclusive) that each gating task reads: whole chunks that sub-blocks touch."""
+        height, n_bin = self.spectrum_chunk[0], self.recovery.doppler.size
+        slabs = [(block.first_bin, block.first_bin + block.n_bin) for block in self.blocks if block.range_gate]
+        spans = [(first, min(first + height, n_bin)) for first in range(0, n_bin, height)]
+        return [span for span in spans if any(first < span[1] and span[0] < last for first, last in slabs)]
+
+    def _gate_transforms(self) -> list[Transforms]:
+        """Those of the range gates: each Doppler bin once to delay, and from there for each sub-block."""
+        gates = self._range_gates()
+        if not gates:
+            return []
+        bins = np.zeros(self.recovery.doppler.size, np.bool_)
+        for block in self.blocks:
+            bins[block.first_bin : block.first_bin + block.n_bin] = True
+        to_delay = Transforms(gates[0].name, int(bins.sum()), gates[0].to_delay.period)
+        return [to_delay, *(Transforms(gate.name, gate.n_row, gate.gate.size) for gate in gates)]
+
+    def gate_work(self) -> float:
+        """Floating-point operations of the range gates' transforms."""
+        return sum(each.count * _fft_work(each.length) for each in self._gate_transforms())
+
     def work(self) -> float:
         """Floating-point operations of all transforms and resamplings of the blocks."""
-        total = 0.0
-        for step in (step for block in self.blocks for step in block.chain):
-            for operation in step.operations():
-                if isinstance(operation, Transform):
-                    total += step.n_row * 5 * operation.period * math.log2(operation.period)
-                elif isinstance(operation, Stretch | Resample):
-                    total += step.n_row * 4 * step.source.size * operation.taps.shape[1]
-        return total
+        return self.gate_work() + sum(map(block_work, self.blocks))
 
     def excess(self, *, migration: bool = True) -> float:
         """The largest excess of any block over what the fidelity allows; see `Prediction.excess`."""
@@ -139,6 +199,22 @@ class Plan:
     def faithful(self) -> bool:
         """Whether all blocks keep the fidelity, and side lobes as close to the ideal ones as it asks for."""
         return self.excess() <= 1.0
+
+
+def block_work(block: BlockPlan) -> float:
+    """Floating-point operations of the transforms and resamplings of a block's own steps."""
+    total = 0.0
+    for step in block.steps:
+        for operation in step.operations():
+            if isinstance(operation, Transform):
+                total += step.n_row * _fft_work(operation.period)
+            elif isinstance(operation, Stretch | Resample):
+                total += step.n_row * 4 * step.source.size * operation.taps.shape[1]
+    return total
+
+
+def _fft_work(length: int) -> float:
+    return 5 * length * math.log2(length)
 
 
 def _even(n: int, most: int) -> int:

@@ -28,6 +28,7 @@ OWN = (
     "collection.zarr",
     "spectrum.zarr",
     "compressed.zarr",
+    "gated",
     "image.zarr",
     "patches",
     "receipts",
@@ -37,7 +38,7 @@ OWN = (
     "mosaic.png",
     "contours.png",
 )
-TEMPORARY = ("receipts", "compressed.zarr", "scratch")  # those of OWN that a finished run does not need
+TEMPORARY = ("receipts", "compressed.zarr", "gated", "scratch")  # those of OWN that a finished run does not need
 LEFT_ALONE = ("phase_history.zarr",)  # may lie in the folder of a new run: `demo` puts its input there
 LOCK, ASIDE = "run.lock", ".replaced"
 

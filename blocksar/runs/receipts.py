@@ -48,6 +48,9 @@ class Run:
     def image(self) -> Place:
         return self.folder / "image.zarr"
 
+    def gated(self, block: str) -> Place:
+        return self.folder / "gated" / f"spectrum-{block}.zarr"
+
     def patch(self, block: str) -> Place:
         return self.folder / "patches" / block
 

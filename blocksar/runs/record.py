@@ -17,7 +17,7 @@ from blocksar.places.place import Place
 from blocksar.runs.fields import Field
 from blocksar.version import __version__
 
-FORMAT = 5  # version of the run folder's layout
+FORMAT = 6  # version of the run folder's layout
 FINISHED, UNFINISHED = "finished", "unfinished"
 RECORD = "run.json"
 # Receipts of version 0.1.0 do not name the stage: derive it from the unit's name, here and nowhere else.

@@ -32,6 +32,7 @@ from blocksar.stores.regions import chunk_shape, read_region, share_region, writ
 from blocksar.stores.schema import (
     COLLECTION,
     CONVENTIONS,
+    GATED,
     IMAGE,
     PATCH,
     PHASE_HISTORY,
@@ -44,6 +45,7 @@ from blocksar.stores.schema import (
 __all__ = [
     "COLLECTION",
     "CONVENTIONS",
+    "GATED",
     "IMAGE",
     "PATCH",
     "PHASE_HISTORY",

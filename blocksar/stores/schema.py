@@ -49,6 +49,7 @@ SPECTRUM = {
     "doppler": DOPPLER,
     "range_frequency": RANGE_FREQUENCY,
 }
+GATED = {name: SPECTRUM[name] for name in ("spectrum", "doppler", "range_frequency")}
 PATCH = {
     "image": Variable(
         ("y", "x"), "complex64", "1", "focused block on the ground; NaN where not covered", compressed=True

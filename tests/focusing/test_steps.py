@@ -48,7 +48,6 @@ from blocksar.focusing.range_steps import (
     DopplerCompression,
     Keystone,
     RangeCompression,
-    RangeGate,
     ResidualRangeWalk,
 )
 from blocksar.kernels import fourier, rows
@@ -401,39 +400,3 @@ def test_range_compression_straightens_its_reference_exactly() -> None:
     profile = compress_range(np.ones((N_FREQUENCY, 1)), f, ranges.values[:, None]) * N_FREQUENCY / period
     carrier = -2 * CARRIER / SPEED_OF_LIGHT * (reference @ t ** order[:, None])
     assert np.abs(found - profile * np.exp(2j * np.pi * carrier)).max() < 1e-5
-
-
-@pytest.mark.parametrize(("n", "kept"), [(200, 84), (187, 61)])
-def test_a_range_gate_keeps_targets_inside_it_on_fewer_frequencies(n: int, kept: int) -> None:
-    """A target inside the gate, whose centre moves, keeps its spectrum on the coarser frequencies; others vanish."""
-    full = Axis(-20e6, 40e6 / n, n)
-    cell = SPEED_OF_LIGHT / (2 * full.extent)
-    step = 1 / full.extent
-    size = kept  # the density of frequencies in the band does not change
-    gate = fourier.centred(0.0, step, size)
-    coarse = full.extent / size
-    slab = Axis(-300.0, 25.0, 24)
-    centre = 900.0 + 40.0 * np.cos(np.arange(24) / 9)
-    edge = np.minimum(np.arange(size), np.arange(size)[::-1])
-    window = np.sin(np.pi / 2 * np.clip((edge + 0.5) / 12, 0, 1)) ** 2
-    frequency = Axis(full.start - full.step / 2 + coarse / 2, coarse, size)
-    step_ = RangeGate(slab=slab, centre=centre, gate=gate, window=window, full=full, range_frequency=frequency)
-
-    def target(f: FloatArray, beside: float) -> np.ndarray:
-        """Spectrum of a target that lies `beside` whole cells from the gate's centre at each bin: a single delay."""
-        cycles = -2 / SPEED_OF_LIGHT * np.multiply.outer(f, centre + beside * cell)
-        return np.exp(2j * np.pi * cycles)
-
-    for beside in (0.0, 9.0, -14.0):
-        found = step_.apply(target(full.values, beside).astype(np.complex64), threads=1)
-        assert found.shape == (size, 24)
-        # A single delay of one gate sample has the same phase ramp on both grids, except for the half step between
-        # their edges.
-        wanted = target(frequency.values, beside)
-        turned = found * wanted.conj()
-        assert np.abs(turned - turned.mean(axis=0)).max() < 2e-4
-        np.testing.assert_allclose(np.abs(turned.mean(axis=0)), 1.0, atol=2e-4)
-        assert np.abs(np.angle(turned.mean(axis=0))).max() < 1e-3
-    for beside in (size / 2 + 3, -size / 2 - 9):
-        outside = np.round(beside)
-        assert np.abs(step_.apply(target(full.values, outside).astype(np.complex64), threads=2)).max() < 1e-4

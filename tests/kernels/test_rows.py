@@ -14,7 +14,7 @@ from steps import explicit_transform
 from blocksar.arrays import ComplexArray
 from blocksar.kernels import groups, interpolation, rows
 from blocksar.kernels.fourier import Axis, centred, dual
-from blocksar.kernels.operations import Operation, Resample, ScaledTurn, Stretch, Transform, Turn, Window
+from blocksar.kernels.operations import Cut, Operation, Resample, ScaledTurn, Stretch, Transform, Turn, Window
 from blocksar.kernels.phase import Phase
 from blocksar.kernels.rows import Layout, Program
 
@@ -237,6 +237,24 @@ def test_a_program_may_begin_with_a_window_a_stretch_or_a_curve() -> None:
         tolerance = 4 * ROUNDING if {*operations} == {window} else STRETCHED
         assert error(found[:, inner], wanted[:, inner]) < tolerance
         np.testing.assert_array_equal(x, given)
+
+
+@pytest.mark.parametrize("layout", ["rows", "columns"])
+def test_a_cut_keeps_samples_modulo_the_length_of_the_row(layout: Layout) -> None:
+    """Also after a phase, which is held back otherwise, and before one that is different in each row."""
+    axis, kept = Axis(0.0, 1.0, 40), Axis(-7.0, 1.0, 25)
+    first = np.array([0, 15, 16, 39, -7, -40, 4023])
+    before, after = Phase(np.array([[0.1, 0.02]]), 0.0, 1.0), Phase(0.01 * np.arange(14.0).reshape(7, 2), 0.0, 1.0)
+    x = noise(7, 40)
+    turned = x * np.exp(2j * np.pi * before.cycles(axis.values))
+    wanted = np.stack([np.roll(row, -begin)[:25] for row, begin in zip(turned, first, strict=True)])
+    wanted = wanted * np.exp(2j * np.pi * after.cycles(kept.values))
+    program = Program([Turn(before), Cut(first, kept), Turn(after)], source=axis, n_row=7)
+    assert program.target == kept
+    given = x if layout == "rows" else x.T.copy()
+    assert error(program.run(given, load=layout), wanted) < ROUNDING * 4
+    bare = Program([Cut(first, kept)], source=axis, n_row=7).run(given, load=layout)
+    np.testing.assert_array_equal(bare, [np.roll(row, -begin)[:25] for row, begin in zip(x, first, strict=True)])
 
 
 def test_phases_that_do_not_fit_into_one_pass_take_several() -> None:

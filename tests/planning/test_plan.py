@@ -19,6 +19,7 @@ from blocksar.collection.region import plan_region
 from blocksar.errors import InputError
 from blocksar.focusing.method import Method
 from blocksar.planning.block import BlockPlan, Sector, plan_block
+from blocksar.planning.disk import run_bytes
 from blocksar.planning.plan import plan_collection
 from blocksar.planning.recovery import plan_recovery
 from blocksar.simulation.scene import Scene
@@ -125,3 +126,32 @@ def test_where_the_kinds_tried_fold_lines_another_is_fitted() -> None:
     plan = plan_block(sector, Method(), index=27)
     assert np.isfinite(plan.choice.cost)
     assert np.isfinite(list(plan.prediction)).all()
+
+
+def test_range_gates_share_their_delays_and_divide_the_spectrum_into_whole_chunks() -> None:
+    """One transform of each Doppler bin serves all sub-blocks, and each group of bins is written by one task."""
+    plan = plan_collection(Scene.parse(scene()).collection().centred(), blocks=2, parts=3)
+    gates = [block.range_gate for block in plan.blocks]
+    assert len(gates) == 6
+    for gate in gates:
+        assert gate is not None and gates[0] is not None
+        assert gate.to_delay == gates[0].to_delay
+        assert abs(gate.gate.start / gate.gate.step - round(gate.gate.start / gate.gate.step)) < 1e-9
+    height, group = plan.spectrum_chunk[0], plan.gate_group
+    assert height % group == 0
+    spans, n_bin = plan.gate_spans(), plan.recovery.doppler.size
+    for block in plan.blocks:
+        first, last = plan.gated_bins(block)
+        assert first % group == 0 and (last % group == 0 or last == n_bin)
+        assert first <= block.first_bin < first + group
+        assert block.first_bin + block.n_bin <= last < block.first_bin + block.n_bin + group
+        assert any(span[0] <= first < span[1] for span in spans) and any(span[0] < last <= span[1] for span in spans)
+        assert block.steps == block.chain[1:]
+    assert run_bytes(plan)["gated"] > 0
+    assert plan.memory >= plan.gating_memory > 0
+    # A Doppler bin is transformed to delay once, however many sub-blocks have it.
+    made = [each for each in plan.transforms() if each.stage == "range-gate"]
+    assert made[0].count <= n_bin < sum(block.n_bin for block in plan.blocks)
+    assert [each.count for each in made[1:]] == [block.n_bin for block in plan.blocks]
+    whole = plan_collection(Scene.parse(scene()).collection().centred(), blocks=2)
+    assert whole.gating_memory == 0 and not whole.gate_spans() and "gated" not in run_bytes(whole)

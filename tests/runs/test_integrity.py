@@ -20,6 +20,7 @@ from scenes import one_target
 
 import blocksar
 from blocksar import stores
+from blocksar.api import jobs
 from blocksar.errors import InputError, ProcessingError
 from blocksar.graph import stages
 
@@ -135,6 +136,32 @@ def test_a_damaged_chunk_of_the_spectrum_is_noticed_and_computed_again(
     report = blocksar.focus(store, run, blocks=2, grid=GRID, client=client)
     assert checksum(run) == right
     assert any("damaged and computed again" in line for line in report.summary)
+
+
+@pytest.mark.parametrize("damage", [os.unlink, overwrite])
+def test_a_damaged_chunk_of_a_gated_spectrum_is_noticed_and_computed_again(
+    store: Path, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage: Callable[[Path], None]
+) -> None:
+    """Range sub-blocks read what range gates have kept for them; only what is damaged is gated again."""
+    real = jobs.plan_collection
+    monkeypatch.setattr(jobs, "plan_collection", lambda *args, **how: real(*args, **how | {"parts": 2}))
+    run, settings = tmp_path / "run", {"blocks": 2, "grid": GRID, "client": client}
+    whole = blocksar.focus(store, tmp_path / "whole", **settings)
+    assert whole.result["plan"]["parts"] == 2 and "gate" in whole.result["timings"]
+    gated = run / "gated" / "spectrum-1.0.zarr" / "spectrum"
+    with monkeypatch.context() as patch:
+        before(patch, "focus_blocks", lambda: damage(chunk_of(gated)), lambda: None)
+        with pytest.raises(
+            ProcessingError, match=r"spectrum-1\.0\.zarr no longer has the checksum .* goes on from there"
+        ):
+            blocksar.focus(store, run, **settings)
+    report = blocksar.focus(store, run, **settings)
+    assert any("damaged and computed again" in line for line in report.summary)
+    receipts = [r for r in report.result["receipts"] if r["stage"] == "gate"]
+    assert [r.get("damaged", False) for r in receipts].count(True) == 1 < len(receipts)
+    assert all(r.get("reused", False) != r.get("damaged", False) for r in receipts)
+    assert checksum(run) == checksum(tmp_path / "whole")
+    assert not (run / "gated").exists()
 
 
 def test_a_chunk_of_a_patch_that_is_lost_is_noticed(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -16,6 +17,7 @@ from distributed import Client
 
 from blocksar.kernels.groups import row_groups
 from blocksar.places import direct
+from blocksar.planning.disk import run_bytes
 from blocksar.planning.plan import Plan, Transforms
 
 Seconds = dict[str, float]
@@ -124,13 +126,17 @@ def on_every_worker(client: Client, task: Any, *arguments: Any) -> list[Seconds]
 
 
 def traffic_of(store: Path, run: Path, plan: Plan) -> list[Traffic]:
-    """Bytes that a finished run has read and written: its samples once, the spectrum as often as blocks read it."""
+    """Bytes that a finished run has read and written: its samples once, the spectrum by the blocks or their gates."""
     row = SAMPLE_BYTES * plan.geometry.collection.n_range_frequency
     signal = _chunks(store / "signal")
     traffic = [Traffic("input", _largest(signal), 0, row * plan.geometry.collection.n_pulse, tuple(signal))]
     if spectrum := _chunks(run / "spectrum.zarr" / "spectrum"):
-        read = row * sum(block.n_bin for block in plan.blocks)
+        whole = sum(block.n_bin for block in plan.blocks if block.range_gate is None)
+        read = row * (whole + sum(last - first for first, last in plan.gate_spans()))
         traffic.append(Traffic("spectrum", _largest(spectrum), row * plan.recovery.doppler.size, read))
+    if gated := run_bytes(plan).get("gated", 0):  # removed at the end of the run
+        chunk = max(math.prod(plan.gated_chunk(block)) for block in plan.blocks)
+        traffic.append(Traffic("gated", SAMPLE_BYTES * chunk, gated, gated))
     image, counted = run / "image.zarr", set()
     for name, folder, reads in (
         ("patches", run / "patches", 1),

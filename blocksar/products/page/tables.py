@@ -21,6 +21,7 @@ UNITS = {
     "range-compress": "range compression",
     "inspect": "inspection, by columns",
     "recover": "recovery, by columns",
+    "gate": "range gates, by Doppler bins",
     "focus": "blocks",
     "mosaic": "image, by chunks",
     "backprojection": "image, by chunks",
@@ -28,6 +29,7 @@ UNITS = {
 STAGES = {
     "inspect": "inspection of samples",
     "recover": "recovery",
+    "gate": "range gates",
     "focus": "focusing of blocks",
     "mosaic": "mosaic",
     "backprojection": "back-projection",

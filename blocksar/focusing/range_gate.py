@@ -1,0 +1,93 @@
+"""The range gate of a range sub-block, and one transform to delay for the gates of all sub-blocks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+
+from blocksar.arrays import FloatArray, IntArray
+from blocksar.focusing.lines import Line
+from blocksar.focusing.step import Step
+from blocksar.kernels.fourier import Axis
+from blocksar.kernels.operations import Cut, Operation, Transform, Turn, Window
+from blocksar.kernels.phase import Phase
+from blocksar.kernels.rows import Program
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RangeGate(Step):
+    """Keep some ranges of a block's slab, on proportionally fewer range frequencies, for a range sub-block.
+
+    At each Doppler bin the targets of a sub-block lie in an interval of range, whose centre moves along Doppler with
+    their range walk. Range frequency is transformed to delay, delays beyond the gate are dropped, and the rest is
+    transformed back to range frequency, over the same band in coarser steps. All gates of a collection have the same
+    delays, whole multiples of `gate.step`: a Doppler bin is transformed once for all of them.
+
+    Attributes
+    ----------
+    slab : Axis
+        Doppler bins, Hz.
+    centre : (slab.size,) int
+        Delay of the gate's centre from the range origin at each bin, in steps of `gate`.
+    gate : Axis
+        Delays from the centre within the gate, s: whole multiples of the step.
+    window : (gate.size,) float
+        1 inside, falling to 0 at the ends.
+    full, range_frequency : Axis
+        Range frequencies before and after the gate, Hz.
+    """
+
+    name = "range-gate"
+    layout = "columns"
+    slab: Axis
+    centre: IntArray
+    gate: Axis
+    window: FloatArray
+    full: Axis
+    range_frequency: Axis
+
+    @property
+    def source(self) -> Axis:
+        return self.full
+
+    @property
+    def n_row(self) -> int:
+        return self.slab.size
+
+    def within(self, first: int, last: int) -> Self:
+        """The gate at the bins first .. last - 1 of the slab."""
+        return replace(self, slab=self.slab.part(first, last - first), centre=self.centre[first:last])
+
+    @property
+    def to_delay(self) -> Transform:
+        """From range frequency, counted from its first sample, to all delays: periodic, so that a gate may wrap."""
+        period = round(1 / (self.full.step * self.gate.step))
+        return Transform(Axis(0.0, self.full.step, self.full.size), Axis(0.0, self.gate.step, period), inverse=True)
+
+    @cached_property
+    def from_delay(self) -> Program:
+        """Rows of all delays to rows of range_frequency.size range frequencies, one per Doppler bin."""
+        return Program(self._from_delay(), source=self.to_delay.target, n_row=self.n_row)
+
+    def _from_delay(self) -> list[Operation]:
+        delay = self.gate.step * self.centre
+        first = self.centre + round(self.gate.start / self.gate.step)
+        start = self.full.start
+        band = np.stack([start * delay, np.full_like(delay, start)], axis=1)
+        return [
+            Cut(first, self.gate),
+            Turn(Phase(band, 0.0, 1.0)),  # range frequency was counted from the start of the band
+            Window(self.window[None].astype(np.complex64), np.zeros(self.n_row, np.intp)),
+            Transform(self.gate, self.range_frequency, inverse=False),
+            Turn(Phase(np.stack([np.zeros_like(delay), -delay], axis=1), 0.0, 1.0)),
+        ]
+
+    def operations(self) -> list[Operation]:
+        """Rows of full.size to rows of range_frequency.size range frequencies, one per Doppler bin."""
+        return [self.to_delay, *self._from_delay()]
+
+    def trace(self, line: Line) -> Line:
+        return line

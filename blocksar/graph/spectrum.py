@@ -1,0 +1,109 @@
+"""Checked reading of the spectrum, and of the parts of it that range gates keep."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+from blocksar import stores
+from blocksar.arrays import ComplexArray
+from blocksar.chunks import SPECTRUM_BYTES
+from blocksar.errors import ProcessingError
+from blocksar.kernels import buffers
+from blocksar.places.place import Place
+from blocksar.runs.record import Written
+
+Window = tuple[slice, slice]  # rows and columns
+
+
+def chunk_spans(first: int, last: int, size: int) -> Iterator[tuple[int, int]]:
+    """Divide first .. last at multiples of `size`, the borders of a store's chunks."""
+    edges = [first, *range(first - first % size + size, last, size), last]
+    return pairwise(edges)
+
+
+@dataclass(frozen=True)
+class SpectrumChunks:
+    """The chunks of a spectrum's store that a task reads, with the checksums of their receipts.
+
+    Attributes
+    ----------
+    store : Place
+    first_bin : int
+        The Doppler bin of its first row: 0, except for the gated spectrum of a sub-block.
+    shape, chunk : (int, int)
+        Doppler bins and range frequencies of the spectrum, and of a chunk.
+    checksums : mapping
+        By first row and first column.
+    """
+
+    store: Place
+    first_bin: int
+    shape: tuple[int, int]
+    chunk: tuple[int, int]
+    checksums: Mapping[tuple[int, int], str]
+
+    @classmethod
+    def of(
+        cls, store: Place, written: Sequence[Written], *, first_bin: int = 0, shape: tuple[int, int],
+        chunk: tuple[int, int],
+    ) -> SpectrumChunks:  # fmt: skip
+        """All chunks, from what receipts say was written to the store."""
+        return cls(store, first_bin, shape, chunk, {(p.region[0][0], p.region[1][0]): p.checksum for p in written})
+
+    def within(self, first_bin: int, last_bin: int) -> SpectrumChunks:
+        """Those with some of the bins first_bin .. last_bin - 1."""
+        rows = first_bin - self.first_bin, last_bin - self.first_bin
+        first = rows[0] - rows[0] % self.chunk[0]
+        kept = {place: checksum for place, checksum in self.checksums.items() if first <= place[0] < rows[1]}
+        return replace(self, checksums=kept)
+
+    def read(self, region: Window) -> ComplexArray:
+        """Read a region, Doppler bins by columns; its columns are whole chunks.
+
+        Raises
+        ------
+        ProcessingError
+            If a chunk that it touches does not have its checksum.
+        """
+        (bins, columns), (height, width) = region, self.chunk
+        start, stop = bins.start - self.first_bin, bins.stop - self.first_bin
+        first, last = start - start % height, min(-(-stop // height) * height, self.shape[0])
+        rows = slice(start - first, stop - first)
+        at_once = max(SPECTRUM_BYTES // (8 * (last - first) * width), 1) * width
+        if columns.stop - columns.start <= at_once:
+            return self._checked((first, last), (columns.start, columns.stop))[rows]
+        values = buffers.empty((stop - start, columns.stop - columns.start))
+        for c, d in chunk_spans(columns.start, columns.stop, at_once):
+            values[:, c - columns.start : d - columns.start] = self._checked((first, last), (c, d))[rows]
+        return values
+
+    def _checked(self, rows: tuple[int, int], columns: tuple[int, int]) -> ComplexArray:
+        """Read whole chunks, and compare their checksums."""
+        values: ComplexArray = stores.read_region(self.store, "spectrum", (slice(*rows), slice(*columns)), cached=False)
+        for a, b in chunk_spans(*rows, self.chunk[0]):
+            for c, d in chunk_spans(*columns, self.chunk[1]):
+                chunk = values[a - rows[0] : b - rows[0], c - columns[0] : d - columns[0]]
+                if stores.checksum(chunk) != self.checksums.get((a, c)):
+                    raise ProcessingError(
+                        f"{self.store} no longer has the checksum of its receipt at doppler {a}..{b - 1}, "
+                        f"range_frequency {c}..{d - 1}"
+                    )
+        return values
+
+
+def read_ahead(spectrum: SpectrumChunks, regions: Sequence[Window]) -> Iterator[tuple[Window, ComplexArray, float]]:
+    """Read regions, each while the one before is used; with the seconds that were waited for it."""
+    with ThreadPoolExecutor(1) as pool:
+        coming = [pool.submit(spectrum.read, regions[0])]
+        for number, region in enumerate(regions):
+            started = time.perf_counter()
+            part = coming.pop().result()
+            waited = time.perf_counter() - started
+            if number + 1 < len(regions):
+                coming.append(pool.submit(spectrum.read, regions[number + 1]))
+            yield region, part, waited
+            del part
