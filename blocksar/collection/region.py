@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from blocksar.arrays import FloatArray
+from blocksar.arrays import BoolArray, FloatArray
 from blocksar.collection.beam import dwell_at, lit_yaw, wrapped
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
@@ -18,6 +18,7 @@ from blocksar.collection.grid import Grid, ground_resolution, outline
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 
+LIT_RANGES = 129  # ranges at which a beam about its axis is asked what it lights
 WINDOW_GUARD = 8  # range cells kept free at either end of the range window
 
 
@@ -58,18 +59,19 @@ def plan_region(geometry: Geometry, grid: Grid | None) -> Region:
     Raises
     ------
     InputError
-        If an unsteered collection has no grid, or the grid lies outside the swath or holds the nadir.
+        If there is no grid where the beam is not steered, or has an axis, or the grid lies outside the swath or holds
+        the nadir.
     """
     collection = geometry.collection
-    if collection.steered:
+    if collection.steered and not collection.has_axis:
         low, high = lit_yaw(collection)
         near, far = _window(geometry, np.linspace(low, high, 65), None)
         return Region(yaw=np.linspace(low, high, 65), near=near, far=far)
     if grid is None:
-        raise InputError(
-            "grid is missing: a collection whose beam is not steered lights everything, so give --grid "
-            "x0:x1:dx,y0:y1:dy for the ground to image"
-        )
+        what = "a collection whose beam is not steered lights everything"
+        if collection.has_axis:
+            what = "a beam about the antenna's axis (beam_axis) lights ground on both sides of the track"
+        raise InputError(f"grid is missing: {what}, so give --grid x0:x1:dx,y0:y1:dy for the ground to image")
     x, y = outline(grid)
     if grid.x0 <= geometry.nadir[0] <= grid.x1 and grid.y0 <= geometry.nadir[1] <= grid.y1:
         raise InputError(
@@ -81,8 +83,45 @@ def plan_region(geometry: Geometry, grid: Grid | None) -> Region:
     pad = 0.01 * np.ptp(yaw)
     nodes = np.linspace(yaw.min() - pad, yaw.max() + pad, 33)
     slack = float(np.hypot(grid.dx, grid.dy))  # keeps the farthest pixel off the region's edge
-    near, far = _window(geometry, nodes, (float(rng.min()) - slack, float(rng.max()) + slack))
+    within = float(rng.min()) - slack, float(rng.max()) + slack
+    if collection.has_axis:
+        return _lit_region(geometry, grid, nodes, within)
+    near, far = _window(geometry, nodes, within)
     return Region(yaw=nodes, near=near, far=far)
+
+
+def _lit_region(geometry: Geometry, grid: Grid, yaw: FloatArray, within: tuple[float, float]) -> Region:
+    """The yaws, of those of the grid, that a beam about its axis lights at any range, and the lit ranges at each.
+
+    Ranges are those that are lit at a yaw or at its neighbours: between yaws, all that is lit is then inside.
+    """
+    lit = _lit_ranges(geometry, yaw, *(np.full(yaw.size, end) for end in within))[2]
+    if not lit.any():
+        raise InputError(
+            f"grid {grid.x0:g}:{grid.x1:g},{grid.y0:g}:{grid.y1:g} lies outside the swath: the beam (beam_axis, "
+            "beam_steering, beam_width) lights none of it; move the grid"
+        )
+    inside = np.flatnonzero(lit)
+    yaw = np.linspace(yaw[max(inside[0] - 1, 0)], yaw[min(inside[-1] + 1, yaw.size - 1)], 65)
+    near, far = _window(geometry, yaw, within)
+    low, high, lit = _lit_ranges(geometry, yaw, near, far)
+    low, high = np.pad(np.where(lit, low, np.inf), 1, mode="edge"), np.pad(np.where(lit, high, -np.inf), 1, mode="edge")
+    low = np.minimum(np.minimum(low[:-2], low[1:-1]), low[2:])
+    high = np.maximum(np.maximum(high[:-2], high[1:-1]), high[2:])
+    return Region(yaw=yaw, near=np.where(low < high, low, near), far=np.where(low < high, high, far))
+
+
+def _lit_ranges(
+    geometry: Geometry, yaw: FloatArray, near: FloatArray, far: FloatArray
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Nearest and farthest lit range between near and far at each yaw (n,), to a step outwards, and whether any is."""
+    ranges = near + (far - near) * np.linspace(0, 1, LIT_RANGES)[:, None]
+    first, last = dwell_at(geometry, yaw, ranges)
+    lit = last > first
+    low, high = lit.argmax(axis=0) - 1, LIT_RANGES - lit[::-1].argmax(axis=0)
+    each = np.arange(yaw.size)
+    nearest, farthest = ranges[np.maximum(low, 0), each], ranges[np.minimum(high, LIT_RANGES - 1), each]
+    return nearest, farthest, np.asarray(lit.any(axis=0))
 
 
 def _window(geometry: Geometry, yaw: FloatArray, within: tuple[float, float] | None) -> tuple[FloatArray, FloatArray]:
@@ -94,12 +133,14 @@ def _window(geometry: Geometry, yaw: FloatArray, within: tuple[float, float] | N
     spread = np.ptp(collection.reference_range) + np.ptp(geometry.track.position(collection.time), axis=0).max()
     low = max(reference - half - spread, floor * 1.0005)
     trial = np.linspace(low, reference + half + spread, 41)
-    first, last = dwell_at(geometry, yaw)
-    u = np.linspace(0, 1, 9)
-    time = first[:, None] + (last - first)[:, None] * u
     point = geometry.ground_point(trial[None, :], yaw[:, None])
-    rng, _ = geometry.range_history(point[:, :, None, :], time[:, None, :])
-    held = rng - np.interp(time, collection.time, collection.reference_range)[:, None, :]
+    first, last = dwell_at(geometry, yaw[:, None], trial[None, :])
+    u = np.linspace(0, 1, 9)
+    time = first[..., None] + (last - first)[..., None] * u
+    if collection.has_axis:  # where nothing is lit, times lie outside
+        time = np.clip(time, collection.time[0], collection.time[-1])
+    rng, _ = geometry.range_history(point[:, :, None, :], time)
+    held = rng - np.interp(time, collection.time, collection.reference_range)
     nearest, farthest = held.min(axis=2), held.max(axis=2)
     near = np.array([np.interp(-half, row[np.isfinite(row)], trial[np.isfinite(row)]) for row in nearest])
     far = np.array([np.interp(half, row[np.isfinite(row)], trial[np.isfinite(row)]) for row in farthest])
@@ -206,11 +247,11 @@ def block_seams(geometry: Geometry, region: Region, count: int) -> FloatArray:
     """Yaws (count + 1,) of the blocks' borders, rad, ascending.
 
     The steering interval of a steered collection is divided evenly (paper A, Figure 7), and the first and last block
-    extend to the ends of the lit yaws. An unsteered region is divided evenly from end to end.
+    extend to the ends of the lit yaws. Any other region is divided evenly from end to end.
     """
     collection = geometry.collection
     low, high = region.yaw[0], region.yaw[-1]
-    if not collection.steered or np.ptp(collection.beam_azimuth) == 0:
+    if not collection.steered or collection.has_axis or np.ptp(collection.beam_azimuth) == 0:
         return np.linspace(low, high, count + 1)
     seams = np.linspace(collection.beam_azimuth.min(), collection.beam_azimuth.max(), count + 1)
     seams[0], seams[-1] = low, high

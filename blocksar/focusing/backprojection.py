@@ -9,8 +9,9 @@ and pulse: no far field, no mean velocity. `kernels.projection` evaluates the sq
 the centre of a tile, where that errs by less than 1e-9 m, or 1e-7 cycles of phase at X band: -120 dB.
 
 The pulses that light a pixel are an interval (`collection.beam.lit_interval`), so the loop over them needs no test.
-NaN samples are excluded from the mean. The image is NaN where no valid sample is lit, and where a lit pulse,
-missing or not, sees the pixel outside the unambiguous window |R_xy - reference_range| <= c / (4 df).
+With an antenna pattern g (`collection.beam.pattern_gain`) the sum over lit pulses is divided by that of g instead of
+their number, so that a target of reflectivity 1 still has the value 1. NaN samples are excluded from the mean. The
+image is NaN where no valid sample is lit, and where a lit pulse, missing or not, sees the pixel outside the unambiguous window |R_xy - reference_range| <= c / (4 df).
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from blocksar.collection.beam import lit_interval
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.focusing.pattern_sums import add_gains
 from blocksar.kernels import projection
 from blocksar.kernels.fourier import Axis, fast_length, fft_rows, unit_phasor
 from blocksar.kernels.groups import GROUP_BYTES, row_groups, run_groups
@@ -243,12 +245,18 @@ def form_points(
     first, last = _lit_intervals(geometry, x, y, threads)
     image, outside = np.zeros(x.shape, np.complex64), np.zeros(x.shape, np.bool_)
     valid = np.zeros(collection.n_pulse, np.int64)
+    gains = np.zeros(x.shape if collection.has_pattern else 0)
     for pulses in _blocks(_lit_pulses(first, last, collection.n_pulse), pulse_block or pulse_block_size(collection)):
         profiles = range_profiles(read(pulses), collection=collection, pulses=pulses, threads=threads)
         valid[pulses] = profiles.valid
         accumulate(image, outside, profiles, geometry=geometry, x=x, y=y, first=first, last=last, threads=threads)
         del profiles  # before the next block is read: otherwise two blocks are in memory
-    _normalise(image, outside, first, last, np.concatenate(([0], np.cumsum(valid))), collection.n_range_frequency)
+        if collection.has_pattern:
+            _add_gains(gains, geometry, x, y, first=first, last=last, pulses=pulses, valid=valid, threads=threads)
+    if collection.has_pattern:
+        _divide(image, outside, gains / collection.n_range_frequency)
+    else:
+        _normalise(image, outside, first, last, np.concatenate(([0], np.cumsum(valid))), collection.n_range_frequency)
     return image.reshape(shape)
 
 
@@ -337,6 +345,28 @@ def _lit_intervals(geometry: Geometry, x: FloatArray, y: FloatArray, threads: in
 
     _run_tiles(work, x.shape, threads)
     return first, last
+
+
+def _add_gains(
+    gains: FloatArray, geometry: Geometry, x: FloatArray, y: FloatArray, *, first: IntArray, last: IntArray,
+    pulses: slice, valid: IntArray, threads: int,
+) -> None:  # fmt: skip
+    """`pattern_sums.add_gains` tile by tile, in threads."""
+
+    def work(tile: Tile) -> None:
+        add_gains(
+            gains[tile], geometry, x[tile], y[tile], first=first[tile], last=last[tile], pulses=pulses,
+            valid=valid[pulses],
+        )  # fmt: skip
+
+    _run_tiles(work, gains.shape, threads)
+
+
+def _divide(image: ComplexArray, outside: BoolArray, gains: FloatArray) -> None:
+    """Turn sums into means weighted by the pattern, in place: divide by the sum of the lit pulses' gains."""
+    lit = ~outside & (gains > 0)
+    image[lit] /= gains[lit].astype(np.float32)
+    image[~lit] = complex(np.nan, np.nan)
 
 
 def _lit_pulses(first: IntArray, last: IntArray, n_pulse: int) -> BoolArray:

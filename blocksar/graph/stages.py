@@ -20,10 +20,10 @@ from distributed import Client, Future, KilledWorker
 from blocksar import stores
 from blocksar.arrays import FloatArray
 from blocksar.chunks import MOSAIC_CHUNKS, TILE
-from blocksar.collection.beam import lit_pulses
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.errors import InputError, ProcessingError
+from blocksar.focusing.ground_map import sum_lit
 from blocksar.focusing.range_compression import RawCompression
 from blocksar.focusing.step import stages
 from blocksar.graph.admission import Unit, as_completed
@@ -195,7 +195,9 @@ def _submit_chain(
     unit = block_unit(block.name)
     tail = f"{run.token}-{unit}"
     submit = partial(client.submit, pure=False, priority=priority)
-    ground = replace(block.ground, lit=lit_pulses(plan.geometry.collection, block.ground.yaw_axis, lit))
+    ground = block.ground
+    summed = sum_lit(ground.geometry, near=ground.near, far=ground.far, yaw=ground.yaw_axis, valid=lit)
+    ground = replace(ground, lit=summed)
     first, *others = stages(block.steps)
     slab = spectrum.within(block.first_bin, block.first_bin + block.n_bin)
     node = submit(read_slab, run, block, first, slab, key=f"read-slab+{first.name}-{tail}")

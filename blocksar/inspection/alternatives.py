@@ -59,7 +59,12 @@ def alternatives(collection: Collection) -> list[Alternative]:
     position = collection.antenna_position
     of_metadata("x and y are swapped", "swap them in antenna_position", antenna_position=position[:, [1, 0, 2]])
     of_metadata("the track runs backwards", "reverse antenna_position along pulse", antenna_position=position[::-1])
-    if collection.beam_width is not None:
+    if collection.has_axis:
+        assert collection.beam_axis is not None and collection.beam_steering is not None
+        axis, steering = collection.beam_axis, collection.beam_steering
+        of_metadata("the beam turns the other way", "reverse beam_steering along pulse", beam_steering=steering[::-1])
+        of_metadata("the beam looks to the other end of its axis", "negate beam_axis", beam_axis=-axis)
+    elif collection.beam_width is not None:
         beam, width = collection.beam_azimuth, collection.beam_width
         of_metadata("the beam turns the other way", "reverse beam_azimuth along pulse", beam_azimuth=beam[::-1])
         of_metadata("the beam looks to the other side", "negate beam_azimuth", beam_azimuth=-beam)

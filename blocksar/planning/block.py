@@ -14,13 +14,13 @@ from blocksar.arrays import FloatArray
 from blocksar.budget import IMAGE_TAP_ERROR
 from blocksar.chunks import DOPPLER_GROUP
 from blocksar.collection import range_series
-from blocksar.collection.beam import dwell_at, lit_pulses
+from blocksar.collection.beam import dwell_at
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import Region
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.chains import steps_of
-from blocksar.focusing.ground_map import YAW_STEPS, GroundMap, surfaces
+from blocksar.focusing.ground_map import YAW_STEPS, GroundMap, by_range, sum_lit, surfaces
 from blocksar.focusing.lines import Focus, Line, focus
 from blocksar.focusing.method import Method
 from blocksar.focusing.motion import RangeMotionInFrequency
@@ -34,7 +34,7 @@ from blocksar.kernels.interpolation import taps_needed
 from blocksar.planning.binding import AzimuthPart, RangePart, Slab
 from blocksar.planning.coefficients import Choice, choose
 from blocksar.planning.fidelity import gate_blur
-from blocksar.planning.gates import plan_gate, plan_range_gate
+from blocksar.planning.gates import full_dwells, plan_gate, plan_range_gate
 from blocksar.planning.memory import block_memory
 from blocksar.planning.motion import plan_motion
 from blocksar.planning.prediction import Prediction, predict
@@ -48,6 +48,7 @@ RANGE_STEPS = 3  # of the iteration that finds the targets of an apparent range
 MOST_BEYOND = 1.05  # half swaths from its middle at which the series of that iteration is trusted
 RESAMPLING_ROOM = 1.35  # oversampling of Doppler by padding in time: dense enough to interpolate
 REGION_STEPS, LEAST_STEPS = 64 * YAW_STEPS, 128  # of yaw over the region, in which a block has its share; at least
+STEPS_BY_RANGE = 512  # of yaw, where the sum over lit pulses is a table over range and yaw
 REFERENCE_ORDER = 8  # of the range series of a block's centre
 
 
@@ -156,7 +157,7 @@ def plan_block(
     band = Axis(float(collection.range_frequency[0]), collection.range_frequency_step, collection.n_range_frequency)
     range_gate = None if part is None else plan_range_gate(band, slab.doppler, line, collection.carrier)
     motion = plan_motion(
-        sector.geometry, near=sector.near, far=sector.far, origin=recovery.origin, yaw=(sector.low + sector.high) / 2
+        sector.geometry, near=sector.near, far=sector.far, origin=recovery.origin, low=sector.low, high=sector.high
     )
     constants = Constants(
         carrier=collection.carrier,
@@ -177,7 +178,7 @@ def plan_block(
     compressed = range_part.trace(lit)
     biased, _, fine = azimuth.trace(compressed)
     spots, rate = focus(fine), biased.rate
-    first, last = dwell_at(sector.geometry, fine_yaw, uncut=True)
+    first, last = dwell_at(sector.geometry, fine_yaw, fine_range[:, None], uncut=True)
     uncut = first - sector.geometry.epoch, last - sector.geometry.epoch
     about = azimuth.range_part.scales_time_about
     sampling = _plan_sampling(
@@ -187,7 +188,8 @@ def plan_block(
     )  # fmt: skip
     gate = plan_gate(
         fine, spots, rate, blur=gate_blur(collection, uncut, scaled_about=about), lit=lit, uncut=uncut,
-        rows=sampling.rows, slow=sampling.long_time,
+        full=full_dwells(fine, sector.geometry, fine_range[:, None], fine_yaw), rows=sampling.rows,
+        slow=sampling.long_time,
     )  # fmt: skip
     sampling = replace(sampling, gate=gate)
     return BlockPlan(
@@ -394,7 +396,7 @@ def _plan_ground(
         yaw_axis=yaw_axis,
         near_limit=near_limit,
         far_limit=far_limit,
-        lit=lit_pulses(collection, yaw_axis, np.ones(collection.n_pulse)),
+        lit=sum_lit(sector.geometry, near=sector.near, far=sector.far, yaw=yaw_axis, valid=np.ones(collection.n_pulse)),
         scale=range_taps[1],
         range_taps=range_taps,
         doppler_taps=(taps_needed(filled, error=IMAGE_TAP_ERROR), filled),
@@ -405,7 +407,7 @@ def _yaw_steps(sector: Sector) -> int:
     """Yaws at which a block knows its limits: its share of the region's, so that many narrow blocks are small."""
     step = float(np.ptp(sector.region.yaw)) / REGION_STEPS
     share = (sector.high - sector.low) / step if step > 0 else math.inf
-    return math.ceil(min(max(share, LEAST_STEPS), YAW_STEPS))
+    return math.ceil(min(max(share, LEAST_STEPS), STEPS_BY_RANGE if by_range(sector.geometry) else YAW_STEPS))
 
 
 def _plan_memory(range_gate: RangeGate | None, range_part: RangePart, sampling: Sampling) -> int:

@@ -30,7 +30,7 @@ from typing import NamedTuple
 import numpy as np
 
 from blocksar import solvers
-from blocksar.arrays import FloatArray
+from blocksar.arrays import BoolArray, FloatArray
 from blocksar.collection.beam import dwell_at
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
@@ -56,6 +56,7 @@ class Losses(NamedTuple):
 def worst_losses(
     line: Line,
     spots: Focus,
+    rng: FloatArray,
     yaw: FloatArray,
     geometry: Geometry,
     *,
@@ -70,7 +71,8 @@ def worst_losses(
     ----------
     line : Line
         (n_range, n_yaw, n), after all steps.
-    yaw : (n_yaw,) float
+    rng, yaw : (n_range,), (n_yaw,) float
+        Epoch ranges, m, and yaws, rad.
     rate : (n_range, n_yaw, n) float
         The lines' Doppler rate before the steps in Doppler, Hz/s.
     scaled_about : float or None
@@ -81,8 +83,8 @@ def worst_losses(
     phase, migration = _along_dwell(line, spots, geometry)
     ends = np.zeros_like(phase)
     if gate is not None:
-        ends = _at_ends(line, spots, yaw, geometry, rate=rate, gate=gate, scaled_about=scaled_about)
-    total = np.where(full_dwells(line), phase + migration + ends, -1.0)
+        ends = _at_ends(line, spots, rng, yaw, geometry, rate=rate, gate=gate, scaled_about=scaled_about)
+    total = np.where(full_dwells(line, geometry, rng[:, None], yaw), phase + migration + ends, -1.0)
     worst = np.unravel_index(int(np.argmax(total)), total.shape)
     return Losses(
         float(phase[worst]), float(migration[worst]), float(ends[worst]), 1 - float(np.exp(-(track_phase**2) / 2))
@@ -105,6 +107,7 @@ def _along_dwell(line: Line, spots: Focus, geometry: Geometry) -> tuple[FloatArr
 def _at_ends(
     line: Line,
     spots: Focus,
+    rng: FloatArray,
     yaw: FloatArray,
     geometry: Geometry,
     *,
@@ -121,7 +124,7 @@ def _at_ends(
     for end, placed, moment, phase, slope in zip(
         (0, -1),
         dwell_ends(line),
-        dwell_at(geometry, yaw),
+        dwell_at(geometry, yaw, rng[:, None]),
         (gate.begin, gate.end),
         (gate.begin_slope, gate.end_slope),
         strict=True,
@@ -137,15 +140,14 @@ def _at_ends(
     return lost / (2 * lit)
 
 
-def smear_loss(line: Line, spots: Focus, rate: FloatArray, geometry: Geometry) -> float:
+def smear_loss(line: Line, spots: Focus, rate: FloatArray, geometry: Geometry, full: BoolArray) -> float:
     """The most that any of these lines loses at its ends, under the gate that suits them best.
 
     An estimate from few lines (n_range, n_yaw, n), without a gate: the slopes of the ends along Doppler are differences
-    between neighbouring yaws, and only the keystone displaces them.
+    between neighbouring yaws, and only the keystone displaces them. `full` (n_range, n_yaw) is from `full_dwells`.
     """
     collection = geometry.collection
     lit = np.broadcast_to(line.weight, line.time.shape).sum(axis=-1)
-    full = full_dwells(line)
     inner = full.copy()
     inner[:, 1:-1] &= full[:, :-2] & full[:, 2:]  # both neighbours, for the differences
     full = inner if inner.any() else full

@@ -10,6 +10,8 @@ from numpy.polynomial import chebyshev
 
 from blocksar import solvers
 from blocksar.arrays import BoolArray, FloatArray
+from blocksar.collection.beam import dwell_at
+from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.lines import Focus, Line, RowPolynomial
@@ -69,6 +71,7 @@ def plan_gate(
     blur: float,
     lit: Line,
     uncut: tuple[FloatArray, FloatArray],
+    full: BoolArray,
     rows: Axis,
     slow: Axis,
 ) -> DwellGate | None:
@@ -87,8 +90,10 @@ def plan_gate(
         Half of the time over which range frequency spreads an end, s.
     lit : Line
         The lines before all steps.
-    uncut : pair of (n_yaw,) float
+    uncut : pair of (n_yaw,) or (n_range, n_yaw) float
         Slow time, s from the epoch, at which the dwells would begin and end if the collection did not cut them.
+    full : (n_range, n_yaw) bool
+        From `full_dwells`.
     """
     begins, ends = dwell_ends(line)
     first, last = dwell_ends(lit)
@@ -107,7 +112,6 @@ def plan_gate(
         [GATE_RANGE_DEGREE, GATE_DEGREE],
     )
     length, smear = float(lengths.mean()), end_smear(line, rate)
-    full = full_dwells(line)
     fitted = solvers.least_squares(
         np.asarray(basis.T, np.float64),
         np.stack([begins + length / 2, ends - length / 2]).reshape(2, -1),
@@ -145,9 +149,18 @@ def _to_powers() -> FloatArray:
     return powers
 
 
-def full_dwells(line: Line) -> BoolArray:
-    """Which of some lines (..., n) are lit over a full dwell: the longest of them, or nearly."""
+def full_dwells(line: Line, geometry: Geometry, epoch_range: FloatArray, yaw: FloatArray) -> BoolArray:
+    """Which lines (..., n) of targets at epoch ranges (m) and yaws (rad), broadcast, are lit over a full dwell.
+
+    That is the longest of them, or nearly. Under a beam about its axis, whose dwells depend on range, it is the
+    target's own dwell as if the ends of the collection did not cut it, where there is any such target.
+    """
     lit = np.broadcast_to(line.weight, line.time.shape).sum(axis=-1)
+    if geometry.collection.has_axis:
+        first, last = dwell_at(geometry, yaw, epoch_range, uncut=True)
+        full = lit >= FULL * (last - first)
+        if full.any():
+            return np.asarray(full)
     return np.asarray(lit >= FULL * lit.max())
 
 

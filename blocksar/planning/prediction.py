@@ -8,7 +8,7 @@ import numpy as np
 
 from blocksar.arrays import FloatArray
 from blocksar.budget import side_lobe_budget
-from blocksar.collection.beam import dwell_at
+from blocksar.collection.beam import centre_yaw, dwell_at
 from blocksar.collection.geometry import TRACK_ACCURACY, Geometry
 from blocksar.constants import SINC_PSLR, SINC_WIDTH, SPEED_OF_LIGHT
 from blocksar.focusing.dwell_gate import DwellGate
@@ -72,7 +72,7 @@ def predict(
     middle = yaw.size // 2
     track_phase = _track_phase(geometry, rng, yaw)
     lost = worst_losses(
-        line, spots, yaw, geometry, rate=rate, gate=gate, scaled_about=scaled_about, track_phase=track_phase
+        line, spots, rng, yaw, geometry, rate=rate, gate=gate, scaled_about=scaled_about, track_phase=track_phase
     )  # fmt: skip
     return Prediction(
         residual_phase=float(residual.max()),
@@ -100,12 +100,14 @@ def _track_phase(geometry: Geometry, rng: FloatArray, yaw: FloatArray) -> float:
         return 0.0
     turns, n = 4 * np.pi / collection.wavelength, collection.n_pulse
     centre = float(np.mean(rng))
-    beam = collection.beam_azimuth if collection.steered else np.full(n, float(np.mean(yaw)))
+    beam = np.full(n, float(np.mean(yaw)))
+    if collection.steered:
+        beam = centre_yaw(geometry, collection.time, centre, float(yaw[0]), float(yaw[-1]))
     removed = _along_sight(geometry, np.full(n, centre), beam, misfit)
     worst = 0.0
     for target_range in (rng[0], centre, rng[-1]):
         for target_yaw in (yaw[0], yaw[yaw.size // 2], yaw[-1]):
-            first, last = dwell_at(geometry, np.array(target_yaw))
+            first, last = dwell_at(geometry, np.array(target_yaw), np.array(target_range))
             lit = (collection.time >= first) & (collection.time <= last)
             if lit.any():
                 along = _along_sight(geometry, np.full(n, target_range), np.full(n, target_yaw), misfit)

@@ -46,7 +46,7 @@ def _echo_slope(block: BlockPlan) -> FloatArray:
     geometry = block.ground.geometry
     yaw = np.linspace(block.low, block.high, 33)
     rng, yaws = np.meshgrid(np.linspace(block.ground.near, block.ground.far, 9), yaw, indexing="ij")
-    start, end = dwell_at(geometry, yaws)
+    start, end = dwell_at(geometry, yaws, rng)
     _, rate = geometry.range_history(geometry.ground_point(rng, yaws), (start + end) / 2)
     return np.gradient(rate, yaw, axis=1)
 
