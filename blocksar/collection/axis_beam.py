@@ -93,7 +93,7 @@ def axis_dwell(collection: Collection, x: FloatArray, y: FloatArray, *, uncut: b
     """Times at which points x, y (n,), m, enter and leave the beam, s, as a continuous function of time.
 
     Between pulses, offsets are interpolated linearly; beyond the ends of the collection they go on with their slope
-    there. Without `uncut`, times are limited to the collection; the first is later than the last where a point is
+    there. Without `uncut`, times are limited to the collection; the first is not before the last where a point is
     never lit. Where offsets turn back, times are those of pulses. NaN where x or y is.
     """
     known = np.isfinite(x) & np.isfinite(y)
@@ -101,16 +101,16 @@ def axis_dwell(collection: Collection, x: FloatArray, y: FloatArray, *, uncut: b
         first, last = np.full(x.shape, np.nan), np.full(x.shape, np.nan)
         first[known], last[known] = axis_dwell(collection, x[known], y[known], uncut=uncut)
         return first, last
-    time, n, half_pulse = collection.time, collection.n_pulse, collection.pulse_interval / 2
+    time, half_pulse = collection.time, collection.pulse_interval / 2
     turning, rising = _turning(collection, x, y)
     sign = np.where(rising, 1.0, -1.0)
     first, last = (_edge_times(collection, (x, y), sign, level) for level in (-_half(collection), _half(collection)))
     bent = np.flatnonzero(turning != 0)
     if bent.size:
         spans = axis_spans(collection, x[bent], y[bent])
-        lit = spans.last > spans.first
-        first[bent] = np.where(lit, time[spans.first] - half_pulse, np.inf)
-        last[bent] = np.where(lit, time[np.minimum(spans.last, n) - 1] + half_pulse, -np.inf)
+        lit, at_turn = spans.last > spans.first, time[np.maximum(turning[bent], 0)]
+        first[bent] = np.where(lit, time[spans.first] - half_pulse, at_turn)
+        last[bent] = np.where(lit, time[spans.last - 1] + half_pulse, at_turn)
     if uncut:
         return first, last
     return np.maximum(first, time[0] - half_pulse), np.minimum(last, time[-1] + half_pulse)

@@ -13,6 +13,7 @@ work in the polar frame ask `lit_pulses`, `dwell_at` and `lit_total`, which allo
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import TypeVar
 
@@ -134,8 +135,12 @@ def lit_pulses(collection: Collection, yaw: FloatArray, valid: FloatArray) -> Fl
     return np.asarray(total[last] - total[first])
 
 
-def most_lit_pulses(collection: Collection) -> int:
-    """The largest number of pulses that light any one point, under a beam that is described by its yaw."""
+def most_lit_pulses(geometry: Geometry, x: FloatArray, y: FloatArray) -> int:
+    """The largest number of pulses that light any one point; under a beam about its axis, any of those at x, y, m."""
+    collection = geometry.collection
+    if collection.has_axis:
+        first, last = dwell(geometry, x, y)
+        return math.ceil(max(float((last - first).max()), 0.0) * collection.prf)
     return int(lit_pulses(collection, collection.beam_azimuth, np.ones(collection.n_pulse)).max())
 
 

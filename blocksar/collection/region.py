@@ -5,6 +5,7 @@ Regions are given in yaw, and in range from the antenna position at the epoch.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -18,6 +19,8 @@ from blocksar.collection.grid import Grid, ground_resolution, outline
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 
+MOST_YAWS = 4096  # of a grid, at which a beam about its axis is asked what it lights
+FINE_YAWS = 257  # at which the first and last lit yaw are found
 LIT_RANGES = 129  # ranges at which a beam about its axis is asked what it lights
 WINDOW_GUARD = 8  # range cells kept free at either end of the range window
 
@@ -79,36 +82,56 @@ def plan_region(geometry: Geometry, grid: Grid | None) -> Region:
             f"({geometry.nadir[0]:.6g}, {geometry.nadir[1]:.6g}) m, about which yaw has no meaning; move it aside"
         )
     yaw = np.unwrap(geometry.yaw(x, y))
+    if collection.has_axis:
+        return _lit_region(geometry, grid, float(yaw.min()), float(yaw.max()))
     rng = geometry.epoch_range(x, y)
     pad = 0.01 * np.ptp(yaw)
     nodes = np.linspace(yaw.min() - pad, yaw.max() + pad, 33)
     slack = float(np.hypot(grid.dx, grid.dy))  # keeps the farthest pixel off the region's edge
-    within = float(rng.min()) - slack, float(rng.max()) + slack
-    if collection.has_axis:
-        return _lit_region(geometry, grid, nodes, within)
-    near, far = _window(geometry, nodes, within)
+    near, far = _window(geometry, nodes, (float(rng.min()) - slack, float(rng.max()) + slack))
     return Region(yaw=nodes, near=near, far=far)
 
 
-def _lit_region(geometry: Geometry, grid: Grid, yaw: FloatArray, within: tuple[float, float]) -> Region:
-    """The yaws, of those of the grid, that a beam about its axis lights at any range, and the lit ranges at each.
+def _lit_region(geometry: Geometry, grid: Grid, low: float, high: float) -> Region:
+    """All that a beam about its axis lights on the side of the track where the grid lies, at yaws low .. high, rad.
 
     Ranges are those that are lit at a yaw or at its neighbours: between yaws, all that is lit is then inside.
     """
-    lit = _lit_ranges(geometry, yaw, *(np.full(yaw.size, end) for end in within))[2]
-    if not lit.any():
+    collection = geometry.collection
+    reference = float(np.interp(geometry.epoch, collection.time, collection.reference_range))
+    floor = float(geometry.epoch_position[2] - collection.ground_height) * 1.0005
+    ends = max(reference - collection.range_window / 2, floor), max(reference + collection.range_window / 2, floor)
+    step = min((collection.beam_width or 0.0) / 4, (high - low) / 32)
+
+    def is_any_lit(yaw: FloatArray) -> BoolArray:
+        return _lit_ranges(geometry, yaw, *(np.full(yaw.size, end) for end in ends))[2]
+
+    inside = np.linspace(low, high, min(math.ceil((high - low) / step), MOST_YAWS) + 1)
+    lit = np.flatnonzero(is_any_lit(inside))
+    if lit.size == 0:
         raise InputError(
             f"grid {grid.x0:g}:{grid.x1:g},{grid.y0:g}:{grid.y1:g} lies outside the swath: the beam (beam_axis, "
-            "beam_steering, beam_width) lights none of it; move the grid"
+            "beam_steering, beam_width) lights none of its yaws; move the grid"
         )
-    inside = np.flatnonzero(lit)
-    yaw = np.linspace(yaw[max(inside[0] - 1, 0)], yaw[min(inside[-1] + 1, yaw.size - 1)], 65)
-    near, far = _window(geometry, yaw, within)
-    low, high, lit = _lit_ranges(geometry, yaw, near, far)
-    low, high = np.pad(np.where(lit, low, np.inf), 1, mode="edge"), np.pad(np.where(lit, high, -np.inf), 1, mode="edge")
-    low = np.minimum(np.minimum(low[:-2], low[1:-1]), low[2:])
-    high = np.maximum(np.maximum(high[:-2], high[1:-1]), high[2:])
-    return Region(yaw=yaw, near=np.where(low < high, low, near), far=np.where(low < high, high, far))
+    outwards = step * np.arange(1, math.ceil(np.pi / 2 / step))
+    least, most = (
+        edge + sign * step * (1 + int(np.argmin(np.append(is_any_lit(edge + sign * outwards), False))))
+        for edge, sign in ((inside[lit[0]], -1), (inside[lit[-1]], 1))
+    )
+    yaw = np.linspace(least, most, FINE_YAWS)
+    near, far = _window(geometry, yaw, None)
+    lit = np.flatnonzero(_lit_ranges(geometry, yaw, near, far)[2])
+    if lit.size == 0:
+        raise InputError("grid lies outside the swath: the beam lights nothing in the range window; move the grid")
+    yaw = np.linspace(yaw[max(lit[0] - 1, 0)], yaw[min(lit[-1] + 1, FINE_YAWS - 1)], 65)
+    near, far = _window(geometry, yaw, None)
+    nearest, farthest, any_lit = _lit_ranges(geometry, yaw, near, far)
+    nearest = np.pad(np.where(any_lit, nearest, np.inf), 1, mode="edge")
+    farthest = np.pad(np.where(any_lit, farthest, -np.inf), 1, mode="edge")
+    nearest = np.minimum(np.minimum(nearest[:-2], nearest[1:-1]), nearest[2:])
+    farthest = np.maximum(np.maximum(farthest[:-2], farthest[1:-1]), farthest[2:])
+    lit_there = nearest < farthest
+    return Region(yaw=yaw, near=np.where(lit_there, nearest, near), far=np.where(lit_there, farthest, far))
 
 
 def _lit_ranges(

@@ -11,7 +11,8 @@ the centre of a tile, where that errs by less than 1e-9 m, or 1e-7 cycles of pha
 The pulses that light a pixel are an interval (`collection.beam.lit_interval`), so the loop over them needs no test.
 With an antenna pattern g (`collection.beam.pattern_gain`) the sum over lit pulses is divided by that of g instead of
 their number, so that a target of reflectivity 1 still has the value 1. NaN samples are excluded from the mean. The
-image is NaN where no valid sample is lit, and where a lit pulse, missing or not, sees the pixel outside the unambiguous window |R_xy - reference_range| <= c / (4 df).
+image is NaN where no valid sample is lit, and where a lit pulse, missing or not, sees the pixel outside the unambiguous
+window |R_xy - reference_range| <= c / (4 df).
 """
 
 from __future__ import annotations

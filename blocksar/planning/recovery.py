@@ -21,6 +21,9 @@ from blocksar.planning.target_lines import find_dwells, middle_line, tail_margin
 
 COMMON_ORDER = 5  # range history from this order on is removed from all targets alike: azimuth steps end at order 4
 COMMON_LEAST = 1e-3  # wavelengths, a phase of 0.013 rad: a smaller common range is not removed
+AXIS_NODES = (
+    128  # of lines under a beam about its axis, whose dwells differ: at each time, all that is lit has to be seen
+)
 WINDOW_EDGE = 0.05  # of the range window at either end, for which the PRF need not suffice: echoes only pass through
 
 
@@ -132,8 +135,17 @@ def _common_range(geometry: Geometry, centre: FloatArray) -> CommonRange:
 def _lit_lines(
     geometry: Geometry, region: Region, origin: float, walk: float, common: CommonRange, *, margin: float
 ) -> Line:
-    """Lines of targets over the region, without `margin` of the range window at either end."""
+    """Lines of targets over the region, without `margin` of the range window at either end.
+
+    Under a beam about its axis (n_target, n), of the lit targets only.
+    """
     near, far = region.at(region.yaw)
     width = far - near
     ranges = np.linspace(near + margin * width, far - margin * width, 5)
-    return find_dwells(geometry, yaw=region.yaw, origin=origin, walk=walk, common=common).lines(ranges)
+    if not geometry.collection.has_axis:
+        return find_dwells(geometry, yaw=region.yaw, origin=origin, walk=walk, common=common).lines(ranges)
+    lines = find_dwells(
+        geometry, yaw=region.yaw, origin=origin, walk=walk, common=common, least_nodes=AXIS_NODES
+    ).lines(ranges)  # fmt: skip
+    first, last = dwell_at(geometry, region.yaw, ranges)
+    return Line(**{name: getattr(lines, name)[last > first] for name in Line.__dataclass_fields__})

@@ -56,6 +56,8 @@ class Dwells:
     common : CommonRange
     coarsely : bool
         Trace a spline's waves with nodes enough to see them, not to integrate them.
+    least_nodes : int
+        Along a line.
     """
 
     geometry: Geometry
@@ -64,6 +66,7 @@ class Dwells:
     walk: float
     common: CommonRange
     coarsely: bool
+    least_nodes: int
 
     def lines(self, epoch_range: FloatArray) -> Line:
         """Lines of targets in the recovered signal; `epoch_range` and the yaws are broadcast."""
@@ -93,7 +96,8 @@ class Dwells:
         collection = geometry.collection
         first, last = dwell_at(geometry, yaw if collection.steered else np.zeros((1,) * np.ndim(yaw)), epoch_range)
         longest = float(np.max(last - first))
-        nodes, weights = solvers.gauss_legendre(_line_nodes(geometry, longest, coarsely=self.coarsely))
+        n_node = max(_line_nodes(geometry, longest, coarsely=self.coarsely), self.least_nodes)
+        nodes, weights = solvers.gauss_legendre(n_node)
         shortest = 0.05 * longest
         middle = np.clip((first + last) / 2, collection.time[0] + shortest / 2, collection.time[-1] - shortest / 2)
         length = np.maximum(last - first, shortest)[..., None]
@@ -115,6 +119,7 @@ def find_dwells(
     walk: float,
     common: CommonRange = NO_COMMON_RANGE,
     coarsely: bool = False,
+    least_nodes: int = LINE_NODES,
 ) -> Dwells:
     """The dwells at yaws (...), rad.
 
@@ -123,7 +128,9 @@ def find_dwells(
     Dwells cut by the ends of the collection are traced as cut. Targets lit for less than a twentieth of the longest
     dwell are traced over that much, inside the collection.
     """
-    return Dwells(geometry=geometry, yaw=yaw, origin=origin, walk=walk, common=common, coarsely=coarsely)
+    return Dwells(
+        geometry=geometry, yaw=yaw, origin=origin, walk=walk, common=common, coarsely=coarsely, least_nodes=least_nodes
+    )
 
 
 def _line_nodes(geometry: Geometry, longest: float, *, coarsely: bool) -> int:

@@ -147,7 +147,7 @@ def test_a_full_dwell_has_the_most_pulses(small_collection: Collection, centre: 
     x, y = points_about(geometry, centre)
     count = slow_mask(geometry, np.asarray(geometry.yaw(x, y))).sum(axis=1)
     full = np.array([has_full_dwell(geometry, *point) for point in zip(x, y, strict=True)])
-    most = most_lit_pulses(geometry.collection)
+    most = most_lit_pulses(geometry, x, y)
     assert full.any() and not full.all()
     assert (count[full] >= most - 2).all()  # one pulse by definition, one because of where pulses fall in the beam
     assert count.max() in (most - 1, most)
@@ -198,7 +198,7 @@ def test_without_steering_everything_is_lit(small_collection: Collection) -> Non
     valid = np.ones(n)
     valid[::7] = 0
     assert (lit_pulses(collection, yaw, valid) == valid.sum()).all()
-    assert most_lit_pulses(collection) == n
+    assert most_lit_pulses(geometry, x, y) == n
     start, end = dwell(geometry, x, y)
     assert (start == aperture(collection)[0]).all() and (end == aperture(collection)[1]).all()
     assert has_full_dwell(geometry, float(x[0]), float(y[0]))
