@@ -153,13 +153,8 @@ class Collection:
                 f"ground_height = {self.ground_height:.6g} m; z must point up"
             )
         self._check_grazing()
-        if self.beam_axis is None and self.beam_steering is None:
-            self._check_beam()
-        else:
-            self._check_axis_beam()
+        self._check_beam()
         self._check_patterns()
-        if self.noise_power is not None and not (np.isfinite(self.noise_power) and self.noise_power >= 0):
-            raise InputError(f"noise_power must be a finite number of at least 0, got {self.noise_power!r}")
 
     def _check_shape(self, name: str, shape: tuple[int, ...]) -> None:
         array = getattr(self, name)
@@ -224,6 +219,12 @@ class Collection:
             )
 
     def _check_beam(self) -> None:
+        if self.beam_axis is None and self.beam_steering is None:
+            self._check_yaw_beam()
+        else:
+            self._check_axis_beam()
+
+    def _check_yaw_beam(self) -> None:
         finite = np.isfinite(self.beam_azimuth)
         if not finite.any():
             if self.beam_width is not None:
@@ -281,6 +282,8 @@ class Collection:
         check_axis_beam(self.beam_axis, self.beam_steering, self.beam_width)
 
     def _check_patterns(self) -> None:
+        if self.noise_power is not None and not (np.isfinite(self.noise_power) and self.noise_power >= 0):
+            raise InputError(f"noise_power must be a finite number of at least 0, got {self.noise_power!r}")
         for name, coordinate in PATTERNS.items():
             angle, amplitude = getattr(self, coordinate), getattr(self, name)
             if angle is None and amplitude is None:

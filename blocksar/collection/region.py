@@ -19,9 +19,10 @@ from blocksar.collection.grid import Grid, ground_resolution, outline
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 
-MOST_YAWS = 4096  # of a grid, at which a beam about its axis is asked what it lights
-FINE_YAWS = 257  # at which the first and last lit yaw are found
-LIT_RANGES = 129  # ranges at which a beam about its axis is asked what it lights
+# Yaws of a grid at which a beam about its axis is asked what it lights, yaws beyond it that are asked at a time, and
+# yaws at which the first and the last lit one are found; ranges for that, and for the lit ranges of a yaw.
+LEAST_YAWS, MOST_YAWS, YAWS_AT_ONCE, FINE_YAWS = 16, 4096, 16, 257
+FEW_RANGES, LIT_RANGES = 17, 129
 WINDOW_GUARD = 8  # range cells kept free at either end of the range window
 
 
@@ -101,31 +102,34 @@ def _lit_region(geometry: Geometry, grid: Grid, low: float, high: float) -> Regi
     reference = float(np.interp(geometry.epoch, collection.time, collection.reference_range))
     floor = float(geometry.epoch_position[2] - collection.ground_height) * 1.0005
     ends = max(reference - collection.range_window / 2, floor), max(reference + collection.range_window / 2, floor)
-    step = min((collection.beam_width or 0.0) / 4, (high - low) / 32)
+    step = (collection.beam_width or 0.0) / 4
 
     def is_any_lit(yaw: FloatArray) -> BoolArray:
-        return _lit_ranges(geometry, yaw, *(np.full(yaw.size, end) for end in ends))[2]
+        return _lit_ranges(geometry, yaw, *(np.full(yaw.size, end) for end in ends), count=FEW_RANGES)[2]
 
-    inside = np.linspace(low, high, min(math.ceil((high - low) / step), MOST_YAWS) + 1)
+    def first_unlit(edge: float, sign: float) -> float:
+        """The first yaw, a step after the other from an edge on, of which nothing is lit; or a quarter turn away."""
+        for first in range(1, math.ceil(np.pi / 2 / step), YAWS_AT_ONCE):
+            outwards = np.asarray(edge + sign * step * (first + np.arange(YAWS_AT_ONCE)), np.float64)
+            if not (lit := is_any_lit(outwards)).all():
+                return float(outwards[int(lit.argmin())])
+        return edge + sign * np.pi / 2
+
+    inside = np.linspace(low, high, min(max(math.ceil((high - low) / step), LEAST_YAWS), MOST_YAWS) + 1)
     lit = np.flatnonzero(is_any_lit(inside))
     if lit.size == 0:
         raise InputError(
             f"grid {grid.x0:g}:{grid.x1:g},{grid.y0:g}:{grid.y1:g} lies outside the swath: the beam (beam_axis, "
             "beam_steering, beam_width) lights none of its yaws; move the grid"
         )
-    outwards = step * np.arange(1, math.ceil(np.pi / 2 / step))
-    least, most = (
-        edge + sign * step * (1 + int(np.argmin(np.append(is_any_lit(edge + sign * outwards), False))))
-        for edge, sign in ((inside[lit[0]], -1), (inside[lit[-1]], 1))
-    )
-    yaw = np.linspace(least, most, FINE_YAWS)
+    yaw = np.linspace(first_unlit(inside[lit[0]], -1.0), first_unlit(inside[lit[-1]], 1.0), FINE_YAWS)
     near, far = _window(geometry, yaw, None)
-    lit = np.flatnonzero(_lit_ranges(geometry, yaw, near, far)[2])
+    lit = np.flatnonzero(_lit_ranges(geometry, yaw, near, far, count=FEW_RANGES)[2])
     if lit.size == 0:
         raise InputError("grid lies outside the swath: the beam lights nothing in the range window; move the grid")
     yaw = np.linspace(yaw[max(lit[0] - 1, 0)], yaw[min(lit[-1] + 1, FINE_YAWS - 1)], 65)
     near, far = _window(geometry, yaw, None)
-    nearest, farthest, any_lit = _lit_ranges(geometry, yaw, near, far)
+    nearest, farthest, any_lit = _lit_ranges(geometry, yaw, near, far, count=LIT_RANGES)
     nearest = np.pad(np.where(any_lit, nearest, np.inf), 1, mode="edge")
     farthest = np.pad(np.where(any_lit, farthest, -np.inf), 1, mode="edge")
     nearest = np.minimum(np.minimum(nearest[:-2], nearest[1:-1]), nearest[2:])
@@ -135,15 +139,15 @@ def _lit_region(geometry: Geometry, grid: Grid, low: float, high: float) -> Regi
 
 
 def _lit_ranges(
-    geometry: Geometry, yaw: FloatArray, near: FloatArray, far: FloatArray
+    geometry: Geometry, yaw: FloatArray, near: FloatArray, far: FloatArray, *, count: int
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Nearest and farthest lit range between near and far at each yaw (n,), to a step outwards, and whether any is."""
-    ranges = near + (far - near) * np.linspace(0, 1, LIT_RANGES)[:, None]
+    """Nearest and farthest lit of `count` ranges from near to far at each yaw (n,), to a step outwards; is any lit?"""
+    ranges = near + (far - near) * np.linspace(0, 1, count)[:, None]
     first, last = dwell_at(geometry, yaw, ranges)
     lit = last > first
-    low, high = lit.argmax(axis=0) - 1, LIT_RANGES - lit[::-1].argmax(axis=0)
+    low, high = lit.argmax(axis=0) - 1, count - lit[::-1].argmax(axis=0)
     each = np.arange(yaw.size)
-    nearest, farthest = ranges[np.maximum(low, 0), each], ranges[np.minimum(high, LIT_RANGES - 1), each]
+    nearest, farthest = ranges[np.maximum(low, 0), each], ranges[np.minimum(high, count - 1), each]
     return nearest, farthest, np.asarray(lit.any(axis=0))
 
 

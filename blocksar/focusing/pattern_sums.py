@@ -57,6 +57,20 @@ def add_gains(
     add(total, *places, *lit, antenna, *beam, np.array(valid), pulses.start, collection.has_axis, *tables)
 
 
+@njit(inline="always")
+def _between(angle, angles, values):  # type: ignore[no-untyped-def]
+    """Linear interpolation, constant beyond the ends, as `np.interp`; fast where the angles are about uniform."""
+    n = angles.size
+    k = int(min(max((angle - angles[0]) / (angles[n - 1] - angles[0]), 0.0), 1.0) * (n - 1))
+    k = min(k, n - 2)
+    while k > 0 and angles[k] > angle:
+        k -= 1
+    while k < n - 2 and angles[k + 1] < angle:
+        k += 1
+    part = min(max((angle - angles[k]) / (angles[k + 1] - angles[k]), 0.0), 1.0)
+    return values[k] + part * (values[k + 1] - values[k])
+
+
 @njit(cache=True, nogil=True)
 def _add_gains(  # type: ignore[no-untyped-def]
     total, x, y, yaw, first, last, antenna, axis, steering, azimuth, valid, start, has_axis, offsets, pattern,
@@ -76,8 +90,8 @@ def _add_gains(  # type: ignore[no-untyped-def]
                     else:
                         offset = yaw[row, column] - azimuth[p]
                         offset -= TURN * np.rint(offset / TURN)
-                    gain *= np.interp(offset, offsets, pattern)
+                    gain *= _between(offset, offsets, pattern)
                 if elevation_pattern.size > 1:
                     down = np.arctan2(height, np.sqrt(dx * dx + dy * dy))
-                    gain *= np.interp(down, elevations, elevation_pattern)
+                    gain *= _between(down, elevations, elevation_pattern)
                 total[row, column] += valid[p] * gain

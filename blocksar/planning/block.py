@@ -188,8 +188,7 @@ def plan_block(
     )  # fmt: skip
     gate = plan_gate(
         fine, spots, rate, blur=gate_blur(collection, uncut, scaled_about=about), lit=lit, uncut=uncut,
-        full=full_dwells(fine, sector.geometry, fine_range[:, None], fine_yaw), rows=sampling.rows,
-        slow=sampling.long_time,
+        rows=sampling.rows, slow=sampling.long_time, full=full_dwells(fine, sector.geometry, fine_range[:, None], fine_yaw),
     )  # fmt: skip
     sampling = replace(sampling, gate=gate)
     return BlockPlan(

@@ -13,14 +13,14 @@ MODES = {
     "stripmap": (0.0, 0.0),
     "squinted": (0.25, 0.0),
     "sliding spotlight": (0.0, -0.003),
-    "tops": (0.0, 0.08),
-    "scanned backwards": (0.0, -0.1),
+    "tops": (0.0, 0.02),
+    "scanned backwards": (0.0, -0.055),
 }
 
 
-def axis_collection(mode: str = "stripmap", **changes: Any) -> Collection:
+def axis_collection(mode: str = "stripmap", *, n_pulse: int = 400, **changes: Any) -> Collection:
     """A pass of 250 m along y, 4 km high; targets near (9 km, 0), or ahead of it where the beam is squinted."""
-    n_pulse, n_frequency, prf = 400, 96, 320.0
+    n_frequency, prf = 96, n_pulse / 1.25
     time = (np.arange(n_pulse) - n_pulse // 2) / prf
     track = np.stack([0.4 * time**2, 200 * time + 0.5 * time**2, 4000 - time**2], axis=1)
     velocity = np.gradient(track, time, axis=0)
@@ -29,7 +29,7 @@ def axis_collection(mode: str = "stripmap", **changes: Any) -> Collection:
         "carrier": 9.6e9,
         "time": time,
         "range_frequency": (np.arange(n_frequency) - n_frequency // 2) * 400e3,
-        "reference_range": np.full(n_pulse, float(np.hypot(9000 / np.cos(steering), 4000))),
+        "reference_range": np.full(n_pulse, float(np.hypot(9000, 4000) / np.cos(steering))),
         "antenna_position": track,
         "beam_azimuth": np.full(n_pulse, np.nan),
         "beam_width": 0.01,
