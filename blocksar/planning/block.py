@@ -186,11 +186,11 @@ def plan_block(
         range_frequency=band if range_gate is None else range_gate.range_frequency, duration=duration,
         uncut=float((last - first).max()) if collection.steered else 0.0,
     )  # fmt: skip
-    gate = plan_gate(
+    sampling = replace(sampling, gate=plan_gate(
         fine, spots, rate, blur=gate_blur(collection, uncut, scaled_about=about), lit=lit, uncut=uncut,
-        rows=sampling.rows, slow=sampling.long_time, full=full_dwells(fine, sector.geometry, fine_range[:, None], fine_yaw),
-    )  # fmt: skip
-    sampling = replace(sampling, gate=gate)
+        full=full_dwells(fine, sector.geometry, fine_range[:, None], fine_yaw), rows=sampling.rows,
+        slow=sampling.long_time,
+    ))  # fmt: skip
     return BlockPlan(
         index=index,
         part=part,
@@ -202,7 +202,7 @@ def plan_block(
         sampling=sampling,
         ground=_plan_ground(sector, sampling, fine, spots, epoch_range=fine_range, yaw=fine_yaw),
         prediction=predict(
-            fine, spots, fine_range, fine_yaw, sector.geometry, rate=rate, gate=gate, scaled_about=about
+            fine, spots, fine_range, fine_yaw, sector.geometry, rate=rate, gate=sampling.gate, scaled_about=about
         ),
         memory=_plan_memory(range_gate, range_part, sampling),
         choice=choice,
