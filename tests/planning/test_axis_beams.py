@@ -90,6 +90,18 @@ def test_a_unit_target_under_patterns_peaks_at_one(kind: str) -> None:
         assert abs(focus(plan, signal)[row, column] - 1) < 0.012
 
 
+def test_a_beam_that_stays_on_a_spot_is_left_to_back_projection() -> None:
+    strip = axis_collection(beam_width=0.02)
+    assert strip.beam_axis is not None
+    sight = np.array([9000.0, 0.0, 0.0]) - strip.antenna_position
+    sine = (sight * strip.beam_axis).sum(axis=1) / np.linalg.norm(sight, axis=1)
+    collection = axis_collection(beam_width=0.02, beam_steering=np.arcsin(sine))
+    plan = plan_collection(collection, grid=Grid(8930.0, 9070.0, STEP_X, -40.0, 40.0, STEP_Y))
+    assert plan.refusal is not None
+    assert "would stay on ground" in plan.refusal and "--processor backprojection" in plan.refusal
+    assert plan_collection(strip, grid=plan.grid).refusal is None
+
+
 def test_plans_are_the_same_each_time() -> None:
     collection = axis_collection("squinted")
     one, other = (plan_collection(collection, grid=grid_of(collection)) for _ in range(2))
