@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import diric
 
-from blocksar.arrays import FloatArray
-from blocksar.collection.beam import is_lit
+from blocksar.arrays import BoolArray, FloatArray
+from blocksar.collection.beam import is_lit, pattern_gain
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.measurement.response import Complex128Array
@@ -18,7 +18,8 @@ def ideal_response(geometry: Geometry, target: Target, x: FloatArray, y: FloatAr
 
     The mean over a pixel's lit pulses and all range frequencies of
     sigma exp(4j pi (fc + f)/c (R_p - R_q)); the sum over the uniform range frequencies has a closed form. This is
-    the reference for one isolated target, including side lobes and carrier phase. NaN where a pixel is never lit.
+    the reference for one isolated target, including side lobes and carrier phase. With antenna patterns the sum is
+    weighted by that of the target, and divided by the sum of the pixel's. NaN where a pixel is never lit.
     """
     collection = geometry.collection
     x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
@@ -30,8 +31,13 @@ def ideal_response(geometry: Geometry, target: Target, x: FloatArray, y: FloatAr
         pulses = slice(first, first + 64)
         time = collection.time[pulses]
         of_pixel = is_lit(geometry, x, y, pulses)
-        count += of_pixel.sum(axis=1)
-        lit = of_pixel & is_lit(geometry, np.array([target.x]), np.array([target.y]), pulses)
+        at_target = np.array([target.x]), np.array([target.y])
+        lit: BoolArray | FloatArray = of_pixel & is_lit(geometry, *at_target, pulses)
+        if collection.has_pattern:
+            count += (of_pixel * pattern_gain(geometry, x[:, None], y[:, None], pulses)).sum(axis=1)
+            lit = lit * pattern_gain(geometry, *at_target, pulses)
+        else:
+            count += of_pixel.sum(axis=1)
         if not lit.any():
             continue
         delay = (geometry.range_history(point, time)[0] - geometry.range_history(origin, time)[0]) * 2 / SPEED_OF_LIGHT

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from axis_beams import axis_collection, with_patterns
 from scipy.integrate import quad
 from scipy.optimize import brentq, minimize_scalar
 from scipy.special import diric
@@ -19,6 +20,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SINC_PSLR, SINC_WIDTH, SPEED_OF_LIGHT
 from blocksar.errors import InputError
+from blocksar.focusing.backprojection import form_points
 from blocksar.measurement.coherence import coherence
 from blocksar.measurement.figures import (
     DEFINITIONS,
@@ -36,6 +38,7 @@ from blocksar.measurement.ideal import ideal_response
 from blocksar.measurement.response import Complex128Array, ReadChip, carrier_phase, read_response, response_axes
 from blocksar.measurement.table3 import TABLE3
 from blocksar.measurement.targets import Target
+from blocksar.simulation.scatterers import simulate_pulses
 
 PULSE_RATE = 4000.0  # half of Table 1's, for speed: 648 pulses light a target
 STEERING = np.deg2rad(57.87 - 42.13) / 0.6
@@ -521,3 +524,12 @@ def test_pictures_are_written(scene: Scene, tmp_path: Path) -> None:
         path = tmp_path / f"{name}.png"
         draw(path)
         assert path.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+
+
+def test_the_ideal_response_under_patterns_is_the_back_projection_of_the_target() -> None:
+    collection = with_patterns(axis_collection())
+    geometry, target = Geometry(collection=collection), Target("P", 9000.0, 12.0, 1.0 + 0.5j)
+    signal = simulate_pulses(collection, np.array([target.x]), np.array([target.y]), np.array([target.reflectivity]))
+    x, y = 9000.0 + np.linspace(-6, 6, 9), 12.0 + np.linspace(4, -4, 9)
+    exact = form_points(lambda pulses: signal[pulses], geometry, x, y, threads=1)
+    np.testing.assert_allclose(ideal_response(geometry, target, x, y), exact, atol=2e-3)
