@@ -415,7 +415,7 @@ def _resample(  # type: ignore[no-untyped-def]
     flat, stride = floats.reshape(-1), floats.shape[1]
     range_taps, range_step = range_table.reshape(-1), range_table.shape[1]
     doppler_taps, doppler_step = doppler_table.reshape(-1), doppler_table.shape[1]
-    carriers = carrier_table.reshape(-1)
+    carriers, by_yaw = carrier_table.reshape(-1), weight[0]
     across, along = np.arange(tile) / max((tile - 1) / 2, 0.5) - 1.0, np.empty(coefficients.shape[2])
     values = np.empty((6, tile))
     row, doppler, cycles, loss, turn, middle = values[0], values[1], values[2], values[3], values[4], values[5]
@@ -438,7 +438,7 @@ def _resample(  # type: ignore[no-untyped-def]
             if not every:
                 _limit(turn, yaw_start, yaw_step, near_limit, far_limit, rng, owned)
             if weight.shape[0] == 1:
-                _amplitude(turn, yaw_start, 1 / yaw_step, weight[0], loss, owned, amplitude)
+                _amplitude(turn, yaw_start, 1 / yaw_step, by_yaw, loss, owned, amplitude)
             else:
                 _divide(turn, yaw_start, 1 / yaw_step, weight, frame[5], frame[6], rng, loss, owned, amplitude)
             _place(row, n_taps[0], widths[0], sizes[0], n_row, first_row, range_row, range_part)
