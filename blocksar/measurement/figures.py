@@ -21,11 +21,10 @@ import numpy as np
 from blocksar.arrays import FloatArray
 from blocksar.collection.beam import has_full_dwell
 from blocksar.collection.geometry import Geometry
-from blocksar.constants import SINC_PSLR, SINC_WIDTH
+from blocksar.constants import SINC_ISLR, SINC_PSLR, SINC_WIDTH
 from blocksar.measurement.response import CUT_WIDTHS, Complex128Array, ReadChip, Response, read_response, response_axes
 from blocksar.measurement.targets import Target
 
-IDEAL_ISLR = -10.216  # dB, of sinc^2, by the definition below
 SAMPLES_PER_WIDTH = 64  # of a cut: resolves the height of a side lobe to 0.001 dB
 
 DEFINITIONS = f"""\
@@ -36,7 +35,7 @@ in range c / (2 B), in azimuth from the line-of-sight rotation over the target's
 PSLR: highest side lobe outside the first minima on either side of the peak and within {CUT_WIDTHS:g} theoretical
 IRW of it, relative to the peak, power in dB (unweighted ideal {SINC_PSLR:.2f} dB).
 ISLR: energy outside the first minima and within {CUT_WIDTHS:g} theoretical IRW on either side of the peak, over the
-energy between the first minima, along the cut, in dB (unweighted ideal {IDEAL_ISLR:.1f} dB).
+energy between the first minima, along the cut, in dB (unweighted ideal {SINC_ISLR:.1f} dB).
 Position error: peak of the magnitude minus the true position, in x and y. Value: complex image interpolated at
 the true position, divided by the target's reflectivity (ideal 1 + 0j). Full dwell: the beam swept wholly over
 the target. Covered: no pixel is missing in what was measured; figures that touch missing pixels are NaN."""
@@ -69,10 +68,10 @@ class PointResponse(NamedTuple):
 
 _FIGURES: dict[str, tuple[float, Callable[[PointResponse], float]]] = {
     "range_pslr": (SINC_PSLR, lambda r: r.range_pslr),
-    "range_islr": (IDEAL_ISLR, lambda r: r.range_islr),
+    "range_islr": (SINC_ISLR, lambda r: r.range_islr),
     "range_irw_over_theory": (1.0, lambda r: r.range_irw / r.range_irw_theory),
     "azimuth_pslr": (SINC_PSLR, lambda r: r.azimuth_pslr),
-    "azimuth_islr": (IDEAL_ISLR, lambda r: r.azimuth_islr),
+    "azimuth_islr": (SINC_ISLR, lambda r: r.azimuth_islr),
     "azimuth_irw_over_theory": (1.0, lambda r: r.azimuth_irw / r.azimuth_irw_theory),
     "error_x": (0.0, lambda r: r.error_x),
     "error_y": (0.0, lambda r: r.error_y),
@@ -301,7 +300,7 @@ def as_json(responses: Sequence[PointResponse]) -> dict[str, Any]:
     totals = summary(responses)
     return {
         "definitions": DEFINITIONS,
-        "ideal": {"pslr": SINC_PSLR, "islr": IDEAL_ISLR},
+        "ideal": {"pslr": SINC_PSLR, "islr": SINC_ISLR},
         "summary": {
             "targets": totals.targets,
             "full_dwell": totals.full_dwell,
