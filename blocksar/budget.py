@@ -9,6 +9,11 @@ AZIMUTH_TAP_ERROR = 1e-4  # of the interpolation along azimuth: keystone and Dop
 IMAGE_TAP_ERROR = 1e-3  # of the interpolation of focused blocks
 
 
+def image_tap_error(fidelity: float) -> float:
+    """Allowed error of the interpolation of focused blocks: less where a higher fidelity is asked for than usual."""
+    return float(IMAGE_TAP_ERROR * min(((1 - fidelity) / (1 - FIDELITY)) ** 0.5, 1.0))
+
+
 def side_lobe_budget(fidelity: float) -> float:
     """Allowed change of the highest side lobe, dB: what changes it is an amplitude, what costs coherence its square."""
     return float(SIDE_LOBE_BUDGET * ((1 - fidelity) / (1 - FIDELITY)) ** 0.5)

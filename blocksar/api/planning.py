@@ -15,6 +15,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid, ground_resolution
 from blocksar.collection.region import default_grid, plan_region
+from blocksar.collection.weighting import Weighting
 from blocksar.constants import MIB, SINC_WIDTH
 from blocksar.errors import InputError
 from blocksar.focusing.method import (
@@ -49,6 +50,9 @@ def plan(
     processor: PlannedProcessor = "angular-division",
     blocks: int | Literal["auto"] = "auto",
     fidelity: float = FIDELITY,
+    weighting: str = "uniform",
+    weighting_range: str | None = None,
+    weighting_azimuth: str | None = None,
     coefficients: Coefficients = "fitted",
     perturbation: Perturbation = "all",
     keystone: bool = True,
@@ -70,6 +74,11 @@ def plan(
         Number of angular blocks, at least 1. "auto" (default): the fewest that keep `fidelity` and fit the memory.
     fidelity : float
         Coherence with exact back-projection that "auto" keeps where it can, below 1. Default: 0.999.
+    weighting : str
+        Taper over band and dwell: "uniform", "taylor:NBAR:SLL" (such as "taylor:4:-35"), "hamming", "hann" or
+        "kaiser:BETA". Default: "uniform".
+    weighting_range, weighting_azimuth : str, optional
+        Taper over the band, or over the dwell, instead.
     coefficients : {"fitted", "closed-form"}
         "fitted" (default): fitted to traced time-frequency lines. "closed-form": expanded about the centre of each
         block, as in the papers.
@@ -114,6 +123,7 @@ def plan(
         raise InputError(
             f"{' and '.join(method.departures)}: processor auto compares processors as they are; leave it out"
         )
+    tapers = Weighting.parse(weighting, weighting_range, weighting_azimuth)
     collection, points = collection_of(source), grid_of(grid)
     workers, threads, memory_limit = resources(workers, None, memory_limit)
     if method is None:
@@ -121,8 +131,8 @@ def plan(
 
     def plan_by(method: Method) -> Plan:
         return plan_collection(
-            collection, blocks=blocks, fidelity=fidelity, method=method, grid=points, workers=workers,
-            memory_limit=memory_limit,
+            collection, blocks=blocks, fidelity=fidelity, weighting=tapers, method=method, grid=points,
+            workers=workers, memory_limit=memory_limit,
         )  # fmt: skip
 
     return _report_contenders(choice.contend(plan_by)) if automatic else _report_plan(plan_by(method))

@@ -143,6 +143,23 @@ FLAT = Taper()
 
 
 @dataclass(frozen=True)
+class AxisTaper:
+    """A taper over an interval of an axis, in the axis's unit: w((value - centre) / half)."""
+
+    taper: Taper
+    centre: float
+    half: float
+
+    @classmethod
+    def over(cls, taper: Taper, start: float, step: float, n: int) -> AxisTaper | None:
+        """The taper over n samples, each of which stands for a step; None if it is uniform."""
+        return None if taper.uniform else cls(taper, start + (n - 1) / 2 * step, n / 2 * step)
+
+    def __call__(self, values: FloatArray) -> FloatArray:
+        return self.taper((values - self.centre) / self.half)
+
+
+@dataclass(frozen=True)
 class Weighting:
     """The tapers along range frequency and along the dwell."""
 

@@ -12,6 +12,7 @@ from math import nan
 from typing import Any, Self
 
 from blocksar import stores
+from blocksar.constants import SINC_PSLR
 from blocksar.errors import FolderError
 from blocksar.places.place import Place
 from blocksar.runs.fields import Field
@@ -171,9 +172,11 @@ def _stage_of(unit: str, *, back_projection: bool) -> str:
 
 
 # Figures of a block that records of earlier versions lack.
+# Settings that older runs do not have, as they were.
+_BEFORE = {"weighting_range": "uniform", "weighting_azimuth": "uniform"}
 _ADDED = (
     "bias", "quadratic_phase", "resolution", "track_phase", "coherence", "phase_loss", "range_loss",
-    "dispersion_loss", "track_loss",
+    "dispersion_loss", "track_loss", "ideal_pslr",
 )  # fmt: skip
 
 
@@ -212,6 +215,8 @@ class PredictedBlock:
         With exact back-projection: 1 less the losses of the target that loses most.
     phase_loss, range_loss, dispersion_loss, track_loss : float
         What residual phase, range migration, the ends of the dwell and the noise of the track take from it.
+    ideal_pslr : float
+        Of the weighting, in azimuth, dB.
     """
 
     block: int
@@ -232,6 +237,7 @@ class PredictedBlock:
     range_loss: float = nan
     dispersion_loss: float = nan
     track_loss: float = nan
+    ideal_pslr: float = SINC_PSLR
 
     @property
     def name(self) -> str:
@@ -492,7 +498,7 @@ class RunRecord:
         """Tell how a run with these settings and this input differs from the recorded one; None if it does not."""
         if self.format != FORMAT:
             return f"format {self.format!r}"
-        recorded = {name: self.settings.get(name) for name in settings}
+        recorded = {name: self.settings.get(name, _BEFORE.get(name)) for name in settings}
         if changed := {name: value for name, value in recorded.items() if value != settings[name]}:
             return ", ".join(f"{name} {value!r}" for name, value in changed.items())
         return None if self.input.fingerprint == fingerprint else "another input"
