@@ -94,10 +94,9 @@ class DwellGate:
         assert self.taper is not None
         half = self.taper.begin if end == "begin" else self.taper.end
         time = self.time.values if end == "begin" else -self.time.values
-        rises = [
-            half.rise(time + self.length / 2, length, taper=self.taper.taper, slope=abs(slope), blur=self.blur)
-            for length in half.lengths
-        ]
+        since = time + self.length / 2
+        step = smeared_step(since, slope=abs(slope), blur=self.blur)
+        rises = [half.rise(since, length, step, taper=self.taper.taper, slope=abs(slope)) for length in half.lengths]
         if end == "end":  # the weight of the middle counts once
             rises = [rise * float(self.taper.taper(np.array(0.0))) for rise in rises]
         return np.stack([self._faded(rise, slope, time) for rise in rises])
@@ -134,26 +133,26 @@ class HalfDwell:
         return coefficients / max(self.lengths[-1] - self.lengths[0], 1e-12)
 
     def rise(
-        self, time: FloatArray, length: float, *, taper: Taper, slope: float, blur: float
+        self, time: FloatArray, length: float, step: NDArray[np.complex128], *, taper: Taper, slope: float
     ) -> NDArray[np.complex128]:
         """The taper's first half over `length`, then 1, as a window in time since the end: (time.size,).
 
-        A step at s times exp(1j k t) becomes, under the Fresnel integral of the slope e,
-
-            exp(1j k t - 1j k^2 e / 4 pi) F(t - s - k e / 2 pi),
-
-        with F the smeared step.
+        `step` is the smeared step there, F. The taper begins by a step, of its weight at the end, and a ramp, which
+        under the Fresnel integral of the slope e becomes t F(t) + (1j e / 2 pi) F'(t). The rest is smooth, so that each
+        of its cosines, of rate k, is only multiplied by exp(-1j k^2 e / 4 pi).
         """
         terms, frequency = taper.series
-        whole = smeared_step(time - length, slope=slope, blur=0.0)
-        total = terms.sum() * whole
-        for k, term in enumerate(terms):
-            for rate in np.pi * frequency * k / length * np.array([1.0, -1.0] if k else [1.0]):
-                late = rate * slope / (2 * np.pi)
-                wave = np.exp(1j * (rate * (time - length) - rate * late / 2))
-                lit = smeared_step(time - late, slope=slope, blur=blur)
-                lit = lit - smeared_step(time - length - late, slope=slope, blur=0.0)
-                total += (term if k == 0 else term / 2) * wave * lit
+        turns = np.pi * frequency * np.arange(terms.size)
+        edge, pace = (terms * np.cos(turns)).sum(), (terms * turns * np.sin(turns)).sum() / length
+        turned = terms * np.exp(-0.25j / np.pi * slope * (turns / length) ** 2)
+        inside = (time > 0) & (time < length)
+        rest = np.where(time > 0, terms.sum() - edge - pace * time, 0.0).astype(np.complex128)
+        rest[inside] = (turned[:, None] * np.cos(np.outer(turns, time[inside] / length - 1))).sum(axis=0)
+        rest[inside] -= edge + pace * time[inside]
+        total = edge * step + rest
+        if abs(pace) * length > 1e-9 * terms.sum():  # without blur, or the two terms would not cancel far from the end
+            ramp = time * smeared_step(time, slope=slope, blur=0.0)
+            total += pace * (ramp + np.sqrt(1j * slope) / (2 * np.pi) * np.exp(1j * np.pi / slope * time**2))
         return np.asarray(total / terms.sum())
 
 

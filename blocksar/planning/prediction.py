@@ -15,6 +15,7 @@ from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.lines import LEAST_STRETCH, Focus, Line
 from blocksar.planning.fidelity import worst_losses
+from blocksar.planning.gates import full_dwells
 
 
 class Prediction(NamedTuple):
@@ -62,7 +63,9 @@ def predict(
     """
     range_cell = SPEED_OF_LIGHT / (2 * geometry.collection.bandwidth)
     residual = spots.residual
-    worst = np.unravel_index(int(np.argmax(residual)), residual.shape)
+    # Cut dwells have other side lobes under a taper: of those with full dwell, where there are any.
+    judged = residual if taper.uniform else np.where(full_dwells(line), residual, -1.0)
+    worst = np.unravel_index(int(np.argmax(judged)), residual.shape)
     weighed = line if taper.uniform else line.weighed(np.asarray(weights))
     weight = (weighed.weight * np.sqrt(np.maximum(line.stretch, LEAST_STRETCH)))[worst]
     time = line.time[worst] - spots.time[worst]
