@@ -133,6 +133,14 @@ class Taper:
         """w at v = (2k + 1 - n) / n, k = 0 .. n - 1."""
         return self((2 * np.arange(n) + 1 - n) / n)
 
+    def response(self, u: FloatArray) -> FloatArray:
+        """The ideal response (n,), 1 at its peak: the mean of w(v) exp(1j pi v u), which is real, over that of w."""
+        if self.uniform:
+            return np.sinc(u)
+        nodes, weights = solvers.gauss_legendre(NODES)
+        shape = weights * self(nodes)
+        return np.asarray((np.cos(np.pi * u[:, None] * nodes) * shape).sum(axis=1) / shape.sum())
+
     @property
     def ideal(self) -> IdealResponse:
         """Figures of the ideal response, from the definition."""
@@ -241,20 +249,13 @@ def _taylor_coefficients(nbar: int, level: float) -> FloatArray:
 def _ideal(taper: Taper) -> IdealResponse:
     if taper.uniform:
         return IdealResponse(SINC_WIDTH, SINC_PSLR, SINC_ISLR)
-    nodes, weights = solvers.gauss_legendre(NODES)
-    shape = weights * taper(nodes)
-
-    def power(u: FloatArray) -> FloatArray:
-        response = (np.cos(np.pi * u[:, None] * nodes) * shape).sum(axis=1) / shape.sum()
-        return np.asarray(response**2)
-
     low, high = 0.0, 4.0  # the main lobe falls below half within: hann's, the widest but Kaiser's, at 0.72
     for _ in range(60):
         middle = (low + high) / 2
-        low, high = (middle, high) if power(np.array([middle]))[0] > 0.5 else (low, middle)
+        low, high = (middle, high) if taper.response(np.array([middle]))[0] ** 2 > 0.5 else (low, middle)
     width = 2 * low
     u = np.arange(int(CUT_WIDTHS * STEPS_PER_WIDTH) + 1) * width / STEPS_PER_WIDTH
-    response = power(u)
+    response = taper.response(u) ** 2
     first = int(np.flatnonzero(response[1:] > response[:-1])[0])
     energy = np.concatenate([[0.0], np.cumsum((response[1:] + response[:-1]) / 2)])
     side = energy[-1] - energy[first]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -22,6 +23,7 @@ from blocksar.collection.weighting import FLAT, UNIFORM, AxisTaper, Taper, Weigh
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.focusing.chains import steps_of
+from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.ground_map import YAW_STEPS, GroundMap, surfaces
 from blocksar.focusing.lines import Focus, Line, focus
 from blocksar.focusing.method import Method
@@ -166,14 +168,11 @@ def plan_block(
         sector.geometry, near=sector.near, far=sector.far, origin=recovery.origin, yaw=(sector.low + sector.high) / 2
     )
     constants = Constants(
-        carrier=collection.carrier,
-        walk=slab.walk,
-        reference=sector.reference(),
-        middle=float((line.time.min() + line.time.max()) / 2),
-        motion=motion,
+        carrier=collection.carrier, walk=slab.walk, reference=sector.reference(),
+        middle=float((line.time.min() + line.time.max()) / 2), motion=motion,
         in_range=AxisTaper.over(sector.weighting.range, band.start, band.step, band.size),
         in_time=None if collection.steered else _pulse_taper(sector),
-    )
+    )  # fmt: skip
     range_part = RangePart.bind(steps_of(method, measured=motion is not None), constants, line)
     straight = range_part.trace(line)
     azimuth, choice = _plan_azimuth(
@@ -185,22 +184,55 @@ def plan_block(
     lit = sector.dwells(fine_yaw).lines(fine_range[:, None])
     compressed = range_part.trace(lit)
     biased, _, fine = azimuth.trace(compressed)
-    rate = biased.rate
     first, last = dwell_at(sector.geometry, fine_yaw, uncut=True)
     uncut = first - sector.geometry.epoch, last - sector.geometry.epoch
     taper = _over_dwells(sector)
     weights = taper((2 * lit.time - (uncut[0] + uncut[1])[:, None]) / (uncut[1] - uncut[0])[:, None])
-    weighed = fine if taper.uniform else fine.weighed(weights)
-    spots = focus(weighed)
-    about = azimuth.range_part.scales_time_about
+    spots = focus(fine if taper.uniform else fine.weighed(weights))
     sampling = _plan_sampling(
         recovery, slab, azimuth, straight,
         range_frequency=band if range_gate is None else range_gate.range_frequency, duration=duration,
         uncut=float((last - first).max()) if collection.steered else 0.0, tap_error=sector.tap_error,
     )  # fmt: skip
+    ends = Ends(rate=biased.rate, uncut=uncut, scaled_about=azimuth.range_part.scales_time_about)
+    gate = _plan_dwell_gate(sector, sampling, fine, spots, lit, ends)
+    sampling = replace(sampling, gate=gate)
+    return BlockPlan(
+        index=index, part=part, low=sector.low, high=sector.high, first_bin=slab.first_bin, n_bin=slab.doppler.size,
+        chain=azimuth.sampled(sampling) if range_gate is None else (range_gate, *azimuth.sampled(sampling)),
+        sampling=sampling,
+        ground=_plan_ground(sector, sampling, fine, spots, epoch_range=fine_range, yaw=fine_yaw),
+        prediction=predict(
+            fine, spots, fine_range, fine_yaw, sector.geometry, rate=ends.rate, gate=gate,
+            scaled_about=ends.scaled_about, taper=taper, weights=weights,
+        ),
+        memory=_plan_memory(range_gate, range_part, sampling),
+        choice=choice,
+    )  # fmt: skip
+
+
+class Ends(NamedTuple):
+    """What the ends of dwells depend on besides the lines."""
+
+    rate: FloatArray  # of the lines before the steps in Doppler, Hz/s
+    uncut: tuple[FloatArray, FloatArray]  # (n_yaw,), s from the epoch, as if the collection did not cut them
+    scaled_about: float | None  # time about which a keystone scales time, s
+
+
+def _plan_dwell_gate(
+    sector: Sector, sampling: Sampling, line: Line, spots: Focus, lit: Line, ends: Ends
+) -> DwellGate | None:
+    """The dwell gate for lines after all steps, and `lit` before them.
+
+    Raises
+    ------
+    InputError
+        If there can be none although the dwells are weighted.
+    """
+    collection, taper = sector.geometry.collection, _over_dwells(sector)
     gate = plan_gate(
-        fine, spots, rate, blur=gate_blur(collection, uncut, scaled_about=about), lit=lit, uncut=uncut,
-        rows=sampling.rows, slow=sampling.long_time, taper=taper if collection.steered else FLAT,
+        line, spots, ends.rate, blur=gate_blur(collection, ends.uncut, scaled_about=ends.scaled_about), lit=lit,
+        uncut=ends.uncut, rows=sampling.rows, slow=sampling.long_time, taper=taper if collection.steered else FLAT,
     )  # fmt: skip
     if gate is None and collection.steered and not taper.uniform:
         raise InputError(
@@ -208,32 +240,7 @@ def plan_block(
             "other, so that they cannot be weighted in these chains; ask for --weighting-azimuth uniform, or for "
             "--processor backprojection"
         )
-    sampling = replace(sampling, gate=gate)
-    return BlockPlan(
-        index=index,
-        part=part,
-        low=sector.low,
-        high=sector.high,
-        first_bin=slab.first_bin,
-        n_bin=slab.doppler.size,
-        chain=azimuth.sampled(sampling) if range_gate is None else (range_gate, *azimuth.sampled(sampling)),
-        sampling=sampling,
-        ground=_plan_ground(sector, sampling, fine, spots, epoch_range=fine_range, yaw=fine_yaw),
-        prediction=predict(
-            fine,
-            spots,
-            fine_range,
-            fine_yaw,
-            sector.geometry,
-            rate=rate,
-            gate=gate,
-            scaled_about=about,
-            taper=taper,
-            weights=weights,
-        ),
-        memory=_plan_memory(range_gate, range_part, sampling),
-        choice=choice,
-    )
+    return gate
 
 
 def _over_dwells(sector: Sector) -> Taper:

@@ -172,8 +172,7 @@ def _stage_of(unit: str, *, back_projection: bool) -> str:
 
 
 # Figures of a block that records of earlier versions lack.
-# Settings that older runs do not have, as they were.
-_BEFORE = {"weighting_range": "uniform", "weighting_azimuth": "uniform"}
+_BEFORE = dict.fromkeys(("weighting_range", "weighting_azimuth"), "uniform")  # of older runs
 _ADDED = (
     "bias", "quadratic_phase", "resolution", "track_phase", "coherence", "phase_loss", "range_loss",
     "dispersion_loss", "track_loss", "ideal_pslr",
@@ -197,12 +196,10 @@ class PredictedBlock:
         Peak of a worker, bytes.
     bias : float
         Range acceleration that the time perturbation adds, m/s^2.
-    residual_phase : float
-        Largest over the dwell, rad.
-    quadratic_phase : float
-        Its quadratic part at the edge of the dwell, rad.
-    pslr : float
-        In azimuth, dB.
+    residual_phase, quadratic_phase : float
+        Largest phase error over the dwell, and its quadratic part at the edge of the dwell, rad.
+    pslr, ideal_pslr : float
+        In azimuth, dB; and that of the weighting.
     width : float
         In azimuth, relative to the limit set by the dwell.
     migration : float
@@ -215,8 +212,6 @@ class PredictedBlock:
         With exact back-projection: 1 less the losses of the target that loses most.
     phase_loss, range_loss, dispersion_loss, track_loss : float
         What residual phase, range migration, the ends of the dwell and the noise of the track take from it.
-    ideal_pslr : float
-        Of the weighting, in azimuth, dB.
     """
 
     block: int
@@ -498,7 +493,7 @@ class RunRecord:
         """Tell how a run with these settings and this input differs from the recorded one; None if it does not."""
         if self.format != FORMAT:
             return f"format {self.format!r}"
-        recorded = {name: self.settings.get(name, _BEFORE.get(name)) for name in settings}
+        recorded = {name: (_BEFORE | dict(self.settings)).get(name) for name in settings}
         if changed := {name: value for name, value in recorded.items() if value != settings[name]}:
             return ", ".join(f"{name} {value!r}" for name, value in changed.items())
         return None if self.input.fingerprint == fingerprint else "another input"
