@@ -152,11 +152,15 @@ FLAT = Taper()
 
 @dataclass(frozen=True)
 class AxisTaper:
-    """A taper over an interval of an axis, in the axis's unit: w((value - centre) / half)."""
+    """A taper over an interval of an axis, in the axis's unit: w(v) level(v), v = (value - centre) / half.
+
+    `level` has the coefficients of a Legendre series; none for 1.
+    """
 
     taper: Taper
     centre: float
     half: float
+    level: tuple[float, ...] = ()
 
     @classmethod
     def over(cls, taper: Taper, start: float, step: float, n: int) -> AxisTaper | None:
@@ -164,7 +168,10 @@ class AxisTaper:
         return None if taper.uniform else cls(taper, start + (n - 1) / 2 * step, n / 2 * step)
 
     def __call__(self, values: FloatArray) -> FloatArray:
-        return self.taper((values - self.centre) / self.half)
+        v = (values - self.centre) / self.half
+        if not self.level:
+            return self.taper(v)
+        return self.taper(v) * np.polynomial.legendre.legval(np.clip(v, -1.05, 1.05), np.array(self.level))
 
 
 @dataclass(frozen=True)

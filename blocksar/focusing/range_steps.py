@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -69,6 +69,9 @@ class ResidualRangeWalk(_FrequencyStep):
     @classmethod
     def bind(cls, constants: Constants, arriving: Callable[[], Line]) -> Self:
         return cls(walk=constants.walk, carrier=constants.carrier, taper=constants.in_time)
+
+    def weighed(self, in_time: AxisTaper) -> Self:
+        return replace(self, taper=in_time)
 
     @property
     def source(self) -> Axis:

@@ -119,6 +119,10 @@ class Step:
         """Return the step with the block's sampling, ready to be applied."""
         return replace(self, sampling=sampling)
 
+    def weighed(self, in_time: AxisTaper) -> Self:
+        """Return the step with another taper over the pulses; itself if it applies none."""
+        return self
+
     @property
     def axes(self) -> Sampling:
         """The sampling.

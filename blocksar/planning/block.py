@@ -35,6 +35,7 @@ from blocksar.focusing.step import Constants, Step
 from blocksar.kernels import fourier
 from blocksar.kernels.fourier import Axis
 from blocksar.kernels.interpolation import taps_needed
+from blocksar.planning.apertures import level_aperture
 from blocksar.planning.binding import AzimuthPart, RangePart, Slab
 from blocksar.planning.coefficients import Choice, choose
 from blocksar.planning.fidelity import gate_blur
@@ -184,6 +185,9 @@ def plan_block(
     lit = sector.dwells(fine_yaw).lines(fine_range[:, None])
     compressed = range_part.trace(lit)
     biased, _, fine = azimuth.trace(compressed)
+    if constants.in_time is not None:
+        in_time, fine = level_aperture(fine, constants.in_time)
+        azimuth = azimuth.weighed(in_time)
     first, last = dwell_at(sector.geometry, fine_yaw, uncut=True)
     uncut = first - sector.geometry.epoch, last - sector.geometry.epoch
     taper = _over_dwells(sector)
