@@ -26,7 +26,7 @@ from blocksar.focusing.lines import Line
 from blocksar.focusing.step import Constants, Step
 from blocksar.kernels import interpolation, phase
 from blocksar.kernels.fourier import Axis
-from blocksar.kernels.operations import Operation, Stretch, Transform, Turn
+from blocksar.kernels.operations import Operation, Stretch, Transform, Turn, Window
 from blocksar.kernels.phase import Phase
 
 MOST_REACH = 1.2  # times the largest Doppler of a reference line: beyond it the range curvature is held constant
