@@ -36,7 +36,7 @@ from blocksar.focusing.method import DEFAULT, Method
 from blocksar.focusing.range_gate import RangeGate
 from blocksar.focusing.recovery import Recovery
 from blocksar.focusing.step import stages
-from blocksar.kernels.operations import Resample, Stretch, Transform
+from blocksar.kernels.operations import Blend, Resample, Stretch, Transform
 from blocksar.planning.block import BlockPlan, Sector, plan_block
 from blocksar.planning.coefficients import Choice
 from blocksar.planning.division import MAX_BLOCKS, find_division
@@ -212,6 +212,8 @@ def block_work(block: BlockPlan) -> float:
         for operation in step.operations():
             if isinstance(operation, Transform):
                 total += step.n_row * _fft_work(operation.period)
+            elif isinstance(operation, Blend):
+                total += operation.count * step.n_row * _fft_work(operation.transform.period)
             elif isinstance(operation, Stretch | Resample):
                 total += step.n_row * 4 * step.source.size * operation.taps.shape[1]
     return total
