@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
+FINE = 0.9999  # coherence from which on it is shown with six decimals
 TRACK_TOLD = 0.01  # rad: noise of the track that leaves less is not mentioned
 
 
@@ -173,7 +174,7 @@ def _contender_row(contender: Contender, least: float) -> list[str]:
     p = contender.worst.prediction
     return [
         contender.processor, str(plan.n_blocks), f"{p.residual_phase:.4f}", f"{p.quadratic_phase:.4f}", f"{p.pslr:.2f}",
-        f"{p.width:.3f}", f"{p.migration:.3f}", f"{plan.coherence:.4f}", f"{plan.work() / least:.2f}",
+        f"{p.width:.3f}", f"{p.migration:.3f}", _digits(plan.coherence), f"{plan.work() / least:.2f}",
         f"{plan.memory / MIB:.0f}", "yes" if contender.serves else "no",
     ]  # fmt: skip
 
@@ -196,7 +197,13 @@ def _coherence_table(plan: Plan) -> Table:
 
 def _coherence_row(name: str, p: Prediction) -> list[str]:
     losses = (p.phase_loss, p.range_loss, p.dispersion_loss, p.track_loss)
-    return [name, f"{p.coherence:.4f}", *(f"{loss:.4f}" for loss in losses)]
+    places = 4 if p.coherence < FINE else 6
+    return [name, _digits(p.coherence), *(f"{loss:.{places}f}" for loss in losses)]
+
+
+def _digits(coherence: float) -> str:
+    """A coherence with four decimals, or six where four would show none of its loss."""
+    return f"{coherence:.{4 if coherence < FINE else 6}f}"
 
 
 def _block_row(block: BlockPlan) -> list[str]:
@@ -233,8 +240,14 @@ def _plan_lines(plan: Plan) -> list[str]:
         f"y {grid.y[0]:g} .. {grid.y[-1]:g} m every {grid.dy:g}",
     ]
     lines.append(
-        f"predicted coherence with exact back-projection: at least {plan.coherence:.4f} for targets with full dwell"
+        "predicted coherence with exact back-projection: at least "
+        f"{_digits(plan.coherence)} for targets with full dwell"
     )
+    if not plan.weighting.uniform:
+        lines.append(
+            f"weighting {plan.weighting.text}: ideal side lobes {plan.weighting.range.ideal.pslr:.2f} dB in range, "
+            f"{plan.weighting.azimuth.ideal.pslr:.2f} dB in azimuth"
+        )
     lines.append(_disk_line(plan))
     if (coarse := undersampling(plan)) is not None:
         lines.append(coarse)

@@ -21,7 +21,6 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import Region
 from blocksar.collection.weighting import FLAT, UNIFORM, AxisTaper, Taper, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.errors import InputError
 from blocksar.focusing.chains import steps_of
 from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.ground_map import YAW_STEPS, GroundMap, surfaces
@@ -226,25 +225,12 @@ class Ends(NamedTuple):
 def _plan_dwell_gate(
     sector: Sector, sampling: Sampling, line: Line, spots: Focus, lit: Line, ends: Ends
 ) -> DwellGate | None:
-    """The dwell gate for lines after all steps, and `lit` before them.
-
-    Raises
-    ------
-    InputError
-        If there can be none although the dwells are weighted.
-    """
+    """The dwell gate for lines after all steps, and `lit` before them."""
     collection, taper = sector.geometry.collection, _over_dwells(sector)
-    gate = plan_gate(
+    return plan_gate(
         line, spots, ends.rate, blur=gate_blur(collection, ends.uncut, scaled_about=ends.scaled_about), lit=lit,
         uncut=ends.uncut, rows=sampling.rows, slow=sampling.long_time, taper=taper if collection.steered else FLAT,
     )  # fmt: skip
-    if gate is None and collection.steered and not taper.uniform:
-        raise InputError(
-            f"weighting {taper.text} in azimuth: the beam turns by so little that dwells do not pass one after the "
-            "other, so that they cannot be weighted in these chains; ask for --weighting-azimuth uniform, or for "
-            "--processor backprojection"
-        )
-    return gate
 
 
 def _over_dwells(sector: Sector) -> Taper:

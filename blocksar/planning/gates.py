@@ -100,7 +100,7 @@ def plan_gate(
     begins = begins - (first - uncut[0]) * line.stretch[..., 0]
     ends = ends + (uncut[1] - last) * line.stretch[..., -1]
     middles, lengths = (begins + ends) / 2, ends - begins
-    if np.ptp(middles) < 0.02 * lengths.max():
+    if np.ptp(middles) < 0.02 * lengths.max() and taper.uniform:  # a taper needs its windows all the same
         return None
     doppler = spots.doppler
     near, far = rows.start, rows.start + rows.extent
