@@ -19,6 +19,7 @@ import numpy as np
 from blocksar.arrays import BoolArray, FloatArray, IntArray
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
+from blocksar.collection.weighting import Taper
 from blocksar.constants import TURN
 from blocksar.errors import InputError
 
@@ -118,6 +119,29 @@ def lit_pulses(collection: Collection, yaw: FloatArray, valid: FloatArray) -> Fl
     total = np.concatenate([[0.0], np.cumsum(valid)])
     first, last = _lit_interval(collection, yaw, tolerance=EDGE)
     return np.asarray(total[last] - total[first])
+
+
+def weighted_pulses(collection: Collection, yaw: FloatArray, valid: FloatArray, taper: Taper) -> FloatArray:
+    """Sum of `valid` (n_pulse,) times the taper over the pulses that light points at yaws (n,); see `lit_pulses`."""
+    if taper.uniform:
+        return lit_pulses(collection, yaw, valid)
+    if collection.beam_width is None:
+        return np.full(yaw.shape, float((valid * taper.samples(collection.n_pulse)).sum()))
+    first, last = _lit_interval(collection, yaw, tolerance=EDGE)
+    beam, half = collection.beam_azimuth, collection.beam_width / 2
+    centre = float(beam[0] + beam[-1]) / 2
+    point, along = wrapped(yaw - centre) / half, (beam - centre) / half
+    # Each cosine of the difference is a product of two phasors, so that one running sum serves all points.
+    total, (terms, frequency) = np.zeros(yaw.shape), taper.series
+    for k, term in enumerate(terms):
+        running = np.concatenate([[0.0], np.cumsum(valid * np.exp(-1j * np.pi * frequency * k * along))])
+        total += term * (np.exp(1j * np.pi * frequency * k * point) * (running[last] - running[first])).real
+    return total
+
+
+def beam_offset(geometry: Geometry, x: FloatArray, y: FloatArray, pulses: slice = slice(None)) -> FloatArray:
+    """How far ground points x, y (...), m, lie from the centre of a steered beam, rad: (..., n_pulse)."""
+    return wrapped(geometry.yaw(x, y)[..., None] - geometry.collection.beam_azimuth[pulses])
 
 
 def most_lit_pulses(collection: Collection) -> int:

@@ -11,6 +11,7 @@ from blocksar import solvers
 from blocksar.arrays import FloatArray
 from blocksar.collection.beam import wrapped
 from blocksar.collection.geometry import Geometry
+from blocksar.collection.weighting import Taper
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.lines import Focus, RowPolynomial
 from blocksar.kernels.fourier import Axis
@@ -78,10 +79,12 @@ class GroundMap:
         Uniform yaws from low to high, rad, for the two limits and the number of lit pulses.
     near_limit, far_limit : (n,) float
         Epoch ranges at the ends of the range window at each yaw, m.
+    taper : Taper
+        Weighting over the dwells.
     lit : (n,) float
-        Number of lit pulses at each yaw, missing ones left out.
+        Number of lit pulses at each yaw, missing ones left out; under a weighting, the sum of their weights.
     scale : float
-        n_range_frequency / period of the range transform.
+        n_range_frequency / period of the range transform, times the mean weight over range frequency.
     range_taps, doppler_taps : (int, float)
         Taps of the interpolation, and the occupied fraction of the sampling rate.
     """
@@ -103,6 +106,7 @@ class GroundMap:
     yaw_axis: FloatArray
     near_limit: FloatArray
     far_limit: FloatArray
+    taper: Taper
     lit: FloatArray
     scale: float
     range_taps: tuple[int, float]

@@ -20,9 +20,10 @@ from distributed import Client, Future, KilledWorker
 from blocksar import stores
 from blocksar.arrays import FloatArray
 from blocksar.chunks import MOSAIC_CHUNKS, TILE
-from blocksar.collection.beam import lit_pulses
+from blocksar.collection.beam import weighted_pulses
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
+from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.range_compression import RawCompression
 from blocksar.focusing.step import stages
@@ -195,7 +196,8 @@ def _submit_chain(
     unit = block_unit(block.name)
     tail = f"{run.token}-{unit}"
     submit = partial(client.submit, pure=False, priority=priority)
-    ground = replace(block.ground, lit=lit_pulses(plan.geometry.collection, block.ground.yaw_axis, lit))
+    weights = weighted_pulses(plan.geometry.collection, block.ground.yaw_axis, lit, block.ground.taper)
+    ground = replace(block.ground, lit=weights)
     first, *others = stages(block.steps)
     slab = spectrum.within(block.first_bin, block.first_bin + block.n_bin)
     node = submit(read_slab, run, block, first, slab, key=f"read-slab+{first.name}-{tail}")
@@ -270,6 +272,7 @@ def back_project(
     geometry: Geometry,
     grid: Grid,
     inspection: Inspection,
+    weighting: Weighting,
     run: Run,
     listener: Listener,
 ) -> list[Receipt]:
@@ -278,7 +281,7 @@ def back_project(
     units = [
         _single_task(
             client, run, "backprojection", f"chunk-{row}-{column}",
-            back_project_chunk, source, (row, column), geometry, grid, inspection,
+            back_project_chunk, source, (row, column), geometry, grid, inspection, weighting,
         )
         for row in range(-(-grid.shape[0] // side[0]))
         for column in range(-(-grid.shape[1] // side[1]))

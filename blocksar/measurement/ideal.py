@@ -6,19 +6,23 @@ import numpy as np
 from scipy.special import diric
 
 from blocksar.arrays import FloatArray
-from blocksar.collection.beam import is_lit
+from blocksar.collection.beam import beam_offset, is_lit
 from blocksar.collection.geometry import Geometry
+from blocksar.collection.weighting import UNIFORM, Taper, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.measurement.response import Complex128Array
 from blocksar.measurement.targets import Target
 
 
-def ideal_response(geometry: Geometry, target: Target, x: FloatArray, y: FloatArray) -> Complex128Array:
+def ideal_response(
+    geometry: Geometry, target: Target, x: FloatArray, y: FloatArray, weighting: Weighting = UNIFORM
+) -> Complex128Array:
     """The exact back-projection of one target's noise-free signal at ground points (n,), m.
 
     The mean over a pixel's lit pulses and all range frequencies of
     sigma exp(4j pi (fc + f)/c (R_p - R_q)); the sum over the uniform range frequencies has a closed form. This is
-    the reference for one isolated target, including side lobes and carrier phase. NaN where a pixel is never lit.
+    the reference for one isolated target, including side lobes and carrier phase. NaN where a pixel is never lit. Under
+    a weighting both sums have its weights.
     """
     collection = geometry.collection
     x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
@@ -30,12 +34,29 @@ def ideal_response(geometry: Geometry, target: Target, x: FloatArray, y: FloatAr
         pulses = slice(first, first + 64)
         time = collection.time[pulses]
         of_pixel = is_lit(geometry, x, y, pulses)
-        count += of_pixel.sum(axis=1)
-        lit = of_pixel & is_lit(geometry, np.array([target.x]), np.array([target.y]), pulses)
+        weights = of_pixel * _weights(geometry, x, y, pulses, weighting.azimuth)
+        count += weights.sum(axis=1)
+        lit = weights * is_lit(geometry, np.array([target.x]), np.array([target.y]), pulses)
         if not lit.any():
             continue
         delay = (geometry.range_history(point, time)[0] - geometry.range_history(origin, time)[0]) * 2 / SPEED_OF_LIGHT
-        comb = diric(2 * np.pi * collection.range_frequency_step * delay, collection.n_range_frequency)
+        comb = _comb(delay * collection.range_frequency_step, collection.n_range_frequency, weighting.range)
         total += (lit * comb * np.exp(2j * np.pi * middle * delay)).sum(axis=1)
     with np.errstate(invalid="ignore"):
         return np.asarray(target.reflectivity * total / count)
+
+
+def _weights(geometry: Geometry, x: FloatArray, y: FloatArray, pulses: slice, taper: Taper) -> FloatArray:
+    """The weights of some pulses at ground points, (n, n_pulse)."""
+    collection = geometry.collection
+    if collection.beam_width is None:
+        return taper.samples(collection.n_pulse)[pulses]
+    return taper(2 * beam_offset(geometry, x, y, pulses) / collection.beam_width)
+
+
+def _comb(turns: FloatArray, n: int, taper: Taper) -> FloatArray:
+    """Weighted mean of exp(2j pi turns (k - (n - 1) / 2)) over k < n: each cosine of the taper shifts a comb twice."""
+    terms, frequency = taper.series
+    shifts = np.arange(terms.size) * frequency / n
+    combs = [diric(2 * np.pi * (turns + s), n) + diric(2 * np.pi * (turns - s), n) for s in shifts]
+    return np.asarray(sum(term * comb for term, comb in zip(terms / 2, combs, strict=True)) / taper.samples(n).mean())

@@ -14,7 +14,8 @@ from scipy.special import i0
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.collection.beam import dwell, has_full_dwell
 from blocksar.collection.geometry import Geometry
-from blocksar.constants import SINC_WIDTH, SPEED_OF_LIGHT
+from blocksar.collection.weighting import UNIFORM, Weighting
+from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.measurement.targets import Target
 
@@ -44,6 +45,8 @@ class ResponseAxes:
         Theoretical IRW, m of slant range and m along the cut.
     band : (2,) float
         Largest |wavenumber| in x and y, cycles/m, of the response once its carrier is removed.
+    weighting : Weighting
+        Tapers over band and dwell.
     """
 
     time: float
@@ -52,6 +55,7 @@ class ResponseAxes:
     range_width: float
     azimuth_width: float
     band: FloatArray
+    weighting: Weighting = UNIFORM
 
     def ground_offset(self, range_offset: FloatArray, azimuth_offset: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(dx, dy) in m on the ground, at offsets in m along the two axes (broadcast)."""
@@ -71,7 +75,7 @@ def _range_gradient(geometry: Geometry, point: FloatArray, time: FloatArray) -> 
     return np.asarray(sight[:, :2] / np.linalg.norm(sight, axis=1, keepdims=True))
 
 
-def response_axes(geometry: Geometry, x: float, y: float) -> ResponseAxes | None:
+def response_axes(geometry: Geometry, x: float, y: float, weighting: Weighting = UNIFORM) -> ResponseAxes | None:
     """Axes of the response of a target at x, y (m); None where it is never lit or its axes coincide.
 
     The azimuth band is exact for a ground gradient that turns uniformly over the dwell: it is taken between
@@ -101,9 +105,10 @@ def response_axes(geometry: Geometry, x: float, y: float) -> ResponseAxes | None
         time=(start + end) / 2,
         range_direction=along_doppler / slope,
         azimuth_direction=azimuth,
-        range_width=SINC_WIDTH * SPEED_OF_LIGHT / (2 * collection.bandwidth),
-        azimuth_width=SINC_WIDTH / extent,
+        range_width=weighting.range.ideal.width * SPEED_OF_LIGHT / (2 * collection.bandwidth),
+        azimuth_width=weighting.azimuth.ideal.width / extent,
         band=band,
+        weighting=weighting,
     )
 
 
@@ -287,7 +292,12 @@ def _window(axis: FloatArray, centre: float, reach: float) -> _Window:
 
 
 def read_response(
-    read_chip: ReadChip, image_x: FloatArray, image_y: FloatArray, geometry: Geometry, target: Target
+    read_chip: ReadChip,
+    image_x: FloatArray,
+    image_y: FloatArray,
+    geometry: Geometry,
+    target: Target,
+    weighting: Weighting = UNIFORM,
 ) -> Response | None:
     """Read the chip about a target and remove its carrier.
 
@@ -300,6 +310,8 @@ def read_response(
         Pixel positions, m; uniform, ascending.
     geometry : Geometry
     target : Target
+    weighting : Weighting
+        Tapers with which the image was made.
 
     Returns
     -------
@@ -314,7 +326,7 @@ def read_response(
     """
     if image_x.size < 2 or image_y.size < 2:
         raise InputError(f"image has {image_y.size} x {image_x.size} pixels, but a response needs at least 2 x 2")
-    axes = response_axes(geometry, target.x, target.y)
+    axes = response_axes(geometry, target.x, target.y, weighting)
     if axes is None:
         return None
     spacing = np.array([image_x[-1] - image_x[0], image_y[-1] - image_y[0]]) / (image_x.size - 1, image_y.size - 1)

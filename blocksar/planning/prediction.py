@@ -10,10 +10,12 @@ from blocksar.arrays import FloatArray
 from blocksar.budget import side_lobe_budget
 from blocksar.collection.beam import dwell_at
 from blocksar.collection.geometry import TRACK_ACCURACY, Geometry
-from blocksar.constants import SINC_PSLR, SINC_WIDTH, SPEED_OF_LIGHT
+from blocksar.collection.weighting import FLAT, Taper
+from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.lines import LEAST_STRETCH, Focus, Line
 from blocksar.planning.fidelity import worst_losses
+from blocksar.planning.gates import full_dwells
 
 
 class Prediction(NamedTuple):
@@ -31,6 +33,7 @@ class Prediction(NamedTuple):
     range_loss: float
     dispersion_loss: float
     track_loss: float
+    ideal_pslr: float  # dB, that of the weighting
 
     def excess(self, fidelity: float, *, migration: bool = True) -> float:
         """Loss of coherence and change of the side lobes over what `fidelity` allows: the worse of the two.
@@ -38,7 +41,7 @@ class Prediction(NamedTuple):
         Without `migration`, the loss by range migration is left out.
         """
         loss = 1 - self.coherence - (0.0 if migration else self.range_loss)
-        return max(loss / (1 - fidelity), abs(self.pslr - SINC_PSLR) / side_lobe_budget(fidelity))
+        return max(loss / (1 - fidelity), abs(self.pslr - self.ideal_pslr) / side_lobe_budget(fidelity))
 
 
 def predict(
@@ -51,12 +54,20 @@ def predict(
     rate: FloatArray,
     gate: DwellGate | None,
     scaled_about: float | None,
+    taper: Taper = FLAT,
+    weights: FloatArray | float = 1.0,
 ) -> Prediction:
-    """The worst figures of traced lines (n_range, n_yaw); `rate` is their Doppler rate before the steps in Doppler."""
+    """The worst figures of traced lines (n_range, n_yaw); `rate` is their Doppler rate before the steps in Doppler.
+
+    `weights` (..., n) are those of the taper at the nodes of the lines.
+    """
     range_cell = SPEED_OF_LIGHT / (2 * geometry.collection.bandwidth)
     residual = spots.residual
-    worst = np.unravel_index(int(np.argmax(residual)), residual.shape)
-    weight = (line.weight * np.sqrt(np.maximum(line.stretch, LEAST_STRETCH)))[worst]
+    # Cut dwells have other side lobes under a taper: of those with full dwell, where there are any.
+    judged = residual if taper.uniform else np.where(full_dwells(line), residual, -1.0)
+    worst = np.unravel_index(int(np.argmax(judged)), residual.shape)
+    weighed = line if taper.uniform else line.weighed(np.asarray(weights))
+    weight = (weighed.weight * np.sqrt(np.maximum(line.stretch, LEAST_STRETCH)))[worst]
     time = line.time[worst] - spots.time[worst]
     level = line.phase[worst] - spots.doppler[worst] * line.time[worst]
     spread = float(np.ptp(time))
@@ -67,12 +78,13 @@ def predict(
     ideal = np.abs((weight * waves).sum(axis=1))
     slope = np.gradient(spots.doppler, yaw, axis=1)
     dwell = (line.weight * line.stretch).sum(axis=-1)
-    width = SINC_WIDTH / np.maximum(np.abs(slope) * dwell, 1e-12)
+    width = taper.ideal.width / np.maximum(np.abs(slope) * dwell, 1e-12)
     ground = np.sqrt(np.maximum(rng**2 - (geometry.epoch_position[2] - geometry.collection.ground_height) ** 2, 0.0))
     middle = yaw.size // 2
     track_phase = _track_phase(geometry, rng, yaw)
     lost = worst_losses(
-        line, spots, yaw, geometry, rate=rate, gate=gate, scaled_about=scaled_about, track_phase=track_phase
+        line, spots, yaw, geometry, rate=rate, gate=gate, scaled_about=scaled_about, track_phase=track_phase,
+        weights=np.asarray(weights), edge=float(taper(np.array(1.0))),
     )  # fmt: skip
     return Prediction(
         residual_phase=float(residual.max()),
@@ -87,6 +99,7 @@ def predict(
         range_loss=lost.range,
         dispersion_loss=lost.dispersion,
         track_loss=lost.track,
+        ideal_pslr=taper.ideal.pslr,
     )
 
 

@@ -16,6 +16,7 @@ from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.collection.beam import lit_interval
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
+from blocksar.collection.weighting import Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.focusing import backprojection
@@ -139,6 +140,39 @@ def test_a_unit_target_has_amplitude_one(name: str) -> None:
     x[:, 0], y[:, 0] = tx, ty
     image, expected = form(c, signal, x, y), back_projection(c, signal, x, y)
     assert np.abs(image - expected).max() < 1e-3  # of the peak, at every pixel: -60 dB
+
+
+WEIGHTINGS = [("taylor:4:-35", "taylor:4:-35"), ("uniform", "hann"), ("kaiser:6", "uniform"), ("hamming", "kaiser:2.5")]
+
+
+@pytest.mark.parametrize("weighting", WEIGHTINGS)
+@pytest.mark.parametrize("name", ["Table 1", "unsteered", "scan reversed, negative yaw", "looking across yaw = pi"])
+def test_weighted_back_projection_equals_the_double_loop(name: str, weighting: tuple[str, str]) -> None:
+    """Points far apart, so that tiles are divided; some pulses and samples are missing, some dwells are cut."""
+    c = collection(**COLLECTIONS[name])
+    rng = np.random.default_rng(7)
+    x, y = around(c, rng.uniform(-60, 60, 40), np.append(rng.uniform(-3000, 3000, 30), rng.uniform(-50, 50, 10)))
+    signal = noise(c).copy()
+    signal[rng.random(c.n_pulse) < 0.05] = np.nan
+    signal[rng.random(signal.shape) < 0.05] = np.nan
+    w = Weighting.parse(range=weighting[0], azimuth=weighting[1])
+    expected = back_projection(c, signal, x, y, in_range=w.range, in_azimuth=w.azimuth)
+    image = form(c, signal, x, y, weighting=w)
+    np.testing.assert_array_equal(np.isnan(image), np.isnan(expected))
+    assert np.count_nonzero(~np.isnan(image)) >= 10
+    assert np.sqrt(np.nanmean(np.abs(image - expected) ** 2) / np.nanmean(np.abs(expected) ** 2)) < 5e-4
+    tx, ty = around(c, [3.3], [-2.1])
+    assert abs(form(c, simulate_pulses(c, tx, ty, np.ones(1)), tx, ty, weighting=w)[0] - 1) < 2e-3
+
+
+def test_the_place_in_the_beam_is_precise_over_every_tile() -> None:
+    """Close by, yaw bends within a tile: the tile is divided until a quadratic polynomial holds."""
+    c = collection(height=400.0, ground=300.0, n_frequency=128, n_pulse=120, reference="tracked")
+    x, y = around(c, np.linspace(-30, 30, 40)[:, None], np.linspace(-30, 30, 40))
+    w = Weighting.parse(azimuth="taylor:4:-35")
+    image = form(c, noise(c), x, y, weighting=w)
+    alone = np.array([form(c, noise(c), x[i, :1], y[i, :1], weighting=w)[0] for i in range(40)])
+    np.testing.assert_allclose(image[:, 0], alone, atol=1e-4 * np.nanmax(np.abs(image)))
 
 
 def test_missing_pulses_and_samples_do_not_change_the_mean() -> None:

@@ -17,12 +17,11 @@ from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.collection.beam import dwell, has_full_dwell
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
-from blocksar.constants import SINC_PSLR, SINC_WIDTH, SPEED_OF_LIGHT
+from blocksar.constants import SINC_ISLR, SINC_PSLR, SINC_WIDTH, SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.measurement.coherence import coherence
 from blocksar.measurement.figures import (
     DEFINITIONS,
-    IDEAL_ISLR,
     PointResponse,
     as_json,
     cuts,
@@ -142,12 +141,12 @@ def test_the_ideal_figures_are_those_of_the_sinc() -> None:
     edges = [*range(1, 9), 10 * width]
     side = 2 * sum(quad(power, a, b)[0] for a, b in pairwise(edges))
     islr = 10 * np.log10(side / (2 * quad(power, 0, 1)[0]))
-    stated = (SINC_WIDTH, SINC_PSLR, IDEAL_ISLR)
+    stated = (SINC_WIDTH, SINC_PSLR, SINC_ISLR)
     assert stated == pytest.approx((width, 10 * np.log10(lobe), islr), abs=5e-4)
     u = np.arange(-700, 701) / 64
     found = profile_quality(u, np.sinc(u * SINC_WIDTH).astype(complex), width=1.0)
     # 64 samples per width miss the lobe's top by at most 0.001 dB.
-    assert found == pytest.approx((1, SINC_PSLR, IDEAL_ISLR), abs=1e-3)
+    assert found == pytest.approx((1, SINC_PSLR, SINC_ISLR), abs=1e-3)
 
 
 def test_theory_agrees_with_table_1() -> None:
@@ -220,8 +219,8 @@ def test_an_ideal_target_has_ideal_figures(scene: Scene) -> None:
     found = measured(UNSTEERED, scene)
     assert found.range_pslr == pytest.approx(SINC_PSLR, abs=0.01)
     assert found.azimuth_pslr == pytest.approx(SINC_PSLR, abs=0.01)
-    assert found.range_islr == pytest.approx(IDEAL_ISLR, abs=0.02)
-    assert found.azimuth_islr == pytest.approx(IDEAL_ISLR, abs=0.02)
+    assert found.range_islr == pytest.approx(SINC_ISLR, abs=0.02)
+    assert found.azimuth_islr == pytest.approx(SINC_ISLR, abs=0.02)
     assert found.range_irw == pytest.approx(found.range_irw_theory, rel=1e-3)
     assert found.azimuth_irw == pytest.approx(found.azimuth_irw_theory, rel=1e-3)
     assert np.hypot(found.error_x, found.error_y) < 1e-4
