@@ -5,8 +5,14 @@ from __future__ import annotations
 FIDELITY = 0.999  # coherence with exact back-projection that `auto` keeps unless told otherwise
 LEAST_FIDELITY = 0.5  # that a caller may ask for; blocks that lose as much as that are refused as blurred
 SIDE_LOBE_BUDGET = 0.2  # dB, change of the highest side lobe at FIDELITY; see `side_lobe_budget`
+WEIGHTED_SIDE_LOBE_BUDGET = 0.5  # dB, of an image whose weighting has lower side lobes
 AZIMUTH_TAP_ERROR = 1e-4  # of the interpolation along azimuth: keystone and Doppler resampling
 IMAGE_TAP_ERROR = 1e-3  # of the interpolation of focused blocks
+
+
+def image_tap_error(fidelity: float) -> float:
+    """Allowed error of the interpolation of focused blocks: less where a higher fidelity is asked for than usual."""
+    return float(IMAGE_TAP_ERROR * min(((1 - fidelity) / (1 - FIDELITY)) ** 0.5, 1.0))
 
 
 def side_lobe_budget(fidelity: float) -> float:

@@ -7,6 +7,7 @@ import math
 SPEED_OF_LIGHT = 299_792_458.0  # m/s
 TURN = 2 * math.pi  # rad
 SINC_PSLR = -13.2615  # dB, highest side lobe of sinc(u)^2
+SINC_ISLR = -10.216  # dB, side lobes of sinc(u)^2 within ten widths of the peak over its main lobe
 SINC_WIDTH = 0.885893  # -3 dB width of sinc(u)^2 in u: the unweighted response's width times its bandwidth
 MIB = 2**20  # bytes
 GIB = 2**30  # bytes

@@ -120,10 +120,13 @@ def _read_or_measure(folder: Place, source: FinishedRun) -> tuple[dict[str, Any]
         return stores.read_json(folder / "quality.json"), ""
     targets = targets_of(None, source.attrs)
     try:
-        responses = [measure_target(source.read, source.x, source.y, source.geometry, target) for target in targets]
+        responses = [
+            measure_target(source.read, source.x, source.y, source.geometry, target, source.weighting)
+            for target in targets
+        ]
     except InputError as error:  # the page can still show an image that is too coarse for measurements
         return None, f"Nothing was measured: {error}."
-    return as_json(responses), ""
+    return as_json(responses, source.weighting), ""
 
 
 def export(

@@ -20,6 +20,7 @@ from blocksar.api.jobs import Job, Request
 from blocksar.api.planning import undersampling
 from blocksar.api.reports import Report
 from blocksar.budget import FIDELITY
+from blocksar.collection.weighting import Weighting
 from blocksar.constants import MIB
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.method import Coefficients, Derotation, Perturbation, Processor, RangeModel, method_of
@@ -65,6 +66,9 @@ def focus(
     processor: Processor = "angular-division",
     blocks: int | Literal["auto"] = "auto",
     fidelity: float = FIDELITY,
+    weighting: str = "uniform",
+    weighting_range: str | None = None,
+    weighting_azimuth: str | None = None,
     coefficients: Coefficients = "fitted",
     perturbation: Perturbation = "all",
     keystone: bool = True,
@@ -94,6 +98,11 @@ def focus(
         Number of angular blocks, at least 1. "auto" (default): the fewest that keep `fidelity` and fit the memory.
     fidelity : float
         Coherence with exact back-projection that "auto" keeps where it can, below 1. Default: 0.999.
+    weighting : str
+        Taper over band and dwell: "uniform", "taylor:NBAR:SLL" (such as "taylor:4:-35"), "hamming", "hann" or
+        "kaiser:BETA". Default: "uniform".
+    weighting_range, weighting_azimuth : str, optional
+        Taper over the band, or over the dwell, instead.
     coefficients : {"fitted", "closed-form"}
         "fitted" (default): fitted to traced time-frequency lines. "closed-form": expanded about the centre of each
         block, as in the papers.
@@ -150,7 +159,14 @@ def focus(
         range_model=range_model,
     )
     request = Request.open(
-        source, place(out), method=method, blocks=blocks, fidelity=fidelity, grid=grid_of(grid), overwrite=overwrite
+        source,
+        place(out),
+        method=method,
+        blocks=blocks,
+        fidelity=fidelity,
+        weighting=Weighting.parse(weighting, weighting_range, weighting_azimuth),
+        grid=grid_of(grid),
+        overwrite=overwrite,
     )
     if profile is not None:
         recording.check_recordable(profile, client)
@@ -287,7 +303,9 @@ def _run_stages(
         timings["inspect"] = lap()
         record = _add_findings(job, run, record, inspected, inspection, listener)
         input_read()
-        formed = stages.back_project(client, source, job.geometry, job.grid, inspection, run, listener)
+        formed = stages.back_project(
+            client, source, job.geometry, job.grid, inspection, job.request.weighting, run, listener
+        )
         timings["backprojection"] = lap()
         return replace(record, receipts=(*inspected, *formed), timings=timings)
     recovered, inspection = stages.recover(client, history, plan, run, listener)

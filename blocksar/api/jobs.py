@@ -12,6 +12,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
 from blocksar.collection.region import default_grid, plan_region
+from blocksar.collection.weighting import UNIFORM, Weighting
 from blocksar.errors import FolderError, InputError
 from blocksar.focusing.method import Method
 from blocksar.graph.machine import Resources
@@ -41,6 +42,8 @@ class Request:
         Number of angular blocks.
     fidelity : float
         Coherence that "auto" keeps.
+    weighting : Weighting
+        Tapers over band and dwell.
     grid : Grid or None
         None to cover the lit sector.
     fingerprint : str
@@ -54,6 +57,7 @@ class Request:
     method: Method | None
     blocks: int | Literal["auto"]
     fidelity: float
+    weighting: Weighting
     grid: Grid | None
     fingerprint: str
     overwrite: bool
@@ -67,6 +71,7 @@ class Request:
         method: Method | None,
         blocks: int | Literal["auto"],
         fidelity: float,
+        weighting: Weighting = UNIFORM,
         grid: Grid | None,
         overwrite: bool,
     ) -> Request:
@@ -85,7 +90,8 @@ class Request:
             raise InputError(f"{history.path} changes while it is read; start again once nothing writes to it")
         run_folder.refuse_overlap(place(history.path), folder)
         return cls(
-            history=history, folder=folder, method=method, blocks=blocks, fidelity=fidelity, grid=grid,
+            history=history, folder=folder, method=method, blocks=blocks, fidelity=fidelity, weighting=weighting,
+            grid=grid,
             fingerprint=fingerprint, overwrite=overwrite,
         )  # fmt: skip
 
@@ -97,6 +103,8 @@ class Request:
             **(exact if self.method is None else self.method.as_settings()),
             "blocks": self.blocks,
             "fidelity": self.fidelity,
+            "weighting_range": self.weighting.range.text,
+            "weighting_azimuth": self.weighting.azimuth.text,
             "grid": None if self.grid is None else list(grid_numbers(self.grid)),
         }
 
@@ -175,6 +183,7 @@ class Job:
             parts=division.parts or "auto",
             method=request.method,
             fidelity=request.fidelity,
+            weighting=request.weighting,
             grid=grid,
             workers=machine.workers,
             memory_limit=machine.memory_limit,

@@ -14,6 +14,7 @@ from blocksar.api.reports import Report, Table
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.collection.beam import full_dwell_yaw, has_full_dwell
 from blocksar.collection.geometry import Geometry
+from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError
 from blocksar.focusing.backprojection import form_chips
 from blocksar.focusing.range_compression import RawCompression
@@ -67,11 +68,11 @@ def measure(
 ) -> tuple[Report, list[Response]]:
     """Do what `quality` does; also return the responses of the targets of the paper's Table 3, to be drawn."""
     run = FinishedRun.open(folder)
-    listed = targets_of(targets, run.attrs)
-    responses = [measure_target(run.read, run.x, run.y, run.geometry, target) for target in listed]
-    result = as_json(responses)
+    listed, weighting = targets_of(targets, run.attrs), run.weighting
+    responses = [measure_target(run.read, run.x, run.y, run.geometry, target, weighting) for target in listed]
+    result = as_json(responses, weighting)
     tables = [_response_table(responses)] if responses else []
-    lines = [DEFINITIONS, *_worst_lines(responses)] if responses else []
+    lines = [DEFINITIONS, *_weighting_lines(weighting), *_worst_lines(responses)] if responses else []
     if not responses:
         lines.append("the collection names no targets: give --targets FILE to measure some")
     if run.attrs.get("scene") == "table1" and responses:
@@ -81,7 +82,8 @@ def measure(
     drawn = [
         response
         for target in listed
-        if target.name in TABLE3 and (response := read_response(run.read, run.x, run.y, run.geometry, target))
+        if target.name in TABLE3
+        and (response := read_response(run.read, run.x, run.y, run.geometry, target, weighting))
     ]
     if reference:
         compared = _compare(run)
@@ -140,6 +142,19 @@ def _response_table(responses: Sequence[PointResponse]) -> Table:
             f"{1e3 * r.error_x:.1f}", f"{1e3 * r.error_y:.1f}", f"{abs(r.value):.4f}", f"{np.angle(r.value):.4f}",
         ])  # fmt: skip
     return header, rows
+
+
+def _weighting_lines(weighting: Weighting) -> list[str]:
+    """What the tapers of a weighted image make of its ideal response."""
+    if weighting.uniform:
+        return []
+    along = (("range", weighting.range), ("azimuth", weighting.azimuth))
+    figures = [
+        f"{name} {taper.text}: width {taper.ideal.width:.4f} / bandwidth, PSLR {taper.ideal.pslr:.2f} dB, "
+        f"ISLR {taper.ideal.islr:.2f} dB"
+        for name, taper in along
+    ]
+    return [f"ideal responses of the weighting: {'; '.join(figures)}"]
 
 
 def _worst_lines(responses: Sequence[PointResponse]) -> list[str]:
@@ -202,7 +217,7 @@ def _compare(run: FinishedRun) -> Compared:
         places.append((name, float(x), float(y)))
         chips.append(chip)
         axes.append((run.x[columns], run.y[rows]))
-    exact = form_chips(read, run.geometry, axes, threads=machine()[0])
+    exact = form_chips(read, run.geometry, axes, threads=machine()[0], weighting=run.weighting)
     return [(*place, coherence(chip, one)) for place, chip, one in zip(places, chips, exact, strict=True)]
 
 

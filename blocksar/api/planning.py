@@ -15,6 +15,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid, ground_resolution
 from blocksar.collection.region import default_grid, plan_region
+from blocksar.collection.weighting import Weighting
 from blocksar.constants import MIB, SINC_WIDTH
 from blocksar.errors import InputError
 from blocksar.focusing.method import (
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
+FINE = 0.9999  # coherence from which on it is shown with six decimals
 TRACK_TOLD = 0.01  # rad: noise of the track that leaves less is not mentioned
 
 
@@ -49,6 +51,9 @@ def plan(
     processor: PlannedProcessor = "angular-division",
     blocks: int | Literal["auto"] = "auto",
     fidelity: float = FIDELITY,
+    weighting: str = "uniform",
+    weighting_range: str | None = None,
+    weighting_azimuth: str | None = None,
     coefficients: Coefficients = "fitted",
     perturbation: Perturbation = "all",
     keystone: bool = True,
@@ -70,6 +75,11 @@ def plan(
         Number of angular blocks, at least 1. "auto" (default): the fewest that keep `fidelity` and fit the memory.
     fidelity : float
         Coherence with exact back-projection that "auto" keeps where it can, below 1. Default: 0.999.
+    weighting : str
+        Taper over band and dwell: "uniform", "taylor:NBAR:SLL" (such as "taylor:4:-35"), "hamming", "hann" or
+        "kaiser:BETA". Default: "uniform".
+    weighting_range, weighting_azimuth : str, optional
+        Taper over the band, or over the dwell, instead.
     coefficients : {"fitted", "closed-form"}
         "fitted" (default): fitted to traced time-frequency lines. "closed-form": expanded about the centre of each
         block, as in the papers.
@@ -114,6 +124,7 @@ def plan(
         raise InputError(
             f"{' and '.join(method.departures)}: processor auto compares processors as they are; leave it out"
         )
+    tapers = Weighting.parse(weighting, weighting_range, weighting_azimuth)
     collection, points = collection_of(source), grid_of(grid)
     workers, threads, memory_limit = resources(workers, None, memory_limit)
     if method is None:
@@ -121,8 +132,8 @@ def plan(
 
     def plan_by(method: Method) -> Plan:
         return plan_collection(
-            collection, blocks=blocks, fidelity=fidelity, method=method, grid=points, workers=workers,
-            memory_limit=memory_limit,
+            collection, blocks=blocks, fidelity=fidelity, weighting=tapers, method=method, grid=points,
+            workers=workers, memory_limit=memory_limit,
         )  # fmt: skip
 
     return _report_contenders(choice.contend(plan_by)) if automatic else _report_plan(plan_by(method))
@@ -163,7 +174,7 @@ def _contender_row(contender: Contender, least: float) -> list[str]:
     p = contender.worst.prediction
     return [
         contender.processor, str(plan.n_blocks), f"{p.residual_phase:.4f}", f"{p.quadratic_phase:.4f}", f"{p.pslr:.2f}",
-        f"{p.width:.3f}", f"{p.migration:.3f}", f"{plan.coherence:.4f}", f"{plan.work() / least:.2f}",
+        f"{p.width:.3f}", f"{p.migration:.3f}", _digits(plan.coherence), f"{plan.work() / least:.2f}",
         f"{plan.memory / MIB:.0f}", "yes" if contender.serves else "no",
     ]  # fmt: skip
 
@@ -186,7 +197,13 @@ def _coherence_table(plan: Plan) -> Table:
 
 def _coherence_row(name: str, p: Prediction) -> list[str]:
     losses = (p.phase_loss, p.range_loss, p.dispersion_loss, p.track_loss)
-    return [name, f"{p.coherence:.4f}", *(f"{loss:.4f}" for loss in losses)]
+    places = 4 if p.coherence < FINE else 6
+    return [name, _digits(p.coherence), *(f"{loss:.{places}f}" for loss in losses)]
+
+
+def _digits(coherence: float) -> str:
+    """A coherence with four decimals, or six where four would show none of its loss."""
+    return f"{coherence:.{4 if coherence < FINE else 6}f}"
 
 
 def _block_row(block: BlockPlan) -> list[str]:
@@ -223,8 +240,14 @@ def _plan_lines(plan: Plan) -> list[str]:
         f"y {grid.y[0]:g} .. {grid.y[-1]:g} m every {grid.dy:g}",
     ]
     lines.append(
-        f"predicted coherence with exact back-projection: at least {plan.coherence:.4f} for targets with full dwell"
+        "predicted coherence with exact back-projection: at least "
+        f"{_digits(plan.coherence)} for targets with full dwell"
     )
+    if not plan.weighting.uniform:
+        lines.append(
+            f"weighting {plan.weighting.text}: ideal side lobes {plan.weighting.range.ideal.pslr:.2f} dB in range, "
+            f"{plan.weighting.azimuth.ideal.pslr:.2f} dB in azimuth"
+        )
     lines.append(_disk_line(plan))
     if (coarse := undersampling(plan)) is not None:
         lines.append(coarse)

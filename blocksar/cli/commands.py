@@ -17,6 +17,7 @@ from blocksar.cli.display import show
 from blocksar.cli.endings import WRONG_INPUT, Commands, catch_signals, complain, ending
 from blocksar.cli.options import (
     PROCESSORS,
+    AzimuthWeighting,
     Blocks,
     Fidelity,
     GridOption,
@@ -26,7 +27,9 @@ from blocksar.cli.options import (
     PerformanceReport,
     ProcessorOption,
     Quiet,
+    RangeWeighting,
     Threads,
+    WeightingOption,
     Workers,
     method_options,
     parse_settings,
@@ -162,6 +165,9 @@ def plan(
     ] = "angular-division",
     blocks: Blocks = "auto",
     fidelity: Fidelity = FIDELITY,
+    weighting: WeightingOption = "uniform",
+    weighting_range: RangeWeighting = None,
+    weighting_azimuth: AzimuthWeighting = None,
     grid: GridOption = None,
     workers: Workers = None,
     memory_limit: MemoryLimit = None,
@@ -175,7 +181,8 @@ def plan(
 
     Example: [bold]blocksar plan table1 --blocks 3[/bold]
     """
-    settings = parse_settings(blocks, fidelity, grid, workers, memory_limit)
+    tapers = (weighting, weighting_range, weighting_azimuth)
+    settings = parse_settings(blocks, fidelity, tapers, grid, workers, memory_limit)
 
     from blocksar import api
 
@@ -214,6 +221,9 @@ def focus(
     processor: ProcessorOption = "angular-division",
     blocks: Blocks = "auto",
     fidelity: Fidelity = FIDELITY,
+    weighting: WeightingOption = "uniform",
+    weighting_range: RangeWeighting = None,
+    weighting_azimuth: AzimuthWeighting = None,
     grid: GridOption = None,
     workers: Workers = None,
     threads: Threads = None,
@@ -233,7 +243,8 @@ def focus(
 
     Example: [bold]blocksar focus table1.zarr --out run --blocks 3[/bold]
     """
-    settings = parse_settings(blocks, fidelity, grid, workers, memory_limit)
+    tapers = (weighting, weighting_range, weighting_azimuth)
+    settings = parse_settings(blocks, fidelity, tapers, grid, workers, memory_limit)
 
     from blocksar import api
 

@@ -33,6 +33,10 @@ Blocks = Annotated[
 Fidelity = Annotated[
     float, typer.Option(metavar="C", help="Coherence with exact back-projection that --blocks auto keeps.")
 ]
+TAPERS = "uniform, taylor:NBAR:SLL (such as taylor:4:-35), hamming, hann, or kaiser:BETA"
+WeightingOption = Annotated[str, typer.Option(metavar="NAME", help=f"Weighting of band and dwell: {TAPERS}.")]
+RangeWeighting = Annotated[str | None, typer.Option(metavar="NAME", help="Weighting of the band instead.")]
+AzimuthWeighting = Annotated[str | None, typer.Option(metavar="NAME", help="Weighting of the dwell instead.")]
 ProcessorOption = Annotated[Processor, typer.Option(metavar="NAME", help=f"{PROCESSORS}.")]
 GridOption = Annotated[
     str | None,
@@ -64,13 +68,21 @@ class Settings(TypedDict):
 
     blocks: int | Literal["auto"]
     fidelity: float
+    weighting: str
+    weighting_range: str | None
+    weighting_azimuth: str | None
     grid: tuple[Axis, Axis] | None
     workers: int | None
     memory_limit: int | None  # bytes
 
 
 def parse_settings(
-    blocks: str, fidelity: float, grid: str | None, workers: int | None, memory_limit: str | None
+    blocks: str,
+    fidelity: float,
+    weighting: tuple[str, str | None, str | None],
+    grid: str | None,
+    workers: int | None,
+    memory_limit: str | None,
 ) -> Settings:
     """Convert the options that `plan` and `focus` share.
 
@@ -82,6 +94,9 @@ def parse_settings(
     return {
         "blocks": parse_blocks(blocks),
         "fidelity": fidelity,
+        "weighting": weighting[0],
+        "weighting_range": weighting[1],
+        "weighting_azimuth": weighting[2],
         "grid": None if grid is None else parse_grid(grid),
         "workers": workers,
         "memory_limit": None if memory_limit is None else parse_memory(memory_limit),

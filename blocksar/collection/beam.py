@@ -7,8 +7,8 @@ the very edge are lit. A collection whose beam is not steered lights every point
 
 `in_beam` is the first rule for plain angles; compiled loops wrap it by `numba.njit(inline="always")`. Callers that have
 positions ask `is_lit`, `lit_interval` and `dwell`; `is_lit` and `lit_interval` compare without tolerance. Callers that
-work in the polar frame ask `lit_pulses`, `dwell_at` and `lit_total`, which allow for the rounding of computed yaws
-(`EDGE`). `pattern_gain` is the antenna's pattern.
+work in the polar frame ask `lit_pulses`, `weighted_pulses`, `dwell_at` and `lit_total`, which allow for the rounding of
+computed yaws (`EDGE`). `pulse_weights` are the weights over a dwell, `pattern_gain` is the antenna's pattern.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from blocksar.arrays import BoolArray, FloatArray, IntArray
 from blocksar.collection.axis_beam import axis_dwell, axis_offset, axis_spans, refuse_twice
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
+from blocksar.collection.weighting import FLAT, Taper
 from blocksar.constants import TURN
 from blocksar.errors import InputError
 
@@ -33,7 +34,7 @@ Angle = TypeVar("Angle", float, FloatArray)
 STILL = 1e-9  # rad: a beam that turns by less stands still
 EDGE = 1e-10
 CENTRE_NODES = 65  # yaws between which the centre of a beam about its axis is interpolated
-GAIN_PARTS = 32  # of a dwell, in each of which the antenna's pattern is taken as constant
+GAIN_PARTS = 32  # of a dwell, in each of which weights and the antenna's pattern are taken as constant
 
 
 # ---------------------------------------------------------------- angles
@@ -135,6 +136,24 @@ def lit_pulses(collection: Collection, yaw: FloatArray, valid: FloatArray) -> Fl
     return np.asarray(total[last] - total[first])
 
 
+def weighted_pulses(collection: Collection, yaw: FloatArray, valid: FloatArray, taper: Taper) -> FloatArray:
+    """Sum of `valid` (n_pulse,) times the taper over the pulses that light points at yaws (n,); see `lit_pulses`."""
+    if taper.uniform:
+        return lit_pulses(collection, yaw, valid)
+    if collection.beam_width is None:
+        return np.full(yaw.shape, float((valid * taper.samples(collection.n_pulse)).sum()))
+    first, last = _lit_interval(collection, yaw, tolerance=EDGE)
+    beam, half = collection.beam_azimuth, collection.beam_width / 2
+    centre = float(beam[0] + beam[-1]) / 2
+    point, along = wrapped(yaw - centre) / half, (beam - centre) / half
+    # Each cosine of the difference is a product of two phasors, so that one running sum serves all points.
+    total, (terms, frequency) = np.zeros(yaw.shape), taper.series
+    for k, term in enumerate(terms):
+        running = np.concatenate([[0.0], np.cumsum(valid * np.exp(-1j * np.pi * frequency * k * along))])
+        total += term * (np.exp(1j * np.pi * frequency * k * point) * (running[last] - running[first])).real
+    return total
+
+
 def most_lit_pulses(geometry: Geometry, x: FloatArray, y: FloatArray) -> int:
     """The largest number of pulses that light any one point; under a beam about its axis, any of those at x, y, m."""
     collection = geometry.collection
@@ -144,8 +163,10 @@ def most_lit_pulses(geometry: Geometry, x: FloatArray, y: FloatArray) -> int:
     return int(lit_pulses(collection, collection.beam_azimuth, np.ones(collection.n_pulse)).max())
 
 
-def lit_total(geometry: Geometry, epoch_range: FloatArray, yaw: FloatArray, valid: FloatArray) -> FloatArray:
-    """Sum of `valid` (n_pulse,) times the antenna's pattern over the lit pulses: (n_range, n_yaw), at (n,) m and rad.
+def lit_total(
+    geometry: Geometry, epoch_range: FloatArray, yaw: FloatArray, valid: FloatArray, taper: Taper = FLAT
+) -> FloatArray:
+    """Sum of `valid` (n_pulse,) times taper and antenna's pattern over lit pulses: (n_range, n_yaw), at (n,) m and rad.
 
     Dwells begin and end between pulses here, so that the sum is continuous.
     """
@@ -156,18 +177,19 @@ def lit_total(geometry: Geometry, epoch_range: FloatArray, yaw: FloatArray, vali
     begin, stop = (np.broadcast_to(np.clip((t - start) * collection.prf, 0, None), shape) for t in (first, last))
     before, pulse = np.concatenate([[0.0], np.cumsum(valid)]), np.arange(valid.size + 1.0)
     x, y = geometry.ground_axes(epoch_range[:, None], yaw)
-    parts, total = GAIN_PARTS if collection.has_pattern else 1, np.zeros(shape)
+    weighed = collection.has_pattern or not taper.uniform
+    parts, total = GAIN_PARTS if weighed else 1, np.zeros(shape)
     for part in range(parts):
         low, high = (begin + (stop - begin) * (part + k) / parts for k in (0, 1))
         count = np.interp(high, pulse, before) - np.interp(low, pulse, before)
-        if collection.has_pattern:
+        if weighed:
             middle = np.clip((low + high) / 2, 0, valid.size - 1).astype(np.int64)
-            count = count * pattern_gain(geometry, x, y, middle)
+            count = count * pulse_weights(geometry, x, y, middle, taper) * pattern_gain(geometry, x, y, middle)
         total += count
     return np.asarray(np.where((last > first) & np.isfinite(x), np.maximum(total, 0.0), 0.0))
 
 
-# ---------------------------------------------------------------- angles off the beam's centre, and patterns
+# ---------------------------------------------------------------- angles off the beam's centre, weights and patterns
 
 
 def beam_offset(geometry: Geometry, x: FloatArray, y: FloatArray, pulses: slice | IntArray | int) -> FloatArray:
@@ -176,6 +198,21 @@ def beam_offset(geometry: Geometry, x: FloatArray, y: FloatArray, pulses: slice 
     if collection.has_axis:
         return axis_offset(collection, x, y, pulses)
     return wrapped(geometry.yaw(x, y) - collection.beam_azimuth[pulses])
+
+
+def pulse_weights(
+    geometry: Geometry, x: FloatArray, y: FloatArray, pulses: slice | IntArray | int, taper: Taper
+) -> FloatArray:
+    """Weights w of pulses at ground points x, y (m); points and pulses are broadcast.
+
+    A taper of v = 2 offset / beam_width, or of the pulse's place in the collection where the beam is not steered.
+    """
+    collection = geometry.collection
+    if taper.uniform:
+        return np.ones(())
+    if collection.beam_width is None:
+        return taper.samples(collection.n_pulse)[pulses]
+    return taper(2 * beam_offset(geometry, x, y, pulses) / collection.beam_width)
 
 
 def pattern_gain(geometry: Geometry, x: FloatArray, y: FloatArray, pulses: slice | IntArray | int) -> FloatArray:
@@ -192,6 +229,21 @@ def pattern_gain(geometry: Geometry, x: FloatArray, y: FloatArray, pulses: slice
         down = np.arctan2(pz - collection.ground_height, np.sqrt((x - px) ** 2 + (y - py) ** 2))
         gain = gain * np.interp(down, collection.elevation, collection.elevation_pattern)
     return np.asarray(gain)
+
+
+def at_times(
+    geometry: Geometry,
+    x: FloatArray,
+    y: FloatArray,
+    time: FloatArray,
+    value: Callable[[Geometry, FloatArray, FloatArray, IntArray], FloatArray],
+) -> FloatArray:
+    """`value` of points and pulses, such as `beam_offset`, at slow times (s), linear between pulses; broadcast."""
+    collection = geometry.collection
+    position = (time - collection.time[0]) * collection.prf
+    before = np.clip(np.floor(position), 0, collection.n_pulse - 2).astype(np.int64)
+    part = np.clip(position - before, 0.0, 1.0)
+    return np.asarray(value(geometry, x, y, before) * (1 - part) + value(geometry, x, y, before + 1) * part)
 
 
 def _lit_interval(collection: Collection, yaw: FloatArray, *, tolerance: float) -> tuple[IntArray, IntArray]:

@@ -8,18 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Self
+from typing import Literal, Self
 
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.budget import AZIMUTH_TAP_ERROR
+from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.lines import Line, RowPolynomial
+from blocksar.focusing.sampling import Sampling
 from blocksar.focusing.step import Constants, Step
 from blocksar.kernels.fourier import Axis
 from blocksar.kernels.interpolation import tap_polynomials, taps_needed
-from blocksar.kernels.operations import Operation, Resample, Transform, Turn, Window
+from blocksar.kernels.operations import Blend, Operation, Resample, Transform, Turn, Window
 from blocksar.kernels.phase import Phase
 from blocksar.solvers import through_nodes
 
@@ -228,17 +230,23 @@ class DopplerTransform(_AzimuthStep):
         to_doppler = Transform(axes.long_time, axes.focused_doppler, inverse=False)
         if gate is None:
             return [to_doppler]
+        begin: list[Operation]
+        end: list[Operation]
+        if gate.taper is None:
+            back = Transform(gate.time, axes.image_doppler, inverse=False)
+            begin = [_windows(gate.begin_window, gate.begin_slope, axes.rows), back]
+            end = [_windows(gate.end_window, gate.end_slope, axes.rows), back]
+        else:
+            begin, end = [_blend(gate, "begin", axes)], [_blend(gate, "end", axes)]
         return [
             to_doppler,
             _turn(gate.begin, axes.rows),
             Transform(axes.focused_doppler, gate.time, inverse=True),
-            _windows(gate.begin_window, gate.begin_slope, axes.rows),
-            Transform(gate.time, axes.image_doppler, inverse=False),
+            *begin,
             _turn(gate.begin, axes.rows, sign=-1.0),
             _turn(gate.end, axes.rows),
             Transform(axes.image_doppler, gate.time, inverse=True),
-            _windows(gate.end_window, gate.end_slope, axes.rows),
-            Transform(gate.time, axes.image_doppler, inverse=False),
+            *end,
             _turn(gate.end, axes.rows, sign=-1.0),
             _turn(gate.common, axes.rows),
         ]
@@ -257,13 +265,39 @@ def _windows(window: Callable[[float], ComplexArray], slope: RowPolynomial, rows
 
     The slope changes by a tenth over a swath: a window for every range would cost more than the transforms.
     """
-    slopes = slope.coefficients(rows.values)[:, 0]
-    window_slopes = np.linspace(slopes.min(), slopes.max(), GATE_WINDOWS)
+    slopes, which = _window_slopes(slope, rows)
 
     def windows() -> ComplexArray:
-        return np.stack([window(float(each)) for each in window_slopes])
+        return np.stack([window(float(each)) for each in slopes])
 
-    return Window(windows, np.abs(window_slopes - slopes[:, None]).argmin(axis=1))
+    return Window(windows, which)
+
+
+def _blend(gate: DwellGate, end: Literal["begin", "end"], axes: Sampling) -> Blend:
+    """The windows of one end under a taper, and the transform to Doppler, along which its lengths are blended."""
+    assert gate.taper is not None
+    half, slope = (gate.taper.begin, gate.begin_slope) if end == "begin" else (gate.taper.end, gate.end_slope)
+    slopes, which = _window_slopes(slope, axes.rows)
+
+    def windows() -> ComplexArray:
+        return np.stack([gate.tapered_windows(float(each), end) for each in slopes])
+
+    return Blend(
+        transform=Transform(gate.time, axes.image_doppler, inverse=False),
+        windows=windows,
+        count=len(half.lengths),
+        which=which,
+        share=half.share(axes.rows.values),
+        centre=half.length.centre,
+        scale=half.length.scale,
+    )
+
+
+def _window_slopes(slope: RowPolynomial, rows: Axis) -> tuple[FloatArray, IntArray]:
+    """The slopes for which windows are made, and which of them each range row takes."""
+    slopes = slope.coefficients(rows.values)[:, 0]
+    window_slopes = np.linspace(slopes.min(), slopes.max(), GATE_WINDOWS)
+    return window_slopes, np.abs(window_slopes - slopes[:, None]).argmin(axis=1)
 
 
 def _mean_range(line: Line) -> FloatArray:

@@ -10,23 +10,25 @@ the centre of a tile, where that errs by less than 1e-9 m, or 1e-7 cycles of pha
 
 The pulses that light a pixel are an interval (`collection.beam.lit_interval`), so the loop over them needs no test.
 With an antenna pattern g (`collection.beam.pattern_gain`) the sum over lit pulses is divided by that of g instead of
-their number, so that a target of reflectivity 1 still has the value 1. NaN samples are excluded from the mean. The
-image is NaN where no valid sample is lit, and where a lit pulse, missing or not, sees the pixel outside the unambiguous
-window |R_xy - reference_range| <= c / (4 df).
+their number, and under a weighting w by that of w g, so that a target of reflectivity 1 still has the value 1. NaN
+samples are excluded from the mean. The image is NaN where no valid sample is lit, and where a lit pulse, missing or
+not, sees the pixel outside the unambiguous window |R_xy - reference_range| <= c / (4 df).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
 
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from blocksar.collection.beam import lit_interval
+from blocksar.collection.beam import beam_offset, lit_interval
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
+from blocksar.collection.weighting import FLAT, UNIFORM, Taper, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.pattern_sums import add_gains
 from blocksar.kernels import projection
@@ -35,7 +37,8 @@ from blocksar.kernels.groups import GROUP_BYTES, row_groups, run_groups
 from blocksar.kernels.lanes import FIXED_RANGE
 from blocksar.kernels.loops import compile_all, compile_for
 from blocksar.kernels.operations import Transform
-from blocksar.kernels.projection import Sights, project
+from blocksar.kernels.phase import Float32Array
+from blocksar.kernels.projection import BeamTaper, Sights, project
 
 ReadPulses = Callable[[slice], ComplexArray]  # (n, n_range_frequency) samples of a slice of pulses
 Tile = tuple[slice, slice]
@@ -56,8 +59,9 @@ class Profiles:
     values : (n, n_bin) complex64
         Spline coefficients: bin b is at R - reference_range = (b - centre) * spacing. The phase of the middle
         frequency, exp(4j pi (fc + f_middle) / c (R - reference_range)), is removed: it varies too fast to interpolate.
-    valid : (n,) int
-        Number of samples of each pulse that are not NaN.
+    valid : (n,) int or float
+        Number of samples of each pulse that are not NaN; under a weighting in range, the sum of their weights over the
+        mean weight.
     pulses : slice
         The pulses of the collection.
     centre : int
@@ -67,13 +71,15 @@ class Profiles:
     """
 
     values: ComplexArray
-    valid: IntArray
+    valid: IntArray | FloatArray
     pulses: slice
     centre: int
     spacing: float
 
 
-def range_profiles(signal: ComplexArray, *, collection: Collection, pulses: slice, threads: int) -> Profiles:
+def range_profiles(
+    signal: ComplexArray, *, collection: Collection, pulses: slice, threads: int, taper: Taper = FLAT
+) -> Profiles:
     """Mean over frequency of signal exp(4j pi (f - f_middle) d / c) on a fine grid of d = R - reference_range.
 
     The zero-padded samples are divided by the frequency response of the quadratic spline, sinc(f / f_bins)^3. The
@@ -88,6 +94,8 @@ def range_profiles(signal: ComplexArray, *, collection: Collection, pulses: slic
         n pulses of the collection.
     threads : int
         The result does not depend on it.
+    taper : Taper
+        Weighting along range frequency.
 
     Returns
     -------
@@ -112,14 +120,22 @@ def range_profiles(signal: ComplexArray, *, collection: Collection, pulses: slic
     delay = Axis(-(period // 2) / (period * step), 1 / (period * step), period)
     before, after = Transform(frequency, delay, inverse=True).phases()
     lead = unit_phasor(before.cycles(frequency.values)[0]) / np.sinc(frequency.values / (period * step)) ** 3
+    weights = taper.samples(n) / taper.samples(n).mean()
+    if not taper.uniform:
+        weights = taper.samples(n)
+        weights /= weights.mean()
+        lead *= weights
     lead = (lead * (period / n)).astype(np.complex64)
     trail = unit_phasor(after.cycles(delay.values)[0])
     values = np.empty((signal.shape[0], period + 2 * MARGIN), np.complex64)
-    valid = np.empty(signal.shape[0], np.int64)
+    valid = np.empty(signal.shape[0], np.int64 if taper.uniform else np.float64)
 
     def work(rows: slice) -> None:
         missing = np.isnan(signal[rows])
-        valid[rows] = n - np.count_nonzero(missing, axis=1)
+        if taper.uniform:
+            valid[rows] = n - np.count_nonzero(missing, axis=1)
+        else:
+            valid[rows] = n - np.where(missing, weights, 0.0).sum(axis=1)
         group = np.zeros((rows.stop - rows.start, period), np.complex64)
         np.multiply(signal[rows], lead, out=group[:, :n])
         group[:, :n][missing] = 0
@@ -162,6 +178,8 @@ def accumulate(
     first: IntArray,
     last: IntArray,
     threads: int,
+    taper: Taper = FLAT,
+    weight: Float32Array | None = None,
 ) -> None:
     """Add a block of pulses to the image, in place: image += sum over lit pulses of the profile at the pixel's range.
 
@@ -178,7 +196,19 @@ def accumulate(
         Lit pulses, from `lit_interval`.
     threads : int
         The result does not depend on it: one thread sums each pixel, in a fixed order.
+    taper : Taper
+        Weighting over a steered beam.
+    weight : (n_row, n_column) float32, optional
+        Rises by the sum of weights; needed under a weighting.
+
+    Raises
+    ------
+    ValueError
+        If a weighting has no array of weights.
     """
+    if not taper.uniform and weight is None:
+        raise ValueError(f"{taper.text} needs an array for the sum of weights")
+    weight = np.empty(image.shape, np.float32) if weight is None else weight
     collection, pulses = geometry.collection, profiles.pulses
     middle = collection.range_frequency[collection.n_range_frequency // 2]
     position = collection.antenna_position[pulses].T
@@ -191,12 +221,26 @@ def accumulate(
         antenna=position - np.array([[0.0], [0.0], [collection.ground_height]]),
         reference_range=collection.reference_range[pulses],
         half_window=collection.range_window / 2,
+        taper=None if taper.uniform else _beam_taper(taper, profiles, geometry),
     )
 
     def work(tile: Tile) -> None:
-        project(image[tile], outside[tile], sights, x[tile], y[tile], first[tile], last[tile])
+        project(image[tile], outside[tile], sights, x[tile], y[tile], first[tile], last[tile], weight[tile])
 
     _run_tiles(work, image.shape, threads)
+
+
+def _beam_taper(taper: Taper, profiles: Profiles, geometry: Geometry) -> BeamTaper:
+    """The weights of a block of pulses under a taper over the beam."""
+    terms, frequency = taper.series
+    start, half = profiles.pulses.start, (geometry.collection.beam_width or np.inf) / 2
+
+    def place(x: FloatArray, y: FloatArray, pulses: slice) -> FloatArray:
+        block = slice(pulses.start + start, pulses.stop + start)
+        return beam_offset(geometry, x[:, None], y[:, None], block) / half
+
+    valid = profiles.valid / geometry.collection.n_range_frequency
+    return BeamTaper(terms=terms, frequency=frequency, valid=valid, place=place)
 
 
 def form_points(
@@ -207,6 +251,7 @@ def form_points(
     *,
     threads: int,
     pulse_block: int | None = None,
+    weighting: Weighting = UNIFORM,
 ) -> ComplexArray:
     """Back-project to any points on the ground plane.
 
@@ -222,6 +267,8 @@ def form_points(
         The result does not depend on it.
     pulse_block : int, optional
         Pulses in memory at a time.
+    weighting : Weighting
+        Tapers along range frequency and over the dwell, normalised by the sum of weights.
 
     Returns
     -------
@@ -245,19 +292,36 @@ def form_points(
         raise ValueError("x and y must be finite")
     first, last = _lit_intervals(geometry, x, y, threads)
     image, outside = np.zeros(x.shape, np.complex64), np.zeros(x.shape, np.bool_)
-    valid = np.zeros(collection.n_pulse, np.int64)
+    in_range, over_beam, over_pulses = weighting.range, weighting.azimuth, None
+    if not collection.steered:  # every pixel has the same weights
+        over_pulses, over_beam = over_beam.samples(collection.n_pulse).astype(np.float32), FLAT
+    weight = None if over_beam.uniform else np.zeros(x.shape, np.float32)
+    # Sums of integers are exact: without a weighting nothing is rounded.
+    valid: Any = np.zeros(collection.n_pulse, np.int64 if weighting.uniform else np.float64)
     gains = np.zeros(x.shape if collection.has_pattern else 0)
     for pulses in _blocks(_lit_pulses(first, last, collection.n_pulse), pulse_block or pulse_block_size(collection)):
-        profiles = range_profiles(read(pulses), collection=collection, pulses=pulses, threads=threads)
+        profiles = range_profiles(read(pulses), collection=collection, pulses=pulses, threads=threads, taper=in_range)
         valid[pulses] = profiles.valid
-        accumulate(image, outside, profiles, geometry=geometry, x=x, y=y, first=first, last=last, threads=threads)
+        if over_pulses is not None and not weighting.azimuth.uniform:
+            valid[pulses] = profiles.valid * over_pulses[pulses]
+            np.multiply(profiles.values, over_pulses[pulses, None], out=profiles.values)
+        accumulate(
+            image, outside, profiles, geometry=geometry, x=x, y=y, first=first, last=last, threads=threads,
+            taper=over_beam, weight=weight,
+        )  # fmt: skip
         del profiles  # before the next block is read: otherwise two blocks are in memory
         if collection.has_pattern:
-            _add_gains(gains, geometry, x, y, first=first, last=last, pulses=pulses, valid=valid, threads=threads)
+            _add_gains(
+                gains, geometry, x, y, first=first, last=last, pulses=pulses, valid=valid, taper=over_beam,
+                threads=threads,
+            )  # fmt: skip
     if collection.has_pattern:
-        _divide(image, outside, gains / collection.n_range_frequency)
+        _divide(image, outside, (gains / collection.n_range_frequency).astype(np.float32))
+    elif weight is not None:
+        _divide(image, outside, weight)
     else:
-        _normalise(image, outside, first, last, np.concatenate(([0], np.cumsum(valid))), collection.n_range_frequency)
+        before = np.concatenate(([0], np.cumsum(valid)))
+        _normalise(image, outside, first, last, before, collection.n_range_frequency)
     return image.reshape(shape)
 
 
@@ -269,6 +333,7 @@ def form_image(
     *,
     threads: int,
     pulse_block: int | None = None,
+    weighting: Weighting = UNIFORM,
 ) -> ComplexArray:
     """Back-project to the grid of columns `x` (n_column,) and rows `y` (n_row,), m: `form_points` on their mesh.
 
@@ -277,11 +342,16 @@ def form_image(
     (n_row, n_column) complex64
     """
     mesh_x, mesh_y = np.meshgrid(np.asarray(x, np.float64), np.asarray(y, np.float64))
-    return form_points(read, geometry, mesh_x, mesh_y, threads=threads, pulse_block=pulse_block)
+    return form_points(read, geometry, mesh_x, mesh_y, threads=threads, pulse_block=pulse_block, weighting=weighting)
 
 
 def form_chips(
-    read: ReadPulses, geometry: Geometry, chips: Sequence[tuple[FloatArray, FloatArray]], *, threads: int
+    read: ReadPulses,
+    geometry: Geometry,
+    chips: Sequence[tuple[FloatArray, FloatArray]],
+    *,
+    threads: int,
+    weighting: Weighting = UNIFORM,
 ) -> list[ComplexArray]:
     """Back-project to several small grids in one pass over the pulses: each range profile is formed once.
 
@@ -298,7 +368,7 @@ def form_chips(
     if not meshes:
         return []
     points_x, points_y = (np.concatenate([mesh[axis].ravel() for mesh in meshes]) for axis in (0, 1))
-    image = form_points(read, geometry, points_x, points_y, threads=threads)
+    image = form_points(read, geometry, points_x, points_y, threads=threads, weighting=weighting)
     ends = np.cumsum([mesh[0].size for mesh in meshes])[:-1]
     return [part.reshape(mesh[0].shape) for part, mesh in zip(np.split(image, ends), meshes, strict=True)]
 
@@ -315,7 +385,8 @@ def image_memory(n_pixels: int, collection: Collection, *, threads: int = 1, pul
     """Upper bound of the memory to form an image of n_pixels, bytes, including the result of `read`."""
     n, bins = collection.n_range_frequency, _period(collection) + 2 * MARGIN
     pulses = pulse_block or pulse_block_size(collection)
-    pixel = 8 * 5 + 1 + 2  # bytes: x, y, first, last and image; outside and a mask
+    pixel = 8 * 5 + 4 + 1 + 2  # bytes: x, y, first, last and image; weight; outside and a mask
+    pixel += 16 if collection.has_pattern else 0  # sums of gains, and what is divided by
     scratch = 4 * (GROUP_BYTES + 8 * bins) + 16 * 8 * TILE**2
     return n_pixels * pixel + pulses * 8 * (n + bins) + threads * scratch + 16 * 8 * (bins + collection.n_pulse)
 
@@ -350,24 +421,24 @@ def _lit_intervals(geometry: Geometry, x: FloatArray, y: FloatArray, threads: in
 
 def _add_gains(
     gains: FloatArray, geometry: Geometry, x: FloatArray, y: FloatArray, *, first: IntArray, last: IntArray,
-    pulses: slice, valid: IntArray, threads: int,
+    pulses: slice, valid: IntArray | FloatArray, taper: Taper, threads: int,
 ) -> None:  # fmt: skip
     """`pattern_sums.add_gains` tile by tile, in threads."""
 
     def work(tile: Tile) -> None:
         add_gains(
             gains[tile], geometry, x[tile], y[tile], first=first[tile], last=last[tile], pulses=pulses,
-            valid=valid[pulses],
+            valid=valid[pulses], taper=taper,
         )  # fmt: skip
 
     _run_tiles(work, gains.shape, threads)
 
 
-def _divide(image: ComplexArray, outside: BoolArray, gains: FloatArray) -> None:
-    """Turn sums into means weighted by the pattern, in place: divide by the sum of the lit pulses' gains."""
-    lit = ~outside & (gains > 0)
-    image[lit] /= gains[lit].astype(np.float32)
-    image[~lit] = complex(np.nan, np.nan)
+def _divide(image: ComplexArray, outside: BoolArray, weight: Float32Array) -> None:
+    """Turn sums into weighted means in place: divide by the lit pulses' sum of weights, times the pattern's gain."""
+    missing = outside | (weight <= 0)
+    image /= np.where(missing, np.float32(1), weight)
+    image[missing] = complex(np.nan, np.nan)
 
 
 def _lit_pulses(first: IntArray, last: IntArray, n_pulse: int) -> BoolArray:

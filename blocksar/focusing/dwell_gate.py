@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.collection.weighting import Taper
 from blocksar.focusing.lines import RowPolynomial
 from blocksar.kernels.fourier import Axis
 
@@ -43,6 +45,9 @@ class DwellGate:
     window that differs least from steps at times spread evenly over +-`blur` is their mean: it loses a third less than
     a sharp one.
 
+    Under a weighting, each window rises (or falls) as the taper does, from its end to the dwell's middle, and stays at
+    the middle's weight beyond: `DwellTaper`.
+
     Attributes
     ----------
     begin, end : RowPolynomial
@@ -58,6 +63,8 @@ class DwellGate:
         The mean dwell after all steps, s.
     time : Axis
         Slow time after the gate, about 0, s.
+    taper : DwellTaper or None
+        None where all of a dwell has equal weights.
     """
 
     begin: RowPolynomial
@@ -68,6 +75,7 @@ class DwellGate:
     blur: float
     length: float
     time: Axis
+    taper: DwellTaper | None = None
 
     def begin_window(self, slope: float) -> ComplexArray:
         """G over `time` for the dwell's begin, (time.size,) complex64; it fades out well after the end."""
@@ -79,14 +87,90 @@ class DwellGate:
 
     def _window(self, slope: float, time: FloatArray) -> ComplexArray:
         """A smeared step up at -length / 2, times a smooth fall from 1 to 0 between length / 2 and the last time."""
-        scale = np.sqrt(2 / abs(slope))
-        z, reach = scale * (time + self.length / 2), max(scale * self.blur, 1e-4)
-        mean = (fresnel_integral(z + reach) - fresnel_integral(z - reach)) / (2 * reach)
-        step = 0.5 + mean * np.exp(-0.25j * np.pi) / np.sqrt(2)
+        return self._faded(smeared_step(time + self.length / 2, slope=abs(slope), blur=self.blur), slope, time)
+
+    def tapered_windows(self, slope: float, end: Literal["begin", "end"]) -> ComplexArray:
+        """The windows of one end under the taper, one for each of its lengths: (n, time.size) complex64."""
+        assert self.taper is not None
+        half = self.taper.begin if end == "begin" else self.taper.end
+        time = self.time.values if end == "begin" else -self.time.values
+        since = time + self.length / 2
+        step = smeared_step(since, slope=abs(slope), blur=self.blur)
+        rises = [half.rise(since, length, step, taper=self.taper.taper, slope=abs(slope)) for length in half.lengths]
+        if end == "end":  # the weight of the middle counts once
+            rises = [rise * float(self.taper.taper(np.array(0.0))) for rise in rises]
+        return np.stack([self._faded(rise, slope, time) for rise in rises])
+
+    def _faded(self, step: NDArray[np.complex128], slope: float, time: FloatArray) -> ComplexArray:
         room = (self.time.extent - self.length) / 2
         fall = np.clip((time - self.length / 2) / room * (1 + FADE_START) - FADE_START, 0, 1)
         window = step * np.cos(np.pi / 2 * fall) ** 2
         return (window if slope > 0 else window.conj()).astype(np.complex64)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HalfDwell:
+    """The half of the dwells from one end to the middle.
+
+    After the steps in Doppler its length differs from target to target. The image is blended from those that windows of
+    a few lengths would make.
+
+    Attributes
+    ----------
+    length : RowPolynomial
+        Along Doppler, s.
+    lengths : tuple of float
+        Those for which windows are made, equally spaced, s.
+    """
+
+    length: RowPolynomial
+    lengths: tuple[float, ...]
+
+    def share(self, rng: FloatArray) -> FloatArray:
+        """Power coefficients along Doppler, (n, order + 1), of the place of a length among `lengths`, 0 .. 1."""
+        coefficients = self.length.coefficients(rng)
+        coefficients[:, 0] -= self.lengths[0]
+        return coefficients / max(self.lengths[-1] - self.lengths[0], 1e-12)
+
+    def rise(
+        self, time: FloatArray, length: float, step: NDArray[np.complex128], *, taper: Taper, slope: float
+    ) -> NDArray[np.complex128]:
+        """The taper's first half over `length`, then 1, as a window in time since the end: (time.size,).
+
+        `step` is the smeared step there, F. The taper begins by a step, of its weight at the end, and a ramp, which
+        under the Fresnel integral of the slope e becomes t F(t) + (1j e / 2 pi) F'(t). The rest is smooth, so that each
+        of its cosines, of rate k, is only multiplied by exp(-1j k^2 e / 4 pi).
+        """
+        terms, frequency = taper.series
+        turns = np.pi * frequency * np.arange(terms.size)
+        edge, pace = (terms * np.cos(turns)).sum(), (terms * turns * np.sin(turns)).sum() / length
+        turned = terms * np.exp(-0.25j / np.pi * slope * (turns / length) ** 2)
+        inside = (time > 0) & (time < length)
+        rest = np.where(time > 0, terms.sum() - edge - pace * time, 0.0).astype(np.complex128)
+        rest[inside] = (turned[:, None] * np.cos(np.outer(turns, time[inside] / length - 1))).sum(axis=0)
+        rest[inside] -= edge + pace * time[inside]
+        total = edge * step + rest
+        if abs(pace) * length > 1e-9 * terms.sum():  # without blur, or the two terms would not cancel far from the end
+            ramp = time * smeared_step(time, slope=slope, blur=0.0)
+            total += pace * (ramp + np.sqrt(1j * slope) / (2 * np.pi) * np.exp(1j * np.pi / slope * time**2))
+        return np.asarray(total / terms.sum())
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DwellTaper:
+    """The weighting over dwells, and the halves into which their middles divide them."""
+
+    taper: Taper
+    begin: HalfDwell
+    end: HalfDwell
+
+
+def smeared_step(time: FloatArray, *, slope: float, blur: float) -> NDArray[np.complex128]:
+    """The integral of H(t - u) exp(1j pi u^2 / e) / sqrt(1j e) du for e = `slope` > 0, a mean over +-`blur`."""
+    scale = np.sqrt(2 / slope)
+    z, reach = scale * time, max(scale * blur, 1e-4)
+    mean = (fresnel_integral(z + reach) - fresnel_integral(z - reach)) / (2 * reach)
+    return np.asarray(0.5 + mean * np.exp(-0.25j * np.pi) / np.sqrt(2))
 
 
 def fresnel_integral(z: FloatArray) -> NDArray[np.complex128]:

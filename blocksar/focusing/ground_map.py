@@ -9,8 +9,9 @@ from numba import njit, types
 
 from blocksar import solvers
 from blocksar.arrays import FloatArray
-from blocksar.collection.beam import lit_pulses, lit_total, wrapped
+from blocksar.collection.beam import lit_total, weighted_pulses, wrapped
 from blocksar.collection.geometry import Geometry
+from blocksar.collection.weighting import Taper
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.lines import Focus, RowPolynomial
 from blocksar.kernels.fourier import Axis
@@ -79,10 +80,12 @@ class GroundMap:
         Uniform yaws from low to high, rad, for the two limits and the number of lit pulses.
     near_limit, far_limit : (n,) float
         Epoch ranges at the ends of the range window at each yaw, m.
+    taper : Taper
+        Weighting over the dwells.
     lit : (n,) or (LIT_RANGES, n) float
         From `sum_lit`: at each yaw, or at each range from near to far and each yaw.
     scale : float
-        n_range_frequency / period of the range transform.
+        n_range_frequency / period of the range transform, times the mean weight over range frequency.
     range_taps, doppler_taps : (int, float)
         Taps of the interpolation, and the occupied fraction of the sampling rate.
     """
@@ -104,6 +107,7 @@ class GroundMap:
     yaw_axis: FloatArray
     near_limit: FloatArray
     far_limit: FloatArray
+    taper: Taper
     lit: FloatArray
     scale: float
     range_taps: tuple[int, float]
@@ -148,16 +152,17 @@ class GroundMap:
         )
 
 
-def sum_lit(geometry: Geometry, *, near: float, far: float, yaw: FloatArray, valid: FloatArray) -> FloatArray:
-    """Number of lit pulses at yaws (n,), rad, missing ones left out: sum of `valid` (n_pulse,), (n,).
+def sum_lit(
+    geometry: Geometry, *, near: float, far: float, yaw: FloatArray, valid: FloatArray, taper: Taper
+) -> FloatArray:
+    """Number of lit pulses at yaws (n,), rad, missing ones left out: sum of `valid` (n_pulse,) times the taper, (n,).
 
-    Where dwells depend on range, or the antenna has a pattern, which weighs the pulses: (LIT_RANGES, n), at ranges from
-    near to far, m.
+    Where dwells depend on range, or the antenna has a pattern, which weighs the pulses besides: (LIT_RANGES, n), at
+    ranges from near to far, m.
     """
-    collection = geometry.collection
     if not by_range(geometry):
-        return lit_pulses(collection, yaw, valid)
-    return lit_total(geometry, np.linspace(near, far, LIT_RANGES), yaw, valid)
+        return weighted_pulses(geometry.collection, yaw, valid, taper)
+    return lit_total(geometry, np.linspace(near, far, LIT_RANGES), yaw, valid, taper)
 
 
 def by_range(geometry: Geometry) -> bool:

@@ -106,6 +106,10 @@ class Line:
         """Lines with some arrays changed: `dataclasses.replace` takes longer than the arithmetic of small lines."""
         return Line(**{**self.__dict__, **changes})
 
+    def weighed(self, weights: FloatArray) -> Line:
+        """The same lines with other weights: the weighting at the nodes multiplies those of the quadrature."""
+        return self._with(weight=self.weight * weights)
+
     @property
     def folded(self) -> bool:
         """Whether time turns back somewhere along a line, so that stationary phase no longer holds."""

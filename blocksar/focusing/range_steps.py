@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -20,12 +20,13 @@ from numpy.typing import NDArray
 from blocksar import solvers
 from blocksar.arrays import FloatArray
 from blocksar.budget import AZIMUTH_TAP_ERROR
+from blocksar.collection.weighting import AxisTaper
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.lines import Line
 from blocksar.focusing.step import Constants, Step
 from blocksar.kernels import interpolation, phase
 from blocksar.kernels.fourier import Axis
-from blocksar.kernels.operations import Operation, Stretch, Transform, Turn
+from blocksar.kernels.operations import Operation, Stretch, Transform, Turn, Window
 from blocksar.kernels.phase import Phase
 
 MOST_REACH = 1.2  # times the largest Doppler of a reference line: beyond it the range curvature is held constant
@@ -56,15 +57,21 @@ class ResidualRangeWalk(_FrequencyStep):
         Hz on the carrier.
     carrier : float
         Hz.
+    taper : AxisTaper or None
+        Weighting over the pulses, applied here, where a sample's time is still that of its pulse at all frequencies.
     """
 
     name = "residual-walk"
     walk: float
     carrier: float
+    taper: AxisTaper | None = None
 
     @classmethod
     def bind(cls, constants: Constants, arriving: Callable[[], Line]) -> Self:
-        return cls(walk=constants.walk, carrier=constants.carrier)
+        return cls(walk=constants.walk, carrier=constants.carrier, taper=constants.in_time)
+
+    def weighed(self, in_time: AxisTaper) -> Self:
+        return replace(self, taper=in_time)
 
     @property
     def source(self) -> Axis:
@@ -77,7 +84,8 @@ class ResidualRangeWalk(_FrequencyStep):
         source = Axis(slab.start - moved, slab.step, slab.size)
         factor = self.walk * (1 + self.axes.range_frequency.values / self.carrier) - moved
         walk = np.stack([np.zeros_like(factor), -factor], axis=1)
-        return [Transform(source, self.axes.time, inverse=True), Turn(Phase(walk, 0.0, 1.0))]
+        weights = [] if self.taper is None else [_weigh(self.taper, self.axes.time, self.n_row)]
+        return [Transform(source, self.axes.time, inverse=True), *weights, Turn(Phase(walk, 0.0, 1.0))]
 
     def trace(self, line: Line) -> Line:
         turned = line.multiply_time(-self.walk * line.time, np.array(-self.walk), np.array(0.0))
@@ -139,11 +147,14 @@ class Compression(Step):
         Hz.
     in_doppler : bool
         Whether ranges are compressed at each Doppler; otherwise at each slow time.
+    taper : AxisTaper or None
+        Weighting over range frequency.
     """
 
     layout = "columns"
     in_doppler: ClassVar[bool] = False
     carrier: float
+    taper: AxisTaper | None = None
 
     @property
     def source(self) -> Axis:
@@ -164,7 +175,8 @@ class Compression(Step):
 
     def operations(self) -> list[Operation]:
         """Rows of range_frequency.size samples to rows.size ranges, one per time or Doppler: the block's columns."""
-        return [Turn(self.correction()), self._to_range]
+        weights = [] if self.taper is None else [_weigh(self.taper, self.source, self.n_row)]
+        return [Turn(self.correction()), *weights, self._to_range]
 
     @property
     def _to_range(self) -> Transform:
@@ -214,7 +226,8 @@ class RangeCompression(Compression):
     def bind(cls, constants: Constants, arriving: Callable[[], Line]) -> Self:
         k, m = constants.reference, constants.middle
         about = [sum(k[n] * math.comb(n, j) * m ** (n - j) for n in range(j, k.size)) for j in range(k.size)]
-        return cls(carrier=constants.carrier, reference=np.array(about, np.float64), middle=m)
+        reference = np.array(about, np.float64)
+        return cls(carrier=constants.carrier, taper=constants.in_range, reference=reference, middle=m)
 
     def correction(self) -> Phase:
         order = np.arange(2, self.reference.size)
@@ -245,7 +258,7 @@ class TimeDomainCompression(RangeCompression):
 
     @classmethod
     def bind(cls, constants: Constants, arriving: Callable[[], Line]) -> Self:
-        return cls(carrier=constants.carrier, reference=constants.reference)
+        return cls(carrier=constants.carrier, taper=constants.in_range, reference=constants.reference)
 
     def correction(self) -> Phase:
         migration = self._along(self.columns.values, np.ones(self.reference.size))
@@ -312,7 +325,7 @@ class DopplerCompression(Compression):
         # Where acceleration cancels the Doppler rate the pace is infinite: the prediction shows what the floor costs.
         pace = (line.rate / np.maximum(line.rate**2, (RATE_FLOOR * np.abs(line.rate).max()) ** 2)).ravel()
         fitted = solvers.least_squares(weight * z ** np.arange(PACE_ORDER + 1)[:, None], weight * pace)
-        return cls(carrier=constants.carrier, pace=fitted, half=half)
+        return cls(carrier=constants.carrier, taper=constants.in_range, pace=fitted, half=half)
 
     def correction(self) -> Phase:
         doppler = self._clip(self.columns.values)
@@ -340,6 +353,11 @@ class DopplerCompression(Compression):
 
     def trace(self, line: Line) -> Line:
         return line.shift_range(-self.curvature(line.doppler))
+
+
+def _weigh(taper: AxisTaper, axis: Axis, n_row: int) -> Window:
+    """Multiplication of all rows by the weights along them."""
+    return Window(taper(axis.values)[None].astype(np.complex64), np.zeros(n_row, np.intp))
 
 
 def _trim(coefficients: FloatArray) -> FloatArray:

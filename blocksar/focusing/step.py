@@ -13,6 +13,7 @@ from itertools import groupby
 from typing import ClassVar, Literal, Self
 
 from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.collection.weighting import AxisTaper
 from blocksar.focusing.lines import AzimuthPolynomials, Line
 from blocksar.focusing.motion_phase import Motion
 from blocksar.focusing.sampling import Sampling
@@ -38,6 +39,10 @@ class Constants:
         Middle of the time in which the block's targets are lit, s from the epoch: the keystone scales time about it.
     motion : Motion or None
         What motion compensation removes; None for a polynomial track, whose chain has no such step.
+    in_range : AxisTaper or None
+        Weighting over range frequency, Hz; None where it is uniform.
+    in_time : AxisTaper or None
+        Weighting over the pulses of a beam that is not steered, s from the epoch; None where it is uniform.
     polynomials : AzimuthPolynomials or None
         Coefficients of the steps after range compression; None for the steps before, on which they depend.
     """
@@ -47,6 +52,8 @@ class Constants:
     reference: FloatArray
     middle: float = 0.0
     motion: Motion | None = None
+    in_range: AxisTaper | None = None
+    in_time: AxisTaper | None = None
     polynomials: AzimuthPolynomials | None = None
 
     @property
@@ -111,6 +118,10 @@ class Step:
     def sampled(self, sampling: Sampling) -> Self:
         """Return the step with the block's sampling, ready to be applied."""
         return replace(self, sampling=sampling)
+
+    def weighed(self, in_time: AxisTaper) -> Self:
+        """Return the step with another taper over the pulses; itself if it applies none."""
+        return self
 
     @property
     def axes(self) -> Sampling:

@@ -22,6 +22,7 @@ from blocksar.arrays import FloatArray
 from blocksar.chunks import MOSAIC_CHUNKS, TILE
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
+from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.ground_map import sum_lit
 from blocksar.focusing.range_compression import RawCompression
@@ -196,7 +197,9 @@ def _submit_chain(
     tail = f"{run.token}-{unit}"
     submit = partial(client.submit, pure=False, priority=priority)
     ground = block.ground
-    summed = sum_lit(ground.geometry, near=ground.near, far=ground.far, yaw=ground.yaw_axis, valid=lit)
+    summed = sum_lit(
+        ground.geometry, near=ground.near, far=ground.far, yaw=ground.yaw_axis, valid=lit, taper=ground.taper
+    )
     ground = replace(ground, lit=summed)
     first, *others = stages(block.steps)
     slab = spectrum.within(block.first_bin, block.first_bin + block.n_bin)
@@ -272,6 +275,7 @@ def back_project(
     geometry: Geometry,
     grid: Grid,
     inspection: Inspection,
+    weighting: Weighting,
     run: Run,
     listener: Listener,
 ) -> list[Receipt]:
@@ -280,7 +284,7 @@ def back_project(
     units = [
         _single_task(
             client, run, "backprojection", f"chunk-{row}-{column}",
-            back_project_chunk, source, (row, column), geometry, grid, inspection,
+            back_project_chunk, source, (row, column), geometry, grid, inspection, weighting,
         )
         for row in range(-(-grid.shape[0] // side[0]))
         for column in range(-(-grid.shape[1] // side[1]))

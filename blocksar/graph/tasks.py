@@ -20,6 +20,7 @@ from blocksar.arrays import ComplexArray
 from blocksar.chunks import BACKPROJECTION_CHUNK, WRITES_AT_ONCE
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
+from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.backprojection import form_image
 from blocksar.focusing.correction import correct
@@ -331,6 +332,7 @@ def back_project_chunk(
     geometry: Geometry,
     grid: Grid,
     inspection: Inspection,
+    weighting: Weighting,
 ) -> Receipt:
     """Form one output chunk by exact back-projection; reads only the pulses that light it."""
     started = time.perf_counter()
@@ -346,8 +348,9 @@ def back_project_chunk(
         for j in range(0, image.shape[1], BACKPROJECTION_CHUNK):
             part = (slice(i, i + BACKPROJECTION_CHUNK), slice(j, j + BACKPROJECTION_CHUNK))
             image[part] = form_image(
-                read, geometry, grid.x[columns][part[1]], grid.y[rows][part[0]], threads=run.threads
-            )
+                read, geometry, grid.x[columns][part[1]], grid.y[rows][part[0]], threads=run.threads,
+                weighting=weighting,
+            )  # fmt: skip
     covered = np.isfinite(image.real)
     parts = []
     if covered.any():

@@ -91,6 +91,41 @@ class Cut:
 
 
 @dataclass(frozen=True, eq=False)
+class Blend:
+    """Transform each row under several windows, and blend the results along the target axis.
+
+    y[r, i] = sum_k L_k(s[r, i]) F{windows[which[r], k] x[r]}[i], with L_k Lagrange's polynomials through the nodes
+    0, 1 / (K - 1), .. 1 for s (a single window has L = 1), and s a polynomial along the target axis.
+
+    Attributes
+    ----------
+    transform : Transform
+        Without padding: the period is the size of the source.
+    windows : callable
+        Returns (n_window, K, n) complex64; called when the operation is first run.
+    count : int
+        K.
+    which : (n_row,) int
+    share : (n_row, order + 1) float
+        Coefficients of s in powers of (value - centre) / scale.
+    centre, scale : float
+        In the unit of the target axis.
+    """
+
+    transform: Transform
+    windows: Callable[[], ComplexArray]
+    count: int
+    which: IntArray
+    share: FloatArray
+    centre: float
+    scale: float
+
+    @cached_property
+    def values(self) -> ComplexArray:
+        return self.windows()
+
+
+@dataclass(frozen=True, eq=False)
 class Stretch:
     """Resample row r at position middle + (i - middle) scale[r], preserving its sum; zero where there is no input."""
 
@@ -118,4 +153,4 @@ class Resample:
     taps: Float32Array
 
 
-Operation = Turn | ScaledTurn | Transform | Window | Cut | Stretch | Resample
+Operation = Turn | ScaledTurn | Transform | Window | Blend | Cut | Stretch | Resample

@@ -13,10 +13,14 @@ The loop sums it to 14 q^4, in float64. `series_error` bounds the rest. Where th
 reach beyond the unambiguous window, the loop takes the square root instead. Either way ranges are rounded to a few
 1e-16 of R: 1e-10 m at 700 km. Phases are reduced to less than a cycle in fixed point, of 2^-32; sines and cosines, the
 weights of the quadratic spline and sums over pulses are float32.
+
+Under a taper over a steered beam a pulse's weight changes from pixel to pixel. The place v in the beam is a quadratic
+polynomial over a tile, through 3 x 3 places; tiles are divided until it errs by less than PLACE_ERROR.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -44,14 +48,18 @@ from blocksar.kernels.lanes import (
     within,
 )
 from blocksar.kernels.loops import loop
+from blocksar.kernels.phase import Float32Array
 from blocksar.kernels.signatures import COMPILED, REAL_ROW, REAL_ROWS
-from blocksar.kernels.trigonometry import cosine_and_sine
+from blocksar.kernels.trigonometry import cosine, cosine_and_sine
+from blocksar.solvers import product
 
 SERIES_ERROR = 1e-9  # m
 CHUNK = 32  # pulses whose profiles, as far as neighbouring pixels read them, stay in the first-level cache
 SMALL = 4096  # pixels of a tile that is not divided
 NEAREST = 1.0  # m: nearer antennas are left to the square root
+PLACE_ERROR = 1e-5  # of a place in the beam, whose half width is 1
 PULSES = types.int32[::1]
+WEIGHTS = types.Array(types.float32, 1, "C", readonly=True)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -74,6 +82,8 @@ class Sights:
         m
     half_window : float
         Largest unambiguous |range - reference_range|, m.
+    taper : BeamTaper or None
+        None where all pulses have equal weights.
     """
 
     start: int
@@ -84,6 +94,27 @@ class Sights:
     antenna: FloatArray
     reference_range: FloatArray
     half_window: float
+    taper: BeamTaper | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BeamTaper:
+    """Weights of pulses that change from pixel to pixel: sum_k terms_k cos(pi frequency k v).
+
+    Attributes
+    ----------
+    terms : (n,) float
+    frequency : float
+    valid : (n,) float
+        Fraction of each pulse's samples that are there.
+    place : callable
+        v (n_point, n) of ground points x, y (n_point,), m, for some pulses of the block: -1 .. 1 where they light them.
+    """
+
+    terms: FloatArray
+    frequency: float
+    valid: FloatArray
+    place: Callable[[FloatArray, FloatArray, slice], FloatArray]
 
 
 def series_error(reach: FloatArray | float, distance: FloatArray | float) -> FloatArray:
@@ -103,10 +134,11 @@ def project(
     y: FloatArray,
     first: IntArray,
     last: IntArray,
+    weight: Float32Array,
 ) -> None:
     """Add the pulses first <= p < last of a block to a tile of the image, in place.
 
-    A tile that is too large for the series is divided, down to SMALL pixels.
+    A tile that is too large for the series is divided, down to SMALL pixels; for places in the beam, to one.
 
     Parameters
     ----------
@@ -117,6 +149,8 @@ def project(
         m
     first, last : (n_row, n_column) int
         Of the collection's pulses.
+    weight : (n_row, n_column) float32
+        Rises by the sum of weights under a taper; unchanged without one.
     """
     size, n_bin = x.size, sights.values.shape[1]
     padded = -(-size // FEW) * FEW  # whole groups: the last pixel is repeated
@@ -134,21 +168,56 @@ def project(
     low, high = place.min(axis=1), place.max(axis=1)
     centre = (low + high) / 2
     series, roots = pulse_tables(sights, pulses, centre, reach=float(np.hypot(*(high - low)) / 2))
-    if size > SMALL and not series[:, 0].all():
+    places, precise = place_tables(sights.taper, pulses, low, high)
+    if (size > SMALL and not series[:, 0].all()) or (size > 1 and not precise):
         for part in _halves(x.shape):
-            project(image[part], outside[part], sights, x[part], y[part], first[part], last[part])
+            project(image[part], outside[part], sights, x[part], y[part], first[part], last[part], weight[part])
         return
-    sums, farthest = np.zeros((2, padded), np.float32), np.zeros(padded)
+    sums, farthest = np.zeros((3, padded), np.float32), np.zeros(padded)
+    terms = np.zeros(0, np.float32) if sights.taper is None else sights.taper.terms.astype(np.float32)
+    frequency = 0.0 if sights.taper is None else sights.taper.frequency
     # A sample is loaded as one number of 64 bits: the cost of a gather is per element, not per byte.
     samples = sights.values[pulses].reshape(-1).view(np.float64)
     add_pulses(
         *sums, farthest, samples, n_bin, sights.middle, *place, *centre, *lit, spans, begin, series, roots,
-        sights.cycles_per_metre, sights.bins_per_metre, sights.half_window,
+        sights.cycles_per_metre, sights.bins_per_metre, sights.half_window, places, terms, frequency / 2,
     )  # fmt: skip
+    if sights.taper is not None:
+        weight += sums[2, :size].reshape(image.shape)
     image.real += sums[0, :size].reshape(image.shape)
     image.imag += sums[1, :size].reshape(image.shape)
     if not series[:, 0].all():
         outside |= (farthest[:size] > sights.half_window).reshape(image.shape)
+
+
+def place_tables(taper: BeamTaper | None, pulses: slice, low: FloatArray, high: FloatArray) -> tuple[FloatArray, bool]:
+    """For each pulse the polynomial of the place in the beam over a tile from `low` to `high` (2,), m.
+
+    Returns
+    -------
+    places : (n, 7) float
+        Coefficients of 1, dx, dy, dx^2, dx dy and dy^2, from the tile's centre, and the fraction of valid samples;
+        without a taper none.
+    precise : bool
+        Whether it errs by less than PLACE_ERROR, where the pulse lights any of the tile.
+    """
+    if taper is None:
+        return np.empty((0, 7)), True
+    at = np.linspace(-1, 1, 5)
+    half = np.maximum((high - low) / 2, 1e-6)
+    u, w = (axis.ravel() for axis in np.meshgrid(at, at))
+    exact = taper.place((low + high)[0] / 2 + half[0] * u, (low + high)[1] / 2 + half[1] * w, pulses)
+    grid = exact.reshape(5, 5, -1)[::2, ::2]  # rows along y
+    middle, (left, right), (below, above) = grid[1, 1], grid[1, ::2], grid[::2, 1]
+    mixed = (grid[2, 2] - grid[2, 0] - grid[0, 2] + grid[0, 0]) / 4
+    right, left, above, below = right - middle, middle - left, above - middle, middle - below
+    bends = (right - left) / 2, mixed, (above - below) / 2
+    places = np.stack([middle, (right + left) / 2, (above + below) / 2, *bends], axis=1)
+    fitted = product(places, np.stack([np.ones_like(u), u, w, u * u, u * w, w * w]))
+    near = (np.abs(exact) <= 1).any(axis=0)
+    precise = bool((np.abs(fitted.T - exact)[:, near] < PLACE_ERROR).all())
+    scale = np.array([1.0, half[0], half[1], half[0] ** 2, half[0] * half[1], half[1] ** 2])
+    return np.column_stack([places / scale, taper.valid[pulses]]), precise
 
 
 def _halves(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
@@ -205,14 +274,28 @@ def _sample(samples: Any, k: Any, nearest: Any, right: Any) -> Any:
     return real, before * imag_part(a) + at * imag_part(b) + after * imag_part(c)
 
 
+@njit(inline="always")
+def _weight(place: Any, dx: Any, dy: Any, terms: Any, half_frequency: Any) -> Any:
+    """sum_k terms_k cos(2 pi k half_frequency v), by Clenshaw's recurrence; at most |half_frequency v| = 1/2."""
+    v = place[0] + (place[1] * dx + place[2] * dy) + (place[3] * dx + place[4] * dy) * dx + place[5] * dy * dy
+    turned = remainder(smaller(larger(v, -1.0), 1.0) * half_frequency)
+    cos = cosine(turned)
+    twice = cos + cos
+    last, total = cos - cos, cos - cos
+    for k in range(terms.size - 1):
+        last, total = total, terms[terms.size - 1 - k] + (twice * total - last)
+    return terms[0] + (cos * total - last)
+
+
 @loop(
-    types.float32[::1], types.float32[::1], types.float64[::1], REAL_ROW, types.int64, types.int64,
+    types.float32[::1], types.float32[::1], types.float32[::1], types.float64[::1], REAL_ROW, types.int64, types.int64,
     REAL_ROW, REAL_ROW, types.float64, types.float64, PULSES, PULSES, types.int64[:, ::1], types.int64,
-    REAL_ROWS, REAL_ROWS, types.float64, types.float64, types.float64, **COMPILED,
+    REAL_ROWS, REAL_ROWS, types.float64, types.float64, types.float64, REAL_ROWS, WEIGHTS, types.float64, **COMPILED,
 )  # fmt: skip
 def add_pulses(
     real: NDArray[np.float32],
     imag: NDArray[np.float32],
+    weight: NDArray[np.float32],
     farthest: FloatArray,
     samples: FloatArray,
     n_bin: int,
@@ -230,14 +313,20 @@ def add_pulses(
     cycles_per_metre: float,
     bins_per_metre: float,
     half_window: float,
+    places: FloatArray,
+    terms: NDArray[np.float32],
+    half_frequency: float,
 ) -> None:
     """Sum the lit pulses, in ascending order, at pixels (n,).
+
+    With `terms`, each pulse has a weight that depends on the pixel's place in the beam, of which `places` has the
+    polynomials and, last, the fraction of valid samples; `weight` rises by their sum.
 
     `spans` holds the pulses that light any pixel of a group of FEW; tables and samples begin at the pulse `start`.
     `farthest` rises to |range - reference_range| where a lit pulse needed the square root.
     """
     turns, rights = np.empty(CHUNK * FEW, np.float32), np.empty(CHUNK * FEW, np.float32)
-    bins = np.empty(CHUNK * FEW, np.int32)
+    bins, shares = np.empty(CHUNK * FEW, np.int32), np.empty(CHUNK * FEW, np.float32)
     for begin in range(start, start + series.shape[0], CHUNK):
         for group in range(spans.shape[0]):
             i = group * FEW
@@ -259,12 +348,22 @@ def add_pulses(
                 store(turns, j, cycles)
                 store(bins, j, whole(position))
                 store(rights, j, from_half(position))
+            if terms.size > 0:
+                share = load_few(weight, i)
+                for p in range(low, high):
+                    place = places[p - start]
+                    part = within(_weight(place, dx, dy, terms, half_frequency), lit, p, unlit)
+                    store(shares, (p - low) * FEW, part)
+                    share = share + part * np.float32(place[6])
+                store(weight, i, share)
             re, im = load_few(real, i), load_few(imag, i)
             for p in range(low, high):
                 j = (p - low) * FEW
                 a, b = _sample(samples, (p - start) * n_bin + middle, load_few(bins, j), load_few(rights, j))
                 a, b = within(a, lit, p, unlit), within(b, lit, p, unlit)
                 cos, sin = cosine_and_sine(load_few(turns, j))
+                if terms.size > 0:
+                    cos, sin = cos * load_few(shares, j), sin * load_few(shares, j)
                 re, im = re + a * cos - b * sin, im + a * sin + b * cos
             store(real, i, re)
             store(imag, i, im)

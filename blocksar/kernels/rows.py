@@ -20,7 +20,7 @@ from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.kernels import buffers, interpolation, phase
 from blocksar.kernels.fourier import Axis, fft_rows
 from blocksar.kernels.groups import row_groups, run_groups
-from blocksar.kernels.operations import Cut, Operation, Resample, ScaledTurn, Stretch, Transform, Turn, Window
+from blocksar.kernels.operations import Blend, Cut, Operation, Resample, ScaledTurn, Stretch, Transform, Turn, Window
 from blocksar.kernels.phase import Phase
 
 Layout = Literal["rows", "columns"]
@@ -66,6 +66,8 @@ class Program:
                     self._scaled = operation
                 case Transform():
                     self._transform(operation)
+                case Blend():
+                    self._transform(operation.transform, operation)
                 case Window():
                     if not self._passes:  # windows work in place, and the input must not change
                         self._passes.append(self._flush())
@@ -95,15 +97,18 @@ class Program:
         self._pending, self._scaled = np.zeros((self.n_row, 2)), None
         return copy
 
-    def _transform(self, operation: Transform) -> None:
+    def _transform(self, operation: Transform, blend: Blend | None = None) -> None:
         if operation.source.size != self.target.size:
             raise ValueError(f"rows of {self.target.size} samples do not fit {operation}")
         before, after = operation.phases()
         self.target = operation.source  # a step may assign another axis to its samples
         self._add_phase(before)
-        self._passes += [self._flush(operation.period), _FftPass(operation.inverse)]
+        if blend is not None and operation.source.size != operation.period:
+            raise ValueError(f"windows of {operation.source.size} samples are blended without padding only")
+        fft = _FftPass(operation.inverse) if blend is None else _BlendPass(blend)
+        self._passes += [self._flush(operation.period), fft]
         self.target = operation.target
-        self.transforms.append(operation.period)
+        self.transforms += [operation.period] * (1 if blend is None else blend.count)
         self._add_phase(after)
 
     def _cut(self, operation: Cut) -> None:
@@ -205,6 +210,36 @@ class _FftPass:
 
     def __call__(self, group: ComplexArray, rows: slice, out: ComplexArray | None = None) -> ComplexArray:
         return fft_rows(group, inverse=self.inverse)
+
+
+@dataclass(frozen=True, eq=False)
+class _BlendPass:
+    operation: Blend
+
+    def __call__(self, group: ComplexArray, rows: slice, out: ComplexArray | None = None) -> ComplexArray:
+        blend, which = self.operation, self.operation.which[rows]
+        nodes = np.arange(blend.count) / max(blend.count - 1, 1)
+        target = blend.transform.target
+        share = _polynomials(blend.share[rows], (target.values - blend.centre) / blend.scale)
+        share = np.clip(share, -0.5, 1.5)  # beyond the lines that it was fitted to, a polynomial runs away
+        total: ComplexArray | None = None
+        for k in range(blend.count):
+            part = group if k == blend.count - 1 else group.copy()
+            phase.multiply_windows(part, np.ascontiguousarray(blend.values[:, k]), which)
+            part = fft_rows(part, inverse=blend.transform.inverse)[:, : target.size]
+            for other in np.delete(nodes, k):
+                part *= ((share - other) / (nodes[k] - other)).astype(np.float32)
+            total = part if total is None else total + part
+        assert total is not None
+        return total
+
+
+def _polynomials(coefficients: FloatArray, z: FloatArray) -> FloatArray:
+    """sum_k coefficients[r, k] z^k, (n_row, z.size)."""
+    total = np.repeat(coefficients[:, -1:], z.size, axis=1)
+    for term in coefficients.T[-2::-1]:
+        total = total * z + term[:, None]
+    return total
 
 
 @dataclass(frozen=True, eq=False)

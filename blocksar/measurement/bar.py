@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from blocksar.budget import SIDE_LOBE_BUDGET
+from blocksar.budget import SIDE_LOBE_BUDGET, WEIGHTED_SIDE_LOBE_BUDGET
 from blocksar.constants import SINC_PSLR
 from blocksar.measurement.figures import PointResponse
 
@@ -21,12 +21,11 @@ class Bar(NamedTuple):
     deviation: Callable[[PointResponse], float]
 
 
+LOBES = f"{SIDE_LOBE_BUDGET:g} dB"
 BARS = {
-    "range_pslr": Bar("range PSLR", SIDE_LOBE_BUDGET, f"{SIDE_LOBE_BUDGET:g} dB", lambda r: r.range_pslr - SINC_PSLR),
+    "range_pslr": Bar("range PSLR", SIDE_LOBE_BUDGET, LOBES, lambda r: r.range_pslr - r.range_pslr_theory),
     "range_irw": Bar("range width", 0.01, "1 %", lambda r: r.range_irw / r.range_irw_theory - 1),
-    "azimuth_pslr": Bar(
-        "azimuth PSLR", SIDE_LOBE_BUDGET, f"{SIDE_LOBE_BUDGET:g} dB", lambda r: r.azimuth_pslr - SINC_PSLR
-    ),
+    "azimuth_pslr": Bar("azimuth PSLR", SIDE_LOBE_BUDGET, LOBES, lambda r: r.azimuth_pslr - r.azimuth_pslr_theory),
     "azimuth_irw": Bar("azimuth width", 0.01, "1 %", lambda r: r.azimuth_irw / r.azimuth_irw_theory - 1),
     "error_x": Bar("position in x", 0.05, "50 mm", lambda r: r.error_x),
     "error_y": Bar("position in y", 0.05, "50 mm", lambda r: r.error_y),
@@ -35,10 +34,18 @@ BARS = {
 }
 
 
+def limit(response: PointResponse, figure: str) -> tuple[float, str]:
+    """How far a figure may deviate, and in words; further for the lower side lobes of a weighted image."""
+    bar = BARS[figure]
+    if figure.endswith("pslr") and getattr(response, f"{figure}_theory") != SINC_PSLR:
+        return WEIGHTED_SIDE_LOBE_BUDGET, f"{WEIGHTED_SIDE_LOBE_BUDGET:g} dB"
+    return bar.limit, bar.text
+
+
 def excess(response: PointResponse, figure: str) -> float:
     """A figure's deviation divided by its limit; infinite where it could not be measured."""
-    bar = BARS[figure]
-    return float(np.nan_to_num(abs(bar.deviation(response)) / bar.limit, nan=np.inf))
+    deviation = BARS[figure].deviation(response)
+    return float(np.nan_to_num(abs(deviation) / limit(response, figure)[0], nan=np.inf))
 
 
 def worst_excess(response: PointResponse) -> float:

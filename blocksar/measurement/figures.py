@@ -21,22 +21,23 @@ import numpy as np
 from blocksar.arrays import FloatArray
 from blocksar.collection.beam import has_full_dwell
 from blocksar.collection.geometry import Geometry
-from blocksar.constants import SINC_PSLR, SINC_WIDTH
+from blocksar.collection.weighting import UNIFORM, IdealResponse, Weighting
+from blocksar.constants import SINC_ISLR, SINC_PSLR, SINC_WIDTH
 from blocksar.measurement.response import CUT_WIDTHS, Complex128Array, ReadChip, Response, read_response, response_axes
 from blocksar.measurement.targets import Target
 
-IDEAL_ISLR = -10.216  # dB, of sinc^2, by the definition below
 SAMPLES_PER_WIDTH = 64  # of a cut: resolves the height of a side lobe to 0.001 dB
 
 DEFINITIONS = f"""\
 Range cut: along constant Doppler, in slant range. Azimuth cut: along constant range, on the ground.
 Both are straight, pass through the peak and are in general not at right angles.
 IRW: width of the main lobe at half power (-3 dB). Theory: {SINC_WIDTH:.4f} / bandwidth along the cut,
-in range c / (2 B), in azimuth from the line-of-sight rotation over the target's own dwell.
+in range c / (2 B), in azimuth from the line-of-sight rotation over the target's own dwell; of a weighted image, the
+width that its tapers have over that bandwidth, and in azimuth with a known antenna pattern.
 PSLR: highest side lobe outside the first minima on either side of the peak and within {CUT_WIDTHS:g} theoretical
 IRW of it, relative to the peak, power in dB (unweighted ideal {SINC_PSLR:.2f} dB).
 ISLR: energy outside the first minima and within {CUT_WIDTHS:g} theoretical IRW on either side of the peak, over the
-energy between the first minima, along the cut, in dB (unweighted ideal {IDEAL_ISLR:.1f} dB).
+energy between the first minima, along the cut, in dB (unweighted ideal {SINC_ISLR:.1f} dB).
 Position error: peak of the magnitude minus the true position, in x and y. Value: complex image interpolated at
 the true position, divided by the target's reflectivity (ideal 1 + 0j). Full dwell: the beam swept wholly over
 the target. Covered: no pixel is missing in what was measured; figures that touch missing pixels are NaN."""
@@ -65,19 +66,25 @@ class PointResponse(NamedTuple):
     value: complex
     full_dwell: bool
     covered: bool
+    range_pslr_theory: float = SINC_PSLR
+    range_islr_theory: float = SINC_ISLR
+    azimuth_pslr_theory: float = SINC_PSLR
+    azimuth_islr_theory: float = SINC_ISLR
 
 
-_FIGURES: dict[str, tuple[float, Callable[[PointResponse], float]]] = {
-    "range_pslr": (SINC_PSLR, lambda r: r.range_pslr),
-    "range_islr": (IDEAL_ISLR, lambda r: r.range_islr),
-    "range_irw_over_theory": (1.0, lambda r: r.range_irw / r.range_irw_theory),
-    "azimuth_pslr": (SINC_PSLR, lambda r: r.azimuth_pslr),
-    "azimuth_islr": (IDEAL_ISLR, lambda r: r.azimuth_islr),
-    "azimuth_irw_over_theory": (1.0, lambda r: r.azimuth_irw / r.azimuth_irw_theory),
-    "error_x": (0.0, lambda r: r.error_x),
-    "error_y": (0.0, lambda r: r.error_y),
-    "amplitude": (1.0, lambda r: abs(r.value)),
-    "phase": (0.0, lambda r: float(np.angle(r.value))),
+Figure = Callable[[PointResponse], float]
+# The ideal value of a figure, and the measured one.
+_FIGURES: dict[str, tuple[Figure, Figure]] = {
+    "range_pslr": (lambda r: r.range_pslr_theory, lambda r: r.range_pslr),
+    "range_islr": (lambda r: r.range_islr_theory, lambda r: r.range_islr),
+    "range_irw_over_theory": (lambda r: 1.0, lambda r: r.range_irw / r.range_irw_theory),
+    "azimuth_pslr": (lambda r: r.azimuth_pslr_theory, lambda r: r.azimuth_pslr),
+    "azimuth_islr": (lambda r: r.azimuth_islr_theory, lambda r: r.azimuth_islr),
+    "azimuth_irw_over_theory": (lambda r: 1.0, lambda r: r.azimuth_irw / r.azimuth_irw_theory),
+    "error_x": (lambda r: 0.0, lambda r: r.error_x),
+    "error_y": (lambda r: 0.0, lambda r: r.error_y),
+    "amplitude": (lambda r: 1.0, lambda r: abs(r.value)),
+    "phase": (lambda r: 0.0, lambda r: float(np.angle(r.value))),
 }
 
 
@@ -232,17 +239,34 @@ def measure(response: Response) -> PointResponse:
         value=value,
         full_dwell=response.full_dwell,
         covered=covered,
+        **_ideal_side_lobes(axes.weighting, axes.azimuth_ideal),
     )
 
 
+def _ideal_side_lobes(weighting: Weighting, along_azimuth: IdealResponse) -> dict[str, float]:
+    """The side-lobe ratios of the ideal response, by their fields of `PointResponse`."""
+    along_range = weighting.range.ideal
+    return {
+        "range_pslr_theory": along_range.pslr,
+        "range_islr_theory": along_range.islr,
+        "azimuth_pslr_theory": along_azimuth.pslr,
+        "azimuth_islr_theory": along_azimuth.islr,
+    }
+
+
 def measure_target(
-    read_chip: ReadChip, image_x: FloatArray, image_y: FloatArray, geometry: Geometry, target: Target
+    read_chip: ReadChip,
+    image_x: FloatArray,
+    image_y: FloatArray,
+    geometry: Geometry,
+    target: Target,
+    weighting: Weighting = UNIFORM,
 ) -> PointResponse:
     """Read and measure the response of one target; all NaN, and not covered, if it has none."""
-    response = read_response(read_chip, image_x, image_y, geometry, target)
+    response = read_response(read_chip, image_x, image_y, geometry, target, weighting)
     if response is not None:
         return measure(response)
-    axes, nan = response_axes(geometry, target.x, target.y), float("nan")
+    axes, nan = response_axes(geometry, target.x, target.y, weighting), float("nan")
     return PointResponse(
         name=target.name,
         x=float(target.x),
@@ -260,6 +284,7 @@ def measure_target(
         value=complex(nan, nan),
         full_dwell=axes is not None and bool(has_full_dwell(geometry, target.x, target.y)),
         covered=False,
+        **_ideal_side_lobes(weighting, axes.azimuth_ideal if axes else weighting.azimuth.ideal),
     )
 
 
@@ -289,19 +314,20 @@ def summary(responses: Sequence[PointResponse]) -> Summary:
     worst = {}
     for figure, (ideal, value) in _FIGURES.items():
         if measured:
-            values = np.array([value(r) for r in measured])
+            values, ideals = (np.array([of(r) for r in measured]) for of in (value, ideal))
             # A target that is covered but has no main lobe is a failure, and must not be left out of the worst case.
-            i = int(np.argmax(np.nan_to_num(np.abs(values - ideal), nan=np.inf)))
-            worst[figure] = Worst(measured[i].name, float(values[i]), ideal)
+            i = int(np.argmax(np.nan_to_num(np.abs(values - ideals), nan=np.inf)))
+            worst[figure] = Worst(measured[i].name, float(values[i]), float(ideals[i]))
     return Summary(len(responses), sum(r.full_dwell for r in responses), len(measured), worst)
 
 
-def as_json(responses: Sequence[PointResponse]) -> dict[str, Any]:
+def as_json(responses: Sequence[PointResponse], weighting: Weighting = UNIFORM) -> dict[str, Any]:
     """All results as JSON values: definitions, summary, one record per target; NaN becomes null, complex [re, im]."""
     totals = summary(responses)
     return {
         "definitions": DEFINITIONS,
-        "ideal": {"pslr": SINC_PSLR, "islr": IDEAL_ISLR},
+        "ideal": {"pslr": weighting.azimuth.ideal.pslr, "islr": weighting.azimuth.ideal.islr},
+        "weighting": {"range": weighting.range.text, "azimuth": weighting.azimuth.text},
         "summary": {
             "targets": totals.targets,
             "full_dwell": totals.full_dwell,

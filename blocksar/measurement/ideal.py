@@ -5,21 +5,25 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import diric
 
-from blocksar.arrays import BoolArray, FloatArray
-from blocksar.collection.beam import is_lit, pattern_gain
+from blocksar.arrays import FloatArray
+from blocksar.collection.beam import is_lit, pattern_gain, pulse_weights
 from blocksar.collection.geometry import Geometry
+from blocksar.collection.weighting import UNIFORM, Taper, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.measurement.response import Complex128Array
 from blocksar.measurement.targets import Target
 
 
-def ideal_response(geometry: Geometry, target: Target, x: FloatArray, y: FloatArray) -> Complex128Array:
+def ideal_response(
+    geometry: Geometry, target: Target, x: FloatArray, y: FloatArray, weighting: Weighting = UNIFORM
+) -> Complex128Array:
     """The exact back-projection of one target's noise-free signal at ground points (n,), m.
 
     The mean over a pixel's lit pulses and all range frequencies of
     sigma exp(4j pi (fc + f)/c (R_p - R_q)); the sum over the uniform range frequencies has a closed form. This is
-    the reference for one isolated target, including side lobes and carrier phase. With antenna patterns the sum is
-    weighted by that of the target, and divided by the sum of the pixel's. NaN where a pixel is never lit.
+    the reference for one isolated target, including side lobes and carrier phase. Under a weighting both sums have its
+    weights. With antenna patterns the first is weighted by that of the target besides, and the second by that of the
+    pixel. NaN where a pixel is never lit.
     """
     collection = geometry.collection
     x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
@@ -32,16 +36,24 @@ def ideal_response(geometry: Geometry, target: Target, x: FloatArray, y: FloatAr
         time = collection.time[pulses]
         of_pixel = is_lit(geometry, x, y, pulses)
         at_target = np.array([target.x]), np.array([target.y])
-        lit: BoolArray | FloatArray = of_pixel & is_lit(geometry, *at_target, pulses)
+        weights = of_pixel * pulse_weights(geometry, x[:, None], y[:, None], pulses, weighting.azimuth)
+        lit = weights * is_lit(geometry, *at_target, pulses)
         if collection.has_pattern:
-            count += (of_pixel * pattern_gain(geometry, x[:, None], y[:, None], pulses)).sum(axis=1)
+            weights = weights * pattern_gain(geometry, x[:, None], y[:, None], pulses)
             lit = lit * pattern_gain(geometry, *at_target, pulses)
-        else:
-            count += of_pixel.sum(axis=1)
+        count += weights.sum(axis=1)
         if not lit.any():
             continue
         delay = (geometry.range_history(point, time)[0] - geometry.range_history(origin, time)[0]) * 2 / SPEED_OF_LIGHT
-        comb = diric(2 * np.pi * collection.range_frequency_step * delay, collection.n_range_frequency)
+        comb = _comb(delay * collection.range_frequency_step, collection.n_range_frequency, weighting.range)
         total += (lit * comb * np.exp(2j * np.pi * middle * delay)).sum(axis=1)
     with np.errstate(invalid="ignore"):
         return np.asarray(target.reflectivity * total / count)
+
+
+def _comb(turns: FloatArray, n: int, taper: Taper) -> FloatArray:
+    """Weighted mean of exp(2j pi turns (k - (n - 1) / 2)) over k < n: each cosine of the taper shifts a comb twice."""
+    terms, frequency = taper.series
+    shifts = np.arange(terms.size) * frequency / n
+    combs = [diric(2 * np.pi * (turns + s), n) + diric(2 * np.pi * (turns - s), n) for s in shifts]
+    return np.asarray(sum(term * comb for term, comb in zip(terms / 2, combs, strict=True)) / taper.samples(n).mean())

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
+from blocksar.collection.weighting import AxisTaper
 from blocksar.focusing.chains import Steps
 from blocksar.focusing.lines import AzimuthPolynomials, Line
 from blocksar.focusing.motion import RangeMotionCompensation
@@ -125,6 +126,11 @@ class AzimuthPart:
             if step.fitted == "time":
                 biased = line
         return Traced(biased, before, trace(self.steps[len(before) :], line))
+
+    def weighed(self, in_time: AxisTaper) -> AzimuthPart:
+        """The same steps under another taper over the pulses."""
+        steps = tuple(s.weighed(in_time) for s in self.range_part.steps)
+        return replace(self, range_part=replace(self.range_part, steps=steps))
 
     def sampled(self, sampling: Sampling) -> tuple[Step, ...]:
         """The whole chain, ready to be applied."""

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import chebyshev
 
 from blocksar import solvers
-from blocksar.arrays import FloatArray
+from blocksar.arrays import BoolArray, FloatArray
 from blocksar.budget import IMAGE_TAP_ERROR
 from blocksar.chunks import DOPPLER_GROUP
 from blocksar.collection import range_series
@@ -18,8 +19,10 @@ from blocksar.collection.beam import dwell_at
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import Region
+from blocksar.collection.weighting import FLAT, UNIFORM, AxisTaper, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.chains import steps_of
+from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.ground_map import YAW_STEPS, GroundMap, by_range, sum_lit, surfaces
 from blocksar.focusing.lines import Focus, Line, focus
 from blocksar.focusing.method import Method
@@ -31,8 +34,10 @@ from blocksar.focusing.step import Constants, Step
 from blocksar.kernels import fourier
 from blocksar.kernels.fourier import Axis
 from blocksar.kernels.interpolation import taps_needed
+from blocksar.planning.apertures import level_aperture
 from blocksar.planning.binding import AzimuthPart, RangePart, Slab
 from blocksar.planning.coefficients import Choice, choose
+from blocksar.planning.dwell_weights import dwell_weights, taper_over_dwells
 from blocksar.planning.fidelity import gate_blur
 from blocksar.planning.gates import full_dwells, plan_gate, plan_range_gate
 from blocksar.planning.memory import block_memory
@@ -54,7 +59,10 @@ REFERENCE_ORDER = 8  # of the range series of a block's centre
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sector:
-    """The ground that a block owns: yaws [low, high), rad, at epoch ranges [near, far), m."""
+    """The ground that a block owns: yaws [low, high), rad, at epoch ranges [near, far), m.
+
+    With the weighting of its image, and the error that the interpolation of the focused block may have.
+    """
 
     geometry: Geometry
     recovery: Recovery
@@ -63,6 +71,8 @@ class Sector:
     high: float
     near: float
     far: float
+    weighting: Weighting = UNIFORM
+    tap_error: float = IMAGE_TAP_ERROR
 
     def dwells(self, yaw: FloatArray, *, coarsely: bool = False) -> Dwells:
         """Dwells of targets at yaws (...), rad, for their lines in the recovered signal."""
@@ -160,12 +170,11 @@ def plan_block(
         sector.geometry, near=sector.near, far=sector.far, origin=recovery.origin, low=sector.low, high=sector.high
     )
     constants = Constants(
-        carrier=collection.carrier,
-        walk=slab.walk,
-        reference=sector.reference(),
-        middle=float((line.time.min() + line.time.max()) / 2),
-        motion=motion,
-    )
+        carrier=collection.carrier, walk=slab.walk, reference=sector.reference(),
+        middle=float((line.time.min() + line.time.max()) / 2), motion=motion,
+        in_range=AxisTaper.over(sector.weighting.range, band.start, band.step, band.size),
+        in_time=None if collection.steered else _pulse_taper(sector),
+    )  # fmt: skip
     range_part = RangePart.bind(steps_of(method, measured=motion is not None), constants, line)
     straight = range_part.trace(line)
     azimuth, choice = _plan_azimuth(
@@ -177,36 +186,62 @@ def plan_block(
     lit = sector.dwells(fine_yaw).lines(fine_range[:, None])
     compressed = range_part.trace(lit)
     biased, _, fine = azimuth.trace(compressed)
-    spots, rate = focus(fine), biased.rate
+    if constants.in_time is not None:
+        in_time, fine = level_aperture(fine, constants.in_time)
+        azimuth = azimuth.weighed(in_time)
     first, last = dwell_at(sector.geometry, fine_yaw, fine_range[:, None], uncut=True)
     uncut = first - sector.geometry.epoch, last - sector.geometry.epoch
-    about = azimuth.range_part.scales_time_about
+    taper = taper_over_dwells(collection, sector.weighting)
+    weights = dwell_weights(sector.geometry, taper, lit, uncut=uncut, epoch_range=fine_range, yaw=fine_yaw)
+    spots = focus(weights.weigh(fine))
     sampling = _plan_sampling(
         recovery, slab, azimuth, straight,
         range_frequency=band if range_gate is None else range_gate.range_frequency, duration=duration,
-        uncut=float((last - first).max()) if collection.steered else 0.0,
+        uncut=float((last - first).max()) if collection.steered else 0.0, tap_error=sector.tap_error,
     )  # fmt: skip
-    sampling = replace(sampling, gate=plan_gate(
-        fine, spots, rate, blur=gate_blur(collection, uncut, scaled_about=about), lit=lit, uncut=uncut,
-        full=full_dwells(fine, sector.geometry, fine_range[:, None], fine_yaw), rows=sampling.rows,
-        slow=sampling.long_time,
-    ))  # fmt: skip
+    full = full_dwells(fine, sector.geometry, fine_range[:, None], fine_yaw)
+    ends = Ends(rate=biased.rate, uncut=uncut, scaled_about=azimuth.range_part.scales_time_about, full=full)
+    gate = _plan_dwell_gate(sector, sampling, fine, spots, lit, ends)
+    sampling = replace(sampling, gate=gate)
     return BlockPlan(
-        index=index,
-        part=part,
-        low=sector.low,
-        high=sector.high,
-        first_bin=slab.first_bin,
-        n_bin=slab.doppler.size,
+        index=index, part=part, low=sector.low, high=sector.high, first_bin=slab.first_bin, n_bin=slab.doppler.size,
         chain=azimuth.sampled(sampling) if range_gate is None else (range_gate, *azimuth.sampled(sampling)),
         sampling=sampling,
         ground=_plan_ground(sector, sampling, fine, spots, epoch_range=fine_range, yaw=fine_yaw),
         prediction=predict(
-            fine, spots, fine_range, fine_yaw, sector.geometry, rate=rate, gate=sampling.gate, scaled_about=about
+            fine, spots, fine_range, fine_yaw, sector.geometry, rate=ends.rate, gate=gate,
+            scaled_about=ends.scaled_about, weights=weights,
         ),
         memory=_plan_memory(range_gate, range_part, sampling),
         choice=choice,
-    )
+    )  # fmt: skip
+
+
+class Ends(NamedTuple):
+    """What the ends of dwells depend on besides the lines."""
+
+    rate: FloatArray  # of the lines before the steps in Doppler, Hz/s
+    uncut: tuple[FloatArray, FloatArray]  # (n_yaw,) or (n_range, n_yaw), s from the epoch, as if nothing cut them
+    scaled_about: float | None  # time about which a keystone scales time, s
+    full: BoolArray  # (n_range, n_yaw), from `full_dwells`
+
+
+def _plan_dwell_gate(
+    sector: Sector, sampling: Sampling, line: Line, spots: Focus, lit: Line, ends: Ends
+) -> DwellGate | None:
+    """The dwell gate for lines after all steps, and `lit` before them."""
+    collection = sector.geometry.collection
+    taper = taper_over_dwells(collection, sector.weighting) if collection.steered else FLAT
+    return plan_gate(
+        line, spots, ends.rate, blur=gate_blur(collection, ends.uncut, scaled_about=ends.scaled_about), lit=lit,
+        uncut=ends.uncut, full=ends.full, rows=sampling.rows, slow=sampling.long_time, taper=taper,
+    )  # fmt: skip
+
+
+def _pulse_taper(sector: Sector) -> AxisTaper | None:
+    """The weighting over the pulses of a beam that is not steered."""
+    pulses = sector.recovery.pulses
+    return AxisTaper.over(sector.weighting.azimuth, pulses.start, pulses.step, pulses.size)
 
 
 def _plan_azimuth(
@@ -287,6 +322,7 @@ def _plan_sampling(
     range_frequency: Axis,
     duration: float,
     uncut: float,
+    tap_error: float,
 ) -> Sampling:
     """The axes that hold a block's lines, `straight` after range compression, without a gate.
 
@@ -304,7 +340,7 @@ def _plan_sampling(
     long_time = Axis(begin, time.step, n_padded)
     middle = azimuth.polynomials.middle
     reach = 2 * max(time.start + time.extent - middle, middle - time.start)
-    rows = _plan_rows(spots, range_frequency)
+    rows = _plan_rows(spots, range_frequency, tap_error)
     return Sampling(
         slab=slab.doppler,
         range_frequency=range_frequency,
@@ -351,16 +387,16 @@ def _range_transform(range_frequency: Axis) -> tuple[int, float]:
     return period, SPEED_OF_LIGHT / (2 * range_frequency.step * period)
 
 
-def _range_taps(range_frequency: Axis) -> tuple[int, float]:
+def _range_taps(range_frequency: Axis, error: float) -> tuple[int, float]:
     """Taps of the interpolation along range, and the occupied fraction of the sampling rate."""
     filled = range_frequency.size / _range_transform(range_frequency)[0]
-    return taps_needed(filled, error=IMAGE_TAP_ERROR), filled
+    return taps_needed(filled, error=error), filled
 
 
-def _plan_rows(spots: Focus, range_frequency: Axis) -> Axis:
+def _plan_rows(spots: Focus, range_frequency: Axis, tap_error: float) -> Axis:
     """Ranges, less the origin, at which targets focus, with room for interpolation on either side."""
     period, step = _range_transform(range_frequency)
-    reach = (_range_taps(range_frequency)[0] / 2 + 2) * step
+    reach = (_range_taps(range_frequency, tap_error)[0] / 2 + 2) * step
     nearest, farthest = float(spots.range.min()) - reach, float(spots.range.max()) + reach
     return Axis(nearest, step, min(int(np.ceil((farthest - nearest) / step)) + 1, period))
 
@@ -370,12 +406,13 @@ def _plan_ground(
 ) -> GroundMap:
     """The map from the ground to the focused block, by where lines (n_range, n_yaw) focus."""
     collection, origin = sector.geometry.collection, sector.recovery.origin
+    taper, valid = taper_over_dwells(collection, sector.weighting), np.ones(collection.n_pulse)
     offset, doppler_focus, phase, gain, dwell_time = surfaces(
         spots, epoch_range=epoch_range, yaw=yaw, origin=origin, carrier=collection.carrier, degree=(9, 16)
     )
     yaw_axis = np.linspace(sector.low, sector.high, _yaw_steps(sector))
     near_limit, far_limit = sector.region.at(yaw_axis)
-    range_taps = _range_taps(sampling.range_frequency)
+    range_taps = _range_taps(sampling.range_frequency, sector.tap_error)
     filled = _local_occupancy(line, spots, sampling.image_doppler)
     return GroundMap(
         geometry=sector.geometry,
@@ -395,10 +432,11 @@ def _plan_ground(
         yaw_axis=yaw_axis,
         near_limit=near_limit,
         far_limit=far_limit,
-        lit=sum_lit(sector.geometry, near=sector.near, far=sector.far, yaw=yaw_axis, valid=np.ones(collection.n_pulse)),
-        scale=range_taps[1],
+        taper=taper,
+        lit=sum_lit(sector.geometry, near=sector.near, far=sector.far, yaw=yaw_axis, valid=valid, taper=taper),
+        scale=range_taps[1] * float(sector.weighting.range.samples(collection.n_range_frequency).mean()),
         range_taps=range_taps,
-        doppler_taps=(taps_needed(filled, error=IMAGE_TAP_ERROR), filled),
+        doppler_taps=(taps_needed(filled, error=sector.tap_error), filled),
     )
 
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import get_args
 
 from blocksar.budget import side_lobe_budget
-from blocksar.constants import SINC_PSLR
 from blocksar.errors import InputError
 from blocksar.focusing.method import Chain, Method
 from blocksar.planning.block import BlockPlan
@@ -95,7 +94,7 @@ def _figures(contender: Contender) -> str:
     worst = contender.worst.prediction
     return (
         f"predicted coherence {plan.coherence:.6g} of {plan.fidelity:.6g} in {plan.n_blocks} blocks, side lobes "
-        f"{worst.pslr:.2f} dB, allowed {SINC_PSLR:.2f} +- {side_lobe_budget(plan.fidelity):.2g}"
+        f"{worst.pslr:.2f} dB, allowed {worst.ideal_pslr:.2f} +- {side_lobe_budget(plan.fidelity):.2g}"
     )
 
 

@@ -20,6 +20,9 @@ one displaced by d, the weights differ by the energy
 
 from |F - H|^2 integrated at d = 0 in frequency, sqrt(a / 2) / pi, and d/dd = 2 Re F(d) - 1. Half of it, over the dwell,
 is lost at each end.
+
+Under a weighting w both sums have the weights w besides, and under an antenna's pattern g the echo has g: the inner
+product along the dwell has (w g)^2, and an end loses by that value there.
 """
 
 from __future__ import annotations
@@ -64,6 +67,8 @@ def worst_losses(
     gate: DwellGate | None,
     scaled_about: float | None,
     track_phase: float,
+    weights: FloatArray,
+    edge: FloatArray | float,
 ) -> Losses:
     """Losses of the target that loses most, of those with full dwell where there are any.
 
@@ -79,11 +84,17 @@ def worst_losses(
         Time, s from the epoch, about which a keystone scales time with range frequency; None without one.
     track_phase : float
         Root mean square phase that the noise of the track leaves, rad.
+    weights : (..., n) float
+        The weighting, times the antenna's pattern, at the nodes of the lines.
+    edge : (...) float
+        The same at the ends of a dwell.
     """
-    phase, migration = _along_dwell(line, spots, geometry)
+    squared = line.weighed(weights**2)
+    phase, migration = _along_dwell(squared, spots, geometry)
     ends = np.zeros_like(phase)
     if gate is not None:
         ends = _at_ends(line, spots, rng, yaw, geometry, rate=rate, gate=gate, scaled_about=scaled_about)
+        ends *= edge**2 * line.weight.sum(axis=-1) / squared.weight.sum(axis=-1)
     total = np.where(full_dwells(line, geometry, rng[:, None], yaw), phase + migration + ends, -1.0)
     worst = np.unravel_index(int(np.argmax(total)), total.shape)
     return Losses(

@@ -12,8 +12,9 @@ from blocksar import solvers
 from blocksar.arrays import BoolArray, FloatArray
 from blocksar.collection.beam import dwell_at
 from blocksar.collection.geometry import Geometry
+from blocksar.collection.weighting import FLAT, Taper
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.focusing.dwell_gate import DwellGate
+from blocksar.focusing.dwell_gate import DwellGate, DwellTaper, HalfDwell
 from blocksar.focusing.lines import Focus, Line, RowPolynomial
 from blocksar.focusing.range_gate import RangeGate
 from blocksar.kernels import fourier
@@ -25,6 +26,7 @@ GATE_ROOM = 1.62  # dwells that the sampling in Doppler has room for
 FULL = 0.999  # of the longest dwell: a full one
 GATE_RANGE_DEGREE = 4  # of the ends of dwells in range
 GATE_DEGREE = 5  # and in Doppler
+LENGTHS, MOST_LENGTHS = {1e-3: 1, 0.04: 2, 0.15: 3}, 4  # windows by the relative spread of the halves' lengths
 
 
 def plan_range_gate(full: Axis, slab: Axis, line: Line, carrier: float) -> RangeGate:
@@ -74,6 +76,7 @@ def plan_gate(
     full: BoolArray,
     rows: Axis,
     slow: Axis,
+    taper: Taper = FLAT,
 ) -> DwellGate | None:
     """The gate that follows the ends of the dwells along Doppler, from the lines (n_range, n_yaw) of targets.
 
@@ -94,13 +97,15 @@ def plan_gate(
         Slow time, s from the epoch, at which the dwells would begin and end if the collection did not cut them.
     full : (n_range, n_yaw) bool
         From `full_dwells`.
+    taper : Taper
+        Weighting over the dwells.
     """
     begins, ends = dwell_ends(line)
     first, last = dwell_ends(lit)
     begins = begins - (first - uncut[0]) * line.stretch[..., 0]
     ends = ends + (uncut[1] - last) * line.stretch[..., -1]
     middles, lengths = (begins + ends) / 2, ends - begins
-    if np.ptp(middles) < 0.02 * lengths.max():
+    if np.ptp(middles) < 0.02 * lengths.max() and taper.uniform:  # a taper needs its windows all the same
         return None
     doppler = spots.doppler
     near, far = rows.start, rows.start + rows.extent
@@ -112,13 +117,19 @@ def plan_gate(
         [GATE_RANGE_DEGREE, GATE_DEGREE],
     )
     length, smear = float(lengths.mean()), end_smear(line, rate)
+    edges = [begins + length / 2, ends - length / 2]
+    if not taper.uniform:
+        middle = _crossing(line, (first, last), (uncut[0] + uncut[1]) / 2)
+        edges += [middle - begins, ends - middle]
     fitted = solvers.least_squares(
         np.asarray(basis.T, np.float64),
-        np.stack([begins + length / 2, ends - length / 2]).reshape(2, -1),
+        np.stack(edges).reshape(len(edges), -1),
         damping=1e-20 * basis.shape[0],
     )
     # Series in range of powers of z, (GATE_RANGE_DEGREE + 1, GATE_DEGREE + 1).
-    begin, end = (solvers.product(fitted[:, k].reshape(-1, GATE_DEGREE + 1), _to_powers()) for k in (0, 1))
+    begin, end, *halves = (
+        solvers.product(fitted[:, k].reshape(-1, GATE_DEGREE + 1), _to_powers()) for k in range(len(edges))
+    )
     phases = place.integral(begin), place.integral(end)
     at_middle = place.integral((begin + end) / 2).coefficients(np.array((near + far) / 2))[None]
     common = place.polynomial(at_middle)
@@ -136,7 +147,49 @@ def plan_gate(
         blur=blur,
         length=length,
         time=fourier.centred(0.0, slow.step, size),
+        taper=_plan_taper(taper, [place.polynomial(series) for series in halves], edges[2:]),
     )
+
+
+def _crossing(line: Line, lit: tuple[FloatArray, FloatArray], moment: FloatArray) -> FloatArray:
+    """Times (n_range, n_yaw) at which lines are after all steps, of the `moment` at which they were lit, s.
+
+    The moment is (n_yaw,) or (n_range, n_yaw).
+    `lit` has the begin and the end of the dwells before all steps, (n_range, n_yaw): beyond them lines go on straight.
+    """
+    (first, last), nodes = lit, solvers.gauss_legendre(line.time.shape[-1])[0]
+    within = np.clip(moment, first, last)
+    u = (2 * within - first - last) / (last - first)
+    series = solvers.product(line.time, _legendre_series(nodes.size).T)
+    time = np.polynomial.legendre.legval(u, np.moveaxis(series, -1, 0), tensor=False)
+    before, after = np.minimum(moment - first, 0.0), np.maximum(moment - last, 0.0)
+    return np.asarray(time + before * line.stretch[..., 0] + after * line.stretch[..., -1])
+
+
+def _legendre_series(n: int) -> FloatArray:
+    """Legendre coefficients (n, n) of functions that are 1 at one of the n Gauss-Legendre nodes, 0 at the others."""
+    nodes, weights = solvers.gauss_legendre(n)
+    terms = np.polynomial.legendre.legvander(nodes, n - 1)
+    return np.asarray((2 * np.arange(n)[:, None] + 1) / 2 * terms.T * weights)
+
+
+def _plan_taper(taper: Taper, lengths: list[RowPolynomial], halves: list[FloatArray]) -> DwellTaper | None:
+    """The taper over dwells whose halves have the lengths of `halves`, each (n_range, n_yaw), and the polynomials."""
+    if taper.uniform:
+        return None
+    begin, end = (
+        HalfDwell(length=length, lengths=_window_lengths(float(half.min()), float(half.max())))
+        for length, half in zip(lengths, halves, strict=True)
+    )
+    return DwellTaper(taper=taper, begin=begin, end=end)
+
+
+def _window_lengths(shortest: float, longest: float) -> tuple[float, ...]:
+    """So many lengths between two, s, that blending windows of them errs by less than a thousandth."""
+    count = next((n for spread, n in LENGTHS.items() if longest <= (1 + spread) * shortest), MOST_LENGTHS)
+    if count == 1:
+        return ((shortest + longest) / 2,)
+    return tuple(np.linspace(shortest, longest, count).tolist())
 
 
 @lru_cache

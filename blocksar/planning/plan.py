@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from blocksar.arrays import FloatArray
-from blocksar.budget import FIDELITY, LEAST_FIDELITY
+from blocksar.budget import FIDELITY, LEAST_FIDELITY, image_tap_error
 from blocksar.chunks import (
     CHUNK_SAMPLES,
     COLUMN_CHUNK,
@@ -29,13 +29,14 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.region import Extent, Region, block_seams, default_grid, grid_extent, plan_region
+from blocksar.collection.weighting import UNIFORM, Weighting
 from blocksar.constants import MIB, SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.focusing.method import DEFAULT, Method
 from blocksar.focusing.range_gate import RangeGate
 from blocksar.focusing.recovery import Recovery
 from blocksar.focusing.step import stages
-from blocksar.kernels.operations import Resample, Stretch, Transform
+from blocksar.kernels.operations import Blend, Resample, Stretch, Transform
 from blocksar.planning.block import BlockPlan, Sector, plan_block
 from blocksar.planning.coefficients import Choice
 from blocksar.planning.division import MAX_BLOCKS, find_division
@@ -68,6 +69,8 @@ class Plan:
         Range sub-blocks of every block, 1 for whole blocks; each is a `BlockPlan` of its own.
     fidelity : float
         Coherence with exact back-projection that `auto` keeps where it can.
+    weighting : Weighting
+        Tapers over band and dwell.
     refusal : str or None
         Why the geometry cannot be focused, with the figure.
     """
@@ -81,6 +84,7 @@ class Plan:
     blocks: tuple[BlockPlan, ...]
     method: Method
     fidelity: float
+    weighting: Weighting
     refusal: str | None
 
     @property
@@ -208,6 +212,8 @@ def block_work(block: BlockPlan) -> float:
         for operation in step.operations():
             if isinstance(operation, Transform):
                 total += step.n_row * _fft_work(operation.period)
+            elif isinstance(operation, Blend):
+                total += operation.count * step.n_row * _fft_work(operation.transform.period)
             elif isinstance(operation, Stretch | Resample):
                 total += step.n_row * 4 * step.source.size * operation.taps.shape[1]
     return total
@@ -229,6 +235,7 @@ def plan_collection(
     parts: int | Literal["auto"] = "auto",
     method: Method = DEFAULT,
     fidelity: float = FIDELITY,
+    weighting: Weighting = UNIFORM,
     grid: Grid | None = None,
     workers: int = 1,
     memory_limit: int | None = None,
@@ -257,8 +264,9 @@ def plan_collection(
     extent = grid_extent(geometry, region, grid)
 
     planner = _Planner(
-        geometry=geometry, region=region, recovery=recovery, grid=grid, extent=extent, method=method, fidelity=fidelity
-    )
+        geometry=geometry, region=region, recovery=recovery, grid=grid, extent=extent, method=method,
+        fidelity=fidelity, weighting=weighting,
+    )  # fmt: skip
     if blocks == "auto":
         first = find_division(planner.plan, workers=workers, parts=None if parts == "auto" else parts)
     else:
@@ -316,6 +324,7 @@ class _Planner:
     extent: Extent
     method: Method
     fidelity: float
+    weighting: Weighting
     planned: dict[tuple[int, int, int], list[BlockPlan]] = field(default_factory=dict)
 
     def plan(self, count: int, n_parts: int, probe: bool) -> Plan:
@@ -337,7 +346,7 @@ class _Planner:
         return Plan(
             geometry=self.geometry, grid=self.grid, region=self.region, recovery=self.recovery, seams=seams,
             parts=n_parts, blocks=tuple(planned), method=self.method, fidelity=self.fidelity,
-            refusal=find_refusal(planned, self.method),
+            weighting=self.weighting, refusal=find_refusal(planned, self.method),
         )  # fmt: skip
 
     def _plan_angle(
@@ -360,7 +369,7 @@ class _Planner:
         for part, (nearest, farthest) in enumerate(pairwise(edges.tolist())):
             sector = Sector(
                 geometry=self.geometry, recovery=self.recovery, region=self.region, low=low, high=high, near=nearest,
-                far=farthest,
+                far=farthest, weighting=self.weighting, tap_error=image_tap_error(self.fidelity),
             )  # fmt: skip
             like = parts[-1].choice if parts else neighbour
             number = part if n_parts > 1 else None

@@ -8,12 +8,14 @@ import numpy as np
 
 from blocksar.arrays import FloatArray
 from blocksar.budget import side_lobe_budget
-from blocksar.collection.beam import centre_yaw, dwell_at
+from blocksar.collection.beam import centre_yaw, dwell_at, has_full_dwell
 from blocksar.collection.geometry import TRACK_ACCURACY, Geometry
-from blocksar.constants import SINC_PSLR, SINC_WIDTH, SPEED_OF_LIGHT
+from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.lines import LEAST_STRETCH, Focus, Line
+from blocksar.planning.dwell_weights import DwellWeights
 from blocksar.planning.fidelity import worst_losses
+from blocksar.planning.gates import full_dwells
 
 
 class Prediction(NamedTuple):
@@ -31,6 +33,7 @@ class Prediction(NamedTuple):
     range_loss: float
     dispersion_loss: float
     track_loss: float
+    ideal_pslr: float  # dB, that of the weighting
 
     def excess(self, fidelity: float, *, migration: bool = True) -> float:
         """Loss of coherence and change of the side lobes over what `fidelity` allows: the worse of the two.
@@ -38,7 +41,7 @@ class Prediction(NamedTuple):
         Without `migration`, the loss by range migration is left out.
         """
         loss = 1 - self.coherence - (0.0 if migration else self.range_loss)
-        return max(loss / (1 - fidelity), abs(self.pslr - SINC_PSLR) / side_lobe_budget(fidelity))
+        return max(loss / (1 - fidelity), abs(self.pslr - self.ideal_pslr) / side_lobe_budget(fidelity))
 
 
 def predict(
@@ -51,12 +54,20 @@ def predict(
     rate: FloatArray,
     gate: DwellGate | None,
     scaled_about: float | None,
+    weights: DwellWeights,
 ) -> Prediction:
-    """The worst figures of traced lines (n_range, n_yaw); `rate` is their Doppler rate before the steps in Doppler."""
+    """The worst figures of traced lines (n_range, n_yaw); `rate` is their Doppler rate before the steps in Doppler.
+
+    The ideal side lobes are those of the taper; under an antenna's pattern, or where weights are cut with the dwells of
+    all targets, those of the target with the worst phase, as if it had none.
+    """
     range_cell = SPEED_OF_LIGHT / (2 * geometry.collection.bandwidth)
     residual = spots.residual
-    worst = np.unravel_index(int(np.argmax(residual)), residual.shape)
-    weight = (line.weight * np.sqrt(np.maximum(line.stretch, LEAST_STRETCH)))[worst]
+    # Cut dwells have other side lobes under weights: of those with full dwell, where there are any.
+    full = None if weights.uniform else full_dwells(line, geometry, rng[:, None], yaw)
+    judged = residual if full is None else np.where(full, residual, -1.0)
+    worst = np.unravel_index(int(np.argmax(judged)), residual.shape)
+    weight = (weights.weigh(line).weight * np.sqrt(np.maximum(line.stretch, LEAST_STRETCH)))[worst]
     time = line.time[worst] - spots.time[worst]
     level = line.phase[worst] - spots.doppler[worst] * line.time[worst]
     spread = float(np.ptp(time))
@@ -65,14 +76,21 @@ def predict(
     waves = np.exp(-2j * np.pi * offsets[:, None] * time)
     response = np.abs((weight * np.exp(2j * np.pi * level) * waves).sum(axis=1))
     ideal = np.abs((weight * waves).sum(axis=1))
+    ideal_pslr = weights.taper.ideal.pslr
+    if weights.patterned or not (weights.uniform or _has_full_dwell(geometry, rng, yaw, worst)):
+        ideal_pslr = _pslr(ideal)
     slope = np.gradient(spots.doppler, yaw, axis=1)
     dwell = (line.weight * line.stretch).sum(axis=-1)
-    width = SINC_WIDTH / np.maximum(np.abs(slope) * dwell, 1e-12)
+    width = weights.taper.ideal.width
+    if weights.patterned:
+        width = _width(ideal) * float(offsets[1] - offsets[0]) * float(dwell[worst])
+    widths = width / np.maximum(np.abs(slope) * dwell, 1e-12)
     ground = np.sqrt(np.maximum(rng**2 - (geometry.epoch_position[2] - geometry.collection.ground_height) ** 2, 0.0))
     middle = yaw.size // 2
     track_phase = _track_phase(geometry, rng, yaw)
     lost = worst_losses(
-        line, spots, rng, yaw, geometry, rate=rate, gate=gate, scaled_about=scaled_about, track_phase=track_phase
+        line, spots, rng, yaw, geometry, rate=rate, gate=gate, scaled_about=scaled_about, track_phase=track_phase,
+        weights=weights.nodes, edge=weights.edge,
     )  # fmt: skip
     return Prediction(
         residual_phase=float(residual.max()),
@@ -80,14 +98,20 @@ def predict(
         pslr=_pslr(response),
         width=_width(response) / _width(ideal),
         migration=float(spots.migration.max() / range_cell),
-        resolution=float(width[rng.size // 2, middle] * ground[rng.size // 2]),
+        resolution=float(widths[rng.size // 2, middle] * ground[rng.size // 2]),
         track_phase=track_phase,
         coherence=1 - sum(lost),
         phase_loss=lost.phase,
         range_loss=lost.range,
         dispersion_loss=lost.dispersion,
         track_loss=lost.track,
+        ideal_pslr=ideal_pslr,
     )
+
+
+def _has_full_dwell(geometry: Geometry, rng: FloatArray, yaw: FloatArray, which: tuple[np.intp, ...]) -> bool:
+    """Whether the target at rng[which[0]] and yaw[which[1]] has a full dwell."""
+    return bool(has_full_dwell(geometry, *geometry.ground_axes(rng[which[0]], yaw[which[1]])))
 
 
 def _track_phase(geometry: Geometry, rng: FloatArray, yaw: FloatArray) -> float:

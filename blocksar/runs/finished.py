@@ -14,6 +14,7 @@ from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
+from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError
 from blocksar.places.place import Place
 from blocksar.runs.record import RECORD, RunRecord
@@ -108,6 +109,12 @@ class FinishedRun:
     @property
     def ground_height(self) -> float:
         return self.collection.ground_height
+
+    @cached_property
+    def weighting(self) -> Weighting:
+        """The tapers over band and dwell; none in runs of earlier versions."""
+        chosen = [str(self.record.settings.get(f"weighting_{axis}", "uniform")) for axis in ("range", "azimuth")]
+        return Weighting.parse(range=chosen[0], azimuth=chosen[1])
 
     @cached_property
     def spacing(self) -> tuple[float, float]:

@@ -12,6 +12,7 @@ from math import nan
 from typing import Any, Self
 
 from blocksar import stores
+from blocksar.constants import SINC_PSLR
 from blocksar.errors import FolderError
 from blocksar.places.place import Place
 from blocksar.runs.fields import Field
@@ -171,9 +172,10 @@ def _stage_of(unit: str, *, back_projection: bool) -> str:
 
 
 # Figures of a block that records of earlier versions lack.
+_BEFORE = dict.fromkeys(("weighting_range", "weighting_azimuth"), "uniform")  # of older runs
 _ADDED = (
     "bias", "quadratic_phase", "resolution", "track_phase", "coherence", "phase_loss", "range_loss",
-    "dispersion_loss", "track_loss",
+    "dispersion_loss", "track_loss", "ideal_pslr",
 )  # fmt: skip
 
 
@@ -194,12 +196,10 @@ class PredictedBlock:
         Peak of a worker, bytes.
     bias : float
         Range acceleration that the time perturbation adds, m/s^2.
-    residual_phase : float
-        Largest over the dwell, rad.
-    quadratic_phase : float
-        Its quadratic part at the edge of the dwell, rad.
-    pslr : float
-        In azimuth, dB.
+    residual_phase, quadratic_phase : float
+        Largest phase error over the dwell, and its quadratic part at the edge of the dwell, rad.
+    pslr, ideal_pslr : float
+        In azimuth, dB; and that of the weighting.
     width : float
         In azimuth, relative to the limit set by the dwell.
     migration : float
@@ -232,6 +232,7 @@ class PredictedBlock:
     range_loss: float = nan
     dispersion_loss: float = nan
     track_loss: float = nan
+    ideal_pslr: float = SINC_PSLR
 
     @property
     def name(self) -> str:
@@ -492,7 +493,7 @@ class RunRecord:
         """Tell how a run with these settings and this input differs from the recorded one; None if it does not."""
         if self.format != FORMAT:
             return f"format {self.format!r}"
-        recorded = {name: self.settings.get(name) for name in settings}
+        recorded = {name: (_BEFORE | dict(self.settings)).get(name) for name in settings}
         if changed := {name: value for name, value in recorded.items() if value != settings[name]}:
             return ", ".join(f"{name} {value!r}" for name, value in changed.items())
         return None if self.input.fingerprint == fingerprint else "another input"

@@ -72,6 +72,7 @@ def run(*words: str) -> Result:
 
 def test_focus_passes_every_option(api: Calls) -> None:
     words = "focus ph.zarr --out run --processor high-order-phase --blocks 5 --coefficients closed-form"
+    words += " --weighting hann --weighting-azimuth taylor:4:-35"
     words += " --fidelity 0.9995 --perturbation none --no-keystone --derotation linear --range-model conventional"
     words += (
         " --grid -10:10:0.5,100:200:1 --workers 3 --threads 2 --memory-limit 2GiB --scheduler tcp://a:1 --overwrite"
@@ -84,6 +85,9 @@ def test_focus_passes_every_option(api: Calls) -> None:
         "processor": "high-order-phase",
         "blocks": 5,
         "fidelity": 0.9995,
+        "weighting": "hann",
+        "weighting_range": None,
+        "weighting_azimuth": "taylor:4:-35",
         "coefficients": "closed-form",
         "perturbation": "none",
         "keystone": False,
@@ -107,6 +111,9 @@ def test_defaults(api: Calls) -> None:
             "processor": "angular-division",
             "blocks": "auto",
             "fidelity": 0.999,
+            "weighting": "uniform",
+            "weighting_range": None,
+            "weighting_azimuth": None,
             "coefficients": "fitted",
             "perturbation": "all",
             "keystone": True,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from axis_beams import MODES, axis_collection, with_patterns
-from slow_twins import gain, lit
+from slow_twins import gain, lit, offset
 
 from blocksar.arrays import FloatArray
 from blocksar.collection.beam import (
@@ -27,6 +27,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.region import plan_region
+from blocksar.collection.weighting import Taper
 from blocksar.errors import InputError
 
 EACH = pytest.mark.parametrize("mode", MODES)
@@ -152,18 +153,24 @@ def test_points_that_are_lit_twice_are_refused() -> None:
     assert first == last == 0
 
 
+@pytest.mark.parametrize("text", ["uniform", "taylor:4:-35"])
 @pytest.mark.parametrize("patterns", [False, True])
-def test_sums_over_lit_pulses_are_those_of_the_double_loop(patterns: bool) -> None:
+def test_sums_over_lit_pulses_are_those_of_the_double_loop(patterns: bool, text: str) -> None:
     collection = with_patterns(axis_collection()) if patterns else axis_collection()
     geometry = Geometry(collection=collection)
     valid = np.ones(collection.n_pulse)
     valid[100:130] = 0.0
     ranges, yaw = np.array([9500.0, 9900.0, 10200.0]), np.linspace(-0.025, 0.025, 11)
-    total = lit_total(geometry, ranges, yaw, valid)
+    taper, half = Taper.parse(text), (collection.beam_width or 0.0) / 2
+    total = lit_total(geometry, ranges, yaw, valid, taper)
     x, y = geometry.ground_axes(ranges[:, None], yaw)
     for place in np.ndindex(total.shape):
         at = float(x[place]), float(y[place])
-        expected = sum(valid[p] * gain(collection, p, *at) for p in range(400) if lit(collection, p, *at))
+        expected = sum(
+            valid[p] * gain(collection, p, *at) * float(taper(np.array(offset(collection, p, *at) / half)))
+            for p in range(400)
+            if lit(collection, p, *at)
+        )
         assert total[place] == pytest.approx(expected, abs=1.2)
     assert total.max() > 100 and (total == 0).any()
 

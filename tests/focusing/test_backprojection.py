@@ -17,6 +17,7 @@ from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.collection.beam import lit_interval
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
+from blocksar.collection.weighting import Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.focusing import backprojection
@@ -140,6 +141,39 @@ def test_a_unit_target_has_amplitude_one(name: str) -> None:
     x[:, 0], y[:, 0] = tx, ty
     image, expected = form(c, signal, x, y), back_projection(c, signal, x, y)
     assert np.abs(image - expected).max() < 1e-3  # of the peak, at every pixel: -60 dB
+
+
+WEIGHTINGS = [("taylor:4:-35", "taylor:4:-35"), ("uniform", "hann"), ("kaiser:6", "uniform"), ("hamming", "kaiser:2.5")]
+
+
+@pytest.mark.parametrize("weighting", WEIGHTINGS)
+@pytest.mark.parametrize("name", ["Table 1", "unsteered", "scan reversed, negative yaw", "looking across yaw = pi"])
+def test_weighted_back_projection_equals_the_double_loop(name: str, weighting: tuple[str, str]) -> None:
+    """Points far apart, so that tiles are divided; some pulses and samples are missing, some dwells are cut."""
+    c = collection(**COLLECTIONS[name])
+    rng = np.random.default_rng(7)
+    x, y = around(c, rng.uniform(-60, 60, 40), np.append(rng.uniform(-3000, 3000, 30), rng.uniform(-50, 50, 10)))
+    signal = noise(c).copy()
+    signal[rng.random(c.n_pulse) < 0.05] = np.nan
+    signal[rng.random(signal.shape) < 0.05] = np.nan
+    w = Weighting.parse(range=weighting[0], azimuth=weighting[1])
+    expected = back_projection(c, signal, x, y, in_range=w.range, in_azimuth=w.azimuth)
+    image = form(c, signal, x, y, weighting=w)
+    np.testing.assert_array_equal(np.isnan(image), np.isnan(expected))
+    assert np.count_nonzero(~np.isnan(image)) >= 10
+    assert np.sqrt(np.nanmean(np.abs(image - expected) ** 2) / np.nanmean(np.abs(expected) ** 2)) < 5e-4
+    tx, ty = around(c, [3.3], [-2.1])
+    assert abs(form(c, simulate_pulses(c, tx, ty, np.ones(1)), tx, ty, weighting=w)[0] - 1) < 2e-3
+
+
+def test_the_place_in_the_beam_is_precise_over_every_tile() -> None:
+    """Close by, yaw bends within a tile: the tile is divided until a quadratic polynomial holds."""
+    c = collection(height=400.0, ground=300.0, n_frequency=128, n_pulse=120, reference="tracked")
+    x, y = around(c, np.linspace(-30, 30, 40)[:, None], np.linspace(-30, 30, 40))
+    w = Weighting.parse(azimuth="taylor:4:-35")
+    image = form(c, noise(c), x, y, weighting=w)
+    alone = np.array([form(c, noise(c), x[i, :1], y[i, :1], weighting=w)[0] for i in range(40)])
+    np.testing.assert_allclose(image[:, 0], alone, atol=1e-4 * np.nanmax(np.abs(image)))
 
 
 def test_missing_pulses_and_samples_do_not_change_the_mean() -> None:
@@ -432,3 +466,44 @@ def test_a_unit_target_under_patterns_peaks_at_one() -> None:
     x, y = np.array([9000.0]), np.array([12.0])
     signal = simulate_pulses(c, x, y, np.ones(1))
     assert abs(form(c, signal, x, y)[0] - 1) < 2e-3
+
+
+@AXIS_BEAMS
+@pytest.mark.parametrize("patterns", [False, True])
+@pytest.mark.parametrize("weighting", [("taylor:4:-35", "taylor:4:-35"), ("uniform", "kaiser:4")])
+def test_weighted_beams_about_their_axis_equal_the_double_loop(
+    mode: str, patterns: bool, weighting: tuple[str, str]
+) -> None:
+    """With a sinc^2 pattern over the beam; some pulses and samples are missing, some dwells are cut."""
+    c = axis_collection(mode)
+    if patterns:
+        half = (c.beam_width or 0.0) / 2
+        offset = np.linspace(-half, half, 129)
+        lobe = {"beam_offset": offset, "beam_pattern": np.sinc(0.6 * offset / half) ** 2}
+        c = Collection(**{**with_patterns(c).as_dict(), **lobe})
+    rng = np.random.default_rng(7)
+    signal = noise(c).copy()
+    signal[rng.random(c.n_pulse) < 0.05] = np.nan
+    signal[rng.random(signal.shape) < 0.05] = np.nan
+    ahead = 9000 * np.tan(0.28) if mode == "squinted" else 0.0
+    x, y = np.meshgrid(np.linspace(8950, 9050, 4), ahead + np.linspace(-180, 180, 5))
+    w = Weighting.parse(range=weighting[0], azimuth=weighting[1])
+    expected = back_projection(c, signal, x, y, in_range=w.range, in_azimuth=w.azimuth)
+    image = form(c, signal, x, y, weighting=w)
+    np.testing.assert_array_equal(np.isnan(image), np.isnan(expected))
+    assert np.isnan(image).mean() < 0.8
+    assert np.sqrt(np.nanmean(np.abs(image - expected) ** 2) / np.nanmean(np.abs(expected) ** 2)) < 5e-4
+    tx, ty = np.array([9000.0]), np.array([ahead + 12.0])
+    assert abs(form(c, simulate_pulses(c, tx, ty, np.ones(1)), tx, ty, weighting=w)[0] - 1) < 2e-3
+
+
+def test_an_elevation_pattern_of_a_beam_that_is_not_steered_under_a_taper() -> None:
+    c = collection(steered=False, n_pulse=80)
+    down = np.arcsin(16500.0 / c.reference_range[0])
+    patterns = {"elevation": np.array([down - 0.1, down + 0.1]), "elevation_pattern": np.array([1.0, 0.4])}
+    c = Collection(**{**c.as_dict(), **patterns})
+    x, y = around(c, np.linspace(-40, 40, 6), np.linspace(-40, 40, 6))
+    w = Weighting.parse("taylor:4:-35")
+    expected = back_projection(c, noise(c), x, y, in_range=w.range, in_azimuth=w.azimuth)
+    assert np.isfinite(expected).all()
+    assert np.abs(form(c, noise(c), x, y, weighting=w) - expected).max() < 1e-3 * np.abs(expected).max()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import lru_cache
 from typing import Any
 
@@ -100,11 +100,18 @@ def raw_echo(
 
 
 def back_projection(
-    collection: Collection, signal: NDArray[Any], x: NDArray[Any], y: NDArray[Any]
+    collection: Collection,
+    signal: NDArray[Any],
+    x: NDArray[Any],
+    y: NDArray[Any],
+    *,
+    in_range: Callable[[Any], Any] = np.ones_like,
+    in_azimuth: Callable[[Any], Any] = np.ones_like,
 ) -> NDArray[np.complex128]:
     """Mean over lit pulses and all frequencies of signal exp(+4j pi (fc + f) / c (R - reference_range)).
 
-    With patterns, the sum over pulses is divided by that of their gain.
+    It is weighted by in_range(v) and in_azimuth(v), with v in -1 .. 1 over the band and over the beam (or the pulses of
+    a beam that is not steered). With patterns, the sum of weights is one of weights times their gain.
 
     NaN samples are left out of the mean. The image is NaN where nothing valid is lit, or where a lit pulse sees the
     pixel outside |R - reference_range| <= c / (4 df).
@@ -124,25 +131,31 @@ def back_projection(
     frequency = collection.carrier + collection.range_frequency
     half_window = light / (4 * collection.range_frequency_step)
     theta = Geometry(collection=collection).yaw(x, y)
+    n = collection.n_range_frequency
+    band = in_range((2 * np.arange(n) + 1.0 - n) / n)
     image = np.empty(x.shape, np.complex128)
     for pixel in np.ndindex(x.shape):
         total, count, outside = 0j, 0.0, False
         for pulse in range(collection.n_pulse):
+            place = (2 * pulse + 1 - collection.n_pulse) / collection.n_pulse
             if collection.beam_axis is not None:
                 if not lit(collection, pulse, x[pixel], y[pixel]):
                     continue
+                place = 2 * offset(collection, pulse, x[pixel], y[pixel]) / (collection.beam_width or 0.0)
             elif collection.beam_width is not None:
                 away = theta[pixel] - collection.beam_azimuth[pulse]
                 away = away - 2 * np.pi * np.rint(away / (2 * np.pi))
                 if not abs(away) <= collection.beam_width / 2:
                     continue
+                place = 2 * away / collection.beam_width
+            weights = band * in_azimuth(np.array(place))
             point = np.array([x[pixel], y[pixel], collection.ground_height])
             distance = np.linalg.norm(point - collection.antenna_position[pulse])
             distance -= collection.reference_range[pulse]
             outside = outside or abs(distance) > half_window
             terms = signal[pulse] * np.exp(4j * np.pi * frequency / light * distance)
             valid = ~np.isnan(terms)
-            total += terms[valid].sum()
-            count += np.count_nonzero(valid) * gain(collection, pulse, x[pixel], y[pixel])
+            total += (weights * terms)[valid].sum()
+            count += weights[valid].sum() * gain(collection, pulse, x[pixel], y[pixel])
         image[pixel] = total / count if count and not outside else np.nan
     return image

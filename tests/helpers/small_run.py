@@ -13,11 +13,11 @@ from blocksar import stores
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
+from blocksar.collection.weighting import Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.backprojection import form_image
 from blocksar.measurement.targets import Target
 from blocksar.runs import finished
-from blocksar.runs.record import RunRecord
 
 DAYTON = Georeference(latitude=39.78, longitude=-84.09, height=250.0)
 TARGETS = [Target("A", 0.3, -0.2), Target("B", 20.1, 11.3), Target("C", -17.7, 13.9), Target("D", -12.2, -15.9)]
@@ -38,7 +38,8 @@ class Made:
         _, attrs = stores.read_collection(self.folder / "collection.zarr")
         geometry = Geometry(collection=self.collection)
         folder = blocksar.places.place(self.folder)  # type: ignore[attr-defined]
-        return finished.FinishedRun(folder, self.x, self.y, geometry, attrs, RunRecord(status="finished"))
+        record = finished.finished_record(folder)
+        return finished.FinishedRun(folder, self.x, self.y, geometry, attrs, record)
 
     def peak(self, target: Target) -> Any:
         """Fractional (row of y, column of x) of the target's peak, from a chip upsampled 16 times by zero padding."""
@@ -71,6 +72,7 @@ def make(
     step: float = 0.4,
     hole: bool = True,
     more: dict[str, Any] | None = None,
+    weighting: str = "uniform",
 ) -> Made:
     """Make a finished run over targets about `centre`; no coverage in a south-west corner and some northern rows."""
     n = 160
@@ -100,7 +102,14 @@ def make(
         phase = np.outer(distance, collection.carrier + collection.range_frequency) * 4 * np.pi / SPEED_OF_LIGHT
         signal += np.exp(-1j * phase)
     x, y = (c + (np.arange(k) - k // 2) * step for c, k in zip(centre, size, strict=True))
-    image = form_image(lambda pulses: signal[pulses].astype(np.complex64), geometry, x, y, threads=1)
+    image = form_image(
+        lambda pulses: signal[pulses].astype(np.complex64),
+        geometry,
+        x,
+        y,
+        threads=1,
+        weighting=Weighting.parse(weighting),
+    )
     if hole:
         image[:20, :30] = np.nan
         image[-9:] = np.nan
@@ -127,7 +136,10 @@ def make(
         chunks={"y": 64, "x": x.size},
         fill=fill,
     )
-    stores.write_json(folder / "run.json", {"status": "finished", "identity": "0123456789abcdef"})
+    stores.write_json(folder / "run.json", {
+        "status": "finished", "identity": "0123456789abcdef",
+        "settings": dict.fromkeys(("weighting_range", "weighting_azimuth"), weighting),
+    })  # fmt: skip
     return Made(folder, collection, image, x, y)
 
 

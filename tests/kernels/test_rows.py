@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -14,7 +15,7 @@ from steps import explicit_transform
 from blocksar.arrays import ComplexArray
 from blocksar.kernels import groups, interpolation, rows
 from blocksar.kernels.fourier import Axis, centred, dual
-from blocksar.kernels.operations import Cut, Operation, Resample, ScaledTurn, Stretch, Transform, Turn, Window
+from blocksar.kernels.operations import Blend, Cut, Operation, Resample, ScaledTurn, Stretch, Transform, Turn, Window
 from blocksar.kernels.phase import Phase
 from blocksar.kernels.rows import Layout, Program
 
@@ -434,3 +435,39 @@ def test_a_failure_in_a_group_is_raised(threads: int) -> None:
     done.clear()
     groups.run_groups(work, [slice(i, i + 1) for i in range(3, 9)], threads)
     assert sorted(done) == list(range(3, 9))
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_a_blend_is_a_sum_of_windowed_transforms(count: int) -> None:
+    """Lagrange's polynomials through equal steps of 0 .. 1 share out the transforms along the target axis."""
+    n_row, n = 7, 96
+    rng = np.random.default_rng(count)
+    time = centred(0.1, 1e-3, n)
+    doppler = dual(time, size=n, centre=40.0)
+    windows = (rng.uniform(0, 1, (2, count, n)) + 1j * rng.uniform(0, 1, (2, count, n))).astype(np.complex64)
+    blend = Blend(
+        transform=Transform(time, doppler, inverse=False),
+        windows=lambda: windows,
+        count=count,
+        which=rng.integers(0, 2, n_row),
+        share=np.array([0.5, 0.3, -0.1]) * rng.uniform(0.5, 1, (n_row, 1)),
+        centre=30.0,
+        scale=500.0,
+    )
+    x = noise(n_row, n)
+    z = (doppler.values - blend.centre) / blend.scale
+    share = blend.share[:, :1] + blend.share[:, 1:2] * z + blend.share[:, 2:] * z**2
+    nodes = np.linspace(0, 1, count) if count > 1 else np.zeros(1)
+    wanted = np.zeros((n_row, n), np.complex128)
+    for k in range(count):
+        part = explicit_transform(x * windows[blend.which, k], time, doppler, inverse=False, period=n)
+        for other in np.delete(nodes, k):
+            part = part * (share - other) / (nodes[k] - other)
+        wanted += part
+    program = Program([Turn(Phase(np.zeros((1, 2)), 0.0, 1.0)), blend], source=time, n_row=n_row)
+    found = program.run(x)
+    assert np.abs(found - wanted).max() < 1e-5 * np.abs(wanted).max()
+    assert program.transforms == [n] * count
+    padded = Transform(time, dual(time, size=2 * n, centre=0.0), inverse=False)
+    with pytest.raises(ValueError, match="without padding only"):
+        Program([replace(blend, transform=padded)], source=time, n_row=n_row)

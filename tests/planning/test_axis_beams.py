@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from axis_beams import MODES, axis_collection, with_patterns
 
-from blocksar.arrays import ComplexArray
+from blocksar.arrays import BoolArray, ComplexArray
 from blocksar.collection.beam import has_full_dwell, lit_interval
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
+from blocksar.collection.weighting import Weighting
 from blocksar.focusing.backprojection import form_image
 from blocksar.focusing.correction import correct
 from blocksar.focusing.recovery import recover_columns
@@ -73,6 +74,51 @@ def test_a_chain_focuses_as_back_projection_does(mode: str) -> None:
     assert abs(coherence(np.where(some, image, np.nan), exact).coherence) > 0.995
     # What is predicted of dwells of a few hundred pulses is too little, under any beam: their grid is coarse.
     assert -1.5e-3 < plan.coherence - abs(whole.coherence) < 3e-4
+
+
+def relative_error(found: ComplexArray, wanted: ComplexArray, where: BoolArray) -> tuple[float, complex]:
+    """Error power after one common complex gain, dB, and that gain."""
+    both = where & np.isfinite(found) & np.isfinite(wanted)
+    found, wanted = found[both].astype(np.complex128), wanted[both].astype(np.complex128)
+    gain = complex(np.vdot(wanted, found) / np.vdot(wanted, wanted))
+    error = np.mean(np.abs(found / gain - wanted) ** 2) / np.mean(np.abs(wanted) ** 2)
+    return float(10 * np.log10(error)), gain
+
+
+@pytest.mark.parametrize(("mode", "patterns", "most"), [
+    ("stripmap", False, -39.0),
+    ("stripmap", True, -39.0),
+    ("squinted", False, -37.0),
+    ("sliding spotlight", True, -37.0),
+    ("tops", True, -42.0),
+])  # fmt: skip
+def test_a_weighted_chain_focuses_as_back_projection_does(mode: str, patterns: bool, most: float) -> None:
+    """Dwells of some 350 pulses end on whole ones in back-projection, with a weight: with more, the error falls."""
+    collection = axis_collection(mode, n_pulse=900)
+    collection = with_patterns(collection) if patterns else collection
+    grid = grid_of(collection)
+    signal = clutter(collection, grid)
+    geometry, weighting = Geometry(collection=collection), Weighting.parse("taylor:4:-35")
+    plan = plan_collection(collection, grid=grid, weighting=weighting, blocks=2)
+    assert plan.refusal is None
+    image = focus(plan, signal)
+    exact = form_image(lambda p: signal[p], geometry, grid.x, grid.y, threads=2, weighting=weighting)
+    full = has_full_dwell(geometry, *np.meshgrid(grid.x, grid.y))
+    error, gain = relative_error(image, exact, full)
+    assert full.mean() > 0.1 and np.isfinite(image[full]).all()
+    assert error < most
+    assert abs(gain - 1) < 2e-3
+
+
+@pytest.mark.parametrize("patterns", [False, True])
+def test_side_lobes_of_blocks_without_a_full_dwell_are_judged_by_their_own(patterns: bool) -> None:
+    """The weights of dwells that the ends of the collection cut do not fall off at both ends."""
+    collection = axis_collection("stripmap", n_pulse=900)
+    collection = with_patterns(collection) if patterns else collection
+    plan = plan_collection(collection, grid=grid_of(collection), weighting=Weighting.parse("taylor:4:-35"), blocks=8)
+    side_lobes = [(block.prediction.pslr, block.prediction.ideal_pslr) for block in plan.blocks]
+    assert all(abs(found - ideal) < 0.05 for found, ideal in side_lobes)
+    assert max(ideal for _, ideal in side_lobes) > -27 and min(ideal for _, ideal in side_lobes) < -35
 
 
 @pytest.mark.parametrize("kind", ["axis", "azimuth"])

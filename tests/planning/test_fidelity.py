@@ -8,6 +8,8 @@ from scenes import PAPERS
 from scipy.special import fresnel
 
 import blocksar
+from blocksar.collection.weighting import Taper
+from blocksar.errors import InputError
 from blocksar.planning.fidelity import end_energy
 
 
@@ -60,3 +62,21 @@ def test_without_a_steered_beam_nothing_is_lost_at_the_ends_of_dwells() -> None:
     for block in blocksar.plan("paper_b", processor=processor, blocks=3, grid=grid).result.blocks:
         assert block.prediction.dispersion_loss == 0.0
         assert 0.99 < block.prediction.coherence < 1.0
+
+
+def test_a_weighting_is_planned_and_predicted() -> None:
+    """Ends of dwells lose by the square of their weight; widths and side lobes are those of the taper."""
+    plain = blocksar.plan("table1", blocks=3).result
+    report = blocksar.plan("table1", blocks=3, weighting="taylor:4:-35")
+    share = Taper.parse("taylor:4:-35")
+    v = np.linspace(-1, 1, 2001)
+    lost = float(share(np.array(1.0))) ** 2 / float(np.mean(share(v) ** 2))
+    for before, block in zip(plain.blocks, report.result.blocks, strict=True):
+        assert block.prediction.dispersion_loss == pytest.approx(lost * before.prediction.dispersion_loss, rel=0.02)
+        assert block.prediction.pslr == pytest.approx(share.ideal.pslr, abs=0.2)
+        assert block.prediction.ideal_pslr == share.ideal.pslr
+        widened = block.prediction.resolution / before.prediction.resolution
+        assert widened == pytest.approx(share.ideal.width / 0.885893, rel=1e-3)
+    assert any("ideal side lobes -35.17 dB in range" in line for line in report.summary)
+    with pytest.raises(InputError, match="weighting 'cosine' is unknown"):
+        blocksar.plan("table1", weighting="cosine")

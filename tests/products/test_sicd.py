@@ -38,6 +38,27 @@ def test_sicd_passes_the_checker_without_errors(exported: tuple[Made, Sicd]) -> 
     assert len(exported[1].checked.passes()) > 40
 
 
+def test_a_weighted_image_has_its_weights(tmp_path: Path) -> None:
+    """The -3 dB width of a cut follows from the weights along its band, and is larger than without a weighting."""
+    plain, weighted = (make(tmp_path / name, hole=False, weighting=name) for name in ("uniform", "hamming"))
+    files = []
+    for run in (plain, weighted):
+        blocksar.export("sicd", run.folder, run.folder / "image.nitf")
+        files.append(read_sicd(run.folder / "image.nitf"))
+        assert errors(files[-1].checked) == []
+    for direction in ("Row", "Col"):
+        assert files[0].load(f"Grid/{direction}/WgtFunct") is None
+        weights = np.asarray(files[1].load(f"Grid/{direction}/WgtFunct"))
+        assert files[1].tree.findtext(f"{{*}}Grid/{{*}}{direction}/{{*}}WgtType/{{*}}WindowName") == "UNKNOWN"
+        assert weights.size == 65 and weights.max() == 1 and weights[[0, -1]].max() < 0.1
+        band = files[1].load(f"Grid/{direction}/ImpRespBW")
+        k = ((np.arange(65) + 0.5) / 65 - 0.5) * band
+        width = files[1].load(f"Grid/{direction}/ImpRespWid")
+        power = np.abs((weights * np.exp(1j * np.pi * k * width)).sum() / weights.sum()) ** 2
+        assert power == pytest.approx(0.5, abs=0.005)
+        assert width > 1.2 * files[0].load(f"Grid/{direction}/ImpRespWid")
+
+
 def test_the_checker_detects_a_wrong_sample_spacing(exported: tuple[Made, Sicd]) -> None:
     spoiled = etree.fromstring(etree.tostring(exported[1].tree)).getroottree()
     spoiled.find("{*}Grid/{*}Row/{*}SS").text = "3.0"

@@ -24,7 +24,7 @@ BLOCK = {
     "block": 0, "part": 1, "yaw": [0.5, 0.75], "range": [1e4, 2e4], "memory": 5, "bias": 0.25, "residual_phase": 0.1,
     "quadratic_phase": 0.05, "pslr": -13.3, "width": 1.01, "migration": 0.125, "resolution": 0.5,
     "track_phase": 0.0, "coherence": 0.99, "phase_loss": 0.004, "range_loss": 0.003, "dispersion_loss": 0.002,
-    "track_loss": 0.001,
+    "track_loss": 0.001, "ideal_pslr": -13.2615,
 }  # fmt: skip
 WRITTEN = {"store": "image.zarr", "variable": "image", "region": [[0, 4], [8, 12]], "checksum": "ab"}
 RECEIPTS = [

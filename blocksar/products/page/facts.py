@@ -29,7 +29,7 @@ def responses_of(quality: Mapping[str, Any]) -> list[PointResponse]:
     """
     responses = []
     for record in quality["targets"]:
-        fields = {name: _number(name, record[name]) for name in PointResponse._fields}
+        fields = {name: _number(name, record[name]) for name in PointResponse._fields if name in record}
         responses.append(PointResponse(**fields))
     return responses
 

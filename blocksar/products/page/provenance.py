@@ -23,6 +23,8 @@ def repeat_command(settings: Mapping[str, Any], path: str, folder: str) -> str:
         "blocks": "auto",
         "fidelity": FIDELITY,
         "grid": None,
+        "weighting_range": "uniform",
+        "weighting_azimuth": "uniform",
     }
     for name, value in settings.items():
         if value == defaults.get(name, value):
@@ -44,6 +46,7 @@ def provenance(run: Facts) -> list[tuple[str, str]]:
         ("input", run.record.input.path),
         ("fingerprint of the input", run.record.input.fingerprint),
         ("identity of the run", run.record.identity),
+        ("weighting", run.source.weighting.text),
         ("image", _extent(run.source)),
         ("collection", f"{collection.n_pulse} pulses of {collection.n_range_frequency} range frequencies, "
          f"{collection.prf:.6g} Hz, {collection.carrier / 1e9:.6g} GHz, {collection.bandwidth / 1e6:.4g} MHz wide"),

@@ -6,18 +6,26 @@ from typing import NamedTuple
 
 import numpy as np
 
-from blocksar.constants import SINC_PSLR
-from blocksar.measurement.bar import BARS, excess, rank, worst_excess
+from blocksar.measurement.bar import BARS, excess, limit, rank, worst_excess
 from blocksar.measurement.figures import PointResponse
 from blocksar.products.page.facts import Facts
 from blocksar.products.page.words import SPACE, TIMES, count, memory, number
 
 EDGE = 16  # pixels at the edge of an image in which a response may not be measurable
-BAR = (
-    f"side lobes within {BARS['range_pslr'].text} of {number(SINC_PSLR)} dB and widths within {BARS['range_irw'].text} "
-    f"of theory, in range and in azimuth; position within {BARS['error_x'].text} in x and in y; amplitude within "
-    f"{BARS['amplitude'].text}, phase within {BARS['phase'].text}"
-)
+
+
+def bar_text(response: PointResponse) -> str:
+    """The limits of a response's figures."""
+    lobes = [
+        f"{axis} side lobes within {limit(response, f'{axis}_pslr')[1]} of "
+        f"{number(getattr(response, f'{axis}_pslr_theory'))} dB"
+        for axis in ("range", "azimuth")
+    ]
+    return (
+        f"{' and '.join(lobes)}; widths within {BARS['range_irw'].text} of theory, in range and in azimuth; position "
+        f"within {BARS['error_x'].text} in x and in y; amplitude within {BARS['amplitude'].text}, phase within "
+        f"{BARS['phase'].text}"
+    )
 
 
 class Verdict(NamedTuple):
@@ -101,14 +109,14 @@ def quality_sentences(run: Facts) -> list[str]:
     sentences = [
         f"{count(len(run.responses), 'target')}, {full} of them lit over their full dwell. The image covers "
         f"{len(run.judged)} of these; only covered ones are judged.",
-        f"The bar: {BAR}. Figures outside it are marked with an exclamation mark.",
+        f"The bar: {bar_text(run.responses[0])}. Figures outside it are marked with an exclamation mark.",
     ]
     if run.judged:
         worst = min(run.judged, key=rank)
         figure = max(BARS, key=lambda name: excess(worst, name))
         sentences.append(
             f"The worst figure is the {BARS[figure].name} of {worst.name}: "
-            f"its deviation is {number(100 * excess(worst, figure), 0)} % of the {BARS[figure].text} allowed."
+            f"its deviation is {number(100 * excess(worst, figure), 0)} % of the {limit(worst, figure)[1]} allowed."
         )
     return sentences
 

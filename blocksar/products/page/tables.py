@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from blocksar.budget import FIDELITY, side_lobe_budget
-from blocksar.constants import MIB, SINC_PSLR
+from blocksar.constants import MIB
 from blocksar.measurement.bar import excess, worst_excess
 from blocksar.measurement.figures import PointResponse
 from blocksar.products.page.facts import MOST_ROWS, Facts
@@ -127,7 +127,7 @@ def _plan_row(run: Facts, block: PredictedBlock) -> Row:
         Cell(block.name),
         _cell(block.coherence, 4, off=block.coherence < fidelity),
         _cell(block.residual_phase, 4),
-        _cell(predicted, 2, off=abs(predicted - SINC_PSLR) > side_lobe_budget(fidelity)),
+        _cell(predicted, 2, off=abs(predicted - block.ideal_pslr) > side_lobe_budget(fidelity)),
         _cell(pslr and pslr.azimuth_pslr, 2, off=pslr is not None and excess(pslr, "azimuth_pslr") > 1),
         _cell(block.width, 4),
         _cell(

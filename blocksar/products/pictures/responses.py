@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator
 from scipy.ndimage import zoom
 
 from blocksar.arrays import FloatArray
-from blocksar.constants import SINC_WIDTH
+from blocksar.collection.weighting import Taper
 from blocksar.measurement.figures import ResponseGrid, cuts, measure, response_grid
 from blocksar.measurement.response import CUT_WIDTHS, Complex128Array, Response
 from blocksar.products.pictures.figures import (
@@ -83,39 +83,43 @@ def _draw_contours(axes: Axes, grid: ResponseGrid) -> None:
 
 
 def plot_cuts(responses: Sequence[Response], path: str | Path, *, title: str = "") -> None:
-    """Write a PNG of range and azimuth cuts in dB with the ideal sinc, two panels per target, three targets in a row.
+    """Write a PNG of range and azimuth cuts in dB with the ideal response, two panels per target.
 
-    Offsets are in m from the peak. Each panel's title gives PSLR and width.
+    Three targets in a row. Offsets are in m from the peak. Each panel's title gives PSLR and width.
     """
     figure, panels = new_panels(2 * len(responses), columns=6, size=(2.35, 2.5), title=title)
     for (left, right), response in zip(zip(panels[::2], panels[1::2], strict=True), responses, strict=True):
         sampled, figures, name = cuts(response), measure(response), response.target.name
         left.set_title(_caption(f"{name} range", figures.range_pslr, figures.range_irw), fontsize=8)
-        _draw_cut(left, sampled.range_offset, sampled.range_profile, figures.range_irw_theory, "#2f6db3")
+        tapers = response.axes.weighting
+        _draw_cut(left, sampled.range_offset, sampled.range_profile, figures.range_irw_theory, tapers.range, "#2f6db3")
         right.set_title(_caption(f"{name} azimuth", figures.azimuth_pslr, figures.azimuth_irw), fontsize=8)
-        _draw_cut(right, sampled.azimuth_offset, sampled.azimuth_profile, figures.azimuth_irw_theory, "#b3202c")
+        offset, profile = sampled.azimuth_offset, sampled.azimuth_profile
+        _draw_cut(right, offset, profile, figures.azimuth_irw_theory, tapers.azimuth, "#b3202c")
     label_outer_axes(panels, 6, "offset (m)", "power (dB)")
     draw_legend(
         figure,
         [
             Curve("range cut", "#2f6db3", "-"),
             Curve("azimuth cut", "#b3202c", "-"),
-            Curve("ideal sinc", "#1d242d", ":"),
+            Curve("ideal", "#1d242d", ":"),
         ],
     )
     save(figure, path)
 
 
-def _draw_cut(axes: Axes, offset: FloatArray, profile: Complex128Array, width: float, colour: str) -> None:
-    """Draw a cut in dB over offsets, m, with the sinc of a theoretical width, m."""
+def _draw_cut(
+    axes: Axes, offset: FloatArray, profile: Complex128Array, width: float, taper: Taper, colour: str
+) -> None:
+    """Draw a cut in dB over offsets, m, with the ideal response of a theoretical width, m."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        ideal = 20 * np.log10(np.abs(np.sinc(offset / width * SINC_WIDTH)))
+        ideal = 20 * np.log10(np.abs(taper.response(offset / width * taper.ideal.width)))
         measured = 20 * np.log10(np.abs(profile / profile[profile.size // 2]))
     axes.plot(offset, measured, color=colour, linewidth=1.1)
     # Drawn last: a dotted line over the measured curve leaves both visible where they agree.
     axes.plot(offset, ideal, color="#1d242d", linestyle=":", linewidth=0.8)
     axes.set_xlim(-CUT_WIDTHS * width, CUT_WIDTHS * width)
-    axes.set_ylim(-45, 2)
+    axes.set_ylim(min(-45, taper.ideal.pslr - 20 if not taper.uniform else 0), 2)
     axes.grid(color="#e4e7ec", linewidth=0.5)
 
 

@@ -20,6 +20,7 @@ and K is not near zero but folded into the band that the spacing SS can hold. KC
 at the scene centre point, which is frequency zero of the samples, and DeltaKCOAPoly gives K - KCtr at the centre of
 aperture all over the image. Where it leaves +-1/(2 SS) the spectrum wraps, and DeltaK1, DeltaK2 span the whole band, as
 the standard requires. ImpRespBW is the extent of K along row and column at the scene centre point, ImpRespWid the -3 dB
-width of the cut through a target there. The aperture is not weighted, but its support is not aligned with the axes
-either, so no WgtType is given: it would imply widths of 0.886 / ImpRespBW.
+width of the cut through a target there. The support of the aperture is not aligned with the axes, so no WgtType is
+given of an image without a weighting: it would imply widths of 0.886 / ImpRespBW. Of a weighted image, WgtFunct has the
+weights along each cut's band, and WgtType's parameters name the tapers along range and azimuth.
 """

@@ -11,9 +11,10 @@ from numpy.polynomial import polynomial as power
 from blocksar.arrays import FloatArray
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
+from blocksar.collection.weighting import Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
-from blocksar.products.sicd.aperture import Support, cut_width, find_support, lines_of_sight, lit_times
+from blocksar.products.sicd.aperture import Support, cut_weights, cut_width, find_support, lines_of_sight, lit_times
 from blocksar.products.sicd.layout import Layout, central_pixel, lay_out, sample_pixels, valid_data
 from blocksar.products.sicd.polynomials import arp_polynomial, fit_poly2d
 from blocksar.runs.finished import Coverage, FinishedRun
@@ -27,6 +28,7 @@ NAMESPACE = "urn:SICD:1.3.0"
 TIME_ACCURACY = 1e-3  # of a dwell, that TimeCOAPoly may be off
 BAND_ACCURACY = 1e-2  # of the bandwidth, that DeltaKCOAPoly may be off
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+WEIGHTS = 65  # samples of WgtFunct
 POLARIZATIONS = ("V", "H", "X", "Y", "S", "E", "RHC", "LHC")
 
 
@@ -54,7 +56,7 @@ def build_metadata(source: FinishedRun, frame: Georeference) -> Metadata:
     vertices = valid_data(coverage, layout)
     scp_pixel = central_pixel(vertices)
     scp = layout.point(*scp_pixel.astype(np.float64))
-    support = find_support(source.geometry, scp)
+    support = find_support(source.geometry, scp, source.weighting)
     grid, notes = _grid(source, frame, layout, coverage, vertices, scp_pixel, support)
 
     root = etree.Element(f"{{{NAMESPACE}}}SICD", nsmap={None: NAMESPACE})
@@ -118,14 +120,22 @@ def _grid(
     branches: dict[str, Any] = {}
     for name, direction, spacing in zip(("Row", "Col"), (layout.row, layout.column), layout.spacing, strict=True):
         k = 2 * geometry.collection.carrier / SPEED_OF_LIGHT * (sight[:, :2] @ direction)
-        branch, note = _direction(direction, spacing, support.frequencies @ direction, offset, k, corners)
+        band = support.frequencies @ direction
+        branch, note = _direction(direction, spacing, band, support.weights, offset, k, corners)
+        branch |= _weighting(source.weighting, band, support.weights)
         branches[name] = {"UVectECF": np.array([*direction, 0.0]) @ frame.axes, **branch}
         notes.append(f"{name}.DeltaKCOAPoly {note}")
     return {"ImagePlane": "GROUND", "Type": "PLANE", "TimeCOAPoly": coa.coefficients, **branches}, notes
 
 
 def _direction(
-    direction: FloatArray, spacing: float, band: FloatArray, offset: FloatArray, k: FloatArray, corners: FloatArray
+    direction: FloatArray,
+    spacing: float,
+    band: FloatArray,
+    weights: FloatArray,
+    offset: FloatArray,
+    k: FloatArray,
+    corners: FloatArray,
 ) -> tuple[dict[str, Any], str]:
     """The Row or Col branch without its unit vector, and how well DeltaKCOAPoly fits.
 
@@ -135,8 +145,8 @@ def _direction(
         Along which the index grows, in x and y.
     spacing : float
         m.
-    band : (n,) float
-        Spatial frequencies of a target at the scene centre point, cycles/m.
+    band, weights : (n,) float
+        Spatial frequencies of a target at the scene centre point, cycles/m, and their weights.
     offset, corners : (m, 2), (v, 2) float
         Fitted pixels and vertices of the valid data, m from the scene centre point along row and column.
     k : (m,) float
@@ -158,7 +168,7 @@ def _direction(
     low, high = _extent(delta.coefficients, corners, width, spacing)
     branch = {
         "SS": spacing,
-        "ImpRespWid": cut_width(band),
+        "ImpRespWid": cut_width(band, weights),
         "Sgn": -1,
         "ImpRespBW": width,
         "KCtr": centre,
@@ -170,6 +180,21 @@ def _direction(
         f"is of order {len(delta.coefficients) - 1} and at most {100 * delta.error / width:.2g} % of the bandwidth off"
     )
     return branch, note
+
+
+def _weighting(weighting: Weighting, band: FloatArray, weights: FloatArray) -> dict[str, Any]:
+    """WgtType and WgtFunct of a direction; none of an image without a weighting.
+
+    The tapers lie along range and azimuth, not along rows and columns, so no known window describes a cut: WgtFunct has
+    the weights that the band of the cut has, and the parameters name the tapers.
+    """
+    if weighting.uniform:
+        return {}
+    parameters = [("RANGE", weighting.range.text), ("AZIMUTH", weighting.azimuth.text)]
+    return {
+        "WgtType": {"WindowName": "UNKNOWN", "Parameter": parameters},
+        "WgtFunct": cut_weights(band, weights, WEIGHTS),
+    }
 
 
 def _extent(delta: FloatArray, corners: FloatArray, width: float, spacing: float) -> tuple[float, float]:

@@ -1,0 +1,100 @@
+"""Tapers: their definitions, their ideal responses, and what is refused."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.signal import windows
+from steps import collection
+
+from blocksar.collection.beam import beam_offset, is_lit, weighted_pulses
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.weighting import UNIFORM, Taper, Weighting
+from blocksar.errors import InputError
+
+TAPERS = ["uniform", "taylor:4:-35", "taylor:5:-30", "hamming", "hann", "kaiser:2.5", "kaiser:6"]
+
+
+@pytest.mark.parametrize("n", [100, 101])
+def test_tapers_are_those_of_scipy(n: int) -> None:
+    v = (2 * np.arange(n) + 1 - n) / n
+    np.testing.assert_allclose(Taper.parse("taylor:4:-35").samples(n), windows.taylor(n, 4, 35, norm=False), atol=1e-12)
+    np.testing.assert_allclose(Taper.parse("hamming")(v), 0.54 + 0.46 * np.cos(np.pi * v), atol=1e-12)
+    np.testing.assert_allclose(Taper.parse("hann")(v), np.cos(np.pi * v / 2) ** 2, atol=1e-12)
+    edge = np.linspace(-1, 1, n)
+    np.testing.assert_allclose(Taper.parse("kaiser:6")(edge), windows.kaiser(n, 6), atol=1e-12)
+    assert (Taper()(v) == 1).all()
+
+
+@pytest.mark.parametrize("text", TAPERS)
+def test_every_taper_is_its_series_of_cosines(text: str) -> None:
+    taper, v = Taper.parse(text), np.linspace(-1, 1, 1001)
+    terms, frequency = taper.series
+    total = sum(a * np.cos(np.pi * frequency * k * v) for k, a in enumerate(terms))
+    np.testing.assert_allclose(taper(v), total, atol=1e-10)
+    assert Taper.parse(taper.text) == taper
+
+
+@pytest.mark.parametrize("text", TAPERS)
+def test_ideal_figures_are_those_of_the_response(text: str) -> None:
+    """The response by adaptive quadrature, at a few places; its figures by reading a finely sampled one."""
+    taper = Taper.parse(text)
+    v = (np.arange(4000) + 0.5) / 2000 - 1
+    u = np.linspace(0, 10 * taper.ideal.width, 2001)
+    response = np.array([(taper(v) * np.cos(np.pi * v * at)).sum() for at in u]) / taper(v).sum()
+    whole = quad(lambda at: float(taper(np.array(at))), -1, 1)[0]
+    wave = quad(lambda at: float(taper(np.array(at))) * np.cos(np.pi * at * u[350]), -1, 1, limit=200)[0]
+    assert response[350] == pytest.approx(wave / whole, abs=1e-6)
+    power = response**2
+    first = int(np.flatnonzero(np.diff(power) > 0)[0])
+    assert np.interp(taper.ideal.width / 2, u, power) == pytest.approx(0.5, abs=1e-4)
+    assert 10 * np.log10(power[first:].max()) == pytest.approx(taper.ideal.pslr, abs=0.02)
+    side, main = np.trapezoid(power[first:]), np.trapezoid(power[: first + 1])
+    assert 10 * np.log10(side / main) == pytest.approx(taper.ideal.islr, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("blackman", "weighting 'blackman' is unknown; give uniform, taylor:NBAR:SLL"),
+        ("", "weighting '' is unknown"),
+        ("taylor", "weighting 'taylor' has 0 parameters, but taylor takes 2"),
+        ("taylor:4", "has 1 parameters, but taylor takes 2"),
+        ("hamming:1", "has 1 parameters, but hamming takes 0"),
+        ("taylor:4:x", "has a parameter that is no number"),
+        ("taylor:4.5:-35", "NBAR = 4.5; give a whole number from 2 to 12"),
+        ("taylor:4:35", "SLL = 35 dB; give a level from -80 to -15 dB"),
+        ("kaiser:-1", "BETA = -1; give one above 0"),
+        ("kaiser:inf", "no number"),
+    ],
+)
+def test_wrong_tapers_are_refused(text: str, reason: str) -> None:
+    with pytest.raises(InputError, match=reason.replace("[", r"\[")):
+        Taper.parse(text)
+
+
+def test_a_taper_for_one_axis_takes_precedence() -> None:
+    both = Weighting.parse("hann", azimuth="taylor:4:-35")
+    assert both == Weighting(Taper("hann"), Taper("taylor", (4.0, -35.0)))
+    assert both.text == "hann in range, taylor:4:-35 in azimuth"
+    assert Weighting.parse() == UNIFORM and UNIFORM.uniform and not both.uniform
+
+
+@pytest.mark.parametrize("text", ["uniform", "taylor:4:-35", "kaiser:6"])
+@pytest.mark.parametrize("change", [{}, {"steering_deg": -26.23, "yaw_deg": 179.5}, {"steering_deg": None}])
+def test_the_sum_of_weights_is_that_of_all_lit_pulses(text: str, change: dict[str, Any]) -> None:
+    """Pulse by pulse, for points with full dwells and cut ones; some pulses are missing."""
+    c, taper = collection(n_pulse=240, prf=800.0, **change), Taper.parse(text)
+    geometry = Geometry(collection=c)
+    yaw = np.radians(change.get("yaw_deg", 50.0)) + np.linspace(-0.09, 0.09, 41)
+    valid = np.ones(c.n_pulse)
+    valid[[3, 100, 101]] = [0.0, 0.5, 0.0]
+    x, y = geometry.ground_axes(np.full(yaw.size, 30e3), yaw)
+    v = np.broadcast_to((2 * np.arange(c.n_pulse) + 1 - c.n_pulse) / c.n_pulse, (yaw.size, c.n_pulse))
+    if c.beam_width is not None:
+        v = 2 * beam_offset(geometry, x[:, None], y[:, None], slice(None)) / c.beam_width
+    wanted = (is_lit(geometry, x, y) * valid * taper(v)).sum(axis=1)
+    np.testing.assert_allclose(weighted_pulses(c, geometry.yaw(x, y), valid, taper), wanted, atol=1e-9 * c.n_pulse)

@@ -1,0 +1,104 @@
+"""Weighted images: targets against the ideal response, clutter against exact back-projection with the same weights."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from distributed import Client
+from quality_bar import planned
+from scenes import scene
+
+import blocksar
+from blocksar import stores
+from blocksar.collection.beam import has_full_dwell
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.weighting import Taper, Weighting
+from blocksar.errors import FolderError
+from blocksar.focusing.backprojection import form_image
+
+TAYLOR = Taper.parse("taylor:4:-35")
+SMALL: dict[str, Any] = {"steering": (44.75, 55.25), "duration": 0.4, "swath": [29850.0, 30150.0]}
+SCENES: dict[str, Any] = {
+    "steered": (SMALL, None),
+    "scan reversed": (SMALL | {"steering": (55.25, 44.75)}, None),
+    "a patch that the beam lights all at once": (SMALL, 12.0),
+    "unsteered": (
+        SMALL | {"steering": None, "dwell": None, "prf": 12e3},
+        ((16040.0, 16180.0, 0.5), (19120.0, 19260.0, 0.5)),
+    ),
+}
+
+
+def write(folder: Path, name: str, *, targets: bool) -> tuple[Path, Any]:
+    """The phase history of a target, or of clutter, and the grid of its image."""
+    changes, grid = SCENES[name]
+    text = scene(**changes)
+    (folder / "empty.toml").write_text(text)
+    plan = planned(folder / "empty.toml", blocks=2, grid=grid if isinstance(grid, tuple) else None)
+    if not isinstance(grid, tuple):  # about a seam
+        half = grid or 70.0
+        seam = plan.blocks[0].high
+        x, y, _ = plan.geometry.ground_point(np.array(30e3), np.array(seam))
+        grid = ((x - half, x + half, 0.5), (y - half, y + half, 0.5))
+    (x0, x1, _), (y0, y1, _) = grid
+    if targets:
+        # One only: the side lobes of another would be as high as those to be measured.
+        text += f'\n[[targets]]\nname = "T"\nx = {(x0 + x1) / 2 + 1.3}\ny = {(y0 + y1) / 2 - 0.7}\n'
+    else:
+        text += f"\n[clutter]\nscatterers = 4000\nseed = 3\nx = [{x0 - 60}, {x1 + 60}]\ny = [{y0 - 60}, {y1 + 60}]\n"
+    (folder / "scene.toml").write_text(text)
+    return Path(blocksar.simulate(folder / "scene.toml", folder / "ph.zarr")), grid
+
+
+@pytest.mark.parametrize("name", ["steered", "scan reversed", "unsteered"])
+def test_weighted_targets_have_the_ideal_response(name: str, client: Client, tmp_path: Path) -> None:
+    store, grid = write(tmp_path, name, targets=True)
+    blocksar.focus(store, tmp_path / "run", blocks=2, grid=grid, weighting=TAYLOR.text, client=client)
+    report = blocksar.quality(tmp_path / "run")
+    assert len(report.result["targets"]) == 1
+    assert report.result["weighting"] == {"range": TAYLOR.text, "azimuth": TAYLOR.text}
+    for target in report.result["targets"]:
+        assert target["full_dwell"] and target["covered"]
+        for axis in ("range", "azimuth"):
+            assert target[f"{axis}_pslr"] == pytest.approx(-35.17, abs=0.5), target
+            assert target[f"{axis}_irw"] == pytest.approx(target[f"{axis}_irw_theory"], rel=0.01), target
+        assert max(abs(target["error_x"]), abs(target["error_y"])) <= 0.02
+        assert abs(complex(*target["value"])) == pytest.approx(1.0, abs=0.005)
+    with pytest.raises(FolderError, match="weighting_range 'taylor:4:-35'"):
+        blocksar.focus(store, tmp_path / "run", blocks=2, grid=grid, client=client)
+    blocksar.report(tmp_path / "run")
+    page = " ".join((tmp_path / "run" / "report.html").read_text().split())
+    assert "weighting-azimuth" in page and "side lobes within 0.5 dB of" in page
+
+
+@pytest.mark.parametrize(("name", "azimuth", "least"), [
+    ("steered", "taylor:4:-35", 44.0),
+    ("steered", "hann", 51.0),
+    ("scan reversed", "hamming", 48.0),
+    ("a patch that the beam lights all at once", "taylor:4:-35", 40.0),
+    ("unsteered", "taylor:4:-35", 57.0),
+])  # fmt: skip
+def test_weighted_clutter_is_that_of_back_projection(
+    name: str, azimuth: str, least: float, client: Client, tmp_path: Path
+) -> None:
+    """Error power after one complex gain. Ends of dwells with a weight are those of whole pulses in back-projection."""
+    store, grid = write(tmp_path, name, targets=False)
+    weighting = Weighting.parse("taylor:4:-35", azimuth=azimuth)
+    chosen = {"weighting": "taylor:4:-35", "weighting_azimuth": azimuth}
+    grid = tuple((a, b, 2.0 if b - a > 50 else 0.5) for a, b, _ in grid)
+    blocksar.focus(store, tmp_path / "run", blocks=2, fidelity=0.999995, grid=grid, client=client, **chosen)
+    image = blocksar.open(tmp_path / "run").image
+    history = stores.open_phase_history(store)
+    geometry = Geometry(collection=history.collection.centred())
+    x, y = image.x.values, image.y.values
+    exact = form_image(lambda p: history.read(p, slice(None)), geometry, x, y, threads=2, weighting=weighting)
+    both = np.isfinite(exact) & np.isfinite(image.values) & has_full_dwell(geometry, x, y[:, None])
+    assert both.mean() > 0.9
+    found, wanted = image.values[both], exact[both]
+    gain = np.vdot(wanted, found) / np.vdot(wanted, wanted)
+    error = np.mean(np.abs(found / gain - wanted) ** 2) / np.mean(np.abs(wanted) ** 2)
+    assert -10 * np.log10(error) > least
+    assert abs(gain - 1) < 2e-3
