@@ -21,9 +21,10 @@ from blocksar.kernels import buffers, interpolation, phase
 from blocksar.kernels.fourier import Axis, fft_rows
 from blocksar.kernels.groups import row_groups, run_groups
 from blocksar.kernels.operations import Blend, Cut, Operation, Resample, ScaledTurn, Stretch, Transform, Turn, Window
-from blocksar.kernels.phase import Phase
+from blocksar.kernels.phase import Float32Array, Phase
 
 Layout = Literal["rows", "columns"]
+BEYOND = (-0.5, 1.5)  # shares of a blend: beyond the lines that it was fitted to, a polynomial runs away
 
 
 class Program:
@@ -218,28 +219,28 @@ class _BlendPass:
 
     def __call__(self, group: ComplexArray, rows: slice, out: ComplexArray | None = None) -> ComplexArray:
         blend, which = self.operation, self.operation.which[rows]
-        nodes = np.arange(blend.count) / max(blend.count - 1, 1)
         target = blend.transform.target
-        share = _polynomials(blend.share[rows], (target.values - blend.centre) / blend.scale)
-        share = np.clip(share, -0.5, 1.5)  # beyond the lines that it was fitted to, a polynomial runs away
+        z = (target.values - blend.centre) / blend.scale
+        share = np.polynomial.polynomial.polyval(z, blend.share[rows].mean(axis=0))
         total: ComplexArray | None = None
-        for k in range(blend.count):
+        for k, weight in enumerate(_lagrange(np.clip(share, *BEYOND), blend.count)):
             part = group if k == blend.count - 1 else group.copy()
             phase.multiply_windows(part, np.ascontiguousarray(blend.values[:, k]), which)
             part = fft_rows(part, inverse=blend.transform.inverse)[:, : target.size]
-            for other in np.delete(nodes, k):
-                part *= ((share - other) / (nodes[k] - other)).astype(np.float32)
-            total = part if total is None else total + part
+            part *= weight
+            total = part if total is None else np.add(total, part, out=total)
         assert total is not None
         return total
 
 
-def _polynomials(coefficients: FloatArray, z: FloatArray) -> FloatArray:
-    """sum_k coefficients[r, k] z^k, (n_row, z.size)."""
-    total = np.repeat(coefficients[:, -1:], z.size, axis=1)
-    for term in coefficients.T[-2::-1]:
-        total = total * z + term[:, None]
-    return total
+def _lagrange(share: FloatArray, count: int) -> list[Float32Array]:
+    """Lagrange's polynomials through 0, 1 / (count - 1), .. 1 at the shares."""
+    nodes = np.arange(count) / max(count - 1, 1)
+    terms = []
+    for node in nodes:
+        others = nodes[nodes != node]
+        terms.append(((share[:, None] - others) / (node - others)).prod(axis=1).astype(np.float32))
+    return terms
 
 
 @dataclass(frozen=True, eq=False)

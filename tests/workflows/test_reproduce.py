@@ -16,11 +16,10 @@ from scenes import TABLE1, scene
 
 import blocksar
 from blocksar.collection.geometry import Geometry
-from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.constants import SINC_ISLR, SPEED_OF_LIGHT
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.method import Method
 from blocksar.kernels.fourier import Axis
-from blocksar.measurement.figures import IDEAL_ISLR
 from blocksar.planning.plan import plan_collection
 from blocksar.simulation.scene import Scene
 
@@ -185,7 +184,7 @@ def test_a_spectrogram_locates_a_chirp(reproduce: Any, repeats: int) -> None:
 
 
 def test_a_printed_islr_is_explained_by_an_integration_width(reproduce: Any) -> None:
-    said = re.search(r"within about ([\d.]+) widths", reproduce.responses.why_islr(IDEAL_ISLR, "it prints"))
+    said = re.search(r"within about ([\d.]+) widths", reproduce.responses.why_islr(SINC_ISLR, "it prints"))
     assert said is not None
     assert float(said[1]) == pytest.approx(10, abs=0.6)  # near a null the integral is almost constant
 
