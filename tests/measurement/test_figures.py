@@ -538,12 +538,12 @@ def test_the_ideal_response_under_patterns_is_the_back_projection_of_the_target(
 @pytest.mark.parametrize("text", ["uniform", "taylor:4:-35"])
 def test_a_target_under_patterns_has_the_figures_of_its_ideal_response(text: str) -> None:
     """Those of the taper alone would be off: the pattern falls by 5 dB to the edges of the beam."""
-    collection = with_patterns(axis_collection(n_pulse=1600, beam_width=0.02))
+    collection = with_patterns(axis_collection(n_pulse=800, beam_width=0.012))
     geometry, target = Geometry(collection=collection), Target("P", 9000.0, 12.0, 1.0 + 0j)
     weighting = Weighting.parse(text)
     axes = response_axes(geometry, target.x, target.y, weighting)
     assert axes is not None
-    reach = 27 * np.array([axes.range_width * abs(axes.range_direction[0]), axes.azimuth_width])
+    reach = 24 * np.array([axes.range_width * abs(axes.range_direction[0]), axes.azimuth_width])
     image_x, image_y = (
         centre + np.linspace(-1, 1, 2 * int(extent * 2.8 * band) + 1) * extent
         for centre, extent, band in zip((target.x, target.y), reach, axes.band, strict=True)
@@ -553,7 +553,7 @@ def test_a_target_under_patterns_has_the_figures_of_its_ideal_response(text: str
     found = measure_target(reader(image), image_x, image_y, geometry, target, weighting)
     assert found.covered and found.full_dwell
     assert found.azimuth_irw == pytest.approx(found.azimuth_irw_theory, rel=0.01)
-    assert found.azimuth_pslr == pytest.approx(found.azimuth_pslr_theory, abs=0.4)
+    assert found.azimuth_pslr == pytest.approx(found.azimuth_pslr_theory, abs=0.7)  # the beam moves on with the pixel
     assert found.range_pslr == pytest.approx(found.range_pslr_theory, abs=0.3)
     assert found.azimuth_pslr_theory < weighting.azimuth.ideal.pslr - 2
     assert axes.azimuth_ideal.width > 1.03 * weighting.azimuth.ideal.width

@@ -107,7 +107,7 @@ def test_a_weighted_chain_focuses_as_back_projection_does(mode: str, patterns: b
     error, gain = relative_error(image, exact, full)
     assert full.mean() > 0.1 and np.isfinite(image[full]).all()
     assert error < most
-    assert abs(gain - 1) < 2e-3
+    assert abs(gain - 1) < 4e-3
 
 
 @pytest.mark.parametrize("patterns", [False, True])
