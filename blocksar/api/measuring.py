@@ -30,6 +30,7 @@ from blocksar.runs.finished import FinishedRun
 from blocksar.runs.record import RunPlan
 from blocksar.simulation.scene import Scene
 
+FULL_DWELL_YAWS = 257  # at which full dwells are looked for under a beam about its axis
 RANGES_COMPARED = (("near", 0.1), ("middle", 0.5), ("far", 0.9))  # name, share of the swath
 
 
@@ -244,7 +245,12 @@ def reference_places(geometry: Geometry, plan: RunPlan) -> list[tuple[str, float
         return [("image centre", (x0 + x1) / 2, (y0 + y1) / 2)]
     collection = geometry.collection
     low, high = predicted[0].yaw[0], predicted[-1].yaw[1]
-    if collection.steered:
+    if collection.has_axis:
+        middle = (predicted[0].range[0] + predicted[-1].range[1]) / 2
+        tried = np.linspace(low, high, FULL_DWELL_YAWS)
+        full = tried[has_full_dwell(geometry, *geometry.ground_axes(np.array(middle), tried))]
+        low, high = (float(full[0]), float(full[-1])) if full.size > 1 else (low, high)
+    elif collection.steered:
         first, last = full_dwell_yaw(collection)
         low, high = (max(low, first), min(high, last)) if first < last else (low, high)
     blocks = {b.block: b.yaw for b in predicted}

@@ -309,7 +309,9 @@ def _plan_backprojection(
     geometry = Geometry(collection=collection)
     grid = grid or default_grid(geometry, plan_region(geometry, None))
     pixels = grid.shape[0] * grid.shape[1]
-    lit = most_lit_pulses(collection)
+    lit = most_lit_pulses(
+        geometry, *np.meshgrid(grid.x[:: max(grid.x.size // 64, 1)], grid.y[:: max(grid.y.size // 64, 1)])
+    )
     memory = checked_back_projection_memory(collection, grid, threads, memory_limit)
     lines = [
         f"exact back-projection of {grid.shape[1]} x {grid.shape[0]} pixels, {lit} lit pulses each: "

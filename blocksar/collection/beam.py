@@ -1,25 +1,29 @@
 """Which pulses light a ground point: the one rule, and what follows from it.
 
-A pulse lights a point while |wrapped(yaw - beam_azimuth)| <= beam_width / 2, where yaw is the point's angle about the
-platform's nadir at t = 0. Points on the very edge are lit. A collection whose beam is not steered lights every point
-with every pulse.
+A beam that is described by its yaw lights a point while |wrapped(yaw - beam_azimuth)| <= beam_width / 2, where yaw is
+the point's angle about the platform's nadir at t = 0. A beam about the antenna's own axis (`axis_beam`) lights it while
+|asin(u . beam_axis) - beam_steering| <= beam_width / 2, with u the unit vector from the antenna to the point. Points on
+the very edge are lit. A collection whose beam is not steered lights every point with every pulse.
 
-`in_beam` is that rule for plain angles; compiled loops wrap it by `numba.njit(inline="always")`. Callers that have
+`in_beam` is the first rule for plain angles; compiled loops wrap it by `numba.njit(inline="always")`. Callers that have
 positions ask `is_lit`, `lit_interval` and `dwell`; `is_lit` and `lit_interval` compare without tolerance. Callers that
-work in the polar frame ask `lit_pulses` and `dwell_at`, which allow for the rounding of computed yaws (`EDGE`).
+work in the polar frame ask `lit_pulses`, `weighted_pulses`, `dwell_at` and `lit_total`, which allow for the rounding of
+computed yaws (`EDGE`). `pulse_weights` are the weights over a dwell, `pattern_gain` is the antenna's pattern.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import TypeVar
 
 import numpy as np
 
 from blocksar.arrays import BoolArray, FloatArray, IntArray
+from blocksar.collection.axis_beam import axis_dwell, axis_offset, axis_spans, refuse_twice
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
-from blocksar.collection.weighting import Taper
+from blocksar.collection.weighting import FLAT, Taper
 from blocksar.constants import TURN
 from blocksar.errors import InputError
 
@@ -29,6 +33,8 @@ Angle = TypeVar("Angle", float, FloatArray)
 # carry rounding errors (4e-16 at pi, 1e-14 at 100 rad, 1e-11 where coordinates are large) and still count as on it.
 STILL = 1e-9  # rad: a beam that turns by less stands still
 EDGE = 1e-10
+CENTRE_NODES = 65  # yaws between which the centre of a beam about its axis is interpolated
+GAIN_PARTS = 32  # of a dwell, in each of which weights and the antenna's pattern are taken as constant
 
 
 # ---------------------------------------------------------------- angles
@@ -70,13 +76,16 @@ def beam_at(collection: Collection, pulses: slice) -> tuple[FloatArray, float]:
 
 def is_lit(geometry: Geometry, x: FloatArray, y: FloatArray, pulses: slice = slice(None)) -> BoolArray:
     """Which pulses light ground points x, y (...), m: (..., n_pulse)."""
+    if geometry.collection.has_axis:
+        offset = beam_offset(geometry, np.asarray(x)[..., None], np.asarray(y)[..., None], pulses)
+        return np.asarray(np.abs(offset) <= (geometry.collection.beam_width or 0.0) / 2)
     return in_beam(geometry.yaw(x, y)[..., None], *beam_at(geometry.collection, pulses))
 
 
 def lit_interval(geometry: Geometry, x: FloatArray, y: FloatArray) -> tuple[IntArray, IntArray]:
     """The pulses first <= p < last that light each ground point: exactly those of `is_lit`.
 
-    The beam scans one way, so that a point's lit pulses are an interval.
+    A point's lit pulses are an interval.
 
     Parameters
     ----------
@@ -92,9 +101,15 @@ def lit_interval(geometry: Geometry, x: FloatArray, y: FloatArray) -> tuple[IntA
     Raises
     ------
     InputError
-        If the beam scans so far round that a point could be lit twice.
+        If the beam scans so far round that a point could be lit twice, or turns back so that one is.
     """
     collection = geometry.collection
+    if collection.has_axis:
+        shape = np.shape(x)
+        x, y = np.ravel(np.asarray(x, np.float64)), np.ravel(np.asarray(y, np.float64))
+        spans = axis_spans(collection, x, y)
+        refuse_twice(collection, x, y, spans.twice)
+        return spans.first.reshape(shape), spans.last.reshape(shape)
     yaw = np.asarray(geometry.yaw(np.asarray(x, np.float64), np.asarray(y, np.float64)))
     if collection.beam_width is not None:
         beam, width = collection.beam_azimuth, collection.beam_width
@@ -139,14 +154,96 @@ def weighted_pulses(collection: Collection, yaw: FloatArray, valid: FloatArray, 
     return total
 
 
-def beam_offset(geometry: Geometry, x: FloatArray, y: FloatArray, pulses: slice = slice(None)) -> FloatArray:
-    """How far ground points x, y (...), m, lie from the centre of a steered beam, rad: (..., n_pulse)."""
-    return wrapped(geometry.yaw(x, y)[..., None] - geometry.collection.beam_azimuth[pulses])
-
-
-def most_lit_pulses(collection: Collection) -> int:
-    """The largest number of pulses that light any one point."""
+def most_lit_pulses(geometry: Geometry, x: FloatArray, y: FloatArray) -> int:
+    """The largest number of pulses that light any one point; under a beam about its axis, any of those at x, y, m."""
+    collection = geometry.collection
+    if collection.has_axis:
+        first, last = dwell(geometry, x, y)
+        return math.ceil(max(float((last - first).max()), 0.0) * collection.prf)
     return int(lit_pulses(collection, collection.beam_azimuth, np.ones(collection.n_pulse)).max())
+
+
+def lit_total(
+    geometry: Geometry, epoch_range: FloatArray, yaw: FloatArray, valid: FloatArray, taper: Taper = FLAT
+) -> FloatArray:
+    """Sum of `valid` (n_pulse,) times taper and antenna's pattern over lit pulses: (n_range, n_yaw), at (n,) m and rad.
+
+    Dwells begin and end between pulses here, so that the sum is continuous.
+    """
+    collection = geometry.collection
+    first, last = dwell_at(geometry, yaw, epoch_range[:, None])
+    shape = epoch_range.size, yaw.size
+    start, _ = aperture(collection)
+    begin, stop = (np.broadcast_to(np.clip((t - start) * collection.prf, 0, None), shape) for t in (first, last))
+    before, pulse = np.concatenate([[0.0], np.cumsum(valid)]), np.arange(valid.size + 1.0)
+    x, y = geometry.ground_axes(epoch_range[:, None], yaw)
+    weighed = collection.has_pattern or not taper.uniform
+    parts, total = GAIN_PARTS if weighed else 1, np.zeros(shape)
+    for part in range(parts):
+        low, high = (begin + (stop - begin) * (part + k) / parts for k in (0, 1))
+        count = np.interp(high, pulse, before) - np.interp(low, pulse, before)
+        if weighed:
+            middle = np.clip((low + high) / 2, 0, valid.size - 1).astype(np.int64)
+            count = count * pulse_weights(geometry, x, y, middle, taper) * pattern_gain(geometry, x, y, middle)
+        total += count
+    return np.asarray(np.where((last > first) & np.isfinite(x), np.maximum(total, 0.0), 0.0))
+
+
+# ---------------------------------------------------------------- angles off the beam's centre, weights and patterns
+
+
+def beam_offset(geometry: Geometry, x: FloatArray, y: FloatArray, pulses: slice | IntArray | int) -> FloatArray:
+    """Angle of ground points x, y (m) off the beam's centre at pulses, rad; points and pulses are broadcast."""
+    collection = geometry.collection
+    if collection.has_axis:
+        return axis_offset(collection, x, y, pulses)
+    return wrapped(geometry.yaw(x, y) - collection.beam_azimuth[pulses])
+
+
+def pulse_weights(
+    geometry: Geometry, x: FloatArray, y: FloatArray, pulses: slice | IntArray | int, taper: Taper
+) -> FloatArray:
+    """Weights w of pulses at ground points x, y (m); points and pulses are broadcast.
+
+    A taper of v = 2 offset / beam_width, or of the pulse's place in the collection where the beam is not steered.
+    """
+    collection = geometry.collection
+    if taper.uniform:
+        return np.ones(())
+    if collection.beam_width is None:
+        return taper.samples(collection.n_pulse)[pulses]
+    return taper(2 * beam_offset(geometry, x, y, pulses) / collection.beam_width)
+
+
+def pattern_gain(geometry: Geometry, x: FloatArray, y: FloatArray, pulses: slice | IntArray | int) -> FloatArray:
+    """Two-way amplitude g that the antenna gives ground points x, y (m) at pulses; points and pulses are broadcast.
+
+    The product of both patterns, linear between their samples; 1 where there is none.
+    """
+    collection = geometry.collection
+    px, py, pz = np.moveaxis(collection.antenna_position[pulses], -1, 0)
+    gain = np.ones(np.broadcast_shapes(np.shape(x), np.shape(px)))
+    if collection.beam_offset is not None and collection.beam_pattern is not None:
+        gain = np.interp(beam_offset(geometry, x, y, pulses), collection.beam_offset, collection.beam_pattern)
+    if collection.elevation is not None and collection.elevation_pattern is not None:
+        down = np.arctan2(pz - collection.ground_height, np.sqrt((x - px) ** 2 + (y - py) ** 2))
+        gain = gain * np.interp(down, collection.elevation, collection.elevation_pattern)
+    return np.asarray(gain)
+
+
+def at_times(
+    geometry: Geometry,
+    x: FloatArray,
+    y: FloatArray,
+    time: FloatArray,
+    value: Callable[[Geometry, FloatArray, FloatArray, IntArray], FloatArray],
+) -> FloatArray:
+    """`value` of points and pulses, such as `beam_offset`, at slow times (s), linear between pulses; broadcast."""
+    collection = geometry.collection
+    position = (time - collection.time[0]) * collection.prf
+    before = np.clip(np.floor(position), 0, collection.n_pulse - 2).astype(np.int64)
+    part = np.clip(position - before, 0.0, 1.0)
+    return np.asarray(value(geometry, x, y, before) * (1 - part) + value(geometry, x, y, before + 1) * part)
 
 
 def _lit_interval(collection: Collection, yaw: FloatArray, *, tolerance: float) -> tuple[IntArray, IntArray]:
@@ -203,18 +300,28 @@ def aperture(collection: Collection) -> tuple[float, float]:
 
 def dwell(geometry: Geometry, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     """First and last lit slow time of ground points x, y (...), m: see `dwell_at`."""
-    return dwell_at(geometry, geometry.yaw(x, y))
+    if geometry.collection.has_axis:
+        return _axis_dwell(geometry, np.asarray(x, np.float64), np.asarray(y, np.float64), uncut=False)
+    return dwell_at(geometry, geometry.yaw(x, y), np.zeros(1))
 
 
-def dwell_at(geometry: Geometry, yaw: FloatArray, *, uncut: bool = False) -> tuple[FloatArray, FloatArray]:
-    """First and last lit slow time of points at yaws (...), rad: two arrays (...), s; start > end where never lit.
+def dwell_at(
+    geometry: Geometry, yaw: FloatArray, epoch_range: FloatArray, *, uncut: bool = False
+) -> tuple[FloatArray, FloatArray]:
+    """First and last lit slow time of points at yaws (rad) and epoch ranges (m): two arrays, s; start > end if never.
 
-    With `uncut`, as if a scanning beam went on beyond the ends of the collection as it did on average.
+    Under a beam about the antenna's axis, yaws and ranges are broadcast. Otherwise the range does not matter, and the
+    arrays have the shape of `yaw`.
+
+    With `uncut`, as if a scanning beam went on beyond the ends of the collection: as it did on average, or about its
+    axis as it did there.
 
     These are the times at which the edges of the beam, taken as a continuous function of time, pass the point. A pulse
     stands for the half interval on either side of it, so N lit pulses dwell for N intervals, give or take one.
     """
     collection = geometry.collection
+    if collection.has_axis:
+        return _axis_dwell(geometry, *geometry.ground_axes(epoch_range, yaw), uncut=uncut)
     start, end = aperture(collection)
     yaw = np.asarray(yaw, dtype=np.float64)
     if collection.beam_width is None:
@@ -233,12 +340,49 @@ def dwell_at(geometry: Geometry, yaw: FloatArray, *, uncut: bool = False) -> tup
     return (first, last) if uncut else (np.maximum(first, start), np.minimum(last, end))
 
 
+def _axis_dwell(geometry: Geometry, x: FloatArray, y: FloatArray, *, uncut: bool) -> tuple[FloatArray, FloatArray]:
+    x, y = np.broadcast_arrays(x, y)
+    first, last = axis_dwell(geometry.collection, x.ravel(), y.ravel(), uncut=uncut)
+    return first.reshape(x.shape), last.reshape(x.shape)
+
+
+def centre_yaw(
+    geometry: Geometry, time: FloatArray, epoch_range: FloatArray | float, low: float, high: float
+) -> FloatArray:
+    """Yaw of the beam's centre at slow times (n,): the points amid their dwell. The middle if it is not steered.
+
+    Under a beam about its axis (..., n), at epoch ranges (...), m, from `low` to `high`; also there the middle, where
+    all points are lit at the same time.
+    """
+    collection = geometry.collection
+    if not collection.steered:
+        return np.full(time.size, (low + high) / 2)
+    if not collection.has_axis:
+        return np.interp(time, collection.time, collection.beam_azimuth)
+    yaw = np.linspace(low, high, CENTRE_NODES)
+    first, last = dwell_at(geometry, yaw, np.ravel(epoch_range)[:, None], uncut=True)
+    rows = []
+    for middle in (first + last) / 2:
+        steps = np.diff(middle)
+        if np.isfinite(middle).all() and ((steps > 0).all() or (steps < 0).all()):
+            order = slice(None) if steps[0] > 0 else slice(None, None, -1)
+            rows.append(np.interp(time, middle[order], yaw[order]))
+        else:
+            rows.append(np.full(time.size, (low + high) / 2))
+    return np.array(rows).reshape(*np.shape(epoch_range), time.size)
+
+
 def has_full_dwell(geometry: Geometry, x: FloatArray | float, y: FloatArray | float) -> BoolArray:
     """Whether the whole beam sweeps over targets at x, y (...), m, to within one pulse; true if it is not steered.
 
-    Where the beam stands still: whether it lights them.
+    Where the beam stands still: whether it lights them. About its axis: also where it lights them all the time.
     """
     collection = geometry.collection
+    if collection.has_axis:
+        start, end = aperture(collection)
+        first, last = _axis_dwell(geometry, np.asarray(x, np.float64), np.asarray(y, np.float64), uncut=True)
+        whole = (first >= start - collection.pulse_interval) & (last <= end + collection.pulse_interval)
+        return np.asarray((whole & (last > first)) | ((first <= start) & (last >= end)))
     yaw = geometry.yaw(np.asarray(x), np.asarray(y))
     if collection.beam_width is None:
         return np.ones(yaw.shape, bool)
@@ -247,9 +391,9 @@ def has_full_dwell(geometry: Geometry, x: FloatArray | float, y: FloatArray | fl
     if low == high:
         return in_beam(yaw, beam[0], collection.beam_width / 2 + EDGE)
     yaw = turned_near(yaw, (low + high) / 2)
-    first, last = full_dwell_yaw(collection)
+    lowest, highest = full_dwell_yaw(collection)
     pulse = (high - low) / (collection.n_pulse - 1)
-    return np.asarray((first - pulse <= yaw) & (yaw <= last + pulse))
+    return np.asarray((lowest - pulse <= yaw) & (yaw <= highest + pulse))
 
 
 # ---------------------------------------------------------------- yaws

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from blocksar.arrays import FloatArray, check_axis
+from blocksar.collection.beam_checks import check_axis_beam, check_cover, check_pattern
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 
@@ -24,6 +25,8 @@ GRAZING = 2e-3  # rad: least angle at which the ground is seen, about a tenth of
 SPEEDS = (0.1, 20e3)  # m/s: of platforms, from one that hovers to a satellite on a high orbit
 SPIKE = 1.0  # m: a single pulse that deviates more than this from its neighbours is corrupt
 JUMP = 50.0  # times the median step between pulses: a larger step is a gap between two passes
+PATTERNS = {"beam_pattern": "beam_offset", "elevation_pattern": "elevation"}  # and their angles
+OPTIONAL = ("beam_axis", "beam_steering", *PATTERNS, *PATTERNS.values())  # arrays that may be None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,8 +37,9 @@ class Collection:
 
         signal[pulse, f] = sigma exp(-4j pi (carrier + f) / c (R(t_pulse) - reference_range[pulse]))
 
-    while the target is lit: |theta - beam_azimuth(t)| <= beam_width / 2 with theta its yaw about the
-    platform's nadir at t = 0; always, if the beam is not steered.
+    while the target is lit, times the antenna's pattern where one is given. There are three kinds of beam, and
+    `collection.beam` has the rule for each: one that is described by its yaw (beam_azimuth), one about the antenna's
+    own axis (beam_axis and beam_steering), and none, if the beam is not steered.
 
     Attributes
     ----------
@@ -50,17 +54,28 @@ class Collection:
     antenna_position : (n_pulse, 3) float
         Phase centre in the scene frame (x, y, z), m; z up.
     beam_azimuth : (n_pulse,) float
-        Beam-centre yaw, rad; all NaN if the beam is not steered.
+        Beam-centre yaw, rad; all NaN if the beam is not steered, or has an axis.
     beam_width : float or None
-        Full width of the beam in yaw, rad; None if the beam is not steered.
+        Full width of the beam, rad: in yaw, or about its axis; None if the beam is not steered.
     ground_height : float
         Height of the imaged plane in the scene frame, m.
+    beam_axis : (n_pulse, 3) float or None
+        Unit vector along the antenna's azimuth axis, scene frame.
+    beam_steering : (n_pulse,) float or None
+        Angle of the beam's centre off the plane normal to the axis, rad, positive towards the axis.
+    beam_offset, beam_pattern : (n,) float or None
+        Two-way amplitude, already in the signal, over the angle off the beam's centre, rad, ascending.
+    elevation, elevation_pattern : (n,) float or None
+        Two-way amplitude, already in the signal, over the angle of the line of sight below the horizontal, rad.
+    noise_power : float or None
+        Mean squared magnitude of the noise of a sample of the signal.
 
     Raises
     ------
     InputError
         If an array has the wrong shape, is not finite or implausibly large, an axis is not uniform and ascending, a
-        single pulse deviates far from its neighbours, or beam_azimuth and beam_width do not agree.
+        single pulse deviates far from its neighbours, the variables of the beam do not agree, or a pattern does not
+        cover it.
     """
 
     carrier: float
@@ -72,9 +87,17 @@ class Collection:
     beam_width: float | None = None
     ground_height: float = 0.0
     title: str = ""
+    beam_axis: FloatArray | None = None
+    beam_steering: FloatArray | None = None
+    beam_offset: FloatArray | None = None
+    beam_pattern: FloatArray | None = None
+    elevation: FloatArray | None = None
+    elevation_pattern: FloatArray | None = None
+    noise_power: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("time", "range_frequency", "reference_range", "antenna_position", "beam_azimuth"):
+        given = [name for name in OPTIONAL if getattr(self, name) is not None]
+        for name in ("time", "range_frequency", "reference_range", "antenna_position", "beam_azimuth", *given):
             try:
                 array = np.array(getattr(self, name), dtype=np.float64)
             except (TypeError, ValueError):
@@ -131,6 +154,7 @@ class Collection:
             )
         self._check_grazing()
         self._check_beam()
+        self._check_patterns()
 
     def _check_shape(self, name: str, shape: tuple[int, ...]) -> None:
         array = getattr(self, name)
@@ -195,6 +219,12 @@ class Collection:
             )
 
     def _check_beam(self) -> None:
+        if self.beam_axis is None and self.beam_steering is None:
+            self._check_yaw_beam()
+        else:
+            self._check_axis_beam()
+
+    def _check_yaw_beam(self) -> None:
         finite = np.isfinite(self.beam_azimuth)
         if not finite.any():
             if self.beam_width is not None:
@@ -238,6 +268,47 @@ class Collection:
                 f"{self.beam_width:.6g} rad: yaws between are never lit; cut the collection there"
             )
 
+    def _check_axis_beam(self) -> None:
+        if self.beam_axis is None or self.beam_steering is None:
+            given, missing = ("steering", "axis") if self.beam_axis is None else ("axis", "steering")
+            raise InputError(f"beam_{given} is given without beam_{missing}; a beam about its axis needs both")
+        if not np.isnan(self.beam_azimuth).all():
+            raise InputError(
+                "beam_azimuth and beam_axis are both given, but describe two kinds of beam; leave out beam_azimuth for "
+                "an antenna that turns about itself, beam_axis and beam_steering otherwise"
+            )
+        self._check_shape("beam_axis", (self.n_pulse, 3))
+        self._check_shape("beam_steering", (self.n_pulse,))
+        check_axis_beam(self.beam_axis, self.beam_steering, self.beam_width)
+
+    def _check_patterns(self) -> None:
+        if self.noise_power is not None and not (np.isfinite(self.noise_power) and self.noise_power >= 0):
+            raise InputError(f"noise_power must be a finite number of at least 0, got {self.noise_power!r}")
+        for name, coordinate in PATTERNS.items():
+            angle, amplitude = getattr(self, coordinate), getattr(self, name)
+            if angle is None and amplitude is None:
+                continue
+            if angle is None or amplitude is None:
+                given, missing = (name, coordinate) if angle is None else (coordinate, name)
+                raise InputError(f"{given} is given without {missing}; a pattern needs its angles and its amplitudes")
+            check_pattern(name, coordinate, angle, amplitude)
+        if self.beam_offset is not None:
+            if self.beam_width is None:
+                raise InputError(
+                    "beam_pattern is given, but neither beam_azimuth nor beam_axis; say where the beam points, or "
+                    "leave the pattern out"
+                )
+            half = self.beam_width / 2
+            check_cover("beam_pattern", "beam_offset", self.beam_offset, -half, half, "the beam")
+        if self.elevation is not None:
+            middle = self.n_pulse // 2
+            height = float(self.antenna_position[middle, 2] - self.ground_height)
+            if (distance := float(self.reference_range[middle])) > height:
+                down = float(np.arcsin(height / distance))
+                check_cover(
+                    "elevation_pattern", "elevation", self.elevation, down, down, "ground at reference_range"
+                )  # fmt: skip
+
     @property
     def n_pulse(self) -> int:
         return int(self.time.size)
@@ -250,6 +321,16 @@ class Collection:
     def steered(self) -> bool:
         """Whether the beam is steered, so that a target may be lit for a part of the time only."""
         return self.beam_width is not None
+
+    @property
+    def has_axis(self) -> bool:
+        """Whether the beam is described by the antenna's own axis."""
+        return self.beam_axis is not None
+
+    @property
+    def has_pattern(self) -> bool:
+        """Whether the signal has an antenna pattern in it that is known."""
+        return self.beam_pattern is not None or self.elevation_pattern is not None
 
     @cached_property
     def pulse_interval(self) -> float:

@@ -70,7 +70,7 @@ def ground_resolution(geometry: Geometry, epoch_range: float, yaw: float) -> tup
     """-3 dB widths of a target's response on the ground over its own dwell, across and along iso-range lines, m."""
     collection = geometry.collection
     point = geometry.ground_point(np.array(epoch_range), np.array(yaw))
-    ends = np.array(dwell_at(geometry, np.array(yaw)))
+    ends = np.array(dwell_at(geometry, np.array(yaw), np.array(epoch_range)))
     sight = point - geometry.track.position(ends)
     gradient = (sight / np.linalg.norm(sight, axis=1, keepdims=True))[:, :2]
     mean = gradient.mean(axis=0)

@@ -5,12 +5,13 @@ Regions are given in yaw, and in range from the antenna position at the epoch.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from blocksar.arrays import FloatArray
+from blocksar.arrays import BoolArray, FloatArray
 from blocksar.collection.beam import dwell_at, lit_yaw, wrapped
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
@@ -18,6 +19,10 @@ from blocksar.collection.grid import Grid, ground_resolution, outline
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 
+# Yaws of a grid at which a beam about its axis is asked what it lights, yaws beyond it that are asked at a time, and
+# yaws at which the first and the last lit one are found; ranges for that, and for the lit ranges of a yaw.
+LEAST_YAWS, MOST_YAWS, YAWS_AT_ONCE, FINE_YAWS = 16, 4096, 16, 257
+FEW_RANGES, LIT_RANGES = 17, 129
 WINDOW_GUARD = 8  # range cells kept free at either end of the range window
 
 
@@ -58,18 +63,19 @@ def plan_region(geometry: Geometry, grid: Grid | None) -> Region:
     Raises
     ------
     InputError
-        If an unsteered collection has no grid, or the grid lies outside the swath or holds the nadir.
+        If there is no grid where the beam is not steered, or has an axis, or the grid lies outside the swath or holds
+        the nadir.
     """
     collection = geometry.collection
-    if collection.steered:
+    if collection.steered and not collection.has_axis:
         low, high = lit_yaw(collection)
         near, far = _window(geometry, np.linspace(low, high, 65), None)
         return Region(yaw=np.linspace(low, high, 65), near=near, far=far)
     if grid is None:
-        raise InputError(
-            "grid is missing: a collection whose beam is not steered lights everything, so give --grid "
-            "x0:x1:dx,y0:y1:dy for the ground to image"
-        )
+        what = "a collection whose beam is not steered lights everything"
+        if collection.has_axis:
+            what = "a beam about the antenna's axis (beam_axis) lights ground on both sides of the track"
+        raise InputError(f"grid is missing: {what}, so give --grid x0:x1:dx,y0:y1:dy for the ground to image")
     x, y = outline(grid)
     if grid.x0 <= geometry.nadir[0] <= grid.x1 and grid.y0 <= geometry.nadir[1] <= grid.y1:
         raise InputError(
@@ -77,12 +83,72 @@ def plan_region(geometry: Geometry, grid: Grid | None) -> Region:
             f"({geometry.nadir[0]:.6g}, {geometry.nadir[1]:.6g}) m, about which yaw has no meaning; move it aside"
         )
     yaw = np.unwrap(geometry.yaw(x, y))
+    if collection.has_axis:
+        return _lit_region(geometry, grid, float(yaw.min()), float(yaw.max()))
     rng = geometry.epoch_range(x, y)
     pad = 0.01 * np.ptp(yaw)
     nodes = np.linspace(yaw.min() - pad, yaw.max() + pad, 33)
     slack = float(np.hypot(grid.dx, grid.dy))  # keeps the farthest pixel off the region's edge
     near, far = _window(geometry, nodes, (float(rng.min()) - slack, float(rng.max()) + slack))
     return Region(yaw=nodes, near=near, far=far)
+
+
+def _lit_region(geometry: Geometry, grid: Grid, low: float, high: float) -> Region:
+    """All that a beam about its axis lights on the side of the track where the grid lies, at yaws low .. high, rad.
+
+    Ranges are those that are lit at a yaw or at its neighbours: between yaws, all that is lit is then inside.
+    """
+    collection = geometry.collection
+    reference = float(np.interp(geometry.epoch, collection.time, collection.reference_range))
+    floor = float(geometry.epoch_position[2] - collection.ground_height) * 1.0005
+    ends = max(reference - collection.range_window / 2, floor), max(reference + collection.range_window / 2, floor)
+    step = (collection.beam_width or 0.0) / 4
+
+    def is_any_lit(yaw: FloatArray) -> BoolArray:
+        return _lit_ranges(geometry, yaw, *(np.full(yaw.size, end) for end in ends), count=FEW_RANGES)[2]
+
+    def first_unlit(edge: float, sign: float) -> float:
+        """The first yaw, a step after the other from an edge on, of which nothing is lit; or a quarter turn away."""
+        for first in range(1, math.ceil(np.pi / 2 / step), YAWS_AT_ONCE):
+            outwards = np.asarray(edge + sign * step * (first + np.arange(YAWS_AT_ONCE)), np.float64)
+            if not (lit := is_any_lit(outwards)).all():
+                return float(outwards[int(lit.argmin())])
+        return edge + sign * np.pi / 2
+
+    inside = np.linspace(low, high, min(max(math.ceil((high - low) / step), LEAST_YAWS), MOST_YAWS) + 1)
+    lit = np.flatnonzero(is_any_lit(inside))
+    if lit.size == 0:
+        raise InputError(
+            f"grid {grid.x0:g}:{grid.x1:g},{grid.y0:g}:{grid.y1:g} lies outside the swath: the beam (beam_axis, "
+            "beam_steering, beam_width) lights none of its yaws; move the grid"
+        )
+    yaw = np.linspace(first_unlit(inside[lit[0]], -1.0), first_unlit(inside[lit[-1]], 1.0), FINE_YAWS)
+    near, far = _window(geometry, yaw, None)
+    lit = np.flatnonzero(_lit_ranges(geometry, yaw, near, far, count=FEW_RANGES)[2])
+    if lit.size == 0:
+        raise InputError("grid lies outside the swath: the beam lights nothing in the range window; move the grid")
+    yaw = np.linspace(yaw[max(lit[0] - 1, 0)], yaw[min(lit[-1] + 1, FINE_YAWS - 1)], 65)
+    near, far = _window(geometry, yaw, None)
+    nearest, farthest, any_lit = _lit_ranges(geometry, yaw, near, far, count=LIT_RANGES)
+    nearest = np.pad(np.where(any_lit, nearest, np.inf), 1, mode="edge")
+    farthest = np.pad(np.where(any_lit, farthest, -np.inf), 1, mode="edge")
+    nearest = np.minimum(np.minimum(nearest[:-2], nearest[1:-1]), nearest[2:])
+    farthest = np.maximum(np.maximum(farthest[:-2], farthest[1:-1]), farthest[2:])
+    lit_there = nearest < farthest
+    return Region(yaw=yaw, near=np.where(lit_there, nearest, near), far=np.where(lit_there, farthest, far))
+
+
+def _lit_ranges(
+    geometry: Geometry, yaw: FloatArray, near: FloatArray, far: FloatArray, *, count: int
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Nearest and farthest lit of `count` ranges from near to far at each yaw (n,), to a step outwards; is any lit?"""
+    ranges = near + (far - near) * np.linspace(0, 1, count)[:, None]
+    first, last = dwell_at(geometry, yaw, ranges)
+    lit = last > first
+    low, high = lit.argmax(axis=0) - 1, count - lit[::-1].argmax(axis=0)
+    each = np.arange(yaw.size)
+    nearest, farthest = ranges[np.maximum(low, 0), each], ranges[np.minimum(high, count - 1), each]
+    return nearest, farthest, np.asarray(lit.any(axis=0))
 
 
 def _window(geometry: Geometry, yaw: FloatArray, within: tuple[float, float] | None) -> tuple[FloatArray, FloatArray]:
@@ -94,12 +160,14 @@ def _window(geometry: Geometry, yaw: FloatArray, within: tuple[float, float] | N
     spread = np.ptp(collection.reference_range) + np.ptp(geometry.track.position(collection.time), axis=0).max()
     low = max(reference - half - spread, floor * 1.0005)
     trial = np.linspace(low, reference + half + spread, 41)
-    first, last = dwell_at(geometry, yaw)
-    u = np.linspace(0, 1, 9)
-    time = first[:, None] + (last - first)[:, None] * u
     point = geometry.ground_point(trial[None, :], yaw[:, None])
-    rng, _ = geometry.range_history(point[:, :, None, :], time[:, None, :])
-    held = rng - np.interp(time, collection.time, collection.reference_range)[:, None, :]
+    first, last = dwell_at(geometry, yaw[:, None], trial[None, :])
+    u = np.linspace(0, 1, 9)
+    time = first[..., None] + (last - first)[..., None] * u
+    if collection.has_axis:  # where nothing is lit, times lie outside
+        time = np.clip(time, collection.time[0], collection.time[-1])
+    rng, _ = geometry.range_history(point[:, :, None, :], time)
+    held = rng - np.interp(time, collection.time, collection.reference_range)
     nearest, farthest = held.min(axis=2), held.max(axis=2)
     near = np.array([np.interp(-half, row[np.isfinite(row)], trial[np.isfinite(row)]) for row in nearest])
     far = np.array([np.interp(half, row[np.isfinite(row)], trial[np.isfinite(row)]) for row in farthest])
@@ -206,11 +274,11 @@ def block_seams(geometry: Geometry, region: Region, count: int) -> FloatArray:
     """Yaws (count + 1,) of the blocks' borders, rad, ascending.
 
     The steering interval of a steered collection is divided evenly (paper A, Figure 7), and the first and last block
-    extend to the ends of the lit yaws. An unsteered region is divided evenly from end to end.
+    extend to the ends of the lit yaws. Any other region is divided evenly from end to end.
     """
     collection = geometry.collection
     low, high = region.yaw[0], region.yaw[-1]
-    if not collection.steered or np.ptp(collection.beam_azimuth) == 0:
+    if not collection.steered or collection.has_axis or np.ptp(collection.beam_azimuth) == 0:
         return np.linspace(low, high, count + 1)
     seams = np.linspace(collection.beam_azimuth.min(), collection.beam_azimuth.max(), count + 1)
     seams[0], seams[-1] = low, high

@@ -1,9 +1,10 @@
 """Weighting: the tapers over band and dwell with which an image is summed, and the ideal responses they give.
 
-    image(p) = sum w(p, t) W(f) signal exp(+4j pi (fc + f) / c (R(p, t) - reference_range)) / sum w(p, t) W(f)
+    image(p) = sum w(p, t) W(f) signal exp(+4j pi (fc + f) / c (R(p, t) - reference_range)) / sum w(p, t) W(f) g(p, t)
 
 W is a function of v = (2k + 1 - m) / m of range frequency k of m. w is one of v = 2 offset / beam_width, the offset of
-a point from the beam's centre, and of v = (2i + 1 - n) / n of pulse i of n where the beam is not steered.
+a point from the beam's centre, and of v = (2i + 1 - n) / n of pulse i of n where the beam is not steered. g is the
+antenna's pattern, 1 where none is known.
 
 Every taper is an even function of v on [-1, 1], and a short sum of cosines: those of Taylor, Hamming and Hann by their
 definition, Kaiser's by a fit to 1e-10 with half the frequencies. Sums of cosines stay smooth beyond the ends.
@@ -12,6 +13,7 @@ definition, Kaiser's by a fit to 1e-10 with half the frequencies. Sums of cosine
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal, NamedTuple, get_args
@@ -256,13 +258,18 @@ def _taylor_coefficients(nbar: int, level: float) -> FloatArray:
 def _ideal(taper: Taper) -> IdealResponse:
     if taper.uniform:
         return IdealResponse(SINC_WIDTH, SINC_PSLR, SINC_ISLR)
+    return ideal_figures(lambda u: taper.response(u) ** 2)
+
+
+def ideal_figures(power: Callable[[FloatArray], FloatArray]) -> IdealResponse:
+    """Figures of a response, from its power at u (n,), 1 at u = 0 and even in u, where u = 1 is 1 / band."""
     low, high = 0.0, 4.0  # the main lobe falls below half within: hann's, the widest but Kaiser's, at 0.72
     for _ in range(60):
         middle = (low + high) / 2
-        low, high = (middle, high) if taper.response(np.array([middle]))[0] ** 2 > 0.5 else (low, middle)
+        low, high = (middle, high) if power(np.array([middle]))[0] > 0.5 else (low, middle)
     width = 2 * low
     u = np.arange(int(CUT_WIDTHS * STEPS_PER_WIDTH) + 1) * width / STEPS_PER_WIDTH
-    response = taper.response(u) ** 2
+    response = power(u)
     first = int(np.flatnonzero(response[1:] > response[:-1])[0])
     energy = np.concatenate([[0.0], np.cumsum((response[1:] + response[:-1]) / 2)])
     side = energy[-1] - energy[first]

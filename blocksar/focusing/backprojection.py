@@ -9,14 +9,17 @@ and pulse: no far field, no mean velocity. `kernels.projection` evaluates the sq
 the centre of a tile, where that errs by less than 1e-9 m, or 1e-7 cycles of phase at X band: -120 dB.
 
 The pulses that light a pixel are an interval (`collection.beam.lit_interval`), so the loop over them needs no test.
-NaN samples are excluded from the mean. The image is NaN where no valid sample is lit, and where a lit pulse,
-missing or not, sees the pixel outside the unambiguous window |R_xy - reference_range| <= c / (4 df).
+With an antenna pattern g (`collection.beam.pattern_gain`) the sum over lit pulses is divided by that of g instead of
+their number, and under a weighting w by that of w g, so that a target of reflectivity 1 still has the value 1. NaN
+samples are excluded from the mean. The image is NaN where no valid sample is lit, and where a lit pulse, missing or
+not, sees the pixel outside the unambiguous window |R_xy - reference_range| <= c / (4 df).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -27,6 +30,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import FLAT, UNIFORM, Taper, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.focusing.pattern_sums import add_gains
 from blocksar.kernels import projection
 from blocksar.kernels.fourier import Axis, fast_length, fft_rows, unit_phasor
 from blocksar.kernels.groups import GROUP_BYTES, row_groups, run_groups
@@ -232,7 +236,8 @@ def _beam_taper(taper: Taper, profiles: Profiles, geometry: Geometry) -> BeamTap
     start, half = profiles.pulses.start, (geometry.collection.beam_width or np.inf) / 2
 
     def place(x: FloatArray, y: FloatArray, pulses: slice) -> FloatArray:
-        return beam_offset(geometry, x, y, slice(pulses.start + start, pulses.stop + start)) / half
+        block = slice(pulses.start + start, pulses.stop + start)
+        return beam_offset(geometry, x[:, None], y[:, None], block) / half
 
     valid = profiles.valid / geometry.collection.n_range_frequency
     return BeamTaper(terms=terms, frequency=frequency, valid=valid, place=place)
@@ -291,7 +296,9 @@ def form_points(
     if not collection.steered:  # every pixel has the same weights
         over_pulses, over_beam = over_beam.samples(collection.n_pulse).astype(np.float32), FLAT
     weight = None if over_beam.uniform else np.zeros(x.shape, np.float32)
-    valid = np.zeros(collection.n_pulse, np.int64 if weighting.uniform else np.float64)
+    # Sums of integers are exact: without a weighting nothing is rounded.
+    valid: Any = np.zeros(collection.n_pulse, np.int64 if weighting.uniform else np.float64)
+    gains = np.zeros(x.shape if collection.has_pattern else 0)
     for pulses in _blocks(_lit_pulses(first, last, collection.n_pulse), pulse_block or pulse_block_size(collection)):
         profiles = range_profiles(read(pulses), collection=collection, pulses=pulses, threads=threads, taper=in_range)
         valid[pulses] = profiles.valid
@@ -303,13 +310,18 @@ def form_points(
             taper=over_beam, weight=weight,
         )  # fmt: skip
         del profiles  # before the next block is read: otherwise two blocks are in memory
-    if weight is None:
+        if collection.has_pattern:
+            _add_gains(
+                gains, geometry, x, y, first=first, last=last, pulses=pulses, valid=valid, taper=over_beam,
+                threads=threads,
+            )  # fmt: skip
+    if collection.has_pattern:
+        _divide(image, outside, (gains / collection.n_range_frequency).astype(np.float32))
+    elif weight is not None:
+        _divide(image, outside, weight)
+    else:
         before = np.concatenate(([0], np.cumsum(valid)))
         _normalise(image, outside, first, last, before, collection.n_range_frequency)
-    else:
-        missing = outside | (weight <= 0)
-        image /= np.where(missing, np.float32(1), weight)
-        image[missing] = complex(np.nan, np.nan)
     return image.reshape(shape)
 
 
@@ -374,6 +386,7 @@ def image_memory(n_pixels: int, collection: Collection, *, threads: int = 1, pul
     n, bins = collection.n_range_frequency, _period(collection) + 2 * MARGIN
     pulses = pulse_block or pulse_block_size(collection)
     pixel = 8 * 5 + 4 + 1 + 2  # bytes: x, y, first, last and image; weight; outside and a mask
+    pixel += 16 if collection.has_pattern else 0  # sums of gains, and what is divided by
     scratch = 4 * (GROUP_BYTES + 8 * bins) + 16 * 8 * TILE**2
     return n_pixels * pixel + pulses * 8 * (n + bins) + threads * scratch + 16 * 8 * (bins + collection.n_pulse)
 
@@ -404,6 +417,28 @@ def _lit_intervals(geometry: Geometry, x: FloatArray, y: FloatArray, threads: in
 
     _run_tiles(work, x.shape, threads)
     return first, last
+
+
+def _add_gains(
+    gains: FloatArray, geometry: Geometry, x: FloatArray, y: FloatArray, *, first: IntArray, last: IntArray,
+    pulses: slice, valid: IntArray | FloatArray, taper: Taper, threads: int,
+) -> None:  # fmt: skip
+    """`pattern_sums.add_gains` tile by tile, in threads."""
+
+    def work(tile: Tile) -> None:
+        add_gains(
+            gains[tile], geometry, x[tile], y[tile], first=first[tile], last=last[tile], pulses=pulses,
+            valid=valid[pulses], taper=taper,
+        )  # fmt: skip
+
+    _run_tiles(work, gains.shape, threads)
+
+
+def _divide(image: ComplexArray, outside: BoolArray, weight: Float32Array) -> None:
+    """Turn sums into weighted means in place: divide by the lit pulses' sum of weights, times the pattern's gain."""
+    missing = outside | (weight <= 0)
+    image /= np.where(missing, np.float32(1), weight)
+    image[missing] = complex(np.nan, np.nan)
 
 
 def _lit_pulses(first: IntArray, last: IntArray, n_pulse: int) -> BoolArray:

@@ -32,6 +32,7 @@ TILE_EXTENT = 150.0  # m: the largest tile over which its polynomials hold to a 
 TILE_GROUP = 16  # tiles per call of the compiled loop
 N_PHASE = 64  # intervals of a sample in a table of taps; between them taps are interpolated, to 1e-4
 N_CARRIER = 1024  # carriers along Doppler that are told apart, in steps of 1 / N_CARRIER cycles per sample
+LEAST_LIT = 0.3  # pulses, times the gain of the pattern: with fewer a pixel counts as not lit
 RANGE_UNIT = WEIGHED_ROWS
 DOPPLER_UNIT = FEW // 2  # Doppler samples of a vector register
 
@@ -91,8 +92,12 @@ def correct(
     frame = np.array([nx, ny, px, py, height2, ground.near, ground.far])
     yaw_start = float(ground.yaw_axis[0] - ground.middle_yaw)
     yaw_step = float(ground.yaw_axis[1] - ground.yaw_axis[0])
-    weight = 1.0 / np.maximum(ground.lit, 1e-9) / ground.scale
-    weight[ground.lit <= 0] = np.nan
+    if ground.lit.ndim == 1:
+        weight = (1.0 / np.maximum(ground.lit, 1e-9) / ground.scale)[None]
+        weight[:, ground.lit <= 0] = np.nan
+    else:
+        weight = ground.lit * ground.scale
+        tiles[:, 2] = 0  # so that the range of every pixel is at hand
     # Arrays sent to a worker are read-only, for which the loop would be compiled again: copy the small ones, and make
     # the block read-only always.
     x, y, near_limit, far_limit = (np.array(values) for values in (x, y, ground.near_limit, ground.far_limit))
@@ -277,6 +282,29 @@ def _amplitude(
 
 
 @njit(**PART, **COMPILED)
+def _divide(
+    turn: FloatArray, start: float, per_step: float, total: FloatArray, near: float, far: float, rng: FloatArray,
+    loss: FloatArray, owned: FloatArray, amplitude: Float32Array,
+) -> None:  # fmt: skip
+    """The same factor from sums over lit pulses, `total`, linear between ranges from near to far and between yaws.
+
+    NaN where the sum is small.
+    """
+    n_range, n_yaw = total.shape
+    for k in range(owned.size):
+        place = min(max((turn[k] - start) * per_step, 0.0), n_yaw - 1.0)
+        row = min(max((rng[k] - near) / (far - near) * (n_range - 1), 0.0), n_range - 1.0)
+        if np.isnan(owned[k]) or np.isnan(place + row):
+            amplitude[k] = np.nan
+            continue
+        i, j = min(int(row), n_range - 2), min(int(place), n_yaw - 2)
+        p, q = row - i, place - j
+        here = (1 - q) * total[i, j] + q * total[i, j + 1]
+        value = (1 - p) * here + p * ((1 - q) * total[i + 1, j] + q * total[i + 1, j + 1])
+        amplitude[k] = owned[k] * loss[k] / value if value >= LEAST_LIT else np.nan
+
+
+@njit(**PART, **COMPILED)
 def _along(coefficients: FloatArray, t: int, v: float, along: FloatArray) -> None:
     """Polynomials of tile t at one v: power coefficients in u, quantity by quantity."""
     c = coefficients
@@ -387,7 +415,7 @@ def _resample(  # type: ignore[no-untyped-def]
     flat, stride = floats.reshape(-1), floats.shape[1]
     range_taps, range_step = range_table.reshape(-1), range_table.shape[1]
     doppler_taps, doppler_step = doppler_table.reshape(-1), doppler_table.shape[1]
-    carriers = carrier_table.reshape(-1)
+    carriers, by_yaw = carrier_table.reshape(-1), weight[0]
     across, along = np.arange(tile) / max((tile - 1) / 2, 0.5) - 1.0, np.empty(coefficients.shape[2])
     values = np.empty((6, tile))
     row, doppler, cycles, loss, turn, middle = values[0], values[1], values[2], values[3], values[4], values[5]
@@ -409,7 +437,10 @@ def _resample(  # type: ignore[no-untyped-def]
             _evaluate(along, across, values)
             if not every:
                 _limit(turn, yaw_start, yaw_step, near_limit, far_limit, rng, owned)
-            _amplitude(turn, yaw_start, 1 / yaw_step, weight, loss, owned, amplitude)
+            if weight.shape[0] == 1:
+                _amplitude(turn, yaw_start, 1 / yaw_step, by_yaw, loss, owned, amplitude)
+            else:
+                _divide(turn, yaw_start, 1 / yaw_step, weight, frame[5], frame[6], rng, loss, owned, amplitude)
             _place(row, n_taps[0], widths[0], sizes[0], n_row, first_row, range_row, range_part)
             _place(doppler, n_taps[1], widths[1], sizes[1], n_doppler, first_doppler, doppler_row, doppler_part)
             _turns(doppler, cycles, middle, first_doppler, carrier, own)
@@ -436,5 +467,5 @@ def compile_kernels() -> None:
     tiles, table = np.zeros((0, 3), np.int64), np.zeros((2, 2), np.float32)
     compile_for(
         _resample, floats, np.zeros((1, 1), np.complex64), tiles, np.zeros((0, 6, 36)), line, line, 1, table, table,
-        table, (2, 2), (2, 2), (1, 1), np.zeros(4), np.zeros(7), 0.0, 1.0, line, line, line,
+        table, (2, 2), (2, 2), (1, 1), np.zeros(4), np.zeros(7), 0.0, 1.0, line, line, line[None],
     )  # fmt: skip

@@ -9,7 +9,7 @@ from numba import njit, types
 
 from blocksar import solvers
 from blocksar.arrays import FloatArray
-from blocksar.collection.beam import wrapped
+from blocksar.collection.beam import lit_total, weighted_pulses, wrapped
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import Taper
 from blocksar.constants import SPEED_OF_LIGHT
@@ -18,6 +18,7 @@ from blocksar.kernels.fourier import Axis
 from blocksar.kernels.loops import loop
 from blocksar.kernels.signatures import COMPILED, PART, REAL_ROW, REAL_ROWS
 
+LIT_RANGES = 33  # of the sum over lit pulses, where that depends on range
 YAW_STEPS = 4096  # of the range window's limits and the number of lit pulses along yaw
 
 
@@ -81,8 +82,8 @@ class GroundMap:
         Epoch ranges at the ends of the range window at each yaw, m.
     taper : Taper
         Weighting over the dwells.
-    lit : (n,) float
-        Number of lit pulses at each yaw, missing ones left out; under a weighting, the sum of their weights.
+    lit : (n,) or (LIT_RANGES, n) float
+        From `sum_lit`: at each yaw, or at each range from near to far and each yaw.
     scale : float
         n_range_frequency / period of the range transform, times the mean weight over range frequency.
     range_taps, doppler_taps : (int, float)
@@ -149,6 +150,24 @@ class GroundMap:
             turn,
             time * self.doppler.step,
         )
+
+
+def sum_lit(
+    geometry: Geometry, *, near: float, far: float, yaw: FloatArray, valid: FloatArray, taper: Taper
+) -> FloatArray:
+    """Number of lit pulses at yaws (n,), rad, missing ones left out: sum of `valid` (n_pulse,) times the taper, (n,).
+
+    Where dwells depend on range, or the antenna has a pattern, which weighs the pulses besides: (LIT_RANGES, n), at
+    ranges from near to far, m.
+    """
+    if not by_range(geometry):
+        return weighted_pulses(geometry.collection, yaw, valid, taper)
+    return lit_total(geometry, np.linspace(near, far, LIT_RANGES), yaw, valid, taper)
+
+
+def by_range(geometry: Geometry) -> bool:
+    """Whether the sum over lit pulses depends on range."""
+    return geometry.collection.has_axis or geometry.collection.has_pattern
 
 
 def surfaces(

@@ -20,11 +20,11 @@ from distributed import Client, Future, KilledWorker
 from blocksar import stores
 from blocksar.arrays import FloatArray
 from blocksar.chunks import MOSAIC_CHUNKS, TILE
-from blocksar.collection.beam import weighted_pulses
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError, ProcessingError
+from blocksar.focusing.ground_map import sum_lit
 from blocksar.focusing.range_compression import RawCompression
 from blocksar.focusing.step import stages
 from blocksar.graph.admission import Unit, as_completed
@@ -196,8 +196,11 @@ def _submit_chain(
     unit = block_unit(block.name)
     tail = f"{run.token}-{unit}"
     submit = partial(client.submit, pure=False, priority=priority)
-    weights = weighted_pulses(plan.geometry.collection, block.ground.yaw_axis, lit, block.ground.taper)
-    ground = replace(block.ground, lit=weights)
+    ground = block.ground
+    summed = sum_lit(
+        ground.geometry, near=ground.near, far=ground.far, yaw=ground.yaw_axis, valid=lit, taper=ground.taper
+    )
+    ground = replace(ground, lit=summed)
     first, *others = stages(block.steps)
     slab = spectrum.within(block.first_bin, block.first_bin + block.n_bin)
     node = submit(read_slab, run, block, first, slab, key=f"read-slab+{first.name}-{tail}")

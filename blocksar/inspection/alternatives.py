@@ -34,7 +34,7 @@ def as_given(collection: Collection) -> Alternative:
 
 
 def alternatives(collection: Collection) -> list[Alternative]:
-    """Everything that is tried: samples, order of pulses, track, and beam if it is steered."""
+    """Everything that is tried: samples, order of pulses, track, and beam if it is described by its yaw."""
 
     def of_samples(name: str, remedy: str, samples: Callable[[ComplexArray], ComplexArray]) -> Alternative:
         return Alternative(name, remedy, collection, samples)
@@ -59,7 +59,8 @@ def alternatives(collection: Collection) -> list[Alternative]:
     position = collection.antenna_position
     of_metadata("x and y are swapped", "swap them in antenna_position", antenna_position=position[:, [1, 0, 2]])
     of_metadata("the track runs backwards", "reverse antenna_position along pulse", antenna_position=position[::-1])
-    if collection.beam_width is not None:
+    # Not of a beam about its axis: places are hardly less sharp over a part of their dwell.
+    if collection.beam_width is not None and not collection.has_axis:
         beam, width = collection.beam_azimuth, collection.beam_width
         of_metadata("the beam turns the other way", "reverse beam_azimuth along pulse", beam_azimuth=beam[::-1])
         of_metadata("the beam looks to the other side", "negate beam_azimuth", beam_azimuth=-beam)

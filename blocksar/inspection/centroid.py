@@ -117,24 +117,29 @@ def expect(
         the time, and the centroid depends on where the scene is bright.
     """
     collection = geometry.collection
-    first, last = dwell_at(geometry, yaw)
     start, end = aperture(collection)
-    late, early = first <= start, last >= end  # begun too late, or ended too early, to see all of them
-    uncut = ~(late | early)
-    if not uncut.any():  # as it is where the beam is not steered: lit from start to end
-        return None
-    cuts = np.array([last[late].max(initial=start), first[early].min(initial=end)])
     nodes, weights = np.polynomial.legendre.leggauss(DWELL_NODES)
-    first, last = first[uncut, None], last[uncut, None]
-    time = (first + last) / 2 + (last - first) / 2 * nodes
-    offsets = []
+    cuts, offsets, longest = np.array([start, end]), [], 0.0
     for epoch_range in (near, (near + far) / 2, far):
+        first, last = dwell_at(geometry, yaw, epoch_range)
+        late, early = first <= start, last >= end  # begun too late, or ended too early, to see all of them
+        uncut = ~(late | early)
+        cuts = np.array([last[late].max(initial=cuts[0]), first[early].min(initial=cuts[1])])
+        if collection.has_axis:
+            uncut &= last > first
+        if not uncut.any():
+            continue
+        first, last = first[uncut, None], last[uncut, None]
+        longest = max(longest, float((last - first).max()))
+        time = (first + last) / 2 + (last - first) / 2 * nodes
         point = geometry.ground_point(epoch_range[uncut], yaw[uncut])[:, None, :]
         _, rate = geometry.range_history(point, time)
         slow, half = time - geometry.epoch, collection.pulse_interval / 2
         derotation = recovery.derotation_cycles(slow + half) - recovery.derotation_cycles(slow - half)
         remaining_rate = rate - recovery.walk - recovery.common.at(slow, 1)
         offsets.append(-2 / collection.wavelength * remaining_rate - derotation * collection.prf)
+    if not offsets:  # as it is where the beam is not steered: lit from start to end
+        return None
     offset = np.concatenate(offsets)
     vector = np.exp(1j * TURN / collection.prf * offset) @ weights / 2
     segments = (cuts - start) / (end - start) * SEGMENTS
@@ -147,7 +152,7 @@ def expect(
         sweep=float(np.ptp(offset, axis=1).min()),
         real=float(vector.real.min()),
         whole=(int(np.ceil(segments[0])), int(np.floor(segments[1]))),
-        dwell=int(np.ceil((last - first).max() / (end - start) * SEGMENTS)) + 1,
+        dwell=int(np.ceil(longest / (end - start) * SEGMENTS)) + 1,
     )
 
 

@@ -154,7 +154,8 @@ def part_to_read(collection: Collection) -> tuple[slice, slice]:
 
 def part_of(collection: Collection, pulses: slice, columns: slice) -> Collection:
     """The collection of some pulses and range frequencies."""
-    names = ("time", "reference_range", "antenna_position", "beam_azimuth")
+    names = ["time", "reference_range", "antenna_position", "beam_azimuth"]
+    names += ["beam_axis", "beam_steering"] if collection.has_axis else []
     return replace(
         collection,
         range_frequency=collection.range_frequency[columns],

@@ -110,7 +110,7 @@ class Lines:
         """Prominent places in the map of a short aperture."""
         geometry, collection = self.geometry, self.geometry.collection
         low, high = float(region.yaw[0]), float(region.yaw[-1])
-        if collection.beam_width is not None:
+        if collection.beam_width is not None and not collection.has_axis:
             beam = float(collection.beam_azimuth[pulses].mean())
             low, high = max(low, beam - EDGE * collection.beam_width), min(high, beam + EDGE * collection.beam_width)
         if high <= low:

@@ -21,7 +21,7 @@ import numpy as np
 from blocksar.arrays import FloatArray
 from blocksar.collection.beam import has_full_dwell
 from blocksar.collection.geometry import Geometry
-from blocksar.collection.weighting import UNIFORM, Weighting
+from blocksar.collection.weighting import UNIFORM, IdealResponse, Weighting
 from blocksar.constants import SINC_ISLR, SINC_PSLR, SINC_WIDTH
 from blocksar.measurement.response import CUT_WIDTHS, Complex128Array, ReadChip, Response, read_response, response_axes
 from blocksar.measurement.targets import Target
@@ -33,7 +33,7 @@ Range cut: along constant Doppler, in slant range. Azimuth cut: along constant r
 Both are straight, pass through the peak and are in general not at right angles.
 IRW: width of the main lobe at half power (-3 dB). Theory: {SINC_WIDTH:.4f} / bandwidth along the cut,
 in range c / (2 B), in azimuth from the line-of-sight rotation over the target's own dwell; of a weighted image, the
-width that its tapers have over that bandwidth.
+width that its tapers have over that bandwidth, and in azimuth with a known antenna pattern.
 PSLR: highest side lobe outside the first minima on either side of the peak and within {CUT_WIDTHS:g} theoretical
 IRW of it, relative to the peak, power in dB (unweighted ideal {SINC_PSLR:.2f} dB).
 ISLR: energy outside the first minima and within {CUT_WIDTHS:g} theoretical IRW on either side of the peak, over the
@@ -239,13 +239,13 @@ def measure(response: Response) -> PointResponse:
         value=value,
         full_dwell=response.full_dwell,
         covered=covered,
-        **_ideal_side_lobes(axes.weighting),
+        **_ideal_side_lobes(axes.weighting, axes.azimuth_ideal),
     )
 
 
-def _ideal_side_lobes(weighting: Weighting) -> dict[str, float]:
+def _ideal_side_lobes(weighting: Weighting, along_azimuth: IdealResponse) -> dict[str, float]:
     """The side-lobe ratios of the ideal response, by their fields of `PointResponse`."""
-    along_range, along_azimuth = weighting.range.ideal, weighting.azimuth.ideal
+    along_range = weighting.range.ideal
     return {
         "range_pslr_theory": along_range.pslr,
         "range_islr_theory": along_range.islr,
@@ -284,7 +284,7 @@ def measure_target(
         value=complex(nan, nan),
         full_dwell=axes is not None and bool(has_full_dwell(geometry, target.x, target.y)),
         covered=False,
-        **_ideal_side_lobes(weighting),
+        **_ideal_side_lobes(weighting, axes.azimuth_ideal if axes else weighting.azimuth.ideal),
     )
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.special import diric
 
 from blocksar.arrays import FloatArray
-from blocksar.collection.beam import beam_offset, is_lit
+from blocksar.collection.beam import is_lit, pattern_gain, pulse_weights
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import UNIFORM, Taper, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
@@ -21,8 +21,9 @@ def ideal_response(
 
     The mean over a pixel's lit pulses and all range frequencies of
     sigma exp(4j pi (fc + f)/c (R_p - R_q)); the sum over the uniform range frequencies has a closed form. This is
-    the reference for one isolated target, including side lobes and carrier phase. NaN where a pixel is never lit. Under
-    a weighting both sums have its weights.
+    the reference for one isolated target, including side lobes and carrier phase. Under a weighting both sums have its
+    weights. With antenna patterns the first is weighted by that of the target besides, and the second by that of the
+    pixel. NaN where a pixel is never lit.
     """
     collection = geometry.collection
     x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
@@ -34,9 +35,13 @@ def ideal_response(
         pulses = slice(first, first + 64)
         time = collection.time[pulses]
         of_pixel = is_lit(geometry, x, y, pulses)
-        weights = of_pixel * _weights(geometry, x, y, pulses, weighting.azimuth)
+        at_target = np.array([target.x]), np.array([target.y])
+        weights = of_pixel * pulse_weights(geometry, x[:, None], y[:, None], pulses, weighting.azimuth)
+        lit = weights * is_lit(geometry, *at_target, pulses)
+        if collection.has_pattern:
+            weights = weights * pattern_gain(geometry, x[:, None], y[:, None], pulses)
+            lit = lit * pattern_gain(geometry, *at_target, pulses)
         count += weights.sum(axis=1)
-        lit = weights * is_lit(geometry, np.array([target.x]), np.array([target.y]), pulses)
         if not lit.any():
             continue
         delay = (geometry.range_history(point, time)[0] - geometry.range_history(origin, time)[0]) * 2 / SPEED_OF_LIGHT
@@ -44,14 +49,6 @@ def ideal_response(
         total += (lit * comb * np.exp(2j * np.pi * middle * delay)).sum(axis=1)
     with np.errstate(invalid="ignore"):
         return np.asarray(target.reflectivity * total / count)
-
-
-def _weights(geometry: Geometry, x: FloatArray, y: FloatArray, pulses: slice, taper: Taper) -> FloatArray:
-    """The weights of some pulses at ground points, (n, n_pulse)."""
-    collection = geometry.collection
-    if collection.beam_width is None:
-        return taper.samples(collection.n_pulse)[pulses]
-    return taper(2 * beam_offset(geometry, x, y, pulses) / collection.beam_width)
 
 
 def _comb(turns: FloatArray, n: int, taper: Taper) -> FloatArray:

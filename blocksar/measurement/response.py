@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import i0
 
-from blocksar.arrays import ComplexArray, FloatArray
-from blocksar.collection.beam import dwell, has_full_dwell
+from blocksar import solvers
+from blocksar.arrays import ComplexArray, FloatArray, IntArray
+from blocksar.collection.beam import at_times, dwell, has_full_dwell, pattern_gain, pulse_weights
 from blocksar.collection.geometry import Geometry
-from blocksar.collection.weighting import UNIFORM, Weighting
+from blocksar.collection.weighting import NODES, UNIFORM, IdealResponse, Taper, Weighting, ideal_figures
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.measurement.targets import Target
@@ -45,6 +46,8 @@ class ResponseAxes:
         Theoretical IRW, m of slant range and m along the cut.
     band : (2,) float
         Largest |wavenumber| in x and y, cycles/m, of the response once its carrier is removed.
+    azimuth_ideal : IdealResponse
+        In azimuth: that of the taper, with the antenna's pattern over the dwell if there is one.
     weighting : Weighting
         Tapers over band and dwell.
     """
@@ -55,6 +58,7 @@ class ResponseAxes:
     range_width: float
     azimuth_width: float
     band: FloatArray
+    azimuth_ideal: IdealResponse
     weighting: Weighting = UNIFORM
 
     def ground_offset(self, range_offset: FloatArray, azimuth_offset: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -98,6 +102,9 @@ def response_axes(geometry: Geometry, x: float, y: float, weighting: Weighting =
     # Both vanish where the ground gradient turns along itself: there is no two-dimensional image there.
     if abs(slope) < 1e-6 * length or extent == 0:
         return None
+    ideal = weighting.azimuth.ideal
+    if collection.has_pattern:
+        ideal = _patterned_ideal(geometry, point, start, end, azimuth, weighting.azimuth)
     carrier, half_band = collection.carrier, collection.bandwidth / 2
     corners = [2 * (carrier + f) / SPEED_OF_LIGHT * k for f in (-half_band, half_band) for k in (first, middle, last)]
     band = np.abs(np.array(corners) - 2 * carrier / SPEED_OF_LIGHT * middle).max(axis=0)
@@ -106,10 +113,35 @@ def response_axes(geometry: Geometry, x: float, y: float, weighting: Weighting =
         range_direction=along_doppler / slope,
         azimuth_direction=azimuth,
         range_width=weighting.range.ideal.width * SPEED_OF_LIGHT / (2 * collection.bandwidth),
-        azimuth_width=weighting.azimuth.ideal.width / extent,
+        azimuth_width=ideal.width / extent,
         band=band,
+        azimuth_ideal=ideal,
         weighting=weighting,
     )
+
+
+def _patterned_ideal(
+    geometry: Geometry, point: FloatArray, start: float, end: float, azimuth: FloatArray, taper: Taper
+) -> IdealResponse:
+    """The ideal azimuth response of a point (3,) that is lit from start to end, s, under an antenna's pattern.
+
+    The sum over the dwell of w g exp(1j pi v u), where v is the place of the line of sight between its ends.
+    """
+    nodes, weights = solvers.gauss_legendre(NODES)
+    time = (start + end) / 2 + (end - start) / 2 * nodes
+    x, y = point[0], point[1]
+
+    def weight(geometry: Geometry, x: FloatArray, y: FloatArray, pulses: IntArray) -> FloatArray:
+        return pulse_weights(geometry, x, y, pulses, taper) * pattern_gain(geometry, x, y, pulses)
+
+    shape = weights * at_times(geometry, x, y, time, weight)
+    along = _range_gradient(geometry, point, np.array([start, end, *time])) @ azimuth
+    v = (2 * along[2:] - along[0] - along[1]) / (along[1] - along[0])
+
+    def power(u: FloatArray) -> FloatArray:
+        return np.asarray(np.abs((np.exp(1j * np.pi * u[:, None] * v) * shape).sum(axis=1) / shape.sum()) ** 2)
+
+    return ideal_figures(power)
 
 
 def carrier_phase(

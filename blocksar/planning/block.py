@@ -11,19 +11,19 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from blocksar import solvers
-from blocksar.arrays import FloatArray
+from blocksar.arrays import BoolArray, FloatArray
 from blocksar.budget import IMAGE_TAP_ERROR
 from blocksar.chunks import DOPPLER_GROUP
 from blocksar.collection import range_series
-from blocksar.collection.beam import STILL, dwell_at, weighted_pulses
+from blocksar.collection.beam import dwell_at
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import Region
-from blocksar.collection.weighting import FLAT, UNIFORM, AxisTaper, Taper, Weighting
+from blocksar.collection.weighting import FLAT, UNIFORM, AxisTaper, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.chains import steps_of
 from blocksar.focusing.dwell_gate import DwellGate
-from blocksar.focusing.ground_map import YAW_STEPS, GroundMap, surfaces
+from blocksar.focusing.ground_map import YAW_STEPS, GroundMap, by_range, sum_lit, surfaces
 from blocksar.focusing.lines import Focus, Line, focus
 from blocksar.focusing.method import Method
 from blocksar.focusing.motion import RangeMotionInFrequency
@@ -37,8 +37,9 @@ from blocksar.kernels.interpolation import taps_needed
 from blocksar.planning.apertures import level_aperture
 from blocksar.planning.binding import AzimuthPart, RangePart, Slab
 from blocksar.planning.coefficients import Choice, choose
+from blocksar.planning.dwell_weights import dwell_weights, taper_over_dwells
 from blocksar.planning.fidelity import gate_blur
-from blocksar.planning.gates import plan_gate, plan_range_gate
+from blocksar.planning.gates import full_dwells, plan_gate, plan_range_gate
 from blocksar.planning.memory import block_memory
 from blocksar.planning.motion import plan_motion
 from blocksar.planning.prediction import Prediction, predict
@@ -52,6 +53,7 @@ RANGE_STEPS = 3  # of the iteration that finds the targets of an apparent range
 MOST_BEYOND = 1.05  # half swaths from its middle at which the series of that iteration is trusted
 RESAMPLING_ROOM = 1.35  # oversampling of Doppler by padding in time: dense enough to interpolate
 REGION_STEPS, LEAST_STEPS = 64 * YAW_STEPS, 128  # of yaw over the region, in which a block has its share; at least
+STEPS_BY_RANGE = 512  # of yaw, where the sum over lit pulses is a table over range and yaw
 REFERENCE_ORDER = 8  # of the range series of a block's centre
 
 
@@ -165,7 +167,7 @@ def plan_block(
     band = Axis(float(collection.range_frequency[0]), collection.range_frequency_step, collection.n_range_frequency)
     range_gate = None if part is None else plan_range_gate(band, slab.doppler, line, collection.carrier)
     motion = plan_motion(
-        sector.geometry, near=sector.near, far=sector.far, origin=recovery.origin, yaw=(sector.low + sector.high) / 2
+        sector.geometry, near=sector.near, far=sector.far, origin=recovery.origin, low=sector.low, high=sector.high
     )
     constants = Constants(
         carrier=collection.carrier, walk=slab.walk, reference=sector.reference(),
@@ -187,17 +189,18 @@ def plan_block(
     if constants.in_time is not None:
         in_time, fine = level_aperture(fine, constants.in_time)
         azimuth = azimuth.weighed(in_time)
-    first, last = dwell_at(sector.geometry, fine_yaw, uncut=True)
+    first, last = dwell_at(sector.geometry, fine_yaw, fine_range[:, None], uncut=True)
     uncut = first - sector.geometry.epoch, last - sector.geometry.epoch
-    taper = _over_dwells(sector)
-    weights = taper((2 * lit.time - (uncut[0] + uncut[1])[:, None]) / (uncut[1] - uncut[0])[:, None])
-    spots = focus(fine if taper.uniform else fine.weighed(weights))
+    taper = taper_over_dwells(collection, sector.weighting)
+    weights = dwell_weights(sector.geometry, taper, lit, uncut=uncut, epoch_range=fine_range, yaw=fine_yaw)
+    spots = focus(weights.weigh(fine))
     sampling = _plan_sampling(
         recovery, slab, azimuth, straight,
         range_frequency=band if range_gate is None else range_gate.range_frequency, duration=duration,
         uncut=float((last - first).max()) if collection.steered else 0.0, tap_error=sector.tap_error,
     )  # fmt: skip
-    ends = Ends(rate=biased.rate, uncut=uncut, scaled_about=azimuth.range_part.scales_time_about)
+    full = full_dwells(fine, sector.geometry, fine_range[:, None], fine_yaw)
+    ends = Ends(rate=biased.rate, uncut=uncut, scaled_about=azimuth.range_part.scales_time_about, full=full)
     gate = _plan_dwell_gate(sector, sampling, fine, spots, lit, ends)
     sampling = replace(sampling, gate=gate)
     return BlockPlan(
@@ -207,7 +210,7 @@ def plan_block(
         ground=_plan_ground(sector, sampling, fine, spots, epoch_range=fine_range, yaw=fine_yaw),
         prediction=predict(
             fine, spots, fine_range, fine_yaw, sector.geometry, rate=ends.rate, gate=gate,
-            scaled_about=ends.scaled_about, taper=taper, weights=weights,
+            scaled_about=ends.scaled_about, weights=weights,
         ),
         memory=_plan_memory(range_gate, range_part, sampling),
         choice=choice,
@@ -218,26 +221,21 @@ class Ends(NamedTuple):
     """What the ends of dwells depend on besides the lines."""
 
     rate: FloatArray  # of the lines before the steps in Doppler, Hz/s
-    uncut: tuple[FloatArray, FloatArray]  # (n_yaw,), s from the epoch, as if the collection did not cut them
+    uncut: tuple[FloatArray, FloatArray]  # (n_yaw,) or (n_range, n_yaw), s from the epoch, as if nothing cut them
     scaled_about: float | None  # time about which a keystone scales time, s
+    full: BoolArray  # (n_range, n_yaw), from `full_dwells`
 
 
 def _plan_dwell_gate(
     sector: Sector, sampling: Sampling, line: Line, spots: Focus, lit: Line, ends: Ends
 ) -> DwellGate | None:
     """The dwell gate for lines after all steps, and `lit` before them."""
-    collection, taper = sector.geometry.collection, _over_dwells(sector)
+    collection = sector.geometry.collection
+    taper = taper_over_dwells(collection, sector.weighting) if collection.steered else FLAT
     return plan_gate(
         line, spots, ends.rate, blur=gate_blur(collection, ends.uncut, scaled_about=ends.scaled_about), lit=lit,
-        uncut=ends.uncut, rows=sampling.rows, slow=sampling.long_time, taper=taper if collection.steered else FLAT,
+        uncut=ends.uncut, full=ends.full, rows=sampling.rows, slow=sampling.long_time, taper=taper,
     )  # fmt: skip
-
-
-def _over_dwells(sector: Sector) -> Taper:
-    """The weighting over dwells; under a beam that stands still each target has one weight, which cancels."""
-    collection = sector.geometry.collection
-    still = collection.steered and abs(collection.beam_azimuth[-1] - collection.beam_azimuth[0]) < STILL
-    return FLAT if still else sector.weighting.azimuth
 
 
 def _pulse_taper(sector: Sector) -> AxisTaper | None:
@@ -408,6 +406,7 @@ def _plan_ground(
 ) -> GroundMap:
     """The map from the ground to the focused block, by where lines (n_range, n_yaw) focus."""
     collection, origin = sector.geometry.collection, sector.recovery.origin
+    taper, valid = taper_over_dwells(collection, sector.weighting), np.ones(collection.n_pulse)
     offset, doppler_focus, phase, gain, dwell_time = surfaces(
         spots, epoch_range=epoch_range, yaw=yaw, origin=origin, carrier=collection.carrier, degree=(9, 16)
     )
@@ -433,8 +432,8 @@ def _plan_ground(
         yaw_axis=yaw_axis,
         near_limit=near_limit,
         far_limit=far_limit,
-        taper=_over_dwells(sector),
-        lit=weighted_pulses(collection, yaw_axis, np.ones(collection.n_pulse), _over_dwells(sector)),
+        taper=taper,
+        lit=sum_lit(sector.geometry, near=sector.near, far=sector.far, yaw=yaw_axis, valid=valid, taper=taper),
         scale=range_taps[1] * float(sector.weighting.range.samples(collection.n_range_frequency).mean()),
         range_taps=range_taps,
         doppler_taps=(taps_needed(filled, error=sector.tap_error), filled),
@@ -445,7 +444,7 @@ def _yaw_steps(sector: Sector) -> int:
     """Yaws at which a block knows its limits: its share of the region's, so that many narrow blocks are small."""
     step = float(np.ptp(sector.region.yaw)) / REGION_STEPS
     share = (sector.high - sector.low) / step if step > 0 else math.inf
-    return math.ceil(min(max(share, LEAST_STEPS), YAW_STEPS))
+    return math.ceil(min(max(share, LEAST_STEPS), STEPS_BY_RANGE if by_range(sector.geometry) else YAW_STEPS))
 
 
 def _plan_memory(range_gate: RangeGate | None, range_part: RangePart, sampling: Sampling) -> int:

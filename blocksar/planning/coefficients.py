@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from blocksar.arrays import FloatArray
+from blocksar.arrays import BoolArray, FloatArray
 from blocksar.collection.geometry import Geometry
 from blocksar.focusing.lines import AzimuthPolynomials, Line, focus
 from blocksar.focusing.method import Method
@@ -15,6 +15,7 @@ from blocksar.planning import closed_form, fitting
 from blocksar.planning.binding import AzimuthPart, RangePart
 from blocksar.planning.fidelity import smear_loss
 from blocksar.planning.fitting import Candidate
+from blocksar.planning.gates import full_dwells
 
 GOOD_LOSS = 4e-4  # of coherence, at the ends of the dwell: below this a cheaper chain is preferred to a better one
 ENOUGH_COST = 1.2  # of a kind of chain: no other is tried
@@ -68,16 +69,17 @@ def choose(
             in_doppler=range_part.compression.in_doppler, range_model=method.range_model,
         )  # fmt: skip
         return polynomials, Choice(Candidate(0.0, False), 0.0)
+    full = full_dwells(line, geometry, epoch_range, yaws)
     if neighbour is not None:
         polynomials = fitting.fit(line, ranges=ranges, candidate=neighbour.candidate, freedom=freedom, wavelength=lam)
-        cost = _cost(polynomials, line, range_part, geometry)
+        cost = _cost(polynomials, line, range_part, geometry, full)
         if cost <= KEPT * neighbour.cost:
             return polynomials, neighbour
-    return _find_cheapest(line, range_part, geometry, ranges=ranges)
+    return _find_cheapest(line, range_part, geometry, ranges=ranges, full=full)
 
 
 def _find_cheapest(
-    line: Line, range_part: RangePart, geometry: Geometry, *, ranges: FloatArray
+    line: Line, range_part: RangePart, geometry: Geometry, *, ranges: FloatArray, full: BoolArray
 ) -> tuple[AzimuthPolynomials, Choice]:
     """The kind of chain with the least cost, fitted. All kinds are tried roughly, at three ranges.
 
@@ -102,7 +104,7 @@ def _find_cheapest(
             polynomials = fitting.fit(
                 subset, ranges=ranges[rows], candidate=candidate, freedom=freedom, wavelength=wavelength, roughly=True
             )
-            costs[candidate] = _cost(polynomials, subset, range_part, geometry)
+            costs[candidate] = _cost(polynomials, subset, range_part, geometry, full[rows])
             if costs[candidate] < ENOUGH_COST:
                 break
         return min(costs.values())
@@ -115,7 +117,7 @@ def _find_cheapest(
 
     def keeps(candidate: Candidate, promised: float) -> bool:
         polynomials = fit(candidate)
-        cost = _cost(polynomials, line, range_part, geometry)
+        cost = _cost(polynomials, line, range_part, geometry, full)
         fitted.append((polynomials, Choice(candidate, cost)))
         return cost <= KEPT * promised
 
@@ -129,7 +131,9 @@ def _find_cheapest(
     return min(fitted, key=lambda fit: fit[1].cost)
 
 
-def _cost(polynomials: AzimuthPolynomials, line: Line, range_part: RangePart, geometry: Geometry) -> float:
+def _cost(
+    polynomials: AzimuthPolynomials, line: Line, range_part: RangePart, geometry: Geometry, full: BoolArray
+) -> float:
     """Phase error or loss of coherence above the good ones, times the growth in samples; infinite if lines fold."""
     azimuth = AzimuthPart.bind(range_part, polynomials, line)
     biased, _, traced = azimuth.trace(line)
@@ -137,7 +141,7 @@ def _cost(polynomials: AzimuthPolynomials, line: Line, range_part: RangePart, ge
     if traced.folded or not np.isfinite(traced.time).all() or spread.min() * spread.max() < 0:
         return np.inf
     spots = focus(traced)
-    lost = smear_loss(traced, spots, biased.rate, geometry) if geometry.collection.steered else 0.0
+    lost = smear_loss(traced, spots, biased.rate, geometry, full) if geometry.collection.steered else 0.0
     fault = max(float(spots.residual.max()) / fitting.GOOD_RESIDUAL, lost / GOOD_LOSS, 1.0)
     growth = max(np.ptp(traced.time) / np.ptp(line.time), 1.0) * max(np.ptp(biased.doppler) / np.ptp(line.doppler), 1.0)
     return float(fault * growth)

@@ -21,8 +21,8 @@ one displaced by d, the weights differ by the energy
 from |F - H|^2 integrated at d = 0 in frequency, sqrt(a / 2) / pi, and d/dd = 2 Re F(d) - 1. Half of it, over the dwell,
 is lost at each end.
 
-Under a weighting w both sums have the weights w besides: the inner product along the dwell has w^2, and an end loses by
-the square of the weight there.
+Under a weighting w both sums have the weights w besides, and under an antenna's pattern g the echo has g: the inner
+product along the dwell has (w g)^2, and an end loses by that value there.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from typing import NamedTuple
 import numpy as np
 
 from blocksar import solvers
-from blocksar.arrays import FloatArray
+from blocksar.arrays import BoolArray, FloatArray
 from blocksar.collection.beam import dwell_at
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
@@ -59,6 +59,7 @@ class Losses(NamedTuple):
 def worst_losses(
     line: Line,
     spots: Focus,
+    rng: FloatArray,
     yaw: FloatArray,
     geometry: Geometry,
     *,
@@ -67,7 +68,7 @@ def worst_losses(
     scaled_about: float | None,
     track_phase: float,
     weights: FloatArray,
-    edge: float,
+    edge: FloatArray | float,
 ) -> Losses:
     """Losses of the target that loses most, of those with full dwell where there are any.
 
@@ -75,7 +76,8 @@ def worst_losses(
     ----------
     line : Line
         (n_range, n_yaw, n), after all steps.
-    yaw : (n_yaw,) float
+    rng, yaw : (n_range,), (n_yaw,) float
+        Epoch ranges, m, and yaws, rad.
     rate : (n_range, n_yaw, n) float
         The lines' Doppler rate before the steps in Doppler, Hz/s.
     scaled_about : float or None
@@ -83,17 +85,17 @@ def worst_losses(
     track_phase : float
         Root mean square phase that the noise of the track leaves, rad.
     weights : (..., n) float
-        The weighting at the nodes of the lines.
-    edge : float
-        The weight at the ends of a dwell.
+        The weighting, times the antenna's pattern, at the nodes of the lines.
+    edge : (...) float
+        The same at the ends of a dwell.
     """
     squared = line.weighed(weights**2)
     phase, migration = _along_dwell(squared, spots, geometry)
     ends = np.zeros_like(phase)
     if gate is not None:
-        ends = _at_ends(line, spots, yaw, geometry, rate=rate, gate=gate, scaled_about=scaled_about)
+        ends = _at_ends(line, spots, rng, yaw, geometry, rate=rate, gate=gate, scaled_about=scaled_about)
         ends *= edge**2 * line.weight.sum(axis=-1) / squared.weight.sum(axis=-1)
-    total = np.where(full_dwells(line), phase + migration + ends, -1.0)
+    total = np.where(full_dwells(line, geometry, rng[:, None], yaw), phase + migration + ends, -1.0)
     worst = np.unravel_index(int(np.argmax(total)), total.shape)
     return Losses(
         float(phase[worst]), float(migration[worst]), float(ends[worst]), 1 - float(np.exp(-(track_phase**2) / 2))
@@ -116,6 +118,7 @@ def _along_dwell(line: Line, spots: Focus, geometry: Geometry) -> tuple[FloatArr
 def _at_ends(
     line: Line,
     spots: Focus,
+    rng: FloatArray,
     yaw: FloatArray,
     geometry: Geometry,
     *,
@@ -132,7 +135,7 @@ def _at_ends(
     for end, placed, moment, phase, slope in zip(
         (0, -1),
         dwell_ends(line),
-        dwell_at(geometry, yaw),
+        dwell_at(geometry, yaw, rng[:, None]),
         (gate.begin, gate.end),
         (gate.begin_slope, gate.end_slope),
         strict=True,
@@ -148,15 +151,14 @@ def _at_ends(
     return lost / (2 * lit)
 
 
-def smear_loss(line: Line, spots: Focus, rate: FloatArray, geometry: Geometry) -> float:
+def smear_loss(line: Line, spots: Focus, rate: FloatArray, geometry: Geometry, full: BoolArray) -> float:
     """The most that any of these lines loses at its ends, under the gate that suits them best.
 
     An estimate from few lines (n_range, n_yaw, n), without a gate: the slopes of the ends along Doppler are differences
-    between neighbouring yaws, and only the keystone displaces them.
+    between neighbouring yaws, and only the keystone displaces them. `full` (n_range, n_yaw) is from `full_dwells`.
     """
     collection = geometry.collection
     lit = np.broadcast_to(line.weight, line.time.shape).sum(axis=-1)
-    full = full_dwells(line)
     inner = full.copy()
     inner[:, 1:-1] &= full[:, :-2] & full[:, 2:]  # both neighbours, for the differences
     full = inner if inner.any() else full

@@ -10,6 +10,8 @@ from numpy.polynomial import chebyshev
 
 from blocksar import solvers
 from blocksar.arrays import BoolArray, FloatArray
+from blocksar.collection.beam import dwell_at
+from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import FLAT, Taper
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.dwell_gate import DwellGate, DwellTaper, HalfDwell
@@ -71,6 +73,7 @@ def plan_gate(
     blur: float,
     lit: Line,
     uncut: tuple[FloatArray, FloatArray],
+    full: BoolArray,
     rows: Axis,
     slow: Axis,
     taper: Taper = FLAT,
@@ -90,8 +93,10 @@ def plan_gate(
         Half of the time over which range frequency spreads an end, s.
     lit : Line
         The lines before all steps.
-    uncut : pair of (n_yaw,) float
+    uncut : pair of (n_yaw,) or (n_range, n_yaw) float
         Slow time, s from the epoch, at which the dwells would begin and end if the collection did not cut them.
+    full : (n_range, n_yaw) bool
+        From `full_dwells`.
     taper : Taper
         Weighting over the dwells.
     """
@@ -112,7 +117,6 @@ def plan_gate(
         [GATE_RANGE_DEGREE, GATE_DEGREE],
     )
     length, smear = float(lengths.mean()), end_smear(line, rate)
-    full = full_dwells(line)
     edges = [begins + length / 2, ends - length / 2]
     if not taper.uniform:
         middle = _crossing(line, (first, last), (uncut[0] + uncut[1]) / 2)
@@ -148,8 +152,9 @@ def plan_gate(
 
 
 def _crossing(line: Line, lit: tuple[FloatArray, FloatArray], moment: FloatArray) -> FloatArray:
-    """Times (n_range, n_yaw) at which lines are after all steps, of the `moment` (n_yaw,) at which they were lit, s.
+    """Times (n_range, n_yaw) at which lines are after all steps, of the `moment` at which they were lit, s.
 
+    The moment is (n_yaw,) or (n_range, n_yaw).
     `lit` has the begin and the end of the dwells before all steps, (n_range, n_yaw): beyond them lines go on straight.
     """
     (first, last), nodes = lit, solvers.gauss_legendre(line.time.shape[-1])[0]
@@ -197,9 +202,18 @@ def _to_powers() -> FloatArray:
     return powers
 
 
-def full_dwells(line: Line) -> BoolArray:
-    """Which of some lines (..., n) are lit over a full dwell: the longest of them, or nearly."""
+def full_dwells(line: Line, geometry: Geometry, epoch_range: FloatArray, yaw: FloatArray) -> BoolArray:
+    """Which lines (..., n) of targets at epoch ranges (m) and yaws (rad), broadcast, are lit over a full dwell.
+
+    That is the longest of them, or nearly. Under a beam about its axis, whose dwells depend on range, it is the
+    target's own dwell as if the ends of the collection did not cut it, where there is any such target.
+    """
     lit = np.broadcast_to(line.weight, line.time.shape).sum(axis=-1)
+    if geometry.collection.has_axis:
+        first, last = dwell_at(geometry, yaw, epoch_range, uncut=True)
+        full = lit >= FULL * (last - first)
+        if full.any():
+            return np.asarray(full)
     return np.asarray(lit >= FULL * lit.max())
 
 

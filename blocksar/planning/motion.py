@@ -7,6 +7,7 @@ from numpy.polynomial import chebyshev
 
 from blocksar import solvers
 from blocksar.arrays import FloatArray
+from blocksar.collection.beam import centre_yaw
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.motion_phase import Motion
@@ -15,17 +16,19 @@ NODES_PER_INTERVAL = 8  # times per interval of the track's spline: linear betwe
 RANGE_NODES = 4  # of the Chebyshev series of the line of sight in range
 
 
-def plan_motion(geometry: Geometry, *, near: float, far: float, origin: float, yaw: float) -> Motion | None:
-    """The phase for epoch ranges near .. far, m; None for a polynomial track. `yaw` is the block's middle, rad."""
+def plan_motion(
+    geometry: Geometry, *, near: float, far: float, origin: float, low: float, high: float
+) -> Motion | None:
+    """The phase for epoch ranges near .. far, m, and yaws low .. high, rad; None for a polynomial track."""
     wobble = geometry.track.wobble
     if wobble is None:
         return None
     collection = geometry.collection
     n = NODES_PER_INTERVAL * wobble.n_interval + 1
     time = np.linspace(collection.time[0], collection.time[-1], n)
-    beam = np.interp(time, collection.time, collection.beam_azimuth) if collection.steered else np.full(n, yaw)
     nodes = chebyshev.chebpts1(RANGE_NODES)
     ranges = (near + far) / 2 + (far - near) / 2 * nodes
+    beam = centre_yaw(geometry, time, ranges, low, high)
     point, step = geometry.ground_point(ranges[:, None], beam), float(time[1] - time[0])
 
     def sight(at: FloatArray) -> FloatArray:

@@ -8,12 +8,12 @@ import numpy as np
 
 from blocksar.arrays import FloatArray
 from blocksar.budget import side_lobe_budget
-from blocksar.collection.beam import dwell_at
+from blocksar.collection.beam import centre_yaw, dwell_at, has_full_dwell
 from blocksar.collection.geometry import TRACK_ACCURACY, Geometry
-from blocksar.collection.weighting import FLAT, Taper
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.lines import LEAST_STRETCH, Focus, Line
+from blocksar.planning.dwell_weights import DwellWeights
 from blocksar.planning.fidelity import worst_losses
 from blocksar.planning.gates import full_dwells
 
@@ -54,20 +54,20 @@ def predict(
     rate: FloatArray,
     gate: DwellGate | None,
     scaled_about: float | None,
-    taper: Taper = FLAT,
-    weights: FloatArray | float = 1.0,
+    weights: DwellWeights,
 ) -> Prediction:
     """The worst figures of traced lines (n_range, n_yaw); `rate` is their Doppler rate before the steps in Doppler.
 
-    `weights` (..., n) are those of the taper at the nodes of the lines.
+    The ideal side lobes are those of the taper; under an antenna's pattern, or where weights are cut with the dwells of
+    all targets, those of the target with the worst phase, as if it had none.
     """
     range_cell = SPEED_OF_LIGHT / (2 * geometry.collection.bandwidth)
     residual = spots.residual
-    # Cut dwells have other side lobes under a taper: of those with full dwell, where there are any.
-    judged = residual if taper.uniform else np.where(full_dwells(line), residual, -1.0)
+    # Cut dwells have other side lobes under weights: of those with full dwell, where there are any.
+    full = None if weights.uniform else full_dwells(line, geometry, rng[:, None], yaw)
+    judged = residual if full is None else np.where(full, residual, -1.0)
     worst = np.unravel_index(int(np.argmax(judged)), residual.shape)
-    weighed = line if taper.uniform else line.weighed(np.asarray(weights))
-    weight = (weighed.weight * np.sqrt(np.maximum(line.stretch, LEAST_STRETCH)))[worst]
+    weight = (weights.weigh(line).weight * np.sqrt(np.maximum(line.stretch, LEAST_STRETCH)))[worst]
     time = line.time[worst] - spots.time[worst]
     level = line.phase[worst] - spots.doppler[worst] * line.time[worst]
     spread = float(np.ptp(time))
@@ -76,15 +76,21 @@ def predict(
     waves = np.exp(-2j * np.pi * offsets[:, None] * time)
     response = np.abs((weight * np.exp(2j * np.pi * level) * waves).sum(axis=1))
     ideal = np.abs((weight * waves).sum(axis=1))
+    ideal_pslr = weights.taper.ideal.pslr
+    if weights.patterned or not (weights.uniform or _has_full_dwell(geometry, rng, yaw, worst)):
+        ideal_pslr = _pslr(ideal)
     slope = np.gradient(spots.doppler, yaw, axis=1)
     dwell = (line.weight * line.stretch).sum(axis=-1)
-    width = taper.ideal.width / np.maximum(np.abs(slope) * dwell, 1e-12)
+    width = weights.taper.ideal.width
+    if weights.patterned:
+        width = _width(ideal) * float(offsets[1] - offsets[0]) * float(dwell[worst])
+    widths = width / np.maximum(np.abs(slope) * dwell, 1e-12)
     ground = np.sqrt(np.maximum(rng**2 - (geometry.epoch_position[2] - geometry.collection.ground_height) ** 2, 0.0))
     middle = yaw.size // 2
     track_phase = _track_phase(geometry, rng, yaw)
     lost = worst_losses(
-        line, spots, yaw, geometry, rate=rate, gate=gate, scaled_about=scaled_about, track_phase=track_phase,
-        weights=np.asarray(weights), edge=float(taper(np.array(1.0))),
+        line, spots, rng, yaw, geometry, rate=rate, gate=gate, scaled_about=scaled_about, track_phase=track_phase,
+        weights=weights.nodes, edge=weights.edge,
     )  # fmt: skip
     return Prediction(
         residual_phase=float(residual.max()),
@@ -92,15 +98,20 @@ def predict(
         pslr=_pslr(response),
         width=_width(response) / _width(ideal),
         migration=float(spots.migration.max() / range_cell),
-        resolution=float(width[rng.size // 2, middle] * ground[rng.size // 2]),
+        resolution=float(widths[rng.size // 2, middle] * ground[rng.size // 2]),
         track_phase=track_phase,
         coherence=1 - sum(lost),
         phase_loss=lost.phase,
         range_loss=lost.range,
         dispersion_loss=lost.dispersion,
         track_loss=lost.track,
-        ideal_pslr=taper.ideal.pslr,
+        ideal_pslr=ideal_pslr,
     )
+
+
+def _has_full_dwell(geometry: Geometry, rng: FloatArray, yaw: FloatArray, which: tuple[np.intp, ...]) -> bool:
+    """Whether the target at rng[which[0]] and yaw[which[1]] has a full dwell."""
+    return bool(has_full_dwell(geometry, *geometry.ground_axes(rng[which[0]], yaw[which[1]])))
 
 
 def _track_phase(geometry: Geometry, rng: FloatArray, yaw: FloatArray) -> float:
@@ -113,12 +124,14 @@ def _track_phase(geometry: Geometry, rng: FloatArray, yaw: FloatArray) -> float:
         return 0.0
     turns, n = 4 * np.pi / collection.wavelength, collection.n_pulse
     centre = float(np.mean(rng))
-    beam = collection.beam_azimuth if collection.steered else np.full(n, float(np.mean(yaw)))
+    beam = np.full(n, float(np.mean(yaw)))
+    if collection.steered:
+        beam = centre_yaw(geometry, collection.time, centre, float(yaw[0]), float(yaw[-1]))
     removed = _along_sight(geometry, np.full(n, centre), beam, misfit)
     worst = 0.0
     for target_range in (rng[0], centre, rng[-1]):
         for target_yaw in (yaw[0], yaw[yaw.size // 2], yaw[-1]):
-            first, last = dwell_at(geometry, np.array(target_yaw))
+            first, last = dwell_at(geometry, np.array(target_yaw), np.array(target_range))
             lit = (collection.time >= first) & (collection.time <= last)
             if lit.any():
                 along = _along_sight(geometry, np.full(n, target_range), np.full(n, target_yaw), misfit)

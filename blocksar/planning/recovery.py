@@ -7,7 +7,7 @@ from numpy.polynomial import chebyshev
 
 from blocksar import solvers
 from blocksar.arrays import FloatArray
-from blocksar.collection.beam import dwell_at
+from blocksar.collection.beam import centre_yaw, dwell_at
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import Region
 from blocksar.constants import SPEED_OF_LIGHT
@@ -21,6 +21,9 @@ from blocksar.planning.target_lines import find_dwells, middle_line, tail_margin
 
 COMMON_ORDER = 5  # range history from this order on is removed from all targets alike: azimuth steps end at order 4
 COMMON_LEAST = 1e-3  # wavelengths, a phase of 0.013 rad: a smaller common range is not removed
+AXIS_NODES = (
+    128  # of lines under a beam about its axis, whose dwells differ: at each time, all that is lit has to be seen
+)
 WINDOW_EDGE = 0.05  # of the range window at either end, for which the PRF need not suffice: echoes only pass through
 
 
@@ -35,10 +38,10 @@ def plan_recovery(geometry: Geometry, region: Region, method: Method = DEFAULT) 
         If the derotated band exceeds the PRF.
     """
     collection = geometry.collection
-    centre_yaw = (region.yaw[0] + region.yaw[-1]) / 2
-    near, far = region.at(np.array([centre_yaw]))
+    middle_yaw = (region.yaw[0] + region.yaw[-1]) / 2
+    near, far = region.at(np.array([middle_yaw]))
     origin = float((near[0] + far[0]) / 2)
-    centre = geometry.ground_point(np.array(origin), np.array(centre_yaw))
+    centre = geometry.ground_point(np.array(origin), np.array(middle_yaw))
     _, rate = geometry.range_history(centre, np.array(geometry.epoch))
     walk = float(rate)
     pulses = Axis(-collection.pulse_interval * (collection.n_pulse // 2), collection.pulse_interval, collection.n_pulse)
@@ -55,7 +58,7 @@ def plan_recovery(geometry: Geometry, region: Region, method: Method = DEFAULT) 
         padded=padded,
         origin=origin,
         walk=walk,
-        bulk=_bulk_cycles(geometry, common, origin=origin, walk=walk, centre_yaw=centre_yaw),
+        bulk=_bulk_cycles(geometry, common, origin=origin, walk=walk, region=region),
         derotation=derotation,
         doppler=_plan_spectrum(geometry, region, line, padded=padded, band_edge=band_edge),
         band=band,
@@ -92,7 +95,7 @@ def _check_prf(geometry: Geometry, method: Method, spread: float) -> None:
 def _plan_spectrum(geometry: Geometry, region: Region, line: Line, *, padded: int, band_edge: float) -> Axis:
     """Doppler of the recovered spectrum: all that is lit, at all range frequencies, with a margin for tails."""
     low, high = float(line.doppler.min()), float(line.doppler.max())
-    dwell = float(np.max(np.subtract(*dwell_at(geometry, region.yaw)[::-1])))
+    dwell = float(np.max(np.subtract(*dwell_at(geometry, region.yaw, (region.near + region.far) / 2)[::-1])))
     margin = tail_margin(dwell)
     duration = padded * geometry.collection.pulse_interval
     edge = band_edge * max(abs(low), abs(high))
@@ -101,15 +104,13 @@ def _plan_spectrum(geometry: Geometry, region: Region, line: Line, *, padded: in
     return fourier.centred(np.round((low + high) / 2 * duration) / duration, 1 / duration, size)
 
 
-def _bulk_cycles(
-    geometry: Geometry, common: CommonRange, *, origin: float, walk: float, centre_yaw: float
-) -> FloatArray:
+def _bulk_cycles(geometry: Geometry, common: CommonRange, *, origin: float, walk: float, region: Region) -> FloatArray:
     """Cycles on the carrier, per pulse, from the stored reference range to the range that the chain counts from."""
     collection = geometry.collection
     time = collection.time
     slow = time - geometry.epoch
     misfit = geometry.track.misfit
-    beam = collection.beam_azimuth if collection.steered else np.full(time.size, centre_yaw)
+    beam = centre_yaw(geometry, time, origin, float(region.yaw[0]), float(region.yaw[-1]))
     sight = geometry.ground_point(np.full(time.size, origin), beam) - geometry.track.position(time)
     sight /= np.linalg.norm(sight, axis=1, keepdims=True)
     unmodelled = -np.einsum("ij,ij->i", sight, misfit)  # range that the polynomial track lacks
@@ -134,8 +135,17 @@ def _common_range(geometry: Geometry, centre: FloatArray) -> CommonRange:
 def _lit_lines(
     geometry: Geometry, region: Region, origin: float, walk: float, common: CommonRange, *, margin: float
 ) -> Line:
-    """Lines of targets over the region, without `margin` of the range window at either end."""
+    """Lines of targets over the region, without `margin` of the range window at either end.
+
+    Under a beam about its axis (n_target, n), of the lit targets only.
+    """
     near, far = region.at(region.yaw)
     width = far - near
     ranges = np.linspace(near + margin * width, far - margin * width, 5)
-    return find_dwells(geometry, yaw=region.yaw, origin=origin, walk=walk, common=common).lines(ranges)
+    if not geometry.collection.has_axis:
+        return find_dwells(geometry, yaw=region.yaw, origin=origin, walk=walk, common=common).lines(ranges)
+    lines = find_dwells(
+        geometry, yaw=region.yaw, origin=origin, walk=walk, common=common, least_nodes=AXIS_NODES
+    ).lines(ranges)  # fmt: skip
+    first, last = dwell_at(geometry, region.yaw, ranges)
+    return Line(**{name: getattr(lines, name)[last > first] for name in Line.__dataclass_fields__})

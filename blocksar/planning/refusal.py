@@ -7,14 +7,46 @@ from collections.abc import Sequence
 import numpy as np
 
 from blocksar.arrays import FloatArray
-from blocksar.collection.beam import dwell_at
+from blocksar.collection.beam import aperture, dwell_at
 from blocksar.focusing.method import Method
 from blocksar.planning.block import BlockPlan
+
+MOST_DWELL = 2.5  # durations of the collection for which ground may stay in the beam, if it went on
 
 
 def find_refusal(blocks: Sequence[BlockPlan], method: Method) -> str | None:
     """The reason why a plan cannot be carried out, or None. Rivals may blur: they are built to show it."""
-    return find_folding(blocks) or (None if method.rival else _find_blur(blocks))
+    return _find_lingering(blocks) or find_folding(blocks) or (None if method.rival else _find_blur(blocks))
+
+
+def _find_lingering(blocks: Sequence[BlockPlan]) -> str | None:
+    """The reason why a beam about its axis stays too long on a block's ground for a dwell gate, or None.
+
+    Near the point on which a beam turns, ground passes it ever more slowly, and on the far side the other way: the ends
+    of dwells are then no smooth function of range and Doppler, as the gate needs.
+    """
+    for block in blocks:
+        geometry = block.ground.geometry
+        if not geometry.collection.has_axis:
+            return None
+        yaw, ranges = (
+            np.linspace(block.low, block.high, 33),
+            np.linspace(block.ground.near, block.ground.far, 9)[:, None],
+        )
+        first, last = dwell_at(geometry, yaw, ranges)
+        begin, end = dwell_at(geometry, yaw, ranges, uncut=True)
+        start, stop = aperture(geometry.collection)
+        lit, whole = last > first, (begin <= start) & (end >= stop)
+        length = np.where(lit, end - begin, 0.0)
+        turning = lit & whole & (length <= (stop - start) * (1 + 1e-9))  # offsets turn back: dwells are not continued
+        longest = float(length.max())
+        if turning.any() or longest > MOST_DWELL * (stop - start):
+            stays = "for ever" if turning.any() else f"for {longest:.3g} s"
+            return (
+                f"{_describe_block(block)}: beam_steering turns with the line of sight, so that the beam would stay on "
+                f"ground {stays}, beyond the {stop - start:.3g} s of the collection; use --processor backprojection"
+            )
+    return None
 
 
 def find_folding(blocks: Sequence[BlockPlan]) -> str | None:
@@ -46,7 +78,7 @@ def _echo_slope(block: BlockPlan) -> FloatArray:
     geometry = block.ground.geometry
     yaw = np.linspace(block.low, block.high, 33)
     rng, yaws = np.meshgrid(np.linspace(block.ground.near, block.ground.far, 9), yaw, indexing="ij")
-    start, end = dwell_at(geometry, yaws)
+    start, end = dwell_at(geometry, yaws, rng)
     _, rate = geometry.range_history(geometry.ground_point(rng, yaws), (start + end) / 2)
     return np.gradient(rate, yaw, axis=1)
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,14 +22,11 @@ NODES_PER_INTERVAL, MOST_NODES = 0.75, 256  # of a line along a spline, whose in
 TAIL_ENERGY = 1e-3  # fraction of a target's energy that may lie outside its block's Doppler support
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Dwells:
-    """Dwells of targets at some yaws, at Gauss-Legendre nodes, and what does not depend on the targets' ranges.
+class Nodes(NamedTuple):
+    """Gauss-Legendre nodes of dwells, and what does not depend on the targets' ranges.
 
     Attributes
     ----------
-    yaw : (...) float
-        rad.
     slow : (..., n) float
         Slow time from the epoch, s.
     weight : (..., n) float
@@ -38,29 +37,78 @@ class Dwells:
         Range (m) that recovery removes from all targets, its rate and that rate's.
     """
 
-    geometry: Geometry
-    yaw: FloatArray
     slow: FloatArray
     weight: FloatArray
     antenna: Motion
     removed: tuple[FloatArray, FloatArray, FloatArray]
 
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Dwells:
+    """Dwells of targets at some yaws.
+
+    Attributes
+    ----------
+    yaw : (...) float
+        rad.
+    origin, walk : float
+        Range origin (m) and unified range walk (m/s).
+    common : CommonRange
+    coarsely : bool
+        Trace a spline's waves with nodes enough to see them, not to integrate them.
+    least_nodes : int
+        Along a line.
+    """
+
+    geometry: Geometry
+    yaw: FloatArray
+    origin: float
+    walk: float
+    common: CommonRange
+    coarsely: bool
+    least_nodes: int
+
     def lines(self, epoch_range: FloatArray) -> Line:
         """Lines of targets in the recovered signal; `epoch_range` and the yaws are broadcast."""
+        nodes = self._nodes(epoch_range) if self.geometry.collection.has_axis else self._of_all_ranges
         x, y = self.geometry.ground_axes(epoch_range, self.yaw)
         point = x[..., None], y[..., None], self.geometry.collection.ground_height
-        rng, rate, curvature = range_motion(point, self.antenna)
-        rho = rng - self.removed[0]
+        rng, rate, curvature = range_motion(point, nodes.antenna)
+        rho = rng - nodes.removed[0]
         to_cycles = -2 * self.geometry.collection.carrier / SPEED_OF_LIGHT
         return Line(
-            time=np.broadcast_to(self.slow, rho.shape),
-            doppler=to_cycles * (rate - self.removed[1]),
-            rate=to_cycles * (curvature - self.removed[2]),
+            time=np.broadcast_to(nodes.slow, rho.shape),
+            doppler=to_cycles * (rate - nodes.removed[1]),
+            rate=to_cycles * (curvature - nodes.removed[2]),
             phase=to_cycles * rho,
             range=rho,
             stretch=np.ones_like(rho),
-            weight=np.broadcast_to(self.weight, rho.shape),
+            weight=np.broadcast_to(nodes.weight, rho.shape),
         )
+
+    @cached_property
+    def _of_all_ranges(self) -> Nodes:
+        """The nodes where dwells do not depend on range."""
+        return self._nodes(np.zeros(1))
+
+    def _nodes(self, epoch_range: FloatArray) -> Nodes:
+        geometry, yaw = self.geometry, self.yaw
+        collection = geometry.collection
+        first, last = dwell_at(geometry, yaw if collection.steered else np.zeros((1,) * np.ndim(yaw)), epoch_range)
+        longest = float(np.max(last - first))
+        n_node = max(_line_nodes(geometry, longest, coarsely=self.coarsely), self.least_nodes)
+        nodes, weights = solvers.gauss_legendre(n_node)
+        shortest = 0.05 * longest
+        middle = np.clip((first + last) / 2, collection.time[0] + shortest / 2, collection.time[-1] - shortest / 2)
+        length = np.maximum(last - first, shortest)[..., None]
+        time = middle[..., None] + length / 2 * nodes
+        slow = time - geometry.epoch
+        removed = (
+            self.origin + self.walk * slow + self.common.at(slow),
+            self.walk + self.common.at(slow, 1),
+            self.common.at(slow, 2),
+        )
+        return Nodes(slow, length / 2 * weights, geometry.track.motion(time), removed)
 
 
 def find_dwells(
@@ -71,6 +119,7 @@ def find_dwells(
     walk: float,
     common: CommonRange = NO_COMMON_RANGE,
     coarsely: bool = False,
+    least_nodes: int = LINE_NODES,
 ) -> Dwells:
     """The dwells at yaws (...), rad.
 
@@ -79,21 +128,8 @@ def find_dwells(
     Dwells cut by the ends of the collection are traced as cut. Targets lit for less than a twentieth of the longest
     dwell are traced over that much, inside the collection.
     """
-    first, last = dwell_at(geometry, yaw if geometry.collection.steered else np.zeros((1,) * np.ndim(yaw)))
-    nodes, weights = solvers.gauss_legendre(_line_nodes(geometry, float(np.max(last - first)), coarsely=coarsely))
-    collection = geometry.collection
-    shortest = 0.05 * float(np.max(last - first))
-    middle = np.clip((first + last) / 2, collection.time[0] + shortest / 2, collection.time[-1] - shortest / 2)
-    length = np.maximum(last - first, shortest)[..., None]
-    time = middle[..., None] + length / 2 * nodes
-    slow = time - geometry.epoch
     return Dwells(
-        geometry=geometry,
-        yaw=yaw,
-        slow=slow,
-        weight=length / 2 * weights,
-        antenna=geometry.track.motion(time),
-        removed=(origin + walk * slow + common.at(slow), walk + common.at(slow, 1), common.at(slow, 2)),
+        geometry=geometry, yaw=yaw, origin=origin, walk=walk, common=common, coarsely=coarsely, least_nodes=least_nodes
     )
 
 

@@ -294,6 +294,11 @@ def _lit_area(scene: Scene, collection: Collection, moment: FloatArray) -> tuple
     """
     near, far = scene.area.swath
     whole = np.full((1, 1), (moment[0] + moment[-1]) / 2), np.full((1, 1), moment[-1] - moment[0])
+    if collection.has_axis:
+        raise InputError(
+            "beam.mode describes a beam about the antenna's axis, which is not written to CPHD files; simulate a "
+            "store, or give start_deg and stop_deg"
+        )
     if collection.beam_width is None:
         ends = np.stack([np.stack(scene.ground_point(r, scene.centre_yaw)) for r in (near, far)]) - scene.centre[:2]
         half = float(np.linalg.norm(ends, axis=1).max())

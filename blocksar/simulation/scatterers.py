@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import finufft
 import numpy as np
@@ -13,8 +14,8 @@ from numba import njit, types
 from numpy.typing import NDArray
 from scipy import fft  # not kernels.fourier: this inverse transform leads to fast time, on its own grid
 
-from blocksar.arrays import ComplexArray, FloatArray
-from blocksar.collection.beam import EDGE, beam_at, in_beam, wrapped
+from blocksar.arrays import BoolArray, ComplexArray, FloatArray
+from blocksar.collection.beam import EDGE, beam_at, in_beam, is_lit, pattern_gain, wrapped
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT, TURN
@@ -30,6 +31,15 @@ _FIELD = (
     *(REAL_ROW, REAL_ROW, REAL_ROW, types.Array(types.complex128, 1, "C", readonly=True)),
     types.Array(types.float64, 1, "A", readonly=True),
 )  # types of a field's x, y, yaw and reflectivity, and of the antenna's position
+
+
+class Scatterers(NamedTuple):
+    """Places (n,), m, yaw, rad, and complex reflectivity of scatterers."""
+
+    x: FloatArray
+    y: FloatArray
+    yaw: FloatArray
+    reflectivity: NDArray[np.complex128]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,12 +62,31 @@ class Field:
     yaw: FloatArray
     reflectivity: NDArray[np.complex128]
 
+    @cached_property
+    def geometry(self) -> Geometry:
+        return Geometry(collection=self.collection)
+
+    def part(self, pulse: int, first: int, last: int) -> Scatterers:
+        """Those of a slice that a pulse lights, with the antenna's pattern in their reflectivity.
+
+        Under a beam that is described by its yaw, all of the slice: the loops ask the rule.
+        """
+        which: slice | BoolArray = slice(first, last)
+        of = Scatterers(self.x[which], self.y[which], self.yaw[which], self.reflectivity[which])
+        if self.collection.has_axis:
+            which = is_lit(self.geometry, of.x, of.y, slice(pulse, pulse + 1))[:, 0]
+            of = Scatterers(of.x[which], of.y[which], of.yaw[which], of.reflectivity[which])
+        if self.collection.has_pattern:
+            of = of._replace(reflectivity=of.reflectivity * pattern_gain(self.geometry, of.x, of.y, pulse))
+        return of
+
     def lit_slices(self, pulse: int) -> list[tuple[int, int]]:
         """Return slices that contain all scatterers lit at a pulse, and at most one unlit on either side.
 
-        There are two slices if the beam extends across yaw = +-pi.
+        All scatterers under a beam that is not described by its yaw. There are two slices if the beam extends across
+        yaw = +-pi.
         """
-        if not self.collection.steered:
+        if not self.collection.steered or self.collection.has_axis:
             return [(0, self.yaw.size)]
         azimuth, half = _beam(self.collection, pulse)
         azimuth, half = wrapped(azimuth), half + EDGE
@@ -226,7 +255,9 @@ def _in_blocks(
 
 
 def _beam(collection: Collection, pulse: int) -> tuple[float, float]:
-    """Yaw of the beam centre and half its width, rad; infinite half width where the beam is not steered."""
+    """Yaw of the beam centre and half its width, rad; infinite half width where the beam is not described by it."""
+    if collection.has_axis:
+        return 0.0, np.inf
     azimuth, half_width = beam_at(collection, slice(pulse, pulse + 1))
     return float(azimuth[0]), half_width
 
@@ -242,10 +273,7 @@ def _direct(scatterers: Field, block: range, out: ComplexArray) -> None:
     for row, pulse in enumerate(block):
         beam, half_width = _beam(collection, pulse)
         _direct_pulse(
-            scatterers.x,
-            scatterers.y,
-            scatterers.yaw,
-            scatterers.reflectivity,
+            *scatterers.part(pulse, 0, scatterers.yaw.size),
             collection.antenna_position[pulse],
             collection.ground_height,
             beam,
@@ -312,10 +340,7 @@ def _direct_echo(
     for row, pulse in enumerate(block):
         beam, half_width = _beam(collection, pulse)
         _direct_echo_pulse(
-            scatterers.x,
-            scatterers.y,
-            scatterers.yaw,
-            scatterers.reflectivity,
+            *scatterers.part(pulse, 0, scatterers.yaw.size),
             collection.antenna_position[pulse],
             collection.ground_height,
             beam,
@@ -389,11 +414,9 @@ def _transform(scatterers: Field, grid: _Grid, block: range, out: NDArray[Any]) 
         beam, half_width = _beam(collection, pulse)
         n = 0
         for first, last in scatterers.lit_slices(pulse):
+            part = scatterers.part(pulse, first, last)
             _nodes_and_strengths(
-                scatterers.x[first:last],
-                scatterers.y[first:last],
-                scatterers.yaw[first:last],
-                scatterers.reflectivity[first:last],
+                *part,
                 collection.antenna_position[pulse],
                 collection.ground_height,
                 beam,
@@ -403,10 +426,10 @@ def _transform(scatterers: Field, grid: _Grid, block: range, out: NDArray[Any]) 
                 2 * collection.carrier / SPEED_OF_LIGHT,
                 2 * grid.middle / SPEED_OF_LIGHT,
                 2 * grid.step / SPEED_OF_LIGHT,
-                nodes[n : n + last - first],
-                strengths[n : n + last - first],
+                nodes[n : n + part.x.size],
+                strengths[n : n + part.x.size],
             )
-            n += last - first
+            n += part.x.size
         if n == 0:
             out[row] = 0
             continue

@@ -9,6 +9,8 @@ about a wrong file lists every wrong field with its value and the remedy.
     [[track.wobble]]  amplitude, frequency, phase_deg
     [time]          duration | pulses; start
     [beam]          start_deg, stop_deg, dwell | width_deg          (omit if not steered)
+                    | mode, width_deg, axis_yaw_deg, axis_pitch_deg, squint_deg, rate_deg, point
+                    pattern, elevation_pattern, elevation_width_deg
     [scene]         swath, centre_yaw_deg, centre_range, ground_height, reference_range
     [[targets]]     name, x + y | range + yaw_deg | ground_range_offset + cross_range_offset; amplitude, phase_deg
     [matrix]        rows, columns, spacing | extent, names
@@ -31,11 +33,12 @@ import numpy as np
 from pydantic import Field, PrivateAttr, ValidationError
 
 from blocksar.arrays import FloatArray, IntArray
-from blocksar.collection.beam import in_beam, lit_yaw
+from blocksar.collection.beam import beam_offset, in_beam, lit_yaw
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
+from blocksar.simulation.antenna import axis_beam, lit_yaws, patterns
 from blocksar.simulation.messages import describe_error, impossible_values, message_of
 from blocksar.simulation.reflectors import PointTarget, Scatterers, draw_field, read_map
 from blocksar.simulation.tables import (
@@ -143,8 +146,9 @@ class Scene(Table):
     def _check_whole(self, label: str) -> None:
         """Check the tables against each other; raise an InputError that lists all problems."""
         problems: list[str] = []
-        if self.beam is None and self.area.centre_yaw_deg is None:
-            problems.append("scene.centre_yaw_deg is missing: a scene without [beam] needs it")
+        if (self.beam is None or self.beam.mode is not None) and self.area.centre_yaw_deg is None:
+            kind = "without [beam]" if self.beam is None else "with beam.mode"
+            problems.append(f"scene.centre_yaw_deg is missing: a scene {kind} needs it")
         clutter = self.clutter
         if self.beam is None and clutter is not None and clutter.x is None and clutter.yaw_deg is None:
             problems.append("clutter.yaw_deg is missing: without [beam], give range + yaw_deg, or a box x + y")
@@ -207,28 +211,46 @@ class Scene(Table):
             return 360.0
         if beam.width_deg is not None:
             return beam.width_deg
-        rate = abs(beam.stop_deg - beam.start_deg) * self.radar.prf / self.n_pulse
+        rate = abs((beam.stop_deg or 0.0) - (beam.start_deg or 0.0)) * self.radar.prf / self.n_pulse
         return rate * (beam.dwell or 0.0)
 
     @cached_property
     def beam_azimuth(self) -> FloatArray:
-        """Beam-centre yaw (n_pulse,), rad; NaN if the beam is not steered."""
-        if self.beam is None:
+        """Beam-centre yaw (n_pulse,), rad; NaN if the beam is not steered, or has an axis."""
+        if self.beam is None or self.beam.start_deg is None or self.beam.stop_deg is None:
             return np.full(self.n_pulse, np.nan)
         start, stop = self.beam.start_deg, self.beam.stop_deg
         return np.asarray(np.deg2rad(start + (stop - start) * np.arange(self.n_pulse) / self.n_pulse))
 
-    def _collection(self, range_frequency: FloatArray, reference_range: FloatArray) -> Collection:
+    @cached_property
+    def _antenna(self) -> dict[str, FloatArray]:
+        """The beam about the antenna's axis and the patterns, by the names of `Collection`."""
+        if self.beam is None:
+            return {}
+        antenna = patterns(self.beam, self.beam_width_deg, lambda: self.centre - self.origin)
+        if self.beam.mode is not None:
+            antenna |= axis_beam(self.beam, self.pulse_times, self._positions, lambda: self.centre)
+        return antenna
+
+    @cached_property
+    def _positions(self) -> FloatArray:
+        return self.track.positions(self.pulse_times)
+
+    def _collection(
+        self, range_frequency: FloatArray, reference_range: FloatArray, noise_power: float | None = None
+    ) -> Collection:
         return Collection(
             carrier=self.radar.carrier,
             time=self.pulse_times,
             range_frequency=range_frequency,
             reference_range=reference_range,
-            antenna_position=self.track.positions(self.pulse_times),
+            antenna_position=self._positions,
             beam_azimuth=self.beam_azimuth,
             beam_width=None if self.beam is None else float(np.deg2rad(self.beam_width_deg)),
             ground_height=self.area.ground_height,
             title=self.title,
+            noise_power=noise_power,
+            **self._antenna,
         )
 
     @cached_property
@@ -240,15 +262,24 @@ class Scene(Table):
     @cached_property
     def origin(self) -> FloatArray:
         """Antenna position at t = 0, (3,) m."""
-        self.geometry.nadir  # noqa: B018 - raises an InputError if t = 0 lies too far from the pulses
-        return self.geometry.track.position(np.array(0.0))
+        geometry = self._bare_geometry
+        geometry.nadir  # noqa: B018 - raises an InputError if t = 0 lies too far from the pulses
+        return geometry.track.position(np.array(0.0))
+
+    @cached_property
+    def _bare_geometry(self) -> Geometry:
+        """Track and polar frame without the antenna, which may look at what is found in that frame."""
+        if self.beam is None or (self.beam.mode is None and self.beam.elevation_pattern is None):
+            return self.geometry
+        return self.model_copy(update={"beam": None}).geometry
 
     @property
     def centre_yaw(self) -> float:
         """Yaw of the scene centre, rad."""
         if self.area.centre_yaw_deg is not None:
             return float(np.deg2rad(self.area.centre_yaw_deg))
-        assert self.beam is not None  # checked when read
+        assert self.beam is not None and self.beam.start_deg is not None  # checked when read
+        assert self.beam.stop_deg is not None
         return float(np.deg2rad((self.beam.start_deg + self.beam.stop_deg) / 2))
 
     def ground_point(self, slant_range: FloatArray | float, yaw: FloatArray | float) -> tuple[FloatArray, FloatArray]:
@@ -275,7 +306,13 @@ class Scene(Table):
         """First and last yaw (rad) that the beam lights; those of the scene centre if the beam is not steered."""
         if self.beam is None:
             return self.centre_yaw, self.centre_yaw
-        return lit_yaw(self.geometry.collection)
+        if self.beam.mode is None:
+            return lit_yaw(self.geometry.collection)
+        return lit_yaws(
+            self.geometry,
+            self.centre_yaw,
+            lambda yaw: self.ground_point(np.linspace(*self.area.swath, 9)[:, None], yaw),
+        )
 
     def point_targets(self) -> list[PointTarget]:
         """Return all point targets: the listed ones, then the matrix row by row."""
@@ -365,13 +402,16 @@ class Scene(Table):
         x, y = self._outline()
         yaw = self.geometry.yaw(x, y)
         pulses = np.unique(np.linspace(0, self.n_pulse - 1, CHECKED_PULSES).astype(int))
-        # The beam is widened by half a step of the checked pulses, so that no lit target is missed between two.
+        # The beam is widened by half a step of the checked pulses (about its axis: a whole one), to miss no target.
         slack = np.ptp(self.beam_azimuth) / (pulses.size - 1) if self.beam else 0.0
+        if has_axis := self.geometry.collection.has_axis:
+            offset = beam_offset(self.geometry, x[:, None], y[:, None], pulses)
+            slack = float(np.abs(np.diff(offset, axis=1)).max())
         half = np.deg2rad(self.beam_width_deg) / 2 + slack
         largest, nearest, farthest = 0.0, np.inf, 0.0
-        for pulse in pulses:
-            lit = np.ones(x.shape, bool)
-            if self.beam is not None:
+        for i, pulse in enumerate(pulses):
+            lit = np.abs(offset[:, i]) <= half if has_axis else np.ones(x.shape, bool)
+            if self.beam is not None and not has_axis:
                 lit = in_beam(yaw, self.beam_azimuth[pulse], half)
             px, py, pz = self.geometry.collection.antenna_position[pulse]
             distance = np.sqrt((x[lit] - px) ** 2 + (y[lit] - py) ** 2 + (self.area.ground_height - pz) ** 2)
@@ -433,7 +473,8 @@ class Scene(Table):
         InputError
             If track samples do not cover the pulses, the range window is too large, or a raw echo has no pulse width.
         """
-        return self._collection(self.range_frequency(raw=raw), self.reference_range)
+        noise_power = None if raw or self.noise is None else self.noise.power
+        return self._collection(self.range_frequency(raw=raw), self.reference_range, noise_power)
 
 
 def shipped_scenes() -> list[str]:

@@ -24,6 +24,9 @@ IndexPair = Annotated[tuple[int, int], Field(strict=False)]
 Vector = Annotated[tuple[float, float, float], Field(strict=False)]
 Sample = Annotated[tuple[float, float, float, float], Field(strict=False)]
 
+Rows = Annotated[tuple[Pair, ...], Field(strict=False, min_length=2)]
+Pattern = Literal["sinc2", "gaussian", "taylor"] | Rows
+
 
 class Table(BaseModel):
     """A table of a scene file: frozen, without unknown keys, without conversion of types, finite."""
@@ -43,6 +46,11 @@ def _either(present: list[str], one: str, other: str) -> str:
 def _present(table: BaseModel, *names: str) -> list[str]:
     """List those of the named fields that the file states."""
     return [name for name in names if getattr(table, name) is not None]
+
+
+def _stated(table: BaseModel, *names: str) -> list[str]:
+    """List those of the named fields that the file states, also where they have a default."""
+    return [name for name in names if name in table.model_fields_set]
 
 
 class RadarTable(Table):
@@ -170,20 +178,81 @@ class TimeTable(Table):
 
 
 class BeamTable(Table):
-    start_deg: float = Field(ge=-720, le=720, description="beam-centre yaw at the first pulse, degrees")
-    stop_deg: float = Field(ge=-720, le=720, description="beam-centre yaw one interval after the last pulse, degrees")
+    """A beam that is described by its yaw (start_deg, stop_deg), or about the antenna's own axis (mode)."""
+
+    start_deg: float | None = Field(None, ge=-720, le=720, description="beam-centre yaw at the first pulse, degrees")
+    stop_deg: float | None = Field(
+        None, ge=-720, le=720, description="beam-centre yaw one interval after the last pulse, degrees"
+    )
     dwell: Positive | None = Field(None, description="time for which a target is lit, s")
-    width_deg: float | None = Field(None, gt=0, lt=180, description="full beam width in yaw, degrees")
+    width_deg: float | None = Field(None, gt=0, lt=180, description="full beam width, degrees")
+    mode: Literal["stripmap", "sliding-spotlight", "tops", "spotlight"] | None = Field(
+        None, description="how the beam turns about the antenna's axis"
+    )
+    axis_yaw_deg: float | None = Field(
+        None, ge=-720, le=720, description="yaw of the antenna's axis, degrees; default: along the velocity"
+    )
+    axis_pitch_deg: float = Field(0.0, gt=-90, lt=90, description="pitch of that axis above the horizontal, degrees")
+    squint_deg: float = Field(
+        0.0, gt=-90, lt=90, description="steering at t = 0 off the plane normal to the axis, towards it, degrees"
+    )
+    rate_deg: float | None = Field(None, description="rate of the steering, degrees/s")
+    point: Vector | None = Field(
+        None, description="[x, y, z] of the point at which the beam looks, m; spotlight: default the scene centre"
+    )
+    pattern: Pattern | None = Field(
+        None, description="two-way amplitude: sinc2, gaussian, taylor, or rows [offset_deg, amplitude]"
+    )
+    elevation_pattern: Pattern | None = Field(
+        None, description="the same over elevation, about the scene centre's, or rows [elevation_deg, amplitude]"
+    )
+    elevation_width_deg: float | None = Field(
+        None, gt=0, lt=180, description="full width of a named elevation pattern, degrees"
+    )
 
     @model_validator(mode="after")
     def _check(self) -> Self:
         present = _present(self, "dwell", "width_deg")
-        _require(len(present) == 1, _either(present, "dwell (s)", "width_deg"))
+        if self.mode is None:
+            missing = [name for name in ("start_deg", "stop_deg") if getattr(self, name) is None]
+            _require(not missing, f"{', '.join(missing)} missing: give start_deg and stop_deg, or mode")
+            others = _stated(self, "axis_yaw_deg", "axis_pitch_deg", "squint_deg", "rate_deg", "point")
+            _require(not others, f"{', '.join(others)} given without mode: only a beam about its axis has them")
+            _require(len(present) == 1, _either(present, "dwell (s)", "width_deg"))
+            _require(
+                self.start_deg != self.stop_deg or self.dwell is None,
+                f"dwell = {self.dwell}: a beam that stands still has no dwell, give width_deg",
+            )
+        else:
+            self._check_mode(self.mode)
+        named = isinstance(self.elevation_pattern, str)
         _require(
-            self.start_deg != self.stop_deg or self.dwell is None,
-            f"dwell = {self.dwell}: a beam that stands still has no dwell, give width_deg",
+            named == (self.elevation_width_deg is not None),
+            f"elevation_width_deg = {self.elevation_width_deg}: goes with an elevation_pattern given by name",
         )
         return self
+
+    def _check_mode(self, mode: str) -> None:
+        others = _present(self, "start_deg", "stop_deg", "dwell")
+        _require(not others, f"{', '.join(others)} given with mode = {mode!r}: give width_deg, and how it turns")
+        _require(self.width_deg is not None, f"width_deg missing: mode = {mode!r} needs it")
+        _require(
+            self.axis_yaw_deg is not None or "axis_pitch_deg" not in self.model_fields_set,
+            "axis_yaw_deg missing: axis_pitch_deg needs it",
+        )
+        steering = _stated(self, "squint_deg", "rate_deg", "point")
+        allowed: dict[str, tuple[list[str], ...]] = {
+            "stripmap": ([], ["squint_deg"]),
+            "spotlight": ([], ["point"]),
+            "tops": (["rate_deg"], ["squint_deg", "rate_deg"]),
+            "sliding-spotlight": (["rate_deg"], ["squint_deg", "rate_deg"], ["point"]),
+        }
+        ways = allowed[mode]
+        _require(
+            steering in ways,
+            f"{', '.join(steering) or 'nothing'} given with mode = {mode!r}: give "
+            + " or ".join(" + ".join(way) or "none of squint_deg, rate_deg, point" for way in ways),
+        )
 
 
 class AreaTable(Table):

@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from math import prod
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,8 +26,9 @@ from blocksar.places import place as place_of
 from blocksar.places.local import LocalPlace
 from blocksar.places.objects import ObjectPlace, os_errors
 from blocksar.places.place import Place
-from blocksar.stores.arrays import dimension_names, metadata_file, open_array, refuse_codecs, refuse_odd_chunks
+from blocksar.stores.arrays import metadata_file, open_array, refuse_codecs
 from blocksar.stores.chunk_files import chunk_files_of, refuse_odd_file
+from blocksar.stores.contract import checked, number, read_real, stated
 from blocksar.stores.creation import UNFINISHED, create
 from blocksar.stores.faults import cause_of, unreachable
 from blocksar.stores.records import json_checksum
@@ -37,19 +37,15 @@ from blocksar.stores.schema import (
     COLLECTION,
     COLLECTION_ATTRS,
     CONVENTIONS,
+    OPTIONAL,
     PHASE_HISTORY,
     RAW_ATTRS,
     RAW_ECHO,
-    TRACK_AND_BEAM,
-    UNITS,
 )
 
 if TYPE_CHECKING:
     import xarray as xr
 
-MAX_AXIS = 1 << 22  # samples of an axis: metadata that states more is damaged, and could exhaust the memory
-MAX_CHUNK, MAX_PADDED = 1 << 34, 1 << 26  # bytes of a chunk of samples, and of one that is larger than its axis
-MAX_CHUNKS = 1 << 15  # chunks of a variable that is read as a whole: more take minutes, or do not exist
 GROUP_METADATA = (".zattrs", ".zgroup", ".zmetadata", "zarr.json")
 
 
@@ -184,7 +180,7 @@ class PhaseHistory:
         """Iterate over all files: name, size and version if it is a chunk of samples (else empty), and place."""
         present = self.path.names()
         yield from ((name, "", self.path / name) for name in GROUP_METADATA if name in present)
-        for variable in sorted(PHASE_HISTORY if self.raw is None else RAW_ECHO):
+        for variable in sorted({**(PHASE_HISTORY if self.raw is None else RAW_ECHO), **OPTIONAL}):
             files = sorted((self.path / variable).files(), key=lambda file: file[0].split("/"))
             for name, size, version in files:
                 chunk = variable == self.variable and name not in ("zarr.json", ".zarray", ".zattrs")
@@ -222,12 +218,13 @@ def create_phase_history(
         As for `create`.
     """
     column, axis = ("range_frequency", collection.range_frequency) if raw is None else ("fast_time", raw.fast_time)
+    schema, angles, variables = stated(collection, PHASE_HISTORY if raw is None else RAW_ECHO)
     create(
         path,
-        PHASE_HISTORY if raw is None else RAW_ECHO,
+        schema,
         sizes={},
-        coords={"time": collection.time, column: axis},
-        variables={name: getattr(collection, name) for name in TRACK_AND_BEAM},
+        coords={"time": collection.time, column: axis, **angles},
+        variables=variables,
         attrs=_collection_attrs(collection, raw, attrs),
         chunks={"pulse": TILE[0], column: TILE[1]},
         overwrite=overwrite,
@@ -243,12 +240,13 @@ def write_collection(path: Location, collection: Collection, attrs: Mapping[str,
     InputError
         As for `create`.
     """
+    schema, angles, variables = stated(collection, COLLECTION)
     create(
         path,
-        COLLECTION,
+        schema,
         sizes={},
-        coords={"time": collection.time, "range_frequency": collection.range_frequency},
-        variables={name: getattr(collection, name) for name in TRACK_AND_BEAM},
+        coords={"time": collection.time, "range_frequency": collection.range_frequency, **angles},
+        variables=variables,
         attrs=_collection_attrs(collection, None, attrs),
         chunks={},
         overwrite=True,
@@ -260,6 +258,7 @@ def _collection_attrs(collection: Collection, raw: RawEcho | None, attrs: Mappin
         "carrier_frequency": collection.carrier,
         "beam_width": collection.beam_width,
         "ground_height": collection.ground_height,
+        "noise_power": collection.noise_power,
     }
     if raw is not None:
         own |= {"chirp_rate": raw.chirp_rate, "pulse_width": raw.pulse_width}
@@ -298,11 +297,11 @@ def open_phase_history(path: Location) -> PhaseHistory:
                 f"{variables}); a phase history has one of the two"
             )
         attrs = _attrs(group)
-        samples = _checked(place, names[0])
+        samples = checked(place, names[0])
         for name, n in zip(
             ("time", "range_frequency" if names == ["signal"] else "fast_time"), samples.shape, strict=True
         ):
-            if (shape := _checked(place, name).shape) != (n,):
+            if (shape := checked(place, name).shape) != (n,):
                 raise InputError(f"{names[0]} has shape {samples.shape}, but {name} has {shape}; make them agree")
         raw = _read_raw(place, attrs) if names == ["echo"] else None
         collection = _read_collection(place, attrs, None if raw is None else raw.range_frequency)
@@ -406,93 +405,37 @@ def _attrs(group: zarr.Group) -> dict[str, Any]:
 
 
 def _read_collection(place: Place, attrs: Mapping[str, Any], range_frequency: FloatArray | None) -> Collection:
-    time = _real(place, "time")
+    time = read_real(place, "time")
     if not metadata_file(place / "beam_azimuth"):
         beam_azimuth = np.full(time.shape, np.nan)
     else:
-        beam_azimuth = _real(place, "beam_azimuth")
-    beam_width = _number(attrs, "beam_width", "rad", None)
+        beam_azimuth = read_real(place, "beam_azimuth")
+    beam_width = number(attrs, "beam_width", "rad", None)
     if beam_width is not None and np.isnan(beam_width) and np.isnan(beam_azimuth).all():
         beam_width = None
-    carrier = _number(attrs, "carrier_frequency", "Hz")
-    ground_height = _number(attrs, "ground_height", "m", 0.0)
+    carrier = number(attrs, "carrier_frequency", "Hz")
+    ground_height = number(attrs, "ground_height", "m", 0.0)
     return Collection(
         carrier=carrier,
         time=time,
-        range_frequency=_real(place, "range_frequency") if range_frequency is None else range_frequency,
-        reference_range=_real(place, "reference_range"),
-        antenna_position=_real(place, "antenna_position"),
+        range_frequency=read_real(place, "range_frequency") if range_frequency is None else range_frequency,
+        reference_range=read_real(place, "reference_range"),
+        antenna_position=read_real(place, "antenna_position"),
         beam_azimuth=beam_azimuth,
         beam_width=beam_width,
         ground_height=ground_height,
         title=str(attrs.get("title") or ""),
+        noise_power=number(attrs, "noise_power", "the square of signal's", None),
+        **{name: read_real(place, name) for name in OPTIONAL if metadata_file(place / name)},
     )
 
 
 def _read_raw(place: Place, attrs: Mapping[str, Any]) -> RawEcho:
-    fast_time = _real(place, "fast_time")
+    fast_time = read_real(place, "fast_time")
     check_axis(fast_time, "fast_time", "s")
     return RawEcho(
         fast_time=fast_time,
-        chirp_rate=_number(attrs, "chirp_rate", "Hz/s"),
-        pulse_width=_number(attrs, "pulse_width", "s"),
+        chirp_rate=number(attrs, "chirp_rate", "Hz/s"),
+        pulse_width=number(attrs, "pulse_width", "s"),
         sampling_rate=float((fast_time.size - 1) / (fast_time[-1] - fast_time[0])),
     )
-
-
-def _number(attrs: Mapping[str, Any], name: str, unit: str, default: Any = ...) -> Any:
-    """Return an attribute that is a number; without a default it must exist."""
-    value = attrs.get(name)
-    if value is None:
-        if default is not ...:
-            return default
-        raise InputError(f"attribute {name} is missing; add it, in {unit}")
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError(f"attribute {name} is {value!r}; it must be a number, in {unit}")
-    try:
-        return float(value)
-    except OverflowError:
-        raise InputError(f"attribute {name} is a whole number with hundreds of digits; correct it, in {unit}") from None
-
-
-def _checked(place: Place, name: str) -> zarr.Array[Any]:
-    """Open a variable of the contract, and check everything except its values."""
-    variable = {**PHASE_HISTORY, **RAW_ECHO}[name]
-    if not metadata_file(place / name):
-        raise InputError(f"variable {name} ({', '.join(variable.dims)}) is missing; write it, in {variable.units}")
-    array = open_array(place, name)
-    if isinstance(place, LocalPlace):
-        refuse_odd_chunks(place / name, len(array.metadata.encode_chunk_key((0,) * array.ndim).split("/")))
-    dims = dimension_names(array)
-    if dims != variable.dims:
-        actual = "none" if dims is None else f"({', '.join(map(str, dims))})"
-        remedy = "transpose it" if dims and sorted(map(str, dims)) == sorted(variable.dims) else "rename them"
-        raise InputError(f"{name} has dimensions {actual}, but must have ({', '.join(variable.dims)}); {remedy}")
-    kinds = "c" if variable.dtype == "complex64" else "fiu"
-    if array.dtype.kind not in kinds:
-        raise InputError(f"{name} is {array.dtype}, but must be {variable.dtype}; write it as that")
-    if max(array.shape) > MAX_AXIS or (name not in ("signal", "echo") and array.size > 3 * MAX_AXIS):
-        raise InputError(f"{name} claims the shape {array.shape}, beyond {MAX_AXIS} per axis; its metadata is damaged")
-    chunks = array.shards or array.chunks
-    if not 0 < prod(chunks) * array.dtype.itemsize <= MAX_CHUNK:
-        raise InputError(f"{name} claims chunks of {chunks}; its metadata is damaged, write it again")
-    if name not in ("signal", "echo") and prod(chunks) * array.dtype.itemsize > max(MAX_PADDED, 2 * array.nbytes):
-        raise InputError(f"{name} has chunks of {chunks}, far larger than itself; write it again")
-    count = prod(-(-n // chunk) for n, chunk in zip(array.shape, chunks, strict=True))
-    if count > MAX_CHUNKS and name not in ("signal", "echo"):
-        raise InputError(f"{name} has {count} chunks, but is read as a whole; write it in at most {MAX_CHUNKS}")
-    attrs = array.attrs.asdict()
-    units = attrs.get("units")
-    if units is not None and variable.units in UNITS and str(units).strip().lower() not in UNITS[variable.units]:
-        raise InputError(f"{name} is in {units!r}, but must be in {variable.units}; convert it")
-    packed = [key for key, idle in (("scale_factor", 1), ("add_offset", 0)) if attrs.get(key, idle) != idle]
-    if packed:
-        raise InputError(f"{name} is packed with {packed[0]} = {attrs[packed[0]]!r}; write its values as they are")
-    return array
-
-
-def _real(place: Place, name: str) -> FloatArray:
-    """Check and read a variable of real numbers."""
-    array = _checked(place, name)
-    values = read_array(array, (slice(None),) * array.ndim, place, name, label=name)
-    return np.asarray(values, dtype=np.float64)

@@ -32,6 +32,22 @@ TRACK_AND_BEAM = {
     ),
     "beam_azimuth": Variable(("pulse",), "float64", "rad", "beam-centre yaw; NaN where the beam is not steered"),
 }
+# Of a beam about the antenna's own axis, instead of beam_azimuth; and what a collection may have besides.
+AXIS_BEAM = {
+    "beam_axis": Variable(
+        ("pulse", "axis"), "float64", "1", "unit vector along the antenna's azimuth axis, scene frame"
+    ),
+    "beam_steering": Variable(
+        ("pulse",), "float64", "rad", "angle of the beam's centre off the plane normal to beam_axis"
+    ),
+}
+PATTERNS = {
+    "beam_pattern": Variable(("beam_offset",), "float64", "1", "two-way amplitude over the beam, in the signal"),
+    "beam_offset": Variable(("beam_offset",), "float64", "rad", "angle off the beam's centre"),
+    "elevation_pattern": Variable(("elevation",), "float64", "1", "two-way amplitude over elevation, in the signal"),
+    "elevation": Variable(("elevation",), "float64", "rad", "angle of the line of sight below the horizontal"),
+}
+OPTIONAL = {**AXIS_BEAM, **PATTERNS}
 COLLECTION = {"time": TIME, "range_frequency": RANGE_FREQUENCY, **TRACK_AND_BEAM}
 PHASE_HISTORY = {
     "signal": Variable(("pulse", "range_frequency"), "complex64", "1", "range-frequency signal; NaN where missing"),
@@ -66,7 +82,7 @@ IMAGE = {
     "y": Y,
 }
 CONVENTIONS = "CF-1.11"
-COLLECTION_ATTRS = ("carrier_frequency", "beam_width", "ground_height")
+COLLECTION_ATTRS = ("carrier_frequency", "beam_width", "ground_height", "noise_power")
 RAW_ATTRS = ("chirp_rate", "pulse_width")
 UNITS = {  # accepted spellings of the contract's units
     "s": ("s", "sec", "second", "seconds"),

@@ -95,6 +95,6 @@ def test_the_sum_of_weights_is_that_of_all_lit_pulses(text: str, change: dict[st
     x, y = geometry.ground_axes(np.full(yaw.size, 30e3), yaw)
     v = np.broadcast_to((2 * np.arange(c.n_pulse) + 1 - c.n_pulse) / c.n_pulse, (yaw.size, c.n_pulse))
     if c.beam_width is not None:
-        v = 2 * beam_offset(geometry, x, y) / c.beam_width
+        v = 2 * beam_offset(geometry, x[:, None], y[:, None], slice(None)) / c.beam_width
     wanted = (is_lit(geometry, x, y) * valid * taper(v)).sum(axis=1)
     np.testing.assert_allclose(weighted_pulses(c, geometry.yaw(x, y), valid, taper), wanted, atol=1e-9 * c.n_pulse)

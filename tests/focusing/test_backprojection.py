@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from axis_beams import axis_collection, with_patterns
 from numba import njit
 from slow_twins import back_projection
 
@@ -421,3 +422,88 @@ def test_the_inner_loop_is_vectorised() -> None:
     (assembly,) = fresh.inspect_asm().values()
     assert re.search(r"sqrtpd", assembly)
     assert not re.search(r"sqrtsd", assembly)
+
+
+AXIS_BEAMS = pytest.mark.parametrize("mode", ["stripmap", "squinted", "tops"])
+
+
+@AXIS_BEAMS
+@pytest.mark.parametrize("patterns", [False, True])
+def test_beams_about_their_axis_and_patterns_equal_the_double_loop(mode: str, patterns: bool) -> None:
+    c = axis_collection(mode)
+    c = with_patterns(c) if patterns else c
+    signal = noise(c)
+    ahead = 9000 * np.tan(0.28) if mode == "squinted" else 0.0
+    x, y = np.meshgrid(np.linspace(8950, 9050, 4), ahead + np.linspace(-180, 180, 5))
+    expected = back_projection(c, signal, x, y)
+    image = form(c, signal, x, y)
+    np.testing.assert_array_equal(np.isnan(image), np.isnan(expected))
+    assert np.isnan(image).mean() < 0.8
+    scale = np.nanmax(np.abs(expected))
+    assert np.nanmax(np.abs(image - expected)) < 1e-3 * scale
+
+
+def test_patterns_of_a_beam_that_is_described_by_its_yaw_equal_the_double_loop() -> None:
+    c = collection(n_pulse=80)
+    half = (c.beam_width or 0.0) / 2
+    offset = np.linspace(-half, half, 33)
+    down = np.arcsin(16500.0 / c.reference_range[0])
+    patterns = {
+        "beam_offset": offset, "beam_pattern": np.cos(offset / half),
+        "elevation": np.array([down - 0.1, down + 0.1]), "elevation_pattern": np.array([1.0, 0.4]),
+    }  # fmt: skip
+    c = Collection(**{**c.as_dict(), **patterns})
+    signal = noise(c)
+    x, y = around(c, np.linspace(-300, 300, 6), np.linspace(-900, 900, 6))
+    expected = back_projection(c, signal, x, y)
+    image = form(c, signal, x, y)
+    assert np.isfinite(expected).all()
+    assert np.abs(image - expected).max() < 1e-3 * np.abs(expected).max()
+
+
+def test_a_unit_target_under_patterns_peaks_at_one() -> None:
+    c = with_patterns(axis_collection())
+    x, y = np.array([9000.0]), np.array([12.0])
+    signal = simulate_pulses(c, x, y, np.ones(1))
+    assert abs(form(c, signal, x, y)[0] - 1) < 2e-3
+
+
+@AXIS_BEAMS
+@pytest.mark.parametrize("patterns", [False, True])
+@pytest.mark.parametrize("weighting", [("taylor:4:-35", "taylor:4:-35"), ("uniform", "kaiser:4")])
+def test_weighted_beams_about_their_axis_equal_the_double_loop(
+    mode: str, patterns: bool, weighting: tuple[str, str]
+) -> None:
+    """With a sinc^2 pattern over the beam; some pulses and samples are missing, some dwells are cut."""
+    c = axis_collection(mode)
+    if patterns:
+        half = (c.beam_width or 0.0) / 2
+        offset = np.linspace(-half, half, 129)
+        lobe = {"beam_offset": offset, "beam_pattern": np.sinc(0.6 * offset / half) ** 2}
+        c = Collection(**{**with_patterns(c).as_dict(), **lobe})
+    rng = np.random.default_rng(7)
+    signal = noise(c).copy()
+    signal[rng.random(c.n_pulse) < 0.05] = np.nan
+    signal[rng.random(signal.shape) < 0.05] = np.nan
+    ahead = 9000 * np.tan(0.28) if mode == "squinted" else 0.0
+    x, y = np.meshgrid(np.linspace(8950, 9050, 4), ahead + np.linspace(-180, 180, 5))
+    w = Weighting.parse(range=weighting[0], azimuth=weighting[1])
+    expected = back_projection(c, signal, x, y, in_range=w.range, in_azimuth=w.azimuth)
+    image = form(c, signal, x, y, weighting=w)
+    np.testing.assert_array_equal(np.isnan(image), np.isnan(expected))
+    assert np.isnan(image).mean() < 0.8
+    assert np.sqrt(np.nanmean(np.abs(image - expected) ** 2) / np.nanmean(np.abs(expected) ** 2)) < 5e-4
+    tx, ty = np.array([9000.0]), np.array([ahead + 12.0])
+    assert abs(form(c, simulate_pulses(c, tx, ty, np.ones(1)), tx, ty, weighting=w)[0] - 1) < 2e-3
+
+
+def test_an_elevation_pattern_of_a_beam_that_is_not_steered_under_a_taper() -> None:
+    c = collection(steered=False, n_pulse=80)
+    down = np.arcsin(16500.0 / c.reference_range[0])
+    patterns = {"elevation": np.array([down - 0.1, down + 0.1]), "elevation_pattern": np.array([1.0, 0.4])}
+    c = Collection(**{**c.as_dict(), **patterns})
+    x, y = around(c, np.linspace(-40, 40, 6), np.linspace(-40, 40, 6))
+    w = Weighting.parse("taylor:4:-35")
+    expected = back_projection(c, noise(c), x, y, in_range=w.range, in_azimuth=w.azimuth)
+    assert np.isfinite(expected).all()
+    assert np.abs(form(c, noise(c), x, y, weighting=w) - expected).max() < 1e-3 * np.abs(expected).max()

@@ -61,7 +61,7 @@ def recovered(case: Case, signal: ComplexArray, **options: Any) -> ComplexArray:
 
 
 def lit_at(case: Case, yaw: float, slow: FloatArray) -> np.ndarray:
-    first, last = dwell_at(case.geometry, np.array(yaw))
+    first, last = dwell_at(case.geometry, np.array(yaw), np.zeros(1))
     return (slow + case.geometry.epoch >= first) & (slow + case.geometry.epoch <= last)
 
 

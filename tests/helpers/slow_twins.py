@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from functools import lru_cache
 from typing import Any
@@ -21,12 +22,38 @@ def geometry(collection: Collection) -> Geometry:
 
 def lit(collection: Collection, pulse: int, x: float, y: float) -> bool:
     """Return whether the beam lights a ground point at a pulse, by the definition of the store."""
+    if collection.beam_axis is not None:
+        return abs(offset(collection, pulse, x, y)) <= (collection.beam_width or 0.0) / 2
     if collection.beam_width is None:
         return True
     yaw = float(geometry(collection).yaw(np.array(x), np.array(y)))
     away = yaw - collection.beam_azimuth[pulse]
     away = np.arctan2(np.sin(away), np.cos(away))
     return bool(abs(away) <= collection.beam_width / 2)
+
+
+def offset(collection: Collection, pulse: int, x: float, y: float) -> float:
+    """Angle of a ground point off the beam's centre, by the definition of the store, rad."""
+    if collection.beam_axis is None or collection.beam_steering is None:
+        away = float(geometry(collection).yaw(np.array(x), np.array(y))) - collection.beam_azimuth[pulse]
+        return float(np.arctan2(np.sin(away), np.cos(away)))
+    sight = np.array([x, y, collection.ground_height]) - collection.antenna_position[pulse]
+    sine = float((sight * collection.beam_axis[pulse]).sum()) / float(np.linalg.norm(sight))
+    return math.asin(sine) - float(collection.beam_steering[pulse])
+
+
+def gain(collection: Collection, pulse: int, x: float, y: float) -> float:
+    """Two-way amplitude of the antenna's patterns."""
+    value = 1.0
+    if collection.beam_pattern is not None:
+        assert collection.beam_offset is not None
+        value *= float(np.interp(offset(collection, pulse, x, y), collection.beam_offset, collection.beam_pattern))
+    if collection.elevation_pattern is not None:
+        assert collection.elevation is not None
+        height = float(collection.antenna_position[pulse, 2]) - collection.ground_height
+        down = math.asin(height / distance(collection, pulse, x, y))
+        value *= float(np.interp(down, collection.elevation, collection.elevation_pattern))
+    return value
 
 
 def distance(collection: Collection, pulse: int, x: float, y: float) -> float:
@@ -45,7 +72,7 @@ def phase_history(
         for x, y, sigma in targets:
             if lit(collection, pulse, x, y):
                 away = distance(collection, pulse, x, y) - collection.reference_range[pulse]
-                signal[row] += sigma * np.exp(-1j * wavenumber * away)
+                signal[row] += gain(collection, pulse, x, y) * sigma * np.exp(-1j * wavenumber * away)
     return signal
 
 
@@ -84,8 +111,10 @@ def back_projection(
     """Mean over lit pulses and all frequencies of signal exp(+4j pi (fc + f) / c (R - reference_range)).
 
     It is weighted by in_range(v) and in_azimuth(v), with v in -1 .. 1 over the band and over the beam (or the pulses of
-    a beam that is not steered). NaN samples are left out of the mean. The image is NaN where nothing valid is lit, or
-    where a lit pulse sees the pixel outside |R - reference_range| <= c / (4 df).
+    a beam that is not steered). With patterns, the sum of weights is one of weights times their gain.
+
+    NaN samples are left out of the mean. The image is NaN where nothing valid is lit, or where a lit pulse sees the
+    pixel outside |R - reference_range| <= c / (4 df).
 
     Parameters
     ----------
@@ -109,7 +138,11 @@ def back_projection(
         total, count, outside = 0j, 0.0, False
         for pulse in range(collection.n_pulse):
             place = (2 * pulse + 1 - collection.n_pulse) / collection.n_pulse
-            if collection.beam_width is not None:
+            if collection.beam_axis is not None:
+                if not lit(collection, pulse, x[pixel], y[pixel]):
+                    continue
+                place = 2 * offset(collection, pulse, x[pixel], y[pixel]) / (collection.beam_width or 0.0)
+            elif collection.beam_width is not None:
                 away = theta[pixel] - collection.beam_azimuth[pulse]
                 away = away - 2 * np.pi * np.rint(away / (2 * np.pi))
                 if not abs(away) <= collection.beam_width / 2:
@@ -123,6 +156,6 @@ def back_projection(
             terms = signal[pulse] * np.exp(4j * np.pi * frequency / light * distance)
             valid = ~np.isnan(terms)
             total += (weights * terms)[valid].sum()
-            count += weights[valid].sum()
+            count += weights[valid].sum() * gain(collection, pulse, x[pixel], y[pixel])
         image[pixel] = total / count if count and not outside else np.nan
     return image

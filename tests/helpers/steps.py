@@ -117,7 +117,7 @@ def taper(geometry: Geometry, yaw: float, time: FloatArray) -> FloatArray:
 
     time (n,) s, absolute.
     """
-    first, last = dwell_at(geometry, np.array(yaw))
+    first, last = dwell_at(geometry, np.array(yaw), np.zeros(1))
     along = (time - first) / (last - first)
     return np.where((along > 0) & (along < 1), np.sin(np.pi * np.clip(along, 0, 1)) ** 2, 0.0)
 

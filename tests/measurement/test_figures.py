@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from axis_beams import axis_collection, with_patterns
 from scipy.integrate import quad
 from scipy.optimize import brentq, minimize_scalar
 from scipy.special import diric
@@ -17,8 +18,10 @@ from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.collection.beam import dwell, has_full_dwell
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
+from blocksar.collection.weighting import Weighting
 from blocksar.constants import SINC_ISLR, SINC_PSLR, SINC_WIDTH, SPEED_OF_LIGHT
 from blocksar.errors import InputError
+from blocksar.focusing.backprojection import form_points
 from blocksar.measurement.coherence import coherence
 from blocksar.measurement.figures import (
     DEFINITIONS,
@@ -35,6 +38,7 @@ from blocksar.measurement.ideal import ideal_response
 from blocksar.measurement.response import Complex128Array, ReadChip, carrier_phase, read_response, response_axes
 from blocksar.measurement.table3 import TABLE3
 from blocksar.measurement.targets import Target
+from blocksar.simulation.scatterers import simulate_pulses
 
 PULSE_RATE = 4000.0  # half of Table 1's, for speed: 648 pulses light a target
 STEERING = np.deg2rad(57.87 - 42.13) / 0.6
@@ -520,3 +524,36 @@ def test_pictures_are_written(scene: Scene, tmp_path: Path) -> None:
         path = tmp_path / f"{name}.png"
         draw(path)
         assert path.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+
+
+def test_the_ideal_response_under_patterns_is_the_back_projection_of_the_target() -> None:
+    collection = with_patterns(axis_collection())
+    geometry, target = Geometry(collection=collection), Target("P", 9000.0, 12.0, 1.0 + 0.5j)
+    signal = simulate_pulses(collection, np.array([target.x]), np.array([target.y]), np.array([target.reflectivity]))
+    x, y = 9000.0 + np.linspace(-6, 6, 9), 12.0 + np.linspace(4, -4, 9)
+    exact = form_points(lambda pulses: signal[pulses], geometry, x, y, threads=1)
+    np.testing.assert_allclose(ideal_response(geometry, target, x, y), exact, atol=2e-3)
+
+
+@pytest.mark.parametrize("text", ["uniform", "taylor:4:-35"])
+def test_a_target_under_patterns_has_the_figures_of_its_ideal_response(text: str) -> None:
+    """Those of the taper alone would be off: the pattern falls by 5 dB to the edges of the beam."""
+    collection = with_patterns(axis_collection(n_pulse=800, beam_width=0.012))
+    geometry, target = Geometry(collection=collection), Target("P", 9000.0, 12.0, 1.0 + 0j)
+    weighting = Weighting.parse(text)
+    axes = response_axes(geometry, target.x, target.y, weighting)
+    assert axes is not None
+    reach = 24 * np.array([axes.range_width * abs(axes.range_direction[0]), axes.azimuth_width])
+    image_x, image_y = (
+        centre + np.linspace(-1, 1, 2 * int(extent * 2.8 * band) + 1) * extent
+        for centre, extent, band in zip((target.x, target.y), reach, axes.band, strict=True)
+    )
+    x, y = np.meshgrid(image_x, image_y)
+    image = ideal_response(geometry, target, x.ravel(), y.ravel(), weighting).reshape(x.shape).astype(np.complex64)
+    found = measure_target(reader(image), image_x, image_y, geometry, target, weighting)
+    assert found.covered and found.full_dwell
+    assert found.azimuth_irw == pytest.approx(found.azimuth_irw_theory, rel=0.01)
+    assert found.azimuth_pslr == pytest.approx(found.azimuth_pslr_theory, abs=0.7)  # the beam moves on with the pixel
+    assert found.range_pslr == pytest.approx(found.range_pslr_theory, abs=0.3)
+    assert found.azimuth_pslr_theory < weighting.azimuth.ideal.pslr - 2
+    assert axes.azimuth_ideal.width > 1.03 * weighting.azimuth.ideal.width

@@ -68,7 +68,7 @@ def test_a_target_is_lit_by_exactly_the_pulses_of_its_dwell() -> None:
         x, y = scene.ground_point(10e3, yaw)
         lit = np.abs(simulate_pulses(collection, x, y, np.ones(1))).max(axis=1) > 0.5
         assert lit.tolist() == [slow_twins.lit(collection, pulse, float(x), float(y)) for pulse in range(151)]
-        first, last = dwell_at(Geometry(collection=collection), np.array(yaw))
+        first, last = dwell_at(Geometry(collection=collection), np.array(yaw), np.zeros(1))
         # The dwell ends at the edge of the beam; a pulse is lit if it lies inside.
         assert lit.sum() == pytest.approx(float(last - first) * collection.prf, abs=1)
         assert 0 < lit.sum() < 151

@@ -29,7 +29,7 @@ class Sector(NamedTuple):
 def sectors(count: int) -> list[Sector]:
     """The steering interval of paper A's Table 1, divided evenly."""
     beam = scene("table1").beam
-    assert beam is not None
+    assert beam is not None and beam.start_deg is not None and beam.stop_deg is not None
     edges = np.radians(np.linspace(beam.start_deg, beam.stop_deg, count + 1)).tolist()
     return [Sector(*edge) for edge in pairwise(edges)]
 

@@ -1,0 +1,86 @@
+"""Weights of targets over their dwells: the weighting, and the antenna's pattern, which their echoes have already."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from blocksar.arrays import FloatArray
+from blocksar.collection.beam import STILL, at_times, beam_offset, pattern_gain
+from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.weighting import FLAT, Taper, Weighting
+from blocksar.focusing.lines import Line
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DwellWeights:
+    """What the pulses of dwells count in the sum to an image.
+
+    Attributes
+    ----------
+    taper : Taper
+        The weighting over the dwells.
+    nodes : (..., n) float
+        At the nodes of lines: the weighting w times the antenna's pattern g.
+    edge : (...) float
+        The same at the ends of the dwells.
+    patterned : bool
+        Whether there is an antenna's pattern.
+    """
+
+    taper: Taper
+    nodes: FloatArray
+    edge: FloatArray | float
+    patterned: bool
+
+    @property
+    def uniform(self) -> bool:
+        return self.taper.uniform and not self.patterned
+
+    def weigh(self, line: Line) -> Line:
+        """The lines with these weights; as they are where all weights are 1."""
+        return line if self.uniform else line.weighed(self.nodes)
+
+
+def dwell_weights(
+    geometry: Geometry,
+    taper: Taper,
+    lit: Line,
+    *,
+    uncut: tuple[FloatArray, FloatArray],
+    epoch_range: FloatArray,
+    yaw: FloatArray,
+) -> DwellWeights:
+    """The weights of targets at epoch ranges (n_range,), m, and yaws (n_yaw,), rad.
+
+    Parameters
+    ----------
+    lit : Line
+        (n_range, n_yaw, n), before all steps.
+    uncut : pair of (n_yaw,) or (n_range, n_yaw) float
+        Slow time, s from the epoch, at which the dwells would begin and end if the collection did not cut them. The
+        place in a beam that is described by its yaw, or not steered, is taken as linear in between.
+    """
+    collection = geometry.collection
+    x, y = (axis[..., None] for axis in geometry.ground_axes(epoch_range[:, None], yaw))
+    time, edge = lit.time + geometry.epoch, float(taper(np.array(1.0)))
+    if taper.uniform:
+        nodes = np.ones(lit.time.shape)
+    elif collection.has_axis and collection.beam_width is not None:
+        nodes = taper(2 * at_times(geometry, x, y, time, beam_offset) / collection.beam_width)
+    else:
+        nodes = taper((2 * lit.time - (uncut[0] + uncut[1])[..., None]) / (uncut[1] - uncut[0])[..., None])
+    if not collection.has_pattern:
+        return DwellWeights(taper=taper, nodes=nodes, edge=edge, patterned=False)
+    gain = at_times(geometry, x, y, time, pattern_gain)
+    # The outer nodes lie close to the ends: by half a hundredth of the dwell.
+    at_ends = np.sqrt((gain[..., 0] ** 2 + gain[..., -1] ** 2) / 2)
+    return DwellWeights(taper=taper, nodes=nodes * gain, edge=edge * at_ends, patterned=True)
+
+
+def taper_over_dwells(collection: Collection, weighting: Weighting) -> Taper:
+    """The weighting over dwells; under a beam that stands still each target has one weight, which cancels."""
+    still = collection.steered and abs(collection.beam_azimuth[-1] - collection.beam_azimuth[0]) < STILL
+    return FLAT if still else weighting.azimuth

@@ -1,0 +1,94 @@
+"""The contract of a phase history: what a collection's store holds, and the checks of its variables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import prod
+from typing import Any
+
+import numpy as np
+import zarr
+
+from blocksar.arrays import FloatArray
+from blocksar.collection.collection import Collection
+from blocksar.errors import InputError
+from blocksar.places.local import LocalPlace
+from blocksar.places.place import Place
+from blocksar.stores.arrays import dimension_names, metadata_file, open_array, refuse_odd_chunks
+from blocksar.stores.regions import read_array
+from blocksar.stores.schema import OPTIONAL, PATTERNS, PHASE_HISTORY, RAW_ECHO, TRACK_AND_BEAM, UNITS, Variable
+
+MAX_AXIS = 1 << 22  # samples of an axis: metadata that states more is damaged, and could exhaust the memory
+MAX_CHUNK, MAX_PADDED = 1 << 34, 1 << 26  # bytes of a chunk of samples, and of one that is larger than its axis
+MAX_CHUNKS = 1 << 15  # chunks of a variable that is read as a whole: more take minutes, or do not exist
+
+
+def stated(
+    collection: Collection, schema: Mapping[str, Variable]
+) -> tuple[dict[str, Variable], dict[str, FloatArray], dict[str, FloatArray]]:
+    """The schema with what the collection states, the angles of its patterns, and its small variables."""
+    absent = {name for name in OPTIONAL if getattr(collection, name) is None}
+    if "beam_axis" not in absent:
+        absent.add("beam_azimuth")
+    present = {name: variable for name, variable in {**schema, **OPTIONAL}.items() if name not in absent}
+    small = {name: getattr(collection, name) for name in {**TRACK_AND_BEAM, **OPTIONAL} if name in present}
+    angles = {name: small.pop(name) for name in list(small) if PATTERNS.get(name) and PATTERNS[name].dims == (name,)}
+    return present, angles, small
+
+
+def number(attrs: Mapping[str, Any], name: str, unit: str, default: Any = ...) -> Any:
+    """Return an attribute that is a number; without a default it must exist."""
+    value = attrs.get(name)
+    if value is None:
+        if default is not ...:
+            return default
+        raise InputError(f"attribute {name} is missing; add it, in {unit}")
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(f"attribute {name} is {value!r}; it must be a number, in {unit}")
+    try:
+        return float(value)
+    except OverflowError:
+        raise InputError(f"attribute {name} is a whole number with hundreds of digits; correct it, in {unit}") from None
+
+
+def checked(place: Place, name: str) -> zarr.Array[Any]:
+    """Open a variable of the contract, and check everything except its values."""
+    variable = {**PHASE_HISTORY, **RAW_ECHO, **OPTIONAL}[name]
+    if not metadata_file(place / name):
+        raise InputError(f"variable {name} ({', '.join(variable.dims)}) is missing; write it, in {variable.units}")
+    array = open_array(place, name)
+    if isinstance(place, LocalPlace):
+        refuse_odd_chunks(place / name, len(array.metadata.encode_chunk_key((0,) * array.ndim).split("/")))
+    dims = dimension_names(array)
+    if dims != variable.dims:
+        actual = "none" if dims is None else f"({', '.join(map(str, dims))})"
+        remedy = "transpose it" if dims and sorted(map(str, dims)) == sorted(variable.dims) else "rename them"
+        raise InputError(f"{name} has dimensions {actual}, but must have ({', '.join(variable.dims)}); {remedy}")
+    kinds = "c" if variable.dtype == "complex64" else "fiu"
+    if array.dtype.kind not in kinds:
+        raise InputError(f"{name} is {array.dtype}, but must be {variable.dtype}; write it as that")
+    if max(array.shape) > MAX_AXIS or (name not in ("signal", "echo") and array.size > 3 * MAX_AXIS):
+        raise InputError(f"{name} claims the shape {array.shape}, beyond {MAX_AXIS} per axis; its metadata is damaged")
+    chunks = array.shards or array.chunks
+    if not 0 < prod(chunks) * array.dtype.itemsize <= MAX_CHUNK:
+        raise InputError(f"{name} claims chunks of {chunks}; its metadata is damaged, write it again")
+    if name not in ("signal", "echo") and prod(chunks) * array.dtype.itemsize > max(MAX_PADDED, 2 * array.nbytes):
+        raise InputError(f"{name} has chunks of {chunks}, far larger than itself; write it again")
+    count = prod(-(-n // chunk) for n, chunk in zip(array.shape, chunks, strict=True))
+    if count > MAX_CHUNKS and name not in ("signal", "echo"):
+        raise InputError(f"{name} has {count} chunks, but is read as a whole; write it in at most {MAX_CHUNKS}")
+    attrs = array.attrs.asdict()
+    units = attrs.get("units")
+    if units is not None and variable.units in UNITS and str(units).strip().lower() not in UNITS[variable.units]:
+        raise InputError(f"{name} is in {units!r}, but must be in {variable.units}; convert it")
+    packed = [key for key, idle in (("scale_factor", 1), ("add_offset", 0)) if attrs.get(key, idle) != idle]
+    if packed:
+        raise InputError(f"{name} is packed with {packed[0]} = {attrs[packed[0]]!r}; write its values as they are")
+    return array
+
+
+def read_real(place: Place, name: str) -> FloatArray:
+    """Check and read a variable of real numbers."""
+    array = checked(place, name)
+    values = read_array(array, (slice(None),) * array.ndim, place, name, label=name)
+    return np.asarray(values, dtype=np.float64)

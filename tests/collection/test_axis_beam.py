@@ -1,0 +1,266 @@
+"""Beams about the antenna's own axis, against an explicit double loop; patterns; what is refused."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from axis_beams import MODES, axis_collection, with_patterns
+from slow_twins import gain, lit, offset
+
+from blocksar.arrays import FloatArray
+from blocksar.collection.beam import (
+    aperture,
+    centre_yaw,
+    dwell,
+    dwell_at,
+    has_full_dwell,
+    is_lit,
+    lit_interval,
+    lit_total,
+    most_lit_pulses,
+    pattern_gain,
+)
+from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.grid import Grid
+from blocksar.collection.region import plan_region
+from blocksar.collection.weighting import Taper
+from blocksar.errors import InputError
+
+EACH = pytest.mark.parametrize("mode", MODES)
+
+
+def spotlight(**changes: Any) -> Collection:
+    """A beam that stays on (9 km, 0): offsets of points about it turn back."""
+    c = axis_collection()
+    sight = np.array([9000.0, 0.0, 0.0]) - c.antenna_position
+    sight /= np.linalg.norm(sight, axis=1, keepdims=True)
+    assert c.beam_axis is not None
+    return axis_collection(beam_steering=np.arcsin((sight * c.beam_axis).sum(axis=1)), **changes)
+
+
+def points(collection: Collection, *, n: int = 60) -> tuple[FloatArray, FloatArray]:
+    """x, y (m) in and about what is lit at some time; some far from it."""
+    rng = np.random.default_rng(5)
+    assert collection.beam_steering is not None
+    x = rng.uniform(8300, 9700, n)
+    ahead = np.hypot(x, 4000) * np.tan(rng.choice(collection.beam_steering, n) + rng.uniform(-0.01, 0.01, n))
+    y = collection.antenna_position[rng.integers(collection.n_pulse, size=n), 1] + ahead
+    y[::10] += 4000
+    return x, y
+
+
+def slow_mask(collection: Collection, x: FloatArray, y: FloatArray) -> Any:
+    return np.array([[lit(collection, p, *at) for p in range(collection.n_pulse)] for at in zip(x, y, strict=True)])
+
+
+@pytest.mark.parametrize("mode", [*MODES, "spotlight"])
+def test_lit_pulses_are_those_of_the_double_loop(mode: str) -> None:
+    collection = spotlight() if mode == "spotlight" else axis_collection(mode)
+    geometry = Geometry(collection=collection)
+    x, y = points(collection)
+    expected = slow_mask(collection, x, y)
+    assert expected.any() and not expected.any(axis=1).all()
+    np.testing.assert_array_equal(is_lit(geometry, x, y), expected)
+    np.testing.assert_array_equal(is_lit(geometry, x, y, slice(50, 70)), expected[:, 50:70])
+    first, last = lit_interval(geometry, x.reshape(6, 10), y.reshape(6, 10))
+    pulse = np.arange(collection.n_pulse)
+    np.testing.assert_array_equal((pulse >= first.reshape(-1, 1)) & (pulse < last.reshape(-1, 1)), expected)
+    assert (last.ravel()[~expected.any(axis=1)] == 0).all()
+
+
+@EACH
+def test_a_dwell_covers_its_lit_pulses(mode: str) -> None:
+    collection = axis_collection(mode)
+    geometry = Geometry(collection=collection)
+    x, y = points(collection)
+    mask = slow_mask(collection, x, y)
+    count = mask.sum(axis=1)
+    start, end = dwell(geometry, x, y)
+    begin, stop = aperture(collection)
+    some = count > 0
+    assert (start[some] >= begin).all() and (end[some] <= stop).all()
+    assert np.abs((end - start) * collection.prf - count)[some].max() <= 1
+    assert ((end - start)[~some] * collection.prf < 1).all()
+    assert most_lit_pulses(geometry, x, y) in (count.max(), count.max() + 1)
+    # Times of the beam's edges are those of a finer track, on which they fall between other pulses.
+    inside = some & ~mask[:, 0] & ~mask[:, -1]
+    fine = np.linspace(collection.time[0], collection.time[-1], 40 * collection.n_pulse)
+    for i in np.flatnonzero(inside)[:5]:
+        offsets = np.interp(fine, collection.time, _offsets(collection, x[i], y[i]))
+        lit_time = fine[np.abs(offsets) <= (collection.beam_width or 0) / 2]
+        np.testing.assert_allclose([start[i], end[i]], [lit_time[0], lit_time[-1]], atol=1.1 * (fine[1] - fine[0]))
+
+
+def _offsets(collection: Collection, x: float, y: float) -> FloatArray:
+    sight = np.array([x, y, 0.0]) - collection.antenna_position
+    sine = (sight * collection.beam_axis).sum(axis=1) / np.linalg.norm(sight, axis=1)
+    return np.asarray(np.arcsin(sine) - collection.beam_steering)
+
+
+@EACH
+def test_a_full_dwell_is_cut_by_neither_end(mode: str) -> None:
+    collection = axis_collection(mode)
+    geometry = Geometry(collection=collection)
+    x, y = points(collection, n=200)
+    mask = is_lit(geometry, x, y)
+    whole = mask.any(axis=1) & ~mask[:, 0] & ~mask[:, -1]
+    full = has_full_dwell(geometry, x, y)
+    assert whole.any() and not whole.all()
+    assert full[whole].all() and not full[~mask.any(axis=1)].any()
+    assert (full & ~whole).sum() <= 4  # within a pulse of the ends
+    assert has_full_dwell(Geometry(collection=spotlight()), 9000.0, 0.0)  # lit all the time
+
+
+def test_dwells_depend_on_range_and_go_on_beyond_the_collection() -> None:
+    geometry = Geometry(collection=axis_collection())
+    ranges = np.array([9400.0, 9850.0, 10300.0])[:, None]
+    yaw = np.linspace(-0.03, 0.03, 41)
+    first, last = dwell_at(geometry, yaw, ranges)
+    assert first.shape == (3, 41)
+    x, y = geometry.ground_axes(ranges, yaw)
+    np.testing.assert_array_equal(dwell(geometry, x, y), (first, last))
+    begin, end = dwell_at(geometry, yaw, ranges, uncut=True)
+    cut = (first <= aperture(geometry.collection)[0]) | (last >= aperture(geometry.collection)[1])
+    np.testing.assert_array_equal(begin[~cut], first[~cut])
+    length = (end - begin)[1, 20]
+    assert (length > 0.5) and np.abs((end - begin) / length - ranges / ranges[1]).max() < 0.08  # as range, in a strip
+    np.testing.assert_allclose(np.diff(begin, 2, axis=1), 0, atol=0.01)  # no steps where the cut begins
+
+
+def test_the_beam_s_centre_is_in_the_middle_of_the_beam() -> None:
+    for mode in MODES:
+        collection = axis_collection(mode)
+        geometry = Geometry(collection=collection)
+        at = float(collection.reference_range[0])
+        side = 0.27 if mode == "squinted" else 0.0
+        yaw = centre_yaw(geometry, collection.time, at, side - 0.25, side + 0.25)
+        x, y = geometry.ground_axes(np.array(at), yaw)
+        p = np.arange(40, 360)  # where what the beam passes from now on is yet lit to the end
+        off = [_offsets(collection, x[k], y[k])[k] for k in p]
+        assert np.abs(off).max() < 0.1 * (collection.beam_width or 0)
+
+
+def test_points_that_are_lit_twice_are_refused() -> None:
+    n = 400
+    geometry = Geometry(collection=axis_collection(beam_steering=0.03 * np.cos(np.linspace(0, 2 * np.pi, n))))
+    with pytest.raises(InputError, match=r"beam_steering turns so that \d+ points, .* lit twice .* cut the collection"):
+        lit_interval(geometry, np.full(9, 9000.0), np.linspace(-200, 200, 9))
+    first, last = lit_interval(geometry, np.array([9000.0]), np.array([5000.0]))
+    assert first == last == 0
+
+
+@pytest.mark.parametrize("text", ["uniform", "taylor:4:-35"])
+@pytest.mark.parametrize("patterns", [False, True])
+def test_sums_over_lit_pulses_are_those_of_the_double_loop(patterns: bool, text: str) -> None:
+    collection = with_patterns(axis_collection()) if patterns else axis_collection()
+    geometry = Geometry(collection=collection)
+    valid = np.ones(collection.n_pulse)
+    valid[100:130] = 0.0
+    ranges, yaw = np.array([9500.0, 9900.0, 10200.0]), np.linspace(-0.025, 0.025, 11)
+    taper, half = Taper.parse(text), (collection.beam_width or 0.0) / 2
+    total = lit_total(geometry, ranges, yaw, valid, taper)
+    x, y = geometry.ground_axes(ranges[:, None], yaw)
+    for place in np.ndindex(total.shape):
+        at = float(x[place]), float(y[place])
+        expected = sum(
+            valid[p] * gain(collection, p, *at) * float(taper(np.array(offset(collection, p, *at) / half)))
+            for p in range(400)
+            if lit(collection, p, *at)
+        )
+        assert total[place] == pytest.approx(expected, abs=1.2)
+    assert total.max() > 100 and (total == 0).any()
+
+
+def test_the_pattern_is_that_of_the_double_loop() -> None:
+    axis = with_patterns(axis_collection("tops"))
+    azimuth = {"beam_axis": None, "beam_steering": None, "beam_azimuth": np.linspace(-0.02, 0.02, 400)}
+    for collection in (axis, Collection(**{**axis.as_dict(), **azimuth})):
+        x, y = np.linspace(8800, 9200, 7), np.linspace(-100, 100, 7)
+        found = pattern_gain(Geometry(collection=collection), x[:, None], y[:, None], slice(0, 400, 50))
+        expected = [[gain(collection, p, *at) for p in range(0, 400, 50)] for at in zip(x, y, strict=True)]
+        np.testing.assert_allclose(found, expected, rtol=1e-9)
+        assert np.ptp(found) > 0.1
+
+
+def test_the_region_is_what_the_beam_lights() -> None:
+    for mode in MODES:
+        collection = axis_collection(mode)
+        geometry = Geometry(collection=collection)
+        y0 = 2300.0 if mode == "squinted" else 0.0
+        region = plan_region(geometry, Grid(8900.0, 9100.0, 2.0, y0 - 60.0, y0 + 60.0, 2.0))
+        x, y = points(collection, n=400)
+        rng, yaw = geometry.epoch_range(x, y), geometry.yaw(x, y)
+        near, far = region.at(yaw)
+        held = np.abs(rng - collection.reference_range[0]) < 0.35 * collection.range_window
+        inside = (yaw > region.yaw[0]) & (yaw < region.yaw[-1]) & (rng >= near) & (rng <= far)
+        some = is_lit(geometry, x, y).any(axis=1)
+        assert inside[some & held].all(), mode
+        assert inside[~some].mean() < 0.3
+    with pytest.raises(InputError, match=r"grid is missing: .*both sides of the track"):
+        plan_region(geometry, None)
+    with pytest.raises(InputError, match=r"the beam \(beam_axis, .*lights none of its yaws; move the grid"):
+        plan_region(geometry, Grid(8900.0, 9100.0, 2.0, 5000.0, 5100.0, 2.0))
+
+
+N = 400
+BAD: dict[str, tuple[dict[str, Any], str]] = {
+    "both kinds": ({"beam_azimuth": np.linspace(0, 0.1, N)}, "beam_azimuth and beam_axis are both given"),
+    "no steering": ({"beam_steering": None}, "beam_axis is given without beam_steering"),
+    "no axis": ({"beam_axis": None}, "beam_steering is given without beam_axis"),
+    "no unit vector": ({"beam_axis": np.tile([0.0, 1.01, 0.0], (N, 1))}, r"length of 1\.01 .* must be a unit vector"),
+    "axis is NaN": ({"beam_axis": np.full((N, 3), np.nan)}, "beam_axis is not finite at 400 of 400 pulses"),
+    "steering is NaN": ({"beam_steering": np.append(np.zeros(N - 1), np.nan)}, r"first: pulse 399"),
+    "axis of another shape": ({"beam_axis": np.ones((N, 2))}, r"beam_axis has shape \(400, 2\)"),
+    "steering of another shape": ({"beam_steering": np.zeros(3)}, r"beam_steering has shape \(3,\)"),
+    "no width": ({"beam_width": None}, "beam_width must lie between 0 and pi rad where beam_axis"),
+    "width in degrees": ({"beam_width": 12.0}, "it looks like degrees"),
+    "steered along the axis": ({"beam_steering": np.full(N, 1.6)}, r"beam_steering is 1\.6 rad .* below pi / 2"),
+    "steering jumps": ({"beam_steering": np.repeat([0.0, 0.1], N // 2)}, "jumps by 0.1 rad at pulse 200"),
+    "axis jumps": (
+        {"beam_axis": np.repeat([[0, 1.0, 0], [0, -1.0, 0]], N // 2, axis=0)}, "beam_axis jumps by 2 rad at pulse 200"
+    ),
+    "pattern without angles": ({"beam_pattern": np.ones(3)}, "beam_pattern is given without beam_offset"),
+    "angles without pattern": ({"elevation": np.ones(3)}, "elevation is given without elevation_pattern"),
+    "narrow pattern": (
+        {"beam_offset": np.array([-0.001, 0.001]), "beam_pattern": np.ones(2)},
+        r"beam_pattern covers beam_offset = -0\.001 .* give it for all of that",
+    ),
+    "elevation elsewhere": (
+        {"elevation": np.array([1.0, 1.2]), "elevation_pattern": np.ones(2)}, "ground at reference_range needs 0.41"
+    ),
+    "pattern descends": (
+        {"beam_offset": np.array([0.1, -0.1]), "beam_pattern": np.ones(2)}, "beam_offset does not ascend at index 1"
+    ),
+    "pattern is negative": (
+        {"beam_offset": np.array([-0.1, 0.1]), "beam_pattern": np.array([1, -1.0])}, "an amplitude: at least 0"
+    ),
+    "pattern is NaN": (
+        {"beam_offset": np.array([-0.1, 0.1]), "beam_pattern": np.array([1, np.nan])}, "1 values that are not finite"
+    ),
+    "pattern of another length": (
+        {"beam_offset": np.array([-0.1, 0.1]), "beam_pattern": np.ones(3)}, r"shape \(3,\) and beam_offset has \(2,\)"
+    ),
+    "noise": ({"noise_power": -1.0}, "noise_power must be a finite number of at least 0"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_wrong_beams_are_refused(case: str) -> None:
+    changes, message = BAD[case]
+    with pytest.raises(InputError, match=message) as caught:
+        axis_collection(**changes)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_pattern_needs_a_beam() -> None:
+    unsteered = {"beam_axis": None, "beam_steering": None, "beam_width": None}
+    with pytest.raises(InputError, match="neither beam_azimuth nor beam_axis"):
+        axis_collection(**unsteered, beam_offset=np.array([-0.1, 0.1]), beam_pattern=np.ones(2))
+    down = math.asin(4000 / math.hypot(9000, 4000))
+    assert axis_collection(
+        **unsteered, elevation=np.array([down - 0.1, down + 0.1]), elevation_pattern=np.ones(2)
+    ).has_pattern

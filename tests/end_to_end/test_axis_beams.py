@@ -1,0 +1,91 @@
+"""Runs under beams about the antenna's own axis, from a scene to measured targets."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from distributed import Client
+
+import blocksar
+from blocksar.errors import InputError
+
+SCENE = """
+title = "sliding spotlight"
+[radar]
+carrier = 9.6e9
+bandwidth = 50e6
+range_sampling = 60e6
+prf = 600
+[track]
+position = [0.0, 0.0, 5000.0]
+velocity = [0.0, 200.0, 0.0]
+acceleration = [0.4, -0.8, -0.6]
+[time]
+duration = 2.0
+[beam]
+mode = "{mode}"
+{beam}
+[scene]
+swath = [9800.0, 10200.0]
+centre_yaw_deg = 0.0
+{more}
+[clutter]
+scatterers = 6000
+seed = 3
+power = 1e-3
+x = [8450.0, 8850.0]
+y = [-110.0, 110.0]
+[dropped]
+pulses = [500, 501]
+"""
+TARGETS = [(8560.0, -12.0), (8660.0, 7.0), (8740.0, 10.0)]
+GRID = ((8500.0, 8800.0, 1.0), (-60.0, 60.0, 0.4))
+MODES = {
+    "sliding-spotlight": "width_deg = 0.9\nrate_deg = -0.35",
+    "tops": 'width_deg = 1.2\nrate_deg = 1.0\npattern = "gaussian"',
+}
+
+
+def scene(folder: Path, mode: str) -> Path:
+    more = "".join(f'[[targets]]\nname = "P{i}"\nx = {x}\ny = {y}\n' for i, (x, y) in enumerate(TARGETS))
+    path = folder / "scene.toml"
+    path.write_text(SCENE.format(mode=mode, beam=MODES[mode], more=more))
+    return path
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_run_is_sharp_and_coherent_with_back_projection(mode: str, client: Client, tmp_path: Path) -> None:
+    store = blocksar.simulate(scene(tmp_path, mode), tmp_path / "phase_history.zarr")
+    report = blocksar.focus(store, tmp_path / "run", grid=GRID, client=client)
+    assert report.result["warnings"] == ["2 of 1200 pulses are missing: counted as not lit"]
+    result = blocksar.quality(tmp_path / "run", reference=True).result
+    assert [target["full_dwell"] for target in result["targets"]] == [True] * 3
+    for target in result["targets"]:
+        assert abs(complex(*target["value"]) - 1) < 0.1  # clutter
+        assert np.hypot(target["error_x"], target["error_y"]) < 0.05
+    full = [chip for chip in result["reference"] if chip["full_dwell"]]
+    assert full and min(chip["coherence"] for chip in full) > 0.999
+    blocksar.focus(store, tmp_path / "exact", grid=GRID, processor="backprojection", client=client)
+    exact = blocksar.quality(tmp_path / "exact").result
+    for one, other in zip(result["targets"], exact["targets"], strict=True):
+        assert abs(complex(*one["value"]) - complex(*other["value"])) < 0.01
+
+
+def test_a_grid_is_needed(tmp_path: Path) -> None:
+    path = scene(tmp_path, "tops")
+    with pytest.raises(InputError, match=r"grid is missing: a beam about the antenna's axis \(beam_axis\)"):
+        blocksar.plan(path)
+    command = [sys.executable, "-m", "blocksar", "plan", str(path)]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ended.returncode == 2
+    assert "--grid" in ended.stderr and "Traceback" not in ended.stderr
+
+
+def test_back_projection_is_planned(tmp_path: Path) -> None:
+    report = blocksar.plan(scene(tmp_path, "tops"), processor="backprojection", grid=GRID)
+    assert "lit pulses each" in report.summary[0]
+    assert 0 < int(report.summary[0].split(" pixels, ")[1].split()[0]) < 600

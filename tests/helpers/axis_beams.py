@@ -1,0 +1,52 @@
+"""Small collections whose beam turns about the antenna's own axis."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from blocksar.collection.collection import Collection
+
+# Steering at t = 0 (rad) and its rate (rad/s). The line of sight to (9 km, 0) turns by 0.02 rad/s against the track.
+MODES = {
+    "stripmap": (0.0, 0.0),
+    "squinted": (0.25, 0.0),
+    "sliding spotlight": (0.0, -0.003),
+    "tops": (0.0, 0.02),
+    "scanned backwards": (0.0, -0.055),
+}
+
+
+def axis_collection(mode: str = "stripmap", *, n_pulse: int = 400, **changes: Any) -> Collection:
+    """A pass of 250 m along y, 4 km high; targets near (9 km, 0), or ahead of it where the beam is squinted."""
+    n_frequency, prf = 96, n_pulse / 1.25
+    time = (np.arange(n_pulse) - n_pulse // 2) / prf
+    track = np.stack([0.4 * time**2, 200 * time + 0.5 * time**2, 4000 - time**2], axis=1)
+    velocity = np.gradient(track, time, axis=0)
+    steering, rate = MODES[mode]
+    return Collection(**{
+        "carrier": 9.6e9,
+        "time": time,
+        "range_frequency": (np.arange(n_frequency) - n_frequency // 2) * 400e3,
+        "reference_range": np.full(n_pulse, float(np.hypot(9000, 4000) / np.cos(steering))),
+        "antenna_position": track,
+        "beam_azimuth": np.full(n_pulse, np.nan),
+        "beam_width": 0.01,
+        "beam_axis": velocity / np.linalg.norm(velocity, axis=1, keepdims=True),
+        "beam_steering": steering + rate * time,
+        **changes,
+    })  # fmt: skip
+
+
+def with_patterns(collection: Collection) -> Collection:
+    """The same with a pattern over the beam and one over elevation."""
+    half = (collection.beam_width or 0.0) / 2
+    offset, elevation = np.linspace(-1.1 * half, 1.1 * half, 65), np.linspace(0.3, 0.6, 17)
+    patterns = {
+        "beam_offset": offset,
+        "beam_pattern": np.exp(-0.6 * (offset / half) ** 2),
+        "elevation": elevation,
+        "elevation_pattern": 0.5 + elevation,
+    }
+    return Collection(**{**collection.as_dict(), **patterns})

@@ -1,0 +1,157 @@
+"""Chains under beams about the antenna's own axis, against exact back-projection of the same samples."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from axis_beams import MODES, axis_collection, with_patterns
+
+from blocksar.arrays import BoolArray, ComplexArray
+from blocksar.collection.beam import has_full_dwell, lit_interval
+from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.grid import Grid
+from blocksar.collection.weighting import Weighting
+from blocksar.focusing.backprojection import form_image
+from blocksar.focusing.correction import correct
+from blocksar.focusing.recovery import recover_columns
+from blocksar.measurement.coherence import coherence
+from blocksar.planning.plan import Plan, plan_collection
+from blocksar.simulation.scatterers import simulate_pulses
+
+STEP_X, STEP_Y = 1.5, 0.9  # m
+
+
+def grid_of(collection: Collection) -> Grid:
+    """240 m in range by 160 m; ahead of the middle where the beam is squinted."""
+    assert collection.beam_steering is not None
+    x = 9000.0
+    y = float(np.hypot(x, 4000) * np.tan(collection.beam_steering[collection.n_pulse // 2]))
+    return Grid(x - 120, x + 120, STEP_X, y - 80, y + 80, STEP_Y)
+
+
+def clutter(collection: Collection, grid: Grid) -> ComplexArray:
+    rng = np.random.default_rng(4)
+    n = 6000
+    x, y = rng.uniform(grid.x0 - 60, grid.x1 + 60, n), rng.uniform(grid.y0 - 300, grid.y1 + 300, n)
+    sigma = rng.standard_normal(n) + 1j * rng.standard_normal(n)
+    return simulate_pulses(collection, x, y, sigma, threads=2)
+
+
+def focus(plan: Plan, signal: ComplexArray) -> ComplexArray:
+    """All blocks of a plan, on its grid."""
+    frequency, grid = plan.geometry.collection.range_frequency, plan.grid
+    spectrum = recover_columns(signal, range_frequency=frequency, recovery=plan.recovery, threads=2)
+    image = np.full(grid.shape, np.nan, np.complex64)
+    for block in plan.blocks:
+        slab = np.ascontiguousarray(spectrum[block.first_bin : block.first_bin + block.n_bin].T)
+        for step in block.chain:
+            slab = step.apply(slab, threads=2)
+        part = correct(np.ascontiguousarray(slab), block.ground, x=grid.x, y=grid.y, threads=2)
+        image[~np.isnan(part)] = part[~np.isnan(part)]
+    return image
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_chain_focuses_as_back_projection_does(mode: str) -> None:
+    collection = axis_collection(mode, n_pulse=900)
+    grid = grid_of(collection)
+    signal = clutter(collection, grid)
+    geometry = Geometry(collection=collection)
+    plan = plan_collection(collection, grid=grid)
+    image = focus(plan, signal)
+    exact = form_image(lambda pulses: signal[pulses], geometry, grid.x, grid.y, threads=2)
+    x, y = np.meshgrid(grid.x, grid.y)
+    full = has_full_dwell(geometry, x, y)
+    first, last = lit_interval(geometry, x, y)
+    some = last - first > 40
+    assert plan.refusal is None and full.mean() > 0.1
+    assert (np.isfinite(image) | ~some).all()  # all that is lit is covered
+    assert np.isnan(image[last == first]).all()
+    whole = coherence(np.where(full, image, np.nan), exact)
+    assert abs(whole.coherence) > 0.999
+    assert abs(whole.gain - 1) < 0.01 and abs(whole.phase) < 0.01
+    assert abs(coherence(np.where(some, image, np.nan), exact).coherence) > 0.995
+    # What is predicted of dwells of a few hundred pulses is too little, under any beam: their grid is coarse.
+    assert -1.5e-3 < plan.coherence - abs(whole.coherence) < 3e-4
+
+
+def relative_error(found: ComplexArray, wanted: ComplexArray, where: BoolArray) -> tuple[float, complex]:
+    """Error power after one common complex gain, dB, and that gain."""
+    both = where & np.isfinite(found) & np.isfinite(wanted)
+    found, wanted = found[both].astype(np.complex128), wanted[both].astype(np.complex128)
+    gain = complex(np.vdot(wanted, found) / np.vdot(wanted, wanted))
+    error = np.mean(np.abs(found / gain - wanted) ** 2) / np.mean(np.abs(wanted) ** 2)
+    return float(10 * np.log10(error)), gain
+
+
+@pytest.mark.parametrize(("mode", "patterns", "most"), [
+    ("stripmap", False, -39.0),
+    ("stripmap", True, -39.0),
+    ("squinted", False, -37.0),
+    ("sliding spotlight", True, -37.0),
+    ("tops", True, -42.0),
+])  # fmt: skip
+def test_a_weighted_chain_focuses_as_back_projection_does(mode: str, patterns: bool, most: float) -> None:
+    """Dwells of some 350 pulses end on whole ones in back-projection, with a weight: with more, the error falls."""
+    collection = axis_collection(mode, n_pulse=900)
+    collection = with_patterns(collection) if patterns else collection
+    grid = grid_of(collection)
+    signal = clutter(collection, grid)
+    geometry, weighting = Geometry(collection=collection), Weighting.parse("taylor:4:-35")
+    plan = plan_collection(collection, grid=grid, weighting=weighting, blocks=2)
+    assert plan.refusal is None
+    image = focus(plan, signal)
+    exact = form_image(lambda p: signal[p], geometry, grid.x, grid.y, threads=2, weighting=weighting)
+    full = has_full_dwell(geometry, *np.meshgrid(grid.x, grid.y))
+    error, gain = relative_error(image, exact, full)
+    assert full.mean() > 0.1 and np.isfinite(image[full]).all()
+    assert error < most
+    assert abs(gain - 1) < 4e-3
+
+
+@pytest.mark.parametrize("patterns", [False, True])
+def test_side_lobes_of_blocks_without_a_full_dwell_are_judged_by_their_own(patterns: bool) -> None:
+    """The weights of dwells that the ends of the collection cut do not fall off at both ends."""
+    collection = axis_collection("stripmap", n_pulse=900)
+    collection = with_patterns(collection) if patterns else collection
+    plan = plan_collection(collection, grid=grid_of(collection), weighting=Weighting.parse("taylor:4:-35"), blocks=8)
+    side_lobes = [(block.prediction.pslr, block.prediction.ideal_pslr) for block in plan.blocks]
+    assert all(abs(found - ideal) < 0.05 for found, ideal in side_lobes)
+    assert max(ideal for _, ideal in side_lobes) > -27 and min(ideal for _, ideal in side_lobes) < -35
+
+
+@pytest.mark.parametrize("kind", ["axis", "azimuth"])
+def test_a_unit_target_under_patterns_peaks_at_one(kind: str) -> None:
+    collection = with_patterns(axis_collection("tops", n_pulse=900))
+    grid = Grid(8930.0, 9070.0, STEP_X, -40.0, 40.0, STEP_Y)
+    if kind == "azimuth":
+        beam = {"beam_axis": None, "beam_steering": None, "beam_azimuth": 0.03 * collection.time}
+        collection = Collection(**{**collection.as_dict(), **beam})
+    plan = plan_collection(collection, grid=grid)
+    for column, row in ((20, 20), (60, 60), (47, 44)):
+        x, y = grid.x[column], grid.y[row]
+        signal = simulate_pulses(collection, np.array([x]), np.array([y]), np.ones(1))
+        assert 0.3 < np.abs(signal).max() < 0.97
+        assert abs(focus(plan, signal)[row, column] - 1) < 0.012
+
+
+def test_a_beam_that_stays_on_a_spot_is_left_to_back_projection() -> None:
+    strip = axis_collection(beam_width=0.02)
+    assert strip.beam_axis is not None
+    sight = np.array([9000.0, 0.0, 0.0]) - strip.antenna_position
+    sine = (sight * strip.beam_axis).sum(axis=1) / np.linalg.norm(sight, axis=1)
+    collection = axis_collection(beam_width=0.02, beam_steering=np.arcsin(sine))
+    plan = plan_collection(collection, grid=Grid(8930.0, 9070.0, STEP_X, -40.0, 40.0, STEP_Y))
+    assert plan.refusal is not None
+    assert "would stay on ground" in plan.refusal and "--processor backprojection" in plan.refusal
+    assert plan_collection(strip, grid=plan.grid).refusal is None
+
+
+def test_plans_are_the_same_each_time() -> None:
+    collection = axis_collection("squinted")
+    one, other = (plan_collection(collection, grid=grid_of(collection)) for _ in range(2))
+    for a, b in zip(one.blocks, other.blocks, strict=True):
+        np.testing.assert_array_equal(a.ground.lit, b.ground.lit)
+        np.testing.assert_array_equal(a.ground.phase.series, b.ground.phase.series)
+        assert a.ground.lit.ndim == 2
