@@ -20,6 +20,7 @@ PLACES = 12  # that are compared
 FEWEST = 2  # places on which anything can be said
 SIGNIFICANT = 30.0  # times 1 / n: concentration that chance does not give
 SHARPER = 1.02  # times the concentration as given: an alternative that is believed
+MIRRORED = 1.2  # the same under a beam about its axis: flown backwards on a straight line, the image is mirrored
 AS_REFOCUSED = 0.95  # of the concentration after a refocus, that it reaches as well
 CERTAIN = 0.6  # share of the quantiles of its places that are higher
 CLEAR = 0.65  # concentration that only points in focus have: below it, alternatives are tried
@@ -76,6 +77,8 @@ class Findings:
     cause : str
         What explains that error, empty if nothing simple does.
     remedy : str
+    sharper : float
+        Times the concentration as given, from which an alternative is believed.
     """
 
     trials: tuple[Trial, ...]
@@ -83,6 +86,7 @@ class Findings:
     track_phase: float
     cause: str
     remedy: str
+    sharper: float = SHARPER
 
     @property
     def given(self) -> Trial:
@@ -98,7 +102,7 @@ class Findings:
         """The alternative to be believed, if any."""
         good = [t for t in self.trials[1:] if t.places >= FEWEST and t.significance > SIGNIFICANT]
         best = max(good, key=lambda trial: trial.sharpness, default=None)
-        if best is None or best.sharpness < max(SHARPER * self.given.sharpness, AS_REFOCUSED * self.refocused):
+        if best is None or best.sharpness < max(self.sharper * self.given.sharpness, AS_REFOCUSED * self.refocused):
             return None
         if not self.given.places:
             return best
@@ -198,7 +202,9 @@ def check(signal: ComplexArray, collection: Collection, *, grid: Grid | None, th
         good = [error for error in explain(lines, mended.phase, collection) if error.explained > EXPLAINED]
         cause = " or ".join(error.text for error in good)
         remedy = good[0].remedy if good else "mend the track from the data (autofocus)"
-    findings = Findings((first,), refocused, left, cause, remedy)
+    findings = Findings(
+        (first,), refocused, left, cause, remedy, sharper=MIRRORED if collection.has_axis else SHARPER
+    )  # fmt: skip
     if thorough or first.places >= FEWEST:
         doubtful = first.sharpness < CLEAR or first.significance < SIGNIFICANT or findings.sharpness < SHARP
         tried = alternatives(collection)

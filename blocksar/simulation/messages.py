@@ -60,7 +60,7 @@ def _locate(
         inside = part in here if isinstance(here, dict) else isinstance(here, list) and part in range(len(here))
         if inside:
             here = here[part]
-        elif not (last and isinstance(here, dict)):
+        elif not (last and isinstance(here, dict)) or "[" in str(part):
             continue  # the name of an alternative in a union
         place.append(part)
         if not last and model is root and isinstance(part, str):

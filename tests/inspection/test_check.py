@@ -182,3 +182,28 @@ def test_the_command_compares_everything(steered_store: Path) -> None:
 def test_a_spotlight_collection_needs_a_grid(spotlight_store: Path) -> None:
     with pytest.raises(InputError, match="grid is missing"):
         blocksar.check(spotlight_store)
+
+
+@pytest.mark.parametrize("squint", [0.0, 12.0])
+def test_a_strip_is_not_called_wrong_by_its_mirror_image(squint: float, tmp_path: Path) -> None:
+    """A beam about its axis on a straight track: flown backwards, the scene is mirrored, and as sharp at broadside."""
+    rng = np.random.default_rng(2)
+    along = 10392 * np.tan(np.radians(squint))
+    ground = "\n".join(
+        f'[[targets]]\nname = "{k}"\nx = {x:.2f}\ny = {y:.2f}'
+        for k, (x, y) in enumerate(zip(rng.uniform(10350, 10450, 16), along + rng.uniform(-150, 150, 16), strict=True))
+    )
+    (tmp_path / "strip.toml").write_text(
+        "[radar]\ncarrier = 9.6e9\nbandwidth = 100e6\nrange_sampling = 120e6\nprf = 400\npulse_width = 2e-6\n"
+        "[track]\nposition = [0, 0, 6000]\nvelocity = [0, 120, 0]\n[time]\nduration = 6\n"
+        f"[scene]\nswath = [11700, 12700]\ncentre_yaw_deg = {squint}\nreference_range = 'constant'\n"
+        f"[beam]\nmode = 'stripmap'\nwidth_deg = 2.0\nsquint_deg = {0.87 * squint}\npattern = 'sinc2'\n{ground}\n"
+    )
+    blocksar.simulate(tmp_path / "strip.toml", tmp_path / "strip.zarr")
+    signal, collection, grid = part(
+        tmp_path / "strip.zarr", ((10300, 10500, 1), (along - 200, along + 200, 1))
+    )  # fmt: skip
+    assert run(signal, collection, grid, thorough=True).warning() is None
+    if squint:
+        backwards = replace(collection, antenna_position=collection.antenna_position[::-1])
+        assert run(signal, backwards, grid, thorough=True).warning() is not None
