@@ -205,14 +205,9 @@ def _metadata(
     })  # fmt: skip
     tree = root.getroottree()
     vectors = np.zeros(collection.n_pulse, sarkit.get_pvp_dtype(tree))
-    vectors["TxTime"], vectors["RcvTime"] = time, time + delay
-    vectors["TxPos"] = vectors["RcvPos"] = frame.to_ecef(local)
-    velocity = Geometry(collection=collection).track.velocity(collection.time)
-    vectors["TxVel"] = vectors["RcvVel"] = velocity @ frame.axes
-    vectors["SRPPos"] = frame.origin
+    _fill_vectors(vectors, collection, frame, local)
     vectors["FX1"], vectors["FX2"] = band
     vectors["TOA1"], vectors["TOA2"] = -toa, toa
-    vectors["SC0"], vectors["SCSS"] = first, step
     vectors["SIGNAL"] = 1
     vectors["SIGNAL"][lost] = 0
     for name, values in antenna.vectors.items():
@@ -222,6 +217,18 @@ def _metadata(
     application = {"Application": f"blocksar {__version__}", "DateTime": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}"}
     _build(root, {"ProductInfo": {"CreationInfo": application}})
     return vectors, tree
+
+
+def _fill_vectors(vectors: NDArray[Any], collection: Collection, frame: Georeference, local: FloatArray) -> None:
+    """Set times, places and frequencies; `local` (n_pulse, 3) are positions about the scene centre, m."""
+    time = collection.time - collection.time[0]
+    vectors["TxTime"], vectors["RcvTime"] = time, time + 2 * np.linalg.norm(local, axis=1) / SPEED_OF_LIGHT
+    vectors["TxPos"] = vectors["RcvPos"] = frame.to_ecef(local)
+    velocity = Geometry(collection=collection).track.velocity(collection.time)
+    vectors["TxVel"] = vectors["RcvVel"] = velocity @ frame.axes
+    vectors["SRPPos"] = frame.origin
+    vectors["SC0"] = collection.carrier + collection.range_frequency[0]
+    vectors["SCSS"] = collection.range_frequency_step
 
 
 class _AntennaParts(NamedTuple):

@@ -31,7 +31,7 @@ from blocksar.ingestion.cphd.vectors import Pulses
 
 UNIT = 1e-3  # by which ACX and ACY may be off unit length and a right angle
 ALONG = 0.5  # least cosine of the azimuth axis with the velocity
-HALF_POWER = 6.0  # dB of both ways at the edges of a beam: 3 dB one way
+HALF_POWER = 20 * np.log10(2)  # dB of both ways at the edges of a beam: half of the power one way
 WIDEST = 0.7  # rad off the boresight within which the beam's edges are sought
 SIDES = ("Tx", "Rcv")
 
@@ -182,6 +182,9 @@ def read_antenna(
     sign = 1.0 if cosines[which] > 0 else -1.0
     axis = _unit(sign * np.sum([side[which] for side in sides], axis=0))
     across = _unit(_perpendicular(np.sum([side[1 - which] for side in sides], axis=0), axis))
+    apart = float(np.arccos(np.clip((_unit(sides[0][which]) * _unit(sides[1][which])).sum(axis=1), -1, 1)).max())
+    if apart > UNIT:
+        left.append(f"the angle of {np.degrees(apart):.3g} degrees between transmitter and receiver")
     boresight = np.mean([side.boresight for side in sides], axis=0)
     normal = np.cross(axis, across) * (1.0 if (which == 0) == (sign > 0) else -1.0)
     antenna = Antenna(

@@ -172,7 +172,7 @@ def _with_patterns(
     if _usable("azimuth", gain, float(antenna.azimuth_gain(np.zeros(1))[0]), notes):
         found |= sampled(("beam_offset", "beam_pattern"), offset, gain)
         kept.append(f"over the beam ({gain.min() - gain.max():.2g} dB at its lowest)")
-    down, gain = antenna.elevation_gain(_across(antenna, position, ground))
+    down, gain = antenna.elevation_gain(_across(antenna, position, np.concatenate([ground, np.zeros((1, 3))])))
     steps = np.diff(down)
     if not ((steps > 0).all() or (steps < 0).all()):
         if np.ptp(gain) > FLAT:
@@ -303,6 +303,8 @@ def _axis_law(pulses: Pulses, position: FloatArray, dwells: Dwells) -> _Law:
     times = np.concatenate([first[inside], last[inside]])
     ground = np.tile(dwells.ground[inside], (2, 1))
     angles = _angles(axis, position, pulses, ground, times)
+    if not np.isfinite(angles).all():
+        return none
     sides = np.repeat([-0.5, 0.5], times.size // 2)
     start, end = pulses.reference_time[[0, -1]]
     u, at = (2 * (t - start) / (end - start) - 1 for t in (times, pulses.reference_time))
