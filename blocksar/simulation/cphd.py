@@ -167,7 +167,7 @@ def _metadata(
     step, first = collection.range_frequency_step, collection.carrier + collection.range_frequency[0]
     band = (first - step / 2, first + (collection.n_range_frequency - 0.5) * step)
     area, cod, dwell = lit_area(scene, collection, time + delay / 2)
-    antenna = _antenna(scene, collection, frame, area, (band[0] + band[1]) / 2)
+    antenna = _antenna(scene, collection, frame, (band[0] + band[1]) / 2)
     root = etree.Element(f"{{{NAMESPACE}1.1.0}}CPHD", nsmap={None: f"{NAMESPACE}1.1.0"})
     _build(root, _collection_id(scene))
     _build(root, {
@@ -240,9 +240,7 @@ class _AntennaParts(NamedTuple):
     content: dict[str, Any]
 
 
-def _antenna(
-    scene: Scene, collection: Collection, frame: Georeference, area: FloatArray, frequency: float
-) -> _AntennaParts:
+def _antenna(scene: Scene, collection: Collection, frame: Georeference, frequency: float) -> _AntennaParts:
     if not collection.has_axis:
         if collection.has_pattern:
             raise InputError(
@@ -251,13 +249,12 @@ def _antenna(
             )
         return _AntennaParts({}, {}, {}, {})
     made = antenna_frame(scene, collection)
-    ground = np.concatenate([area + scene.centre[:2], np.full((len(area), 1), collection.ground_height)], axis=1)
     vectors: dict[str, NDArray[Any]] = {}
     for side in ("Tx", "Rcv"):
         vectors |= {f"{side}ACX": made.x @ frame.axes, f"{side}ACY": made.y @ frame.axes, f"{side}EB": made.boresight}
     identifiers = dict.fromkeys(("TxAPCId", "TxAPATId", "RcvAPCId", "RcvAPATId"), "1")
     time = collection.time - collection.time[0]
-    content = antenna_content(made, frame, time, frequency, gain_table(collection, made, ground))
+    content = antenna_content(made, frame, time, frequency, gain_table(scene, collection, made))
     return _AntennaParts(ANTENNA, vectors, {"Antenna": identifiers}, {"Antenna": content})
 
 

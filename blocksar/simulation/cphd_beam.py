@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.polynomial import polynomial
 
-from blocksar.arrays import BoolArray, FloatArray
-from blocksar.collection.beam import dwell_at, full_dwell_yaw
+from blocksar.arrays import BoolArray, FloatArray, IntArray
+from blocksar.collection.beam import beam_offset, dwell_at, full_dwell_yaw
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
@@ -23,6 +23,7 @@ from blocksar.simulation.scene import Scene
 
 RANGES, YAWS, SEARCHED = 9, 65, 1025  # points of the polynomials, and yaws among which full dwells are sought
 LEAST_YAWS = 8  # of those
+SEEN, CHECKED_PULSES = 257, 33  # yaws and pulses at which the directions that the beam sees are sought
 POLYNOMIAL_ERROR = 1e-3  # of a dwell, by which the polynomials may be off
 GAIN_ORDERS = range(2, 15)
 GAIN_ERROR = 0.02  # of the largest amplitude, that the gain polynomials may be off
@@ -30,7 +31,7 @@ GAIN_SAMPLES = 513
 CLOSE_ENOUGH = 1e-5  # the same, from which on no higher order is tried
 FLOOR = 1e-4  # of the largest amplitude, below which a gain is not followed
 TRACK_ORDER = 5  # of polynomials of time
-MARGIN = 0.1  # of the image area's directions, beyond which the gain across the beam is not followed
+MARGIN = 0.1  # of the lit directions across the beam, beyond which its gain is not followed
 
 
 class LitArea(NamedTuple):
@@ -90,7 +91,9 @@ def _axis_area(
     inset = collection.pulse_interval + POLYNOMIAL_ERROR * np.abs(last - first)
     full = (last > first) & (first >= time[0] + inset) & (last <= time[-1] - inset)
     always = (first <= time[0]) & (last >= time[-1])
-    runs = next((found for found in (_runs(full), _runs(always)) if found is not None), None)
+    amid = int(np.abs(yaws - scene.centre_yaw).argmin())
+    swept, still = _runs(full, amid), _runs(always, amid)
+    runs = still if swept is None else swept
     if runs is None:
         raise InputError(
             f"beam.mode = {scene.beam.mode if scene.beam else None!r}: in {time.size} pulses the beam passes wholly "
@@ -107,7 +110,7 @@ def _axis_area(
         )
     edges = [np.stack(scene.ground_point(ranges, yaw), axis=-1) - scene.centre[:2] for yaw in (low, high)]
     area = _clockwise(np.concatenate([edges[0], edges[1][::-1]]))
-    if _runs(full) is None:
+    if swept is None:
         return LitArea(area, *whole)
     yaw = low[:, None] + (high - low)[:, None] * np.linspace(0, 1, YAWS)
     grid = np.broadcast_to(ranges[:, None], yaw.shape)
@@ -118,16 +121,22 @@ def _axis_area(
     )
 
 
-def _runs(mask: BoolArray) -> tuple[FloatArray, FloatArray] | None:
-    """First and last index of the longest run of each row of a mask (n, m); None if one is too short."""
+def _runs(mask: BoolArray, amid: int) -> tuple[IntArray, IntArray] | None:
+    """First and last index of the run of each row of a mask (n, m) nearest to an index; None if one is too short.
+
+    The beam also lights the other side of the track, which is another run.
+    """
     found = []
     for row in mask:
         edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(np.int8))).reshape(-1, 2)
-        if edges.size == 0 or (lengths := np.ptp(edges, axis=1)).max() < LEAST_YAWS:
+        if edges.size == 0:
             return None
-        first, stop = edges[int(lengths.argmax())]
+        away = np.maximum(edges[:, 0] - amid, amid - (edges[:, 1] - 1))
+        first, stop = edges[int(away.argmin())]
+        if stop - first < LEAST_YAWS:
+            return None
         found.append((first, stop - 1))
-    low, high = np.array(found).T
+    low, high = np.array(found, np.int64).T
     return low, high
 
 
@@ -181,13 +190,8 @@ def antenna_frame(scene: Scene, collection: Collection) -> AntennaFrame:
     return AntennaFrame(axis, np.cross(normal, axis), boresight, pulse)
 
 
-def gain_table(collection: Collection, frame: AntennaFrame, ground: FloatArray) -> FloatArray:
+def gain_table(scene: Scene, collection: Collection, frame: AntennaFrame) -> FloatArray:
     """One-way gain in dB: coefficients of the direction cosines off the boresight's, (order1 + 1, order2 + 1).
-
-    Parameters
-    ----------
-    ground : (n, 3) float
-        Points all round the image area, scene frame, m.
 
     Raises
     ------
@@ -202,9 +206,8 @@ def gain_table(collection: Collection, frame: AntennaFrame, ground: FloatArray) 
         amplitude = np.interp(offset, collection.beam_offset, collection.beam_pattern)
         along = _fit_gain("beam.pattern", np.sin(np.arcsin(centre) + offset) - centre, amplitude)
     if collection.elevation is not None and collection.elevation_pattern is not None:
-        cosine = _across(collection, frame, ground)
-        seen = frame.directions(np.full(cosine.shape, frame.boresight[frame.pulse, 0]), cosine)
-        amplitude = np.interp(np.arcsin(-seen[:, 2]), collection.elevation, collection.elevation_pattern)
+        cosine, seen = _seen_across(scene, collection, frame)
+        amplitude = np.interp(seen, collection.elevation, collection.elevation_pattern)
         across = _fit_gain("beam.elevation_pattern", cosine, amplitude)
     table = np.zeros((along.size, across.size))
     table[:, 0] += along
@@ -212,15 +215,26 @@ def gain_table(collection: Collection, frame: AntennaFrame, ground: FloatArray) 
     return table
 
 
-def _across(collection: Collection, frame: AntennaFrame, ground: FloatArray) -> FloatArray:
-    """Direction cosines along ACY at which points (n, 3) are seen, and some beyond, (m,)."""
-    low, high = np.inf, -np.inf
-    for pulse in (0, collection.n_pulse // 2, collection.n_pulse - 1):
+def _seen_across(scene: Scene, collection: Collection, frame: AntennaFrame) -> tuple[FloatArray, FloatArray]:
+    """Direction cosines along ACY at which the beam sees the swath, and elevations there, rad, (m,)."""
+    yaw = np.linspace(*scene.lit_yaw, SEEN)
+    x, y = (np.ravel(axis) for axis in scene.ground_point(np.linspace(*scene.area.swath, RANGES)[:, None], yaw))
+    ground = np.stack([x, y, np.full(x.size, collection.ground_height)], axis=1)
+    geometry, half = Geometry(collection=collection), (collection.beam_width or 0.0) / 2
+    cosines, elevations = [], []
+    for pulse in np.unique(np.linspace(0, collection.n_pulse - 1, CHECKED_PULSES).astype(int)):
         sight = ground - collection.antenna_position[pulse]
-        cosine = sight @ frame.y[pulse] / np.linalg.norm(sight, axis=1)
-        low, high = min(low, float(cosine.min())), max(high, float(cosine.max()))
-    margin = MARGIN * (high - low)
-    return np.linspace(low - margin, high + margin, GAIN_SAMPLES)
+        sight /= np.linalg.norm(sight, axis=1, keepdims=True)
+        side = np.cross(frame.x[pulse], frame.y[pulse])[:2]
+        lit = (np.abs(beam_offset(geometry, x, y, int(pulse))) <= half) & ((sight[:, :2] * side).sum(axis=1) > 0)
+        cosines.append((sight[lit] * frame.y[pulse]).sum(axis=1))
+        elevations.append(np.arcsin(-sight[lit, 2]))
+    seen = np.concatenate(cosines)
+    # The polynomial is to hold a little beyond, for readers that take it there.
+    margin = MARGIN * np.ptp(seen) * np.linspace(0, 1, RANGES)
+    beyond = np.concatenate([seen.min() - margin, seen.max() + margin])
+    directions = frame.directions(np.full(beyond.shape, frame.boresight[frame.pulse, 0]), beyond)
+    return np.concatenate([seen, beyond]), np.concatenate([*elevations, np.arcsin(-directions[:, 2])])
 
 
 def _fit_gain(name: str, cosine: FloatArray, amplitude: FloatArray) -> FloatArray:
@@ -239,7 +253,7 @@ def _fit_gain(name: str, cosine: FloatArray, amplitude: FloatArray) -> FloatArra
     if least > GAIN_ERROR:
         raise InputError(
             f"{name} cannot be written to a CPHD file: gains are polynomials there, and one of order "
-            f"{GAIN_ORDERS[-1]} is off by {least:.2g} of its peak; smooth it, or simulate a store"
+            f"{GAIN_ORDERS[-1]} is off by {least:.2g} of its peak; smooth it, steer by less, or simulate a store"
         )
     return np.asarray(best)
 

@@ -483,7 +483,7 @@ def test_scenes_that_no_file_describes_are_refused(beam: str, yaw: float, words:
 def test_a_swath_that_is_lit_all_the_time_at_some_ranges_only_is_refused(tmp_path: Path) -> None:
     text = SCENE.format(beam='mode = "stripmap"\nwidth_deg = 2.6', yaw=0.0)
     wide = Scene.parse(text.replace("[9700.0, 10000.0]", "[7000.0, 10000.0]"))
-    with pytest.raises(InputError, match="wholly over none of the swath at all ranges, .* simulate more pulses"):
+    with pytest.raises(InputError, match=r"wholly over none of the swath at all ranges, .* simulate more pulses"):
         cphd_simulation.simulate(wide, tmp_path / "scene.cphd")
 
 

@@ -33,6 +33,7 @@ UNIT = 1e-3  # by which ACX and ACY may be off unit length and a right angle
 ALONG = 0.5  # least cosine of the azimuth axis with the velocity
 HALF_POWER = 20 * np.log10(2)  # dB of both ways at the edges of a beam: half of the power one way
 WIDEST = 0.7  # rad off the boresight within which the beam's edges are sought
+REACH = 8  # vectors whose slope continues a parameter beyond the first and the last vector
 SIDES = ("Tx", "Rcv")
 
 
@@ -91,32 +92,28 @@ class Antenna:
         """The pulse whose steering is amid all."""
         return int(np.abs(self.steering - (self.steering.min() + self.steering.max()) / 2).argmin())
 
-    def directions(self, along: FloatArray, across: FloatArray) -> FloatArray:
-        """Unit vectors (..., 3) at that pulse: angles off the plane normal to the axis, rad, and direction cosines."""
-        first, p = np.sin(along), self.pulse
+    def directions(self, along: FloatArray, across: FloatArray, p: int) -> FloatArray:
+        """Unit vectors (..., 3) at a pulse: angles off the plane normal to the axis, rad, and direction cosines."""
+        first = np.sin(along)
         rest = np.sqrt(np.maximum(1 - first**2 - across**2, 0.0))
         return np.asarray(
             first[..., None] * self.axis[p] + across[..., None] * self.across[p] + rest[..., None] * self.normal[p]
         )
 
-    def two_way(self, directions: FloatArray) -> FloatArray:
-        """Gain of both ways towards unit vectors (..., 3) at that pulse, dB."""
-        return np.asarray(sum(side.gain(self.pulse, directions) for side in self.sides))
-
-    def azimuth_gain(self, offset: FloatArray) -> FloatArray:
+    def azimuth_gain(self, offset: FloatArray, pulse: int | None = None) -> FloatArray:
         """Gain of both ways over angles off the beam's centre (...), rad, in dB."""
-        p = self.pulse
-        return self.two_way(self.directions(self.steering[p] + offset, np.full(offset.shape, self.tilt[p])))
+        p = self.pulse if pulse is None else pulse
+        directions = self.directions(self.steering[p] + offset, np.full(offset.shape, self.tilt[p]), p)
+        return np.asarray(sum(side.gain(p, directions) for side in self.sides))
 
-    def elevation_gain(self, away: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def elevation_gain(self, away: FloatArray, pulse: int | None = None) -> tuple[FloatArray, FloatArray]:
         """Angle below the horizontal, rad, and gain of both ways over that at the boresight, dB.
 
         `away` (n,) are direction cosines along `across` off the boresight's.
         """
-        p = self.pulse
-        tilt = self.tilt[p]
-        directions = self.directions(np.full(away.shape, self.steering[p]), tilt + away)
-        gain = self.two_way(directions) - self.azimuth_gain(np.zeros(1))
+        p = self.pulse if pulse is None else pulse
+        directions = self.directions(np.full(away.shape, self.steering[p]), self.tilt[p] + away, p)
+        gain = sum(side.gain(p, directions) for side in self.sides) - self.azimuth_gain(np.zeros(1), p)
         return np.arcsin(np.clip(-directions[..., 2], -1, 1)), np.asarray(gain)
 
     def half_power(self) -> tuple[float, float] | None:
@@ -192,7 +189,7 @@ def read_antenna(
         tilt=boresight[:, 1 - which], sides=sides, left=tuple(dict.fromkeys(left)),
     )  # fmt: skip
     p = antenna.pulse
-    if not antenna.directions(antenna.steering[p : p + 1], antenna.tilt[p : p + 1])[0, 2] < 0:
+    if not antenna.directions(antenna.steering[p : p + 1], antenna.tilt[p : p + 1], p)[0, 2] < 0:
         raise InputError("the electrical boresight points above the horizontal: ACX, ACY or EB is wrong")
     return antenna
 
@@ -267,7 +264,10 @@ def _by_vector(file: CphdFile, node: Any, flag: str, parameter: str) -> bool:
 
 
 def _vectors(file: CphdFile, name: str, used: IntArray, pulses: Pulses) -> FloatArray:
-    """A per-vector parameter of the antenna at the pulses, (n_pulse, 2 or 3); between vectors it is linear."""
+    """A per-vector parameter of the antenna at the pulses, (n_pulse, 2 or 3).
+
+    Between vectors it is linear; beyond the first and the last that are used, it goes on with the slope there.
+    """
     values = file.vectors[name][used]
     values = np.asarray(values, np.float64)
     if values.shape != (used.size, 2 if name.endswith("EB") else 3):
@@ -279,7 +279,12 @@ def _vectors(file: CphdFile, name: str, used: IntArray, pulses: Pulses) -> Float
             f"{used[int(np.argmin(finite))]})"
         )
     time = file.parameter("TxTime", used)
-    return np.stack([np.interp(pulses.time, time, column) for column in values.T], axis=1)
+    found = np.stack([np.interp(pulses.time, time, column) for column in values.T], axis=1)
+    reach = min(REACH, used.size - 1)
+    for end, other, beyond in ((0, reach, pulses.time < time[0]), (-1, -1 - reach, pulses.time > time[-1])):
+        slope = (values[other] - values[end]) / (time[other] - time[end])
+        found[beyond] = values[end] + (pulses.time[beyond, None] - time[end]) * slope
+    return found
 
 
 def _check_side(name: str, x: FloatArray, y: FloatArray, boresight: FloatArray) -> None:

@@ -34,6 +34,7 @@ PATTERN_SAMPLES = 257
 FLAT = 0.01  # dB of both ways within which a gain counts as constant
 RISE = 1.0  # dB of both ways by which a gain may rise away from the boresight; polynomials do where they end
 CHANGE = 0.5  # dB of both ways left in the samples, from which on a note says so
+CHECKED_PULSES = 33
 ELEVATION_MARGIN = 0.05  # of the image area's elevations, for which a pattern is sampled beyond them
 
 
@@ -172,7 +173,9 @@ def _with_patterns(
     if _usable("azimuth", gain, float(antenna.azimuth_gain(np.zeros(1))[0]), notes):
         found |= sampled(("beam_offset", "beam_pattern"), offset, gain)
         kept.append(f"over the beam ({gain.min() - gain.max():.2g} dB at its lowest)")
-    down, gain = antenna.elevation_gain(_across(antenna, position, np.concatenate([ground, np.zeros((1, 3))])))
+    # The origin is where the reference point lies, which the store wants within the pattern.
+    across = _across(antenna, position, np.concatenate([ground, np.zeros((1, 3))]), width)
+    down, gain = antenna.elevation_gain(across)
     steps = np.diff(down)
     if not ((steps > 0).all() or (steps < 0).all()):
         if np.ptp(gain) > FLAT:
@@ -180,6 +183,12 @@ def _with_patterns(
     elif _usable("elevation", gain, 0.0, notes):
         found |= sampled(("elevation", "elevation_pattern"), down, gain)
         kept.append(f"over elevation ({gain.min() - gain.max():.2g} dB)")
+        turned = _turned_gain(antenna, across, down, gain)
+        if turned > CHANGE:
+            notes.append(
+                f"the antenna's gain over elevation changes by {turned:.2g} dB as the beam is steered or the antenna "
+                "turned; that of the middle is taken"
+            )
     if kept:
         notes.append(f"antenna patterns of both ways taken from the gain polynomials: {' and '.join(kept)}")
     scanned = _scanned_gain(antenna)
@@ -201,15 +210,30 @@ def _usable(which: str, gain: FloatArray, at_boresight: float, notes: list[str])
     return float(np.ptp(gain)) > FLAT
 
 
-def _across(antenna: Antenna, position: FloatArray, ground: FloatArray) -> FloatArray:
-    """Direction cosines across the beam off the boresight's that the image area's points (n, 3) are seen at, (m,)."""
-    low, high = np.inf, -np.inf
-    for pulse in (0, position.shape[0] // 2, position.shape[0] - 1):
+def _across(antenna: Antenna, position: FloatArray, ground: FloatArray, width: float) -> FloatArray:
+    """Direction cosines across the beam, off the boresight's, at which the beam sees points (n, 3), and more, (m,)."""
+    seen = [np.zeros(1)]
+    for pulse in np.unique(np.linspace(0, position.shape[0] - 1, CHECKED_PULSES).astype(int)):
         sight = ground - position[pulse]
-        seen = (sight * antenna.across[pulse]).sum(axis=1) / np.linalg.norm(sight, axis=1) - antenna.tilt[pulse]
-        low, high = min(low, float(seen.min())), max(high, float(seen.max()))
+        sight /= np.linalg.norm(sight, axis=1, keepdims=True)
+        offset = np.arcsin((sight * antenna.axis[pulse]).sum(axis=1)) - antenna.steering[pulse]
+        inside = np.abs(offset) <= width / 2
+        seen.append((sight[inside] * antenna.across[pulse]).sum(axis=1) - antenna.tilt[pulse])
+    low, high = np.concatenate(seen).min(), np.concatenate(seen).max()
     margin = ELEVATION_MARGIN * (high - low)
     return np.linspace(low - margin, high + margin, PATTERN_SAMPLES)
+
+
+def _turned_gain(antenna: Antenna, across: FloatArray, down: FloatArray, gain: FloatArray) -> float:
+    """By how many dB the gain over elevation (n,) differs at the ends of the collection."""
+    order, worst = np.argsort(down), 0.0
+    for pulse in (0, antenna.steering.size - 1):
+        other, changed = antenna.elevation_gain(across, pulse)
+        common = (other >= down.min()) & (other <= down.max())
+        if common.any():
+            kept = np.interp(other[common], down[order], gain[order])
+            worst = max(worst, float(np.abs(changed[common] - kept).max()))
+    return worst
 
 
 def _scanned_gain(antenna: Antenna) -> float:
@@ -225,7 +249,7 @@ def _unused_gain(antenna: Antenna, position: FloatArray, ground: FloatArray) -> 
     """In words, how far the gain over the image area, which is left out, changes."""
     offset = _offsets(antenna.axis, antenna.steering, position, ground)
     gain = antenna.azimuth_gain(np.linspace(offset.min(), offset.max(), PATTERN_SAMPLES))
-    _, across = antenna.elevation_gain(_across(antenna, position, ground))
+    _, across = antenna.elevation_gain(_across(antenna, position, ground, np.inf))
     change = float(np.ptp(gain) + np.ptp(across))
     return f": their gain changes by {change:.2g} dB over the image area, which stays in it" if change > CHANGE else ""
 
@@ -244,10 +268,14 @@ def _by_dwells(pulses: Pulses, position: FloatArray, dwells: Dwells, notes: list
             return Beam(law.beam.azimuth, law.beam.width, [*law.beam.messages, *notes], law.beam.antenna)
     return _unsteered(
         pulses,
-        f"{although}no yaw about the nadir and no steering about the velocity reproduces the dwell polynomials (they "
-        f"miss them by {yaw.miss:.2g} and {axis.miss:.2g} of a dwell): amplitudes are low",
+        f"{although}of the laws that reproduce dwell polynomials, a yaw about the nadir {_missed(yaw)}, and a steering "
+        f"about the velocity {_missed(axis)}: amplitudes are low",
         notes,
     )
+
+
+def _missed(law: _Law) -> str:
+    return f"misses them by {law.miss:.2g} of a dwell" if np.isfinite(law.miss) else "is no beam of a store"
 
 
 def _yaw_law(pulses: Pulses, position: FloatArray, dwells: Dwells) -> _Law:
