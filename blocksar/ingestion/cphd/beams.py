@@ -30,6 +30,7 @@ CLOSE = 0.003  # of a dwell, within which a beam described by its yaw is not rep
 ANTENNA_TOLERANCE = 0.1  # of a dwell, the same for the antenna's own beam
 LEAST_POINTS = 9  # whose dwells lie within the collection
 HIGHEST_ORDER = 5  # of the fitted laws
+MOST_TURNED, TURNS = np.deg2rad(12.0), 13  # yaws of an antenna's axis off the velocity that are tried, rad
 PATTERN_SAMPLES = 257
 FLAT = 0.01  # dB of both ways within which a gain counts as constant
 RISE = 1.0  # dB of both ways by which a gain may rise away from the boresight; polynomials do where they end
@@ -317,13 +318,32 @@ def _fit_yaw(u: FloatArray, yaw: FloatArray) -> tuple[FloatArray, float]:
 
 
 def _axis_law(pulses: Pulses, position: FloatArray, dwells: Dwells) -> _Law:
-    """A steering about the velocity that is a polynomial s(t), and a width w, by least squares.
+    """A steering about the velocity, or about an axis at a yaw off it where that reproduces the dwells better."""
+    law = _steering_law(pulses, position, dwells, 0.0)
+    if law.miss <= CLOSE or np.count_nonzero(_edges(pulses, dwells)[2]) < LEAST_POINTS:
+        return law
+    from scipy.optimize import minimize_scalar
 
-    With a(t) the angle of a point off the plane normal to the velocity, a = s - w/2 at one end of its dwell, and
+    def miss(turn: float) -> float:
+        return min(_steering_law(pulses, position, dwells, turn).miss, 1e3)
+
+    turns = np.linspace(-MOST_TURNED, MOST_TURNED, TURNS)
+    nearest, step = float(turns[int(np.argmin([miss(turn) for turn in turns]))]), float(turns[1] - turns[0])
+    best = minimize_scalar(miss, bounds=(nearest - step, nearest + step), method="bounded", options={"xatol": 1e-5})
+    turned = _steering_law(pulses, position, dwells, float(best.x))
+    return turned if turned.miss < law.miss / 2 else law
+
+
+def _steering_law(pulses: Pulses, position: FloatArray, dwells: Dwells, turn: float) -> _Law:
+    """A steering that is a polynomial s(t), and a width w, by least squares, about the velocity turned by a yaw, rad.
+
+    With a(t) the angle of a point off the plane normal to the axis, a = s - w/2 at one end of its dwell, and
     a = s + w/2 at the other.
     """
     velocity = np.gradient(position, pulses.reference_time, axis=0)
-    axis = np.asarray(velocity / np.linalg.norm(velocity, axis=1, keepdims=True))
+    axis = velocity / np.linalg.norm(velocity, axis=1, keepdims=True)
+    cos, sin = np.cos(turn), np.sin(turn)
+    axis = np.stack([cos * axis[:, 0] - sin * axis[:, 1], sin * axis[:, 0] + cos * axis[:, 1], axis[:, 2]], axis=1)
     first, last, inside = _edges(pulses, dwells)
     none = _Law(Beam(np.full(pulses.time.size, np.nan), None, []), np.inf)
     if np.count_nonzero(inside) < LEAST_POINTS:
@@ -349,9 +369,10 @@ def _axis_law(pulses: Pulses, position: FloatArray, dwells: Dwells) -> _Law:
     except InputError:
         return none
     miss = misfit / width
+    about = f"an axis turned by {np.degrees(turn):.3f} degrees from the velocity" if turn else "the velocity"
     message = (
-        f"{_words(steering)} about the velocity, {np.degrees(width):.4g} degrees wide, from the dwell polynomials "
-        f"(accurate to {miss:.2g} of a dwell)"
+        f"{_words(steering)} about {about}, {np.degrees(width):.4g} degrees wide, from the dwell polynomials (accurate "
+        f"to {miss:.2g} of a dwell)"
     )
     beam = Beam(none.beam.azimuth, width, [message], {"beam_axis": axis, "beam_steering": steering})
     return _Law(beam, miss)
