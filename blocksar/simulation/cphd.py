@@ -5,14 +5,13 @@ from __future__ import annotations
 import os
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from blocksar.arrays import FloatArray
 from blocksar.chunks import TILE
-from blocksar.collection.beam import full_dwell_yaw
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
@@ -22,6 +21,7 @@ from blocksar.ingestion.cphd import NAMESPACE, library
 from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace, replacing_file
 from blocksar.progress.listening import Callback
+from blocksar.simulation.cphd_beam import antenna_content, antenna_frame, gain_table, lit_area
 from blocksar.simulation.phase_history import sampler
 from blocksar.simulation.scene import RANGE_GUARD, Scene, next_smooth_even
 from blocksar.version import __version__
@@ -38,6 +38,9 @@ VECTOR = {  # per-vector parameters: format, and size in words of 8 bytes
     **dict.fromkeys(("aFDOP", "aFRR1", "aFRR2", "FX1", "FX2", "TOA1", "TOA2", "TDTropoSRP", "SC0", "SCSS"), ("F8", 1)),
     "SIGNAL": ("I8", 1),
 }
+ANTENNA = {f"{side}Antenna": {  # per-vector parameters of a beam about the antenna's axis
+    **dict.fromkeys((f"{side}ACX", f"{side}ACY"), ("X=F8;Y=F8;Z=F8;", 3)), f"{side}EB": ("DCX=F8;DCY=F8;", 2),
+} for side in ("Tx", "Rcv")}  # fmt: skip
 OVERSAMPLING = 1.2  # ratio of the window to the lit ranges, as the standard asks
 ORIGIN = (39.78, -84.1, 300.0)  # default latitude and longitude in degrees, and height in m
 START = "2000-01-01T00:00:00.000000Z"  # time of a simulated collection
@@ -58,7 +61,7 @@ def simulate(
     plane through it. Signals are referenced to the SRP, whatever the scene file states; the frequencies are spaced so
     that the lit ranges fill 1 / 1.2 of the window, as the standard asks. A lost pulse has SIGNAL = 0. A steered
     beam is described by the polynomials of centre of dwell and dwell time, over the sector that is lit for a whole
-    dwell.
+    dwell; a beam about the antenna's axis also by that antenna: frame and boresight of each vector, and its pattern.
 
     Parameters
     ----------
@@ -77,7 +80,7 @@ def simulate(
     Raises
     ------
     InputError
-        If the scene or the origin is wrong, or `out` exists and overwrite is False.
+        If the scene or the origin is wrong or CPHD cannot describe its beam, or `out` exists and overwrite is False.
     """
     sarkit = library()
     if threads < 1:
@@ -163,7 +166,8 @@ def _metadata(
     delay = 2 * np.linalg.norm(local, axis=1) / SPEED_OF_LIGHT
     step, first = collection.range_frequency_step, collection.carrier + collection.range_frequency[0]
     band = (first - step / 2, first + (collection.n_range_frequency - 0.5) * step)
-    area, cod, dwell = _lit_area(scene, collection, time + delay / 2)
+    area, cod, dwell = lit_area(scene, collection, time + delay / 2)
+    antenna = _antenna(scene, collection, frame, (band[0] + band[1]) / 2)
     root = etree.Element(f"{{{NAMESPACE}1.1.0}}CPHD", nsmap={None: f"{NAMESPACE}1.1.0"})
     _build(root, _collection_id(scene))
     _build(root, {
@@ -175,7 +179,7 @@ def _metadata(
         },
         "SceneCoordinates": _scene_coordinates(frame, area, SPEED_OF_LIGHT / (4 * collection.bandwidth)),
         "Data": {
-            "SignalArrayFormat": "CF8", "NumBytesPVP": 8 * sum(size for _, size in VECTOR.values()),
+            "SignalArrayFormat": "CF8", "NumBytesPVP": 8 * _words(VECTOR, *antenna.layout.values()),
             "NumCPHDChannels": 1,
             "Channel": {
                 "Identifier": "1", "NumVectors": collection.n_pulse, "NumSamples": collection.n_range_frequency,
@@ -190,10 +194,10 @@ def _metadata(
                 "FXFixed": True, "TOAFixed": True, "SRPFixed": True, "SignalNormal": not lost.size,
                 "Polarization": {"TxPol": "UNSPECIFIED", "RcvPol": "UNSPECIFIED"},
                 "FxC": (band[0] + band[1]) / 2, "FxBW": band[1] - band[0], "TOASaved": 2 * toa,
-                "DwellTimes": {"CODId": "1", "DwellId": "1"},
+                "DwellTimes": {"CODId": "1", "DwellId": "1"}, **antenna.channel,
             },
         },
-        "PVP": _vector_layout(),
+        "PVP": _vector_layout(antenna.layout),
         "Dwell": {
             "NumCODTimes": 1, "CODTime": {"Identifier": "1", "CODTimePoly": _polynomial_element(cod)},
             "NumDwellTimes": 1, "DwellTime": {"Identifier": "1", "DwellTimePoly": _polynomial_element(dwell)},
@@ -201,38 +205,92 @@ def _metadata(
     })  # fmt: skip
     tree = root.getroottree()
     vectors = np.zeros(collection.n_pulse, sarkit.get_pvp_dtype(tree))
-    vectors["TxTime"], vectors["RcvTime"] = time, time + delay
+    _fill_vectors(vectors, collection, frame, local)
+    vectors["FX1"], vectors["FX2"] = band
+    vectors["TOA1"], vectors["TOA2"] = -toa, toa
+    vectors["SIGNAL"] = 1
+    vectors["SIGNAL"][lost] = 0
+    for name, values in antenna.vectors.items():
+        vectors[name] = values
+    root.append(sarkit.compute_reference_geometry(tree, vectors))
+    _build(root, antenna.content)
+    application = {"Application": f"blocksar {__version__}", "DateTime": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}"}
+    _build(root, {"ProductInfo": {"CreationInfo": application}})
+    return vectors, tree
+
+
+def _fill_vectors(vectors: NDArray[Any], collection: Collection, frame: Georeference, local: FloatArray) -> None:
+    """Set times, places and frequencies; `local` (n_pulse, 3) are positions about the scene centre, m."""
+    time = collection.time - collection.time[0]
+    vectors["TxTime"], vectors["RcvTime"] = time, time + 2 * np.linalg.norm(local, axis=1) / SPEED_OF_LIGHT
     vectors["TxPos"] = vectors["RcvPos"] = frame.to_ecef(local)
     velocity = Geometry(collection=collection).track.velocity(collection.time)
     vectors["TxVel"] = vectors["RcvVel"] = velocity @ frame.axes
     vectors["SRPPos"] = frame.origin
-    vectors["FX1"], vectors["FX2"] = band
-    vectors["TOA1"], vectors["TOA2"] = -toa, toa
-    vectors["SC0"], vectors["SCSS"] = first, step
-    vectors["SIGNAL"] = 1
-    vectors["SIGNAL"][lost] = 0
-    root.append(sarkit.compute_reference_geometry(tree, vectors))
-    application = {"Application": f"blocksar {__version__}", "DateTime": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}"}
-    _build(root, {"ProductInfo": {"CreationInfo": application}})
-    return vectors, tree
+    vectors["SC0"] = collection.carrier + collection.range_frequency[0]
+    vectors["SCSS"] = collection.range_frequency_step
+
+
+class _AntennaParts(NamedTuple):
+    """What describes the antenna: per-vector parameters and their layout, and elements; empty where nothing does."""
+
+    layout: dict[str, dict[str, tuple[str, int]]]
+    vectors: dict[str, NDArray[Any]]
+    channel: dict[str, Any]
+    content: dict[str, Any]
+
+
+def _antenna(scene: Scene, collection: Collection, frame: Georeference, frequency: float) -> _AntennaParts:
+    if not collection.has_axis:
+        if collection.has_pattern:
+            raise InputError(
+                "beam.pattern and beam.elevation_pattern are not written to a CPHD file for a beam that is described "
+                "by its yaw; give beam.mode instead of start_deg and stop_deg, or simulate a store"
+            )
+        return _AntennaParts({}, {}, {}, {})
+    made = antenna_frame(scene, collection)
+    vectors: dict[str, NDArray[Any]] = {}
+    for side in ("Tx", "Rcv"):
+        vectors |= {f"{side}ACX": made.x @ frame.axes, f"{side}ACY": made.y @ frame.axes, f"{side}EB": made.boresight}
+    identifiers = dict.fromkeys(("TxAPCId", "TxAPATId", "RcvAPCId", "RcvAPATId"), "1")
+    time = collection.time - collection.time[0]
+    content = antenna_content(made, frame, time, frequency, gain_table(scene, collection, made))
+    return _AntennaParts(ANTENNA, vectors, {"Antenna": identifiers}, {"Antenna": content})
 
 
 def _collection_id(scene: Scene) -> dict[str, Any]:
     return {
         "CollectionID": {
             "CollectorName": "blocksar", "CoreName": scene.name or "scene", "CollectType": "MONOSTATIC",
-            "RadarMode": {"ModeType": "SPOTLIGHT" if scene.beam is None else "DYNAMIC STRIPMAP"},
+            "RadarMode": {"ModeType": _mode(scene)},
             "Classification": "UNCLASSIFIED", "ReleaseInfo": "UNRESTRICTED",
         }
     }  # fmt: skip
 
 
-def _vector_layout() -> dict[str, Any]:
-    layout, offset = {}, 0
-    for name, (form, size) in VECTOR.items():
-        layout[name] = {"Offset": offset, "Size": size, "Format": form}
-        offset += size
-    return layout
+def _mode(scene: Scene) -> str:
+    if scene.beam is None or scene.beam.mode == "spotlight":
+        return "SPOTLIGHT"
+    return "STRIPMAP" if scene.beam.mode == "stripmap" else "DYNAMIC STRIPMAP"
+
+
+def _words(*layouts: dict[str, tuple[str, int]]) -> int:
+    return sum(size for layout in layouts for _, size in layout.values())
+
+
+def _vector_layout(groups: dict[str, dict[str, tuple[str, int]]]) -> dict[str, Any]:
+    """Places of the per-vector parameters, those of the antenna in groups of their own."""
+    offset = 0
+
+    def places(parameters: dict[str, tuple[str, int]]) -> dict[str, Any]:
+        nonlocal offset
+        layout = {}
+        for name, (form, size) in parameters.items():
+            layout[name] = {"Offset": offset, "Size": size, "Format": form}
+            offset += size
+        return layout
+
+    return {**places(VECTOR), **{name: places(parameters) for name, parameters in groups.items()}}
 
 
 def _scene_coordinates(frame: Georeference, area: FloatArray, spacing: float) -> dict[str, Any]:
@@ -284,52 +342,3 @@ def _build(parent: Any, content: Any) -> None:
             node = parent.makeelement(f"{namespace}}}{name}", {key: str(value) for key, value in attributes.items()})
             parent.append(node)
             _build(node, inner)
-
-
-def _lit_area(scene: Scene, collection: Collection, moment: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the image area, a clockwise polygon (n, 2), m, and polynomials of centre of dwell and dwell time, s.
-
-    `moment` (n_pulse,) is the reference time, s. For a steered beam the area is the sector that is lit for a whole
-    dwell, or the sector that is always lit if the beam turns by less than its width.
-    """
-    near, far = scene.area.swath
-    whole = np.full((1, 1), (moment[0] + moment[-1]) / 2), np.full((1, 1), moment[-1] - moment[0])
-    if collection.has_axis:
-        raise InputError(
-            "beam.mode describes a beam about the antenna's axis, which is not written to CPHD files; simulate a "
-            "store, or give start_deg and stop_deg"
-        )
-    if collection.beam_width is None:
-        ends = np.stack([np.stack(scene.ground_point(r, scene.centre_yaw)) for r in (near, far)]) - scene.centre[:2]
-        half = float(np.linalg.norm(ends, axis=1).max())
-        return half * np.array([[-1.0, -1], [-1, 1], [1, 1], [1, -1]]), *whole
-    beam, width = collection.beam_azimuth, collection.beam_width
-    low, high = full_dwell_yaw(collection)
-    always = low >= high
-    low, high = min(low, high), max(low, high)
-    inset = 1e-3 * (high - low)
-    yaw = np.linspace(low + inset, high - inset, 17)
-    arcs = [np.stack(scene.ground_point(r, y), axis=-1) - scene.centre[:2] for r, y in ((near, yaw), (far, yaw[::-1]))]
-    area = np.concatenate(arcs)
-    following = np.roll(area, -1, axis=0)
-    if np.sum(area[:, 0] * following[:, 1] - area[:, 1] * following[:, 0]) > 0:
-        area = area[::-1]
-    if always:
-        return area, *whole
-    x, y = (axis.ravel() - c for axis, c in zip(
-        scene.ground_point(np.linspace(near, far, 9)[:, None], np.linspace(low, high, 65)), scene.centre, strict=False
-    ))  # fmt: skip
-    yaw = np.tile(np.linspace(low, high, 65), 9)
-    order = np.argsort(beam, kind="stable")
-    begin, end = (np.interp(yaw + side * width / 2, beam[order], moment[order]) for side in (-1, 1))
-    return area, _fit_polynomial(x, y, (begin + end) / 2), _fit_polynomial(x, y, np.abs(end - begin))
-
-
-def _fit_polynomial(x: FloatArray, y: FloatArray, values: FloatArray, order: int = 6) -> FloatArray:
-    """Return coefficients of x^i y^j, i + j <= order, (order + 1, order + 1), by least squares."""
-    scale = float(max(np.abs(x).max(), np.abs(y).max()))
-    i, j = np.nonzero(np.add.outer(np.arange(order + 1), np.arange(order + 1)) <= order)
-    scaled = np.linalg.lstsq((x[:, None] / scale) ** i * (y[:, None] / scale) ** j, values, rcond=None)[0]
-    table = np.zeros((order + 1, order + 1))
-    table[i, j] = scaled / scale ** (i + j)
-    return table

@@ -710,13 +710,13 @@ def dwell(parts: Parts, cod: dict[tuple[int, int], float], length: dict[tuple[in
             node.set(f"order{axis}", str(max(key[axis - 1] for key in table)))
 
 
-def test_a_strip_map_is_not_reported_as_steered(base: Base, tmp_path: Path) -> None:
-    """The beam moves with the platform: the centre of dwell depends on the place along the track, not on yaw."""
+def test_dwells_of_no_beam_are_not_reported_as_steered(base: Base, tmp_path: Path) -> None:
+    """Neither a yaw about the nadir nor a steering about the velocity has such centres of dwell."""
     parts = parts_of(base.path)
     dwell(parts, {(0, 0): 0.2, (0, 1): 1e-3, (1, 0): 2e-3}, {(0, 0): 0.05})
     collection, said = check(write(tmp_path / "strip.cphd", parts), base)
     assert collection.beam_width is None
-    assert any("do not depend on yaw alone" in line for line in said)
+    assert any("a yaw about the nadir misses them by" in line for line in said)
 
 
 def test_a_constant_centre_of_dwell_is_not_reported_as_steered(base: Base, tmp_path: Path) -> None:

@@ -37,6 +37,8 @@ transmission relative to the middle vector. Vectors absent from the uniform time
 missing pulses. If times are not uniform, signals are referenced to one fixed point and resampled (`resampling`) within
 the Doppler band of the image area, and the error is reported.
 
+The beam is that of the dwell polynomials and of the antenna's metadata (`beams`, `antennas`).
+
 A file is read in blocks of vectors, and only the samples in the common band if those are less than half of a vector.
 """
 

@@ -278,6 +278,30 @@ def numbers_of(node: Any, path: str, names: Sequence[str]) -> FloatArray:
     return np.array(values)
 
 
+def polynomial_of(node: Any, variables: int) -> FloatArray:
+    """Coefficients of a polynomial in one or two variables, (order1 + 1,) or (order1 + 1, order2 + 1).
+
+    Raises
+    ------
+    InputError
+        If an order is not from 0 to 32, or a coefficient has an exponent above its order or is no finite number.
+    """
+    orders = [node.get(f"order{axis + 1}", "") for axis in range(variables)]
+    if not all(text.isascii() and text.isdigit() and int(text) <= 32 for text in orders):
+        raise InputError(f"a polynomial has the orders {orders}, but 0 to 32 are possible")
+    table = np.zeros([int(text) + 1 for text in orders])
+    for coefficient in node.findall("{*}Coef"):
+        exponents = tuple(int(coefficient.get(f"exponent{axis + 1}")) for axis in range(variables))
+        value = float(coefficient.text)
+        if not all(0 <= e < size for e, size in zip(exponents, table.shape, strict=True)) or not np.isfinite(value):
+            raise InputError(
+                f"a polynomial of the orders {orders} has the coefficient {value:.6g} of exponents {list(exponents)}; "
+                "correct it"
+            )
+        table[exponents] = value
+    return table
+
+
 def _check_fields(dtype: np.dtype[Any], size: int) -> None:
     """Check names, types and offsets of the per-vector parameters that are used."""
     extents: list[tuple[int, int, str]] = []

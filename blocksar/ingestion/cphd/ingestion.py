@@ -129,7 +129,7 @@ def prepare(file: CphdFile) -> _Prepared:
         pulses, reference, slow_time = resample_vectors(pulses, reference, _corners(file), highest)
     position = frame.from_ecef(pulses.position)
     carrier = float(resampler.frequency[0] + resampler.frequency[-1]) / 2
-    beam = fit_beam(file, pulses, frame, position)
+    beam = fit_beam(file, pulses, frame, position, carrier)
     name = " ".join(
         filter(None, (file.root.findtext(f"{{*}}CollectionID/{{*}}{k}") for k in ("CollectorName", "CoreName")))
     )
@@ -144,6 +144,7 @@ def prepare(file: CphdFile) -> _Prepared:
             beam_width=beam.width,
             ground_height=0.0,
             title=printable(name)[:200],
+            **beam.antenna,
         )
     except InputError as error:
         raise InputError(f"PVP TxPos, RcvPos, SRPPos, TOA1 and TOA2 make no phase history: {error}") from None
@@ -157,7 +158,7 @@ def prepare(file: CphdFile) -> _Prepared:
     return _Prepared(
         collection=collection, pulses=pulses, slow_time=slow_time, resampler=resampler, delays=delays,
         attributes=attributes,
-        messages=[*messages, *([slow_time.message] if slow_time else []), beam.message, _describe_frame(frame)],
+        messages=[*messages, *([slow_time.message] if slow_time else []), *beam.messages, _describe_frame(frame)],
     )  # fmt: skip
 
 
