@@ -49,8 +49,9 @@ def _present(table: BaseModel, *names: str) -> list[str]:
 
 
 def _stated(table: BaseModel, *names: str) -> list[str]:
-    """List those of the named fields that the file states, also where they have a default."""
-    return [name for name in names if name in table.model_fields_set]
+    """List those of the named fields that have another value than their default."""
+    fields = type(table).model_fields
+    return [name for name in names if getattr(table, name) != fields[name].default]
 
 
 class RadarTable(Table):
@@ -237,7 +238,7 @@ class BeamTable(Table):
         _require(not others, f"{', '.join(others)} given with mode = {mode!r}: give width_deg, and how it turns")
         _require(self.width_deg is not None, f"width_deg missing: mode = {mode!r} needs it")
         _require(
-            self.axis_yaw_deg is not None or "axis_pitch_deg" not in self.model_fields_set,
+            self.axis_yaw_deg is not None or not _stated(self, "axis_pitch_deg"),
             "axis_yaw_deg missing: axis_pitch_deg needs it",
         )
         steering = _stated(self, "squint_deg", "rate_deg", "point")
