@@ -92,6 +92,13 @@ def gauss_legendre(n: int) -> tuple[FloatArray, FloatArray]:
     return nodes, weights
 
 
+def legendre_series(n: int, degree: int) -> FloatArray:
+    """The matrix from values at the n Gauss-Legendre nodes to the Legendre series up to a degree, (degree + 1, n)."""
+    nodes, weights = gauss_legendre(n)
+    terms = np.polynomial.legendre.legvander(nodes, degree).T
+    return np.asarray((2 * np.arange(degree + 1)[:, None] + 1) / 2 * terms * weights)
+
+
 def orthogonal_basis(terms: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Orthonormal rows q (n, m) and upper triangular r (n, n) with terms_k = sum_(i <= k) r_ik q_i, terms (n, m)."""
     q, n = terms.copy(), terms.shape[0]

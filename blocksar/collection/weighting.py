@@ -229,7 +229,7 @@ def _series(taper: Taper) -> tuple[FloatArray, float]:
         case "hann":
             a = np.array([0.5, 0.5])
         case "taylor":
-            a = np.concatenate([[1.0], 2 * _taylor_coefficients(int(taper.parameters[0]), taper.parameters[1])])
+            a = np.concatenate([[1.0], 2 * taylor_coefficients(int(taper.parameters[0]), taper.parameters[1])])
         case "kaiser":
             frequency = 0.5
             # Beyond the ends, where I0(beta sqrt(1 - v^2)) would grow into a Bessel function, the series is free.
@@ -242,7 +242,7 @@ def _series(taper: Taper) -> tuple[FloatArray, float]:
     return a, frequency
 
 
-def _taylor_coefficients(nbar: int, level: float) -> FloatArray:
+def taylor_coefficients(nbar: int, level: float) -> FloatArray:
     """F_1 .. F_(nbar - 1) of Taylor's distribution, as in `scipy.signal.windows.taylor`; level in dB, negative."""
     a = math.acosh(10 ** (-level / 20)) / math.pi
     dilation = nbar**2 / (a**2 + (nbar - 0.5) ** 2)

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from blocksar import solvers
-from blocksar.arrays import FloatArray
 from blocksar.collection.weighting import AxisTaper
 from blocksar.focusing.lines import LEAST_STRETCH, Line
 
@@ -33,14 +32,8 @@ def level_aperture(line: Line, taper: AxisTaper) -> tuple[AxisTaper, Line]:
     shares = weights * taper.taper(nodes)
     degree = min(LEVEL_DEGREE, nodes.size - 1)
     mean = (stretch / stretch.mean(axis=1, keepdims=True)).mean(axis=0)
-    series = solvers.product(_legendre_series(nodes, weights, degree), (1 / np.sqrt(mean))[:, None])[:, 0]
+    series = solvers.product(solvers.legendre_series(nodes.size, degree), (1 / np.sqrt(mean))[:, None])[:, 0]
     level = np.polynomial.legendre.legval(nodes, series)
     share = float((shares * level).sum() / shares.sum())
     levelled = replace(taper, level=tuple((series / share).tolist()))
     return levelled, replace(line, stretch=line.stretch * (level / share) ** 2)
-
-
-def _legendre_series(nodes: FloatArray, weights: FloatArray, degree: int) -> FloatArray:
-    """The matrix from values at Gauss-Legendre nodes to the series up to a degree, (degree + 1, n)."""
-    terms = np.polynomial.legendre.legvander(nodes, degree).T
-    return np.asarray((2 * np.arange(degree + 1)[:, None] + 1) / 2 * terms * weights)

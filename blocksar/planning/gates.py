@@ -157,20 +157,13 @@ def _crossing(line: Line, lit: tuple[FloatArray, FloatArray], moment: FloatArray
     The moment is (n_yaw,) or (n_range, n_yaw).
     `lit` has the begin and the end of the dwells before all steps, (n_range, n_yaw): beyond them lines go on straight.
     """
-    (first, last), nodes = lit, solvers.gauss_legendre(line.time.shape[-1])[0]
+    (first, last), n = lit, line.time.shape[-1]
     within = np.clip(moment, first, last)
     u = (2 * within - first - last) / (last - first)
-    series = solvers.product(line.time, _legendre_series(nodes.size).T)
+    series = solvers.product(line.time, solvers.legendre_series(n, n - 1).T)
     time = np.polynomial.legendre.legval(u, np.moveaxis(series, -1, 0), tensor=False)
     before, after = np.minimum(moment - first, 0.0), np.maximum(moment - last, 0.0)
     return np.asarray(time + before * line.stretch[..., 0] + after * line.stretch[..., -1])
-
-
-def _legendre_series(n: int) -> FloatArray:
-    """Legendre coefficients (n, n) of functions that are 1 at one of the n Gauss-Legendre nodes, 0 at the others."""
-    nodes, weights = solvers.gauss_legendre(n)
-    terms = np.polynomial.legendre.legvander(nodes, n - 1)
-    return np.asarray((2 * np.arange(n)[:, None] + 1) / 2 * terms.T * weights)
 
 
 def _plan_taper(taper: Taper, lengths: list[RowPolynomial], halves: list[FloatArray]) -> DwellTaper | None:

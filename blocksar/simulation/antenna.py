@@ -14,15 +14,13 @@ import numpy as np
 from blocksar.arrays import FloatArray
 from blocksar.collection.beam import dwell
 from blocksar.collection.geometry import Geometry
+from blocksar.collection.weighting import taylor_coefficients
 from blocksar.errors import InputError
 from blocksar.simulation.tables import BeamTable
 
 SIDE, YAWS = 80, 641  # degrees of yaw on either side of the centre that a beam may light, and yaws that are asked
 PATTERN_SAMPLES = 257  # of a named pattern over its width
-NBAR, SIDE_LOBES = (
-    4,
-    35.0,
-)  # of the Taylor illumination: its nearly constant side lobes, and their level below the peak, dB
+NBAR, SIDE_LOBES = 4, -35.0  # of the Taylor illumination: its nearly constant side lobes, and their level, dB
 
 
 def axis_beam(
@@ -105,7 +103,7 @@ def named_pattern(name: str, width: float) -> tuple[FloatArray, FloatArray]:
     if name == "gaussian":
         one_way = np.exp(-np.log(2) / 2 * place**2)
     else:
-        factors = _taylor_factors() if name == "taylor" else np.zeros(0)
+        factors = taylor_coefficients(NBAR, SIDE_LOBES) if name == "taylor" else np.zeros(0)
         one_way = _aperture(place * _half_power(name), factors)
     return place * width / 2, one_way**2
 
@@ -113,7 +111,7 @@ def named_pattern(name: str, width: float) -> tuple[FloatArray, FloatArray]:
 @lru_cache
 def _half_power(name: str) -> float:
     """Where the one-way amplitude of an aperture is 1 / sqrt(2), in wavelengths over the aperture."""
-    factors = _taylor_factors() if name == "taylor" else np.zeros(0)
+    factors = taylor_coefficients(NBAR, SIDE_LOBES) if name == "taylor" else np.zeros(0)
     low, high = 0.0, 1.0
     for _ in range(60):
         middle = (low + high) / 2
@@ -128,16 +126,3 @@ def _aperture(place: FloatArray, factors: FloatArray) -> FloatArray:
     for m, factor in enumerate(factors, 1):
         field = field + factor * (np.sinc(place - m) + np.sinc(place + m))
     return np.asarray(field)
-
-
-def _taylor_factors() -> FloatArray:
-    """F_m of a Taylor illumination, m = 1 .. NBAR - 1 (Carrara, Goodman, Majewski, "Spotlight SAR", appendix D)."""
-    a = np.arccosh(10 ** (SIDE_LOBES / 20)) / np.pi
-    spread = NBAR**2 / (a**2 + (NBAR - 0.5) ** 2)
-    orders = np.arange(1, NBAR)
-    factors = np.empty(orders.size)
-    for i, m in enumerate(orders):
-        others = orders[orders != m]
-        above = np.prod(1 - m**2 / spread / (a**2 + (orders - 0.5) ** 2))
-        factors[i] = (-1) ** (m + 1) * above / (2 * np.prod(1 - m**2 / others**2))
-    return factors
