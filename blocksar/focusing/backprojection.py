@@ -120,10 +120,9 @@ def range_profiles(
     delay = Axis(-(period // 2) / (period * step), 1 / (period * step), period)
     before, after = Transform(frequency, delay, inverse=True).phases()
     lead = unit_phasor(before.cycles(frequency.values)[0]) / np.sinc(frequency.values / (period * step)) ** 3
-    weights = taper.samples(n) / taper.samples(n).mean()
+    weights = taper.samples(n)
+    weights /= weights.mean()
     if not taper.uniform:
-        weights = taper.samples(n)
-        weights /= weights.mean()
         lead *= weights
     lead = (lead * (period / n)).astype(np.complex64)
     trail = unit_phasor(after.cycles(delay.values)[0])
@@ -293,7 +292,7 @@ def form_points(
     first, last = _lit_intervals(geometry, x, y, threads)
     image, outside = np.zeros(x.shape, np.complex64), np.zeros(x.shape, np.bool_)
     in_range, over_beam, over_pulses = weighting.range, weighting.azimuth, None
-    if not collection.steered:  # every pixel has the same weights
+    if not (collection.steered or over_beam.uniform):  # every pixel has the same weights
         over_pulses, over_beam = over_beam.samples(collection.n_pulse).astype(np.float32), FLAT
     weight = None if over_beam.uniform else np.zeros(x.shape, np.float32)
     # Sums of integers are exact: without a weighting nothing is rounded.
@@ -302,7 +301,7 @@ def form_points(
     for pulses in _blocks(_lit_pulses(first, last, collection.n_pulse), pulse_block or pulse_block_size(collection)):
         profiles = range_profiles(read(pulses), collection=collection, pulses=pulses, threads=threads, taper=in_range)
         valid[pulses] = profiles.valid
-        if over_pulses is not None and not weighting.azimuth.uniform:
+        if over_pulses is not None:
             valid[pulses] = profiles.valid * over_pulses[pulses]
             np.multiply(profiles.values, over_pulses[pulses, None], out=profiles.values)
         accumulate(

@@ -19,7 +19,7 @@ from blocksar.collection.beam import dwell_at
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import Region
-from blocksar.collection.weighting import FLAT, UNIFORM, AxisTaper, Weighting
+from blocksar.collection.weighting import FLAT, UNIFORM, AxisTaper, Taper, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.chains import steps_of
 from blocksar.focusing.dwell_gate import DwellGate
@@ -73,6 +73,11 @@ class Sector:
     far: float
     weighting: Weighting = UNIFORM
     tap_error: float = IMAGE_TAP_ERROR
+
+    @property
+    def taper(self) -> Taper:
+        """The weighting over dwells."""
+        return taper_over_dwells(self.geometry.collection, self.weighting)
 
     def dwells(self, yaw: FloatArray, *, coarsely: bool = False) -> Dwells:
         """Dwells of targets at yaws (...), rad, for their lines in the recovered signal."""
@@ -191,8 +196,7 @@ def plan_block(
         azimuth = azimuth.weighed(in_time)
     first, last = dwell_at(sector.geometry, fine_yaw, fine_range[:, None], uncut=True)
     uncut = first - sector.geometry.epoch, last - sector.geometry.epoch
-    taper = taper_over_dwells(collection, sector.weighting)
-    weights = dwell_weights(sector.geometry, taper, lit, uncut=uncut, epoch_range=fine_range, yaw=fine_yaw)
+    weights = dwell_weights(sector.geometry, sector.taper, lit, uncut=uncut, epoch_range=fine_range, yaw=fine_yaw)
     spots = focus(weights.weigh(fine))
     sampling = _plan_sampling(
         recovery, slab, azimuth, straight,
@@ -231,7 +235,7 @@ def _plan_dwell_gate(
 ) -> DwellGate | None:
     """The dwell gate for lines after all steps, and `lit` before them."""
     collection = sector.geometry.collection
-    taper = taper_over_dwells(collection, sector.weighting) if collection.steered else FLAT
+    taper = sector.taper if collection.steered else FLAT
     return plan_gate(
         line, spots, ends.rate, blur=gate_blur(collection, ends.uncut, scaled_about=ends.scaled_about), lit=lit,
         uncut=ends.uncut, full=ends.full, rows=sampling.rows, slow=sampling.long_time, taper=taper,
@@ -406,7 +410,7 @@ def _plan_ground(
 ) -> GroundMap:
     """The map from the ground to the focused block, by where lines (n_range, n_yaw) focus."""
     collection, origin = sector.geometry.collection, sector.recovery.origin
-    taper, valid = taper_over_dwells(collection, sector.weighting), np.ones(collection.n_pulse)
+    taper, valid = sector.taper, np.ones(collection.n_pulse)
     offset, doppler_focus, phase, gain, dwell_time = surfaces(
         spots, epoch_range=epoch_range, yaw=yaw, origin=origin, carrier=collection.carrier, degree=(9, 16)
     )
