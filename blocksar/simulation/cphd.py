@@ -22,7 +22,7 @@ from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace, replacing_file
 from blocksar.progress.listening import Callback
 from blocksar.simulation.cphd_beam import antenna_content, antenna_frame, gain_table, lit_area
-from blocksar.simulation.phase_history import sampler
+from blocksar.simulation.phase_history import sampler, write_truth
 from blocksar.simulation.scene import RANGE_GUARD, Scene, next_smooth_even
 from blocksar.version import __version__
 
@@ -109,6 +109,7 @@ def simulate(
                 file.write(block.astype(">c8").data)
                 if progress is not None:
                     progress(pulses.stop, collection.n_pulse)
+            write_truth(scene, where, scene.centre)
     except OSError as error:
         raise InputError(
             f"{where} cannot be written ({error.strerror or error}); choose another place, or make room or permission"

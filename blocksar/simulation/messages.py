@@ -10,7 +10,7 @@ from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
-from blocksar.simulation.tables import LARGEST, SMALLEST
+from blocksar.simulation.fields import LARGEST, SMALLEST
 
 
 def message_of(label: str, problems: list[str]) -> str:
@@ -34,7 +34,7 @@ def describe_error(error: ValidationError, data: dict[str, Any], label: str, roo
                 remedies[f"{field} = {value}"] = [f"unknown key; {_nearest(model, place)}"]
             case "value_error":
                 # Messages about a whole table begin with the wrong field, if there is one.
-                known = _fields(_tables(root).get(str(place[0])) if place else root)
+                known = _fields(_table_at(place, root))
                 first_word = re.split(r"[^a-z_0-9]", text)[0]
                 remedies[f"{field}.{text}" if first_word in known else f"{field}: {text}"] = []
             case kind:
@@ -63,9 +63,20 @@ def _locate(
         elif not (last and isinstance(here, dict)) or "[" in str(part):
             continue  # the name of an alternative in a union
         place.append(part)
-        if not last and model is root and isinstance(part, str):
-            model = _tables(root).get(part)
+        if not last and isinstance(part, str) and model is not None:
+            # In a table inside a table, its own keys; a table of any keys (names of targets) stays its parent's.
+            inner = _tables(model).get(part)
+            model = inner if model is root or inner is not None else model
     return place, model
+
+
+def _table_at(place: list[int | str], root: type[BaseModel]) -> type[BaseModel] | None:
+    """Return the table that a place names."""
+    model: type[BaseModel] | None = root
+    for part in place:
+        if isinstance(part, str) and model is not None:
+            model = _tables(model).get(part)
+    return model
 
 
 def _tables(root: type[BaseModel]) -> dict[str, type[BaseModel]]:

@@ -6,6 +6,9 @@ of the reflectivity over range, and the ranges lie on no grid. Ranges and phases
 
 Every pulse is computed independently, in blocks of fixed size: the samples depend neither on the number of threads nor
 on the division of the pulses into chunks.
+
+Where the scene gives an error of the track, samples come from the track as flown, and the store has the track as known.
+The track as flown then lies beside the store, in `truth_place`, and nothing in the store tells of it.
 """
 
 from __future__ import annotations
@@ -19,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from blocksar import stores
-from blocksar.arrays import ComplexArray
+from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.chunks import TILE
 from blocksar.collection.collection import Collection
 from blocksar.collection.raw_echo import RawEcho
@@ -29,7 +32,7 @@ from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
 from blocksar.progress.listening import Callback
 from blocksar.simulation.scatterers import Field, field, phase_history, raw_echo
-from blocksar.simulation.scene import Scene
+from blocksar.simulation.scene import RANGE_GUARD, Scene
 
 MAX_NAMED_TARGETS = 2000  # with more, the store's attributes do not list them
 
@@ -100,6 +103,8 @@ def simulate(
             if progress is not None:
                 progress(pulses.stop, collection.n_pulse)
 
+        write_truth(scene, where)
+
     # Rows not yet written would read as lost pulses: the store therefore gets its name when it is complete.
     stores.create_phase_history(where, collection, raw=echo, attrs=_attributes(scene), overwrite=overwrite, fill=write)
     return where.path if isinstance(where, LocalPlace) else where
@@ -113,7 +118,7 @@ def sampler(
     `collection` is the scene's own, or one that differs from it in frequencies and reference range.
     """
     n = collection.n_range_frequency if echo is None else echo.fast_time.size
-    parts, lost = _scatterers(scene, collection), scene.dropped_pulses()
+    parts, lost = _scatterers(scene, as_flown(scene, collection)), scene.dropped_pulses()
 
     def sample(pulses: slice) -> ComplexArray:
         samples = _samples(parts, echo, n, pulses, threads)
@@ -121,6 +126,52 @@ def sampler(
         return samples
 
     return sample
+
+
+def as_flown(scene: Scene, collection: Collection) -> Collection:
+    """Return the collection with the positions that the antenna really had; itself where the track has no error.
+
+    Raises
+    ------
+    InputError
+        If the error is as large as the guard of the range window.
+    """
+    if scene.track.error is None:
+        return collection
+    error = scene.track.error.positions(collection.time)
+    largest = float(np.sqrt((error * error).sum(axis=1)).max())
+    room = (1 - 1 / RANGE_GUARD) * collection.range_window / 2
+    if largest >= room:
+        raise InputError(
+            f"track.error reaches {largest:.3g} m: must stay below {room:.3g} m, or echoes leave the range window; "
+            "make it smaller, or scene.swath wider"
+        )
+    positions = {"antenna_position": collection.antenna_position + error}
+    return Collection(**{**collection.as_dict(), **positions})
+
+
+def truth_place(out: Location) -> Place:
+    """Return where the track as flown lies: PH.truth.zarr beside PH.zarr or PH.cphd."""
+    return place(str(place(out)).removesuffix(".zarr").removesuffix(".cphd") + ".truth.zarr")
+
+
+def write_truth(scene: Scene, out: Location, origin: FloatArray | None = None) -> None:
+    """Write the track as flown beside a phase history, or remove that of an earlier one where the track has no error.
+
+    `origin` (3,), m, is where the frame of the phase history begins in that of the scene, if it is another.
+
+    Raises
+    ------
+    InputError
+        If it cannot be written.
+    """
+    truth = truth_place(out)
+    if scene.track.error is None:
+        if (truth / "zarr.json").exists() and stores.is_truth(truth):
+            truth.remove()
+        return
+    flown = as_flown(scene, scene.collection()).antenna_position
+    stores.write_truth(truth, scene.pulse_times, flown if origin is None else flown - origin)
 
 
 def _echo_axes(scene: Scene) -> RawEcho:

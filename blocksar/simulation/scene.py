@@ -6,7 +6,7 @@ about a wrong file lists every wrong field with its value and the remedy.
     title = "..."
     [radar]         carrier, bandwidth, range_sampling, prf, pulse_width (raw echo only)
     [track]         position, velocity, acceleration, jerk | coefficients | samples | file
-    [[track.wobble]]  amplitude, frequency, phase_deg
+    [[track.wobble]]  amplitude, frequency, phase_deg; [track.error] offset, velocity, drift, oscillation, ...
     [time]          duration | pulses; start
     [beam]          start_deg, stop_deg, dwell | width_deg          (omit if not steered)
                     | mode, width_deg, axis_yaw_deg, axis_pitch_deg, squint_deg, rate_deg, point
@@ -39,6 +39,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.simulation.antenna import axis_beam, lit_yaws, patterns
+from blocksar.simulation.fields import Table
 from blocksar.simulation.messages import describe_error, impossible_values, message_of
 from blocksar.simulation.reflectors import PointTarget, Scatterers, draw_field, read_map
 from blocksar.simulation.tables import (
@@ -51,7 +52,6 @@ from blocksar.simulation.tables import (
     NoiseTable,
     RadarTable,
     ReflectivityTable,
-    Table,
     TargetTable,
     TimeTable,
     TrackTable,

@@ -8,30 +8,21 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, model_validator
+from pydantic import BaseModel, Field, ValidationInfo, model_validator
 
 from blocksar.arrays import FloatArray
 from blocksar.errors import InputError
+from blocksar.simulation.fields import Pair, Positive, Seed, Table, Vector
+from blocksar.simulation.track_error import ErrorTable, WobbleTable
 
 MAX_PULSES = 1 << 22
-LARGEST, SMALLEST = 1e19, 1e-19  # in any unit: numbers beyond are mistakes, and would overflow
 
-Positive = Annotated[float, Field(gt=0)]
-Seed = Annotated[int, Field(ge=0, lt=2**63)]
 # TOML has lists only: tuples are read from lists, while their elements stay strict.
-Pair = Annotated[tuple[float, float], Field(strict=False)]
 IndexPair = Annotated[tuple[int, int], Field(strict=False)]
-Vector = Annotated[tuple[float, float, float], Field(strict=False)]
 Sample = Annotated[tuple[float, float, float, float], Field(strict=False)]
 
 Rows = Annotated[tuple[Pair, ...], Field(strict=False, min_length=2)]
 Pattern = Literal["sinc2", "gaussian", "taylor"] | Rows
-
-
-class Table(BaseModel):
-    """A table of a scene file: frozen, without unknown keys, without conversion of types, finite."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
 def _require(condition: bool, message: str) -> None:
@@ -74,17 +65,6 @@ class RadarTable(Table):
         return self
 
 
-class WobbleTable(Table):
-    amplitude: Vector = Field(description="[x, y, z], m")
-    frequency: Positive = Field(description="Hz")
-    phase_deg: Vector = Field((0.0, 0.0, 0.0), description="[x, y, z] at t = 0, of a sine")
-
-    def positions(self, time: FloatArray) -> FloatArray:
-        """Return the displacement (n, 3), m, at slow times (n,), s."""
-        angle = 2 * np.pi * self.frequency * time[:, None] + np.radians(self.phase_deg)
-        return np.asarray(np.array(self.amplitude) * np.sin(angle))
-
-
 class TrackTable(Table):
     position: Vector | None = Field(None, description="[x, y, z] at t = 0, m")
     velocity: Vector | None = Field(None, description="[x, y, z] at t = 0, m/s")
@@ -99,6 +79,9 @@ class TrackTable(Table):
     file: str | None = Field(None, description="CSV file of rows t, x, y, z in s and m; relative to the scene file")
     wobble: Annotated[tuple[WobbleTable, ...], Field(strict=False)] = Field(
         (), description="oscillations that are added to the track, and known: the phase history has the sum"
+    )
+    error: ErrorTable | None = Field(
+        None, description="how the antenna really moved off this track: in the samples, and unknown to the store"
     )
 
     @model_validator(mode="before")

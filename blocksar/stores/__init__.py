@@ -39,8 +39,10 @@ from blocksar.stores.schema import (
     RAW_ECHO,
     SPECTRUM,
     TRACK_AND_BEAM,
+    TRUTH,
     Variable,
 )
+from blocksar.stores.truth import is_truth, write_truth
 
 __all__ = [
     "COLLECTION",
@@ -52,6 +54,7 @@ __all__ = [
     "RAW_ECHO",
     "SPECTRUM",
     "TRACK_AND_BEAM",
+    "TRUTH",
     "UNFINISHED",
     "Array",
     "PhaseHistory",
@@ -64,6 +67,7 @@ __all__ = [
     "create_phase_history",
     "file_checksum",
     "history_line",
+    "is_truth",
     "json_checksum",
     "open_dataset",
     "open_phase_history",
@@ -74,4 +78,5 @@ __all__ = [
     "write_collection",
     "write_json",
     "write_region",
+    "write_truth",
 ]

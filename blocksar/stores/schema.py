@@ -59,6 +59,7 @@ RAW_ECHO = {
     "fast_time": FAST_TIME,
     **TRACK_AND_BEAM,
 }
+TRUTH = {"antenna_position": TRACK_AND_BEAM["antenna_position"], "time": TIME}
 SPECTRUM = {
     "spectrum": Variable(("doppler", "range_frequency"), "complex64", "1", "recovered Doppler spectrum"),
     "lit": Variable(("pulse",), "float64", "1", "fraction of the pulse's samples that are valid"),

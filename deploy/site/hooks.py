@@ -55,18 +55,24 @@ def scene_files() -> str:
     from blocksar.simulation.scene import Scene, shipped_scenes
 
     parts = [INTRODUCTION.format(shipped=", ".join(f"`{name}`" for name in shipped_scenes()))]
-    tables = []
-    for name, field in Scene.model_fields.items():
-        if (model := model_of(field.annotation)) is not None:
-            key = field.alias or name
-            tables.append((f"[[{key}]]" if "tuple" in str(field.annotation) else f"[{key}]", field, model))
+    tables = list(tables_of(Scene))
     parts += ["| table | contents | needed |", "|---|---|---|"]
     parts += [f"| `{key}` | {field.description} | {'yes' if field.is_required() else ''} |" for key, field, _ in tables]
     for key, field, model in tables:
         parts += ["", f"## {key.strip('[]')}", "", f"`{key}`: {field.description}.", ""]
         parts += ["| key | type | default | meaning |", "|---|---|---|---|"]
-        parts += [key_row(name, key_field) for name, key_field in model.model_fields.items()]
+        own = {name: key_field for name, key_field in model.model_fields.items() if not model_of(key_field.annotation)}
+        parts += [key_row(name, key_field) for name, key_field in own.items()]
     return "\n".join(parts) + "\n"
+
+
+def tables_of(model: type[BaseModel], within: str = "") -> Iterator[tuple[str, FieldInfo, type[BaseModel]]]:
+    """Tables of a model with their keys in brackets, each before those that it contains."""
+    for name, field in model.model_fields.items():
+        if (inner := model_of(field.annotation)) is not None:
+            key = f"{within}{field.alias or name}"
+            yield f"[[{key}]]" if "tuple" in str(field.annotation) else f"[{key}]", field, inner
+            yield from tables_of(inner, f"{key}.")
 
 
 INTRODUCTION = """\
