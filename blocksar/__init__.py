@@ -1,9 +1,9 @@
 """blocksar: focus squint-TOPS synthetic aperture radar data by angular blocks, in parallel.
 
-The functions correspond to the commands: `simulate`, `ingest`, `check`, `plan`, `focus`, `quality`, `report`, `export`
-and `compile`; `open` returns a finished image. They are loaded on first use, so that `import blocksar` is fast. They
-raise `InputError` if the caller's input is wrong, and `ProcessingError` if processing failed and the same call can
-resume it.
+The functions correspond to the commands: `simulate`, `ingest`, `info`, `check`, `plan`, `focus`, `quality`, `report`,
+`export` and `compile`; `open` returns a finished image. They are loaded on first use, so that `import blocksar` is
+fast. They raise `InputError` if the caller's input is wrong, and `ProcessingError` if processing failed and the same
+call can resume it.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from blocksar.version import __version__
 
 if TYPE_CHECKING:
-    from blocksar.api import check, compile, export, focus, ingest, open, plan, quality, report, simulate
+    from blocksar.api import check, compile, export, focus, info, ingest, open, plan, quality, report, simulate
     from blocksar.errors import InputError, ProcessingError
 
 __all__ = [
@@ -25,6 +25,7 @@ __all__ = [
     "compile",
     "export",
     "focus",
+    "info",
     "ingest",
     "open",
     "plan",

@@ -1,7 +1,7 @@
-"""The commands as functions: simulate, ingest, check, plan, focus, quality, report, export, open, demo, compile.
+"""The commands as functions: simulate, ingest, check, plan, focus, quality, report, export, open, info, demo, compile.
 
-One module for each stage: `sources`, `checking`, `planning`, `focusing` (with `jobs`), `measuring`, `exporting`,
-`demonstrating`, `compiling`. They share `arguments` and `reports`.
+One module for each stage: `sources`, `describing` (with `facts`), `checking`, `planning`, `focusing` (with `jobs`),
+`measuring`, `exporting`, `demonstrating`, `compiling`. They share `arguments` and `reports`.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from blocksar.api.checking import check
     from blocksar.api.compiling import compile
     from blocksar.api.demonstrating import demo
+    from blocksar.api.describing import info
     from blocksar.api.exporting import export, open, report
     from blocksar.api.focusing import focus
     from blocksar.api.measuring import quality
@@ -25,8 +26,9 @@ if TYPE_CHECKING:
 # The module of each function: it is loaded on first use, since a command needs one of them.
 _HOMES = {
     "Report": "reports", "check": "checking", "compile": "compiling", "demo": "demonstrating", "export": "exporting",
-    "focus": "focusing", "ingest": "sources", "ingest_cphd": "sources", "ingest_gotcha": "sources",
-    "open": "exporting", "plan": "planning", "quality": "measuring", "report": "exporting", "simulate": "sources",
+    "focus": "focusing", "info": "describing", "ingest": "sources", "ingest_cphd": "sources",
+    "ingest_gotcha": "sources", "open": "exporting", "plan": "planning", "quality": "measuring", "report": "exporting",
+    "simulate": "sources",
 }  # fmt: skip
 __all__ = [
     "Report",
@@ -35,6 +37,7 @@ __all__ = [
     "demo",
     "export",
     "focus",
+    "info",
     "ingest",
     "ingest_cphd",
     "ingest_gotcha",

@@ -6,17 +6,20 @@ Tables go to stdout, progress and messages to stderr.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import Annotated, Any, Literal
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
 
 from blocksar.budget import FIDELITY
-from blocksar.cli.display import show
-from blocksar.cli.endings import WRONG_INPUT, Commands, catch_signals, complain, ending
+from blocksar.cli.display import hint, show
+from blocksar.cli.endings import WRONG_INPUT, Commands, catch_signals, complain
+from blocksar.cli.exporting import export
+from blocksar.cli.ingesting import ingest
+from blocksar.cli.listening import listening
 from blocksar.cli.options import (
     PROCESSORS,
+    SHARED,
     AzimuthWeighting,
     Blocks,
     Fidelity,
@@ -28,20 +31,19 @@ from blocksar.cli.options import (
     ProcessorOption,
     Quiet,
     RangeWeighting,
+    Run,
+    StoreOut,
     Threads,
     WeightingOption,
     Workers,
+    given,
     method_options,
     parse_settings,
 )
 from blocksar.cli.parsing import parse_grid, parse_memory, parse_origin
 from blocksar.focusing.method import PlannedProcessor
 from blocksar.garbage import collect_seldom
-from blocksar.progress import Progress
 from blocksar.version import __version__
-
-Run = Annotated[str, typer.Argument(metavar="RUN", help="Folder of a finished run.")]
-StoreOut = Annotated[str, typer.Option(metavar="STORE", help="Phase-history store to write.")]
 
 app = typer.Typer(
     name="blocksar",
@@ -49,25 +51,13 @@ app = typer.Typer(
     help="Focus squint-TOPS radar data by angular blocks, in parallel, into a calibrated ground image."
     "\n\nExample: [bold]blocksar demo --out demo-run[/bold]",
     no_args_is_help=True,
-    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     rich_markup_mode="rich",
     # A traceback that reaches the user is a defect: print it whole and plain, so that it can be sent in.
     pretty_exceptions_enable=False,
 )
-
-
-@contextmanager
-def _listening(context: typer.Context) -> Iterator[Progress]:
-    """Show the progress of a command; log its settings and how it ends."""
-    settings = context.params
-    with Progress(quiet=settings["quiet"], log=settings["json_log"]) as progress:
-        progress.start(" ".join(context.command_path.split()[1:]), settings, __version__)
-        try:
-            yield progress
-        except BaseException as error:
-            progress.end(*ending(error))
-            raise
-        progress.end(0)
+app.add_typer(ingest)
+app.add_typer(export)
 
 
 def _print_version(requested: bool) -> None:
@@ -108,7 +98,7 @@ def demo(
 
     from blocksar import api
 
-    with _listening(context) as progress:
+    with listening(context) as progress:
         report = api.demo(
             out,
             workers=workers,
@@ -119,6 +109,7 @@ def demo(
             performance_report=performance_report,
         )
     show(report)
+    hint(context, "info", out)
 
 
 @app.command()
@@ -148,16 +139,40 @@ def simulate(
 
     from blocksar import api
 
-    with _listening(context) as progress:
+    with listening(context) as progress:
         api.simulate(
             scene, out, raw=raw, cphd=cphd, origin=place, threads=threads, overwrite=overwrite, progress=progress
         )
     typer.echo(f"wrote {out}")
+    hint(context, *(("ingest", "cphd", out, "--out", f"{Path(out).stem}.zarr") if cphd else ("plan", out)))
+
+
+@app.command()
+def info(
+    context: typer.Context,
+    path: Annotated[
+        str, typer.Argument(metavar="PATH", help="Phase history, run, image, CPHD file, Gotcha files, or scene.")
+    ],
+    quiet: Quiet = False,
+) -> None:
+    """Say what a file or folder holds: size, band, track, beam, grid, what was done to it, and what comes next.
+
+    Reads no samples.
+
+    Example: [bold]blocksar info table1.zarr[/bold]
+    """
+    from blocksar import api
+
+    found = api.info(path)
+    show(found)
+    for line in found.result["next"]:
+        hint(context, *line)
 
 
 @app.command()
 @method_options
 def plan(
+    context: typer.Context,
     source: Annotated[str, typer.Argument(metavar="PH.zarr|SCENE.toml", help="Phase-history store or scene.")],
     processor: Annotated[
         PlannedProcessor,
@@ -171,6 +186,7 @@ def plan(
     grid: GridOption = None,
     workers: Workers = None,
     memory_limit: MemoryLimit = None,
+    quiet: Quiet = False,
     **method: Any,
 ) -> None:
     """Show how a collection would be focused, and the predicted quality of its image.
@@ -190,13 +206,27 @@ def plan(
     show(proposal)
     if proposal.refusal is not None:
         complain(proposal.refusal, WRONG_INPUT)
+    _hint_after_plan(context, source, proposal)
+
+
+def _hint_after_plan(context: typer.Context, source: str, proposal: Any) -> None:
+    """Simulate a scene, or focus a phase history with the same options."""
+    shipped = "://" not in source and not Path(source).exists()
+    if shipped or source.endswith(".toml"):
+        hint(context, "simulate", source, "--out", f"{Path(source).stem}.zarr")
+        return
+    proposed = ["--processor", proposal.result.method.processor] if context.params["processor"] == "auto" else []
+    options = given(context, *SHARED, *(() if proposed else ("processor",)))
+    hint(context, "focus", source, "--out", "run", *proposed, *options)
 
 
 @app.command()
 def check(
+    context: typer.Context,
     source: Annotated[str, typer.Argument(metavar="PH.zarr", help="Phase-history store.")],
     grid: GridOption = None,
     threads: Threads = None,
+    quiet: Quiet = False,
 ) -> None:
     """Check that the samples are what is said of them: sign, order, track and beam.
 
@@ -210,6 +240,7 @@ def check(
     from blocksar import api
 
     show(api.check(source, grid=points, threads=threads))
+    hint(context, "plan", source, *given(context, "grid"))
 
 
 @app.command()
@@ -253,7 +284,7 @@ def focus(
 
         start_early(source, out, workers=workers, threads=threads)
 
-    with _listening(context) as progress:
+    with listening(context) as progress:
         report = api.focus(
             source,
             out,
@@ -267,10 +298,12 @@ def focus(
             performance_report=performance_report,
         )
     show(report)
+    hint(context, "quality", out)
 
 
 @app.command()
 def quality(
+    context: typer.Context,
     run: Run,
     targets: Annotated[
         str | None,
@@ -279,6 +312,7 @@ def quality(
     reference: Annotated[
         bool, typer.Option("--reference", help="Also compare image chips with exact back-projection.")
     ] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Measure side-lobe ratios, widths, position and calibration of every target.
 
@@ -289,6 +323,7 @@ def quality(
     from blocksar import api
 
     show(api.quality(run, targets=targets, reference=reference))
+    hint(context, "report", run)
 
 
 @app.command()
@@ -311,63 +346,10 @@ def report(
     """
     from blocksar import api
 
-    with _listening(context) as progress:
+    with listening(context) as progress:
         page = api.report(run, out=out, overwrite=overwrite, progress=progress)
     show(page)
-
-
-ingest = typer.Typer(
-    name="ingest",
-    help="Convert measured data to a phase history.\n\n"
-    "Example: [bold]blocksar ingest cphd collect.cphd --out collect.zarr[/bold]",
-    no_args_is_help=True,
-)
-app.add_typer(ingest)
-
-
-@ingest.command("cphd")
-def ingest_cphd(
-    context: typer.Context,
-    source: Annotated[str, typer.Argument(metavar="SOURCE.cphd", help="CPHD file, version 1.0.1 or 1.1.0.")],
-    out: StoreOut,
-    channel: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Channel to read, if the file has several.")
-    ] = None,
-    overwrite: Overwrite = False,
-    quiet: Quiet = False,
-    json_log: JsonLog = None,
-) -> None:
-    """Convert a CPHD file to a phase history, in the tangent frame at its scene's reference point.
-
-    Example: [bold]blocksar ingest cphd collect.cphd --out collect.zarr[/bold]
-    """
-    from blocksar import api
-
-    with _listening(context) as progress:
-        report = api.ingest_cphd(source, out, channel=channel, overwrite=overwrite, progress=progress)
-    show(report)
-
-
-@ingest.command("gotcha")
-def ingest_gotcha(
-    context: typer.Context,
-    source: Annotated[list[str], typer.Argument(metavar="SOURCE.mat...", help="MATLAB files of one pass.")],
-    out: StoreOut,
-    overwrite: Overwrite = False,
-    quiet: Quiet = False,
-    json_log: JsonLog = None,
-) -> None:
-    """Join MATLAB files of the AFRL Gotcha data set, in azimuth, into a phase history.
-
-    The phase history keeps the scene-centred frame of the files.
-
-    Example: [bold]blocksar ingest gotcha data_3dsar_pass1_az00*_HH.mat --out gotcha.zarr[/bold]
-    """
-    from blocksar import api
-
-    with _listening(context) as progress:
-        report = api.ingest_gotcha(source, out, overwrite=overwrite, progress=progress)
-    show(report)
+    hint(context, "export", "png", run, "--out", f"{Path(run).name}.png")
 
 
 @app.command("compile")
@@ -381,87 +363,10 @@ def compile_loops(context: typer.Context, quiet: Quiet = False, json_log: JsonLo
     """
     from blocksar import api
 
-    with _listening(context) as progress:
+    with listening(context) as progress:
         report = api.compile(progress=progress)
     show(report)
-
-
-export = typer.Typer(
-    name="export",
-    help="Export the image of a run to a standard file format.\n\n"
-    "Example: [bold]blocksar export png run --out image.png[/bold]",
-    no_args_is_help=True,
-)
-app.add_typer(export)
-
-
-@export.command("sicd")
-def export_sicd(
-    context: typer.Context,
-    run: Run,
-    out: Annotated[str, typer.Option(metavar="FILE", help="SICD file (NITF) to write.")],
-    overwrite: Overwrite = False,
-    quiet: Quiet = False,
-    json_log: JsonLog = None,
-) -> None:
-    """Write the complex image, on its ground plane, as a SICD file.
-
-    The run must be georeferenced.
-
-    Example: [bold]blocksar export sicd run --out image.nitf[/bold]
-    """
-    from blocksar import api
-
-    with _listening(context) as progress:
-        report = api.export("sicd", run, out, overwrite=overwrite, progress=progress)
-    show(report)
-
-
-@export.command("geotiff")
-def export_geotiff(
-    context: typer.Context,
-    run: Run,
-    out: Annotated[str, typer.Option(metavar="FILE", help="GeoTIFF to write.")],
-    content: Annotated[
-        Literal["amplitude", "complex"], typer.Option(help="Pixel values: amplitude in float32, or complex64.")
-    ] = "amplitude",
-    overwrite: Overwrite = False,
-    quiet: Quiet = False,
-    json_log: JsonLog = None,
-) -> None:
-    """Write the image as a cloud-optimised GeoTIFF.
-
-    The run must be georeferenced.
-
-    Example: [bold]blocksar export geotiff run --out image.tif[/bold]
-    """
-    from blocksar import api
-
-    with _listening(context) as progress:
-        report = api.export("geotiff", run, out, content=content, overwrite=overwrite, progress=progress)
-    show(report)
-
-
-@export.command("png")
-def export_png(
-    context: typer.Context,
-    run: Run,
-    out: Annotated[str, typer.Option(metavar="FILE", help="PNG to write.")],
-    overwrite: Overwrite = False,
-    quiet: Quiet = False,
-    json_log: JsonLog = None,
-) -> None:
-    """Draw the image in decibels as a PNG, with axes in metres.
-
-    Includes a scale bar, the look direction and north.
-
-    Example: [bold]blocksar export png run --out image.png[/bold]
-    """
-    from blocksar import api
-
-    with _listening(context) as progress:
-        report = api.export("png", run, out, overwrite=overwrite, progress=progress)
-    show(report)
+    hint(context, "demo", "--out", "demo-run")
 
 
 def main() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 import textwrap
 from collections.abc import Iterator, Sequence
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
 
 
 PIPE_WIDTH = 240  # columns of a table that does not go to a terminal: wide enough to fold nothing
+MIN_TEXT = 20  # columns to which a text may be folded
 TABLE_SIDES, COLUMN_GAP = 4, 3  # columns of the terminal that a table takes at its sides, and between its columns
 
 
@@ -41,6 +43,13 @@ def show(report: Report) -> None:
         typer.echo(wrap_line(line, console.width) if terminal else line)
 
 
+def hint(context: typer.Context, *command: str) -> None:
+    """Say on stderr which command comes next, unless the command is quiet; patterns of files stay as they are."""
+    if not context.params.get("quiet"):
+        words = [word if "*" in word and " " not in word else shlex.quote(word) for word in ("blocksar", *command)]
+        typer.echo(f"next: {' '.join(words)}", err=True)
+
+
 def tables(header: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> Iterator[Table]:
     """Divide a table into tables that fit into `width` columns of a terminal, to be printed below each other.
 
@@ -53,6 +62,8 @@ def tables(header: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> 
 
     columns = list(zip(header, *rows, strict=True))
     least = [max(map(cell_len, [*(column[0].split() or [""]), *column[1:]])) for column in columns]
+    if len(columns) == 2:  # names and texts: the texts are folded
+        least[1] = min(max(width - _total_width(least, [0]) - COLUMN_GAP, MIN_TEXT), least[1])
     for part in _divide(least, width):
         spare = max(width - _total_width(least, part), 0)
         # Text, not str: rich would take a unit in square brackets for markup.

@@ -12,6 +12,8 @@ import typer
 from blocksar.cli.parsing import Axis, parse_blocks, parse_grid, parse_memory
 from blocksar.focusing.method import Coefficients, Method, Processor
 
+Run = Annotated[str, typer.Argument(metavar="RUN", help="Folder of a finished run.")]
+StoreOut = Annotated[str, typer.Option(metavar="STORE", help="Phase-history store to write.")]
 ALTERNATIVES = "Alternative methods, for comparison"  # title of a panel in the help
 PROCESSORS = f"{', '.join(get_args(Processor)[:-1])}, or backprojection, exact but slow"
 # Help of each option of the method; a field of `Method` becomes an option of `plan` and `focus` by its entry here.
@@ -54,13 +56,36 @@ MemoryLimit = Annotated[
     str | None, typer.Option(metavar="SIZE", help="Memory per worker, such as 2GiB; default: its share.")
 ]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an existing output.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress, and no next command.")]
 JsonLog = Annotated[
     str | None, typer.Option(metavar="FILE", help="Append progress as JSON lines to a file, also with --quiet.")
 ]
 PerformanceReport = Annotated[
     str | None, typer.Option(metavar="FILE.html", help="Write dask's performance report, also if the run fails.")
 ]
+
+
+# Options of `plan` that `focus` has as well, the processor aside.
+SHARED = (
+    "blocks", "fidelity", "weighting", "weighting_range", "weighting_azimuth", "grid", "workers", "memory_limit",
+    *METHOD_HELP,
+)  # fmt: skip
+
+
+def given(context: typer.Context, *names: str) -> list[str]:
+    """Return options that stand on the command line, as its words."""
+    words: list[str] = []
+    for parameter in context.command.params:
+        source = context.get_parameter_source(parameter.name or "")
+        if parameter.name not in names or source is None or source.name != "COMMANDLINE":
+            continue
+        value = context.params[parameter.name]
+        option = max(parameter.opts, key=len)
+        if isinstance(value, bool):
+            words.append(option if value else parameter.secondary_opts[0])
+        else:
+            words += [option, str(value)]
+    return words
 
 
 class Settings(TypedDict):

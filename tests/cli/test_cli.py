@@ -22,7 +22,9 @@ from blocksar.progress import PLAIN_STEPS, Progress
 COMMANDS = {
     "demo": ["demo", "--out", "run"],
     "simulate": ["simulate", "table1", "--out", "ph.zarr"],
+    "info": ["info", "table1"],
     "plan": ["plan", "table1"],
+    "check": ["check", "ph.zarr"],
     "focus": ["focus", "ph.zarr", "--out", "run"],
     "quality": ["quality", "run"],
     "report": ["report", "run"],
@@ -32,6 +34,7 @@ REPORT = SimpleNamespace(
     summary=["three blocks"],
     table=lambda: [(["target", "width [m]"], [["A1", "1.89"], ["B2", "[bold]1.90"]])],
     refusal=None,
+    result={"next": [["plan", "a b.zarr"]]},
 )
 
 
@@ -370,9 +373,33 @@ def test_plain_progress_is_a_few_lines(api: Calls) -> None:
     lines = run("focus", "ph.zarr", "--out", "run").stderr.splitlines()
     told = [line.split(",")[0] for line in lines]
     assert told[0] == "recover: 0 of 1000"
-    assert told[-3:] == ["recover: 1000 of 1000", "mosaic: 1 of 1", "nothing: 0 of 0"]
-    assert len(lines) == PLAIN_STEPS + 3
+    assert told[-4:] == ["recover: 1000 of 1000", "mosaic: 1 of 1", "nothing: 0 of 0", "next: blocksar quality run"]
+    assert len(lines) == PLAIN_STEPS + 4
     assert run("focus", "ph.zarr", "--out", "run", "--quiet").stderr == ""
+
+
+NEXT = {
+    "demo --out run": "info run",
+    "simulate table1 --out ph.zarr": "plan ph.zarr",
+    "simulate table1 --out ph.cphd --cphd": "ingest cphd ph.cphd --out ph.zarr",
+    "info table1": "plan 'a b.zarr'",
+    "plan table1 --blocks 3": "simulate table1 --out table1.zarr",
+    "plan scenes/own.toml": "simulate scenes/own.toml --out own.zarr",
+    "plan s3://bucket/ph.zarr --blocks 3 --no-keystone --workers 2": (
+        "focus s3://bucket/ph.zarr --out run --blocks 3 --workers 2 --no-keystone"
+    ),
+    "check ph.zarr --grid 0:1:1,0:1:1": "plan ph.zarr --grid 0:1:1,0:1:1",
+    "focus ph.zarr --out run": "quality run",
+    "quality run": "report run",
+    "report a/run": "export png a/run --out run.png",
+    "compile": "demo --out demo-run",
+}
+
+
+@pytest.mark.parametrize("words", NEXT)
+def test_a_command_ends_with_the_next_one(words: str, api: Calls) -> None:
+    assert run(*words.split()).stderr.splitlines()[-1] == f"next: blocksar {NEXT[words]}"
+    assert "next: " not in run(*words.split(), "-q").output
 
 
 class Terminal(io.StringIO):

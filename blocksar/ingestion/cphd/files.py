@@ -113,8 +113,10 @@ def reading_file(path: Place) -> AbstractContextManager[None]:
     return reading(path, damaged="damaged, or no CPHD file", remedy="get it again")
 
 
-def open_file(file: BinaryIO, path: Path, channel: str | None) -> CphdFile:
+def open_file(file: BinaryIO, path: Path, channel: str | None, *, any_channel: bool = False) -> CphdFile:
     """Check header, XML and per-vector parameters, and that the samples are present.
+
+    Without `channel` the file must have one only, or its first is taken if `any_channel`.
 
     Raises
     ------
@@ -134,7 +136,7 @@ def open_file(file: BinaryIO, path: Path, channel: str | None) -> CphdFile:
     if root.tag != f"{{{NAMESPACE}{version}}}CPHD":
         raise InputError(f"the XML's root is {root.tag!r}, but the header says CPHD/{version}; make them agree")
     _check_supported(root)
-    identifier = _choose_channel(root, channel)
+    identifier = _choose_channel(root, channel, any_channel=any_channel)
     data = child_of(root, f"{{*}}Data/{{*}}Channel[{{*}}Identifier='{identifier}']", "Data/Channel")
     n_vector = _integer(data, "NumVectors", 8, MAX_VECTORS)
     n_sample = _integer(data, "NumSamples", 8, MAX_SAMPLES)
@@ -217,8 +219,8 @@ def _check_supported(root: Any) -> None:
         )
 
 
-def _choose_channel(root: Any, channel: str | None) -> str:
-    """The identifier of the requested channel, or of the only one."""
+def _choose_channel(root: Any, channel: str | None, *, any_channel: bool) -> str:
+    """The identifier of the requested channel, or of the only one; of the first if `any_channel`."""
     names = [node.text or "" for node in root.findall("{*}Data/{*}Channel/{*}Identifier")]
     if len(set(names)) != len(names) or not all(names) or any("'" in name for name in names):
         raise InputError(
@@ -229,7 +231,7 @@ def _choose_channel(root: Any, channel: str | None) -> str:
         if channel not in names:
             raise InputError(f"channel {channel!r} is not in it; it has {known}")
         return channel
-    if len(names) != 1:
+    if not names or (len(names) != 1 and not any_channel):
         raise InputError(f"it has {len(names)} channels, and one is ingested at a time; give --channel, one of {known}")
     return names[0]
 

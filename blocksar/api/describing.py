@@ -1,0 +1,257 @@
+"""info: what a path holds, in a page, and which command comes next. Reads no samples."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from blocksar import stores
+from blocksar.api import facts
+from blocksar.api.facts import Rows
+from blocksar.api.reports import Report
+from blocksar.collection.grid import Grid
+from blocksar.errors import InputError
+from blocksar.places import Location, place
+from blocksar.places.local import LocalPlace
+from blocksar.places.place import Place
+from blocksar.runs.record import RECORD, RunRecord
+from blocksar.simulation.scene import Scene, shipped_scenes
+
+Following = list[list[str]]  # command lines that come next, as words after `blocksar`
+PARTS = {"spectrum": "the recovered spectrum of a run", "patch": "one block's part of a run's image"}
+MADE = ("quality.json", "report.html", "mosaic.png", "contours.png")  # in a run folder, by other commands
+MOST_READ = 16  # files of the Gotcha set that are read; of more, the first and the last
+
+
+def info(path: Location) -> Report:
+    """Say what a path holds: its size, geometry, band, beam and grid, what was done to it, and what comes next.
+
+    Reads metadata only, and writes nothing.
+
+    Parameters
+    ----------
+    path : path
+        Phase history, run folder, image, CPHD file, file or folder of the AFRL Gotcha set, scene file, or the name of a
+        shipped scene.
+
+    Returns
+    -------
+    Report
+        `tables` has one table of names and texts; `result` is a dict: `kind`, `path`, `facts` (the same as a dict) and
+        `next` (command lines, as words after `blocksar`).
+
+    Raises
+    ------
+    InputError
+        If there is nothing, it is damaged, or it is none of these.
+    """
+    where = place(path)
+    if isinstance(where, LocalPlace) and not where.exists() and str(path) in shipped_scenes():
+        return _report("shipped scene", str(path), *_scene(str(path)))
+    try:
+        names = where.names()
+    except OSError as error:
+        raise InputError(f"{where} cannot be read ({error.strerror or error}); check its permissions") from error
+    if RECORD in names:
+        return _run(where)
+    if "zarr.json" in names or ".zgroup" in names:
+        return _store(where, names)
+    if isinstance(where, LocalPlace):
+        if where.path.is_file():
+            return _file(where)
+        if files := sorted(name for name in names if name.lower().endswith(".mat")):
+            return _report(
+                "folder of the AFRL Gotcha set",
+                str(where),
+                *_gotcha([where / name for name in files], f"{where / '*.mat'}"),
+            )
+    if not names and not where.exists():
+        raise InputError(f"{where} does not exist; check the path")
+    raise _unknown(where, names)
+
+
+def _unknown(where: Place, names: list[str]) -> InputError:
+    holds = f" (it holds {', '.join(names[:3])}{' ...' if len(names) > 3 else ''})" if names else ""
+    inside = [name for name in names if name.endswith(".zarr")]
+    remedy = f"look at {where / inside[0]}" if inside else (
+        "give a phase history, a run folder, an image.zarr, a CPHD file, files of the Gotcha set, or a scene"
+    )  # fmt: skip
+    return InputError(f"{where} is nothing that blocksar reads or writes{holds}; {remedy}")
+
+
+def _report(kind: str, name: str, rows: Rows, following: Following) -> Report:
+    """A report of one table, and its rows as a dict, in which an empty name goes on with the row above."""
+    entries: dict[str, str] = {}
+    last = ""
+    for label, text in rows:
+        last = label or last
+        entries[last] = text if label else f"{entries[last]}\n{text}"
+    result = {"kind": kind, "path": name, "facts": entries, "next": following}
+    return Report(tables=[((kind, name), rows)], result=result)
+
+
+# ---------------------------------------------------------------- stores
+
+
+def _store(where: Place, names: list[str]) -> Report:
+    if "signal" in names or "echo" in names:
+        return _report("phase history", str(where), *_phase_history(where))
+    if "image" in names:
+        return _report("image", str(where), *_image(where))
+    if "reference_range" in names:
+        collection, attrs = stores.read_collection(where)
+        rows = [*facts.general_rows(attrs), *facts.collection_rows(collection), *facts.history_rows(attrs)]
+        return _report("collection (a phase history without its samples)", str(where), rows, [])
+    for name, kind in PARTS.items():
+        if name in names:
+            return _report(kind, str(where), _size(where), [])
+    raise _unknown(where, names)
+
+
+def _size(where: Place) -> Rows:
+    size = facts.disk_size(where)
+    return [] if size is None else [("on disk", facts.size_text(size))]
+
+
+def _phase_history(where: Place) -> tuple[Rows, Following]:
+    history = stores.open_phase_history(where)
+    pulses, columns = history.shape
+    axis = "range frequencies" if history.raw is None else "fast-time samples (a raw echo, not range-compressed)"
+    rows = [
+        *facts.general_rows(history.attrs),
+        ("samples", f"{pulses} pulses x {columns} {axis}, {facts.size_text(8 * pulses * columns)} in memory"),
+        *_size(where),
+        *facts.collection_rows(history.collection),
+        *facts.history_rows(history.attrs),
+    ]
+    needs_grid = not history.collection.steered or history.collection.has_axis
+    grid = ["--grid", "x0:x1:dx,y0:y1:dy"] if needs_grid else []
+    return rows, [[command, str(where), *grid] for command in ("check", "plan")]
+
+
+def _image(where: Place) -> tuple[Rows, Following]:
+    x, y = (stores.read_region(where, name, (slice(None),)) for name in ("x", "y"))
+    attrs = dict(stores.open_dataset(where).attrs)
+    rows = [*facts.general_rows(attrs), ("grid", _pixels(x, y)), *_size(where), *facts.history_rows(attrs)]
+    return rows, []
+
+
+def _pixels(x: Any, y: Any) -> str:
+    steps = [float(axis[-1] - axis[0]) / max(axis.size - 1, 1) if axis.size else 0.0 for axis in (x, y)]
+    if not (x.size and y.size and min(steps) > 0):
+        return f"{x.size} x {y.size} pixels"
+    ends = ((axis[0], axis[0] + axis.size * step, step) for axis, step in zip((x, y), steps, strict=True))
+    (x0, x1, dx), (y0, y1, dy) = (tuple(float(np.round(number, 9)) for number in end) for end in ends)
+    return facts.grid_text(Grid(x0, x1, dx, y0, y1, dy))
+
+
+def _run(where: Place) -> Report:
+    record = RunRecord.read(where)
+    attrs: Mapping[str, Any] = {}
+    seen: Rows = []
+    if (where / "collection.zarr").exists():
+        collection, attrs = stores.read_collection(where / "collection.zarr")
+        seen = facts.collection_rows(collection)
+    made = [name for name in MADE if (where / name).exists()]
+    skipped = {"default grid", "footprint"}
+    rows = [
+        *facts.general_rows(attrs),
+        *facts.run_rows(record),
+        *_size(where),
+        *facts.made_row(made),
+        *(row for row in seen if row[0] not in skipped),
+    ]
+    if not record.finished:
+        source = record.input.path or "PH.zarr"
+        return _report("unfinished run", str(where), rows, [["focus", source, "--out", str(where)]])
+    following = [[command, str(where)] for command, name in
+                 (("quality", "quality.json"), ("report", "report.html")) if name not in made]  # fmt: skip
+    return _report("run", str(where), rows, [*following, ["export", "png", str(where), "--out", f"{where.name}.png"]])
+
+
+# ---------------------------------------------------------------- files
+
+
+def _file(where: LocalPlace) -> Report:
+    if where.name.lower().endswith(".mat"):
+        return _report("file of the AFRL Gotcha set", str(where), *_gotcha([where], str(where)))
+    if where.name.lower().endswith(".toml"):
+        return _report("scene", str(where), *_scene(where.path))
+    try:
+        with open(where.path, "rb") as file:
+            start = file.read(8)
+    except OSError as error:
+        raise InputError(f"{where} cannot be read ({error.strerror or error}); check its permissions") from error
+    if start.startswith(b"CPHD/"):
+        return _report("CPHD file", str(where), *_cphd(where))
+    raise _unknown(where, [])
+
+
+def _cphd(where: LocalPlace) -> tuple[Rows, Following]:
+    from blocksar.ingestion import cphd  # optional libraries, and slow to load
+
+    found = cphd.describe(where)
+    size = facts.size_text(facts.disk_size(where) or 0)
+    rows: Rows = [
+        ("title", found.collection.title),
+        ("format", f"CPHD {found.version}, {found.domain} domain, {size}"),
+        ("channels", ", ".join(f"{name} ({n} vectors x {m} samples)" for name, n, m in found.channels)),
+        *facts.general_rows(found.attributes),
+        *facts.collection_rows(found.collection),
+    ]
+    several = len(found.channels) > 1
+    rows += [("note", f"what follows the channels is that of {found.channels[0][0]}")] if several else []
+    chosen = ["--channel", found.channels[0][0]] if several else []
+    return rows, [["ingest", "cphd", str(where), *chosen, "--out", f"{where.path.stem}.zarr"]]
+
+
+def _gotcha(files: list[Place], pattern: str) -> tuple[Rows, Following]:
+    from blocksar.ingestion.gotcha.files import read_headers
+
+    read = [read_headers(path) for path in (files if len(files) <= MOST_READ else [files[0], files[-1]])]
+    azimuths = [np.degrees(np.arctan2(file.position[:, 1], file.position[:, 0])) for file in read]
+    frequency = read[0].frequency
+    position = np.concatenate([file.position for file in read])
+    polarisations = sorted({file.polarisation for file in read if file.polarisation})
+    passes = sorted({file.pass_ for file in read if file.pass_})
+    size = sum(facts.disk_size(path) or 0 for path in files)
+    rows: Rows = [
+        ("files", f"{len(files)}, {facts.size_text(size)}" + ("" if len(read) == len(files) else
+                  "; the first and the last were read"))
+    ]  # fmt: skip
+    rows += [("pass", ", ".join(passes))] if passes else []
+    rows += [("polarization", ", ".join(polarisations))] if polarisations else []
+    rows += [
+        ("azimuth", f"{azimuths[0].min():.2f} .. {azimuths[-1].max():.2f} degrees"),
+        ("pulses", f"{sum(len(file.checksums) for file in read)} in the files that were read"),
+        ("band", f"{(frequency[0] + frequency[-1]) / 2e9:.5g} GHz; {(frequency[-1] - frequency[0]) / 1e6:.4g} MHz in "
+                 f"{frequency.size} frequencies"),
+        ("track", f"{np.linalg.norm(position, axis=1).mean():.5g} m from the scene's centre, "
+                  f"{position[:, 2].mean():.5g} m above it"),
+        ("beam", "not steered: it lights everything all the time, so that a grid is needed"),
+    ]  # fmt: skip
+    return rows, [["ingest", "gotcha", pattern, "--out", "gotcha.zarr"]]
+
+
+def _scene(source: str | Path) -> tuple[Rows, Following]:
+    scene = Scene.read(source)
+    collection = scene.collection()
+    n = len(scene.point_targets())
+    holds = [f"{n} point target{'s' if n > 1 else ''}"] if n else []
+    holds += [name for name, table in (
+        ("clutter", scene.clutter), ("a reflectivity map", scene.reflectivity), ("noise", scene.noise),
+        ("dropped pulses", scene.dropped),
+    ) if table is not None]  # fmt: skip
+    size = 8 * collection.n_pulse * collection.n_range_frequency
+    rows = [
+        ("title", scene.title),
+        ("holds", ", ".join(holds) or "nothing"),
+        ("samples", f"{collection.n_pulse} pulses x {collection.n_range_frequency} range frequencies, "
+                    f"{facts.size_text(size)}"),
+        *facts.collection_rows(collection),
+    ]  # fmt: skip
+    name = scene.name or "scene"
+    return rows, [["plan", str(source)], ["simulate", str(source), "--out", f"{name}.zarr"]]

@@ -1,0 +1,65 @@
+"""The commands below `ingest`: measured data to phase histories."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from blocksar.cli.display import hint, show
+from blocksar.cli.listening import listening
+from blocksar.cli.options import JsonLog, Overwrite, Quiet, StoreOut
+
+ingest = typer.Typer(
+    name="ingest",
+    help="Convert measured data to a phase history.\n\n"
+    "Example: [bold]blocksar ingest cphd collect.cphd --out collect.zarr[/bold]",
+    no_args_is_help=True,
+)
+
+
+@ingest.command("cphd")
+def ingest_cphd(
+    context: typer.Context,
+    source: Annotated[str, typer.Argument(metavar="SOURCE.cphd", help="CPHD file, version 1.0.1 or 1.1.0.")],
+    out: StoreOut,
+    channel: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Channel to read, if the file has several.")
+    ] = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    json_log: JsonLog = None,
+) -> None:
+    """Convert a CPHD file to a phase history, in the tangent frame at its scene's reference point.
+
+    Example: [bold]blocksar ingest cphd collect.cphd --out collect.zarr[/bold]
+    """
+    from blocksar import api
+
+    with listening(context) as progress:
+        report = api.ingest_cphd(source, out, channel=channel, overwrite=overwrite, progress=progress)
+    show(report)
+    hint(context, "info", out)
+
+
+@ingest.command("gotcha")
+def ingest_gotcha(
+    context: typer.Context,
+    source: Annotated[list[str], typer.Argument(metavar="SOURCE.mat...", help="MATLAB files of one pass.")],
+    out: StoreOut,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    json_log: JsonLog = None,
+) -> None:
+    """Join MATLAB files of the AFRL Gotcha data set, in azimuth, into a phase history.
+
+    The phase history keeps the scene-centred frame of the files.
+
+    Example: [bold]blocksar ingest gotcha data_3dsar_pass1_az00*_HH.mat --out gotcha.zarr[/bold]
+    """
+    from blocksar import api
+
+    with listening(context) as progress:
+        report = api.ingest_gotcha(source, out, overwrite=overwrite, progress=progress)
+    show(report)
+    hint(context, "info", out)

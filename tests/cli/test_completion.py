@@ -1,0 +1,55 @@
+"""Shell completion, which typer provides, and `-h`."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from blocksar.cli import commands
+
+
+def completed(line: str, shell: str = "bash") -> str:
+    """What completion offers for a command line."""
+    words = line.split(" ")
+    environment = {"COMP_WORDS": line, "COMP_CWORD": str(len(words) - 1), "_TYPER_COMPLETE_ARGS": line}
+    done = subprocess.run(
+        [sys.executable, "-c", "from blocksar.cli import main; main()"], capture_output=True, text=True, check=False,
+        env={**os.environ, "_BLOCKSAR_COMPLETE": f"complete_{shell}", **environment},
+    )  # fmt: skip
+    assert done.stderr == ""
+    return done.stdout
+
+
+def test_commands_options_and_values_are_completed() -> None:
+    assert completed("blocksar fo").split() == ["focus"]
+    assert "--weighting-azimuth" in completed("blocksar focus --weighting-").split()
+    assert completed("blocksar export ge").split() == ["geotiff"]
+    assert "keystone-resampling" in completed("blocksar focus --processor ").split()
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_the_script_of_a_shell_is_printed(shell: str) -> None:
+    done = CliRunner().invoke(commands.app, [], env={"_BLOCKSAR_COMPLETE": f"source_{shell}"}, prog_name="blocksar")
+    assert done.exit_code == 0 and "_BLOCKSAR_COMPLETE=complete_" in done.stdout and "blocksar" in done.stdout
+
+
+def every_command() -> list[tuple[tuple[str, ...], object]]:
+    group = typer.main.get_command(commands.app)
+    found: list[tuple[tuple[str, ...], object]] = []
+    for name, command in group.commands.items():  # type: ignore[attr-defined]
+        below = getattr(command, "commands", None)
+        found += [((name, sub), entry) for sub, entry in below.items()] if below else [((name,), command)]
+    return found
+
+
+@pytest.mark.parametrize("names", [names for names, _ in every_command()], ids=" ".join)
+def test_every_command_has_short_help_and_can_be_quiet(names: tuple[str, ...]) -> None:
+    short, long = (CliRunner().invoke(commands.app, [*names, option]) for option in ("-h", "--help"))
+    assert short.exit_code == 0 and short.stdout == long.stdout
+    options = {option for parameter in dict(every_command())[names].params for option in parameter.opts}  # type: ignore[attr-defined]
+    assert {"-q", "--quiet"} <= options
