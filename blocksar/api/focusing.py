@@ -18,6 +18,7 @@ from blocksar.api.arguments import GridLike, grid_of
 from blocksar.api.checking import check_samples
 from blocksar.api.jobs import Job, Request
 from blocksar.api.planning import undersampling
+from blocksar.api.rehearsing import rehearse
 from blocksar.api.reports import Report
 from blocksar.budget import FIDELITY
 from blocksar.collection.weighting import Weighting
@@ -80,6 +81,7 @@ def focus(
     memory_limit: int | None = None,
     scheduler: str | None = None,
     overwrite: bool = False,
+    dry_run: bool = False,
     progress: Progress | None = None,
     performance_report: str | Path | None = None,
     client: Client | None = None,
@@ -128,6 +130,8 @@ def focus(
         Address of a running dask scheduler, used instead of a local cluster.
     overwrite : bool
         Replace a run with other settings or another input. Default: False.
+    dry_run : bool
+        Say what would be done, and write nothing: `tables` and `result` are then those of `plan`. Default: False.
     progress : object with a method update(stage, done, total), optional
         Called with the name of the stage (str) and the numbers of finished and of all units (int). A
         `blocksar.progress.Listener` receives more. Default: nothing is reported.
@@ -171,7 +175,7 @@ def focus(
     if profile is not None:
         recording.check_recordable(profile, client)
     record = request.find_run()
-    if record is not None and record.finished:
+    if record is not None and record.finished and not dry_run:
         if profile is not None:
             listener.note(f"nothing was done, so there is no performance report at {profile}")
         return _report_finished(request.folder, record)
@@ -183,6 +187,8 @@ def focus(
             if profile is not None:
                 recording.check_recordable(profile, connected)
         machine = resources(workers, threads, memory_limit)
+        if dry_run:
+            return rehearse(request, record, machine)
         stack.enter_context(run_folder.claim(request.folder))
         record = request.find_run()  # again: another process may have written it in the meantime
         if record is not None and record.finished:

@@ -141,8 +141,8 @@ def plan(
 
 def _report_plan(plan: Plan) -> Report:
     return Report(
-        tables=[_block_table(plan), _coherence_table(plan)],
-        summary=_plan_lines(plan),
+        tables=plan_tables(plan),
+        summary=plan_lines(plan),
         refusal=plan.refusal,
         result=plan,
     )
@@ -177,6 +177,11 @@ def _contender_row(contender: Contender, least: float) -> list[str]:
         f"{p.width:.3f}", f"{p.migration:.3f}", _digits(plan.coherence), f"{plan.work() / least:.2f}",
         f"{plan.memory / MIB:.0f}", "yes" if contender.serves else "no",
     ]  # fmt: skip
+
+
+def plan_tables(plan: Plan) -> list[Table]:
+    """The blocks of a plan, and the coherence that is predicted for each."""
+    return [_block_table(plan), _coherence_table(plan)]
 
 
 def _block_table(plan: Plan) -> Table:
@@ -226,7 +231,8 @@ def _block_row(block: BlockPlan) -> list[str]:
     ]
 
 
-def _plan_lines(plan: Plan) -> list[str]:
+def plan_lines(plan: Plan) -> list[str]:
+    """What there is to say of a plan besides its tables."""
     recovery, collection, grid = plan.recovery, plan.geometry.collection, plan.grid
     spectrum = recovery.doppler.size * collection.n_range_frequency * 8
     divided = f" of {plan.parts} range sub-blocks each" if plan.parts > 1 else ""

@@ -12,6 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from blocksar.budget import FIDELITY
+from blocksar.cli.configuration import ConfigOption, PrintConfig, configuration
 from blocksar.cli.display import hint, show
 from blocksar.cli.endings import WRONG_INPUT, Commands, catch_signals, complain
 from blocksar.cli.exporting import export
@@ -19,7 +20,6 @@ from blocksar.cli.ingesting import ingest
 from blocksar.cli.listening import listening
 from blocksar.cli.options import (
     PROCESSORS,
-    SHARED,
     AzimuthWeighting,
     Blocks,
     Fidelity,
@@ -186,6 +186,7 @@ def plan(
     grid: GridOption = None,
     workers: Workers = None,
     memory_limit: MemoryLimit = None,
+    config: ConfigOption = None,
     quiet: Quiet = False,
     **method: Any,
 ) -> None:
@@ -216,8 +217,7 @@ def _hint_after_plan(context: typer.Context, source: str, proposal: Any) -> None
         hint(context, "simulate", source, "--out", f"{Path(source).stem}.zarr")
         return
     proposed = ["--processor", proposal.result.method.processor] if context.params["processor"] == "auto" else []
-    options = given(context, *SHARED, *(() if proposed else ("processor",)))
-    hint(context, "focus", source, "--out", "run", *proposed, *options)
+    hint(context, "focus", source, "--out", "run", *proposed, *given(context, *(["processor"] if proposed else [])))
 
 
 @app.command()
@@ -240,7 +240,7 @@ def check(
     from blocksar import api
 
     show(api.check(source, grid=points, threads=threads))
-    hint(context, "plan", source, *given(context, "grid"))
+    hint(context, "plan", source, *given(context, "threads"))
 
 
 @app.command()
@@ -264,6 +264,11 @@ def focus(
     ] = None,
     performance_report: PerformanceReport = None,
     overwrite: Overwrite = False,
+    config: ConfigOption = None,
+    print_config: PrintConfig = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Say what would be done, with memory and disk, and write nothing.")
+    ] = False,
     quiet: Quiet = False,
     json_log: JsonLog = None,
     **method: Any,
@@ -276,10 +281,13 @@ def focus(
     """
     tapers = (weighting, weighting_range, weighting_azimuth)
     settings = parse_settings(blocks, fidelity, tapers, grid, workers, memory_limit)
+    if print_config:
+        typer.echo(configuration(context))
+        return
 
     from blocksar import api
 
-    if scheduler is None:
+    if scheduler is None and not dry_run:
         from blocksar.graph.starting import start_early
 
         start_early(source, out, workers=workers, threads=threads)
@@ -296,9 +304,13 @@ def focus(
             overwrite=overwrite,
             progress=progress,
             performance_report=performance_report,
+            dry_run=dry_run,
         )
     show(report)
-    hint(context, "quality", out)
+    if dry_run:
+        hint(context, "focus", source, "--out", out, *given(context, "out", "dry_run"))
+    else:
+        hint(context, "quality", out)
 
 
 @app.command()

@@ -65,22 +65,15 @@ PerformanceReport = Annotated[
 ]
 
 
-# Options of `plan` that `focus` has as well, the processor aside.
-SHARED = (
-    "blocks", "fidelity", "weighting", "weighting_range", "weighting_azimuth", "grid", "workers", "memory_limit",
-    *METHOD_HELP,
-)  # fmt: skip
-
-
-def given(context: typer.Context, *names: str) -> list[str]:
-    """Return options that stand on the command line, as its words."""
+def given(context: typer.Context, *without: str) -> list[str]:
+    """Return the options that stand on the command line, except some, as its words."""
     words: list[str] = []
     for parameter in context.command.params:
         source = context.get_parameter_source(parameter.name or "")
-        if parameter.name not in names or source is None or source.name != "COMMANDLINE":
-            continue
-        value = context.params[parameter.name]
         option = max(parameter.opts, key=len)
+        if parameter.name in without or source is None or source.name != "COMMANDLINE" or not option.startswith("-"):
+            continue
+        value = context.params[parameter.name or ""]
         if isinstance(value, bool):
             words.append(option if value else parameter.secondary_opts[0])
         else:

@@ -103,6 +103,7 @@ def test_focus_passes_every_option(api: Calls) -> None:
         "scheduler": "tcp://a:1",
         "overwrite": True,
         "performance_report": None,
+        "dry_run": False,
     }
 
 

@@ -1,0 +1,63 @@
+"""What `focus` would do, without doing it."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+from blocksar.api.facts import size_text
+from blocksar.api.jobs import Job, Request
+from blocksar.api.planning import plan_lines, plan_tables
+from blocksar.api.reports import Report
+from blocksar.graph.machine import Resources
+from blocksar.places.local import LocalPlace
+from blocksar.places.place import Place
+from blocksar.planning.disk import run_bytes
+from blocksar.runs.record import RunRecord
+
+
+def rehearse(request: Request, earlier: RunRecord | None, machine: Resources) -> Report:
+    """Say what `focus` would do with a request: its plan, memory, and disk. Writes nothing.
+
+    `earlier` is the run in the folder that would be resumed, or is finished; `result` is the plan, None for
+    back-projection or if nothing is left to do.
+
+    Raises
+    ------
+    InputError
+        As `focus`.
+    """
+    if earlier is not None and earlier.finished:
+        return Report(
+            summary=[f"{request.folder} is finished already with these settings and this input: nothing would be done"]
+        )
+    job = Job.of(request, earlier, machine)
+    plan = job.plan
+    lines = [] if plan is None else plan_lines(plan)
+    cluster = (
+        f"{machine.workers} workers of {machine.threads} threads, each planned to take {size_text(job.memory)} of the "
+        f"{size_text(machine.memory_limit)} that it may"
+    )
+    size = 8 * job.grid.shape[0] * job.grid.shape[1] if plan is None else sum(run_bytes(plan).values())
+    return Report(
+        tables=[] if plan is None else plan_tables(plan),
+        summary=[*lines, cluster, f"{_doing(request, earlier)}: about {size_text(size)}{_free(request.folder, size)}",
+                 "nothing was done: leave out --dry-run to focus"],
+        result=plan,
+    )  # fmt: skip
+
+
+def _doing(request: Request, earlier: RunRecord | None) -> str:
+    if earlier is not None:
+        return f"would go on with the unfinished run in {request.folder}"
+    replaced = request.overwrite and request.folder.exists() and request.folder.names()
+    return f"would replace what is in {request.folder}" if replaced else f"would write {request.folder}"
+
+
+def _free(folder: Place, size: int) -> str:
+    """How much room there is on the disk of a local folder, and a warning if that is too little."""
+    if not isinstance(folder, LocalPlace):
+        return ""
+    there = next(path for path in (folder.path, *folder.path.parents) if path.exists())
+    free = shutil.disk_usage(Path(there)).free
+    return f", of {size_text(free)} free" + (", which is too little" if free < size else "")
