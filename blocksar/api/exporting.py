@@ -14,6 +14,8 @@ from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
 from blocksar.products import geotiff
+from blocksar.products.options import OPTIONS, check_ending, parse_crop, parse_looks, parse_range
+from blocksar.products.pixels import Content, Scale, checked_limits, pixels_of
 from blocksar.products.sicd import nitf as sicd
 from blocksar.progress import Updated as Progress
 from blocksar.progress import as_listener
@@ -134,7 +136,13 @@ def export(
     run: Location,
     out: Location,
     *,
-    content: Literal["amplitude", "complex"] | None = None,
+    content: Content | None = None,
+    looks: tuple[int, int] | str | None = None,
+    scale: Scale | None = None,
+    range: tuple[float, float] | str | None = None,
+    crop: tuple[tuple[float, float], tuple[float, float]] | str | None = None,
+    colour_map: str | None = None,
+    size: int | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> Report:
@@ -148,8 +156,24 @@ def export(
         Folder of a finished run.
     out : path
         Local file to write.
-    content : {"amplitude", "complex"}, optional
-        Pixels of a GeoTIFF: float32 or complex64. Default: "amplitude". Only for `kind="geotiff"`.
+    content : {"amplitude", "power", "db", "complex"}, optional
+        Pixels of a GeoTIFF: float32, or complex64. Default: "amplitude", or "db" with `scale`. Only for
+        `kind="geotiff"`.
+    looks : (int, int) or str, optional
+        Pixels along y and along x of the cells over which a GeoTIFF averages power, such as (4, 2) or "4x2". Cells that
+        are not covered as a whole are no data. Default: no averaging.
+    scale : {"uint8", "uint16"}, optional
+        Whole numbers in which a GeoTIFF stores dB: 1 at the lower end of `range`, 0 where not covered. Default:
+        float32.
+    range : (float, float) or str, optional
+        dB at the ends of a picture's colours, or of `scale`, such as (-40, 0) or "-40:0". Default: by the image.
+    crop : ((float, float), (float, float)) or str, optional
+        Ends of x and of y, m, of the part to write, such as "0:500,18000:18500"; not for SICD. Default: the whole
+        image.
+    colour_map : str, optional
+        Of a PNG, by matplotlib's name. Default: "gray".
+    size : int, optional
+        Pixels of a PNG along its longer side. Default: by the image, up to about 1700.
     overwrite : bool
         Replace what stands at `out`. Default: False.
     progress : object with a method update(stage, done, total), optional
@@ -164,27 +188,37 @@ def export(
     Raises
     ------
     InputError
-        If the run is not finished, has no georeference though the product needs one, a library is not installed, or
-        `out` exists and `overwrite` is False.
+        If the run is not finished, has no georeference though the product needs one, a library is not installed, an
+        option is wrong or not one of the product's, or `out` has the ending of another product, or exists and
+        `overwrite` is False.
     ProcessingError
         If writing fails; what stood at `out` stays.
     """
-    folder = place(run)
-    if content is not None and kind != "geotiff":
-        raise InputError(f"content is {content!r}, but only a geotiff comes as amplitude or complex; leave it out")
-    source = FinishedRun.open(folder)
+    if kind not in OPTIONS:
+        raise InputError(f"kind is {kind!r}; it must be 'sicd', 'geotiff' or 'png'")
+    given = {"content": content, "looks": looks, "scale": scale, "range": range, "crop": crop,
+             "colour_map": colour_map, "size": size}  # fmt: skip
+    for name, value in given.items():
+        if value is not None and name not in OPTIONS[kind]:
+            kinds = [other for other, names in OPTIONS.items() if name in names]
+            raise InputError(f"{name} is {value!r}, but it is an option of {' and '.join(kinds)} only; leave it out")
+    check_ending(kind, str(place(out)))
+    source = FinishedRun.open(place(run))
+    if crop is not None:
+        source = source.cropped(*parse_crop(crop))
+    limits = None if range is None else checked_limits(parse_range(range))
     callback = only_stage(progress, "export")
-    match kind:
-        case "sicd":
-            lines = sicd.write(source, out, overwrite=overwrite, progress=callback)
-        case "geotiff":
-            lines = geotiff.write(source, out, content=content or "amplitude", overwrite=overwrite, progress=callback)
-        case "png":
-            try:
-                from blocksar.products.pictures import quicklook  # optional, and slow to load
-            except ModuleNotFoundError as error:
-                raise InputError(f"{error.name} is not installed, which PNG needs; install blocksar[plots]") from None
-            lines = quicklook.write(source, out, overwrite=overwrite, progress=callback)
-        case _:
-            raise InputError(f"kind is {kind!r}; it must be 'sicd', 'geotiff' or 'png'")
+    if kind == "sicd":
+        lines = sicd.write(source, out, overwrite=overwrite, progress=callback)
+    elif kind == "geotiff":
+        pixels = pixels_of(source, content=content, looks=parse_looks(looks or (1, 1)), scale=scale, limits=limits)
+        lines = geotiff.write(pixels, out, overwrite=overwrite, progress=callback)
+    else:
+        try:
+            from blocksar.products.pictures import quicklook  # optional, and slow to load
+        except ModuleNotFoundError as error:
+            raise InputError(f"{error.name} is not installed, which PNG needs; install blocksar[plots]") from None
+        lines = quicklook.write(
+            source, out, limits=limits, colour_map=colour_map, size=size, overwrite=overwrite, progress=callback
+        )
     return Report(summary=[*lines, f"wrote {place(out)}"])

@@ -10,6 +10,11 @@ from blocksar.cli.display import hint, show
 from blocksar.cli.listening import listening
 from blocksar.cli.options import JsonLog, Overwrite, Quiet, Run
 
+Crop = Annotated[
+    str | None,
+    typer.Option(metavar="x0:x1,y0:y1", help="Write only this part of the ground, m.", show_default="the whole image"),
+]
+
 export = typer.Typer(
     name="export",
     help="Export the image of a run to a standard file format.\n\n"
@@ -47,8 +52,24 @@ def export_geotiff(
     run: Run,
     out: Annotated[str, typer.Option(metavar="FILE", help="GeoTIFF to write.")],
     content: Annotated[
-        Literal["amplitude", "complex"], typer.Option(help="Pixel values: amplitude in float32, or complex64.")
-    ] = "amplitude",
+        Literal["amplitude", "power", "db", "complex"] | None,
+        typer.Option(help="Pixel values, in float32, or complex64.", show_default="amplitude; db with --scale"),
+    ] = None,
+    looks: Annotated[
+        str | None,
+        typer.Option(
+            metavar="AxB", help="Average power over cells of A pixels along y and B along x.", show_default="1x1"
+        ),
+    ] = None,
+    scale: Annotated[
+        Literal["uint8", "uint16"] | None,
+        typer.Option(help="Store dB as whole numbers, 0 where not covered.", show_default="float32"),
+    ] = None,
+    range: Annotated[
+        str | None,
+        typer.Option("--range", metavar="LOW:HIGH", help="dB at the ends of --scale.", show_default="by the image"),
+    ] = None,
+    crop: Crop = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
     json_log: JsonLog = None,
@@ -62,7 +83,10 @@ def export_geotiff(
     from blocksar import api
 
     with listening(context) as progress:
-        report = api.export("geotiff", run, out, content=content, overwrite=overwrite, progress=progress)
+        report = api.export(
+            "geotiff", run, out, content=content, looks=looks, scale=scale, range=range, crop=crop, overwrite=overwrite,
+            progress=progress,
+        )  # fmt: skip
     show(report)
     hint(context, "report", run)
 
@@ -72,6 +96,21 @@ def export_png(
     context: typer.Context,
     run: Run,
     out: Annotated[str, typer.Option(metavar="FILE", help="PNG to write.")],
+    range: Annotated[
+        str | None,
+        typer.Option("--range", metavar="LOW:HIGH", help="dB at the ends of the colours.", show_default="by the image"),
+    ] = None,
+    colour_map: Annotated[
+        str | None,
+        typer.Option(
+            "--colour-map", "--color-map", metavar="NAME", help="One of matplotlib's colour maps.", show_default="gray"
+        ),
+    ] = None,
+    size: Annotated[
+        int | None,
+        typer.Option(metavar="PIXELS", help="Longer side of the picture.", show_default="by the image, up to 1700"),
+    ] = None,
+    crop: Crop = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
     json_log: JsonLog = None,
@@ -85,6 +124,9 @@ def export_png(
     from blocksar import api
 
     with listening(context) as progress:
-        report = api.export("png", run, out, overwrite=overwrite, progress=progress)
+        report = api.export(
+            "png", run, out, range=range, colour_map=colour_map, size=size, crop=crop, overwrite=overwrite,
+            progress=progress,
+        )  # fmt: skip
     show(report)
     hint(context, "report", run)

@@ -15,7 +15,9 @@ import xarray as xr
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.collection.georeference import Georeference
 from blocksar.errors import InputError
+from blocksar.measurement.looks import checked_looks, power_of
 from blocksar.measurement.response import MIN_HALF_TAPS, Complex128Array, interpolate
+from blocksar.products.options import parse_looks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -97,6 +99,37 @@ class SarAccessor:
         if "grid_mapping" in image.attrs:
             power.attrs["grid_mapping"] = image.attrs["grid_mapping"]
         return power.rename("power")
+
+    def multilook(self, looks: tuple[int, int] | str) -> xr.DataArray:
+        """Average power over whole cells of pixels, with less speckle; reads the whole image unless it has chunks.
+
+        Parameters
+        ----------
+        looks : (int, int) or str
+            Pixels along y and along x of a cell, such as (4, 2) or "4x2".
+
+        Returns
+        -------
+        DataArray
+            Power (y, x) over that of unit reflectivity, float32, at the middles of the cells; NaN where any pixel of a
+            cell is not covered. Pixels beyond the last whole cell are left out.
+
+        Raises
+        ------
+        InputError
+            If the looks are wrong, or leave fewer than two cells along an axis.
+        """
+        image = self._image
+        rows, columns = checked_looks(parse_looks(looks), (image.sizes["y"], image.sizes["x"]))
+        pixels = image.isel(y=slice(image.sizes["y"] // rows * rows), x=slice(image.sizes["x"] // columns * columns))
+        power = xr.apply_ufunc(
+            power_of, pixels, dask="parallelized", dask_gufunc_kwargs={"meta": np.empty((0, 0), np.float32)}
+        )
+        cells = power.astype(np.float64).coarsen(y=rows, x=columns).reduce(np.mean).astype(np.float32)
+        cells.attrs = {"units": "1", "long_name": "power over that of unit reflectivity", "looks": f"{rows}x{columns}"}
+        if "grid_mapping" in image.attrs:
+            cells.attrs["grid_mapping"] = image.attrs["grid_mapping"]
+        return cells.rename("power")
 
     def crop(self, x: Span = (None, None), y: Span = (None, None)) -> xr.Dataset:
         """Select the pixels between ground coordinates, ends included; reads no pixel.

@@ -1,9 +1,10 @@
 """The image of a run as a cloud-optimised GeoTIFF, through GDAL (rasterio).
 
-Pixels equal those of the image bit for bit, north up; nothing is resampled. A GIS also needs a map projection in which
-the pixels form a grid. Transverse Mercator about the scene frame's origin, with a scale of 1 + height / radius of
-curvature, comes very close: its easting and northing equal x and y of the frame's horizontal plane but for
-d^3 / (3 R^2) at the distance d (8 mm at 10 km). UTM would need resampling, or a grid that is rotated and sheared.
+Pixels equal those of the image bit for bit, or are means over whole cells of them, north up; nothing is resampled. A
+GIS also needs a map projection in which the pixels form a grid. Transverse Mercator about the scene frame's origin,
+with a scale of 1 + height / radius of curvature, comes very close: its easting and northing equal x and y of the
+frame's horizontal plane but for d^3 / (3 R^2) at the distance d (8 mm at 10 km). UTM would need resampling, or a grid
+that is rotated and sheared.
 
 Where the error exceeds a twentieth of a pixel, because the origin is far away (as a platform's nadir is) or the frame
 is rotated from north, the projection is centred on the image instead, and the best affine map places the pixels,
@@ -14,7 +15,7 @@ the file.
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -23,17 +24,16 @@ from blocksar.collection.georeference import Georeference
 from blocksar.errors import InputError, printable
 from blocksar.places import Location
 from blocksar.places.local import temporary_name
+from blocksar.products.pixels import Pixels
 from blocksar.products.writing import replacing
 from blocksar.progress.listening import Callback
-from blocksar.runs.finished import FinishedRun
 from blocksar.version import __version__
 
 if TYPE_CHECKING:
     from pyproj import CRS
 
 
-Content = Literal["amplitude", "complex"]
-
+OVERVIEWS = {"amplitude": "average", "power": "average"}
 MAX_ERROR = 0.05  # pixels that a pixel may lie off its exact place
 TILE = 512  # pixels a side
 TRAILER = 4  # bytes after each tile of GDAL's COG, which repeat its last four
@@ -60,20 +60,19 @@ class Placement(NamedTuple):
 
 
 def write(
-    source: FinishedRun,
+    pixels: Pixels,
     out: Location,
     *,
-    content: Content = "amplitude",
     overwrite: bool = False,
     progress: Callback | None = None,
 ) -> list[str]:
-    """Write the image as one cloud-optimised GeoTIFF, holding one strip of pixels at a time.
+    """Write pixels as one cloud-optimised GeoTIFF, holding one strip of them at a time.
 
     Parameters
     ----------
-    content : "amplitude" or "complex"
-        float32 |image| with averaged overviews, or the complex64 pixels with nearest-neighbour overviews (the mean of
-        complex pixels is no image). NaN means no data in both.
+    pixels : Pixels
+        Overviews hold means of amplitude and power, and nearest neighbours of complex pixels and of decibels, whose
+        means say nothing. NaN means no data; 0 in whole numbers, whose scale and offset the band tells.
 
     Returns
     -------
@@ -93,51 +92,58 @@ def write(
         from rasterio.errors import RasterioError
     except ModuleNotFoundError as error:
         raise InputError(f"{error.name} is not installed, which GeoTIFF needs; install blocksar[geotiff]") from None
-    placement = place_pixels(source, source.placed("a GeoTIFF"))
+    source = pixels.source
+    placement = place_pixels(pixels, source.placed("a GeoTIFF"))
     listener = progress or (lambda done, total: None)
     source.coverage()  # raises if no pixel is covered
     with replacing(out, overwrite=overwrite) as part, rasterio.Env(GDAL_CACHEMAX=CACHE, GDAL_NUM_THREADS=1):
         plain = temporary_name(part, "part")
         try:
-            _write_plain(source, plain, placement, content, listener)
-            _optimise(plain, part, content)
+            _write_plain(pixels, plain, placement, listener)
+            _optimise(plain, part, OVERVIEWS.get(pixels.content, "nearest"))
         except (RasterioError, CPLE_BaseError) as error:
             message = printable(" ".join(str(error).split()).replace(f"{os.path.dirname(plain)}/", ""))[:200]
             raise OSError(None, f"GDAL says: {message}; is there room on the disk?", plain) from error
         finally:
             if os.path.exists(plain):
                 os.unlink(plain)
-    return [
-        f"{content} of {source.x.size} x {source.y.size} pixels, {placement.crs.name}; pixels lie at most "
+    lines = [
+        f"{pixels.content} of {pixels.x.size} x {pixels.y.size} pixels, {placement.crs.name}; pixels lie at most "
         f"{placement.error:.2g} m, {placement.pixels:.2g} pixels, off their exact places"
     ]
+    if pixels.scale is not None:
+        low, high = pixels.limits
+        lines.append(f"{pixels.scale}: 1 is {low:g} dB, {np.iinfo(pixels.scale).max} is {high:g} dB, 0 is not covered")
+    return lines
 
 
-def _write_plain(source: FinishedRun, path: str, placement: Placement, content: Content, progress: Callback) -> None:
+def _write_plain(pixels: Pixels, path: str, placement: Placement, progress: Callback) -> None:
     """Write a tiled GeoTIFF without overviews."""
     import rasterio
 
     profile = {
         "driver": "GTiff",
-        "width": source.x.size,
-        "height": source.y.size,
+        "width": pixels.x.size,
+        "height": pixels.y.size,
         "count": 1,
-        "dtype": "float32" if content == "amplitude" else "complex64",
-        "nodata": np.nan,
+        "dtype": pixels.dtype,
+        "nodata": pixels.nodata,
         "crs": rasterio.CRS.from_wkt(placement.crs.to_wkt()),
-        "transform": rasterio.Affine(*_transform(source, placement)),
+        "transform": rasterio.Affine(*_transform(pixels, placement)),
         "tiled": True,
         "blockxsize": TILE,
         "blockysize": TILE,
         "bigtiff": "if_safer",
     }
     with rasterio.open(path, "w", **profile) as file:
-        _write_pixels(source, file, content, progress)
-        file.set_band_description(1, content)
-        file.update_tags(**_tags(source, placement))
+        _write_pixels(pixels, file, progress)
+        file.set_band_description(1, pixels.content)
+        if pixels.scale is not None:
+            file.scales, file.offsets, file.units = (pixels.step,), (pixels.offset,), ("dB",)
+        file.update_tags(**_tags(pixels, placement))
 
 
-def _optimise(plain: str, path: str, content: Content) -> None:
+def _optimise(plain: str, path: str, overviews: str) -> None:
     """Copy a GeoTIFF to a cloud-optimised one with overviews.
 
     Raises
@@ -155,22 +161,21 @@ def _optimise(plain: str, path: str, content: Content) -> None:
         compress="DEFLATE",
         level=1,
         bigtiff="if_safer",
-        overview_resampling="average" if content == "amplitude" else "nearest",
+        overview_resampling=overviews,
     )
     # GDAL does not report a failure to write the end of the file.
     if (lacking := _end(path) - os.path.getsize(path)) > 0:
         raise OSError(None, f"its last {lacking} bytes were lost; is there room on the disk?", path)
 
 
-def _write_pixels(source: FinishedRun, file: object, content: Content, progress: Callback) -> None:
+def _write_pixels(pixels: Pixels, file: object, progress: Callback) -> None:
     """Write rows from north to south."""
     from rasterio.windows import Window
 
-    strips = list(source.strips(0))[::-1]
+    strips = list(pixels.strips())[::-1]
     for done, rows in enumerate(strips, 1):
-        values = source.read(rows, slice(None))[::-1]
-        pixels = np.abs(values) if content == "amplitude" else np.ascontiguousarray(values)
-        file.write(pixels, 1, window=Window(0, source.y.size - rows.stop, source.x.size, len(pixels)))  # type: ignore[attr-defined]
+        values = np.ascontiguousarray(pixels.read(rows)[::-1])
+        file.write(values, 1, window=Window(0, pixels.y.size - rows.stop, pixels.x.size, len(values)))  # type: ignore[attr-defined]
         progress(done, len(strips))
 
 
@@ -192,9 +197,11 @@ def _end(path: str) -> int:
     return max(ends)
 
 
-def _tags(source: FinishedRun, placement: Placement) -> dict[str, str]:
+def _tags(pixels: Pixels, placement: Placement) -> dict[str, str]:
     """Tags of the file."""
-    return {
+    source = pixels.source
+    looks = {} if pixels.looks == (1, 1) else {"looks": f"{pixels.looks[0]} x {pixels.looks[1]} pixels (y x x)"}
+    return looks | {
         "TIFFTAG_IMAGEDESCRIPTION": source.title,
         "TIFFTAG_SOFTWARE": f"blocksar {__version__}",
         "AREA_OR_POINT": "Area",
@@ -205,10 +212,10 @@ def _tags(source: FinishedRun, placement: Placement) -> dict[str, str]:
     }
 
 
-def place_pixels(source: FinishedRun, frame: Georeference) -> Placement:
+def place_pixels(pixels: Pixels, frame: Georeference) -> Placement:
     """Place pixels in the projection about the frame's origin, or about the image if the error exceeds MAX_ERROR."""
-    height, spacing = source.ground_height, min(source.spacing)
-    x, y = (axis[np.unique(np.linspace(0, axis.size - 1, 17).astype(int))] for axis in (source.x, source.y))
+    height, spacing = pixels.source.ground_height, min(pixels.spacing)
+    x, y = (axis[np.unique(np.linspace(0, axis.size - 1, 17).astype(int))] for axis in (pixels.x, pixels.y))
     xy = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     points = np.concatenate([xy, np.full((len(xy), 1), height)], axis=1)
 
@@ -226,9 +233,9 @@ def place_pixels(source: FinishedRun, frame: Georeference) -> Placement:
     return evaluate(crs, fit[0] - fit[1:].T @ middle, fit[1:].T)
 
 
-def _transform(source: FinishedRun, placement: Placement) -> tuple[float, ...]:
+def _transform(pixels: Pixels, placement: Placement) -> tuple[float, ...]:
     """GDAL's affine map from column and row of a pixel's north-western corner to easting and northing, m."""
-    dx, dy = source.spacing
+    dx, dy = pixels.spacing
     along, down = placement.matrix[:, 0] * dx, -placement.matrix[:, 1] * dy
-    corner = placement.offset + placement.matrix @ [source.x[0], source.y[-1]] - (along + down) / 2
+    corner = placement.offset + placement.matrix @ [pixels.x[0], pixels.y[-1]] - (along + down) / 2
     return (along[0], down[0], corner[0], along[1], down[1], corner[1])

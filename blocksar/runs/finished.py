@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple, Self
 
@@ -20,6 +20,7 @@ from blocksar.places.place import Place
 from blocksar.runs.record import RECORD, RunRecord
 
 Int16Array = np.ndarray[tuple[int, ...], np.dtype[np.int16]]
+Span = tuple[float, float]  # lower and upper end, m
 STRIP = 1 << 23  # largest number of pixels in a strip, 64 MiB, unless a single row or column has more
 
 
@@ -63,6 +64,8 @@ class FinishedRun:
     attrs : dict
         Attributes of the phase history: title, georeference, targets and others.
     record : RunRecord
+    first : (int, int)
+        Row and column of the run's image where this part of it begins.
     """
 
     folder: Place
@@ -71,6 +74,7 @@ class FinishedRun:
     geometry: Geometry
     attrs: dict[str, Any]
     record: RunRecord
+    first: tuple[int, int] = (0, 0)
 
     @classmethod
     def open(cls, folder: Place) -> Self:
@@ -148,21 +152,51 @@ class FinishedRun:
             )
         return self.georeference
 
+    def cropped(self, x: Span, y: Span) -> Self:
+        """Return the part of the image between ground coordinates, m, ends included; reads no pixel.
+
+        Raises
+        ------
+        InputError
+            If it has no two rows and columns.
+        """
+        parts = []
+        for name, axis, (low, high) in (("y", self.y, y), ("x", self.x, x)):
+            inside = np.flatnonzero((axis >= low) & (axis <= high))
+            if inside.size < 2:
+                raise InputError(
+                    f"crop: {name} from {low:g} to {high:g} m has {inside.size} pixels of the image, which runs from "
+                    f"{axis[0]:g} to {axis[-1]:g} m every {axis[1] - axis[0]:g} m; give a part with two at least"
+                )
+            parts.append(slice(int(inside[0]), int(inside[-1]) + 1))
+        first = self.first[0] + parts[0].start, self.first[1] + parts[1].start
+        return replace(self, x=self.x[parts[1]], y=self.y[parts[0]], first=first)
+
     def read(self, rows: slice, columns: slice) -> ComplexArray:
         """Read pixels, (rows, columns); NaN where not covered."""
-        return stores.read_region(self.image, "image", (rows, columns))
+        return stores.read_region(self.image, "image", self._in_image(rows, columns))
 
     def read_block(self, rows: slice, columns: slice) -> Int16Array:
         """Read the index of the block that each pixel comes from, (rows, columns); -1 where not covered."""
-        return stores.read_region(self.image, "block", (rows, columns))
+        return stores.read_region(self.image, "block", self._in_image(rows, columns))
+
+    def _in_image(self, rows: slice, columns: slice) -> tuple[slice, slice]:
+        """Rows and columns of the run's image."""
+        spans = (part.indices(n) for part, n in ((rows, self.y.size), (columns, self.x.size)))
+        y, x = (
+            slice(first + start, first + max(start, stop), step)
+            for first, (start, stop, step) in zip(self.first, spans, strict=True)
+        )
+        return y, x
 
     def strips(self, axis: int) -> Iterator[slice]:
         """Divide the image along rows (axis 0) or columns (1) into chunks, or into less where those exceed STRIP."""
         along, across = (self.y.size, self.x.size) if axis == 0 else (self.x.size, self.y.size)
         chunk = stores.chunk_shape(self.image, "image")[axis]
         step = max(chunk // -(-chunk * across // STRIP), 1)
-        for first in range(0, along, step):
-            yield slice(first, min(first + step, along))
+        for first in range(-(self.first[axis] % chunk) // step * step, along, step):
+            if first + step > 0:
+                yield slice(max(first, 0), min(first + step, along))
 
     def coverage(self) -> Coverage:
         """Find the covered pixels; reads `block`.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -57,4 +58,22 @@ def test_png_export_needs_no_georeference(unplaced: Made, tmp_path: Path) -> Non
     )
     assert done.exit_code == 0, done.stderr
     assert f"wrote {tmp_path / 'a.png'}" in done.stdout
+    assert imread(tmp_path / "a.png").std() > 0.1
+
+
+def test_a_picture_is_shaped_by_its_options(made: Made, tmp_path: Path) -> None:
+    options = ["--range=-30:5", "--color-map", "viridis", "--size", "900", "--crop=-20:20,-20:10"]
+    done = CliRunner().invoke(
+        commands.app, ["export", "png", str(made.folder), "--out", str(tmp_path / "a.png"), "-q", *options]
+    )
+    assert done.exit_code == 0, done.stderr
+    assert "viridis from -30.0 to 5.0 dB" in done.stdout
+    picture = imread(tmp_path / "a.png")
+    assert max(picture.shape[:2]) == 900
+    assert np.ptp(picture[..., :3], axis=-1).max() > 0.3  # not grey
+
+
+def test_a_picture_needs_no_pyproj(made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyproj", None)
+    blocksar.export("png", made.folder, tmp_path / "a.png")
     assert imread(tmp_path / "a.png").std() > 0.1

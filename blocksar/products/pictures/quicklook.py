@@ -7,10 +7,11 @@ Import this module only where a picture is drawn: matplotlib is slow to load.
 
 from __future__ import annotations
 
+import difflib
 from typing import NamedTuple
 
 import numpy as np
-from matplotlib import patheffects
+from matplotlib import colormaps, patheffects
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -21,6 +22,7 @@ from matplotlib.ticker import FuncFormatter
 
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.collection.beam import dwell
+from blocksar.errors import InputError
 from blocksar.places import Location
 from blocksar.products.pictures.figures import DPI, MARK
 from blocksar.products.pictures.overview import NOT_COVERED, Overview, ReadImage, overview, stretch
@@ -28,7 +30,9 @@ from blocksar.products.writing import replacing
 from blocksar.progress.listening import Callback
 from blocksar.runs.finished import FinishedRun
 
+GREY = "gray"
 PIXELS = 1600  # along the longer side, at most
+SMALLEST, LARGEST = 200, 20_000  # pixels of a picture along its longer side
 STRIP = 1 << 20  # pixels of the image read at once
 INCHES = 9.0  # along the longer side
 BAR = 0.25  # share of the picture's width that the scale bar may take
@@ -44,22 +48,42 @@ class Arrow(NamedTuple):
 
 
 def write(
-    source: FinishedRun, out: Location, *, overwrite: bool = False, progress: Callback | None = None
+    source: FinishedRun,
+    out: Location,
+    *,
+    limits: tuple[float, float] | None = None,
+    colour_map: str | None = None,
+    size: int | None = None,
+    overwrite: bool = False,
+    progress: Callback | None = None,
 ) -> list[str]:
-    """Write a PNG of the whole image.
+    """Write a PNG of an image.
+
+    Parameters
+    ----------
+    limits : (float, float), optional
+        dB drawn in the first and the last colour. Default: by the image.
+    colour_map : str, optional
+        A name that matplotlib knows. Default: "gray".
+    size : int, optional
+        Pixels of the picture along its longer side. Default: 1600 pixels for the image's cells, and room for axes.
 
     Returns
     -------
     list of str
-        Notes for the user: size of the cells, and the grey scale.
+        Notes for the user: size of the cells, and the scale in dB.
 
     Raises
     ------
     InputError
-        If there is no covered pixel, or `out` cannot be written.
+        If there is no covered pixel, an option is wrong, or `out` cannot be written.
     ProcessingError
         If writing fails.
     """
+    colour_map = checked_colour_map(colour_map)
+    if size is not None and not SMALLEST <= size <= LARGEST:
+        raise InputError(f"size = {size!r}: give {SMALLEST} to {LARGEST} pixels along the longer side of the picture")
+    caption = _caption(source)
 
     def read(rows: slice, columns: slice) -> ComplexArray:
         if progress is not None:
@@ -68,33 +92,57 @@ def write(
 
     source.coverage()  # raises if no pixel is covered
     with replacing(out, overwrite=overwrite) as part:
-        reduced = overview(read, source.x, source.y, max_pixels=PIXELS, looks="mean", strip=STRIP)
-        figure, axes = _new_figure(reduced)
-        low, high = draw(axes, reduced, arrows=_scene_arrows(source, reduced))
+        reduced = overview(read, source.x, source.y, max_pixels=max(PIXELS, size or 0), looks="mean", strip=STRIP)
+        figure, axes = _new_figure(reduced, size)
+        low, high = draw(axes, reduced, arrows=_scene_arrows(source, reduced), limits=limits, colour_map=colour_map)
         axes.set_title(source.title, fontsize=11)
-        figure.supxlabel(_caption(source), fontsize=8, color="#5a6676")
+        figure.supxlabel(caption, fontsize=8, color="#5a6676")
         figure.savefig(part, format="png")
     cell = float(reduced.x_edges[1] - reduced.x_edges[0]), float(reduced.y_edges[1] - reduced.y_edges[0])
-    return [f"cells of {cell[0]:.4g} m x {cell[1]:.4g} m, grey from {low:.1f} to {high:.1f} dB"]
+    scale = "grey" if colour_map == GREY else colour_map
+    return [f"cells of {cell[0]:.4g} m x {cell[1]:.4g} m, {scale} from {low:.1f} to {high:.1f} dB"]
 
 
-def draw(axes: Axes, reduced: Overview, *, arrows: list[Arrow] | None = None) -> tuple[float, float]:
+def checked_colour_map(name: str | None) -> str:
+    """Return the name of a colour map, grey by default.
+
+    Raises
+    ------
+    InputError
+        If matplotlib has none of this name.
+    """
+    if name is None or name in colormaps:
+        return name or GREY
+    near = difflib.get_close_matches(name, colormaps, n=1)
+    raise InputError(
+        f"colour map {name!r} is none that matplotlib knows; did you mean {near[0] if near else 'viridis'!r}?"
+    )
+
+
+def draw(
+    axes: Axes,
+    reduced: Overview,
+    *,
+    arrows: list[Arrow] | None = None,
+    limits: tuple[float, float] | None = None,
+    colour_map: str = GREY,
+) -> tuple[float, float]:
     """Draw a decimated image into a pair of axes, with a scale bar and a colour bar.
 
     Returns
     -------
     (float, float)
-        dB drawn in black and in white.
+        dB drawn in the first and in the last colour.
     """
     with np.errstate(divide="ignore"):
         decibel = 10 * np.log10(reduced.power)
-    low, high = stretch(decibel)
+    low, high = limits or stretch(decibel)
     axes.set_facecolor(NOT_COVERED)
     picture = axes.imshow(
         np.ma.masked_invalid(np.where(np.isneginf(decibel), low, decibel)),
         extent=(reduced.x_edges[0], reduced.x_edges[-1], reduced.y_edges[0], reduced.y_edges[-1]),
         origin="lower",
-        cmap="gray",
+        cmap=colour_map,
         vmin=low,
         vmax=high,
         interpolation="nearest",
@@ -141,8 +189,10 @@ def _size(reduced: Overview) -> tuple[float, float]:
     return max(4.0, width * scale) + 1.8, max(3.0, height * scale) + 1.0
 
 
-def _new_figure(reduced: Overview) -> tuple[Figure, Axes]:
-    figure = Figure(figsize=_size(reduced), dpi=DPI, layout="constrained")
+def _new_figure(reduced: Overview, size: int | None = None) -> tuple[Figure, Axes]:
+    inches = _size(reduced)
+    dots = DPI if size is None else size / max(inches)
+    figure = Figure(figsize=inches, dpi=dots, layout="constrained")
     FigureCanvasAgg(figure)
     return figure, figure.add_subplot()
 
@@ -168,7 +218,10 @@ def _caption(source: FinishedRun) -> str:
     parts = [f"{source.collection.carrier / 1e9:.4g} GHz", f"pixels {dx:.4g} m x {dy:.4g} m"]
     if source.georeference is not None:
         centre = np.array([source.x.mean(), source.y.mean(), source.ground_height])
-        latitude, longitude, _ = source.georeference.to_geodetic(centre)
+        try:
+            latitude, longitude, _ = source.georeference.to_geodetic(centre)
+        except InputError:  # pyproj is not installed, and a picture does not need it
+            return "   ".join(parts)
         south, west = "NS"[int(latitude < 0)], "EW"[int(longitude < 0)]
         parts.append(f"centre {abs(latitude):.6f}\N{DEGREE SIGN} {south}, {abs(longitude):.6f}\N{DEGREE SIGN} {west}")
     return "   ".join(parts)
