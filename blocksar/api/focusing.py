@@ -25,6 +25,7 @@ from blocksar.collection.weighting import Weighting
 from blocksar.constants import MIB
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.method import Coefficients, Derotation, Perturbation, Processor, RangeModel, method_of
+from blocksar.focusing.noise import NoiseMap
 from blocksar.graph import cluster, compiling, recording, stages
 from blocksar.graph.machine import Resources, machine, resources
 from blocksar.inspection import centroid, samples, sentences
@@ -309,8 +310,10 @@ def _run_stages(
         timings["inspect"] = lap()
         record = _add_findings(job, run, record, inspected, inspection, listener)
         input_read()
+        weighting = job.request.weighting
+        noise = NoiseMap.of(job.geometry, weighting, inspection.lit)
         formed = stages.back_project(
-            client, source, job.geometry, job.grid, inspection, job.request.weighting, run, listener
+            client, source, job.geometry, job.grid, inspection, weighting, noise, run, listener
         )
         timings["backprojection"] = lap()
         return replace(record, receipts=(*inspected, *formed), timings=timings)
@@ -321,9 +324,10 @@ def _run_stages(
     gated = stages.gate_ranges(client, plan, run, recovered, listener)
     if gated:
         timings["gate"] = lap()
-    focused = stages.focus_blocks(client, plan, run, (*recovered, *gated), inspection.lit, listener)
+    noise = NoiseMap.of(plan.geometry, plan.weighting, inspection.lit)
+    focused = stages.focus_blocks(client, plan, run, (*recovered, *gated), inspection.lit, noise, listener)
     timings["focus"] = lap()
-    merged = stages.mosaic(client, plan, run, focused, listener)
+    merged = stages.mosaic(client, plan, run, focused, noise, listener)
     timings["mosaic"] = lap()
     return replace(record, receipts=(*recovered, *gated, *focused, *merged), timings=timings)
 
@@ -410,8 +414,9 @@ def _create_image(run: Run, job: Job, record: RunRecord) -> None:
     }
     if "georeference" in attrs:
         attributes["georeference"] = attrs["georeference"]
+    schema = {**stores.IMAGE, **(stores.NOISE if job.history.collection.noise_power else {})}
     stores.create(
-        run.image, stores.IMAGE, sizes={}, coords={"x": job.grid.x, "y": job.grid.y}, attrs=attributes,
+        run.image, schema, sizes={}, coords={"x": job.grid.x, "y": job.grid.y}, attrs=attributes,
         chunks={"y": side[0], "x": side[1]}, overwrite=True,
     )  # fmt: skip
 

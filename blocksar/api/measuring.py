@@ -79,6 +79,9 @@ def measure(
         result["table3"] = {name: row._asdict() for name, row in TABLE3.items()}
         tables.append(_table3(responses))
         lines.append("paper: Table 3 of the angular-division paper; its ISLR follows another, unstated definition")
+    if run.noise is not None:
+        result["noise"] = run.noise.as_json()
+        lines.append(run.noise.sentence())
     drawn = [
         response
         for target in listed

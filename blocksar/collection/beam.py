@@ -231,6 +231,15 @@ def pattern_gain(geometry: Geometry, x: FloatArray, y: FloatArray, pulses: slice
     return np.asarray(gain)
 
 
+def dwell_weight(geometry: Geometry, x: FloatArray, y: FloatArray, time: FloatArray, taper: Taper) -> FloatArray:
+    """w g of ground points x, y (m) at slow times (s): what they count in the sum to an image; broadcast."""
+
+    def weight(geometry: Geometry, x: FloatArray, y: FloatArray, pulses: IntArray) -> FloatArray:
+        return pulse_weights(geometry, x, y, pulses, taper) * pattern_gain(geometry, x, y, pulses)
+
+    return at_times(geometry, x, y, time, weight)
+
+
 def at_times(
     geometry: Geometry,
     x: FloatArray,

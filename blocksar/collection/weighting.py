@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
@@ -148,8 +148,51 @@ class Taper:
         """Figures of the ideal response, from the definition."""
         return _ideal(self)
 
+    @property
+    def spread(self) -> float:
+        """Integral of response^2 over u, the mean of w^2 over that of w, squared; 1 if uniform."""
+        nodes, weights = solvers.gauss_legendre(NODES)
+        values = self(nodes)
+        return float(2 * (weights * values**2).sum() / (weights * values).sum() ** 2)
+
 
 FLAT = Taper()
+
+
+@dataclass(frozen=True, eq=False)
+class DwellShape:
+    """What a point's dwell counts in the sum to an image: weights over v, from -1 to 1 between its ends.
+
+    v is the place of the line of sight between those at the dwell's ends, along the azimuth cut. It turns unevenly in
+    time on a curved or accelerated track.
+
+    Attributes
+    ----------
+    v : (n,) float
+    weight : (n,) float
+        w g times a quadrature's weight.
+    square : (n,) float
+        (w g)^2 times the same.
+    """
+
+    v: FloatArray
+    weight: FloatArray
+    square: FloatArray
+
+    def response(self, u: FloatArray) -> FloatArray:
+        """Magnitude of the ideal response (n,), 1 at its peak."""
+        phasor = np.exp(1j * np.pi * u[:, None] * self.v)
+        return np.asarray(np.abs((phasor * self.weight).sum(axis=1) / self.weight.sum()))
+
+    @cached_property
+    def ideal(self) -> IdealResponse:
+        """Figures of the ideal response."""
+        return ideal_figures(lambda u: self.response(u) ** 2)
+
+    @property
+    def spread(self) -> float:
+        """Integral of |response|^2 over u; 1 for equal weights."""
+        return float(2 * self.square.sum() / self.weight.sum() ** 2)
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.ground_map import sum_lit
+from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.range_compression import RawCompression
 from blocksar.focusing.step import stages
 from blocksar.graph.admission import Unit, as_completed
@@ -151,7 +152,13 @@ def _gated_spectrum(plan: Plan, run: Run, block: BlockPlan, receipts: Sequence[R
 
 
 def focus_blocks(
-    client: Client, plan: Plan, run: Run, receipts: Sequence[Receipt], lit: FloatArray, listener: Listener
+    client: Client,
+    plan: Plan,
+    run: Run,
+    receipts: Sequence[Receipt],
+    lit: FloatArray,
+    noise: NoiseMap | None,
+    listener: Listener,
 ) -> list[Receipt]:
     """Focus every block, from the spectrum to patches/<block>, by a chain of tasks of its own.
 
@@ -170,7 +177,7 @@ def focus_blocks(
         own = frozenset(cell for cell in cells if touching[cell] == 1)
         slab = spectrum if block.range_gate is None else _gated_spectrum(plan, run, block, receipts)
         units.append(
-            (block_unit(block.name), partial(_submit_chain, client, plan, run, slab, lit, block, own, -position))
+            (block_unit(block.name), partial(_submit_chain, client, plan, run, slab, lit, noise, block, own, -position))
         )
     return run_units(client, "focus", units, run, listener)
 
@@ -186,8 +193,8 @@ def _create_patch(run: Run, block: BlockPlan, grid: Grid) -> None:
 
 
 def _submit_chain(
-    client: Client, plan: Plan, run: Run, spectrum: SpectrumChunks, lit: FloatArray, block: BlockPlan,
-    own: frozenset[tuple[int, int]], priority: int,
+    client: Client, plan: Plan, run: Run, spectrum: SpectrumChunks, lit: FloatArray, noise: NoiseMap | None,
+    block: BlockPlan, own: frozenset[tuple[int, int]], priority: int,
 ) -> Future[Any]:  # fmt: skip
     """Submit the tasks of a block; return the future of the last one.
 
@@ -206,10 +213,13 @@ def _submit_chain(
     node = submit(read_slab, run, block, first, slab, key=f"read-slab+{first.name}-{tail}")
     for stage in others:
         node = submit(run_stage, run, block, stage, node, key=f"{stage.name}-{tail}")
-    return submit(write_patch, run, unit, block, node, ground, plan.grid, own, key=f"geometric-correction-{tail}")
+    key = f"geometric-correction-{tail}"
+    return submit(write_patch, run, unit, block, node, ground, plan.grid, own, noise, key=key)
 
 
-def mosaic(client: Client, plan: Plan, run: Run, patches: Sequence[Receipt], listener: Listener) -> list[Receipt]:
+def mosaic(
+    client: Client, plan: Plan, run: Run, patches: Sequence[Receipt], noise: NoiseMap | None, listener: Listener
+) -> list[Receipt]:
     """Merge the patches into image.zarr, by output chunk, where several blocks may own pixels.
 
     Chunks that only one block touches are there already; chunks that no block covers are not written.
@@ -233,7 +243,8 @@ def mosaic(client: Client, plan: Plan, run: Run, patches: Sequence[Receipt], lis
     for first, end in _spans(len(ordered), MOSAIC_CHUNKS):
         group = {cell: cells[cell] for cell in ordered[first:end]}
         row, column = ordered[first]
-        units.append(_single_task(client, run, "mosaic", f"chunk-{row}-{column}", merge_chunks, group, plan.grid))
+        unit = f"chunk-{row}-{column}"
+        units.append(_single_task(client, run, "mosaic", unit, merge_chunks, group, plan.grid, noise))
     return run_units(client, "mosaic", units, run, listener, per_worker=2)
 
 
@@ -276,6 +287,7 @@ def back_project(
     grid: Grid,
     inspection: Inspection,
     weighting: Weighting,
+    noise: NoiseMap | None,
     run: Run,
     listener: Listener,
 ) -> list[Receipt]:
@@ -284,7 +296,7 @@ def back_project(
     units = [
         _single_task(
             client, run, "backprojection", f"chunk-{row}-{column}",
-            back_project_chunk, source, (row, column), geometry, grid, inspection, weighting,
+            back_project_chunk, source, (row, column), geometry, grid, inspection, weighting, noise,
         )
         for row in range(-(-grid.shape[0] // side[0]))
         for column in range(-(-grid.shape[1] // side[1]))

@@ -25,6 +25,7 @@ from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.backprojection import form_image
 from blocksar.focusing.correction import correct
 from blocksar.focusing.ground_map import GroundMap
+from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.range_compression import RawCompression
 from blocksar.focusing.recovery import Recovery, recover_columns
 from blocksar.focusing.step import Stage
@@ -204,11 +205,12 @@ def write_patch(
     ground: GroundMap,
     grid: Grid,
     own: frozenset[tuple[int, int]],
+    noise: NoiseMap | None = None,
 ) -> Receipt:
     """Correct a focused block geometrically, and write its patch in chunks of the image's grid.
 
-    `own` has the chunks, by row and column, that no other block touches: they become the image's as they are. Chunks
-    are written by other threads while the next ones are computed.
+    `own` has the chunks, by row and column, that no other block touches: they become the image's as they are, with
+    their noise where that is known. Chunks are written by other threads while the next ones are computed.
     """
     started = time.perf_counter()
     first_y, first_x, _, _ = patch_window(ground, grid)
@@ -227,7 +229,9 @@ def write_patch(
                 samples.values, ground, x=grid.x[window[1]], y=grid.y[window[0]], threads=run.threads, out=out
             )
             writes.append(
-                pool.submit(_write_pixels, run, block, pixels, window, (first_y, first_x), merged=cell not in own)
+                pool.submit(
+                    _write_pixels, run, block, pixels, window, (first_y, first_x), grid, noise, merged=cell not in own
+                )
             )
     seconds = samples.seconds | {"geometric-correction": time.perf_counter() - started}
     # The receipt covers the whole block: the tasks before this one have no receipts.
@@ -257,6 +261,8 @@ def _write_pixels(
     pixels: ComplexArray,
     window: Window,
     origin: tuple[int, int],
+    grid: Grid,
+    noise: NoiseMap | None,
     *,
     merged: bool,
 ) -> list[Written]:
@@ -270,7 +276,8 @@ def _write_pixels(
     if merged:
         return [written]
     owner = np.where(covered, np.int16(block.index), np.int16(-1))
-    return [written, *_write_image(run, window, pixels, owner, (patch, part), written.checksum)]
+    shared = (patch, part), written.checksum
+    return [written, *_write_image(run, window, pixels, owner, *shared), *write_noise(run, window, owner, grid, noise)]
 
 
 def _write_image(
@@ -293,16 +300,35 @@ def _write_image(
     return [image, write(run, run.image, "block", window, owner)]
 
 
+def write_noise(
+    run: Run, window: Window, owner: NDArray[np.int16], grid: Grid, noise: NoiseMap | None
+) -> list[Written]:
+    """Write the noise of a chunk of the image where it is covered; nothing if the noise is not known."""
+    if noise is None:
+        return []
+    values = noise.over(grid.x[window[1]], grid.y[window[0]])
+    values[owner < 0] = np.nan
+    return [write(run, run.image, "noise_equivalent", window, values)]
+
+
 @naming_failures(lambda run, unit, *_: f"mosaic of {unit}")
-def merge_chunks(run: Run, unit: str, cells: Mapping[tuple[int, int], Sequence[PatchChunk]], grid: Grid) -> Receipt:
+def merge_chunks(
+    run: Run,
+    unit: str,
+    cells: Mapping[tuple[int, int], Sequence[PatchChunk]],
+    grid: Grid,
+    noise: NoiseMap | None = None,
+) -> Receipt:
     """Merge patches into output chunks of the mosaic, given by row and column of the chunk."""
     started = time.perf_counter()
-    parts = [part for cell, patches in cells.items() for part in _merge(run, cell, patches, grid)]
+    parts = [part for cell, patches in cells.items() for part in _merge(run, cell, patches, grid, noise)]
     return sign(run, Receipt(unit=unit, stage="mosaic", written=tuple(parts)), started)
 
 
-def _merge(run: Run, cell: tuple[int, int], parts: Sequence[PatchChunk], grid: Grid) -> list[Written]:
-    """Write the image of one output chunk, and the block that each pixel comes from; later parts win."""
+def _merge(
+    run: Run, cell: tuple[int, int], parts: Sequence[PatchChunk], grid: Grid, noise: NoiseMap | None
+) -> list[Written]:
+    """Write the image of one output chunk, its noise, and the block that each pixel comes from; later parts win."""
     window = _window(cell, grid)
     image: ComplexArray | None = None
     owner = np.full([w.stop - w.start for w in window], -1, np.int16)
@@ -321,7 +347,7 @@ def _merge(run: Run, cell: tuple[int, int], parts: Sequence[PatchChunk], grid: G
     assert image is not None
     if len(parts) > 1:
         source = None
-    return _write_image(run, window, image, owner, source, checksum)
+    return [*_write_image(run, window, image, owner, source, checksum), *write_noise(run, window, owner, grid, noise)]
 
 
 def back_project_chunk(
@@ -333,6 +359,7 @@ def back_project_chunk(
     grid: Grid,
     inspection: Inspection,
     weighting: Weighting,
+    noise: NoiseMap | None = None,
 ) -> Receipt:
     """Form one output chunk by exact back-projection; reads only the pulses that light it."""
     started = time.perf_counter()
@@ -358,5 +385,6 @@ def back_project_chunk(
         parts = [
             write(run, run.image, "image", (rows, columns), image),
             write(run, run.image, "block", (rows, columns), owner),
+            *write_noise(run, (rows, columns), owner, grid, noise),
         ]
     return sign(run, Receipt(unit=unit, stage="backprojection", written=tuple(parts)), started)

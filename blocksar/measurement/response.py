@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from scipy.special import i0
 
 from blocksar import solvers
-from blocksar.arrays import ComplexArray, FloatArray, IntArray
-from blocksar.collection.beam import at_times, dwell, has_full_dwell, pattern_gain, pulse_weights
+from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.collection.beam import dwell, dwell_weight, has_full_dwell
 from blocksar.collection.geometry import Geometry
-from blocksar.collection.weighting import NODES, UNIFORM, IdealResponse, Taper, Weighting, ideal_figures
+from blocksar.collection.weighting import NODES, UNIFORM, DwellShape, IdealResponse, Taper, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.measurement.targets import Target
@@ -46,8 +46,8 @@ class ResponseAxes:
         Theoretical IRW, m of slant range and m along the cut.
     band : (2,) float
         Largest |wavenumber| in x and y, cycles/m, of the response once its carrier is removed.
-    azimuth_ideal : IdealResponse
-        In azimuth: that of the taper, with the antenna's pattern over the dwell if there is one.
+    azimuth_shape : Taper or DwellShape
+        Weights in azimuth: the taper, with the antenna's pattern over the dwell if there is one.
     weighting : Weighting
         Tapers over band and dwell.
     """
@@ -58,8 +58,25 @@ class ResponseAxes:
     range_width: float
     azimuth_width: float
     band: FloatArray
-    azimuth_ideal: IdealResponse
+    azimuth_shape: Taper | DwellShape
     weighting: Weighting = UNIFORM
+
+    @property
+    def azimuth_ideal(self) -> IdealResponse:
+        """Figures of the ideal response in azimuth."""
+        return self.azimuth_shape.ideal
+
+    @property
+    def area(self) -> float:
+        """The ground area A, m^2, over which |response|^2 integrates to that of a peak of 1.
+
+        Clutter of reflectivity s a square metre (mean squared magnitude) has the mean squared magnitude s A in the
+        image. A is that of a resolution cell, 1 / band in range by 1 / extent in azimuth, times what the weights add.
+        """
+        (rx, ry), (ax, ay) = self.range_direction, self.azimuth_direction
+        in_range, in_azimuth = self.weighting.range, self.azimuth_shape
+        along_range = self.range_width / in_range.ideal.width * in_range.spread
+        return abs(rx * ay - ry * ax) * along_range * self.azimuth_width / in_azimuth.ideal.width * in_azimuth.spread
 
     def ground_offset(self, range_offset: FloatArray, azimuth_offset: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(dx, dy) in m on the ground, at offsets in m along the two axes (broadcast)."""
@@ -102,9 +119,9 @@ def response_axes(geometry: Geometry, x: float, y: float, weighting: Weighting =
     # Both vanish where the ground gradient turns along itself: there is no two-dimensional image there.
     if abs(slope) < 1e-6 * length or extent == 0:
         return None
-    ideal = weighting.azimuth.ideal
+    shape: Taper | DwellShape = weighting.azimuth
     if collection.has_pattern:
-        ideal = _patterned_ideal(geometry, point, start, end, azimuth, weighting.azimuth)
+        shape = _patterned(geometry, point, start, end, azimuth, weighting.azimuth)
     carrier, half_band = collection.carrier, collection.bandwidth / 2
     corners = [2 * (carrier + f) / SPEED_OF_LIGHT * k for f in (-half_band, half_band) for k in (first, middle, last)]
     band = np.abs(np.array(corners) - 2 * carrier / SPEED_OF_LIGHT * middle).max(axis=0)
@@ -113,35 +130,23 @@ def response_axes(geometry: Geometry, x: float, y: float, weighting: Weighting =
         range_direction=along_doppler / slope,
         azimuth_direction=azimuth,
         range_width=weighting.range.ideal.width * SPEED_OF_LIGHT / (2 * collection.bandwidth),
-        azimuth_width=ideal.width / extent,
+        azimuth_width=shape.ideal.width / extent,
         band=band,
-        azimuth_ideal=ideal,
+        azimuth_shape=shape,
         weighting=weighting,
     )
 
 
-def _patterned_ideal(
+def _patterned(
     geometry: Geometry, point: FloatArray, start: float, end: float, azimuth: FloatArray, taper: Taper
-) -> IdealResponse:
-    """The ideal azimuth response of a point (3,) that is lit from start to end, s, under an antenna's pattern.
-
-    The sum over the dwell of w g exp(1j pi v u), where v is the place of the line of sight between its ends.
-    """
+) -> DwellShape:
+    """Weights of a point (3,) that is lit from start to end, s, under an antenna's pattern."""
     nodes, weights = solvers.gauss_legendre(NODES)
     time = (start + end) / 2 + (end - start) / 2 * nodes
-    x, y = point[0], point[1]
-
-    def weight(geometry: Geometry, x: FloatArray, y: FloatArray, pulses: IntArray) -> FloatArray:
-        return pulse_weights(geometry, x, y, pulses, taper) * pattern_gain(geometry, x, y, pulses)
-
-    shape = weights * at_times(geometry, x, y, time, weight)
+    counted = dwell_weight(geometry, point[0], point[1], time, taper)
     along = _range_gradient(geometry, point, np.array([start, end, *time])) @ azimuth
     v = (2 * along[2:] - along[0] - along[1]) / (along[1] - along[0])
-
-    def power(u: FloatArray) -> FloatArray:
-        return np.asarray(np.abs((np.exp(1j * np.pi * u[:, None] * v) * shape).sum(axis=1) / shape.sum()) ** 2)
-
-    return ideal_figures(power)
+    return DwellShape(v=v, weight=weights * counted, square=weights * counted**2)
 
 
 def carrier_phase(

@@ -14,6 +14,7 @@ from blocksar.planning.plan import Plan
 from blocksar.planning.tiling import image_chunk, touched_chunks
 
 SAMPLE = 8  # bytes of a sample or pixel, complex64
+NOISE_SAMPLE = 1  # bytes at most of the noise of a pixel, which is smooth: float32 of few bits, compressed
 POINTS = 40_000  # at about so many points of the grid, ownership is asked
 
 
@@ -21,7 +22,8 @@ def run_bytes(plan: Plan) -> dict[str, int]:
     """Bytes that a run by a plan writes, by store: the spectrum, the blocks' patches, and what is merged from these.
 
     Pixels that are not covered take no room. An image's chunk that only one block touches is that of its patch: the two
-    share their storage, on file systems with hard links.
+    share their storage, on file systems with hard links. The noise of the image is there where that of the samples is
+    known.
     """
     grounds = [block.ground for block in plan.blocks]
     touching = Counter(cell for ground in grounds for cell in touched_chunks(ground, plan.grid))
@@ -37,6 +39,7 @@ def run_bytes(plan: Plan) -> dict[str, int]:
         **({"gated": gated} if gated else {}),
         "patches": SAMPLE * covered,
         "image": SAMPLE * min(merged, covered),
+        **({"noise": NOISE_SAMPLE * covered} if plan.geometry.collection.noise_power else {}),
     }
 
 

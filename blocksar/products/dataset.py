@@ -1,4 +1,4 @@
-"""The xarray accessor `ds.sar` for images of runs: db, crop, plot, cut and netcdf; and their CF metadata.
+"""The xarray accessor `ds.sar` for images of runs: levels, looks, parts, cuts and netCDF; and their CF metadata.
 
 `blocksar.open` registers the accessor; import `blocksar.accessor` for datasets opened in another way.
 """
@@ -53,7 +53,7 @@ def prepare(dataset: xr.Dataset) -> xr.Dataset:
     dataset = dataset.assign_coords({GRID_MAPPING: xr.Variable((), np.int32(0), mapping)})
     for axis in "xy":
         dataset[axis].attrs["standard_name"] = f"projection_{axis}_coordinate"
-    for name in ("image", "block"):
+    for name in ("image", "block", "noise_equivalent"):
         if name in dataset:
             dataset[name].attrs["grid_mapping"] = GRID_MAPPING
     return dataset
@@ -99,6 +99,28 @@ class SarAccessor:
         if "grid_mapping" in image.attrs:
             power.attrs["grid_mapping"] = image.attrs["grid_mapping"]
         return power.rename("power")
+
+    def noise_db(self) -> xr.DataArray:
+        """Noise-equivalent reflectivity in dB: the mean power of the image's noise over that of unit reflectivity.
+
+        A target of that reflectivity has a signal-to-noise ratio of 1 in its pixel. NaN where not covered.
+
+        Raises
+        ------
+        InputError
+            If the noise of the samples was not known (`noise_power`).
+        """
+        if "noise_equivalent" not in self._dataset:
+            raise InputError(
+                "the dataset has no noise_equivalent: the noise of the samples was not known; give the phase history "
+                "the attribute noise_power, and focus again"
+            )
+        noise = self._dataset["noise_equivalent"]
+        level: xr.DataArray = xr.ufuncs.log10(noise) * 10
+        level.attrs = {"units": "dB", "long_name": "noise-equivalent reflectivity"}
+        if "grid_mapping" in noise.attrs:
+            level.attrs["grid_mapping"] = noise.attrs["grid_mapping"]
+        return level.rename("noise_equivalent")
 
     def multilook(self, looks: tuple[int, int] | str) -> xr.DataArray:
         """Average power over whole cells of pixels, with less speckle; reads the whole image unless it has chunks.

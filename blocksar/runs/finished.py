@@ -16,10 +16,12 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError
+from blocksar.measurement.noise import NoiseFigures
 from blocksar.places.place import Place
 from blocksar.runs.record import RECORD, RunRecord
 
 Int16Array = np.ndarray[tuple[int, ...], np.dtype[np.int16]]
+NOISE_POINTS = 64  # a side, at which the noise of an image is read for its figures
 Span = tuple[float, float]  # lower and upper end, m
 STRIP = 1 << 23  # largest number of pixels in a strip, 64 MiB, unless a single row or column has more
 
@@ -188,6 +190,31 @@ class FinishedRun:
             for first, (start, stop, step) in zip(self.first, spans, strict=True)
         )
         return y, x
+
+    def noise_levels(self, count: int) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+        """x, y (m) and noise-equivalent reflectivity of covered pixels (n,), of about `count` rows and columns.
+
+        None if the noise of the samples is not known.
+        """
+        if not (self.image / "noise_equivalent" / "zarr.json").exists():
+            return None
+        rows, columns = (
+            np.unique(np.linspace(0, axis.size - 1, count).round().astype(int)) for axis in (self.y, self.x)
+        )
+        values = np.full((rows.size, columns.size), np.nan)
+        for strip in self.strips(0):
+            some = (rows >= strip.start) & (rows < strip.stop)
+            if some.any():
+                read = stores.read_region(self.image, "noise_equivalent", self._in_image(strip, slice(None)))
+                values[some] = read[rows[some] - strip.start][:, columns]
+        row, column = np.nonzero(values > 0)
+        return (self.x[columns[column]], self.y[rows[row]], values[row, column]) if row.size else None
+
+    @cached_property
+    def noise(self) -> NoiseFigures | None:
+        """The figures of the image's noise; None if the noise of the samples is not known."""
+        levels = self.noise_levels(NOISE_POINTS)
+        return None if levels is None else NoiseFigures.of(self.geometry, *levels, self.weighting)
 
     def strips(self, axis: int) -> Iterator[slice]:
         """Divide the image along rows (axis 0) or columns (1) into chunks, or into less where those exceed STRIP."""

@@ -33,7 +33,8 @@ TRANSPOSED_COLUMNS = 64  # columns copied at a time in a transposition: more wou
 # Images: noise does not compress, and passes at the speed of memory; what is not covered takes no room. The checksum
 # lets every reader notice an altered chunk.
 COMPRESSION: dict[str, Any] = {"name": "zstd", "configuration": {"level": -5, "checksum": True}}
-FILLS = {"complex64": ["NaN", "NaN"], "float64": "NaN", "int16": -1}  # fill values by dtype, as in the metadata
+# Fill values by dtype, as in the metadata.
+FILLS = {"complex64": ["NaN", "NaN"], "float64": "NaN", "float32": "NaN", "int16": -1}
 
 
 def fill_value(dtype: str) -> Any:

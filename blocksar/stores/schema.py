@@ -82,6 +82,13 @@ IMAGE = {
     "x": X,
     "y": Y,
 }
+# Of images of collections whose noise is known.
+NOISE = {
+    "noise_equivalent": Variable(
+        ("y", "x"), "float32", "1", "expected mean squared magnitude of the image's noise; NaN where not covered",
+        compressed=True,
+    ),
+}  # fmt: skip
 CONVENTIONS = "CF-1.11"
 COLLECTION_ATTRS = ("carrier_frequency", "beam_width", "ground_height", "noise_power")
 RAW_ATTRS = ("chirp_rate", "pulse_width")

@@ -8,31 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from axis_beams import axis_scene
 from distributed import Client
 
 import blocksar
 from blocksar.errors import InputError
 
-SCENE = """
-title = "sliding spotlight"
-[radar]
-carrier = 9.6e9
-bandwidth = 50e6
-range_sampling = 60e6
-prf = 600
-[track]
-position = [0.0, 0.0, 5000.0]
-velocity = [0.0, 200.0, 0.0]
-acceleration = [0.4, -0.8, -0.6]
-[time]
-duration = 2.0
-[beam]
-mode = "{mode}"
-{beam}
-[scene]
-swath = [9800.0, 10200.0]
-centre_yaw_deg = 0.0
-{more}
+CLUTTER = """
 [clutter]
 scatterers = 6000
 seed = 3
@@ -42,6 +24,10 @@ y = [-110.0, 110.0]
 [dropped]
 pulses = [500, 501]
 """
+SCENE = {
+    "bandwidth": 50e6, "range_sampling": 60e6, "prf": 600, "height": 5000.0, "velocity": [0.0, 200.0, 0.0],
+    "acceleration": [0.4, -0.8, -0.6], "time": "duration = 2.0", "swath": [9800.0, 10200.0],
+}  # fmt: skip
 TARGETS = [(8560.0, -12.0), (8660.0, 7.0), (8740.0, 10.0)]
 GRID = ((8500.0, 8800.0, 1.0), (-60.0, 60.0, 0.4))
 MODES = {
@@ -53,7 +39,7 @@ MODES = {
 def scene(folder: Path, mode: str) -> Path:
     more = "".join(f'[[targets]]\nname = "P{i}"\nx = {x}\ny = {y}\n' for i, (x, y) in enumerate(TARGETS))
     path = folder / "scene.toml"
-    path.write_text(SCENE.format(mode=mode, beam=MODES[mode], more=more))
+    path.write_text(axis_scene(f'mode = "{mode}"\n{MODES[mode]}', more=more + CLUTTER, **SCENE))
     return path
 
 

@@ -1,4 +1,4 @@
-"""Small collections whose beam turns about the antenna's own axis."""
+"""Small collections and scenes whose beam turns about the antenna's own axis."""
 
 from __future__ import annotations
 
@@ -37,6 +37,31 @@ def axis_collection(mode: str = "stripmap", *, n_pulse: int = 400, **changes: An
         "beam_steering": steering + rate * time,
         **changes,
     })  # fmt: skip
+
+
+AXIS_SCENE: dict[str, Any] = {
+    "bandwidth": 40e6,
+    "range_sampling": 50e6,
+    "prf": 320,
+    "height": 4000.0,
+    "velocity": [0.0, 200.0, -2.0],
+    "acceleration": [0.2, 0.5, 0.0],
+    "time": "pulses = 601",
+    "yaw": 0.0,
+    "swath": [9700.0, 10000.0],
+    "more": "",
+}
+
+
+def axis_scene(beam: str, **changes: Any) -> str:
+    """The text of a scene file with the lines `beam` of its table [beam]."""
+    s = {**AXIS_SCENE, **changes}
+    lines = ['title = "test"', "[radar]", "carrier = 9.6e9", "pulse_width = 2e-6"]
+    lines += [f"{name} = {s[name]}" for name in ("bandwidth", "range_sampling", "prf")]
+    lines += ["[track]", f"position = [0.0, 0.0, {s['height']}]"]
+    lines += [f"{name} = {s[name]}" for name in ("velocity", "acceleration")]
+    lines += ["[time]", s["time"], "[beam]", beam, "[scene]", f"swath = {s['swath']}", f"centre_yaw_deg = {s['yaw']}"]
+    return "\n".join([*lines, s["more"], ""])
 
 
 def with_patterns(collection: Collection) -> Collection:

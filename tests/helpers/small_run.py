@@ -16,6 +16,7 @@ from blocksar.collection.georeference import Georeference
 from blocksar.collection.weighting import Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.backprojection import form_image
+from blocksar.focusing.noise import NoiseMap
 from blocksar.measurement.targets import Target
 from blocksar.runs import finished
 
@@ -73,8 +74,12 @@ def make(
     hole: bool = True,
     more: dict[str, Any] | None = None,
     weighting: str = "uniform",
+    noise_power: float | None = None,
 ) -> Made:
-    """Make a finished run over targets about `centre`; no coverage in a south-west corner and some northern rows."""
+    """Make a finished run over targets about `centre`; no coverage in a south-west corner and some northern rows.
+
+    With `noise_power` the run says what noise its image has; there is none in it.
+    """
     n = 160
     time = (np.arange(n) - n // 2) / 60.0 + 0.5
     cos, sin = np.cos(look), np.sin(look)
@@ -92,6 +97,7 @@ def make(
         antenna_position=track,
         beam_azimuth=middle + 0.012 * (time - 0.5) if steered else np.full(n, np.nan),
         beam_width=0.02 if steered else None,
+        noise_power=noise_power,
         title="small scene, é",
     ).centred()
     geometry = Geometry(collection=collection)
@@ -121,15 +127,20 @@ def make(
     told = {name: attrs[name] for name in ("georeference",) if name in attrs}
     image_attrs = {"title": collection.title, "Conventions": stores.CONVENTIONS, "ground_height": 0.0, **told}
 
+    noise = NoiseMap.of(geometry, Weighting.parse(weighting), np.ones(n))
+    variables = {"image": image, "block": np.where(np.isfinite(image), 0, -1).astype(np.int16)}
+    if noise is not None:
+        variables["noise_equivalent"] = np.where(np.isfinite(image), noise.over(x, y), np.nan).astype(np.float32)
+
     def fill(place: Any) -> None:
-        for name, values in (("image", image), ("block", np.where(np.isfinite(image), 0, -1).astype(np.int16))):
+        for name, values in variables.items():
             for first in range(0, y.size, 64):
                 rows = slice(first, min(first + 64, y.size))
                 stores.write_region(place, name, (rows, whole[1]), values[rows])
 
     stores.create(
         folder / "image.zarr",
-        stores.IMAGE,
+        {**stores.IMAGE, **(stores.NOISE if noise_power else {})},
         sizes={},
         coords={"x": x, "y": y},
         attrs=image_attrs,

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from axis_beams import axis_scene
 from lxml import etree
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
@@ -31,25 +32,7 @@ pytest.importorskip("sarkit", reason="the extra `formats` is not installed")
 Array = NDArray[Any]
 Edit = Callable[[Any, Array], None]
 
-SCENE = """
-[radar]
-carrier = 9.6e9
-bandwidth = 40e6
-range_sampling = 50e6
-prf = 320
-pulse_width = 2e-6
-[track]
-position = [0.0, 0.0, 4000.0]
-velocity = [0.0, 200.0, -2.0]
-acceleration = [0.2, 0.5, 0.0]
-[time]
-pulses = 601
-[beam]
-{beam}
-[scene]
-swath = [9700.0, 10000.0]
-centre_yaw_deg = {yaw}
-reference_range = "scene_centre"
+TARGET = """reference_range = "scene_centre"
 [[targets]]
 name = "P"
 cross_range_offset = 10.0
@@ -85,7 +68,7 @@ class Made(NamedTuple):
 
 
 def make(folder: Path, beam: str, yaw: float = 0.0) -> Made:
-    text = SCENE.format(beam=beam, yaw=yaw)
+    text = axis_scene(beam, yaw=yaw, more=TARGET)
     return Made(Scene.parse(text), cphd_simulation.simulate(Scene.parse(text), folder / "scene.cphd"))
 
 
@@ -311,7 +294,7 @@ def test_what_is_not_used_is_named(stripmap: Made, tmp_path: Path) -> None:
 
 
 def test_the_focused_image_equals_that_of_the_direct_store(tmp_path: Path) -> None:
-    text = SCENE.format(beam=STRIPMAP + PATTERNS, yaw=0.0)
+    text = axis_scene(STRIPMAP + PATTERNS, more=TARGET)
     (tmp_path / "scene.toml").write_text(text)
     direct = api.simulate(tmp_path / "scene.toml", tmp_path / "direct.zarr")
     file = api.simulate(tmp_path / "scene.toml", tmp_path / "scene.cphd", cphd=True)
@@ -353,7 +336,7 @@ def test_dwells_alone_find_an_axis_that_is_turned_from_the_velocity(beam: str, t
 
 
 def test_lost_pulses_have_a_beam(tmp_path: Path) -> None:
-    text = SCENE.format(beam=TOPS + PATTERNS, yaw=0.0) + "[dropped]\npulses = [0, 1, 2, 100, 101, 600]\n"
+    text = axis_scene(TOPS + PATTERNS, more=TARGET) + "[dropped]\npulses = [0, 1, 2, 100, 101, 600]\n"
     made = Made(Scene.parse(text), cphd_simulation.simulate(Scene.parse(text), tmp_path / "scene.cphd"))
     assert differing(made, ingested(made.path)[0]) <= 1
 
@@ -503,7 +486,7 @@ def test_scenes_that_no_file_describes_are_refused(beam: str, yaw: float, words:
 
 
 def test_a_swath_that_is_lit_all_the_time_at_some_ranges_only_is_refused(tmp_path: Path) -> None:
-    text = SCENE.format(beam='mode = "stripmap"\nwidth_deg = 2.6', yaw=0.0)
+    text = axis_scene('mode = "stripmap"\nwidth_deg = 2.6', more=TARGET)
     wide = Scene.parse(text.replace("[9700.0, 10000.0]", "[7000.0, 10000.0]"))
     with pytest.raises(InputError, match=r"wholly over none of the swath at all ranges, .* simulate more pulses"):
         cphd_simulation.simulate(wide, tmp_path / "scene.cphd")

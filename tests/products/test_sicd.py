@@ -11,14 +11,21 @@ import pytest
 import sarkit.sicd as sksicd
 import sarkit.verification as skver
 import shapely
+from axis_beams import axis_collection, with_patterns
 from lxml import etree
+from numpy.polynomial import polynomial
 from sicd_files import Sicd, errors, read_sicd
 from small_run import DAYTON, TARGETS, Made, make, upsampled_peak
 
 import blocksar
+from blocksar import stores
 from blocksar.collection.geometry import Geometry
+from blocksar.collection.weighting import Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
+from blocksar.measurement.ideal import ideal_response
+from blocksar.measurement.targets import Target
+from blocksar.products.sicd.aperture import cut_width, find_support
 from blocksar.products.sicd.layout import Layout, lay_out, valid_data
 from blocksar.runs import finished
 
@@ -57,6 +64,37 @@ def test_a_weighted_image_has_its_weights(tmp_path: Path) -> None:
         power = np.abs((weights * np.exp(1j * np.pi * k * width)).sum() / weights.sum()) ** 2
         assert power == pytest.approx(0.5, abs=0.005)
         assert width > 1.2 * files[0].load(f"Grid/{direction}/ImpRespWid")
+
+
+def test_widths_under_a_pattern_are_those_of_the_response() -> None:
+    """Half the power of the exact response lies half of ImpRespWid away from its peak, along x and along y."""
+    geometry = Geometry(collection=with_patterns(axis_collection(n_pulse=800, beam_width=0.012)))
+    target, weighting = Target("P", 9000.0, 12.0), Weighting.parse("taylor:4:-35")
+    support = find_support(geometry, np.array([target.x, target.y, 0.0]), weighting)
+    for direction in np.eye(2):
+        width = cut_width(support.frequencies @ direction, support.weights)
+        x, y = np.array([[target.x], [target.y]]) + np.outer(direction, np.array([-0.5, 0.5]) * width)
+        power = np.abs(ideal_response(geometry, target, x, y, weighting)) ** 2
+        np.testing.assert_allclose(power, 0.5, atol=0.01)
+    plain = find_support(Geometry(collection=axis_collection(n_pulse=800, beam_width=0.012)), np.array([9000.0, 12, 0]))
+    assert support.weights.min() < 0.2 * support.weights.max() and (plain.weights == 1).all()
+
+
+def test_the_noise_of_the_image_is_that_of_the_file(tmp_path: Path) -> None:
+    run = make(tmp_path, noise_power=0.7, steered=True, hole=False)
+    report = blocksar.export("sicd", run.folder, run.folder / "image.nitf")
+    found = read_sicd(run.folder / "image.nitf")
+    assert errors(found.checked) == []
+    assert found.tree.findtext("{*}Radiometric/{*}NoiseLevel/{*}NoiseLevelType") == "ABSOLUTE"
+    assert any("NoisePoly is of order" in line for line in report.summary)
+    noise = stores.read_region(run.folder / "image.zarr", "noise_equivalent", (slice(None), slice(None)))
+    layout, scp = lay_out(run.source), found.load("ImageData/SCPPixel")
+    poly = found.load("Radiometric/NoiseLevel/NoisePoly")
+    for row, column in ([20, 30], [60, 70], [100, 110], [125, 15]):
+        x, y, _ = layout.point(np.array(float(row)), np.array(float(column)))
+        i, j = round((y - run.y[0]) / 0.4), round((x - run.x[0]) / 0.4)
+        offset = (np.array([row, column]) - scp) * layout.spacing
+        assert polynomial.polyval2d(*offset, poly) == pytest.approx(10 * np.log10(noise[i, j]), abs=0.15)
 
 
 def test_the_checker_detects_a_wrong_sample_spacing(exported: tuple[Made, Sicd]) -> None:

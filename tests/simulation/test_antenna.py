@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import slow_twins
-from axis_beams import axis_collection, with_patterns
+from axis_beams import axis_collection, axis_scene, with_patterns
 from scipy.signal.windows import taylor
 
 from blocksar.collection.collection import Collection
@@ -17,33 +17,12 @@ from blocksar.simulation.phase_history import sampler
 from blocksar.simulation.scatterers import DIRECT_LIMIT, field, raw_echo, simulate_pulses
 from blocksar.simulation.scene import Scene
 
-SCENE = """
-[radar]
-carrier = 9.6e9
-bandwidth = 40e6
-range_sampling = 50e6
-prf = 320
-pulse_width = 2e-6
-[track]
-position = [0.0, 0.0, 4000.0]
-velocity = [4.0, 200.0, -2.0]
-acceleration = [0.5, 0.5, 0.0]
-[time]
-pulses = 401
-[beam]
-{beam}
-[scene]
-swath = [9700.0, 10000.0]
-centre_yaw_deg = {yaw}
-[[targets]]
-name = "P"
-x = 9000.0
-y = 0.0
-"""
+TRACK = {"velocity": [4.0, 200.0, -2.0], "acceleration": [0.5, 0.5, 0.0], "time": "pulses = 401"}
+TARGET = '[[targets]]\nname = "P"\nx = 9000.0\ny = 0.0\n'
 
 
 def scene(beam: str, *, yaw: float = 0.0) -> Scene:
-    return Scene.parse(SCENE.format(beam=beam, yaw=yaw))
+    return Scene.parse(axis_scene(beam, yaw=yaw, more=TARGET, **TRACK))
 
 
 def beam_of(text: str, **options: Any) -> Collection:
@@ -146,7 +125,7 @@ def test_a_beam_that_misses_the_swath_is_refused() -> None:
 
 
 def test_noise_power_is_that_of_the_scene() -> None:
-    text = SCENE.format(beam='mode = "stripmap"\nwidth_deg = 1.0', yaw=0.0) + "[noise]\npower = 0.5\nseed = 1\n"
+    text = axis_scene('mode = "stripmap"\nwidth_deg = 1.0', more="[noise]\npower = 0.5\nseed = 1\n", **TRACK)
     assert Scene.parse(text).collection().noise_power == 0.5
     assert Scene.parse(text).collection(raw=True).noise_power is None
     assert beam_of('mode = "stripmap"\nwidth_deg = 1.0').noise_power is None

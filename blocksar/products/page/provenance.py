@@ -52,6 +52,7 @@ def provenance(run: Facts) -> list[tuple[str, str]]:
          f"{collection.prf:.6g} Hz, {collection.carrier / 1e9:.6g} GHz, {collection.bandwidth / 1e6:.4g} MHz wide"),
         ("samples", run.samples),
         ("Doppler centroid", run.centroid),
+        ("noise", "" if run.source.noise is None else run.source.noise.sentence()),
         ("georeference", _georeference(run.source)),
         ("versions", ", ".join(f"{name} {version}" for name, version in run.versions.items())),
     ]  # fmt: skip

@@ -14,7 +14,8 @@ from matplotlib.ticker import MaxNLocator
 from scipy.ndimage import zoom
 
 from blocksar.arrays import FloatArray
-from blocksar.collection.weighting import Taper
+from blocksar.collection.weighting import DwellShape, Taper
+from blocksar.constants import SINC_PSLR
 from blocksar.measurement.figures import ResponseGrid, cuts, measure, response_grid
 from blocksar.measurement.response import CUT_WIDTHS, Complex128Array, Response
 from blocksar.products.pictures.figures import (
@@ -91,11 +92,11 @@ def plot_cuts(responses: Sequence[Response], path: str | Path, *, title: str = "
     for (left, right), response in zip(zip(panels[::2], panels[1::2], strict=True), responses, strict=True):
         sampled, figures, name = cuts(response), measure(response), response.target.name
         left.set_title(_caption(f"{name} range", figures.range_pslr, figures.range_irw), fontsize=8)
-        tapers = response.axes.weighting
-        _draw_cut(left, sampled.range_offset, sampled.range_profile, figures.range_irw_theory, tapers.range, "#2f6db3")
+        shape, offset, profile = response.axes.weighting.range, sampled.range_offset, sampled.range_profile
+        _draw_cut(left, offset, profile, figures.range_irw_theory, shape, "#2f6db3")
         right.set_title(_caption(f"{name} azimuth", figures.azimuth_pslr, figures.azimuth_irw), fontsize=8)
         offset, profile = sampled.azimuth_offset, sampled.azimuth_profile
-        _draw_cut(right, offset, profile, figures.azimuth_irw_theory, tapers.azimuth, "#b3202c")
+        _draw_cut(right, offset, profile, figures.azimuth_irw_theory, response.axes.azimuth_shape, "#b3202c")
     label_outer_axes(panels, 6, "offset (m)", "power (dB)")
     draw_legend(
         figure,
@@ -109,17 +110,17 @@ def plot_cuts(responses: Sequence[Response], path: str | Path, *, title: str = "
 
 
 def _draw_cut(
-    axes: Axes, offset: FloatArray, profile: Complex128Array, width: float, taper: Taper, colour: str
+    axes: Axes, offset: FloatArray, profile: Complex128Array, width: float, shape: Taper | DwellShape, colour: str
 ) -> None:
-    """Draw a cut in dB over offsets, m, with the ideal response of a theoretical width, m."""
+    """Draw a cut in dB over offsets, m, with the ideal response to weights, of a theoretical width, m."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        ideal = 20 * np.log10(np.abs(taper.response(offset / width * taper.ideal.width)))
+        ideal = 20 * np.log10(np.abs(shape.response(offset / width * shape.ideal.width)))
         measured = 20 * np.log10(np.abs(profile / profile[profile.size // 2]))
     axes.plot(offset, measured, color=colour, linewidth=1.1)
     # Drawn last: a dotted line over the measured curve leaves both visible where they agree.
     axes.plot(offset, ideal, color="#1d242d", linestyle=":", linewidth=0.8)
     axes.set_xlim(-CUT_WIDTHS * width, CUT_WIDTHS * width)
-    axes.set_ylim(min(-45, taper.ideal.pslr - 20 if not taper.uniform else 0), 2)
+    axes.set_ylim(min(-45, shape.ideal.pslr - 20 if shape.ideal.pslr < SINC_PSLR else 0), 2)
     axes.grid(color="#e4e7ec", linewidth=0.5)
 
 

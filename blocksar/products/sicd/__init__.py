@@ -21,6 +21,11 @@ at the scene centre point, which is frequency zero of the samples, and DeltaKCOA
 aperture all over the image. Where it leaves +-1/(2 SS) the spectrum wraps, and DeltaK1, DeltaK2 span the whole band, as
 the standard requires. ImpRespBW is the extent of K along row and column at the scene centre point, ImpRespWid the -3 dB
 width of the cut through a target there. The support of the aperture is not aligned with the axes, so no WgtType is
-given of an image without a weighting: it would imply widths of 0.886 / ImpRespBW. Of a weighted image, WgtFunct has the
-weights along each cut's band, and WgtType's parameters name the tapers along range and azimuth.
+given of an image without a weighting: it would imply widths of 0.886 / ImpRespBW. Of a weighted image, or under an
+antenna's pattern, WgtFunct has the weights along each cut's band, those of the pattern included, and WgtType's
+parameters name the tapers along range and azimuth.
+
+Noise. Where the noise of the samples is known, NoisePoly of Radiometric's NoiseLevel has the power of the noise in a
+pixel, dB: 0 dB is that of a target of reflectivity 1. The image's reflectivity has no unit of its own, so that scale
+factors to radar cross section and sigma nought are not given.
 """

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from blocksar.arrays import FloatArray
-from blocksar.collection.beam import dwell
+from blocksar.collection.beam import dwell, dwell_weight
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import UNIFORM, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
@@ -40,7 +40,7 @@ class Support(NamedTuple):
     frequencies : (n, 2) float
         K in x and y, cycles/m, at samples of range frequency and slow time.
     weights : (n,) float
-        Those with which the image sums them.
+        Those with which the image sums them: the weighting, and the antenna's pattern, which is in the samples.
     dwell : float
         Lit time of the target, s.
     """
@@ -60,7 +60,8 @@ def find_support(geometry: Geometry, scp: FloatArray, weighting: Weighting = UNI
     sight = lines_of_sight(geometry, scp, time)
     half = collection.range_frequency[-1] + (collection.range_frequency[1] - collection.range_frequency[0]) / 2
     frequency = collection.carrier + np.linspace(-half, half, 65)
-    weights = np.multiply.outer(weighting.range(np.linspace(-1, 1, 65)), weighting.azimuth(np.linspace(-1, 1, 129)))
+    over_dwell = np.broadcast_to(dwell_weight(geometry, scp[0], scp[1], time, weighting.azimuth), time.shape)
+    weights = np.multiply.outer(weighting.range(np.linspace(-1, 1, 65)), over_dwell)
     return Support(
         2 / SPEED_OF_LIGHT * np.multiply.outer(frequency, sight[:, :2]).reshape(-1, 2), weights.ravel(), last - first
     )

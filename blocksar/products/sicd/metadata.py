@@ -11,12 +11,11 @@ from numpy.polynomial import polynomial as power
 from blocksar.arrays import FloatArray
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
-from blocksar.collection.weighting import Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.products.sicd.aperture import Support, cut_weights, cut_width, find_support, lines_of_sight, lit_times
-from blocksar.products.sicd.layout import Layout, central_pixel, lay_out, sample_pixels, valid_data
-from blocksar.products.sicd.polynomials import arp_polynomial, fit_poly2d
+from blocksar.products.sicd.layout import FIT_POINTS, Layout, central_pixel, lay_out, sample_pixels, valid_data
+from blocksar.products.sicd.polynomials import Poly2D, arp_polynomial, fit_poly2d
 from blocksar.runs.finished import Coverage, FinishedRun
 from blocksar.version import __version__
 
@@ -28,6 +27,7 @@ NAMESPACE = "urn:SICD:1.3.0"
 TIME_ACCURACY = 1e-3  # of a dwell, that TimeCOAPoly may be off
 BAND_ACCURACY = 1e-2  # of the bandwidth, that DeltaKCOAPoly may be off
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+NOISE_ACCURACY = 0.1  # dB, that NoisePoly may be off
 WEIGHTS = 65  # samples of WgtFunct
 POLARIZATIONS = ("V", "H", "X", "Y", "S", "E", "RHC", "LHC")
 
@@ -86,6 +86,9 @@ def build_metadata(source: FinishedRun, frame: Georeference) -> Metadata:
     _set_radar(sicd, source)
     root.append(etree.Element(f"{{{NAMESPACE}}}SCPCOA"))
     root.replace(root[-1], sksicd.compute_scp_coa(root.getroottree()))
+    if (level := _noise_level(source, layout, scp_pixel)) is not None:
+        sicd["Radiometric"] = {"NoiseLevel": {"NoiseLevelType": "ABSOLUTE", "NoisePoly": level.coefficients}}
+        notes.append(f"NoisePoly is of order {len(level.coefficients) - 1} and at most {level.error:.2g} dB off")
     return Metadata(root.getroottree(), layout, notes)
 
 
@@ -122,7 +125,7 @@ def _grid(
         k = 2 * geometry.collection.carrier / SPEED_OF_LIGHT * (sight[:, :2] @ direction)
         band = support.frequencies @ direction
         branch, note = _direction(direction, spacing, band, support.weights, offset, k, corners)
-        branch |= _weighting(source.weighting, band, support.weights)
+        branch |= _weighting(source, band, support.weights)
         branches[name] = {"UVectECF": np.array([*direction, 0.0]) @ frame.axes, **branch}
         notes.append(f"{name}.DeltaKCOAPoly {note}")
     return {"ImagePlane": "GROUND", "Type": "PLANE", "TimeCOAPoly": coa.coefficients, **branches}, notes
@@ -182,19 +185,31 @@ def _direction(
     return branch, note
 
 
-def _weighting(weighting: Weighting, band: FloatArray, weights: FloatArray) -> dict[str, Any]:
-    """WgtType and WgtFunct of a direction; none of an image without a weighting.
+def _weighting(source: FinishedRun, band: FloatArray, weights: FloatArray) -> dict[str, Any]:
+    """WgtType and WgtFunct of a direction; none of an image without a weighting and an antenna's pattern.
 
     The tapers lie along range and azimuth, not along rows and columns, so no known window describes a cut: WgtFunct has
     the weights that the band of the cut has, and the parameters name the tapers.
     """
-    if weighting.uniform:
+    weighting, patterned = source.weighting, source.collection.has_pattern
+    if weighting.uniform and not patterned:
         return {}
     parameters = [("RANGE", weighting.range.text), ("AZIMUTH", weighting.azimuth.text)]
+    parameters += [("PATTERN", "antenna pattern, in the samples")] if patterned else []
     return {
         "WgtType": {"WindowName": "UNKNOWN", "Parameter": parameters},
         "WgtFunct": cut_weights(band, weights, WEIGHTS),
     }
+
+
+def _noise_level(source: FinishedRun, layout: Layout, scp_pixel: Any) -> Poly2D | None:
+    """The power of the noise in a pixel, dB, over m from the scene centre point; None if it is not known."""
+    found = source.noise_levels(FIT_POINTS)
+    if found is None:
+        return None
+    x, y, noise = found
+    offset = np.stack([x, y], axis=1) - layout.point(*scp_pixel.astype(np.float64))[:2]
+    return fit_poly2d(offset @ layout.row, offset @ layout.column, 10 * np.log10(noise), NOISE_ACCURACY)
 
 
 def _extent(delta: FloatArray, corners: FloatArray, width: float, spacing: float) -> tuple[float, float]:

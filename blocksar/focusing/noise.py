@@ -1,0 +1,130 @@
+"""The noise of an image: what the noise of the samples leaves at a pixel.
+
+The image is sum w W signal exp() / sum w W g, so that independent noise of mean squared magnitude N in each sample
+gives a pixel
+
+    noise_equivalent = N sum (w W)^2 / (sum w W g)^2 = N (sum w^2 / (sum w g)^2) (sum W^2 / (sum W)^2)
+
+over its lit valid pulses and all range frequencies, whichever processor computes it. Both sums over pulses are smooth
+over the ground, apart from bends where dwells begin to be cut: they are computed at every NODE_PIXELS-th pixel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple, Self
+
+import numpy as np
+
+from blocksar.arrays import FloatArray, IntArray
+from blocksar.collection.beam import GAIN_PARTS, aperture, dwell, pattern_gain, pulse_weights
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.weighting import Weighting
+from blocksar.kernels.phase import Float32Array
+
+NODE_PIXELS = 16
+# Bits of a float32 that are kept zero, so that images of noise compress: values are rounded to 1.2e-4, or 0.0005 dB.
+SPARED_BITS = 11
+
+
+class PulseSums(NamedTuple):
+    """Sums over the lit valid pulses of points (...): of w^2, and of w g. Not above 0 beyond the ends of the beam."""
+
+    squares: FloatArray
+    gains: FloatArray
+
+
+def pulse_sums(geometry: Geometry, x: FloatArray, y: FloatArray, valid: FloatArray, weighting: Weighting) -> PulseSums:
+    """The sums at ground points x, y (...), m.
+
+    Dwells begin and end between pulses here, so that the sums are continuous. A point beyond the beam has a dwell of
+    negative length, so that the sums go through 0 where the light ends, without a bend.
+
+    Parameters
+    ----------
+    valid : (n_pulse,) float
+        Fraction of each pulse's samples that are valid.
+    """
+    collection, taper = geometry.collection, weighting.azimuth
+    ends = dwell(geometry, x, y)
+    never = ~(np.isfinite(ends[0]) & np.isfinite(ends[1]))
+    start, _ = aperture(collection)
+    low, high = (np.where(never, 0.0, (end - start) * collection.prf) for end in ends)
+    before, n = np.concatenate([[0.0], np.cumsum(valid)]), valid.size
+
+    def counted(pulse: FloatArray) -> FloatArray:
+        beyond = np.minimum(pulse, 0.0) + np.maximum(pulse - n, 0.0)
+        return np.interp(pulse, np.arange(n + 1.0), before) + beyond
+
+    if taper.uniform and not collection.has_pattern:
+        count = counted(high) - counted(low)
+        return PulseSums(count, count)
+    squares, gains = np.zeros(low.shape), np.zeros(low.shape)
+    for part in range(GAIN_PARTS):
+        first, last = (low + (high - low) * (part + k) / GAIN_PARTS for k in (0, 1))
+        count = counted(last) - counted(first)
+        middle: IntArray = np.clip((first + last) / 2, 0, n - 1).astype(np.int64)
+        weight = pulse_weights(geometry, x, y, middle, taper)
+        squares += count * weight**2
+        gains += count * weight * pattern_gain(geometry, x, y, middle)
+    return PulseSums(squares, gains)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class NoiseMap:
+    """The noise of an image's pixels.
+
+    Attributes
+    ----------
+    geometry : Geometry
+    weighting : Weighting
+    valid : (n_pulse,) float
+        Fraction of each pulse's samples that are valid.
+    sample : float
+        N sum W^2 / (sum W)^2: the noise of the image if one pulse of weight 1 lit a pixel.
+    """
+
+    geometry: Geometry
+    weighting: Weighting
+    valid: FloatArray
+    sample: float
+
+    @classmethod
+    def of(cls, geometry: Geometry, weighting: Weighting, valid: FloatArray) -> Self | None:
+        """The noise of a collection's images; None where the noise of its samples is not known, or is 0."""
+        collection = geometry.collection
+        if not collection.noise_power:
+            return None
+        weights = weighting.range.samples(collection.n_range_frequency)
+        sample = collection.noise_power * float((weights**2).sum() / weights.sum() ** 2)
+        return cls(geometry=geometry, weighting=weighting, valid=valid, sample=sample)
+
+    def over(self, x: FloatArray, y: FloatArray) -> Float32Array:
+        """Mean squared magnitude of the noise at pixels of columns x (n_x,) and rows y (n_y,), m: (n_y, n_x).
+
+        NaN where no pulse lights a pixel.
+        """
+        columns, rows = _nodes(x.size), _nodes(y.size)
+        sums = pulse_sums(self.geometry, *np.meshgrid(x[columns], y[rows]), self.valid, self.weighting)
+        squares, gains = (_refine(_refine(part, rows, y.size).T, columns, x.size).T for part in sums)
+        lit = (squares > 0) & (gains > 0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            noise = np.where(lit, self.sample * squares / gains**2, np.nan).astype(np.float32)
+        bits = noise.view(np.int32)  # a NaN stays one
+        half = np.int32(1 << (SPARED_BITS - 1))
+        return np.where(lit, (bits + half) & np.int32(-1 << SPARED_BITS), bits).view(np.float32)
+
+
+def _nodes(n: int) -> IntArray:
+    """Indices of every NODE_PIXELS-th of n pixels, and of the last."""
+    return np.unique(np.append(np.arange(0, n, NODE_PIXELS), n - 1))
+
+
+def _refine(values: FloatArray, nodes: IntArray, n: int) -> FloatArray:
+    """Values (n_node, m) at nodes, linear in between: (n, m)."""
+    if nodes.size == 1:
+        return values
+    pixel = np.arange(n)
+    first = np.clip(np.searchsorted(nodes, pixel, side="right") - 1, 0, nodes.size - 2)
+    part = ((pixel - nodes[first]) / (nodes[first + 1] - nodes[first]))[:, None]
+    return np.asarray(values[first] * (1 - part) + values[first + 1] * part)

@@ -1,0 +1,77 @@
+"""The noise of images: that of collections of noise alone, against what the images say of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from axis_beams import axis_scene
+from distributed import Client
+from scenes import scene
+
+import blocksar
+from blocksar import stores
+from blocksar.errors import InputError
+
+NOISE = "\n[noise]\npower = 0.5\nseed = 5\n[dropped]\npulses = [700, 701, 702]\n"
+PARTS = 8  # of the pixels, from the longest dwells to the shortest
+AXIS: dict[str, Any] = {"bandwidth": 50e6, "range_sampling": 60e6, "prf": 600, "height": 5000.0, "time": "duration = 2"}
+TOPS = 'mode = "tops"\nwidth_deg = 1.2\nrate_deg = 1.0\npattern = "gaussian"'
+SLIDING = 'mode = "sliding-spotlight"\nwidth_deg = 0.9\nrate_deg = -0.35'
+SCENES = {
+    # The whole sector: dwells are cut at both ends of the collection, down to nothing.
+    "table1": (
+        scene(steering=(44.75, 55.25), duration=0.4, swath=[29850.0, 30150.0], more=NOISE),
+        ((13300.0, 18800.0, 12.0), (16700.0, 21500.0, 12.0)),
+    ),
+    "tops": (axis_scene(TOPS, swath=[9800.0, 10200.0], more=NOISE, **AXIS), ((8400, 8900, 5), (-320, 320, 2))),
+    "sliding": (axis_scene(SLIDING, swath=[9800.0, 10200.0], more=NOISE, **AXIS), ((8400, 8900, 5), (-200, 200, 1))),
+}
+
+
+@pytest.mark.parametrize(("name", "processor", "weighting"), [
+    ("table1", "angular-division", "uniform"),
+    ("table1", "angular-division", "taylor:4:-35"),
+    ("tops", "angular-division", "taylor:4:-35"),
+    ("tops", "keystone-resampling", "uniform"),
+    ("sliding", "backprojection", "taylor:4:-35"),
+])  # fmt: skip
+def test_the_noise_of_an_image_is_as_strong_as_it_says(
+    name: str, processor: Any, weighting: str, client: Client, tmp_path: Path
+) -> None:
+    """The mean of n independent pixels' power over its expectation is 1 to within 1 / sqrt(n)."""
+    text, grid = SCENES[name]
+    (tmp_path / "scene.toml").write_text(text)
+    store = blocksar.simulate(tmp_path / "scene.toml", tmp_path / "ph.zarr")
+    blocksar.focus(store, tmp_path / "run", grid=grid, processor=processor, weighting=weighting, client=client)
+    with blocksar.open(tmp_path / "run") as dataset:
+        image, noise = dataset.image.values, dataset.noise_equivalent.values
+        np.testing.assert_allclose(dataset.sar.noise_db(), 10 * np.log10(noise), atol=1e-4)
+    assert noise.dtype == np.float32 and not (np.isfinite(noise) & ~np.isfinite(image)).any()
+    both = np.isfinite(noise)
+    assert both.sum() > 0.99 * np.isfinite(image).sum() > 1e4  # not those that are lit for less than a pulse
+    order = np.argsort(noise[both])
+    expected = noise[both][order]
+    assert expected[-1] > (20 if name != "tops" else 1.2) * expected[0]
+    for part in np.array_split((np.abs(image[both]) ** 2)[order] / expected, PARTS):
+        assert part.mean() == pytest.approx(1.0, abs=4 / np.sqrt(part.size))
+    figures = blocksar.quality(tmp_path / "run").result["noise"]
+    assert expected[0] <= figures["least"] <= figures["median"] <= figures["greatest"] <= expected[-1]
+    assert figures["median"] == pytest.approx(np.median(expected), rel=0.05)
+
+
+def test_without_known_noise_an_image_has_none(client: Client, tmp_path: Path) -> None:
+    text = axis_scene(TOPS, swath=[9800.0, 10200.0], more='[[targets]]\nx = 8660.0\ny = 0.0\nname = "P"\n', **AXIS)
+    (tmp_path / "scene.toml").write_text(text)
+    store = blocksar.simulate(tmp_path / "scene.toml", tmp_path / "ph.zarr")
+    blocksar.focus(
+        store, tmp_path / "run", grid=((8640, 8680, 2), (-10, 10, 1)), processor="backprojection", client=client
+    )
+    assert stores.open_phase_history(store).collection.noise_power is None
+    assert "noise" not in blocksar.quality(tmp_path / "run").result
+    with blocksar.open(tmp_path / "run") as dataset:
+        assert set(dataset.data_vars) == {"image", "block"}
+        with pytest.raises(InputError, match="has no noise_equivalent: the noise of the samples was not known"):
+            dataset.sar.noise_db()
