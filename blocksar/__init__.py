@@ -1,20 +1,36 @@
 """blocksar: focus squint-TOPS synthetic aperture radar data by angular blocks, in parallel.
 
 The functions correspond to the commands: `simulate`, `ingest`, `info`, `check`, `plan`, `focus`, `quality`, `report`,
-`export` and `compile`; `open` returns a finished image. They are loaded on first use, so that `import blocksar` is
-fast. They raise `InputError` if the caller's input is wrong, and `ProcessingError` if processing failed and the same
-call can resume it.
+`export` and `compile`; `open` returns a finished image; `collection` builds a phase history from arrays, and `write`
+stores it. They are loaded on first use, so that `import blocksar` is fast. They raise `InputError` if the caller's input
+is wrong, and `ProcessingError` if processing failed and the same call can resume it.
 """
 
 from __future__ import annotations
 
 import importlib
+import sys
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from blocksar.version import __version__
 
 if TYPE_CHECKING:
-    from blocksar.api import check, compile, export, focus, info, ingest, open, plan, quality, report, simulate
+    from blocksar.api import (
+        check,
+        collection,
+        compile,
+        export,
+        focus,
+        info,
+        ingest,
+        open,
+        plan,
+        quality,
+        report,
+        simulate,
+        write,
+    )
     from blocksar.errors import InputError, ProcessingError
 
 __all__ = [
@@ -22,6 +38,7 @@ __all__ = [
     "ProcessingError",
     "__version__",
     "check",
+    "collection",
     "compile",
     "export",
     "focus",
@@ -32,6 +49,7 @@ __all__ = [
     "quality",
     "report",
     "simulate",
+    "write",
 ]
 
 
@@ -40,6 +58,21 @@ def __getattr__(name: str) -> Any:
         home = "errors" if name.endswith("Error") else "api"
         return getattr(importlib.import_module(f"blocksar.{home}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+class _Package(ModuleType):
+    """The package, whose function `collection` keeps its name: importing the folder of that name would replace it."""
+
+    @property
+    def collection(self) -> Any:
+        return __getattr__("collection")
+
+    @collection.setter
+    def collection(self, folder: ModuleType) -> None:
+        """Leave the folder where `from blocksar.collection...` finds it: in sys.modules."""
+
+
+sys.modules[__name__].__class__ = _Package
 
 
 def __dir__() -> list[str]:

@@ -1,7 +1,8 @@
-"""The commands as functions: simulate, ingest, check, plan, focus, quality, report, export, open, info, demo, compile.
+"""The commands as functions: simulate, ingest, check, plan, focus, quality, report, export, open, info, demo, compile;
+and collection and write, for data in memory.
 
-One module for each stage: `sources`, `describing` (with `facts`), `checking`, `planning`, `focusing` (with `jobs`),
-`measuring`, `exporting`, `demonstrating`, `compiling`. They share `arguments` and `reports`.
+One module for each stage: `sources`, `datasets`, `describing` (with `facts`), `checking`, `planning`, `focusing` (with
+`jobs`), `measuring`, `exporting`, `demonstrating`, `compiling`. They share `arguments` and `reports`.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from blocksar.garbage import uncollected
 if TYPE_CHECKING:
     from blocksar.api.checking import check
     from blocksar.api.compiling import compile
+    from blocksar.api.datasets import collection, write
     from blocksar.api.demonstrating import demo
     from blocksar.api.describing import info
     from blocksar.api.exporting import export, open, report
@@ -25,14 +27,15 @@ if TYPE_CHECKING:
 
 # The module of each function: it is loaded on first use, since a command needs one of them.
 _HOMES = {
-    "Report": "reports", "check": "checking", "compile": "compiling", "demo": "demonstrating", "export": "exporting",
-    "focus": "focusing", "info": "describing", "ingest": "sources", "ingest_cphd": "sources",
+    "Report": "reports", "check": "checking", "collection": "datasets", "compile": "compiling", "demo": "demonstrating",
+    "export": "exporting", "focus": "focusing", "info": "describing", "ingest": "sources", "ingest_cphd": "sources",
     "ingest_gotcha": "sources", "open": "exporting", "plan": "planning", "quality": "measuring", "report": "exporting",
-    "simulate": "sources",
+    "simulate": "sources", "write": "datasets",
 }  # fmt: skip
 __all__ = [
     "Report",
     "check",
+    "collection",
     "compile",
     "demo",
     "export",
@@ -46,6 +49,7 @@ __all__ = [
     "quality",
     "report",
     "simulate",
+    "write",
 ]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,25 +35,28 @@ def collection_of(source: Location | xr.Dataset) -> Collection:
 
         if text.endswith(".toml") or text in shipped_scenes():
             return Scene.read(text).collection().centred()
-    return stores.open_phase_history(path_of(source)).collection.centred()
+    return history_of(source).collection.centred()
 
 
-def path_of(source: Location | xr.Dataset) -> Location:
-    """Return the path of a phase history; a dataset is used for the path that it was opened from.
+def history_of(source: Location | xr.Dataset) -> stores.PhaseHistory:
+    """Open the phase history that a path names, or that a dataset is.
 
     Raises
     ------
     InputError
-        If the dataset was not opened from a store.
+        If there is none, or it departs from the contract.
     """
-    return source if isinstance(source, str | os.PathLike | Place) else _dataset_path(source)
+    if isinstance(source, str | os.PathLike | Place):
+        return stores.open_phase_history(source)
+    if _is_dataset(source):
+        return stores.history_of(source)
+    what = f"{type(source).__module__.partition('.')[0]}.{type(source).__name__}".removeprefix("builtins.")
+    raise InputError(
+        f"source is a {what}; give the path of a phase history, or a dataset, which blocksar.collection builds from "
+        "arrays"
+    )
 
 
-def _dataset_path(source: xr.Dataset) -> str:
-    path = source.encoding.get("source")
-    if path is None:
-        raise InputError(
-            "source is a dataset that was not opened from a store; write it with to_zarr(path, zarr_format=3) and pass "
-            "that path"
-        )
-    return str(path)
+def _is_dataset(source: object) -> bool:
+    xarray = sys.modules.get("xarray")  # who has a dataset has loaded it
+    return xarray is not None and isinstance(source, xarray.Dataset)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from blocksar import stores
-from blocksar.api.arguments import GridLike, grid_of, path_of
+from blocksar.api.arguments import GridLike, grid_of, history_of
 from blocksar.api.measuring import pulse_reader
 from blocksar.api.reports import Report, Table
 from blocksar.arrays import ComplexArray
@@ -31,7 +31,7 @@ def check(source: Location | xr.Dataset, *, grid: GridLike | None = None, thread
     Parameters
     ----------
     source : path or xarray.Dataset
-        Phase-history store, or a dataset opened from one.
+        Phase-history store, or a dataset of its contract.
     grid : Grid or ((x0, x1, dx), (y0, y1, dy)), optional
         Ground to look at, m in the scene frame. Needed if the beam is not steered.
     threads : int, optional
@@ -48,7 +48,7 @@ def check(source: Location | xr.Dataset, *, grid: GridLike | None = None, thread
     InputError
         If the source is no phase history, its samples are constant, or a grid is missing or lies outside the swath.
     """
-    history = stores.open_phase_history(path_of(source))
+    history = history_of(source)
     findings = check_samples(history, grid_of(grid), threads=threads or machine()[0], thorough=True)
     result = {
         "warning": findings.warning(),

@@ -6,6 +6,7 @@ image.zarr and run.json. Units of work leave receipts in receipts/ during the ru
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, nullcontext
@@ -50,6 +51,7 @@ if TYPE_CHECKING:
     import xarray as xr
     from distributed import Client
 
+SMALL = 1 << 24  # samples, 128 MiB: for less, a cluster takes longer to start than it saves
 UNITS = {
     "range-compress": "groups of pulses",
     "recover": "column groups",
@@ -92,7 +94,8 @@ def focus(
     Parameters
     ----------
     source : path or xarray.Dataset
-        Phase-history store, or a dataset opened from one.
+        Phase-history store, or a dataset of its contract, such as `collection` builds. The samples of a dataset that
+        is not as it was opened from a store are written to RUN/input.zarr, once.
     out : path
         Run folder.
     processor : {"angular-division", "keystone-resampling", "high-order-phase", "backprojection"}
@@ -122,7 +125,8 @@ def focus(
         Image points x0, x0 + dx, ... < x1 in m in the scene frame, likewise y. Default: the box around the lit sector
         at about half the resolution. Needed if the beam is not steered.
     workers : int, optional
-        Processes of the local cluster. Default: the number of cores, at most 4.
+        Processes of the local cluster; 0: the calling process does the work, without a cluster. Default: the number of
+        cores, at most 4; in a notebook or another interactive session 0 for a collection of at most 2**24 samples.
     threads : int, optional
         Threads of each worker. Default: cores / workers, at least 1.
     memory_limit : int, optional
@@ -182,19 +186,34 @@ def focus(
         return _report_finished(request.folder, record)
     with ExitStack() as stack:
         connected = None
+        here = client is None and scheduler is None and _in_this_process(workers, request.history)
+        if here and profile is not None:
+            raise InputError(
+                f"performance_report is {str(profile)!r}, but dask does no work where the calling process does; give "
+                "workers, or leave it out"
+            )
         if client is not None or scheduler is not None:
             connected = stack.enter_context(cluster.open_client(scheduler=scheduler, client=client))
             workers, memory_limit = cluster.cluster_size(connected)
             if profile is not None:
                 recording.check_recordable(profile, connected)
-        machine = resources(workers, threads, memory_limit)
+        machine = resources(0 if here else workers, threads, memory_limit)
         if dry_run:
             return rehearse(request, record, machine)
         stack.enter_context(run_folder.claim(request.folder))
         record = request.find_run()  # again: another process may have written it in the meantime
         if record is not None and record.finished:
             return _report_finished(request.folder, record, claimed=True)
+        if here:
+            connected = cluster.open_here(listener)
         return _focus(request, record, machine, connected, listener, profile)
+
+
+def _in_this_process(workers: int | None, history: stores.PhaseHistory) -> bool:
+    """Whether the calling process does the work: by default that of small collections, in interactive sessions."""
+    if workers is None:
+        return hasattr(sys, "ps1") and history.shape[0] * history.shape[1] <= SMALL
+    return workers == 0
 
 
 def _report_finished(folder: Place, record: RunRecord, *, claimed: bool = False) -> Report:
@@ -238,7 +257,8 @@ def _focus(
         raise ProcessingError(f"{error}; what was finished stays, the same command goes on from there") from error
     coarse = None if job.plan is None else undersampling(job.plan)
     notes = [f"note: {coarse}"] if coarse else []
-    return Report(summary=[*_summary(request.folder, finished, job.memory), *notes], result=finished.as_json())
+    worker = "this process" if cluster.is_here(client) else "a worker"
+    return Report(summary=[*_summary(request.folder, finished, job.memory, worker), *notes], result=finished.as_json())
 
 
 def _carry_out(
@@ -257,6 +277,7 @@ def _carry_out(
         input_read = (lambda: None) if resumed else stack.enter_context(run_folder.begin(run.folder))
         run.folder.sweep()
         record.write(run.folder)
+        job = job.with_stored_input()
         if job.plan is None:
             compiling.compile_modules(["focusing.backprojection"], apart=False)  # here, or each worker would
         if client is None:
@@ -421,8 +442,8 @@ def _create_image(run: Run, job: Job, record: RunRecord) -> None:
     )  # fmt: skip
 
 
-def _summary(folder: Place, record: RunRecord, planned: int) -> list[str]:
-    """Return the warnings, and sentences on resumed work, time and memory; `planned` is the peak memory, bytes."""
+def _summary(folder: Place, record: RunRecord, planned: int, worker: str) -> list[str]:
+    """Return the warnings, and sentences on resumed work, time and memory; `planned` is a worker's peak, bytes."""
     timings = record.timings
     stages = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in timings.items() if name != "total")
     peak = record.peak_memory or 0
@@ -430,7 +451,7 @@ def _summary(folder: Place, record: RunRecord, planned: int) -> list[str]:
         *(f"note: {line}" for line in record.warnings),
         *_resumed_line(record.receipts),
         f"{folder / 'image.zarr'} is finished in {timings['total']:.1f} s ({stages})",
-        f"peak memory of a worker {peak / MIB:.0f} MiB, planned {planned / MIB:.0f} MiB",
+        f"peak memory of {worker} {peak / MIB:.0f} MiB, planned {planned / MIB:.0f} MiB",
         *([record.check] if record.check else []),
     ]
 

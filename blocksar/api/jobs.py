@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import metadata
 from typing import TYPE_CHECKING, Any, Literal
 
 from blocksar import stores
-from blocksar.api.arguments import path_of
+from blocksar.api.arguments import history_of
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
 from blocksar.collection.region import default_grid, plan_region
 from blocksar.collection.weighting import UNIFORM, Weighting
-from blocksar.errors import FolderError, InputError
+from blocksar.errors import FolderError, InputError, ProcessingError
 from blocksar.focusing.method import Method
 from blocksar.graph.machine import Resources
 from blocksar.places import Location, place
@@ -82,13 +82,18 @@ class Request:
         InputError
             If there is none, its georeference is wrong, or it and the folder lie in each other.
         """
-        history = stores.open_phase_history(path_of(source)).pinned()
+        history = history_of(source).pinned()
         if "georeference" in history.attrs:
             Georeference.from_attribute(history.attrs["georeference"])  # refuse a wrong one before the work starts
         fingerprint = history.fingerprint()
-        if not stores.open_phase_history(history.path).same(history):
-            raise InputError(f"{history.path} changes while it is read; start again once nothing writes to it")
-        run_folder.refuse_overlap(place(history.path), folder)
+        if isinstance(history, stores.DatasetHistory):
+            if (opened := getattr(source, "encoding", {}).get("source")) is not None:
+                run_folder.refuse_overlap(place(opened), folder)  # it may still be read
+            history = replace(history, path=folder / run_folder.INPUT)
+        else:
+            if not stores.open_phase_history(history.path).same(history):
+                raise InputError(f"{history.path} changes while it is read; start again once nothing writes to it")
+            run_folder.refuse_overlap(place(history.path), folder)
         return cls(
             history=history, folder=folder, method=method, blocks=blocks, fidelity=fidelity, weighting=weighting,
             grid=grid,
@@ -192,6 +197,25 @@ class Job:
             raise InputError(plan.refusal)
         memory = max(compression, plan.memory)
         return cls(request=request, geometry=geometry, grid=plan.grid, machine=machine, plan=plan, memory=memory)
+
+    def with_stored_input(self) -> Job:
+        """The same job with its samples in a store: those in memory are written into the run folder, once.
+
+        Tasks read their input by chunks, and a run that is resumed reads the same.
+
+        Raises
+        ------
+        ProcessingError
+            If they cannot be written.
+        """
+        history = self.history
+        if not isinstance(history, stores.DatasetHistory):
+            return self
+        try:
+            stored = history.stored(history.path).pinned()
+        except InputError as error:  # about the run's own store, not about the input
+            raise ProcessingError(str(error)) from error
+        return replace(self, request=replace(self.request, history=stored))
 
     def predict_effort(self) -> Work:
         """Predict the relative cost of the stages."""

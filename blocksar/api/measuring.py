@@ -27,6 +27,7 @@ from blocksar.measurement.targets import Target
 from blocksar.places import Location, place
 from blocksar.places.place import Place
 from blocksar.runs.finished import FinishedRun
+from blocksar.runs.folder import INPUT
 from blocksar.runs.record import RunPlan
 from blocksar.simulation.scene import Scene
 
@@ -202,7 +203,9 @@ def _compare(run: FinishedRun) -> Compared:
     """
     if not run.record.input.path:
         raise InputError(f"run.json of {run.folder} does not name the input (input.path); focus again with --overwrite")
-    read = pulse_reader(stores.open_phase_history(run.record.input.path))
+    own = run.folder / INPUT  # goes with the folder, where that is moved
+    path = own if place(run.record.input.path).name == INPUT and own.exists() else run.record.input.path
+    read = pulse_reader(stores.open_phase_history(path))
     half = 32
     places: list[tuple[str, float, float]] = []
     chips: list[ComplexArray] = []

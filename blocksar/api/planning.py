@@ -68,7 +68,7 @@ def plan(
     Parameters
     ----------
     source : path or xarray.Dataset
-        Phase-history store or a dataset opened from one, scene file (TOML), or the name of a shipped scene.
+        Phase-history store or a dataset of its contract, scene file (TOML), or the name of a shipped scene.
     processor : {"angular-division", "keystone-resampling", "high-order-phase", "backprojection", "auto"}
         Chain to plan. "auto" compares the first three and proposes one. Default: "angular-division".
     blocks : int or "auto"

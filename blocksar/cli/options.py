@@ -47,7 +47,8 @@ GridOption = Annotated[
     ),
 ]
 Workers = Annotated[
-    int | None, typer.Option(metavar="N", min=1, help="Worker processes; default: by the machine's cores and memory.")
+    int | None,
+    typer.Option(metavar="N", min=0, help="Worker processes; 0: this process; default: by the cores."),
 ]
 Threads = Annotated[
     int | None, typer.Option(metavar="N", min=1, help="Threads per worker; default: by the machine's cores.")

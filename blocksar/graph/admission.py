@@ -11,6 +11,7 @@ from typing import Any
 from distributed import Client, Future, wait
 
 from blocksar.errors import ProcessingError
+from blocksar.graph.here import Here
 from blocksar.progress import NOBODY, Listener, Workers
 
 Unit = tuple[str, Callable[[], Future[Any]]]  # name of a unit of work, and the function that submits it
@@ -33,6 +34,9 @@ def as_completed(
     ProcessingError
         If the scheduler is gone, no worker is left, or no unit finishes any more.
     """
+    if isinstance(client, Here):
+        yield from client.as_completed(units, listener)
+        return
     waiting = deque(units)
     starts = dict(units)
     running: dict[Future[Any], str] = {}

@@ -18,7 +18,7 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import dask
 import distributed.utils
@@ -28,6 +28,7 @@ from blocksar.errors import InputError, ProcessingError
 from blocksar.graph.admission import NO_WORKER
 from blocksar.graph.compiling import compile_kernels, kernels_cached
 from blocksar.graph.forking import start_fork_server, worker_environment
+from blocksar.graph.here import Here
 from blocksar.graph.machine import machine
 from blocksar.graph.recording import serve_dashboard
 from blocksar.progress import Listener
@@ -63,6 +64,17 @@ def prepare_workers(threads: int, listener: Listener) -> None:
     if not kernels_cached():
         _compile_once(listener)
     start_fork_server(threads)
+
+
+def open_here(listener: Listener) -> Client:
+    """Return what runs the tasks of a run in this process, after the loops are compiled."""
+    _compile_once(listener)
+    return cast(Client, Here())
+
+
+def is_here(client: object) -> bool:
+    """Tell whether a client is that of `open_here`."""
+    return isinstance(client, Here)
 
 
 def _compile_once(listener: Listener) -> None:
@@ -241,7 +253,7 @@ def _refuse_unguarded_script() -> None:
             if not names & {"__name__", "current_process", "parent_process"}:
                 raise InputError(
                     f"{file}, line {frame.f_lineno}: workers import this script, and would call focus again; call it "
-                    'below `if __name__ == "__main__":`'
+                    'below `if __name__ == "__main__":`, or focus in this process with workers=0'
                 )
 
 

@@ -37,16 +37,18 @@ class Resources(NamedTuple):
 def resources(workers: int | None, threads: int | None, memory_limit: int | None) -> Resources:
     """Fill in defaults: workers times threads is at most the number of cores, and workers share the memory equally.
 
+    Without workers (0) the calling process does their work: it counts as one.
+
     Raises
     ------
     InputError
-        If a number is below 1.
+        If a number is too low.
     """
     cores, memory = machine()
-    for name, value in (("workers", workers), ("threads", threads)):
-        if value is not None and value < 1:
-            raise InputError(f"{name} must be at least 1, got {value}")
-    workers = workers or min(cores, 4)
+    for name, value, least in (("workers", workers, 0), ("threads", threads, 1)):
+        if value is not None and value < least:
+            raise InputError(f"{name} must be at least {least}, got {value}")
+    workers = min(cores, 4) if workers is None else max(workers, 1)
     threads = threads or max(cores // workers, 1)
     return Resources(workers, threads, memory_limit or memory // workers)
 

@@ -14,5 +14,5 @@ def start_early(source: str, out: str, *, workers: int | None, threads: int | No
 
     It will not if there is no such source, or if the run folder may hold a finished run; nor before loops are compiled.
     """
-    if Path(source).exists() and not Path(out).exists() and kernels_cached():
+    if workers != 0 and Path(source).exists() and not Path(out).exists() and kernels_cached():
         start_fork_server(resources(workers, threads, None).threads)

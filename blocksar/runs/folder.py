@@ -22,9 +22,11 @@ from blocksar.places.place import Held, Place
 from blocksar.runs.record import RECORD, RunRecord, Written
 from blocksar.version import __version__
 
+INPUT = "input.zarr"  # the phase history of a run whose samples came from memory
 # All files of a run.
 OWN = (
     RECORD,
+    INPUT,
     "collection.zarr",
     "spectrum.zarr",
     "compressed.zarr",

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from blocksar.stores.chunk_files import Array, Region
 from blocksar.stores.creation import UNFINISHED, create
+from blocksar.stores.datasets import CONTENT, DatasetHistory, dataset_of, history_in_memory, history_of
 from blocksar.stores.phase_history import (
     PhaseHistory,
     create_phase_history,
@@ -47,6 +48,7 @@ from blocksar.stores.truth import is_truth, write_truth
 
 __all__ = [
     "COLLECTION",
+    "CONTENT",
     "CONVENTIONS",
     "GATED",
     "IMAGE",
@@ -59,6 +61,7 @@ __all__ = [
     "TRUTH",
     "UNFINISHED",
     "Array",
+    "DatasetHistory",
     "PhaseHistory",
     "Region",
     "Variable",
@@ -67,8 +70,11 @@ __all__ = [
     "chunk_shape",
     "create",
     "create_phase_history",
+    "dataset_of",
     "file_checksum",
+    "history_in_memory",
     "history_line",
+    "history_of",
     "is_truth",
     "json_checksum",
     "open_dataset",

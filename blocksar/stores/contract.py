@@ -51,22 +51,41 @@ def number(attrs: Mapping[str, Any], name: str, unit: str, default: Any = ...) -
         raise InputError(f"attribute {name} is a whole number with hundreds of digits; correct it, in {unit}") from None
 
 
-def checked(place: Place, name: str) -> zarr.Array[Any]:
-    """Open a variable of the contract, and check everything except its values."""
-    variable = {**PHASE_HISTORY, **RAW_ECHO, **OPTIONAL}[name]
-    if not metadata_file(place / name):
-        raise InputError(f"variable {name} ({', '.join(variable.dims)}) is missing; write it, in {variable.units}")
-    array = open_array(place, name)
-    if isinstance(place, LocalPlace):
-        refuse_odd_chunks(place / name, len(array.metadata.encode_chunk_key((0,) * array.ndim).split("/")))
-    dims = dimension_names(array)
+def missing(name: str, variable: Variable) -> InputError:
+    """The error of a variable that is not there."""
+    return InputError(f"variable {name} ({', '.join(variable.dims)}) is missing; write it, in {variable.units}")
+
+
+def check_type(name: str, variable: Variable, dims: tuple[Any, ...] | None, dtype: np.dtype[Any]) -> None:
+    """Check that a variable has the dimensions and the kind of numbers that the contract fixes."""
     if dims != variable.dims:
         actual = "none" if dims is None else f"({', '.join(map(str, dims))})"
         remedy = "transpose it" if dims and sorted(map(str, dims)) == sorted(variable.dims) else "rename them"
         raise InputError(f"{name} has dimensions {actual}, but must have ({', '.join(variable.dims)}); {remedy}")
-    kinds = "c" if variable.dtype == "complex64" else "fiu"
-    if array.dtype.kind not in kinds:
-        raise InputError(f"{name} is {array.dtype}, but must be {variable.dtype}; write it as that")
+    if dtype.kind in "mM":
+        raise InputError(
+            f"{name} is {dtype}, but must be {variable.dtype} in {variable.units}; convert it, such as "
+            f'({name} - {name}[0]) / np.timedelta64(1, "s")'
+        )
+    if dtype.kind not in ("c" if variable.dtype == "complex64" else "fiu"):
+        raise InputError(f"{name} is {dtype}, but must be {variable.dtype}; write it as that")
+
+
+def check_units(name: str, variable: Variable, units: Any) -> None:
+    """Check that the units that a variable states, if any, are those of the contract."""
+    if units is not None and variable.units in UNITS and str(units).strip().lower() not in UNITS[variable.units]:
+        raise InputError(f"{name} is in {units!r}, but must be in {variable.units}; convert it")
+
+
+def checked(place: Place, name: str) -> zarr.Array[Any]:
+    """Open a variable of the contract, and check everything except its values."""
+    variable = {**PHASE_HISTORY, **RAW_ECHO, **OPTIONAL}[name]
+    if not metadata_file(place / name):
+        raise missing(name, variable)
+    array = open_array(place, name)
+    if isinstance(place, LocalPlace):
+        refuse_odd_chunks(place / name, len(array.metadata.encode_chunk_key((0,) * array.ndim).split("/")))
+    check_type(name, variable, dimension_names(array), array.dtype)
     if max(array.shape) > MAX_AXIS or (name not in ("signal", "echo") and array.size > 3 * MAX_AXIS):
         raise InputError(f"{name} claims the shape {array.shape}, beyond {MAX_AXIS} per axis; its metadata is damaged")
     chunks = array.shards or array.chunks
@@ -78,9 +97,7 @@ def checked(place: Place, name: str) -> zarr.Array[Any]:
     if count > MAX_CHUNKS and name not in ("signal", "echo"):
         raise InputError(f"{name} has {count} chunks, but is read as a whole; write it in at most {MAX_CHUNKS}")
     attrs = array.attrs.asdict()
-    units = attrs.get("units")
-    if units is not None and variable.units in UNITS and str(units).strip().lower() not in UNITS[variable.units]:
-        raise InputError(f"{name} is in {units!r}, but must be in {variable.units}; convert it")
+    check_units(name, variable, attrs.get("units"))
     packed = [key for key, idle in (("scale_factor", 1), ("add_offset", 0)) if attrs.get(key, idle) != idle]
     if packed:
         raise InputError(f"{name} is packed with {packed[0]} = {attrs[packed[0]]!r}; write its values as they are")

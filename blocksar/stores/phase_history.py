@@ -6,10 +6,11 @@ import json
 import os
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -291,11 +292,7 @@ def open_phase_history(path: Location) -> PhaseHistory:
         group = _open_group(place)
         names = [name for name in ("signal", "echo") if metadata_file(place / name)]
         if len(names) != 1:
-            variables = ", ".join(name for name in place.names() if metadata_file(place / name)) or "nothing"
-            raise InputError(
-                f"it holds {'both' if names else 'neither'} signal {'and' if names else 'nor'} echo (it holds "
-                f"{variables}); a phase history has one of the two"
-            )
+            raise not_one_of_two(names, (name for name in place.names() if metadata_file(place / name)))
         attrs = _attrs(group)
         samples = checked(place, names[0])
         for name, n in zip(
@@ -305,9 +302,21 @@ def open_phase_history(path: Location) -> PhaseHistory:
                 raise InputError(f"{names[0]} has shape {samples.shape}, but {name} has {shape}; make them agree")
         raw = _read_raw(place, attrs) if names == ["echo"] else None
         collection = _read_collection(place, attrs, None if raw is None else raw.range_frequency)
-        own = (*COLLECTION_ATTRS, *(RAW_ATTRS if raw is not None else ()))
-        rest = {name: value for name, value in attrs.items() if name not in own}
-        return PhaseHistory(path=place, collection=collection, raw=raw, attrs=rest)
+        return PhaseHistory(path=place, collection=collection, raw=raw, attrs=other_attrs(attrs, raw))
+
+
+def not_one_of_two(names: Sequence[str], variables: Iterable[str]) -> InputError:
+    """The error of a store with both or neither of signal and echo."""
+    return InputError(
+        f"it holds {'both' if names else 'neither'} signal {'and' if names else 'nor'} echo (it holds "
+        f"{', '.join(variables) or 'nothing'}); a phase history has one of the two"
+    )
+
+
+def other_attrs(attrs: Mapping[str, Any], raw: RawEcho | None) -> dict[str, Any]:
+    """The attributes of a store that neither its collection nor its raw echo has."""
+    own = (*COLLECTION_ATTRS, *(RAW_ATTRS if raw is not None else ()))
+    return {name: value for name, value in attrs.items() if name not in own}
 
 
 def read_collection(path: Location) -> tuple[Collection, dict[str, Any]]:
@@ -405,11 +414,30 @@ def _attrs(group: zarr.Group) -> dict[str, Any]:
 
 
 def _read_collection(place: Place, attrs: Mapping[str, Any], range_frequency: FloatArray | None) -> Collection:
-    time = read_real(place, "time")
-    if not metadata_file(place / "beam_azimuth"):
-        beam_azimuth = np.full(time.shape, np.nan)
-    else:
-        beam_azimuth = read_real(place, "beam_azimuth")
+    return collection_from(
+        partial(read_real, place), lambda name: bool(metadata_file(place / name)), attrs, range_frequency
+    )
+
+
+def collection_from(
+    read: Callable[[str], FloatArray],
+    present: Callable[[str], bool],
+    attrs: Mapping[str, Any],
+    range_frequency: FloatArray | None,
+) -> Collection:
+    """Return the collection that variables and attributes describe.
+
+    Parameters
+    ----------
+    read, present : function (name)
+        Reads a variable of the contract; tells whether there is one.
+    attrs : dict
+        All attributes of the store.
+    range_frequency : (n_range_frequency,) float or None
+        Hz, of a raw echo; None to read it.
+    """
+    time = read("time")
+    beam_azimuth = read("beam_azimuth") if present("beam_azimuth") else np.full(time.shape, np.nan)
     beam_width = number(attrs, "beam_width", "rad", None)
     if beam_width is not None and np.isnan(beam_width) and np.isnan(beam_azimuth).all():
         beam_width = None
@@ -418,20 +446,24 @@ def _read_collection(place: Place, attrs: Mapping[str, Any], range_frequency: Fl
     return Collection(
         carrier=carrier,
         time=time,
-        range_frequency=read_real(place, "range_frequency") if range_frequency is None else range_frequency,
-        reference_range=read_real(place, "reference_range"),
-        antenna_position=read_real(place, "antenna_position"),
+        range_frequency=read("range_frequency") if range_frequency is None else range_frequency,
+        reference_range=read("reference_range"),
+        antenna_position=read("antenna_position"),
         beam_azimuth=beam_azimuth,
         beam_width=beam_width,
         ground_height=ground_height,
         title=str(attrs.get("title") or ""),
         noise_power=number(attrs, "noise_power", "the square of signal's", None),
-        **{name: read_real(place, name) for name in OPTIONAL if metadata_file(place / name)},
+        **{name: read(name) for name in OPTIONAL if present(name)},
     )
 
 
 def _read_raw(place: Place, attrs: Mapping[str, Any]) -> RawEcho:
-    fast_time = read_real(place, "fast_time")
+    return raw_echo_from(read_real(place, "fast_time"), attrs)
+
+
+def raw_echo_from(fast_time: FloatArray, attrs: Mapping[str, Any]) -> RawEcho:
+    """Return the raw echo that fast time (n_fast_time,), s, and attributes describe."""
     check_axis(fast_time, "fast_time", "s")
     return RawEcho(
         fast_time=fast_time,

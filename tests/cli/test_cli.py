@@ -222,7 +222,7 @@ def test_an_invalid_option_runs_nothing(api: Calls) -> None:
         ["--grid", "0:1"],
         ["--blocks", "0"],
         ["--memory-limit", "lots"],
-        ["--workers", "0"],
+        ["--workers", "-1"],
         ["--processor", "x"],
     ):
         result = run("focus", "ph.zarr", "--out", "run", *words)

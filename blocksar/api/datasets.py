@@ -1,0 +1,184 @@
+"""collection, write: phase histories from arrays, and datasets to stores."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from blocksar import stores
+from blocksar.collection.georeference import Georeference
+from blocksar.errors import InputError
+from blocksar.measurement.targets import Target
+from blocksar.places import Location, place
+from blocksar.places.local import LocalPlace
+from blocksar.places.place import Place
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+
+def collection(
+    *,
+    time: ArrayLike,
+    antenna_position: ArrayLike,
+    reference_range: ArrayLike,
+    carrier_frequency: float,
+    signal: ArrayLike | None = None,
+    range_frequency: ArrayLike | None = None,
+    echo: ArrayLike | None = None,
+    fast_time: ArrayLike | None = None,
+    chirp_rate: float | None = None,
+    pulse_width: float | None = None,
+    beam_azimuth: ArrayLike | None = None,
+    beam_width: float | None = None,
+    beam_axis: ArrayLike | None = None,
+    beam_steering: ArrayLike | None = None,
+    beam_offset: ArrayLike | None = None,
+    beam_pattern: ArrayLike | None = None,
+    elevation: ArrayLike | None = None,
+    elevation_pattern: ArrayLike | None = None,
+    noise_power: float | None = None,
+    ground_height: float = 0.0,
+    title: str = "",
+    targets: Sequence[Target | Mapping[str, Any]] | None = None,
+    georeference: Mapping[str, Any] | None = None,
+) -> xr.Dataset:
+    """Build a phase history from arrays, and check it against the contract of its store.
+
+    A target of reflectivity sigma at range R(pulse) contributes
+    sigma exp(-4j pi (carrier_frequency + range_frequency) / c (R - reference_range)) to `signal` while it is lit. The
+    scene frame is any local frame in m with z up.
+
+    Parameters
+    ----------
+    time : (n_pulse,) float
+        Slow time, s; uniform, ascending. t = 0 defines the polar frame.
+    antenna_position : (n_pulse, 3) float
+        Phase centre (x, y, z) in the scene frame, m.
+    reference_range : (n_pulse,) float, or float
+        Range whose phase was removed, m; a constant near the middle of the swath where none was.
+    carrier_frequency : float
+        Hz.
+    signal : (n_pulse, n_range_frequency) complex, optional
+        Samples over range frequency, 1; NaN where missing. Needed unless there is `echo`.
+    range_frequency : (n_range_frequency,) float, optional
+        Hz, relative to the carrier; uniform, ascending. Needed with `signal`.
+    echo : (n_pulse, n_fast_time) complex, optional
+        Raw chirped samples, 1, instead of `signal`; NaN where missing.
+    fast_time : (n_fast_time,) float, optional
+        Two-way delay, s; uniform, ascending. Needed with `echo`.
+    chirp_rate : float, optional
+        Hz/s; negative for a down-chirp. Needed with `echo`.
+    pulse_width : float, optional
+        s. Needed with `echo`.
+    beam_azimuth : (n_pulse,) float, optional
+        Yaw of the beam's centre about the platform's nadir at t = 0, from the x axis to the y axis, rad. Default: the
+        beam is not steered, and all of the scene is lit all the time.
+    beam_width : float, optional
+        Full width of the beam, rad. Needed with `beam_azimuth` or `beam_axis`.
+    beam_axis : (n_pulse, 3) float, optional
+        Unit vector, 1, along the antenna's azimuth axis, for a beam about it instead of `beam_azimuth`.
+    beam_steering : (n_pulse,) float, optional
+        Angle of the beam's centre off the plane normal to `beam_axis`, rad.
+    beam_offset, beam_pattern : (n,) float, optional
+        Two-way amplitude, 1, that is in the signal, over the angle off the beam's centre, rad, ascending.
+    elevation, elevation_pattern : (n,) float, optional
+        Two-way amplitude, 1, that is in the signal, over the angle of the line of sight below the horizontal, rad.
+    noise_power : float, optional
+        Mean squared magnitude of the noise of a sample, the unit of `signal` squared.
+    ground_height : float
+        Height of the imaged plane in the scene frame, m. Default: 0.
+    title : str
+        Shown above pictures. Default: none.
+    targets : sequence of Target or of mappings, optional
+        Known point targets, which `quality` measures: {"name", "x", "y"} with x and y in m in the scene frame, and
+        "reflectivity" if it is not 1.
+    georeference : mapping, optional
+        Place of the scene frame on the Earth: {"kind": "ENU", "latitude", "longitude", "height"}, in degrees, and in m
+        above WGS 84. Default: unknown.
+
+    Returns
+    -------
+    xarray.Dataset
+        The phase history, for `plan`, `focus`, `check` and `write`. It shares memory with arrays of the right type.
+
+    Raises
+    ------
+    InputError
+        If an array has the wrong shape, kind or unit, something needed is missing, or no sample is finite.
+    """
+    _check_samples(signal, echo, range_frequency, fast_time)
+    if np.ndim(reference_range) == 0:
+        reference_range = np.broadcast_to(np.asarray(reference_range), np.shape(time)[:1])
+    variables = {
+        "signal": signal, "echo": echo, "time": time, "range_frequency": range_frequency, "fast_time": fast_time,
+        "reference_range": reference_range, "antenna_position": antenna_position, "beam_azimuth": beam_azimuth,
+        "beam_axis": beam_axis, "beam_steering": beam_steering, "beam_offset": beam_offset,
+        "beam_pattern": beam_pattern, "elevation": elevation, "elevation_pattern": elevation_pattern,
+    }  # fmt: skip
+    attrs: dict[str, Any] = {
+        "carrier_frequency": carrier_frequency, "beam_width": beam_width, "ground_height": ground_height,
+        "noise_power": noise_power, "chirp_rate": chirp_rate, "pulse_width": pulse_width, "title": title,
+        "Conventions": stores.CONVENTIONS,
+    }  # fmt: skip
+    if targets is not None:
+        attrs["targets"] = [_target_record(target) for target in targets]
+    if georeference is not None:
+        attrs["georeference"] = Georeference.from_attribute(georeference).as_attribute()
+    return stores.dataset_of(variables, attrs)
+
+
+def _check_samples(signal: Any, echo: Any, range_frequency: Any, fast_time: Any) -> None:
+    """Check that the samples come with their axis."""
+    if (signal is None) == (echo is None):
+        raise InputError(
+            f"{'neither signal nor echo is' if signal is None else 'signal and echo are both'} given; give signal over "
+            "range frequency, or a raw echo over fast time"
+        )
+    pairs = (("signal", signal, "range_frequency", range_frequency, "fast_time", fast_time),
+             ("echo", echo, "fast_time", fast_time, "range_frequency", range_frequency))  # fmt: skip
+    for name, samples, axis, values, other, unfit in pairs:
+        if samples is not None and values is None:
+            raise InputError(f"{name} is given without {axis}; give its axis as well")
+        if samples is not None and unfit is not None:
+            raise InputError(f"{other} is given, but {name} lies over {axis}; leave {other} out")
+
+
+def _target_record(target: Target | Mapping[str, Any]) -> dict[str, Any]:
+    known = target if isinstance(target, Target) else Target.from_record(target)
+    sigma = complex(known.reflectivity)
+    return {"name": known.name, "x": known.x, "y": known.y, "reflectivity": [sigma.real, sigma.imag]}
+
+
+def write(source: xr.Dataset, out: Location, *, overwrite: bool = False) -> Path | Place:
+    """Write a phase history as a store, by groups of pulses.
+
+    Parameters
+    ----------
+    source : xarray.Dataset
+        A dataset of the contract, such as `collection` builds, or one derived from a phase history with xarray.
+    out : path
+        Store to write: a folder, or a prefix in an object store.
+    overwrite : bool
+        Replace what stands at `out`. Default: False.
+
+    Returns
+    -------
+    path
+        Where the store lies.
+
+    Raises
+    ------
+    InputError
+        If the dataset departs from the contract, it was opened from `out`, or `out` exists and `overwrite` is False.
+    """
+    history, target = stores.history_in_memory(source), place(out)
+    opened = source.encoding.get("source")
+    if opened is not None and str(place(opened)) == str(target):
+        raise InputError(f"{target} is what the dataset was opened from; write it to another place")
+    history.write(target, overwrite=overwrite)
+    return target.path if isinstance(target, LocalPlace) else target

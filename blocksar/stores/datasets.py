@@ -1,0 +1,263 @@
+"""Phase histories in memory: datasets of xarray, held to the contract of a store, and written as one."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+import xxhash
+
+from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.chunks import TILE
+from blocksar.errors import InputError
+from blocksar.places import Location, place
+from blocksar.places.place import Place
+from blocksar.stores.arrays import metadata_file
+from blocksar.stores.contract import check_type, check_units, missing
+from blocksar.stores.phase_history import (
+    PhaseHistory,
+    collection_from,
+    create_phase_history,
+    history_line,
+    not_one_of_two,
+    open_phase_history,
+    other_attrs,
+    raw_echo_from,
+)
+from blocksar.stores.records import json_checksum, plain_value
+from blocksar.stores.regions import write_region
+from blocksar.stores.schema import OPTIONAL, PHASE_HISTORY, RAW_ECHO
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+CONTENT = "content"  # attribute of a store written from memory: the fingerprint of what it holds
+IN_MEMORY = "the dataset"  # stands for the path in messages
+STORE_LAYERS = 2  # of dask's graph of a variable that was opened and nothing else
+AXES = ("time", "range_frequency", "fast_time", "beam_offset", "elevation")
+SCHEMA = {**PHASE_HISTORY, **RAW_ECHO, **OPTIONAL}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DatasetHistory(PhaseHistory):
+    """A phase history whose samples are those of a dataset: in memory, or read and computed on demand.
+
+    Attributes
+    ----------
+    samples : xarray.Variable
+        (n_pulse, n_column) complex.
+    """
+
+    samples: Any
+
+    def read(self, pulses: slice, columns: slice) -> ComplexArray:
+        with np.errstate(over="ignore"):
+            return np.asarray(self.samples[pulses, columns].values).astype(np.complex64, copy=False)
+
+    def pinned(self) -> Self:
+        return self  # a dataset has no versions
+
+    def parts(self) -> Iterator[tuple[slice, ComplexArray]]:
+        """Iterate over the samples by groups of pulses, in whole chunks of a store."""
+        n_pulse, n_column = self.shape
+        for first in range(0, n_pulse, TILE[0]):
+            pulses = slice(first, min(first + TILE[0], n_pulse))
+            yield pulses, self.read(pulses, slice(0, n_column))
+
+    @cached_property
+    def _content(self) -> str:
+        digest, valid, nonzero = xxhash.xxh3_128(), False, False
+        values = {**self.collection.as_dict(), **(vars(self.raw) if self.raw is not None else {})}
+        for name, value in sorted(values.items()):
+            digest.update(f"{name} {np.shape(value)} ".encode())
+            digest.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
+        digest.update(json_checksum(_lasting(self.attrs)).encode())
+        for _, part in self.parts():
+            digest.update(np.ascontiguousarray(part).view(np.uint8).data)
+            finite = np.isfinite(part)
+            valid = valid or bool(finite.any())
+            nonzero = nonzero or bool(part[finite].any())
+        if not valid:
+            raise InputError(f"{self.variable} of {IN_MEMORY} holds no finite sample; check how it was computed")
+        if not nonzero:
+            raise InputError(f"{self.variable} of {IN_MEMORY} holds zeros only; fill it with the samples")
+        return digest.hexdigest()
+
+    def fingerprint(self) -> str:
+        """Return a hash of everything, samples included: a dataset that is built again has the same.
+
+        Raises
+        ------
+        InputError
+            If no sample is finite, or all are zero.
+        """
+        return self._content
+
+    def write(self, path: Location, *, overwrite: bool = False) -> PhaseHistory:
+        """Write a store of the same content, by groups of pulses; return it opened.
+
+        Raises
+        ------
+        InputError, ProcessingError
+            As for `create`.
+        """
+
+        def fill(store: Place) -> None:
+            for pulses, part in self.parts():
+                write_region(store, self.variable, (pulses, slice(0, part.shape[1])), part)
+
+        lines = history_line("written from a dataset in memory by blocksar", self.attrs.get("history"))
+        attrs = {**self.attrs, "history": lines, CONTENT: self.fingerprint()}
+        create_phase_history(path, self.collection, raw=self.raw, attrs=attrs, overwrite=overwrite, fill=fill)
+        return open_phase_history(path)
+
+    def stored(self, path: Place) -> PhaseHistory:
+        """Open the store at a place of the run if it has this content; else write it."""
+        if metadata_file(path):
+            history = open_phase_history(path)
+            if history.attrs.get(CONTENT) == self.fingerprint():
+                return history
+        return self.write(path, overwrite=True)
+
+
+def _lasting(attrs: Mapping[str, Any]) -> dict[str, Any]:
+    """The attributes without those that change whenever the same data are written."""
+    return {name: value for name, value in attrs.items() if name not in ("history", CONTENT)}
+
+
+def history_of(dataset: xr.Dataset) -> PhaseHistory:
+    """Return the phase history that a dataset is: that of the store it was opened from, unless something has changed.
+
+    A dataset counts as unchanged if its samples were not loaded and everything else equals what the store holds.
+
+    Raises
+    ------
+    InputError
+        If the dataset, or the store that it was opened from, departs from the contract.
+    """
+    source = dataset.encoding.get("source")
+    if source is None or not metadata_file(place(source)):
+        return history_in_memory(dataset)
+    lazy = all(_is_as_opened(dataset.variables[name]) for name in ("signal", "echo") if name in dataset.variables)
+    if not lazy:
+        return history_in_memory(dataset)
+    history, own = open_phase_history(source), history_in_memory(dataset)
+    same_raw = history.raw is None or own.raw is None or np.array_equal(history.raw.fast_time, own.raw.fast_time)
+    return history if same_raw and own.shape == history.shape and own.same(history) else own
+
+
+def _is_as_opened(variable: xr.Variable) -> bool:
+    """Tell whether the samples of a variable are still those of the store; where xarray does not say, they are not."""
+    if getattr(variable, "_in_memory", True):
+        return False
+    layers = getattr(getattr(variable.data if variable.chunks else None, "dask", None), "layers", ())
+    return not variable.chunks or 0 < len(layers) <= STORE_LAYERS
+
+
+def history_in_memory(dataset: xr.Dataset) -> DatasetHistory:
+    """Check a dataset against the contract, except for the values of its samples; use those, not a store's.
+
+    Raises
+    ------
+    InputError
+        If it departs from the contract.
+    """
+    try:
+        return _checked(dataset)
+    except InputError as error:
+        text = str(error)
+        raise InputError(text if IN_MEMORY in text else f"{IN_MEMORY}: {text}") from error.__cause__
+
+
+def _checked(dataset: xr.Dataset) -> DatasetHistory:
+    names = [name for name in ("signal", "echo") if name in dataset.variables]
+    if len(names) != 1:
+        raise not_one_of_two(names, map(str, dataset.variables))
+    try:
+        attrs = {str(name): plain_value(value, str(name)) for name, value in dataset.attrs.items()}
+    except ValueError as error:
+        raise InputError(f"{error}; remove it, or write it as text") from None
+
+    def read(name: str) -> FloatArray:
+        if name not in dataset.variables:
+            raise missing(name, SCHEMA[name])
+        variable = dataset.variables[name]
+        check_type(name, SCHEMA[name], tuple(variable.dims), variable.dtype)
+        check_units(name, SCHEMA[name], variable.attrs.get("units"))
+        return np.asarray(variable.values, np.float64)
+
+    samples = dataset.variables[names[0]]
+    check_type(names[0], SCHEMA[names[0]], tuple(samples.dims), samples.dtype)
+    raw = raw_echo_from(read("fast_time"), attrs) if names == ["echo"] else None
+    present = dataset.variables.__contains__
+    collection = collection_from(read, present, attrs, None if raw is None else raw.range_frequency)
+    return DatasetHistory(
+        path=place(IN_MEMORY), collection=collection, raw=raw, attrs=other_attrs(attrs, raw), samples=samples
+    )
+
+
+def dataset_of(variables: Mapping[str, Any], attrs: Mapping[str, Any]) -> xr.Dataset:
+    """Build a dataset of the contract from arrays, with units and long names.
+
+    Parameters
+    ----------
+    variables : mapping of str to array
+        By name; those that are None are left out.
+    attrs : mapping of str to object
+        Likewise.
+
+    Raises
+    ------
+    InputError
+        If an array has the wrong shape or kind, or the collection is impossible.
+    """
+    import xarray as xr  # takes half a second
+
+    given = {name: value for name, value in variables.items() if value is not None}
+    lengths: dict[str, tuple[int, str]] = {"axis": (3, "x, y, z")}
+    for name in AXES:
+        if name in given:
+            given[name] = _array(name, given[name])
+            lengths[SCHEMA[name].dims[0]] = (given[name].size, name)
+    made = {}
+    for name, value in given.items():
+        array = _array(name, value)
+        _check_shape(name, array, lengths)
+        made[name] = (SCHEMA[name].dims, array, {"units": SCHEMA[name].units, "long_name": SCHEMA[name].long_name})
+    dataset = xr.Dataset(
+        {name: value for name, value in made.items() if name not in AXES},
+        coords={name: value for name, value in made.items() if name in AXES},
+        attrs={name: copy.deepcopy(value) for name, value in attrs.items() if value is not None},
+    )
+    _checked(dataset).fingerprint()  # which reads all samples
+    return dataset
+
+
+def _array(name: str, value: Any) -> Any:
+    """An array of the kind that the contract fixes; a copy only where its type differs."""
+    dtype = SCHEMA[name].dtype
+    try:
+        array = np.asarray(value)
+    except ValueError:
+        raise InputError(f"{name} is a list of rows of different lengths; give one array") from None
+    if array.dtype.kind not in ("c" if dtype == "complex64" else "fiu"):
+        if array.dtype.kind in "mM":
+            seconds = f'({name} - {name}[0]) / np.timedelta64(1, "s")'
+            raise InputError(f"{name} is {array.dtype}; give seconds as numbers, such as {seconds}")
+        remedy = "give complex samples: the analytic signal" if dtype == "complex64" else "give real numbers"
+        raise InputError(f"{name} is {array.dtype}, but must be {dtype}; {remedy}")
+    return array.astype(dtype, copy=False)
+
+
+def _check_shape(name: str, array: Any, lengths: Mapping[str, tuple[int, str]]) -> None:
+    dims = SCHEMA[name].dims
+    expected = tuple(lengths[dim][0] for dim in dims)
+    if array.shape == expected:
+        return
+    meaning = ", ".join(f"{lengths[dim][0]} of {lengths[dim][1]}" for dim in dims)
+    remedy = f"give {name}.T" if array.shape == expected[::-1] else f"make it ({', '.join(dims)})"
+    raise InputError(f"{name} has shape {array.shape}, but must have {expected} ({meaning}); {remedy}")

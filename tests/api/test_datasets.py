@@ -1,0 +1,320 @@
+"""Phase histories in memory: built from arrays, written, planned, focused and resumed."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+from arrays import GRID, arrays
+from distributed import Client
+
+import blocksar
+from blocksar import stores
+from blocksar.errors import InputError
+
+CORNER = ((-10.0, 10.0, 0.5), (-10.0, 10.0, 0.5))
+
+
+@pytest.fixture(scope="module")
+def dataset() -> xr.Dataset:
+    return blocksar.collection(**arrays())
+
+
+@pytest.fixture(scope="module")
+def store(dataset: xr.Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = blocksar.write(dataset, tmp_path_factory.mktemp("store") / "ph.zarr")
+    assert isinstance(path, Path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def focused(store: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run from the store."""
+    run = tmp_path_factory.mktemp("run") / "run"
+    blocksar.focus(store, run, grid=GRID, workers=0)
+    return run
+
+
+def pixels(run: Path) -> Any:
+    return blocksar.open(run)["image"].values
+
+
+def focus(source: Any, run: Path, **settings: Any) -> Any:
+    return blocksar.focus(source, run, **{"grid": GRID, "workers": 0, **settings})
+
+
+# ---------------------------------------------------------------- building and writing
+
+
+def test_a_store_holds_what_the_arrays_held(dataset: xr.Dataset, store: Path) -> None:
+    given = arrays()
+    history = stores.open_phase_history(store)
+    np.testing.assert_array_equal(history.read(slice(None), slice(None)), given["signal"].astype(np.complex64))
+    for name in ("time", "range_frequency", "antenna_position", "beam_azimuth"):
+        np.testing.assert_array_equal(getattr(history.collection, name), given[name])
+    np.testing.assert_array_equal(history.collection.reference_range, given["reference_range"])
+    opened = xr.open_zarr(store)
+    for name, variable in dataset.variables.items():
+        assert opened[name].attrs["units"] == variable.attrs["units"] == stores.PHASE_HISTORY[str(name)].units
+        assert opened[name].attrs["long_name"] == variable.attrs["long_name"]
+    assert [target["name"] for target in opened.attrs["targets"]] == ["A", "B", "C"]
+
+
+def test_a_raw_echo_is_written_too(tmp_path: Path) -> None:
+    fast_time = 60e-6 + np.arange(64) / 1e6
+    rest = {name: arrays(32)[name] for name in ("time", "antenna_position", "reference_range", "carrier_frequency")}
+    echo = np.exp(1j * np.arange(32 * 64).reshape(32, 64))
+    raw = blocksar.collection(echo=echo, fast_time=fast_time, chirp_rate=9e10, pulse_width=10e-6, **rest)
+    history = stores.open_phase_history(blocksar.write(raw, tmp_path / "raw.zarr"))
+    assert history.raw is not None and history.raw.chirp_rate == 9e10
+    np.testing.assert_array_equal(history.read(slice(None), slice(None)), echo.astype(np.complex64))
+
+
+def test_a_store_is_not_replaced_unasked(dataset: xr.Dataset, store: Path) -> None:
+    with pytest.raises(InputError, match=r"exists; choose another name"):
+        blocksar.write(dataset, store)
+    with pytest.raises(InputError, match=r"is what the dataset was opened from; write it to another place"):
+        blocksar.write(xr.open_zarr(store), store, overwrite=True)
+
+
+WRONG: dict[str, tuple[Callable[[dict[str, Any]], dict[str, Any]], str]] = {
+    "transposed": (
+        lambda a: {"signal": a["signal"].T},
+        r"signal has shape \(96, 400\), but must have \(400, 96\) .*; give signal.T$",
+    ),
+    "magnitudes": (lambda a: {"signal": abs(a["signal"])}, r"signal is float64, but must be complex64; .*analytic"),
+    "a pulse too few": (lambda a: {"signal": a["signal"][1:]}, r"signal has shape \(399, 96\), but must have"),
+    "track by rows": (lambda a: {"antenna_position": a["antenna_position"].T}, r"give antenna_position.T$"),
+    "dates": (
+        lambda a: {"time": np.datetime64("2026-01-01") + (a["time"] * 1e9).astype("timedelta64[ns]")},
+        r"time is datetime64\[ns\]; give seconds as numbers",
+    ),
+    "microseconds": (lambda a: {"time": 1e6 * a["time"]}, r"moves at 0.00015 m/s, .* correct the unit of"),
+    "absolute frequencies": (lambda a: {"range_frequency": 10e9 + a["range_frequency"]}, r"absolute; subtract"),
+    "degrees": (lambda a: {"beam_width": 1.2 * 57.3}, r"beam_width must lie between 0 and pi .*looks like degrees"),
+    "no axis": (lambda a: {"range_frequency": None}, r"^signal is given without range_frequency; give its axis"),
+    "no samples": (lambda a: {"signal": None}, r"^neither signal nor echo is given; give signal"),
+    "both": (lambda a: {"echo": a["signal"]}, r"^signal and echo are both given"),
+    "only missing": (lambda a: {"signal": a["signal"] * np.nan}, r"holds no finite sample; check how"),
+    "zeros": (lambda a: {"signal": a["signal"] * 0}, r"holds zeros only; fill it"),
+    "beam without width": (lambda a: {"beam_width": None}, r"beam_width must lie between 0 and pi"),
+    "carrier in GHz": (lambda a: {"carrier_frequency": 10.0}, r"carrier_frequency|range_frequency starts at"),
+    "no place of a target": (
+        lambda a: {"targets": [{"name": "A"}]},
+        r"target .* cannot be read; give it name",
+    ),
+    "ragged": (lambda a: {"signal": [[1j], [1j, 2j]]}, r"signal is a list of rows of different lengths; give one"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_wrong_arrays_are_refused_in_one_sentence(case: str) -> None:
+    change, message = WRONG[case]
+    given = arrays()
+    with pytest.raises(InputError, match=message) as caught:
+        blocksar.collection(**{**given, **change(given)})
+    assert "\n" not in str(caught.value)
+
+
+# ---------------------------------------------------------------- focusing
+
+
+def test_the_image_is_that_of_the_store(
+    dataset: xr.Dataset, focused: Path, tmp_path: Path, client: Client, store: Path
+) -> None:
+    report = focus(dataset, tmp_path / "own")
+    assert report.result["input"]["path"] == str(tmp_path / "own" / "input.zarr")
+    blocksar.focus(store, tmp_path / "cluster", grid=GRID, client=client)
+    for run in (tmp_path / "own", tmp_path / "cluster"):
+        np.testing.assert_array_equal(pixels(run), pixels(focused))
+
+
+def test_a_finished_run_of_the_same_data_is_known_again(dataset: xr.Dataset, tmp_path: Path) -> None:
+    focus(dataset, tmp_path / "run", grid=CORNER)
+    again = blocksar.collection(**arrays())
+    assert "finished already" in focus(again, tmp_path / "run", grid=CORNER).summary[0]
+    other = again.assign(signal=again.signal * 2)
+    with pytest.raises(InputError, match=r"holds a run with another input, not what is asked for now"):
+        focus(other, tmp_path / "run", grid=CORNER)
+    before = pixels(tmp_path / "run")
+    focus(other, tmp_path / "run", grid=CORNER, overwrite=True)
+    np.testing.assert_allclose(pixels(tmp_path / "run"), 2 * before, rtol=1e-5)
+
+
+class Interrupting:
+    """Stands for a user who interrupts once the spectrum is recovered."""
+
+    def update(self, stage: str, done: int, total: int) -> None:
+        if stage == "focus" and done:
+            raise KeyboardInterrupt
+
+
+def test_an_interrupted_run_goes_on_with_the_samples_that_it_kept(
+    dataset: xr.Dataset, focused: Path, tmp_path: Path
+) -> None:
+    run = tmp_path / "run"
+    with pytest.raises(KeyboardInterrupt):
+        focus(dataset, run, progress=Interrupting())
+    kept = (run / "input.zarr" / "zarr.json").stat().st_mtime_ns
+    report = focus(blocksar.collection(**arrays()), run)
+    assert any(line.startswith("went on from an unfinished run") for line in report.summary)
+    assert (run / "input.zarr" / "zarr.json").stat().st_mtime_ns == kept
+    np.testing.assert_array_equal(pixels(run), pixels(focused))
+
+
+def test_a_resumed_run_writes_lost_samples_again(dataset: xr.Dataset, focused: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    with pytest.raises(KeyboardInterrupt):
+        focus(dataset, run, progress=Interrupting())
+    shutil.rmtree(run / "input.zarr")
+    focus(dataset, run)
+    np.testing.assert_array_equal(pixels(run), pixels(focused))
+
+
+def test_a_run_that_was_moved_is_compared_with_its_own_samples(dataset: xr.Dataset, tmp_path: Path) -> None:
+    focus(dataset, tmp_path / "first", grid=((-35.0, 35.0, 0.5), (-35.0, 35.0, 0.5)))
+    (tmp_path / "first").rename(tmp_path / "second")
+    chips = blocksar.quality(tmp_path / "second", reference=True).result["reference"]
+    assert max(chip["coherence"] for chip in chips) > 0.99
+
+
+@pytest.mark.parametrize(
+    "settings", [{"grid": ((5e3, 6e3, 1.0), (0.0, 1e3, 1.0))}, {"blocks": 0}, {"memory_limit": 1}, {"fidelity": 2.0}]
+)
+def test_wrong_settings_leave_nothing(settings: dict[str, Any], dataset: xr.Dataset, tmp_path: Path) -> None:
+    with pytest.raises(InputError):
+        focus(dataset, tmp_path / "run", **settings)
+    assert not (tmp_path / "run").exists()
+
+
+# ---------------------------------------------------------------- what a dataset is
+
+
+def test_a_dataset_as_opened_is_its_store(store: Path, tmp_path: Path) -> None:
+    report = focus(xr.open_zarr(store), tmp_path / "run", grid=CORNER)
+    assert report.result["input"]["path"] == str(store)
+    assert not (tmp_path / "run" / "input.zarr").exists()
+    assert not isinstance(stores.history_of(blocksar.open(store)), stores.DatasetHistory)
+
+
+CHANGES: dict[str, Callable[[xr.Dataset], xr.Dataset]] = {
+    "scaled": lambda ds: ds.assign(signal=ds.signal * 2),
+    "scaled in place": lambda ds: _doubled(ds.load()),
+    "fewer pulses": lambda ds: ds.isel(pulse=slice(20, 380)),
+    "fewer frequencies": lambda ds: ds.isel(range_frequency=slice(0, 48)),
+    "another track": lambda ds: ds.assign(antenna_position=ds.antenna_position + np.array([0.0, 1.0, 0.0])),
+    "another carrier": lambda ds: ds.assign_attrs(carrier_frequency=10.001e9),
+}
+
+
+def _doubled(dataset: xr.Dataset) -> xr.Dataset:
+    dataset["signal"].values[...] *= 2
+    return dataset
+
+
+@pytest.mark.parametrize("lazy", ["dask", "lazy"])
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_changed_dataset_is_not_its_store(change: str, lazy: str, store: Path) -> None:
+    opened = xr.open_zarr(store) if lazy == "dask" else blocksar.open(store)
+    changed = CHANGES[change](opened)
+    history = stores.history_of(changed)
+    assert isinstance(history, stores.DatasetHistory)
+    np.testing.assert_array_equal(history.read(slice(None), slice(None)), changed["signal"].values)
+    assert history.fingerprint() != stores.history_in_memory(xr.open_zarr(store)).fingerprint()
+
+
+def test_an_image_from_a_changed_dataset_is_another_one(store: Path, focused: Path, tmp_path: Path) -> None:
+    opened = xr.open_zarr(store)
+    focus(opened.assign(signal=opened.signal * 2), tmp_path / "run")
+    np.testing.assert_allclose(pixels(tmp_path / "run"), 2 * pixels(focused), rtol=1e-5)
+
+
+def test_a_plan_reads_no_samples_and_needs_no_store(dataset: xr.Dataset, store: Path) -> None:
+    unreadable = dataset.assign(signal=dataset.signal.chunk().map_blocks(_refuse, template=dataset.signal.chunk()))
+    assert blocksar.plan(unreadable, grid=GRID).summary == blocksar.plan(store, grid=GRID).summary
+
+
+def _refuse(block: Any) -> Any:
+    raise AssertionError("a sample was read")
+
+
+def test_samples_in_memory_are_checked(dataset: xr.Dataset) -> None:
+    assert blocksar.check(dataset).result["warning"] is None
+    conjugate = dataset.assign(signal=np.conj(dataset.signal))
+    assert "conjugate" in str(blocksar.check(conjugate).result["warning"])
+
+
+WRONG_SOURCES: dict[str, tuple[Callable[[xr.Dataset], Any], str]] = {
+    "the array": (lambda ds: ds.signal.values, r"^source is a numpy.ndarray; give the path .*blocksar.collection"),
+    "a DataArray": (lambda ds: ds.signal, r"^source is a xarray.DataArray; give the path"),
+    "nothing": (lambda ds: None, r"^source is a NoneType; give the path"),
+    "without samples": (
+        lambda ds: ds.drop_vars("signal"),
+        r"^the dataset: it holds neither signal nor echo",
+    ),
+    "without track": (
+        lambda ds: ds.drop_vars("antenna_position"),
+        r"variable antenna_position \(pulse, axis\) is",
+    ),
+    "without carrier": (lambda ds: ds.drop_attrs(deep=False), r"attribute carrier_frequency is missing; add it, in Hz"),
+    "own names": (
+        lambda ds: ds.rename(pulse="line"),
+        r"signal has dimensions \(line, range_frequency\), but",
+    ),
+    "transposed": (lambda ds: ds.transpose(), r"signal has dimensions \(range_frequency, pulse\).*; transpose it"),
+    "kilometres": (lambda ds: _in(ds, "antenna_position", "km"), r"antenna_position is in 'km', but must be in m;"),
+    "an object": (lambda ds: ds.assign_attrs(made=object()), r"attribute made = .*JSON cannot hold; remove it"),
+    "durations": (
+        lambda ds: ds.assign_coords(time=("pulse", (ds.time.values * 1e9).astype("timedelta64[ns]"))),
+        r"time is timedelta64\[ns\], but must be float64 in s; convert it",
+    ),
+}
+
+
+def _in(dataset: xr.Dataset, name: str, units: str) -> xr.Dataset:
+    changed = dataset.copy()
+    changed[name] = changed[name].assign_attrs(units=units)
+    return changed
+
+
+@pytest.mark.parametrize("case", WRONG_SOURCES)
+def test_wrong_sources_are_refused_in_one_sentence(case: str, dataset: xr.Dataset, tmp_path: Path) -> None:
+    change, message = WRONG_SOURCES[case]
+    wrong = change(dataset)
+    for call in (lambda: blocksar.plan(wrong), lambda: blocksar.focus(wrong, tmp_path / "run")):
+        with pytest.raises(InputError, match=message) as caught:
+            call()
+        assert "\n" not in str(caught.value)
+    assert not (tmp_path / "run").exists()
+
+
+# ---------------------------------------------------------------- where the work is done
+
+
+def test_an_interactive_session_focuses_small_collections_itself(
+    dataset: xr.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from blocksar.graph import cluster
+
+    def refuse(**_: Any) -> Any:
+        raise AssertionError("a cluster was started")
+
+    monkeypatch.setattr(cluster, "open_client", refuse)
+    monkeypatch.setattr("sys.ps1", ">>> ", raising=False)
+    blocksar.focus(dataset, tmp_path / "run", grid=CORNER)
+    assert np.isfinite(pixels(tmp_path / "run")).any()
+
+
+def test_a_performance_report_needs_a_cluster(dataset: xr.Dataset, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"performance_report is .* but dask does no work .*; give workers, or leave"):
+        focus(dataset, tmp_path / "run", performance_report=tmp_path / "report.html")
+
+
+def test_the_number_of_workers_is_checked(dataset: xr.Dataset, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"workers must be at least 0, got -1"):
+        focus(dataset, tmp_path / "run", workers=-1)
