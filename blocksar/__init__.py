@@ -2,7 +2,7 @@
 
 The functions correspond to the commands: `simulate`, `ingest`, `info`, `check`, `plan`, `focus`, `quality`, `report`,
 `export` and `compile`; `open` returns a finished image; `collection` builds a phase history from arrays, and `write`
-stores it. They are loaded on first use, so that `import blocksar` is fast. They raise `InputError` if the caller's input
+stores it. They are loaded on first use, so that `import blocksar` is fast. They raise `InputError` if the input
 is wrong, and `ProcessingError` if processing failed and the same call can resume it.
 """
 

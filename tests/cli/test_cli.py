@@ -237,7 +237,7 @@ def test_an_invalid_option_runs_nothing(api: Calls) -> None:
     [
         ("plan ph.zarr --processor omega", "invalid value for '--processor': 'omega' is not one of"),
         ("plan ph.zarr --workers x", "invalid value for '--workers': Input should be a valid integer"),
-        ("plan ph.zarr --workers -3", "greater than or equal to 1, not '-3'; see blocksar plan --help"),
+        ("plan ph.zarr --workers -3", "greater than or equal to 0, not '-3'; see blocksar plan --help"),
         ("plan ph.zarr --bloks 3", "no such option: --bloks (Possible options: --blocks, --workers); see"),
         ("plan", "missing argument 'PH.zarr|SCENE.toml'; see blocksar plan --help"),
         ("focus ph.zarr --out", "option '--out' requires an argument; see blocksar --help"),

@@ -210,7 +210,7 @@ def test_corrupt_samples_are_refused_and_leave_nothing(store: Path, client: Clie
         ({"grid": ((0.0, 100.0, -1.0), (0.0, 10.0, 1.0))}, "step above 0"),
         ({"grid": ((5e4, 5.1e4, 1.0), (5e4, 5.1e4, 1.0))}, "outside the swath"),
         ({"processor": "omega-k"}, "processor"),
-        ({"workers": 0}, "workers"),
+        ({"workers": -1}, "workers"),
     ],
 )
 def test_wrong_settings_are_refused(settings: dict[str, Any], message: str, store: Path, tmp_path: Path) -> None:
