@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from blocksar import stores
+from blocksar.api import definitions
 from blocksar.api.arguments import GridLike, grid_of, history_of
 from blocksar.api.measuring import pulse_reader
 from blocksar.api.reports import Report, Table
@@ -58,7 +59,9 @@ def check(source: Location | xr.Dataset, *, grid: GridLike | None = None, thread
             {"name": trial.name, "places": trial.places, "concentration": trial.sharpness} for trial in findings.trials
         ],
     }
-    return Report(tables=[_table(findings)], summary=[findings.sentence()], result=result)
+    return Report(
+        tables=[_table(findings)], definitions=definitions.CHECK, summary=[findings.sentence()], result=result
+    )
 
 
 def check_samples(history: stores.PhaseHistory, grid: Grid | None, *, threads: int, thorough: bool) -> Findings:

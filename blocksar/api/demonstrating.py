@@ -93,7 +93,10 @@ def demo(
     page = report(folder, progress=listener)
     lines = [*quality.summary, *focused.summary, f"pictures: {', '.join(str(p) for p in pictures)}"]
     lines.append(f"report: {page.result}, for a browser")
-    return Report(tables=quality.tables, summary=lines, result=quality.result)
+    return Report(
+        tables=quality.tables, details=quality.details, definitions=quality.definitions, summary=lines,
+        result=quality.result,
+    )  # fmt: skip
 
 
 def _draw(folder: Place, responses: Sequence[Response]) -> list[Place]:

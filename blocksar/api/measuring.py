@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from blocksar import stores
+from blocksar.api import definitions
 from blocksar.api.reports import Report, Table
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.collection.beam import full_dwell_yaw, has_full_dwell
@@ -19,8 +20,9 @@ from blocksar.errors import InputError
 from blocksar.focusing.backprojection import form_chips
 from blocksar.focusing.range_compression import RawCompression
 from blocksar.graph.machine import machine
+from blocksar.measurement.bar import rank
 from blocksar.measurement.coherence import ChipComparison, coherence
-from blocksar.measurement.figures import DEFINITIONS, PointResponse, as_json, measure_target, summary
+from blocksar.measurement.figures import PointResponse, as_json, measure_target, summary
 from blocksar.measurement.response import Response, read_response
 from blocksar.measurement.table3 import TABLE3
 from blocksar.measurement.targets import Target
@@ -31,6 +33,15 @@ from blocksar.runs.folder import INPUT
 from blocksar.runs.record import RunPlan
 from blocksar.simulation.scene import Scene
 
+WORST = 10  # targets that are shown of more
+# Names of the figures of a summary, their unit, what a value is multiplied by for it, and decimals.
+NAMES = {
+    "range_pslr": ("range PSLR (dB)", 1, 2), "range_islr": ("range ISLR (dB)", 1, 2),
+    "range_irw_over_theory": ("range IRW / theory", 1, 4), "azimuth_pslr": ("azimuth PSLR (dB)", 1, 2),
+    "azimuth_islr": ("azimuth ISLR (dB)", 1, 2), "azimuth_irw_over_theory": ("azimuth IRW / theory", 1, 4),
+    "error_x": ("position error in x (mm)", 1e3, 1), "error_y": ("position error in y (mm)", 1e3, 1),
+    "amplitude": ("|value|", 1, 4), "phase": ("phase (rad)", 1, 4),
+}  # fmt: skip
 FULL_DWELL_YAWS = 257  # at which full dwells are looked for under a beam about its axis
 RANGES_COMPARED = (("near", 0.1), ("middle", 0.5), ("far", 0.9))  # name, share of the swath
 
@@ -52,7 +63,8 @@ def quality(run: Location, *, targets: Location | Sequence[Target] | None = None
     Returns
     -------
     Report
-        `tables` has one row for each target; `result` is what RUN/quality.json holds.
+        `tables` has the worst case of each figure and the ten worst targets, `details` all targets with all figures;
+        `result` is what RUN/quality.json holds.
 
     Raises
     ------
@@ -72,13 +84,13 @@ def measure(
     listed, weighting = targets_of(targets, run.attrs), run.weighting
     responses = [measure_target(run.read, run.x, run.y, run.geometry, target, weighting) for target in listed]
     result = as_json(responses, weighting)
-    tables = [_response_table(responses)] if responses else []
-    lines = [DEFINITIONS, *_weighting_lines(weighting), *_worst_lines(responses)] if responses else []
+    others: list[Table] = []
+    lines = [*_weighting_lines(weighting), *_count_line(responses)] if responses else []
     if not responses:
         lines.append("the collection names no targets: give --targets FILE to measure some")
     if run.attrs.get("scene") == "table1" and responses:
         result["table3"] = {name: row._asdict() for name, row in TABLE3.items()}
-        tables.append(_table3(responses))
+        others.append(_table3(responses))
         lines.append("paper: Table 3 of the angular-division paper; its ISLR follows another, unstated definition")
     if run.noise is not None:
         result["noise"] = run.noise.as_json()
@@ -98,7 +110,7 @@ def measure(
             }
             for name, x, y, c in compared
         ]  # fmt: skip
-        tables.append(_reference_table(result["reference"]))
+        others.append(_reference_table(result["reference"]))
         lines.append("reference: exact back-projection of the same samples; chips of 64 x 64 pixels")
         predicted = min((block.coherence for block in run.record.plan.predicted), default=math.nan)
         full = [chip["coherence"] for chip in result["reference"] if chip["full_dwell"]]
@@ -106,7 +118,14 @@ def measure(
             result["least_coherence"] = {"measured": min(full), "predicted": predicted}
             lines.append(f"least coherence at full dwells: {min(full):.4f} measured, {predicted:.4f} predicted")
     stores.write_json(folder / "quality.json", result)
-    return Report(tables=tables, summary=lines, result=result), drawn
+    worst, full = ([_summary_table(responses), _worst_table(responses)], [_response_table(responses)])
+    if not responses:
+        worst, full = [], []
+    report = Report(
+        tables=[*worst, *others], details=[*worst[:1], *full, *others], definitions=definitions.quality(),
+        summary=lines, result=result,
+    )  # fmt: skip
+    return report, drawn
 
 
 def targets_of(targets: Location | Sequence[Target] | None, attrs: Mapping[str, Any]) -> list[Target]:
@@ -161,13 +180,38 @@ def _weighting_lines(weighting: Weighting) -> list[str]:
     return [f"ideal responses of the weighting: {'; '.join(figures)}"]
 
 
-def _worst_lines(responses: Sequence[PointResponse]) -> list[str]:
+def _count_line(responses: Sequence[PointResponse]) -> list[str]:
     figures = summary(responses)
-    head = (
-        f"{figures.measured} of {figures.full_dwell} full-dwell targets measured ({figures.targets} in all); worst of "
-        "them:"
-    )
-    return [head, *(f"  {name}: {w.value:.4f} at {w.name} (ideal {w.ideal:.4f})" for name, w in figures.worst.items())]
+    return [f"{figures.measured} of {figures.full_dwell} full-dwell targets measured ({figures.targets} in all)"]
+
+
+def _summary_table(responses: Sequence[PointResponse]) -> Table:
+    """The worst case of each figure over the targets with full dwell."""
+    rows = []
+    for figure, worst in summary(responses).worst.items():
+        name, factor, digits = NAMES[figure]
+        rows.append([name, f"{factor * worst.value:.{digits}f}", f"{factor * worst.ideal:.{digits}f}", worst.name])
+    return ("figure", "worst case", "ideal", "target"), rows
+
+
+def _worst_table(responses: Sequence[PointResponse]) -> Table:
+    """The targets that are farthest from the limits of quality, or all if there are few; in their own order."""
+    chosen = {id(r) for r in sorted(responses, key=rank)[:WORST]}
+    few = len(responses) <= WORST
+    header = (
+        "target" if few else f"worst {WORST} of {len(responses)}", "range PSLR", "azimuth PSLR", "range IRW / theory",
+        "azimuth IRW / theory", "error (mm)", "|value|", "full dwell",
+    )  # fmt: skip
+    rows = [
+        [
+            r.name, f"{r.range_pslr:.2f}", f"{r.azimuth_pslr:.2f}", f"{r.range_irw / r.range_irw_theory:.4f}",
+            f"{r.azimuth_irw / r.azimuth_irw_theory:.4f}", f"{1e3 * math.hypot(r.error_x, r.error_y):.1f}",
+            f"{abs(r.value):.4f}", "yes" if r.full_dwell else "no",
+        ]
+        for r in responses
+        if id(r) in chosen
+    ]  # fmt: skip
+    return header, rows
 
 
 def _table3(responses: Sequence[PointResponse]) -> Table:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from blocksar.api import definitions
 from blocksar.api.arguments import GridLike, collection_of, grid_of
 from blocksar.api.reports import Report, Table
 from blocksar.budget import FIDELITY
@@ -41,6 +42,11 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
+FEW_BLOCKS, WORST = 12, 10  # most blocks that are all shown, and how many are of more
+BLOCK_HEADER = (
+    "block", "yaw (deg)", "range (km)", "Doppler bins", "padded", "bias (m/s2)", "residual phase (rad)",
+    "quadratic (rad)", "PSLR (dB)", "width / limit", "azimuth width (m)", "migration (cells)", "memory (MiB)",
+)  # fmt: skip
 FINE = 0.9999  # coherence from which on it is shown with six decimals
 TRACK_TOLD = 0.01  # rad: noise of the track that leaves less is not mentioned
 
@@ -103,7 +109,8 @@ def plan(
     Returns
     -------
     Report
-        `tables` has one row for each block; `refusal` is the reason if the plan cannot be carried out. `result` is the
+        `tables` has the blocks, the ten with the least coherence if there are many, and `details` all blocks with all
+        figures; `refusal` is the reason if the plan cannot be carried out. `result` is the
         `planning.plan.Plan`, the `Grid` for back-projection, or None if "auto" has no processor to propose.
 
     Raises
@@ -141,7 +148,9 @@ def plan(
 
 def _report_plan(plan: Plan) -> Report:
     return Report(
-        tables=plan_tables(plan),
+        tables=[block_table(plan)],
+        details=plan_details(plan),
+        definitions=definitions.PLAN,
         summary=plan_lines(plan),
         refusal=plan.refusal,
         result=plan,
@@ -163,6 +172,7 @@ def _report_contenders(contenders: list[Contender]) -> Report:
     return replace(
         report,
         tables=[(header, rows), *report.tables],
+        details=[(header, rows), *report.details],
         summary=[reason, *report.summary, f"to focus with it: --processor {best.processor}"],
     )
 
@@ -179,17 +189,29 @@ def _contender_row(contender: Contender, least: float) -> list[str]:
     ]  # fmt: skip
 
 
-def plan_tables(plan: Plan) -> list[Table]:
-    """The blocks of a plan, and the coherence that is predicted for each."""
-    return [_block_table(plan), _coherence_table(plan)]
+def block_table(plan: Plan) -> Table:
+    """The figures that decide, of all blocks, or of the ten that are predicted to lose most."""
+    few, divided = len(plan.blocks) <= FEW_BLOCKS, plan.parts > 1
+    worst = sorted(plan.blocks, key=lambda block: block.prediction.coherence)[:WORST]
+    header = [
+        "block" if few else f"worst {WORST} of {len(plan.blocks)}", "yaw (deg)", *(["range (km)"] if divided else []),
+        "coherence", *([] if divided else ["residual phase (rad)", "PSLR (dB)"]), "width / limit", "memory (MiB)",
+    ]  # fmt: skip
+    rows = []
+    for block in plan.blocks:
+        if few or block in worst:
+            own, p = dict(zip(BLOCK_HEADER, _block_row(block), strict=True)), block.prediction
+            rows.append([block.name, *(own.get(name, _digits(p.coherence)) for name in header[1:])])
+    return header, rows
 
 
-def _block_table(plan: Plan) -> Table:
-    header = (
-        "block", "yaw (deg)", "range (km)", "Doppler bins", "padded", "bias (m/s2)", "residual phase (rad)",
-        "quadratic (rad)", "PSLR (dB)", "width / limit", "azimuth width (m)", "migration (cells)", "memory (MiB)",
-    )  # fmt: skip
-    return header, [_block_row(block) for block in plan.blocks]
+def plan_details(plan: Plan) -> list[Table]:
+    """All figures of all blocks, and what their coherence is made of."""
+    return [_all_blocks(plan), _coherence_table(plan)]
+
+
+def _all_blocks(plan: Plan) -> Table:
+    return BLOCK_HEADER, [_block_row(block) for block in plan.blocks]
 
 
 def _coherence_table(plan: Plan) -> Table:

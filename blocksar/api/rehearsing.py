@@ -7,7 +7,7 @@ from pathlib import Path
 
 from blocksar.api.facts import size_text
 from blocksar.api.jobs import Job, Request
-from blocksar.api.planning import plan_lines, plan_tables
+from blocksar.api.planning import block_table, plan_details, plan_lines
 from blocksar.api.reports import Report
 from blocksar.graph.machine import Resources
 from blocksar.places.local import LocalPlace
@@ -40,7 +40,8 @@ def rehearse(request: Request, earlier: RunRecord | None, machine: Resources) ->
     )
     size = 8 * job.grid.shape[0] * job.grid.shape[1] if plan is None else sum(run_bytes(plan).values())
     return Report(
-        tables=[] if plan is None else plan_tables(plan),
+        tables=[] if plan is None else [block_table(plan)],
+        details=[] if plan is None else plan_details(plan),
         summary=[*lines, cluster, f"{_doing(request, earlier)}: about {size_text(size)}{_free(request.folder, size)}",
                  "nothing was done: leave out --dry-run to focus"],
         result=plan,

@@ -30,6 +30,10 @@ class Report:
         Header: sequence of str. Rows: sequences of str, as long as the header.
     summary : list of str
         Sentences.
+    details : list of (header, rows)
+        All tables in full, where `tables` has a selection of rows and columns.
+    definitions : sequence of str
+        What the columns mean, one sentence each.
     refusal : str or None
         Why a plan cannot be carried out; None if it can.
     result : object
@@ -39,6 +43,8 @@ class Report:
     tables: list[Table] = field(default_factory=list)
     summary: list[str] = field(default_factory=list)
     refusal: str | None = None
+    details: list[Table] = field(default_factory=list)
+    definitions: Sequence[str] = ()
     result: Any = None
 
     def table(self) -> list[Table]:

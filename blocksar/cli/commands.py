@@ -22,6 +22,8 @@ from blocksar.cli.options import (
     PROCESSORS,
     AzimuthWeighting,
     Blocks,
+    Everything,
+    Explain,
     Fidelity,
     GridOption,
     JsonLog,
@@ -187,6 +189,8 @@ def plan(
     workers: Workers = None,
     memory_limit: MemoryLimit = None,
     config: ConfigOption = None,
+    everything: Everything = False,
+    explain: Explain = False,
     quiet: Quiet = False,
     **method: Any,
 ) -> None:
@@ -204,10 +208,13 @@ def plan(
     from blocksar import api
 
     proposal = api.plan(source, processor=processor, **settings, **method)
-    show(proposal)
+    show(proposal, context)
     if proposal.refusal is not None:
         complain(proposal.refusal, WRONG_INPUT)
     _hint_after_plan(context, source, proposal)
+
+
+OF_PLAN = ("everything", "explain")  # its options that `focus` has not
 
 
 def _hint_after_plan(context: typer.Context, source: str, proposal: Any) -> None:
@@ -217,7 +224,15 @@ def _hint_after_plan(context: typer.Context, source: str, proposal: Any) -> None
         hint(context, "simulate", source, "--out", f"{Path(source).stem}.zarr")
         return
     proposed = ["--processor", proposal.result.method.processor] if context.params["processor"] == "auto" else []
-    hint(context, "focus", source, "--out", "run", *proposed, *given(context, *(["processor"] if proposed else [])))
+    hint(
+        context,
+        "focus",
+        source,
+        "--out",
+        "run",
+        *proposed,
+        *given(context, *OF_PLAN, *(["processor"] if proposed else [])),
+    )
 
 
 @app.command()
@@ -226,6 +241,7 @@ def check(
     source: Annotated[str, typer.Argument(metavar="PH.zarr", help="Phase-history store.")],
     grid: GridOption = None,
     threads: Threads = None,
+    explain: Explain = False,
     quiet: Quiet = False,
 ) -> None:
     """Check that the samples are what is said of them: sign, order, track and beam.
@@ -239,8 +255,8 @@ def check(
 
     from blocksar import api
 
-    show(api.check(source, grid=points, threads=threads))
-    hint(context, "plan", source, *given(context, "threads"))
+    show(api.check(source, grid=points, threads=threads), context)
+    hint(context, "plan", source, *given(context, "threads", "explain"))
 
 
 @app.command()
@@ -324,17 +340,19 @@ def quality(
     reference: Annotated[
         bool, typer.Option("--reference", help="Also compare image chips with exact back-projection.")
     ] = False,
+    everything: Everything = False,
+    explain: Explain = False,
     quiet: Quiet = False,
 ) -> None:
     """Measure side-lobe ratios, widths, position and calibration of every target.
 
-    Prints a table with its definitions, and writes it to RUN/quality.json.
+    Prints the worst cases and the ten worst targets, and writes all to RUN/quality.json.
 
     Example: [bold]blocksar quality run --reference[/bold]
     """
     from blocksar import api
 
-    show(api.quality(run, targets=targets, reference=reference))
+    show(api.quality(run, targets=targets, reference=reference), context)
     hint(context, "report", run)
 
 

@@ -26,21 +26,39 @@ class Report(Protocol):
     def summary(self) -> Sequence[str]:
         """Sentences printed below the tables."""
 
+    @property
+    def details(self) -> Sequence[tuple[Sequence[str], Sequence[Sequence[str]]]]:
+        """All tables in full, where `table` has a selection; empty otherwise."""
+
+    @property
+    def definitions(self) -> Sequence[str]:
+        """What the columns mean."""
+
     def table(self) -> Sequence[tuple[Sequence[str], Sequence[Sequence[str]]]]:
         """Return the tables as (header, rows), with cells as text."""
 
 
-def show(report: Report) -> None:
-    """Print a report's tables and summary on stdout."""
+def show(report: Report, context: typer.Context | None = None) -> None:
+    """Print a report's tables and summary on stdout, as the options --all and --explain of the command ask for.
+
+    Where the command has these options and they are not given, a line on stderr says what they would add.
+    """
     from rich.console import Console
 
+    options = {} if context is None else context.params
     terminal = sys.stdout.isatty()
     console = Console(width=None if terminal else PIPE_WIDTH)
-    for header, rows in report.table():
+    for header, rows in (options.get("everything") and report.details) or report.table():
         for part in tables(header, rows, console.width):
             console.print(part)
-    for line in report.summary:
+    for line in [*(report.definitions if options.get("explain") else ()), *report.summary]:
         typer.echo(wrap_line(line, console.width) if terminal else line)
+    more = [
+        *(["--all shows every row and column"] if options.get("everything") is False and report.details else []),
+        *(["--explain says what the columns mean"] if options.get("explain") is False and report.definitions else []),
+    ]
+    if more and not options.get("quiet"):
+        typer.echo(f"more: {'; '.join(more)}", err=True)
 
 
 def hint(context: typer.Context, *command: str) -> None:
@@ -53,7 +71,8 @@ def hint(context: typer.Context, *command: str) -> None:
 def tables(header: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> Iterator[Table]:
     """Divide a table into tables that fit into `width` columns of a terminal, to be printed below each other.
 
-    Each begins with the first column. Titles may be folded between words; figures are never cut or folded.
+    Each begins with the first column. Titles may be folded between words; figures are never cut or folded. Of a table
+    of two columns, names and texts, the texts are folded.
     """
     from rich import box
     from rich.cells import cell_len
@@ -62,23 +81,50 @@ def tables(header: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> 
 
     columns = list(zip(header, *rows, strict=True))
     least = [max(map(cell_len, [*(column[0].split() or [""]), *column[1:]])) for column in columns]
-    if len(columns) == 2:  # names and texts: the texts are folded
-        least[1] = min(max(width - _total_width(least, [0]) - COLUMN_GAP, MIN_TEXT), least[1])
+    if len(columns) == 2:
+        least[0] = max(map(cell_len, columns[0]))
+        least[1] = min(max(width - _total_width(least, [0]) - COLUMN_GAP, MIN_TEXT), max(map(cell_len, columns[1])))
     for part in _divide(least, width):
-        spare = max(width - _total_width(least, part), 0)
+        widths = _widen([header[i] for i in part], [least[i] for i in part], width - _total_width(least, part))
         # Text, not str: rich would take a unit in square brackets for markup.
         table = Table(box=box.SIMPLE_HEAD)
-        for i in part:
-            extra = min(max(cell_len(header[i]) - least[i], 0), spare)
-            spare -= extra
-            table.add_column(Text(header[i]), width=least[i] + extra)
+        for i, column_width in zip(part, widths, strict=True):
+            table.add_column(Text(header[i]), width=column_width)
         for row in rows:
             table.add_row(*(Text(row[i]) for i in part))
         yield table
 
 
+def _widen(titles: Sequence[str], least: Sequence[int], spare: int) -> list[int]:
+    """Widen columns while there is room, always the one whose title is folded into the most lines."""
+    widths = list(least)
+
+    def height(i: int, width: int) -> int:
+        return len(textwrap.wrap(titles[i], width, break_long_words=False)) or 1
+
+    while True:
+        heights = [height(i, width) for i, width in enumerate(widths)]
+        tallest = max(range(len(widths)), key=lambda i: heights[i])
+        better = next((w for w in range(widths[tallest], len(titles[tallest]) + 1)
+                       if height(tallest, w) < heights[tallest]), None)  # fmt: skip
+        if better is None or better - widths[tallest] > spare:
+            return widths
+        spare -= better - widths[tallest]
+        widths[tallest] = better
+
+
 def _divide(least: Sequence[int], width: int) -> list[list[int]]:
-    """Divide columns of these least widths into tables, each with the first column, as lists of indices."""
+    """Divide columns of these least widths into as few tables as fit, about equally wide: lists of column indices.
+
+    Each has the first column.
+    """
+    count = len(_fill(least, width))
+    narrower = [_fill(least, narrow) for narrow in range(width, 0, -1)]
+    return [parts for parts in narrower if len(parts) == count][-1]
+
+
+def _fill(least: Sequence[int], width: int) -> list[list[int]]:
+    """Divide columns into tables, each filled as far as `width` goes."""
     parts: list[list[int]] = []
     for i in range(len(least)):
         if not parts or (len(parts[-1]) > 1 and _total_width(least, [*parts[-1], i]) > width):

@@ -58,6 +58,8 @@ MemoryLimit = Annotated[
 ]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an existing output.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress, and no next command.")]
+Everything = Annotated[bool, typer.Option("--all", help="Show all rows and columns of the tables.")]
+Explain = Annotated[bool, typer.Option("--explain", help="Say what the columns mean.")]
 JsonLog = Annotated[
     str | None, typer.Option(metavar="FILE", help="Append progress as JSON lines to a file, also with --quiet.")
 ]

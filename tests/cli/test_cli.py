@@ -31,6 +31,8 @@ COMMANDS = {
     "compile": ["compile"],
 }
 REPORT = SimpleNamespace(
+    details=[],
+    definitions=(),
     summary=["three blocks"],
     table=lambda: [(["target", "width [m]"], [["A1", "1.89"], ["B2", "[bold]1.90"]])],
     refusal=None,
@@ -263,7 +265,9 @@ def test_a_group_without_a_command_lists_its_commands(words: tuple[str, ...]) ->
 
 
 def test_plan_prints_its_refusal_after_the_table(api: Calls) -> None:
-    api.answer = SimpleNamespace(summary=[], table=REPORT.table, refusal="looks along the velocity")
+    api.answer = SimpleNamespace(
+        details=[], definitions=(), summary=[], table=REPORT.table, refusal="looks along the velocity"
+    )
     result = run("plan", "table1")
     assert (result.exit_code, result.stderr) == (2, "blocksar: looks along the velocity\n")
     assert "A1" in result.stdout
@@ -336,7 +340,7 @@ def test_tables_and_summary_are_printed(api: Calls) -> None:
 
 def test_table_rows_are_not_wrapped_without_a_terminal(api: Calls) -> None:
     row = [f"{i:08d}" for i in range(20)]
-    api.answer = SimpleNamespace(summary=[], table=lambda: [(row, [row])], refusal=None)
+    api.answer = SimpleNamespace(details=[], definitions=(), summary=[], table=lambda: [(row, [row])], refusal=None)
     lines = run("plan", "table1").stdout.splitlines()
     assert sum(all(cell in line for cell in row) for line in lines) == 2  # header and row, each on one line
 
@@ -359,10 +363,52 @@ def test_a_terminal_shows_every_figure_of_a_wide_table(width: int) -> None:
     assert len(list(display.tables(header, rows, 1000))) == 1
 
 
+def test_all_and_explain_show_what_is_left_out_at_first(api: Calls) -> None:
+    full = [(["target", "width", "phase"], [["A1", "1.89", "0.1"], ["B2", "1.90", "0.2"]])]
+    api.answer = SimpleNamespace(
+        summary=["two targets"],
+        table=REPORT.table,
+        details=full,
+        definitions=["width: of the main lobe."],
+        refusal=None,
+    )
+    first, all_rows, explained = (run("quality", "run", *more) for more in ([], ["--all"], ["--explain", "-q"]))
+    assert "phase" not in first.stdout and "main lobe" not in first.stdout
+    assert first.stderr.splitlines()[0] == (
+        "more: --all shows every row and column; --explain says what the columns mean"
+    )
+    assert "phase" in all_rows.stdout and "1.90" in all_rows.stdout
+    assert all_rows.stderr.splitlines()[0] == "more: --explain says what the columns mean"
+    assert "main lobe" in explained.stdout and explained.stderr == ""
+    assert "more:" not in run("demo", "--out", "run").stderr  # it has neither option
+
+
+def test_texts_are_folded_beside_their_names(api: Calls) -> None:
+    text = "one word after the other, " * 8
+    (table,) = display.tables(["phase history", "a.zarr"], [["track", text], ["beam", "narrow"]], 60)
+    console = Console(width=60, file=io.StringIO())
+    console.print(table)
+    lines = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
+    assert max(map(len, lines)) <= 60 and "phase history" in lines[1]
+    assert " ".join(" ".join(line[17:].strip() for line in lines[3:-2]).split()) == f"{text.strip()}"
+
+
+def test_a_wide_table_is_divided_evenly_and_its_titles_are_low() -> None:
+    header = ["block", "lost by residual phase", "at the ends of the dwell", "by noise of the track", "one", "two"]
+    rows = [["0", *["0.0000"] * 5]]
+    (table,) = display.tables(header, rows, 80)
+    console = Console(width=80, file=io.StringIO())
+    console.print(table)
+    lines = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
+    assert next(i for i, line in enumerate(lines) if "\N{BOX DRAWINGS LIGHT HORIZONTAL}" in line) <= 3
+    sizes = [len(table.columns) for table in display.tables(["t", *"abcdefghi"], [["0" * 8] * 10], 60)]
+    assert sizes == [4, 4, 4]  # not [5, 5, 2]
+
+
 def test_sentences_wrap_between_words_on_a_terminal(api: Calls) -> None:
     path = "/a/path-that/is-longer/than-a-narrow/terminal/is-wide.zarr"
     line = f"  wrote {path} in 9.7 s (recover 8.0 s, focus 1.0 s, mosaic 0.2 s)"
-    api.answer = SimpleNamespace(summary=[line], table=list, refusal=None)
+    api.answer = SimpleNamespace(details=[], definitions=(), summary=[line], table=list, refusal=None)
     assert run("plan", "table1").stdout == f"{line}\n"
     assert display.wrap_line(line, 40).split() == line.split()
     assert path in display.wrap_line(line, 40) and "mosaic 0.2 s)" in display.wrap_line(line, 40).splitlines()[-1]

@@ -48,7 +48,7 @@ def test_a_plan_predicts_coherence_and_what_it_is_made_of() -> None:
         assert 0.999 < p.coherence < 0.9998
         assert p.dispersion_loss == max(losses)
     assert report.result.coherence == min(block.prediction.coherence for block in report.result.blocks)
-    assert len(report.tables[1][1]) == 3
+    assert len(report.details[1][1]) == 3
     assert any("predicted coherence" in line for line in report.summary)
 
 

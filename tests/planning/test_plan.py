@@ -75,6 +75,23 @@ def test_a_plan_reads_no_samples_and_accepts_a_scene_or_a_store(table1: Path) ->
     assert all(len(row) == len(header) for row in rows)
 
 
+def test_of_many_blocks_the_ten_worst_are_shown_and_all_are_at_hand() -> None:
+    report = blocksar.plan("table1", blocks=14)
+    header, rows = report.tables[0]
+    least = sorted(block.prediction.coherence for block in report.result.blocks)[:10]
+    assert header[0] == "worst 10 of 14" and len(rows) == 10
+    assert sorted(float(row[2]) for row in rows) == pytest.approx(least, abs=1e-4)
+    assert [row[0] for _, rows in report.details[:1] for row in rows] == [str(i) for i in range(14)]
+    names = " ".join(report.definitions)
+    assert all(title.partition(" (")[0] in names for title in report.details[0][0])
+
+
+def test_range_sub_blocks_are_shown_with_their_range() -> None:
+    header, rows = blocksar.plan("table1", blocks=2, memory_limit=560 * 2**20).tables[0]
+    assert header[2] == "range (km)" and all(len(row) == len(header) for row in rows)
+    assert {row[0].partition(".")[0] for row in rows} == {"0", "1"}
+
+
 def test_the_gate_has_room_for_dwells_that_the_collection_cuts() -> None:
     """In narrow outer blocks the dwells that are left are much shorter than those that the gate continues."""
     made = Scene.parse(
