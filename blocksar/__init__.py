@@ -1,8 +1,8 @@
 """blocksar: focus squint-TOPS synthetic aperture radar data by angular blocks, in parallel.
 
-The functions correspond to the commands: `simulate`, `ingest`, `info`, `check`, `plan`, `focus`, `quality`, `report`,
-`export` and `compile`; `open` returns a finished image; `collection` builds a phase history from arrays, and `write`
-stores it. They are loaded on first use, so that `import blocksar` is fast. They raise `InputError` if the input
+The functions correspond to the commands: `simulate`, `ingest`, `info`, `preview`, `check`, `plan`, `focus`, `quality`,
+`report`, `export` and `compile`; `open` returns a finished image; `collection` builds a phase history from arrays, and
+`write` stores it. They are loaded on first use, so that `import blocksar` is fast. They raise `InputError` if the input
 is wrong, and `ProcessingError` if processing failed and the same call can resume it.
 """
 
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
         ingest,
         open,
         plan,
+        preview,
         quality,
         report,
         simulate,
@@ -46,6 +47,7 @@ __all__ = [
     "ingest",
     "open",
     "plan",
+    "preview",
     "quality",
     "report",
     "simulate",

@@ -1,8 +1,8 @@
-"""The commands as functions: simulate, ingest, check, plan, focus, quality, report, export, open, info, demo, compile;
-and collection and write, for data in memory.
+"""The commands as functions: simulate, ingest, check, plan, focus, quality, report, export, open, info, preview, demo,
+compile; and collection and write, for data in memory.
 
-One module for each stage: `sources`, `datasets`, `describing` (with `facts`), `checking`, `planning`, `focusing` (with
-`jobs`), `measuring`, `exporting`, `demonstrating`, `compiling`. They share `arguments` and `reports`.
+One module for each stage: `sources`, `datasets`, `describing` (with `facts`), `previewing`, `checking`, `planning`,
+`focusing` (with `jobs`), `measuring`, `exporting`, `demonstrating`, `compiling`. They share `arguments` and `reports`.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from blocksar.api.focusing import focus
     from blocksar.api.measuring import quality
     from blocksar.api.planning import plan
+    from blocksar.api.previewing import preview
     from blocksar.api.reports import Report
     from blocksar.api.sources import ingest, ingest_cphd, ingest_gotcha, simulate
 
@@ -29,8 +30,8 @@ if TYPE_CHECKING:
 _HOMES = {
     "Report": "reports", "check": "checking", "collection": "datasets", "compile": "compiling", "demo": "demonstrating",
     "export": "exporting", "focus": "focusing", "info": "describing", "ingest": "sources", "ingest_cphd": "sources",
-    "ingest_gotcha": "sources", "open": "exporting", "plan": "planning", "quality": "measuring", "report": "exporting",
-    "simulate": "sources", "write": "datasets",
+    "ingest_gotcha": "sources", "open": "exporting", "plan": "planning", "preview": "previewing",
+    "quality": "measuring", "report": "exporting", "simulate": "sources", "write": "datasets",
 }  # fmt: skip
 __all__ = [
     "Report",
@@ -46,6 +47,7 @@ __all__ = [
     "ingest_gotcha",
     "open",
     "plan",
+    "preview",
     "quality",
     "report",
     "simulate",

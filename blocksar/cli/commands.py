@@ -22,6 +22,7 @@ from blocksar.cli.options import (
     PROCESSORS,
     AzimuthWeighting,
     Blocks,
+    ColourMap,
     Everything,
     Explain,
     Fidelity,
@@ -166,7 +167,7 @@ def info(
     from blocksar import api
 
     found = api.info(path)
-    show(found)
+    show(found, context)
     for line in found.result["next"]:
         hint(context, *line)
 
@@ -257,6 +258,42 @@ def check(
 
     show(api.check(source, grid=points, threads=threads), context)
     hint(context, "plan", source, *given(context, "threads", "explain"))
+
+
+@app.command()
+def preview(
+    context: typer.Context,
+    source: Annotated[str, typer.Argument(metavar="PH.zarr", help="Phase-history store.")],
+    out: Annotated[str, typer.Option(metavar="FILE", help="PNG to write.")],
+    grid: GridOption = None,
+    size: Annotated[int, typer.Option(metavar="PIXELS", help="Pixels along the longer side, at most.")] = 1000,
+    range: Annotated[
+        str | None,
+        typer.Option("--range", metavar="LOW:HIGH", help="dB at the ends of the colours.", show_default="by the image"),
+    ] = None,
+    colour_map: ColourMap = None,
+    threads: Threads = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    json_log: JsonLog = None,
+) -> None:
+    """Draw a coarse picture of a collection in seconds, and say what grid a run would take.
+
+    Short apertures and a part of the band, back-projected exactly: bright targets lie at their places.
+
+    Example: [bold]blocksar preview table1.zarr --out preview.png[/bold]
+    """
+    points = None if grid is None else parse_grid(grid)
+
+    from blocksar import api
+
+    with listening(context) as progress:
+        found = api.preview(
+            source, out=out, grid=points, size=size, range=range, colour_map=colour_map, threads=threads,
+            overwrite=overwrite, progress=progress,
+        )  # fmt: skip
+    show(found, context)
+    hint(context, "plan", source, *(["--grid", grid] if grid else []))
 
 
 @app.command()

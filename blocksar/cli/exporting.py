@@ -8,7 +8,7 @@ import typer
 
 from blocksar.cli.display import hint, show
 from blocksar.cli.listening import listening
-from blocksar.cli.options import JsonLog, Overwrite, Quiet, Run
+from blocksar.cli.options import ColourMap, JsonLog, Overwrite, Quiet, Run
 
 Crop = Annotated[
     str | None,
@@ -100,12 +100,7 @@ def export_png(
         str | None,
         typer.Option("--range", metavar="LOW:HIGH", help="dB at the ends of the colours.", show_default="by the image"),
     ] = None,
-    colour_map: Annotated[
-        str | None,
-        typer.Option(
-            "--colour-map", "--color-map", metavar="NAME", help="One of matplotlib's colour maps.", show_default="gray"
-        ),
-    ] = None,
+    colour_map: ColourMap = None,
     size: Annotated[
         int | None,
         typer.Option(metavar="PIXELS", help="Longer side of the picture.", show_default="by the image, up to 1700"),

@@ -12,6 +12,12 @@ import typer
 from blocksar.cli.parsing import Axis, parse_blocks, parse_grid, parse_memory
 from blocksar.focusing.method import Coefficients, Method, Processor
 
+ColourMap = Annotated[
+    str | None,
+    typer.Option(
+        "--colour-map", "--color-map", metavar="NAME", help="One of matplotlib's colour maps.", show_default="gray"
+    ),
+]
 Run = Annotated[str, typer.Argument(metavar="RUN", help="Folder of a finished run.")]
 StoreOut = Annotated[str, typer.Option(metavar="STORE", help="Phase-history store to write.")]
 ALTERNATIVES = "Alternative methods, for comparison"  # title of a panel in the help

@@ -263,6 +263,37 @@ def default_grid(geometry: Geometry, region: Region) -> Grid:
     return Grid(x0, x1, dx, y0, y1, dy)
 
 
+def facing_grid(geometry: Geometry) -> Grid:
+    """A square of ground about the scene's origin, for a beam that is not steered.
+
+    Data that were compensated to the origin have its distance as their reference range; their beam was held on it. The
+    square lies in the range window and in the unambiguous Doppler band, with a tenth to spare. Pixels as in
+    `default_grid`.
+
+    Raises
+    ------
+    InputError
+        If the reference range does not follow the origin: nothing then tells where the beam looked.
+    """
+    collection = geometry.collection
+    centre = np.array([0.0, 0.0, collection.ground_height])
+    sight = centre - collection.antenna_position
+    distance = np.linalg.norm(sight, axis=1)
+    if np.abs(distance - collection.reference_range).max() > collection.range_window / 8 or collection.n_pulse < 2:
+        raise InputError(
+            "grid is missing: the beam is not steered, and the reference range does not follow the scene's origin, so "
+            "give --grid x0:x1:dx,y0:y1:dy for the ground to show"
+        )
+    direction = sight / distance[:, None]
+    turn = np.linalg.norm(np.diff(direction, axis=0), axis=1).mean() / collection.pulse_interval  # rad/s
+    slope = float(np.linalg.norm(direction[:, :2], axis=1).mean())
+    half = 0.9 * min(collection.range_window / 2 / slope, collection.prf * collection.wavelength / 4 / max(turn, 1e-12))
+    rng, yaw = geometry.epoch_range(np.zeros(1), np.zeros(1)), geometry.yaw(np.zeros(1), np.zeros(1))
+    step = _round_step(min(ground_resolution(geometry, float(rng[0]), float(yaw[0]))) / 2)
+    half = max(float(np.floor(half / np.sqrt(2) / step) * step), step)
+    return Grid(-half, half, step, -half, half, step)
+
+
 def _round_step(value: float) -> float:
     """Round to the nearest of 1, 1.5, 2, 3, 5, 7 times a power of ten."""
     decade = 10.0 ** np.floor(np.log10(value))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,7 @@ class Overview(NamedTuple):
         Edges of the cells, m.
     """
 
-    power: FloatArray
+    power: NDArray[np.floating[Any]]
     block: NDArray[np.int16] | None
     x_edges: FloatArray
     y_edges: FloatArray
@@ -74,7 +74,7 @@ def overview(
         power[cells] = _reduce(pixels.real**2 + pixels.imag**2, factor, looks)
         if block is not None and read_block is not None:
             block[cells] = _reduce(read_block(rows, slice(0, image_x.size)), factor, "max")
-    return Overview(power, block, _edges(image_x, n_x, factor), _edges(image_y, n_y, factor))
+    return Overview(power, block, cell_edges(image_x, n_x, factor), cell_edges(image_y, n_y, factor))
 
 
 def _reduce(values: NDArray[np.float32] | NDArray[np.int16], factor: int, looks: Literal["max", "mean"]) -> FloatArray:
@@ -92,7 +92,7 @@ def _reduce(values: NDArray[np.float32] | NDArray[np.int16], factor: int, looks:
     return np.where(count > 0, reduced, np.nan)
 
 
-def _edges(axis: FloatArray, cells: int, factor: int) -> FloatArray:
+def cell_edges(axis: FloatArray, cells: int, factor: int) -> FloatArray:
     """Edges of `cells` cells, m."""
     step = float(axis[-1] - axis[0]) / max(axis.size - 1, 1)
     return np.asarray(axis[0] - step / 2 + step * factor * np.arange(cells + 1))

@@ -22,6 +22,8 @@ from matplotlib.ticker import FuncFormatter
 
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.collection.beam import dwell
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.georeference import Georeference
 from blocksar.errors import InputError
 from blocksar.places import Location
 from blocksar.products.pictures.figures import DPI, MARK
@@ -93,14 +95,34 @@ def write(
     source.coverage()  # raises if no pixel is covered
     with replacing(out, overwrite=overwrite) as part:
         reduced = overview(read, source.x, source.y, max_pixels=max(PIXELS, size or 0), looks="mean", strip=STRIP)
-        figure, axes = _new_figure(reduced, size)
-        low, high = draw(axes, reduced, arrows=_scene_arrows(source, reduced), limits=limits, colour_map=colour_map)
-        axes.set_title(source.title, fontsize=11)
-        figure.supxlabel(caption, fontsize=8, color="#5a6676")
-        figure.savefig(part, format="png")
+        arrows = scene_arrows(reduced, source.geometry, source.georeference)
+        low, high = save(
+            part, reduced, title=source.title, caption=caption, arrows=arrows, limits=limits, colour_map=colour_map,
+            size=size,
+        )  # fmt: skip
     cell = float(reduced.x_edges[1] - reduced.x_edges[0]), float(reduced.y_edges[1] - reduced.y_edges[0])
     scale = "grey" if colour_map == GREY else colour_map
     return [f"cells of {cell[0]:.4g} m x {cell[1]:.4g} m, {scale} from {low:.1f} to {high:.1f} dB"]
+
+
+def save(
+    path: str,
+    reduced: Overview,
+    *,
+    title: str,
+    caption: str,
+    arrows: list[Arrow],
+    limits: tuple[float, float] | None = None,
+    colour_map: str = GREY,
+    size: int | None = None,
+) -> tuple[float, float]:
+    """Write a decimated image as a PNG file; return the dB drawn in the first and in the last colour."""
+    figure, axes = _new_figure(reduced, size)
+    limits = draw(axes, reduced, arrows=arrows, limits=limits, colour_map=colour_map)
+    axes.set_title(title, fontsize=11)
+    figure.supxlabel(caption, fontsize=8, color="#5a6676")
+    figure.savefig(path, format="png")
+    return limits
 
 
 def checked_colour_map(name: str | None) -> str:
@@ -197,18 +219,18 @@ def _new_figure(reduced: Overview, size: int | None = None) -> tuple[Figure, Axe
     return figure, figure.add_subplot()
 
 
-def _scene_arrows(source: FinishedRun, reduced: Overview) -> list[Arrow]:
+def scene_arrows(reduced: Overview, geometry: Geometry, frame: Georeference | None) -> list[Arrow]:
     """The look direction at the middle of the covered area, and north if it is known."""
     rows, columns = np.nonzero(np.isfinite(reduced.power))
     arrows = []
     if rows.size:
         x = (reduced.x_edges[:-1] + reduced.x_edges[1:])[columns].mean() / 2
         y = (reduced.y_edges[:-1] + reduced.y_edges[1:])[rows].mean() / 2
-        first, last = (float(t) for t in dwell(source.geometry, x, y))
-        time = (first + last) / 2 if first < last else source.geometry.epoch
-        arrows.append(Arrow("look", np.array([x, y]) - source.geometry.track.position(np.array(time))[:2], MARK))
-    if source.georeference is not None:
-        arrows.append(north_arrow(source.georeference.rotation))
+        first, last = (float(t) for t in dwell(geometry, x, y))
+        time = (first + last) / 2 if first < last else geometry.epoch
+        arrows.append(Arrow("look", np.array([x, y]) - geometry.track.position(np.array(time))[:2], MARK))
+    if frame is not None:
+        arrows.append(north_arrow(frame.rotation))
     return arrows
 
 

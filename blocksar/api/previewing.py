@@ -1,0 +1,184 @@
+"""preview: a picture of a collection, in seconds."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from blocksar import stores
+from blocksar.api.arguments import GridLike, grid_of, history_of
+from blocksar.api.facts import grid_text
+from blocksar.api.measuring import pulse_reader
+from blocksar.api.reports import Report, only_stage
+from blocksar.arrays import ComplexArray
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.georeference import Georeference
+from blocksar.collection.grid import Grid
+from blocksar.collection.region import default_grid, facing_grid, plan_region
+from blocksar.errors import InputError
+from blocksar.focusing import preview as coarse
+from blocksar.graph.machine import machine
+from blocksar.kernels.phase import Float32Array
+from blocksar.places import Location, place
+from blocksar.products.options import check_ending, parse_range
+from blocksar.products.pictures.overview import Overview, cell_edges
+from blocksar.products.pixels import checked_limits
+from blocksar.products.writing import replacing
+from blocksar.progress import Updated as Progress
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+SIZE = 1000  # pixels along the longer side
+LARGEST = 8000
+
+
+def preview(
+    source: Location | xr.Dataset,
+    *,
+    out: Location | None = None,
+    grid: GridLike | None = None,
+    size: int = SIZE,
+    range: tuple[float, float] | str | None = None,
+    colour_map: str | None = None,
+    threads: int | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> Report:
+    """Form a coarse picture of a collection in seconds, from short apertures and a part of the band.
+
+    Its geometry is exact, and bright targets lie at their places within a pixel. Nothing is calibrated for antenna
+    patterns.
+
+    Parameters
+    ----------
+    source : path or xarray.Dataset
+        Phase-history store, or a dataset of its contract.
+    out : path, optional
+        PNG file to write. Default: none is written.
+    grid : Grid or ((x0, x1, dx), (y0, y1, dy)), optional
+        Ground to show, m in the scene frame; pixels are at least dx and dy. Default: what the beam lights; where it is
+        not steered, the surroundings of the point that the reference range follows, if it does.
+    size : int
+        Pixels along the longer side, at most. Default: 1000.
+    range : (float, float) or str, optional
+        dB at the ends of the colours. Default: by the picture.
+    colour_map : str, optional
+        By matplotlib's name. Default: "gray".
+    threads : int, optional
+        Default: the number of cores.
+    overwrite : bool
+        Replace what stands at `out`. Default: False.
+    progress : object with a method update(stage, done, total), optional
+        Called with the name of the stage (str) and the numbers of finished and of all units (int). A
+        `blocksar.progress.Listener` receives more. Default: nothing is reported.
+
+    Returns
+    -------
+    Report
+        `result` is an xarray DataArray: power (y, x) over that of unit reflectivity, NaN where nothing was lit, with x
+        and y in m. `summary` has what was read, the resolution, and the grid that a run would take.
+
+    Raises
+    ------
+    InputError
+        If the source is no phase history, a grid is missing or lies outside the swath, matplotlib is not installed, or
+        `out` exists and `overwrite` is False, or has the ending of another product.
+    ProcessingError
+        If the file cannot be written.
+    """
+    if isinstance(size, bool) or not 50 <= size <= LARGEST:
+        raise InputError(f"size = {size!r}: give 50 to {LARGEST} pixels along the longer side of the picture")
+    limits = None if range is None else checked_limits(parse_range(range))
+    if out is not None:
+        check_ending("png", str(place(out)))
+    history = history_of(source)
+    geometry = Geometry(collection=history.collection.centred())
+    chosen, proposed = _ground(geometry, grid_of(grid))
+    planned = coarse.plan_preview(geometry, chosen, size=size)
+    count = threads or machine()[0]
+    callback = only_stage(progress, "preview")
+    if out is None:
+        power = coarse.form_preview(_reader(history), planned, threads=count, progress=callback)
+    else:
+        with replacing(out, overwrite=overwrite) as part:
+            power = coarse.form_preview(_reader(history), planned, threads=count, progress=callback)
+            _draw(part, history, geometry, planned, power, limits, colour_map)
+    return Report(
+        summary=[*_sentences(history, planned, proposed), *([f"wrote {place(out)}"] if out is not None else [])],
+        result=_as_dataarray(planned, power),
+    )
+
+
+def _ground(geometry: Geometry, given: Grid | None) -> tuple[Grid, Grid]:
+    """The ground to show, and the grid that a run would take."""
+    collection = geometry.collection
+    grid = given
+    if grid is None and not collection.steered:
+        grid = facing_grid(geometry)
+    region = plan_region(geometry, grid)
+    proposed = grid or default_grid(geometry, region)
+    return given or proposed, proposed
+
+
+def _reader(history: stores.PhaseHistory) -> coarse.ReadPart:
+    if history.raw is None:
+        return history.read
+    whole = pulse_reader(history)
+
+    def read(pulses: slice, columns: slice) -> ComplexArray:
+        return np.ascontiguousarray(whole(pulses)[:, columns])
+
+    return read
+
+
+def _draw(
+    path: str,
+    history: stores.PhaseHistory,
+    geometry: Geometry,
+    planned: coarse.Preview,
+    power: Float32Array,
+    limits: tuple[float, float] | None,
+    colour_map: str | None,
+) -> None:
+    try:
+        from blocksar.products.pictures import quicklook  # optional, and slow to load
+    except ModuleNotFoundError as error:
+        raise InputError(f"{error.name} is not installed, which pictures need; install blocksar[plots]") from None
+    grid = planned.grid
+    reduced = Overview(power, None, cell_edges(grid.x, grid.x.size, 1), cell_edges(grid.y, grid.y.size, 1))
+    attribute = history.attrs.get("georeference")
+    frame = None if attribute is None else Georeference.from_attribute(attribute)
+    across, along = planned.resolution
+    quicklook.save(
+        path, reduced, title=f"{history.attrs.get('title') or 'phase history'} (preview)",
+        caption=f"resolution {across:.3g} m in range, {along:.3g} m in azimuth   pixels {grid.dx:.3g} m",
+        arrows=quicklook.scene_arrows(reduced, geometry, frame), limits=limits,
+        colour_map=quicklook.checked_colour_map(colour_map),
+    )  # fmt: skip
+
+
+def _sentences(history: stores.PhaseHistory, planned: coarse.Preview, proposed: Grid) -> list[str]:
+    n_pulse, n_column = history.collection.n_pulse, history.collection.n_range_frequency
+    columns = planned.columns.stop - planned.columns.start
+    pulses = len({p for part in planned.apertures for p in np.arange(part.start, part.stop).tolist()})
+    across, along = planned.resolution
+    return [
+        f"resolution {across:.3g} m in range and {along:.3g} m in azimuth, in pixels of {planned.grid.dx:.3g} m, from "
+        f"{pulses} of {n_pulse} pulses and {columns} of {n_column} range frequencies",
+        f"a run takes --grid {grid_text(proposed)}",
+    ]
+
+
+def _as_dataarray(planned: coarse.Preview, power: Float32Array) -> xr.DataArray:
+    import xarray as xr  # slow to load
+
+    coords = {
+        name: (name, getattr(planned.grid, name), {"units": "m", "long_name": f"{name} in the scene frame"})
+        for name in "yx"
+    }
+    return xr.DataArray(
+        power, dims=("y", "x"), coords=coords, name="power",
+        attrs={"units": "1", "long_name": "power over that of unit reflectivity", "resolution": planned.resolution},
+    )  # fmt: skip
