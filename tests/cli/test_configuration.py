@@ -123,7 +123,7 @@ def test_the_printed_configuration_is_read_back(text: str, seen: Any) -> None:
         ("zzz = 1", "'zzz' is no option of focus; known are source, out, processor, blocks"),
         ("[focus]\nblocks = 3", "'focus' is no option of focus; known are source"),
         ("dry-run = true", "'dry-run' is no option of focus"),
-        ("workers = 0", "c.toml: workers = '0': Input should be greater than or equal to 1"),
+        ("workers = -1", "c.toml: workers = '-1': Input should be greater than or equal to 0"),
         ("workers = 'many'", "c.toml: workers = 'many': "),
         ("processor = 'omega'", "c.toml: processor = 'omega': 'omega' is not one of"),
         ("overwrite = 1", "c.toml: overwrite = '1' is neither true nor false"),
