@@ -27,6 +27,7 @@ from blocksar.constants import MIB
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.method import Coefficients, Derotation, Perturbation, Processor, RangeModel, method_of
 from blocksar.focusing.noise import NoiseMap
+from blocksar.focusing.range_compression import RawCompression
 from blocksar.graph import cluster, compiling, recording, stages
 from blocksar.graph.machine import Resources, machine, resources
 from blocksar.inspection import centroid, samples, sentences
@@ -332,7 +333,7 @@ def _run_stages(
         record = _add_findings(job, run, record, inspected, inspection, listener)
         input_read()
         weighting = job.request.weighting
-        noise = NoiseMap.of(job.geometry, weighting, inspection.lit)
+        noise = _noise(job, inspection)
         formed = stages.back_project(
             client, source, job.geometry, job.grid, inspection, weighting, noise, run, listener
         )
@@ -345,12 +346,21 @@ def _run_stages(
     gated = stages.gate_ranges(client, plan, run, recovered, listener)
     if gated:
         timings["gate"] = lap()
-    noise = NoiseMap.of(plan.geometry, plan.weighting, inspection.lit)
+    noise = _noise(job, inspection)
     focused = stages.focus_blocks(client, plan, run, (*recovered, *gated), inspection.lit, noise, listener)
     timings["focus"] = lap()
     merged = stages.mosaic(client, plan, run, focused, noise, listener)
     timings["mosaic"] = lap()
     return replace(record, receipts=(*recovered, *gated, *focused, *merged), timings=timings)
+
+
+def _noise(job: Job, inspection: Inspection) -> NoiseMap | None:
+    """The noise of the image, where that of the samples is known."""
+    raw, collection = job.history.raw, job.history.collection
+    if not collection.noise_power:
+        return None
+    spectrum = 1.0 if raw is None else RawCompression.of_echo(raw, collection).noise_spectrum
+    return NoiseMap.of(job.geometry, job.request.weighting, inspection.lit, spectrum)
 
 
 def _add_findings(

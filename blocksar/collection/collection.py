@@ -68,7 +68,7 @@ class Collection:
     elevation, elevation_pattern : (n,) float or None
         Two-way amplitude, already in the signal, over the angle of the line of sight below the horizontal, rad.
     noise_power : float or None
-        Mean squared magnitude of the noise of a sample of the signal.
+        Mean squared magnitude of the noise of a sample of the signal; of a raw echo, of a sample of the echo.
 
     Raises
     ------

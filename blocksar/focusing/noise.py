@@ -81,7 +81,8 @@ class NoiseMap:
     valid : (n_pulse,) float
         Fraction of each pulse's samples that are valid.
     sample : float
-        N sum W^2 / (sum W)^2: the noise of the image if one pulse of weight 1 lit a pixel.
+        sum W^2 N / (sum W)^2, N being that of each range frequency: the noise of a pixel that one pulse of weight 1
+        lights.
     """
 
     geometry: Geometry
@@ -90,13 +91,19 @@ class NoiseMap:
     sample: float
 
     @classmethod
-    def of(cls, geometry: Geometry, weighting: Weighting, valid: FloatArray) -> Self | None:
-        """The noise of a collection's images; None where the noise of its samples is not known, or is 0."""
+    def of(
+        cls, geometry: Geometry, weighting: Weighting, valid: FloatArray, spectrum: FloatArray | float = 1.0
+    ) -> Self | None:
+        """The noise of a collection's images; None where the noise of its samples is not known, or is 0.
+
+        `spectrum` (n_range_frequency,) is the noise of samples at each range frequency over `noise_power`; for a raw
+        echo, that of `RawCompression.noise_spectrum`.
+        """
         collection = geometry.collection
         if not collection.noise_power:
             return None
         weights = weighting.range.samples(collection.n_range_frequency)
-        sample = collection.noise_power * float((weights**2).sum() / weights.sum() ** 2)
+        sample = collection.noise_power * float((weights**2 * spectrum).sum() / weights.sum() ** 2)
         return cls(geometry=geometry, weighting=weighting, valid=valid, sample=sample)
 
     def over(self, x: FloatArray, y: FloatArray) -> Float32Array:

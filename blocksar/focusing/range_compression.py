@@ -76,6 +76,11 @@ class RawCompression:
             range_frequency=collection.range_frequency, reference_range=collection.reference_range,
         )  # fmt: skip
 
+    @property
+    def noise_spectrum(self) -> FloatArray:
+        """Mean squared noise of samples of the signal, over that of a sample of the echo: (n_range_frequency,)."""
+        return np.asarray(self.fast_time.size * np.abs(self.weight) ** 2)
+
     def apply(self, echo: ComplexArray, *, pulses: slice, threads: int = 1) -> ComplexArray:
         """Compress pulses (n, n_fast_time) to (n, n_range_frequency) complex64; a pulse with a NaN comes out NaN."""
         axis = Axis(-(self.fast_time.size // 2) / self.fast_time.extent, 1 / self.fast_time.extent, self.fast_time.size)

@@ -20,6 +20,7 @@ from distributed import Client, Future, KilledWorker
 from blocksar import stores
 from blocksar.arrays import FloatArray
 from blocksar.chunks import MOSAIC_CHUNKS, TILE
+from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.weighting import Weighting
@@ -325,7 +326,9 @@ def _compress_raw(
     if source.raw is None:
         return source, []
     collection = source.collection
-    run.establish(run.compressed, lambda: stores.create_phase_history(run.compressed, collection, overwrite=True))
+    # The noise is that of a sample of the echo, not of the signal.
+    kept = Collection(**{**collection.as_dict(), "noise_power": None})
+    run.establish(run.compressed, lambda: stores.create_phase_history(run.compressed, kept, overwrite=True))
     compression = RawCompression.of_echo(source.raw, collection)
     units = [
         _single_task(

@@ -473,7 +473,7 @@ class Scene(Table):
         InputError
             If track samples do not cover the pulses, the range window is too large, or a raw echo has no pulse width.
         """
-        noise_power = None if raw or self.noise is None else self.noise.power
+        noise_power = None if self.noise is None else self.noise.power
         return self._collection(self.range_frequency(raw=raw), self.reference_range, noise_power)
 
 

@@ -43,6 +43,7 @@ AXIS_SCENE: dict[str, Any] = {
     "bandwidth": 40e6,
     "range_sampling": 50e6,
     "prf": 320,
+    "pulse_width": 2e-6,
     "height": 4000.0,
     "velocity": [0.0, 200.0, -2.0],
     "acceleration": [0.2, 0.5, 0.0],
@@ -56,8 +57,8 @@ AXIS_SCENE: dict[str, Any] = {
 def axis_scene(beam: str, **changes: Any) -> str:
     """The text of a scene file with the lines `beam` of its table [beam]."""
     s = {**AXIS_SCENE, **changes}
-    lines = ['title = "test"', "[radar]", "carrier = 9.6e9", "pulse_width = 2e-6"]
-    lines += [f"{name} = {s[name]}" for name in ("bandwidth", "range_sampling", "prf")]
+    lines = ['title = "test"', "[radar]", "carrier = 9.6e9"]
+    lines += [f"{name} = {s[name]}" for name in ("bandwidth", "range_sampling", "prf", "pulse_width")]
     lines += ["[track]", f"position = [0.0, 0.0, {s['height']}]"]
     lines += [f"{name} = {s[name]}" for name in ("velocity", "acceleration")]
     lines += ["[time]", s["time"], "[beam]", beam, "[scene]", f"swath = {s['swath']}", f"centre_yaw_deg = {s['yaw']}"]

@@ -127,7 +127,7 @@ def test_a_beam_that_misses_the_swath_is_refused() -> None:
 def test_noise_power_is_that_of_the_scene() -> None:
     text = axis_scene('mode = "stripmap"\nwidth_deg = 1.0', more="[noise]\npower = 0.5\nseed = 1\n", **TRACK)
     assert Scene.parse(text).collection().noise_power == 0.5
-    assert Scene.parse(text).collection(raw=True).noise_power is None
+    assert Scene.parse(text).collection(raw=True).noise_power == 0.5  # of a sample of the echo
     assert beam_of('mode = "stripmap"\nwidth_deg = 1.0').noise_power is None
 
 
