@@ -48,18 +48,18 @@ HOMES: dict[str, set[str] | None] = {
     "obstore": {"places"},
     "psutil": {"places"},
     "xxhash": {"stores"},
-    "xarray": {"stores", "products", "api"},
+    "xarray": {"stores", "products", "api", "ingestion"},
     "dask": {"graph"},
     "distributed": {"graph", "api"},  # api: types
     "typer": {"cli"},
     "rich": {"cli", "progress"},
     "matplotlib": {"products"},
     "jinja2": {"products"},
-    "rasterio": {"products"},
+    "rasterio": {"products", "ingestion"},
     "shapely": {"products"},
     "sarkit": {"ingestion", "products"},
     "lxml": {"simulation", "products"},
-    "pyproj": {"collection", "products"},  # products: types
+    "pyproj": {"collection", "products", "ingestion"},  # products: types
 }
 
 # Arrays, numbers and frozen objects only: no files, no logging, no graphs.

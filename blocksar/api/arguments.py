@@ -31,7 +31,8 @@ def collection_of(source: Location | xr.Dataset) -> Collection:
     """Return the collection of a scene (a TOML file or the name of a shipped one) or of a phase history, centred."""
     text = str(source) if isinstance(source, str | Path) else ""
     if text.endswith(".toml") or (text and not Path(text).exists()):
-        from blocksar.simulation.scene import Scene, shipped_scenes
+        from blocksar.simulation.scene import Scene
+        from blocksar.simulation.shipped import shipped_scenes
 
         if text.endswith(".toml") or text in shipped_scenes():
             return Scene.read(text).collection().centred()

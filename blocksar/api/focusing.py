@@ -22,6 +22,7 @@ from blocksar.api.planning import undersampling
 from blocksar.api.rehearsing import rehearse
 from blocksar.api.reports import Report
 from blocksar.budget import FIDELITY
+from blocksar.collection.terrain import Surface
 from blocksar.collection.weighting import Weighting
 from blocksar.constants import MIB
 from blocksar.errors import InputError, ProcessingError
@@ -30,6 +31,7 @@ from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.range_compression import RawCompression
 from blocksar.graph import cluster, compiling, recording, stages
 from blocksar.graph.machine import Resources, machine, resources
+from blocksar.ingestion.terrain.reading import Ground, coverage_note
 from blocksar.inspection import centroid, samples, sentences
 from blocksar.inspection.samples import Inspection
 from blocksar.places import Location, place
@@ -80,6 +82,9 @@ def focus(
     derotation: Derotation = "nonlinear",
     range_model: RangeModel = "polar",
     grid: GridLike | None = None,
+    terrain: Location | None = None,
+    surface: Surface = "plane",
+    vertical: str | None = None,
     workers: int | None = None,
     threads: int | None = None,
     memory_limit: int | None = None,
@@ -125,6 +130,14 @@ def focus(
     grid : Grid or ((x0, x1, dx), (y0, y1, dy)), optional
         Image points x0, x0 + dx, ... < x1 in m in the scene frame, likewise y. Default: the box around the lit sector
         at about half the resolution. Needed if the beam is not steered.
+    terrain : path, optional
+        Heights of the ground: zarr or netCDF with `height` (y, x) in m of the scene frame, or a GeoTIFF in any
+        coordinate reference system, which needs a georeference. Default: the plane z = ground_height.
+    surface : {"plane", "ellipsoid"}
+        "ellipsoid": WGS 84 at ground_height, which needs a georeference. Default: "plane".
+    vertical : str, optional
+        What a GeoTIFF's heights are measured from, if it does not say so: "ellipsoid", "egm96" or "egm2008"; or
+        "egm2008:FILE" with the geoid's grid.
     workers : int, optional
         Processes of the local cluster; 0: the calling process does the work, without a cluster. Default: the number of
         cores, at most 4; in a notebook or another interactive session 0 for a collection of at most 2**24 samples.
@@ -177,6 +190,7 @@ def focus(
         weighting=Weighting.parse(weighting, weighting_range, weighting_azimuth),
         grid=grid_of(grid),
         overwrite=overwrite,
+        ground=Ground(terrain=terrain, surface=surface, vertical=vertical),
     )
     if profile is not None:
         recording.check_recordable(profile, client)
@@ -256,8 +270,10 @@ def _focus(
         finished = _carry_out(job, run, record, client, listener, profile, resumed=earlier is not None)
     except ProcessingError as error:
         raise ProcessingError(f"{error}; what was finished stays, the same command goes on from there") from error
-    coarse = None if job.plan is None else undersampling(job.plan)
-    notes = [f"note: {coarse}"] if coarse else []
+    found = [None if job.plan is None else undersampling(job.plan)]
+    if request.terrain is not None:
+        found.append(coverage_note(request.terrain, job.grid))
+    notes = [f"note: {line}" for line in found if line]
     worker = "this process" if cluster.is_here(client) else "a worker"
     return Report(summary=[*_summary(request.folder, finished, job.memory, worker), *notes], result=finished.as_json())
 
@@ -326,6 +342,9 @@ def _run_stages(
         run.folder / "collection.zarr",
         lambda: stores.write_collection(run.folder / "collection.zarr", history.collection, history.attrs),
     )
+    terrain = job.request.terrain
+    if terrain is not None:
+        run.establish(run.terrain, lambda: stores.write_terrain(run.terrain, terrain))
     timings: dict[str, float] = {}
     if plan is None:
         source, inspected, inspection = stages.inspect_samples(client, history, run, listener)
@@ -445,7 +464,13 @@ def _create_image(run: Run, job: Job, record: RunRecord) -> None:
     }
     if "georeference" in attrs:
         attributes["georeference"] = attrs["georeference"]
-    schema = {**stores.IMAGE, **(stores.NOISE if job.history.collection.noise_power else {})}
+    if job.request.terrain is not None:
+        attributes["terrain"] = job.request.ground.describe(job.request.terrain)
+    schema = {
+        **stores.IMAGE,
+        **(stores.NOISE if job.history.collection.noise_power else {}),
+        **(stores.HEIGHT if job.request.terrain is not None else {}),
+    }
     stores.create(
         run.image, schema, sizes={}, coords={"x": job.grid.x, "y": job.grid.y}, attrs=attributes,
         chunks={"y": side[0], "x": side[1]}, overwrite=True,

@@ -8,14 +8,16 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from blocksar import stores
 from blocksar.api.arguments import history_of
+from blocksar.api.ground import PLANE, geometry_over, ground_settings, image_grid, read_ground
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
-from blocksar.collection.region import default_grid, plan_region
+from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import UNIFORM, Weighting
 from blocksar.errors import FolderError, InputError, ProcessingError
 from blocksar.focusing.method import Method
 from blocksar.graph.machine import Resources
+from blocksar.ingestion.terrain.reading import Ground
 from blocksar.places import Location, place
 from blocksar.places.place import Place
 from blocksar.planning import effort
@@ -48,6 +50,10 @@ class Request:
         None to cover the lit sector.
     fingerprint : str
         Of the phase history.
+    ground : Ground
+        What the user says of the ground.
+    terrain : Terrain or None
+        The ground itself, under the grid; None for the plane.
     overwrite : bool
         Whether to replace a run of other settings or another input.
     """
@@ -61,6 +67,8 @@ class Request:
     grid: Grid | None
     fingerprint: str
     overwrite: bool
+    ground: Ground = PLANE
+    terrain: Terrain | None = None
 
     @classmethod
     def open(
@@ -74,13 +82,15 @@ class Request:
         weighting: Weighting = UNIFORM,
         grid: Grid | None,
         overwrite: bool,
+        ground: Ground = PLANE,
     ) -> Request:
         """Open the phase history; nothing is written.
 
         Raises
         ------
         InputError
-            If there is none, its georeference is wrong, or it and the folder lie in each other.
+            If there is none, its georeference is wrong, or it and the folder lie in each other; or the ground cannot be
+            read.
         """
         history = history_of(source).pinned()
         if "georeference" in history.attrs:
@@ -96,8 +106,8 @@ class Request:
             run_folder.refuse_overlap(place(history.path), folder)
         return cls(
             history=history, folder=folder, method=method, blocks=blocks, fidelity=fidelity, weighting=weighting,
-            grid=grid,
-            fingerprint=fingerprint, overwrite=overwrite,
+            grid=grid, fingerprint=fingerprint, overwrite=overwrite, ground=ground,
+            terrain=read_ground(ground, history.collection.centred(), grid, history.attrs, exact=method is None),
         )  # fmt: skip
 
     @property
@@ -111,6 +121,7 @@ class Request:
             "weighting_range": self.weighting.range.text,
             "weighting_azimuth": self.weighting.azimuth.text,
             "grid": None if self.grid is None else list(grid_numbers(self.grid)),
+            **ground_settings(self.ground, self.terrain),
         }
 
     def identity(self, division: tuple[int | None, int | None] | None) -> str:
@@ -172,12 +183,12 @@ class Job:
         """
         history, grid = request.history, request.grid
         collection = history.collection.centred()
-        geometry = Geometry(collection=collection)
+        geometry = geometry_over(collection, request.terrain)
         compression = checked_memory(
             "range compression", compression_memory(history.collection, history.raw), machine.memory_limit
         )
         if request.method is None:
-            grid = grid or default_grid(geometry, plan_region(geometry, None))
+            grid = image_grid(collection, grid)
             needed = checked_back_projection_memory(collection, grid, machine.threads, machine.memory_limit)
             memory = max(compression, needed)
             return cls(request=request, geometry=geometry, grid=grid, machine=machine, plan=None, memory=memory)
@@ -189,7 +200,7 @@ class Job:
             method=request.method,
             fidelity=request.fidelity,
             weighting=request.weighting,
-            grid=grid,
+            grid=grid if request.terrain is None else image_grid(collection, grid),
             workers=machine.workers,
             memory_limit=machine.memory_limit,
         )

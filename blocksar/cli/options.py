@@ -10,6 +10,7 @@ from typing import Annotated, Literal, TypedDict, get_args, get_type_hints
 import typer
 
 from blocksar.cli.parsing import Axis, parse_blocks, parse_grid, parse_memory
+from blocksar.collection.terrain import Surface
 from blocksar.focusing.method import Coefficients, Method, Processor
 
 ColourMap = Annotated[
@@ -51,6 +52,17 @@ GridOption = Annotated[
     typer.Option(
         metavar="x0:x1:dx,y0:y1:dy", help="Image points, m; default: the lit sector, spaced by half the resolution."
     ),
+]
+TerrainOption = Annotated[
+    str | None,
+    typer.Option(metavar="FILE", help="Heights of the ground: zarr or netCDF in the scene frame, or GeoTIFF."),
+]
+SurfaceOption = Annotated[
+    Surface, typer.Option(metavar="plane|ellipsoid", help="The ground without --terrain; ellipsoid: WGS 84.")
+]
+VerticalOption = Annotated[
+    str | None,
+    typer.Option(metavar="DATUM", help="Of a GeoTIFF's heights: ellipsoid, egm96, egm2008, or egm2008:FILE."),
 ]
 Workers = Annotated[
     int | None,

@@ -8,7 +8,7 @@ the middle of the aperture.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -20,6 +20,7 @@ from blocksar import solvers
 from blocksar.arrays import FloatArray
 from blocksar.collection.collection import Collection
 from blocksar.collection.spline import Spline, fit_spline
+from blocksar.collection.terrain import Terrain
 from blocksar.errors import InputError
 
 MAX_TRACK_ORDER = 12
@@ -182,9 +183,46 @@ def _rms(values: FloatArray) -> float:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Geometry:
-    """The fitted track of a collection, its nadir at t = 0 and its epoch."""
+    """The fitted track of a collection, its nadir at t = 0 and its epoch; and the ground.
+
+    Without a terrain the ground is the plane z = collection.ground_height. With one, a point (x, y) lies at its height,
+    and the polar frame's point at a range and a yaw lies on a smooth surface that stands for the terrain.
+
+    Attributes
+    ----------
+    collection : Collection
+    terrain : Terrain or None
+        The height at x, y.
+    smooth : callable or None
+        Height, m, of that surface at epoch ranges (m) and yaws (rad), broadcast; None: the plane. Planning has one for
+        each block.
+    """
 
     collection: Collection
+    terrain: Terrain | None = None
+    smooth: Callable[[FloatArray, FloatArray], FloatArray] | None = None
+
+    def over(
+        self, terrain: Terrain | None, smooth: Callable[[FloatArray, FloatArray], FloatArray] | None = None
+    ) -> Geometry:
+        """The same collection over another ground; what is known of its track is kept."""
+        other = Geometry(collection=self.collection, terrain=terrain, smooth=smooth)
+        kept = ("track", "epoch", "nadir", "epoch_position", "track_powers")
+        other.__dict__.update({name: self.__dict__[name] for name in kept if name in self.__dict__})
+        return other
+
+    def height(self, x: FloatArray, y: FloatArray) -> FloatArray | float:
+        """Height z of ground points x, y (m), m: one number on the plane; NaN where the terrain has none."""
+        return self.collection.ground_height if self.terrain is None else self.terrain(x, y)
+
+    def on_ground(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Points (..., 3), m, of the ground at x, y (m), broadcast."""
+        x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
+        return np.stack([x, y, np.broadcast_to(self.height(x, y), x.shape)], axis=-1)
+
+    def level(self, epoch_range: FloatArray, yaw: FloatArray) -> FloatArray | float:
+        """Height, m, of the smooth surface at epoch ranges (m) and yaws (rad)."""
+        return self.collection.ground_height if self.smooth is None else self.smooth(epoch_range, yaw)
 
     @cached_property
     def track(self) -> Track:
@@ -234,10 +272,11 @@ class Geometry:
         """Yaw of ground points about the nadir at t = 0: atan2(y - y0, x - x0), rad (paper A (33) misprints atan)."""
         return np.arctan2(y - self.nadir[1], x - self.nadir[0])
 
-    def epoch_range(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Range from the antenna at the epoch to ground points, m."""
+    def epoch_range(self, x: FloatArray, y: FloatArray, z: FloatArray | float | None = None) -> FloatArray:
+        """Range from the antenna at the epoch to points, m; on the ground, unless z is given."""
         px, py, pz = self.epoch_position
-        return np.sqrt((x - px) ** 2 + (y - py) ** 2 + (self.collection.ground_height - pz) ** 2)
+        height = self.height(x, y) if z is None else z
+        return np.asarray(np.sqrt((x - px) ** 2 + (y - py) ** 2 + (height - pz) ** 2))
 
     def ground_point(self, epoch_range: FloatArray, yaw: FloatArray) -> FloatArray:
         """Ground points (..., 3), m, at epoch ranges (m) and yaws (rad), broadcast; NaN where there is none.
@@ -249,13 +288,13 @@ class Geometry:
         point = np.empty((*x.shape, 3))
         point[..., 0] = x
         point[..., 1] = y
-        point[..., 2] = self.collection.ground_height
+        point[..., 2] = self.level(epoch_range, yaw)
         return point
 
     def ground_axes(self, epoch_range: FloatArray, yaw: FloatArray) -> tuple[FloatArray, FloatArray]:
         """x and y of `ground_point`, m."""
         px, py, pz = self.epoch_position
-        height = self.collection.ground_height
+        height = self.level(epoch_range, yaw)
         cos, sin = np.cos(yaw), np.sin(yaw)
         dx, dy = px - self.nadir[0], py - self.nadir[1]
         along = cos * dx + sin * dy
@@ -272,12 +311,18 @@ class Geometry:
         return distance, -_inner(sight, np.moveaxis(self.track.velocity(time), -1, 0)) / distance
 
 
+def over_terrain(collection: Collection, terrain: Terrain) -> Geometry:
+    """A collection over a terrain. The plane that stands for the terrain in the large lies at its mean height."""
+    level = Collection(**{**collection.as_dict(), "ground_height": terrain.mean})
+    return Geometry(collection=level, terrain=terrain)
+
+
 def range_motion(
-    point: tuple[FloatArray, FloatArray, float], antenna: Motion
+    point: tuple[FloatArray, FloatArray, FloatArray | float], antenna: Motion
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Range (m) of points, its rate (m/s), and the rate of that (m/s^2), as the antenna moves.
 
-    The last is (v.v - s.a - rate^2) / range, with s the line of sight. `point` holds x, y (...) and z, m, which are
+    The last is (v.v - s.a - rate^2) / range, with s the line of sight. `point` holds x, y and z (...), m, which are
     broadcast against the times of the motion.
     """
     sight, velocity = [place - at for place, at in zip(point, antenna.position, strict=True)], antenna.velocity

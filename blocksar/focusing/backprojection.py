@@ -179,6 +179,7 @@ def accumulate(
     threads: int,
     taper: Taper = FLAT,
     weight: Float32Array | None = None,
+    height: FloatArray | None = None,
 ) -> None:
     """Add a block of pulses to the image, in place: image += sum over lit pulses of the profile at the pixel's range.
 
@@ -199,6 +200,8 @@ def accumulate(
         Weighting over a steered beam.
     weight : (n_row, n_column) float32, optional
         Rises by the sum of weights; needed under a weighting.
+    height : (n_row, n_column) float, optional
+        Of the pixels over the plane z = ground_height, m; finite. None: they lie on it.
 
     Raises
     ------
@@ -224,9 +227,20 @@ def accumulate(
     )
 
     def work(tile: Tile) -> None:
-        project(image[tile], outside[tile], sights, x[tile], y[tile], first[tile], last[tile], weight[tile])
+        of_tile = None if height is None else height[tile]
+        project(image[tile], outside[tile], sights, x[tile], y[tile], first[tile], last[tile], weight[tile], of_tile)
 
     _run_tiles(work, image.shape, threads)
+
+
+def _relief(geometry: Geometry, x: FloatArray, y: FloatArray, outside: BoolArray) -> FloatArray | None:
+    """Heights of pixels over the plane z = ground_height, m; where they are unknown 0, and `outside` is set."""
+    if geometry.terrain is None:
+        return None
+    height = geometry.terrain(x, y) - geometry.collection.ground_height
+    unknown = ~np.isfinite(height)
+    outside |= unknown
+    return np.where(unknown, 0.0, height)
 
 
 def _beam_taper(taper: Taper, profiles: Profiles, geometry: Geometry) -> BeamTaper:
@@ -252,7 +266,7 @@ def form_points(
     pulse_block: int | None = None,
     weighting: Weighting = UNIFORM,
 ) -> ComplexArray:
-    """Back-project to any points on the ground plane.
+    """Back-project to any points on the ground: the plane, or the geometry's terrain.
 
     Parameters
     ----------
@@ -272,7 +286,8 @@ def form_points(
     Returns
     -------
     (...) complex64
-        1 + 0j at a target of reflectivity 1. NaN where no valid sample is lit, or outside the unambiguous window.
+        1 + 0j at a target of reflectivity 1. NaN where no valid sample is lit, outside the unambiguous window, or where
+        the terrain has no height.
 
     Raises
     ------
@@ -291,6 +306,7 @@ def form_points(
         raise ValueError("x and y must be finite")
     first, last = _lit_intervals(geometry, x, y, threads)
     image, outside = np.zeros(x.shape, np.complex64), np.zeros(x.shape, np.bool_)
+    height = _relief(geometry, x, y, outside)
     in_range, over_beam, over_pulses = weighting.range, weighting.azimuth, None
     if not (collection.steered or over_beam.uniform):  # every pixel has the same weights
         over_pulses, over_beam = over_beam.samples(collection.n_pulse).astype(np.float32), FLAT
@@ -306,7 +322,7 @@ def form_points(
             np.multiply(profiles.values, over_pulses[pulses, None], out=profiles.values)
         accumulate(
             image, outside, profiles, geometry=geometry, x=x, y=y, first=first, last=last, threads=threads,
-            taper=over_beam, weight=weight,
+            taper=over_beam, weight=weight, height=height,
         )  # fmt: skip
         del profiles  # before the next block is read: otherwise two blocks are in memory
         if collection.has_pattern:

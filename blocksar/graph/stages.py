@@ -297,7 +297,8 @@ def back_project(
     units = [
         _single_task(
             client, run, "backprojection", f"chunk-{row}-{column}",
-            back_project_chunk, source, (row, column), geometry, grid, inspection, weighting, noise,
+            back_project_chunk, source, (row, column), geometry.over(None), grid, inspection, weighting, noise,
+            geometry.terrain is not None,
         )
         for row in range(-(-grid.shape[0] // side[0]))
         for column in range(-(-grid.shape[1] // side[1]))

@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from blocksar import stores
-from blocksar.arrays import ComplexArray
+from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.chunks import BACKPROJECTION_CHUNK, WRITES_AT_ONCE
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
+from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.backprojection import form_image
@@ -242,6 +243,12 @@ def write_patch(
     return sign(run, receipt, started - sum(samples.seconds.values()))
 
 
+def local_terrain(run: Run, grid: Grid, window: Window) -> Terrain:
+    """The part of the run's terrain that some rows and columns of the image need."""
+    y, x = grid.y[window[0]], grid.x[window[1]]
+    return stores.read_terrain(run.terrain, (float(x[0]), float(x[-1])), (float(y[0]), float(y[-1])))
+
+
 def _window(cell: tuple[int, int], grid: Grid) -> Window:
     """Rows and columns of an output chunk."""
     side = image_chunk(grid)
@@ -287,8 +294,9 @@ def _write_image(
     owner: NDArray[np.int16],
     patch: tuple[Place, Window] | None,
     checksum: str,
+    height: FloatArray | None = None,
 ) -> list[Written]:
-    """Write a chunk of the image, and the block that each pixel comes from.
+    """Write a chunk of the image, the block that each pixel comes from, and the heights on a terrain.
 
     A chunk that equals that of a patch, whose checksum is given, shares its storage where that is possible.
     """
@@ -297,7 +305,8 @@ def _write_image(
         image = Written(run.name_of(run.image), "image", span, checksum)
     else:
         image = write(run, run.image, "image", window, pixels)
-    return [image, write(run, run.image, "block", window, owner)]
+    written = [image, write(run, run.image, "block", window, owner)]
+    return written if height is None else [*written, write(run, run.image, "height", window, height.astype(np.float32))]
 
 
 def write_noise(
@@ -360,10 +369,13 @@ def back_project_chunk(
     inspection: Inspection,
     weighting: Weighting,
     noise: NoiseMap | None = None,
+    on_terrain: bool = False,
 ) -> Receipt:
-    """Form one output chunk by exact back-projection; reads only the pulses that light it."""
+    """Form one output chunk by exact back-projection; reads only the pulses that light it, and the terrain there."""
     started = time.perf_counter()
     rows, columns = _window(cell, grid)
+    terrain = local_terrain(run, grid, (rows, columns)) if on_terrain else None
+    geometry = geometry.over(terrain)
 
     def read(pulses: slice) -> ComplexArray:
         signal = source.read(pulses, slice(None))
@@ -387,4 +399,7 @@ def back_project_chunk(
             write(run, run.image, "block", (rows, columns), owner),
             *write_noise(run, (rows, columns), owner, grid, noise),
         ]
+        if terrain is not None:
+            height = terrain.on_grid(grid.x[columns], grid.y[rows]).astype(np.float32)
+            parts.append(write(run, run.image, "height", (rows, columns), height))
     return sign(run, Receipt(unit=unit, stage="backprojection", written=tuple(parts)), started)

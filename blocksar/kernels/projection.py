@@ -9,6 +9,8 @@ a pixel's range is R sqrt(1 + 4 q), without approximation, and that is a series 
 
     range - R = z (1 - q + 2 q^2 - 5 q^3 + 14 q^4 - 42 q^5 + ...).
 
+On a terrain, z has ez dz and g dz^2 besides, with dz the pixel's height above that of the centre.
+
 The loop sums it to 14 q^4, in float64. `series_error` bounds the rest. Where that exceeds SERIES_ERROR, or the tile may
 reach beyond the unambiguous window, the loop takes the square root instead. Either way ranges are rounded to a few
 1e-16 of R: 1e-10 m at 700 km. Phases are reduced to less than a cycle in fixed point, of 2^-32; sines and cosines, the
@@ -135,6 +137,7 @@ def project(
     first: IntArray,
     last: IntArray,
     weight: Float32Array,
+    height: FloatArray | None = None,
 ) -> None:
     """Add the pulses first <= p < last of a block to a tile of the image, in place.
 
@@ -151,6 +154,8 @@ def project(
         Of the collection's pulses.
     weight : (n_row, n_column) float32
         Rises by the sum of weights under a taper; unchanged without one.
+    height : (n_row, n_column) float, optional
+        Of the pixels, over the ground that `sights.antenna` is over, m; finite. None: they lie on it.
     """
     size, n_bin = x.size, sights.values.shape[1]
     padded = -(-size // FEW) * FEW  # whole groups: the last pixel is repeated
@@ -167,20 +172,32 @@ def project(
     pulses = slice(begin - sights.start, end - sights.start)
     low, high = place.min(axis=1), place.max(axis=1)
     centre = (low + high) / 2
-    series, roots = pulse_tables(sights, pulses, centre, reach=float(np.hypot(*(high - low)) / 2))
+    reach, middle, relief = float(np.hypot(*(high - low)) / 2), 0.0, None
+    if height is not None:
+        relief = np.empty(padded)
+        relief[:size].reshape(x.shape)[...] = height
+        relief[size:] = relief[size - 1]
+        middle = float(relief.min() + relief.max()) / 2
+        relief -= middle
+        reach = float(np.hypot(reach, relief.max()))
+    series, roots = pulse_tables(sights, pulses, centre, reach=reach, height=middle)
     places, precise = place_tables(sights.taper, pulses, low, high)
     if (size > SMALL and not series[:, 0].all()) or (size > 1 and not precise):
         for part in _halves(x.shape):
-            project(image[part], outside[part], sights, x[part], y[part], first[part], last[part], weight[part])
+            of_part = None if height is None else height[part]
+            project(
+                image[part], outside[part], sights, x[part], y[part], first[part], last[part], weight[part], of_part
+            )
         return
     sums, farthest = np.zeros((3, padded), np.float32), np.zeros(padded)
     terms = np.zeros(0, np.float32) if sights.taper is None else sights.taper.terms.astype(np.float32)
     frequency = 0.0 if sights.taper is None else sights.taper.frequency
     # A sample is loaded as one number of 64 bits: the cost of a gather is per element, not per byte.
     samples = sights.values[pulses].reshape(-1).view(np.float64)
-    add_pulses(
+    add = add_pulses if relief is None else add_pulses_on_relief
+    add(
         *sums, farthest, samples, n_bin, sights.middle, *place, *centre, *lit, spans, begin, series, roots,
-        sights.cycles_per_metre, sights.bins_per_metre, sights.half_window, places, terms, frequency / 2,
+        sights.cycles_per_metre, sights.bins_per_metre, sights.half_window, places, terms, frequency / 2, relief,
     )  # fmt: skip
     if sights.taper is not None:
         weight += sums[2, :size].reshape(image.shape)
@@ -228,28 +245,46 @@ def _halves(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
     return [(slice(None), slice(0, columns // 2)), (slice(None), slice(columns // 2, None))]
 
 
-def pulse_tables(sights: Sights, pulses: slice, centre: FloatArray, *, reach: float) -> tuple[FloatArray, FloatArray]:
-    """For each pulse, what the series needs, first whether it may be used; and what the square root needs."""
+def pulse_tables(
+    sights: Sights, pulses: slice, centre: FloatArray, *, reach: float, height: float = 0.0
+) -> tuple[FloatArray, FloatArray]:
+    """For each pulse, what the series needs, first whether it may be used; and what the square root needs.
+
+    The last column of each is for pixels that lie over or under the centre, which is at a height, m.
+    """
     x, y = centre[:, None] - sights.antenna[:2, pulses]
-    height, reference = sights.antenna[2, pulses] ** 2, sights.reference_range[pulses]
-    distance = np.maximum(np.sqrt(x**2 + y**2 + height), NEAREST)
+    up = height - sights.antenna[2, pulses]
+    over, reference = up**2, sights.reference_range[pulses]
+    distance = np.maximum(np.sqrt(x**2 + y**2 + over), NEAREST)
     away, per_metre = distance - reference, sights.cycles_per_metre
     cycles, scale = per_metre * away, per_metre / distance
     precise = (series_error(reach, distance) < SERIES_ERROR) & (distance > NEAREST)
     inside = (np.abs(away) + 2 * reach < sights.half_window) & (2 * reach * per_metre < FIXED_RANGE / 2)
-    series = np.empty((distance.size, 7))
+    series = np.empty((distance.size, 8))
     series[:, 0] = precise & inside
     series[:, 1], series[:, 2], series[:, 3] = scale * x, scale * y, scale / 2
     series[:, 4] = 0.5 / (distance * per_metre)
     series[:, 5] = cycles - np.rint(cycles) + FIXED_POINT
     series[:, 6] = away * sights.bins_per_metre + (FIXED_POINT + 0.5)
-    return series, np.stack([x, y, height, reference], axis=1)
+    series[:, 7] = scale * up
+    return series, np.stack([x, y, over, reference, up], axis=1)
 
 
 @njit(inline="always")
 def _by_series(term: Any, dx: Any, dy: Any, square: Any, bins_per_cycle: Any) -> Any:
     """Phase, in cycles about a whole number, and position in the profile, in bins and fixed point."""
-    z = term[1] * dx + (term[2] * dy + term[3] * square)  # in cycles
+    return _from_root(term, term[1] * dx + (term[2] * dy + term[3] * square), bins_per_cycle)
+
+
+@njit(inline="always")
+def _by_series_on_relief(term: Any, dx: Any, dy: Any, dz: Any, square: Any, bins_per_cycle: Any) -> Any:
+    """The same for pixels at heights dz over the centre's; `square` has dz^2."""
+    return _from_root(term, term[1] * dx + (term[2] * dy + (term[7] * dz + term[3] * square)), bins_per_cycle)
+
+
+@njit(inline="always")
+def _from_root(term: Any, z: Any, bins_per_cycle: Any) -> Any:
+    """The same from z, in cycles."""
     q = term[4] * z
     away = z + z * (q * (((14.0 * q - 5.0) * q + 2.0) * q - 1.0))
     return from_whole(away + term[5]), away * bins_per_cycle + term[6]
@@ -260,6 +295,13 @@ def _by_root(root: Any, dx: Any, dy: Any) -> Any:
     """Range - reference_range."""
     x, y = dx + root[0], dy + root[1]
     return square_root(x * x + (y * y + root[2])) - root[3]
+
+
+@njit(inline="always")
+def _by_root_on_relief(root: Any, dx: Any, dy: Any, dz: Any) -> Any:
+    """The same for pixels at heights dz over the centre's."""
+    x, y, z = dx + root[0], dy + root[1], dz + root[4]
+    return square_root(x * x + (y * y + z * z)) - root[3]
 
 
 @njit(inline="always")
@@ -287,12 +329,7 @@ def _weight(place: Any, dx: Any, dy: Any, terms: Any, half_frequency: Any) -> An
     return terms[0] + (cos * total - last)
 
 
-@loop(
-    types.float32[::1], types.float32[::1], types.float32[::1], types.float64[::1], REAL_ROW, types.int64, types.int64,
-    REAL_ROW, REAL_ROW, types.float64, types.float64, PULSES, PULSES, types.int64[:, ::1], types.int64,
-    REAL_ROWS, REAL_ROWS, types.float64, types.float64, types.float64, REAL_ROWS, WEIGHTS, types.float64, **COMPILED,
-)  # fmt: skip
-def add_pulses(
+def _add_pulses(
     real: NDArray[np.float32],
     imag: NDArray[np.float32],
     weight: NDArray[np.float32],
@@ -316,6 +353,7 @@ def add_pulses(
     places: FloatArray,
     terms: NDArray[np.float32],
     half_frequency: float,
+    relief: FloatArray | None,
 ) -> None:
     """Sum the lit pulses, in ascending order, at pixels (n,).
 
@@ -323,7 +361,8 @@ def add_pulses(
     polynomials and, last, the fraction of valid samples; `weight` rises by their sum.
 
     `spans` holds the pulses that light any pixel of a group of FEW; tables and samples begin at the pulse `start`.
-    `farthest` rises to |range - reference_range| where a lit pulse needed the square root.
+    `farthest` rises to |range - reference_range| where a lit pulse needed the square root. `relief` has the heights of
+    the pixels over the tile's centre; without, the loop is compiled for a plane.
     """
     turns, rights = np.empty(CHUNK * FEW, np.float32), np.empty(CHUNK * FEW, np.float32)
     bins, shares = np.empty(CHUNK * FEW, np.int32), np.empty(CHUNK * FEW, np.float32)
@@ -332,14 +371,25 @@ def add_pulses(
             i = group * FEW
             dx, dy = load_few(x, i) - centre_x, load_few(y, i) - centre_y
             square, lit, unlit = dx * dx + dy * dy, load_few(first, i), load_few(last, i)
+            if relief is not None:
+                dz = load_few(relief, i)
+                square = square + dz * dz
             low, high = max(spans[group, 0], begin), min(spans[group, 1], begin + CHUNK)
             # Two loops, since the way from a pulse to its samples is long: the CPU then looks ahead over more pulses.
             for p in range(low, high):
                 j, term = (p - low) * FEW, series[p - start]
                 if term[0] > 0:
-                    cycles, position = _by_series(term, dx, dy, square, bins_per_metre / cycles_per_metre)
+                    if relief is None:
+                        cycles, position = _by_series(term, dx, dy, square, bins_per_metre / cycles_per_metre)
+                    else:
+                        cycles, position = _by_series_on_relief(
+                            term, dx, dy, dz, square, bins_per_metre / cycles_per_metre
+                        )
                 else:
-                    away = _by_root(roots[p - start], dx, dy)
+                    if relief is None:
+                        away = _by_root(roots[p - start], dx, dy)
+                    else:
+                        away = _by_root_on_relief(roots[p - start], dx, dy, dz)
                     reached = within(larger(away, 0.0 - away), lit, p, unlit)
                     store(farthest, i, larger(reached, load_few(farthest, i)))
                     cycles = remainder(away * cycles_per_metre)
@@ -367,3 +417,12 @@ def add_pulses(
                 re, im = re + a * cos - b * sin, im + a * sin + b * cos
             store(real, i, re)
             store(imag, i, im)
+
+
+_TYPES = (
+    types.float32[::1], types.float32[::1], types.float32[::1], types.float64[::1], REAL_ROW, types.int64, types.int64,
+    REAL_ROW, REAL_ROW, types.float64, types.float64, PULSES, PULSES, types.int64[:, ::1], types.int64,
+    REAL_ROWS, REAL_ROWS, types.float64, types.float64, types.float64, REAL_ROWS, WEIGHTS, types.float64,
+)  # fmt: skip
+add_pulses = loop(*_TYPES, types.none, **COMPILED)(_add_pulses)
+add_pulses_on_relief = loop(*_TYPES, REAL_ROW, **COMPILED)(_add_pulses)

@@ -27,8 +27,10 @@ def ideal_response(
     """
     collection = geometry.collection
     x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
-    point = np.stack([x, y, np.full(x.shape, collection.ground_height)], axis=-1)[:, None, :]
-    origin = np.array([target.x, target.y, collection.ground_height])
+    point = geometry.on_ground(x, y)[:, None, :]
+    origin = geometry.on_ground(np.array(target.x), np.array(target.y))
+    if target.z is not None:
+        origin[2] = target.z
     middle = collection.carrier + float(collection.range_frequency[0] + collection.range_frequency[-1]) / 2
     total, count = np.zeros(x.shape, dtype=np.complex128), np.zeros(x.shape)
     for first in range(0, collection.n_pulse, 64):

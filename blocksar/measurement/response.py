@@ -91,9 +91,12 @@ class ResponseAxes:
 
 
 def _range_gradient(geometry: Geometry, point: FloatArray, time: FloatArray) -> FloatArray:
-    """grad_xy R of a ground point (3,) at slow times (n,): (n, 2)."""
+    """grad_xy R of a ground point (3,) along the ground, at slow times (n,): (n, 2)."""
     sight = point - geometry.track.position(time)
-    return np.asarray(sight[:, :2] / np.linalg.norm(sight, axis=1, keepdims=True))
+    sight = sight / np.linalg.norm(sight, axis=1, keepdims=True)
+    if geometry.terrain is None:
+        return np.asarray(sight[:, :2])
+    return np.asarray(sight[:, :2] + sight[:, 2:] * geometry.terrain.slope(point[0], point[1]))
 
 
 def response_axes(geometry: Geometry, x: float, y: float, weighting: Weighting = UNIFORM) -> ResponseAxes | None:
@@ -106,7 +109,7 @@ def response_axes(geometry: Geometry, x: float, y: float, weighting: Weighting =
     start, end = (float(edge) for edge in dwell(geometry, np.array(x), np.array(y)))
     if not start < end:
         return None
-    point = np.array([x, y, collection.ground_height])
+    point = geometry.on_ground(np.array(x), np.array(y))
     first, middle, last = _range_gradient(geometry, point, np.array([start, (start + end) / 2, end]))
     turn = last - first
     length, turned = float(np.hypot(*middle)), float(np.hypot(*turn))
@@ -154,9 +157,7 @@ def carrier_phase(
 ) -> FloatArray:
     """4 pi fc/c (R_p(time) - R_q(time)) in rad, of points p = (at_x, at_y) (broadcast) relative to q = (x, y)."""
     collection = geometry.collection
-    at_x, at_y = np.broadcast_arrays(at_x, at_y)
-    point = np.stack([at_x, at_y, np.full(at_x.shape, collection.ground_height)], axis=-1)
-    origin = np.array([x, y, collection.ground_height])
+    point, origin = geometry.on_ground(at_x, at_y), geometry.on_ground(np.array(x), np.array(y))
     when = np.array(time)
     difference = geometry.range_history(point, when)[0] - geometry.range_history(origin, when)[0]
     return 4 * np.pi * collection.carrier / SPEED_OF_LIGHT * difference

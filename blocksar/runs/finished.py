@@ -12,7 +12,7 @@ import numpy as np
 from blocksar import stores
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.collection.collection import Collection
-from blocksar.collection.geometry import Geometry
+from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError
@@ -97,7 +97,10 @@ class FinishedRun:
             )
         if any(axis.size < 2 or not (np.diff(axis) > 0).all() for axis in (x, y)):
             raise InputError(f"x or y in {folder / 'image.zarr'} is damaged; focus again with --overwrite")
-        return cls(folder, x, y, Geometry(collection=collection.centred()), attrs, record)
+        geometry = Geometry(collection=collection.centred())
+        if record.settings.get("heights") is not None:
+            geometry = over_terrain(geometry.collection, stores.read_terrain(folder / "terrain.zarr"))
+        return cls(folder, x, y, geometry, attrs, record)
 
     @property
     def image(self) -> Place:

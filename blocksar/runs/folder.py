@@ -32,6 +32,7 @@ OWN = (
     "compressed.zarr",
     "gated",
     "image.zarr",
+    "terrain.zarr",
     "patches",
     "receipts",
     "scratch",

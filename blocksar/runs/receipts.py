@@ -48,6 +48,11 @@ class Run:
     def image(self) -> Place:
         return self.folder / "image.zarr"
 
+    @property
+    def terrain(self) -> Place:
+        """The height of the ground; not there where that is a plane."""
+        return self.folder / "terrain.zarr"
+
     def gated(self, block: str) -> Place:
         return self.folder / "gated" / f"spectrum-{block}.zarr"
 

@@ -172,7 +172,7 @@ def _stage_of(unit: str, *, back_projection: bool) -> str:
 
 
 # Figures of a block that records of earlier versions lack.
-_BEFORE = dict.fromkeys(("weighting_range", "weighting_azimuth"), "uniform")  # of older runs
+_BEFORE = {"weighting_range": "uniform", "weighting_azimuth": "uniform", "surface": "plane"}  # of older runs
 _ADDED = (
     "bias", "quadratic_phase", "resolution", "track_phase", "coherence", "phase_loss", "range_loss",
     "dispersion_loss", "track_loss", "ideal_pslr",

@@ -190,10 +190,14 @@ def _scatterers(scene: Scene, collection: Collection) -> list[tuple[Field, bool]
     points, many = scene.point_targets(), scene.scatterers()
     parts = []
     if points:
-        _, x, y, sigma = zip(*points, strict=True)
-        parts.append((field(collection, np.array(x), np.array(y), np.array(sigma)), True))
+        _, x, y, sigma, z = zip(*points, strict=True)
+        raised = None
+        if any(height is not None for height in z):
+            raised = np.array([collection.ground_height if height is None else height for height in z])
+        parts.append((field(collection, np.array(x), np.array(y), np.array(sigma), raised), True))
     if many.x.size:
-        parts.append((field(collection, many.x, many.y, many.reflectivity), False))
+        ground = None if scene.terrain is None else scene.terrain(many.x, many.y)
+        parts.append((field(collection, many.x, many.y, many.reflectivity, ground), False))
     return parts
 
 
@@ -234,6 +238,7 @@ def _attributes(scene: Scene) -> dict[str, Any]:
     targets = scene.point_targets()
     if len(targets) <= MAX_NAMED_TARGETS:
         attrs["targets"] = [
-            {"name": name, "x": x, "y": y, "reflectivity": [sigma.real, sigma.imag]} for name, x, y, sigma in targets
+            {"name": name, "x": x, "y": y, "reflectivity": [sigma.real, sigma.imag]} | ({} if z is None else {"z": z})
+            for name, x, y, sigma, z in targets
         ]
     return attrs

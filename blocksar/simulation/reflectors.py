@@ -13,12 +13,13 @@ from blocksar.simulation.tables import ClutterTable, ReflectivityTable
 
 
 class PointTarget(NamedTuple):
-    """A named point target on the ground plane: x, y in m in the scene frame."""
+    """A named point target: x, y in m in the scene frame, and z; None on the ground plane."""
 
     name: str
     x: float
     y: float
     reflectivity: complex
+    z: float | None = None
 
 
 class Scatterers(NamedTuple):

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import finufft
 import numpy as np
@@ -14,32 +14,18 @@ from numba import njit, types
 from numpy.typing import NDArray
 from scipy import fft  # not kernels.fourier: this inverse transform leads to fast time, on its own grid
 
-from blocksar.arrays import BoolArray, ComplexArray, FloatArray
+from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.collection.beam import EDGE, beam_at, in_beam, is_lit, pattern_gain, wrapped
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT, TURN
 from blocksar.kernels.chirp import chirp_spectrum
-from blocksar.kernels.loops import loop
-from blocksar.kernels.signatures import COMPILED, REAL_ROW
 from blocksar.kernels.trigonometry import cosine, sine
+from blocksar.simulation.columns import Scatterers, compiled
 
 NUFFT_ACCURACY = 1e-7  # relative to the norm of the lit reflectivity: below the rounding error of complex64
 DIRECT_LIMIT = 400  # scatterers beyond which the non-uniform transform is faster
 BLOCK = 16  # pulses that a thread computes at a time
-_FIELD = (
-    *(REAL_ROW, REAL_ROW, REAL_ROW, types.Array(types.complex128, 1, "C", readonly=True)),
-    types.Array(types.float64, 1, "A", readonly=True),
-)  # types of a field's x, y, yaw and reflectivity, and of the antenna's position
-
-
-class Scatterers(NamedTuple):
-    """Places (n,), m, yaw, rad, and complex reflectivity of scatterers."""
-
-    x: FloatArray
-    y: FloatArray
-    yaw: FloatArray
-    reflectivity: NDArray[np.complex128]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,10 +36,12 @@ class Field:
     ----------
     collection : Collection
     x, y : (n,) float
-        m, scene frame, on the ground plane.
+        m, scene frame.
     yaw : (n,) float
         Ascending, in [-pi, pi], rad.
     reflectivity : (n,) complex128
+    z : (n,) float or None
+        m; None: on the ground plane.
     """
 
     collection: Collection
@@ -61,6 +49,7 @@ class Field:
     y: FloatArray
     yaw: FloatArray
     reflectivity: NDArray[np.complex128]
+    z: FloatArray | None = None
 
     @cached_property
     def geometry(self) -> Geometry:
@@ -71,11 +60,9 @@ class Field:
 
         Under a beam that is described by its yaw, all of the slice: the loops ask the rule.
         """
-        which: slice | BoolArray = slice(first, last)
-        of = Scatterers(self.x[which], self.y[which], self.yaw[which], self.reflectivity[which])
+        of = Scatterers(self.x, self.y, self.yaw, self.reflectivity, self.z).at(slice(first, last))
         if self.collection.has_axis:
-            which = is_lit(self.geometry, of.x, of.y, slice(pulse, pulse + 1))[:, 0]
-            of = Scatterers(of.x[which], of.y[which], of.yaw[which], of.reflectivity[which])
+            of = of.at(is_lit(self.geometry, of.x, of.y, slice(pulse, pulse + 1))[:, 0])
         if self.collection.has_pattern:
             of = of._replace(reflectivity=of.reflectivity * pattern_gain(self.geometry, of.x, of.y, pulse))
         return of
@@ -98,13 +85,15 @@ class Field:
         return slices
 
 
-def field(collection: Collection, x: FloatArray, y: FloatArray, reflectivity: NDArray[Any]) -> Field:
-    """Prepare scatterers for `phase_history` and `raw_echo`; the arrays may have any shape.
+def field(
+    collection: Collection, x: FloatArray, y: FloatArray, reflectivity: NDArray[Any], z: FloatArray | None = None
+) -> Field:
+    """Prepare scatterers, on the ground plane without z, for `phase_history` and `raw_echo`; arrays of any shape.
 
     Raises
     ------
     ValueError
-        If x, y and reflectivity differ in size, or are not finite.
+        If x, y, z and reflectivity differ in size, or are not finite.
     """
     x = np.atleast_1d(np.asarray(x, dtype=np.float64)).ravel()
     y = np.atleast_1d(np.asarray(y, dtype=np.float64)).ravel()
@@ -113,9 +102,14 @@ def field(collection: Collection, x: FloatArray, y: FloatArray, reflectivity: ND
         raise ValueError(f"{x.size=}, {y.size=} and {sigma.size=} must agree")
     if not (np.isfinite(x).all() and np.isfinite(y).all() and np.isfinite(sigma).all()):
         raise ValueError("x, y and reflectivity must be finite")
+    if z is not None:
+        z = np.atleast_1d(np.asarray(z, dtype=np.float64)).ravel()
+        if z.size != x.size or not np.isfinite(z).all():
+            raise ValueError(f"z must be {x.size} finite heights, got {z.size}")
     yaw = np.asarray(Geometry(collection=collection).yaw(x, y), dtype=np.float64)
     order = np.argsort(yaw, kind="stable")
-    return Field(collection=collection, x=x[order], y=y[order], yaw=yaw[order], reflectivity=sigma[order])
+    x, y, yaw, sigma, z = Scatterers(x, y, yaw, sigma, z).at(order)
+    return Field(collection=collection, x=x, y=y, yaw=yaw, reflectivity=sigma, z=z)
 
 
 def simulate_pulses(
@@ -272,7 +266,7 @@ def _direct(scatterers: Field, block: range, out: ComplexArray) -> None:
     stride = int(np.ceil(np.sqrt(n)))
     for row, pulse in enumerate(block):
         beam, half_width = _beam(collection, pulse)
-        _direct_pulse(
+        (_PULSE if scatterers.z is None else _RAISED_PULSE)(
             *scatterers.part(pulse, 0, scatterers.yaw.size),
             collection.antenna_position[pulse],
             collection.ground_height,
@@ -286,12 +280,12 @@ def _direct(scatterers: Field, block: range, out: ComplexArray) -> None:
         )
 
 
-@loop(*_FIELD, *[types.float64] * 6, types.int64, types.complex64[::1], **COMPILED)
-def _direct_pulse(
+def _sum_pulse(
     x: FloatArray,
     y: FloatArray,
     yaw: FloatArray,
     reflectivity: NDArray[np.complex128],
+    z: FloatArray | None,
     antenna: FloatArray,
     height: float,
     beam: float,
@@ -314,7 +308,7 @@ def _direct_pulse(
     for i in range(x.size):
         if not _in_beam(yaw[i], beam, half_width):
             continue
-        dx, dy, dz = x[i] - antenna[0], y[i] - antenna[1], height - antenna[2]
+        dx, dy, dz = x[i] - antenna[0], y[i] - antenna[1], (height if z is None else z[i]) - antenna[2]
         away = np.sqrt(dx * dx + dy * dy + dz * dz) - reference
         for b in range(stride):
             phase = -TURN * (cycles_step * b * away)
@@ -332,6 +326,9 @@ def _direct_pulse(
         out[k] = complex(np.float32(total_real[a, b]), np.float32(total_imag[a, b]))
 
 
+_PULSE, _RAISED_PULSE = compiled(_sum_pulse, *[types.float64] * 6, types.int64, types.complex64[::1])
+
+
 def _direct_echo(
     scatterers: Field, block: range, start: float, interval: float, half: float, chirp_rate: float, out: ComplexArray
 ) -> None:
@@ -339,7 +336,7 @@ def _direct_echo(
     collection = scatterers.collection
     for row, pulse in enumerate(block):
         beam, half_width = _beam(collection, pulse)
-        _direct_echo_pulse(
+        (_ECHO if scatterers.z is None else _RAISED_ECHO)(
             *scatterers.part(pulse, 0, scatterers.yaw.size),
             collection.antenna_position[pulse],
             collection.ground_height,
@@ -355,12 +352,12 @@ def _direct_echo(
         )
 
 
-@loop(*_FIELD, *[types.float64] * 9, types.complex64[::1], **COMPILED)
-def _direct_echo_pulse(
+def _sum_echo(
     x: FloatArray,
     y: FloatArray,
     yaw: FloatArray,
     reflectivity: NDArray[np.complex128],
+    z: FloatArray | None,
     antenna: FloatArray,
     height: float,
     beam: float,
@@ -379,7 +376,7 @@ def _direct_echo_pulse(
     for i in range(x.size):
         if not _in_beam(yaw[i], beam, half_width):
             continue
-        dx, dy, dz = x[i] - antenna[0], y[i] - antenna[1], height - antenna[2]
+        dx, dy, dz = x[i] - antenna[0], y[i] - antenna[1], (height if z is None else z[i]) - antenna[2]
         distance = np.sqrt(dx * dx + dy * dy + dz * dz)
         delay = 2 * distance / SPEED_OF_LIGHT - start
         carrier_cycles = -cycles_per_metre * (distance - reference)
@@ -392,6 +389,9 @@ def _direct_echo_pulse(
             total[k] += reflectivity[i] * complex(np.cos(phase), np.sin(phase))
     for k in range(n):
         out[k] = complex(np.float32(total[k].real), np.float32(total[k].imag))
+
+
+_ECHO, _RAISED_ECHO = compiled(_sum_echo, *[types.float64] * 9, types.complex64[::1])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -415,7 +415,7 @@ def _transform(scatterers: Field, grid: _Grid, block: range, out: NDArray[Any]) 
         n = 0
         for first, last in scatterers.lit_slices(pulse):
             part = scatterers.part(pulse, first, last)
-            _nodes_and_strengths(
+            (_NODES if scatterers.z is None else _RAISED_NODES)(
                 *part,
                 collection.antenna_position[pulse],
                 collection.ground_height,
@@ -437,12 +437,12 @@ def _transform(scatterers: Field, grid: _Grid, block: range, out: NDArray[Any]) 
         out[row] = plan.execute(strengths[:n])
 
 
-@loop(*_FIELD, *[types.float64] * 8, types.float64[::1], types.complex128[::1], **COMPILED)
-def _nodes_and_strengths(
+def _find_nodes(
     x: FloatArray,
     y: FloatArray,
     yaw: FloatArray,
     reflectivity: NDArray[np.complex128],
+    z: FloatArray | None,
     antenna: FloatArray,
     height: float,
     beam: float,
@@ -456,9 +456,10 @@ def _nodes_and_strengths(
     strengths: NDArray[np.complex128],
 ) -> None:
     """Compute nodes and strengths of one pulse's transform; scatterers that are not lit have strength 0."""
-    ax, ay, dz = antenna[0], antenna[1], height - antenna[2]
+    ax, ay = antenna[0], antenna[1]
     for i in range(x.size):
         dx, dy = x[i] - ax, y[i] - ay
+        dz = (height if z is None else z[i]) - antenna[2]
         distance = np.sqrt(dx * dx + dy * dy + dz * dz)
         away = distance - envelope
         turns = step_cycles * away
@@ -469,3 +470,6 @@ def _nodes_and_strengths(
         cos, sin = lit * cosine(part), lit * sine(part)
         sigma = reflectivity[i]
         strengths[i] = complex(sigma.real * cos - sigma.imag * sin, sigma.real * sin + sigma.imag * cos)
+
+
+_NODES, _RAISED_NODES = compiled(_find_nodes, *[types.float64] * 8, types.float64[::1], types.complex128[::1])

@@ -12,7 +12,8 @@ about a wrong file lists every wrong field with its value and the remedy.
                     | mode, width_deg, axis_yaw_deg, axis_pitch_deg, squint_deg, rate_deg, point
                     pattern, elevation_pattern, elevation_width_deg
     [scene]         swath, centre_yaw_deg, centre_range, ground_height, reference_range
-    [[targets]]     name, x + y | range + yaw_deg | ground_range_offset + cross_range_offset; amplitude, phase_deg
+    [terrain]       file | hills = [{x, y, height, width}, ..]; spacing
+    [[targets]]     name, x + y | range + yaw_deg | ground_range_offset + cross_range_offset; z; amplitude, phase_deg
     [matrix]        rows, columns, spacing | extent, names
     [clutter]       scatterers, seed, range + yaw_deg | x + y, power
     [reflectivity]  file, x0, dx, y0, dy, seed
@@ -25,7 +26,6 @@ from __future__ import annotations
 import os
 import tomllib
 from functools import cached_property
-from importlib import resources
 from pathlib import Path
 from typing import Annotated
 
@@ -36,12 +36,16 @@ from blocksar.arrays import FloatArray, IntArray
 from blocksar.collection.beam import beam_offset, in_beam, lit_yaw
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
+from blocksar.collection.terrain import Terrain
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.simulation.antenna import axis_beam, lit_yaws, patterns
 from blocksar.simulation.fields import Table
+from blocksar.simulation.ground import TerrainTable, terrain_of
+from blocksar.simulation.lengths import next_smooth_even
 from blocksar.simulation.messages import describe_error, impossible_values, message_of
 from blocksar.simulation.reflectors import PointTarget, Scatterers, draw_field, read_map
+from blocksar.simulation.shipped import shipped_scenes, shipped_text
 from blocksar.simulation.tables import (
     MAX_PULSES,
     AreaTable,
@@ -72,6 +76,7 @@ class Scene(Table):
     beam: BeamTable | None = Field(None, description="the table of the steered beam")
     area: AreaTable = Field(alias="scene", description="the table of swath and centre")
     targets: Annotated[tuple[TargetTable, ...], Field(strict=False)] = Field((), description="point targets")
+    ground: TerrainTable | None = Field(None, alias="terrain", description="the table of the ground's height")
     matrix: MatrixTable | None = Field(None, description="a matrix of point targets")
     clutter: ClutterTable | None = Field(None, description="a random field")
     reflectivity: ReflectivityTable | None = Field(None, description="a reflectivity map")
@@ -100,8 +105,7 @@ class Scene(Table):
             raise InputError(
                 f"scene {str(source)!r} is neither a file nor one of the shipped scenes: {', '.join(shipped_scenes())}"
             )
-        shipped = resources.files("blocksar.simulation") / "scenes" / f"{source}.toml"
-        return cls.parse(shipped.read_text(encoding="utf-8"), name=str(source), label=f"{source}.toml")
+        return cls.parse(shipped_text(str(source)), name=str(source), label=f"{source}.toml")
 
     @classmethod
     def parse(cls, text: str, *, name: str = "", label: str = "scene", folder: Path | None = None) -> Scene:
@@ -315,7 +319,15 @@ class Scene(Table):
         )
 
     def point_targets(self) -> list[PointTarget]:
-        """Return all point targets: the listed ones, then the matrix row by row."""
+        """Return all point targets, the listed ones, then the matrix row by row; with z on a terrain."""
+        points = self._placed()
+        if self.terrain is None:
+            return points
+        z = self.terrain(np.array([p.x for p in points]), np.array([p.y for p in points])).tolist()
+        return [p if p.z is not None else p._replace(z=height) for p, height in zip(points, z, strict=True)]
+
+    def _placed(self) -> list[PointTarget]:
+        """Point targets, with the z that they are given."""
         points: list[PointTarget] = []
         for target in self.targets:
             if target.x is not None and target.y is not None:
@@ -324,12 +336,20 @@ class Scene(Table):
                 position = self.ground_point(target.range, float(np.deg2rad(target.yaw_deg)))
             else:
                 position = self.offset_point(target.ground_range_offset or 0.0, target.cross_range_offset or 0.0)
-            points.append(PointTarget(target.name, float(position[0]), float(position[1]), target.reflectivity))
+            x0, y0 = map(float, position)
+            points.append(PointTarget(target.name, x0, y0, target.reflectivity, target.z))
         if self.matrix is not None:
             x, y = self.offset_point(*self.matrix.offsets())
             amplitude = complex(self.matrix.amplitude)
             points.extend(map(PointTarget, self.matrix.labels(), x.tolist(), y.tolist(), [amplitude] * x.size))
         return points
+
+    @cached_property
+    def terrain(self) -> Terrain | None:
+        """The height of the ground, over all that may be lit; None for the plane."""
+        if self.ground is None:
+            return None
+        return terrain_of(self.ground, self.area.ground_height, *self._outline())
 
     def scatterers(self) -> Scatterers:
         """Return the scatterers of the random field and of the reflectivity map together (possibly none)."""
@@ -378,7 +398,7 @@ class Scene(Table):
         yaw = np.linspace(*self.lit_yaw, 65)
         near, far = self.area.swath
         parts = [self.ground_point(np.linspace(near, far, 5)[:, None], yaw)]
-        targets = self.point_targets()
+        targets = self._placed()
         parts.append((np.array([t.x for t in targets]), np.array([t.y for t in targets])))
         if self.reflectivity is not None:
             table, shape = self.reflectivity, np.load(self.reflectivity.file, mmap_mode="r").shape
@@ -400,6 +420,8 @@ class Scene(Table):
     def _lit_ranges(self) -> tuple[float, float, float]:
         """Largest |R - reference_range|, smallest R and largest R, m, over lit targets and pulses."""
         x, y = self._outline()
+        known = [self.area.ground_height] if self.terrain is None else self.terrain.limits
+        levels = np.array([*known, *(t.z for t in self._placed() if t.z is not None)])
         yaw = self.geometry.yaw(x, y)
         pulses = np.unique(np.linspace(0, self.n_pulse - 1, CHECKED_PULSES).astype(int))
         # The beam is widened by half a step of the checked pulses (about its axis: a whole one), to miss no target.
@@ -414,7 +436,7 @@ class Scene(Table):
             if self.beam is not None and not has_axis:
                 lit = in_beam(yaw, self.beam_azimuth[pulse], half)
             px, py, pz = self.geometry.collection.antenna_position[pulse]
-            distance = np.sqrt((x[lit] - px) ** 2 + (y[lit] - py) ** 2 + (self.area.ground_height - pz) ** 2)
+            distance = np.sqrt((x[lit] - px) ** 2 + (y[lit] - py) ** 2 + (levels[:, None] - pz) ** 2)
             if distance.size:
                 largest = max(largest, float(np.abs(distance - self.reference_range[pulse]).max()))
                 nearest, farthest = min(nearest, float(distance.min())), max(farthest, float(distance.max()))
@@ -475,26 +497,3 @@ class Scene(Table):
         """
         noise_power = None if self.noise is None else self.noise.power
         return self._collection(self.range_frequency(raw=raw), self.reference_range, noise_power)
-
-
-def shipped_scenes() -> list[str]:
-    """List the names of the scenes in the package."""
-    folder = resources.files("blocksar.simulation") / "scenes"
-    return sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml"))
-
-
-def next_smooth_even(least: int) -> int:
-    """Return the least even number >= max(least, 16) whose prime factors are 2, 3 and 5.
-
-    >>> next_smooth_even(2342)
-    2400
-    """
-    n = max(least + least % 2, 16)
-    while True:
-        rest = n
-        for factor in (2, 3, 5):
-            while rest % factor == 0:
-                rest //= factor
-        if rest == 1:
-            return n
-        n += 2

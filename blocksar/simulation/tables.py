@@ -265,6 +265,7 @@ class TargetTable(Table):
     name: str = Field(min_length=1, description="name of the target")
     x: float | None = Field(None, description="scene-frame x, m")
     y: float | None = Field(None, description="scene-frame y, m")
+    z: float | None = Field(None, description="scene-frame z, m; default: on the ground")
     range: Positive | None = Field(None, description="slant range at t = 0, m")
     yaw_deg: float | None = Field(None, description="yaw about the nadir at t = 0, degrees")
     ground_range_offset: float | None = Field(None, description="from the scene centre, away from the platform, m")

@@ -34,6 +34,7 @@ from blocksar.stores.schema import (
     COLLECTION,
     CONVENTIONS,
     GATED,
+    HEIGHT,
     IMAGE,
     NOISE,
     PATCH,
@@ -44,6 +45,7 @@ from blocksar.stores.schema import (
     TRUTH,
     Variable,
 )
+from blocksar.stores.terrain import read_terrain, terrain_fingerprint, write_terrain
 from blocksar.stores.truth import is_truth, write_truth
 
 __all__ = [
@@ -51,6 +53,7 @@ __all__ = [
     "CONTENT",
     "CONVENTIONS",
     "GATED",
+    "HEIGHT",
     "IMAGE",
     "NOISE",
     "PATCH",
@@ -82,9 +85,12 @@ __all__ = [
     "read_collection",
     "read_json",
     "read_region",
+    "read_terrain",
     "share_region",
+    "terrain_fingerprint",
     "write_collection",
     "write_json",
     "write_region",
+    "write_terrain",
     "write_truth",
 ]

@@ -89,6 +89,15 @@ NOISE = {
         compressed=True,
     ),
 }  # fmt: skip
+# Of images on a terrain.
+HEIGHT = {
+    "height": Variable(("y", "x"), "float32", "m", "height of the ground, scene-frame z", compressed=True),
+}
+TERRAIN = {
+    "height": Variable(("y", "x"), "float64", "m", "height of the ground, scene-frame z", compressed=True),
+    "x": X,
+    "y": Y,
+}
 CONVENTIONS = "CF-1.11"
 COLLECTION_ATTRS = ("carrier_frequency", "beam_width", "ground_height", "noise_power")
 RAW_ATTRS = ("chirp_rate", "pulse_width")

@@ -60,7 +60,7 @@ def test_store_holds_targets_clutter_noise_and_gaps(tmp_path: Path) -> None:
     expected = simulate_pulses(collection, *scene.scatterers())
     expected += noise(signal.shape, first_pulse=0, power=0.5, seed=8)
     targets = scene.point_targets()
-    expected += slow_twins.phase_history(collection, [target[1:] for target in targets])
+    expected += slow_twins.phase_history(collection, [target[1:4] for target in targets])
     # Sums of complex64 numbers with a modulus up to about 100.
     assert np.abs(signal - expected)[~lost].max() < 1e-4
     assert store.attrs["scene"] == "small"
@@ -80,7 +80,7 @@ def test_raw_store_holds_the_chirped_echo(tmp_path: Path) -> None:
     collection = scene.collection(raw=True)
     assert store.collection.range_frequency == pytest.approx(collection.range_frequency, abs=1e-3)
     echo = store.read(slice(60, 75), slice(0, scene.fast_time.size))
-    targets = [target[1:] for target in scene.point_targets()]
+    targets = [target[1:4] for target in scene.point_targets()]
     expected = slow_twins.raw_echo(collection, targets, **chirp(scene), pulses=range(60, 75))
     lost = np.isnan(echo).all(axis=1)
     assert np.flatnonzero(lost).tolist() == [10, 11, 12]

@@ -81,7 +81,7 @@ def test_the_first_image_shows_every_target_of_the_scene(first: tuple[Path, str]
     image = blocksar.open(folder / "run")
     targets = Scene.read(folder / "scene.toml").point_targets()
     assert len(targets) == 9
-    for name, x, y, _ in targets:
+    for name, x, y, *_ in targets:
         power = image.sar.crop(x=(x - 20, x + 20), y=(y - 20, y + 20)).sar.db()
         peak = power.isel(power.argmax(["y", "x"]))
         assert np.abs([float(peak.x) - x, float(peak.y) - y]).max() <= PIXEL / 2 + 0.1, name

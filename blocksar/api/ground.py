@@ -1,0 +1,70 @@
+"""The ground that an image is formed on: what the user says of it, read and put under a collection."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from typing import Any
+
+from blocksar import stores
+from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry, over_terrain
+from blocksar.collection.georeference import Georeference
+from blocksar.collection.grid import Grid
+from blocksar.collection.region import default_grid, plan_region
+from blocksar.collection.terrain import Terrain
+from blocksar.errors import InputError
+from blocksar.ingestion.terrain.reading import Ground
+from blocksar.places.place import Place
+
+PLANE = Ground()
+
+
+def read_ground(
+    ground: Ground, collection: Collection, grid: Grid | None, attrs: Mapping[str, Any], *, exact: bool
+) -> Terrain | None:
+    """The ground under an image; None for the plane. `attrs` are those of the phase history.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or the collection has a beam that terrain is not supported for.
+    """
+    if ground.plane:
+        return None
+    if not exact:
+        raise InputError("images on a terrain, or on the ellipsoid, are formed by --processor backprojection only")
+    if collection.has_axis or collection.elevation_pattern is not None:
+        what = "beam_axis" if collection.has_axis else "elevation_pattern"
+        raise InputError(
+            f"{what}: a collection with it can be imaged on the plane only; leave --terrain and --surface out"
+        )
+    georeference = None
+    if attrs.get("georeference") is not None:
+        georeference = Georeference.from_attribute(attrs["georeference"])
+    return ground.read(georeference, collection.ground_height, image_grid(collection, grid))
+
+
+def image_grid(collection: Collection, grid: Grid | None) -> Grid:
+    """The grid, by default that of the lit sector on the plane z = ground_height."""
+    if grid is not None:
+        return grid
+    geometry = Geometry(collection=collection)
+    return default_grid(geometry, plan_region(geometry, None))
+
+
+def geometry_over(collection: Collection, terrain: Terrain | None) -> Geometry:
+    """A collection over its ground."""
+    return Geometry(collection=collection) if terrain is None else over_terrain(collection, terrain)
+
+
+def ground_settings(ground: Ground, terrain: Terrain | None) -> dict[str, Any]:
+    """The ground in the settings of a run: its source, and a fingerprint of its heights."""
+    named = ground.terrain
+    path = None if named is None else str(named) if isinstance(named, Place) else os.path.abspath(named)
+    return {
+        "surface": ground.surface,
+        "terrain": path,
+        "vertical": ground.vertical,
+        "heights": None if terrain is None else stores.terrain_fingerprint(terrain),
+    }

@@ -1,0 +1,172 @@
+"""The height of the ground: samples on a grid of the scene frame, and the height between them.
+
+Whatever asks for a height of the ground, from simulation to products, asks a `Terrain`. It interpolates by cubic
+convolution (Keys, IEEE Trans. ASSP 29(6), 1981), which is smooth to its first derivative and exact for a paraboloid.
+The arithmetic is the same for scattered points and for grids, and for a terrain and its windows, so that the same point
+has the same height, to the bit, for everybody.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from blocksar.arrays import BoolArray, FloatArray, IntArray
+from blocksar.errors import InputError
+
+Surface = Literal["plane", "ellipsoid"]  # the ground without heights
+MARGIN = 3  # samples that a window keeps beyond the points that it is for
+LEAST = 4  # samples along each axis
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Terrain:
+    """Heights of the ground on a regular grid of the scene frame.
+
+    Attributes
+    ----------
+    x0, y0 : float
+        Of the first column and row of the whole terrain, m.
+    dx, dy : float
+        Steps, m, above 0.
+    heights : (n_y, n_x) float64
+        z in the scene frame, m; NaN where unknown.
+    row, column : int
+        Of the first sample, counted in the whole terrain: not 0 in a window of it.
+
+    Raises
+    ------
+    InputError
+        If the steps are not above 0, or there are too few samples.
+    """
+
+    x0: float
+    dx: float
+    y0: float
+    dy: float
+    heights: FloatArray
+    row: int = 0
+    column: int = 0
+
+    def __post_init__(self) -> None:
+        if not (self.dx > 0 and self.dy > 0 and np.isfinite([self.x0, self.dx, self.y0, self.dy]).all()):
+            raise InputError(
+                f"terrain: x and y need finite, ascending, uniform steps, got {self.dx:g} and {self.dy:g} m"
+            )
+        if self.heights.ndim != 2 or min(self.heights.shape) < LEAST:
+            raise InputError(
+                f"terrain: {' x '.join(map(str, self.heights.shape))} heights (y, x) are too few; give at least "
+                f"{LEAST} x {LEAST}, on a grid that reaches beyond the image"
+            )
+
+    @classmethod
+    def flat(cls, height: float, x: tuple[float, float], y: tuple[float, float]) -> Terrain:
+        """A level terrain that covers a box."""
+        step = max(x[1] - x[0], y[1] - y[0]) / 2
+        return cls(x0=x[0] - step, dx=step, y0=y[0] - step, dy=step, heights=np.full((5, 5), height))
+
+    @property
+    def x(self) -> FloatArray:
+        """Positions of the columns, m."""
+        return np.asarray(self.x0 + self.dx * (self.column + np.arange(self.heights.shape[1])))
+
+    @property
+    def y(self) -> FloatArray:
+        """Positions of the rows, m."""
+        return np.asarray(self.y0 + self.dy * (self.row + np.arange(self.heights.shape[0])))
+
+    @cached_property
+    def limits(self) -> tuple[float, float]:
+        """Lowest and highest known sample, m; NaN if none is known."""
+        known = self.heights[np.isfinite(self.heights)]
+        return (float(known.min()), float(known.max())) if known.size else (np.nan, np.nan)
+
+    @cached_property
+    def mean(self) -> float:
+        """Mean of the known samples, m."""
+        known = np.isfinite(self.heights)
+        return float(self.heights[known].mean()) if known.any() else np.nan
+
+    def __call__(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Heights z (...), m, of points x, y (m), broadcast; NaN outside, and where a sample is unknown."""
+        x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
+        columns, along_x, inside_x = self._taps((x - self.x0) / self.dx, self.column, self.heights.shape[1])
+        rows, along_y, inside_y = self._taps((y - self.y0) / self.dy, self.row, self.heights.shape[0])
+        total = np.zeros(x.shape)
+        for j in range(4):
+            along = np.zeros(x.shape)
+            for i in range(4):
+                along = along + self.heights[rows + j, columns + i] * along_x[i]
+            total = total + along * along_y[j]
+        return np.where(inside_x & inside_y, total, np.nan)
+
+    def on_grid(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Heights (n_y, n_x), m, at columns x (n_x,) and rows y (n_y,), m: those of `__call__`, to the bit."""
+        columns, along_x, inside_x = self._taps((x - self.x0) / self.dx, self.column, self.heights.shape[1])
+        rows, along_y, inside_y = self._taps((y - self.y0) / self.dy, self.row, self.heights.shape[0])
+        first, last = int(rows.min()), int(rows.max()) + 4
+        strip = self.heights[first:last]
+        along = np.zeros((strip.shape[0], x.size))
+        for i in range(4):
+            along = along + strip[:, columns + i] * along_x[i]
+        total = np.zeros((y.size, x.size))
+        for j in range(4):
+            total = total + along[rows - first + j] * along_y[j][:, None]
+        total[~inside_y] = np.nan
+        total[:, ~inside_x] = np.nan
+        return total
+
+    def slope(self, x: float, y: float) -> tuple[float, float]:
+        """Derivatives of the height along x and y at a point, over a fraction of a sample."""
+        hx, hy = self.dx / 16, self.dy / 16
+        along_x = self(np.array([x - hx, x + hx]), np.array([y, y]))
+        along_y = self(np.array([x, x]), np.array([y - hy, y + hy]))
+        return float(along_x[1] - along_x[0]) / (2 * hx), float(along_y[1] - along_y[0]) / (2 * hy)
+
+    def window(self, x: tuple[float, float], y: tuple[float, float]) -> Terrain:
+        """The part that heights in a box need, x and y from .. to, m; the nearest edge of it where that is outside."""
+        columns, rows = self.span(x, y)
+        return replace(self, heights=self.heights[rows, columns], row=self.row + rows.start,
+                       column=self.column + columns.start)  # fmt: skip
+
+    def span(self, x: tuple[float, float], y: tuple[float, float]) -> tuple[slice, slice]:
+        """Columns and rows of `window`, in this terrain's samples."""
+        return (
+            _span((x[0] - self.x0) / self.dx - self.column, (x[1] - self.x0) / self.dx - self.column,
+                  self.heights.shape[1]),
+            _span((y[0] - self.y0) / self.dy - self.row, (y[1] - self.y0) / self.dy - self.row, self.heights.shape[0]),
+        )  # fmt: skip
+
+    @staticmethod
+    def _taps(position: FloatArray, first: int, size: int) -> tuple[IntArray, list[FloatArray], BoolArray]:
+        """First of four samples, their weights, and whether the position lies between the second and the third.
+
+        Within the outermost interval, where a fourth sample is missing, the weights are those of the parabola through
+        the other three.
+        """
+        whole = np.floor(position)
+        inside = (position >= first) & (position <= first + size - 1)
+        start = np.clip(np.where(inside, whole, first) - first - 1, 0, size - 4).astype(np.int64)
+        u = position - (start + first + 1)  # 0 .. 1 inside, -1 .. 0 and 1 .. 2 in the outermost intervals
+        u = np.where(inside, u, 0.0)
+        before = ((-0.5 * u + 1.0) * u - 0.5) * u, (1.5 * u - 2.5) * u * u + 1.0
+        after = ((-1.5 * u + 2.0) * u + 0.5) * u, (0.5 * u - 0.5) * u * u
+        weights = [*before, *after]
+        if (outer := (u < 0)).any():
+            parabola = [u * (u - 1) / 2, 1 - u * u, u * (u + 1) / 2, np.zeros_like(u)]
+            weights = [np.where(outer, p, w) for p, w in zip(parabola, weights, strict=True)]
+        if (outer := (u > 1)).any():
+            v = u - 1
+            parabola = [np.zeros_like(v), v * (v - 1) / 2, 1 - v * v, v * (v + 1) / 2]
+            weights = [np.where(outer, p, w) for p, w in zip(parabola, weights, strict=True)]
+        return start, weights, np.asarray(inside)
+
+
+def _span(low: float, high: float, size: int) -> slice:
+    """Samples from before `low` to behind `high`, at least LEAST of `size`."""
+    first = int(np.clip(np.floor(low) - MARGIN, 0, size - LEAST))
+    last = int(np.clip(np.ceil(high) + MARGIN + 1, first + LEAST, size))
+    return slice(first, last)

@@ -1,0 +1,172 @@
+"""Heights that are given on the Earth, in the scene frame: GeoTIFF files, and the ellipsoid itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from blocksar.arrays import FloatArray
+from blocksar.collection.georeference import Georeference
+from blocksar.collection.terrain import LEAST, MARGIN, Terrain
+from blocksar.errors import InputError
+from blocksar.ingestion.reading import reading
+from blocksar.ingestion.terrain.datum import datum_of
+from blocksar.ingestion.terrain.frame_grid import MOST_HEIGHTS, check_overlap
+from blocksar.places import Location, place
+
+if TYPE_CHECKING:
+    from pyproj import CRS
+    from rasterio.io import DatasetReader
+
+STEPS = 4  # of the iteration for z: each leaves the square of the angle between z and the vertical
+ELLIPSOID_SAMPLES = 64  # along each axis: cubic convolution is exact for a paraboloid
+STRIP = 1 << 20  # heights that are computed at a time
+METRES = ("", "m", "metre", "metres", "meter", "meters")
+REMEDY = "give a GeoTIFF of heights with its coordinate reference system"
+
+Heights = Callable[[FloatArray, FloatArray], FloatArray]  # over the ellipsoid, of longitude and latitude, degrees: m
+
+
+def ellipsoid(
+    georeference: Georeference, ground_height: float, x: tuple[float, float], y: tuple[float, float]
+) -> Terrain:
+    """The surface at the height of the frame's plane z = ground_height over WGS 84, at a box."""
+    over = georeference.height + ground_height
+    step = max(x[1] - x[0], y[1] - y[0]) / ELLIPSOID_SAMPLES
+    return _sampled(georeference, lambda lon, lat: np.full(np.shape(lon), over), step, x, y, start=ground_height)
+
+
+def read_geotiff(
+    source: Location, vertical: str | None, georeference: Georeference, x: tuple[float, float], y: tuple[float, float]
+) -> Terrain:
+    """Read the heights of a GeoTIFF, about as densely as it has them, on a grid of the frame over a box.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, its CRS or datum is unknown, its heights are not in m, or it lies elsewhere.
+    """
+    try:
+        import rasterio
+    except ModuleNotFoundError:
+        raise InputError("rasterio is not installed, which GeoTIFF needs; install blocksar[formats]") from None
+    from pyproj import CRS
+
+    path = place(source)
+    with reading(path, damaged="not a GeoTIFF of heights", remedy=REMEDY), rasterio.open(str(path)) as file:
+        if file.crs is None:
+            raise InputError(f"{path} has no coordinate reference system; {REMEDY}")
+        if (unit := str(file.units[0] or "").lower()) not in METRES:
+            raise InputError(f"{path} has heights in {unit}; convert them to m")
+        crs = CRS.from_wkt(file.crs.to_wkt())
+        undulation = datum_of(crs, vertical, str(path)).undulation()
+        to_pixel = _pixels_of(file, crs)
+        step = _spacing(georeference, to_pixel, x, y)
+        heights = _window(file, georeference, to_pixel, x, y, margin=MARGIN * step, label=str(path))
+
+        def over_ellipsoid(longitude: FloatArray, latitude: FloatArray) -> FloatArray:
+            return heights(*to_pixel(longitude, latitude)) + undulation(longitude, latitude)
+
+        return _sampled(georeference, over_ellipsoid, step, x, y, start=0.0)
+
+
+def _pixels_of(file: DatasetReader, crs: CRS) -> Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
+    """Return a function from longitude and latitude to column and row, of pixels' centres."""
+    from pyproj import CRS, Transformer
+
+    flat = next((part for part in crs.sub_crs_list if not part.is_vertical), crs)
+    to_map = Transformer.from_crs("EPSG:4326", CRS(flat).to_2d(), always_xy=True)
+    inverse = ~file.transform
+
+    def pixels(longitude: FloatArray, latitude: FloatArray) -> tuple[FloatArray, FloatArray]:
+        east, north = to_map.transform(longitude, latitude)
+        column, row = inverse * (np.asarray(east, np.float64), np.asarray(north, np.float64))
+        return column - 0.5, row - 0.5
+
+    return pixels
+
+
+def _geodetic(georeference: Georeference, x: FloatArray, y: FloatArray, z: FloatArray | float) -> FloatArray:
+    """Latitude, longitude and height (..., 3)."""
+    return georeference.to_geodetic(np.stack(np.broadcast_arrays(x, y, z), axis=-1).astype(np.float64))
+
+
+def _spacing(
+    georeference: Georeference,
+    to_pixel: Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]],
+    x: tuple[float, float],
+    y: tuple[float, float],
+) -> float:
+    """Distance of pixels at the middle of a box, the smaller of the two, m."""
+    middle, side = (sum(x) / 2, sum(y) / 2), 10.0
+    at = _geodetic(georeference, middle[0] + np.array([0.0, side, 0.0]), middle[1] + np.array([0.0, 0.0, side]), 0.0)
+    columns, rows = to_pixel(at[:, 1], at[:, 0])
+    if not np.isfinite([columns, rows]).all():
+        raise InputError("terrain: its coordinate reference system does not reach the image; give one that covers it")
+    # Rows of the Jacobian: pixels per m; the spacing along each pixel axis is one over its gradient.
+    gradients = [float(np.hypot(axis[1] - axis[0], axis[2] - axis[0])) / side for axis in (columns, rows)]
+    return 1 / max(gradients)
+
+
+def _window(
+    file: DatasetReader,
+    georeference: Georeference,
+    to_pixel: Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]],
+    x: tuple[float, float],
+    y: tuple[float, float],
+    *,
+    margin: float,
+    label: str,
+) -> Terrain:
+    """The file's heights about a box, over column and row."""
+    from rasterio.windows import Window
+
+    along = np.linspace(0, 1, 33)
+    mesh = np.meshgrid(
+        x[0] - margin + (x[1] - x[0] + 2 * margin) * along, y[0] - margin + (y[1] - y[0] + 2 * margin) * along
+    )
+    bounds = []
+    for z in (-1e3, 9e3):  # heights shift a place by as much as z and the vertical differ
+        at = _geodetic(georeference, *mesh, z)
+        bounds.append(np.stack(to_pixel(at[..., 1], at[..., 0])))
+    columns, rows = (np.stack(bounds)[:, axis] for axis in (0, 1))
+    low = [int(np.floor(axis.min())) - MARGIN for axis in (columns, rows)]
+    high = [int(np.ceil(axis.max())) + MARGIN + 1 for axis in (columns, rows)]
+    check_overlap(f"{label}, in pixels,", (0, file.width), (0, file.height), (low[0], high[0]), (low[1], high[1]))
+    column, row = (
+        min(max(value, 0), max(size - LEAST, 0)) for value, size in zip(low, (file.width, file.height), strict=True)
+    )
+    width, height = min(high[0], file.width) - column, min(high[1], file.height) - row
+    if max(width, LEAST) * max(height, LEAST) > MOST_HEIGHTS:
+        raise InputError(f"{label} has more than {MOST_HEIGHTS} heights within the image; give a coarser one")
+    part = Window(column, row, max(width, LEAST), max(height, LEAST))
+    values = file.read(1, window=part, masked=True).astype(np.float64)
+    scale, offset = file.scales[0], file.offsets[0]
+    filled = np.ma.filled(values, np.nan) * scale + offset
+    return Terrain(x0=0.0, dx=1.0, y0=0.0, dy=1.0, heights=np.ascontiguousarray(filled), row=row, column=column)
+
+
+def _sampled(
+    georeference: Georeference, heights: Heights, step: float, x: tuple[float, float], y: tuple[float, float], *,
+    start: float,
+) -> Terrain:  # fmt: skip
+    """Heights over the ellipsoid as z on a grid of the frame that reaches MARGIN steps beyond a box.
+
+    z is such that the point's own height over the ellipsoid is the one that is given at its longitude and latitude.
+    """
+    x0, y0 = (np.floor(low / step - MARGIN) * step for low in (x[0], y[0]))
+    n_x, n_y = (int(np.ceil((high - low) / step)) + MARGIN + 1 for low, high in ((x0, x[1]), (y0, y[1])))
+    if n_x * n_y > MOST_HEIGHTS:
+        raise InputError(f"terrain: {n_y} x {n_x} heights within the image are too many; give a coarser file")
+    along = x0 + step * np.arange(n_x)
+    z = np.full((n_y, n_x), start)
+    for first in range(0, n_y, max(STRIP // n_x, 1)):
+        rows = slice(first, min(first + max(STRIP // n_x, 1), n_y))
+        mesh_x, mesh_y = np.meshgrid(along, y0 + step * np.arange(rows.start, rows.stop))
+        for _ in range(STEPS):
+            known = np.where(np.isfinite(z[rows]), z[rows], start)
+            at = _geodetic(georeference, mesh_x, mesh_y, known)
+            z[rows] = known + heights(at[..., 1], at[..., 0]) - at[..., 2]
+    return Terrain(x0=float(x0), dx=float(step), y0=float(y0), dy=float(step), heights=z)

@@ -1,0 +1,87 @@
+"""Heights that lie on a grid of the scene frame already: zarr or netCDF with `height` (y, x)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from blocksar.arrays import FloatArray
+from blocksar.collection.terrain import LEAST, Terrain
+from blocksar.errors import InputError
+from blocksar.ingestion.reading import reading
+from blocksar.places import Location, place
+from blocksar.stores.schema import UNITS
+
+UNIFORM = 1e-4  # of a step: by so much positions may be off a uniform axis
+MOST_HEIGHTS = 1 << 27  # of a window: 1 GiB
+REMEDY = "give zarr or netCDF with height (y, x) in m, and x and y in m of the scene frame"
+
+
+def read_frame_grid(source: Location, x: tuple[float, float], y: tuple[float, float]) -> Terrain:
+    """Read the part of a file's heights that a box needs, x and y from .. to, m.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, has other variables, dimensions or units, uneven axes, or lies elsewhere.
+    """
+    import xarray as xr
+
+    path = place(source)
+    with reading(path, damaged="not a file of heights", remedy=REMEDY):
+        name = str(path)
+        kind = "zarr" if path.names() else None
+        with xr.open_zarr(name) if kind == "zarr" else xr.open_dataset(name) as dataset:
+            if "height" not in dataset or set(dataset["height"].dims) != {"y", "x"}:
+                raise InputError(f"{path} has no height (y, x); {REMEDY}")
+            height = dataset["height"].transpose("y", "x")
+            axes = {axis: _axis(height, axis) for axis in ("x", "y")}
+            for variable in (height, dataset["x"], dataset["y"]):
+                if (unit := str(variable.attrs.get("units", "m")).lower()) not in UNITS["m"]:
+                    raise InputError(f"{variable.name} in {path} is in {unit}; {REMEDY}")
+            if any(step < 0 for _, step, _ in axes.values()):
+                height = height.isel({axis: slice(None, None, -1) for axis, (_, step, _) in axes.items() if step < 0})
+            (x0, dx, n_x), (y0, dy, n_y) = (_ascending(*axes[axis]) for axis in ("x", "y"))
+            if n_x < LEAST or n_y < LEAST:
+                raise InputError(f"{path} has {n_y} x {n_x} heights (y, x); give at least {LEAST} x {LEAST}")
+            check_overlap(path, (x0, x0 + dx * (n_x - 1)), (y0, y0 + dy * (n_y - 1)), x, y)
+            # The axes alone tell which part is needed.
+            empty = np.broadcast_to(np.float64(np.nan), (n_y, n_x))
+            columns, rows = Terrain(x0=x0, dx=dx, y0=y0, dy=dy, heights=empty).span(x, y)
+            if (rows.stop - rows.start) * (columns.stop - columns.start) > MOST_HEIGHTS:
+                raise InputError(f"{path} has more than {MOST_HEIGHTS} heights within the image; give a coarser one")
+            values = np.ascontiguousarray(height.isel(y=rows, x=columns).values, np.float64)
+    return Terrain(x0=x0, dx=dx, y0=y0, dy=dy, heights=values, row=rows.start, column=columns.start)
+
+
+def _axis(height, axis: str) -> tuple[float, float, int]:  # type: ignore[no-untyped-def]
+    """Start, step (m; of either sign) and size of a uniform axis."""
+    if axis not in height.coords:
+        raise InputError(f"height has no coordinate {axis}; {REMEDY}")
+    values: FloatArray = np.asarray(height[axis].values, np.float64)
+    if values.size < LEAST or not np.isfinite(values).all():
+        raise InputError(f"{axis} has {values.size} positions, or some that are not finite; give at least {LEAST}")
+    step = float(values[-1] - values[0]) / (values.size - 1)
+    off = float(np.abs(values - (values[0] + step * np.arange(values.size))).max())
+    if step == 0 or off > UNIFORM * abs(step):
+        raise InputError(
+            f"{axis} is not uniform: positions are up to {off:.3g} m off steps of {step:.6g} m; resample it"
+        )
+    return float(values[0]), step, values.size
+
+
+def _ascending(start: float, step: float, size: int) -> tuple[float, float, int]:
+    return (start, step, size) if step > 0 else (start + step * (size - 1), -step, size)
+
+
+def check_overlap(
+    source: object, x: tuple[float, float], y: tuple[float, float], grid_x: tuple[float, float],
+    grid_y: tuple[float, float],
+) -> None:  # fmt: skip
+    """Raise an InputError, with the figures, if a terrain's extent and the image's have nothing in common."""
+    if x[0] <= grid_x[1] and grid_x[0] <= x[1] and y[0] <= grid_y[1] and grid_y[0] <= y[1]:
+        return
+    raise InputError(
+        f"terrain {source} lies elsewhere: it spans x {x[0]:.6g} .. {x[1]:.6g} m, y {y[0]:.6g} .. {y[1]:.6g} m of the "
+        f"scene frame, and the image x {grid_x[0]:.6g} .. {grid_x[1]:.6g} m, y {grid_y[0]:.6g} .. {grid_y[1]:.6g} m; "
+        "give one that covers it"
+    )

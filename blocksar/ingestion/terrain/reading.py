@@ -1,0 +1,102 @@
+"""The ground that the user asks for, as a `Terrain` of the scene frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import get_args
+
+import numpy as np
+
+from blocksar.collection.georeference import Georeference
+from blocksar.collection.grid import Grid
+from blocksar.collection.terrain import Surface, Terrain
+from blocksar.errors import InputError
+from blocksar.ingestion.terrain.earth import ellipsoid, read_geotiff
+from blocksar.ingestion.terrain.frame_grid import read_frame_grid
+from blocksar.places import Location
+
+GEOTIFF = (".tif", ".tiff", ".vrt")
+UNTOLD = 1e-6  # of the grid: a share without heights that is not worth a note
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ground:
+    """What the user says of the ground: a file of heights with its datum, or a surface.
+
+    Raises
+    ------
+    InputError
+        If the settings exclude each other.
+    """
+
+    terrain: Location | None = None
+    surface: Surface = "plane"
+    vertical: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.surface not in get_args(Surface):
+            raise InputError(f"surface = {self.surface!r} is unknown; give {' or '.join(get_args(Surface))}")
+        if self.terrain is not None and self.surface != "plane":
+            raise InputError(f"surface = {self.surface} and a terrain are both given; leave one of them out")
+        if self.vertical is not None and (self.terrain is None or not self.geotiff):
+            what = "there is no terrain" if self.terrain is None else "the terrain's heights are z of the scene frame"
+            raise InputError(f"vertical = {self.vertical!r}, but {what}; leave --vertical out")
+
+    @property
+    def plane(self) -> bool:
+        return self.terrain is None and self.surface == "plane"
+
+    def describe(self, terrain: Terrain) -> str:
+        """One line about a ground that is no plane."""
+        low, high = terrain.limits
+        what = "ellipsoid WGS 84" if self.terrain is None else f"terrain {self.terrain}"
+        return f"{what}: z = {low:.6g} .. {high:.6g} m"
+
+    @property
+    def geotiff(self) -> bool:
+        return str(self.terrain).lower().endswith(GEOTIFF)
+
+    def read(self, georeference: Georeference | None, ground_height: float, grid: Grid) -> Terrain | None:
+        """The ground under a grid; None for the plane.
+
+        Raises
+        ------
+        InputError
+            If a file cannot be read, lies elsewhere or has no height under the grid, or there is no georeference
+            where one is needed.
+        """
+        if self.plane:
+            return None
+        x, y = (float(grid.x[0]), float(grid.x[-1])), (float(grid.y[0]), float(grid.y[-1]))
+        if self.terrain is not None and not self.geotiff:
+            terrain = read_frame_grid(self.terrain, x, y)
+        elif georeference is None:
+            what = "surface = ellipsoid" if self.terrain is None else f"terrain {self.terrain}"
+            raise InputError(
+                f"{what} needs to know where on the Earth the scene lies; put the attribute georeference into the "
+                "phase history"
+            )
+        elif self.terrain is None:
+            terrain = ellipsoid(georeference, ground_height, x, y)
+        else:
+            terrain = read_geotiff(self.terrain, self.vertical, georeference, x, y)
+        if covered(terrain, grid) == 0:
+            raise InputError(f"terrain {self.terrain} has no height under the grid; give one that covers it")
+        return terrain
+
+
+def covered(terrain: Terrain, grid: Grid) -> float:
+    """Share of a grid that has heights, from every n-th row and column."""
+    x, y = grid.x[:: max(grid.x.size // 512, 1)], grid.y[:: max(grid.y.size // 512, 1)]
+    return float(np.isfinite(terrain.on_grid(x, y)).mean())
+
+
+def coverage_note(terrain: Terrain, grid: Grid) -> str | None:
+    """A sentence if a part of a grid has no height, else None."""
+    share = covered(terrain, grid)
+    if share >= 1 - UNTOLD:
+        return None
+    return (
+        f"the terrain has no height at {100 * (1 - share):.3g} % of the grid (holes, or beyond its edge): these pixels "
+        "are not covered"
+    )
