@@ -18,7 +18,8 @@ from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
 from blocksar.runs.record import RECORD, RunRecord
-from blocksar.simulation.scene import Scene, shipped_scenes
+from blocksar.simulation.scene import Scene
+from blocksar.simulation.shipped import shipped_scenes
 
 Following = list[list[str]]  # command lines that come next, as words after `blocksar`
 PARTS = {"spectrum": "the recovered spectrum of a run", "patch": "one block's part of a run's image"}

@@ -113,7 +113,7 @@ def response_axes(geometry: Geometry, x: float, y: float, weighting: Weighting =
     first, middle, last = _range_gradient(geometry, point, np.array([start, (start + end) / 2, end]))
     turn = last - first
     length, turned = float(np.hypot(*middle)), float(np.hypot(*turn))
-    if length == 0 or turned == 0:
+    if not (length > 0 and turned > 0):  # nor where the terrain has no height
         return None
     azimuth = np.array([-middle[1], middle[0]]) / length
     along_doppler = np.array([-turn[1], turn[0]]) / turned

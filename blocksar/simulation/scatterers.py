@@ -308,7 +308,9 @@ def _sum_pulse(
     for i in range(x.size):
         if not _in_beam(yaw[i], beam, half_width):
             continue
-        dx, dy, dz = x[i] - antenna[0], y[i] - antenna[1], (height if z is None else z[i]) - antenna[2]
+        dx, dy, dz = x[i] - antenna[0], y[i] - antenna[1], height - antenna[2]
+        if z is not None:
+            dz = z[i] - antenna[2]
         away = np.sqrt(dx * dx + dy * dy + dz * dz) - reference
         for b in range(stride):
             phase = -TURN * (cycles_step * b * away)
@@ -376,7 +378,9 @@ def _sum_echo(
     for i in range(x.size):
         if not _in_beam(yaw[i], beam, half_width):
             continue
-        dx, dy, dz = x[i] - antenna[0], y[i] - antenna[1], (height if z is None else z[i]) - antenna[2]
+        dx, dy, dz = x[i] - antenna[0], y[i] - antenna[1], height - antenna[2]
+        if z is not None:
+            dz = z[i] - antenna[2]
         distance = np.sqrt(dx * dx + dy * dy + dz * dz)
         delay = 2 * distance / SPEED_OF_LIGHT - start
         carrier_cycles = -cycles_per_metre * (distance - reference)
@@ -456,10 +460,11 @@ def _find_nodes(
     strengths: NDArray[np.complex128],
 ) -> None:
     """Compute nodes and strengths of one pulse's transform; scatterers that are not lit have strength 0."""
-    ax, ay = antenna[0], antenna[1]
+    ax, ay, dz = antenna[0], antenna[1], height - antenna[2]
     for i in range(x.size):
         dx, dy = x[i] - ax, y[i] - ay
-        dz = (height if z is None else z[i]) - antenna[2]
+        if z is not None:
+            dz = z[i] - antenna[2]
         distance = np.sqrt(dx * dx + dy * dy + dz * dz)
         away = distance - envelope
         turns = step_cycles * away

@@ -78,12 +78,13 @@ def _pixels_of(file: DatasetReader, crs: CRS) -> Callable[[FloatArray, FloatArra
 
     flat = next((part for part in crs.sub_crs_list if not part.is_vertical), crs)
     to_map = Transformer.from_crs("EPSG:4326", CRS(flat).to_2d(), always_xy=True)
-    inverse = ~file.transform
+    a, b, west, d, e, north_edge = file.transform[:6]
+    area = a * e - b * d
 
     def pixels(longitude: FloatArray, latitude: FloatArray) -> tuple[FloatArray, FloatArray]:
         east, north = to_map.transform(longitude, latitude)
-        column, row = inverse * (np.asarray(east, np.float64), np.asarray(north, np.float64))
-        return column - 0.5, row - 0.5
+        right, up = np.asarray(east, np.float64) - west, np.asarray(north, np.float64) - north_edge
+        return (e * right - b * up) / area - 0.5, (a * up - d * right) / area - 0.5
 
     return pixels
 

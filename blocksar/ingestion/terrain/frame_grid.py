@@ -28,9 +28,8 @@ def read_frame_grid(source: Location, x: tuple[float, float], y: tuple[float, fl
 
     path = place(source)
     with reading(path, damaged="not a file of heights", remedy=REMEDY):
-        name = str(path)
-        kind = "zarr" if path.names() else None
-        with xr.open_zarr(name) if kind == "zarr" else xr.open_dataset(name) as dataset:
+        stored = path.zarr_path()
+        with xr.open_zarr(stored, consolidated=False) if path.names() else xr.open_dataset(str(path)) as dataset:
             if "height" not in dataset or set(dataset["height"].dims) != {"y", "x"}:
                 raise InputError(f"{path} has no height (y, x); {REMEDY}")
             height = dataset["height"].transpose("y", "x")

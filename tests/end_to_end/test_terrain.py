@@ -1,0 +1,100 @@
+"""Images on a terrain: targets on hills come out where they stand, and as sharp as on the plane."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from distributed import Client
+from quality_bar import check_targets
+from scenes import write_store
+
+import blocksar
+from blocksar import stores
+from blocksar.errors import FolderError, InputError
+from blocksar.places import place
+from blocksar.simulation.scene import Scene
+
+MIDDLE = np.array([16105.0, 19193.0])  # m: the middle of Table 1's swath
+PLACES = {"top": (30.0, 10.0), "flank": (-150.0, 90.0), "foot": (180.0, -240.0)}  # m from there
+HILLS = """
+[terrain]
+hills = [{x = 16140.0, y = 19200.0, height = 300.0, width = 700.0},
+         {x = 15700.0, y = 18900.0, height = -120.0, width = 500.0}]
+"""
+
+
+def grid_about(half: float, step: float = 0.8) -> Any:
+    return tuple((float(c - half), float(c + half), step) for c in MIDDLE)
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Table 1's platform over hills, with targets and clutter on them."""
+    rows = (
+        f'[[targets]]\nname = "{name}"\nx = {MIDDLE[0] + dx:.3f}\ny = {MIDDLE[1] + dy:.3f}\n'
+        for name, (dx, dy) in PLACES.items()
+    )
+    folder = tmp_path_factory.mktemp("hills")
+    return write_store(folder, swath=[29600.0, 30400.0], more=HILLS + "".join(rows))
+
+
+@pytest.fixture(scope="module")
+def terrain(store: Path) -> Path:
+    """The scene's ground, as a file."""
+    ground = Scene.read(store.parent / "scene.toml").terrain
+    assert ground is not None
+    path = store.parent / "ground.zarr"
+    stores.write_terrain(place(path), ground)
+    return path
+
+
+def test_targets_of_a_scene_stand_on_its_ground(store: Path) -> None:
+    scene = Scene.read(store.parent / "scene.toml")
+    assert scene.terrain is not None
+    for target in scene.point_targets():
+        assert target.z == pytest.approx(float(scene.terrain(np.array(target.x), np.array(target.y))))
+    heights = {t.name: t.z for t in scene.point_targets()}
+    assert heights["top"] == pytest.approx(295, abs=1)
+    told = stores.open_phase_history(store).attrs["targets"]
+    assert {t["name"]: t["z"] for t in told} == pytest.approx(heights)
+    lifted = Scene.parse((store.parent / "scene.toml").read_text().replace('name = "top"', 'name = "top"\nz = 12.5'))
+    assert lifted.point_targets()[0].z == 12.5
+
+
+def test_back_projection_puts_targets_where_they_stand(
+    store: Path, terrain: Path, tmp_path: Path, client: Client
+) -> None:
+    run, settings = tmp_path / "run", {"processor": "backprojection", "client": client, "terrain": terrain}
+    dx, dy = PLACES["flank"]
+    grid = tuple((float(c + d - 45), float(c + d + 45), 0.8) for c, d in zip(MIDDLE, (dx, dy), strict=True))
+    blocksar.focus(store, run, grid=grid, **settings)
+    found = blocksar.quality(run).result
+    check_targets({"targets": [t for t in found["targets"] if t["name"] == "flank"]}, 1)
+    image = blocksar.open(run)
+    assert image.height.dtype == np.float32
+    ground = stores.read_terrain(place(terrain))
+    expected = ground.on_grid(image.x.values, image.y.values)
+    assert np.nanmax(np.abs(image.height.values - expected)) < 1e-4
+    # The same again is finished; another ground is another run.
+    assert "nothing to do" in blocksar.focus(store, run, grid=grid, **settings).summary[0]
+    with pytest.raises(FolderError, match="terrain"):
+        blocksar.focus(store, run, grid=grid, processor="backprojection", client=client)
+    changed = tmp_path / "changed.zarr"
+    ground.heights[ground.heights.shape[0] // 2] += 0.5
+    stores.write_terrain(place(changed), ground)
+    with pytest.raises(FolderError, match="heights"):
+        blocksar.focus(store, run, grid=grid, **{**settings, "terrain": changed})
+
+
+def test_a_ground_that_cannot_be_taken_is_refused_before_anything_is_written(store: Path, tmp_path: Path) -> None:
+    settings: dict[str, Any] = {"processor": "backprojection", "grid": grid_about(20.0)}
+    for ground, message in (
+        ({"terrain": tmp_path / "absent.nc"}, "does not exist"),
+        ({"surface": "ellipsoid"}, "put the attribute georeference"),
+    ):
+        with pytest.raises(InputError, match=message):
+            blocksar.focus(store, tmp_path / "run", **settings, **ground)
+    assert not (tmp_path / "run").exists()

@@ -1,0 +1,173 @@
+"""Reading heights: grids of the scene frame, GeoTIFFs on the Earth with their datums, and the ellipsoid."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rasterio
+import xarray as xr
+
+from blocksar.arrays import FloatArray
+from blocksar.collection.georeference import Georeference
+from blocksar.collection.grid import Grid
+from blocksar.collection.terrain import Terrain
+from blocksar.errors import InputError
+from blocksar.ingestion.terrain.earth import ellipsoid, read_geotiff
+from blocksar.ingestion.terrain.frame_grid import read_frame_grid
+from blocksar.ingestion.terrain.reading import Ground, coverage_note
+
+HERE = Georeference(latitude=47.0, longitude=11.0, height=600.0, rotation=25.0)
+X, Y = (-2000.0, 3000.0), (-1000.0, 4000.0)
+GRID = Grid(*X, 50.0, *Y, 50.0)
+
+
+def bumps(x: FloatArray, y: FloatArray) -> FloatArray:
+    return 300 * np.sin(x / 900.0) * np.cos(y / 700.0) + 0.05 * x
+
+
+def frame_file(path: Path, *, order: tuple[str, str] = ("y", "x"), down: bool = False, **attrs: Any) -> Path:
+    x, y = np.arange(-5000.0, 6000.0, 100.0), np.arange(-4000.0, 7000.0, 80.0)
+    y = y[::-1] if down else y
+    height = xr.DataArray(bumps(x, y[:, None]), {"y": y, "x": x}, ("y", "x"), attrs={"units": "m", **attrs})
+    dataset = xr.Dataset({"height": height.transpose(*order)})
+    if path.suffix == ".zarr":
+        dataset.to_zarr(path, zarr_format=3, consolidated=False)
+    else:
+        dataset.to_netcdf(path, engine="scipy")
+    return path
+
+
+@pytest.mark.parametrize("name", ["dem.zarr", "dem.nc"])
+def test_a_grid_of_the_frame_is_read_by_a_window(name: str, tmp_path: Path) -> None:
+    terrain = read_frame_grid(frame_file(tmp_path / name), X, Y)
+    assert terrain.heights.size < 80 * 80
+    x, y = np.linspace(*X, 40), np.linspace(*Y, 30)
+    assert np.abs(terrain.on_grid(x, y) - bumps(x, y[:, None])).max() < 1.0  # 300 m at wavelengths of 4 km
+    assert terrain.heights == pytest.approx(bumps(terrain.x, terrain.y[:, None]), abs=1e-6)
+    other = read_frame_grid(frame_file(tmp_path / f"turned-{name}", order=("x", "y"), down=True), X, Y)
+    assert np.abs(other.on_grid(x, y) - terrain.on_grid(x, y)).max() < 1e-9
+
+
+def geotiff(
+    path: Path, crs: str, heights: Any, *, nodata: float | None = None, origin: float = 600.0, **tags: Any
+) -> Path:
+    """Heights over the ellipsoid, of the frame's place, as a GeoTIFF of the CRS."""
+    from pyproj import Transformer
+
+    to_map = Transformer.from_crs("EPSG:4326", crs, always_xy=True)
+    corners = HERE.to_geodetic(np.array([[a, b, 0.0] for a in (-6000, 6000) for b in (-6000, 6000)]))
+    east, north = to_map.transform(corners[:, 1], corners[:, 0])
+    step = (max(east) - min(east)) / 400
+    west, top = min(east), max(north)
+    transform = rasterio.Affine(step, 0.0, west, 0.0, -step, top)
+    rows = int((max(north) - min(north)) / step)
+    column, row = np.meshgrid(np.arange(400) + 0.5, np.arange(rows) + 0.5)
+    lon, lat = to_map.transform(west + step * column, top - step * row, direction="INVERSE")
+    values = heights(np.asarray(lon), np.asarray(lat)).astype(np.float64)
+    profile = {"driver": "GTiff", "width": 400, "height": rows, "count": 1, "dtype": "float64", "crs": crs}
+    with rasterio.open(path, "w", **profile, transform=transform, nodata=nodata) as file:
+        file.write(values, 1)
+        if "units" in tags:
+            file.units = (tags["units"],)
+    return path
+
+
+def plane_of(lon: FloatArray, lat: FloatArray) -> FloatArray:
+    """Heights over the ellipsoid of some smooth ground on the Earth."""
+    return 700.0 + 2e4 * (lat - 47.0) - 1e4 * (lon - 11.0) + 100 * np.sin((lon - 11.0) * 300)
+
+
+@pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:32632", "EPSG:3035"])
+def test_points_on_a_geotiff_s_ground_lie_at_its_heights(crs: str, tmp_path: Path) -> None:
+    terrain = read_geotiff(geotiff(tmp_path / "dem.tif", crs, plane_of), "ellipsoid", HERE, X, Y)
+    x, y = np.meshgrid(np.linspace(*X, 30), np.linspace(*Y, 30))
+    lat, lon, height = np.moveaxis(HERE.to_geodetic(np.stack([x, y, terrain(x, y)], axis=-1)), -1, 0)
+    assert height == pytest.approx(plane_of(lon, lat), abs=0.02)  # cubic convolution of waves of 1.6 km at 30 m
+    assert np.ptp(terrain(x, y)) > 300
+
+
+def test_heights_over_a_geoid_need_its_grid(tmp_path: Path) -> None:
+    path = geotiff(tmp_path / "dem.tif", "EPSG:4326", lambda lon, lat: plane_of(lon, lat) - 48.0)
+    with pytest.raises(InputError, match="does not say what its heights are measured from"):
+        read_geotiff(path, None, HERE, X, Y)
+    with pytest.raises(InputError, match=r"PROJ has no grid us_nga_egm08_25\.tif.*--vertical egm2008:FILE"):
+        read_geotiff(path, "egm2008", HERE, X, Y)
+    geoid = tmp_path / "geoid.tif"
+    profile = {"driver": "GTiff", "width": 40, "height": 40, "count": 1, "dtype": "float32", "crs": "EPSG:4326"}
+    with rasterio.open(geoid, "w", **profile, transform=rasterio.Affine(0.1, 0.0, 9.0, 0.0, -0.1, 49.0)) as file:
+        file.write(np.full((40, 40), 48.0, np.float32), 1)
+    raised = read_geotiff(path, f"egm2008:{geoid}", HERE, X, Y)
+    direct = read_geotiff(geotiff(tmp_path / "other.tif", "EPSG:4326", plane_of), "ellipsoid", HERE, X, Y)
+    assert raised.heights == pytest.approx(direct.heights, abs=1e-3)
+
+
+def test_a_stated_datum_is_taken_and_must_agree(tmp_path: Path) -> None:
+    path = geotiff(tmp_path / "dem.tif", "EPSG:4326+3855", plane_of)
+    with pytest.raises(InputError, match="PROJ has no grid"):
+        read_geotiff(path, None, HERE, X, Y)
+    with pytest.raises(InputError, match="heights over egm2008, but vertical is 'ellipsoid'"):
+        read_geotiff(path, "ellipsoid", HERE, X, Y)
+
+
+def test_the_ellipsoid_falls_away_from_the_plane() -> None:
+    box = (-30e3, 30e3), (-7e3, 7e3)
+    ground = ellipsoid(HERE, 40.0, *box)
+    x, y = np.meshgrid(np.linspace(*box[0], 41), np.linspace(*box[1], 21))
+    height = HERE.to_geodetic(np.stack([x, y, ground(x, y)], axis=-1))[..., 2]
+    assert height == pytest.approx(640.0, abs=1e-4)
+    assert ground(np.array(0.0), np.array(0.0)) == pytest.approx(40.0, abs=1e-4)
+    assert -80 < ground(np.array(30e3), np.array(0.0)) - 40.0 < -65
+
+
+def test_what_is_no_terrain_is_refused_with_figures(tmp_path: Path) -> None:
+    path = frame_file(tmp_path / "dem.nc")
+    with pytest.raises(InputError, match=r"lies elsewhere: it spans x -5000 .. 5900 m.*image x 90000"):
+        read_frame_grid(path, (90e3, 91e3), Y)
+    with pytest.raises(InputError, match="is in feet"):
+        read_frame_grid(frame_file(tmp_path / "feet.nc", units="feet"), X, Y)
+    (tmp_path / "text.nc").write_text("no heights")
+    with pytest.raises(InputError, match="not a file of heights"):
+        read_frame_grid(tmp_path / "text.nc", X, Y)
+    with pytest.raises(InputError, match="does not exist"):
+        read_frame_grid(tmp_path / "absent.nc", X, Y)
+    with pytest.raises(InputError, match="heights in foot"):
+        read_geotiff(geotiff(tmp_path / "f.tif", "EPSG:4326", plane_of, units="foot"), "ellipsoid", HERE, X, Y)
+    far = Georeference(latitude=-20.0, longitude=100.0, height=0.0)
+    with pytest.raises(InputError, match=r"lies elsewhere|does not reach"):
+        read_geotiff(geotiff(tmp_path / "u.tif", "EPSG:32632", plane_of), "ellipsoid", far, X, Y)
+    uneven = xr.Dataset({"height": (("y", "x"), np.zeros((5, 5)))}, {"x": [0.0, 1, 2, 3, 5], "y": np.arange(5.0)})
+    uneven.to_netcdf(tmp_path / "uneven.nc", engine="scipy")
+    with pytest.raises(InputError, match="x is not uniform"):
+        read_frame_grid(tmp_path / "uneven.nc", (0.0, 1.0), (0.0, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"surface": "sphere"}, "give plane or ellipsoid"),
+        ({"terrain": "dem.nc", "surface": "ellipsoid"}, "leave one of them out"),
+        ({"vertical": "egm96"}, "there is no terrain"),
+        ({"terrain": "dem.nc", "vertical": "egm96"}, "z of the scene frame"),
+    ],
+)
+def test_settings_that_exclude_each_other(settings: Any, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        Ground(**settings)
+
+
+def test_a_surface_on_the_earth_needs_a_georeference_and_gaps_are_told(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="put the attribute georeference"):
+        Ground(surface="ellipsoid").read(None, 0.0, GRID)
+    assert Ground().read(None, 0.0, GRID) is None
+    path = frame_file(tmp_path / "dem.nc")
+    whole = Ground(terrain=path).read(None, 0.0, GRID)
+    assert whole is not None and coverage_note(whole, GRID) is None
+    beyond = Grid(4000.0, 8000.0, 50.0, *Y, 50.0)
+    half = Ground(terrain=path).read(None, 0.0, beyond)
+    assert half is not None
+    assert "no height at 51" in (coverage_note(half, beyond) or "")
+    empty = Terrain(x0=-3e3, dx=100.0, y0=-2e3, dy=100.0, heights=np.full((80, 80), np.nan))
+    assert "100 %" in (coverage_note(empty, GRID) or "")
