@@ -27,8 +27,6 @@ from blocksar.collection.weighting import Weighting
 from blocksar.constants import MIB
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.method import Coefficients, Derotation, Perturbation, Processor, RangeModel, method_of
-from blocksar.focusing.noise import NoiseMap
-from blocksar.focusing.range_compression import RawCompression
 from blocksar.graph import cluster, compiling, recording, stages
 from blocksar.graph.machine import Resources, machine, resources
 from blocksar.ingestion.terrain.reading import Ground, coverage_note
@@ -352,7 +350,7 @@ def _run_stages(
         record = _add_findings(job, run, record, inspected, inspection, listener)
         input_read()
         weighting = job.request.weighting
-        noise = _noise(job, inspection)
+        noise = job.noise(inspection.lit)
         formed = stages.back_project(
             client, source, job.geometry, job.grid, inspection, weighting, noise, run, listener
         )
@@ -365,21 +363,12 @@ def _run_stages(
     gated = stages.gate_ranges(client, plan, run, recovered, listener)
     if gated:
         timings["gate"] = lap()
-    noise = _noise(job, inspection)
+    noise = job.noise(inspection.lit)
     focused = stages.focus_blocks(client, plan, run, (*recovered, *gated), inspection.lit, noise, listener)
     timings["focus"] = lap()
     merged = stages.mosaic(client, plan, run, focused, noise, listener)
     timings["mosaic"] = lap()
     return replace(record, receipts=(*recovered, *gated, *focused, *merged), timings=timings)
-
-
-def _noise(job: Job, inspection: Inspection) -> NoiseMap | None:
-    """The noise of the image, where that of the samples is known."""
-    raw, collection = job.history.raw, job.history.collection
-    if not collection.noise_power:
-        return None
-    spectrum = 1.0 if raw is None else RawCompression.of_echo(raw, collection).noise_spectrum
-    return NoiseMap.of(job.geometry, job.request.weighting, inspection.lit, spectrum)
 
 
 def _add_findings(

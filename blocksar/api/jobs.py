@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from blocksar import stores
 from blocksar.api.arguments import history_of
 from blocksar.api.ground import PLANE, geometry_over, ground_settings, image_grid, read_ground
+from blocksar.arrays import FloatArray
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
@@ -16,6 +17,8 @@ from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import UNIFORM, Weighting
 from blocksar.errors import FolderError, InputError, ProcessingError
 from blocksar.focusing.method import Method
+from blocksar.focusing.noise import NoiseMap
+from blocksar.focusing.range_compression import RawCompression
 from blocksar.graph.machine import Resources
 from blocksar.ingestion.terrain.reading import Ground
 from blocksar.places import Location, place
@@ -227,6 +230,14 @@ class Job:
         except InputError as error:  # about the run's own store, not about the input
             raise ProcessingError(str(error)) from error
         return replace(self, request=replace(self.request, history=stored))
+
+    def noise(self, lit: FloatArray) -> NoiseMap | None:
+        """The noise of the image, where that of the samples is known; `lit` has the valid fraction of each pulse."""
+        raw, collection = self.history.raw, self.history.collection
+        if not collection.noise_power:
+            return None
+        spectrum = 1.0 if raw is None else RawCompression.of_echo(raw, collection).noise_spectrum
+        return NoiseMap.of(self.geometry.over(None), self.request.weighting, lit, spectrum)
 
     def predict_effort(self) -> Work:
         """Predict the relative cost of the stages."""

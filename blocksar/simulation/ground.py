@@ -13,7 +13,7 @@ from blocksar.arrays import FloatArray
 from blocksar.collection.terrain import MARGIN, Terrain
 from blocksar.errors import InputError
 from blocksar.ingestion.terrain.frame_grid import read_frame_grid
-from blocksar.simulation.tables import Positive, Table
+from blocksar.simulation.fields import Positive, Table
 
 SAMPLES = 40  # of a hill's width, by default
 MOST_SAMPLES = 1 << 26  # of the ground: 512 MiB

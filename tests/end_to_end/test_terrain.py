@@ -41,12 +41,12 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_store(folder, swath=[29600.0, 30400.0], more=HILLS + "".join(rows))
 
 
-@pytest.fixture(scope="module")
-def terrain(store: Path) -> Path:
+@pytest.fixture
+def terrain(store: Path, tmp_path: Path) -> Path:
     """The scene's ground, as a file."""
     ground = Scene.read(store.parent / "scene.toml").terrain
     assert ground is not None
-    path = store.parent / "ground.zarr"
+    path = tmp_path / "ground.zarr"
     stores.write_terrain(place(path), ground)
     return path
 
@@ -82,11 +82,10 @@ def test_back_projection_puts_targets_where_they_stand(
     assert "nothing to do" in blocksar.focus(store, run, grid=grid, **settings).summary[0]
     with pytest.raises(FolderError, match="terrain"):
         blocksar.focus(store, run, grid=grid, processor="backprojection", client=client)
-    changed = tmp_path / "changed.zarr"
-    ground.heights[ground.heights.shape[0] // 2] += 0.5
-    stores.write_terrain(place(changed), ground)
+    ground.heights[...] += 0.5
+    stores.write_terrain(place(terrain), ground)
     with pytest.raises(FolderError, match="heights"):
-        blocksar.focus(store, run, grid=grid, **{**settings, "terrain": changed})
+        blocksar.focus(store, run, grid=grid, **settings)
 
 
 def test_a_ground_that_cannot_be_taken_is_refused_before_anything_is_written(store: Path, tmp_path: Path) -> None:
