@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from blocksar.api.exporting import report
+from blocksar.api.facts import disk_size
 from blocksar.api.focusing import focus
 from blocksar.api.measuring import measure, targets_of
 from blocksar.api.reports import Report
@@ -36,7 +37,8 @@ def demo(
 ) -> Report:
     """Simulate the shipped scene "table1", focus it in three blocks, measure it, and draw it.
 
-    Leaves a run folder that also holds quality.json, mosaic.png, contours.png and report.html.
+    Leaves a run folder that also holds quality.json, mosaic.png, contours.png and report.html, but not the spectrum and
+    the patches that `focus` leaves: 0.6 GB, and 0.9 GB while it runs.
 
     Parameters
     ----------
@@ -76,6 +78,8 @@ def demo(
     if folder.names() and not history.exists():
         raise InputError(f"{folder} exists and is not a demonstration run; choose another --out")
     simulated = history.exists() and not overwrite
+    if not simulated:
+        listener.note(f"{folder} will take 0.6 GB, and 0.9 GB while the demonstration runs")
     listener.expect(effort.of_demo(simulated=simulated, compiled=compiling.kernels_cached()), 1)
     if not simulated:
         simulate("table1", history, threads=threads, overwrite=overwrite, progress=listener)
@@ -83,6 +87,7 @@ def demo(
         history, folder, blocks=3, workers=workers, threads=threads, memory_limit=memory_limit, overwrite=overwrite,
         progress=listener, performance_report=performance_report,
     )  # fmt: skip
+    run_folder.discard_intermediate(folder)
     listener.expect(effort.FOCUS, 1)  # withdraw stages of `focus` that a finished run did not need
     listener.update("measure", 0, 1)
     quality, responses = measure(folder, None, reference=False)
@@ -93,6 +98,8 @@ def demo(
     page = report(folder, progress=listener)
     lines = [*quality.summary, *focused.summary, f"pictures: {', '.join(str(p) for p in pictures)}"]
     lines.append(f"report: {page.result}, for a browser")
+    if (size := disk_size(folder)) is not None:
+        lines.append(f"{folder} takes {size / 1e9:.2f} GB, without the spectrum and the patches, which `focus` keeps")
     return Report(
         tables=quality.tables, details=quality.details, definitions=quality.definitions, summary=lines,
         result=quality.result,

@@ -28,15 +28,16 @@ from blocksar.focusing.method import (
     RangeModel,
     method_of,
 )
-from blocksar.graph.machine import resources
+from blocksar.graph.machine import Resources, machine, pace, resources
 from blocksar.places import Location
-from blocksar.planning import choice
+from blocksar.planning import choice, effort
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.choice import Contender
-from blocksar.planning.disk import run_bytes
+from blocksar.planning.disk import SAMPLE, run_bytes
 from blocksar.planning.memory import checked_back_projection_memory
 from blocksar.planning.plan import Plan, plan_collection
 from blocksar.planning.prediction import Prediction
+from blocksar.progress import Work
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -133,31 +134,33 @@ def plan(
         )
     tapers = Weighting.parse(weighting, weighting_range, weighting_azimuth)
     collection, points = collection_of(source), grid_of(grid)
-    workers, threads, memory_limit = resources(workers, None, memory_limit)
+    assumed = resources(workers, None, memory_limit)
     if method is None:
-        return _plan_backprojection(collection, points, workers, threads, memory_limit)
+        return _plan_backprojection(collection, points, assumed)
 
     def plan_by(method: Method) -> Plan:
         return plan_collection(
             collection, blocks=blocks, fidelity=fidelity, weighting=tapers, method=method, grid=points,
-            workers=workers, memory_limit=memory_limit,
+            workers=assumed.workers, memory_limit=assumed.memory_limit,
         )  # fmt: skip
 
-    return _report_contenders(choice.contend(plan_by)) if automatic else _report_plan(plan_by(method))
+    if automatic:
+        return _report_contenders(choice.contend(plan_by), assumed)
+    return _report_plan(plan_by(method), assumed)
 
 
-def _report_plan(plan: Plan) -> Report:
+def _report_plan(plan: Plan, assumed: Resources) -> Report:
     return Report(
         tables=[block_table(plan)],
         details=plan_details(plan),
         definitions=definitions.PLAN,
-        summary=plan_lines(plan),
+        summary=[*plan_lines(plan), time_line(effort.of_plan(plan), assumed)],
         refusal=plan.refusal,
         result=plan,
     )
 
 
-def _report_contenders(contenders: list[Contender]) -> Report:
+def _report_contenders(contenders: list[Contender], assumed: Resources) -> Report:
     """Report all processors side by side, then the plan of the proposed one."""
     best, reason = choice.propose(contenders)
     least = min(c.plan.work() for c in contenders if c.plan is not None)
@@ -168,7 +171,7 @@ def _report_contenders(contenders: list[Contender]) -> Report:
     rows = [_contender_row(c, least) for c in contenders]
     if best is None or best.plan is None:
         return Report(tables=[(header, rows)], summary=[reason], refusal=reason)
-    report = _report_plan(best.plan)
+    report = _report_plan(best.plan, assumed)
     return replace(
         report,
         tables=[(header, rows), *report.tables],
@@ -296,6 +299,30 @@ def _disk_line(plan: Plan) -> str:
     return f"a run writes about {sum(stores.values()) / MIB:.0f} MiB ({parts})"
 
 
+def time_line(work: Work, assumed: Resources) -> str:
+    """How long a run would take on this machine, by stage; the only part of a plan that is measured."""
+    workers = min(assumed.workers, machine()[0])  # more than there are cores gain nothing
+    seconds = effort.seconds_of(work, workers=workers, threads=assumed.threads, pace=pace())
+    stages = ", ".join(f"{name} {time_text(value)}" for name, value in seconds.items())
+    return (
+        f"a run takes about {time_text(sum(seconds.values()))} on this machine with {assumed.workers} workers "
+        f"({stages}), more where others use it, the disk is slow, or loops are not compiled"
+    )
+
+
+def time_text(seconds: float) -> str:
+    """A predicted time with as many digits as it deserves.
+
+    Examples
+    --------
+    >>> time_text(0.04), time_text(13.3), time_text(250), time_text(9000)
+    ('1 s', '13 s', '4 min', '2.5 h')
+    """
+    if seconds < 100:
+        return f"{max(round(seconds), 1)} s"
+    return f"{round(seconds / 60)} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
+
+
 def undersampling(plan: Plan) -> str | None:
     """A sentence if the grid is coarser than the resolution of any block, else None."""
     step = max(plan.grid.dx, plan.grid.dy)
@@ -331,19 +358,19 @@ def _shortfall(plan: Plan) -> str:
     )
 
 
-def _plan_backprojection(
-    collection: Collection, grid: Grid | None, workers: int, threads: int, memory_limit: int
-) -> Report:
+def _plan_backprojection(collection: Collection, grid: Grid | None, assumed: Resources) -> Report:
     geometry = Geometry(collection=collection)
     grid = grid or default_grid(geometry, plan_region(geometry, None))
     pixels = grid.shape[0] * grid.shape[1]
     lit = most_lit_pulses(
         geometry, *np.meshgrid(grid.x[:: max(grid.x.size // 64, 1)], grid.y[:: max(grid.y.size // 64, 1)])
     )
-    memory = checked_back_projection_memory(collection, grid, threads, memory_limit)
+    memory = checked_back_projection_memory(collection, grid, assumed.threads, assumed.memory_limit)
     lines = [
         f"exact back-projection of {grid.shape[1]} x {grid.shape[0]} pixels, {lit} lit pulses each: "
-        f"{pixels * lit / 1e9:.3g} G updates at most, by {workers} workers",
+        f"{pixels * lit / 1e9:.3g} G updates at most, by {assumed.workers} workers",
         f"peak memory of a worker {memory / MIB:.0f} MiB",
+        f"a run writes at most {pixels * SAMPLE / MIB:.0f} MiB",
+        time_line(effort.of_backprojection(geometry, grid), assumed),
     ]
     return Report(summary=lines, result=grid)

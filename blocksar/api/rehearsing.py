@@ -7,7 +7,7 @@ from pathlib import Path
 
 from blocksar.api.facts import size_text
 from blocksar.api.jobs import Job, Request
-from blocksar.api.planning import block_table, plan_details, plan_lines
+from blocksar.api.planning import block_table, plan_details, plan_lines, time_line
 from blocksar.api.reports import Report
 from blocksar.graph.machine import Resources
 from blocksar.places.local import LocalPlace
@@ -33,7 +33,7 @@ def rehearse(request: Request, earlier: RunRecord | None, machine: Resources) ->
         )
     job = Job.of(request, earlier, machine)
     plan = job.plan
-    lines = [] if plan is None else plan_lines(plan)
+    lines = [*([] if plan is None else plan_lines(plan)), time_line(job.predict_effort(), machine)]
     cluster = (
         f"{machine.workers} workers of {machine.threads} threads, each planned to take {size_text(job.memory)} of the "
         f"{size_text(machine.memory_limit)} that it may"

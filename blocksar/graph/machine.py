@@ -8,7 +8,10 @@ import resource
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
+from time import perf_counter
 from typing import NamedTuple
+
+import numpy as np
 
 from blocksar.errors import InputError
 
@@ -24,6 +27,26 @@ MEMORY_LIMITS = (
 def machine() -> tuple[int, int]:
     """Return the number of cores and the bytes of memory that this process may use, within its control group."""
     return _cores(), _memory()
+
+
+PACE_SAMPLES, PACE_TRIALS = 1 << 16, 8
+PACE_SECONDS = 1.9e-3  # that a trial takes on the machine of the constants in `planning.effort`
+
+
+@lru_cache(maxsize=1)
+def pace() -> float:
+    """Return how many seconds a second of work on the machine of `planning.effort` takes on this one, measured.
+
+    A few phases are multiplied, as focusing does; the best of some trials, since others may be using the machine.
+    """
+    phase = np.linspace(0.0, 1e3, PACE_SAMPLES)
+    samples = np.ones(PACE_SAMPLES, np.complex64)
+    seconds = []
+    for _ in range(PACE_TRIALS):
+        begun = perf_counter()
+        samples * np.exp(1j * phase).astype(np.complex64)
+        seconds.append(perf_counter() - begun)
+    return min(seconds) / PACE_SECONDS
 
 
 class Resources(NamedTuple):

@@ -20,6 +20,7 @@ from blocksar.collection.grid import Grid
 from blocksar.planning.plan import Plan, block_work
 from blocksar.planning.tiling import image_chunk, inspection_width, touched_chunks
 from blocksar.progress import Work
+from blocksar.progress.estimate import finishing_times
 
 COMPRESS = 6e-8  # per sample of the echo
 RECOVER = 4.8e-8  # per written sample of the spectrum
@@ -46,6 +47,8 @@ DEMO = {
     "responses": 6.0,
 }
 COMPILE = 9.0  # while no kernel is in numba's cache
+START = 3.0  # s to plan and to start workers
+THREAD_GAIN = 0.5  # of a further thread of a worker, over the first; an estimate
 FOCUS: Work = dict.fromkeys(("plan", "compile", "start-workers", "recover", "focus", "mosaic", "finish"), ())
 
 
@@ -90,6 +93,28 @@ def of_demo(*, simulated: bool, compiled: bool) -> Work:
     """Work of `blocksar demo`: without simulation if `simulated`, with the kernels in numba's cache if `compiled`."""
     seconds = DEMO if compiled else DEMO | {"compile": COMPILE}
     return {stage: [cost] for stage, cost in seconds.items() if not (simulated and stage == "simulate")}
+
+
+def seconds_of(work: Work, *, workers: int, threads: int, pace: float) -> dict[str, float]:
+    """Predict how long each stage takes, s, with `start` as the first.
+
+    Parameters
+    ----------
+    work : mapping of str to sequence of float
+        Stages with the seconds of their units, as `of_plan` gives them.
+    workers, threads : int
+        Processes, and threads in each.
+    pace : float
+        Seconds that a second of work takes on this machine.
+
+    Examples
+    --------
+    >>> seconds_of({"focus": [2.0, 3.0, 2.0]}, workers=2, threads=1, pace=0.5)
+    {'start': 1.5, 'focus': 2.0}
+    """
+    rate = pace / (1 + THREAD_GAIN * (threads - 1))
+    stages = {name: rate * finishing_times(costs, workers)[-1] for name, costs in work.items() if costs}
+    return {"start": pace * START, **stages}
 
 
 def _by_pulse_group(n_pulse: int, echo_samples: int) -> dict[str, list[float]]:

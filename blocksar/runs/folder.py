@@ -42,6 +42,7 @@ OWN = (
     "contours.png",
 )
 TEMPORARY = ("receipts", "compressed.zarr", "gated", "scratch")  # those of OWN that a finished run does not need
+INTERMEDIATE = ("spectrum.zarr", "patches")  # those of OWN that nothing reads once a run is finished
 LEFT_ALONE = ("phase_history.zarr",)  # may lie in the folder of a new run: `demo` puts its input there
 LOCK, ASIDE = "run.lock", ".replaced"
 
@@ -255,6 +256,12 @@ def tidy(folder: Place) -> None:
         with suppress(PermissionError):
             (folder / name).remove()
     folder.sweep()
+
+
+def discard_intermediate(folder: Place) -> None:
+    """Remove the spectrum and the patches of a finished run; its image stays as it is."""
+    for name in INTERMEDIATE:
+        (folder / name).remove()
 
 
 def scratch(folder: Place) -> str | None:

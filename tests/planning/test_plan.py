@@ -13,11 +13,14 @@ from quality_bar import planned
 from scenes import scene
 
 import blocksar
+from blocksar.api import planning as api_planning
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import plan_region
 from blocksar.errors import InputError
 from blocksar.focusing.method import Method
+from blocksar.graph.machine import pace
+from blocksar.planning import effort
 from blocksar.planning.block import BlockPlan, Sector, plan_block
 from blocksar.planning.disk import run_bytes
 from blocksar.planning.plan import plan_collection
@@ -84,6 +87,26 @@ def test_of_many_blocks_the_ten_worst_are_shown_and_all_are_at_hand() -> None:
     assert [row[0] for _, rows in report.details[:1] for row in rows] == [str(i) for i in range(14)]
     names = " ".join(report.definitions)
     assert all(title.partition(" (")[0] in names for title in report.details[0][0])
+
+
+def test_a_plan_says_how_long_a_run_takes_and_all_else_repeats(monkeypatch: pytest.MonkeyPatch) -> None:
+    def summary(pace: float) -> list[str]:
+        monkeypatch.setattr(api_planning, "pace", lambda: pace)
+        return blocksar.plan("table1", blocks=3, workers=1).summary
+
+    first, second = summary(1.0), summary(100.0)
+    (changed,) = [line for line, other in zip(first, second, strict=True) if line != other]
+    assert "on this machine with 1 workers (start 3 s, recover " in changed and "focus " in changed
+    work = effort.of_plan(planned("table1", blocks=3))  # type: ignore[arg-type]
+    alone, two = (effort.seconds_of(work, workers=workers, threads=1, pace=1.0) for workers in (1, 2))
+    assert two["recover"] == pytest.approx(alone["recover"] / 2, rel=0.1)  # many units, side by side
+    assert alone["focus"] / 2 < two["focus"] < alone["focus"]  # three units
+    slow = effort.seconds_of(work, workers=2, threads=1, pace=2.0)
+    assert all(slow[stage] == pytest.approx(2 * two[stage]) for stage in two)
+
+
+def test_the_pace_of_a_machine_is_measured_once() -> None:
+    assert pace() > 0 and pace() == pace()
 
 
 def test_range_sub_blocks_are_shown_with_their_range() -> None:
