@@ -305,9 +305,15 @@ def time_line(work: Work, assumed: Resources) -> str:
     seconds = effort.seconds_of(work, workers=workers, threads=assumed.threads, pace=pace())
     stages = ", ".join(f"{name} {time_text(value)}" for name, value in seconds.items())
     return (
-        f"a run takes about {time_text(sum(seconds.values()))} on this machine with {assumed.workers} workers "
+        f"a run takes about {time_text(sum(seconds.values()))} on this machine {workforce(assumed)} "
         f"({stages}), more where others use it, the disk is slow, or loops are not compiled"
     )
+
+
+def workforce(assumed: Resources) -> str:
+    """Who does the work, in words."""
+    count = assumed.workers
+    return f"with {count} worker{'s' if count > 1 else ''}" if count else "in one process"
 
 
 def time_text(seconds: float) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from blocksar.api.facts import size_text
 from blocksar.api.jobs import Job, Request
-from blocksar.api.planning import block_table, plan_details, plan_lines, time_line
+from blocksar.api.planning import block_table, plan_details, plan_lines, time_line, workforce
 from blocksar.api.reports import Report
 from blocksar.graph.machine import Resources
 from blocksar.places.local import LocalPlace
@@ -35,8 +35,8 @@ def rehearse(request: Request, earlier: RunRecord | None, machine: Resources) ->
     plan = job.plan
     lines = [*([] if plan is None else plan_lines(plan)), time_line(job.predict_effort(), machine)]
     cluster = (
-        f"{machine.workers} workers of {machine.threads} threads, each planned to take {size_text(job.memory)} of the "
-        f"{size_text(machine.memory_limit)} that it may"
+        f"{workforce(machine)}: {size_text(job.memory)} of memory planned for each, of the "
+        f"{size_text(machine.memory_limit)} that it may take"
     )
     size = 8 * job.grid.shape[0] * job.grid.shape[1] if plan is None else sum(run_bytes(plan).values())
     return Report(

@@ -159,7 +159,7 @@ def test_a_dry_run_says_what_would_be_done_and_writes_nothing(table1: Path, tmp_
     before = sorted(table1.parent.rglob("*"))
     done = run("focus", str(table1), "--out", str(tmp_path / "run"), "--blocks", "3", "--workers", "1", "--dry-run")
     assert done.exit_code == 0, done.output
-    assert "predicted coherence" in done.stdout and "1 workers of" in done.stdout
+    assert "predicted coherence" in done.stdout and "with 1 worker: " in done.stdout
     assert f"would write {tmp_path}/run: about" in done.stdout and "free" in done.stdout
     assert list(tmp_path.iterdir()) == [] and sorted(table1.parent.rglob("*")) == before
     assert done.stderr.splitlines()[-1] == (
