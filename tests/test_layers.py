@@ -53,7 +53,7 @@ HOMES: dict[str, set[str] | None] = {
     "distributed": {"graph", "api"},  # api: types
     "typer": {"cli"},
     "rich": {"cli", "progress"},
-    "matplotlib": {"products"},
+    "matplotlib": {"products", "api"},  # api: types
     "jinja2": {"products"},
     "rasterio": {"products", "ingestion"},
     "shapely": {"products"},

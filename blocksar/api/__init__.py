@@ -24,17 +24,21 @@ if TYPE_CHECKING:
     from blocksar.api.planning import plan
     from blocksar.api.previewing import preview
     from blocksar.api.reports import Report
+    from blocksar.api.shown import PlanReport, RunReport
     from blocksar.api.sources import ingest, ingest_cphd, ingest_gotcha, simulate
 
 # The module of each function: it is loaded on first use, since a command needs one of them.
 _HOMES = {
-    "Report": "reports", "check": "checking", "collection": "datasets", "compile": "compiling", "demo": "demonstrating",
-    "export": "exporting", "focus": "focusing", "info": "describing", "ingest": "sources", "ingest_cphd": "sources",
-    "ingest_gotcha": "sources", "open": "exporting", "plan": "planning", "preview": "previewing",
-    "quality": "measuring", "report": "exporting", "simulate": "sources", "write": "datasets",
+    "PlanReport": "shown", "Report": "reports", "RunReport": "shown", "check": "checking", "collection": "datasets",
+    "compile": "compiling", "demo": "demonstrating", "export": "exporting", "focus": "focusing", "info":
+    "describing", "ingest": "sources", "ingest_cphd": "sources", "ingest_gotcha": "sources", "open": "exporting",
+    "plan": "planning", "preview": "previewing", "quality": "measuring", "report": "exporting", "simulate":
+    "sources", "write": "datasets",
 }  # fmt: skip
 __all__ = [
+    "PlanReport",
     "Report",
+    "RunReport",
     "check",
     "collection",
     "compile",

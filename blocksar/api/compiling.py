@@ -8,7 +8,7 @@ import time
 from blocksar.api.reports import Report, only_stage
 from blocksar.errors import InputError
 from blocksar.graph.compiling import SECONDS, compile_modules
-from blocksar.progress import Updated as Progress
+from blocksar.progress import Wanted as Progress
 
 
 def compile(*, progress: Progress | None = None) -> Report:
@@ -19,9 +19,9 @@ def compile(*, progress: Progress | None = None) -> Report:
 
     Parameters
     ----------
-    progress : object with a method update(stage, done, total), optional
+    progress : object with a method update(stage, done, total), or False, optional
         Called with the name of the stage (str) and the numbers of finished and of all units (int). A
-        `blocksar.progress.Listener` receives more. Default: nothing is reported.
+        `blocksar.progress.Listener` receives more. Default: bars in a notebook, silence elsewhere; False: silence.
 
     Returns
     -------

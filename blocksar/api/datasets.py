@@ -129,6 +129,8 @@ def collection(
         attrs["targets"] = [_target_record(target) for target in targets]
     if georeference is not None:
         attrs["georeference"] = Georeference.from_attribute(georeference).as_attribute()
+    from blocksar.products import dataset  # noqa: F401  (registers the accessor)
+
     return stores.dataset_of(variables, attrs)
 
 

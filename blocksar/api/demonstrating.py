@@ -19,7 +19,7 @@ from blocksar.measurement.table3 import TABLE3
 from blocksar.places import Location, place
 from blocksar.places.place import Place
 from blocksar.planning import effort
-from blocksar.progress import Updated as Progress
+from blocksar.progress import Wanted as Progress
 from blocksar.progress import as_listener
 from blocksar.runs import folder as run_folder
 from blocksar.runs.finished import FinishedRun
@@ -52,9 +52,9 @@ def demo(
         Memory of each worker, bytes. Default: its share of the machine's memory.
     overwrite : bool
         Simulate and focus anew. Default: False.
-    progress : object with a method update(stage, done, total), optional
+    progress : object with a method update(stage, done, total), or False, optional
         Called with the name of the stage (str) and the numbers of finished and of all units (int). A
-        `blocksar.progress.Listener` receives more. Default: nothing is reported.
+        `blocksar.progress.Listener` receives more. Default: bars in a notebook, silence elsewhere; False: silence.
     performance_report : path, optional
         HTML file for dask's performance report, also written if the run fails.
 

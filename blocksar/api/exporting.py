@@ -17,7 +17,7 @@ from blocksar.products import geotiff
 from blocksar.products.options import OPTIONS, check_ending, parse_crop, parse_looks, parse_range
 from blocksar.products.pixels import Content, Scale, checked_limits, pixels_of
 from blocksar.products.sicd import nitf as sicd
-from blocksar.progress import Updated as Progress
+from blocksar.progress import Wanted as Progress
 from blocksar.progress import as_listener
 from blocksar.runs.finished import FinishedRun, finished_record
 from blocksar.runs.record import RECORD
@@ -72,9 +72,9 @@ def report(
         HTML file to write. Default: RUN/report.html, which is always replaced.
     overwrite : bool
         Replace what stands at `out`. Default: False.
-    progress : object with a method update(stage, done, total), optional
+    progress : object with a method update(stage, done, total), or False, optional
         Called with the name of the stage (str) and the numbers of finished and of all units (int). A
-        `blocksar.progress.Listener` receives more. Default: nothing is reported.
+        `blocksar.progress.Listener` receives more. Default: bars in a notebook, silence elsewhere; False: silence.
 
     Returns
     -------
@@ -103,9 +103,10 @@ def report(
         raise InputError(f"{library} is not installed, which reports need; install blocksar[plots]") from None
     figures, reason = _read_or_measure(folder, source)
     history = str(stores.open_dataset(source.image).attrs.get("history", ""))
+    listener = as_listener(progress)
     content, verdict = page.make(
-        source, figures, folder=str(folder), history=history, why=reason, progress=only_stage(progress, "report"),
-        drawn=partial(as_listener(progress).update, "responses"),
+        source, figures, folder=str(folder), history=history, why=reason, progress=only_stage(listener, "report"),
+        drawn=partial(listener.update, "responses"),
     )  # fmt: skip
     try:
         target.write_bytes(content)
@@ -176,9 +177,9 @@ def export(
         Pixels of a PNG along its longer side. Default: by the image, up to about 1700.
     overwrite : bool
         Replace what stands at `out`. Default: False.
-    progress : object with a method update(stage, done, total), optional
+    progress : object with a method update(stage, done, total), or False, optional
         Called with the name of the stage (str) and the numbers of finished and of all units (int). A
-        `blocksar.progress.Listener` receives more. Default: nothing is reported.
+        `blocksar.progress.Listener` receives more. Default: bars in a notebook, silence elsewhere; False: silence.
 
     Returns
     -------

@@ -20,7 +20,7 @@ from blocksar.api.checking import check_samples
 from blocksar.api.jobs import Job, Request
 from blocksar.api.planning import undersampling
 from blocksar.api.rehearsing import rehearse
-from blocksar.api.reports import Report
+from blocksar.api.shown import RunReport
 from blocksar.budget import FIDELITY
 from blocksar.collection.terrain import Surface
 from blocksar.collection.weighting import Weighting
@@ -36,7 +36,7 @@ from blocksar.places import Location, place
 from blocksar.places.place import Place
 from blocksar.planning.tiling import image_chunk
 from blocksar.progress import NOBODY, Listener, as_listener
-from blocksar.progress import Updated as Progress
+from blocksar.progress import Wanted as Progress
 from blocksar.runs import folder as run_folder
 from blocksar.runs.receipts import Run
 from blocksar.runs.record import (
@@ -92,7 +92,7 @@ def focus(
     progress: Progress | None = None,
     performance_report: str | Path | None = None,
     client: Client | None = None,
-) -> Report:
+) -> RunReport:
     """Focus a phase history into a run folder; an unfinished run of the same settings and input there is resumed.
 
     Parameters
@@ -149,9 +149,9 @@ def focus(
         Replace a run with other settings or another input. Default: False.
     dry_run : bool
         Say what would be done, and write nothing: `tables` and `result` are then those of `plan`. Default: False.
-    progress : object with a method update(stage, done, total), optional
+    progress : object with a method update(stage, done, total), or False, optional
         Called with the name of the stage (str) and the numbers of finished and of all units (int). A
-        `blocksar.progress.Listener` receives more. Default: nothing is reported.
+        `blocksar.progress.Listener` receives more. Default: bars in a notebook, silence elsewhere; False: silence.
     performance_report : path, optional
         HTML file for dask's performance report of this call, also written if the run fails.
     client : distributed.Client, optional
@@ -159,7 +159,7 @@ def focus(
 
     Returns
     -------
-    Report
+    RunReport
         `summary` has notes, times and peak memory; `result` is the record that RUN/run.json holds.
 
     Raises
@@ -229,7 +229,7 @@ def _in_this_process(workers: int | None, history: stores.PhaseHistory) -> bool:
     return workers == 0
 
 
-def _report_finished(folder: Place, record: RunRecord, *, claimed: bool = False) -> Report:
+def _report_finished(folder: Place, record: RunRecord, *, claimed: bool = False) -> RunReport:
     """Report that a run was finished before, after checking its image and removing leftovers.
 
     Raises
@@ -241,9 +241,10 @@ def _report_finished(folder: Place, record: RunRecord, *, claimed: bool = False)
     if not run_folder.is_tidy(folder):
         with nullcontext() if claimed else run_folder.claim(folder):
             run_folder.tidy(folder)
-    return Report(
+    return RunReport(
         summary=[f"{folder} is finished already with these settings and this input: nothing to do"],
         result=record.as_json(),
+        folder=folder,
     )
 
 
@@ -254,7 +255,7 @@ def _focus(
     client: Client | None,
     listener: Listener,
     profile: Path | None,
-) -> Report:
+) -> RunReport:
     """Plan and carry out a run in a folder that this process has claimed."""
     listener.update("plan", 0, 1)
     if client is None:
@@ -273,7 +274,8 @@ def _focus(
         found.append(coverage_note(request.terrain, job.grid))
     notes = [f"note: {line}" for line in found if line]
     worker = "this process" if cluster.is_here(client) else "a worker"
-    return Report(summary=[*_summary(request.folder, finished, job.memory, worker), *notes], result=finished.as_json())
+    lines = [*_summary(request.folder, finished, job.memory, worker), *notes]
+    return RunReport(summary=lines, result=finished.as_json(), folder=request.folder)
 
 
 def _carry_out(

@@ -9,7 +9,8 @@ import numpy as np
 
 from blocksar.api import definitions
 from blocksar.api.arguments import GridLike, collection_of, grid_of
-from blocksar.api.reports import Report, Table
+from blocksar.api.reports import Table
+from blocksar.api.shown import PlanReport
 from blocksar.budget import FIDELITY
 from blocksar.collection.beam import most_lit_pulses
 from blocksar.collection.collection import Collection
@@ -69,7 +70,7 @@ def plan(
     grid: GridLike | None = None,
     workers: int | None = None,
     memory_limit: int | None = None,
-) -> Report:
+) -> PlanReport:
     """Predict how a collection would be focused, and how sharp the image would be. Reads no samples.
 
     Parameters
@@ -109,10 +110,11 @@ def plan(
 
     Returns
     -------
-    Report
+    PlanReport
         `tables` has the blocks, the ten with the least coherence if there are many, and `details` all blocks with all
         figures; `refusal` is the reason if the plan cannot be carried out. `result` is the
-        `planning.plan.Plan`, the `Grid` for back-projection, or None if "auto" has no processor to propose.
+        `planning.plan.Plan`, the `Grid` for back-projection, or None if "auto" has no processor to propose. The method
+        `plot` draws blocks, footprint and track.
 
     Raises
     ------
@@ -149,18 +151,19 @@ def plan(
     return _report_plan(plan_by(method), assumed)
 
 
-def _report_plan(plan: Plan, assumed: Resources) -> Report:
-    return Report(
+def _report_plan(plan: Plan, assumed: Resources) -> PlanReport:
+    return PlanReport(
         tables=[block_table(plan)],
         details=plan_details(plan),
         definitions=definitions.PLAN,
         summary=[*plan_lines(plan), time_line(effort.of_plan(plan), assumed)],
         refusal=plan.refusal,
         result=plan,
+        geometry=plan.geometry,
     )
 
 
-def _report_contenders(contenders: list[Contender], assumed: Resources) -> Report:
+def _report_contenders(contenders: list[Contender], assumed: Resources) -> PlanReport:
     """Report all processors side by side, then the plan of the proposed one."""
     best, reason = choice.propose(contenders)
     least = min(c.plan.work() for c in contenders if c.plan is not None)
@@ -170,7 +173,7 @@ def _report_contenders(contenders: list[Contender], assumed: Resources) -> Repor
     )  # fmt: skip
     rows = [_contender_row(c, least) for c in contenders]
     if best is None or best.plan is None:
-        return Report(tables=[(header, rows)], summary=[reason], refusal=reason)
+        return PlanReport(tables=[(header, rows)], summary=[reason], refusal=reason)
     report = _report_plan(best.plan, assumed)
     return replace(
         report,
@@ -364,7 +367,7 @@ def _shortfall(plan: Plan) -> str:
     )
 
 
-def _plan_backprojection(collection: Collection, grid: Grid | None, assumed: Resources) -> Report:
+def _plan_backprojection(collection: Collection, grid: Grid | None, assumed: Resources) -> PlanReport:
     geometry = Geometry(collection=collection)
     grid = grid or default_grid(geometry, plan_region(geometry, None))
     pixels = grid.shape[0] * grid.shape[1]
@@ -379,4 +382,4 @@ def _plan_backprojection(collection: Collection, grid: Grid | None, assumed: Res
         f"a run writes at most {pixels * SAMPLE / MIB:.0f} MiB",
         time_line(effort.of_backprojection(geometry, grid), assumed),
     ]
-    return Report(summary=lines, result=grid)
+    return PlanReport(summary=lines, result=grid, geometry=geometry)

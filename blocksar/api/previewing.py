@@ -25,7 +25,7 @@ from blocksar.products.options import check_ending, parse_range
 from blocksar.products.pictures.overview import Overview, cell_edges
 from blocksar.products.pixels import checked_limits
 from blocksar.products.writing import replacing
-from blocksar.progress import Updated as Progress
+from blocksar.progress import Wanted as Progress
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -70,9 +70,9 @@ def preview(
         Default: the number of cores.
     overwrite : bool
         Replace what stands at `out`. Default: False.
-    progress : object with a method update(stage, done, total), optional
+    progress : object with a method update(stage, done, total), or False, optional
         Called with the name of the stage (str) and the numbers of finished and of all units (int). A
-        `blocksar.progress.Listener` receives more. Default: nothing is reported.
+        `blocksar.progress.Listener` receives more. Default: bars in a notebook, silence elsewhere; False: silence.
 
     Returns
     -------

@@ -8,7 +8,7 @@ from pathlib import Path
 from blocksar.api.facts import size_text
 from blocksar.api.jobs import Job, Request
 from blocksar.api.planning import block_table, plan_details, plan_lines, time_line, workforce
-from blocksar.api.reports import Report
+from blocksar.api.shown import RunReport
 from blocksar.graph.machine import Resources
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
@@ -16,7 +16,7 @@ from blocksar.planning.disk import run_bytes
 from blocksar.runs.record import RunRecord
 
 
-def rehearse(request: Request, earlier: RunRecord | None, machine: Resources) -> Report:
+def rehearse(request: Request, earlier: RunRecord | None, machine: Resources) -> RunReport:
     """Say what `focus` would do with a request: its plan, memory, and disk. Writes nothing.
 
     `earlier` is the run in the folder that would be resumed, or is finished; `result` is the plan, None for
@@ -28,7 +28,7 @@ def rehearse(request: Request, earlier: RunRecord | None, machine: Resources) ->
         As `focus`.
     """
     if earlier is not None and earlier.finished:
-        return Report(
+        return RunReport(
             summary=[f"{request.folder} is finished already with these settings and this input: nothing would be done"]
         )
     job = Job.of(request, earlier, machine)
@@ -39,7 +39,7 @@ def rehearse(request: Request, earlier: RunRecord | None, machine: Resources) ->
         f"{size_text(machine.memory_limit)} that it may take"
     )
     size = 8 * job.grid.shape[0] * job.grid.shape[1] if plan is None else sum(run_bytes(plan).values())
-    return Report(
+    return RunReport(
         tables=[] if plan is None else [block_table(plan)],
         details=[] if plan is None else plan_details(plan),
         summary=[*lines, cluster, f"{_doing(request, earlier)}: about {size_text(size)}{_free(request.folder, size)}",

@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
-from blocksar.progress import Updated as Progress
+from blocksar.api.rendering import Table, html_report, text_table
+from blocksar.progress import Wanted as Progress
 from blocksar.progress import as_listener
 
-Table = tuple[Sequence[str], Sequence[Sequence[str]]]
+__all__ = ["Report", "Table", "only_stage"]
 
 
 def only_stage(progress: Progress | None, stage: str) -> Callable[[int, int], None]:
@@ -20,9 +21,14 @@ def only_stage(progress: Progress | None, stage: str) -> Callable[[int, int], No
     return partial(listener.update, stage)
 
 
-@dataclass(frozen=True)
+LONGEST = 300  # characters of a report's repr
+
+
+@dataclass(frozen=True, repr=False)
 class Report:
     """What a function returns: tables and sentences for people, and the result itself.
+
+    Its repr is one line; `print` shows tables and sentences, and a notebook shows them as HTML.
 
     Attributes
     ----------
@@ -49,3 +55,23 @@ class Report:
 
     def table(self) -> list[Table]:
         return self.tables
+
+    def headline(self) -> str:
+        """The report in one line."""
+        if self.refusal is not None:
+            return f"refused: {self.refusal}"
+        if self.summary:
+            return self.summary[0]
+        return " ".join(self.tables[0][0]) if self.tables else "nothing to say"
+
+    def __repr__(self) -> str:
+        text = f"{type(self).__name__}: {self.headline()}"
+        return f"<{text if len(text) <= LONGEST else text[: LONGEST - 3] + '...'}>"
+
+    def __str__(self) -> str:
+        return "\n\n".join([*map(text_table, self.tables), "\n".join(self.summary)]).strip() or repr(self)
+
+    def _repr_html_(self) -> str:
+        headline = self.headline()
+        rest = [line for line in self.summary if line != headline]
+        return html_report(headline, self.tables, rest, self.details, self.definitions)

@@ -11,7 +11,7 @@ from blocksar.errors import InputError
 from blocksar.graph.machine import resources
 from blocksar.places import Location
 from blocksar.places.place import Place
-from blocksar.progress import Updated as Progress
+from blocksar.progress import Wanted as Progress
 from blocksar.simulation import phase_history
 from blocksar.simulation.scene import Scene
 
@@ -46,9 +46,9 @@ def simulate(
         Threads that compute pulses. Default: the number of cores.
     overwrite : bool
         Replace what stands at `out`. Default: False.
-    progress : object with a method update(stage, done, total), optional
+    progress : object with a method update(stage, done, total), or False, optional
         Called with the name of the stage (str) and the numbers of finished and of all units (int). A
-        `blocksar.progress.Listener` receives more. Default: nothing is reported.
+        `blocksar.progress.Listener` receives more. Default: bars in a notebook, silence elsewhere; False: silence.
 
     Returns
     -------
@@ -131,9 +131,9 @@ def ingest_cphd(
         Identifier of the channel. Needed if the file has several.
     overwrite : bool
         Replace what stands at `out`. Default: False.
-    progress : object with a method update(stage, done, total), optional
+    progress : object with a method update(stage, done, total), or False, optional
         Called with the name of the stage (str) and the numbers of finished and of all units (int). A
-        `blocksar.progress.Listener` receives more. Default: nothing is reported.
+        `blocksar.progress.Listener` receives more. Default: bars in a notebook, silence elsewhere; False: silence.
 
     Returns
     -------
@@ -168,9 +168,9 @@ def ingest_gotcha(
         Phase-history store to write.
     overwrite : bool
         Replace what stands at `out`. Default: False.
-    progress : object with a method update(stage, done, total), optional
+    progress : object with a method update(stage, done, total), or False, optional
         Called with the name of the stage (str) and the numbers of finished and of all units (int). A
-        `blocksar.progress.Listener` receives more. Default: nothing is reported.
+        `blocksar.progress.Listener` receives more. Default: bars in a notebook, silence elsewhere; False: silence.
 
     Returns
     -------

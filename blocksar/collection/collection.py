@@ -309,6 +309,17 @@ class Collection:
                     "elevation_pattern", "elevation", self.elevation, down, down, "ground at reference_range"
                 )  # fmt: skip
 
+    def __repr__(self) -> str:
+        return f"<Collection: {self.headline()}>"
+
+    def headline(self) -> str:
+        """The collection in half a sentence: its size, band, rate and beam."""
+        beam = "not steered" if not self.steered else "about its axis" if self.has_axis else "steered in yaw"
+        return (
+            f"{self.n_pulse} pulses x {self.n_range_frequency} range frequencies, {self.carrier / 1e9:.6g} GHz, "
+            f"{self.bandwidth / 1e6:.5g} MHz, PRF {self.prf:.6g} Hz, beam {beam}"
+        )
+
     @property
     def n_pulse(self) -> int:
         return int(self.time.size)

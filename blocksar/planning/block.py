@@ -132,6 +132,9 @@ class BlockPlan:
     memory: int
     choice: Choice
 
+    def __repr__(self) -> str:
+        return f"<BlockPlan {self.name}: yaw {self.low:.6g} .. {self.high:.6g} rad, {self.n_bin} Doppler bins>"
+
     @property
     def range_gate(self) -> RangeGate | None:
         """The range gate of a sub-block, which one task applies for all sub-blocks; None for a whole block."""

@@ -87,6 +87,20 @@ class Plan:
     weighting: Weighting
     refusal: str | None
 
+    def __repr__(self) -> str:
+        return f"<Plan: {self.headline()}>"
+
+    def headline(self) -> str:
+        """The plan in half a sentence: blocks, predicted coherence, memory."""
+        if self.refusal is not None:
+            return f"refused: {self.refusal}"
+        divided = f" of {self.parts} range sub-blocks" if self.parts > 1 else ""
+        noun = "block" if self.n_blocks == 1 else "blocks"
+        return (
+            f"{self.n_blocks} {noun}{divided} by {self.method.processor}, {self.grid.shape[1]} x {self.grid.shape[0]} "
+            f"pixels, predicted coherence at least {self.coherence:.6f}, {self.memory / MIB:.0f} MiB for each worker"
+        )
+
     @property
     def n_blocks(self) -> int:
         return self.seams.size - 1

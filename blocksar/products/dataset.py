@@ -7,13 +7,17 @@ from __future__ import annotations
 
 import json
 from contextlib import suppress
+from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
 
+from blocksar import stores
 from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.collection.collection import Collection
 from blocksar.collection.georeference import Georeference
+from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.measurement.looks import checked_looks, power_of
 from blocksar.measurement.response import MIN_HALF_TAPS, Complex128Array, interpolate
@@ -74,6 +78,28 @@ class SarAccessor:
 
     def __init__(self, dataset: xr.Dataset) -> None:
         self._dataset = dataset
+
+    def __repr__(self) -> str:
+        return f"<sar: {', '.join(f'{name} {text}' for name, text in self._facts())}>"
+
+    def _repr_html_(self) -> str:
+        rows = "".join(
+            f'<tr><td style="text-align:left">{escape(name)}</td><td style="text-align:left">{escape(text)}</td></tr>'
+            for name, text in self._facts()
+        )
+        return f"<table>{rows}</table>"
+
+    def _facts(self) -> list[tuple[str, str]]:
+        """What the dataset is, as names and texts. Reads no pixels and no samples."""
+        dataset, attrs = self._dataset, self._dataset.attrs
+        rows = [("title", str(attrs["title"]))] if attrs.get("title") else []
+        if "image" in dataset.variables:
+            return rows + _image_facts(dataset)
+        try:
+            collection = stores.history_in_memory(dataset).collection
+        except InputError as error:
+            return [*rows, ("neither image nor phase history", str(error))]
+        return rows + _history_facts(collection)
 
     @property
     def _image(self) -> xr.DataArray:
@@ -305,6 +331,48 @@ class SarAccessor:
         image = self._image
         descending = [name for name in "xy" if image[name].size > 1 and image[name].values[0] > image[name].values[-1]]
         return image.isel({name: slice(None, None, -1) for name in descending})
+
+
+def _history_facts(collection: Collection) -> list[tuple[str, str]]:
+    """Pulses, band, track and beam of a phase history."""
+    position, time = collection.antenna_position, collection.time
+    speed = float(np.linalg.norm(np.diff(position, axis=0), axis=1).sum() / (time[-1] - time[0]))
+    height = float(np.median(position[:, 2])) - collection.ground_height
+    cell = SPEED_OF_LIGHT / (2 * collection.bandwidth)
+    beam = "not steered: plan and focus need a grid"
+    if collection.beam_width is not None:
+        angle = collection.beam_azimuth if collection.beam_steering is None else collection.beam_steering
+        kind = "yaw" if collection.beam_steering is None else "steered about the antenna's axis"
+        first, last = np.degrees(angle[[0, -1]])
+        beam = f"{np.degrees(collection.beam_width):.4g} degrees wide, {kind} {first:.2f} .. {last:.2f} degrees"
+    return [
+        ("phase history", f"{collection.n_pulse} pulses x {collection.n_range_frequency} range frequencies"),
+        ("pulses", f"{time[0]:.4g} .. {time[-1]:.4g} s, PRF {collection.prf:.6g} Hz"),
+        ("band", f"{collection.carrier / 1e9:.6g} GHz, {collection.bandwidth / 1e6:.5g} MHz: cells of {cell:.3g} m"),
+        ("track", f"{speed:.4g} m/s, {height:.5g} m above the ground"),
+        ("reference range", f"{float(np.median(collection.reference_range)):.6g} m"),
+        ("beam", beam),
+    ]
+
+
+def _image_facts(dataset: xr.Dataset) -> list[tuple[str, str]]:
+    """Size, place, calibration and provenance of an image."""
+    attrs, image = dataset.attrs, dataset["image"]
+    rows = [("image", " x ".join(f"{image.sizes[dim]}" for dim in reversed(image.dims)) + " pixels")]
+    for name in ("x", "y"):
+        if name in dataset.coords and dataset[name].size > 1:
+            axis = dataset[name].values
+            step = (axis[-1] - axis[0]) / (axis.size - 1)
+            rows.append((name, f"{axis[0]:.6g} .. {axis[-1]:.6g} m every {step:.4g} m"))
+    settings, predicted = attrs.get("settings"), attrs.get("predicted")
+    if isinstance(settings, dict) and "processor" in settings:
+        rows.append(("processor", str(settings["processor"])))
+    if isinstance(predicted, list) and predicted:
+        least = min(block.get("coherence") or 0.0 for block in predicted)
+        rows.append(("predicted coherence", f"at least {least:.6f} in {len(predicted)} blocks"))
+    rows += [(name, str(attrs[name])) for name in ("calibration",) if attrs.get(name)]
+    rows += [("note", str(line)) for line in attrs.get("warnings") or []]
+    return [*rows, ("methods", "db, multilook, crop, plot, cut, netcdf")]
 
 
 def _axes(image: xr.DataArray) -> tuple[FloatArray, FloatArray]:

@@ -2,15 +2,16 @@
 
 The code that does the work calls the methods of a `Listener`. `Progress` is the listener of the commands: it shows
 progress to people, as a live display on a terminal and as a few plain lines elsewhere, and writes a log of JSON lines
-(`Log`) for programs. `Estimate` derives the time left.
+(`Log`) for programs. In a notebook it is drawn below the cell (`notebook`). `Estimate` derives the time left.
 """
 
 from __future__ import annotations
 
 from blocksar.progress.display import PLAIN_STEPS, Progress, abandon
 from blocksar.progress.estimate import Estimate
-from blocksar.progress.listening import NOBODY, Callback, Listener, Updated, Work, Workers, as_listener
+from blocksar.progress.listening import NOBODY, Callback, Listener, Updated, Work, Workers
 from blocksar.progress.log import Log
+from blocksar.progress.wanted import Wanted, as_listener
 
 __all__ = [
     "NOBODY",
@@ -21,6 +22,7 @@ __all__ = [
     "Log",
     "Progress",
     "Updated",
+    "Wanted",
     "Work",
     "Workers",
     "abandon",

@@ -51,15 +51,8 @@ class Listener:
         """Report a sentence for the user; `again`: the command's result will repeat it."""
 
 
-class _UpdateListener(Listener):
+class UpdateListener(Listener):
     """Passes updates on to an object that has no other method of a listener."""
 
     def __init__(self, listener: Updated) -> None:
         self.update = listener.update  # type: ignore[method-assign]
-
-
-def as_listener(listener: Updated | None) -> Listener:
-    """Return a full listener for an object that may have `update` only, or for None."""
-    if listener is None:
-        return Listener()
-    return listener if isinstance(listener, Listener) else _UpdateListener(listener)

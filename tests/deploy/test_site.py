@@ -20,7 +20,7 @@ from blocksar.products.dataset import SarAccessor
 ROOT = Path(__file__).resolve().parents[2]
 CONFIG = ROOT / "deploy" / "site" / "mkdocs.yml"
 REFERENCE = (CONFIG.parent / "pages" / "reference.md").read_text(encoding="utf-8")
-FUNCTIONS = [getattr(api, name) for name in api.__all__ if name != "Report"]
+FUNCTIONS = [getattr(api, name) for name in api.__all__ if not name.endswith("Report")]
 METHODS = [SarAccessor.db, SarAccessor.crop, SarAccessor.plot, SarAccessor.cut, SarAccessor.netcdf]
 
 

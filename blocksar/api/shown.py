@@ -1,0 +1,109 @@
+"""Reports that have a picture: of a plan, and of a run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from blocksar.api.reports import Report
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.grid import Grid
+from blocksar.constants import MIB
+from blocksar.errors import InputError
+from blocksar.places.place import Place
+from blocksar.planning.disk import run_bytes
+from blocksar.planning.plan import Plan
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.axes import Axes
+
+
+@dataclass(frozen=True, repr=False)
+class PlanReport(Report):
+    """What `plan` returns.
+
+    Attributes
+    ----------
+    geometry : Geometry or None
+        Track and ground of the collection.
+    """
+
+    geometry: Geometry | None = None
+
+    def headline(self) -> str:
+        if not isinstance(self.result, Plan) or self.refusal is not None:
+            return super().headline()
+        return f"{self.result.headline()}, {sum(run_bytes(self.result).values()) / MIB:.0f} MiB on the disk"
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the blocks with their predicted coherence, the footprint and the image's outline on the ground.
+
+        Parameters
+        ----------
+        ax : Axes, optional
+            Where to draw. Default: a new pyplot figure, which also shows the track from above.
+
+        Returns
+        -------
+        Axes
+            Those of the ground.
+
+        Raises
+        ------
+        InputError
+            If matplotlib is not installed, or there is no plan: no processor was proposed.
+        """
+        plan = self.result
+        if self.geometry is None or not isinstance(plan, Plan | Grid):
+            raise InputError(f"there is no plan to draw ({self.headline()}); plan with other settings")
+        try:
+            from blocksar.products.pictures.planned import draw_plan  # optional, and slow to load
+        except ModuleNotFoundError as error:
+            raise InputError(f"{error.name} is not installed, which pictures need; install blocksar[plots]") from None
+        if isinstance(plan, Grid):
+            return draw_plan(self.geometry, plan, axes=ax)
+        return draw_plan(self.geometry, plan.grid, blocks=plan.blocks, region=plan.region, axes=ax)
+
+
+@dataclass(frozen=True, repr=False)
+class RunReport(Report):
+    """What `focus` returns.
+
+    Attributes
+    ----------
+    folder : Place or None
+        The run folder.
+    """
+
+    folder: Place | None = None
+
+    def open(self) -> xr.Dataset:
+        """Open the image, as `blocksar.open` does.
+
+        Raises
+        ------
+        InputError
+            If the run is gone, or nothing was focused.
+        """
+        if self.folder is None:
+            raise InputError("nothing was focused in this call; open the run by its folder with blocksar.open")
+        from blocksar.api.exporting import open as open_image  # with all products
+
+        return open_image(self.folder)
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the image in decibels, as `open().sar.plot` does.
+
+        Parameters
+        ----------
+        ax : Axes, optional
+            Where to draw. Default: a new pyplot figure.
+
+        Raises
+        ------
+        InputError
+            If matplotlib is not installed, or the run is gone.
+        """
+        axes: Axes = self.open().sar.plot(ax)
+        return axes
