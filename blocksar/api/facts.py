@@ -155,7 +155,8 @@ def general_rows(attrs: Mapping[str, Any]) -> Rows:
         rows.append(("origin", "unknown: no georeference" if where is None else _origin(where)))
     if isinstance(source := attrs.get("source"), Mapping):
         if source.get("format"):
-            rows.append(("source", f"{source['format']}, channel {source.get('channel', '?')}"))
+            channel = f", channel {source['channel']}" if source.get("channel") else ""
+            rows.append(("source", f"{source['format']}{channel}"))
         if start := source.get("collection_start"):
             rows.append(("collection start", f"{start}, t = 0 is {source.get('time_zero', 0.0):.6g} s later"))
     if isinstance(polarization := attrs.get("polarization"), Mapping):

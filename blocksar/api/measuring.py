@@ -12,6 +12,7 @@ import numpy as np
 from blocksar import stores
 from blocksar.api import definitions
 from blocksar.api.reports import Report, Table
+from blocksar.api.target_files import read_targets
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.collection.beam import full_dwell_yaw, has_full_dwell
 from blocksar.collection.geometry import Geometry
@@ -143,12 +144,7 @@ def targets_of(targets: Location | Sequence[Target] | None, attrs: Mapping[str, 
     path = place(targets)
     if path.name.endswith(".toml"):
         return [Target(*t) for t in Scene.read(str(path)).point_targets()]
-    records = stores.read_json(path)
-    if isinstance(records, dict):
-        records = records.get("targets")
-    if not isinstance(records, list):
-        raise InputError(f'{path} holds no list of targets; give [{{"name": ..., "x": ..., "y": ...}}, ...]')
-    return [Target.from_record(record) for record in records]
+    return read_targets(path)
 
 
 def _response_table(responses: Sequence[PointResponse]) -> Table:

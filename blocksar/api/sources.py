@@ -9,6 +9,7 @@ from typing import Any, Literal
 from blocksar.api.reports import Report, only_stage
 from blocksar.errors import InputError
 from blocksar.graph.machine import resources
+from blocksar.ingestion.timeline import stated_times
 from blocksar.places import Location
 from blocksar.places.place import Place
 from blocksar.progress import Wanted as Progress
@@ -90,7 +91,8 @@ def ingest(
     out : path
         Phase-history store to write.
     **options
-        Other arguments of the chosen function: `channel` (CPHD only), `overwrite`, `progress`.
+        Other arguments of the chosen function: `channel` (CPHD only), `collection_start`, `time_zero`, `overwrite`,
+        `progress`.
 
     Returns
     -------
@@ -116,6 +118,8 @@ def ingest_cphd(
     out: Location,
     *,
     channel: str | None = None,
+    collection_start: str | None = None,
+    time_zero: float | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> Report:
@@ -129,6 +133,11 @@ def ingest_cphd(
         Phase-history store to write.
     channel : str, optional
         Identifier of the channel. Needed if the file has several.
+    collection_start : str, optional
+        UTC from which the collection's times count, ISO 8601, such as "2008-08-19T14:03:21.5Z"; for products.
+        Default: the file's own.
+    time_zero : float, optional
+        Seconds from there to slow time 0. Default: the file's own.
     overwrite : bool
         Replace what stands at `out`. Default: False.
     progress : object with a method update(stage, done, total), or False, optional
@@ -147,7 +156,10 @@ def ingest_cphd(
     """
     from blocksar.ingestion import cphd  # optional libraries, and slow to load
 
-    history = cphd.ingest(source, out, channel=channel, overwrite=overwrite, progress=only_stage(progress, "ingest"))
+    history = cphd.ingest(
+        source, out, channel=channel, times=stated_times(collection_start, time_zero), overwrite=overwrite,
+        progress=only_stage(progress, "ingest"),
+    )  # fmt: skip
     return Report(summary=[*history.messages, f"wrote {history.path}"], result=history.collection)
 
 
@@ -155,6 +167,8 @@ def ingest_gotcha(
     source: Location | Sequence[Location],
     out: Location,
     *,
+    collection_start: str | None = None,
+    time_zero: float | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> Report:
@@ -166,6 +180,11 @@ def ingest_gotcha(
         Files of one pass and one polarisation, in any order.
     out : path
         Phase-history store to write.
+    collection_start : str, optional
+        UTC from which the collection's times count, ISO 8601, such as "2008-08-19T14:03:21.5Z"; for products. Default:
+        unknown.
+    time_zero : float, optional
+        Seconds from there to slow time 0. Default: 0.
     overwrite : bool
         Replace what stands at `out`. Default: False.
     progress : object with a method update(stage, done, total), or False, optional
@@ -184,5 +203,8 @@ def ingest_gotcha(
     """
     from blocksar.ingestion.gotcha import ingestion
 
-    history = ingestion.ingest(source, out, overwrite=overwrite, progress=only_stage(progress, "ingest"))
+    history = ingestion.ingest(
+        source, out, times=stated_times(collection_start, time_zero), overwrite=overwrite,
+        progress=only_stage(progress, "ingest"),
+    )  # fmt: skip
     return Report(summary=[*history.messages, f"wrote {history.path}"], result=history.collection)

@@ -10,6 +10,14 @@ from blocksar.cli.display import hint, show
 from blocksar.cli.listening import listening
 from blocksar.cli.options import JsonLog, Overwrite, Quiet, StoreOut
 
+CollectionStart = Annotated[
+    str | None,
+    typer.Option(metavar="UTC", help="When the collection began, such as 2008-08-19T14:03:21.5Z, for products."),
+]
+TimeZero = Annotated[
+    float | None, typer.Option(metavar="S", help="Seconds from --collection-start to slow time 0, for products.")
+]
+
 ingest = typer.Typer(
     name="ingest",
     help="Convert measured data to a phase history.\n\n"
@@ -26,6 +34,8 @@ def ingest_cphd(
     channel: Annotated[
         str | None, typer.Option(metavar="NAME", help="Channel to read, if the file has several.")
     ] = None,
+    collection_start: CollectionStart = None,
+    time_zero: TimeZero = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
     json_log: JsonLog = None,
@@ -37,7 +47,15 @@ def ingest_cphd(
     from blocksar import api
 
     with listening(context) as progress:
-        report = api.ingest_cphd(source, out, channel=channel, overwrite=overwrite, progress=progress)
+        report = api.ingest_cphd(
+            source,
+            out,
+            channel=channel,
+            collection_start=collection_start,
+            time_zero=time_zero,
+            overwrite=overwrite,
+            progress=progress,
+        )
     show(report)
     hint(context, "info", out)
 
@@ -47,6 +65,8 @@ def ingest_gotcha(
     context: typer.Context,
     source: Annotated[list[str], typer.Argument(metavar="SOURCE.mat...", help="MATLAB files of one pass.")],
     out: StoreOut,
+    collection_start: CollectionStart = None,
+    time_zero: TimeZero = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
     json_log: JsonLog = None,
@@ -60,6 +80,8 @@ def ingest_gotcha(
     from blocksar import api
 
     with listening(context) as progress:
-        report = api.ingest_gotcha(source, out, overwrite=overwrite, progress=progress)
+        report = api.ingest_gotcha(
+            source, out, collection_start=collection_start, time_zero=time_zero, overwrite=overwrite, progress=progress
+        )
     show(report)
     hint(context, "info", out)

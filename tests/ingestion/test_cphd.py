@@ -243,6 +243,15 @@ def test_attributes_that_products_need_are_kept(base: Base, tmp_path: Path) -> N
     assert attrs["polarization"] == {"transmit": "H", "receive": "V"}
 
 
+def test_the_collection_start_of_the_file_can_be_replaced(base: Base, tmp_path: Path) -> None:
+    own = ingested(base.path)[3]["source"]
+    history = blocksar.ingest("cphd", base.path, tmp_path / "ph.zarr", collection_start="2030-01-02 03:04:05")
+    assert history.result.n_pulse == 160
+    source = stores.open_phase_history(tmp_path / "ph.zarr").attrs["source"]
+    assert source["collection_start"] == "2030-01-02T03:04:05.000000Z" != own["collection_start"]
+    assert source["time_zero"] == own["time_zero"]
+
+
 def test_positions_survive_conversion_to_the_earth_frame_and_back(base: Base) -> None:
     """Target places: latitude and longitude to ECEF by the textbook formula, compared with the peaks of the image."""
     collection, samples, _, attrs = ingested(base.path)

@@ -125,7 +125,7 @@ def test_files_in_any_order_are_joined_in_azimuth(tmp_path: Path) -> None:
     assert np.abs(found.carrier + found.range_frequency - FREQUENCY).max() < 1100  # Hz, float32 again
     assert np.array_equal(samples(tmp_path / "ph.zarr"), simulate_pulses(wanted, *SCENE))
     assert "3 files, 90 pulses; AFRL Gotcha, pass 1, HH" in made.messages[0]
-    assert history.attrs["source"] == [paths[2].name, paths[0].name, paths[1].name]
+    assert history.attrs["source"]["files"] == [paths[2].name, paths[0].name, paths[1].name]
     assert history.attrs["polarization"] == {"transmit": "H", "receive": "H"}
     assert any("af" in line and "not applied" in line for line in made.messages)
 
@@ -485,6 +485,18 @@ def test_the_command_reports_its_result(tmp_path: Path) -> None:
     run = CliRunner().invoke(commands.app, ["ingest", "gotcha", *paths, "--out", str(tmp_path / "other.zarr")])
     assert run.exit_code == 2 and run.stderr.count("\n") == 1
     assert not (tmp_path / "other.zarr").exists()
+
+
+def test_the_start_of_the_collection_is_stated_by_the_user(tmp_path: Path) -> None:
+    (path,) = written(tmp_path, circle(AZIMUTH))
+    words = ["ingest", "gotcha", str(path), "--out", str(tmp_path / "ph.zarr"), "--collection-start"]
+    run = CliRunner().invoke(commands.app, [*words, "2008-08-19T16:03:21.5+02:00", "--time-zero", "3.5"])
+    assert run.exit_code == 0, run.output
+    source = stores.open_phase_history(tmp_path / "ph.zarr").attrs["source"]
+    assert (source["collection_start"], source["time_zero"]) == ("2008-08-19T14:03:21.500000Z", 3.5)
+    for wrong in ("yesterday", "2008-08-19", "2008-13-01T00:00"):
+        run = CliRunner().invoke(commands.app, [*words, wrong, "--overwrite"])
+        assert run.exit_code == 2 and f"collection-start {wrong!r} is not a date with a time" in run.stderr
 
 
 # ---------------------------------------------------------------- Planning for such a track

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, BinaryIO
 
@@ -45,6 +45,7 @@ def ingest(
     out: Location,
     *,
     channel: str | None = None,
+    times: Mapping[str, Any] | None = None,
     overwrite: bool = False,
     progress: Callback | None = None,
 ) -> Ingested:
@@ -58,6 +59,8 @@ def ingest(
         Of the new store.
     channel : str, optional
         Identifier; optional if the file has only one.
+    times : mapping, optional
+        What `stated_times` gives, instead of the file's own.
     overwrite : bool
         Replace an existing store.
     progress : callable (done, total)
@@ -81,7 +84,12 @@ def ingest(
             file = open_file(stream, where.path, channel)
             prepared = prepare(file)
     write = _writer(file, prepared, progress)
-    attributes = {**prepared.attributes, "history": stores.history_line(f"ingested by blocksar from {where.name}")}
+    source_text = {**prepared.attributes["source"], **(times or {})}
+    attributes = {
+        **prepared.attributes,
+        "source": source_text,
+        "history": stores.history_line(f"ingested by blocksar from {where.name}"),
+    }
     stores.create_phase_history(target, prepared.collection, attrs=attributes, overwrite=overwrite, fill=write)
     return Ingested(
         path=target.path if isinstance(target, LocalPlace) else target,

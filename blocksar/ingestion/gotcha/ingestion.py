@@ -13,7 +13,7 @@ the four decisions below, with figures from the measured scene.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -43,6 +43,7 @@ def ingest(
     source: Location | Sequence[Location],
     out: Location,
     *,
+    times: Mapping[str, Any] | None = None,
     overwrite: bool = False,
     progress: Callback | None = None,
 ) -> Ingested:
@@ -54,6 +55,8 @@ def ingest(
         MATLAB files of one pass and polarisation that adjoin in azimuth, up to the full circle.
     out : path, URL or Place
         Of the new store.
+    times : mapping, optional
+        What `stated_times` gives: the files themselves have no times.
     overwrite : bool
         Replace an existing store.
     progress : callable (done, total)
@@ -72,7 +75,13 @@ def ingest(
     check_same_collection(files)
     layout = lay_out(join(files))
     target = place(out)
-    attributes = {**layout.attributes, "history": stores.history_line(f"ingested by blocksar from {len(files)} files")}
+    given = {"time_zero": 0.0, **times} if times else {}
+    source_text = {"format": "AFRL Gotcha", "files": layout.attributes["source"], **given}
+    attributes = {
+        **layout.attributes,
+        "source": source_text,
+        "history": stores.history_line(f"ingested by blocksar from {len(files)} files"),
+    }
     stores.create_phase_history(
         target, layout.collection, attrs=attributes, overwrite=overwrite, fill=_writer(layout, progress)
     )
