@@ -50,7 +50,8 @@ def _records(path: Place) -> Any:
         return stores.read_json(path)
     except InputError as error:
         cause = error.__cause__
-        if not isinstance(cause, ValueError | RecursionError):
+        odd = isinstance(cause, InputError)  # no regular file: reading it could never end
+        if odd or not isinstance(cause, ValueError | RecursionError):
             raise
         text = path.read_bytes()[:4096].decode("utf-8", errors="replace")
         if _like_csv(text):
