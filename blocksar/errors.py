@@ -34,6 +34,10 @@ class PrfTooLow(InputError):
         return type(self), (str(self), self.needed)
 
 
+class OutsideSwath(InputError):
+    """A grid lies outside what a collection covers: of several collections, others may cover it."""
+
+
 class FolderError(InputError):
     """The run folder cannot be used: the fault is the folder's, not that of the phase history or the settings.
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 from blocksar import stores
 from blocksar.collection.collection import Collection
@@ -17,6 +19,7 @@ from blocksar.places.place import Place
 if TYPE_CHECKING:
     import xarray as xr
 
+Source: TypeAlias = "Location | xr.Dataset | Sequence[Location | xr.Dataset]"
 GridLike = Grid | tuple[tuple[float, float, float], tuple[float, float, float]]
 
 
@@ -37,6 +40,68 @@ def collection_of(source: Location | xr.Dataset) -> Collection:
         if text.endswith(".toml") or text in shipped_scenes():
             return Scene.read(text).collection().centred()
     return history_of(source).collection.centred()
+
+
+def sources_of(source: Source) -> list[Location | xr.Dataset]:
+    """Return the sources of a command that takes one or several.
+
+    Raises
+    ------
+    InputError
+        If there is none, or one of them twice.
+    """
+    if not isinstance(source, list | tuple):
+        return [source]  # type: ignore[list-item]
+    if not source:
+        raise InputError("source is empty: give at least one phase history")
+    paths = [str(each) if isinstance(each, str | os.PathLike | Place) else f"dataset {id(each)}" for each in source]
+    if twice := [path for number, path in enumerate(paths) if path in paths[:number]]:
+        raise InputError(f"{twice[0]} is given twice; give each collection once")
+    return list(source)
+
+
+def check_one_frame(histories: Sequence[stores.PhaseHistory]) -> None:
+    """Check that several collections are in one frame, so that one grid is the same ground for all.
+
+    Raises
+    ------
+    InputError
+        If neither their `georeference` nor their attribute `frame` is the same, or their ground has several heights.
+    """
+    for first, other in pairwise(histories):
+        georeferences = [history.attrs.get("georeference") for history in (first, other)]
+        frames = [history.attrs.get("frame") for history in (first, other)]
+        if None not in georeferences:
+            same = len({stores.json_checksum(each) for each in georeferences}) == 1
+        else:
+            same = frames[0] is not None and frames[0] == frames[1]
+        if not same:
+            raise InputError(
+                f"{first.path} and {other.path} are not known to be in one frame (frame {frames[0]!r} and "
+                f"{frames[1]!r}); give both the same georeference, or an attribute frame of equal text"
+            )
+        heights = [history.collection.ground_height for history in (first, other)]
+        if heights[0] != heights[1]:
+            raise InputError(
+                f"ground_height is {heights[0]:g} m in {first.path} and {heights[1]:g} m in {other.path}, but one "
+                "image has one ground; write them with the same"
+            )
+
+
+def collections_of(source: Source) -> list[Collection]:
+    """Return the collections of scenes or phase histories, centred; several phase histories are of one frame."""
+    sources = sources_of(source)
+    collections = [collection_of(each) for each in sources]
+    if len(sources) > 1:
+        stored = [each for each in sources if not _is_scene(each)]
+        check_one_frame([history_of(each) for each in stored])
+    return collections
+
+
+def _is_scene(source: Location | xr.Dataset) -> bool:
+    """Whether a source is a scene: a TOML file or the name of a shipped one."""
+    text = str(source) if isinstance(source, str | Path) else ""
+    return text.endswith(".toml") or bool(text and not Path(text).exists())
 
 
 def history_of(source: Location | xr.Dataset) -> stores.PhaseHistory:

@@ -124,7 +124,9 @@ def _read_or_measure(folder: Place, source: FinishedRun) -> tuple[dict[str, Any]
     targets = targets_of(None, source.attrs)
     try:
         responses = [
-            measure_target(source.read, source.x, source.y, source.geometry, target, source.weighting)
+            measure_target(
+                source.read, source.x, source.y, source.geometry_at(target.x, target.y), target, source.weighting
+            )
             for target in targets
         ]
     except InputError as error:  # the page can still show an image that is too coarse for measurements

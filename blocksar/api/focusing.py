@@ -11,12 +11,14 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, nullcontext
 from dataclasses import replace
+from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from blocksar import stores
-from blocksar.api.arguments import GridLike, grid_of
-from blocksar.api.checking import check_samples
+from blocksar.api.arguments import GridLike, Source, grid_of
+from blocksar.api.findings import add_findings
 from blocksar.api.jobs import Job, Request
 from blocksar.api.planning import undersampling
 from blocksar.api.rehearsing import rehearse
@@ -28,10 +30,10 @@ from blocksar.constants import MIB
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.method import Coefficients, Derotation, Perturbation, Processor, RangeModel, method_of
 from blocksar.graph import cluster, compiling, recording, stages
-from blocksar.graph.machine import Resources, machine, resources
+from blocksar.graph.machine import Resources, resources
+from blocksar.graph.segments import Segment
+from blocksar.graph.stages import Recovered
 from blocksar.ingestion.terrain.reading import Ground, coverage_note
-from blocksar.inspection import centroid, samples, sentences
-from blocksar.inspection.samples import Inspection
 from blocksar.places import Location, place
 from blocksar.places.place import Place
 from blocksar.planning.tiling import image_chunk
@@ -39,17 +41,10 @@ from blocksar.progress import NOBODY, Listener, as_listener
 from blocksar.progress import Wanted as Progress
 from blocksar.runs import folder as run_folder
 from blocksar.runs.receipts import Run
-from blocksar.runs.record import (
-    FINISHED,
-    CentroidError,
-    Receipt,
-    RunRecord,
-    SampleCounts,
-)
+from blocksar.runs.record import FINISHED, Receipt, RunRecord
 from blocksar.version import __version__
 
 if TYPE_CHECKING:
-    import xarray as xr
     from distributed import Client
 
 SMALL = 1 << 24  # samples, 128 MiB: for less, a cluster takes longer to start than it saves
@@ -65,7 +60,7 @@ UNITS = {
 
 
 def focus(
-    source: Location | xr.Dataset,
+    source: Source,
     out: Location,
     *,
     processor: Processor = "angular-division",
@@ -97,9 +92,10 @@ def focus(
 
     Parameters
     ----------
-    source : path or xarray.Dataset
+    source : path or xarray.Dataset, or a list of them
         Phase-history store, or a dataset of its contract, such as `collection` builds. The samples of a dataset that
-        is not as it was opened from a store are written to RUN/input.zarr, once.
+        is not as it was opened from a store are written to RUN/input.zarr, once. Of several collections in one frame,
+        each is planned by itself; each pixel is that of the collection which saw more of its dwell.
     out : path
         Run folder.
     processor : {"angular-division", "keystone-resampling", "high-order-phase", "backprojection"}
@@ -269,7 +265,7 @@ def _focus(
         finished = _carry_out(job, run, record, client, listener, profile, resumed=earlier is not None)
     except ProcessingError as error:
         raise ProcessingError(f"{error}; what was finished stays, the same command goes on from there") from error
-    found = [None if job.plan is None else undersampling(job.plan)]
+    found = [next((line for plan in job.plans if (line := undersampling(plan))), None)]
     if request.terrain is not None:
         found.append(coverage_note(request.terrain, job.grid))
     notes = [f"note: {line}" for line in found if line]
@@ -295,7 +291,7 @@ def _carry_out(
         run.folder.sweep()
         record.write(run.folder)
         job = job.with_stored_input()
-        if job.plan is None:
+        if job.exact:
             compiling.compile_modules(["focusing.backprojection"], apart=False)  # here, or each worker would
         if client is None:
             scratch = run_folder.scratch(run.folder)
@@ -337,102 +333,57 @@ def _run_stages(
         clock.append(time.perf_counter())
         return clock[-1] - clock[-2]
 
-    history, plan = job.history, job.plan
-    run.establish(
-        run.folder / "collection.zarr",
-        lambda: stores.write_collection(run.folder / "collection.zarr", history.collection, history.attrs),
-    )
+    for segment in job.segments:
+        own = segment.of(run)
+        run.establish(own.described, partial(_write_collection, own, segment))
     terrain = job.request.terrain
     if terrain is not None:
         run.establish(run.terrain, lambda: stores.write_terrain(run.terrain, terrain))
     timings: dict[str, float] = {}
-    if plan is None:
-        source, inspected, inspection = stages.inspect_samples(client, history, run, listener)
+    segments, compressed = stages.compress_raw(client, job.segments, run, listener)
+    if job.exact:
+        inspected = stages.inspect_samples(client, segments, run, listener)
+        read = _joined(compressed, inspected)
         timings["inspect"] = lap()
-        record = _add_findings(job, run, record, inspected, inspection, listener)
+        record = add_findings(job, record, read, listener)
+        run.establish(run.image, lambda: _create_image(run, job, record))
         input_read()
         weighting = job.request.weighting
-        noise = job.noise(inspection.lit)
-        formed = stages.back_project(
-            client, source, job.geometry, job.grid, inspection, weighting, noise, run, listener
-        )
+        noises = job.noises([each.inspection.lit for each in read])
+        inspections = [inspection for _, inspection in read]
+        formed = stages.back_project(client, segments, job.grid, inspections, weighting, noises, run, listener)
         timings["backprojection"] = lap()
-        return replace(record, receipts=(*inspected, *formed), timings=timings)
-    recovered, inspection = stages.recover(client, history, plan, run, listener)
+        return replace(record, receipts=(*_receipts_of(read), *formed), timings=timings)
+    recovered = _joined(compressed, stages.recover(client, segments, run, listener))
     timings["recover"] = lap()
-    record = _add_findings(job, run, record, recovered, inspection, listener)
-    input_read()
-    gated = stages.gate_ranges(client, plan, run, recovered, listener)
-    if gated:
-        timings["gate"] = lap()
-    noise = job.noise(inspection.lit)
-    focused = stages.focus_blocks(client, plan, run, (*recovered, *gated), inspection.lit, noise, listener)
-    timings["focus"] = lap()
-    merged = stages.mosaic(client, plan, run, focused, noise, listener)
-    timings["mosaic"] = lap()
-    return replace(record, receipts=(*recovered, *gated, *focused, *merged), timings=timings)
-
-
-def _add_findings(
-    job: Job, run: Run, record: RunRecord, receipts: Sequence[Receipt], inspection: Inspection, listener: Listener
-) -> RunRecord:
-    """Add the findings of the inspection to the record, and create the image, which carries them as attributes.
-
-    Raises
-    ------
-    InputError
-        If no sample is valid.
-    """
-    history = job.history
-    if not inspection.lit.any():
-        raise InputError(f"{history.variable} in {history.path} holds no valid sample; is it the right store?")
-    if not inspection.valid:
-        raise InputError(f"{history.variable} in {history.path} holds zeros only; write it again from its source")
-    echoes = [Inspection.from_dict(dict(r.found)) for r in receipts if r.found and r.stage == "range-compress"]
-    inspections = [samples.merge_echoes(echoes), inspection] if echoes else [inspection]
-    warnings = [line for each in inspections for line in sentences.describe(each)]
-    counts = SampleCounts(sum(inspection.missing.values()), sum(each.n_outlier for each in inspections))
-    offset, disagreement = _compare_centroid(job, inspection)
-    warning, check = _check_samples(job)
-    warnings += [line for line in (disagreement, warning) if line]
-    for warning in warnings:
-        listener.note(warning, again=True)
-    record = replace(record, warnings=tuple(warnings), samples=counts, doppler_centroid=offset, check=check)
+    record = add_findings(job, record, recovered, listener)
     run.establish(run.image, lambda: _create_image(run, job, record))
-    return record
+    input_read()
+    gated = stages.gate_ranges(client, segments, run, recovered, listener)
+    if any(gated):
+        timings["gate"] = lap()
+    receipts = [(*each.receipts, *some) for each, some in zip(recovered, gated, strict=True)]
+    lit = [each.inspection.lit for each in recovered]
+    noises = job.noises(lit)
+    focused = stages.focus_blocks(client, segments, run, receipts, lit, noises, listener)
+    timings["focus"] = lap()
+    merged = stages.mosaic(client, segments, run, focused, noises, listener)
+    timings["mosaic"] = lap()
+    every = (*_receipts_of(recovered), *chain(*gated), *focused, *merged)
+    return replace(record, receipts=every, timings=timings)
 
 
-def _compare_centroid(job: Job, inspection: Inspection) -> tuple[CentroidError | None, str | None]:
-    """Compare the measured Doppler centroid with that of track and beam.
-
-    Returns the difference, and a warning if it is large; None where there is nothing to compare.
-    """
-    if job.plan is None:
-        return None, None
-    region = job.plan.region
-    expected = centroid.expect(job.geometry, job.plan.recovery, yaw=region.yaw, near=region.near, far=region.far)
-    if expected is None:
-        return None, None
-    measured = centroid.measure_centroid(inspection, prf=job.geometry.collection.prf)
-    return CentroidError(measured.mean_offset, measured.mean_coherence), centroid.disagreement(inspection, expected)
+def _write_collection(run: Run, segment: Segment) -> None:
+    stores.write_collection(run.described, segment.history.collection, segment.source.attrs)
 
 
-def _check_samples(job: Job) -> tuple[str | None, str]:
-    """Compare prominent places with what is said of the samples: a warning, or a sentence that all is well.
+def _joined(compressed: Sequence[Sequence[Receipt]], read: Sequence[Recovered]) -> list[Recovered]:
+    """The receipts of range compression, and those of the samples that it led to."""
+    return [Recovered([*some, *each.receipts], each.inspection) for some, each in zip(compressed, read, strict=True)]
 
-    Raises
-    ------
-    InputError
-        If the samples are constant.
-    """
-    try:
-        findings = check_samples(job.history, job.grid, threads=machine()[0], thorough=False)
-    except InputError:
-        if job.plan is not None:
-            raise
-        return None, ""  # back-projection also forms images about the nadir, where yaw has no meaning
-    warning = findings.warning()
-    return warning, "" if warning else findings.sentence()
+
+def _receipts_of(read: Sequence[Recovered]) -> list[Receipt]:
+    return [receipt for each in read for receipt in each.receipts]
 
 
 def _create_image(run: Run, job: Job, record: RunRecord) -> None:
@@ -455,11 +406,15 @@ def _create_image(run: Run, job: Job, record: RunRecord) -> None:
     }
     if "georeference" in attrs:
         attributes["georeference"] = attrs["georeference"]
+    several = len(job.request.histories) > 1
+    if several:
+        attributes |= {"source": [str(history.path) for history in job.request.histories], "scene": ""}
     if job.request.terrain is not None:
         attributes["terrain"] = job.request.ground.describe(job.request.terrain)
     schema = {
         **stores.IMAGE,
-        **(stores.NOISE if job.history.collection.noise_power else {}),
+        **(stores.COLLECTION_NUMBER if several else {}),
+        **(stores.NOISE if all(segment.source.collection.noise_power for segment in job.segments) else {}),
         **(stores.HEIGHT if job.request.terrain is not None else {}),
     }
     stores.create(

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib import metadata
 from typing import TYPE_CHECKING, Any, Literal
 
 from blocksar import stores
-from blocksar.api.arguments import history_of
-from blocksar.api.ground import PLANE, geometry_over, ground_settings, image_grid, read_ground
+from blocksar.api.arguments import Source, check_one_frame, history_of, sources_of
+from blocksar.api.ground import PLANE, geometry_over, ground_settings, read_ground
 from blocksar.arrays import FloatArray
+from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
+from blocksar.collection.region import Owned
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import UNIFORM, Weighting
 from blocksar.errors import FolderError, InputError, ProcessingError
@@ -20,15 +23,18 @@ from blocksar.focusing.method import Method
 from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.range_compression import RawCompression
 from blocksar.graph.machine import Resources
+from blocksar.graph.segments import Segment
 from blocksar.ingestion.terrain.reading import Ground
 from blocksar.places import Location, place
 from blocksar.places.place import Place
 from blocksar.planning import effort
 from blocksar.planning.memory import checked_back_projection_memory, checked_memory, compression_memory
 from blocksar.planning.plan import Plan, plan_collection
+from blocksar.planning.segments import Divided, joint_grid, plan_segments
 from blocksar.progress import Work
 from blocksar.runs import folder as run_folder
-from blocksar.runs.record import FORMAT, UNFINISHED, PredictedBlock, RunInput, RunPlan, RunRecord
+from blocksar.runs.record import FORMAT, UNFINISHED, PredictedBlock, RunPlan, RunRecord
+from blocksar.runs.sources import RunInput, RunSegment
 from blocksar.version import __version__
 
 if TYPE_CHECKING:
@@ -37,10 +43,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Request:
-    """A phase history to be focused into a folder, and how.
+    """Phase histories to be focused into a folder, and how.
 
     Attributes
     ----------
+    histories : tuple of PhaseHistory
+        Of one frame, if there are several.
     method : Method or None
         None for back-projection.
     blocks : int or "auto"
@@ -51,8 +59,8 @@ class Request:
         Tapers over band and dwell.
     grid : Grid or None
         None to cover the lit sector.
-    fingerprint : str
-        Of the phase history.
+    fingerprints : tuple of str
+        Of the phase histories.
     ground : Ground
         What the user says of the ground.
     terrain : Terrain or None
@@ -61,14 +69,14 @@ class Request:
         Whether to replace a run of other settings or another input.
     """
 
-    history: stores.PhaseHistory
+    histories: tuple[stores.PhaseHistory, ...]
     folder: Place
     method: Method | None
     blocks: int | Literal["auto"]
     fidelity: float
     weighting: Weighting
     grid: Grid | None
-    fingerprint: str
+    fingerprints: tuple[str, ...]
     overwrite: bool
     ground: Ground = PLANE
     terrain: Terrain | None = None
@@ -76,7 +84,7 @@ class Request:
     @classmethod
     def open(
         cls,
-        source: Location | xr.Dataset,
+        source: Source,
         folder: Place,
         *,
         method: Method | None,
@@ -87,31 +95,47 @@ class Request:
         overwrite: bool,
         ground: Ground = PLANE,
     ) -> Request:
-        """Open the phase history; nothing is written.
+        """Open the phase histories; nothing is written.
 
         Raises
         ------
         InputError
-            If there is none, its georeference is wrong, or it and the folder lie in each other; or the ground cannot be
-            read.
+            If there is none, its georeference is wrong, several do not share a frame, or one and the folder lie in each
+            other; or the ground cannot be read.
         """
-        history = history_of(source).pinned()
-        if "georeference" in history.attrs:
-            Georeference.from_attribute(history.attrs["georeference"])  # refuse a wrong one before the work starts
-        fingerprint = history.fingerprint()
-        if isinstance(history, stores.DatasetHistory):
-            if (opened := getattr(source, "encoding", {}).get("source")) is not None:
-                run_folder.refuse_overlap(place(opened), folder)  # it may still be read
-            history = replace(history, path=folder / run_folder.INPUT)
-        else:
-            if not stores.open_phase_history(history.path).same(history):
-                raise InputError(f"{history.path} changes while it is read; start again once nothing writes to it")
-            run_folder.refuse_overlap(place(history.path), folder)
+        sources = sources_of(source)
+        opened = [_open(each, folder, i if len(sources) > 1 else None) for i, each in enumerate(sources)]
+        histories = tuple(history for history, _ in opened)
+        check_one_frame(histories)
+        for history in histories:
+            if not isinstance(history, stores.DatasetHistory):
+                run_folder.refuse_overlap(place(history.path), folder)
+        terrain = None
+        if not ground.plane:
+            centred = [history.collection.centred() for history in histories]
+            under = grid or joint_grid([Geometry(collection=collection) for collection in centred])
+            read = [
+                read_ground(ground, each, under, history.attrs, exact=method is None)
+                for each, history in zip(centred, histories, strict=True)
+            ]
+            terrain = read[0]
         return cls(
-            history=history, folder=folder, method=method, blocks=blocks, fidelity=fidelity, weighting=weighting,
-            grid=grid, fingerprint=fingerprint, overwrite=overwrite, ground=ground,
-            terrain=read_ground(ground, history.collection.centred(), grid, history.attrs, exact=method is None),
+            histories=histories, folder=folder, method=method, blocks=blocks, fidelity=fidelity, weighting=weighting,
+            grid=grid, fingerprints=tuple(fingerprint for _, fingerprint in opened), overwrite=overwrite, ground=ground,
+            terrain=terrain,
         )  # fmt: skip
+
+    @property
+    def history(self) -> stores.PhaseHistory:
+        """The first phase history: its attributes are the image's."""
+        return self.histories[0]
+
+    @property
+    def fingerprint(self) -> str:
+        """That of the phase history, or of all of them."""
+        if len(self.fingerprints) == 1:
+            return self.fingerprints[0]
+        return stores.checksum_bytes("\n".join(self.fingerprints).encode())
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -127,8 +151,8 @@ class Request:
             **ground_settings(self.ground, self.terrain),
         }
 
-    def identity(self, division: tuple[int | None, int | None] | None) -> str:
-        """Hash everything that the results depend on; `division` is the number of blocks, and of parts of each."""
+    def identity(self, division: Division) -> str:
+        """Hash everything that the results depend on."""
         text = repr((FORMAT, sorted(self.settings.items(), key=str), self.fingerprint, division))
         return stores.checksum_bytes(text.encode("utf-8", "surrogateescape"))
 
@@ -141,15 +165,46 @@ class Request:
             As it does, and if an unfinished run's division is not the one that it began with.
         """
         record = run_folder.find_run(self.folder, self.settings, self.fingerprint, overwrite=self.overwrite)
-        if record is not None and not record.finished:
-            division = None if self.method is None else (record.plan.blocks, record.plan.parts)
-            if record.identity != self.identity(division):
-                raise FolderError(
-                    f"{self.folder} is damaged: its run.json does not have the plan that the run began with; use "
-                    "--overwrite to begin it again",
-                    replaceable=True,
-                )
+        if record is None or record.finished:
+            return record
+        if record.identity != self.identity(division_of(record, exact=self.method is None)):
+            raise FolderError(
+                f"{self.folder} is damaged: its run.json does not have the plan that the run began with; use "
+                "--overwrite to begin it again",
+                replaceable=True,
+            )
         return record
+
+
+# What of a plan the results depend on: numbers of blocks, and of parts of each; None for back-projection. Of several
+# segments, one entry for each.
+Division = tuple[Any, ...] | None
+
+
+def division_of(record: RunRecord, *, exact: bool) -> Division:
+    """The division that a run began with."""
+    if record.segments:
+        return tuple((s.collection, s.pulses, s.blocks, s.parts) for s in record.segments)
+    return None if exact else (record.plan.blocks, record.plan.parts)
+
+
+def _open(source: Location | xr.Dataset, folder: Place, number: int | None) -> tuple[stores.PhaseHistory, str]:
+    """Open a phase history in the state that it has now, with its fingerprint.
+
+    One in memory gets the place in the run folder where its samples will be written; `number` is that of several.
+    """
+    history = history_of(source).pinned()
+    if "georeference" in history.attrs:
+        Georeference.from_attribute(history.attrs["georeference"])  # refuse a wrong one before the work starts
+    fingerprint = history.fingerprint()
+    if isinstance(history, stores.DatasetHistory):
+        if (opened := getattr(source, "encoding", {}).get("source")) is not None:
+            run_folder.refuse_overlap(place(opened), folder)  # it may still be read
+        own = folder / run_folder.INPUT
+        return replace(history, path=own if number is None else own / f"{number}.zarr"), fingerprint
+    if not stores.open_phase_history(history.path).same(history):
+        raise InputError(f"{history.path} changes while it is read; start again once nothing writes to it")
+    return history, fingerprint
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,22 +213,35 @@ class Job:
 
     Attributes
     ----------
-    plan : Plan or None
-        None for back-projection.
+    segments : tuple of Segment
+        The collection; or collections that cover some of the grid, or parts of them along time.
+    first_blocks : tuple of int
+        Number of the first block of each.
     memory : int
         Predicted peak memory of a worker, bytes.
     """
 
     request: Request
-    geometry: Geometry
     grid: Grid
     machine: Resources
-    plan: Plan | None
+    segments: tuple[Segment, ...]
+    first_blocks: tuple[int, ...]
     memory: int
 
     @property
     def history(self) -> stores.PhaseHistory:
+        """The first phase history: its attributes are the image's."""
         return self.request.history
+
+    @property
+    def exact(self) -> bool:
+        """Whether the image is formed by back-projection."""
+        return self.request.method is None
+
+    @property
+    def plans(self) -> list[Plan]:
+        """The plans of the segments; none for back-projection."""
+        return [segment.plan for segment in self.segments if segment.plan is not None]
 
     @classmethod
     def of(cls, request: Request, earlier: RunRecord | None, machine: Resources) -> Job:
@@ -184,33 +252,80 @@ class Job:
         InputError
             If there is no such plan, or it needs more memory than there is.
         """
-        history, grid = request.history, request.grid
-        collection = history.collection.centred()
-        geometry = geometry_over(collection, request.terrain)
-        compression = checked_memory(
-            "range compression", compression_memory(history.collection, history.raw), machine.memory_limit
+        compression = max(
+            checked_memory(
+                "range compression", compression_memory(history.collection, history.raw), machine.memory_limit
+            )
+            for history in request.histories
         )
+        collections = [history.collection.centred() for history in request.histories]
         if request.method is None:
-            grid = image_grid(collection, grid)
-            needed = checked_back_projection_memory(collection, grid, machine.threads, machine.memory_limit)
-            memory = max(compression, needed)
-            return cls(request=request, geometry=geometry, grid=grid, machine=machine, plan=None, memory=memory)
-        division = RunPlan() if earlier is None else earlier.plan
-        plan = plan_collection(
-            collection,
-            blocks=division.blocks or request.blocks,
-            parts=division.parts or "auto",
-            method=request.method,
-            fidelity=request.fidelity,
-            weighting=request.weighting,
-            grid=grid if request.terrain is None else image_grid(collection, grid),
-            workers=machine.workers,
-            memory_limit=machine.memory_limit,
+            return cls._of_backprojection(request, collections, machine, compression)
+
+        def plan(collection: Collection, *, grid: Grid | None, like: Divided | None, owned: Owned | None) -> Plan:
+            assert request.method is not None
+            return plan_collection(
+                collection,
+                blocks=like.blocks if like else request.blocks,
+                parts=like.parts if like else "auto",
+                method=request.method,
+                fidelity=request.fidelity,
+                weighting=request.weighting,
+                grid=grid,
+                owned=owned,
+                workers=machine.workers,
+                memory_limit=machine.memory_limit,
+            )
+
+        planned = plan_segments(plan, collections, grid=request.grid, like=_divided(earlier))
+        if (refusal := next(filter(None, (each.plan.refusal for each in planned)), None)) is not None:
+            raise InputError(refusal)
+        several = len(planned) > 1 or len(collections) > 1
+        segments = tuple(
+            Segment(
+                number=number if several else None,
+                collection=each.collection if len(collections) > 1 else None,
+                source=request.histories[each.collection],
+                pulses=each.pulses,
+                geometry=each.plan.geometry,
+                plan=each.plan,
+            )
+            for number, each in enumerate(planned)
         )
-        if plan.refusal is not None:
-            raise InputError(plan.refusal)
-        memory = max(compression, plan.memory)
-        return cls(request=request, geometry=geometry, grid=plan.grid, machine=machine, plan=plan, memory=memory)
+        return cls(
+            request=request, grid=planned[0].plan.grid, machine=machine, segments=segments,
+            first_blocks=tuple(each.first_block for each in planned),
+            memory=max(compression, *(each.plan.memory for each in planned)),
+        )  # fmt: skip
+
+    @classmethod
+    def _of_backprojection(
+        cls, request: Request, collections: list[Collection], machine: Resources, compression: int
+    ) -> Job:
+        grid = request.grid or joint_grid([Geometry(collection=collection) for collection in collections])
+        geometries = [geometry_over(collection, request.terrain) for collection in collections]
+        several = len(geometries) > 1
+        segments = tuple(
+            Segment(
+                number=number if several else None, collection=number if several else None,
+                source=request.histories[number], geometry=geometry, plan=None,
+            )
+            for number, geometry in enumerate(geometries)
+        )  # fmt: skip
+        needed = [
+            checked_back_projection_memory(collection, grid, machine.threads, machine.memory_limit)
+            for collection in collections
+        ]
+        return cls(
+            request=request, grid=grid, machine=machine, segments=segments, first_blocks=tuple(range(len(segments))),
+            memory=max(compression, *needed),
+        )  # fmt: skip
+
+    def left_out(self) -> list[str]:
+        """A sentence on collections that cover nothing of the grid, if there are any."""
+        used = {segment.collection or 0 for segment in self.segments}
+        paths = [str(history.path) for number, history in enumerate(self.request.histories) if number not in used]
+        return [f"{', '.join(paths)} {'covers' if len(paths) == 1 else 'cover'} nothing of the grid"] if paths else []
 
     def with_stored_input(self) -> Job:
         """The same job with its samples in a store: those in memory are written into the run folder, once.
@@ -222,54 +337,98 @@ class Job:
         ProcessingError
             If they cannot be written.
         """
-        history = self.history
-        if not isinstance(history, stores.DatasetHistory):
+        if not any(isinstance(history, stores.DatasetHistory) for history in self.request.histories):
             return self
         try:
-            stored = history.stored(history.path).pinned()
+            histories = tuple(
+                history.stored(history.path).pinned() if isinstance(history, stores.DatasetHistory) else history
+                for history in self.request.histories
+            )
         except InputError as error:  # about the run's own store, not about the input
             raise ProcessingError(str(error)) from error
-        return replace(self, request=replace(self.request, history=stored))
+        segments = tuple(replace(segment, source=histories[segment.collection or 0]) for segment in self.segments)
+        return replace(self, request=replace(self.request, histories=histories), segments=segments)
 
-    def noise(self, lit: FloatArray) -> NoiseMap | None:
-        """The noise of the image, where that of the samples is known; `lit` has the valid fraction of each pulse."""
-        raw, collection = self.history.raw, self.history.collection
+    def noises(self, lit: Sequence[FloatArray]) -> list[NoiseMap | None]:
+        """The noise of the image in each segment; None unless that of the samples is known in all of them.
+
+        `lit` has the valid fraction of each pulse of each segment.
+        """
+        maps = [self._noise(segment, valid) for segment, valid in zip(self.segments, lit, strict=True)]
+        return [None] * len(maps) if None in maps else maps
+
+    def _noise(self, segment: Segment, lit: FloatArray) -> NoiseMap | None:
+        raw, collection = segment.source.raw, segment.source.collection
         if not collection.noise_power:
             return None
         spectrum = 1.0 if raw is None else RawCompression.of_echo(raw, collection).noise_spectrum
-        return NoiseMap.of(self.geometry.over(None), self.request.weighting, lit, spectrum)
+        return NoiseMap.of(segment.geometry.over(None), self.request.weighting, lit, spectrum)
 
     def predict_effort(self) -> Work:
         """Predict the relative cost of the stages."""
-        raw = self.history.raw
-        echo = 0 if raw is None else raw.fast_time.size * self.history.collection.n_pulse
-        if self.plan is None:
-            return effort.of_backprojection(self.geometry, self.grid, echo_samples=echo)
-        return effort.of_plan(self.plan, echo_samples=echo)
+        histories = {segment.collection: segment.source for segment in self.segments}
+        echoes = {
+            number: 0 if history.raw is None else history.raw.fast_time.size * history.collection.n_pulse
+            for number, history in histories.items()
+        }
+        works = []
+        for segment in self.segments:
+            echo = echoes.pop(segment.collection, 0)  # of several segments, with the first
+            if segment.plan is None:
+                works.append(effort.of_backprojection(segment.geometry, self.grid, echo_samples=echo))
+            else:
+                works.append(effort.of_plan(segment.plan, echo_samples=echo))
+        return effort.together(works)
 
-    def identity(self) -> str:
-        """Hash everything that the results depend on: settings, input, format, and the division into blocks."""
-        return self.request.identity(None if self.plan is None else (self.plan.n_blocks, self.plan.parts))
+    def _run_segments(self) -> tuple[RunSegment, ...]:
+        """The segments for the record; none in a run of one."""
+        if self.segments[0].number is None:
+            return ()
+        indices = [segment.collection or 0 for segment in self.segments]
+        return tuple(
+            RunSegment(
+                collection=index,
+                path=str(self.request.histories[index].path),
+                fingerprint=self.request.fingerprints[index],
+                pulses=segment.pulses,
+                blocks=None if segment.plan is None else segment.plan.n_blocks,
+                parts=None if segment.plan is None else segment.plan.parts,
+                first_block=first,
+            )
+            for index, segment, first in zip(indices, self.segments, self.first_blocks, strict=True)
+        )
 
     def record(self) -> RunRecord:
         """Return the record of the run at its start."""
-        request, plan = self.request, self.plan
-        return RunRecord(
+        request, plans = self.request, self.plans
+        record = RunRecord(
             status=UNFINISHED,
             format=FORMAT,
             settings=request.settings,
             input=RunInput(str(request.history.path), request.fingerprint),
-            identity=self.identity(),
+            segments=self._run_segments(),
             versions=_versions(),
             **self.machine._asdict(),
             plan=RunPlan(
-                blocks=None if plan is None else plan.n_blocks,
-                parts=None if plan is None else plan.parts,
+                blocks=sum(plan.n_blocks for plan in plans) or None,
+                parts=max((plan.parts for plan in plans), default=None),
                 memory=self.memory,
                 grid=grid_numbers(self.grid),
-                predicted=() if plan is None else predicted_blocks(plan),
+                predicted=tuple(block for plan in plans for block in predicted_blocks(plan)),
             ),
         )
+        return replace(record, identity=request.identity(division_of(record, exact=self.exact)))
+
+
+def _divided(earlier: RunRecord | None) -> tuple[Divided, ...] | None:
+    """How an earlier process divided what is to be resumed."""
+    if earlier is None:
+        return None
+    if earlier.segments:
+        return tuple(Divided(s.collection, s.pulses, s.blocks or 1, s.parts or 1) for s in earlier.segments)
+    if earlier.plan.blocks is None:
+        return None
+    return (Divided(0, None, earlier.plan.blocks, earlier.plan.parts or 1),)
 
 
 def predicted_blocks(plan: Plan) -> tuple[PredictedBlock, ...]:

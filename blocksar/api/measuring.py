@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from blocksar import stores
 from blocksar.api import definitions
 from blocksar.api.reports import Report, Table
 from blocksar.api.target_files import read_targets
-from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.arrays import ComplexArray
 from blocksar.collection.beam import full_dwell_yaw, has_full_dwell
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import Weighting
@@ -83,7 +84,10 @@ def measure(
     """Do what `quality` does; also return the responses of the targets of the paper's Table 3, to be drawn."""
     run = FinishedRun.open(folder)
     listed, weighting = targets_of(targets, run.attrs), run.weighting
-    responses = [measure_target(run.read, run.x, run.y, run.geometry, target, weighting) for target in listed]
+    responses = [
+        measure_target(run.read, run.x, run.y, run.geometry_at(target.x, target.y), target, weighting)
+        for target in listed
+    ]
     result = as_json(responses, weighting)
     others: list[Table] = []
     lines = [*_weighting_lines(weighting), *_count_line(responses)] if responses else []
@@ -100,13 +104,13 @@ def measure(
         response
         for target in listed
         if target.name in TABLE3
-        and (response := read_response(run.read, run.x, run.y, run.geometry, target, weighting))
+        and (response := read_response(run.read, run.x, run.y, run.geometry_at(target.x, target.y), target, weighting))
     ]
     if reference:
         compared = _compare(run)
         result["reference"] = [
             {
-                "place": name, "x": x, "y": y, "full_dwell": bool(has_full_dwell(run.geometry, x, y)),
+                "place": name, "x": x, "y": y, "full_dwell": bool(has_full_dwell(run.geometry_at(x, y), x, y)),
                 "coherence": abs(c.coherence), "gain": c.gain, "phase": c.phase,
             }
             for name, x, y, c in compared
@@ -241,30 +245,58 @@ def _compare(run: FinishedRun) -> Compared:
     InputError
         If the input is unknown or gone, or the plan of the run is unknown.
     """
-    if not run.record.input.path:
+    if not run.record.inputs:
         raise InputError(f"run.json of {run.folder} does not name the input (input.path); focus again with --overwrite")
+    compared: Compared = []
     own = run.folder / INPUT  # goes with the folder, where that is moved
-    path = own if place(run.record.input.path).name == INPUT and own.exists() else run.record.input.path
-    read = pulse_reader(stores.open_phase_history(path))
-    half = 32
-    places: list[tuple[str, float, float]] = []
-    chips: list[ComplexArray] = []
-    axes: list[tuple[FloatArray, FloatArray]] = []
-    for name, x, y in reference_places(run.geometry, run.record.plan):
+    for path in run.record.inputs:
+        moved = own / place(path).name if place(path).name != INPUT else own
+        within = f"/{INPUT}" in path and moved.exists()
+        history = stores.open_phase_history(moved if within else path)
+        geometry = Geometry(collection=history.collection.centred()) if run.segments else run.geometry
+        chips = _chips(run, path, geometry)
+        read, axes = pulse_reader(history), [(run.x[columns], run.y[rows]) for *_, rows, columns in chips]
+        exact = form_chips(read, geometry, axes, threads=machine()[0], weighting=run.weighting)
+        for (name, x, y, chip, *_), one in zip(chips, exact, strict=True):
+            compared.append((name, x, y, coherence(chip, one)))
+    return compared
+
+
+def _chips(
+    run: FinishedRun, path: str, geometry: Geometry
+) -> list[tuple[str, float, float, ComplexArray, slice, slice]]:
+    """Name, x and y (m), pixels, rows and columns of the chips to compare; pixels of other collections are NaN.
+
+    `geometry` is that of the whole collection at `path`.
+    """
+    half, chips = 32, []
+    for name, x, y in _places_of(run, path):
         column, row = (round((at - axis[0]) / (axis[1] - axis[0])) for at, axis in ((x, run.x), (y, run.y)))
         rows, columns = slice(max(row - half, 0), row + half), slice(max(column - half, 0), column + half)
         if row < 0 or column < 0 or run.y[rows].size < half or run.x[columns].size < half:
             continue
         chip = run.read(rows, columns)
+        if len(run.record.inputs) > 1:
+            chip = np.where(run.read_input(rows, columns) == run.record.inputs.index(path), chip, np.nan)
         if np.isfinite(chip.real).mean() < 0.5:
             continue
-        if has_full_dwell(run.geometry, x, y):  # its neighbours may be lit for a few pulses only
-            chip = np.where(has_full_dwell(run.geometry, run.x[columns], run.y[rows, None]), chip, np.nan)
-        places.append((name, float(x), float(y)))
-        chips.append(chip)
-        axes.append((run.x[columns], run.y[rows]))
-    exact = form_chips(read, run.geometry, axes, threads=machine()[0], weighting=run.weighting)
-    return [(*place, coherence(chip, one)) for place, chip, one in zip(places, chips, exact, strict=True)]
+        if has_full_dwell(geometry, x, y):  # its neighbours may be lit for a few pulses only
+            chip = np.where(has_full_dwell(geometry, run.x[columns], run.y[rows, None]), chip, np.nan)
+        chips.append((name, float(x), float(y), chip, rows, columns))
+    return chips
+
+
+def _places_of(run: FinishedRun, path: str) -> list[tuple[str, float, float]]:
+    """`reference_places` of the segments of the collection at `path`."""
+    if not run.segments:
+        return reference_places(run.geometry, run.record.plan)
+    places = []
+    for number, (geometry, segment) in enumerate(zip(run.segments, run.record.segments, strict=True)):
+        if segment.path == path:
+            own = [block for block in run.record.plan.predicted if run.segment_of(block.block) == number]
+            for name, x, y in reference_places(geometry, replace(run.record.plan, predicted=tuple(own))):
+                places.append((f"segment {number}, {name}", x, y))
+    return places
 
 
 def pulse_reader(history: stores.PhaseHistory) -> Callable[[slice], ComplexArray]:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
 from blocksar.api import definitions
-from blocksar.api.arguments import GridLike, collection_of, grid_of
+from blocksar.api.arguments import GridLike, Source, collections_of, grid_of
 from blocksar.api.reports import Table
 from blocksar.api.shown import PlanReport
 from blocksar.budget import FIDELITY
@@ -16,7 +17,7 @@ from blocksar.collection.beam import most_lit_pulses
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid, ground_resolution
-from blocksar.collection.region import default_grid, plan_region
+from blocksar.collection.region import Owned
 from blocksar.collection.weighting import Weighting
 from blocksar.constants import MIB, SINC_WIDTH
 from blocksar.errors import InputError
@@ -30,7 +31,6 @@ from blocksar.focusing.method import (
     method_of,
 )
 from blocksar.graph.machine import Resources, machine, pace, resources
-from blocksar.places import Location
 from blocksar.planning import choice, effort
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.choice import Contender
@@ -38,11 +38,8 @@ from blocksar.planning.disk import SAMPLE, run_bytes
 from blocksar.planning.memory import checked_back_projection_memory
 from blocksar.planning.plan import Plan, plan_collection
 from blocksar.planning.prediction import Prediction
+from blocksar.planning.segments import Divided, PlannedSegment, joint_grid, plan_segments
 from blocksar.progress import Work
-
-if TYPE_CHECKING:
-    import xarray as xr
-
 
 FEW_BLOCKS, WORST = 12, 10  # most blocks that are all shown, and how many are of more
 BLOCK_HEADER = (
@@ -54,7 +51,7 @@ TRACK_TOLD = 0.01  # rad: noise of the track that leaves less is not mentioned
 
 
 def plan(
-    source: Location | xr.Dataset,
+    source: Source,
     *,
     processor: PlannedProcessor = "angular-division",
     blocks: int | Literal["auto"] = "auto",
@@ -75,8 +72,9 @@ def plan(
 
     Parameters
     ----------
-    source : path or xarray.Dataset
-        Phase-history store or a dataset of its contract, scene file (TOML), or the name of a shipped scene.
+    source : path or xarray.Dataset, or a list of them
+        Phase-history store or a dataset of its contract, scene file (TOML), or the name of a shipped scene. Several are
+        planned for one image.
     processor : {"angular-division", "keystone-resampling", "high-order-phase", "backprojection", "auto"}
         Chain to plan. "auto" compares the first three and proposes one. Default: "angular-division".
     blocks : int or "auto"
@@ -112,9 +110,9 @@ def plan(
     -------
     PlanReport
         `tables` has the blocks, the ten with the least coherence if there are many, and `details` all blocks with all
-        figures; `refusal` is the reason if the plan cannot be carried out. `result` is the
-        `planning.plan.Plan`, the `Grid` for back-projection, or None if "auto" has no processor to propose. The method
-        `plot` draws blocks, footprint and track.
+        figures; `refusal` is the reason if the plan cannot be carried out. `result` is the `planning.plan.Plan` (of
+        several segments a tuple of them), the `Grid` for back-projection, or None if "auto" has no processor to
+        propose. The method `plot` draws blocks, footprint and track.
 
     Raises
     ------
@@ -135,31 +133,59 @@ def plan(
             f"{' and '.join(method.departures)}: processor auto compares processors as they are; leave it out"
         )
     tapers = Weighting.parse(weighting, weighting_range, weighting_azimuth)
-    collection, points = collection_of(source), grid_of(grid)
+    collections, points = collections_of(source), grid_of(grid)
     assumed = resources(workers, None, memory_limit)
     if method is None:
-        return _plan_backprojection(collection, points, assumed)
+        return _plan_backprojection(collections, points, assumed)
 
-    def plan_by(method: Method) -> Plan:
+    def plan_by(
+        collection: Collection, *, grid: Grid | None, like: Divided | None = None, owned: Owned | None = None,
+        by: Method = method,
+    ) -> Plan:  # fmt: skip
         return plan_collection(
-            collection, blocks=blocks, fidelity=fidelity, weighting=tapers, method=method, grid=points,
-            workers=assumed.workers, memory_limit=assumed.memory_limit,
+            collection, blocks=like.blocks if like else blocks, parts=like.parts if like else "auto",
+            fidelity=fidelity, weighting=tapers, method=by, grid=grid, owned=owned, workers=assumed.workers,
+            memory_limit=assumed.memory_limit,
         )  # fmt: skip
 
-    if automatic:
-        return _report_contenders(choice.contend(plan_by), assumed)
-    return _report_plan(plan_by(method), assumed)
+    if not automatic:
+        return _report_segments(plan_segments(plan_by, collections, grid=points), assumed)
+    if len(collections) > 1:
+        raise InputError("processor is auto, but several sources are given: compare processors for one of them")
+    return _report_contenders(choice.contend(lambda method: plan_by(collections[0], grid=points, by=method)), assumed)
 
 
 def _report_plan(plan: Plan, assumed: Resources) -> PlanReport:
     return PlanReport(
-        tables=[block_table(plan)],
-        details=plan_details(plan),
+        tables=[block_table([plan])],
+        details=plan_details([plan]),
         definitions=definitions.PLAN,
         summary=[*plan_lines(plan), time_line(effort.of_plan(plan), assumed)],
         refusal=plan.refusal,
         result=plan,
         geometry=plan.geometry,
+    )
+
+
+def _report_segments(segments: Sequence[PlannedSegment], assumed: Resources) -> PlanReport:
+    """Report the blocks of all segments together, then each segment."""
+    plans = [segment.plan for segment in segments]
+    if len(plans) == 1:
+        return _report_plan(plans[0], assumed)
+    lines = []
+    for number, segment in enumerate(segments):
+        pulses = "" if segment.pulses is None else f", pulses {segment.pulses[0]} .. {segment.pulses[1] - 1}"
+        blocks = f"blocks {segment.first_block} .. {segment.first_block + segment.plan.n_blocks - 1}"
+        lines.append(f"segment {number} (collection {segment.collection}{pulses}, {blocks}):")
+        lines += [f"  {line}" for line in plan_lines(segment.plan)]
+    lines.append(time_line(effort.together([effort.of_plan(plan) for plan in plans]), assumed))
+    return PlanReport(
+        tables=[block_table(plans)],
+        details=plan_details(plans),
+        definitions=definitions.PLAN,
+        summary=lines,
+        refusal=next((plan.refusal for plan in plans if plan.refusal is not None), None),
+        result=tuple(plans),
     )
 
 
@@ -195,37 +221,38 @@ def _contender_row(contender: Contender, least: float) -> list[str]:
     ]  # fmt: skip
 
 
-def block_table(plan: Plan) -> Table:
+def block_table(plans: Sequence[Plan]) -> Table:
     """The figures that decide, of all blocks, or of the ten that are predicted to lose most."""
-    few, divided = len(plan.blocks) <= FEW_BLOCKS, plan.parts > 1
-    worst = sorted(plan.blocks, key=lambda block: block.prediction.coherence)[:WORST]
+    blocks = [block for plan in plans for block in plan.blocks]
+    few, divided = len(blocks) <= FEW_BLOCKS, any(plan.parts > 1 for plan in plans)
+    worst = sorted(blocks, key=lambda block: block.prediction.coherence)[:WORST]
     header = [
-        "block" if few else f"worst {WORST} of {len(plan.blocks)}", "yaw (deg)", *(["range (km)"] if divided else []),
+        "block" if few else f"worst {WORST} of {len(blocks)}", "yaw (deg)", *(["range (km)"] if divided else []),
         "coherence", *([] if divided else ["residual phase (rad)", "PSLR (dB)"]), "width / limit", "memory (MiB)",
     ]  # fmt: skip
     rows = []
-    for block in plan.blocks:
+    for block in blocks:
         if few or block in worst:
             own, p = dict(zip(BLOCK_HEADER, _block_row(block), strict=True)), block.prediction
             rows.append([block.name, *(own.get(name, _digits(p.coherence)) for name in header[1:])])
     return header, rows
 
 
-def plan_details(plan: Plan) -> list[Table]:
+def plan_details(plans: Sequence[Plan]) -> list[Table]:
     """All figures of all blocks, and what their coherence is made of."""
-    return [_all_blocks(plan), _coherence_table(plan)]
+    return [_all_blocks(plans), _coherence_table(plans)]
 
 
-def _all_blocks(plan: Plan) -> Table:
-    return BLOCK_HEADER, [_block_row(block) for block in plan.blocks]
+def _all_blocks(plans: Sequence[Plan]) -> Table:
+    return BLOCK_HEADER, [_block_row(block) for plan in plans for block in plan.blocks]
 
 
-def _coherence_table(plan: Plan) -> Table:
+def _coherence_table(plans: Sequence[Plan]) -> Table:
     header = (
         "block", "predicted coherence", "lost by residual phase", "by range migration", "at the ends of the dwell",
         "by noise of the track",
     )  # fmt: skip
-    return header, [_coherence_row(block.name, block.prediction) for block in plan.blocks]
+    return header, [_coherence_row(block.name, block.prediction) for plan in plans for block in plan.blocks]
 
 
 def _coherence_row(name: str, p: Prediction) -> list[str]:
@@ -367,19 +394,21 @@ def _shortfall(plan: Plan) -> str:
     )
 
 
-def _plan_backprojection(collection: Collection, grid: Grid | None, assumed: Resources) -> PlanReport:
-    geometry = Geometry(collection=collection)
-    grid = grid or default_grid(geometry, plan_region(geometry, None))
+def _plan_backprojection(collections: Sequence[Collection], grid: Grid | None, assumed: Resources) -> PlanReport:
+    geometries = [Geometry(collection=collection) for collection in collections]
+    grid = grid or joint_grid(geometries)
     pixels = grid.shape[0] * grid.shape[1]
-    lit = most_lit_pulses(
-        geometry, *np.meshgrid(grid.x[:: max(grid.x.size // 64, 1)], grid.y[:: max(grid.y.size // 64, 1)])
+    some = np.meshgrid(grid.x[:: max(grid.x.size // 64, 1)], grid.y[:: max(grid.y.size // 64, 1)])
+    lit = sum(most_lit_pulses(geometry, *some) for geometry in geometries)
+    memory = max(
+        checked_back_projection_memory(collection, grid, assumed.threads, assumed.memory_limit)
+        for collection in collections
     )
-    memory = checked_back_projection_memory(collection, grid, assumed.threads, assumed.memory_limit)
     lines = [
         f"exact back-projection of {grid.shape[1]} x {grid.shape[0]} pixels, {lit} lit pulses each: "
         f"{pixels * lit / 1e9:.3g} G updates at most, by {assumed.workers} workers",
         f"peak memory of a worker {memory / MIB:.0f} MiB",
         f"a run writes at most {pixels * SAMPLE / MIB:.0f} MiB",
-        time_line(effort.of_backprojection(geometry, grid), assumed),
+        time_line(effort.together([effort.of_backprojection(each, grid) for each in geometries]), assumed),
     ]
-    return PlanReport(summary=lines, result=grid, geometry=geometry)
+    return PlanReport(summary=lines, result=grid, geometry=geometries[0])

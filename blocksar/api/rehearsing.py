@@ -19,8 +19,8 @@ from blocksar.runs.record import RunRecord
 def rehearse(request: Request, earlier: RunRecord | None, machine: Resources) -> RunReport:
     """Say what `focus` would do with a request: its plan, memory, and disk. Writes nothing.
 
-    `earlier` is the run in the folder that would be resumed, or is finished; `result` is the plan, None for
-    back-projection or if nothing is left to do.
+    `earlier` is the run in the folder that would be resumed, or is finished; `result` is the plan, a tuple of them
+    for several segments, None for back-projection or if nothing is left to do.
 
     Raises
     ------
@@ -32,20 +32,25 @@ def rehearse(request: Request, earlier: RunRecord | None, machine: Resources) ->
             summary=[f"{request.folder} is finished already with these settings and this input: nothing would be done"]
         )
     job = Job.of(request, earlier, machine)
-    plan = job.plan
-    lines = [*([] if plan is None else plan_lines(plan)), time_line(job.predict_effort(), machine)]
+    plans = job.plans
     cluster = (
         f"{workforce(machine)}: {size_text(job.memory)} of memory planned for each, of the "
         f"{size_text(machine.memory_limit)} that it may take"
     )
-    size = 8 * job.grid.shape[0] * job.grid.shape[1] if plan is None else sum(run_bytes(plan).values())
+    written = sum(size for plan in plans for size in run_bytes(plan).values())
+    size = written if plans else 8 * job.grid.shape[0] * job.grid.shape[1]
     return RunReport(
-        tables=[] if plan is None else [block_table(plan)],
-        details=[] if plan is None else plan_details(plan),
-        summary=[*lines, cluster, f"{_doing(request, earlier)}: about {size_text(size)}{_free(request.folder, size)}",
-                 "nothing was done: leave out --dry-run to focus"],
-        result=plan,
-    )  # fmt: skip
+        tables=[block_table(plans)] if plans else [],
+        details=plan_details(plans) if plans else [],
+        summary=[
+            *(line for plan in plans for line in plan_lines(plan)),
+            time_line(job.predict_effort(), machine),
+            cluster,
+            f"{_doing(request, earlier)}: about {size_text(size)}{_free(request.folder, size)}",
+            "nothing was done: leave out --dry-run to focus",
+        ],
+        result=None if not plans else plans[0] if len(plans) == 1 else tuple(plans),
+    )
 
 
 def _doing(request: Request, earlier: RunRecord | None) -> str:

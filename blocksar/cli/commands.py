@@ -179,7 +179,7 @@ def info(
 @method_options
 def plan(
     context: typer.Context,
-    source: Annotated[str, typer.Argument(metavar="PH.zarr|SCENE.toml", help="Phase-history store or scene.")],
+    source: Annotated[list[str], typer.Argument(metavar="PH.zarr|SCENE.toml", help="Phase-history stores or scenes.")],
     processor: Annotated[
         PlannedProcessor,
         typer.Option(metavar="NAME", help=f"{PROCESSORS}; auto: compare all chains and propose the best."),
@@ -211,27 +211,33 @@ def plan(
 
     from blocksar import api
 
-    proposal = api.plan(source, processor=processor, **settings, **method)
+    proposal = api.plan(one_or_all(source), processor=processor, **settings, **method)
     show(proposal, context)
     if proposal.refusal is not None:
         complain(proposal.refusal, WRONG_INPUT)
     _hint_after_plan(context, source, proposal)
 
 
+def one_or_all(sources: list[str]) -> str | list[str]:
+    """The only source, or all of them."""
+    return sources if len(sources) > 1 else sources[0]
+
+
 OF_PLAN = ("everything", "explain")  # its options that `focus` has not
 
 
-def _hint_after_plan(context: typer.Context, source: str, proposal: Any) -> None:
-    """Simulate a scene, or focus a phase history with the same options."""
-    shipped = "://" not in source and not Path(source).exists()
-    if shipped or source.endswith(".toml"):
-        hint(context, "simulate", source, "--out", f"{Path(source).stem}.zarr")
-        return
+def _hint_after_plan(context: typer.Context, sources: list[str], proposal: Any) -> None:
+    """Simulate a scene, or focus phase histories with the same options."""
+    for source in sources:
+        shipped = "://" not in source and not Path(source).exists()
+        if shipped or source.endswith(".toml"):
+            hint(context, "simulate", source, "--out", f"{Path(source).stem}.zarr")
+            return
     proposed = ["--processor", proposal.result.method.processor] if context.params["processor"] == "auto" else []
     hint(
         context,
         "focus",
-        source,
+        *sources,
         "--out",
         "run",
         *proposed,
@@ -303,7 +309,9 @@ def preview(
 @method_options
 def focus(
     context: typer.Context,
-    source: Annotated[str, typer.Argument(metavar="PH.zarr", help="Phase-history store.")],
+    source: Annotated[
+        list[str], typer.Argument(metavar="PH.zarr", help="Phase-history stores; several of one frame: one mosaic.")
+    ],
     out: Annotated[str, typer.Option(metavar="RUN", help="Folder of the run; an unfinished one is resumed.")],
     processor: ProcessorOption = "angular-division",
     blocks: Blocks = "auto",
@@ -332,7 +340,7 @@ def focus(
     json_log: JsonLog = None,
     **method: Any,
 ) -> None:
-    """Focus a phase history into a calibrated ground image.
+    """Focus a phase history into a calibrated ground image, or several of one frame into one mosaic.
 
     Give the same command again to resume an interrupted run.
 
@@ -353,7 +361,7 @@ def focus(
 
     with listening(context) as progress:
         report = api.focus(
-            source,
+            one_or_all(source),
             out,
             processor=processor,
             **settings,
@@ -370,7 +378,7 @@ def focus(
         )
     show(report)
     if dry_run:
-        hint(context, "focus", source, "--out", out, *given(context, "out", "dry_run"))
+        hint(context, "focus", *source, "--out", out, *given(context, "out", "dry_run"))
     else:
         hint(context, "quality", out)
 

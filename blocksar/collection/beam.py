@@ -307,11 +307,11 @@ def aperture(collection: Collection) -> tuple[float, float]:
     return collection.time[0] - half_pulse, collection.time[-1] + half_pulse
 
 
-def dwell(geometry: Geometry, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+def dwell(geometry: Geometry, x: FloatArray, y: FloatArray, *, uncut: bool = False) -> tuple[FloatArray, FloatArray]:
     """First and last lit slow time of ground points x, y (...), m: see `dwell_at`."""
     if geometry.collection.has_axis:
-        return _axis_dwell(geometry, np.asarray(x, np.float64), np.asarray(y, np.float64), uncut=False)
-    return dwell_at(geometry, geometry.yaw(x, y), np.zeros(1))
+        return _axis_dwell(geometry, np.asarray(x, np.float64), np.asarray(y, np.float64), uncut=uncut)
+    return dwell_at(geometry, geometry.yaw(x, y), np.zeros(1), uncut=uncut)
 
 
 def dwell_at(

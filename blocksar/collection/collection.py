@@ -378,6 +378,17 @@ class Collection:
         moved = {"carrier": self.carrier + middle, "range_frequency": self.range_frequency - middle}
         return Collection(**{**self.as_dict(), **moved})
 
+    def segment(self, first: int, last: int) -> Collection:
+        """The pulses first <= p < last, with t = 0 at their middle pulse, about which their polar frame then lies.
+
+        Not for a beam that is described by its yaw, which refers to the frame of the whole collection.
+        """
+        assert self.has_axis or not self.steered
+        by_pulse = ("reference_range", "antenna_position", "beam_azimuth", "beam_axis", "beam_steering")
+        cut = {name: value[first:last] for name in by_pulse if (value := getattr(self, name)) is not None}
+        time = self.time[first:last] - self.time[first + (last - first) // 2]
+        return Collection(**{**self.as_dict(), **cut, "time": time})
+
     def as_dict(self) -> dict[str, Any]:
         """The fields by name, usable as keyword arguments of `Collection`."""
         return {name: getattr(self, name) for name in self.__dataclass_fields__}

@@ -6,6 +6,7 @@ Regions are given in yaw, and in range from the antenna position at the epoch.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -17,7 +18,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid, ground_resolution, outline
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.errors import InputError
+from blocksar.errors import InputError, OutsideSwath
 
 # Yaws of a grid at which a beam about its axis is asked what it lights, yaws beyond it that are asked at a time, and
 # yaws at which the first and the last lit one are found; ranges for that, and for the lit ranges of a yaw.
@@ -46,6 +47,9 @@ class Region:
     def at(self, yaw: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Near and far range at yaws of any shape, m, by linear interpolation."""
         return np.interp(yaw, self.yaw, self.near), np.interp(yaw, self.yaw, self.far)
+
+
+Owned = Callable[[FloatArray, FloatArray], BoolArray]  # whether points x, y (n,), m, are to be imaged
 
 
 class Extent(NamedTuple):
@@ -118,7 +122,7 @@ def _lit_region(geometry: Geometry, grid: Grid, low: float, high: float) -> Regi
     inside = np.linspace(low, high, min(max(math.ceil((high - low) / step), LEAST_YAWS), MOST_YAWS) + 1)
     lit = np.flatnonzero(is_any_lit(inside))
     if lit.size == 0:
-        raise InputError(
+        raise OutsideSwath(
             f"grid {grid.x0:g}:{grid.x1:g},{grid.y0:g}:{grid.y1:g} lies outside the swath: the beam (beam_axis, "
             "beam_steering, beam_width) lights none of its yaws; move the grid"
         )
@@ -126,7 +130,7 @@ def _lit_region(geometry: Geometry, grid: Grid, low: float, high: float) -> Regi
     near, far = _window(geometry, yaw, None)
     lit = np.flatnonzero(_lit_ranges(geometry, yaw, near, far, count=FEW_RANGES)[2])
     if lit.size == 0:
-        raise InputError("grid lies outside the swath: the beam lights nothing in the range window; move the grid")
+        raise OutsideSwath("grid lies outside the swath: the beam lights nothing in the range window; move the grid")
     yaw = np.linspace(yaw[max(lit[0] - 1, 0)], yaw[min(lit[-1] + 1, FINE_YAWS - 1)], 65)
     near, far = _window(geometry, yaw, None)
     nearest, farthest, any_lit = _lit_ranges(geometry, yaw, near, far, count=LIT_RANGES)
@@ -174,7 +178,7 @@ def _window(geometry: Geometry, yaw: FloatArray, within: tuple[float, float] | N
     if within is not None:
         near, far = np.maximum(near, within[0]), np.minimum(far, within[1])
     if not (far > near).all():
-        raise InputError(_outside(collection, half, within, held, trial))
+        raise OutsideSwath(_outside(collection, half, within, held, trial))
     return near, far
 
 
@@ -209,12 +213,12 @@ def _outside(
     )
 
 
-def grid_extent(geometry: Geometry, region: Region, grid: Grid) -> Extent:
-    """The part of the region that the grid covers.
+def grid_extent(geometry: Geometry, region: Region, grid: Grid, owned: Owned | None = None) -> Extent:
+    """The part of the region that the grid covers, and of that the part which is `owned`, if that is given.
 
     Raises
     ------
-    InputError
+    OutsideSwath
         If the grid covers none of it; the message gives the extents of the grid and of the region.
     """
     x, y = outline(grid)
@@ -227,10 +231,12 @@ def grid_extent(geometry: Geometry, region: Region, grid: Grid) -> Extent:
     rng = geometry.epoch_range(x, y)
     near, far = region.at(yaw)
     covered = (yaw >= region.yaw[0]) & (yaw <= region.yaw[-1]) & (rng >= near) & (rng <= far)
+    if owned is not None:
+        covered &= owned(x, y)
     step = np.hypot((grid.x[-1] - grid.x[0]) / 64, (grid.y[-1] - grid.y[0]) / 64)
     if not covered.any():
         degrees = np.degrees([yaw.min(), yaw.max(), region.yaw[0], region.yaw[-1]])
-        raise InputError(
+        raise OutsideSwath(
             f"grid {grid.x0:g}:{grid.x1:g},{grid.y0:g}:{grid.y1:g} lies outside the swath: it spans yaw "
             f"{degrees[0]:.2f} .. {degrees[1]:.2f} degrees and range {rng.min():.0f} .. {rng.max():.0f} m, but lit are "
             f"{degrees[2]:.2f} .. {degrees[3]:.2f} degrees and {region.near.min():.0f} .. {region.far.max():.0f} m; "

@@ -9,32 +9,36 @@ from its receipts.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from itertools import chain, islice
+from typing import Any, NamedTuple
 
 import numpy as np
-from distributed import Client, Future, KilledWorker
+from distributed import Client, Future
 
 from blocksar import stores
 from blocksar.arrays import FloatArray
 from blocksar.chunks import MOSAIC_CHUNKS, TILE
 from blocksar.collection.collection import Collection
-from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
+from blocksar.collection.ownership import margins_over
 from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.ground_map import sum_lit
 from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.range_compression import RawCompression
 from blocksar.focusing.step import stages
-from blocksar.graph.admission import Unit, as_completed
+from blocksar.graph.admission import Unit
 from blocksar.graph.gating import Gated, gate_bins
+from blocksar.graph.segments import Segment, by_collection
 from blocksar.graph.spectrum import SpectrumChunks
 from blocksar.graph.tasks import (
     PatchChunk,
+    Projected,
     back_project_chunk,
+    chunk_window,
     compress_pulses,
     inspect_group,
     merge_chunks,
@@ -43,6 +47,7 @@ from blocksar.graph.tasks import (
     run_stage,
     write_patch,
 )
+from blocksar.graph.units import run_units, single_task, spans
 from blocksar.inspection.samples import Inspection, merge
 from blocksar.inspection.sentences import refusal
 from blocksar.places.place import Place
@@ -54,69 +59,102 @@ from blocksar.runs.receipts import Run
 from blocksar.runs.record import Receipt, Written, block_unit
 
 
-def recover(
-    client: Client, source: stores.PhaseHistory, plan: Plan, run: Run, listener: Listener
-) -> tuple[list[Receipt], Inspection]:
-    """Recover the spectrum of a phase history into spectrum.zarr; return the receipts and the samples' inspection.
+class Recovered(NamedTuple):
+    """Receipts of a segment's recovered or inspected samples, and their inspection."""
+
+    receipts: list[Receipt]
+    inspection: Inspection
+
+
+def recover(client: Client, segments: Sequence[Segment], run: Run, listener: Listener) -> list[Recovered]:
+    """Recover the spectrum of every segment into its spectrum.zarr; return receipts and inspection of each.
 
     Raises
     ------
     InputError
         If the samples are not those of a radar.
     """
-    collection = plan.geometry.collection
-    source, compressed = _compress_raw(client, source, run, listener)
-
-    def create() -> None:
-        stores.create(
-            run.spectrum, stores.SPECTRUM, sizes={}, attrs={"title": collection.title}, overwrite=True,
-            coords={"doppler": plan.recovery.doppler.values, "range_frequency": collection.range_frequency},
-            variables={"lit": np.full(collection.n_pulse, np.nan)},
-            chunks=dict(zip(("doppler", "range_frequency"), plan.spectrum_chunk, strict=True)),
-        )  # fmt: skip
-
-    run.establish(run.spectrum, create, volatile=["lit"])
-    units = [
-        _single_task(
-            client,
-            run,
-            "recover",
-            f"columns-{columns[0]}",
-            recover_group,
-            source.within(columns=slice(*columns)),
-            columns,
-            plan.recovery,
-            plan.spectrum_chunk,
+    units: list[list[Unit]] = []
+    for segment in segments:
+        plan, own = segment.planned, segment.of(run)
+        run.establish(own.spectrum, partial(_create_spectrum, own, plan), volatile=["lit"])
+        units.append(
+            [
+                single_task(
+                    client,
+                    own,
+                    "recover",
+                    own.unit_of_segment(f"columns-{columns[0]}"),
+                    recover_group,
+                    segment.history.within(columns=slice(*columns)),
+                    columns,
+                    plan.recovery,
+                    plan.spectrum_chunk,
+                )
+                for columns in spans(plan.geometry.collection.n_range_frequency, plan.column_group)
+            ]
         )
-        for columns in _spans(collection.n_range_frequency, plan.column_group)
+    recovered = _run_read(client, "recover", segments, units, run, listener)
+    for segment, each in zip(segments, recovered, strict=True):
+        stores.write_region(segment.of(run).spectrum, "lit", (slice(None),), each.inspection.lit)
+    return recovered
+
+
+def _create_spectrum(run: Run, plan: Plan) -> None:
+    collection = plan.geometry.collection
+    stores.create(
+        run.spectrum, stores.SPECTRUM, sizes={}, attrs={"title": collection.title}, overwrite=True,
+        coords={"doppler": plan.recovery.doppler.values, "range_frequency": collection.range_frequency},
+        variables={"lit": np.full(collection.n_pulse, np.nan)},
+        chunks=dict(zip(("doppler", "range_frequency"), plan.spectrum_chunk, strict=True)),
+    )  # fmt: skip
+
+
+def _run_read(
+    client: Client,
+    stage: str,
+    segments: Sequence[Segment],
+    units: Sequence[Sequence[Unit]],
+    run: Run,
+    listener: Listener,
+) -> list[Recovered]:
+    """Run units that read the samples of segments, and merge the inspections of each segment."""
+    reading = [
+        unit
+        for segment, some in zip(segments, units, strict=True)
+        for unit, _ in some
+        if segment.history.path != segment.of(run).compressed
     ]
-    recovered = run_units(client, "recover", units, run, listener, source=source)
-    inspection = merge_inspections(recovered)
-    stores.write_region(run.spectrum, "lit", (slice(None),), inspection.lit)
-    return compressed + recovered, inspection
+    receipts = iter(run_units(client, stage, list(chain(*units)), run, listener, reading_input=reading))
+    groups = [list(islice(receipts, len(some))) for some in units]
+    return [Recovered(group, merge_inspections(group)) for group in groups]
 
 
 def gate_ranges(
-    client: Client, plan: Plan, run: Run, recovered: Sequence[Receipt], listener: Listener
-) -> list[Receipt]:
-    """Gate the spectrum in range for all sub-blocks, into gated/; nothing without sub-blocks."""
-    targets = [
-        Gated(block.name, block.range_gate, block.first_bin, plan.gated_bins(block)[0], plan.gated_chunk(block))
-        for block in plan.blocks
-        if block.range_gate is not None
-    ]
-    if not targets:
-        return []
-    for block in plan.blocks:
-        run.establish(run.gated(block.name), partial(_create_gated, run, plan, block))
-    spectrum = _whole_spectrum(plan, run, recovered)
-    units = []
-    for bins in plan.gate_spans():
-        some = [target.within(*bins) for target in targets if target.common(*bins)[0] < target.common(*bins)[1]]
-        units.append(
-            _single_task(client, run, "gate", f"bins-{bins[0]}", gate_bins, bins, spectrum.within(*bins), some)
-        )
-    return run_units(client, "gate", units, run, listener, per_worker=2)
+    client: Client, segments: Sequence[Segment], run: Run, recovered: Sequence[Recovered], listener: Listener
+) -> list[list[Receipt]]:
+    """Gate the spectra in range for all sub-blocks, into gated/; nothing without sub-blocks. Receipts by segment."""
+    units: list[list[Unit]] = []
+    for segment, (receipts, _) in zip(segments, recovered, strict=True):
+        plan, own = segment.planned, segment.of(run)
+        targets = [
+            Gated(block.name, block.range_gate, block.first_bin, plan.gated_bins(block)[0], plan.gated_chunk(block))
+            for block in plan.blocks
+            if block.range_gate is not None
+        ]
+        units.append([])
+        if not targets:
+            continue
+        for block in plan.blocks:
+            run.establish(own.gated(block.name), partial(_create_gated, own, plan, block))
+        spectrum = _whole_spectrum(plan, own, receipts)
+        for bins in plan.gate_spans():
+            some = [target.within(*bins) for target in targets if target.common(*bins)[0] < target.common(*bins)[1]]
+            unit = own.unit_of_segment(f"bins-{bins[0]}")
+            units[-1].append(single_task(client, own, "gate", unit, gate_bins, bins, spectrum.within(*bins), some))
+    flat = list(chain(*units))
+    gated = iter(run_units(client, "gate", flat, run, listener, per_worker=2) if flat else [])
+    return [list(islice(gated, len(some))) for some in units]
 
 
 def _create_gated(run: Run, plan: Plan, block: BlockPlan) -> None:
@@ -154,31 +192,40 @@ def _gated_spectrum(plan: Plan, run: Run, block: BlockPlan, receipts: Sequence[R
 
 def focus_blocks(
     client: Client,
-    plan: Plan,
+    segments: Sequence[Segment],
     run: Run,
-    receipts: Sequence[Receipt],
-    lit: FloatArray,
-    noise: NoiseMap | None,
+    receipts: Sequence[Sequence[Receipt]],
+    lit: Sequence[FloatArray],
+    noises: Sequence[NoiseMap | None],
     listener: Listener,
 ) -> list[Receipt]:
-    """Focus every block, from the spectrum to patches/<block>, by a chain of tasks of its own.
+    """Focus every block, from its segment's spectrum to patches/<block>, by a chain of tasks of its own.
 
-    The receipts of recovery and of the range gates have the checksums of spectra, `lit` the valid fraction of each
-    pulse.
+    For every segment, the receipts of recovery and of the range gates have the checksums of spectra, and `lit` is the
+    valid fraction of each pulse.
     """
     # Create all patches here, before the first task: a late task of a lost worker must not empty a store that another
     # task has written to.
-    for block in plan.blocks:
-        run.establish(run.patch(block.name), partial(_create_patch, run, block, plan.grid))
-    spectrum = _whole_spectrum(plan, run, receipts)
-    chunks = [touched_chunks(block.ground, plan.grid) for block in plan.blocks]
+    blocks = [(segment, block) for segment in segments for block in segment.planned.blocks]
+    for segment, block in blocks:
+        run.establish(run.patch(block.name), partial(_create_patch, run, block, segment.planned.grid))
+    chunks = [touched_chunks(block.ground, segment.planned.grid) for segment, block in blocks]
     touching = Counter(cell for cells in chunks for cell in cells)
+    of_segment = {
+        id(segment): (_whole_spectrum(segment.planned, segment.of(run), some), some, valid, noise)
+        for segment, some, valid, noise in zip(segments, receipts, lit, noises, strict=True)
+    }
     units: list[Unit] = []
-    for position, (block, cells) in enumerate(zip(plan.blocks, chunks, strict=True)):
-        own = frozenset(cell for cell in cells if touching[cell] == 1)
-        slab = spectrum if block.range_gate is None else _gated_spectrum(plan, run, block, receipts)
+    for position, ((segment, block), cells) in enumerate(zip(blocks, chunks, strict=True)):
+        plan, own = segment.planned, segment.of(run)
+        alone = frozenset(cell for cell in cells if touching[cell] == 1)
+        spectrum, some, valid, noise = of_segment[id(segment)]
+        slab = spectrum if block.range_gate is None else _gated_spectrum(plan, own, block, some)
         units.append(
-            (block_unit(block.name), partial(_submit_chain, client, plan, run, slab, lit, noise, block, own, -position))
+            (
+                block_unit(block.name),
+                partial(_submit_chain, client, plan, own, slab, valid, noise, block, alone, -position),
+            )
         )
     return run_units(client, "focus", units, run, listener)
 
@@ -219,15 +266,22 @@ def _submit_chain(
 
 
 def mosaic(
-    client: Client, plan: Plan, run: Run, patches: Sequence[Receipt], noise: NoiseMap | None, listener: Listener
+    client: Client,
+    segments: Sequence[Segment],
+    run: Run,
+    patches: Sequence[Receipt],
+    noises: Sequence[NoiseMap | None],
+    listener: Listener,
 ) -> list[Receipt]:
     """Merge the patches into image.zarr, by output chunk, where several blocks may own pixels.
 
     Chunks that only one block touches are there already; chunks that no block covers are not written.
     """
-    side = image_chunk(plan.grid)
+    grid = segments[0].planned.grid
+    side = image_chunk(grid)
     cells: dict[tuple[int, int], list[PatchChunk]] = {}
-    for block, receipt in zip(plan.blocks, patches, strict=True):
+    blocks = [(segment, block) for segment in segments for block in segment.planned.blocks]
+    for (segment, block), receipt in zip(blocks, patches, strict=True):
         assert receipt.origin is not None
         first_y, first_x = receipt.origin
         patch = run.name_of(run.patch(block.name))
@@ -238,72 +292,95 @@ def mosaic(
             if part.store != patch or region in complete:
                 continue
             cell = ((first_y + y) // side[0], (first_x + x) // side[1])
-            cells.setdefault(cell, []).append((block.index, block.name, first_y, first_x, part.checksum))
+            chunk = PatchChunk(
+                block.index, block.name, (first_y, first_x), part.checksum, segment.number or 0, segment.collection
+            )
+            cells.setdefault(cell, []).append(chunk)
+    known = {segment.number or 0: noise for segment, noise in zip(segments, noises, strict=True) if noise is not None}
     ordered = sorted(cells)
     units = []
-    for first, end in _spans(len(ordered), MOSAIC_CHUNKS):
+    for first, end in spans(len(ordered), MOSAIC_CHUNKS):
         group = {cell: cells[cell] for cell in ordered[first:end]}
+        margins = {cell: _margins(segments, cell, grid, parts) for cell, parts in group.items()}
         row, column = ordered[first]
         unit = f"chunk-{row}-{column}"
-        units.append(_single_task(client, run, "mosaic", unit, merge_chunks, group, plan.grid, noise))
+        units.append(single_task(client, run, "mosaic", unit, merge_chunks, group, grid, margins, known))
     return run_units(client, "mosaic", units, run, listener, per_worker=2)
 
 
-def inspect_samples(
-    client: Client, source: stores.PhaseHistory, run: Run, listener: Listener
-) -> tuple[stores.PhaseHistory, list[Receipt], Inspection]:
-    """Inspect a phase history that is not recovered; a raw echo is compressed first.
+def _margins(
+    segments: Sequence[Segment], cell: tuple[int, int], grid: Grid, parts: Sequence[PatchChunk]
+) -> dict[int, FloatArray]:
+    """By which margins the segments that cover some of an output chunk saw its ground; nothing if only one does."""
+    numbers = sorted({part.segment for part in parts})
+    if len(numbers) == 1:
+        return {}
+    rows, columns = chunk_window(cell, grid)
+    return {
+        segment.number: margins_over(segment.geometry, grid.x[columns], grid.y[rows])
+        for segment in segments
+        if segment.number is not None and segment.number in numbers
+    }
 
-    Returns
-    -------
-    (PhaseHistory, list of Receipt, Inspection)
-        The phase history is the compressed one for a raw echo, else `source`.
+
+def inspect_samples(client: Client, segments: Sequence[Segment], run: Run, listener: Listener) -> list[Recovered]:
+    """Inspect phase histories that are not recovered.
 
     Raises
     ------
     InputError
         If the samples are not those of a radar.
     """
-    source, compressed = _compress_raw(client, source, run, listener)
-    units = [
-        _single_task(
-            client,
-            run,
-            "inspect",
-            f"columns-{columns[0]}",
-            inspect_group,
-            source.within(columns=slice(*columns)),
-            columns,
+    units = []
+    for segment in segments:
+        own, history = segment.of(run), segment.history
+        units.append(
+            [
+                single_task(
+                    client,
+                    own,
+                    "inspect",
+                    own.unit_of_segment(f"columns-{columns[0]}"),
+                    inspect_group,
+                    history.within(columns=slice(*columns)),
+                    columns,
+                )
+                for columns in spans(history.collection.n_range_frequency, inspection_width(history.collection))
+            ]
         )
-        for columns in _spans(source.collection.n_range_frequency, inspection_width(source.collection))
-    ]
-    inspected = run_units(client, "inspect", units, run, listener, source=source)
-    return source, compressed + inspected, merge_inspections(inspected)
+    return _run_read(client, "inspect", segments, units, run, listener)
 
 
 def back_project(
     client: Client,
-    source: stores.PhaseHistory,
-    geometry: Geometry,
+    segments: Sequence[Segment],
     grid: Grid,
-    inspection: Inspection,
+    inspections: Sequence[Inspection],
     weighting: Weighting,
-    noise: NoiseMap | None,
+    noises: Sequence[NoiseMap | None],
     run: Run,
     listener: Listener,
 ) -> list[Receipt]:
-    """Form image.zarr from a phase history by exact back-projection, by output chunk."""
+    """Form image.zarr from phase histories by exact back-projection, by output chunk."""
     side = image_chunk(grid)
+    sources = [
+        Projected(
+            segment.history, segment.geometry.over(None), inspection, noise, segment.number or 0, segment.collection
+        )
+        for segment, inspection, noise in zip(segments, inspections, noises, strict=True)
+    ]
+    on_terrain = segments[0].geometry.terrain is not None
     units = [
-        _single_task(
+        single_task(
             client, run, "backprojection", f"chunk-{row}-{column}",
-            back_project_chunk, source, (row, column), geometry.over(None), grid, inspection, weighting, noise,
-            geometry.terrain is not None,
+            back_project_chunk, sources, (row, column), grid, weighting, on_terrain,
         )
         for row in range(-(-grid.shape[0] // side[0]))
         for column in range(-(-grid.shape[1] // side[1]))
     ]  # fmt: skip
-    return run_units(client, "backprojection", units, run, listener, source=source)
+    raw = any(segment.history.path == segment.of(run).compressed for segment in segments)
+    reading = [] if raw else [unit for unit, _ in units]
+    return run_units(client, "backprojection", units, run, listener, reading_input=reading)
 
 
 def merge_inspections(receipts: Sequence[Receipt]) -> Inspection:
@@ -320,119 +397,53 @@ def merge_inspections(receipts: Sequence[Receipt]) -> Inspection:
     return inspection
 
 
-def _compress_raw(
-    client: Client, source: stores.PhaseHistory, run: Run, listener: Listener
-) -> tuple[stores.PhaseHistory, list[Receipt]]:
-    """Range-compress a raw echo into compressed.zarr; return that phase history, or `source` if it is not raw."""
-    if source.raw is None:
-        return source, []
-    collection = source.collection
-    # The noise is that of a sample of the echo, not of the signal.
-    kept = Collection(**{**collection.as_dict(), "noise_power": None})
-    run.establish(run.compressed, lambda: stores.create_phase_history(run.compressed, kept, overwrite=True))
-    compression = RawCompression.of_echo(source.raw, collection)
-    units = [
-        _single_task(
-            client,
-            run,
-            "compress",
-            f"pulses-{pulses[0]}",
-            compress_pulses,
-            source.within(pulses=slice(*pulses)),
-            pulses,
-            compression,
-        )
-        for pulses in _spans(collection.n_pulse, TILE[0])
-    ]
-    receipts = run_units(client, "range-compress", units, run, listener, per_worker=2, source=source)
+def compress_raw(
+    client: Client, segments: Sequence[Segment], run: Run, listener: Listener
+) -> tuple[list[Segment], list[list[Receipt]]]:
+    """Range-compress raw echoes, each collection once; return the segments as they are then read, and receipts of each.
+
+    The receipts are those of the segment's whole collection, with its first segment only.
+    """
+    units: dict[int | None, list[Unit]] = {}
+    for number, (first, *_) in by_collection(segments).items():
+        if first.source.raw is None:
+            continue
+        own, whole = first.of(run), first.source
+        run.establish(own.compressed, partial(_create_compressed, own, whole.collection))
+        compression = RawCompression.of_echo(first.source.raw, whole.collection)
+        units[number] = [
+            single_task(
+                client,
+                own,
+                "compress",
+                own.unit_of_collection(f"pulses-{pulses[0]}"),
+                compress_pulses,
+                whole.within(pulses=slice(*pulses)),
+                pulses,
+                compression,
+            )
+            for pulses in spans(whole.collection.n_pulse, TILE[0])
+        ]
+    if not units:
+        return list(segments), [[] for _ in segments]
+    flat = list(chain(*units.values()))
+    done = iter(
+        run_units(client, "range-compress", flat, run, listener, per_worker=2, reading_input=[unit for unit, _ in flat])
+    )
+    receipts = {number: list(islice(done, len(some))) for number, some in units.items()}
     try:
-        return stores.open_phase_history(run.compressed).pinned(), receipts
+        opened = {
+            number: stores.open_phase_history(group[0].of(run).compressed).pinned()
+            for number, group in by_collection(segments).items()
+            if number in units
+        }
     except InputError as error:  # about the run's own store, not about the input
         raise ProcessingError(str(error)) from error
+    ready = [replace(segment, source=opened.get(segment.collection, segment.source)) for segment in segments]
+    return ready, [receipts.pop(segment.collection, []) for segment in segments]
 
 
-def _spans(n: int, size: int) -> list[tuple[int, int]]:
-    """Divide 0 .. n into spans (first, end) of `size`; the last may be shorter."""
-    return [(first, min(first + size, n)) for first in range(0, n, size)]
-
-
-def _single_task(client: Client, run: Run, step: str, unit: str, task: Callable[..., Receipt], *arguments: Any) -> Unit:
-    """Return a unit of work that is a single task, `task(run, unit, *arguments)`."""
-    key = f"{step}-{run.token}-{unit}"
-    return unit, partial(client.submit, task, run, unit, *arguments, key=key, pure=False)
-
-
-def run_units(
-    client: Client,
-    stage: str,
-    units: Sequence[Unit],
-    run: Run,
-    listener: Listener,
-    *,
-    per_worker: int = 1,
-    source: stores.PhaseHistory | None = None,
-) -> list[Receipt]:
-    """Run the units that have no valid receipt; return the receipts of all units in order.
-
-    Parameters
-    ----------
-    per_worker : int
-        Units in flight for each worker.
-    source : PhaseHistory, optional
-        What the units read. Their InputErrors are raised as such only if it is the input of the run.
-
-    Returns
-    -------
-    list of Receipt
-        `reused` if the unit was not run again; `damaged` if it was, because its data were damaged.
-
-    Raises
-    ------
-    ProcessingError
-        If a unit or the cluster fails for good; finished units stay.
-    InputError
-        If a unit finds the input wrong.
-    """
-    reads_input = source is not None and source.path != run.compressed
-    earlier = {unit: receipt for unit, _ in units if (receipt := run.receipt(unit)) is not None}
-    receipts: dict[str, Receipt] = {}
-    damaged = set()
-    # Workers check the data: this process never loads samples.
-    checks = [(unit, _submit_check(client, run, receipt)) for unit, receipt in earlier.items()]
-    if checks:
-        listener.begin(f"check-{stage}")
-    for number, (unit, future) in enumerate(as_completed(client, stage, checks, 2, listener), 1):
-        if _result(future, stage, unit):
-            receipts[unit] = replace(earlier[unit], reused=True)
-        else:
-            damaged.add(unit)
-        listener.update(f"check-{stage}", number, len(checks))
-    listener.begin(stage, reused=len(receipts))
-    listener.update(stage, len(receipts), len(units))
-    left = [unit for unit in units if unit[0] not in receipts]
-    for unit, future in as_completed(client, stage, left, per_worker, listener):
-        signed: Receipt = _result(future, stage, unit, reads_input=reads_input)
-        receipts[unit] = replace(signed, damaged=unit in damaged)
-        listener.update(stage, len(receipts), len(units))
-    return [receipts[unit] for unit, _ in units]
-
-
-def _submit_check(client: Client, run: Run, receipt: Receipt) -> Callable[[], Future[Any]]:
-    key = f"verify-{run.token}-{receipt.unit}"
-    return partial(client.submit, run.intact, receipt, key=key, pure=False)
-
-
-def _result(future: Future[Any], stage: str, unit: str, *, reads_input: bool = False) -> Any:
-    """Return the result of a unit, or raise its error with the stage and the unit."""
-    if future.status == "finished":
-        return future.result()
-    error = future.exception()
-    # A defect in the run's own stores is not an error in the user's input.
-    if isinstance(error, ProcessingError) or (reads_input and isinstance(error, InputError)):
-        raise error
-    if isinstance(error, KilledWorker):
-        raise ProcessingError(
-            f"{stage} of {unit} failed: {error.allowed_failures + 1} workers died of it, perhaps for lack of memory; "
-            "give them more with --memory-limit"
-        )
-    raise ProcessingError(f"{stage} of {unit} failed: {type(error).__name__}: {error}") from error
+def _create_compressed(run: Run, collection: Collection) -> None:
+    # The noise is that of a sample of the echo, not of the signal.
+    kept = Collection(**{**collection.as_dict(), "noise_power": None})
+    stores.create_phase_history(run.compressed, kept, overwrite=True)

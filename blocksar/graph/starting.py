@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from blocksar.graph.compiling import kernels_cached
@@ -9,10 +10,12 @@ from blocksar.graph.forking import start_fork_server
 from blocksar.graph.machine import resources
 
 
-def start_early(source: str, out: str, *, workers: int | None, threads: int | None) -> None:
+def start_early(sources: Sequence[str], out: str, *, workers: int | None, threads: int | None) -> None:
     """Start the process that workers are forked from, if `focus` with these arguments will probably need it.
 
-    It will not if there is no such source, or if the run folder may hold a finished run; nor before loops are compiled.
+    It will not if one of the sources does not exist, or if the run folder may hold a finished run; nor before loops
+    are compiled.
     """
-    if workers != 0 and Path(source).exists() and not Path(out).exists() and kernels_cached():
+    there = all(Path(source).exists() for source in sources)
+    if workers != 0 and there and not Path(out).exists() and kernels_cached():
         start_fork_server(resources(workers, threads, None).threads)

@@ -10,7 +10,8 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import wraps
-from typing import ParamSpec, TypeVar
+from itertools import groupby
+from typing import NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.chunks import BACKPROJECTION_CHUNK, WRITES_AT_ONCE
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
+from blocksar.collection.ownership import margins_over
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError, ProcessingError
@@ -30,6 +32,7 @@ from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.range_compression import RawCompression
 from blocksar.focusing.recovery import Recovery, recover_columns
 from blocksar.focusing.step import Stage
+from blocksar.graph.segments import Margins, Merged
 from blocksar.graph.spectrum import SpectrumChunks, Window, chunk_spans, read_ahead
 from blocksar.inspection.samples import Inspection, inspect, mask_outliers
 from blocksar.kernels import buffers
@@ -41,8 +44,32 @@ from blocksar.runs.record import Receipt, Written
 
 P = ParamSpec("P")
 R = TypeVar("R")
-# A block's part of an output chunk: block, its name, first row and column of its patch, checksum of the part.
-PatchChunk = tuple[int, str, int, int, str]
+
+
+class PatchChunk(NamedTuple):
+    """A block's part of an output chunk.
+
+    Block and its name, first row and column of its patch, checksum of the part; number of its segment, and of its
+    collection, None where there is one only.
+    """
+
+    block: int
+    name: str
+    origin: tuple[int, int]
+    checksum: str
+    segment: int
+    collection: int | None
+
+
+class Projected(NamedTuple):
+    """A collection to be back-projected."""
+
+    source: stores.PhaseHistory
+    geometry: Geometry
+    inspection: Inspection
+    noise: NoiseMap | None
+    number: int
+    collection: int | None
 
 
 def peak_memory() -> int:
@@ -223,7 +250,7 @@ def write_patch(
         for number, cell in enumerate(touched_chunks(ground, grid)):
             if number >= len(chunks):
                 writes[number - len(chunks)].result()
-            window = _window(cell, grid)
+            window = chunk_window(cell, grid)
             shape = (window[0].stop - window[0].start, window[1].stop - window[1].start)
             out = chunks[number % len(chunks)][: shape[0] * shape[1]].reshape(shape)
             pixels = correct(
@@ -249,7 +276,7 @@ def local_terrain(run: Run, grid: Grid, window: Window) -> Terrain:
     return stores.read_terrain(run.terrain, (float(x[0]), float(x[-1])), (float(y[0]), float(y[-1])))
 
 
-def _window(cell: tuple[int, int], grid: Grid) -> Window:
+def chunk_window(cell: tuple[int, int], grid: Grid) -> Window:
     """Rows and columns of an output chunk."""
     side = image_chunk(grid)
     y, x = cell[0] * side[0], cell[1] * side[1]
@@ -283,8 +310,13 @@ def _write_pixels(
     if merged:
         return [written]
     owner = np.where(covered, np.int16(block.index), np.int16(-1))
-    shared = (patch, part), written.checksum
-    return [written, *_write_image(run, window, pixels, owner, *shared), *write_noise(run, window, owner, grid, noise)]
+    of = {} if run.collection is None else {block.index: run.collection}
+    noises = {} if noise is None else {block.index: noise}
+    return [
+        written,
+        *_write_image(run, window, pixels, owner, of, (patch, part), written.checksum),
+        *write_noise(run, window, owner, grid, noises),
+    ]
 
 
 def _write_image(
@@ -292,11 +324,12 @@ def _write_image(
     window: Window,
     pixels: ComplexArray,
     owner: NDArray[np.int16],
+    collections: Mapping[int, int],
     patch: tuple[Place, Window] | None,
     checksum: str,
     height: FloatArray | None = None,
 ) -> list[Written]:
-    """Write a chunk of the image, the block that each pixel comes from, and the heights on a terrain.
+    """Write a chunk of the image, its owners, and the heights on a terrain.
 
     A chunk that equals that of a patch, whose checksum is given, shares its storage where that is possible.
     """
@@ -305,18 +338,31 @@ def _write_image(
         image = Written(run.name_of(run.image), "image", span, checksum)
     else:
         image = write(run, run.image, "image", window, pixels)
-    written = [image, write(run, run.image, "block", window, owner)]
+    written = [image, *_write_owner(run, window, owner, collections)]
     return written if height is None else [*written, write(run, run.image, "height", window, height.astype(np.float32))]
 
 
+def _write_owner(run: Run, window: Window, owner: NDArray[np.int16], collections: Mapping[int, int]) -> list[Written]:
+    """Write the block that each pixel of a chunk comes from; also its collection, if blocks have one."""
+    written = [write(run, run.image, "block", window, owner)]
+    if collections:
+        numbers = np.full(owner.shape, -1, np.int16)
+        for block, collection in collections.items():
+            numbers[owner == block] = collection
+        written.append(write(run, run.image, "collection", window, numbers))
+    return written
+
+
 def write_noise(
-    run: Run, window: Window, owner: NDArray[np.int16], grid: Grid, noise: NoiseMap | None
+    run: Run, window: Window, owner: NDArray[np.int16], grid: Grid, noises: Mapping[int, NoiseMap]
 ) -> list[Written]:
-    """Write the noise of a chunk of the image where it is covered; nothing if the noise is not known."""
-    if noise is None:
+    """Write the noise of a chunk of the image where it is covered, by that of blocks; nothing if it is not known."""
+    if not noises:
         return []
-    values = noise.over(grid.x[window[1]], grid.y[window[0]])
-    values[owner < 0] = np.nan
+    values = np.full(owner.shape, np.nan, np.float32)
+    for noise in {id(noise): noise for noise in noises.values()}.values():
+        own = np.isin(owner, [block for block, of in noises.items() if of is noise])
+        np.copyto(values, noise.over(grid.x[window[1]], grid.y[window[0]]), where=own)
     return [write(run, run.image, "noise_equivalent", window, values)]
 
 
@@ -326,60 +372,115 @@ def merge_chunks(
     unit: str,
     cells: Mapping[tuple[int, int], Sequence[PatchChunk]],
     grid: Grid,
-    noise: NoiseMap | None = None,
+    margins: Mapping[tuple[int, int], Margins],
+    noises: Mapping[int, NoiseMap] | None = None,
 ) -> Receipt:
-    """Merge patches into output chunks of the mosaic, given by row and column of the chunk."""
+    """Merge patches into output chunks of the mosaic, given by row and column of the chunk.
+
+    Where several segments cover some of a chunk, `margins` has theirs; `noises` has those of segments, if known.
+    """
     started = time.perf_counter()
-    parts = [part for cell, patches in cells.items() for part in _merge(run, cell, patches, grid, noise)]
+    parts = [
+        part
+        for cell, patches in cells.items()
+        for part in _merge(run, cell, patches, grid, margins[cell], noises or {})
+    ]
     return sign(run, Receipt(unit=unit, stage="mosaic", written=tuple(parts)), started)
 
 
 def _merge(
-    run: Run, cell: tuple[int, int], parts: Sequence[PatchChunk], grid: Grid, noise: NoiseMap | None
+    run: Run,
+    cell: tuple[int, int],
+    parts: Sequence[PatchChunk],
+    grid: Grid,
+    margins: Margins,
+    noises: Mapping[int, NoiseMap],
 ) -> list[Written]:
-    """Write the image of one output chunk, its noise, and the block that each pixel comes from; later parts win."""
-    window = _window(cell, grid)
+    """Write the image of one output chunk, its noise, and the block that each pixel comes from."""
+    window = chunk_window(cell, grid)
+    by_segment = [list(some) for _, some in groupby(parts, key=lambda part: part.segment)]
+    image, owner = _lay(run, window, by_segment[0])
+    if len(by_segment) > 1:
+        merged = Merged(owner.shape)
+        merged.choose(by_segment[0][0].segment, owner >= 0, margins[by_segment[0][0].segment])
+        for some in by_segment[1:]:
+            other, blocks = _lay(run, window, some)
+            better = merged.choose(some[0].segment, blocks >= 0, margins[some[0].segment])
+            np.copyto(image, other, where=better)
+            np.copyto(owner, blocks, where=better)
+    alone = parts[0] if len(parts) == 1 else None
+    source = None if alone is None else (run.patch(alone.name), _shifted(window, alone.origin))
+    collections = {part.block: part.collection for part in parts if part.collection is not None}
+    of_blocks = {part.block: noises[part.segment] for part in parts if noises}
+    return [
+        *_write_image(run, window, image, owner, collections, source, parts[0].checksum),
+        *write_noise(run, window, owner, grid, of_blocks),
+    ]
+
+
+def _lay(run: Run, window: Window, parts: Sequence[PatchChunk]) -> tuple[ComplexArray, NDArray[np.int16]]:
+    """Lay the patches of a segment beside each other: pixels, and the block that each comes from; later ones win."""
     image: ComplexArray | None = None
     owner = np.full([w.stop - w.start for w in window], -1, np.int16)
-    source, checksum = None, ""
-    for index, name, *origin, checksum in parts:
-        part = _shifted(window, origin)
-        patch = stores.read_region(run.patch(name), "image", part, cached=False)
-        if stores.checksum(patch) != checksum:
-            raise ProcessingError(f"the patch of block {name} no longer has the checksum of its receipt")
+    for chunk in parts:
+        patch = stores.read_region(run.patch(chunk.name), "image", _shifted(window, chunk.origin), cached=False)
+        if stores.checksum(patch) != chunk.checksum:
+            raise ProcessingError(f"the patch of block {chunk.name} no longer has the checksum of its receipt")
         covered = np.isfinite(patch.real)
-        np.copyto(owner, index, where=covered)
+        np.copyto(owner, chunk.block, where=covered)
         if image is None:
-            image, source = patch, (run.patch(name), part)
+            image = patch
         else:
             np.copyto(image, patch, where=covered)
     assert image is not None
-    if len(parts) > 1:
-        source = None
-    return [*_write_image(run, window, image, owner, source, checksum), *write_noise(run, window, owner, grid, noise)]
+    return image, owner
 
 
 def back_project_chunk(
     run: Run,
     unit: str,
-    source: stores.PhaseHistory,
+    sources: Sequence[Projected],
     cell: tuple[int, int],
-    geometry: Geometry,
     grid: Grid,
-    inspection: Inspection,
     weighting: Weighting,
-    noise: NoiseMap | None = None,
     on_terrain: bool = False,
 ) -> Receipt:
     """Form one output chunk by exact back-projection; reads only the pulses that light it, and the terrain there."""
     started = time.perf_counter()
-    rows, columns = _window(cell, grid)
-    terrain = local_terrain(run, grid, (rows, columns)) if on_terrain else None
-    geometry = geometry.over(terrain)
+    window = chunk_window(cell, grid)
+    terrain = local_terrain(run, grid, window) if on_terrain else None
+    sources = [source._replace(geometry=source.geometry.over(terrain)) for source in sources]
+    image = _project(run, sources[0], window, grid, weighting)
+    owner = np.where(np.isfinite(image.real), 0, -1).astype(np.int16)
+    if len(sources) > 1:
+        merged = Merged(owner.shape)
+        for number, source in enumerate(sources):
+            other = _project(run, source, window, grid, weighting) if number else image
+            margins = margins_over(source.geometry, grid.x[window[1]], grid.y[window[0]])
+            np.copyto(image, other, where=merged.choose(source.number, np.isfinite(other.real), margins))
+        owner = merged.taken
+    parts = []
+    if (owner >= 0).any():
+        collections = {source.number: source.collection for source in sources if source.collection is not None}
+        noises = {source.number: source.noise for source in sources if source.noise is not None}
+        parts = [
+            write(run, run.image, "image", window, image),
+            *_write_owner(run, window, owner, collections),
+            *write_noise(run, window, owner, grid, noises),
+        ]
+        if terrain is not None:
+            height = terrain.on_grid(grid.x[window[1]], grid.y[window[0]]).astype(np.float32)
+            parts.append(write(run, run.image, "height", window, height))
+    return sign(run, Receipt(unit=unit, stage="backprojection", written=tuple(parts)), started)
+
+
+def _project(run: Run, source: Projected, window: Window, grid: Grid, weighting: Weighting) -> ComplexArray:
+    """Form one output chunk of one collection."""
+    rows, columns = window
 
     def read(pulses: slice) -> ComplexArray:
-        signal = source.read(pulses, slice(None))
-        mask_outliers(signal, inspection, pulses=pulses)
+        signal = source.source.read(pulses, slice(None))
+        mask_outliers(signal, source.inspection, pulses=pulses)
         return signal
 
     image = np.full((rows.stop - rows.start, columns.stop - columns.start), np.nan + 1j * np.nan, np.complex64)
@@ -387,19 +488,7 @@ def back_project_chunk(
         for j in range(0, image.shape[1], BACKPROJECTION_CHUNK):
             part = (slice(i, i + BACKPROJECTION_CHUNK), slice(j, j + BACKPROJECTION_CHUNK))
             image[part] = form_image(
-                read, geometry, grid.x[columns][part[1]], grid.y[rows][part[0]], threads=run.threads,
+                read, source.geometry, grid.x[columns][part[1]], grid.y[rows][part[0]], threads=run.threads,
                 weighting=weighting,
             )  # fmt: skip
-    covered = np.isfinite(image.real)
-    parts = []
-    if covered.any():
-        owner = np.where(covered, 0, -1).astype(np.int16)
-        parts = [
-            write(run, run.image, "image", (rows, columns), image),
-            write(run, run.image, "block", (rows, columns), owner),
-            *write_noise(run, (rows, columns), owner, grid, noise),
-        ]
-        if terrain is not None:
-            height = terrain.on_grid(grid.x[columns], grid.y[rows]).astype(np.float32)
-            parts.append(write(run, run.image, "height", (rows, columns), height))
-    return sign(run, Receipt(unit=unit, stage="backprojection", written=tuple(parts)), started)
+    return image

@@ -27,7 +27,7 @@ is in the scene. So the sum over an aperture of many dwells is real and positive
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Self
 
@@ -156,6 +156,24 @@ def merge_echoes(parts: Iterable[Inspection]) -> Inspection:
         n_column=parts[0].n_column,
         outliers=dict(enumerate(outliers)),
         valid=sum(part.valid for part in parts),
+        extreme=extreme,
+        at_extreme=(sum(real for real, _ in counts), sum(imag for _, imag in counts)),
+    )
+
+
+def join_segments(parts: Sequence[tuple[int, Inspection]], n_pulse: int) -> Inspection:
+    """Join the inspections of segments of one collection, each with its first pulse: counts only.
+
+    Pulses that segments share are counted once where samples are missing or impossible.
+    """
+    extreme = max(part.extreme for _, part in parts)
+    counts = [part.at_extreme for _, part in parts if part.extreme == extreme]
+    return Inspection(
+        n_pulse=n_pulse,
+        n_column=parts[0][1].n_column,
+        missing={first + pulse: count for first, part in parts for pulse, count in part.missing.items()},
+        outliers={first + pulse: columns for first, part in parts for pulse, columns in part.outliers.items()},
+        valid=sum(part.valid for _, part in parts),
         extreme=extreme,
         at_extreme=(sum(real for real, _ in counts), sum(imag for _, imag in counts)),
     )

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -72,6 +73,17 @@ def of_plan(plan: Plan, *, echo_samples: int = 0) -> Work:
         ],
     }
     return _by_pulse_group(collection.n_pulse, echo_samples) | stages | {"finish": [FINISH]}
+
+
+def together(works: Sequence[Work]) -> Work:
+    """Work of several segments, stage by stage; they end together, and chunks are back-projected from all of them."""
+    stages = dict.fromkeys(stage for work in works for stage in work)
+    total = {stage: [cost for work in works for cost in work.get(stage, ())] for stage in stages}
+    if "backprojection" in total:
+        total["backprojection"] = [
+            sum(costs) for costs in zip(*(work["backprojection"] for work in works), strict=True)
+        ]
+    return total | {"finish": [FINISH]}
 
 
 def _gating(plan: Plan) -> dict[str, list[float]]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Literal
 
@@ -28,7 +28,7 @@ from blocksar.chunks import (
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
-from blocksar.collection.region import Extent, Region, block_seams, default_grid, grid_extent, plan_region
+from blocksar.collection.region import Extent, Owned, Region, block_seams, default_grid, grid_extent, plan_region
 from blocksar.collection.weighting import UNIFORM, Weighting
 from blocksar.constants import MIB, SPEED_OF_LIGHT
 from blocksar.errors import InputError
@@ -104,6 +104,10 @@ class Plan:
     @property
     def n_blocks(self) -> int:
         return self.seams.size - 1
+
+    def numbered(self, first: int) -> Plan:
+        """The same with its blocks numbered from `first` on, after those of other segments."""
+        return replace(self, blocks=tuple(replace(block, index=first + block.index) for block in self.blocks))
 
     @property
     def spectrum_chunk(self) -> tuple[int, int]:
@@ -251,10 +255,11 @@ def plan_collection(
     fidelity: float = FIDELITY,
     weighting: Weighting = UNIFORM,
     grid: Grid | None = None,
+    owned: Owned | None = None,
     workers: int = 1,
     memory_limit: int | None = None,
 ) -> Plan:
-    """Plan a collection for a method.
+    """Plan a collection for a method; with `owned`, only the blocks with ground for which it is true.
 
     `auto` takes the fewest blocks that keep the fidelity, at least one a worker, and the fewest range sub-blocks of
     each that migration needs (`find_division`) and that fit a worker's memory.
@@ -275,7 +280,7 @@ def plan_collection(
     region = plan_region(geometry, grid)
     recovery = plan_recovery(geometry, region, method)
     grid = grid or default_grid(geometry, region)
-    extent = grid_extent(geometry, region, grid)
+    extent = grid_extent(geometry, region, grid, owned)
 
     planner = _Planner(
         geometry=geometry, region=region, recovery=recovery, grid=grid, extent=extent, method=method,

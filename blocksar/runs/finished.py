@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -14,6 +15,7 @@ from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.georeference import Georeference
+from blocksar.collection.ownership import dwell_margin
 from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError
 from blocksar.measurement.noise import NoiseFigures
@@ -51,6 +53,19 @@ class Coverage(NamedTuple):
     column_last: IntArray
 
 
+def _described(folder: Place, record: RunRecord) -> tuple[tuple[Geometry, ...], dict[str, Any]]:
+    """Geometries of a run's segments, and the attributes: those of the first, with the targets of all collections."""
+    n = len(record.segments)
+    places = [folder / "segments" / str(i) / "collection.zarr" for i in range(n)] or [folder / "collection.zarr"]
+    read = [stores.read_collection(place) for place in places]
+    attrs = dict(read[0][1])
+    if len({segment.collection for segment in record.segments}) > 1:
+        listed = [target for _, each in read for target in each.get("targets") or []]
+        attrs["targets"] = [target for i, target in enumerate(listed) if target not in listed[:i]]
+        attrs.pop("scene", None)
+    return tuple(Geometry(collection=collection.centred()) for collection, _ in read), attrs
+
+
 @dataclass(frozen=True, eq=False)
 class FinishedRun:
     """A finished run, opened for measurements and products.
@@ -68,6 +83,8 @@ class FinishedRun:
     record : RunRecord
     first : (int, int)
         Row and column of the run's image where this part of it begins.
+    segments : tuple of Geometry
+        Geometries of the run's segments, if it has several; `geometry` is that of the one in the image's middle.
     """
 
     folder: Place
@@ -77,6 +94,7 @@ class FinishedRun:
     attrs: dict[str, Any]
     record: RunRecord
     first: tuple[int, int] = (0, 0)
+    segments: tuple[Geometry, ...] = ()
 
     @classmethod
     def open(cls, folder: Place) -> Self:
@@ -88,7 +106,7 @@ class FinishedRun:
             If it is not finished or damaged, or its image has a single row or column.
         """
         record = finished_record(folder)
-        collection, attrs = stores.read_collection(folder / "collection.zarr")
+        described, attrs = _described(folder, record)
         x, y = (stores.read_region(folder / "image.zarr", name, (slice(None),)) for name in ("x", "y"))
         if x.size and y.size and min(x.size, y.size) < 2:
             raise InputError(
@@ -97,10 +115,44 @@ class FinishedRun:
             )
         if any(axis.size < 2 or not (np.diff(axis) > 0).all() for axis in (x, y)):
             raise InputError(f"x or y in {folder / 'image.zarr'} is damaged; focus again with --overwrite")
-        geometry = Geometry(collection=collection.centred())
         if record.settings.get("heights") is not None:
-            geometry = over_terrain(geometry.collection, stores.read_terrain(folder / "terrain.zarr"))
-        return cls(folder, x, y, geometry, attrs, record)
+            terrain = stores.read_terrain(folder / "terrain.zarr")
+            described = tuple(over_terrain(geometry.collection, terrain) for geometry in described)
+        if not record.segments:
+            return cls(folder, x, y, described[0], attrs, record)
+        run = cls(folder, x, y, described[0], attrs, record, segments=described)
+        middle = run.segment_at(float(x[x.size // 2]), float(y[y.size // 2]))
+        return replace(run, geometry=described[middle])
+
+    def segment_at(self, x: float, y: float) -> int:
+        """Number of the segment that the pixel nearest to a ground point, m, comes from.
+
+        Where it is not covered: of that which saw the most of its dwell.
+        """
+        if not self.segments:
+            return 0
+        column, row = (
+            min(max(round((at - axis[0]) / (axis[1] - axis[0])), 0), axis.size - 1)
+            for at, axis in ((x, self.x), (y, self.y))
+        )
+        block = int(self.read_block(slice(row, row + 1), slice(column, column + 1))[0, 0])
+        if block >= 0:
+            return self.segment_of(block)
+        margins = [float(dwell_margin(geometry, np.array(x), np.array(y))) for geometry in self.segments]
+        return margins.index(max(margins))
+
+    def segment_of(self, block: int) -> int:
+        """Number of the segment that a block is of."""
+        firsts = [segment.first_block for segment in self.record.segments]
+        return max(bisect_right(firsts, block) - 1, 0)
+
+    def geometry_at(self, x: float, y: float) -> Geometry:
+        """Geometry of the segment that the pixel nearest to a ground point, m, comes from."""
+        return self.segments[self.segment_at(x, y)] if self.segments else self.geometry
+
+    def geometry_of(self, block: int) -> Geometry:
+        """Geometry of the segment that a block is of."""
+        return self.segments[self.segment_of(block)] if self.segments else self.geometry
 
     @property
     def image(self) -> Place:
@@ -218,6 +270,17 @@ class FinishedRun:
         """The figures of the image's noise; None if the noise of the samples is not known."""
         levels = self.noise_levels(NOISE_POINTS)
         return None if levels is None else NoiseFigures.of(self.geometry, *levels, self.weighting)
+
+    def read_input(self, rows: slice, columns: slice) -> Int16Array:
+        """Read which of the record's inputs each pixel comes from, (rows, columns); -1 where not covered."""
+        blocks = self.read_block(rows, columns)
+        inputs = self.record.inputs
+        numbers = {int(b): inputs.index(self.record.segments[self.segment_of(int(b))].path) for b in np.unique(blocks)
+                   if b >= 0}  # fmt: skip
+        found = np.full(blocks.shape, -1, np.int16)
+        for block, number in numbers.items():
+            found[blocks == block] = number
+        return found
 
     def strips(self, axis: int) -> Iterator[slice]:
         """Divide the image along rows (axis 0) or columns (1) into chunks, or into less where those exceed STRIP."""

@@ -30,6 +30,7 @@ OWN = (
     "collection.zarr",
     "spectrum.zarr",
     "compressed.zarr",
+    "segments",
     "gated",
     "image.zarr",
     "terrain.zarr",

@@ -25,11 +25,15 @@ class Run:
         Hash of settings, input, format and division into blocks; all receipts carry it.
     threads : int
         Threads that a task may use.
+    collection, segment : int or None
+        Numbers of what is focused of it, which set apart stores and names of units; None where there is one only.
     """
 
     folder: Place
     identity: str
     threads: int
+    collection: int | None = None
+    segment: int | None = None
 
     @property
     def token(self) -> str:
@@ -37,12 +41,31 @@ class Run:
         return stores.checksum_bytes(f"{self.identity} {self.folder!s}".encode("utf-8", "surrogateescape"))[:8]
 
     @property
+    def _own(self) -> Place:
+        """The folder of what concerns one segment."""
+        return self.folder if self.segment is None else self.folder / "segments" / str(self.segment)
+
+    def unit_of_segment(self, unit: str) -> str:
+        """Name of a unit of work that several segments have."""
+        return unit if self.segment is None else f"{unit}-of-segment-{self.segment}"
+
+    def unit_of_collection(self, unit: str) -> str:
+        """Name of a unit of work that several collections have."""
+        return unit if self.collection is None else f"{unit}-of-collection-{self.collection}"
+
+    @property
+    def described(self) -> Place:
+        """The collection, without its samples."""
+        return self._own / "collection.zarr"
+
+    @property
     def spectrum(self) -> Place:
-        return self.folder / "spectrum.zarr"
+        return self._own / "spectrum.zarr"
 
     @property
     def compressed(self) -> Place:
-        return self.folder / "compressed.zarr"
+        whole = self.folder / "compressed.zarr"
+        return whole if self.collection is None else whole / f"{self.collection}.zarr"
 
     @property
     def image(self) -> Place:
@@ -132,7 +155,8 @@ class Run:
         ProcessingError
             If it cannot be written.
         """
-        unit = f"store-{store.name.removesuffix('.zarr')}"
+        folder, *inner = self.name_of(store).removesuffix(".zarr").split("/")
+        unit = "-".join(["store", *([] if inner and folder in ("patches", "gated") else [folder]), *inner])
         receipt = self.receipt(unit)
         if receipt is None or not self.intact(receipt):
             try:

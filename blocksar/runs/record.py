@@ -16,6 +16,7 @@ from blocksar.constants import SINC_PSLR
 from blocksar.errors import FolderError
 from blocksar.places.place import Place
 from blocksar.runs.fields import Field
+from blocksar.runs.sources import CentroidError, RunInput, RunSegment, SampleCounts
 from blocksar.version import __version__
 
 FORMAT = 6  # version of the run folder's layout
@@ -301,42 +302,6 @@ class RunPlan:
         }
 
 
-@dataclass(frozen=True)
-class RunInput:
-    """The phase history of a run; empty where the record does not name it."""
-
-    path: str = ""
-    fingerprint: str = ""
-
-    @classmethod
-    def of(cls, entry: Field) -> Self:
-        return cls(entry["path"].text(""), entry["fingerprint"].text(""))
-
-
-@dataclass(frozen=True)
-class SampleCounts:
-    """Number of samples that are missing, and of those that are impossible."""
-
-    missing: int
-    impossible: int
-
-    @classmethod
-    def of(cls, entry: Field) -> Self:
-        return cls(entry["missing"].integer(), entry["impossible"].integer())
-
-
-@dataclass(frozen=True)
-class CentroidError:
-    """Measured Doppler centroid minus that of track and beam, Hz, and the coherence of the measurement; may be NaN."""
-
-    error: float
-    coherence: float
-
-    @classmethod
-    def of(cls, entry: Field) -> Self:
-        return cls(entry["error"].number_or_nan(), entry["coherence"].number_or_nan())
-
-
 @dataclass(frozen=True, kw_only=True)
 class RunRecord:
     """The contents of run.json. Only `status` is always present: records of older formats hold less.
@@ -350,6 +315,9 @@ class RunRecord:
     settings : mapping
         Settings of `focus`, by parameter name.
     input : RunInput
+        Of several collections: the first one's path, and a fingerprint of all.
+    segments : tuple of RunSegment
+        Empty unless there are several collections, or segments of one.
     identity : str
         Hash of format, settings, input and division into blocks.
     versions : mapping of str to str
@@ -374,7 +342,8 @@ class RunRecord:
     status: str
     format: int | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
-    input: RunInput = RunInput()
+    input: RunInput = field(default_factory=RunInput)
+    segments: tuple[RunSegment, ...] = ()
     identity: str = ""
     versions: Mapping[str, str] = field(default_factory=dict)
     workers: int | None = None
@@ -392,6 +361,12 @@ class RunRecord:
     @property
     def finished(self) -> bool:
         return self.status == FINISHED
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Paths of the phase histories; empty if unknown."""
+        paths = tuple(dict.fromkeys(segment.path for segment in self.segments)) or (self.input.path,)
+        return tuple(filter(None, paths))
 
     @property
     def version(self) -> str:
@@ -438,6 +413,7 @@ class RunRecord:
             format=form,
             settings=settings,
             input=entry["input"].optional(RunInput.of) or RunInput(),
+            segments=tuple(map(RunSegment.of, entry["segments"])),
             identity=entry["identity"].text(""),
             versions={name: version.text() for name, version in entry["versions"].items()},
             workers=entry["workers"].optional(Field.count),
@@ -460,6 +436,7 @@ class RunRecord:
             "status": self.status,
             "settings": dict(self.settings),
             "input": asdict(self.input),
+            **({"segments": [segment.as_json() for segment in self.segments]} if self.segments else {}),
             "identity": self.identity,
             "versions": dict(self.versions),
             "workers": self.workers,

@@ -232,6 +232,8 @@ def _disturb(samples: ComplexArray, scene: Scene, lost: NDArray[np.int64], pulse
 def _attributes(scene: Scene) -> dict[str, Any]:
     """Return the store's attributes about its scene: name, targets (unless there are many), noise and seeds."""
     attrs: dict[str, Any] = {"scene": scene.name, "noise": scene.noise.power if scene.noise else 0.0}
+    if scene.area.frame:
+        attrs["frame"] = scene.area.frame
     tables = (scene.clutter, scene.reflectivity, scene.noise, scene.dropped)
     named = zip(("clutter", "reflectivity", "noise", "dropped"), tables, strict=True)
     attrs["seed"] = {name: table.seed for name, table in named if table is not None and table.seed is not None}

@@ -253,6 +253,7 @@ class AreaTable(Table):
         description="the range whose phase is removed: 'constant' (the scene centre's at t = 0), "
         "'scene_centre' (followed from pulse to pulse), or a number of m",
     )
+    frame: str = Field("", description="name of the scene frame: collections of equal text are focused into one image")
 
     @model_validator(mode="after")
     def _check(self) -> Self:

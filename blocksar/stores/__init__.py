@@ -32,6 +32,7 @@ from blocksar.stores.records import checksum, checksum_bytes, file_checksum, jso
 from blocksar.stores.regions import chunk_shape, read_region, share_region, write_region
 from blocksar.stores.schema import (
     COLLECTION,
+    COLLECTION_NUMBER,
     CONVENTIONS,
     GATED,
     HEIGHT,
@@ -50,6 +51,7 @@ from blocksar.stores.truth import is_truth, write_truth
 
 __all__ = [
     "COLLECTION",
+    "COLLECTION_NUMBER",
     "CONTENT",
     "CONVENTIONS",
     "GATED",

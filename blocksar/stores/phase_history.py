@@ -66,6 +66,8 @@ class PhaseHistory:
         Other attributes of the store: title, history, targets, scene, georeference ...
     versions : mapping of str to str or None
         Version of each chunk of samples, by name relative to their variable, if they are `pinned`; see `Place.version`.
+    cut : (first, total) or None
+        In a `segment`: the pulse of the store that is its first one, and the store's number of pulses.
     """
 
     path: Place
@@ -73,6 +75,7 @@ class PhaseHistory:
     raw: RawEcho | None = None
     attrs: dict[str, Any] = field(default_factory=dict)
     versions: Mapping[str, str] | None = None
+    cut: tuple[int, int] | None = None
 
     @property
     def variable(self) -> str:
@@ -114,12 +117,23 @@ class PhaseHistory:
             }
         return replace(self, versions=versions)
 
+    def segment(self, first: int, last: int) -> PhaseHistory:
+        """The pulses first <= p < last as a phase history of their own, which counts time from its middle pulse."""
+        return replace(self, collection=self.collection.segment(first, last), cut=(first, self.collection.n_pulse))
+
+    def _in_store(self, pulses: slice) -> slice:
+        """The same pulses, counted as the store does."""
+        if self.cut is None:
+            return pulses
+        start, stop, _ = pulses.indices(self.collection.n_pulse)
+        return slice(self.cut[0] + start, self.cut[0] + stop)
+
     def within(self, pulses: slice = slice(None), columns: slice = slice(None)) -> PhaseHistory:
         """The same with the versions of those chunks only that hold these samples: its pickle is small."""
         if self.versions is None:
             return self
         array = chunk_files_of(self.path, self.variable) or open_array(self.path, self.variable)
-        names = chunk_names(array, (pulses, columns))
+        names = chunk_names(array, (self._in_store(pulses), columns))
         return replace(self, versions={name: self.versions.get(name, "") for name in names})
 
     def read(self, pulses: slice, columns: slice) -> ComplexArray:
@@ -136,13 +150,14 @@ class PhaseHistory:
             If a chunk is damaged (the message names it), or the store has changed since it was opened or pinned.
         """
         array = chunk_files_of(self.path, self.variable) or open_array(self.path, self.variable)
-        if array.shape != self.shape:
+        shape = self.shape if self.cut is None else (self.cut[1], self.shape[1])
+        if array.shape != shape:
             raise InputError(
-                f"{self.variable} in {self.path} now has shape {array.shape}, not {self.shape}; it changed since it "
+                f"{self.variable} in {self.path} now has shape {array.shape}, not {shape}; it changed since it "
                 "was opened: start again"
             )
         seen = None if self.versions is None else self._refuse_change
-        samples = read_array(array, (pulses, columns), self.path, self.variable, seen=seen)
+        samples = read_array(array, (self._in_store(pulses), columns), self.path, self.variable, seen=seen)
         with np.errstate(over="ignore"):
             return samples.astype(np.complex64, copy=False)
 

@@ -98,6 +98,12 @@ TERRAIN = {
     "x": X,
     "y": Y,
 }
+# Of an image of several collections.
+COLLECTION_NUMBER = {
+    "collection": Variable(
+        ("y", "x"), "int16", "1", "collection the pixel comes from; -1 where not covered", compressed=True
+    )
+}
 CONVENTIONS = "CF-1.11"
 COLLECTION_ATTRS = ("carrier_frequency", "beam_width", "ground_height", "noise_power")
 RAW_ATTRS = ("chirp_rate", "pulse_width")

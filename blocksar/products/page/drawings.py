@@ -39,7 +39,7 @@ def draw_responses(
                 progress(i, len(responses))
             target = Target(r.name, r.x, r.y)  # drawings are relative to the peak, so its reflectivity does not matter
             try:
-                x, y, geometry = source.x, source.y, source.geometry
+                x, y, geometry = source.x, source.y, source.geometry_at(r.x, r.y)
                 response = read_response(source.read, x, y, geometry, target, source.weighting)
             except InputError:  # the image is too coarse; then nothing was measured either
                 continue

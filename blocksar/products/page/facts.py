@@ -49,10 +49,12 @@ def _number(name: str, value: Any) -> Any:
 
 def block_of(source: FinishedRun, predicted: Sequence[PredictedBlock], x: float, y: float) -> str:
     """Name of the block that owns a ground point, m, by its yaw and range; a dash if none does."""
-    geometry = source.geometry
+    geometry = source.geometry_at(x, y)
     yaw, distance = float(geometry.yaw(np.array(x), np.array(y))), float(geometry.epoch_range(np.array(x), np.array(y)))
     for block in predicted:
         (low, high), (near, far) = block.yaw, block.range
+        if source.geometry_of(block.block) is not geometry:
+            continue
         if low <= turned_near(yaw, (low + high) / 2) <= high and (block.part is None or near <= distance <= far):
             return block.name
     return DASH

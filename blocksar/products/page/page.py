@@ -79,7 +79,7 @@ def make(
     """
     try:
         run = Facts(source, quality, why)
-        command = repeat_command(run.settings, run.record.input.path, folder)
+        command = repeat_command(run.settings, run.record.inputs, folder)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
         raise InputError(
             f"the settings in run.json, quality.json or the attributes of {folder} are damaged ({error}); "

@@ -191,8 +191,8 @@ def _slice_around(value: float, axis: FloatArray, step: float) -> slice:
 
 def outlines(source: FinishedRun, predicted: Sequence[PredictedBlock], picture: Picture) -> Iterator[Outline]:
     """Borders of the blocks: rays of equal yaw and arcs of equal range around the nadir."""
-    geometry = source.geometry
     for block in predicted[:MOST_ROWS]:
+        geometry = source.geometry_of(block.block)
         (low, high), (near, far) = block.yaw, block.range
         yaws = np.linspace(low, high, 2 + int((high - low) / ARC))
         inner = geometry.ground_point(np.array(near), yaws)
@@ -207,7 +207,7 @@ def _label_place(source: FinishedRun, block: PredictedBlock, picture: Picture) -
     (near, far), (low, high) = block.range, block.yaw
     ranges, margin = np.linspace(far, near, 41)[2:-2], 0.03 * max(picture.width, picture.height)
     for share in sorted(np.linspace(0.1, 0.9, 17), key=lambda share: abs(share - 0.5)):
-        points = source.geometry.ground_point(ranges, np.array(low + share * (high - low)))
+        points = source.geometry_of(block.block).ground_point(ranges, np.array(low + share * (high - low)))
         for x, y, _ in points:
             if np.isfinite(x) and picture.holds(x, y, margin):
                 return picture.place(x, y)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from blocksar.budget import FIDELITY
@@ -13,11 +13,11 @@ from blocksar.products.page.words import number
 from blocksar.runs.finished import FinishedRun
 
 
-def repeat_command(settings: Mapping[str, Any], path: str, folder: str) -> str:
-    """The command that focuses the input at `path` in the same way again; empty if settings or path are unknown."""
-    if not settings or not path:
+def repeat_command(settings: Mapping[str, Any], paths: Sequence[str], folder: str) -> str:
+    """The command that focuses the inputs in the same way again; empty if settings or paths are unknown."""
+    if not settings or not paths:
         return ""
-    words = ["blocksar", "focus", path, "--out", folder]
+    words = ["blocksar", "focus", *paths, "--out", folder]
     defaults = Method().as_settings() | {
         "processor": "angular-division",
         "blocks": "auto",
@@ -43,11 +43,12 @@ def provenance(run: Facts) -> list[tuple[str, str]]:
     """Names and values of what is known of the run's input, image and collection."""
     collection = run.source.collection
     rows = [
-        ("input", run.record.input.path),
+        ("input", ", ".join(run.record.inputs)),
         ("fingerprint of the input", run.record.input.fingerprint),
         ("identity of the run", run.record.identity),
         ("weighting", run.source.weighting.text),
         ("image", _extent(run.source)),
+        ("segments", _segments(run)),
         ("collection", f"{collection.n_pulse} pulses of {collection.n_range_frequency} range frequencies, "
          f"{collection.prf:.6g} Hz, {collection.carrier / 1e9:.6g} GHz, {collection.bandwidth / 1e6:.4g} MHz wide"),
         ("samples", run.samples),
@@ -57,6 +58,16 @@ def provenance(run: Facts) -> list[tuple[str, str]]:
         ("versions", ", ".join(f"{name} {version}" for name, version in run.versions.items())),
     ]  # fmt: skip
     return [(name, str(value)) for name, value in rows if value]
+
+
+def _segments(run: Facts) -> str:
+    """What each segment of a run is of, and its blocks; empty in a run of one."""
+    texts = []
+    for index, segment in enumerate(run.record.segments):
+        last = segment.first_block + (segment.blocks or 1) - 1
+        pulses = "" if segment.pulses is None else f", pulses {segment.pulses[0]} .. {segment.pulses[1] - 1}"
+        texts.append(f"{index}: {segment.path}{pulses}, blocks {segment.first_block} .. {last}")
+    return "; ".join(texts)
 
 
 def _extent(source: FinishedRun) -> str:

@@ -69,7 +69,7 @@ class Column(NamedTuple):
 class Row(NamedTuple):
     """A row, whose first cell is its head; `at` is the place (x, y) in the picture that it links to, if any."""
 
-    cells: Sequence[Cell]
+    cells: list[Cell]
     at: tuple[str, str] | None = None
 
 
@@ -111,6 +111,10 @@ def plan_table(run: Facts) -> Table | None:
         Column("range", "km"),
     ]
     rows = [_plan_row(run, block) for block in run.predicted[:MOST_ROWS]]
+    if run.record.segments:
+        columns.insert(1, Column("segment"))
+        for row, block in zip(rows, run.predicted, strict=False):
+            row.cells.insert(1, Cell(str(run.source.segment_of(block.block))))
     return Table("plan", "Planned and measured figures of every block", columns, rows, note=_left_out(run.predicted))
 
 

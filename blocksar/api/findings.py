@@ -1,0 +1,112 @@
+"""What the samples of a run's collections tell: warnings, counts, and how they fit track and beam."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from blocksar.api.checking import check_samples
+from blocksar.api.jobs import Job
+from blocksar.errors import InputError
+from blocksar.graph.machine import machine
+from blocksar.graph.segments import Segment, by_collection
+from blocksar.graph.stages import Recovered
+from blocksar.inspection import centroid, samples, sentences
+from blocksar.inspection.samples import Inspection
+from blocksar.progress import Listener
+from blocksar.runs.record import RunRecord
+from blocksar.runs.sources import CentroidError, SampleCounts
+
+
+def add_findings(job: Job, record: RunRecord, read: Sequence[Recovered], listener: Listener) -> RunRecord:
+    """Add the findings of the inspections of all segments to the record.
+
+    Raises
+    ------
+    InputError
+        If no sample of a collection is valid.
+    """
+    warnings: list[str] = []
+    offsets: list[CentroidError] = []
+    checks, missing, impossible = [], 0, 0
+    by_number = {id(segment): each for segment, each in zip(job.segments, read, strict=True)}
+    for segments in by_collection(job.segments).values():
+        history = segments[0].source
+        inspections = _inspections(segments, [by_number[id(segment)] for segment in segments])
+        if not inspections[-1].lit.any():
+            raise InputError(f"{history.variable} in {history.path} holds no valid sample; is it the right store?")
+        if not inspections[-1].valid:
+            raise InputError(f"{history.variable} in {history.path} holds zeros only; write it again from its source")
+        lines = [line for each in inspections for line in sentences.describe(each)]
+        for segment in segments:
+            offset, disagreement = _compare_centroid(segment, by_number[id(segment)].inspection)
+            offsets += [offset] if offset else []
+            lines += [disagreement] if disagreement and disagreement not in lines else []
+        warning, check = _check_samples(job, segments)
+        lines += [warning] if warning else []
+        about = f"{history.path}: " if len(job.request.histories) > 1 else ""
+        warnings += [about + line for line in lines]
+        checks += [about + check] if check else []
+        missing += sum(inspections[-1].missing.values())
+        impossible += sum(each.n_outlier for each in inspections)
+    warnings += job.left_out()
+    for warning in warnings:
+        listener.note(warning, again=True)
+    return replace(
+        record, warnings=tuple(warnings), samples=SampleCounts(missing, impossible), check="; ".join(checks),
+        doppler_centroid=max(offsets, key=lambda offset: abs(offset.error), default=None),
+    )  # fmt: skip
+
+
+def _inspections(segments: Sequence[Segment], read: Sequence[Recovered]) -> list[Inspection]:
+    """The inspections of a collection: of its raw echo, if it is one, and of its samples."""
+    echoes = [
+        Inspection.from_dict(dict(receipt.found))
+        for each in read
+        for receipt in each.receipts
+        if receipt.found and receipt.stage == "range-compress"
+    ]
+    parts = [(segment.pulses or (0, 0))[0] for segment in segments]
+    inspection = read[0].inspection
+    if len(segments) > 1 or segments[0].pulses:
+        whole = segments[0].source.collection.n_pulse
+        inspection = samples.join_segments(list(zip(parts, (r.inspection for r in read), strict=True)), whole)
+    return [samples.merge_echoes(echoes), inspection] if echoes else [inspection]
+
+
+def _compare_centroid(segment: Segment, inspection: Inspection) -> tuple[CentroidError | None, str | None]:
+    """Compare the measured Doppler centroid with that of track and beam.
+
+    Returns the difference, and a warning if it is large; None where there is nothing to compare.
+    """
+    if segment.plan is None:
+        return None, None
+    region = segment.plan.region
+    expected = centroid.expect(
+        segment.geometry, segment.plan.recovery, yaw=region.yaw, near=region.near, far=region.far
+    )
+    if expected is None:
+        return None, None
+    measured = centroid.measure_centroid(inspection, prf=segment.geometry.collection.prf)
+    return CentroidError(measured.mean_offset, measured.mean_coherence), centroid.disagreement(inspection, expected)
+
+
+def _check_samples(job: Job, segments: Sequence[Segment]) -> tuple[str | None, str]:
+    """Compare prominent places with what is said of the samples: a warning, or a sentence that all is well.
+
+    Of several segments of a collection, in the middle one.
+
+    Raises
+    ------
+    InputError
+        If the samples are constant.
+    """
+    try:
+        middle = segments[len(segments) // 2]
+        findings = check_samples(middle.history, job.grid, threads=machine()[0], thorough=False)
+    except InputError:
+        if not job.exact:
+            raise
+        return None, ""  # back-projection also forms images about the nadir, where yaw has no meaning
+    warning = findings.warning()
+    return warning, "" if warning else findings.sentence()
