@@ -347,6 +347,7 @@ def _run_stages(
         timings["inspect"] = lap()
         record = add_findings(job, record, read, listener)
         run.establish(run.image, lambda: _create_image(run, job, record))
+        timings["check"] = lap()
         input_read()
         weighting = job.request.weighting
         noises = job.noises([each.inspection.lit for each in read])
@@ -358,6 +359,7 @@ def _run_stages(
     timings["recover"] = lap()
     record = add_findings(job, record, recovered, listener)
     run.establish(run.image, lambda: _create_image(run, job, record))
+    timings["check"] = lap()
     input_read()
     gated = stages.gate_ranges(client, segments, run, recovered, listener)
     if any(gated):

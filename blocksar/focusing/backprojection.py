@@ -30,6 +30,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import FLAT, UNIFORM, Taper, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.focusing import pattern_sums
 from blocksar.focusing.pattern_sums import add_gains
 from blocksar.kernels import projection
 from blocksar.kernels.fourier import Axis, fast_length, fft_rows, unit_phasor
@@ -331,9 +332,9 @@ def form_points(
                 threads=threads,
             )  # fmt: skip
     if collection.has_pattern:
-        _divide(image, outside, (gains / collection.n_range_frequency).astype(np.float32))
+        _normalise_weighted(image, outside, (gains / collection.n_range_frequency).astype(np.float32))
     elif weight is not None:
-        _divide(image, outside, weight)
+        _normalise_weighted(image, outside, weight)
     else:
         before = np.concatenate(([0], np.cumsum(valid)))
         _normalise(image, outside, first, last, before, collection.n_range_frequency)
@@ -449,7 +450,7 @@ def _add_gains(
     _run_tiles(work, gains.shape, threads)
 
 
-def _divide(image: ComplexArray, outside: BoolArray, weight: Float32Array) -> None:
+def _normalise_weighted(image: ComplexArray, outside: BoolArray, weight: Float32Array) -> None:
     """Turn sums into weighted means in place: divide by the lit pulses' sum of weights, times the pattern's gain."""
     missing = outside | (weight <= 0)
     image /= np.where(missing, np.float32(1), weight)
@@ -490,5 +491,6 @@ def _normalise(
 def compile_kernels() -> None:
     """Compile the loops of back-projection, or load them from numba's cache."""
     compile_all(projection)
+    compile_all(pattern_sums)
     index = np.zeros((1, 1), np.int64)
     compile_for(_normalise, np.zeros((1, 1), np.complex64), np.zeros((1, 1), np.bool_), index, index, index[0], 1)

@@ -282,7 +282,7 @@ def _amplitude(
 
 
 @njit(**PART, **COMPILED)
-def _divide(
+def _amplitude_of_sums(
     turn: FloatArray, start: float, per_step: float, total: FloatArray, near: float, far: float, rng: FloatArray,
     loss: FloatArray, owned: FloatArray, amplitude: Float32Array,
 ) -> None:  # fmt: skip
@@ -440,7 +440,9 @@ def _resample(  # type: ignore[no-untyped-def]
             if weight.shape[0] == 1:
                 _amplitude(turn, yaw_start, 1 / yaw_step, by_yaw, loss, owned, amplitude)
             else:
-                _divide(turn, yaw_start, 1 / yaw_step, weight, frame[5], frame[6], rng, loss, owned, amplitude)
+                _amplitude_of_sums(
+                    turn, yaw_start, 1 / yaw_step, weight, frame[5], frame[6], rng, loss, owned, amplitude
+                )
             _place(row, n_taps[0], widths[0], sizes[0], n_row, first_row, range_row, range_part)
             _place(doppler, n_taps[1], widths[1], sizes[1], n_doppler, first_doppler, doppler_row, doppler_part)
             _turns(doppler, cycles, middle, first_doppler, carrier, own)

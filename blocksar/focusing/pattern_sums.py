@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numba import njit
+from numba import njit, types
 
 from blocksar.arrays import FloatArray, IntArray
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import FLAT, Taper
 from blocksar.constants import TURN
+from blocksar.kernels.loops import loop
+from blocksar.kernels.signatures import REAL_ROW, REAL_ROWS
 
 _NONE = np.zeros(1), np.ones(1)  # angles and amplitudes of no pattern
+_PULSES = types.Array(types.int64, 2, "C", readonly=True)
 
 
 def add_gains(
@@ -57,15 +58,17 @@ def add_gains(
     down = (collection.elevation, collection.elevation_pattern)
     tables = [np.array(values) for pair in (across, down) for values in (_NONE if pair[1] is None else pair)]
     antenna = collection.antenna_position[pulses] - np.array([0.0, 0.0, collection.ground_height])
-    places = [np.array(values) for values in (x, y, yaw)]  # copies: a loop is compiled for each layout of its arrays
-    lit, beam = (np.array(first), np.array(last)), [np.array(values) for values in (axis, steering, azimuth)]
-    add: Any = _add_gains
+    # Copies: the loop is compiled for one layout of its arrays.
+    places = [np.array(values, order="C") for values in (x, y, yaw)]
+    lit = [np.array(values, np.int64, order="C") for values in (first, last)]
+    beam, sums = [np.array(values) for values in (axis, steering, azimuth)], np.array(total, order="C")
     terms, frequency = taper.series
     pace = 2 * np.pi * frequency / (collection.beam_width or np.inf)  # of the cosines, per rad off the beam's centre
-    add(
-        total, *places, *lit, antenna, *beam, np.array(valid, np.float64), pulses.start, collection.has_axis,
+    _add_gains(
+        sums, *places, *lit, antenna, *beam, np.array(valid, np.float64), pulses.start, collection.has_axis,
         *tables, np.array(terms), pace,
     )  # fmt: skip
+    total[...] = sums
 
 
 @njit(inline="always")
@@ -82,7 +85,10 @@ def _between(angle, angles, values):  # type: ignore[no-untyped-def]
     return values[k] + part * (values[k + 1] - values[k])
 
 
-@njit(cache=True, nogil=True)
+@loop(
+    types.float64[:, ::1], *[REAL_ROWS] * 3, *[_PULSES] * 2, *[REAL_ROWS] * 2, *[REAL_ROW] * 3, types.int64,
+    types.boolean, *[REAL_ROW] * 5, types.float64, nogil=True,
+)  # fmt: skip
 def _add_gains(  # type: ignore[no-untyped-def]
     total, x, y, yaw, first, last, antenna, axis, steering, azimuth, valid, start, has_axis, offsets, pattern,
     elevations, elevation_pattern, terms, pace,

@@ -277,7 +277,7 @@ def test_the_plan_table_shows_predicted_and_measured_values(whole: Path, runs: d
 def test_times_match_the_timings_and_receipts(whole: Path, runs: dict[str, Path]) -> None:
     record = json.loads((runs["run"] / "run.json").read_text())
     cells = read(whole).text("td")
-    for name in ("recover", "focus", "mosaic", "total"):
+    for name in ("recover", "check", "focus", "mosaic", "total"):
         assert tables.seconds_text(record["timings"][name]) in cells
     block = next(r for r in record["receipts"] if r["unit"] == "block-0.0")
     assert tables.seconds_text(sum(block["steps"].values())) in cells

@@ -29,6 +29,7 @@ UNITS = {
 STAGES = {
     "inspect": "inspection of samples",
     "recover": "recovery",
+    "check": "check of samples",
     "gate": "range gates",
     "focus": "focusing of blocks",
     "mosaic": "mosaic",
