@@ -25,6 +25,7 @@ from blocksar.cli import commands
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
+from blocksar.collection.weighting import Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.focusing import recovery
@@ -637,6 +638,20 @@ def test_measured_sign_and_reference(store: Path, reference: np.ndarray, measure
         return float(sum(np.abs(image).max() ** 2 for image in images))
 
     assert power(collection.reference_range) > 1.01 * power(rounded)
+
+
+def test_the_weighted_measured_image_agrees_with_back_projection(store: Path, tmp_path: Path) -> None:
+    axis, weighting = (-50.0, 50.0, 0.125), "taylor:4:-35"
+    history = stores.open_phase_history(store)
+    pixels = axis[0] + axis[2] * np.arange(800)
+    exact = form_image(
+        lambda pulses: history.read(pulses, slice(None)), Geometry(collection=history.collection.centred()), pixels,
+        pixels, threads=1, weighting=Weighting.parse(weighting),
+    )  # fmt: skip
+    api.focus(store, tmp_path / "run", weighting=weighting, grid=(axis, axis), workers=1, threads=1)
+    found = coherence(api.open(tmp_path / "run").image.values, exact)
+    assert abs(found.coherence) > 0.9999
+    assert found.gain == pytest.approx(1, abs=1e-3) and abs(found.phase) < 1e-3
 
 
 @pytest.mark.parametrize("processor", ["angular-division", "keystone-resampling"])
