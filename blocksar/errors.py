@@ -1,4 +1,4 @@
-"""The two kinds of errors, wrong input and failed processing, and the kinds that a caller tells apart."""
+"""The kinds of errors: wrong input, failed processing, and systems that are not supported."""
 
 from __future__ import annotations
 
@@ -62,3 +62,7 @@ class ProcessingError(RuntimeError):
 
     def __init__(self, message: str) -> None:
         super().__init__(printable(message))
+
+
+class UnsupportedSystem(ImportError):
+    """The operating system lacks what blocksar needs (exit status 2)."""

@@ -13,7 +13,7 @@ import typer
 from typer.core import TyperGroup
 
 from blocksar.cli.parsing import quoted
-from blocksar.errors import InputError, ProcessingError
+from blocksar.errors import InputError, ProcessingError, UnsupportedSystem
 from blocksar.progress import abandon
 
 UsageError: Any = typer.BadParameter.__base__  # typer has no public name for the error of a wrong command line
@@ -45,7 +45,7 @@ class Commands(TyperGroup):
             return super().invoke(ctx)
         except UsageError as error:
             _report_usage(error)
-        except (InputError, ProcessingError, KeyboardInterrupt, Terminated) as error:
+        except (InputError, ProcessingError, UnsupportedSystem, KeyboardInterrupt, Terminated) as error:
             _report(error)
         except OSError as error:
             # A closed pipe (`blocksar plan ... | head`) is not an error: typer ends quietly.
@@ -75,7 +75,7 @@ def _report_usage(error: Any) -> NoReturn:
 def ending(error: BaseException) -> tuple[int, str]:
     """Return the exit status and the message of a command that ends with an error."""
     match error:
-        case InputError():
+        case InputError() | UnsupportedSystem():
             return WRONG_INPUT, str(error)
         case ProcessingError() | OSError():
             return FAILED, str(error)

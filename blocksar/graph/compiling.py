@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import subprocess
 import sys
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from blocksar.garbage import uncollected
 from blocksar.graph.machine import machine
+from blocksar.places.posix import fcntl
 
 if TYPE_CHECKING:
     from blocksar.kernels.loops import Tally

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import resource
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from blocksar.errors import InputError
+from blocksar.places.posix import resource
 
 GROUPS = Path("/sys/fs/cgroup")
 CPU_QUOTAS = ("cpuacct,cpu", "cpu,cpuacct")  # folders of control groups of version 1

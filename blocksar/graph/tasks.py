@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import resource
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -37,6 +36,7 @@ from blocksar.graph.spectrum import SpectrumChunks, Window, chunk_spans, read_ah
 from blocksar.inspection.samples import Inspection, inspect, mask_outliers
 from blocksar.kernels import buffers
 from blocksar.places.place import Place
+from blocksar.places.posix import resource
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.tiling import image_chunk, patch_window, touched_chunks
 from blocksar.runs.receipts import Run, write

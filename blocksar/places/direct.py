@@ -8,7 +8,6 @@ Direct transfers need aligned memory, so samples pass through a small aligned bu
 from __future__ import annotations
 
 import errno
-import fcntl
 import mmap
 import os
 import threading
@@ -16,6 +15,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
 from blocksar.constants import MIB
+from blocksar.places.posix import fcntl
 
 ALIGNMENT = 4096  # bytes: a multiple of every disk's sectors
 BUFFER = 2 * MIB

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import errno
-import fcntl
 import json
 import os
 import re
@@ -18,6 +17,7 @@ from typing import TYPE_CHECKING, Literal
 
 from blocksar.places.owners import describe_owner, this_process
 from blocksar.places.place import Held, Place
+from blocksar.places.posix import fcntl
 
 if TYPE_CHECKING:
     from zarr.storage import StorePath

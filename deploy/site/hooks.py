@@ -22,7 +22,7 @@ from pydantic_core import PydanticUndefined
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))  # scene files are those of this repository, whatever is installed
 
-FOLDERS = ("blocksar", "workflows", "deploy")
+FOLDERS = ("blocksar", "workflows", "deploy", "tests")
 ALSO = ("README.md", "CHANGELOG.md", "LICENSE")
 PAGES = ("README.md", ".png")  # ends of the names of files that are gathered
 
