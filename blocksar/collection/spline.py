@@ -33,7 +33,7 @@ class Spline:
 
     def __call__(self, at: FloatArray, derivative: int = 0) -> FloatArray:
         """Values or derivatives (..., n) at any shape; beyond the ends the outermost cubic goes on."""
-        first, weights = _basis(np.asarray(at, np.float64), self.start, self.step, self.n_interval, derivative)
+        first, weights = basis(np.asarray(at, np.float64), self.start, self.step, self.n_interval, derivative)
         total = weights[..., 0, None] * self.coefficients[first]
         for k in range(1, 4):
             total = total + weights[..., k, None] * self.coefficients[first + k]
@@ -46,8 +46,12 @@ def fit_spline(at: FloatArray, values: FloatArray, n_interval: int) -> Spline:
     The normal equations have bands of width four, and are solved by Cholesky's method without BLAS, see `solvers`.
     """
     start, step = float(at[0]), float(at[-1] - at[0]) / n_interval
-    first, weights = _basis(at, start, step, n_interval, 0)
-    size = n_interval + 3
+    first, weights = basis(at, start, step, n_interval, 0)
+    return Spline(start=start, step=step, coefficients=solve_normal(first, weights, values, n_interval + 3))
+
+
+def solve_normal(first: IntArray, weights: FloatArray, values: FloatArray, size: int) -> FloatArray:
+    """Least-squares coefficients (size, n) for values (m, n) at places whose `basis` is first (m,), weights (m, 4)."""
     bands = np.zeros((4, size))  # bands[d, i] = gram[i, i + d]
     right = np.zeros((size, values.shape[1]))
     for i in range(4):
@@ -56,10 +60,10 @@ def fit_spline(at: FloatArray, values: FloatArray, n_interval: int) -> Spline:
         for axis in range(values.shape[1]):
             right[:, axis] += np.bincount(first + i, weights[:, i] * values[:, axis], minlength=size)
     bands[0] += 1e-12 * bands[0].max()  # an interval without samples
-    return Spline(start=start, step=step, coefficients=_solve_banded(bands, right))
+    return _solve_banded(bands, right)
 
 
-def _basis(at: FloatArray, start: float, step: float, n_interval: int, derivative: int) -> tuple[IntArray, FloatArray]:
+def basis(at: FloatArray, start: float, step: float, n_interval: int, derivative: int) -> tuple[IntArray, FloatArray]:
     """Index of the first of four basis splines at each place (...), and their weights (..., 4)."""
     position = (at - start) / step
     first = np.clip(np.floor(position), 0, n_interval - 1)

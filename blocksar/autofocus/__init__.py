@@ -1,0 +1,1 @@
+"""The error of the track, estimated from the samples; see README.md."""

@@ -1,0 +1,177 @@
+"""Chips: deramped range lines about each point over its lit pulses, low-passed and decimated in slow time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from blocksar.autofocus import range_lines
+from blocksar.autofocus.correction import Correction
+from blocksar.autofocus.selection import Points
+from blocksar.autofocus.work import Work, low_pass
+from blocksar.kernels.fourier import fast_length
+from blocksar.kernels.groups import run_groups
+
+POINTS_AT_ONCE = 4  # that a thread takes
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ChipPart:
+    """What a block of pulses adds to the chips.
+
+    Attributes
+    ----------
+    start : int
+        First sample of the collection's `Work.sample_times`.
+    values : (n_point, n, n_line) complex64
+    """
+
+    start: int
+    values: ComplexArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Chips:
+    """Chips of all points, each over its own samples.
+
+    Attributes
+    ----------
+    work : Work
+    time : (n_sample,) float
+        Slow times of samples over the whole collection, s.
+    values : (n_point, n_line, n) complex64
+        Rows along slow time; zero from `count` on.
+    first, count : (n_point,) int
+        Samples of a chip: first <= m < first + count.
+    sight : (n_point, n, 3) float
+        Unit vectors from the antenna to the point.
+    """
+
+    work: Work
+    time: FloatArray
+    values: ComplexArray
+    first: IntArray
+    count: IntArray
+    sight: FloatArray
+
+    @property
+    def index(self) -> IntArray:
+        """Samples of the collection (n_point, n); the last one where a chip has ended."""
+        n = self.values.shape[2]
+        return np.minimum(self.first[:, None] + np.arange(n), self.time.size - 1)
+
+    def some(self, which: IntArray) -> Chips:
+        """The chips of some points."""
+        parts = {name: getattr(self, name)[which] for name in ("values", "first", "count", "sight")}
+        return replace(self, **parts)
+
+    def corrected(self, displacement: FloatArray) -> Chips:
+        """The chips with a displacement (n_sample, 3) of the antenna, m, corrected by phase alone."""
+        turn = np.exp(-1j * self.work.wavenumber * self.los(displacement)).astype(np.complex64)
+        return replace(self, values=self.values * turn[:, None])
+
+    def los(self, displacement: FloatArray) -> FloatArray:
+        """Displacement (n_sample, 3) along the line of sight of each chip, (n_point, n)."""
+        return np.asarray((self.sight * displacement[self.index]).sum(axis=2))
+
+    def spread(self, values: FloatArray) -> FloatArray:
+        """The transpose of `los`: (n_sample, 3) of (n_point, n)."""
+        index, n = self.index.ravel(), self.time.size
+        return np.stack([np.bincount(index, (self.sight[..., a] * values).ravel(), minlength=n) for a in range(3)], 1)
+
+    @property
+    def lit(self) -> BoolArray:
+        """Which samples of the chips there are, (n_point, n)."""
+        return np.asarray(np.arange(self.values.shape[2]) < self.count[:, None])
+
+    def narrowed(self, factor: int) -> Chips:
+        """Chips low-passed to 1 / factor of their Doppler band, and decimated by that."""
+        if factor == 1:
+            return self
+        weights = low_pass(factor).astype(np.float32)
+        ahead = (weights.size - factor) // 2
+        first = -(-self.first // factor)
+        count = np.maximum((self.first + self.count) // factor - first, 0)
+        n = fast_length(int(count.max()))
+        values = np.zeros((*self.values.shape[:2], n), np.complex64)
+        for i in range(first.size):
+            begin = int(first[i]) * factor - ahead - int(self.first[i])
+            padded = np.pad(self.values[i], ((0, 0), (weights.size, weights.size + factor * n)))[:, begin + weights.size :]
+            for k in range(weights.size):
+                values[i, :, : count[i]] += weights[k] * padded[:, k : k + factor * int(count[i]) : factor]
+        n_sample = self.time.size // factor
+        middle = np.arange(n_sample) * float(factor) + (factor - 1) / 2
+        time = np.interp(middle, np.arange(self.time.size), self.time)
+        index = np.minimum(first[:, None] + np.arange(n), n_sample - 1) * factor + factor // 2 - self.first[:, None]
+        index = np.clip(index, 0, self.values.shape[2] - 1)
+        sight = np.take_along_axis(self.sight, index[..., None], axis=1)
+        return replace(self, time=time, values=values, first=first, count=count, sight=sight)
+
+
+def take_chips(
+    signal: ComplexArray, work: Work, points: Points, correction: Correction, pulses: slice, threads: int = 1
+) -> ChipPart:
+    """Take what a block of pulses adds to the chips, with a corrected track.
+
+    The lines lie at exact ranges from the corrected positions, with the phase of these ranges removed: a perfect track
+    leaves a point with constant phase, an error e that of -k u . e, where u is the unit vector to the point.
+
+    Parameters
+    ----------
+    signal : (n, n_range_frequency) complex64
+        Samples of these pulses; NaN counts as zero.
+    pulses : slice
+        One of `work.blocks`.
+    """
+    collection, settings, d = work.geometry.collection, work.settings, work.decimation
+    profiles = range_lines.range_profiles(signal, collection, threads)
+    position = collection.antenna_position[pulses] + correction.at(work, collection.time[pulses])
+    taps = low_pass(d)
+    ahead = (taps.size - d) // 2
+    start = max((pulses.start + ahead - taps.size) // d + 1, 0)
+    stop = min((pulses.stop - 1 + ahead) // d + 1, work.n_sample)
+    out = np.zeros((points.x.size, max(stop - start, 0), settings.lines), np.complex64)
+    lit = np.stack([np.clip(p - pulses.start, 0, pulses.stop - pulses.start) for p in (points.first, points.last)], 1)
+    place = np.stack([points.x, points.y, np.full(points.x.size, collection.ground_height)], axis=1)
+
+    def one(rows: slice) -> None:
+        sight = place[rows, None] - position
+        held = np.sqrt((sight * sight).sum(axis=2)) - collection.reference_range[pulses]
+        range_lines.take_chips(
+            profiles.values, held / profiles.spacing, held * (work.wavenumber / (2 * np.pi)), lit[rows],
+            range_lines.taps(), taps, settings.line_spacing * work.cell / profiles.spacing, d,
+            ahead + pulses.start - d * start, out[rows],
+        )  # fmt: skip
+
+    n = points.x.size
+    run_groups(one, [slice(i, min(i + POINTS_AT_ONCE, n)) for i in range(0, n, POINTS_AT_ONCE)], threads)
+    return ChipPart(start=start, values=out)
+
+
+def join_chips(work: Work, points: Points, parts: Sequence[ChipPart], correction: Correction) -> Chips:
+    """Put the parts of all blocks together, each point's over the samples that are lit."""
+    d, collection = work.decimation, work.geometry.collection
+    lit_first = np.ceil((points.first - (d - 1) / 2) / d).astype(np.int64).clip(0)
+    lit_last = (np.floor((points.last - 1 - (d - 1) / 2) / d).astype(np.int64) + 1).clip(max=work.n_sample)
+    count = np.maximum(lit_last - lit_first, 0)
+    n = fast_length(int(count.max()))
+    values = np.zeros((points.x.size, work.settings.lines, n), np.complex64)
+    for part in parts:
+        stop = part.start + part.values.shape[1]
+        for i in range(points.x.size):
+            low, high = max(part.start, int(lit_first[i])), min(stop, int(lit_last[i]))
+            if low < high:
+                into = slice(low - int(lit_first[i]), high - int(lit_first[i]))
+                values[i, :, into] += part.values[i, low - part.start : high - part.start].T
+    at = work.sample_pulses
+    pulse = np.arange(float(collection.n_pulse))
+    position = np.stack([np.interp(at, pulse, axis) for axis in collection.antenna_position.T], axis=1)
+    position += correction.at(work, work.sample_times)
+    index = np.minimum(lit_first[:, None] + np.arange(n), work.n_sample - 1)
+    place = np.stack([points.x, points.y, np.full(points.x.size, collection.ground_height)], axis=1)
+    sight = place[:, None] - position[index]
+    sight /= np.sqrt((sight * sight).sum(axis=2, keepdims=True))
+    return Chips(work=work, time=work.sample_times, values=values, first=lit_first, count=count, sight=sight)

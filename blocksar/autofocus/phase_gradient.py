@@ -1,0 +1,130 @@
+"""Phase gradient: the line-of-sight displacement that all chips share, from the phase between successive samples.
+
+Each range line of a chip is centred on its strongest scatterer and cut to a band of Doppler about it. The products of
+successive samples, conj(z_t) z_(t+1), then turn by the gradient of the error plus a slope of the line's own, since the
+scatterer may lie anywhere in the chip. Gradients are averaged as phasors, not as angles, over lines; slopes likewise
+over time, in turns. The lines' slopes stitch the dwells of a beam that turns: no sample has to be lit for all lines.
+
+References
+----------
+Wahl, Eichel, Ghiglia, Jakowatz, "Phase gradient autofocus", IEEE Trans. AES 30(3), 1994.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from blocksar.arrays import Complex128Array, ComplexArray, FloatArray, IntArray
+from blocksar.autofocus.chips import Chips
+from blocksar.kernels.fourier import fft_rows
+
+TURNS = 100  # of slopes and gradients
+PARTS = 2  # samples of the gradient for an interval of the spline
+NARROWING = 0.6  # of the band of Doppler, from one iteration to the next
+LEAST_BAND = 12  # Doppler cells
+MOST_WEIGHT = 10.0  # of a line whose scatterer stands alone
+
+
+def centred_rows(values: ComplexArray, count: IntArray, band: int) -> tuple[ComplexArray, FloatArray]:
+    """Centre each row on its brightest Doppler and cut it to a band about that.
+
+    Parameters
+    ----------
+    values : (n_row, n) complex64
+        Zero from count (n_row,) on.
+    band : int
+        Doppler cells to either side that are kept.
+
+    Returns
+    -------
+    (n_row, n) complex64, (n_row,) float
+        The rows, and the turn by which each was centred, rad per sample.
+    """
+    n = values.shape[1]
+    spectrum = fft_rows(values.copy(), inverse=False)
+    power = np.abs(spectrum) ** 2
+    # Smoothed over a share of the band: a blurred point is not one bright cell.
+    width = max(band // 8, 1)
+    smooth = np.cumsum(np.concatenate([power[:, -width:], power, power[:, :width]], axis=1), axis=1, dtype=np.float64)
+    smooth = smooth[:, 2 * width :] - smooth[:, : -2 * width]
+    peak = smooth.argmax(axis=1)
+    away = (np.arange(n) - peak[:, None] + n // 2) % n - n // 2
+    spectrum *= np.exp(-((away / band) ** 2 * 2) ** 4).astype(np.float32)  # flat, with soft edges
+    rows = fft_rows(spectrum, inverse=True)
+    turn = 2 * np.pi * ((peak + n // 2) % n - n // 2) / n
+    rows = rows * np.exp(-1j * turn[:, None] * np.arange(n)).astype(np.complex64)
+    return np.where(np.arange(n) < count[:, None], rows, np.complex64(0)), turn
+
+
+def shared_gradient(
+    products: Complex128Array, part: IntArray, n_part: int, share: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Gradient that all rows share, rad per sample.
+
+    Parameters
+    ----------
+    products : (n_row, n) complex
+        conj(z_t) z_(t+1) of each row.
+    part : (n_row, n) int
+        Which part of the collection each product belongs to.
+    n_part : int
+    share : (n_row,) float
+        By which rows count, besides their coherence.
+
+    Returns
+    -------
+    gradient : (n_part,) float
+        0 where nothing is lit.
+    slope : (n_row,) float
+        Of each row.
+    coherence : (n_row,) float
+        How much of a row's power follows these, 0 .. 1.
+    """
+    n_row = products.shape[0]
+    key = (np.arange(n_row)[:, None] * n_part + part).ravel()
+
+    def total(values: FloatArray) -> FloatArray:
+        return np.bincount(key, values.ravel(), minlength=n_row * n_part).reshape(n_row, n_part)
+
+    sums = total(products.real) + 1j * total(products.imag)
+    sums /= np.maximum(total(np.abs(products)).sum(axis=1), 1e-300)[:, None]
+    weight, slope = share.copy(), np.zeros(n_row)
+    gradient, coherence = np.zeros(n_part), np.zeros(n_row)
+    for turn in range(TURNS):
+        shared = (sums * (weight * np.exp(-1j * slope))[:, None]).sum(axis=0)
+        gradient = np.where(shared == 0, 0.0, np.angle(shared))
+        own = (sums * np.exp(-1j * gradient)).sum(axis=1)
+        slope, coherence = np.angle(own), np.abs(own)
+        if turn % 10 == 9:
+            weight = share * np.minimum(coherence**2 / np.maximum(1 - coherence**2, 1 / MOST_WEIGHT), MOST_WEIGHT)
+    return gradient, slope, coherence
+
+
+def line_of_sight(chips: Chips, phase: FloatArray, band: int, n_interval: int, weights: FloatArray) -> FloatArray:
+    """Phase (n_sample,), rad, that the chips share, by one phase gradient; its mean line over time is arbitrary.
+
+    Parameters
+    ----------
+    chips : Chips
+    phase : (n_point, n) float
+        Removed from the chips first, rad.
+    band : int
+        Doppler cells to either side of a line's brightest one.
+    n_interval : int
+        Of the spline that is to follow; PARTS gradients for each.
+    weights : (n_point,) float
+    """
+    n_point, n_line, n = chips.values.shape
+    turned = chips.values * np.exp(-1j * phase).astype(np.complex64)[:, None]
+    rows, _ = centred_rows(turned.reshape(-1, n), np.repeat(chips.count, n_line), band)
+    share = np.repeat(np.sqrt(weights), n_line)
+    # Lines count by their power within the chip, chips alike.
+    energy = (np.abs(rows) ** 2).sum(axis=1, dtype=np.float64).reshape(n_point, n_line)
+    share = share * (energy / np.maximum(energy.sum(axis=1, keepdims=True), 1e-300)).ravel()
+    n_part = min(PARTS * n_interval, chips.time.size - 1)
+    last = chips.time.size - 1
+    part = np.minimum(chips.index[:, :-1] * n_part // last, n_part - 1)
+    products = np.conj(rows[:, :-1]).astype(np.complex128) * rows[:, 1:]
+    gradient, _, _ = shared_gradient(products, np.repeat(part, n_line, axis=0), n_part, share)
+    per_sample = gradient[np.arange(last) * n_part // last]
+    return np.concatenate([[0.0], np.cumsum(per_sample)])

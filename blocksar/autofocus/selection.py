@@ -1,0 +1,263 @@
+"""Prominent points: where short apertures see power that stands out.
+
+A short aperture has so coarse a resolution that the track's error does not blur it. Its deramped lines, over all
+ranges and a few yaws, are transformed along slow time: a coarse image of all that the beam lights.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from blocksar.arrays import ComplexArray, FloatArray, IntArray
+from blocksar.autofocus.range_lines import range_profiles, take_lines, taps
+from blocksar.autofocus.work import Work
+from blocksar.collection.beam import is_lit, lit_interval
+from blocksar.errors import InputError
+from blocksar.kernels.fourier import fft_rows
+from blocksar.kernels.groups import row_groups, run_groups
+
+RANGE_STEP = 0.75  # range cells between lines
+DOPPLER_SHARE = 0.8  # of the PRF that lines about one yaw may fill
+CELLS = (6, 8)  # parts of a coarse image along range and Doppler; its brightest sample in each may become a point
+YAWS = 65  # at which the beam's edges are looked for
+NEAR = 2.5  # range cells, and Doppler cells of a short aperture, within which candidates are the same point
+APART = 0.5  # of a chip's width: points closer than this share what they tell
+REGIONS = (4, 8)  # parts of the scene in range and yaw
+CAP = 2.0  # times the even share: points of one part, at most
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Candidates:
+    """Bright places that one short aperture sees.
+
+    Attributes
+    ----------
+    x, y : (n,) float
+        m, scene frame.
+    prominence : (n,) float
+        Power over the median of its surroundings.
+    """
+
+    x: FloatArray
+    y: FloatArray
+    prominence: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Points:
+    """The points that are kept.
+
+    Attributes
+    ----------
+    x, y : (n,) float
+        m, scene frame.
+    first, last : (n,) int
+        Pulses that light them: first <= p < last.
+    """
+
+    x: FloatArray
+    y: FloatArray
+    first: IntArray
+    last: IntArray
+
+
+class Refused(InputError):
+    """The samples do not tell the track's error: a sentence with its figures."""
+
+
+def find_candidates(signal: ComplexArray, work: Work, pulses: slice, threads: int = 1) -> Candidates:
+    """Find the brightest places in the coarse image of a short aperture.
+
+    Parameters
+    ----------
+    signal : (n, n_range_frequency) complex64
+        Samples of these pulses.
+    work : Work
+    pulses : slice
+        One of `work.apertures`.
+    """
+    collection = work.geometry.collection
+    yaws = _lit_yaws(work, pulses)
+    if yaws is None:
+        return Candidates(x=np.empty(0), y=np.empty(0), prominence=np.empty(0))
+    low, high = yaws
+    near, far = work.region.limits(low, high)
+    ranges = np.arange(near, far, RANGE_STEP * work.cell)
+    ends = work.geometry.ground_point(np.full(2, (near + far) / 2), np.array([low, high]))
+    doppler = [_seen(work, ends[:, 0], ends[:, 1], at)[1] for at in (pulses.start, pulses.stop - 1)]
+    span = float(max(np.ptp(d) for d in doppler)) / 2 / np.pi
+    seconds = (pulses.stop - pulses.start) * collection.pulse_interval
+    widest = min(DOPPLER_SHARE * collection.prf, work.wavenumber / np.pi * work.cell / seconds)
+    count = max(math.ceil(span / widest), 1)
+    edges = np.linspace(low, high, count + 1)
+    profiles = range_profiles(signal, collection, threads)
+    found = []
+    for k in range(count):
+        yaw = (edges[k] + edges[k + 1]) / 2
+        ground = work.geometry.ground_point(ranges, np.full(ranges.size, yaw))
+        power = _coarse_image(work, pulses, profiles.values, profiles.spacing, ground, threads)
+        found.append(_brightest(work, pulses, power, ground, span / count))
+    return Candidates(
+        **{name: np.concatenate([getattr(c, name) for c in found]) for name in ("x", "y", "prominence")}
+    )
+
+
+def _lit_yaws(work: Work, pulses: slice) -> tuple[float, float] | None:
+    """First and last yaw of the region that the middle one of some pulses lights, rad."""
+    yaw = np.linspace(work.region.yaw[0], work.region.yaw[-1], YAWS * 8 if work.geometry.collection.steered else 2)
+    near, far = work.region.at(yaw)
+    x, y = work.geometry.ground_axes(np.stack([near, (near + far) / 2, far]), yaw)
+    middle = (pulses.start + pulses.stop) // 2
+    lit = np.flatnonzero(is_lit(work.geometry, x, y, slice(middle, middle + 1))[..., 0].any(axis=0))
+    return (float(yaw[lit[0]]), float(yaw[lit[-1]])) if lit.size > 1 else None
+
+
+def _seen(work: Work, x: FloatArray, y: FloatArray, pulse: int) -> tuple[FloatArray, FloatArray]:
+    """Range of points (n,) at a pulse, m, and the phase rate of that, rad/s."""
+    collection = work.geometry.collection
+    pulse = min(max(pulse, 1), collection.n_pulse - 2)
+    distance = [_distance(work, x, y, slice(p, p + 1))[:, 0] for p in (pulse - 1, pulse, pulse + 1)]
+    return distance[1], work.wavenumber * (distance[2] - distance[0]) / (2 * collection.pulse_interval)
+
+
+def _distance(work: Work, x: FloatArray, y: FloatArray, pulses: slice) -> FloatArray:
+    """Range (n, n_pulse) of points (n,), m."""
+    position = work.geometry.collection.antenna_position[pulses]
+    height = work.geometry.collection.ground_height
+    return np.asarray(
+        np.sqrt(
+            (position[:, 0] - x[:, None]) ** 2 + (position[:, 1] - y[:, None]) ** 2 + (position[:, 2] - height) ** 2
+        )
+    )
+
+
+def _coarse_image(
+    work: Work, pulses: slice, profiles: ComplexArray, spacing: float, ground: FloatArray, threads: int
+) -> FloatArray:
+    """Power (n_range, n) over the Doppler that points `ground` (n_range, 3) do not have."""
+    n = pulses.stop - pulses.start
+    power, window = np.zeros((ground.shape[0], n)), np.hanning(n + 2)[1:-1].astype(np.float32)
+    reference = work.geometry.collection.reference_range[pulses]
+
+    def one(rows: slice) -> None:
+        held = _distance(work, ground[rows, 0], ground[rows, 1], pulses) - reference
+        lines = np.empty(held.shape, np.complex64)
+        take_lines(profiles, held / spacing, held * (work.wavenumber / (2 * np.pi)), taps(), lines)
+        lines *= window
+        power[rows] = np.abs(fft_rows(lines, inverse=False)) ** 2
+
+    run_groups(one, row_groups(0, ground.shape[0], 4 * n), threads)
+    return power
+
+
+def _brightest(work: Work, pulses: slice, power: FloatArray, ground: FloatArray, span: float) -> Candidates:
+    """The brightest sample in each part of a coarse image whose Doppler spans +- span / 2, Hz."""
+    n = power.shape[1]
+    step = work.geometry.collection.prf / n
+    reach = min(int(span / 2 / step) + 1, (n - 1) // 2)
+    shifts = np.arange(-reach, reach + 1)
+    power = power[:, shifts % n]
+    rows, columns, prominence = [], [], []
+    for part in np.array_split(np.arange(power.shape[0]), min(CELLS[0], power.shape[0])):
+        for cut in np.array_split(np.arange(shifts.size), min(CELLS[1], shifts.size)):
+            values = power[part[0] : part[-1] + 1, cut[0] : cut[-1] + 1]
+            typical = float(np.median(values))
+            row, column = np.unravel_index(int(np.argmax(values)), values.shape)
+            if typical > 0:
+                rows.append(part[0] + row)
+                columns.append(shifts[cut[0] + column])
+                prominence.append(float(values[row, column]) / typical)
+    index = np.array(rows, np.int64)
+    x, y = _located(work, pulses, ground[index], np.array(columns) * step * 2 * np.pi)
+    good = np.isfinite(x)
+    return Candidates(x=x[good], y=y[good], prominence=np.array(prominence)[good])
+
+
+def _located(work: Work, pulses: slice, ground: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Points at the range of points `ground` (n, 3), with a phase rate (n,) less than theirs by `rate`, rad/s."""
+    middle = (pulses.start + pulses.stop) // 2
+    wanted, there = _seen(work, ground[:, 0], ground[:, 1], middle)
+    x, y, goal = ground[:, 0].copy(), ground[:, 1].copy(), there - rate
+    for _ in range(3):
+        distance, turned = _seen(work, x, y, middle)
+        (rx, tx), (ry, ty) = (
+            (near[0] - distance, near[1] - turned)
+            for near in (_seen(work, x + 1, y, middle), _seen(work, x, y + 1, middle))
+        )
+        determinant = rx * ty - ry * tx
+        with np.errstate(divide="ignore", invalid="ignore"):
+            off, turn = wanted - distance, goal - turned
+            x, y = x + (off * ty - turn * ry) / determinant, y + (turn * rx - off * tx) / determinant
+    return x, y
+
+
+def select_points(candidates: Sequence[Candidates], work: Work) -> Points:
+    """Keep the points that stand out in most of the short apertures that see them, spread over the scene.
+
+    Raises
+    ------
+    Refused
+        If there are fewer than `Settings.least_points`.
+    """
+    x, y, prominence = (
+        np.concatenate([getattr(c, name) for c in candidates]) for name in ("x", "y", "prominence")
+    )
+    epoch, yaw = work.geometry.epoch_range(x, y), work.geometry.yaw(x, y)
+    cell_range, cell_yaw = work.cell, _yaw_cell(work)
+    first, last = lit_interval(work.geometry, x, y)
+    centres = np.array([(part.start + part.stop) / 2 for part in work.apertures])
+    seen_by = np.searchsorted(centres, last) - np.searchsorted(centres, first)
+    order = np.argsort(-prominence, kind="stable")
+    taken, score = np.zeros(x.size, bool), np.zeros(x.size)
+    for i in order:
+        if taken[i]:
+            continue
+        same = (np.abs(epoch - epoch[i]) < NEAR * cell_range) & (np.abs(yaw - yaw[i]) < NEAR * cell_yaw) & ~taken
+        taken |= same
+        score[i] = np.log(np.maximum(prominence[same], 1)).sum() / max(int(seen_by[i]), 1)
+    lit = last - first >= work.dwell // 4
+    kept = _spread(np.where(lit, score, 0.0), epoch, yaw, work, cell_yaw)
+    if len(kept) < work.settings.least_points:
+        raise Refused(
+            f"{len(kept)} points stand out in the scene, but the track's error is told from at least "
+            f"{work.settings.least_points}; give a larger --grid, or another collection"
+        )
+    index = np.array(kept)
+    return Points(x=x[index], y=y[index], first=first[index], last=last[index])
+
+
+def _yaw_cell(work: Work) -> float:
+    """Yaw of a Doppler cell of a short aperture, rad."""
+    yaw = np.array([-5e-5, 5e-5]) + (work.region.yaw[0] + work.region.yaw[-1]) / 2
+    near, far = work.region.at(yaw)
+    x, y = work.geometry.ground_axes((near + far) / 2, yaw)
+    rate = _seen(work, x, y, work.geometry.collection.n_pulse // 2)[1]
+    per_yaw = abs(float(rate[1] - rate[0])) / 1e-4 / (2 * np.pi)
+    return work.geometry.collection.prf / work.short / max(per_yaw, 1e-12)
+
+
+def _spread(score: FloatArray, epoch: FloatArray, yaw: FloatArray, work: Work, cell_yaw: float) -> list[int]:
+    """Indices of the best points, apart from each other, with a cap on those of one part of the scene."""
+    settings = work.settings
+    part_range = (REGIONS[0] * (epoch - epoch.min()) / max(float(np.ptp(epoch)), 1e-9)).astype(int)
+    part_yaw = (REGIONS[1] * (yaw - yaw.min()) / max(float(np.ptp(yaw)), 1e-9)).astype(int)
+    part = np.minimum(part_range, REGIONS[0] - 1) * REGIONS[1] + np.minimum(part_yaw, REGIONS[1] - 1)
+    cap = math.ceil(CAP * settings.points / (REGIONS[0] * REGIONS[1]))
+    wide = APART * settings.lines * settings.line_spacing * work.cell
+    seconds = work.short * work.geometry.collection.pulse_interval
+    across = APART * settings.speed * work.wavenumber / np.pi * seconds * cell_yaw
+    kept: list[int] = []
+    count = np.zeros(REGIONS[0] * REGIONS[1], int)
+    for i in np.argsort(-score, kind="stable"):
+        if score[i] <= 0 or len(kept) == settings.points:
+            break
+        near = np.array(kept, np.int64)
+        crowded = ((np.abs(epoch[near] - epoch[i]) < wide) & (np.abs(yaw[near] - yaw[i]) < across)).any()
+        if count[part[i]] < cap and not crowded:
+            kept.append(int(i))
+            count[part[i]] += 1
+    return kept

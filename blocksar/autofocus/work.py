@@ -1,0 +1,130 @@
+"""What an estimate is made of: the geometry, the short apertures, the blocks of pulses and the samples of chips."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from blocksar.arrays import FloatArray
+from blocksar.autofocus.settings import Settings
+from blocksar.collection.beam import most_lit_pulses
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.grid import Grid
+from blocksar.collection.region import Region, plan_region
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.errors import InputError
+
+BLOCK = 512  # pulses whose samples are in memory at a time, about
+LEAST_PULSES = 64
+APERTURES = 5  # short ones within a dwell
+FILTER_LENGTH = 7  # decimated samples: of the low-pass filter; odd, so that it lies about a sample's centre
+FILTER_BAND = 0.8  # of a chip's sampling rate
+FILTER_BETA = 5.0  # of its Kaiser window
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Work:
+    """All that the stages need besides samples; the same wherever it is built from the same collection.
+
+    Attributes
+    ----------
+    geometry : Geometry
+        With the track as stated.
+    region : Region
+        In which points are looked for.
+    settings : Settings
+    """
+
+    geometry: Geometry
+    region: Region
+    settings: Settings = field(default_factory=Settings)
+
+    @cached_property
+    def wavenumber(self) -> float:
+        """4 pi f / c at the middle frequency, rad/m: phase over range."""
+        collection = self.geometry.collection
+        middle = collection.range_frequency[collection.n_range_frequency // 2]
+        return float(4 * np.pi * (collection.carrier + middle) / SPEED_OF_LIGHT)
+
+    @cached_property
+    def cell(self) -> float:
+        """Range cell, m."""
+        return SPEED_OF_LIGHT / (2 * self.geometry.collection.bandwidth)
+
+    @cached_property
+    def dwell(self) -> int:
+        """Pulses that light a point, at most."""
+        yaw = np.linspace(self.region.yaw[0], self.region.yaw[-1], 33)
+        near, far = self.region.at(yaw)
+        x, y = self.geometry.ground_axes((near + far) / 2, yaw)
+        lit = np.isfinite(x)
+        return max(min(most_lit_pulses(self.geometry, x[lit], y[lit]), self.geometry.collection.n_pulse), 1)
+
+    @cached_property
+    def short(self) -> int:
+        """Pulses of a short aperture: over it the assumed acceleration turns the phase by 1 rad."""
+        seconds = math.sqrt(8 / (self.wavenumber * self.settings.acceleration))
+        return int(np.clip(round(seconds * self.geometry.collection.prf), 8, max(self.dwell // 4, 8)))
+
+    @cached_property
+    def apertures(self) -> tuple[slice, ...]:
+        """Pulses of the short apertures in which points are looked for."""
+        n, size = self.geometry.collection.n_pulse, self.short
+        count = max(math.ceil(APERTURES * n / self.dwell), 1)
+        starts = {round((k + 0.5) / count * n - size / 2) for k in range(count)}
+        return tuple(slice(first, first + size) for first in sorted(starts) if first >= 0 and first + size <= n)
+
+    @cached_property
+    def blocks(self) -> tuple[slice, ...]:
+        """Blocks of pulses from which chips are taken; each pulse belongs to one."""
+        n = self.geometry.collection.n_pulse
+        return tuple(slice(first, min(first + BLOCK, n)) for first in range(0, n, BLOCK))
+
+    @cached_property
+    def decimation(self) -> int:
+        """Pulses for one sample of a chip."""
+        rate = 2 * self.settings.speed * self.wavenumber / np.pi / FILTER_BAND / 2
+        return max(int(self.geometry.collection.prf / rate), 1)
+
+    @cached_property
+    def n_sample(self) -> int:
+        """Samples of a chip over the whole collection."""
+        return self.geometry.collection.n_pulse // self.decimation
+
+    @cached_property
+    def sample_pulses(self) -> FloatArray:
+        """Centres of the chips' samples (n_sample,), in pulses."""
+        return np.arange(self.n_sample) * float(self.decimation) + (self.decimation - 1) / 2
+
+    @cached_property
+    def sample_times(self) -> FloatArray:
+        """Slow times of the chips' samples (n_sample,), s."""
+        collection = self.geometry.collection
+        return np.asarray(np.interp(self.sample_pulses, np.arange(collection.n_pulse), collection.time))
+
+
+def low_pass(decimation: int) -> FloatArray:
+    """Weights (n,) of samples about the middle of each `decimation` of them; one of 1 if that is 1."""
+    if decimation == 1:
+        return np.ones(1)
+    n = FILTER_LENGTH * decimation
+    at = (np.arange(n) - (n - 1) / 2) / decimation
+    weights = np.sinc(FILTER_BAND * at) * np.kaiser(n, FILTER_BETA)
+    return np.asarray(weights / weights.sum())
+
+
+def begin(geometry: Geometry, grid: Grid | None = None, settings: Settings | None = None) -> Work:
+    """Prepare an estimate from a collection's geometry.
+
+    Raises
+    ------
+    InputError
+        From `plan_region`, or if there are too few pulses.
+    """
+    n = geometry.collection.n_pulse
+    if n < LEAST_PULSES:
+        raise InputError(f"time has {n} pulses, but the track's error cannot be told from fewer than {LEAST_PULSES}")
+    return Work(geometry=geometry, region=plan_region(geometry, grid), settings=settings or Settings())
