@@ -29,17 +29,25 @@ class Correction:
         Figures of each loop.
     finished : bool
         The last loop changed the phases by less than `Settings.step`, or was the last one allowed.
+    previous : (n_interval + 3, 3) float
+        Coefficients with which the chips of the last loop were taken.
     """
 
     coefficients: FloatArray
     weights: FloatArray
     history: tuple[dict[str, Any], ...] = ()
     finished: bool = False
+    previous: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
 
     @classmethod
     def none(cls, work: Work) -> Correction:
         """Nothing corrected so far."""
         return cls(coefficients=np.zeros((intervals(work) + 3, 3)), weights=np.ones(0))
+
+    @property
+    def before(self) -> Correction:
+        """The correction with which the chips of the last loop were taken."""
+        return Correction(coefficients=self.previous, weights=self.weights)
 
     def at(self, work: Work, time: FloatArray) -> FloatArray:
         """Displacement (n, 3) of the antenna at slow times (n,), m."""

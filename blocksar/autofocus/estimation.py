@@ -15,6 +15,7 @@ from blocksar.autofocus.entropy import entropies
 from blocksar.autofocus.information import bending, factor, information
 from blocksar.autofocus.minimising import minimise
 from blocksar.autofocus.phase_gradient import LEAST_BAND, NARROWING, line_of_sight
+from blocksar.autofocus.robust import own_errors, point_weights
 from blocksar.autofocus.selection import Points
 from blocksar.autofocus.work import FILTER_BAND, Work
 
@@ -147,18 +148,24 @@ def _narrowing(work: Work, n_interval: int) -> int:
     return max(min(by_speed, work.n_sample // (2 * n_interval)), 1)
 
 
+def shared_error(
+    chips: Chips, before: FloatArray, weights: FloatArray, threads: int = 1
+) -> FloatArray:
+    """Coefficients (size, 3), m, of the displacement that sharpens chips that were taken with those `before`."""
+    return by_entropy(chips, by_phase_gradient(chips, weights), before, weights, threads)
+
+
 def estimate(
     work: Work, points: Points, parts: Sequence[ChipPart], correction: Correction, threads: int = 1
 ) -> Correction:
     """One loop: what the chips tell, added to the correction with which they were taken."""
     chips = join_chips(work, points, parts, correction)
     weights = correction.weights if correction.weights.size else np.ones(points.x.size)
-    first = by_phase_gradient(chips, weights)
-    found = by_entropy(chips, first, correction.coefficients, weights, threads)
-    before, _ = entropies(chips.values, np.zeros(chips.index.shape), threads)
-    phase = work.wavenumber * chips.los(Knots(work=work, n_interval=intervals(work), time=chips.time).values(found))
-    after, _ = entropies(chips.values, -phase, threads)
-    step = phase_step(chips, phase, weights)
+    found = shared_error(chips, correction.coefficients, weights, threads)
+    knots = Knots(work=work, n_interval=intervals(work), time=chips.time)
+    corrected = chips.corrected(knots.values(found))
+    before, after = (entropies(part.values, np.zeros(chips.index.shape), threads)[0] for part in (chips, corrected))
+    step = phase_step(chips, work.wavenumber * chips.los(knots.values(found)), weights)
     done = len(correction.history) + 1
     figures = {
         "loop": done,
@@ -168,9 +175,10 @@ def estimate(
     }
     return Correction(
         coefficients=correction.coefficients + found,
-        weights=weights,
+        weights=point_weights(own_errors(corrected)),
         history=(*correction.history, figures),
         finished=step < work.settings.step or done >= work.settings.loops,
+        previous=correction.coefficients,
     )
 
 

@@ -1,0 +1,149 @@
+"""The end of an estimate: two estimates from disjoint halves of the points, refusal, and the corrected track."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.autofocus.chips import ChipPart, Chips, join_chips
+from blocksar.autofocus.correction import Correction, Knots
+from blocksar.autofocus.estimation import phase_step, shared_error
+from blocksar.autofocus.information import factor, information
+from blocksar.autofocus.selection import Points, Refused
+from blocksar.autofocus.work import Work
+from blocksar.kernels.fourier import fft_rows
+
+PICTURES = 6  # points whose chips are kept for pictures
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Result:
+    """The corrected track, and what is known of it.
+
+    Attributes
+    ----------
+    antenna_position : (n_pulse, 3) float
+        Corrected, m.
+    time : (n,) float
+        Slow times, s, of the next two.
+    track_error : (n, 3) float
+        Stated minus corrected position, m.
+    uncertainty : (n, 3) float
+        Standard deviation of that, m. What the samples do not tell at all has `Settings.displacement`.
+    x, y : (n_picture,) float
+        Places of some points, m.
+    chips_before, chips_after : (n_picture, n_line, n_doppler) float32
+        Their power before and after correction, of a common scale, Doppler ascending.
+    figures : dict
+        What the attribute `autofocus` of the corrected store says.
+    """
+
+    antenna_position: FloatArray
+    time: FloatArray
+    track_error: FloatArray
+    uncertainty: FloatArray
+    x: FloatArray
+    y: FloatArray
+    chips_before: FloatArray
+    chips_after: FloatArray
+    figures: dict[str, Any]
+
+
+def finish(
+    work: Work, points: Points, parts: Sequence[ChipPart], correction: Correction, threads: int = 1
+) -> Result:
+    """Compare estimates from both halves of the points, and correct the track.
+
+    Parameters
+    ----------
+    parts : sequence of ChipPart
+        Of the last loop, from which `correction` came.
+
+    Raises
+    ------
+    Refused
+        If the halves differ by more than `Settings.halves`.
+    """
+    chips = join_chips(work, points, parts, correction.before)
+    apart = halves_apart(chips, correction, threads)
+    last = correction.history[-1]
+    if not (correction.finished and apart <= work.settings.halves):
+        raise Refused(
+            f"the samples do not tell the track's error: two estimates, each from half of {points.x.size} points, "
+            f"differ by {apart:.2g} rad rms, more than the {work.settings.halves:g} rad that are accepted (entropy of "
+            f"the chips {correction.history[0]['entropy_before']:.4g} before, {last['entropy_after']:.4g} after); give "
+            "a --grid with prominent points, or focus the phase history as it is"
+        )
+    collection = work.geometry.collection
+    moved = correction.at(work, collection.time)
+    predicted = apart / 2  # each half has twice the variance of the whole, their difference four times
+    before, after, shown = _pictures(chips, correction)
+    return Result(
+        antenna_position=collection.antenna_position + moved,
+        time=work.sample_times,
+        track_error=-correction.at(work, work.sample_times),
+        uncertainty=_uncertainty(chips, correction, predicted),
+        x=points.x[shown],
+        y=points.y[shown],
+        chips_before=before,
+        chips_after=after,
+        figures={
+            "points": int(points.x.size),
+            "rejected": int((correction.weights < 0.5).sum()),
+            "knots": int(correction.coefficients.shape[0]),
+            "loops": len(correction.history),
+            "halves_apart": apart,
+            "predicted_error": predicted,
+            "entropy_before": correction.history[0]["entropy_before"],
+            "entropy_after": last["entropy_after"],
+            "history": list(correction.history),
+        },
+    )
+
+
+def halves_apart(chips: Chips, correction: Correction, threads: int = 1) -> float:
+    """Phases by which estimates from disjoint halves of the points differ: rms without mean and line, rad."""
+    work, order = chips.work, np.argsort(chips.first + chips.count / 2 + 1e-3 * np.arange(chips.first.size), kind="stable")
+    found = []
+    for half in (order[0::2], order[1::2]):
+        part = chips.some(half)
+        found.append(shared_error(part, correction.before.coefficients, correction.weights[half], threads))
+    knots = Knots(work=work, n_interval=found[0].shape[0] - 3, time=chips.time)
+    phase = work.wavenumber * chips.los(knots.values(found[0] - found[1]))
+    return phase_step(chips, phase, correction.weights)
+
+
+def _uncertainty(chips: Chips, correction: Correction, predicted: float) -> FloatArray:
+    """Standard deviation (n_sample, 3) of the displacement, m."""
+    work = chips.work
+    knots = Knots(work=work, n_interval=correction.coefficients.shape[0] - 3, time=chips.time)
+    told, _ = information(chips, knots, correction.weights / correction.weights.sum())
+    far = work.settings.displacement * work.wavenumber
+    precision = told * (knots.size / max(predicted, 1e-3) ** 2) + np.eye(told.shape[0]) / far**2
+    root = factor(precision).reshape(knots.size, 3, -1)
+    out = np.zeros((chips.time.size, 3))
+    for axis in range(3):
+        out[:, axis] = np.sqrt((knots.values(root[:, axis]) ** 2).sum(axis=1)) / work.wavenumber
+    return out
+
+
+def _pictures(chips: Chips, correction: Correction) -> tuple[FloatArray, FloatArray, list[int]]:
+    """Power of some points' chips, before any correction and after the last; and which points."""
+    shown = [int(i) for i in np.argsort(-correction.weights, kind="stable")[:PICTURES]]
+    some, work = chips.some(np.array(shown)), chips.work
+
+    def power(coefficients: FloatArray) -> FloatArray:
+        knots = Knots(work=work, n_interval=coefficients.shape[0] - 3, time=chips.time)
+        values: ComplexArray = some.corrected(knots.values(coefficients)).values
+        n = values.shape[2]
+        image = fft_rows(values.reshape(-1, n).copy(), inverse=False).reshape(values.shape)
+        return np.roll(np.abs(image).astype(np.float64) ** 2, n // 2, axis=2)
+
+    before = power(-correction.before.coefficients)
+    after = power(correction.coefficients - correction.before.coefficients)
+    scale = np.maximum(after.max(axis=(1, 2), keepdims=True), 1e-300)
+    return (before / scale).astype(np.float32), (after / scale).astype(np.float32), shown
