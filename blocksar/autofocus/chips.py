@@ -9,7 +9,7 @@ import numpy as np
 
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from blocksar.autofocus import range_lines
-from blocksar.autofocus.correction import Correction
+from blocksar.autofocus.correction import between_samples
 from blocksar.autofocus.selection import Points
 from blocksar.autofocus.work import Work, low_pass
 from blocksar.kernels.fourier import fast_length
@@ -112,7 +112,7 @@ class Chips:
 
 
 def take_chips(
-    signal: ComplexArray, work: Work, points: Points, correction: Correction, pulses: slice, threads: int = 1
+    signal: ComplexArray, work: Work, points: Points, displacement: FloatArray, pulses: slice, threads: int = 1
 ) -> ChipPart:
     """Take what a block of pulses adds to the chips, with a corrected track.
 
@@ -123,12 +123,14 @@ def take_chips(
     ----------
     signal : (n, n_range_frequency) complex64
         Samples of these pulses; NaN counts as zero.
+    displacement : (n_sample, 3) float
+        Of the antenna from its stated positions, m.
     pulses : slice
         One of `work.blocks`.
     """
     collection, settings, d = work.geometry.collection, work.settings, work.decimation
     profiles = range_lines.range_profiles(signal, collection, threads)
-    position = collection.antenna_position[pulses] + correction.at(work, collection.time[pulses])
+    position = collection.antenna_position[pulses] + between_samples(work, displacement, collection.time[pulses])
     taps = low_pass(d)
     ahead = (taps.size - d) // 2
     start = max((pulses.start + ahead - taps.size) // d + 1, 0)
@@ -151,7 +153,7 @@ def take_chips(
     return ChipPart(start=start, values=out)
 
 
-def join_chips(work: Work, points: Points, parts: Sequence[ChipPart], correction: Correction) -> Chips:
+def join_chips(work: Work, points: Points, parts: Sequence[ChipPart], displacement: FloatArray) -> Chips:
     """Put the parts of all blocks together, each point's over the samples that are lit."""
     d, collection = work.decimation, work.geometry.collection
     lit_first = np.ceil((points.first - (d - 1) / 2) / d).astype(np.int64).clip(0)
@@ -169,7 +171,7 @@ def join_chips(work: Work, points: Points, parts: Sequence[ChipPart], correction
     at = work.sample_pulses
     pulse = np.arange(float(collection.n_pulse))
     position = np.stack([np.interp(at, pulse, axis) for axis in collection.antenna_position.T], axis=1)
-    position += correction.at(work, work.sample_times)
+    position += displacement
     index = np.minimum(lit_first[:, None] + np.arange(n), work.n_sample - 1)
     place = np.stack([points.x, points.y, np.full(points.x.size, collection.ground_height)], axis=1)
     sight = place[:, None] - position[index]

@@ -1,4 +1,4 @@
-"""The correction of a track: a cubic spline for each axis, with what the loops found on the way."""
+"""The correction of a track, with what the loops found on the way, and the splines that it is estimated with."""
 
 from __future__ import annotations
 
@@ -21,37 +21,51 @@ class Correction:
 
     Attributes
     ----------
-    coefficients : (n_interval + 3, 3) float
-        m; of cubic splines with knots from the first to the last pulse.
+    displacement : (n_sample, 3) float
+        m, at `Work.sample_times`.
+    previous : (n_sample, 3) float
+        With this the chips of the last loop were taken.
     weights : (n_point,) float
-        Of the points in the next loop.
+        Of the points in the next loop; empty before the first.
+    fine_error : float
+        Error expected of what is too fine for the splines, rad rms.
     history : tuple of dict
         Figures of each loop.
     finished : bool
         The last loop changed the phases by less than `Settings.step`, or was the last one allowed.
-    previous : (n_interval + 3, 3) float
-        Coefficients with which the chips of the last loop were taken.
     """
 
-    coefficients: FloatArray
+    displacement: FloatArray
+    previous: FloatArray
     weights: FloatArray
-    history: tuple[dict[str, Any], ...] = ()
+    fine_error: float = 0.0
+    history: tuple[dict[str, Any], ...] = field(default=())
     finished: bool = False
-    previous: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
 
     @classmethod
     def none(cls, work: Work) -> Correction:
         """Nothing corrected so far."""
-        return cls(coefficients=np.zeros((intervals(work) + 3, 3)), weights=np.ones(0))
+        nothing = np.zeros((work.n_sample, 3))
+        return cls(displacement=nothing, previous=nothing, weights=np.ones(0))
 
-    @property
-    def before(self) -> Correction:
-        """The correction with which the chips of the last loop were taken."""
-        return Correction(coefficients=self.previous, weights=self.weights)
 
-    def at(self, work: Work, time: FloatArray) -> FloatArray:
-        """Displacement (n, 3) of the antenna at slow times (n,), m."""
-        return Knots(work=work, n_interval=self.coefficients.shape[0] - 3, time=time).values(self.coefficients)
+def between_samples(work: Work, displacement: FloatArray, time: FloatArray) -> FloatArray:
+    """Displacement (n, 3) at slow times (n,) from that at `work.sample_times`, by cubic convolution.
+
+    References
+    ----------
+    Keys, "Cubic convolution interpolation for digital image processing", IEEE Trans. ASSP 29(6), 1981.
+    """
+    n = displacement.shape[0]
+    at = np.interp(time, work.sample_times, np.arange(float(n)))
+    before = np.clip(np.floor(at), 0, n - 2).astype(np.int64)
+    s = (at - before)[:, None]
+    # Beyond the ends, lines through the last two.
+    padded = np.concatenate(
+        [2 * displacement[:1] - displacement[1:2], displacement, 2 * displacement[-1:] - displacement[-2:-1]]
+    )
+    a, b, c, d = (padded[before + k] for k in range(4))
+    return np.asarray(b + s / 2 * (c - a + s * (2 * a - 5 * b + 4 * c - d + s * (3 * (b - c) + d - a))))
 
 
 def intervals(work: Work) -> int:
@@ -62,7 +76,7 @@ def intervals(work: Work) -> int:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Knots:
-    """The basis of splines with knots from the first to the last pulse, at some slow times.
+    """The basis of cubic splines with knots from the first to the last pulse, at some slow times.
 
     Attributes
     ----------
@@ -75,10 +89,6 @@ class Knots:
     work: Work
     n_interval: int
     time: FloatArray
-
-    @property
-    def start(self) -> float:
-        return float(self.work.geometry.collection.time[0])
 
     @cached_property
     def step(self) -> float:
@@ -93,7 +103,7 @@ class Knots:
     @cached_property
     def basis(self) -> tuple[IntArray, FloatArray]:
         """First of the four splines that are not 0 at each time (n,), and their values (n, 4)."""
-        return basis(self.time, self.start, self.step, self.n_interval, 0)
+        return basis(self.time, float(self.work.geometry.collection.time[0]), self.step, self.n_interval, 0)
 
     def values(self, coefficients: FloatArray) -> FloatArray:
         """Splines (n, n_axis) of coefficients (size, n_axis)."""
@@ -113,3 +123,7 @@ class Knots:
         """Coefficients (size, n_axis) of the least-squares splines through values (n, n_axis)."""
         first, weights = self.basis
         return solve_normal(first, weights, values, self.size)
+
+    def smooth(self, values: FloatArray) -> FloatArray:
+        """Least-squares splines through values (n, n_axis), at the same times."""
+        return self.values(self.fit(values))

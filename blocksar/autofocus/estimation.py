@@ -8,10 +8,11 @@ from functools import cached_property
 
 import numpy as np
 
-from blocksar.arrays import FloatArray
+from blocksar.arrays import FloatArray, IntArray
 from blocksar.autofocus.chips import ChipPart, Chips, join_chips
 from blocksar.autofocus.correction import Correction, Knots, intervals
 from blocksar.autofocus.entropy import entropies
+from blocksar.autofocus.fine_phase import believed, sample_phase
 from blocksar.autofocus.information import bending, factor, information
 from blocksar.autofocus.minimising import minimise
 from blocksar.autofocus.phase_gradient import LEAST_BAND, NARROWING, line_of_sight
@@ -19,11 +20,13 @@ from blocksar.autofocus.robust import own_errors, point_weights
 from blocksar.autofocus.selection import Points
 from blocksar.autofocus.work import FILTER_BAND, Work
 
-GRADIENTS = 6  # iterations of the phase gradient
+GRADIENTS = 8  # iterations of the phase gradient
+WIDEST_BAND = 0.45  # of a chip's Doppler cells to either side, in the first of them
 LEVELS = 3  # splines, each with twice the intervals of the one before
 ITERATIONS = 40  # of the polish, for each of them
 GAIN = 1e-5  # nats a chip: two steps of the polish that gain less are the last
 SHARPNESS = 4.0  # nats by which a chip's entropy rises for 1 rad^2 of phase error, about
+FIRST_STEP = 0.1  # of the polish, in units in which the cost bends by 1
 ANCHOR = 1e-2  # nats per rad^2 that moves points, in the units alone: between Doppler cells entropy is not smooth
 
 
@@ -96,49 +99,88 @@ class Polish:
 
 
 def by_phase_gradient(chips: Chips, weights: FloatArray) -> FloatArray:
-    """Coefficients of splines along the mean line of sight, m, by phase gradient alone, (size, 3)."""
-    work, n_interval = chips.work, intervals(chips.work)
-    knots = Knots(work=work, n_interval=n_interval, time=chips.time)
-    mean = chips.spread(chips.lit.astype(np.float64))
-    mean /= np.maximum(np.sqrt((mean * mean).sum(axis=1, keepdims=True)), 1e-300)
-    coefficients = np.zeros((knots.size, 3))
-    band = int(0.45 * chips.values.shape[2])
+    """Displacement along the mean line of sight (n_sample, 3), m, by phase gradient alone."""
+    mean = mean_sight(chips)
+    displacement = np.zeros(mean.shape)
+    band = int(WIDEST_BAND * chips.values.shape[2])
     for _ in range(GRADIENTS):
-        phase = work.wavenumber * chips.los(knots.values(coefficients))
-        shared = line_of_sight(chips, phase, band, n_interval, weights)
-        coefficients += _without_line(knots.fit(mean * (shared / work.wavenumber)[:, None]))
+        phase = chips.work.wavenumber * chips.los(displacement)
+        shared = without_line(line_of_sight(chips, phase, band, weights))
+        displacement += mean * (shared / chips.work.wavenumber)[:, None]
         band = max(int(NARROWING * band), LEAST_BAND)
-    return coefficients
+    return displacement
 
 
-def _without_line(coefficients: FloatArray) -> FloatArray:
-    """Without their mean line: no chip tells it."""
-    u = np.linspace(-1, 1, coefficients.shape[0])[:, None]
-    flat = coefficients - coefficients.mean(axis=0)
-    return np.asarray(flat - u * (u * flat).sum(axis=0) / (u * u).sum())
+def mean_sight(chips: Chips) -> FloatArray:
+    """Mean unit vector (n_sample, 3) from the antenna to the points that are lit; 0 where none is."""
+    mean = chips.spread(chips.lit.astype(np.float64))
+    return np.asarray(mean / np.maximum(np.sqrt((mean * mean).sum(axis=1, keepdims=True)), 1e-300))
+
+
+def without_line(values: FloatArray) -> FloatArray:
+    """Values (n,) without their mean line, which no chip tells."""
+    u = np.linspace(-1, 1, values.size)
+    flat = values - values.mean()
+    return np.asarray(flat - u * (u * flat).sum() / (u * u).sum())
 
 
 def by_entropy(
-    chips: Chips, coefficients: FloatArray, before: FloatArray, weights: FloatArray, threads: int = 1
+    chips: Chips, start: FloatArray, before: FloatArray, weights: FloatArray, threads: int = 1
 ) -> FloatArray:
-    """Polish coefficients (size, 3), m, by minimum entropy, with ever more intervals.
+    """Polish a displacement (n_sample, 3), m, by minimum entropy with splines of ever more intervals.
 
-    The chips were taken with coefficients `before` (size, 3), m, in place.
+    The chips were taken with a displacement `before` (n_sample, 3), m, in place.
     """
     work, finest = chips.work, intervals(chips.work)
-    wide = Knots(work=work, n_interval=finest, time=chips.time)
-    chips = chips.corrected(wide.values(coefficients)).narrowed(_narrowing(work, finest))
-    total, wide_narrow = coefficients, Knots(work=work, n_interval=finest, time=chips.time)
+    narrow = chips.corrected(start).narrowed(_narrowing(work, finest))
+    displacement = start
     for level in range(LEVELS - 1, -1, -1):
-        knots = Knots(work=work, n_interval=max(finest >> level, 4), time=chips.time)
-        base = knots.fit(wide_narrow.values(before + total)) * work.wavenumber
-        polish = Polish(chips=chips, knots=knots, base=base, weights=weights, threads=threads)
-        start = np.zeros(knots.size * 3)
-        found = minimise(polish.cost, start, iterations=ITERATIONS, gain=GAIN, first_step=0.1)
+        count = max(finest >> level, 4)
+        wide = Knots(work=work, n_interval=count, time=chips.time)
+        knots = Knots(work=work, n_interval=count, time=narrow.time)
+        base = wide.fit(before + displacement) * work.wavenumber
+        polish = Polish(chips=narrow, knots=knots, base=base, weights=weights, threads=threads)
+        found = minimise(
+            polish.cost, np.zeros(knots.size * 3), iterations=ITERATIONS, gain=GAIN, first_step=FIRST_STEP
+        )
         moved = polish.coefficients(found.at) / work.wavenumber
-        chips = chips.corrected(knots.values(moved))
-        total = total + wide.fit(Knots(work=work, n_interval=knots.n_interval, time=wide.time).values(moved))
-    return total
+        narrow = narrow.corrected(knots.values(moved))
+        displacement = displacement + wide.values(moved)
+    return displacement
+
+
+def refined(
+    chips: Chips, displacement: FloatArray, before: FloatArray, weights: FloatArray
+) -> tuple[FloatArray, float]:
+    """Replace what is too fine for the splines by what both halves of the points agree on.
+
+    Parameters
+    ----------
+    displacement : (n_sample, 3) float
+        m, to be added to that with which the chips were taken, `before` (n_sample, 3).
+
+    Returns
+    -------
+    (n_sample, 3) float, float
+        The displacement, and the error that is expected of its fine part, rad rms.
+    """
+    work, wavenumber = chips.work, chips.work.wavenumber
+    knots = Knots(work=work, n_interval=intervals(work), time=chips.time)
+    sight = mean_sight(chips)
+    smooth = knots.smooth(before + displacement)
+    sharp = chips.corrected(smooth - before)  # without fine parts that are believed already: halves must not share them
+    estimates = []
+    for half in halves(chips):
+        phase = sample_phase(sharp.some(half), weights[half])
+        estimates.append(phase - knots.smooth(phase[:, None])[:, 0])
+    fine = believed(*estimates)
+    return smooth + sight * (fine.phase / wavenumber)[:, None] - before, fine.error
+
+
+def halves(chips: Chips) -> tuple[IntArray, IntArray]:
+    """Points of two disjoint halves, alike in when they are lit."""
+    order = np.argsort(2 * chips.first + chips.count, kind="stable")
+    return order[0::2], order[1::2]
 
 
 def _narrowing(work: Work, n_interval: int) -> int:
@@ -148,10 +190,8 @@ def _narrowing(work: Work, n_interval: int) -> int:
     return max(min(by_speed, work.n_sample // (2 * n_interval)), 1)
 
 
-def shared_error(
-    chips: Chips, before: FloatArray, weights: FloatArray, threads: int = 1
-) -> FloatArray:
-    """Coefficients (size, 3), m, of the displacement that sharpens chips that were taken with those `before`."""
+def shared_error(chips: Chips, before: FloatArray, weights: FloatArray, threads: int = 1) -> FloatArray:
+    """Displacement (n_sample, 3), m, that sharpens chips that were taken with that of `before`."""
     return by_entropy(chips, by_phase_gradient(chips, weights), before, weights, threads)
 
 
@@ -159,26 +199,28 @@ def estimate(
     work: Work, points: Points, parts: Sequence[ChipPart], correction: Correction, threads: int = 1
 ) -> Correction:
     """One loop: what the chips tell, added to the correction with which they were taken."""
-    chips = join_chips(work, points, parts, correction)
+    before = correction.displacement
+    chips = join_chips(work, points, parts, before)
     weights = correction.weights if correction.weights.size else np.ones(points.x.size)
-    found = shared_error(chips, correction.coefficients, weights, threads)
-    knots = Knots(work=work, n_interval=intervals(work), time=chips.time)
-    corrected = chips.corrected(knots.values(found))
-    before, after = (entropies(part.values, np.zeros(chips.index.shape), threads)[0] for part in (chips, corrected))
-    step = phase_step(chips, work.wavenumber * chips.los(knots.values(found)), weights)
+    found = shared_error(chips, before, weights, threads)
+    found, fine_error = refined(chips, found, before, weights)
+    corrected = chips.corrected(found)
+    blurred, sharp = (entropies(part.values, np.zeros(chips.index.shape), threads)[0] for part in (chips, corrected))
+    step = phase_step(chips, work.wavenumber * chips.los(found), weights)
     done = len(correction.history) + 1
     figures = {
         "loop": done,
         "step": step,
-        "entropy_before": float((weights * before).sum() / weights.sum()),
-        "entropy_after": float((weights * after).sum() / weights.sum()),
+        "entropy_before": float((weights * blurred).sum() / weights.sum()),
+        "entropy_after": float((weights * sharp).sum() / weights.sum()),
     }
     return Correction(
-        coefficients=correction.coefficients + found,
+        displacement=before + found,
+        previous=before,
         weights=point_weights(own_errors(corrected)),
+        fine_error=fine_error,
         history=(*correction.history, figures),
         finished=step < work.settings.step or done >= work.settings.loops,
-        previous=correction.coefficients,
     )
 
 

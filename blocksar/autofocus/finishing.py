@@ -10,8 +10,8 @@ import numpy as np
 
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.autofocus.chips import ChipPart, Chips, join_chips
-from blocksar.autofocus.correction import Correction, Knots
-from blocksar.autofocus.estimation import phase_step, shared_error
+from blocksar.autofocus.correction import Correction, Knots, between_samples, intervals
+from blocksar.autofocus.estimation import halves, phase_step, shared_error
 from blocksar.autofocus.information import factor, information
 from blocksar.autofocus.selection import Points, Refused
 from blocksar.autofocus.work import Work
@@ -68,7 +68,7 @@ def finish(
     Refused
         If the halves differ by more than `Settings.halves`.
     """
-    chips = join_chips(work, points, parts, correction.before)
+    chips = join_chips(work, points, parts, correction.previous)
     apart = halves_apart(chips, correction, threads)
     last = correction.history[-1]
     if not (correction.finished and apart <= work.settings.halves):
@@ -79,13 +79,14 @@ def finish(
             "a --grid with prominent points, or focus the phase history as it is"
         )
     collection = work.geometry.collection
-    moved = correction.at(work, collection.time)
-    predicted = apart / 2  # each half has twice the variance of the whole, their difference four times
+    moved = between_samples(work, correction.displacement, collection.time)
+    # Each half has twice the variance of the whole, so that their difference has four times that.
+    predicted = float(np.hypot(apart / 2, correction.fine_error))
     before, after, shown = _pictures(chips, correction)
     return Result(
         antenna_position=collection.antenna_position + moved,
         time=work.sample_times,
-        track_error=-correction.at(work, work.sample_times),
+        track_error=-correction.displacement,
         uncertainty=_uncertainty(chips, correction, predicted),
         x=points.x[shown],
         y=points.y[shown],
@@ -94,7 +95,7 @@ def finish(
         figures={
             "points": int(points.x.size),
             "rejected": int((correction.weights < 0.5).sum()),
-            "knots": int(correction.coefficients.shape[0]),
+            "knots": intervals(work) + 1,
             "loops": len(correction.history),
             "halves_apart": apart,
             "predicted_error": predicted,
@@ -107,20 +108,19 @@ def finish(
 
 def halves_apart(chips: Chips, correction: Correction, threads: int = 1) -> float:
     """Phases by which estimates from disjoint halves of the points differ: rms without mean and line, rad."""
-    work, order = chips.work, np.argsort(chips.first + chips.count / 2 + 1e-3 * np.arange(chips.first.size), kind="stable")
+    work = chips.work
+    knots = Knots(work=work, n_interval=intervals(work), time=chips.time)
     found = []
-    for half in (order[0::2], order[1::2]):
-        part = chips.some(half)
-        found.append(shared_error(part, correction.before.coefficients, correction.weights[half], threads))
-    knots = Knots(work=work, n_interval=found[0].shape[0] - 3, time=chips.time)
-    phase = work.wavenumber * chips.los(knots.values(found[0] - found[1]))
-    return phase_step(chips, phase, correction.weights)
+    for half in halves(chips):
+        displacement = shared_error(chips.some(half), correction.previous, correction.weights[half], threads)
+        found.append(knots.smooth(displacement))
+    return phase_step(chips, work.wavenumber * chips.los(found[0] - found[1]), correction.weights)
 
 
 def _uncertainty(chips: Chips, correction: Correction, predicted: float) -> FloatArray:
     """Standard deviation (n_sample, 3) of the displacement, m."""
     work = chips.work
-    knots = Knots(work=work, n_interval=correction.coefficients.shape[0] - 3, time=chips.time)
+    knots = Knots(work=work, n_interval=intervals(work), time=chips.time)
     told, _ = information(chips, knots, correction.weights / correction.weights.sum())
     far = work.settings.displacement * work.wavenumber
     precision = told * (knots.size / max(predicted, 1e-3) ** 2) + np.eye(told.shape[0]) / far**2
@@ -134,16 +134,15 @@ def _uncertainty(chips: Chips, correction: Correction, predicted: float) -> Floa
 def _pictures(chips: Chips, correction: Correction) -> tuple[FloatArray, FloatArray, list[int]]:
     """Power of some points' chips, before any correction and after the last; and which points."""
     shown = [int(i) for i in np.argsort(-correction.weights, kind="stable")[:PICTURES]]
-    some, work = chips.some(np.array(shown)), chips.work
+    some = chips.some(np.array(shown))
 
-    def power(coefficients: FloatArray) -> FloatArray:
-        knots = Knots(work=work, n_interval=coefficients.shape[0] - 3, time=chips.time)
-        values: ComplexArray = some.corrected(knots.values(coefficients)).values
+    def power(displacement: FloatArray) -> FloatArray:
+        values: ComplexArray = some.corrected(displacement).values
         n = values.shape[2]
         image = fft_rows(values.reshape(-1, n).copy(), inverse=False).reshape(values.shape)
         return np.roll(np.abs(image).astype(np.float64) ** 2, n // 2, axis=2)
 
-    before = power(-correction.before.coefficients)
-    after = power(correction.coefficients - correction.before.coefficients)
+    before = power(-correction.previous)
+    after = power(correction.displacement - correction.previous)
     scale = np.maximum(after.max(axis=(1, 2), keepdims=True), 1e-300)
     return (before / scale).astype(np.float32), (after / scale).astype(np.float32), shown

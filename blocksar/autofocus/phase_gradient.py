@@ -18,14 +18,19 @@ from blocksar.arrays import Complex128Array, ComplexArray, FloatArray, IntArray
 from blocksar.autofocus.chips import Chips
 from blocksar.kernels.fourier import fft_rows
 
-TURNS = 100  # of slopes and gradients
-PARTS = 2  # samples of the gradient for an interval of the spline
+TURNS = 100  # of slopes and gradients, at most
+SETTLED = 1e-4  # rad per sample: slopes that change by less are final
+WEIGHED = 20  # turns, after which weights stay
+LINES = 3  # of each chip, the strongest
+BLUR = 0.125  # of the band: a point that is blurred is not one bright cell
 NARROWING = 0.6  # of the band of Doppler, from one iteration to the next
 LEAST_BAND = 12  # Doppler cells
 MOST_WEIGHT = 10.0  # of a line whose scatterer stands alone
 
 
-def centred_rows(values: ComplexArray, count: IntArray, band: int) -> tuple[ComplexArray, FloatArray]:
+def centred_rows(
+    values: ComplexArray, count: IntArray, band: int, blur: int | None = None
+) -> tuple[ComplexArray, FloatArray]:
     """Centre each row on its brightest Doppler and cut it to a band about that.
 
     Parameters
@@ -34,6 +39,8 @@ def centred_rows(values: ComplexArray, count: IntArray, band: int) -> tuple[Comp
         Zero from count (n_row,) on.
     band : int
         Doppler cells to either side that are kept.
+    blur : int, optional
+        Doppler cells to either side over which power is summed to find the brightest; by default BLUR of the band.
 
     Returns
     -------
@@ -43,8 +50,7 @@ def centred_rows(values: ComplexArray, count: IntArray, band: int) -> tuple[Comp
     n = values.shape[1]
     spectrum = fft_rows(values.copy(), inverse=False)
     power = np.abs(spectrum) ** 2
-    # Smoothed over a share of the band: a blurred point is not one bright cell.
-    width = max(band // 8, 1)
+    width = max(int(BLUR * band), 1) if blur is None else blur
     smooth = np.cumsum(np.concatenate([power[:, -width:], power, power[:, :width]], axis=1), axis=1, dtype=np.float64)
     smooth = smooth[:, 2 * width :] - smooth[:, : -2 * width]
     peak = smooth.argmax(axis=1)
@@ -94,13 +100,16 @@ def shared_gradient(
         shared = (sums * (weight * np.exp(-1j * slope))[:, None]).sum(axis=0)
         gradient = np.where(shared == 0, 0.0, np.angle(shared))
         own = (sums * np.exp(-1j * gradient)).sum(axis=1)
+        moved = np.abs(np.angle(own * np.exp(-1j * slope))).max()
         slope, coherence = np.angle(own), np.abs(own)
-        if turn % 10 == 9:
+        if turn > WEIGHED and moved < SETTLED:
+            break
+        if turn % 5 == 4 and turn <= WEIGHED:
             weight = share * np.minimum(coherence**2 / np.maximum(1 - coherence**2, 1 / MOST_WEIGHT), MOST_WEIGHT)
     return gradient, slope, coherence
 
 
-def line_of_sight(chips: Chips, phase: FloatArray, band: int, n_interval: int, weights: FloatArray) -> FloatArray:
+def line_of_sight(chips: Chips, phase: FloatArray, band: int, weights: FloatArray) -> FloatArray:
     """Phase (n_sample,), rad, that the chips share, by one phase gradient; its mean line over time is arbitrary.
 
     Parameters
@@ -110,21 +119,19 @@ def line_of_sight(chips: Chips, phase: FloatArray, band: int, n_interval: int, w
         Removed from the chips first, rad.
     band : int
         Doppler cells to either side of a line's brightest one.
-    n_interval : int
-        Of the spline that is to follow; PARTS gradients for each.
     weights : (n_point,) float
     """
-    n_point, n_line, n = chips.values.shape
-    turned = chips.values * np.exp(-1j * phase).astype(np.complex64)[:, None]
+    power = (np.abs(chips.values) ** 2).sum(axis=2, dtype=np.float64)
+    strongest = np.argsort(-power, axis=1, kind="stable")[:, :LINES]
+    turned = np.take_along_axis(chips.values, strongest[..., None], axis=1)
+    turned *= np.exp(-1j * phase).astype(np.complex64)[:, None]
+    n_point, n_line, n = turned.shape
     rows, _ = centred_rows(turned.reshape(-1, n), np.repeat(chips.count, n_line), band)
-    share = np.repeat(np.sqrt(weights), n_line)
-    # Lines count by their power within the chip, chips alike.
+    # Chips count alike, and their lines by their power.
     energy = (np.abs(rows) ** 2).sum(axis=1, dtype=np.float64).reshape(n_point, n_line)
-    share = share * (energy / np.maximum(energy.sum(axis=1, keepdims=True), 1e-300)).ravel()
-    n_part = min(PARTS * n_interval, chips.time.size - 1)
+    share = np.sqrt(weights)[:, None] * energy / np.maximum(energy.sum(axis=1, keepdims=True), 1e-300)
     last = chips.time.size - 1
-    part = np.minimum(chips.index[:, :-1] * n_part // last, n_part - 1)
+    part = np.repeat(np.minimum(chips.index[:, :-1], last - 1), n_line, axis=0)
     products = np.conj(rows[:, :-1]).astype(np.complex128) * rows[:, 1:]
-    gradient, _, _ = shared_gradient(products, np.repeat(part, n_line, axis=0), n_part, share)
-    per_sample = gradient[np.arange(last) * n_part // last]
-    return np.concatenate([[0.0], np.cumsum(per_sample)])
+    gradient, _, _ = shared_gradient(products, part, last, share.ravel())
+    return np.concatenate([[0.0], np.cumsum(gradient)])

@@ -1,0 +1,94 @@
+"""What is too fine for the splines: the line-of-sight phase of each sample, from the points' strongest lines.
+
+Once the chips are sharp, each sample's phase can be read off the points themselves: the angle of the sum of their
+strongest lines, each turned back by its own phase. That is noise, unless the track really has so fine an error, as a
+random walk of the position has. What two halves of the points have in common tells how much of it to believe: each
+band of frequencies is weighed as a Wiener filter would.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.autofocus.chips import Chips
+from blocksar.autofocus.phase_gradient import centred_rows
+from blocksar.kernels.fourier import fft_rows
+
+TURNS = 4  # of points' own phases and the shared one
+BANDS = 8  # of frequencies, at most
+LEAST_BINS = 8  # of a band
+DOUBT = 2.0  # standard deviations of the halves' common power in noise that are not believed
+
+
+class FinePhase(NamedTuple):
+    """A phase (n_sample,), rad, and the error that is expected of it, rad rms."""
+
+    phase: FloatArray
+    error: float
+
+
+def sample_phase(chips: Chips, weights: FloatArray) -> FloatArray:
+    """Phase (n_sample,) that the points share in each sample, rad; slow parts of it are arbitrary."""
+    energy = (np.abs(chips.values) ** 2).sum(axis=2, dtype=np.float64)
+    strongest = energy.argmax(axis=1)
+    lines = np.ascontiguousarray(chips.values[np.arange(strongest.size), strongest])
+    rows, _ = centred_rows(lines, chips.count, 8 * lines.shape[1], blur=1)  # all of the band
+    index, n = chips.index, chips.time.size
+    shared = np.zeros(n)
+    for _ in range(TURNS):
+        turned = rows * np.exp(-1j * shared[index])
+        own, noise = _own_phase(turned, chips)
+        share = (weights / np.maximum(noise, 1e-300))[:, None] * np.conj(own)
+        values = np.where(chips.lit, rows * share, 0)
+        total = np.bincount(index.ravel(), values.real.ravel(), minlength=n) + 1j * np.bincount(
+            index.ravel(), values.imag.ravel(), minlength=n
+        )
+        shared = np.where(total == 0, 0.0, np.angle(total))
+    return shared
+
+
+def _own_phase(rows: ComplexArray, chips: Chips) -> tuple[ComplexArray, FloatArray]:
+    """Each row's amplitude with its own phase and Doppler (n_point, n), and its power besides, (n_point,)."""
+    n_point, n = rows.shape
+    own, noise = np.zeros((n_point, n), np.complex128), np.ones(n_point)
+    for i in range(n_point):
+        count = int(chips.count[i])
+        if count < 4:
+            continue
+        row = rows[i, :count].astype(np.complex128)
+        at, slope = np.arange(count) - (count - 1) / 2, 0.0
+        for _ in range(3):
+            flat = row * np.exp(-1j * slope * at)
+            ends = flat[: count // 2].sum(), flat[count - count // 2 :].sum()
+            slope += float(np.angle(ends[1] * np.conj(ends[0]))) / (count - count // 2)
+        amplitude = (row * np.exp(-1j * slope * at)).mean()
+        own[i, :count] = amplitude * np.exp(1j * slope * at)
+        noise[i] = max(float((np.abs(row) ** 2).mean() - np.abs(amplitude) ** 2), 1e-6 * float((np.abs(row) ** 2).mean()))
+    return own, noise
+
+
+def believed(first: FloatArray, second: FloatArray) -> FinePhase:
+    """What two independent estimates (n,), rad, of a phase have in common, by a Wiener filter.
+
+    Of a signal S and noise N in each, the mean of both has the power S + N / 2, and the product of one with the other
+    tells S. Where S does not stand out of the product's own noise, nothing is believed. The error that is left where
+    something is believed is S (N / 2) / (S + N / 2).
+    """
+    n = first.size
+    spectra = fft_rows(np.stack([first, second]).astype(np.complex128), inverse=False)
+    common = (spectra[0] * np.conj(spectra[1])).real
+    mean = np.abs(spectra.sum(axis=0) / 2) ** 2
+    half = n // 2 + 1
+    gain, error = np.zeros(n), 0.0
+    for band in np.array_split(np.arange(half), max(min(BANDS, half // LEAST_BINS), 1)):
+        signal, power = float(common[band].mean()), float(mean[band].mean())
+        noise = max(power - signal, 0.0)
+        share = signal / power if power > 0 and signal > DOUBT * noise * np.sqrt(2 / band.size) else 0.0
+        share = min(max(share, 0.0), 1.0)
+        gain[band], gain[-band] = share, share
+        error += band.size * share * noise
+    phase = fft_rows((spectra.sum(axis=0, keepdims=True) / 2 * gain), inverse=True)[0].real
+    return FinePhase(np.asarray(phase), float(np.sqrt(2 * error) / n))
