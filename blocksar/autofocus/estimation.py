@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from blocksar import solvers
 from blocksar.arrays import FloatArray, IntArray
 from blocksar.autofocus.chips import ChipPart, Chips, join_chips
 from blocksar.autofocus.correction import Correction, Knots, intervals
@@ -43,21 +44,18 @@ class Polish:
     chips : Chips
     knots : Knots
         At the chips' times.
-    base : (size, 3) float
-        Coefficients, rad, that are corrected already: the prior is about the sum.
     weights : (n_point,) float
     threads : int
     """
 
     chips: Chips
     knots: Knots
-    base: FloatArray
     weights: FloatArray
     threads: int = 1
 
     @cached_property
     def prior(self) -> FloatArray:
-        """Cost of coefficients, nats per rad^2, as a quadratic form (size * 3, size * 3).
+        """Cost of what the polish adds, nats per rad^2 of coefficients, as a quadratic form (size * 3, size * 3).
 
         Nothing for a constant and a line of each axis: chips hardly tell them, and must not be moved in vain.
         """
@@ -92,9 +90,8 @@ class Polish:
         entropy, gradient = entropies(self.chips.values, phase, self.threads)
         share = self.weights / self.weights.sum()
         slope = self.knots.adjoint(-self.chips.spread(gradient * share[:, None])).ravel()
-        whole = (self.base + coefficients).ravel()
-        bent = np.einsum("ij,j->i", self.prior, whole)
-        value = float((share * entropy).sum() + (whole * bent).sum())
+        bent = np.einsum("ij,j->i", self.prior, coefficients.ravel())
+        value = float((share * entropy).sum() + (coefficients.ravel() * bent).sum())
         return value, np.asarray(np.einsum("ij,i->j", self.units, slope + 2 * bent))
 
 
@@ -124,13 +121,8 @@ def without_line(values: FloatArray) -> FloatArray:
     return np.asarray(flat - u * (u * flat).sum() / (u * u).sum())
 
 
-def by_entropy(
-    chips: Chips, start: FloatArray, before: FloatArray, weights: FloatArray, threads: int = 1
-) -> FloatArray:
-    """Polish a displacement (n_sample, 3), m, by minimum entropy with splines of ever more intervals.
-
-    The chips were taken with a displacement `before` (n_sample, 3), m, in place.
-    """
+def by_entropy(chips: Chips, start: FloatArray, weights: FloatArray, threads: int = 1) -> FloatArray:
+    """Polish a displacement (n_sample, 3), m, by minimum entropy with splines of ever more intervals."""
     work, finest = chips.work, intervals(chips.work)
     narrow = chips.corrected(start).narrowed(_narrowing(work, finest))
     displacement = start
@@ -138,8 +130,7 @@ def by_entropy(
         count = max(finest >> level, 4)
         wide = Knots(work=work, n_interval=count, time=chips.time)
         knots = Knots(work=work, n_interval=count, time=narrow.time)
-        base = wide.fit(before + displacement) * work.wavenumber
-        polish = Polish(chips=narrow, knots=knots, base=base, weights=weights, threads=threads)
+        polish = Polish(chips=narrow, knots=knots, weights=weights, threads=threads)
         found = minimise(
             polish.cost, np.zeros(knots.size * 3), iterations=ITERATIONS, gain=GAIN, first_step=FIRST_STEP
         )
@@ -190,9 +181,9 @@ def _narrowing(work: Work, n_interval: int) -> int:
     return max(min(by_speed, work.n_sample // (2 * n_interval)), 1)
 
 
-def shared_error(chips: Chips, before: FloatArray, weights: FloatArray, threads: int = 1) -> FloatArray:
-    """Displacement (n_sample, 3), m, that sharpens chips that were taken with that of `before`."""
-    return by_entropy(chips, by_phase_gradient(chips, weights), before, weights, threads)
+def shared_error(chips: Chips, weights: FloatArray, threads: int = 1) -> FloatArray:
+    """Displacement (n_sample, 3), m, that sharpens chips."""
+    return by_entropy(chips, by_phase_gradient(chips, weights), weights, threads)
 
 
 def estimate(
@@ -202,17 +193,19 @@ def estimate(
     before = correction.displacement
     chips = join_chips(work, points, parts, before)
     weights = correction.weights if correction.weights.size else np.ones(points.x.size)
-    found = shared_error(chips, before, weights, threads)
+    found = by_phase_gradient(chips, weights)
+    if _entropy(chips.corrected(found), weights, threads) > _entropy(chips, weights, threads):
+        found = np.zeros_like(found)  # the chips are sharper than what the phase gradient can do
+    found = by_entropy(chips, found, weights, threads)
     found, fine_error = refined(chips, found, before, weights)
     corrected = chips.corrected(found)
-    blurred, sharp = (entropies(part.values, np.zeros(chips.index.shape), threads)[0] for part in (chips, corrected))
     step = phase_step(chips, work.wavenumber * chips.los(found), weights)
     done = len(correction.history) + 1
     figures = {
         "loop": done,
         "step": step,
-        "entropy_before": float((weights * blurred).sum() / weights.sum()),
-        "entropy_after": float((weights * sharp).sum() / weights.sum()),
+        "entropy_before": _entropy(chips, weights, threads),
+        "entropy_after": _entropy(corrected, weights, threads),
     }
     return Correction(
         displacement=before + found,
@@ -224,13 +217,23 @@ def estimate(
     )
 
 
+def _entropy(chips: Chips, weights: FloatArray, threads: int) -> float:
+    """Mean entropy of chips as they are, nats."""
+    each, _ = entropies(chips.values, np.zeros(chips.index.shape), threads)
+    return float((weights * each).sum() / weights.sum())
+
+
 def phase_step(chips: Chips, phase: FloatArray, weights: FloatArray) -> float:
-    """Phases (n_point, n) that defocus: rms over chips without each one's mean line, rad."""
+    """Phases (n_point, n) that defocus, rad rms over chips: less what a constant and a shift on the ground explain."""
     total = 0.0
     for i in range(phase.shape[0]):
-        values = phase[i, : chips.count[i]]
-        u = np.linspace(-1, 1, values.size)
-        values = values - values.mean()
-        values = values - u * (u * values).sum() / (u * u).sum()
-        total += weights[i] * float((values * values).mean())
+        count = int(chips.count[i])
+        if count < 4:
+            continue
+        sight = chips.sight[i, :count, :2].T
+        terms = np.concatenate([np.ones((1, count)), sight - sight.mean(axis=1, keepdims=True)])
+        rest = phase[i, :count].copy()
+        for term in solvers.orthogonal_basis(terms)[0]:
+            rest -= term * (term * rest).sum()
+        total += weights[i] * float((rest * rest).mean())
     return float(np.sqrt(total / weights.sum()))

@@ -20,7 +20,7 @@ from blocksar.kernels.fourier import fft_rows
 TURNS = 4  # of points' own phases and the shared one
 BANDS = 8  # of frequencies, at most
 LEAST_BINS = 8  # of a band
-DOUBT = 2.0  # standard deviations of the halves' common power in noise that are not believed
+DOUBT = 3.0  # standard deviations of the halves' common power in noise that are not believed
 
 
 class FinePhase(NamedTuple):

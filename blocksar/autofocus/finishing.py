@@ -112,7 +112,7 @@ def halves_apart(chips: Chips, correction: Correction, threads: int = 1) -> floa
     knots = Knots(work=work, n_interval=intervals(work), time=chips.time)
     found = []
     for half in halves(chips):
-        displacement = shared_error(chips.some(half), correction.previous, correction.weights[half], threads)
+        displacement = shared_error(chips.some(half), correction.weights[half], threads)
         found.append(knots.smooth(displacement))
     return phase_step(chips, work.wavenumber * chips.los(found[0] - found[1]), correction.weights)
 

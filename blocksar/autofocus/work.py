@@ -19,6 +19,7 @@ from blocksar.errors import InputError
 
 BLOCK = 512  # pulses whose samples are in memory at a time, about
 LEAST_PULSES = 64
+LEAST_SAMPLES = 1024  # of a chip over the collection, if it has so many pulses
 APERTURES = 5  # short ones within a dwell
 FILTER_LENGTH = 7  # decimated samples: of the low-pass filter; odd, so that it lies about a sample's centre
 FILTER_BAND = 0.8  # of a chip's sampling rate
@@ -86,8 +87,9 @@ class Work:
     @cached_property
     def decimation(self) -> int:
         """Pulses for one sample of a chip."""
-        rate = 2 * self.settings.speed * self.wavenumber / np.pi / FILTER_BAND / 2
-        return max(int(self.geometry.collection.prf / rate), 1)
+        collection = self.geometry.collection
+        rate = self.settings.speed * self.wavenumber / np.pi / FILTER_BAND
+        return max(min(int(collection.prf / rate), collection.n_pulse // LEAST_SAMPLES), 1)
 
     @cached_property
     def n_sample(self) -> int:
