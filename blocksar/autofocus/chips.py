@@ -99,7 +99,9 @@ class Chips:
         values = np.zeros((*self.values.shape[:2], n), np.complex64)
         for i in range(first.size):
             begin = int(first[i]) * factor - ahead - int(self.first[i])
-            padded = np.pad(self.values[i], ((0, 0), (weights.size, weights.size + factor * n)))[:, begin + weights.size :]
+            padded = np.pad(self.values[i], ((0, 0), (weights.size, weights.size + factor * n)))[
+                :, begin + weights.size :
+            ]
             for k in range(weights.size):
                 values[i, :, : count[i]] += weights[k] * padded[:, k : k + factor * int(count[i]) : factor]
         n_sample = self.time.size // factor

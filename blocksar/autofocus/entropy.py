@@ -9,7 +9,7 @@ from blocksar.kernels.fourier import fast_length, fft_rows
 from blocksar.kernels.groups import run_groups
 
 TINY = 1e-30
-PADDING = 2.0  # Doppler cells for each sample, at least: |Y|^2 is then sampled finely enough that to move a chip costs nothing
+PADDING = 2.0  # Doppler cells for each sample: with |Y|^2 sampled so finely, to move a chip costs nothing
 
 
 def entropies(values: ComplexArray, phase: FloatArray, threads: int = 1) -> tuple[FloatArray, FloatArray]:

@@ -131,9 +131,7 @@ def by_entropy(chips: Chips, start: FloatArray, weights: FloatArray, threads: in
         wide = Knots(work=work, n_interval=count, time=chips.time)
         knots = Knots(work=work, n_interval=count, time=narrow.time)
         polish = Polish(chips=narrow, knots=knots, weights=weights, threads=threads)
-        found = minimise(
-            polish.cost, np.zeros(knots.size * 3), iterations=ITERATIONS, gain=GAIN, first_step=FIRST_STEP
-        )
+        found = minimise(polish.cost, np.zeros(knots.size * 3), iterations=ITERATIONS, gain=GAIN, first_step=FIRST_STEP)
         moved = polish.coefficients(found.at) / work.wavenumber
         narrow = narrow.corrected(knots.values(moved))
         displacement = displacement + wide.values(moved)

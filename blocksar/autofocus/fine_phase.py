@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.arrays import Complex128Array, ComplexArray, FloatArray
 from blocksar.autofocus.chips import Chips
 from blocksar.autofocus.phase_gradient import centred_rows
 from blocksar.kernels.fourier import fft_rows
@@ -47,10 +47,10 @@ def sample_phase(chips: Chips, weights: FloatArray) -> FloatArray:
             index.ravel(), values.imag.ravel(), minlength=n
         )
         shared = np.where(total == 0, 0.0, np.angle(total))
-    return shared
+    return np.asarray(np.unwrap(shared))
 
 
-def _own_phase(rows: ComplexArray, chips: Chips) -> tuple[ComplexArray, FloatArray]:
+def _own_phase(rows: ComplexArray, chips: Chips) -> tuple[Complex128Array, FloatArray]:
     """Each row's amplitude with its own phase and Doppler (n_point, n), and its power besides, (n_point,)."""
     n_point, n = rows.shape
     own, noise = np.zeros((n_point, n), np.complex128), np.ones(n_point)
@@ -66,7 +66,9 @@ def _own_phase(rows: ComplexArray, chips: Chips) -> tuple[ComplexArray, FloatArr
             slope += float(np.angle(ends[1] * np.conj(ends[0]))) / (count - count // 2)
         amplitude = (row * np.exp(-1j * slope * at)).mean()
         own[i, :count] = amplitude * np.exp(1j * slope * at)
-        noise[i] = max(float((np.abs(row) ** 2).mean() - np.abs(amplitude) ** 2), 1e-6 * float((np.abs(row) ** 2).mean()))
+        noise[i] = max(
+            float((np.abs(row) ** 2).mean() - np.abs(amplitude) ** 2), 1e-6 * float((np.abs(row) ** 2).mean())
+        )
     return own, noise
 
 

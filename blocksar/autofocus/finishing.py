@@ -53,9 +53,7 @@ class Result:
     figures: dict[str, Any]
 
 
-def finish(
-    work: Work, points: Points, parts: Sequence[ChipPart], correction: Correction, threads: int = 1
-) -> Result:
+def finish(work: Work, points: Points, parts: Sequence[ChipPart], correction: Correction, threads: int = 1) -> Result:
     """Compare estimates from both halves of the points, and correct the track.
 
     Parameters

@@ -32,7 +32,9 @@ def information(chips: Chips, knots: Knots, weights: FloatArray) -> Information:
     total = np.zeros((size * size, 9))
     for a in range(3):
         for b in range(3):
-            at = np.bincount(index, (each * chips.sight[..., a] * chips.sight[..., b]).ravel(), minlength=chips.time.size)
+            at = np.bincount(
+                index, (each * chips.sight[..., a] * chips.sight[..., b]).ravel(), minlength=chips.time.size
+            )
             for k in range(4):
                 for m in range(4):
                     key = (first + k) * size + first + m

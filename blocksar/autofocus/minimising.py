@@ -48,7 +48,8 @@ def minimise(
     """
     x = start.copy()
     value, slope = function(x)
-    count, pairs, gains = 1, [], [np.inf, np.inf]
+    count, gains = 1, [np.inf, np.inf]
+    pairs: list[tuple[FloatArray, FloatArray]] = []
     for _ in range(iterations):
         way = -_product(slope, pairs)
         down = float((way * slope).sum())

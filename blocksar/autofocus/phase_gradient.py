@@ -55,7 +55,7 @@ def centred_rows(
     smooth = smooth[:, 2 * width :] - smooth[:, : -2 * width]
     peak = smooth.argmax(axis=1)
     away = (np.arange(n) - peak[:, None] + n // 2) % n - n // 2
-    spectrum *= np.exp(-((away / band) ** 2 * 2) ** 4).astype(np.float32)  # flat, with soft edges
+    spectrum *= np.exp(-(((away / band) ** 2 * 2) ** 4)).astype(np.float32)  # flat, with soft edges
     rows = fft_rows(spectrum, inverse=True)
     turn = 2 * np.pi * ((peak + n // 2) % n - n // 2) / n
     rows = rows * np.exp(-1j * turn[:, None] * np.arange(n)).astype(np.complex64)
@@ -90,7 +90,7 @@ def shared_gradient(
     key = (np.arange(n_row)[:, None] * n_part + part).ravel()
 
     def total(values: FloatArray) -> FloatArray:
-        return np.bincount(key, values.ravel(), minlength=n_row * n_part).reshape(n_row, n_part)
+        return np.asarray(np.bincount(key, values.ravel(), minlength=n_row * n_part).reshape(n_row, n_part), np.float64)
 
     sums = total(products.real) + 1j * total(products.imag)
     sums /= np.maximum(total(np.abs(products)).sum(axis=1), 1e-300)[:, None]

@@ -101,9 +101,7 @@ def find_candidates(signal: ComplexArray, work: Work, pulses: slice, threads: in
         ground = work.geometry.ground_point(ranges, np.full(ranges.size, yaw))
         power = _coarse_image(work, pulses, profiles.values, profiles.spacing, ground, threads)
         found.append(_brightest(work, pulses, power, ground, span / count))
-    return Candidates(
-        **{name: np.concatenate([getattr(c, name) for c in found]) for name in ("x", "y", "prominence")}
-    )
+    return Candidates(**{name: np.concatenate([getattr(c, name) for c in found]) for name in ("x", "y", "prominence")})
 
 
 def _lit_yaws(work: Work, pulses: slice) -> tuple[float, float] | None:
@@ -203,9 +201,20 @@ def select_points(candidates: Sequence[Candidates], work: Work) -> Points:
     Refused
         If there are fewer than `Settings.least_points`.
     """
-    x, y, prominence = (
-        np.concatenate([getattr(c, name) for c in candidates]) for name in ("x", "y", "prominence")
-    )
+    x, y, prominence = (np.concatenate([getattr(c, name) for c in candidates]) for name in ("x", "y", "prominence"))
+    kept = _kept(x, y, prominence, work) if x.size else []
+    if len(kept) < work.settings.least_points:
+        raise Refused(
+            f"{len(kept)} points stand out in the scene, but the track's error is told from at least "
+            f"{work.settings.least_points}; give a larger --grid, or focus the phase history as it is"
+        )
+    index = np.array(kept)
+    first, last = lit_interval(work.geometry, x[index], y[index])
+    return Points(x=x[index], y=y[index], first=first, last=last)
+
+
+def _kept(x: FloatArray, y: FloatArray, prominence: FloatArray, work: Work) -> list[int]:
+    """Indices of the candidates that are kept: those that are the same point count for its score."""
     epoch, yaw = work.geometry.epoch_range(x, y), work.geometry.yaw(x, y)
     cell_range, cell_yaw = work.cell, _yaw_cell(work)
     first, last = lit_interval(work.geometry, x, y)
@@ -220,14 +229,7 @@ def select_points(candidates: Sequence[Candidates], work: Work) -> Points:
         taken |= same
         score[i] = np.log(np.maximum(prominence[same], 1)).sum() / max(int(seen_by[i]), 1)
     lit = last - first >= work.dwell // 4
-    kept = _spread(np.where(lit, score, 0.0), epoch, yaw, work, cell_yaw)
-    if len(kept) < work.settings.least_points:
-        raise Refused(
-            f"{len(kept)} points stand out in the scene, but the track's error is told from at least "
-            f"{work.settings.least_points}; give a larger --grid, or another collection"
-        )
-    index = np.array(kept)
-    return Points(x=x[index], y=y[index], first=first[index], last=last[index])
+    return _spread(np.where(lit, score, 0.0), epoch, yaw, work, cell_yaw)
 
 
 def _yaw_cell(work: Work) -> float:

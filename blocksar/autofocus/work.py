@@ -114,8 +114,8 @@ def low_pass(decimation: int) -> FloatArray:
         return np.ones(1)
     n = FILTER_LENGTH * decimation
     at = (np.arange(n) - (n - 1) / 2) / decimation
-    weights = np.sinc(FILTER_BAND * at) * np.kaiser(n, FILTER_BETA)
-    return np.asarray(weights / weights.sum())
+    weights: FloatArray = np.sinc(FILTER_BAND * at) * np.kaiser(n, FILTER_BETA)
+    return np.asarray(weights / float(weights.sum()), np.float64)
 
 
 def begin(geometry: Geometry, grid: Grid | None = None, settings: Settings | None = None) -> Work:

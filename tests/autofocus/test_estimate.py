@@ -1,0 +1,88 @@
+"""The whole estimate on a small spotlight collection."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from blocksar.autofocus.finishing import Result
+from blocksar.autofocus.selection import Refused
+from blocksar.autofocus.serial import find_track_error
+from blocksar.autofocus.settings import Settings
+from blocksar.collection.geometry import Geometry
+from blocksar.errors import InputError
+from tests.helpers.samples import noise
+from tests.helpers.track_errors import CENTRE, GRID, SIZE, echoes, error, residual_phase, spotlight
+
+STATED = Geometry(collection=spotlight())
+PLACES = np.array([[CENTRE[0] + a * SIZE, b * SIZE] for a in (-0.4, 0, 0.4) for b in (-0.4, 0, 0.4)])
+
+
+def found(signal: np.ndarray, **options: Any) -> Result:
+    return find_track_error(lambda pulses: signal[pulses], STATED, GRID, **options)
+
+
+@pytest.fixture(scope="module")
+def signal() -> np.ndarray:
+    return echoes(spotlight(), error(spotlight().time))
+
+
+@pytest.fixture(scope="module")
+def result(signal: np.ndarray) -> Result:
+    return found(signal)
+
+
+def test_the_track_is_mended(result: Result) -> None:
+    true = STATED.collection.antenna_position + error(STATED.collection.time)
+    assert residual_phase(STATED, STATED.collection.antenna_position - true, PLACES).min() > 2
+    left = residual_phase(STATED, result.antenna_position - true, PLACES)
+    assert np.sqrt(np.mean(left**2)) < 0.05
+    assert left.max() < 0.08
+    assert result.figures["entropy_after"] < result.figures["entropy_before"] - 0.5
+    assert result.figures["halves_apart"] < 0.1
+    predicted = result.figures["predicted_error"]
+    assert predicted / 3 < np.sqrt(np.mean(left**2)) < 3 * predicted
+
+
+def test_what_is_known_of_it(result: Result) -> None:
+    assert result.track_error.shape == result.uncertainty.shape == (result.time.size, 3)
+    assert (result.uncertainty > 0).all()
+    assert (result.uncertainty <= 1.01 * Settings().displacement).all()
+    assert result.chips_after.max(axis=(1, 2)) == pytest.approx(1)
+    assert (result.chips_before.max(axis=(1, 2)) < 0.9).all()
+
+
+def test_the_same_bytes_with_more_threads(signal: np.ndarray, result: Result) -> None:
+    again = found(signal, threads=2)
+    assert again.antenna_position.tobytes() == result.antenna_position.tobytes()
+    assert again.figures == result.figures
+
+
+def test_a_true_track_is_not_harmed() -> None:
+    stated = spotlight()
+    result = found(echoes(stated, np.zeros((stated.n_pulse, 3)), seed=2))
+    assert (
+        np.sqrt(np.mean(residual_phase(STATED, result.antenna_position - stated.antenna_position, PLACES) ** 2)) < 0.05
+    )
+
+
+def test_noise_is_refused() -> None:
+    stated = spotlight()
+    with pytest.raises(Refused, match="differ by"):
+        found(noise(stated.n_pulse, stated.n_range_frequency), settings=Settings(loops=2))
+
+
+@pytest.mark.parametrize("amplitude", [0.0, 1.0])
+def test_too_few_points_are_refused(amplitude: float) -> None:
+    stated = spotlight()
+    with pytest.raises(Refused, match="points stand out in the scene"):
+        found((amplitude * echoes(stated, np.zeros((stated.n_pulse, 3)), points=1)).astype(np.complex64))
+
+
+def test_a_collection_too_short() -> None:
+    with pytest.raises(InputError, match="time has 40 pulses"):
+        find_track_error(
+            lambda pulses: np.zeros((0, 0), np.complex64), Geometry(collection=spotlight(n_pulse=40)), GRID
+        )

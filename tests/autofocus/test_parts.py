@@ -1,0 +1,195 @@
+"""The estimator's parts against something slow and obviously right."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.interpolate import BSpline
+
+from blocksar.autofocus.chips import Chips
+from blocksar.autofocus.correction import Knots, between_samples
+from blocksar.autofocus.entropy import PADDING, entropies
+from blocksar.autofocus.estimation import Polish, without_line
+from blocksar.autofocus.fine_phase import believed
+from blocksar.autofocus.information import factor, information
+from blocksar.autofocus.minimising import minimise
+from blocksar.autofocus.phase_gradient import line_of_sight
+from blocksar.autofocus.range_lines import range_profiles, take_chips, take_lines, taps
+from blocksar.autofocus.work import Work, begin, low_pass
+from blocksar.collection.geometry import Geometry
+from blocksar.constants import SPEED_OF_LIGHT
+from tests.helpers.samples import noise
+from tests.helpers.track_errors import GRID, spotlight
+
+
+@pytest.fixture(scope="module")
+def work() -> Work:
+    return begin(Geometry(collection=spotlight()), GRID)
+
+
+def synthetic_chips(work: Work, phase: np.ndarray, *, points: int = 12, length: int = 160, seed: int = 3) -> Chips:
+    """One point a chip, with a dwell, a Doppler and a phase of its own, and the phase (n_sample,) that all share."""
+    random = np.random.default_rng(seed)
+    first = np.linspace(0, work.n_sample - length, points).astype(np.int64)
+    values = 0.1 * noise(points, 7, length, seed=seed)
+    for i in range(points):
+        at = first[i] + np.arange(length)
+        values[i, 3] += np.exp(1j * (phase[at] + random.uniform(-0.4, 0.4) * np.arange(length) + random.uniform(0, 6)))
+    sight = np.stack(
+        [
+            np.full((points, length), 0.8),
+            random.uniform(-0.02, 0.02, (points, length)),
+            np.full((points, length), -0.6),
+        ],
+        axis=2,
+    )
+    return Chips(
+        work=work,
+        time=work.sample_times,
+        values=values,
+        first=first,
+        count=np.full(points, length, np.int64),
+        sight=sight,
+    )  # fmt: skip
+
+
+def test_lines_are_those_of_the_direct_sum() -> None:
+    collection = spotlight(n_pulse=64)
+    signal = noise(64, collection.n_range_frequency)
+    # Random samples fill the whole band: the profile is compared where the interpolation is made for it.
+    profiles = range_profiles(signal, collection)
+    held = np.random.default_rng(0).uniform(-60, 60, (5, 64))  # m
+    lines = np.empty((5, 64), np.complex64)
+    middle = collection.range_frequency[collection.n_range_frequency // 2]
+    cycles = 2 * (collection.carrier + middle) / SPEED_OF_LIGHT * held
+    take_lines(profiles.values, held / profiles.spacing, cycles, taps(), lines)
+    turns = 2 * (collection.carrier + collection.range_frequency) / SPEED_OF_LIGHT
+    direct = np.array(
+        [[(signal[p] * np.exp(2j * np.pi * turns * held[r, p])).mean() for p in range(64)] for r in range(5)]
+    )
+    assert np.abs(lines - direct).max() < 4e-3 * np.abs(direct).max()  # six taps: -50 dB
+
+
+def test_chips_are_low_passed_lines() -> None:
+    collection = spotlight(n_pulse=64)
+    profiles = range_profiles(noise(64, collection.n_range_frequency), collection)
+    random = np.random.default_rng(1)
+    bins, cycles = random.uniform(-50, 50, (2, 64)), random.uniform(-9, 9, (2, 64))
+    decimation, weights = 3, low_pass(3)
+    ahead = (weights.size - decimation) // 2
+    lit, out = np.array([[0, 64], [10, 50]]), np.zeros((2, 21, 3), np.complex64)
+    take_chips(profiles.values, bins, cycles, lit, taps(), weights, 2.0, decimation, ahead, out)
+    for i in range(2):
+        for line in range(3):
+            row = np.empty((1, 64), np.complex64)
+            take_lines(profiles.values, bins[i : i + 1] + 2.0 * (line - 1), cycles[i : i + 1], taps(), row)
+            row[0, : lit[i, 0]] = row[0, lit[i, 1] :] = 0
+            slow = np.convolve(row[0], weights)[ahead + 2 :: decimation][:21]  # samples lie amid three pulses
+            assert np.abs(out[i, :, line] - slow).max() < 1e-5 * np.abs(slow).max()
+
+
+def test_splines_are_b_splines_and_the_adjoint_is_their_transpose(work: Work) -> None:
+    knots = Knots(work=work, n_interval=9, time=work.sample_times)
+    random = np.random.default_rng(2)
+    coefficients, values = random.standard_normal((12, 3)), random.standard_normal((work.n_sample, 3))
+    time = work.geometry.collection.time
+    at = time[0] + knots.step * np.arange(-3, 13)
+    assert knots.values(coefficients) == pytest.approx(BSpline(at, coefficients, 3)(work.sample_times), abs=1e-12)
+    assert (knots.values(coefficients) * values).sum() == pytest.approx((coefficients * knots.adjoint(values)).sum())
+    assert knots.smooth(knots.values(coefficients)) == pytest.approx(knots.values(coefficients), abs=1e-9)
+
+
+def test_between_samples_parabolas_are_exact(work: Work) -> None:
+    parabola = np.stack([work.sample_times**k for k in range(3)], axis=1)
+    time = work.geometry.collection.time[2:-2]
+    assert between_samples(work, parabola, time) == pytest.approx(
+        np.stack([time**k for k in range(3)], axis=1), abs=1e-4
+    )
+
+
+def test_entropy_and_its_gradient() -> None:
+    values, random = noise(2, 3, 20), np.random.default_rng(4)
+    phase = random.uniform(-2, 2, (2, 20))
+
+    def slow(phase: np.ndarray) -> np.ndarray:
+        image = np.fft.fft(values * np.exp(1j * phase)[:, None], n=int(PADDING * 20), axis=2)
+        power = np.abs(image) ** 2
+        share = power / power.sum(axis=(1, 2), keepdims=True)
+        return -(share * np.log(share)).sum(axis=(1, 2))
+
+    entropy, gradient = entropies(values, phase)
+    assert entropy == pytest.approx(slow(phase), rel=1e-5)
+    for t in (0, 7, 19):
+        step = np.zeros(20)
+        step[t] = 1e-4
+        assert gradient[:, t] == pytest.approx((slow(phase + step) - slow(phase - step)) / 2e-4, abs=2e-5)
+
+
+def test_gradient_of_the_polish(work: Work) -> None:
+    chips = synthetic_chips(work, np.zeros(work.n_sample), length=64)
+    knots = Knots(work=work, n_interval=8, time=chips.time)
+    polish = Polish(chips=chips, knots=knots, weights=np.linspace(0.5, 1, 12))
+    random = np.random.default_rng(5)
+    at, way = random.standard_normal((2, 33))
+    at, way = 0.3 * at, way / np.linalg.norm(way)
+    ahead, behind = (polish.cost(at + step * way)[0] for step in (1e-3, -1e-3))
+    assert (polish.cost(at)[1] * way).sum() == pytest.approx((ahead - behind) / 2e-3, rel=2e-2)
+
+
+def test_information_is_the_phase_without_mean_and_line(work: Work) -> None:
+    chips = synthetic_chips(work, np.zeros(work.n_sample), length=50)
+    knots = Knots(work=work, n_interval=6, time=chips.time)
+    random, weights = np.random.default_rng(6), np.linspace(1, 2, 12)
+    coefficients = random.standard_normal((9, 3))
+    told, _ = information(chips, knots, weights)
+    phase, slow = chips.los(knots.values(coefficients)), 0.0
+    for i in range(12):
+        line = np.polyval(np.polyfit(np.arange(50), phase[i], 1), np.arange(50))
+        slow += weights[i] * np.mean((phase[i] - line) ** 2)
+    assert coefficients.ravel() @ told @ coefficients.ravel() == pytest.approx(slow, rel=1e-9)
+    form = told + np.eye(27)
+    assert factor(form) @ factor(form).T @ form == pytest.approx(np.eye(27), abs=1e-9)
+
+
+def test_minimum_of_a_banana() -> None:
+    def rosenbrock(x: np.ndarray) -> tuple[float, np.ndarray]:
+        a, b = 1 - x[0], x[1] - x[0] ** 2
+        return a * a + 100 * b * b, np.array([-2 * a - 400 * x[0] * b, 200 * b])
+
+    found = minimise(rosenbrock, np.array([-1.2, 1.0]), iterations=200, gain=1e-14, first_step=0.1)
+    assert found.at == pytest.approx([1, 1], abs=1e-5)
+
+
+def test_phase_gradient_stitches_dwells(work: Work) -> None:
+    """Twelve points, each lit for a third of the time: together they tell the phase, except for a line."""
+    u = np.linspace(-1, 1, work.n_sample)
+    phase = 6 * u**2 + 2 * np.sin(9 * u)
+    chips = synthetic_chips(work, phase)
+    total = np.zeros(work.n_sample)
+    for band in (60, 30, 15):
+        index = np.minimum(chips.first[:, None] + np.arange(160), work.n_sample - 1)
+        total += line_of_sight(chips, total[index], band, np.ones(12))
+    left = without_line(total - phase)
+    assert np.std(without_line(phase)) > 2
+    assert np.std(left) < 0.15
+
+
+def test_halves_are_believed_where_they_agree() -> None:
+    random = np.random.default_rng(7)
+    noise_a, noise_b = random.standard_normal((2, 600))
+    common = np.cumsum(random.standard_normal(600))
+    common -= common.mean()
+    assert np.std(believed(noise_a, noise_b).phase) < 0.2
+    found = believed(common + noise_a, common + noise_b)
+    assert np.std(found.phase - common) < 0.7  # less than the mean of both has
+    assert np.std(found.phase - common) == pytest.approx(found.error, rel=0.4)
+
+
+def test_narrowed_chips_keep_slow_phases(work: Work) -> None:
+    u = np.linspace(-1, 1, work.n_sample)
+    chips = synthetic_chips(work, 3 * u**2)
+    narrow = chips.narrowed(4)
+    assert narrow.time == pytest.approx(chips.time[: 4 * narrow.time.size].reshape(-1, 4).mean(axis=1))
+    before = np.abs(np.fft.fft(chips.values[5, 3])).max()
+    after = np.abs(np.fft.fft(narrow.values[5, 3])).max()
+    assert after == pytest.approx(before / 4, rel=0.1)
