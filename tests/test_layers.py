@@ -28,7 +28,7 @@ LAYERS = (
     {"places", "progress", "arrays", "solvers", "chunks"},
     {"collection", "kernels"},
     {"stores", "measurement", "focusing"},
-    {"ingestion", "runs", "planning", "inspection", "autofocus"},
+    {"ingestion", "runs", "planning", "inspection", "autofocusing"},
     {"simulation", "graph", "products"},
     {"api"},
     {"cli", "accessor", "__init__"},
@@ -39,7 +39,7 @@ LAYERS = (
 HOMES: dict[str, set[str] | None] = {
     "numpy": None,
     "scipy": None,
-    "numba": {"autofocus", "kernels", "focusing", "inspection", "simulation"},
+    "numba": {"autofocusing", "kernels", "focusing", "inspection", "simulation"},
     "llvmlite": {"kernels"},
     "finufft": {"simulation"},
     "pydantic": {"simulation"},
@@ -63,7 +63,7 @@ HOMES: dict[str, set[str] | None] = {
 }
 
 # Arrays, numbers and frozen objects only: no files, no logging, no graphs.
-PURE = {"autofocus", "solvers", "kernels", "collection", "focusing", "inspection", "planning", "measurement"}
+PURE = {"autofocusing", "solvers", "kernels", "collection", "focusing", "inspection", "planning", "measurement"}
 IMPURE_LIBRARIES = {"io", "json", "logging", "os", "pathlib", "shutil", "tempfile"}
 
 # scipy.fft outside kernels/fourier.py, where a comment beside the import gives the reason. numpy.fft: nowhere.

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from blocksar.autofocus import range_lines
-from blocksar.autofocus.correction import between_samples
-from blocksar.autofocus.selection import Points
-from blocksar.autofocus.work import Work, low_pass
+from blocksar.autofocusing import range_lines
+from blocksar.autofocusing.correction import between_samples
+from blocksar.autofocusing.selection import Points
+from blocksar.autofocusing.work import Work, low_pass
 from blocksar.kernels.fourier import fast_length
 from blocksar.kernels.groups import run_groups
 

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from blocksar.arrays import FloatArray
-from blocksar.autofocus.settings import Settings
+from blocksar.autofocusing.settings import Settings
 from blocksar.collection.beam import most_lit_pulses
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
@@ -99,7 +99,7 @@ class Work:
     @cached_property
     def sample_pulses(self) -> FloatArray:
         """Centres of the chips' samples (n_sample,), in pulses."""
-        return np.arange(self.n_sample) * float(self.decimation) + (self.decimation - 1) / 2
+        return np.asarray(np.arange(self.n_sample) * float(self.decimation) + (self.decimation - 1) / 2, np.float64)
 
     @cached_property
     def sample_times(self) -> FloatArray:
@@ -114,8 +114,8 @@ def low_pass(decimation: int) -> FloatArray:
         return np.ones(1)
     n = FILTER_LENGTH * decimation
     at = (np.arange(n) - (n - 1) / 2) / decimation
-    weights: FloatArray = np.sinc(FILTER_BAND * at) * np.kaiser(n, FILTER_BETA)
-    return np.asarray(weights / float(weights.sum()), np.float64)
+    weights = np.asarray(np.sinc(FILTER_BAND * at) * np.kaiser(n, FILTER_BETA), np.float64)
+    return weights / float(weights.sum())
 
 
 def begin(geometry: Geometry, grid: Grid | None = None, settings: Settings | None = None) -> Work:

@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from blocksar.arrays import Complex128Array, ComplexArray, FloatArray, IntArray
-from blocksar.autofocus.chips import Chips
+from blocksar.autofocusing.chips import Chips
 from blocksar.kernels.fourier import fft_rows
 
 TURNS = 100  # of slopes and gradients, at most

@@ -8,8 +8,8 @@ import numpy as np
 
 from blocksar import solvers
 from blocksar.arrays import FloatArray
-from blocksar.autofocus.chips import Chips
-from blocksar.autofocus.correction import Knots
+from blocksar.autofocusing.chips import Chips
+from blocksar.autofocusing.correction import Knots
 
 
 class Information(NamedTuple):

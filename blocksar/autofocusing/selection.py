@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
-from blocksar.autofocus.range_lines import range_profiles, take_lines, taps
-from blocksar.autofocus.work import Work
+from blocksar.autofocusing.range_lines import range_profiles, take_lines, taps
+from blocksar.autofocusing.work import Work
 from blocksar.collection.beam import is_lit, lit_interval
 from blocksar.errors import InputError
 from blocksar.kernels.fourier import fft_rows

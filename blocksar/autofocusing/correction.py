@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from blocksar.arrays import FloatArray, IntArray
-from blocksar.autofocus.work import Work
+from blocksar.autofocusing.work import Work
 from blocksar.collection.spline import basis, solve_normal
 
 SAMPLES_PER_INTERVAL = 4  # of a chip, at least

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from blocksar.arrays import ComplexArray, FloatArray
-from blocksar.autofocus.chips import ChipPart, Chips, join_chips
-from blocksar.autofocus.correction import Correction, Knots, between_samples, intervals
-from blocksar.autofocus.estimation import halves, phase_step, shared_error
-from blocksar.autofocus.information import factor, information
-from blocksar.autofocus.selection import Points, Refused
-from blocksar.autofocus.work import Work
+from blocksar.autofocusing.chips import ChipPart, Chips, join_chips
+from blocksar.autofocusing.correction import Correction, Knots, between_samples, intervals
+from blocksar.autofocusing.estimation import halves, phase_step, shared_error
+from blocksar.autofocusing.information import factor, information
+from blocksar.autofocusing.selection import Points, Refused
+from blocksar.autofocusing.work import Work
 from blocksar.kernels.fourier import fft_rows
 
 PICTURES = 6  # points whose chips are kept for pictures

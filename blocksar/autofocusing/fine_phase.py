@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from blocksar.arrays import Complex128Array, ComplexArray, FloatArray
-from blocksar.autofocus.chips import Chips
-from blocksar.autofocus.phase_gradient import centred_rows
+from blocksar.autofocusing.chips import Chips
+from blocksar.autofocusing.phase_gradient import centred_rows
 from blocksar.kernels.fourier import fft_rows
 
 TURNS = 4  # of points' own phases and the shared one

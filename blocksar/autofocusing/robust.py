@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from blocksar.arrays import FloatArray
-from blocksar.autofocus.chips import Chips
-from blocksar.autofocus.phase_gradient import LEAST_BAND, centred_rows
+from blocksar.autofocusing.chips import Chips
+from blocksar.autofocusing.phase_gradient import LEAST_BAND, centred_rows
 
 PARTS = 8  # of a dwell, in each of which a point has one phase
 TOLERANCE = 2.5  # times the median of the points' own phase errors: there the weight is a half

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-from blocksar.autofocus.chips import Chips
-from blocksar.autofocus.correction import Knots, between_samples
-from blocksar.autofocus.entropy import PADDING, entropies
-from blocksar.autofocus.estimation import Polish, without_line
-from blocksar.autofocus.fine_phase import believed
-from blocksar.autofocus.information import factor, information
-from blocksar.autofocus.minimising import minimise
-from blocksar.autofocus.phase_gradient import line_of_sight
-from blocksar.autofocus.range_lines import range_profiles, take_chips, take_lines, taps
-from blocksar.autofocus.work import Work, begin, low_pass
+from blocksar.autofocusing.chips import Chips
+from blocksar.autofocusing.correction import Knots, between_samples
+from blocksar.autofocusing.entropy import PADDING, entropies
+from blocksar.autofocusing.estimation import Polish, without_line
+from blocksar.autofocusing.fine_phase import believed
+from blocksar.autofocusing.information import factor, information
+from blocksar.autofocusing.minimising import minimise
+from blocksar.autofocusing.phase_gradient import line_of_sight
+from blocksar.autofocusing.range_lines import range_profiles, take_chips, take_lines, taps
+from blocksar.autofocusing.work import Work, begin, low_pass
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
 from tests.helpers.samples import noise

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from blocksar.arrays import ComplexArray
-from blocksar.autofocus.chips import take_chips
-from blocksar.autofocus.correction import Correction
-from blocksar.autofocus.estimation import estimate
-from blocksar.autofocus.finishing import Result, finish
-from blocksar.autofocus.selection import find_candidates, select_points
-from blocksar.autofocus.settings import Settings
-from blocksar.autofocus.work import begin
+from blocksar.autofocusing.chips import take_chips
+from blocksar.autofocusing.correction import Correction
+from blocksar.autofocusing.estimation import estimate
+from blocksar.autofocusing.finishing import Result, finish
+from blocksar.autofocusing.selection import find_candidates, select_points
+from blocksar.autofocusing.settings import Settings
+from blocksar.autofocusing.work import begin
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 

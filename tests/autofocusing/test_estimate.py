@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from blocksar.autofocus.finishing import Result
-from blocksar.autofocus.selection import Refused
-from blocksar.autofocus.serial import find_track_error
-from blocksar.autofocus.settings import Settings
+from blocksar.autofocusing.finishing import Result
+from blocksar.autofocusing.selection import Refused
+from blocksar.autofocusing.serial import find_track_error
+from blocksar.autofocusing.settings import Settings
 from blocksar.collection.geometry import Geometry
 from blocksar.errors import InputError
 from tests.helpers.samples import noise

@@ -10,16 +10,16 @@ import numpy as np
 
 from blocksar import solvers
 from blocksar.arrays import FloatArray, IntArray
-from blocksar.autofocus.chips import ChipPart, Chips, join_chips
-from blocksar.autofocus.correction import Correction, Knots, intervals
-from blocksar.autofocus.entropy import entropies
-from blocksar.autofocus.fine_phase import believed, sample_phase
-from blocksar.autofocus.information import bending, factor, information
-from blocksar.autofocus.minimising import minimise
-from blocksar.autofocus.phase_gradient import LEAST_BAND, NARROWING, line_of_sight
-from blocksar.autofocus.robust import own_errors, point_weights
-from blocksar.autofocus.selection import Points
-from blocksar.autofocus.work import FILTER_BAND, Work
+from blocksar.autofocusing.chips import ChipPart, Chips, join_chips
+from blocksar.autofocusing.correction import Correction, Knots, intervals
+from blocksar.autofocusing.entropy import entropies
+from blocksar.autofocusing.fine_phase import believed, sample_phase
+from blocksar.autofocusing.information import bending, factor, information
+from blocksar.autofocusing.minimising import minimise
+from blocksar.autofocusing.phase_gradient import LEAST_BAND, NARROWING, line_of_sight
+from blocksar.autofocusing.robust import own_errors, point_weights
+from blocksar.autofocusing.selection import Points
+from blocksar.autofocusing.work import FILTER_BAND, Work
 
 GRADIENTS = 8  # iterations of the phase gradient
 WIDEST_BAND = 0.45  # of a chip's Doppler cells to either side, in the first of them
