@@ -13,6 +13,8 @@ from pathlib import Path
 import pytest
 from repository import ROOT
 
+from blocksar.version import __version__
+
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 PAGES = [*ROOT.glob("*.md"), *(path for folder in ("blocksar", "workflows", "deploy", "tests")
                                for path in (ROOT / folder).rglob("README.md"))]  # fmt: skip
@@ -49,7 +51,7 @@ def test_the_sdist_holds_what_is_needed_to_build_and_to_test(tmp_path: Path) -> 
     for folder in ("blocksar", "tests", "workflows", "deploy"):
         code = {path.relative_to(ROOT).as_posix() for path in (ROOT / folder).rglob("*.py")}
         assert code <= names
-    assert {"pyproject.toml", "README.md", "CHANGELOG.md", "CITATION.cff", "LICENSE", ".ci/run", "PKG-INFO"} <= names
+    assert {"pyproject.toml", "README.md", "CHANGELOG.md", "LICENSE", ".ci/run", "PKG-INFO"} <= names
     assert not [name for name in names if "__pycache__" in name or name.endswith((".nbi", ".nbc", ".pyc"))]
 
 
@@ -76,11 +78,10 @@ def test_messages_name_extras_that_exist() -> None:
 
 
 def test_the_citation_agrees_with_the_project() -> None:
-    text = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
-    fields = dict(re.findall(r"^([a-z-]+): (.+)$", text, re.M))
-    assert fields["cff-version"] == "1.2.0" and fields["license"] == PROJECT["license"]
-    assert f"- name: {PROJECT['authors'][0]['name']}" in text
-    assert fields["title"].startswith('"blocksar: ')
+    cited = (ROOT / "README.md").read_text(encoding="utf-8").partition("```bibtex")[2].partition("```")[0]
+    fields = dict(re.findall(r"^\s+(\w+)\s+= \{+(.+?)\}+,?$", cited, re.M))
+    assert fields["version"] == __version__ and fields["license"] == PROJECT["license"]
+    assert fields["author"] == PROJECT["authors"][0]["name"]
 
 
 # A system without this module, as Windows is. (Windows lacks `resource`, too, but psutil needs that one here.)
