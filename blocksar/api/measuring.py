@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from blocksar import stores
-from blocksar.api import definitions
+from blocksar.api import definitions, finding
 from blocksar.api.reports import Report, Table
 from blocksar.api.target_files import read_targets
 from blocksar.arrays import ComplexArray
@@ -48,7 +48,14 @@ FULL_DWELL_YAWS = 257  # at which full dwells are looked for under a beam about 
 RANGES_COMPARED = (("near", 0.1), ("middle", 0.5), ("far", 0.9))  # name, share of the swath
 
 
-def quality(run: Location, *, targets: Location | Sequence[Target] | None = None, reference: bool = False) -> Report:
+def quality(
+    run: Location,
+    *,
+    targets: Location | Sequence[Target] | None = None,
+    reference: bool = False,
+    found: int = 0,
+    area: str | tuple[tuple[float, float], tuple[float, float]] | None = None,
+) -> Report:
     """Measure the point targets of a finished run, and compare chips with exact back-projection.
 
     Parameters
@@ -56,11 +63,18 @@ def quality(run: Location, *, targets: Location | Sequence[Target] | None = None
     run : path
         Folder of a finished run.
     targets : path or sequence of Target, optional
-        JSON file of {"name", "x", "y", "reflectivity"}, scene file (TOML), or the targets themselves; x and y in m in
-        the scene frame. Default: the targets that the collection was simulated with.
+        JSON or CSV file of "name", "x", "y" and "reflectivity", scene file (TOML), or the targets themselves; x and y
+        in m in the scene frame. Or a GeoJSON file of points, for runs with a georeference. Default: the targets that
+        the collection was simulated with.
     reference : bool
         Also back-project chips of 64 x 64 pixels at the blocks' centres, seams and swath ends from the run's input, and
         compare. Default: False.
+    found : int
+        Also find and measure this many of the brightest isolated points, with the places of their azimuth ambiguities,
+        and the noise floor. Default: 0.
+    area : str or ((float, float), (float, float)), optional
+        Part of the image, "x0:x1,y0:y1" or the ends of x and of y in m, of which to measure the equivalent number of
+        looks and the mean power. Default: none.
 
     Returns
     -------
@@ -71,19 +85,25 @@ def quality(run: Location, *, targets: Location | Sequence[Target] | None = None
     Raises
     ------
     InputError
-        If the run is not finished or damaged, the targets are wrong, or the input for the reference is gone.
+        If the run is not finished or damaged, the targets or the area are wrong, or the input for the reference is
+        gone.
     ProcessingError
         If quality.json cannot be written.
     """
-    return measure(place(run), targets, reference)[0]
+    return measure(place(run), targets, reference, found=found, area=area)[0]
 
 
 def measure(
-    folder: Place, targets: Location | Sequence[Target] | None, reference: bool
+    folder: Place,
+    targets: Location | Sequence[Target] | None,
+    reference: bool,
+    *,
+    found: int = 0,
+    area: Any = None,
 ) -> tuple[Report, list[Response]]:
     """Do what `quality` does; also return the responses of the targets of the paper's Table 3, to be drawn."""
     run = FinishedRun.open(folder)
-    listed, weighting = targets_of(targets, run.attrs), run.weighting
+    listed, weighting = targets_of(targets, run.attrs, run), run.weighting
     responses = [
         measure_target(run.read, run.x, run.y, run.geometry_at(target.x, target.y), target, weighting)
         for target in listed
@@ -92,7 +112,7 @@ def measure(
     others: list[Table] = []
     lines = [*_weighting_lines(weighting), *_count_line(responses)] if responses else []
     if not responses:
-        lines.append("the collection names no targets: give --targets FILE to measure some")
+        lines.append("the collection names no targets: give --targets FILE to measure some, or --found N to find some")
     if run.attrs.get("scene") == "table1" and responses:
         result["table3"] = {name: row._asdict() for name, row in TABLE3.items()}
         others.append(_table3(responses))
@@ -100,6 +120,7 @@ def measure(
     if run.noise is not None:
         result["noise"] = run.noise.as_json()
         lines.append(run.noise.sentence())
+    others += _add_scenery(run, result, lines, found, area)
     drawn = [
         response
         for target in listed
@@ -133,8 +154,25 @@ def measure(
     return report, drawn
 
 
-def targets_of(targets: Location | Sequence[Target] | None, attrs: Mapping[str, Any]) -> list[Target]:
-    """Read targets from a file; by default, from the attributes of a collection.
+def _add_scenery(run: FinishedRun, result: dict[str, Any], lines: list[str], found: int, area: Any) -> list[Table]:
+    """Add points that are found, the floor, and the figures of an area, as far as they are asked for."""
+    if area is not None:
+        result["area"] = finding.describe_area(run, area)
+        lines.append(finding.area_sentence(result["area"]))
+    if not found:
+        return []
+    result["found"], result["floor"] = finding.find_points(run, found), finding.floor_of(run)
+    lines.append(finding.floor_sentence(result["floor"]))
+    if not result["found"]:
+        lines.append("no point stands out by 20 dB, 10 widths from its like")
+        return []
+    return [finding.found_table(result["found"])]
+
+
+def targets_of(
+    targets: Location | Sequence[Target] | None, attrs: Mapping[str, Any], run: FinishedRun | None = None
+) -> list[Target]:
+    """Read targets from a file; by default, from the attributes of a collection. GeoJSON needs the run.
 
     Raises
     ------
@@ -148,7 +186,7 @@ def targets_of(targets: Location | Sequence[Target] | None, attrs: Mapping[str, 
     path = place(targets)
     if path.name.endswith(".toml"):
         return [Target(*t) for t in Scene.read(str(path)).point_targets()]
-    return read_targets(path)
+    return read_targets(path, run)
 
 
 def _response_table(responses: Sequence[PointResponse]) -> Table:

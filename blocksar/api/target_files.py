@@ -1,26 +1,35 @@
-"""Files of targets that a user names: JSON, each fault said with its record and its remedy."""
+"""Files of targets that a user names: JSON, CSV or GeoJSON, each fault said with its record and its remedy."""
 
 from __future__ import annotations
 
+import csv
 import difflib
 import json
 import re
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from blocksar import stores
 from blocksar.errors import InputError
 from blocksar.measurement.figures import PointResponse
 from blocksar.measurement.targets import Target
 from blocksar.places.place import Place
+from blocksar.runs.finished import FinishedRun
 
+CSV_FORM = "a first line with name, x, y, and maybe z and reflectivity (such as 1 or 0.5+0.2j)"
+GROUND_STEPS = 4  # to the height above the ellipsoid at which a place lies on the ground's plane
 FORM = '[{"name": "A1", "x": 120.5, "y": -40.0}, ...], x and y in m in the scene frame'
 # Of quality.json, too, which has the targets and more; what is measured is not read.
 KNOWN = {*Target._fields, *PointResponse._fields}
 
 
-def read_targets(path: Place) -> list[Target]:
+def read_targets(path: Place, run: FinishedRun | None = None) -> list[Target]:
     """Read the targets of a JSON file: a list of records, or a dict with that list as `targets`.
+
+    A CSV file has the names of the fields in its first line. A GeoJSON file (FeatureCollection) has points in degrees,
+    which the georeference of the run takes to the scene frame, and their names in `properties` or `id`.
 
     Raises
     ------
@@ -28,6 +37,8 @@ def read_targets(path: Place) -> list[Target]:
         If the file is not JSON, has no targets, or a record has an unknown key, lacks one, or repeats a name.
     """
     records = _records(path)
+    if isinstance(records, dict) and records.get("type") in ("FeatureCollection", "Feature"):
+        records = _of_geojson(path, records, run)
     if isinstance(records, dict):
         records = records.get("targets")
     if not isinstance(records, list) or not records:
@@ -55,9 +66,92 @@ def _records(path: Place) -> Any:
             raise
         text = path.read_bytes()[:4096].decode("utf-8", errors="replace")
         if _like_csv(text):
-            raise InputError(f"{path} looks like CSV, but targets are given in JSON: {FORM}") from None
+            return _of_csv(path)
         line = f" at line {cause.lineno}" if isinstance(cause, json.JSONDecodeError) else ""
         raise InputError(f"{path} is not JSON{line}; give {FORM}") from None
+
+
+def _of_csv(path: Place) -> list[dict[str, Any]]:
+    """The records of a CSV file, separated by commas, semicolons or tabs.
+
+    Raises
+    ------
+    InputError
+        If its first line has no names, a line has more or fewer values, or a reflectivity is no number.
+    """
+    lines = [line for line in path.read_bytes().decode("utf-8-sig", errors="replace").splitlines() if line.strip()]
+    separator = max(",;\t", key=lines[0].count)
+    names, *rows = csv.reader(lines, delimiter=separator, skipinitialspace=True)
+    names = [name.strip() for name in names]
+    if not {"name", "x", "y"} <= {name.lower() for name in names}:
+        raise InputError(f"{path} looks like CSV, but its first line is {lines[0][:60]!r}; give {CSV_FORM}")
+    records = []
+    for number, row in enumerate(rows, 1):
+        if len(row) != len(names):
+            raise InputError(
+                f"{path}: target {number} has {len(row)} values for {len(names)} columns; correct the line"
+            )
+        record: dict[str, Any] = {name: text.strip() for name, text in zip(names, row, strict=True) if text.strip()}
+        if "reflectivity" in record:
+            try:
+                record["reflectivity"] = complex(record["reflectivity"].replace(" ", ""))
+            except ValueError:
+                raise InputError(
+                    f"{path}: target {number} has the reflectivity {record['reflectivity'][:60]!r}; give {CSV_FORM}"
+                ) from None
+        records.append(record)
+    return records
+
+
+def _of_geojson(path: Place, content: Mapping[str, Any], run: FinishedRun | None) -> list[dict[str, Any]]:
+    """The records of GeoJSON points: longitude and latitude in degrees, and height above the ellipsoid in m if given.
+
+    Without a height a point lies on the plane of the ground.
+
+    Raises
+    ------
+    InputError
+        If a feature is no point, or the run has no georeference.
+    """
+    if run is None or run.georeference is None:
+        raise InputError(
+            f"{path} is GeoJSON, whose points are in degrees, but the run has no georeference; give x and y instead: "
+            f"{FORM}"
+        )
+    features = content.get("features") if content.get("type") == "FeatureCollection" else [content]
+    records = []
+    for number, feature in enumerate(features if isinstance(features, list) else [], 1):
+        try:
+            shape, own = feature["geometry"], feature.get("properties") or {}
+            longitude, latitude, *height = (float(value) for value in shape["coordinates"])
+            if shape["type"] != "Point" or len(height) > 1:
+                raise ValueError
+            name = own.get("name", feature.get("id", f"point {number}"))
+        except (KeyError, TypeError, ValueError, AttributeError):
+            raise InputError(
+                f"{path}: feature {number} is no point; give geometry of type Point with coordinates [longitude, "
+                "latitude] in degrees"
+            ) from None
+        if not (abs(longitude) <= 360 and abs(latitude) <= 90):
+            raise InputError(
+                f"{path}: feature {number} lies at longitude {longitude:g}, latitude {latitude:g}; give longitude "
+                "first, in degrees"
+            )
+        x, y, z = _in_scene(run, latitude, longitude, height[0] if height else None)
+        extra = {key: own[key] for key in ("reflectivity",) if key in own}
+        records.append({"name": str(name), "x": x, "y": y, **({"z": z} if height else {}), **extra})
+    return records
+
+
+def _in_scene(run: FinishedRun, latitude: float, longitude: float, height: float | None) -> tuple[float, float, float]:
+    """x, y, z (m) of a place in the scene frame; without a height, where it meets the plane of the ground."""
+    frame = run.georeference
+    assert frame is not None
+    above = frame.height + run.ground_height if height is None else height
+    for _ in range(1 if height is not None else GROUND_STEPS):
+        x, y, z = (float(value) for value in frame.from_geodetic(np.array([latitude, longitude, above])))
+        above -= z - run.ground_height
+    return x, y, z
 
 
 def _like_csv(text: str) -> bool:

@@ -389,11 +389,18 @@ def quality(
     run: Run,
     targets: Annotated[
         str | None,
-        typer.Option(metavar="FILE", help="JSON file of targets; default: the targets of the phase history."),
+        typer.Option(metavar="FILE", help="JSON, CSV or GeoJSON file of targets; default: those of the phase history."),
     ] = None,
     reference: Annotated[
         bool, typer.Option("--reference", help="Also compare image chips with exact back-projection.")
     ] = False,
+    found: Annotated[
+        int,
+        typer.Option(metavar="N", help="Also find and measure the N brightest isolated points, and the noise floor."),
+    ] = 0,
+    area: Annotated[
+        str | None, typer.Option(metavar="x0:x1,y0:y1", help="Also measure the equivalent looks of this part, m.")
+    ] = None,
     everything: Everything = False,
     explain: Explain = False,
     quiet: Quiet = False,
@@ -406,7 +413,7 @@ def quality(
     """
     from blocksar import api
 
-    show(api.quality(run, targets=targets, reference=reference), context)
+    show(api.quality(run, targets=targets, reference=reference, found=found, area=area), context)
     hint(context, "report", run)
 
 

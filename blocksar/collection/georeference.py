@@ -161,6 +161,12 @@ class Georeference:
         longitude, latitude, height = _geodetic_of_ecef().transform(x, y, z, direction="INVERSE")
         return np.stack([latitude, longitude, height], axis=-1)
 
+    def from_geodetic(self, points: FloatArray) -> FloatArray:
+        """Points (..., 3) given as latitude, longitude (degrees) and height (m), in the frame, m."""
+        latitude, longitude, height = np.moveaxis(np.asarray(points, np.float64), -1, 0)
+        ecef = _geodetic_of_ecef().transform(longitude, latitude, height)
+        return self.from_ecef(np.stack(ecef, axis=-1))
+
     def grid_mapping(self, ground_height: float = 0.0) -> dict[str, Any] | None:
         """CF grid mapping whose easting and northing are x and y of the plane z = ground_height.
 

@@ -137,8 +137,10 @@ def test_defaults(api: Calls) -> None:
 
 
 def test_quality_and_simulate_pass_their_options(api: Calls) -> None:
-    assert run("quality", "run", "--targets", "t.json", "--reference").exit_code == 0
-    assert api.seen["quality"] == (("run",), {"targets": "t.json", "reference": True})
+    words = ("--targets", "t.json", "--reference", "--found", "5", "--area", "0:9,-3:3")
+    assert run("quality", "run", *words).exit_code == 0
+    options = {"targets": "t.json", "reference": True, "found": 5, "area": "0:9,-3:3"}
+    assert api.seen["quality"] == (("run",), options)
     assert run("simulate", "a.toml", "--out", "p.zarr", "--raw", "--threads", "4").exit_code == 0
     args, kwargs = api.seen["simulate"]
     assert args == ("a.toml", "p.zarr")

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 import small_run
 
@@ -48,8 +50,15 @@ def test_few_targets_are_all_shown(run: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("name,x,y\nA,1,2\nB,3,4\n", "looks like CSV, but targets are given in JSON: [{"),
-        ("A;1;2\n", "looks like CSV"),
+        ("A;1;2\n", "looks like CSV, but its first line is 'A;1;2'; give a first line with name, x, y"),
+        ("name,x,y\nA,1,2\nB,3\n", "target 2 has 2 values for 3 columns"),
+        ("name,x,y\nA,1,far\n", "target 1: target {'name': 'A', 'x': '1', 'y': 'far'} cannot be read"),
+        ("name,x,y,reflectivity\nA,1,2,big\n", "target 1 has the reflectivity 'big'; give"),
+        (
+            '{"type": "FeatureCollection", "features": [{"geometry": {"type": "Line", "coordinates": [[1, 2]]}}]}',
+            "feature 1 is no point",
+        ),
+        ('{"type": "Feature", "geometry": {"type": "Point", "coordinates": [39, 139]}}', "give longitude first"),
         ('[{"name": "A", "x": 1, "y": 2},\n]', "is not JSON at line 2; give [{"),
         ("", "is not JSON at line 1; give"),
         ('[{"name": "A", "x": 1, "Y": 2}]', "target 1 has the unknown key 'Y'; did you mean y?"),
@@ -76,3 +85,64 @@ def test_targets_of_a_list_a_dict_and_quality_json_are_read(run: Path, tmp_path:
         assert found["name"] == "A" and abs(found["error_x"]) < 0.1
     again = blocksar.quality(run, targets=run / "quality.json").result["targets"]
     assert [record["name"] for record in again] == ["A"]
+
+
+def test_targets_of_csv_and_geojson_are_those_of_json(run: Path, tmp_path: Path) -> None:
+    names, places = [t.name for t in small_run.TARGETS], [(t.x, t.y) for t in small_run.TARGETS]
+    lines = [f"{name};{x};{y};1+0j" for name, (x, y) in zip(names, places, strict=True)]
+    (tmp_path / "targets.csv").write_text("\n".join(["name;x;y;reflectivity", *lines, ""]))
+    degrees = small_run.DAYTON.to_geodetic(np.array([[x, y, 0.0] for x, y in places]))
+    features = [
+        {"type": "Feature", "geometry": {"type": "Point", "coordinates": [lon, lat]}, "properties": {"name": name}}
+        for name, (lat, lon, _) in zip(names, degrees.tolist(), strict=True)
+    ]
+    (tmp_path / "targets.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    wanted = blocksar.quality(run).result["targets"]
+    for name in ("targets.csv", "targets.geojson"):
+        found = blocksar.quality(run, targets=tmp_path / name).result["targets"]
+        assert [record["name"] for record in found] == names
+        for one, other in zip(found, wanted, strict=True):
+            assert (one["x"], one["y"]) == pytest.approx((other["x"], other["y"]), abs=1e-6)
+            assert one["azimuth_pslr"] == pytest.approx(other["azimuth_pslr"], abs=1e-3)
+
+
+def test_geojson_needs_a_georeference(tmp_path: Path) -> None:
+    unplaced = small_run.make(tmp_path / "run", frame=None, size=(60, 50)).folder
+    feature = '{"type": "Feature", "geometry": {"type": "Point", "coordinates": [-84.09, 39.78]}}'
+    (tmp_path / "targets.geojson").write_text(feature)
+    with pytest.raises(InputError, match="is GeoJSON, whose points are in degrees, but the run has no georeference"):
+        blocksar.quality(unplaced, targets=tmp_path / "targets.geojson")
+
+
+# ---------------------------------------------------------------- what nobody named
+
+
+def test_targets_are_found_without_being_named(tmp_path: Path) -> None:
+    """Under a taper, so that the targets' own side lobes are no neighbours of others."""
+    folder = small_run.make(tmp_path / "run", weighting="taylor:4:-35", hole=False, size=(220, 200)).folder
+    report = blocksar.quality(folder, targets=[], found=9, area="-40:-30,-36:-28")
+    found = report.result["found"]
+    assert len(found) == 4 and report.tables[-1][0][0] == "found"
+    for target in small_run.TARGETS:
+        off, point = min((np.hypot(p["x"] - target.x, p["y"] - target.y), p["name"]) for p in found)
+        record = next(p for p in found if p["name"] == point)
+        assert off < 0.05 and record["power"] == pytest.approx(0.0, abs=0.1) and record["prominence"] > 40
+        assert record["azimuth_irw"] == pytest.approx(record["azimuth_irw_theory"], rel=0.01)
+        assert record["range_pslr"] == pytest.approx(-35.0, abs=1.5)
+        assert [ghost["order"] for ghost in record["ambiguities"]] == [-1, 1]
+        assert all(ghost["level"] is None for ghost in record["ambiguities"])  # beyond this image
+    area = report.result["area"]
+    assert area["pixels"] == 26 * 21 and area["mean"] < -40 and area["cells"] > 10
+    assert report.result["floor"] < -40
+    assert {"found", "area", "floor"} <= json.loads((folder / "quality.json").read_text()).keys()
+
+
+@pytest.mark.parametrize(("options", "sentence"), [
+    ({"found": -1}, "found = -1: ask for 1 to 1000 points"),
+    ({"area": "0:1"}, "give the ends of x and of y in metres"),
+    ({"area": "500:600,0:10"}, "has 0 pixels of the image"),
+    ({"area": "-29.9:-28,-25.9:-24"}, "the image covers 0 pixels there"),
+])  # fmt: skip
+def test_what_cannot_be_found_is_said(options: dict[str, str], sentence: str, run: Path) -> None:
+    with pytest.raises(InputError, match=sentence):
+        blocksar.quality(run, **options)

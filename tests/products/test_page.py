@@ -306,7 +306,7 @@ def test_the_command_repeats_the_run(settings: dict[str, Any], monkeypatch: pyte
         return api.Report()
 
     monkeypatch.setattr(api, "focus", focus)
-    words = shlex.split(provenance.repeat_command(record, "/in put/ph.zarr", "/out $1"))
+    words = shlex.split(provenance.repeat_command(record, ["/in put/ph.zarr"], "/out $1"))
     assert words[0] == "blocksar" and CliRunner().invoke(commands.app, words[1:]).exit_code == 0
     assert (seen["source"], seen["out"]) == ("/in put/ph.zarr", "/out $1")
     assert {name: seen[name] for name in usual} == usual | settings
