@@ -19,7 +19,8 @@ from blocksar.places.place import Place
 if TYPE_CHECKING:
     import xarray as xr
 
-Source: TypeAlias = "Location | xr.Dataset | Sequence[Location | xr.Dataset]"
+One: TypeAlias = "Location | xr.Dataset | stores.PhaseHistory"
+Source: TypeAlias = "One | Sequence[One]"
 GridLike = Grid | tuple[tuple[float, float, float], tuple[float, float, float]]
 
 
@@ -30,7 +31,7 @@ def grid_of(grid: GridLike | None) -> Grid | None:
     return Grid(*grid[0], *grid[1])
 
 
-def collection_of(source: Location | xr.Dataset) -> Collection:
+def collection_of(source: One) -> Collection:
     """Return the collection of a scene (a TOML file or the name of a shipped one) or of a phase history, centred."""
     text = str(source) if isinstance(source, str | Path) else ""
     if text.endswith(".toml") or (text and not Path(text).exists()):
@@ -42,7 +43,7 @@ def collection_of(source: Location | xr.Dataset) -> Collection:
     return history_of(source).collection.centred()
 
 
-def sources_of(source: Source) -> list[Location | xr.Dataset]:
+def sources_of(source: Source) -> list[One]:
     """Return the sources of a command that takes one or several.
 
     Raises
@@ -98,13 +99,13 @@ def collections_of(source: Source) -> list[Collection]:
     return collections
 
 
-def _is_scene(source: Location | xr.Dataset) -> bool:
+def _is_scene(source: One) -> bool:
     """Whether a source is a scene: a TOML file or the name of a shipped one."""
     text = str(source) if isinstance(source, str | Path) else ""
     return text.endswith(".toml") or bool(text and not Path(text).exists())
 
 
-def history_of(source: Location | xr.Dataset) -> stores.PhaseHistory:
+def history_of(source: One) -> stores.PhaseHistory:
     """Open the phase history that a path names, or that a dataset is.
 
     Raises
@@ -112,6 +113,8 @@ def history_of(source: Location | xr.Dataset) -> stores.PhaseHistory:
     InputError
         If there is none, or it departs from the contract.
     """
+    if isinstance(source, stores.PhaseHistory):
+        return source
     if isinstance(source, str | os.PathLike | Place):
         return stores.open_phase_history(source)
     if _is_dataset(source):

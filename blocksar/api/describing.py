@@ -121,9 +121,11 @@ def _phase_history(where: Place) -> tuple[Rows, Following]:
     history = stores.open_phase_history(where)
     pulses, columns = history.shape
     axis = "range frequencies" if history.raw is None else "fast-time samples (a raw echo, not range-compressed)"
+    count = max(len(history.channels), 1)
     rows = [
         *facts.general_rows(history.attrs),
-        ("samples", f"{pulses} pulses x {columns} {axis}, {facts.size_text(8 * pulses * columns)} in memory"),
+        *([("channels", ", ".join(history.channels))] if history.channels else []),
+        ("samples", f"{pulses} pulses x {columns} {axis}, {facts.size_text(8 * pulses * columns * count)} in memory"),
         *_size(where),
         *facts.collection_rows(history.collection),
         *facts.history_rows(history.attrs),

@@ -19,7 +19,7 @@ from blocksar.products.pixels import Content, Scale, checked_limits, pixels_of
 from blocksar.products.sicd import nitf as sicd
 from blocksar.progress import Wanted as Progress
 from blocksar.progress import as_listener
-from blocksar.runs.finished import FinishedRun, finished_record
+from blocksar.runs.finished import FinishedRun, finished_record, folder_of
 from blocksar.runs.record import RECORD
 
 if TYPE_CHECKING:
@@ -39,7 +39,8 @@ def open(run: Location) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        `image` (y, x) complex64, NaN where not covered; `block` (y, x) int16, -1 where not covered; x, y in m.
+        `image` (y, x) complex64, NaN where not covered; `block` (y, x) int16, -1 where not covered; x, y in m. Of
+        several channels, `image` is (channel, y, x).
 
     Raises
     ------
@@ -50,15 +51,20 @@ def open(run: Location) -> xr.Dataset:
     from blocksar.products import dataset  # registers the accessor, and loads xarray
 
     folder = place(run)
-    if not (folder / "image.zarr").exists():
-        return dataset.prepare(stores.open_dataset(folder))
     if (folder / RECORD).exists():
         finished_record(folder)
+    elif not (folder / "image.zarr").exists():
+        return dataset.prepare(stores.open_dataset(folder))
     return dataset.prepare(stores.open_dataset(folder / "image.zarr"))
 
 
 def report(
-    run: Location, *, out: Location | None = None, overwrite: bool = False, progress: Progress | None = None
+    run: Location,
+    *,
+    out: Location | None = None,
+    channel: str | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
 ) -> Report:
     """Write the report page of a finished run: one self-contained HTML file.
 
@@ -70,6 +76,8 @@ def report(
         Folder of a finished run.
     out : path, optional
         HTML file to write. Default: RUN/report.html, which is always replaced.
+    channel : str, optional
+        Of a run of several channels, each of which has a page of its own. Default: the first.
     overwrite : bool
         Replace what stands at `out`. Default: False.
     progress : object with a method update(stage, done, total), or False, optional
@@ -89,7 +97,7 @@ def report(
     ProcessingError
         If the page cannot be written; an earlier page stays.
     """
-    folder = place(run)
+    folder = folder_of(place(run), channel)
     target = folder / "report.html" if out is None else place(out)
     if out is not None and target.exists() and not overwrite:
         raise InputError(f"{target} exists; choose another name, or have it overwritten (--overwrite)")
@@ -146,6 +154,7 @@ def export(
     crop: tuple[tuple[float, float], tuple[float, float]] | str | None = None,
     colour_map: str | None = None,
     size: int | None = None,
+    channel: str | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> Report:
@@ -177,6 +186,8 @@ def export(
         Of a PNG, by matplotlib's name. Default: "gray".
     size : int, optional
         Pixels of a PNG along its longer side. Default: by the image, up to about 1700.
+    channel : str, optional
+        Of a run of several channels. Default: the first.
     overwrite : bool
         Replace what stands at `out`. Default: False.
     progress : object with a method update(stage, done, total), or False, optional
@@ -206,7 +217,7 @@ def export(
             kinds = [other for other, names in OPTIONS.items() if name in names]
             raise InputError(f"{name} is {value!r}, but it is an option of {' and '.join(kinds)} only; leave it out")
     check_ending(kind, str(place(out)))
-    source = FinishedRun.open(place(run))
+    source = FinishedRun.open(folder_of(place(run), channel))
     if crop is not None:
         source = source.cropped(*parse_crop(crop))
     limits = None if range is None else checked_limits(parse_range(range))

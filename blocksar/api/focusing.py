@@ -20,6 +20,7 @@ from blocksar import stores
 from blocksar.api.arguments import GridLike, Source, grid_of
 from blocksar.api.findings import add_findings
 from blocksar.api.jobs import Job, Request
+from blocksar.api.joint import channels_of, focus_channels
 from blocksar.api.planning import undersampling
 from blocksar.api.rehearsing import rehearse
 from blocksar.api.shown import RunReport
@@ -165,6 +166,9 @@ def focus(
     ProcessingError
         If processing fails; finished work stays, and the same call resumes.
     """
+    arguments = dict(locals())
+    if (histories := channels_of(source)) is not None:
+        return focus_channels(focus, histories, arguments)
     listener = as_listener(progress)
     profile = None if performance_report is None else Path(performance_report)
     method = method_of(

@@ -8,7 +8,7 @@ from importlib import metadata
 from typing import TYPE_CHECKING, Any, Literal
 
 from blocksar import stores
-from blocksar.api.arguments import Source, check_one_frame, history_of, sources_of
+from blocksar.api.arguments import One, Source, check_one_frame, history_of, sources_of
 from blocksar.api.ground import PLANE, geometry_over, ground_settings, read_ground
 from blocksar.arrays import FloatArray
 from blocksar.collection.collection import Collection
@@ -25,7 +25,7 @@ from blocksar.focusing.range_compression import RawCompression
 from blocksar.graph.machine import Resources
 from blocksar.graph.segments import Segment
 from blocksar.ingestion.terrain.reading import Ground
-from blocksar.places import Location, place
+from blocksar.places import place
 from blocksar.places.place import Place
 from blocksar.planning import effort
 from blocksar.planning.memory import checked_back_projection_memory, checked_memory, compression_memory
@@ -38,7 +38,7 @@ from blocksar.runs.sources import RunInput, RunSegment
 from blocksar.version import __version__
 
 if TYPE_CHECKING:
-    import xarray as xr
+    pass
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,7 +188,7 @@ def division_of(record: RunRecord, *, exact: bool) -> Division:
     return None if exact else (record.plan.blocks, record.plan.parts)
 
 
-def _open(source: Location | xr.Dataset, folder: Place, number: int | None) -> tuple[stores.PhaseHistory, str]:
+def _open(source: One, folder: Place, number: int | None) -> tuple[stores.PhaseHistory, str]:
     """Open a phase history in the state that it has now, with its fingerprint.
 
     One in memory gets the place in the run folder where its samples will be written; `number` is that of several.
@@ -202,7 +202,7 @@ def _open(source: Location | xr.Dataset, folder: Place, number: int | None) -> t
             run_folder.refuse_overlap(place(opened), folder)  # it may still be read
         own = folder / run_folder.INPUT
         return replace(history, path=own if number is None else own / f"{number}.zarr"), fingerprint
-    if not stores.open_phase_history(history.path).same(history):
+    if not history.opened_again().same(history):
         raise InputError(f"{history.path} changes while it is read; start again once nothing writes to it")
     return history, fingerprint
 

@@ -30,7 +30,7 @@ from blocksar.measurement.table3 import TABLE3
 from blocksar.measurement.targets import Target
 from blocksar.places import Location, place
 from blocksar.places.place import Place
-from blocksar.runs.finished import FinishedRun
+from blocksar.runs.finished import FinishedRun, folder_of
 from blocksar.runs.folder import INPUT
 from blocksar.runs.record import RunPlan
 from blocksar.simulation.scene import Scene
@@ -55,6 +55,7 @@ def quality(
     reference: bool = False,
     found: int = 0,
     area: str | tuple[tuple[float, float], tuple[float, float]] | None = None,
+    channel: str | None = None,
 ) -> Report:
     """Measure the point targets of a finished run, and compare chips with exact back-projection.
 
@@ -75,6 +76,8 @@ def quality(
     area : str or ((float, float), (float, float)), optional
         Part of the image, "x0:x1,y0:y1" or the ends of x and of y in m, of which to measure the equivalent number of
         looks and the mean power. Default: none.
+    channel : str, optional
+        Of a run of several channels. Default: the first.
 
     Returns
     -------
@@ -90,7 +93,7 @@ def quality(
     ProcessingError
         If quality.json cannot be written.
     """
-    return measure(place(run), targets, reference, found=found, area=area)[0]
+    return measure(folder_of(place(run), channel), targets, reference, found=found, area=area)[0]
 
 
 def measure(
@@ -291,6 +294,7 @@ def _compare(run: FinishedRun) -> Compared:
         moved = own / place(path).name if place(path).name != INPUT else own
         within = f"/{INPUT}" in path and moved.exists()
         history = stores.open_phase_history(moved if within else path)
+        history = history.of_channel(run.attrs.get("channel") if history.channels else None)
         geometry = Geometry(collection=history.collection.centred()) if run.segments else run.geometry
         chips = _chips(run, path, geometry)
         read, axes = pulse_reader(history), [(run.x[columns], run.y[rows]) for *_, rows, columns in chips]

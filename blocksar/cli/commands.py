@@ -22,6 +22,7 @@ from blocksar.cli.options import (
     PROCESSORS,
     AzimuthWeighting,
     Blocks,
+    Channel,
     ColourMap,
     Everything,
     Explain,
@@ -401,6 +402,7 @@ def quality(
     area: Annotated[
         str | None, typer.Option(metavar="x0:x1,y0:y1", help="Also measure the equivalent looks of this part, m.")
     ] = None,
+    channel: Channel = None,
     everything: Everything = False,
     explain: Explain = False,
     quiet: Quiet = False,
@@ -413,7 +415,8 @@ def quality(
     """
     from blocksar import api
 
-    show(api.quality(run, targets=targets, reference=reference, found=found, area=area), context)
+    report = api.quality(run, targets=targets, reference=reference, found=found, area=area, channel=channel)
+    show(report, context)
     hint(context, "report", run)
 
 
@@ -424,6 +427,7 @@ def report(
     out: Annotated[
         str | None, typer.Option(metavar="FILE", help="HTML file to write; default: RUN/report.html.")
     ] = None,
+    channel: Channel = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
     json_log: JsonLog = None,
@@ -438,7 +442,7 @@ def report(
     from blocksar import api
 
     with listening(context) as progress:
-        page = api.report(run, out=out, overwrite=overwrite, progress=progress)
+        page = api.report(run, out=out, channel=channel, overwrite=overwrite, progress=progress)
     show(page)
     hint(context, "export", "png", run, "--out", f"{Path(run).name}.png")
 

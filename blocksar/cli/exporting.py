@@ -8,7 +8,7 @@ import typer
 
 from blocksar.cli.display import hint, show
 from blocksar.cli.listening import listening
-from blocksar.cli.options import ColourMap, JsonLog, Overwrite, Quiet, Run
+from blocksar.cli.options import Channel, ColourMap, JsonLog, Overwrite, Quiet, Run
 
 Crop = Annotated[
     str | None,
@@ -28,6 +28,7 @@ def export_sicd(
     context: typer.Context,
     run: Run,
     out: Annotated[str, typer.Option(metavar="FILE", help="SICD file (NITF) to write.")],
+    channel: Channel = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
     json_log: JsonLog = None,
@@ -41,7 +42,7 @@ def export_sicd(
     from blocksar import api
 
     with listening(context) as progress:
-        report = api.export("sicd", run, out, overwrite=overwrite, progress=progress)
+        report = api.export("sicd", run, out, channel=channel, overwrite=overwrite, progress=progress)
     show(report)
     hint(context, "report", run)
 
@@ -70,6 +71,7 @@ def export_geotiff(
         typer.Option("--range", metavar="LOW:HIGH", help="dB at the ends of --scale.", show_default="by the image"),
     ] = None,
     crop: Crop = None,
+    channel: Channel = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
     json_log: JsonLog = None,
@@ -84,8 +86,8 @@ def export_geotiff(
 
     with listening(context) as progress:
         report = api.export(
-            "geotiff", run, out, content=content, looks=looks, scale=scale, range=range, crop=crop, overwrite=overwrite,
-            progress=progress,
+            "geotiff", run, out, content=content, looks=looks, scale=scale, range=range, crop=crop, channel=channel,
+            overwrite=overwrite, progress=progress,
         )  # fmt: skip
     show(report)
     hint(context, "report", run)
@@ -106,6 +108,7 @@ def export_png(
         typer.Option(metavar="PIXELS", help="Longer side of the picture.", show_default="by the image, up to 1700"),
     ] = None,
     crop: Crop = None,
+    channel: Channel = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
     json_log: JsonLog = None,
@@ -120,8 +123,8 @@ def export_png(
 
     with listening(context) as progress:
         report = api.export(
-            "png", run, out, range=range, colour_map=colour_map, size=size, crop=crop, overwrite=overwrite,
-            progress=progress,
+            "png", run, out, range=range, colour_map=colour_map, size=size, crop=crop, channel=channel,
+            overwrite=overwrite, progress=progress,
         )  # fmt: skip
     show(report)
     hint(context, "report", run)

@@ -13,6 +13,9 @@ from blocksar.cli.parsing import Axis, parse_blocks, parse_grid, parse_memory
 from blocksar.collection.terrain import Surface
 from blocksar.focusing.method import Coefficients, Method, Processor
 
+Channel = Annotated[
+    str | None, typer.Option(metavar="NAME", help="Of a run of several channels.", show_default="the first")
+]
 ColourMap = Annotated[
     str | None,
     typer.Option(

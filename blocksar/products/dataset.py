@@ -102,10 +102,21 @@ class SarAccessor:
         return rows + _history_facts(collection)
 
     @property
-    def _image(self) -> xr.DataArray:
-        if "image" not in self._dataset or self._dataset["image"].dims != ("y", "x"):
+    def _images(self) -> xr.DataArray:
+        """The image, or those of all channels."""
+        if "image" not in self._dataset or self._dataset["image"].dims[-2:] != ("y", "x"):
             raise InputError("the dataset has no image (y, x); open a run, or its image.zarr, with blocksar.open")
         return self._dataset["image"]
+
+    @property
+    def _image(self) -> xr.DataArray:
+        image = self._images
+        if image.ndim > 2:
+            first = str(self._dataset["channel"].values[0])
+            raise InputError(
+                f"the dataset has {image.shape[0]} channels; choose one, such as ds.sel(channel={first!r}).sar"
+            )
+        return image
 
     def db(self) -> xr.DataArray:
         """Power in dB over that of a target of reflectivity 1; NaN where not covered, -inf where the pixel is zero.
@@ -117,7 +128,7 @@ class SarAccessor:
             with np.errstate(divide="ignore"):
                 return 10 * np.log10(values.real**2 + values.imag**2)
 
-        image = self._image
+        image = self._images
         power = xr.apply_ufunc(
             decibel, image, dask="parallelized", dask_gufunc_kwargs={"meta": np.empty((0, 0), np.float32)}
         )
@@ -167,7 +178,7 @@ class SarAccessor:
         InputError
             If the looks are wrong, or leave fewer than two cells along an axis.
         """
-        image = self._image
+        image = self._images
         rows, columns = checked_looks(parse_looks(looks), (image.sizes["y"], image.sizes["x"]))
         pixels = image.isel(y=slice(image.sizes["y"] // rows * rows), x=slice(image.sizes["x"] // columns * columns))
         power = xr.apply_ufunc(
@@ -220,7 +231,7 @@ class SarAccessor:
         and text (settings, predicted, warnings, georeference) become JSON text. Reads the whole image unless the
         dataset has chunks; to read less, `crop` first.
         """
-        image = self._image
+        image = self._images
         converted = self._dataset.drop_vars("image")
         for name, part in (("real", image.real), ("imag", image.imag)):
             attrs = image.attrs | {"long_name": f"{image.attrs.get('long_name', 'image')}, {name} part"}

@@ -20,6 +20,7 @@ from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError
 from blocksar.measurement.noise import NoiseFigures
 from blocksar.places.place import Place
+from blocksar.runs.folder import member
 from blocksar.runs.record import RECORD, RunRecord
 
 Int16Array = np.ndarray[tuple[int, ...], np.dtype[np.int16]]
@@ -44,6 +45,24 @@ def finished_record(folder: Place) -> RunRecord:
     return record
 
 
+def folder_of(folder: Place, channel: str | None) -> Place:
+    """Return the folder of the run that made a channel's image; the folder itself if the run has no channels.
+
+    Parameters
+    ----------
+    channel : str, optional
+        Default: the first.
+
+    Raises
+    ------
+    InputError
+        If the run is not finished, or has no such channel.
+    """
+    channels = finished_record(folder).channels
+    number = stores.number_of(channels, channel, str(folder))
+    return member(folder, channels[number]) if channels else folder
+
+
 class Coverage(NamedTuple):
     """First and last covered pixel of every row and of every column; first > last where none is."""
 
@@ -58,7 +77,7 @@ def _described(folder: Place, record: RunRecord) -> tuple[tuple[Geometry, ...], 
     n = len(record.segments)
     places = [folder / "segments" / str(i) / "collection.zarr" for i in range(n)] or [folder / "collection.zarr"]
     read = [stores.read_collection(place) for place in places]
-    attrs = dict(read[0][1])
+    attrs = stores.without_unseen(read[0][1])
     if len({segment.collection for segment in record.segments}) > 1:
         listed = [target for _, each in read for target in each.get("targets") or []]
         attrs["targets"] = [target for i, target in enumerate(listed) if target not in listed[:i]]

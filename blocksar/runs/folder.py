@@ -33,6 +33,7 @@ OWN = (
     "segments",
     "gated",
     "image.zarr",
+    "channels",
     "terrain.zarr",
     "patches",
     "receipts",
@@ -46,6 +47,11 @@ TEMPORARY = ("receipts", "compressed.zarr", "gated", "scratch")  # those of OWN 
 INTERMEDIATE = ("spectrum.zarr", "patches")  # those of OWN that nothing reads once a run is finished
 LEFT_ALONE = ("phase_history.zarr",)  # may lie in the folder of a new run: `demo` puts its input there
 LOCK, ASIDE = "run.lock", ".replaced"
+
+
+def member(folder: Place, channel: str) -> Place:
+    """Return the folder of a channel's own run, in a run of several channels."""
+    return folder / "channels" / channel
 
 
 @contextmanager

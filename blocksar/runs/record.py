@@ -318,6 +318,8 @@ class RunRecord:
         Of several collections: the first one's path, and a fingerprint of all.
     segments : tuple of RunSegment
         Empty unless there are several collections, or segments of one.
+    channels : tuple of str
+        Names of the channels, each of which has a run of its own; empty in such a run.
     identity : str
         Hash of format, settings, input and division into blocks.
     versions : mapping of str to str
@@ -344,6 +346,7 @@ class RunRecord:
     settings: Mapping[str, Any] = field(default_factory=dict)
     input: RunInput = field(default_factory=RunInput)
     segments: tuple[RunSegment, ...] = ()
+    channels: tuple[str, ...] = ()
     identity: str = ""
     versions: Mapping[str, str] = field(default_factory=dict)
     workers: int | None = None
@@ -414,6 +417,7 @@ class RunRecord:
             settings=settings,
             input=entry["input"].optional(RunInput.of) or RunInput(),
             segments=tuple(map(RunSegment.of, entry["segments"])),
+            channels=tuple(name.path() for name in entry["channels"]),
             identity=entry["identity"].text(""),
             versions={name: version.text() for name, version in entry["versions"].items()},
             workers=entry["workers"].optional(Field.count),
@@ -437,6 +441,7 @@ class RunRecord:
             "settings": dict(self.settings),
             "input": asdict(self.input),
             **({"segments": [segment.as_json() for segment in self.segments]} if self.segments else {}),
+            **({"channels": list(self.channels)} if self.channels else {}),
             "identity": self.identity,
             "versions": dict(self.versions),
             "workers": self.workers,

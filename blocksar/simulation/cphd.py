@@ -92,7 +92,13 @@ def simulate(
             f"origin is {origin}: give a latitude within 89.9 degrees, a longitude within 180, and a height in m"
         )
     where = _free_file(out, overwrite=overwrite)
-    scene = _about_centre(scene if isinstance(scene, Scene) else Scene.read(os.fspath(scene)))
+    scene = scene if isinstance(scene, Scene) else Scene.read(os.fspath(scene))
+    if scene.channels:
+        raise InputError(
+            f"channels = {list(scene.channels)}: CPHD files are simulated with a single channel; leave channels out, "
+            "or simulate a store"
+        )
+    scene = _about_centre(scene)
     collection, toa = _oversampled(scene)
     frame = Georeference(latitude=latitude, longitude=longitude, height=height)
     vectors, tree = _metadata(sarkit, scene, collection, frame, toa)

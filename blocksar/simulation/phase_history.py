@@ -31,6 +31,7 @@ from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
 from blocksar.progress.listening import Callback
+from blocksar.simulation.channels import factor, of_channel
 from blocksar.simulation.scatterers import Field, field, phase_history, raw_echo
 from blocksar.simulation.scene import RANGE_GUARD, Scene
 
@@ -92,21 +93,24 @@ def simulate(
     collection = scene.collection(raw=raw)
     echo = _echo_axes(scene) if raw else None
     n = collection.n_range_frequency if echo is None else echo.fast_time.size
-    sample = sampler(scene, collection, echo=echo, threads=threads)
-    rows = TILE[0]
+    count, name, rows = max(len(scene.channels), 1), "echo" if raw else "signal", TILE[0]
 
     def write(store: Place) -> None:
-        for first in range(0, collection.n_pulse, rows):
-            pulses = slice(first, min(first + rows, collection.n_pulse))
-            samples = sample(pulses)
-            stores.write_region(store, "echo" if raw else "signal", (pulses, slice(0, n)), samples)
-            if progress is not None:
-                progress(pulses.stop, collection.n_pulse)
-
+        for channel in range(count):
+            sample = sampler(of_channel(scene, channel), collection, echo=echo, threads=threads)
+            for first in range(0, collection.n_pulse, rows):
+                pulses = slice(first, min(first + rows, collection.n_pulse))
+                lead = (slice(channel, channel + 1),) if scene.channels else ()
+                samples = sample(pulses)
+                stores.write_region(store, name, (*lead, pulses, slice(0, n)), samples[None] if lead else samples)
+                if progress is not None:
+                    progress(channel * collection.n_pulse + pulses.stop, count * collection.n_pulse)
         write_truth(scene, where)
 
     # Rows not yet written would read as lost pulses: the store therefore gets its name when it is complete.
-    stores.create_phase_history(where, collection, raw=echo, attrs=_attributes(scene), overwrite=overwrite, fill=write)
+    stores.create_phase_history(
+        where, collection, raw=echo, channels=scene.channels, attrs=_attributes(scene), overwrite=overwrite, fill=write
+    )
     return where.path if isinstance(where, LocalPlace) else where
 
 
@@ -243,4 +247,8 @@ def _attributes(scene: Scene) -> dict[str, Any]:
             {"name": name, "x": x, "y": y, "reflectivity": [sigma.real, sigma.imag]} | ({} if z is None else {"z": z})
             for name, x, y, sigma, z in targets
         ]
+        for entry, target in zip(attrs["targets"], scene.targets, strict=False):
+            if target.scattering:
+                seen = {name: target.reflectivity * factor(target, name) for name in scene.channels}
+                entry["channels"] = {name: [sigma.real, sigma.imag] for name, sigma in seen.items()}
     return attrs

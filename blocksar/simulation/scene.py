@@ -40,6 +40,7 @@ from blocksar.collection.terrain import Terrain
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.simulation.antenna import axis_beam, lit_yaws, patterns
+from blocksar.simulation.channels import problems as channel_problems
 from blocksar.simulation.fields import Table
 from blocksar.simulation.ground import TerrainTable, terrain_of
 from blocksar.simulation.lengths import next_smooth_even
@@ -75,6 +76,7 @@ class Scene(Table):
     time: TimeTable = Field(description="the table of the pulses' time")
     beam: BeamTable | None = Field(None, description="the table of the steered beam")
     area: AreaTable = Field(alias="scene", description="the table of swath and centre")
+    channels: Annotated[tuple[str, ...], Field(strict=False)] = Field((), description="names, such as HH and HV")
     targets: Annotated[tuple[TargetTable, ...], Field(strict=False)] = Field((), description="point targets")
     ground: TerrainTable | None = Field(None, alias="terrain", description="the table of the ground's height")
     matrix: MatrixTable | None = Field(None, description="a matrix of point targets")
@@ -149,15 +151,14 @@ class Scene(Table):
 
     def _check_whole(self, label: str) -> None:
         """Check the tables against each other; raise an InputError that lists all problems."""
-        problems: list[str] = []
+        problems = list(channel_problems(self))
         if (self.beam is None or self.beam.mode is not None) and self.area.centre_yaw_deg is None:
             kind = "without [beam]" if self.beam is None else "with beam.mode"
             problems.append(f"scene.centre_yaw_deg is missing: a scene {kind} needs it")
         clutter = self.clutter
         if self.beam is None and clutter is not None and clutter.x is None and clutter.yaw_deg is None:
             problems.append("clutter.yaw_deg is missing: without [beam], give range + yaw_deg, or a box x + y")
-        n = self.n_pulse
-        if not 8 <= n <= MAX_PULSES:
+        if not 8 <= (n := self.n_pulse) <= MAX_PULSES:
             problems.append(f"time.duration = {self.time.duration:g}: gives {n} pulses; must give 8 to {MAX_PULSES}")
         if self.beam is not None and not 0 < self.beam_width_deg < 180:
             problems.append(

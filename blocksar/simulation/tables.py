@@ -273,6 +273,9 @@ class TargetTable(Table):
     cross_range_offset: float | None = Field(None, description="from the scene centre, towards larger yaw, m")
     amplitude: float = Field(1.0, ge=0, description="modulus of the reflectivity")
     phase_deg: float = Field(0.0, description="phase of the reflectivity, degrees")
+    scattering: dict[str, Pair] = Field(
+        {}, description="channel = [amplitude, phase_deg] that multiply the reflectivity; not into other channels"
+    )
 
     @model_validator(mode="after")
     def _check(self) -> Self:

@@ -16,18 +16,12 @@ A store is a folder or a prefix in an object store: every path may be an `s3://`
 
 from __future__ import annotations
 
+from blocksar.stores.channels import check_channels, number_of, with_channels, without_unseen
 from blocksar.stores.chunk_files import Array, Region
 from blocksar.stores.creation import UNFINISHED, create
 from blocksar.stores.datasets import CONTENT, DatasetHistory, dataset_of, history_in_memory, history_of
-from blocksar.stores.phase_history import (
-    PhaseHistory,
-    create_phase_history,
-    history_line,
-    open_dataset,
-    open_phase_history,
-    read_collection,
-    write_collection,
-)
+from blocksar.stores.history_creation import create_phase_history, history_line, write_collection
+from blocksar.stores.phase_history import PhaseHistory, open_dataset, open_phase_history, read_collection
 from blocksar.stores.records import checksum, checksum_bytes, file_checksum, json_checksum, read_json, write_json
 from blocksar.stores.regions import chunk_shape, read_region, share_region, write_region
 from blocksar.stores.schema import (
@@ -70,6 +64,7 @@ __all__ = [
     "PhaseHistory",
     "Region",
     "Variable",
+    "check_channels",
     "checksum",
     "checksum_bytes",
     "chunk_shape",
@@ -82,6 +77,7 @@ __all__ = [
     "history_of",
     "is_truth",
     "json_checksum",
+    "number_of",
     "open_dataset",
     "open_phase_history",
     "read_collection",
@@ -90,6 +86,8 @@ __all__ = [
     "read_terrain",
     "share_region",
     "terrain_fingerprint",
+    "with_channels",
+    "without_unseen",
     "write_collection",
     "write_json",
     "write_region",

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import product
+from itertools import dropwhile, product
 from math import prod
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -38,8 +38,10 @@ FILLS = {"complex64": ["NaN", "NaN"], "float64": "NaN", "float32": "NaN", "int16
 
 
 def fill_value(dtype: str) -> Any:
-    """Return the value that stands for missing samples: NaN, or -1 for integers."""
+    """Return the value that stands for missing samples: NaN, -1 for integers, or no text."""
     kind = np.dtype(dtype).kind
+    if kind == "T":
+        return ""
     return complex(np.nan, np.nan) if kind == "c" else np.nan if kind == "f" else -1
 
 
@@ -154,8 +156,8 @@ class ChunkFiles:
             If the file system has no hard links, or the chunks of the two arrays do not coincide.
         """
         spans, source_spans = self._whole(region), source._whole(source_region)
-        layouts = [(files.chunks, files.dtype, files.compressed) for files in (self, source)]
-        if layouts[0] != layouts[1] or [*map(len, spans)] != [*map(len, source_spans)]:
+        layouts = [(_flat(files.chunks), files.dtype, files.compressed) for files in (self, source)]
+        if layouts[0] != layouts[1] or _flat([*map(len, spans)]) != _flat([*map(len, source_spans)]):
             raise OSError("the chunks differ")
         for (file, _, _), (other, _, _) in zip(self._parts(spans), source._parts(source_spans), strict=True):
             os.makedirs(os.path.dirname(file), exist_ok=True)
@@ -323,6 +325,11 @@ def _compression(codecs: Any) -> bool | None:
         case [first, {"name": "zstd", "configuration": {"level": int(), "checksum": bool()}}] if first == plain:
             return True
     return None
+
+
+def _flat(lengths: Sequence[int]) -> tuple[int, ...]:
+    """Lengths without leading ones: a chunk of one channel has the bytes of a chunk without channels."""
+    return tuple(dropwhile(lambda n: n == 1, lengths))
 
 
 def _read_into(stream: BinaryIO | direct.Reader, values: Array) -> None:

@@ -18,6 +18,7 @@ from blocksar.stores.arrays import dimension_names, metadata_file, open_array, r
 from blocksar.stores.regions import read_array
 from blocksar.stores.schema import OPTIONAL, PATTERNS, PHASE_HISTORY, RAW_ECHO, TRACK_AND_BEAM, UNITS, Variable
 
+SAMPLES = ("signal", "echo")  # which may have a leading dimension `channel`
 MAX_AXIS = 1 << 22  # samples of an axis: metadata that states more is damaged, and could exhaust the memory
 MAX_CHUNK, MAX_PADDED = 1 << 34, 1 << 26  # bytes of a chunk of samples, and of one that is larger than its axis
 MAX_CHUNKS = 1 << 15  # chunks of a variable that is read as a whole: more take minutes, or do not exist
@@ -58,6 +59,8 @@ def missing(name: str, variable: Variable) -> InputError:
 
 def check_type(name: str, variable: Variable, dims: tuple[Any, ...] | None, dtype: np.dtype[Any]) -> None:
     """Check that a variable has the dimensions and the kind of numbers that the contract fixes."""
+    if dims == ("channel", *variable.dims) and name in SAMPLES:
+        dims = variable.dims
     if dims != variable.dims:
         actual = "none" if dims is None else f"({', '.join(map(str, dims))})"
         remedy = "transpose it" if dims and sorted(map(str, dims)) == sorted(variable.dims) else "rename them"
@@ -86,15 +89,15 @@ def checked(place: Place, name: str) -> zarr.Array[Any]:
     if isinstance(place, LocalPlace):
         refuse_odd_chunks(place / name, len(array.metadata.encode_chunk_key((0,) * array.ndim).split("/")))
     check_type(name, variable, dimension_names(array), array.dtype)
-    if max(array.shape) > MAX_AXIS or (name not in ("signal", "echo") and array.size > 3 * MAX_AXIS):
+    if max(array.shape) > MAX_AXIS or (name not in SAMPLES and array.size > 3 * MAX_AXIS):
         raise InputError(f"{name} claims the shape {array.shape}, beyond {MAX_AXIS} per axis; its metadata is damaged")
     chunks = array.shards or array.chunks
     if not 0 < prod(chunks) * array.dtype.itemsize <= MAX_CHUNK:
         raise InputError(f"{name} claims chunks of {chunks}; its metadata is damaged, write it again")
-    if name not in ("signal", "echo") and prod(chunks) * array.dtype.itemsize > max(MAX_PADDED, 2 * array.nbytes):
+    if name not in SAMPLES and prod(chunks) * array.dtype.itemsize > max(MAX_PADDED, 2 * array.nbytes):
         raise InputError(f"{name} has chunks of {chunks}, far larger than itself; write it again")
     count = prod(-(-n // chunk) for n, chunk in zip(array.shape, chunks, strict=True))
-    if count > MAX_CHUNKS and name not in ("signal", "echo"):
+    if count > MAX_CHUNKS and name not in SAMPLES:
         raise InputError(f"{name} has {count} chunks, but is read as a whole; write it in at most {MAX_CHUNKS}")
     attrs = array.attrs.asdict()
     check_units(name, variable, attrs.get("units"))

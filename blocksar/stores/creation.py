@@ -169,6 +169,8 @@ def _variable_attrs(
     name: str, variable: Variable, schema: Mapping[str, Variable], coords: Mapping[str, Array]
 ) -> dict[str, Any]:
     attrs = {"units": variable.units, "long_name": variable.long_name}
+    if not variable.units:  # text
+        del attrs["units"]
     # xarray recognises a coordinate that is named as its dimension; others (time over pulse) must be listed.
     listed = [c for c in coords if schema[c].dims != (c,) and set(schema[c].dims) <= set(variable.dims)]
     if listed and name not in coords:

@@ -18,11 +18,10 @@ from blocksar.places import Location, place
 from blocksar.places.place import Place
 from blocksar.stores.arrays import metadata_file
 from blocksar.stores.contract import check_type, check_units, missing
+from blocksar.stores.history_creation import create_phase_history, history_line
 from blocksar.stores.phase_history import (
     PhaseHistory,
     collection_from,
-    create_phase_history,
-    history_line,
     not_one_of_two,
     open_phase_history,
     other_attrs,
@@ -56,7 +55,8 @@ class DatasetHistory(PhaseHistory):
 
     def read(self, pulses: slice, columns: slice) -> ComplexArray:
         with np.errstate(over="ignore"):
-            return np.asarray(self.samples[pulses, columns].values).astype(np.complex64, copy=False)
+            lead = (self.channel,) if self.channels else ()
+            return np.asarray(self.samples[*lead, pulses, columns].values).astype(np.complex64, copy=False)
 
     def pinned(self) -> Self:
         return self  # a dataset has no versions

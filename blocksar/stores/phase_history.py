@@ -9,7 +9,6 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +17,6 @@ import xxhash
 import zarr
 
 from blocksar.arrays import ComplexArray, FloatArray, check_axis
-from blocksar.chunks import TILE
 from blocksar.collection.collection import Collection
 from blocksar.collection.raw_echo import RawEcho
 from blocksar.errors import InputError
@@ -28,16 +26,15 @@ from blocksar.places.local import LocalPlace
 from blocksar.places.objects import ObjectPlace, os_errors
 from blocksar.places.place import Place
 from blocksar.stores.arrays import metadata_file, open_array, refuse_codecs
+from blocksar.stores.channels import attrs_of_channel, number_of, read_channels
 from blocksar.stores.chunk_files import chunk_files_of, refuse_odd_file
-from blocksar.stores.contract import checked, number, read_real, stated
-from blocksar.stores.creation import UNFINISHED, create
+from blocksar.stores.contract import checked, number, read_real
+from blocksar.stores.creation import UNFINISHED
 from blocksar.stores.faults import cause_of, unreachable
 from blocksar.stores.records import json_checksum
 from blocksar.stores.regions import chunk_names, read_array
 from blocksar.stores.schema import (
-    COLLECTION,
     COLLECTION_ATTRS,
-    CONVENTIONS,
     OPTIONAL,
     PHASE_HISTORY,
     RAW_ATTRS,
@@ -68,6 +65,10 @@ class PhaseHistory:
         Version of each chunk of samples, by name relative to their variable, if they are `pinned`; see `Place.version`.
     cut : (first, total) or None
         In a `segment`: the pulse of the store that is its first one, and the store's number of pulses.
+    channels : tuple of str
+        Names along the samples' leading dimension `channel`; empty if they have none.
+    channel : int
+        Number of the channel that is read.
     """
 
     path: Place
@@ -76,6 +77,8 @@ class PhaseHistory:
     attrs: dict[str, Any] = field(default_factory=dict)
     versions: Mapping[str, str] | None = None
     cut: tuple[int, int] | None = None
+    channels: tuple[str, ...] = ()
+    channel: int = 0
 
     @property
     def variable(self) -> str:
@@ -91,8 +94,34 @@ class PhaseHistory:
     @property
     def chunks(self) -> tuple[int, int]:
         """Pulses and columns of one chunk."""
-        pulse, column = open_array(self.path, self.variable).chunks
+        *_, pulse, column = open_array(self.path, self.variable).chunks
         return int(pulse), int(column)
+
+    def of_channel(self, name: str | None) -> PhaseHistory:
+        """The same with the samples of another channel; the first for None.
+
+        Raises
+        ------
+        InputError
+            If there is none of that name.
+        """
+        number = number_of(self.channels, name, str(self.path))
+        return replace(self, channel=number, versions=None, attrs=attrs_of_channel(self.attrs, self.channels, number))
+
+    def opened_again(self) -> PhaseHistory:
+        """The same channel of the store as it is now.
+
+        Raises
+        ------
+        InputError
+            As `open_phase_history`.
+        """
+        return open_phase_history(self.path).of_channel(self.channels[self.channel] if self.channels else None)
+
+    def _region(self, pulses: slice, columns: slice) -> tuple[slice, ...]:
+        """Samples of the channel, as a region of the variable."""
+        lead = (slice(self.channel, self.channel + 1),) if self.channels else ()
+        return (*lead, self._in_store(pulses), columns)
 
     def same(self, other: PhaseHistory) -> bool:
         """Whether everything that was read at opening is the same."""
@@ -133,7 +162,7 @@ class PhaseHistory:
         if self.versions is None:
             return self
         array = chunk_files_of(self.path, self.variable) or open_array(self.path, self.variable)
-        names = chunk_names(array, (self._in_store(pulses), columns))
+        names = chunk_names(array, self._region(pulses, columns))
         return replace(self, versions={name: self.versions.get(name, "") for name in names})
 
     def read(self, pulses: slice, columns: slice) -> ComplexArray:
@@ -150,16 +179,17 @@ class PhaseHistory:
             If a chunk is damaged (the message names it), or the store has changed since it was opened or pinned.
         """
         array = chunk_files_of(self.path, self.variable) or open_array(self.path, self.variable)
-        shape = self.shape if self.cut is None else (self.cut[1], self.shape[1])
+        lead = (len(self.channels),) if self.channels else ()
+        shape = (*lead, self.shape[0] if self.cut is None else self.cut[1], self.shape[1])
         if array.shape != shape:
             raise InputError(
                 f"{self.variable} in {self.path} now has shape {array.shape}, not {shape}; it changed since it "
                 "was opened: start again"
             )
         seen = None if self.versions is None else self._refuse_change
-        samples = read_array(array, (self._in_store(pulses), columns), self.path, self.variable, seen=seen)
+        samples = read_array(array, self._region(pulses, columns), self.path, self.variable, seen=seen)
         with np.errstate(over="ignore"):
-            return samples.astype(np.complex64, copy=False)
+            return samples.reshape(samples.shape[-2:]).astype(np.complex64, copy=False)
 
     def _refuse_change(self, name: str, version: str) -> None:
         assert self.versions is not None
@@ -198,101 +228,18 @@ class PhaseHistory:
         yield from ((name, "", self.path / name) for name in GROUP_METADATA if name in present)
         for variable in sorted({**(PHASE_HISTORY if self.raw is None else RAW_ECHO), **OPTIONAL}):
             files = sorted((self.path / variable).files(), key=lambda file: file[0].split("/"))
+            mine = self._mine() if variable == self.variable and self.channels else None
             for name, size, version in files:
                 chunk = variable == self.variable and name not in ("zarr.json", ".zarray", ".zattrs")
+                if chunk and mine is not None and name not in mine:
+                    continue
                 known = (self.versions or {}).get(name, f"{size} {version}")
                 yield f"{variable}/{name}", known if chunk else "", self.path / variable / name
 
-
-def create_phase_history(
-    path: Location,
-    collection: Collection,
-    *,
-    raw: RawEcho | None = None,
-    attrs: Mapping[str, Any] | None = None,
-    overwrite: bool = False,
-    fill: Callable[[Place], None] | None = None,
-) -> None:
-    """Create a phase history without its samples: `fill` writes those by region, in chunks of `TILE`.
-
-    Without `fill` they may be written later; until then all pulses of the store are missing.
-
-    Parameters
-    ----------
-    path : path
-    collection : Collection
-    raw : RawEcho, optional
-        For a raw echo, whose samples are `echo` over its fast_time.
-    attrs : dict
-        In addition to those of `collection` and `raw`: history, targets, scene, georeference ...
-    overwrite, fill
-        As for `create`.
-
-    Raises
-    ------
-    InputError, ProcessingError
-        As for `create`.
-    """
-    column, axis = ("range_frequency", collection.range_frequency) if raw is None else ("fast_time", raw.fast_time)
-    schema, angles, variables = stated(collection, PHASE_HISTORY if raw is None else RAW_ECHO)
-    create(
-        path,
-        schema,
-        sizes={},
-        coords={"time": collection.time, column: axis, **angles},
-        variables=variables,
-        attrs=_collection_attrs(collection, raw, attrs),
-        chunks={"pulse": TILE[0], column: TILE[1]},
-        overwrite=overwrite,
-        fill=fill,
-    )
-
-
-def write_collection(path: Location, collection: Collection, attrs: Mapping[str, Any] | None = None) -> None:
-    """Write a collection: a phase history without samples. An existing store is replaced.
-
-    Raises
-    ------
-    InputError
-        As for `create`.
-    """
-    schema, angles, variables = stated(collection, COLLECTION)
-    create(
-        path,
-        schema,
-        sizes={},
-        coords={"time": collection.time, "range_frequency": collection.range_frequency, **angles},
-        variables=variables,
-        attrs=_collection_attrs(collection, None, attrs),
-        chunks={},
-        overwrite=True,
-    )
-
-
-def _collection_attrs(collection: Collection, raw: RawEcho | None, attrs: Mapping[str, Any] | None) -> dict[str, Any]:
-    own: dict[str, Any] = {
-        "carrier_frequency": collection.carrier,
-        "beam_width": collection.beam_width,
-        "ground_height": collection.ground_height,
-        "noise_power": collection.noise_power,
-    }
-    if raw is not None:
-        own |= {"chirp_rate": raw.chirp_rate, "pulse_width": raw.pulse_width}
-    general = {
-        "Conventions": CONVENTIONS,
-        "title": collection.title,
-        "history": history_line("created by blocksar"),
-        **(attrs or {}),
-    }
-    if collection.title:
-        general["title"] = collection.title
-    return {**general, **{name: value for name, value in own.items() if value is not None}}
-
-
-def history_line(action: str, earlier: Any = None) -> str:
-    """Return the history attribute: the action with the time, above the earlier history."""
-    line = f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} {action}"
-    return f"{line}\n{earlier}" if earlier else line
+    def _mine(self) -> set[str]:
+        """The chunks that hold the channel."""
+        array = chunk_files_of(self.path, self.variable) or open_array(self.path, self.variable)
+        return set(chunk_names(array, self._region(slice(None), slice(None))))
 
 
 def open_phase_history(path: Location) -> PhaseHistory:
@@ -310,14 +257,16 @@ def open_phase_history(path: Location) -> PhaseHistory:
             raise not_one_of_two(names, (name for name in place.names() if metadata_file(place / name)))
         attrs = _attrs(group)
         samples = checked(place, names[0])
+        channels = read_channels(place, samples.shape[0]) if samples.ndim == 3 else ()
         for name, n in zip(
-            ("time", "range_frequency" if names == ["signal"] else "fast_time"), samples.shape, strict=True
+            ("time", "range_frequency" if names == ["signal"] else "fast_time"), samples.shape[-2:], strict=True
         ):
             if (shape := checked(place, name).shape) != (n,):
                 raise InputError(f"{names[0]} has shape {samples.shape}, but {name} has {shape}; make them agree")
         raw = _read_raw(place, attrs) if names == ["echo"] else None
         collection = _read_collection(place, attrs, None if raw is None else raw.range_frequency)
-        return PhaseHistory(path=place, collection=collection, raw=raw, attrs=other_attrs(attrs, raw))
+        others = attrs_of_channel(other_attrs(attrs, raw), channels, 0)
+        return PhaseHistory(path=place, collection=collection, raw=raw, attrs=others, channels=channels)
 
 
 def not_one_of_two(names: Sequence[str], variables: Iterable[str]) -> InputError:

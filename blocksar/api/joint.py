@@ -1,0 +1,206 @@
+"""Runs of several channels: each is a run of its own, one after the other, and their images lie in one store.
+
+RUN/channels/NAME is the run of a channel, as it would be alone: one geometry gives all of them one plan, and so pixels
+at the same places to the last bit. RUN/image.zarr has their images as (channel, y, x), in files that are shared with
+the channels' own images where the file system has links. RUN/run.json is the record of the whole.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from blocksar import stores
+from blocksar.api.arguments import Source, history_of, sources_of
+from blocksar.api.shown import RunReport
+from blocksar.errors import FolderError, InputError
+from blocksar.graph import cluster
+from blocksar.graph.machine import resources
+from blocksar.places import place
+from blocksar.places.place import Place
+from blocksar.progress import as_listener
+from blocksar.runs import folder as run_folder
+from blocksar.runs.record import FINISHED, FORMAT, RECORD, UNFINISHED, Receipt, RunRecord, Written
+from blocksar.runs.sources import RunInput
+from blocksar.version import __version__
+
+Focus = Callable[..., RunReport]
+SAME = ("block", "collection", "noise_equivalent", "height")  # of the image: the same in all channels
+
+
+def channels_of(source: Source) -> list[stores.PhaseHistory] | None:
+    """Return the phase histories if they have several channels, of which none is chosen; else None.
+
+    Raises
+    ------
+    InputError
+        If they do not have the same ones.
+    """
+    sources = sources_of(source)
+    if any(isinstance(each, stores.PhaseHistory) for each in sources):
+        return None
+    histories = [history_of(each) for each in sources]
+    first = histories[0]
+    for other in histories:
+        if other.channels != first.channels:
+            have = (", ".join(history.channels) or "none" for history in (first, other))
+            raise InputError(
+                f"{first.path} and {other.path} do not have the same channels ({' and '.join(have)}); focus each alone"
+            )
+    return histories if first.channels else None
+
+
+def focus_channels(focus: Focus, histories: list[stores.PhaseHistory], arguments: Mapping[str, Any]) -> RunReport:
+    """Focus all channels of phase histories.
+
+    Parameters
+    ----------
+    focus : callable
+        Focuses one channel, and takes the same arguments.
+    arguments : mapping
+        Those of `focus`.
+
+    Raises
+    ------
+    InputError, ProcessingError
+        As `focus` does.
+    """
+    folder, names = place(arguments["out"]), histories[0].channels
+    if arguments["performance_report"] is not None:
+        raise InputError("performance_report covers one run, but each channel is one; leave it out")
+    shared = {name: value for name, value in arguments.items() if name not in ("source", "out")}
+
+    def focus_one(name: str) -> RunReport:
+        return focus([history.of_channel(name) for history in histories], run_folder.member(folder, name), **shared)
+
+    if arguments["dry_run"]:
+        found = focus_one(names[0])
+        return replace(found, summary=[f"{len(names)} channels ({', '.join(names)}), each as follows", *found.summary])
+    earlier = _earlier(folder, overwrite=bool(arguments["overwrite"]))
+    listener = as_listener(arguments["progress"])
+    with ExitStack() as stack:
+        stack.enter_context(run_folder.claim(folder))
+        if earlier is None:
+            RunRecord(status=UNFINISHED, format=FORMAT, channels=names, versions={"blocksar": __version__}).write(
+                folder
+            )
+        if arguments["client"] is None and arguments["scheduler"] is None and arguments["workers"] != 0:
+            machine = resources(arguments["workers"], arguments["threads"], arguments["memory_limit"])
+            scratch = run_folder.scratch(folder)
+            client = cluster.open_client(**machine._asdict(), scratch=scratch, listener=listener)
+            shared |= {"client": stack.enter_context(client), "workers": None, "threads": machine.threads}
+            shared["memory_limit"] = None
+        reports = {name: focus_one(name) for name in names}
+        members = {name: run_folder.member(folder, name) for name in names}
+        records = {name: RunRecord.read(path) for name, path in members.items()}
+        if earlier is not None and earlier.identity == _identity(records):
+            run_folder.check_finished(folder, earlier)
+            done = f"{folder} is finished already with these settings and this input: nothing to do"
+            return RunReport(summary=[done], result=earlier.as_json(), folder=folder)
+        record = _join(folder, str(histories[0].path), members, records)
+        run_folder.finish(folder, record)
+    lines = [f"{name}: {line}" for name, report in reports.items() for line in report.summary]
+    return RunReport(
+        summary=[*lines, f"{folder / 'image.zarr'} has the images of {len(names)} channels ({', '.join(names)})"],
+        result=record.as_json(), folder=folder,
+    )  # fmt: skip
+
+
+def _earlier(folder: Place, *, overwrite: bool) -> RunRecord | None:
+    """Return the record of a finished run of channels that stays; remove another run if it may be overwritten.
+
+    Raises
+    ------
+    FolderError
+        If the folder holds something else, or a run without channels.
+    """
+    names = folder.names() if folder.exists() else []
+    run_folder.refuse_links(folder)
+    if RECORD not in names:
+        known = (*run_folder.OWN, *run_folder.LEFT_ALONE, run_folder.LOCK, run_folder.ASIDE)
+        if foreign := [name for name in names if name not in known]:
+            raise FolderError(f"{folder} exists and holds no run of blocksar (but {foreign[0]}); choose another --out")
+        return None
+    record = RunRecord.read(folder)
+    if record.channels:
+        return record if record.finished and not overwrite else None
+    if not overwrite:
+        raise FolderError(
+            f"{folder} holds a run without channels; use --overwrite to replace it, or another --out", replaceable=True
+        )
+    with run_folder.claim(folder):
+        run_folder.clear(folder)
+    return None
+
+
+def _identity(records: Mapping[str, RunRecord]) -> str:
+    """Hash of all that the channels' images depend on."""
+    return stores.checksum_bytes(repr([(name, record.identity) for name, record in records.items()]).encode())
+
+
+def _join(folder: Place, source: str, members: Mapping[str, Place], records: Mapping[str, RunRecord]) -> RunRecord:
+    """Make the image of all channels out of theirs, and the record of the whole."""
+    started = time.perf_counter()
+    first, image = next(iter(members.values())), folder / "image.zarr"
+    x, y = (stores.read_region(first / "image.zarr", name, (slice(None),)) for name in ("x", "y"))
+    same = [name for name in SAME if (first / "image.zarr" / name).exists()]
+    schema = {
+        name: {**stores.IMAGE, **stores.COLLECTION_NUMBER, **stores.NOISE, **stores.HEIGHT}[name]
+        for name in ("image", *same, "x", "y")
+    }
+    side = stores.chunk_shape(first / "image.zarr", "image")
+    written: dict[str, list[Written]] = {name: [] for name in members}
+
+    def fill(made: Place) -> None:
+        for number, (name, path) in enumerate(members.items()):
+            for variable in ("image", *(same if number == 0 else ())):
+                lead = (slice(number, number + 1),) if variable == "image" else ()
+                for part in _parts(records[name], variable):
+                    written[name].append(share_chunk(path / "image.zarr", made, part, lead))
+
+    stores.create(
+        image, stores.with_channels(schema, "image"), sizes={},
+        coords={"x": x, "y": y, "channel": np.asarray(list(members), "T")},
+        attrs=_attributes(first), chunks={"channel": 1, "y": side[0], "x": side[1]}, overwrite=True, fill=fill,
+    )  # fmt: skip
+    identity = _identity(records)
+    base = next(iter(records.values()))
+    receipts = tuple(
+        Receipt(unit=f"join-{name}", stage="join", run=identity, written=tuple(parts))
+        for name, parts in written.items()
+    )
+    stages = {stage: sum(r.timings.get(stage, 0.0) for r in records.values()) for stage in base.timings}
+    return replace(
+        base, status=FINISHED, channels=tuple(members), identity=identity, receipts=receipts,
+        input=RunInput(source, stores.checksum_bytes(repr([r.input for r in records.values()]).encode())),
+        warnings=tuple(f"{name}: {line}" for name, record in records.items() for line in record.warnings),
+        timings={**stages, "join": time.perf_counter() - started},
+        peak_memory=max(record.peak_memory or 0 for record in records.values()),
+    )  # fmt: skip
+
+
+def _parts(record: RunRecord, variable: str) -> Iterator[Written]:
+    """What a run wrote of a variable of its image."""
+    for receipt in record.receipts:
+        yield from (part for part in receipt.written if part.store == "image.zarr" and part.variable == variable)
+
+
+def share_chunk(source: Place, image: Place, part: Written, lead: tuple[slice, ...]) -> Written:
+    """Put chunks of a channel's image into that of all channels: linked, or copied where that is impossible."""
+    region = tuple(slice(*span) for span in part.region)
+    target = (*lead, *region)
+    if not stores.share_region(image, part.variable, target, source=source, source_region=region):
+        values = stores.read_region(source, part.variable, region)
+        stores.write_region(image, part.variable, target, values[None] if lead else values)
+    return replace(part, region=(*((s.start, s.stop) for s in lead), *part.region))
+
+
+def _attributes(member: Place) -> dict[str, Any]:
+    """Attributes of a channel's image that hold for all channels."""
+    attrs = dict(stores.open_dataset(member / "image.zarr").attrs)
+    return {name: value for name, value in attrs.items() if name not in ("warnings", "run", "channel")}

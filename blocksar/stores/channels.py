@@ -1,0 +1,117 @@
+"""Channels of a phase history or of an image, such as polarisations: a leading dimension, and names along it."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from blocksar.errors import InputError, printable
+from blocksar.places.place import Place
+from blocksar.stores.arrays import dimension_names, metadata_file, open_array
+from blocksar.stores.schema import Variable
+
+CHANNEL = Variable(("channel",), "T", "", "channel, such as a polarisation")
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_+-]{0,31}")  # also the name of a folder
+MOST = 64
+REMEDY = "give each a short name of letters, digits, _, + and -, such as HH"
+
+
+def with_channels(schema: Mapping[str, Variable], *names: str) -> dict[str, Variable]:
+    """The schema with a leading dimension `channel` for some variables, and its coordinate."""
+    more = {name: replace(schema[name], dims=("channel", *schema[name].dims)) for name in names}
+    return {**schema, **more, "channel": CHANNEL}
+
+
+def check_channels(names: Sequence[str]) -> tuple[str, ...]:
+    """Return names of channels, if they can be.
+
+    Raises
+    ------
+    InputError
+        If there is none, or too many, or one is given twice or is no name.
+    """
+    if not 0 < len(names) <= MOST:
+        raise InputError(f"channel has {len(names)} names; give 1 to {MOST}")
+    for name in names:
+        if not NAME.fullmatch(name):
+            raise InputError(f"channel {printable(str(name))[:40]!r} is no name of a channel; {REMEDY}")
+    if len({name.casefold() for name in names}) != len(names):
+        raise InputError(f"channel has a name twice ({', '.join(names)}); {REMEDY}")
+    return tuple(names)
+
+
+def read_channels(place: Place, count: int) -> tuple[str, ...]:
+    """Read the names of the channels of an open store.
+
+    Raises
+    ------
+    InputError
+        If there are not `count` of them along `channel`, or they are no names.
+    """
+    if not metadata_file(place / "channel"):
+        raise InputError(f"variable channel (channel) is missing, and the samples have {count} channels; {REMEDY}")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # zarr's, about text of fixed length, which xarray writes
+        array = open_array(place, "channel")
+        if dimension_names(array) != ("channel",) or array.shape != (count,):
+            raise InputError(
+                f"channel has shape {array.shape} over {dimension_names(array)}, but the samples have {count} "
+                "channels; make them agree"
+            )
+        return check_channels([text(value) for value in np.asarray(array[:])])
+
+
+def text(value: Any) -> str:
+    """The text of a name, of whatever type."""
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+
+
+def number_of(channels: Sequence[str], channel: str | None, label: str) -> int:
+    """Which of the channels is meant; the first if none is named.
+
+    Raises
+    ------
+    InputError
+        If there is none of that name.
+    """
+    if channel is None:
+        return 0
+    if not channels:
+        raise InputError(f"channel is {channel!r}, but {label} has a single one without a name; leave it out")
+    known = [name.casefold() for name in channels]
+    if channel.casefold() not in known:
+        raise InputError(f"channel {printable(channel)[:40]!r} is none of {label}, which has {', '.join(channels)}")
+    return known.index(channel.casefold())
+
+
+def attrs_of_channel(attrs: Mapping[str, Any], channels: Sequence[str], number: int) -> dict[str, Any]:
+    """Attributes of a store as a channel has them: its name as `channel`, and targets with their reflectivity in it.
+
+    The `channels` of a target have its reflectivity in each: 0 where it is not seen. One that lacks them is the
+    same in all.
+    """
+    if not channels:
+        return dict(attrs)
+    name, targets = channels[number], attrs.get("targets")
+    attrs = {**attrs, "channel": name}
+    if not isinstance(targets, list):
+        return attrs
+    seen = []
+    for target in targets:
+        given = target.get("channels") if isinstance(target, Mapping) else None
+        seen.append({**target, "reflectivity": given.get(name, [0.0, 0.0])} if isinstance(given, Mapping) else target)
+    return {**attrs, "targets": seen}
+
+
+def without_unseen(attrs: Mapping[str, Any]) -> dict[str, Any]:
+    """Attributes of a channel without the targets that it does not see."""
+    targets = attrs.get("targets")
+    if "channel" not in attrs or not isinstance(targets, list):
+        return dict(attrs)
+    seen = [t for t in targets if not (isinstance(t, Mapping) and t.get("channels") and not any(t["reflectivity"]))]
+    return {**attrs, "targets": seen}

@@ -1,0 +1,121 @@
+"""Runs of several channels: each image is that of its own run, and the whole resumes, measures and exports."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from faults import digests
+from matplotlib.image import imread
+from scenes import scene
+
+import blocksar
+from blocksar import stores
+from blocksar.api import joint
+from blocksar.errors import FolderError, InputError
+
+TARGETS = """
+[[targets]]
+name = "T"
+range = 30000.0
+yaw_deg = 50.0
+[[targets]]
+name = "D"
+range = 30030.0
+yaw_deg = 50.05
+amplitude = 2.0
+scattering = {HV = [0.5, 90.0]}
+[clutter]
+scatterers = 300
+power = 1e-4
+seed = 3
+"""
+SETTINGS: dict[str, Any] = {"blocks": 1, "workers": 0, "coefficients": "closed-form"}
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("channels")
+    text = scene(pulses=400, steering=(49.5, 50.5), dwell=0.02, swath=[29900.0, 30100.0], more=TARGETS)
+    (folder / "scene.toml").write_text(f'channels = ["HH", "HV"]\n{text}')
+    return Path(blocksar.simulate(folder / "scene.toml", folder / "ph.zarr"))
+
+
+@pytest.fixture(scope="module")
+def run(store: Path) -> Path:
+    blocksar.focus(store, store.parent / "run", **SETTINGS)
+    return store.parent / "run"
+
+
+def test_each_channel_is_as_it_would_be_alone(store: Path, run: Path, tmp_path: Path) -> None:
+    images = blocksar.open(run)
+    assert images.image.dims == ("channel", "y", "x") and images.block.dims == ("y", "x")
+    assert images.channel.values.tolist() == ["HH", "HV"]
+    for name in ("HH", "HV"):
+        history = stores.open_phase_history(store).of_channel(name)
+        blocksar.focus(history, tmp_path / name, **SETTINGS)
+        assert digests(tmp_path / name / "image.zarr" / "image" / "c") == digests(
+            run / "channels" / name / "image.zarr" / "image" / "c"
+        )
+        alone = blocksar.open(tmp_path / name)
+        assert np.array_equal(images.image.sel(channel=name).values, alone.image.values, equal_nan=True)
+        assert np.array_equal(images.block.values, alone.block.values)
+    assert not np.array_equal(images.image[0].values, images.image[1].values, equal_nan=True)
+    assert images.sar.db().dims == ("channel", "y", "x")
+    assert images.sar.multilook("2x3").sizes["channel"] == 2
+    with pytest.raises(InputError, match=r"2 channels; choose one, such as ds.sel\(channel='HH'\)"):
+        images.sar.cut(0.0, 0.0)
+
+
+def test_every_channel_is_measured_shown_and_exported(run: Path, tmp_path: Path) -> None:
+    seen = {}
+    for name in ("HH", "HV"):
+        found = blocksar.quality(run, channel=name, reference=True).result
+        seen[name] = {target["name"]: target for target in found["targets"]}
+        assert min(chip["coherence"] for chip in found["reference"]) > 0.99
+    assert list(seen["HH"]) == ["T"] and list(seen["HV"]) == ["T", "D"]
+    assert abs(complex(*seen["HV"]["D"]["value"])) == pytest.approx(1.0, abs=0.05)
+    said = blocksar.export("png", run, tmp_path / "hv.png", channel="hv").summary
+    assert imread(tmp_path / "hv.png").std() > 0.05 and said[-1].endswith("hv.png")
+    with pytest.raises(InputError, match="channel 'VV' is none of"):
+        blocksar.export("png", run, tmp_path / "vv.png", channel="VV")
+    assert blocksar.info(run).result["facts"]["channels"] == "HH, HV"
+
+
+def test_an_interrupted_run_goes_on_to_the_same_bytes(
+    store: Path, run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    share, calls = joint.share_chunk, []
+
+    def fail(*given: Any) -> Any:
+        calls.append(given)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(joint, "share_chunk", fail)
+    with pytest.raises(KeyboardInterrupt):
+        blocksar.focus(store, tmp_path / "run", **SETTINGS)
+    assert json.loads((tmp_path / "run" / "run.json").read_text())["status"] == "unfinished"
+    with pytest.raises(InputError, match="is not finished"):
+        blocksar.open(tmp_path / "run")
+    monkeypatch.setattr(joint, "share_chunk", share)
+    blocksar.focus(store, tmp_path / "run", **SETTINGS)
+    assert digests(tmp_path / "run" / "image.zarr" / "image") == digests(run / "image.zarr" / "image")
+    before = (tmp_path / "run" / "run.json").stat().st_mtime_ns
+    assert "nothing to do" in blocksar.focus(store, tmp_path / "run", **SETTINGS).summary[0]
+    assert (tmp_path / "run" / "run.json").stat().st_mtime_ns == before
+
+
+def test_other_runs_are_not_replaced_unasked(store: Path, run: Path, tmp_path: Path) -> None:
+    with pytest.raises(FolderError, match="holds a run with blocks 1"):
+        blocksar.focus(store, run, **{**SETTINGS, "blocks": 2})
+    history = stores.open_phase_history(store).of_channel("HV")
+    blocksar.focus(history, tmp_path / "run", **SETTINGS)
+    with pytest.raises(FolderError, match="holds a run without channels"):
+        blocksar.focus(store, tmp_path / "run", **SETTINGS)
+    blocksar.focus(store, tmp_path / "run", overwrite=True, **SETTINGS)
+    assert blocksar.open(tmp_path / "run").image.shape[0] == 2
+    rehearsed = blocksar.focus(store, tmp_path / "other", dry_run=True, **SETTINGS)
+    assert "2 channels (HH, HV)" in rehearsed.summary[0] and not (tmp_path / "other").exists()
