@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import importlib
 import sys
+from collections.abc import Callable
+from functools import cache, wraps
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
@@ -57,9 +59,26 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     if name in __all__:
-        home = "errors" if name.endswith("Error") else "api"
-        return getattr(importlib.import_module(f"blocksar.{home}"), name)
+        if name.endswith("Error"):
+            return getattr(importlib.import_module("blocksar.errors"), name)
+        return _in_python(getattr(importlib.import_module("blocksar.api"), name))
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+@cache
+def _in_python(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The same function; its errors name parameters where they would name options of the command line."""
+    from blocksar.errors import InputError, ProcessingError, in_python
+
+    @wraps(function)
+    def call(*arguments: Any, **settings: Any) -> Any:
+        try:
+            return function(*arguments, **settings)
+        except (InputError, ProcessingError) as error:
+            error.args = (in_python(str(error)), *error.args[1:])
+            raise
+
+    return call
 
 
 class _Package(ModuleType):

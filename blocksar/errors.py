@@ -2,12 +2,31 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
+
+FLAGS = ("overwrite", "reference", "dry-run", "raw", "cphd")  # options without a value
+OPTION = re.compile(r"(?<![^\s(\[\"'`>])--([a-z]+(?:-[a-z]+)*)")
 
 
 def printable(text: str) -> str:
     """Return text that is safe on a terminal: unprintable characters except line ends become escape sequences."""
     return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text)
+
+
+def in_python(text: str) -> str:
+    """Return a sentence that names options of the command line with the parameters of Python instead.
+
+    Examples
+    --------
+    >>> in_python("use --overwrite to replace it, or another --out; --memory-limit 2GiB would do")
+    'use overwrite=True to replace it, or another out; memory_limit 2GiB would do'
+    """
+
+    def parameter(match: re.Match[str]) -> str:
+        return match[1].replace("-", "_") + ("=True" if match[1] in FLAGS else "")
+
+    return OPTION.sub(parameter, text)
 
 
 class InputError(ValueError):

@@ -20,7 +20,8 @@ from packaging.requirements import Requirement
 from typer.testing import CliRunner
 
 import blocksar
-from blocksar.cli import commands, parsing
+from blocksar.api import parsing
+from blocksar.cli import commands
 from blocksar.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -46,7 +46,7 @@ from benchmarks.guard import read_bounds, violations
 from benchmarks.scenes import Case, Scale, scene_tables
 from benchmarks.tables import show
 from blocksar import stores
-from blocksar.cli.parsing import parse_blocks, parse_memory
+from blocksar.api.parsing import parse_blocks, parse_memory
 from blocksar.errors import InputError, ProcessingError
 from blocksar.graph.machine import machine
 

@@ -50,8 +50,8 @@ from rich.console import Console
 from rich.table import Table
 
 import blocksar
+from blocksar.api.parsing import parse_grid
 from blocksar.budget import SIDE_LOBE_BUDGET
-from blocksar.cli.parsing import parse_grid
 from blocksar.focusing.method import Chain, Coefficients
 
 MIB = 2**20

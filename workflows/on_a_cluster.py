@@ -45,7 +45,7 @@ from distributed import Client, LocalCluster, Worker
 from distributed.security import Security
 
 import blocksar
-from blocksar.cli.parsing import parse_blocks, parse_grid
+from blocksar.api.parsing import parse_blocks, parse_grid
 from first_image import SCENE
 
 PACKAGES = ["blocksar", "dask", "distributed", "numba", "numpy", "zarr"]

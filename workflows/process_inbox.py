@@ -40,7 +40,8 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from blocksar.cli import endings, options, parsing
+from blocksar.api import parsing
+from blocksar.cli import endings, options
 from blocksar.errors import InputError, ProcessingError
 from blocksar.places import place
 from blocksar.places.local import LocalPlace

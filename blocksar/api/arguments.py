@@ -5,11 +5,15 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+
+import numpy as np
 
 from blocksar import stores
+from blocksar.api.parsing import parse_blocks, parse_grid, parse_memory, quoted, read_grid
 from blocksar.collection.collection import Collection
 from blocksar.collection.grid import Grid
 from blocksar.errors import InputError
@@ -21,14 +25,67 @@ if TYPE_CHECKING:
 
 One: TypeAlias = "Location | xr.Dataset | stores.PhaseHistory"
 Source: TypeAlias = "One | Sequence[One]"
-GridLike = Grid | tuple[tuple[float, float, float], tuple[float, float, float]]
+GridLike = Grid | str | tuple[tuple[float, float, float], tuple[float, float, float]]
 
 
 def grid_of(grid: GridLike | None) -> Grid | None:
-    """Return a Grid; two triples stand for start, end and step (m) in x and in y."""
+    """Return a Grid; two triples, or a text, stand for start, end and step (m) in x and in y.
+
+    Raises
+    ------
+    InputError
+        If the grid cannot be read, or is empty or too large.
+    """
     if grid is None or isinstance(grid, Grid):
         return grid
-    return Grid(*grid[0], *grid[1])
+    x, y = parse_grid(grid) if isinstance(grid, str) else read_grid(grid)
+    return Grid(*x, *y)
+
+
+def memory_of(limit: Any) -> int | None:
+    """Return an amount of memory in bytes, given as that or as a text such as "2GiB".
+
+    Raises
+    ------
+    InputError
+        If it is neither.
+    """
+    if isinstance(limit, str):
+        return parse_memory(limit)
+    if limit is None:
+        return None
+    with suppress(TypeError, ValueError, OverflowError):
+        if (whole := int(limit)) == limit:
+            return whole
+    raise InputError(f'memory_limit is {quoted(limit)}; give a whole number of bytes, or a text such as "2GiB"')
+
+
+def fidelity_of(fidelity: Any) -> float:
+    """Return a fidelity as a number; whether it can be asked for, the plan says.
+
+    Raises
+    ------
+    InputError
+        If it is none.
+    """
+    if isinstance(fidelity, bool) or not isinstance(fidelity, int | float | np.number):
+        raise InputError(f"fidelity is {quoted(fidelity)}; give a number below 1, such as 0.999")
+    return float(fidelity)
+
+
+def blocks_of(blocks: int | str) -> int | Literal["auto"]:
+    """Return a number of blocks, or "auto".
+
+    Raises
+    ------
+    InputError
+        If it is neither.
+    """
+    if isinstance(blocks, str):
+        return parse_blocks(blocks)
+    if isinstance(blocks, bool) or not isinstance(blocks, int | np.integer):
+        raise InputError(f"--blocks {quoted(blocks)} is neither 'auto' nor a whole number; try --blocks auto")
+    return int(blocks)
 
 
 def collection_of(source: One) -> Collection:

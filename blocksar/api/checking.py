@@ -33,8 +33,9 @@ def check(source: Location | xr.Dataset, *, grid: GridLike | None = None, thread
     ----------
     source : path or xarray.Dataset
         Phase-history store, or a dataset of its contract.
-    grid : Grid or ((x0, x1, dx), (y0, y1, dy)), optional
-        Ground to look at, m in the scene frame. Needed if the beam is not steered.
+    grid : Grid, ((x0, x1, dx), (y0, y1, dy)) or str, optional
+        Ground to look at, m in the scene frame; as a text "x0:x1:dx,y0:y1:dy". Default: what the beam lights.
+        Needed if the beam is not steered.
     threads : int, optional
         Default: the number of cores.
 

@@ -83,20 +83,20 @@ def collection(
     beam_axis : (n_pulse, 3) float, optional
         Unit vector, 1, along the antenna's azimuth axis, for a beam about it instead of `beam_azimuth`.
     beam_steering : (n_pulse,) float, optional
-        Angle of the beam's centre off the plane normal to `beam_axis`, rad.
+        Angle of the beam's centre off the plane normal to `beam_axis`, rad. Needed with `beam_axis`.
     beam_offset, beam_pattern : (n,) float, optional
         Two-way amplitude, 1, that is in the signal, over the angle off the beam's centre, rad, ascending.
     elevation, elevation_pattern : (n,) float, optional
         Two-way amplitude, 1, that is in the signal, over the angle of the line of sight below the horizontal, rad.
     noise_power : float, optional
-        Mean squared magnitude of the noise of a sample, the unit of `signal` squared.
+        Mean squared magnitude of the noise of a sample, the unit of `signal` squared. Default: unknown.
     ground_height : float
         Height of the imaged plane in the scene frame, m. Default: 0.
     title : str
         Shown above pictures. Default: none.
     targets : sequence of Target or of mappings, optional
         Known point targets, which `quality` measures: {"name", "x", "y"} with x and y in m in the scene frame, and
-        "reflectivity" if it is not 1.
+        "reflectivity" if it is not 1. Default: none are known.
     georeference : mapping, optional
         Place of the scene frame on the Earth: {"kind": "ENU", "latitude", "longitude", "height"}, in degrees, and in m
         above WGS 84. Default: unknown.

@@ -30,7 +30,7 @@ def demo(
     *,
     workers: int | None = None,
     threads: int | None = None,
-    memory_limit: int | None = None,
+    memory_limit: int | str | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
     performance_report: str | Path | None = None,
@@ -48,15 +48,15 @@ def demo(
         Processes of the local cluster. Default: the number of cores, at most 4.
     threads : int, optional
         Threads of each worker. Default: cores / workers, at least 1.
-    memory_limit : int, optional
-        Memory of each worker, bytes. Default: its share of the machine's memory.
+    memory_limit : int or str, optional
+        Memory of each worker, bytes or a text such as "2GiB". Default: its share of the machine's memory.
     overwrite : bool
         Simulate and focus anew. Default: False.
     progress : object with a method update(stage, done, total), or False, optional
         Called with the name of the stage (str) and the numbers of finished and of all units (int). A
         `blocksar.progress.Listener` receives more. Default: bars in a notebook, silence elsewhere; False: silence.
     performance_report : path, optional
-        HTML file for dask's performance report, also written if the run fails.
+        HTML file for dask's performance report, also written if the run fails. Default: none.
 
     Returns
     -------

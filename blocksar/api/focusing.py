@@ -11,13 +11,14 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, nullcontext
 from dataclasses import replace
+from inspect import signature
 from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from blocksar import stores
-from blocksar.api.arguments import GridLike, Source, grid_of
+from blocksar.api.arguments import GridLike, Source, blocks_of, fidelity_of, grid_of, memory_of
 from blocksar.api.findings import add_findings
 from blocksar.api.jobs import Job, Request
 from blocksar.api.joint import channels_of, focus_channels
@@ -81,7 +82,7 @@ def focus(
     vertical: str | None = None,
     workers: int | None = None,
     threads: int | None = None,
-    memory_limit: int | None = None,
+    memory_limit: int | str | None = None,
     scheduler: str | None = None,
     overwrite: bool = False,
     dry_run: bool = False,
@@ -122,9 +123,9 @@ def focus(
     range_model : {"polar", "conventional"}
         "conventional": substituted variables after range-walk correction; needs `coefficients="closed-form"`. Default:
         "polar".
-    grid : Grid or ((x0, x1, dx), (y0, y1, dy)), optional
-        Image points x0, x0 + dx, ... < x1 in m in the scene frame, likewise y. Default: the box around the lit sector
-        at about half the resolution. Needed if the beam is not steered.
+    grid : Grid, ((x0, x1, dx), (y0, y1, dy)) or str, optional
+        Image points x0, x0 + dx, ... < x1 in m in the scene frame, likewise y; as a text "x0:x1:dx,y0:y1:dy". Default:
+        the box around the lit sector at about half the resolution. Needed if the beam is not steered.
     terrain : path, optional
         Heights of the ground: zarr or netCDF with `height` (y, x) in m of the scene frame, or a GeoTIFF in any
         coordinate reference system, which needs a georeference. Default: the plane z = ground_height.
@@ -132,14 +133,14 @@ def focus(
         "ellipsoid": WGS 84 at ground_height, which needs a georeference. Default: "plane".
     vertical : str, optional
         What a GeoTIFF's heights are measured from, if it does not say so: "ellipsoid", "egm96" or "egm2008"; or
-        "egm2008:FILE" with the geoid's grid.
+        "egm2008:FILE" with the geoid's grid. Needed for such a file only.
     workers : int, optional
         Processes of the local cluster; 0: the calling process does the work, without a cluster. Default: the number of
         cores, at most 4; in a notebook or another interactive session 0 for a collection of at most 2**24 samples.
     threads : int, optional
         Threads of each worker. Default: cores / workers, at least 1.
-    memory_limit : int, optional
-        Memory of each worker, bytes. Default: its share of the machine's memory.
+    memory_limit : int or str, optional
+        Memory of each worker, bytes or a text such as "2GiB". Default: its share of the machine's memory.
     scheduler : str, optional
         Address of a running dask scheduler, used instead of a local cluster.
     overwrite : bool
@@ -150,7 +151,7 @@ def focus(
         Called with the name of the stage (str) and the numbers of finished and of all units (int). A
         `blocksar.progress.Listener` receives more. Default: bars in a notebook, silence elsewhere; False: silence.
     performance_report : path, optional
-        HTML file for dask's performance report of this call, also written if the run fails.
+        HTML file for dask's performance report of this call, also written if the run fails. Default: none.
     client : distributed.Client, optional
         Client of a running cluster, used instead of a local cluster.
 
@@ -166,10 +167,11 @@ def focus(
     ProcessingError
         If processing fails; finished work stays, and the same call resumes.
     """
+    listener, memory_limit = as_listener(progress), memory_of(memory_limit)
+    resources(workers, threads, memory_limit)  # refuses wrong numbers before anything is read
     arguments = dict(locals())
     if (histories := channels_of(source)) is not None:
-        return focus_channels(focus, histories, arguments)
-    listener = as_listener(progress)
+        return focus_channels(focus, histories, {name: arguments[name] for name in signature(focus).parameters})
     profile = None if performance_report is None else Path(performance_report)
     method = method_of(
         processor,
@@ -183,8 +185,8 @@ def focus(
         source,
         place(out),
         method=method,
-        blocks=blocks,
-        fidelity=fidelity,
+        blocks=blocks_of(blocks),
+        fidelity=fidelity_of(fidelity),
         weighting=Weighting.parse(weighting, weighting_range, weighting_azimuth),
         grid=grid_of(grid),
         overwrite=overwrite,

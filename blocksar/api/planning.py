@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from blocksar.api import definitions
-from blocksar.api.arguments import GridLike, Source, collections_of, grid_of
+from blocksar.api.arguments import GridLike, Source, blocks_of, collections_of, fidelity_of, grid_of, memory_of
 from blocksar.api.reports import Table
 from blocksar.api.shown import PlanReport
 from blocksar.budget import FIDELITY
@@ -66,7 +66,7 @@ def plan(
     range_model: RangeModel = "polar",
     grid: GridLike | None = None,
     workers: int | None = None,
-    memory_limit: int | None = None,
+    memory_limit: int | str | None = None,
 ) -> PlanReport:
     """Predict how a collection would be focused, and how sharp the image would be. Reads no samples.
 
@@ -98,13 +98,13 @@ def plan(
     range_model : {"polar", "conventional"}
         "conventional": substituted variables after range-walk correction; needs `coefficients="closed-form"`. Default:
         "polar".
-    grid : Grid or ((x0, x1, dx), (y0, y1, dy)), optional
-        Image points x0, x0 + dx, ... < x1 in m in the scene frame, likewise y. Default: the box around the lit sector
-        at about half the resolution. Needed if the beam is not steered.
+    grid : Grid, ((x0, x1, dx), (y0, y1, dy)) or str, optional
+        Image points x0, x0 + dx, ... < x1 in m in the scene frame, likewise y; as a text "x0:x1:dx,y0:y1:dy". Default:
+        the box around the lit sector at about half the resolution. Needed if the beam is not steered.
     workers : int, optional
         Worker processes to plan for. Default: the number of cores, at most 4.
-    memory_limit : int, optional
-        Memory of each worker, bytes. Default: its share of the machine's memory.
+    memory_limit : int or str, optional
+        Memory of each worker, bytes or a text such as "2GiB". Default: its share of the machine's memory.
 
     Returns
     -------
@@ -133,8 +133,9 @@ def plan(
             f"{' and '.join(method.departures)}: processor auto compares processors as they are; leave it out"
         )
     tapers = Weighting.parse(weighting, weighting_range, weighting_azimuth)
-    collections, points = collections_of(source), grid_of(grid)
-    assumed = resources(workers, None, memory_limit)
+    points, n_blocks, least = grid_of(grid), blocks_of(blocks), fidelity_of(fidelity)
+    assumed = resources(workers, None, memory_of(memory_limit))
+    collections = collections_of(source)
     if method is None:
         return _plan_backprojection(collections, points, assumed)
 
@@ -143,8 +144,8 @@ def plan(
         by: Method = method,
     ) -> Plan:  # fmt: skip
         return plan_collection(
-            collection, blocks=like.blocks if like else blocks, parts=like.parts if like else "auto",
-            fidelity=fidelity, weighting=tapers, method=by, grid=grid, owned=owned, workers=assumed.workers,
+            collection, blocks=like.blocks if like else n_blocks, parts=like.parts if like else "auto",
+            fidelity=least, weighting=tapers, method=by, grid=grid, owned=owned, workers=assumed.workers,
             memory_limit=assumed.memory_limit,
         )  # fmt: skip
 

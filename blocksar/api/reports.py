@@ -8,6 +8,7 @@ from functools import partial
 from typing import Any
 
 from blocksar.api.rendering import Table, html_report, text_table
+from blocksar.errors import in_python
 from blocksar.progress import Wanted as Progress
 from blocksar.progress import as_listener
 
@@ -65,13 +66,14 @@ class Report:
         return " ".join(self.tables[0][0]) if self.tables else "nothing to say"
 
     def __repr__(self) -> str:
-        text = f"{type(self).__name__}: {self.headline()}"
+        text = in_python(f"{type(self).__name__}: {self.headline()}")
         return f"<{text if len(text) <= LONGEST else text[: LONGEST - 3] + '...'}>"
 
     def __str__(self) -> str:
-        return "\n\n".join([*map(text_table, self.tables), "\n".join(self.summary)]).strip() or repr(self)
+        text = "\n\n".join([*map(text_table, self.tables), "\n".join(self.summary)]).strip()
+        return in_python(text) or repr(self)
 
     def _repr_html_(self) -> str:
         headline = self.headline()
         rest = [line for line in self.summary if line != headline]
-        return html_report(headline, self.tables, rest, self.details, self.definitions)
+        return in_python(html_report(headline, self.tables, rest, self.details, self.definitions))

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
+from blocksar.api.parsing import parse_grid, parse_memory, parse_origin
 from blocksar.budget import FIDELITY
 from blocksar.cli.configuration import ConfigOption, PrintConfig, configuration
 from blocksar.cli.display import hint, show
@@ -47,7 +48,6 @@ from blocksar.cli.options import (
     method_options,
     parse_settings,
 )
-from blocksar.cli.parsing import parse_grid, parse_memory, parse_origin
 from blocksar.focusing.method import PlannedProcessor
 from blocksar.garbage import collect_seldom
 from blocksar.version import __version__

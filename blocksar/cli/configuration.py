@@ -11,8 +11,8 @@ from typing import Annotated, Any
 
 import typer
 
+from blocksar.api.parsing import quoted
 from blocksar.cli.endings import UsageError
-from blocksar.cli.parsing import quoted
 from blocksar.errors import InputError
 from blocksar.version import __version__
 

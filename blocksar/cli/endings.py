@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 import typer
 from typer.core import TyperGroup
 
-from blocksar.cli.parsing import quoted
+from blocksar.api.parsing import quoted
 from blocksar.errors import InputError, ProcessingError, UnsupportedSystem
 from blocksar.progress import abandon
 

@@ -9,7 +9,7 @@ from typing import Annotated, Literal, TypedDict, get_args, get_type_hints
 
 import typer
 
-from blocksar.cli.parsing import Axis, parse_blocks, parse_grid, parse_memory
+from blocksar.api.parsing import Axis, parse_blocks, parse_grid, parse_memory
 from blocksar.collection.terrain import Surface
 from blocksar.focusing.method import Coefficients, Method, Processor
 

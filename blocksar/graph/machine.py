@@ -6,6 +6,7 @@ import math
 import os
 from contextlib import suppress
 from functools import lru_cache
+from numbers import Integral
 from pathlib import Path
 from time import perf_counter
 from typing import NamedTuple
@@ -69,6 +70,8 @@ def resources(workers: int | None, threads: int | None, memory_limit: int | None
     """
     cores, memory = machine()
     for name, value, least in (("workers", workers, 0), ("threads", threads, 1)):
+        if value is not None and not isinstance(value, Integral):
+            raise InputError(f"{name} is {value!r}; give a whole number of at least {least}")
         if value is not None and value < least:
             raise InputError(f"{name} must be at least {least}, got {value}")
     workers = min(cores, 4) if workers is None else max(workers, 1)

@@ -196,8 +196,7 @@ class SarAccessor:
         Parameters
         ----------
         x, y : pair of float or None
-            Lower and upper end, m; None for the image's own end.
-
+            Lower and upper end, m; None for the image's own end. Default: (None, None).
 
         Raises
         ------
@@ -253,7 +252,7 @@ class SarAccessor:
         Parameters
         ----------
         ax : Axes, optional
-            Where to draw; a new pyplot figure by default.
+            Where to draw. Default: a new pyplot figure.
 
         Raises
         ------
@@ -288,11 +287,11 @@ class SarAccessor:
         x, y : float
             Middle of the cut, m.
         azimuth : float, optional
-            Direction in degrees, from the x axis towards the y axis; along x if None.
+            Direction in degrees, from the x axis towards the y axis. Default: along x.
         length : float
-            From end to end, m.
+            From end to end, m. Default: 20.
         samples : int
-            Number of points.
+            Number of points. Default: 401.
 
         Returns
         -------

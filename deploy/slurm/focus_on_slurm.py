@@ -26,7 +26,8 @@ import typer
 
 import blocksar
 from blocksar import stores
-from blocksar.cli import display, endings, options, parsing
+from blocksar.api import parsing
+from blocksar.cli import display, endings, options
 from blocksar.errors import InputError, ProcessingError
 from blocksar.progress import Progress
 

@@ -15,7 +15,8 @@ from rich.console import Console
 from typer.testing import CliRunner, Result
 
 import blocksar
-from blocksar.cli import commands, display, endings, parsing
+from blocksar.api import parsing
+from blocksar.cli import commands, display, endings
 from blocksar.errors import InputError, ProcessingError
 from blocksar.progress import PLAIN_STEPS, Progress
 

@@ -209,7 +209,7 @@ def test_a_plan_that_was_altered_is_refused(
     record = json.loads((unfinished / "run.json").read_text())
     (unfinished / "run.json").write_text(json.dumps(record | {"plan": record["plan"] | plan}))
     before = contents(unfinished)
-    with pytest.raises(InputError, match=r"run\.json.*--overwrite"):
+    with pytest.raises(InputError, match=r"run\.json.*overwrite=True"):
         blocksar.focus(original, unfinished, blocks=2, grid=GRID, client=client)
     assert contents(unfinished) == before
 
@@ -218,7 +218,7 @@ def test_a_run_without_its_record_can_be_begun_again(
     original: Path, right: str, client: Client, unfinished: Path
 ) -> None:
     (unfinished / "run.json").unlink()
-    with pytest.raises(InputError, match=r"unfinished run without its run\.json; use --overwrite"):
+    with pytest.raises(InputError, match=r"unfinished run without its run\.json; use overwrite=True"):
         blocksar.focus(original, unfinished, blocks=2, grid=GRID, client=client)
     blocksar.focus(original, unfinished, blocks=2, grid=GRID, client=client, overwrite=True)
     assert checksum(unfinished) == right

@@ -50,7 +50,7 @@ def test_a_finished_run_is_not_computed_again(store: Path, client: Client, tmp_p
     report = blocksar.focus(store, run, blocks=3, grid=GRID, client=client)
     assert "nothing to do" in report.summary[0]
     assert before == {p: p.stat().st_mtime_ns for p in run.rglob("*") if p.is_file()}
-    with pytest.raises(InputError, match=r"blocks 3.*--overwrite"):
+    with pytest.raises(InputError, match=r"blocks 3.*overwrite=True"):
         blocksar.focus(store, run, blocks=2, grid=GRID, client=client)
     (run / "report.html").write_text("of the run before")
     blocksar.focus(store, run, blocks=2, grid=GRID, client=client, overwrite=True)

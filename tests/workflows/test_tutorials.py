@@ -26,7 +26,7 @@ from repository import ROOT
 
 import blocksar
 from blocksar import stores
-from blocksar.cli.parsing import parse_grid
+from blocksar.api.parsing import parse_grid
 from blocksar.simulation.scene import Scene
 
 WORKFLOWS = ROOT / "workflows"

@@ -1,14 +1,16 @@
-"""Parsing of option values: grids, memory sizes, origins, numbers of blocks."""
+"""Parsing of values as people write them: grids, memory sizes, origins, numbers of blocks; for Python and commands."""
 
 from __future__ import annotations
 
 import math
 import re
 import reprlib
-from typing import Literal
+from collections.abc import Sequence
+from typing import Any, Literal
 
 from blocksar.errors import InputError
 
+EXAMPLE = "give --grid x0:x1:dx,y0:y1:dy in metres, such as --grid -2500:2500:1,18000:23000:1"
 Axis = tuple[float, float, float]  # first point, end (exclusive) and spacing
 
 
@@ -29,28 +31,52 @@ def parse_grid(text: str) -> tuple[Axis, Axis]:
     >>> parse_grid("-100:100:0.5,18e3:20e3:1")
     ((-100.0, 100.0, 0.5), (18000.0, 20000.0, 1.0))
     """
-    example = "give --grid x0:x1:dx,y0:y1:dy in metres, such as --grid -2500:2500:1,18000:23000:1"
     axes = text.split(",")
     if len(axes) != 2:
-        raise InputError(f"--grid {quoted(text)} has {len(axes)} axes instead of two; {example}")
-    x, y = (_parse_axis(name, axis, example) for name, axis in zip("xy", axes, strict=True))
+        raise InputError(f"--grid {quoted(text)} has {len(axes)} axes instead of two; {EXAMPLE}")
+    x, y = (_parse_axis(name, axis.split(":"), axis) for name, axis in zip("xy", axes, strict=True))
     return x, y
 
 
-def quoted(text: str) -> str:
+def read_grid(grid: Any) -> tuple[Axis, Axis]:
+    """Check a grid given as ((x0, x1, dx), (y0, y1, dy)) in m.
+
+    Raises
+    ------
+    InputError
+        As `parse_grid`.
+
+    Examples
+    --------
+    >>> read_grid([[-100, 100, 0.5], [18e3, 20e3, 1]])
+    ((-100.0, 100.0, 0.5), (18000.0, 20000.0, 1.0))
+    """
+    try:
+        first, second = grid
+        axes = {"x": list(first), "y": list(second)}
+    except (TypeError, ValueError):
+        raise InputError(
+            f"--grid {quoted(grid)} is not two axes of three numbers; give ((x0, x1, dx), (y0, y1, dy)) in metres, or "
+            "a text such as -2500:2500:1,18000:23000:1"
+        ) from None
+    x, y = (_parse_axis(name, axis, axis) for name, axis in axes.items())
+    return x, y
+
+
+def quoted(text: object) -> str:
     """Quote user input for a message, shortened to 80 characters."""
     short = reprlib.Repr()
-    short.maxstring = 80
+    short.maxstring = short.maxother = 80
     return short.repr(text)
 
 
-def _parse_axis(name: str, text: str, example: str) -> Axis:
+def _parse_axis(name: str, numbers: Sequence[Any], shown: object) -> Axis:
     try:
-        first, end, step = (float(number) for number in text.split(":"))
-    except ValueError:
-        raise InputError(f"--grid has {quoted(text)} for {name}, which is not three numbers; {example}") from None
+        first, end, step = (float(number) for number in numbers)
+    except (TypeError, ValueError):
+        raise InputError(f"--grid has {quoted(shown)} for {name}, which is not three numbers; {EXAMPLE}") from None
     if not all(map(math.isfinite, (first, end, step))):
-        raise InputError(f"--grid has {quoted(text)} for {name}, which is not finite; {example}")
+        raise InputError(f"--grid has {quoted(shown)} for {name}, which is not finite; {EXAMPLE}")
     if step <= 0:
         raise InputError(f"--grid has a spacing of {step:g} m for {name}; give one above zero")
     if end <= first:

@@ -1,0 +1,99 @@
+"""Every parameter of the public functions and methods is documented: its shape, its unit and its default."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+import blocksar
+from blocksar import api
+from blocksar.api.shown import PlanReport, RunReport
+from blocksar.products.dataset import SarAccessor
+
+FUNCTIONS = {
+    name: getattr(api, name) for name in [*blocksar.__all__, "ingest_cphd", "ingest_gotcha", "demo"]
+    if inspect.isfunction(getattr(api, name, None))
+}  # fmt: skip
+METHODS = {
+    f"{owner.__name__}.{name}": method
+    for owner in (SarAccessor, PlanReport, RunReport)
+    for name, method in vars(owner).items()
+    if inspect.isfunction(method) and not name.startswith("_")
+}
+UNIT = re.compile(r"(?<!\w)(m|s|Hz|Hz/s|rad|degrees|dB|1|m in|unit|[Bb]ytes|[Cc]oherence)(?!\w)")
+Entry = tuple[str, str]  # type, description
+
+
+def entries(function: Callable[..., Any]) -> dict[str, Entry]:
+    """Type and description of every parameter, by name, from the section of the docstring."""
+    text = inspect.getdoc(function) or ""
+    section = re.search(r"^Parameters\n-+\n(.*?)(?=^\w+\n---|\Z)", text, re.M | re.S)
+    found: dict[str, Entry] = {}
+    for names, kind, body in re.findall(
+        r"^(\S[^\n]*?)(?: : ([^\n]+))?\n((?:    [^\n]*\n|\n)+)", (section or [""] * 2)[1] + "\n", re.M
+    ):
+        for name in names.split(", "):
+            found[name.strip("*")] = (kind, " ".join(body.split()))
+    return found
+
+
+def parameters(function: Callable[..., Any]) -> list[inspect.Parameter]:
+    return [p for p in inspect.signature(function).parameters.values() if p.name != "self"]
+
+
+CASES = [
+    pytest.param(function, parameter, id=f"{name}-{parameter.name}")
+    for name, function in {**FUNCTIONS, **METHODS}.items()
+    for parameter in parameters(function)
+]
+
+
+def test_all_public_functions_are_looked_at() -> None:
+    assert {"collection", "write", "focus", "plan", "quality", "open", "simulate"} <= set(FUNCTIONS)
+    assert {"SarAccessor.cut", "PlanReport.plot", "RunReport.plot"} <= set(METHODS)
+
+
+@pytest.mark.parametrize("name", [*FUNCTIONS, *METHODS])
+def test_nothing_is_documented_that_is_not_there(name: str) -> None:
+    function = {**FUNCTIONS, **METHODS}[name]
+    assert set(entries(function)) <= {p.name for p in parameters(function)}
+
+
+@pytest.mark.parametrize(("function", "parameter"), CASES)
+def test_a_parameter_has_type_and_meaning(function: Callable[..., Any], parameter: inspect.Parameter) -> None:
+    kind, meaning = entries(function)[parameter.name]
+    assert kind or parameter.kind is inspect.Parameter.VAR_KEYWORD
+    assert len(meaning) >= 2
+
+
+@pytest.mark.parametrize(("function", "parameter"), CASES)
+def test_a_default_is_stated_and_true(function: Callable[..., Any], parameter: inspect.Parameter) -> None:
+    kind, meaning = entries(function)[parameter.name]
+    default = parameter.default
+    if default is inspect.Parameter.empty:
+        assert "optional" not in kind and "Default" not in meaning
+    elif default is None:
+        assert "optional" in kind
+        assert re.search(r"Default: |\(default\)|Needed|Only for|instead|over the (band|dwell)|that is in the", meaning)
+    else:
+        assert "optional" not in kind
+        stated = re.search(r"Default: (\"[^\"]*\"|\([^)]*\)|[\w.*+-]*\w)", meaning)
+        if isinstance(default, int | float) and not isinstance(default, bool):
+            assert stated and float(stated[1]) == default
+        elif isinstance(default, str) and default:
+            assert (stated and stated[1] == f'"{default}"') or f'"{default}" (default)' in meaning
+        else:
+            assert stated and stated[1] == ("none" if default == "" else repr(default))
+
+
+@pytest.mark.parametrize(("function", "parameter"), CASES)
+def test_numbers_have_units_and_arrays_shapes(function: Callable[..., Any], parameter: inspect.Parameter) -> None:
+    kind, meaning = entries(function)[parameter.name]
+    if re.search(r"\bfloat\b|\bcomplex\b", kind) and not kind.startswith("{"):
+        assert UNIT.search(meaning), meaning
+    if "ArrayLike" in str(parameter.annotation):
+        assert re.match(r"\((n\w*),( (n\w+|3))?\) (float|complex)", kind), kind

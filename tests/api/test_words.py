@@ -1,0 +1,103 @@
+"""Python takes what the command line takes, and says the same of wrong input, in its own words."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import xarray as xr
+from arrays import arrays
+from typer.testing import CliRunner
+
+import blocksar
+from blocksar.api.arguments import blocks_of, grid_of, memory_of
+from blocksar.cli import commands
+from blocksar.collection.grid import Grid
+from blocksar.errors import InputError, in_python
+
+
+@pytest.fixture(scope="module")
+def dataset() -> xr.Dataset:
+    return blocksar.collection(**arrays())
+
+
+@pytest.fixture(scope="module")
+def store(dataset: xr.Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return Path(str(blocksar.write(dataset, tmp_path_factory.mktemp("store") / "ph.zarr")))
+
+
+def test_texts_stand_for_values() -> None:
+    assert grid_of("-60:60:0.5,1e3:2e3:1") == Grid(-60, 60, 0.5, 1000, 2000, 1)
+    assert grid_of(((-60, 60, 0.5), [1e3, 2e3, 1])) == Grid(-60, 60, 0.5, 1000, 2000, 1)  # type: ignore[arg-type]
+    assert memory_of("2GiB") == memory_of(2**31) == memory_of(float(2**31)) == 2**31
+    assert blocks_of("3") == blocks_of(3) == 3 and blocks_of("auto") == "auto"
+
+
+@pytest.mark.parametrize(
+    ("setting", "value"),
+    [
+        ("grid", "-60:60"),
+        ("grid", "a:b:c,0:1:1"),
+        ("grid", "5:5:1,0:1:1"),
+        ("grid", "0:1:-1,0:1:1"),
+        ("grid", "0:inf:1,0:1:1"),
+        ("memory_limit", "lots"),
+        ("memory_limit", "1e30T"),
+        ("blocks", "many"),
+        ("blocks", "0"),
+        ("weighting", "taylor"),
+    ],
+)
+def test_both_say_the_same(setting: str, value: str, store: Path) -> None:
+    option = f"--{setting.replace('_', '-')}={value}"
+    ended = CliRunner().invoke(commands.app, ["plan", str(store), option])
+    assert ended.exit_code == 2
+    with pytest.raises(InputError) as caught:
+        blocksar.plan(store, **{setting: value})  # type: ignore[arg-type]
+    said = " ".join(ended.stderr.removeprefix("blocksar: ").split())
+    assert str(caught.value) == in_python(said)
+    assert "--" not in str(caught.value)
+
+
+WRONG: dict[str, tuple[dict[str, Any], str]] = {
+    "a grid of three numbers": ({"grid": (-60, 60, 0.5)}, r"^grid \(-60, 60, 0.5\) is not two axes of three numbers;"),
+    "a grid of points": ({"grid": ([0, 1, 2, 3], [0, 1, 2])}, r"^grid has \[0, 1, 2, 3\] for x, which is not"),
+    "an empty grid": ({"grid": ((5, 5, 1), (0, 1, 1))}, r"^grid is empty: x runs from 5 to 5 m; give an end above"),
+    "half a block": ({"blocks": 2.5}, r"^blocks 2\.5 is neither 'auto' nor a whole number"),
+    "half a byte": ({"memory_limit": 0.5}, r'^memory_limit is 0\.5; give a whole number of bytes, or a text'),
+    "a list of memory": ({"memory_limit": [1]}, r"^memory_limit is \[1\]; give"),
+    "a fidelity in words": ({"fidelity": "high"}, r"^fidelity is 'high'; give a number below 1, such as 0\.999$"),
+    "workers in words": ({"workers": "2"}, r"^workers is '2'; give a whole number of at least 0"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_values_of_the_wrong_kind_are_refused(case: str, dataset: xr.Dataset, tmp_path: Path) -> None:
+    settings, message = WRONG[case]
+    for call in (blocksar.plan, lambda source, **kw: blocksar.focus(source, tmp_path / "run", **kw)):
+        with pytest.raises(InputError, match=message):
+            call(dataset, **settings)
+    assert not (tmp_path / "run").exists()
+
+
+def test_an_error_speaks_of_parameters(dataset: xr.Dataset, tmp_path: Path) -> None:
+    small: dict[str, Any] = {"grid": "-10:10:1,-10:10:1", "workers": 0}
+    blocksar.focus(dataset, tmp_path / "run", **small)
+    with pytest.raises(InputError, match=r"use overwrite=True to replace it, or another out$"):
+        blocksar.focus(dataset, tmp_path / "run", blocks=1, **small)
+    with pytest.raises(InputError, match=r"so give grid x0:x1:dx,y0:y1:dy for the ground to image$"):
+        blocksar.plan(blocksar.collection(**arrays(steered=False)))
+
+
+def test_a_report_speaks_of_parameters(dataset: xr.Dataset) -> None:
+    report = blocksar.plan(dataset, blocks=1)
+    assert any("--blocks" in line for line in report.summary)
+    assert "--" not in str(report) and "--" not in report._repr_html_()
+
+
+def test_functions_keep_their_names_and_signatures() -> None:
+    from blocksar import api
+
+    assert blocksar.focus.__doc__ == api.focus.__doc__ and blocksar.focus.__name__ == "focus"
+    assert blocksar.focus is blocksar.focus
