@@ -182,7 +182,13 @@ def check_reference(names: dict[str, Any]) -> None:
     assert 0.5 < float(abs(names["image"]).max()) < 1.1  # the target has reflectivity 1 and lies between pixels
 
 
+def check_arrays(names: dict[str, Any]) -> None:
+    assert names["run"].open()["image"].sel(x=30, y=-24).item() == pytest.approx(1, abs=0.01)
+    assert Path("arrays.png").stat().st_size > 10_000
+
+
 CHECKS: dict[str, Callable[[dict[str, Any]], None]] = {
+    "README.md": check_arrays,
     "blocksar/products/README.md": check_xarray,
     "blocksar/stores/README.md": check_own_data,
     "deploy/site/pages/reference.md": check_reference,

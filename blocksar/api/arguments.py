@@ -174,7 +174,7 @@ def history_of(source: One) -> stores.PhaseHistory:
         return source
     if isinstance(source, str | os.PathLike | Place):
         return stores.open_phase_history(source)
-    if _is_dataset(source):
+    if is_dataset(source):
         return stores.history_of(source)
     what = f"{type(source).__module__.partition('.')[0]}.{type(source).__name__}".removeprefix("builtins.")
     raise InputError(
@@ -183,6 +183,7 @@ def history_of(source: One) -> stores.PhaseHistory:
     )
 
 
-def _is_dataset(source: object) -> bool:
+def is_dataset(source: object) -> bool:
+    """Tell whether something is a dataset of xarray."""
     xarray = sys.modules.get("xarray")  # who has a dataset has loaded it
     return xarray is not None and isinstance(source, xarray.Dataset)

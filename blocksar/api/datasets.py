@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from blocksar import stores
+from blocksar.api.arguments import is_dataset
 from blocksar.collection.georeference import Georeference
 from blocksar.errors import InputError
 from blocksar.measurement.targets import Target
@@ -112,6 +113,7 @@ def collection(
         If an array has the wrong shape, kind or unit, something needed is missing, or no sample is finite.
     """
     _check_samples(signal, echo, range_frequency, fast_time)
+    _check_reference(reference_range)
     if np.ndim(reference_range) == 0:
         reference_range = np.broadcast_to(np.asarray(reference_range), np.shape(time)[:1])
     variables = {
@@ -150,6 +152,19 @@ def _check_samples(signal: Any, echo: Any, range_frequency: Any, fast_time: Any)
             raise InputError(f"{other} is given, but {name} lies over {axis}; leave {other} out")
 
 
+def _check_reference(reference_range: Any) -> None:
+    """Check that the reference range is one: zero would be right for samples that no range window can hold."""
+    try:
+        least = float(np.nanmin(np.asarray(reference_range, np.float64)))
+    except (TypeError, ValueError):
+        return  # said later, with the shape
+    if least <= 0:
+        raise InputError(
+            f"reference_range is {least:g} m; give R0, the range of the middle of the swath, and multiply samples "
+            "whose phase nobody has removed by exp(4j pi (carrier_frequency + range_frequency) R0 / c)"
+        )
+
+
 def _target_record(target: Target | Mapping[str, Any]) -> dict[str, Any]:
     known = target if isinstance(target, Target) else Target.from_record(target)
     sigma = complex(known.reflectivity)
@@ -178,6 +193,8 @@ def write(source: xr.Dataset, out: Location, *, overwrite: bool = False) -> Path
     InputError
         If the dataset departs from the contract, it was opened from `out`, or `out` exists and `overwrite` is False.
     """
+    if not is_dataset(source):
+        raise InputError(f"source is a {type(source).__name__}; give a dataset, which blocksar.collection builds")
     history, target = stores.history_in_memory(source), place(out)
     opened = source.encoding.get("source")
     if opened is not None and str(place(opened)) == str(target):

@@ -51,7 +51,7 @@ RANGES_COMPARED = (("near", 0.1), ("middle", 0.5), ("far", 0.9))  # name, share 
 def quality(
     run: Location,
     *,
-    targets: Location | Sequence[Target] | None = None,
+    targets: Location | Sequence[Target | Mapping[str, Any]] | None = None,
     reference: bool = False,
     found: int = 0,
     area: str | tuple[tuple[float, float], tuple[float, float]] | None = None,
@@ -63,7 +63,7 @@ def quality(
     ----------
     run : path
         Folder of a finished run.
-    targets : path or sequence of Target, optional
+    targets : path, or sequence of Target or of mappings, optional
         JSON or CSV file of "name", "x", "y" and "reflectivity", scene file (TOML), or the targets themselves; x and y
         in m in the scene frame. Or a GeoJSON file of points, for runs with a georeference. Default: the targets that
         the collection was simulated with.
@@ -98,7 +98,7 @@ def quality(
 
 def measure(
     folder: Place,
-    targets: Location | Sequence[Target] | None,
+    targets: Location | Sequence[Target | Mapping[str, Any]] | None,
     reference: bool,
     *,
     found: int = 0,
@@ -173,7 +173,7 @@ def _add_scenery(run: FinishedRun, result: dict[str, Any], lines: list[str], fou
 
 
 def targets_of(
-    targets: Location | Sequence[Target] | None, attrs: Mapping[str, Any], run: FinishedRun | None = None
+    targets: Location | Sequence[Target | Mapping[str, Any]] | None, attrs: Mapping[str, Any], run: FinishedRun | None = None
 ) -> list[Target]:
     """Read targets from a file; by default, from the attributes of a collection. GeoJSON needs the run.
 
@@ -185,7 +185,10 @@ def targets_of(
     if targets is None:
         return [Target.from_record(record) for record in attrs.get("targets") or []]
     if not isinstance(targets, str | os.PathLike | Place):
-        return list(targets)
+        if not isinstance(targets, Sequence):
+            raise InputError(f"targets is a {type(targets).__name__}; give a file, or a list of targets")
+        listed: Sequence[Any] = targets
+        return [target if isinstance(target, Target) else Target.from_record(target) for target in listed]
     path = place(targets)
     if path.name.endswith(".toml"):
         return [Target(*t) for t in Scene.read(str(path)).point_targets()]

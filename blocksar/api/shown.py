@@ -78,6 +78,15 @@ class RunReport(Report):
 
     folder: Place | None = None
 
+    def __fspath__(self) -> str:
+        """The run folder: a report stands for it wherever a run is asked for."""
+        return str(self._focused())
+
+    def _focused(self) -> Place:
+        if self.folder is None:
+            raise InputError("nothing was focused in this call; give the folder of a run")
+        return self.folder
+
     def open(self) -> xr.Dataset:
         """Open the image, as `blocksar.open` does.
 
@@ -86,11 +95,9 @@ class RunReport(Report):
         InputError
             If the run is gone, or nothing was focused.
         """
-        if self.folder is None:
-            raise InputError("nothing was focused in this call; open the run by its folder with blocksar.open")
         from blocksar.api.exporting import open as open_image  # with all products
 
-        return open_image(self.folder)
+        return open_image(self._focused())
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the image in decibels, as `open().sar.plot` does.

@@ -33,7 +33,12 @@ def place(path: Location) -> Place:
     """
     if isinstance(path, Place):
         return path
-    text = os.fspath(path)
+    try:
+        text = os.fspath(path)
+    except TypeError:
+        raise InputError(
+            f"a path is needed, but a {type(path).__name__} was given; give a str or a pathlib.Path"
+        ) from None
     if "\0" in text:
         raise InputError(f"{text} is not a valid name: it contains a zero byte; remove that")
     if (url := re.fullmatch(r"s3://([^/]*)/*(.*?)/*", text, re.DOTALL)) is None:

@@ -222,6 +222,10 @@ def dataset_of(variables: Mapping[str, Any], attrs: Mapping[str, Any]) -> xr.Dat
     for name in AXES:
         if name in given:
             given[name] = _array(name, given[name])
+            if given[name].ndim != 1:
+                raise InputError(
+                    f"{name} has shape {given[name].shape}, but must be an axis: one value for each sample along it"
+                )
             lengths[SCHEMA[name].dims[0]] = (given[name].size, name)
     made = {}
     for name, value in given.items():

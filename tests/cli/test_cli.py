@@ -282,9 +282,9 @@ def test_plan_prints_its_refusal_after_the_table(api: Calls) -> None:
 
 # A separate process receives real signals: its `plan` prints a line when it runs, then waits.
 WAITING = """
-import signal, sys, time, types
+import signal, sys, time
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job is born deaf to it
-api = types.ModuleType("blocksar.api")
+from blocksar import api
 def plan(source, **settings):
     try:
         print("ready", flush=True)
@@ -294,7 +294,6 @@ def plan(source, **settings):
             print("hanging", flush=True)
             time.sleep(60)
 api.plan = plan
-sys.modules["blocksar.api"] = api
 from blocksar import cli
 from blocksar.cli import endings
 endings.GRACE = float(sys.argv[1])

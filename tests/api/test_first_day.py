@@ -1,0 +1,134 @@
+"""The first day in Python: a script of fifteen lines, and the most likely mistakes with what the page says of each."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+from arrays import arrays
+from PIL import Image
+from repository import ROOT
+
+import blocksar
+from blocksar.errors import InputError
+
+PAGE = (ROOT / "blocksar" / "api" / "README.md").read_text(encoding="utf-8")
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+SCRIPT = re.search(r"^```python\n(.*?)^```$", README, re.M | re.S)[1]  # type: ignore[index]
+TABLE = dict(re.findall(r"^\| ([^|]+) \| `([^`|]+)`[^|]*\|$", PAGE, re.M))
+
+
+def run_script(text: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    (folder / "script.py").write_text(text)
+    return subprocess.run(
+        [sys.executable, "script.py"], cwd=folder, capture_output=True, text=True, check=False, timeout=200
+    )
+
+
+def test_fifteen_lines_lead_from_arrays_to_a_picture(tmp_path: Path) -> None:
+    statements = len(compile(SCRIPT, "script.py", "exec", flags=0x400).body)  # type: ignore[attr-defined]  # only the tree
+    assert statements <= 15 and "__main__" not in SCRIPT
+    ended = run_script(SCRIPT, tmp_path)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, "", "")
+    with Image.open(tmp_path / "arrays.png") as picture:
+        assert min(picture.size) > 300
+    image = blocksar.open(tmp_path / "arrays-run")["image"]
+    assert image.sel(x=30, y=-24).item() == pytest.approx(1, abs=0.01)
+    assert abs(image).argmax(...)["x"].item() == image.indexes["x"].get_loc(30.0)
+
+
+def test_without_workers_0_the_script_is_told_of_it(tmp_path: Path) -> None:
+    ended = run_script(SCRIPT.replace(", workers=0", ""), tmp_path)
+    assert ended.returncode == 1 and not (tmp_path / "arrays-run").exists()
+    last = ended.stderr.strip().splitlines()[-1]
+    assert re.search(
+        r"workers import this script, and would call focus again; .*, or focus in this .* workers=0$", last
+    )
+
+
+def changed(**changes: Callable[[Any], Any]) -> dict[str, Any]:
+    given = arrays()
+    return {**given, **{name: change(given[name]) for name, change in changes.items()}}
+
+
+def dates(time: Any) -> Any:
+    return np.datetime64("2026-01-01") + (time * 1e9).astype("timedelta64[ns]")
+
+
+def other_settings(folder: Path) -> None:
+    dataset = blocksar.collection(**arrays())
+    blocksar.focus(dataset, folder, grid="-10:10:1,-10:10:1", workers=0)
+    blocksar.focus(dataset, folder, grid="-10:10:1,-10:10:1", workers=0, blocks=1)
+
+
+MISTAKES: dict[str, Callable[[Path], Any]] = {
+    "samples transposed": lambda _: blocksar.collection(**changed(signal=np.transpose)),
+    "magnitudes instead of complex samples": lambda _: blocksar.collection(**changed(signal=abs)),
+    "frequencies with the carrier in them": lambda _: blocksar.collection(
+        **changed(range_frequency=lambda f: f + 10e9)
+    ),
+    "positions in kilometres": lambda _: blocksar.collection(**changed(antenna_position=lambda p: p / 1e3)),
+    "times as dates": lambda _: blocksar.collection(**changed(time=dates)),
+    "angles in degrees": lambda _: blocksar.collection(**changed(beam_width=lambda w: 60 * 57.295 * w)),
+    "no reference range": lambda _: blocksar.collection(**changed(reference_range=lambda r: 0.0)),
+    "no grid although the beam is not steered": lambda folder: blocksar.focus(
+        blocksar.collection(**arrays(steered=False)), folder
+    ),
+    "the array itself given to `focus`": lambda folder: blocksar.focus(arrays()["signal"], folder),
+    "other settings in the folder of a run": other_settings,
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_is_answered_as_the_page_says(mistake: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError) as caught:
+        MISTAKES[mistake](tmp_path / "run")
+    assert str(caught.value).replace(str(tmp_path / "run"), "RUN") == TABLE[mistake]
+    assert mistake == "other settings in the folder of a run" or not (tmp_path / "run").exists()
+
+
+def test_the_sign_of_the_phase_is_doubted() -> None:
+    wrong = blocksar.collection(**changed(signal=np.conj))
+    assert blocksar.check(wrong).summary[0].startswith(TABLE["the sign of the phase"].removesuffix(" ..."))
+
+
+def test_the_page_lists_no_other_mistakes() -> None:
+    assert set(TABLE) == {*MISTAKES, "the sign of the phase", "`focus` in a script without main guard"}
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (blocksar.quality, r"^a path is needed, but a Dataset was given; give a str or a pathlib.Path$"),
+        (lambda ds: blocksar.focus(ds, None), r"^a path is needed, but a NoneType was given"),
+        (lambda ds: blocksar.write("ph.zarr", "out.zarr"), r"^source is a str; give a dataset"),
+        (lambda ds: blocksar.focus(ds, "run", progress=print), r"^progress is <built-in function print>; give an obje"),
+        (
+            lambda ds: blocksar.focus(ds, "run", progress=True),
+            r"^progress is True; give an object with a method update",
+        ),
+    ],
+)
+def test_things_of_the_wrong_kind(call: Callable[[xr.Dataset], Any], message: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=message):
+        call(blocksar.collection(**arrays()))
+
+
+def test_a_report_of_a_run_stands_for_its_folder(tmp_path: Path) -> None:
+    run = blocksar.focus(blocksar.collection(**arrays()), tmp_path / "run", grid="-45:45:0.5,-45:45:0.5", workers=0)
+    assert blocksar.open(run).sizes == {"y": 180, "x": 180}
+    listed = [{"name": "A", "x": 0.0, "y": 0.0}]
+    assert [t["name"] for t in blocksar.quality(run, targets=listed).result["targets"]] == ["A"]
+    for targets, message in (
+        ([(0, 0)], r"target \(0, 0\) cannot be read; give it name"),
+        (5, r"targets is a int; give"),
+    ):
+        with pytest.raises(InputError, match=message):
+            blocksar.quality(run, targets=targets)  # type: ignore[arg-type]
