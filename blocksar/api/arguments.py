@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 One: TypeAlias = "Location | xr.Dataset | stores.PhaseHistory"
 Source: TypeAlias = "One | Sequence[One]"
+SMALL = 1 << 24  # samples, 128 MiB: for less, a cluster takes longer to start than it saves
 GridLike = Grid | str | tuple[tuple[float, float, float], tuple[float, float, float]]
 
 
@@ -58,6 +59,13 @@ def memory_of(limit: Any) -> int | None:
         if (whole := int(limit)) == limit:
             return whole
     raise InputError(f'memory_limit is {quoted(limit)}; give a whole number of bytes, or a text such as "2GiB"')
+
+
+def in_this_process(workers: int | None, collections: Sequence[Collection]) -> bool:
+    """Whether the calling process does the work: by default that of small collections, in interactive sessions."""
+    if workers is None:
+        return hasattr(sys, "ps1") and sum(each.n_pulse * each.n_range_frequency for each in collections) <= SMALL
+    return workers == 0
 
 
 def fidelity_of(fidelity: Any) -> float:

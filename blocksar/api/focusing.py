@@ -6,7 +6,6 @@ image.zarr and run.json. Units of work leave receipts in receipts/ during the ru
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, nullcontext
@@ -18,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from blocksar import stores
-from blocksar.api.arguments import GridLike, Source, blocks_of, fidelity_of, grid_of, memory_of
+from blocksar.api.arguments import GridLike, Source, blocks_of, fidelity_of, grid_of, in_this_process, memory_of
 from blocksar.api.findings import add_findings
 from blocksar.api.jobs import Job, Request
 from blocksar.api.joint import channels_of, focus_channels
@@ -49,7 +48,6 @@ from blocksar.version import __version__
 if TYPE_CHECKING:
     from distributed import Client
 
-SMALL = 1 << 24  # samples, 128 MiB: for less, a cluster takes longer to start than it saves
 UNITS = {
     "range-compress": "groups of pulses",
     "recover": "column groups",
@@ -201,7 +199,11 @@ def focus(
         return _report_finished(request.folder, record)
     with ExitStack() as stack:
         connected = None
-        here = client is None and scheduler is None and _in_this_process(workers, request.history)
+        here = (
+            client is None
+            and scheduler is None
+            and in_this_process(workers, [history.collection for history in request.histories])
+        )
         if here and profile is not None:
             raise InputError(
                 f"performance_report is {str(profile)!r}, but dask does no work where the calling process does; give "
@@ -222,13 +224,6 @@ def focus(
         if here:
             connected = cluster.open_here(listener)
         return _focus(request, record, machine, connected, listener, profile)
-
-
-def _in_this_process(workers: int | None, history: stores.PhaseHistory) -> bool:
-    """Whether the calling process does the work: by default that of small collections, in interactive sessions."""
-    if workers is None:
-        return hasattr(sys, "ps1") and history.shape[0] * history.shape[1] <= SMALL
-    return workers == 0
 
 
 def _report_finished(folder: Place, record: RunRecord, *, claimed: bool = False) -> RunReport:

@@ -9,7 +9,16 @@ from typing import Literal
 import numpy as np
 
 from blocksar.api import definitions
-from blocksar.api.arguments import GridLike, Source, blocks_of, collections_of, fidelity_of, grid_of, memory_of
+from blocksar.api.arguments import (
+    GridLike,
+    Source,
+    blocks_of,
+    collections_of,
+    fidelity_of,
+    grid_of,
+    in_this_process,
+    memory_of,
+)
 from blocksar.api.reports import Table
 from blocksar.api.shown import PlanReport
 from blocksar.budget import FIDELITY
@@ -102,7 +111,7 @@ def plan(
         Image points x0, x0 + dx, ... < x1 in m in the scene frame, likewise y; as a text "x0:x1:dx,y0:y1:dy". Default:
         the box around the lit sector at about half the resolution. Needed if the beam is not steered.
     workers : int, optional
-        Worker processes to plan for. Default: the number of cores, at most 4.
+        Worker processes to plan for; 0: the calling process does the work. Default: as for `focus`.
     memory_limit : int or str, optional
         Memory of each worker, bytes or a text such as "2GiB". Default: its share of the machine's memory.
 
@@ -134,8 +143,10 @@ def plan(
         )
     tapers = Weighting.parse(weighting, weighting_range, weighting_azimuth)
     points, n_blocks, least = grid_of(grid), blocks_of(blocks), fidelity_of(fidelity)
-    assumed = resources(workers, None, memory_of(memory_limit))
-    collections = collections_of(source)
+    limit, collections = memory_of(memory_limit), collections_of(source)
+    here = in_this_process(workers, collections)
+    share = resources(0 if here else workers, None, limit)
+    assumed = share._replace(workers=0) if here else share
     if method is None:
         return _plan_backprojection(collections, points, assumed)
 
@@ -145,8 +156,8 @@ def plan(
     ) -> Plan:  # fmt: skip
         return plan_collection(
             collection, blocks=like.blocks if like else n_blocks, parts=like.parts if like else "auto",
-            fidelity=least, weighting=tapers, method=by, grid=grid, owned=owned, workers=assumed.workers,
-            memory_limit=assumed.memory_limit,
+            fidelity=least, weighting=tapers, method=by, grid=grid, owned=owned, workers=share.workers,
+            memory_limit=share.memory_limit,
         )  # fmt: skip
 
     if not automatic:
@@ -334,6 +345,8 @@ def time_line(work: Work, assumed: Resources) -> str:
     """How long a run would take on this machine, by stage; the only part of a plan that is measured."""
     workers = min(assumed.workers, machine()[0])  # more than there are cores gain nothing
     seconds = effort.seconds_of(work, workers=workers, threads=assumed.threads, pace=pace())
+    if not assumed.workers:
+        del seconds["start"]
     stages = ", ".join(f"{name} {time_text(value)}" for name, value in seconds.items())
     return (
         f"a run takes about {time_text(sum(seconds.values()))} on this machine {workforce(assumed)} "
@@ -407,7 +420,7 @@ def _plan_backprojection(collections: Sequence[Collection], grid: Grid | None, a
     )
     lines = [
         f"exact back-projection of {grid.shape[1]} x {grid.shape[0]} pixels, {lit} lit pulses each: "
-        f"{pixels * lit / 1e9:.3g} G updates at most, by {assumed.workers} workers",
+        f"{pixels * lit / 1e9:.3g} G updates at most, {workforce(assumed)}",
         f"peak memory of a worker {memory / MIB:.0f} MiB",
         f"a run writes at most {pixels * SAMPLE / MIB:.0f} MiB",
         time_line(effort.together([effort.of_backprojection(each, grid) for each in geometries]), assumed),

@@ -379,7 +379,12 @@ def _image_facts(dataset: xr.Dataset) -> list[tuple[str, str]]:
         rows.append(("processor", str(settings["processor"])))
     if isinstance(predicted, list) and predicted:
         least = min(block.get("coherence") or 0.0 for block in predicted)
-        rows.append(("predicted coherence", f"at least {least:.6f} in {len(predicted)} blocks"))
+        rows.append(
+            (
+                "predicted coherence",
+                f"at least {least:.6f} in {len(predicted)} {'block' if len(predicted) == 1 else 'blocks'}",
+            )
+        )
     rows += [(name, str(attrs[name])) for name in ("calibration",) if attrs.get(name)]
     rows += [("note", str(line)) for line in attrs.get("warnings") or []]
     return [*rows, ("methods", "db, multilook, crop, plot, cut, netcdf")]

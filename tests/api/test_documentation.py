@@ -24,7 +24,7 @@ METHODS = {
     for name, method in vars(owner).items()
     if inspect.isfunction(method) and not name.startswith("_")
 }
-UNIT = re.compile(r"(?<!\w)(m|s|Hz|Hz/s|rad|degrees|dB|1|m in|unit|[Bb]ytes|[Cc]oherence)(?!\w)")
+UNIT = re.compile(r"(?<!\w)(m|s|Hz|Hz/s|rad|degrees|dB|1|m in|unit|[Bb]ytes|[Ss]econds|[Cc]oherence)(?!\w)")
 Entry = tuple[str, str]  # type, description
 
 

@@ -25,32 +25,19 @@ SCRIPT = re.search(r"^```python\n(.*?)^```$", README, re.M | re.S)[1]  # type: i
 TABLE = dict(re.findall(r"^\| ([^|]+) \| `([^`|]+)`[^|]*\|$", PAGE, re.M))
 
 
-def run_script(text: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    (folder / "script.py").write_text(text)
-    return subprocess.run(
-        [sys.executable, "script.py"], cwd=folder, capture_output=True, text=True, check=False, timeout=200
-    )
-
-
 def test_fifteen_lines_lead_from_arrays_to_a_picture(tmp_path: Path) -> None:
     statements = len(compile(SCRIPT, "script.py", "exec", flags=0x400).body)  # type: ignore[attr-defined]  # only the tree
     assert statements <= 15 and "__main__" not in SCRIPT
-    ended = run_script(SCRIPT, tmp_path)
+    (tmp_path / "script.py").write_text(SCRIPT)
+    ended = subprocess.run(
+        [sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=200
+    )
     assert (ended.returncode, ended.stdout, ended.stderr) == (0, "", "")
     with Image.open(tmp_path / "arrays.png") as picture:
         assert min(picture.size) > 300
     image = blocksar.open(tmp_path / "arrays-run")["image"]
     assert image.sel(x=30, y=-24).item() == pytest.approx(1, abs=0.01)
     assert abs(image).argmax(...)["x"].item() == image.indexes["x"].get_loc(30.0)
-
-
-def test_without_workers_0_the_script_is_told_of_it(tmp_path: Path) -> None:
-    ended = run_script(SCRIPT.replace(", workers=0", ""), tmp_path)
-    assert ended.returncode == 1 and not (tmp_path / "arrays-run").exists()
-    last = ended.stderr.strip().splitlines()[-1]
-    assert re.search(
-        r"workers import this script, and would call focus again; .*, or focus in this .* workers=0$", last
-    )
 
 
 def changed(**changes: Callable[[Any], Any]) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from matplotlib.patches import Polygon
 import blocksar
 from blocksar.api.rendering import html_report, text_table
 from blocksar.api.shown import PlanReport, RunReport
-from blocksar.errors import InputError
+from blocksar.errors import InputError, in_python
 from blocksar.progress import Listener, as_listener
 
 GRID = ((-45.0, 45.0, 0.5), (-25.0, 25.0, 0.5))
@@ -89,7 +89,7 @@ def test_a_printed_report_is_its_table_and_its_sentences(plan: PlanReport) -> No
     header, rows = plan.tables[0]
     assert lines[0].split() == " ".join(header).split()
     assert [line.split()[0] for line in lines[1 : len(rows) + 1]] == [row[0] for row in rows]
-    assert str(plan).endswith("\n".join(plan.summary))
+    assert str(plan).endswith(in_python("\n".join(plan.summary)))
 
 
 def test_a_plan_shows_coherence_memory_and_disk(plan: PlanReport) -> None:

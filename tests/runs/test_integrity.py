@@ -370,4 +370,4 @@ def test_a_script_without_the_guard_is_told_at_once(store: Path, tmp_path: Path)
     done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=100, check=False)
     assert done.returncode == 1 and not (tmp_path / "run").exists()
     last = done.stderr.strip().splitlines()[-1]
-    assert "script.py, line 5: workers import this script" in last and "__main__" in last
+    assert "script.py, line 5: workers import this script" in last and "__main__" in last and last.endswith("workers=0")

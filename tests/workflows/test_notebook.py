@@ -76,6 +76,7 @@ def test_the_notebook_leads_to_a_calibrated_image(executed: tuple[list[Shown], d
     _, names = executed
     plan, folder = names["plan"], names["folder"]
     assert plan.refusal is None and plan.result.faithful
+    assert plan.result.n_blocks == names["run"].result["plan"]["blocks"]
     assert (Path(folder) / "run" / "input.zarr").is_dir()
     measured = names["quality"].result["targets"]
     assert [target["name"] for target in measured] == ["A", "B", "C"]
