@@ -173,7 +173,9 @@ def _add_scenery(run: FinishedRun, result: dict[str, Any], lines: list[str], fou
 
 
 def targets_of(
-    targets: Location | Sequence[Target | Mapping[str, Any]] | None, attrs: Mapping[str, Any], run: FinishedRun | None = None
+    targets: Location | Sequence[Target | Mapping[str, Any]] | None,
+    attrs: Mapping[str, Any],
+    run: FinishedRun | None = None,
 ) -> list[Target]:
     """Read targets from a file; by default, from the attributes of a collection. GeoJSON needs the run.
 
