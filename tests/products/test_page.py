@@ -186,7 +186,7 @@ def test_outlines_follow_the_block_limits(runs: dict[str, Path]) -> None:
 
 def test_a_good_run_is_reported_as_good(whole: Path) -> None:
     said = read(whole).text()
-    assert "4 of 4 fully lit targets within the bar" in said
+    assert "4 of 4 fully lit targets within the limits" in said
     assert "no warnings" in said and "% of the plan" in said
     assert "5 targets, 4 of them lit over their full dwell" in said
     assert "Warnings" not in said
@@ -203,7 +203,7 @@ def test_figures_beyond_the_quality_bar_are_reported_and_marked(run: Path, quick
     changed(run / "quality.json", spoil)
     report = blocksar.report(run)
     text = report.result.path.read_text(encoding="utf-8")
-    assert "2 of 4 fully lit targets within the bar" in report.summary[0]
+    assert "2 of 4 fully lit targets within the limits" in report.summary[0]
     assert 'class="verdict attention"' in text
     off = re.findall(r'data-sort="([^"]*)" class="off"', text)
     assert "-5.0" not in off
@@ -222,10 +222,10 @@ def test_targets_outside_the_grid_are_not_judged(run: Path, quick: None) -> None
     changed(run / "quality.json", lambda record: lost(record["targets"][0], x=90e3))
     assert record_names(run)[0] != "edge"
     report = blocksar.report(run)
-    assert "3 of 3 fully lit targets within the bar" in report.summary[0]
+    assert "3 of 3 fully lit targets within the limits" in report.summary[0]
     assert 'class="verdict good"' in report.result.path.read_text(encoding="utf-8")
     changed(run / "quality.json", lambda record: lost(record["targets"][0], x=16100.0, y=19200.0))
-    assert "3 of 4 fully lit targets within the bar" in blocksar.report(run).summary[0]
+    assert "3 of 4 fully lit targets within the limits" in blocksar.report(run).summary[0]
     changed(run / "quality.json", lambda record: [lost(target, x=90e3) for target in record["targets"]])
     assert "no fully lit target to judge in this image" in blocksar.report(run).summary[0]
 
@@ -310,6 +310,30 @@ def test_the_command_repeats_the_run(settings: dict[str, Any], monkeypatch: pyte
     assert words[0] == "blocksar" and CliRunner().invoke(commands.app, words[1:]).exit_code == 0
     assert (seen["source"], seen["out"]) == ("/in put/ph.zarr", "/out $1")
     assert {name: seen[name] for name in usual} == usual | settings
+
+
+@pytest.mark.parametrize(
+    ("scene", "source", "blocks", "command"),
+    [
+        ("table1", "phase_history.zarr", 3, "demo"),
+        ("table1", "phase_history.zarr", 4, "focus"),
+        ("table1", "other.zarr", 3, "focus"),
+        ("paper_b", "phase_history.zarr", 3, "focus"),
+    ],
+)
+def test_a_demonstration_is_repeated_as_one(scene: str, source: str, blocks: int, command: str) -> None:
+    record = SimpleNamespace(settings={"blocks": blocks}, record=SimpleNamespace(inputs=[f"/runs/a b/{source}"]))
+    record.source = SimpleNamespace(attrs={"scene": scene})
+    words = shlex.split(provenance.repeat_run(record, "/runs/a b"))
+    assert words[:2] == ["blocksar", command] and words[words.index("--out") + 1] == "/runs/a b"
+    assert CliRunner().invoke(commands.app, [*words[1:], "--help"]).exit_code == 0
+
+
+def test_the_page_has_no_words_of_its_own(run: Path, quick: None) -> None:
+    text = blocksar.report(run).result.path.read_text(encoding="utf-8")
+    said = re.sub(r"<style.*?</style>|<script.*?</script>|<svg.*?</svg>|<[^>]*>", " ", text, flags=re.S)
+    assert "limits" in said and not re.search(r"\b(the|a|its) bar\b", said, re.I)
+    assert "outside the bar" not in text
 
 
 def test_only_the_worst_of_many_targets_are_listed(run: Path, quick: None) -> None:

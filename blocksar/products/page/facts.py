@@ -84,7 +84,7 @@ class Facts:
     marked : list of PointResponse or Target
         Marked in the picture: the listed responses or, if nothing was measured, the targets of the collection.
     judged : list of PointResponse
-        Responses to which the bar applies.
+        Responses to which the limits apply.
     places : dict
         Name of the block that owns each response, by the response's id().
     settings, versions : mapping

@@ -22,7 +22,7 @@ from blocksar.measurement.figures import DEFINITIONS
 from blocksar.products.page import picture
 from blocksar.products.page.drawings import draw_responses
 from blocksar.products.page.facts import Facts
-from blocksar.products.page.provenance import provenance, repeat_command, settings_rows
+from blocksar.products.page.provenance import provenance, repeat_run, settings_rows
 from blocksar.products.page.sentences import memory_sentence, plan_sentence, quality_sentences, subtitle, verdicts
 from blocksar.products.page.tables import (
     block_table,
@@ -79,7 +79,7 @@ def make(
     """
     try:
         run = Facts(source, quality, why)
-        command = repeat_command(run.settings, run.record.inputs, folder)
+        command = repeat_run(run, folder)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
         raise InputError(
             f"the settings in run.json, quality.json or the attributes of {folder} are damaged ({error}); "

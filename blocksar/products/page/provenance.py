@@ -11,6 +11,7 @@ from blocksar.focusing.method import Method
 from blocksar.products.page.facts import Facts
 from blocksar.products.page.words import number
 from blocksar.runs.finished import FinishedRun
+from blocksar.runs.folder import LEFT_ALONE
 
 
 def repeat_command(settings: Mapping[str, Any], paths: Sequence[str], folder: str) -> str:
@@ -37,6 +38,16 @@ def repeat_command(settings: Mapping[str, Any], paths: Sequence[str], folder: st
         else:
             words += [f"--{name.replace('_', '-')}", str(value)]
     return shlex.join(words)
+
+
+def repeat_run(run: Facts, folder: str) -> str:
+    """The command that repeats a run: `blocksar demo` for a demonstration, `blocksar focus` for others."""
+    history = f"{folder}/{LEFT_ALONE[0]}"
+    command = repeat_command(run.settings, run.record.inputs, folder)
+    usual = shlex.join(["blocksar", "focus", history, "--out", folder, "--blocks", "3"])
+    if command == usual and run.source.attrs.get("scene") == "table1":
+        return shlex.join(["blocksar", "demo", "--out", folder, "--overwrite"])
+    return command
 
 
 def provenance(run: Facts) -> list[tuple[str, str]]:

@@ -53,7 +53,7 @@ def verdicts(run: Facts) -> list[Verdict]:
 
 
 def _verdict_on_targets(run: Facts) -> Verdict:
-    """Fully lit targets within the bar; a target in a gap of the image counts as outside it."""
+    """Fully lit targets within the limits of quality; a target in a gap of the image counts as outside them."""
     if run.why:
         return Verdict(False, "targets could not be measured")
     if not run.responses:
@@ -65,7 +65,7 @@ def _verdict_on_targets(run: Facts) -> Verdict:
     n = len(run.judged) + sum(_in_a_gap(run, r) for r in full)
     if not n:
         return Verdict(True, "no fully lit target to judge in this image")
-    return Verdict(len(within) == n, f"{len(within)} of {count(n, 'fully lit target')} within the bar")
+    return Verdict(len(within) == n, f"{len(within)} of {count(n, 'fully lit target')} within the limits")
 
 
 def _in_a_gap(run: Facts, response: PointResponse) -> bool:
@@ -102,14 +102,14 @@ def plan_sentence(run: Facts) -> str:
 
 
 def quality_sentences(run: Facts) -> list[str]:
-    """Paragraphs on targets, bar and worst figure; or the reason why nothing was measured."""
+    """Paragraphs on targets, limits and worst figure; or the reason why nothing was measured."""
     if not run.responses:
         return [run.why or "The collection names no targets, so there was nothing to measure."]
     full = sum(r.full_dwell for r in run.responses)
     sentences = [
         f"{count(len(run.responses), 'target')}, {full} of them lit over their full dwell. The image covers "
         f"{len(run.judged)} of these; only covered ones are judged.",
-        f"The bar: {bar_text(run.responses[0])}. Figures outside it are marked with an exclamation mark.",
+        f"The limits: {bar_text(run.responses[0])}. Figures outside them are marked with an exclamation mark.",
     ]
     if run.judged:
         worst = min(run.judged, key=rank)

@@ -48,7 +48,7 @@ class Cell:
     sort : float or str
         Key for sorting by the column; empty for an unknown value.
     off : bool
-        Whether the figure is outside its bar.
+        Whether the figure is outside its limit.
     bar, tick : float, optional
         Length of a bar drawn below the text, and place of a mark on it, % of the longest bar of the column.
     """
@@ -167,7 +167,7 @@ def quality_table(run: Facts, image: Picture) -> Table:
     """Figures of the point targets, linked to their places in the picture."""
     columns = [
         Column("target"),
-        Column("worst figure", "% of the bar"),
+        Column("worst figure", "% of its limit"),
         Column("range PSLR", "dB"),
         Column("range ISLR", "dB"),
         Column("range width", "m"),

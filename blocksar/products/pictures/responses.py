@@ -28,6 +28,7 @@ from blocksar.products.pictures.figures import (
     save,
 )
 
+SINGLE = 2.5  # inches, width of a panel of a lone target: its texts are read at the width of a phone
 PANEL_WIDTHS = 4.5  # half the side of a contour panel, in median theoretical widths
 CONTOUR_ZOOM = 4  # contours are drawn through this many times as many points
 CONTOUR_LEVELS = (-30.0, -15.0, -3.0)  # dB, as in the paper's Figure 15
@@ -37,9 +38,10 @@ def plot_contours(responses: Sequence[Response], path: str | Path, *, title: str
     """Write a PNG of contours at -3, -15 and -30 dB, one panel per target, on the response's axes in m.
 
     Three panels in a row, like the paper's Figure 15; nine targets give its 3 x 3. All panels have the same scale along
-    both axes, so that widths can be compared by eye.
+    both axes, so that widths can be compared by eye. One target is drawn smaller, so that its texts are large.
     """
-    figure, panels = new_panels(len(responses), columns=3, size=(3.1, 3.1), title=title)
+    side = 3.1 if len(responses) > 1 else SINGLE
+    figure, panels = new_panels(len(responses), columns=3, size=(side, side), title=title)
     reach = PANEL_WIDTHS * max(
         float(np.median([getattr(r.axes, f"{axis}_width") for r in responses])) for axis in ("range", "azimuth")
     )
@@ -86,23 +88,25 @@ def _draw_contours(axes: Axes, grid: ResponseGrid) -> None:
 def plot_cuts(responses: Sequence[Response], path: str | Path, *, title: str = "") -> None:
     """Write a PNG of range and azimuth cuts in dB with the ideal response, two panels per target.
 
-    Three targets in a row. Offsets are in m from the peak. Each panel's title gives PSLR and width.
+    Three targets in a row; the panels of a lone target are above each other. Offsets are in m from the peak. Each
+    panel's title gives PSLR and width.
     """
-    figure, panels = new_panels(2 * len(responses), columns=6, size=(2.35, 2.5), title=title)
+    columns, size, text = (6, (2.35, 2.5), 8) if len(responses) > 1 else (1, (SINGLE, 1.45), 9)
+    figure, panels = new_panels(2 * len(responses), columns=columns, size=size, title=title)
     for (left, right), response in zip(zip(panels[::2], panels[1::2], strict=True), responses, strict=True):
         sampled, figures, name = cuts(response), measure(response), response.target.name
-        left.set_title(_caption(f"{name} range", figures.range_pslr, figures.range_irw), fontsize=8)
+        left.set_title(_caption(f"{name} range", figures.range_pslr, figures.range_irw), fontsize=text)
         shape, offset, profile = response.axes.weighting.range, sampled.range_offset, sampled.range_profile
         _draw_cut(left, offset, profile, figures.range_irw_theory, shape, "#2f6db3")
-        right.set_title(_caption(f"{name} azimuth", figures.azimuth_pslr, figures.azimuth_irw), fontsize=8)
+        right.set_title(_caption(f"{name} azimuth", figures.azimuth_pslr, figures.azimuth_irw), fontsize=text)
         offset, profile = sampled.azimuth_offset, sampled.azimuth_profile
         _draw_cut(right, offset, profile, figures.azimuth_irw_theory, response.axes.azimuth_shape, "#b3202c")
-    label_outer_axes(panels, 6, "offset (m)", "power (dB)")
+    label_outer_axes(panels, columns, "offset (m)", "power (dB)")
     draw_legend(
         figure,
         [
-            Curve("range cut", "#2f6db3", "-"),
-            Curve("azimuth cut", "#b3202c", "-"),
+            Curve("range", "#2f6db3", "-"),
+            Curve("azimuth", "#b3202c", "-"),
             Curve("ideal", "#1d242d", ":"),
         ],
     )
