@@ -294,6 +294,8 @@ def _carry_out(
         job = job.with_stored_input()
         if job.exact:
             compiling.compile_modules(["focusing.backprojection"], apart=False)  # here, or each worker would
+        elif job.request.terrain is not None:
+            compiling.compile_modules(["focusing.relief_correction"], apart=False)
         if client is None:
             scratch = run_folder.scratch(run.folder)
             client = stack.enter_context(

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from blocksar import stores
+from blocksar.api.arguments import history_of
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.georeference import Georeference
@@ -15,15 +16,19 @@ from blocksar.collection.region import default_grid, plan_region
 from blocksar.collection.terrain import Terrain
 from blocksar.errors import InputError
 from blocksar.ingestion.terrain.reading import Ground
+from blocksar.places import Location
 from blocksar.places.place import Place
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 PLANE = Ground()
 
 
 def read_ground(
-    ground: Ground, collection: Collection, grid: Grid | None, attrs: Mapping[str, Any], *, exact: bool
+    ground: Ground, collection: Collection, grid: Grid | None, source: Location | xr.Dataset | dict[str, Any]
 ) -> Terrain | None:
-    """The ground under an image; None for the plane. `attrs` are those of the phase history.
+    """The ground under an image; None for the plane. The source is a phase history, a scene, or attributes of such.
 
     Raises
     ------
@@ -32,17 +37,24 @@ def read_ground(
     """
     if ground.plane:
         return None
-    if not exact:
-        raise InputError("images on a terrain, or on the ellipsoid, are formed by --processor backprojection only")
     if collection.has_axis or collection.elevation_pattern is not None:
         what = "beam_axis" if collection.has_axis else "elevation_pattern"
         raise InputError(
             f"{what}: a collection with it can be imaged on the plane only; leave --terrain and --surface out"
         )
+    attrs = source if isinstance(source, dict) else _attributes(source)
     georeference = None
     if attrs.get("georeference") is not None:
         georeference = Georeference.from_attribute(attrs["georeference"])
     return ground.read(georeference, collection.ground_height, image_grid(collection, grid))
+
+
+def _attributes(source: Location | xr.Dataset) -> Mapping[str, Any]:
+    """The attributes of a phase history; a scene has none."""
+    try:
+        return history_of(source).attrs
+    except InputError:
+        return {}
 
 
 def image_grid(collection: Collection, grid: Grid | None) -> Grid:

@@ -115,7 +115,7 @@ class Request:
             centred = [history.collection.centred() for history in histories]
             under = grid or joint_grid([Geometry(collection=collection) for collection in centred])
             read = [
-                read_ground(ground, each, under, history.attrs, exact=method is None)
+                read_ground(ground, each, under, history.attrs)
                 for each, history in zip(centred, histories, strict=True)
             ]
             terrain = read[0]
@@ -273,11 +273,15 @@ class Job:
                 weighting=request.weighting,
                 grid=grid,
                 owned=owned,
+                terrain=request.terrain,
                 workers=machine.workers,
                 memory_limit=machine.memory_limit,
             )
 
-        planned = plan_segments(plan, collections, grid=request.grid, like=_divided(earlier))
+        grid = request.grid
+        if request.terrain is not None:  # the grid that its heights were read for
+            grid = grid or joint_grid([Geometry(collection=collection) for collection in collections])
+        planned = plan_segments(plan, collections, grid=grid, like=_divided(earlier))
         if (refusal := next(filter(None, (each.plan.refusal for each in planned)), None)) is not None:
             raise InputError(refusal)
         several = len(planned) > 1 or len(collections) > 1

@@ -18,7 +18,9 @@ from blocksar.api.arguments import (
     grid_of,
     in_this_process,
     memory_of,
+    sources_of,
 )
+from blocksar.api.ground import read_ground
 from blocksar.api.reports import Table
 from blocksar.api.shown import PlanReport
 from blocksar.budget import FIDELITY
@@ -27,6 +29,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid, ground_resolution
 from blocksar.collection.region import Owned
+from blocksar.collection.terrain import Surface
 from blocksar.collection.weighting import Weighting
 from blocksar.constants import MIB, SINC_WIDTH
 from blocksar.errors import InputError
@@ -39,7 +42,10 @@ from blocksar.focusing.method import (
     RangeModel,
     method_of,
 )
+from blocksar.focusing.relief_correction import bend_scale
 from blocksar.graph.machine import Resources, machine, pace, resources
+from blocksar.ingestion.terrain.reading import Ground
+from blocksar.places import Location
 from blocksar.planning import choice, effort
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.choice import Contender
@@ -74,6 +80,9 @@ def plan(
     derotation: Derotation = "nonlinear",
     range_model: RangeModel = "polar",
     grid: GridLike | None = None,
+    terrain: Location | None = None,
+    surface: Surface = "plane",
+    vertical: str | None = None,
     workers: int | None = None,
     memory_limit: int | str | None = None,
 ) -> PlanReport:
@@ -110,6 +119,8 @@ def plan(
     grid : Grid, ((x0, x1, dx), (y0, y1, dy)) or str, optional
         Image points x0, x0 + dx, ... < x1 in m in the scene frame, likewise y; as a text "x0:x1:dx,y0:y1:dy". Default:
         the box around the lit sector at about half the resolution. Needed if the beam is not steered.
+    terrain, surface, vertical
+        The ground, as for `focus`.
     workers : int, optional
         Worker processes to plan for; 0: the calling process does the work. Default: as for `focus`.
     memory_limit : int or str, optional
@@ -149,6 +160,11 @@ def plan(
     assumed = share._replace(workers=0) if here else share
     if method is None:
         return _plan_backprojection(collections, points, assumed)
+    ground = Ground(terrain=terrain, surface=surface, vertical=vertical)
+    heights = None
+    if not ground.plane:
+        points = points or joint_grid([Geometry(collection=each) for each in collections])
+        heights = read_ground(ground, collections[0], points, sources_of(source)[0])
 
     def plan_by(
         collection: Collection, *, grid: Grid | None, like: Divided | None = None, owned: Owned | None = None,
@@ -157,7 +173,7 @@ def plan(
         return plan_collection(
             collection, blocks=like.blocks if like else n_blocks, parts=like.parts if like else "auto",
             fidelity=least, weighting=tapers, method=by, grid=grid, owned=owned, workers=share.workers,
-            memory_limit=share.memory_limit,
+            memory_limit=share.memory_limit, terrain=heights,
         )  # fmt: skip
 
     if not automatic:
@@ -252,7 +268,21 @@ def block_table(plans: Sequence[Plan]) -> Table:
 
 def plan_details(plans: Sequence[Plan]) -> list[Table]:
     """All figures of all blocks, and what their coherence is made of."""
-    return [_all_blocks(plans), _coherence_table(plans)]
+    relief = [] if plans[0].geometry.terrain is None else [_relief_table(plans)]
+    return [_all_blocks(plans), _coherence_table(plans), *relief]
+
+
+def _relief_table(plans: Sequence[Plan]) -> Table:
+    """The terrain of each block, and what it does to the phase of targets far above or below its smooth part."""
+    header = ("block", "z (m)", "over the smooth ground (m)", "bend taken out (rad)", "predicted coherence")
+    rows = []
+    for block in (block for plan in plans for block in plan.blocks):
+        relief = block.ground.relief
+        assert relief is not None
+        heights = f"{relief.lowest:.1f} .. {relief.highest:.1f}", f"{relief.low:.1f} .. {relief.high:.1f}"
+        bend = 2 * np.pi * relief.most_bend * bend_scale(block.ground)
+        rows.append([block.name, *heights, f"{bend:.2f}", _digits(block.prediction.coherence)])
+    return header, rows
 
 
 def _all_blocks(plans: Sequence[Plan]) -> Table:
@@ -312,6 +342,9 @@ def plan_lines(plan: Plan) -> list[str]:
         f"image {grid.shape[1]} x {grid.shape[0]} pixels: x {grid.x[0]:g} .. {grid.x[-1]:g} m every {grid.dx:g}, "
         f"y {grid.y[0]:g} .. {grid.y[-1]:g} m every {grid.dy:g}",
     ]
+    if plan.geometry.terrain is not None:
+        low, high = plan.geometry.terrain.limits
+        lines.append(f"terrain: z = {low:.5g} .. {high:.5g} m; blocks are fitted on its smooth part")
     lines.append(
         "predicted coherence with exact back-projection: at least "
         f"{_digits(plan.coherence)} for targets with full dwell"

@@ -191,6 +191,9 @@ def plan(
     weighting_range: RangeWeighting = None,
     weighting_azimuth: AzimuthWeighting = None,
     grid: GridOption = None,
+    terrain: TerrainOption = None,
+    surface: SurfaceOption = "plane",
+    vertical: VerticalOption = None,
     workers: Workers = None,
     memory_limit: MemoryLimit = None,
     config: ConfigOption = None,
@@ -212,7 +215,10 @@ def plan(
 
     from blocksar import api
 
-    proposal = api.plan(one_or_all(source), processor=processor, **settings, **method)
+    proposal = api.plan(
+        one_or_all(source), processor=processor, terrain=terrain, surface=surface, vertical=vertical, **settings,
+        **method,
+    )  # fmt: skip
     show(proposal, context)
     if proposal.refusal is not None:
         complain(proposal.refusal, WRONG_INPUT)

@@ -24,6 +24,7 @@ from blocksar.errors import InputError, OutsideSwath
 # yaws at which the first and the last lit one are found; ranges for that, and for the lit ranges of a yaw.
 LEAST_YAWS, MOST_YAWS, YAWS_AT_ONCE, FINE_YAWS = 16, 4096, 16, 257
 FEW_RANGES, LIT_RANGES = 17, 129
+MOST_SAMPLES = 1024  # of a terrain, along each axis, that are asked for their range
 WINDOW_GUARD = 8  # range cells kept free at either end of the range window
 
 
@@ -89,7 +90,7 @@ def plan_region(geometry: Geometry, grid: Grid | None) -> Region:
     yaw = np.unwrap(geometry.yaw(x, y))
     if collection.has_axis:
         return _lit_region(geometry, grid, float(yaw.min()), float(yaw.max()))
-    rng = geometry.epoch_range(x, y)
+    rng = geometry.epoch_range(*on_terrain(geometry, grid, x, y))
     pad = 0.01 * np.ptp(yaw)
     nodes = np.linspace(yaw.min() - pad, yaw.max() + pad, 33)
     slack = float(np.hypot(grid.dx, grid.dy))  # keeps the farthest pixel off the region's edge
@@ -225,7 +226,7 @@ def grid_extent(geometry: Geometry, region: Region, grid: Grid, owned: Owned | N
     inside_x = np.linspace(grid.x[0], grid.x[-1], 65)
     inside_y = np.linspace(grid.y[0], grid.y[-1], 65)
     mesh_x, mesh_y = (m.ravel() for m in np.meshgrid(inside_x, inside_y))
-    x, y = np.concatenate([x, mesh_x]), np.concatenate([y, mesh_y])
+    x, y = on_terrain(geometry, grid, np.concatenate([x, mesh_x]), np.concatenate([y, mesh_y]))
     middle = (region.yaw[0] + region.yaw[-1]) / 2
     yaw = middle + wrapped(geometry.yaw(x, y) - middle)
     rng = geometry.epoch_range(x, y)
@@ -249,6 +250,21 @@ def grid_extent(geometry: Geometry, region: Region, grid: Grid, owned: Owned | N
         near=float(rng[covered].min() - step),
         far=float(rng[covered].max() + step),
     )
+
+
+def on_terrain(geometry: Geometry, grid: Grid, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Points (n,), m, of a grid; on a terrain those with heights, and its own samples in the grid, for its peaks."""
+    terrain = geometry.terrain
+    if terrain is None:
+        return x, y
+    axes = []
+    for axis, low, high in ((terrain.x, grid.x[0], grid.x[-1]), (terrain.y, grid.y[0], grid.y[-1])):
+        inside = axis[(axis >= low) & (axis <= high)]
+        axes.append(inside[:: max(math.ceil(inside.size / MOST_SAMPLES), 1)])
+    mesh_x, mesh_y = (mesh.ravel() for mesh in np.meshgrid(*axes))
+    x, y = np.concatenate([x, mesh_x]), np.concatenate([y, mesh_y])
+    known = np.isfinite(geometry.height(x, y))
+    return x[known], y[known]
 
 
 def default_grid(geometry: Geometry, region: Region) -> Grid:

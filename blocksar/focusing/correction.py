@@ -10,30 +10,41 @@ weights in vector registers.
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numba import njit
 
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
-from blocksar.focusing.ground_map import GroundMap, sum_series
+from blocksar.focusing.ground_map import GroundMap
+from blocksar.focusing.pixel_rows import (
+    N_CARRIER,
+    N_PHASE,
+    RANGE_UNIT,
+    TILE_DEGREE,
+    along_row,
+    amplitude_of,
+    divide_by_sums,
+    evaluate_row,
+    find_limits,
+    find_sector,
+    phasors_of,
+    place_windows,
+    sum_windows,
+    turn_windows,
+)
+from blocksar.focusing.relief_correction import bent_taps_of, resample_on_relief
+from blocksar.focusing.surfaces import sum_series
 from blocksar.kernels import interpolation
 from blocksar.kernels.groups import run_groups
-from blocksar.kernels.lanes import FEW, WEIGHED_ROWS, load_few, spread_few, total, weigh_rows
+from blocksar.kernels.lanes import FEW
 from blocksar.kernels.loops import compile_for
 from blocksar.kernels.phase import Float32Array
-from blocksar.kernels.signatures import COMPILED, KEPT, PART, UNCHECKED
-from blocksar.kernels.trigonometry import cosine, sine
+from blocksar.kernels.signatures import COMPILED, KEPT
 from blocksar.solvers import least_squares, product
 
-TILE_DEGREE = 5
 TILE_PIXELS = 128
 TILE_EXTENT = 150.0  # m: the largest tile over which its polynomials hold to a millicycle
 TILE_GROUP = 16  # tiles per call of the compiled loop
-N_PHASE = 64  # intervals of a sample in a table of taps; between them taps are interpolated, to 1e-4
-N_CARRIER = 1024  # carriers along Doppler that are told apart, in steps of 1 / N_CARRIER cycles per sample
-LEAST_LIT = 0.3  # pulses, times the gain of the pattern: with fewer a pixel counts as not lit
-RANGE_UNIT = WEIGHED_ROWS
 DOPPLER_UNIT = FEW // 2  # Doppler samples of a vector register
 
 
@@ -51,10 +62,11 @@ def correct(
     *,
     x: FloatArray,
     y: FloatArray,
+    z: FloatArray | None = None,
     threads: int = 1,
     out: ComplexArray | None = None,
 ) -> ComplexArray:
-    """Resample a focused block to ground pixels; NaN for pixels that it does not own.
+    """Resample a focused block to ground pixels; NaN for pixels that it does not own, or without a height.
 
     Parameters
     ----------
@@ -64,6 +76,8 @@ def correct(
         m, uniform.
     y : (n_y,) float
         m, uniform.
+    z : (n_y, n_x) float, optional
+        Heights, m, which a ground map with relief needs; NaN where unknown.
     out : (n_y, n_x) complex64, C-contiguous, optional
         Array for the result; its contents are overwritten. Reusing one saves the slow allocation for each chunk.
 
@@ -77,6 +91,10 @@ def correct(
     tile = _tile_side(ground, x, y)
     tiles = _tiles(ground, x, y, (tile, tile))
     if tiles.shape[0] == 0:
+        return out
+    if ground.relief is not None:
+        assert z is not None
+        _correct_on_relief(block, ground, out, tiles, tile, x=x, y=y, z=z, threads=threads)
         return out
     coefficients = _tile_polynomials(ground, x, y, tiles, tile)
     n_taps = ground.range_taps[0], ground.doppler_taps[0]
@@ -92,11 +110,8 @@ def correct(
     frame = np.array([nx, ny, px, py, height2, ground.near, ground.far])
     yaw_start = float(ground.yaw_axis[0] - ground.middle_yaw)
     yaw_step = float(ground.yaw_axis[1] - ground.yaw_axis[0])
-    if ground.lit.ndim == 1:
-        weight = (1.0 / np.maximum(ground.lit, 1e-9) / ground.scale)[None]
-        weight[:, ground.lit <= 0] = np.nan
-    else:
-        weight = ground.lit * ground.scale
+    weight = _weight(ground)
+    if ground.lit.ndim > 1:
         tiles[:, 2] = 0  # so that the range of every pixel is at hand
     # Arrays sent to a worker are read-only, for which the loop would be compiled again: copy the small ones, and make
     # the block read-only always.
@@ -114,6 +129,32 @@ def correct(
     # Python threads over groups of tiles, not numba's own: a dask worker may run several tasks in one process.
     run_groups(resample, [slice(i, i + TILE_GROUP) for i in range(0, tiles.shape[0], TILE_GROUP)], threads)
     return out
+
+
+def _correct_on_relief(
+    block: ComplexArray, ground: GroundMap, out: ComplexArray, tiles: FloatArray, tile: int, *, x: FloatArray,
+    y: FloatArray, z: FloatArray, threads: int,
+) -> None:  # fmt: skip
+    """Write the owned pixels to `out`, by a ground map with relief."""
+    doppler_taps, most_bend = bent_taps_of(ground)
+    widths = -(-ground.range_taps[0] // RANGE_UNIT) * RANGE_UNIT, doppler_taps.real.shape[1] // 2
+    floats = _with_room(block, *widths).view(np.float32)
+    floats.flags.writeable = False
+    near_limit, far_limit = np.array(ground.near_limit), np.array(ground.far_limit)
+    resample_on_relief(
+        ground, floats, out, tiles, x=np.array(x), y=np.array(y), z=z, tile=tile, group=TILE_GROUP, threads=threads,
+        range_taps=(_range_taps(*ground.range_taps), ground.range_taps[0], widths[0]), doppler_taps=doppler_taps,
+        most_bend=most_bend, carriers=_carriers(widths[1]), limits=(near_limit, far_limit), weight=_weight(ground),
+    )  # fmt: skip
+
+
+def _weight(ground: GroundMap) -> FloatArray:
+    """What a pixel's sum is divided by, as a table over range and yaw; or one over that, (1, n), over yaw alone."""
+    if ground.lit.ndim > 1:
+        return ground.lit * ground.scale
+    weight = (1.0 / np.maximum(ground.lit, 1e-9) / ground.scale)[None]
+    weight[:, ground.lit <= 0] = np.nan
+    return weight
 
 
 def _tile_side(ground: GroundMap, x: FloatArray, y: FloatArray) -> int:
@@ -137,7 +178,8 @@ def _tiles(ground: GroundMap, x: FloatArray, y: FloatArray, side: tuple[int, int
     last_x = np.minimum(corners[:, 1] + side[1], x.size) - 1
     cy, cx = (y[corners[:, 0]] + y[last_y]) / 2, (x[corners[:, 1]] + x[last_x]) / 2
     radius = np.hypot(y[last_y] - y[corners[:, 0]], x[last_x] - x[corners[:, 1]]) / 2 + 1e-6
-    rng = ground.geometry.epoch_range(cx, cy)
+    lowest, highest = ground.levels
+    rng, nearest = (ground.geometry.epoch_range(cx, cy, level) for level in (lowest, highest))
     turn = ground.relative_yaw(cx, cy)
     distance = np.hypot(cx - ground.geometry.nadir[0], cy - ground.geometry.nadir[1])
     half = (ground.high - ground.low) / 2
@@ -145,7 +187,7 @@ def _tiles(ground: GroundMap, x: FloatArray, y: FloatArray, side: tuple[int, int
 
     def between(near: float, far: float, margin: float) -> FloatArray:
         near, far = max(ground.near, near) - margin * radius, min(ground.far, far) + margin * radius
-        return (np.abs(turn) <= half + margin * slack) & (rng >= near) & (rng <= far)
+        return (np.abs(turn) <= half + margin * slack) & (rng >= near) & (nearest <= far)
 
     touched = between(float(ground.near_limit.min()), float(ground.far_limit.max()), 1.0)
     # Twice the radius inside, so that rounding cannot matter.
@@ -217,194 +259,6 @@ def _with_room(block: ComplexArray, n_row: int, n_doppler: int) -> ComplexArray:
     return np.pad(block, lacking) if np.any(lacking) else np.ascontiguousarray(block)
 
 
-# The compiled loops. Rows of pixels lie in arrays as long as a tile's side, allocated once per call: for a view made in
-# a loop, numba would count references by locked instructions. Indices are unsigned where the compiler could not rule
-# out negative ones, for which it would load element by element.
-
-
-@njit(nogil=True, **PART)
-def _left(ray_x: float, ray_y: float, x: float, y: float) -> bool:
-    """Whether a point is on a ray or to its left.
-
-    Two products are compared, not their difference with zero: the compiler fuses a difference into a multiply-add,
-    which rounds differently for the two neighbours of a seam.
-    """
-    return ray_x * y >= ray_y * x
-
-
-@njit(nogil=True, **PART)
-def _sector(
-    x: FloatArray, first: int, n: int, y: float, rays: FloatArray, frame: FloatArray, rng: FloatArray, owned: FloatArray
-) -> bool:
-    """Write the epoch ranges of n pixels from x[first] on, and NaN to `owned` outside the rays and ranges.
-
-    Returns whether any pixel is inside. No operations are contracted: vector and scalar loops, and neighbours, must
-    agree to the last bit.
-    """
-    nx, ny, px, py, height2, near, far = frame[0], frame[1], frame[2], frame[3], frame[4], frame[5], frame[6]
-    n_inside = 0
-    for k in range(n):
-        xx = x[np.uint64(first) + np.uint64(k)]
-        r = np.sqrt((xx - px) ** 2 + (y - py) ** 2 + height2)
-        between = _left(rays[0], rays[1], xx - nx, y - ny) and not _left(rays[2], rays[3], xx - nx, y - ny)
-        inside = between and r >= near and r < far
-        rng[k] = r
-        owned[k] = owned[k] if inside else np.nan
-        n_inside += 1 if inside else 0
-    return n_inside > 0
-
-
-@njit(**PART, **COMPILED, **UNCHECKED)
-def _limit(
-    turn: FloatArray, start: float, step: float, near_limit: FloatArray, far_limit: FloatArray, rng: FloatArray,
-    owned: FloatArray,
-) -> None:  # fmt: skip
-    """Write NaN to `owned` for pixels outside the range window at their yaw."""
-    for k in range(owned.size):
-        place = (turn[k] - start) / step
-        i = min(max(int(place), 0), near_limit.size - 2)
-        part = min(max(place - i, 0.0), 1.0)
-        near = near_limit[i] + part * (near_limit[i + 1] - near_limit[i])
-        far = far_limit[i] + part * (far_limit[i + 1] - far_limit[i])
-        if rng[k] < near or rng[k] > far:
-            owned[k] = np.nan
-
-
-@njit(**PART, **COMPILED, **UNCHECKED)
-def _amplitude(
-    turn: FloatArray, start: float, per_step: float, weight: FloatArray, loss: FloatArray, owned: FloatArray,
-    amplitude: Float32Array,
-) -> None:  # fmt: skip
-    """The factor that calibrates a pixel: the weight at the nearest yaw over the gain; NaN where not owned."""
-    for k in range(owned.size):
-        place = min(max((turn[k] - start) * per_step, 0.0), weight.size - 1.0)
-        amplitude[k] = owned[k] * weight[np.uint64(np.int64(place + 0.5))] * loss[k]
-
-
-@njit(**PART, **COMPILED)
-def _amplitude_of_sums(
-    turn: FloatArray, start: float, per_step: float, total: FloatArray, near: float, far: float, rng: FloatArray,
-    loss: FloatArray, owned: FloatArray, amplitude: Float32Array,
-) -> None:  # fmt: skip
-    """The same factor from sums over lit pulses, `total`, linear between ranges from near to far and between yaws.
-
-    NaN where the sum is small.
-    """
-    n_range, n_yaw = total.shape
-    for k in range(owned.size):
-        place = min(max((turn[k] - start) * per_step, 0.0), n_yaw - 1.0)
-        row = min(max((rng[k] - near) / (far - near) * (n_range - 1), 0.0), n_range - 1.0)
-        if np.isnan(owned[k]) or np.isnan(place + row):
-            amplitude[k] = np.nan
-            continue
-        i, j = min(int(row), n_range - 2), min(int(place), n_yaw - 2)
-        p, q = row - i, place - j
-        here = (1 - q) * total[i, j] + q * total[i, j + 1]
-        value = (1 - p) * here + p * ((1 - q) * total[i + 1, j] + q * total[i + 1, j + 1])
-        amplitude[k] = owned[k] * loss[k] / value if value >= LEAST_LIT else np.nan
-
-
-@njit(**PART, **COMPILED)
-def _along(coefficients: FloatArray, t: int, v: float, along: FloatArray) -> None:
-    """Polynomials of tile t at one v: power coefficients in u, quantity by quantity."""
-    c = coefficients
-    for m in range(along.size):
-        inner = c[t, 2, m] + v * (c[t, 3, m] + v * (c[t, 4, m] + v * c[t, 5, m]))
-        along[m] = c[t, 0, m] + v * (c[t, 1, m] + v * inner)
-
-
-@njit(**PART, **COMPILED)
-def _evaluate(along: FloatArray, across: FloatArray, values: FloatArray) -> None:
-    """All quantities (n, u.size) of a row of pixels, at all u."""
-    for q in range(values.shape[0]):
-        m = q * (TILE_DEGREE + 1)
-        c0, c1, c2, c3, c4, c5 = along[m], along[m + 1], along[m + 2], along[m + 3], along[m + 4], along[m + 5]
-        for k in range(across.size):
-            u = across[k]
-            values[q, k] = c0 + u * (c1 + u * (c2 + u * (c3 + u * (c4 + u * c5))))
-
-
-@njit(**PART, **COMPILED)
-def _place(
-    position: FloatArray, n_tap: int, width: int, size: int, room: int, first: IntArray, row: IntArray,
-    part: Float32Array,
-) -> None:  # fmt: skip
-    """First sample of each pixel's window, and its taps: row `row` of the table and the fraction `part` to the next.
-
-    `first` is -1 where the n_tap taps are not within the `size` samples. The padding to `width` is in front of the taps
-    where behind it would exceed `room`.
-    """
-    for k in range(position.size):
-        whole = np.floor(position[k])
-        fine = (position[k] - whole) * N_PHASE
-        start = int(whole) - (n_tap // 2 - 1)
-        i = min(int(fine), N_PHASE - 1)
-        late = start + width > room
-        inside = start >= 0 and start + n_tap <= size
-        first[k] = (start - (width - n_tap) if late else start) if inside else -1
-        row[k] = i + (N_PHASE + 1 if late else 0)
-        part[k] = fine - i
-
-
-@njit(**PART, **COMPILED)
-def _turns(
-    doppler: FloatArray, cycles: FloatArray, middle: FloatArray, first: IntArray, carrier: IntArray, own: Float32Array
-) -> None:
-    """The carrier of each pixel's response along its window, and the pixel's own phase, cycles without whole ones.
-
-    The response has the carrier of its dwell time, exp(2j pi middle (sample - doppler)). It is removed to the nearest
-    step of 1 / N_CARRIER, which only shifts the band within that of the taps; whole cycles per sample do not matter.
-    The carrier's phase at the window's first sample is part of the pixel's own.
-    """
-    for k in range(middle.size):
-        steps = np.rint(middle[k] * N_CARRIER)
-        carrier[k] = int(steps) & (N_CARRIER - 1)
-        total = steps / N_CARRIER * (first[k] - doppler[k]) - cycles[k]
-        own[k] = total - np.rint(total)
-
-
-@njit(**PART, **COMPILED)
-def _phasors(cycles: Float32Array, real: Float32Array, imag: Float32Array) -> None:
-    """exp(2j pi cycles), real and imaginary part."""
-    for k in range(cycles.size):
-        real[k] = cosine(cycles[k])
-        imag[k] = sine(cycles[k])
-
-
-@njit(**PART, **COMPILED)
-def _between(taps: Float32Array, at: int, step: int, part: float) -> Any:
-    """A register of taps, interpolated by the fraction `part` to the next row of its table, `step` entries further."""
-    taps_here = load_few(taps, at)
-    return taps_here + part * (load_few(taps, at + step) - taps_here)
-
-
-@njit(**PART, **COMPILED)
-def _window_sums(  # type: ignore[no-untyped-def]
-    flat, stride, at, range_taps, range_step, range_width, range_row, range_part, doppler_taps, doppler_step,
-    doppler_row, doppler_part, carriers, carrier, real, imag,
-):  # fmt: skip
-    """real + 1j imag: for each pixel the weighted sum over its window, with the carrier along Doppler removed.
-
-    Real and imaginary parts alternate along a row of the block, eight samples in a register. The rows are summed
-    first, with one weight each, then the registers are multiplied by the taps along Doppler and by the carrier.
-    """
-    for k in range(at.size):
-        if at[k] < 0:
-            continue
-        re, im = spread_few(np.float32(0.0)), spread_few(np.float32(0.0))
-        for m in range(0, doppler_step, FEW):
-            column = spread_few(np.float32(0.0))
-            for p in range(0, range_width, RANGE_UNIT):
-                weights = _between(range_taps, range_row[k] * range_step + p, range_step, range_part[k])
-                column = column + weigh_rows(flat, at[k] + p * stride + m, stride, weights)
-            taps = _between(doppler_taps, doppler_row[k] * doppler_step + m, doppler_step, doppler_part[k])
-            column = column * taps
-            phasor = 2 * carrier[k] * doppler_step + m
-            re = re + column * load_few(carriers, phasor)
-            im = im + column * load_few(carriers, phasor + doppler_step)
-        real[k], imag[k] = total(re), total(im)
-
-
 @njit(**KEPT, **COMPILED)
 def _resample(  # type: ignore[no-untyped-def]
     floats, out, tiles, coefficients, x, y, tile, range_table, doppler_table, carrier_table, n_taps, widths, sizes,
@@ -431,26 +285,24 @@ def _resample(  # type: ignore[no-untyped-def]
         for i in range(i0, min(i0 + tile, out.shape[0])):
             for k in range(tile):
                 owned[k] = 1.0 if k < n else np.nan
-            if not every and not _sector(x, j0, n, y[i], rays, frame, rng, owned):
+            if not every and not find_sector(x, j0, n, y[i], rays, frame, rng, owned):
                 continue
-            _along(coefficients, t, across[i - i0], along)
-            _evaluate(along, across, values)
+            along_row(coefficients, t, across[i - i0], along)
+            evaluate_row(along, across, values)
             if not every:
-                _limit(turn, yaw_start, yaw_step, near_limit, far_limit, rng, owned)
+                find_limits(turn, yaw_start, yaw_step, near_limit, far_limit, rng, owned)
             if weight.shape[0] == 1:
-                _amplitude(turn, yaw_start, 1 / yaw_step, by_yaw, loss, owned, amplitude)
+                amplitude_of(turn, yaw_start, 1 / yaw_step, by_yaw, loss, owned, amplitude)
             else:
-                _amplitude_of_sums(
-                    turn, yaw_start, 1 / yaw_step, weight, frame[5], frame[6], rng, loss, owned, amplitude
-                )
-            _place(row, n_taps[0], widths[0], sizes[0], n_row, first_row, range_row, range_part)
-            _place(doppler, n_taps[1], widths[1], sizes[1], n_doppler, first_doppler, doppler_row, doppler_part)
-            _turns(doppler, cycles, middle, first_doppler, carrier, own)
-            _phasors(own, own_real, own_imag)
+                divide_by_sums(turn, yaw_start, 1 / yaw_step, weight, frame[5], frame[6], rng, loss, owned, amplitude)
+            place_windows(row, n_taps[0], widths[0], sizes[0], n_row, first_row, range_row, range_part)
+            place_windows(doppler, n_taps[1], widths[1], sizes[1], n_doppler, first_doppler, doppler_row, doppler_part)
+            turn_windows(doppler, cycles, middle, first_doppler, carrier, own)
+            phasors_of(own, own_real, own_imag)
             for k in range(tile):
                 outside = np.isnan(amplitude[k]) or first_row[k] < 0 or first_doppler[k] < 0
                 at[k] = -1 if outside else first_row[k] * floats.shape[1] + 2 * first_doppler[k]
-            _window_sums(
+            sum_windows(
                 flat, stride, at, range_taps, range_step, widths[0], range_row, range_part, doppler_taps, doppler_step,
                 doppler_row, doppler_part, carriers, carrier, real, imag,
             )  # fmt: skip

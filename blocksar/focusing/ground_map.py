@@ -5,48 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, types
 
-from blocksar import solvers
 from blocksar.arrays import FloatArray
 from blocksar.collection.beam import lit_total, weighted_pulses, wrapped
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import Taper
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.lines import Focus, RowPolynomial
+from blocksar.focusing.relief_map import ReliefMap
+from blocksar.focusing.surfaces import Surface, fit_surface
 from blocksar.kernels.fourier import Axis
-from blocksar.kernels.loops import loop
-from blocksar.kernels.signatures import COMPILED, PART, REAL_ROW, REAL_ROWS
 
 LIT_RANGES = 33  # of the sum over lit pulses, where that depends on range
 YAW_STEPS = 4096  # of the range window's limits and the number of lit pulses along yaw
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Surface:
-    """A smooth function of (epoch range, yaw): a tensor Chebyshev series."""
-
-    series: FloatArray
-    near: float
-    far: float
-    low: float
-    high: float
-
-    def __call__(self, epoch_range: FloatArray, yaw: FloatArray) -> FloatArray:
-        epoch_range, yaw = np.broadcast_arrays(epoch_range, yaw)
-        u = (2 * epoch_range - self.near - self.far) / (self.far - self.near)
-        v = (2 * yaw - self.low - self.high) / (self.high - self.low)
-        values = np.empty(u.size)
-        sum_series(np.array(self.series, order="C"), u.ravel(), v.ravel(), values)
-        return values.reshape(u.shape)
-
-
-def fit_surface(values: FloatArray, *, epoch_range: FloatArray, yaw: FloatArray, degree: tuple[int, int]) -> Surface:
-    """The tensor series of values (n_range, n_yaw), at ranges and yaws that lie as `solvers.end_nodes` do."""
-    in_range = solvers.node_series(values, min(degree[0], epoch_range.size - 1))
-    series = solvers.node_series(in_range.T, min(degree[1], yaw.size - 1)).T
-    near, far, low, high = map(float, (epoch_range[0], epoch_range[-1], yaw[0], yaw[-1]))
-    return Surface(series=series, near=near, far=far, low=low, high=high)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -88,6 +59,8 @@ class GroundMap:
         n_range_frequency / period of the range transform, times the mean weight over range frequency.
     range_taps, doppler_taps : (int, float)
         Taps of the interpolation, and the occupied fraction of the sampling rate.
+    relief : ReliefMap or None
+        The same with the height as third coordinate, which a terrain needs in place of the five surfaces.
     """
 
     geometry: Geometry
@@ -112,6 +85,14 @@ class GroundMap:
     scale: float
     range_taps: tuple[int, float]
     doppler_taps: tuple[int, float]
+    relief: ReliefMap | None = None
+
+    @property
+    def levels(self) -> tuple[float, float]:
+        """Least and greatest z of the block's ground, m."""
+        if self.relief is None:
+            return self.geometry.collection.ground_height, self.geometry.collection.ground_height
+        return self.relief.lowest, self.relief.highest
 
     @property
     def middle_yaw(self) -> float:
@@ -184,42 +165,3 @@ def surfaces(
         fit_surface(focus.gain, **grid),  # type: ignore[arg-type]
         fit_surface(focus.time, **grid),  # type: ignore[arg-type]
     )
-
-
-@loop(REAL_ROWS, REAL_ROW, REAL_ROW, types.float64[::1], **COMPILED)
-def sum_series(series: FloatArray, u: FloatArray, v: FloatArray, values: FloatArray) -> None:
-    """values[k] = sum_ij series[i, j] T_i(u[k]) T_j(v[k]), a strip of points at a time so that the T stay in cache."""
-    strip = 64
-    tu, tv = np.empty((max(series.shape[0], 2), strip)), np.empty((max(series.shape[1], 2), strip))
-    total, inner = np.empty(strip), np.empty(strip)
-    for first in range(0, u.size, strip):
-        n = min(strip, u.size - first)
-        _chebyshev(u[first : first + n], tu)
-        _chebyshev(v[first : first + n], tv)
-        for k in range(strip):
-            total[k] = 0.0
-        for j in range(series.shape[1]):
-            for k in range(strip):
-                inner[k] = 0.0
-            for i in range(series.shape[0]):
-                c = series[i, j]
-                for k in range(strip):
-                    inner[k] += c * tu[i, k]
-            for k in range(strip):
-                total[k] += inner[k] * tv[j, k]
-        for k in range(n):
-            values[first + k] = total[k]
-
-
-@njit(**PART, **COMPILED)
-def _chebyshev(u: FloatArray, t: FloatArray) -> None:
-    """t[i, k] = T_i(u[k]) in all rows of t, at least two; zeros beyond the end of u."""
-    for i in range(t.shape[0]):
-        for k in range(t.shape[1]):
-            t[i, k] = 0.0
-    for k in range(u.size):
-        t[0, k] = 1.0
-        t[1, k] = u[k]
-    for i in range(2, t.shape[0]):
-        for k in range(u.size):
-            t[i, k] = 2 * u[k] * t[i - 1, k] - t[i - 2, k]

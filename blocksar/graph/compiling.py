@@ -26,6 +26,7 @@ SECONDS = {  # that a core takes to compile the loops of a module, to divide the
     "kernels.levelling": 3.7,
     "inspection.scan": 2.5,
     "autofocusing.range_lines": 1.2,
+    "focusing.relief_correction": 4.5,
     "focusing.correction": 4.1,
     "focusing.backprojection": 0.8,
     "simulation.scatterers": 1.5,

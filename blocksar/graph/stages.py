@@ -278,6 +278,7 @@ def mosaic(
     Chunks that only one block touches are there already; chunks that no block covers are not written.
     """
     grid = segments[0].planned.grid
+    on_terrain = segments[0].planned.geometry.terrain is not None
     side = image_chunk(grid)
     cells: dict[tuple[int, int], list[PatchChunk]] = {}
     blocks = [(segment, block) for segment in segments for block in segment.planned.blocks]
@@ -304,7 +305,8 @@ def mosaic(
         margins = {cell: _margins(segments, cell, grid, parts) for cell, parts in group.items()}
         row, column = ordered[first]
         unit = f"chunk-{row}-{column}"
-        units.append(single_task(client, run, "mosaic", unit, merge_chunks, group, grid, margins, known))
+        task = merge_chunks, group, grid, margins, known, on_terrain
+        units.append(single_task(client, run, "mosaic", unit, *task))
     return run_units(client, "mosaic", units, run, listener, per_worker=2)
 
 

@@ -21,7 +21,6 @@ from blocksar.chunks import BACKPROJECTION_CHUNK, WRITES_AT_ONCE
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.ownership import margins_over
-from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.backprojection import form_image
@@ -31,6 +30,7 @@ from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.range_compression import RawCompression
 from blocksar.focusing.recovery import Recovery, recover_columns
 from blocksar.focusing.step import Stage
+from blocksar.graph.heights import heights_of, local_terrain, write_height
 from blocksar.graph.segments import Margins, Merged
 from blocksar.graph.spectrum import SpectrumChunks, Window, chunk_spans, read_ahead
 from blocksar.inspection.samples import Inspection, inspect, mask_outliers
@@ -253,12 +253,21 @@ def write_patch(
             window = chunk_window(cell, grid)
             shape = (window[0].stop - window[0].start, window[1].stop - window[1].start)
             out = chunks[number % len(chunks)][: shape[0] * shape[1]].reshape(shape)
-            pixels = correct(
-                samples.values, ground, x=grid.x[window[1]], y=grid.y[window[0]], threads=run.threads, out=out
-            )
+            x, y = grid.x[window[1]], grid.y[window[0]]
+            z = None if ground.relief is None else heights_of(run, grid, window)
+            pixels = correct(samples.values, ground, x=x, y=y, z=z, threads=run.threads, out=out)
             writes.append(
                 pool.submit(
-                    _write_pixels, run, block, pixels, window, (first_y, first_x), grid, noise, merged=cell not in own
+                    _write_pixels,
+                    run,
+                    block,
+                    pixels,
+                    window,
+                    (first_y, first_x),
+                    grid,
+                    noise,
+                    z,
+                    merged=cell not in own,
                 )
             )
     seconds = samples.seconds | {"geometric-correction": time.perf_counter() - started}
@@ -268,12 +277,6 @@ def write_patch(
         origin=(int(first_y), int(first_x)), steps=seconds,
     )  # fmt: skip
     return sign(run, receipt, started - sum(samples.seconds.values()))
-
-
-def local_terrain(run: Run, grid: Grid, window: Window) -> Terrain:
-    """The part of the run's terrain that some rows and columns of the image need."""
-    y, x = grid.y[window[0]], grid.x[window[1]]
-    return stores.read_terrain(run.terrain, (float(x[0]), float(x[-1])), (float(y[0]), float(y[-1])))
 
 
 def chunk_window(cell: tuple[int, int], grid: Grid) -> Window:
@@ -297,6 +300,7 @@ def _write_pixels(
     origin: tuple[int, int],
     grid: Grid,
     noise: NoiseMap | None,
+    height: FloatArray | None,
     *,
     merged: bool,
 ) -> list[Written]:
@@ -316,6 +320,7 @@ def _write_pixels(
         written,
         *_write_image(run, window, pixels, owner, of, (patch, part), written.checksum),
         *write_noise(run, window, owner, grid, noises),
+        *write_height(run, window, height),
     ]
 
 
@@ -327,9 +332,8 @@ def _write_image(
     collections: Mapping[int, int],
     patch: tuple[Place, Window] | None,
     checksum: str,
-    height: FloatArray | None = None,
 ) -> list[Written]:
-    """Write a chunk of the image, its owners, and the heights on a terrain.
+    """Write a chunk of the image, and its owners.
 
     A chunk that equals that of a patch, whose checksum is given, shares its storage where that is possible.
     """
@@ -338,8 +342,7 @@ def _write_image(
         image = Written(run.name_of(run.image), "image", span, checksum)
     else:
         image = write(run, run.image, "image", window, pixels)
-    written = [image, *_write_owner(run, window, owner, collections)]
-    return written if height is None else [*written, write(run, run.image, "height", window, height.astype(np.float32))]
+    return [image, *_write_owner(run, window, owner, collections)]
 
 
 def _write_owner(run: Run, window: Window, owner: NDArray[np.int16], collections: Mapping[int, int]) -> list[Written]:
@@ -374,17 +377,18 @@ def merge_chunks(
     grid: Grid,
     margins: Mapping[tuple[int, int], Margins],
     noises: Mapping[int, NoiseMap] | None = None,
+    on_terrain: bool = False,
 ) -> Receipt:
     """Merge patches into output chunks of the mosaic, given by row and column of the chunk.
 
     Where several segments cover some of a chunk, `margins` has theirs; `noises` has those of segments, if known.
     """
     started = time.perf_counter()
-    parts = [
-        part
-        for cell, patches in cells.items()
-        for part in _merge(run, cell, patches, grid, margins[cell], noises or {})
-    ]
+    parts: list[Written] = []
+    for cell, patches in cells.items():
+        parts += _merge(run, cell, patches, grid, margins[cell], noises or {})
+        window = chunk_window(cell, grid)
+        parts += write_height(run, window, heights_of(run, grid, window) if on_terrain else None)
     return sign(run, Receipt(unit=unit, stage="mosaic", written=tuple(parts)), started)
 
 
@@ -468,9 +472,8 @@ def back_project_chunk(
             *_write_owner(run, window, owner, collections),
             *write_noise(run, window, owner, grid, noises),
         ]
-        if terrain is not None:
-            height = terrain.on_grid(grid.x[window[1]], grid.y[window[0]]).astype(np.float32)
-            parts.append(write(run, run.image, "height", window, height))
+        height = None if terrain is None else terrain.on_grid(grid.x[window[1]], grid.y[window[0]])
+        parts += write_height(run, window, height)
     return sign(run, Receipt(unit=unit, stage="backprojection", written=tuple(parts)), started)
 
 

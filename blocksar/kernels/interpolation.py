@@ -18,6 +18,7 @@ from blocksar.kernels.signatures import COMPILED, PART, REAL_ROW, REAL_ROWS, SAM
 from blocksar.kernels.trigonometry import horner
 
 PIECE = LANES * LANES  # samples of a row interpolated from one buffer that fits the first-level cache
+BENT_NODES = 96  # of the integrals over the band for taps that remove a phase
 TAP_PHASES = 32  # fractions of a sample about which interpolation weights are expanded
 TAP_ORDER = 4
 OCCUPANCIES = 1024  # steps in which occupancies are told apart when taps are counted
@@ -49,6 +50,35 @@ def interpolation_taps(n_tap: int, *, occupancy: float, n_phase: int = 256) -> F
     fraction = np.arange(n_phase + 1) / n_phase
     right = np.sinc(occupancy * (fraction[None, :] - k[:, None]))
     return np.ascontiguousarray(solvers.least_squares(gram, right.T).T, dtype=np.float32)
+
+
+def bent_taps(n_tap: int, bends: FloatArray, *, occupancy: float, n_phase: int) -> tuple[Float32Array, Float32Array]:
+    """Least-squares taps that also remove a phase of q (2 f / occupancy)^2 cycles over |f| <= occupancy / 2.
+
+    With f in cycles per sample, sum_k taps_k exp(-2j pi f (k - p / n_phase)) is exp(-2j pi q (2 f / occupancy)^2). For
+    q = 0 these are `interpolation_taps`.
+
+    Parameters
+    ----------
+    bends : (n,) float
+        q, cycles.
+
+    Returns
+    -------
+    real, imag : (n, n_phase + 1, n_tap) float32
+    """
+    k = np.arange(n_tap) - (n_tap // 2 - 1)
+    gram = np.sinc(occupancy * (k[:, None] - k[None, :])) + 1e-9 * np.eye(n_tap)
+    away = (k - np.arange(n_phase + 1)[:, None] / n_phase).ravel()
+    nodes, weights = solvers.gauss_legendre(BENT_NODES)
+    turns = 2 * np.pi * occupancy / 2 * nodes * away[:, None]
+    bent = 2 * np.pi * np.asarray(bends)[:, None] * nodes**2
+    # Of exp(1j turns) exp(-1j bent), whose part that is odd over the band cancels.
+    parts = [solvers.product(np.cos(turns) * weights / 2, part.T).T for part in (np.cos(bent), -np.sin(bent))]
+    shape = len(bends), n_phase + 1, n_tap
+    rights = [part.reshape(-1, n_tap) for part in parts]
+    solved = [solvers.least_squares(gram, right).T.reshape(shape) for right in rights]
+    return tuple(np.ascontiguousarray(part, dtype=np.float32) for part in solved)  # type: ignore[return-value]
 
 
 def interpolation_error(n_tap: int, occupancy: float) -> float:

@@ -35,5 +35,11 @@ def level_aperture(line: Line, taper: AxisTaper) -> tuple[AxisTaper, Line]:
     series = solvers.product(solvers.legendre_series(nodes.size, degree), (1 / np.sqrt(mean))[:, None])[:, 0]
     level = np.polynomial.legendre.legval(nodes, series)
     share = float((shares * level).sum() / shares.sum())
-    levelled = replace(taper, level=tuple((series / share).tolist()))
-    return levelled, replace(line, stretch=line.stretch * (level / share) ** 2)
+    under = replace(taper, level=tuple((series / share).tolist()))
+    return under, replace(line, stretch=line.stretch * (level / share) ** 2)
+
+
+def levelled(line: Line, taper: AxisTaper) -> Line:
+    """Other lines under a taper that `level_aperture` has made."""
+    level = np.polynomial.legendre.legval(solvers.gauss_legendre(line.stretch.shape[-1])[0], np.array(taper.level))
+    return replace(line, stretch=line.stretch * level**2)

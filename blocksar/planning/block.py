@@ -12,14 +12,11 @@ from numpy.polynomial import chebyshev
 
 from blocksar import solvers
 from blocksar.arrays import BoolArray, FloatArray
-from blocksar.budget import IMAGE_TAP_ERROR
 from blocksar.chunks import DOPPLER_GROUP
-from blocksar.collection import range_series
 from blocksar.collection.beam import dwell_at
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
-from blocksar.collection.region import Region
-from blocksar.collection.weighting import FLAT, UNIFORM, AxisTaper, Taper, Weighting
+from blocksar.collection.weighting import FLAT, AxisTaper
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.chains import steps_of
 from blocksar.focusing.dwell_gate import DwellGate
@@ -29,21 +26,24 @@ from blocksar.focusing.method import Method
 from blocksar.focusing.motion import RangeMotionInFrequency
 from blocksar.focusing.range_gate import RangeGate
 from blocksar.focusing.recovery import Recovery
+from blocksar.focusing.relief_map import NodeHeights
 from blocksar.focusing.sampling import Sampling
 from blocksar.focusing.step import Constants, Step
 from blocksar.kernels import fourier
 from blocksar.kernels.fourier import Axis
 from blocksar.kernels.interpolation import taps_needed
-from blocksar.planning.apertures import level_aperture
+from blocksar.planning.apertures import level_aperture, levelled
 from blocksar.planning.binding import AzimuthPart, RangePart, Slab
 from blocksar.planning.coefficients import Choice, choose
-from blocksar.planning.dwell_weights import dwell_weights, taper_over_dwells
+from blocksar.planning.dwell_weights import DwellWeights, dwell_weights
 from blocksar.planning.fidelity import gate_blur
-from blocksar.planning.gates import full_dwells, plan_gate, plan_range_gate
+from blocksar.planning.gates import GATE_DEGREES, full_dwells, plan_gate, plan_range_gate
 from blocksar.planning.memory import block_memory
 from blocksar.planning.motion import plan_motion
 from blocksar.planning.prediction import Prediction, predict
-from blocksar.planning.target_lines import Dwells, find_dwells, tail_margin
+from blocksar.planning.relief import FINE_DEGREE, map_relief, trace_layer
+from blocksar.planning.sector import Sector
+from blocksar.planning.target_lines import Dwells, tail_margin
 
 TIME_GUARD = 0.1  # dwells kept on either side of the time in which a block's targets are lit
 # Oversampling of a focused block: twelve taps in range and eight in Doppler then err by less than IMAGE_TAP_ERROR.
@@ -54,44 +54,6 @@ MOST_BEYOND = 1.05  # half swaths from its middle at which the series of that it
 RESAMPLING_ROOM = 1.35  # oversampling of Doppler by padding in time: dense enough to interpolate
 REGION_STEPS, LEAST_STEPS = 64 * YAW_STEPS, 128  # of yaw over the region, in which a block has its share; at least
 STEPS_BY_RANGE = 512  # of yaw, where the sum over lit pulses is a table over range and yaw
-REFERENCE_ORDER = 8  # of the range series of a block's centre
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Sector:
-    """The ground that a block owns: yaws [low, high), rad, at epoch ranges [near, far), m.
-
-    With the weighting of its image, and the error that the interpolation of the focused block may have.
-    """
-
-    geometry: Geometry
-    recovery: Recovery
-    region: Region
-    low: float
-    high: float
-    near: float
-    far: float
-    weighting: Weighting = UNIFORM
-    tap_error: float = IMAGE_TAP_ERROR
-
-    @property
-    def taper(self) -> Taper:
-        """The weighting over dwells."""
-        return taper_over_dwells(self.geometry.collection, self.weighting)
-
-    def dwells(self, yaw: FloatArray, *, coarsely: bool = False) -> Dwells:
-        """Dwells of targets at yaws (...), rad, for their lines in the recovered signal."""
-        recovery = self.recovery
-        return find_dwells(
-            self.geometry, yaw=yaw, origin=recovery.origin, walk=recovery.walk, common=recovery.common,
-            coarsely=coarsely,
-        )  # fmt: skip
-
-    def reference(self) -> FloatArray:
-        """Range series of the sector's centre, m/s^n, less the common range that recovery removes."""
-        middle = np.array((self.near + self.far) / 2), np.array((self.low + self.high) / 2)
-        series = range_series.range_series(self.geometry, *middle, order=REFERENCE_ORDER)
-        return np.asarray(series - self.recovery.common.taylor(REFERENCE_ORDER))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -171,9 +133,10 @@ def plan_block(
     dwells = sector.dwells(yaws, coarsely=True)
     line = dwells.lines(nodes[:, None])
     duration = float(line.weight.sum(axis=-1).max())
-    slab = _plan_slab(collection, recovery.doppler, line, margin=tail_margin(duration))
+    everywhere = sector.with_relief(line, lambda part: part.dwells(yaws, coarsely=True).lines(nodes[:, None]))
+    slab = _plan_slab(collection, recovery.doppler, everywhere, margin=tail_margin(duration))
     band = Axis(float(collection.range_frequency[0]), collection.range_frequency_step, collection.n_range_frequency)
-    range_gate = None if part is None else plan_range_gate(band, slab.doppler, line, collection.carrier)
+    range_gate = None if part is None else plan_range_gate(band, slab.doppler, everywhere, collection.carrier)
     motion = plan_motion(
         sector.geometry, near=sector.near, far=sector.far, origin=recovery.origin, low=sector.low, high=sector.high
     )
@@ -194,34 +157,91 @@ def plan_block(
     lit = sector.dwells(fine_yaw).lines(fine_range[:, None])
     compressed = range_part.trace(lit)
     biased, _, fine = azimuth.trace(compressed)
-    if constants.in_time is not None:
-        in_time, fine = level_aperture(fine, constants.in_time)
+    in_time = constants.in_time
+    if in_time is not None:
+        in_time, fine = level_aperture(fine, in_time)
         azimuth = azimuth.weighed(in_time)
     first, last = dwell_at(sector.geometry, fine_yaw, fine_range[:, None], uncut=True)
     uncut = first - sector.geometry.epoch, last - sector.geometry.epoch
     weights = dwell_weights(sector.geometry, sector.taper, lit, uncut=uncut, epoch_range=fine_range, yaw=fine_yaw)
     spots = focus(weights.weigh(fine))
     sampling = _plan_sampling(
-        recovery, slab, azimuth, straight,
+        recovery, slab, azimuth, straight if sector.relief is None else range_part.trace(everywhere),
         range_frequency=band if range_gate is None else range_gate.range_frequency, duration=duration,
         uncut=float((last - first).max()) if collection.steered else 0.0, tap_error=sector.tap_error,
     )  # fmt: skip
     full = full_dwells(fine, sector.geometry, fine_range[:, None], fine_yaw)
     ends = Ends(rate=biased.rate, uncut=uncut, scaled_about=azimuth.range_part.scales_time_about, full=full)
     gate = _plan_dwell_gate(sector, sampling, fine, spots, lit, ends)
+    if sector.relief is not None:
+        gate = _follow_terrain(sector, azimuth, sampling, fine_range, fine_yaw, weights, ends, in_time)
     sampling = replace(sampling, gate=gate)
+    ground = _plan_ground(sector, sampling, fine, spots, epoch_range=fine_range, yaw=fine_yaw)
+    prediction = predict(
+        fine, spots, fine_range, fine_yaw, sector.geometry, rate=ends.rate, gate=gate,
+        scaled_about=ends.scaled_about, weights=weights,
+    )  # fmt: skip
+    if sector.relief is not None:
+        ground, prediction = _raise(
+            sector, azimuth, ground, prediction, fine_range, fine_yaw, weights, gate, ends, in_time
+        )
     return BlockPlan(
         index=index, part=part, low=sector.low, high=sector.high, first_bin=slab.first_bin, n_bin=slab.doppler.size,
         chain=azimuth.sampled(sampling) if range_gate is None else (range_gate, *azimuth.sampled(sampling)),
         sampling=sampling,
-        ground=_plan_ground(sector, sampling, fine, spots, epoch_range=fine_range, yaw=fine_yaw),
-        prediction=predict(
-            fine, spots, fine_range, fine_yaw, sector.geometry, rate=ends.rate, gate=gate,
-            scaled_about=ends.scaled_about, weights=weights,
-        ),
+        ground=ground,
+        prediction=prediction,
         memory=_plan_memory(range_gate, range_part, sampling),
         choice=choice,
     )  # fmt: skip
+
+
+def _follow_terrain(
+    sector: Sector, azimuth: AzimuthPart, sampling: Sampling, epoch_range: FloatArray, yaw: FloatArray,
+    weights: DwellWeights, ends: Ends, in_time: AxisTaper | None,
+) -> DwellGate | None:  # fmt: skip
+    """The dwell gate for targets on the finer smooth part of a terrain."""
+    lit = sector.refined().dwells(yaw).lines(epoch_range[:, None])
+    biased, _, line = azimuth.trace(azimuth.range_part.trace(lit))
+    line = line if in_time is None else levelled(line, in_time)
+    return _plan_dwell_gate(sector, sampling, line, focus(weights.weigh(line)), lit, ends._replace(rate=biased.rate))
+
+
+def _raise(
+    sector: Sector, azimuth: AzimuthPart, ground: GroundMap, prediction: Prediction, epoch_range: FloatArray,
+    yaw: FloatArray, weights: DwellWeights, gate: DwellGate | None, ends: Ends, in_time: AxisTaper | None,
+) -> tuple[GroundMap, Prediction]:  # fmt: skip
+    """The ground map of a terrain, and the worst prediction over its heights."""
+    relief = sector.relief
+    assert relief is not None
+    origin, carrier = sector.recovery.origin, sector.geometry.collection.carrier
+
+    def trace(geometry: Geometry) -> tuple[Line, FloatArray]:
+        lit = replace(sector, geometry=geometry).dwells(yaw).lines(epoch_range[:, None])
+        biased, _, line = azimuth.trace(azimuth.range_part.trace(lit))
+        return line if in_time is None else levelled(line, in_time), biased.rate
+
+    offsets = relief.offsets.tolist()
+    layers = [trace_layer(sector.over(offset).geometry, trace, weights.weigh) for offset in offsets]
+    degree = 9, 16
+    by_height = map_relief(
+        relief, layers,
+        lambda spots: surfaces(
+            spots, epoch_range=epoch_range, yaw=yaw, origin=origin, carrier=carrier, degree=degree
+        ),
+        epoch_range=epoch_range, yaw=yaw, degree=degree,
+    )  # fmt: skip
+    *extremes, known = relief.extremes(epoch_range.size, yaw.size)
+    grounds = [sector.geometry.over(None, NodeHeights(smooth=relief.fine, over=heights)) for heights in extremes]
+    predictions = [
+        predict(
+            layer.line, layer.spots, epoch_range, yaw, layer.geometry, rate=layer.rate, gate=gate,
+            scaled_about=ends.scaled_about, weights=weights, reached=known,
+        )
+        for layer in (trace_layer(ground, trace, weights.weigh) for ground in grounds)
+        if known.any()
+    ]  # fmt: skip
+    return replace(ground, relief=by_height), min(predictions or [prediction], key=lambda each: each.coherence)
 
 
 class Ends(NamedTuple):
@@ -242,6 +262,7 @@ def _plan_dwell_gate(
     return plan_gate(
         line, spots, ends.rate, blur=gate_blur(collection, ends.uncut, scaled_about=ends.scaled_about), lit=lit,
         uncut=ends.uncut, full=ends.full, rows=sampling.rows, slow=sampling.long_time, taper=taper,
+        degree=GATE_DEGREES if sector.relief is None else FINE_DEGREE,
     )  # fmt: skip
 
 

@@ -69,6 +69,7 @@ def worst_losses(
     track_phase: float,
     weights: FloatArray,
     edge: FloatArray | float,
+    reached: BoolArray | None = None,
 ) -> Losses:
     """Losses of the target that loses most, of those with full dwell where there are any.
 
@@ -88,6 +89,8 @@ def worst_losses(
         The weighting, times the antenna's pattern, at the nodes of the lines.
     edge : (...) float
         The same at the ends of a dwell.
+    reached : (n_range, n_yaw) bool, optional
+        Which of the targets there are; default: all.
     """
     squared = line.weighed(weights**2)
     phase, migration = _along_dwell(squared, spots, geometry)
@@ -95,7 +98,10 @@ def worst_losses(
     if gate is not None:
         ends = _at_ends(line, spots, rng, yaw, geometry, rate=rate, gate=gate, scaled_about=scaled_about)
         ends *= edge**2 * line.weight.sum(axis=-1) / squared.weight.sum(axis=-1)
-    total = np.where(full_dwells(line, geometry, rng[:, None], yaw), phase + migration + ends, -1.0)
+    lost, full = phase + migration + ends, full_dwells(line, geometry, rng[:, None], yaw)
+    total = np.where(full, lost, -1.0)
+    if reached is not None:
+        total = np.where(full & reached if (full & reached).any() else reached, lost, -1.0)
     worst = np.unravel_index(int(np.argmax(total)), total.shape)
     return Losses(
         float(phase[worst]), float(migration[worst]), float(ends[worst]), 1 - float(np.exp(-(track_phase**2) / 2))

@@ -24,8 +24,7 @@ from blocksar.planning.target_lines import middle_line
 RANGE_GUARD = 48  # range cells on either side of a sub-block, for side lobes of targets at its ends
 GATE_ROOM = 1.62  # dwells that the sampling in Doppler has room for
 FULL = 0.999  # of the longest dwell: a full one
-GATE_RANGE_DEGREE = 4  # of the ends of dwells in range
-GATE_DEGREE = 5  # and in Doppler
+GATE_DEGREES = 4, 5  # of the ends of dwells in range and in Doppler
 LENGTHS, MOST_LENGTHS = {1e-3: 1, 0.04: 2, 0.15: 3}, 4  # windows by the relative spread of the halves' lengths
 
 
@@ -77,6 +76,7 @@ def plan_gate(
     rows: Axis,
     slow: Axis,
     taper: Taper = FLAT,
+    degree: tuple[int, int] = GATE_DEGREES,
 ) -> DwellGate | None:
     """The gate that follows the ends of the dwells along Doppler, from the lines (n_range, n_yaw) of targets.
 
@@ -99,6 +99,8 @@ def plan_gate(
         From `full_dwells`.
     taper : Taper
         Weighting over the dwells.
+    degree : (int, int)
+        Of the ends of dwells, in range and in Doppler.
     """
     begins, ends = dwell_ends(line)
     first, last = dwell_ends(lit)
@@ -114,7 +116,7 @@ def plan_gate(
     basis = chebyshev.chebvander2d(
         (2 * spots.range.ravel() - near - far) / (far - near),
         (doppler.ravel() - place.centre) / scale,
-        [GATE_RANGE_DEGREE, GATE_DEGREE],
+        list(degree),
     )
     length, smear = float(lengths.mean()), end_smear(line, rate)
     edges = [begins + length / 2, ends - length / 2]
@@ -126,9 +128,9 @@ def plan_gate(
         np.stack(edges).reshape(len(edges), -1),
         damping=1e-20 * basis.shape[0],
     )
-    # Series in range of powers of z, (GATE_RANGE_DEGREE + 1, GATE_DEGREE + 1).
+    # Series in range of powers of z, (degree[0] + 1, degree[1] + 1).
     begin, end, *halves = (
-        solvers.product(fitted[:, k].reshape(-1, GATE_DEGREE + 1), _to_powers()) for k in range(len(edges))
+        solvers.product(fitted[:, k].reshape(-1, degree[1] + 1), _to_powers(degree[1])) for k in range(len(edges))
     )
     phases = place.integral(begin), place.integral(end)
     at_middle = place.integral((begin + end) / 2).coefficients(np.array((near + far) / 2))[None]
@@ -186,10 +188,10 @@ def _window_lengths(shortest: float, longest: float) -> tuple[float, ...]:
 
 
 @lru_cache
-def _to_powers() -> FloatArray:
-    """Power coefficients of the Chebyshev polynomials of degrees 0 .. GATE_DEGREE, one a row; read-only."""
-    powers = np.zeros((GATE_DEGREE + 1, GATE_DEGREE + 1))
-    for degree, row in enumerate(np.eye(GATE_DEGREE + 1)):
+def _to_powers(most: int) -> FloatArray:
+    """Power coefficients of the Chebyshev polynomials of degrees 0 .. most, one a row; read-only."""
+    powers = np.zeros((most + 1, most + 1))
+    for degree, row in enumerate(np.eye(most + 1)):
         powers[degree, : degree + 1] = chebyshev.cheb2poly(row[: degree + 1])
     powers.flags.writeable = False
     return powers
@@ -238,7 +240,7 @@ def _slope(place: _RowPlace, series: FloatArray, spots: Focus, slopes: FloatArra
     rows = [(left[i, full[i]], spots.range[i, full[i]].mean()) for i in np.flatnonzero(whole)]
     u = np.array([(2 * rng - place.near - place.far) / (place.far - place.near) for _, rng in rows])
     middles = np.array([(values.min() + values.max()) / 2 for values, _ in rows])
-    degree = min(GATE_RANGE_DEGREE, (len(rows) - 1) // 2)
+    degree = min(GATE_DEGREES[0], (len(rows) - 1) // 2)
     terms = chebyshev.chebvander(u, degree).T
     slope.series[: degree + 1, 0] += solvers.least_squares(terms, middles, damping=1e-20 * u.size)
     return slope

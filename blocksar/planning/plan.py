@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Literal
 
@@ -26,9 +27,10 @@ from blocksar.chunks import (
     SPECTRUM_BYTES,
 )
 from blocksar.collection.collection import Collection
-from blocksar.collection.geometry import Geometry
+from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.grid import Grid
 from blocksar.collection.region import Extent, Owned, Region, block_seams, default_grid, grid_extent, plan_region
+from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import UNIFORM, Weighting
 from blocksar.constants import MIB, SPEED_OF_LIGHT
 from blocksar.errors import InputError
@@ -37,12 +39,14 @@ from blocksar.focusing.range_gate import RangeGate
 from blocksar.focusing.recovery import Recovery
 from blocksar.focusing.step import stages
 from blocksar.kernels.operations import Blend, Resample, Stretch, Transform
-from blocksar.planning.block import BlockPlan, Sector, plan_block
+from blocksar.planning.block import BlockPlan, plan_block
 from blocksar.planning.coefficients import Choice
 from blocksar.planning.division import MAX_BLOCKS, find_division
 from blocksar.planning.memory import MEMORY_SHARE, PROCESS_MEMORY, gating_memory
 from blocksar.planning.recovery import plan_recovery
 from blocksar.planning.refusal import find_refusal
+from blocksar.planning.relief import Relief, Samples, find_relief, sample_terrain
+from blocksar.planning.sector import Sector
 
 MOST_BLOCKS = 1000  # that a caller may ask for
 MAX_PARTS = 64  # range sub-blocks of a block
@@ -256,6 +260,7 @@ def plan_collection(
     weighting: Weighting = UNIFORM,
     grid: Grid | None = None,
     owned: Owned | None = None,
+    terrain: Terrain | None = None,
     workers: int = 1,
     memory_limit: int | None = None,
 ) -> Plan:
@@ -276,7 +281,7 @@ def plan_collection(
         )
     if blocks != "auto" and not 1 <= blocks <= MOST_BLOCKS:
         raise InputError(f"blocks = {blocks}: ask for 1 to {MOST_BLOCKS}, or for 'auto'")
-    geometry = Geometry(collection=collection)
+    geometry = Geometry(collection=collection) if terrain is None else over_terrain(collection, terrain)
     region = plan_region(geometry, grid)
     recovery = plan_recovery(geometry, region, method)
     grid = grid or default_grid(geometry, region)
@@ -386,11 +391,25 @@ class _Planner:
         edges = np.linspace(near - room, far + room, n_parts + 1)
         parts: list[BlockPlan] = []
         for part, (nearest, farthest) in enumerate(pairwise(edges.tolist())):
+            relief = self._relief(low, high, nearest, farthest)
             sector = Sector(
-                geometry=self.geometry, recovery=self.recovery, region=self.region, low=low, high=high, near=nearest,
-                far=farthest, weighting=self.weighting, tap_error=image_tap_error(self.fidelity),
+                geometry=self.geometry if relief is None else self.geometry.over(None, relief.smooth),
+                recovery=self.recovery, region=self.region, low=low, high=high, near=nearest, far=farthest,
+                weighting=self.weighting, tap_error=image_tap_error(self.fidelity), relief=relief,
             )  # fmt: skip
             like = parts[-1].choice if parts else neighbour
             number = part if n_parts > 1 else None
             parts.append(plan_block(sector, self.method, index=index, part=number, neighbour=like))
         return parts
+
+    def _relief(self, low: float, high: float, near: float, far: float) -> Relief | None:
+        """The relief of a block; None on the plane."""
+        if self.geometry.terrain is None:
+            return None
+        level = self.geometry.collection.ground_height
+        return find_relief(self._samples, low=low, high=high, near=near, far=far, level=level)
+
+    @cached_property
+    def _samples(self) -> Samples:
+        x, y = self.grid.x, self.grid.y
+        return sample_terrain(self.geometry, (float(x[0]), float(x[-1])), (float(y[0]), float(y[-1])))

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from blocksar.arrays import FloatArray
+from blocksar.arrays import BoolArray, FloatArray
 from blocksar.budget import side_lobe_budget
 from blocksar.collection.beam import centre_yaw, dwell_at, has_full_dwell
 from blocksar.collection.geometry import TRACK_ACCURACY, Geometry
@@ -55,17 +55,21 @@ def predict(
     gate: DwellGate | None,
     scaled_about: float | None,
     weights: DwellWeights,
+    reached: BoolArray | None = None,
 ) -> Prediction:
     """The worst figures of traced lines (n_range, n_yaw); `rate` is their Doppler rate before the steps in Doppler.
 
     The ideal side lobes are those of the taper; under an antenna's pattern, or where weights are cut with the dwells of
-    all targets, those of the target with the worst phase, as if it had none.
+    all targets, those of the target with the worst phase, as if it had none. On a terrain `reached` (n_range, n_yaw)
+    tells which of the targets there are.
     """
     range_cell = SPEED_OF_LIGHT / (2 * geometry.collection.bandwidth)
     residual = spots.residual
     # Cut dwells have other side lobes under weights: of those with full dwell, where there are any.
     full = None if weights.uniform else full_dwells(line, geometry, rng[:, None], yaw)
     judged = residual if full is None else np.where(full, residual, -1.0)
+    if reached is not None:
+        judged = np.where(reached, judged, -1.0)
     worst = np.unravel_index(int(np.argmax(judged)), residual.shape)
     weight = (weights.weigh(line).weight * np.sqrt(np.maximum(line.stretch, LEAST_STRETCH)))[worst]
     time = line.time[worst] - spots.time[worst]
@@ -90,11 +94,11 @@ def predict(
     track_phase = _track_phase(geometry, rng, yaw)
     lost = worst_losses(
         line, spots, rng, yaw, geometry, rate=rate, gate=gate, scaled_about=scaled_about, track_phase=track_phase,
-        weights=weights.nodes, edge=weights.edge,
+        weights=weights.nodes, edge=weights.edge, reached=reached,
     )  # fmt: skip
     return Prediction(
-        residual_phase=float(residual.max()),
-        quadratic_phase=float(spots.quadratic.max()),
+        residual_phase=float((residual if reached is None else residual[reached]).max()),
+        quadratic_phase=float((spots.quadratic if reached is None else spots.quadratic[reached]).max()),
         pslr=_pslr(response),
         width=_width(response) / _width(ideal),
         migration=float(spots.migration.max() / range_cell),

@@ -72,7 +72,8 @@ class Dwells:
         """Lines of targets in the recovered signal; `epoch_range` and the yaws are broadcast."""
         nodes = self._nodes(epoch_range) if self.geometry.collection.has_axis else self._of_all_ranges
         x, y = self.geometry.ground_axes(epoch_range, self.yaw)
-        point = x[..., None], y[..., None], self.geometry.collection.ground_height
+        z = self.geometry.level(epoch_range, self.yaw)
+        point = x[..., None], y[..., None], z if isinstance(z, float) else z[..., None]
         rng, rate, curvature = range_motion(point, nodes.antenna)
         rho = rng - nodes.removed[0]
         to_cycles = -2 * self.geometry.collection.carrier / SPEED_OF_LIGHT

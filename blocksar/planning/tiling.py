@@ -9,6 +9,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.grid import Grid
 from blocksar.focusing.correction import touched
 from blocksar.focusing.ground_map import GroundMap
+from blocksar.focusing.relief_map import Level
 
 
 def image_chunk(grid: Grid) -> tuple[int, int]:
@@ -19,7 +20,13 @@ def image_chunk(grid: Grid) -> tuple[int, int]:
 def patch_window(ground: GroundMap, grid: Grid) -> tuple[int, int, int, int]:
     """First row, first column, rows and columns of a block's patch: the whole image chunks around its sector."""
     yaw = np.linspace(ground.low, ground.high, 257)
-    corners = ground.geometry.ground_point(np.array([[ground.near], [ground.far]]), yaw)
+    geometry = ground.geometry
+    if ground.relief is None:
+        corners = geometry.ground_point(np.array([[ground.near], [ground.far]]), yaw)
+    else:
+        planes = [geometry.over(None, Level(level)) for level in ground.levels]
+        ends = np.array([[ground.near], [ground.far]])
+        corners = np.concatenate([plane.ground_point(ends, yaw) for plane in planes])
     side = image_chunk(grid)
     spans = []
     for axis, values, chunk, step in ((1, grid.y, side[0], grid.dy), (0, grid.x, side[1], grid.dx)):

@@ -21,10 +21,11 @@ from blocksar.errors import InputError
 from blocksar.focusing.method import Method
 from blocksar.graph.machine import pace
 from blocksar.planning import effort
-from blocksar.planning.block import BlockPlan, Sector, plan_block
+from blocksar.planning.block import BlockPlan, plan_block
 from blocksar.planning.disk import run_bytes
 from blocksar.planning.plan import plan_collection
 from blocksar.planning.recovery import plan_recovery
+from blocksar.planning.sector import Sector
 from blocksar.simulation.scene import Scene
 
 

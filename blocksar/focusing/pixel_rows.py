@@ -1,0 +1,236 @@
+"""Loops over rows of pixels of a tile: who owns them, where they lie in the focused block, and their weighted sums.
+
+Parts of the compiled loops of the geometric correction, on the plane and on a terrain.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from blocksar.arrays import FloatArray, IntArray
+from blocksar.kernels.lanes import FEW, WEIGHED_ROWS, load_few, spread_few, total, weigh_rows
+from blocksar.kernels.phase import Float32Array
+from blocksar.kernels.signatures import COMPILED, PART, UNCHECKED
+from blocksar.kernels.trigonometry import cosine, sine
+
+N_CARRIER = 1024  # carriers along Doppler that are told apart, in steps of 1 / N_CARRIER cycles per sample
+N_PHASE = 64  # intervals of a sample in a table of taps; between them taps are interpolated, to 1e-4
+LEAST_LIT = 0.3  # pulses, times the gain of the pattern: with fewer a pixel counts as not lit
+RANGE_UNIT = WEIGHED_ROWS
+TILE_DEGREE = 5
+
+# The compiled loops. Rows of pixels lie in arrays as long as a tile's side, allocated once per call: for a view made in
+# a loop, numba would count references by locked instructions. Indices are unsigned where the compiler could not rule
+# out negative ones, for which it would load element by element.
+
+
+@njit(nogil=True, **PART)
+def left_of(ray_x: float, ray_y: float, x: float, y: float) -> bool:
+    """Whether a point is on a ray or to its left.
+
+    Two products are compared, not their difference with zero: the compiler fuses a difference into a multiply-add,
+    which rounds differently for the two neighbours of a seam.
+    """
+    return ray_x * y >= ray_y * x
+
+
+@njit(nogil=True, **PART)
+def find_sector(
+    x: FloatArray, first: int, n: int, y: float, rays: FloatArray, frame: FloatArray, rng: FloatArray, owned: FloatArray
+) -> bool:
+    """Write the epoch ranges of n pixels from x[first] on, and NaN to `owned` outside the rays and ranges.
+
+    Returns whether any pixel is inside. No operations are contracted: vector and scalar loops, and neighbours, must
+    agree to the last bit.
+    """
+    nx, ny, px, py, height2, near, far = frame[0], frame[1], frame[2], frame[3], frame[4], frame[5], frame[6]
+    n_inside = 0
+    for k in range(n):
+        xx = x[np.uint64(first) + np.uint64(k)]
+        r = np.sqrt((xx - px) ** 2 + (y - py) ** 2 + height2)
+        between = left_of(rays[0], rays[1], xx - nx, y - ny) and not left_of(rays[2], rays[3], xx - nx, y - ny)
+        inside = between and r >= near and r < far
+        rng[k] = r
+        owned[k] = owned[k] if inside else np.nan
+        n_inside += 1 if inside else 0
+    return n_inside > 0
+
+
+@njit(**PART, **COMPILED, **UNCHECKED)
+def find_limits(
+    turn: FloatArray, start: float, step: float, near_limit: FloatArray, far_limit: FloatArray, rng: FloatArray,
+    owned: FloatArray,
+) -> None:  # fmt: skip
+    """Write NaN to `owned` for pixels outside the range window at their yaw."""
+    for k in range(owned.size):
+        place = (turn[k] - start) / step
+        i = min(max(int(place), 0), near_limit.size - 2)
+        part = min(max(place - i, 0.0), 1.0)
+        near = near_limit[i] + part * (near_limit[i + 1] - near_limit[i])
+        far = far_limit[i] + part * (far_limit[i + 1] - far_limit[i])
+        if rng[k] < near or rng[k] > far:
+            owned[k] = np.nan
+
+
+@njit(**PART, **COMPILED, **UNCHECKED)
+def amplitude_of(
+    turn: FloatArray, start: float, per_step: float, weight: FloatArray, loss: FloatArray, owned: FloatArray,
+    amplitude: Float32Array,
+) -> None:  # fmt: skip
+    """The factor that calibrates a pixel: the weight at the nearest yaw over the gain; NaN where not owned."""
+    for k in range(owned.size):
+        place = min(max((turn[k] - start) * per_step, 0.0), weight.size - 1.0)
+        amplitude[k] = owned[k] * weight[np.uint64(np.int64(place + 0.5))] * loss[k]
+
+
+@njit(**PART, **COMPILED)
+def divide_by_sums(
+    turn: FloatArray, start: float, per_step: float, total: FloatArray, near: float, far: float, rng: FloatArray,
+    loss: FloatArray, owned: FloatArray, amplitude: Float32Array,
+) -> None:  # fmt: skip
+    """The same factor from sums over lit pulses, `total`, linear between ranges from near to far and between yaws.
+
+    NaN where the sum is small.
+    """
+    n_range, n_yaw = total.shape
+    for k in range(owned.size):
+        place = min(max((turn[k] - start) * per_step, 0.0), n_yaw - 1.0)
+        row = min(max((rng[k] - near) / (far - near) * (n_range - 1), 0.0), n_range - 1.0)
+        if np.isnan(owned[k]) or np.isnan(place + row):
+            amplitude[k] = np.nan
+            continue
+        i, j = min(int(row), n_range - 2), min(int(place), n_yaw - 2)
+        p, q = row - i, place - j
+        here = (1 - q) * total[i, j] + q * total[i, j + 1]
+        value = (1 - p) * here + p * ((1 - q) * total[i + 1, j] + q * total[i + 1, j + 1])
+        amplitude[k] = owned[k] * loss[k] / value if value >= LEAST_LIT else np.nan
+
+
+@njit(**PART, **COMPILED)
+def along_row(coefficients: FloatArray, t: int, v: float, along: FloatArray) -> None:
+    """Polynomials of tile t at one v: power coefficients in u, quantity by quantity."""
+    c = coefficients
+    for m in range(along.size):
+        inner = c[t, 2, m] + v * (c[t, 3, m] + v * (c[t, 4, m] + v * c[t, 5, m]))
+        along[m] = c[t, 0, m] + v * (c[t, 1, m] + v * inner)
+
+
+@njit(**PART, **COMPILED)
+def evaluate_row(along: FloatArray, across: FloatArray, values: FloatArray) -> None:
+    """All quantities (n, u.size) of a row of pixels, at all u."""
+    for q in range(values.shape[0]):
+        m = q * (TILE_DEGREE + 1)
+        c0, c1, c2, c3, c4, c5 = along[m], along[m + 1], along[m + 2], along[m + 3], along[m + 4], along[m + 5]
+        for k in range(across.size):
+            u = across[k]
+            values[q, k] = c0 + u * (c1 + u * (c2 + u * (c3 + u * (c4 + u * c5))))
+
+
+@njit(**PART, **COMPILED)
+def place_windows(
+    position: FloatArray, n_tap: int, width: int, size: int, room: int, first: IntArray, row: IntArray,
+    part: Float32Array,
+) -> None:  # fmt: skip
+    """First sample of each pixel's window, and its taps: row `row` of the table and the fraction `part` to the next.
+
+    `first` is -1 where the n_tap taps are not within the `size` samples. The padding to `width` is in front of the taps
+    where behind it would exceed `room`.
+    """
+    for k in range(position.size):
+        whole = np.floor(position[k])
+        fine = (position[k] - whole) * N_PHASE
+        start = int(whole) - (n_tap // 2 - 1)
+        i = min(int(fine), N_PHASE - 1)
+        late = start + width > room
+        inside = start >= 0 and start + n_tap <= size
+        first[k] = (start - (width - n_tap) if late else start) if inside else -1
+        row[k] = i + (N_PHASE + 1 if late else 0)
+        part[k] = fine - i
+
+
+@njit(**PART, **COMPILED)
+def turn_windows(
+    doppler: FloatArray, cycles: FloatArray, middle: FloatArray, first: IntArray, carrier: IntArray, own: Float32Array
+) -> None:
+    """The carrier of each pixel's response along its window, and the pixel's own phase, cycles without whole ones.
+
+    The response has the carrier of its dwell time, exp(2j pi middle (sample - doppler)). It is removed to the nearest
+    step of 1 / N_CARRIER, which only shifts the band within that of the taps; whole cycles per sample do not matter.
+    The carrier's phase at the window's first sample is part of the pixel's own.
+    """
+    for k in range(middle.size):
+        steps = np.rint(middle[k] * N_CARRIER)
+        carrier[k] = int(steps) & (N_CARRIER - 1)
+        total = steps / N_CARRIER * (first[k] - doppler[k]) - cycles[k]
+        own[k] = total - np.rint(total)
+
+
+@njit(**PART, **COMPILED)
+def phasors_of(cycles: Float32Array, real: Float32Array, imag: Float32Array) -> None:
+    """exp(2j pi cycles), real and imaginary part."""
+    for k in range(cycles.size):
+        real[k] = cosine(cycles[k])
+        imag[k] = sine(cycles[k])
+
+
+@njit(**PART, **COMPILED)
+def taps_between(taps: Float32Array, at: int, step: int, part: float) -> Any:
+    """A register of taps, interpolated by the fraction `part` to the next row of its table, `step` entries further."""
+    taps_here = load_few(taps, at)
+    return taps_here + part * (load_few(taps, at + step) - taps_here)
+
+
+@njit(**PART, **COMPILED)
+def sum_windows(  # type: ignore[no-untyped-def]
+    flat, stride, at, range_taps, range_step, range_width, range_row, range_part, doppler_taps, doppler_step,
+    doppler_row, doppler_part, carriers, carrier, real, imag,
+):  # fmt: skip
+    """real + 1j imag: for each pixel the weighted sum over its window, with the carrier along Doppler removed.
+
+    Real and imaginary parts alternate along a row of the block, eight samples in a register. The rows are summed
+    first, with one weight each, then the registers are multiplied by the taps along Doppler and by the carrier.
+    """
+    for k in range(at.size):
+        if at[k] < 0:
+            continue
+        re, im = spread_few(np.float32(0.0)), spread_few(np.float32(0.0))
+        for m in range(0, doppler_step, FEW):
+            column = spread_few(np.float32(0.0))
+            for p in range(0, range_width, RANGE_UNIT):
+                weights = taps_between(range_taps, range_row[k] * range_step + p, range_step, range_part[k])
+                column = column + weigh_rows(flat, at[k] + p * stride + m, stride, weights)
+            taps = taps_between(doppler_taps, doppler_row[k] * doppler_step + m, doppler_step, doppler_part[k])
+            column = column * taps
+            phasor = 2 * carrier[k] * doppler_step + m
+            re = re + column * load_few(carriers, phasor)
+            im = im + column * load_few(carriers, phasor + doppler_step)
+        real[k], imag[k] = total(re), total(im)
+
+
+@njit(**PART, **COMPILED)
+def sum_windows_bent(  # type: ignore[no-untyped-def]
+    flat, stride, at, range_taps, range_step, range_width, range_row, range_part, real_taps, imag_taps, doppler_step,
+    doppler_row, doppler_part, carriers, carrier, real, imag,
+):  # fmt: skip
+    """`sum_windows` with complex taps along Doppler: real and imaginary parts are summed apart."""
+    for k in range(at.size):
+        if at[k] < 0:
+            continue
+        re, im = spread_few(np.float32(0.0)), spread_few(np.float32(0.0))
+        bent_re, bent_im = spread_few(np.float32(0.0)), spread_few(np.float32(0.0))
+        for m in range(0, doppler_step, FEW):
+            column = spread_few(np.float32(0.0))
+            for p in range(0, range_width, RANGE_UNIT):
+                weights = taps_between(range_taps, range_row[k] * range_step + p, range_step, range_part[k])
+                column = column + weigh_rows(flat, at[k] + p * stride + m, stride, weights)
+            taps = doppler_row[k] * doppler_step + m
+            phasor = 2 * carrier[k] * doppler_step + m
+            cos, sin = load_few(carriers, phasor), load_few(carriers, phasor + doppler_step)
+            straight = column * taps_between(real_taps, taps, doppler_step, doppler_part[k])
+            bent = column * taps_between(imag_taps, taps, doppler_step, doppler_part[k])
+            re, im = re + straight * cos, im + straight * sin
+            bent_re, bent_im = bent_re + bent * cos, bent_im + bent * sin
+        real[k], imag[k] = total(re) - total(bent_im), total(im) + total(bent_re)

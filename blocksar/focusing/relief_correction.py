@@ -1,0 +1,295 @@
+"""Geometric correction on a terrain: a focused block to calibrated pixels that lie at their own heights.
+
+As on the plane (`correction`), positions and phases are polynomials over a tile of pixels, here in x, y and the height:
+of degree 5, 5 and 2. The range from the antenna, whose multiple is the carrier's phase, is computed for each pixel.
+
+A block is fitted on the smooth part of its terrain. A target far above or below it keeps a phase that is quadratic over
+its dwell: the bend. It changes as slowly over the ground as the height does, so that the interpolation along Doppler,
+a sum over the dwell, takes it out: each pixel has the taps for its own bend.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.focusing.ground_map import GroundMap
+from blocksar.focusing.pixel_rows import (
+    N_PHASE,
+    TILE_DEGREE,
+    along_row,
+    amplitude_of,
+    divide_by_sums,
+    evaluate_row,
+    find_limits,
+    left_of,
+    phasors_of,
+    place_windows,
+    sum_windows_bent,
+    turn_windows,
+)
+from blocksar.kernels import interpolation
+from blocksar.kernels.groups import run_groups
+from blocksar.kernels.lanes import FEW
+from blocksar.kernels.loops import compile_for
+from blocksar.kernels.phase import Float32Array
+from blocksar.kernels.signatures import COMPILED, KEPT, PART
+from blocksar.solvers import least_squares, product
+
+HEIGHT_DEGREE = 2  # of a tile's polynomials
+QUANTITIES = 7  # row, Doppler, phase, 1 / gain, yaw, dwell time, bend
+N_BEND = 96  # steps between the most negative bend and the most positive one
+LEAST_BEND = 1e-3  # cycles at the dwell's ends: less is left
+LEVEL = 1e-3  # m: half the relief of a tile at least
+
+
+class BentTaps(NamedTuple):
+    """Taps along Doppler by bend: real and imaginary parts, (n_bend * 2 (N_PHASE + 1), 2 width), each entry twice."""
+
+    real: Float32Array
+    imag: Float32Array
+    n_tap: int
+    n_bend: int
+
+
+def bend_scale(ground: GroundMap) -> float:
+    """Cycles at the dwell's ends of a bend of 1 cycle/s^2: the ends of the band that the taps are made for."""
+    return (ground.doppler_taps[1] / 2 / ground.doppler.step) ** 2
+
+
+def bent_taps_of(ground: GroundMap) -> tuple[BentTaps, float]:
+    """The taps of a block, and its largest bend, cycles at the dwell's ends."""
+    assert ground.relief is not None
+    n_tap, occupancy = ground.doppler_taps
+    most = ground.relief.most_bend * bend_scale(ground)
+    most = 0.0 if most < LEAST_BEND else most
+    # A bend spreads a response over 4 q / occupancy samples on either side.
+    reach = int(np.ceil(4 * most / max(occupancy, 0.05)))
+    return _bent_taps(min(n_tap + 2 * reach, 32), occupancy, most), most
+
+
+@lru_cache(maxsize=8)
+def _bent_taps(n_tap: int, occupancy: float, most: float) -> BentTaps:
+    bends = np.linspace(-most, most, N_BEND + 1) if most else np.zeros(1)
+    unit = FEW // 2
+    room = -n_tap % unit
+    parts = []
+    for taps in interpolation.bent_taps(n_tap, bends, occupancy=occupancy, n_phase=N_PHASE):
+        early = np.pad(taps, ((0, 0), (0, 0), (0, room)))
+        late = np.pad(taps, ((0, 0), (0, 0), (room, 0)))
+        both = np.concatenate([early, late], axis=1)
+        parts.append(np.repeat(both.reshape(-1, both.shape[2]), 2, axis=1))
+    return BentTaps(parts[0], parts[1], n_tap, bends.size)
+
+
+def locate_on_relief(ground: GroundMap, x: FloatArray, y: FloatArray, z: FloatArray) -> tuple[FloatArray, ...]:
+    """Row and Doppler index, phase (cycles), 1 / gain, relative yaw, dwell time and bend of points (...), m.
+
+    The row is without (range - origin) / step, the phase without the carrier's. The dwell time is in cycles per Doppler
+    sample, the bend in cycles at the dwell's ends.
+    """
+    assert ground.relief is not None
+    geometry = ground.geometry
+    epoch_range, turn = geometry.epoch_range(x, y, z), ground.relative_yaw(x, y)
+    turn = np.broadcast_to(turn, epoch_range.shape)
+    offset, doppler, cycles, gain, time, bend = ground.relief(epoch_range, ground.middle_yaw + turn, z)
+    if ground.common is not None:
+        common, rate, _ = ground.common.evaluate(epoch_range - ground.origin + offset, doppler[..., None])
+        cycles, time = cycles + common[..., 0], time - rate[..., 0]
+    return (
+        (offset - ground.rows.start) / ground.rows.step,
+        ground.doppler.position(doppler),
+        cycles,
+        1 / gain,
+        turn,
+        time * ground.doppler.step,
+        bend * bend_scale(ground),
+    )
+
+
+@lru_cache(maxsize=4)
+def nodes_of(degree: int) -> tuple[FloatArray, FloatArray]:
+    """Chebyshev nodes (degree + 1,) in [-1, 1] and the matrix from values there to power coefficients."""
+    n = degree + 1
+    nodes = np.cos(np.pi * (np.arange(n) + 0.5) / n)[::-1]
+    return nodes, least_squares(np.vander(nodes, n, increasing=True).T, np.eye(n))
+
+
+def tile_polynomials(
+    ground: GroundMap, x: FloatArray, y: FloatArray, z: FloatArray, tiles: FloatArray, tile: int
+) -> tuple[FloatArray, FloatArray]:
+    """Coefficients (n_tile, 6, 3 * 7 * 6) in tile coordinates, and middle and half of the heights (n_tile, 2), m."""
+    nodes, to_power = nodes_of(TILE_DEGREE)
+    levels, to_level = nodes_of(HEIGHT_DEGREE)
+    dx = x[1] - x[0] if x.size > 1 else 1.0
+    dy = y[1] - y[0] if y.size > 1 else 1.0
+    half = (tile - 1) / 2
+    px = x[0] + dx * (tiles[:, 1, None, None] + half * (1 + nodes[None, None, :]))
+    py = y[0] + dy * (tiles[:, 0, None, None] + half * (1 + nodes[None, :, None]))
+    spans = np.empty((tiles.shape[0], 2))
+    for number, (row, column) in enumerate(tiles[:, :2].astype(np.int64)):
+        part = z[row : row + tile, column : column + tile]
+        known = part[np.isfinite(part)]
+        low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
+        spans[number] = (low + high) / 2, max((high - low) / 2, LEVEL)
+    # (n_tile, height, y, x)
+    pz = spans[:, 0, None, None, None] + spans[:, 1, None, None, None] * levels[None, :, None, None]
+    px, py, pz = np.broadcast_arrays(px[:, None], py[:, None], pz)
+    values = np.stack(locate_on_relief(ground, px, py, pz), axis=1)  # (n_tile, quantity, height, y, x)
+    in_height = np.einsum("kh,tqhyx->tkqyx", to_level, values)
+    coefficients = np.moveaxis(product(product(to_power, in_height), to_power.T), 3, 1)
+    return np.ascontiguousarray(coefficients).reshape(tiles.shape[0], nodes.size, -1), spans
+
+
+def resample_on_relief(
+    ground: GroundMap,
+    block: Float32Array,
+    out: ComplexArray,
+    tiles: FloatArray,
+    *,
+    x: FloatArray,
+    y: FloatArray,
+    z: FloatArray,
+    tile: int,
+    group: int,
+    threads: int,
+    range_taps: tuple[Float32Array, int, int],
+    doppler_taps: BentTaps,
+    most_bend: float,
+    carriers: Float32Array,
+    limits: tuple[FloatArray, FloatArray],
+    weight: FloatArray,
+) -> None:
+    """Write the owned pixels to `out`. `range_taps` has the table, the number of taps and their padded width."""
+    geometry = ground.geometry
+    coefficients, spans = tile_polynomials(ground, x, y, z, tiles, tile)
+    rays = np.array([np.cos(ground.low), np.sin(ground.low), np.cos(ground.high), np.sin(ground.high)])
+    frame = np.array([*geometry.nadir, *geometry.epoch_position, ground.near, ground.far])
+    carrier = -2 * geometry.collection.carrier / SPEED_OF_LIGHT
+    yaw_start = float(ground.yaw_axis[0] - ground.middle_yaw)
+    yaw_step = float(ground.yaw_axis[1] - ground.yaw_axis[0])
+    table, n_range, range_width = range_taps
+    per_bend = (doppler_taps.n_bend - 1) / (2 * most_bend) if most_bend else 0.0
+    # Contiguous copies: a loop is compiled for each layout of its arrays.
+    z, weight = np.ascontiguousarray(z), np.ascontiguousarray(weight)
+
+    def work(part: slice) -> None:
+        _resample(
+            block, out, tiles[part], coefficients[part], spans[part], x, y, z, tile, table, doppler_taps.real,
+            doppler_taps.imag, carriers, (n_range, doppler_taps.n_tap), (range_width, doppler_taps.real.shape[1] // 2),
+            (ground.rows.size, ground.doppler.size), rays, frame, (carrier, 1 / ground.rows.step, ground.origin),
+            (per_bend, doppler_taps.n_bend // 2, doppler_taps.n_bend), yaw_start, yaw_step, *limits, weight,
+        )  # fmt: skip
+
+    run_groups(work, [slice(i, i + group) for i in range(0, tiles.shape[0], group)], threads)
+
+
+@njit(nogil=True, **PART)
+def _sector(  # type: ignore[no-untyped-def]
+    x, first, n, y, z, row, rays, frame, rng, owned,
+):  # fmt: skip
+    """Write the epoch ranges of n pixels from x[first] on, and NaN to `owned` outside the rays and ranges.
+
+    Returns whether any pixel is inside. No operations are contracted, as in `pixel_rows.find_sector`.
+    """
+    nx, ny, px, py, pz, near, far = frame[0], frame[1], frame[2], frame[3], frame[4], frame[5], frame[6]
+    n_inside = 0
+    for k in range(n):
+        xx, dz = x[first + k], z[row, first + k] - pz
+        r = np.sqrt((xx - px) ** 2 + (y - py) ** 2 + dz * dz)
+        between = left_of(rays[0], rays[1], xx - nx, y - ny) and not left_of(rays[2], rays[3], xx - nx, y - ny)
+        inside = between and r >= near and r < far
+        rng[k] = r
+        owned[k] = owned[k] if inside else np.nan
+        n_inside += 1 if inside else 0
+    return n_inside > 0
+
+
+@njit(**PART, **COMPILED)
+def _combine(by_height, span, z, row, first, n, values) -> None:  # type: ignore[no-untyped-def]
+    """values[q] = sum_k by_height[k, q] w^k, with w the pixels' heights in the tile's span; NaN heights become 0."""
+    for k in range(n):
+        w = (z[row, first + k] - span[0]) / span[1]
+        w = 0.0 if np.isnan(w) else w
+        for q in range(QUANTITIES):
+            values[q, k] = by_height[q, k] + w * (by_height[QUANTITIES + q, k] + w * by_height[2 * QUANTITIES + q, k])
+
+
+@njit(**KEPT, **COMPILED)
+def _resample(  # type: ignore[no-untyped-def]
+    floats, out, tiles, coefficients, spans, x, y, z, tile, range_table, real_table, imag_table, carrier_table, n_taps,
+    widths, sizes, rays, frame, scales, bends, yaw_start, yaw_step, near_limit, far_limit, weight,
+):  # fmt: skip
+    """Write the owned pixels of some tiles to `out`, row by row."""
+    n_row, n_doppler = floats.shape[0], floats.shape[1] // 2
+    flat, stride = floats.reshape(-1), floats.shape[1]
+    range_taps, range_step = range_table.reshape(-1), range_table.shape[1]
+    real_taps, imag_taps, doppler_step = real_table.reshape(-1), imag_table.reshape(-1), real_table.shape[1]
+    carriers, by_yaw = carrier_table.reshape(-1), weight[0]
+    carrier_cycles, per_row, origin = scales
+    per_bend, middle_bend, n_bend = bends
+    across, along = np.arange(tile) / max((tile - 1) / 2, 0.5) - 1.0, np.empty(coefficients.shape[2])
+    by_height, values = np.empty((3 * QUANTITIES, tile)), np.zeros((QUANTITIES, tile))
+    row, doppler, cycles, loss, turn, middle, bend = (
+        values[0], values[1], values[2], values[3], values[4], values[5], values[6],
+    )  # fmt: skip
+    rng, owned = np.zeros(tile), np.empty(tile)
+    first_row, range_row, at = np.empty(tile, np.int64), np.empty(tile, np.int64), np.empty(tile, np.int64)
+    first_doppler, doppler_row, carrier = np.empty(tile, np.int64), np.empty(tile, np.int64), np.empty(tile, np.int64)
+    parts = np.empty((8, tile), np.float32)
+    range_part, doppler_part, own, own_real, own_imag = parts[0], parts[1], parts[2], parts[3], parts[4]
+    amplitude, real, imag = parts[5], parts[6], parts[7]
+    for t in range(tiles.shape[0]):
+        i0, j0 = tiles[t, 0], tiles[t, 1]
+        n = min(tile, out.shape[1] - j0)
+        for i in range(i0, min(i0 + tile, out.shape[0])):
+            for k in range(tile):
+                owned[k] = 1.0 if k < n else np.nan
+            if not _sector(x, j0, n, y[i], z, i, rays, frame, rng, owned):
+                continue
+            along_row(coefficients, t, across[i - i0], along)
+            evaluate_row(along, across, by_height)
+            _combine(by_height, spans[t], z, i, j0, n, values)
+            for k in range(n):
+                away = 0.0 if np.isnan(rng[k]) else rng[k] - origin
+                row[k] += away * per_row
+                cycles[k] += away * carrier_cycles
+            find_limits(turn, yaw_start, yaw_step, near_limit, far_limit, rng, owned)
+            if weight.shape[0] == 1:
+                amplitude_of(turn, yaw_start, 1 / yaw_step, by_yaw, loss, owned, amplitude)
+            else:
+                divide_by_sums(turn, yaw_start, 1 / yaw_step, weight, frame[5], frame[6], rng, loss, owned, amplitude)
+            place_windows(row, n_taps[0], widths[0], sizes[0], n_row, first_row, range_row, range_part)
+            place_windows(doppler, n_taps[1], widths[1], sizes[1], n_doppler, first_doppler, doppler_row, doppler_part)
+            turn_windows(doppler, cycles, middle, first_doppler, carrier, own)
+            phasors_of(own, own_real, own_imag)
+            for k in range(tile):
+                which = min(max(int(np.rint(bend[k] * per_bend)) + middle_bend, 0), n_bend - 1)
+                doppler_row[k] += which * 2 * (N_PHASE + 1)
+                outside = np.isnan(amplitude[k]) or first_row[k] < 0 or first_doppler[k] < 0
+                at[k] = -1 if outside else first_row[k] * floats.shape[1] + 2 * first_doppler[k]
+            sum_windows_bent(
+                flat, stride, at, range_taps, range_step, widths[0], range_row, range_part, real_taps, imag_taps,
+                doppler_step, doppler_row, doppler_part, carriers, carrier, real, imag,
+            )  # fmt: skip
+            for k in range(n):
+                if at[k] >= 0:
+                    c, s = amplitude[k] * own_real[k], amplitude[k] * own_imag[k]
+                    out[i, j0 + k] = complex(real[k] * c - imag[k] * s, real[k] * s + imag[k] * c)
+
+
+def compile_kernels() -> None:
+    """Compile this module's loop, or load it from numba's cache, for the types of minimal arrays."""
+    line, floats = np.zeros(2), np.zeros((1, 2), np.float32)
+    floats.flags.writeable = False
+    table = np.zeros((2, 2), np.float32)
+    compile_for(
+        _resample, floats, np.zeros((1, 1), np.complex64), np.zeros((0, 3), np.int64), np.zeros((0, 6, 126)),
+        np.zeros((0, 2)), line, line, line[None], 1, table, table, table, table, (2, 2), (2, 2), (1, 1), np.zeros(4),
+        np.zeros(7), (0.0, 0.0, 0.0), (0.0, 0, 1), 0.0, 1.0, line, line, line[None],
+    )  # fmt: skip

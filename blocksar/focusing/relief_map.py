@@ -1,0 +1,119 @@
+"""The ground map of a block on a terrain: surfaces with the height over a smooth ground as third coordinate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from blocksar.arrays import FloatArray
+from blocksar.focusing.lines import Focus, Line, focus
+from blocksar.focusing.surfaces import Surface
+
+BEYOND = 1.2  # half extents of its domain from its middle, at which a smooth ground ends: it goes on level
+SHORT = 0.05  # of the fourth moment of the longest dwells: half of their length
+QUANTITIES = 6  # range offset, Doppler, phase, gain, time and bend
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SmoothGround:
+    """A smooth ground that stands for a block's terrain: height, m, over epoch range and yaw, and an offset, m."""
+
+    surface: Surface
+    offset: float = 0.0
+
+    def __call__(self, epoch_range: FloatArray, yaw: FloatArray) -> FloatArray:
+        s = self.surface
+        held = []
+        for values, low, high in ((epoch_range, s.near, s.far), (yaw, s.low, s.high)):
+            middle, half = (low + high) / 2, BEYOND * (high - low) / 2
+            held.append(np.clip(values, middle - half, middle + half))
+        return s(*held) + self.offset
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class NodeHeights:
+    """A smooth ground with heights over it at nodes, m, for arguments of the nodes' shape; without for others."""
+
+    smooth: SmoothGround
+    over: FloatArray
+
+    def __call__(self, epoch_range: FloatArray, yaw: FloatArray) -> FloatArray:
+        height = self.smooth(epoch_range, yaw)
+        return height + self.over if height.shape == self.over.shape else height
+
+
+@dataclass(frozen=True)
+class Level:
+    """A level ground at a height, m."""
+
+    height: float
+
+    def __call__(self, epoch_range: FloatArray, yaw: FloatArray) -> FloatArray:
+        return np.full(np.broadcast_shapes(np.shape(epoch_range), np.shape(yaw)), self.height)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ReliefMap:
+    """Where and how points of a block's terrain focus, by epoch range, yaw and height over the smooth ground.
+
+    Attributes
+    ----------
+    smooth : SmoothGround
+    low, high : float
+        Least and greatest height over the smooth ground, m.
+    lowest, highest : float
+        Least and greatest z, m.
+    layers : tuple of tuples of Surface
+        For range offset, Doppler, phase, gain and time as in `GroundMap`, and the bend: the terms of a Chebyshev series
+        in the height over the smooth ground, each a surface. The bend is the phase that the line has, quadratic in time
+        from the middle of its dwell, cycles/s^2.
+    most_bend : float
+        Largest magnitude of the bend, cycles/s^2.
+    """
+
+    smooth: SmoothGround
+    low: float
+    high: float
+    lowest: float
+    highest: float
+    layers: tuple[tuple[Surface, ...], ...]
+    most_bend: float
+
+    def __call__(self, epoch_range: FloatArray, yaw: FloatArray, z: FloatArray) -> list[FloatArray]:
+        """The quantities of points at epoch ranges (m), yaws (rad) and heights z (m), all of one shape."""
+        w = (2 * (z - self.smooth(epoch_range, yaw)) - self.low - self.high) / (self.high - self.low)
+        values = []
+        for terms in self.layers:
+            before, chebyshev = np.zeros_like(w), np.ones_like(w)
+            total = np.zeros_like(w)
+            for k, term in enumerate(terms):
+                total += chebyshev * term(epoch_range, yaw)
+                before, chebyshev = chebyshev, (w if k == 0 else 2 * w * chebyshev - before)
+            values.append(total)
+        return values
+
+
+def straighten(line: Line) -> tuple[Line, FloatArray, Focus]:
+    """Lines without the phase that is quadratic in time, (...) cycles/s^2, and their focus.
+
+    The interpolation along Doppler takes this phase out.
+    """
+    spots = focus(line)
+    offset = line.time - spots.time[..., None]
+    weight = line.weight * np.sqrt(np.maximum(line.stretch, 1e-3))
+    total = weight.sum(axis=-1)
+
+    def mean(values: FloatArray) -> FloatArray:
+        return np.asarray((values * weight).sum(axis=-1) / total)
+
+    level = line.phase - spots.doppler[..., None] * line.time
+    # The quadratic that is orthogonal to a constant and a slope.
+    square = offset**2
+    square = square - mean(square)[..., None] - (mean(square * offset) / mean(offset**2))[..., None] * offset
+    # A dwell that is cut short has no bend worth the name.
+    power = mean(square**2)
+    bend = mean(level * square) / np.maximum(power, SHORT * power.max())
+    bent = bend[..., None]
+    straight = line.multiply_time(-bent * offset**2, -2 * bent * offset, np.broadcast_to(-2 * bent, offset.shape))
+    return straight, bend, focus(straight)

@@ -1,0 +1,79 @@
+"""Surfaces over the ground: smooth functions of epoch range and yaw, as tensor Chebyshev series."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit, types
+
+from blocksar import solvers
+from blocksar.arrays import FloatArray
+from blocksar.kernels.loops import loop
+from blocksar.kernels.signatures import COMPILED, PART, REAL_ROW, REAL_ROWS
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Surface:
+    """A smooth function of (epoch range, yaw): a tensor Chebyshev series."""
+
+    series: FloatArray
+    near: float
+    far: float
+    low: float
+    high: float
+
+    def __call__(self, epoch_range: FloatArray, yaw: FloatArray) -> FloatArray:
+        epoch_range, yaw = np.broadcast_arrays(epoch_range, yaw)
+        u = (2 * epoch_range - self.near - self.far) / (self.far - self.near)
+        v = (2 * yaw - self.low - self.high) / (self.high - self.low)
+        values = np.empty(u.size)
+        sum_series(np.array(self.series, order="C"), u.ravel(), v.ravel(), values)
+        return values.reshape(u.shape)
+
+
+def fit_surface(values: FloatArray, *, epoch_range: FloatArray, yaw: FloatArray, degree: tuple[int, int]) -> Surface:
+    """The tensor series of values (n_range, n_yaw), at ranges and yaws that lie as `solvers.end_nodes` do."""
+    in_range = solvers.node_series(values, min(degree[0], epoch_range.size - 1))
+    series = solvers.node_series(in_range.T, min(degree[1], yaw.size - 1)).T
+    near, far, low, high = map(float, (epoch_range[0], epoch_range[-1], yaw[0], yaw[-1]))
+    return Surface(series=series, near=near, far=far, low=low, high=high)
+
+
+@loop(REAL_ROWS, REAL_ROW, REAL_ROW, types.float64[::1], **COMPILED)
+def sum_series(series: FloatArray, u: FloatArray, v: FloatArray, values: FloatArray) -> None:
+    """values[k] = sum_ij series[i, j] T_i(u[k]) T_j(v[k]), a strip of points at a time so that the T stay in cache."""
+    strip = 64
+    tu, tv = np.empty((max(series.shape[0], 2), strip)), np.empty((max(series.shape[1], 2), strip))
+    total, inner = np.empty(strip), np.empty(strip)
+    for first in range(0, u.size, strip):
+        n = min(strip, u.size - first)
+        _chebyshev(u[first : first + n], tu)
+        _chebyshev(v[first : first + n], tv)
+        for k in range(strip):
+            total[k] = 0.0
+        for j in range(series.shape[1]):
+            for k in range(strip):
+                inner[k] = 0.0
+            for i in range(series.shape[0]):
+                c = series[i, j]
+                for k in range(strip):
+                    inner[k] += c * tu[i, k]
+            for k in range(strip):
+                total[k] += inner[k] * tv[j, k]
+        for k in range(n):
+            values[first + k] = total[k]
+
+
+@njit(**PART, **COMPILED)
+def _chebyshev(u: FloatArray, t: FloatArray) -> None:
+    """t[i, k] = T_i(u[k]) in all rows of t, at least two; zeros beyond the end of u."""
+    for i in range(t.shape[0]):
+        for k in range(t.shape[1]):
+            t[i, k] = 0.0
+    for k in range(u.size):
+        t[0, k] = 1.0
+        t[1, k] = u[k]
+    for i in range(2, t.shape[0]):
+        for k in range(u.size):
+            t[i, k] = 2 * u[k] * t[i - 1, k] - t[i - 2, k]

@@ -1,0 +1,224 @@
+"""The terrain of a block: its smooth part, on which the block is fitted, and what stands above and below that."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.polynomial import chebyshev
+
+from blocksar import solvers
+from blocksar.arrays import BoolArray, FloatArray
+from blocksar.collection.beam import wrapped
+from blocksar.collection.geometry import Geometry
+from blocksar.focusing.lines import Focus, Line
+from blocksar.focusing.relief_map import ReliefMap, SmoothGround, straighten
+from blocksar.focusing.surfaces import Surface, fit_surface
+
+SMOOTH_DEGREE = 2, 2  # of the smooth ground, along range and yaw, on which coefficients are fitted: no finer is better
+FINE_DEGREE = 8, 8  # of the finer one, which the dwell gate follows
+CELLS = 24, 48  # of a block along range and yaw, whose mean heights these are fitted to
+UNKNOWN_WEIGHT, UNKNOWN_FINE, FIT_DAMPING = 0.3, 0.3, 1e-9  # of cells without heights, held level or smooth
+MOST_POINTS = 1 << 20  # of a terrain that are looked at
+ROOM = 0.02  # of the relief, that heights may go beyond on either side
+LEAST_RELIEF = 0.5  # m
+LAYER_HEIGHT, FEWEST_LAYERS, MOST_LAYERS = 250.0, 4, 8  # m of relief for one more height; heights that are traced
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Relief:
+    """A block's terrain.
+
+    Attributes
+    ----------
+    smooth, fine : SmoothGround
+        Two of its smooth parts.
+    low, high : float
+        Least and greatest height over the smoother one, m.
+    lowest, highest : float
+        Least and greatest z, m.
+    points : three of (n,) float
+        Samples: places in range and yaw, -1 .. 1, and heights over the finer smooth part, m.
+    """
+
+    smooth: SmoothGround
+    fine: SmoothGround
+    low: float
+    high: float
+    lowest: float
+    highest: float
+    points: tuple[FloatArray, FloatArray, FloatArray]
+
+    @property
+    def offsets(self) -> FloatArray:
+        """Heights over the smooth ground, m, at which lines are traced."""
+        count = min(FEWEST_LAYERS + int((self.high - self.low) // LAYER_HEIGHT), MOST_LAYERS)
+        return (self.low + self.high) / 2 + (self.high - self.low) / 2 * solvers.end_nodes(count)
+
+    def over(self, geometry: Geometry, offset: float) -> Geometry:
+        """A geometry on the smooth ground, raised by an offset, m."""
+        return geometry.over(None, SmoothGround(surface=self.smooth.surface, offset=offset))
+
+    def extremes(self, n_range: int, n_yaw: int) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Least and greatest height over the finer smooth ground about each end node (n_range, n_yaw), m.
+
+        And whether any is known there.
+        """
+        u, v, over = self.points
+        where = []
+        for at, n in ((u, n_range), (v, n_yaw)):
+            nodes = solvers.end_nodes(n)
+            where.append(np.searchsorted((nodes[1:] + nodes[:-1]) / 2, at))
+        low, high = np.full((n_range, n_yaw), np.inf), np.full((n_range, n_yaw), -np.inf)
+        np.minimum.at(low, tuple(where), over)
+        np.maximum.at(high, tuple(where), over)
+        known = low <= high
+        return np.where(known, low, 0.0), np.where(known, high, 0.0), known
+
+
+class Samples(NamedTuple):
+    """Some points of a terrain, (n,): yaw (rad), epoch range and z (m)."""
+
+    yaw: FloatArray
+    epoch_range: FloatArray
+    z: FloatArray
+
+
+def sample_terrain(geometry: Geometry, x: tuple[float, float], y: tuple[float, float]) -> Samples:
+    """Every n-th sample of the geometry's terrain in a box, x and y from .. to, m, and the box's own edges."""
+    terrain = geometry.terrain
+    assert terrain is not None
+    axes = []
+    for (low, high), origin, step in ((x, terrain.x0, terrain.dx), (y, terrain.y0, terrain.dy)):
+        inside = origin + step * np.arange(np.ceil((low - origin) / step), np.floor((high - origin) / step) + 1)
+        axes.append(np.unique(np.concatenate([np.linspace(low, high, 17), inside])))
+    skip = max(int(np.ceil(np.sqrt(axes[0].size * axes[1].size / MOST_POINTS))), 1)
+    along_x, along_y = (np.unique(np.append(axis[::skip], axis[-1])) for axis in axes)
+    z = terrain.on_grid(along_x, along_y)
+    mesh_x, mesh_y = np.meshgrid(along_x, along_y)
+    known = np.isfinite(z)
+    px, py, heights = mesh_x[known], mesh_y[known], z[known]
+    return Samples(geometry.yaw(px, py), geometry.epoch_range(px, py, heights), heights)
+
+
+def find_relief(samples: Samples, *, low: float, high: float, near: float, far: float, level: float) -> Relief:
+    """The relief between two yaws, rad, and two epoch ranges, m; where nothing is known, the ground is at `level`."""
+    turn = wrapped(samples.yaw - (low + high) / 2)
+    u, v = (2 * samples.epoch_range - near - far) / (far - near), 2 * turn / (high - low)
+    inside = (np.abs(u) <= 1) & (np.abs(v) <= 1)
+    u, v, z = u[inside], v[inside], samples.z[inside]
+    cells = _cell_means(u, v, z, float(z.mean()) if z.size else level)
+
+    def ground(series: FloatArray) -> SmoothGround:
+        return SmoothGround(surface=Surface(series=series, near=near, far=far, low=low, high=high))
+
+    coarse = _fit(cells, SMOOTH_DEGREE, np.full(cells.z.size, cells.mean), UNKNOWN_WEIGHT)
+    smooth = ground(coarse)
+    held = smooth((near + far + cells.u * (far - near)) / 2, (low + high + cells.v * (high - low)) / 2)
+    fine = ground(_fit(cells, FINE_DEGREE, held, UNKNOWN_FINE))
+    at = samples.epoch_range[inside], (low + high) / 2 + turn[inside]
+    over = z - smooth(*at) if z.size else np.zeros(1)
+    room = ROOM * float(np.ptp(over)) + LEAST_RELIEF
+    return Relief(
+        smooth=smooth, fine=fine, low=float(over.min()) - room, high=float(over.max()) + room,
+        lowest=float(z.min()) if z.size else level, highest=float(z.max()) if z.size else level,
+        points=(u, v, z - fine(*at)),
+    )  # fmt: skip
+
+
+class _Cells(NamedTuple):
+    """A block's terrain by cells: mean places in -1 .. 1 and heights, where it is known, and its mean."""
+
+    u: FloatArray
+    v: FloatArray
+    z: FloatArray
+    known: FloatArray
+    mean: float
+
+
+def _cell_means(u: FloatArray, v: FloatArray, z: FloatArray, mean: float) -> _Cells:
+    """Means over CELLS of samples at (u, v) in -1 .. 1; the middle of a cell without any."""
+    count = CELLS[0] * CELLS[1]
+    rows, columns = (
+        np.clip(((at + 1) / 2 * n).astype(np.int64), 0, n - 1) for at, n in zip((u, v), CELLS, strict=True)
+    )
+    which = rows * CELLS[1] + columns
+    number = np.bincount(which, minlength=count)
+    known = number > 0
+    middles = np.meshgrid(*((2 * np.arange(n) + 1) / n - 1 for n in CELLS), indexing="ij")
+    means = [
+        np.where(known, np.bincount(which, weights=values, minlength=count) / np.maximum(number, 1), otherwise)
+        for values, otherwise in zip((u, v, z), (*(m.ravel() for m in middles), np.full(count, mean)), strict=True)
+    ]
+    return _Cells(means[0], means[1], means[2], known.astype(np.float64), mean)
+
+
+def _fit(cells: _Cells, degree: tuple[int, int], held: FloatArray, share: float) -> FloatArray:
+    """Tensor Chebyshev series of the heights; cells where they are unknown are held at others, with a small weight."""
+    weights = np.where(cells.known > 0, 1.0, share)
+    basis = chebyshev.chebvander2d(cells.u, cells.v, list(degree)) * weights[:, None]
+    values = (np.where(cells.known > 0, cells.z, held) - cells.mean) * weights
+    fitted = solvers.least_squares(np.asarray(basis.T, np.float64), values, damping=FIT_DAMPING * weights.size)
+    series = fitted.reshape(degree[0] + 1, degree[1] + 1)
+    series[0, 0] += cells.mean
+    return np.asarray(series)
+
+
+def stacked(lines: Sequence[Line]) -> Line:
+    """Lines (n_range, n_yaw, n) one after the other along the first axis."""
+    shape = lines[0].time.shape
+    return Line(
+        **{
+            name: np.concatenate([np.broadcast_to(getattr(line, name), shape) for line in lines])
+            for name in Line.__dataclass_fields__
+        }
+    )
+
+
+class Layer(NamedTuple):
+    """Targets at some heights: their lines after all steps, without the bend, and their focus."""
+
+    geometry: Geometry
+    line: Line
+    bend: FloatArray
+    spots: Focus
+    rate: FloatArray  # Doppler rate before the steps in Doppler, Hz/s
+
+
+def trace_layer(
+    geometry: Geometry, trace: Callable[[Geometry], tuple[Line, FloatArray]], weigh: Callable[[Line], Line]
+) -> Layer:
+    """Trace targets on a ground; `trace` has their lines and rate, `weigh` gives lines the weights of their dwells."""
+    line, rate = trace(geometry)
+    straight, bend, spots = straighten(weigh(line))
+    return Layer(geometry, replace(straight, weight=line.weight), bend, spots, rate)
+
+
+def map_relief(
+    relief: Relief, layers: Sequence[Layer], surfaces: Callable[[Focus], Sequence[Surface]], *, epoch_range: FloatArray,
+    yaw: FloatArray, degree: tuple[int, int],
+) -> ReliefMap:  # fmt: skip
+    """The map from epoch range, yaw and height to the focused block; `surfaces` has those of a focus."""
+    fitted = [
+        [*surfaces(layer.spots), fit_surface(layer.bend, epoch_range=epoch_range, yaw=yaw, degree=degree)]
+        for layer in layers
+    ]
+    terms = []
+    for quantity in zip(*fitted, strict=True):
+        values = np.stack([surface.series for surface in quantity])
+        series = solvers.node_series(values.reshape(len(layers), -1), len(layers) - 1).reshape(values.shape)
+        first = quantity[0]
+        terms.append(
+            tuple(
+                Surface(
+                    series=np.ascontiguousarray(part), near=first.near, far=first.far, low=first.low, high=first.high
+                )
+                for part in series
+            )
+        )
+    return ReliefMap(
+        smooth=relief.smooth, low=relief.low, high=relief.high, lowest=relief.lowest, highest=relief.highest,
+        layers=tuple(terms), most_bend=max(float(np.abs(layer.bend).max()) for layer in layers),
+    )  # fmt: skip

@@ -1,0 +1,76 @@
+"""The ground that a block owns, and the lines of targets on it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from blocksar.arrays import FloatArray
+from blocksar.budget import IMAGE_TAP_ERROR
+from blocksar.collection import range_series
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.region import Region
+from blocksar.collection.weighting import UNIFORM, Taper, Weighting
+from blocksar.focusing.lines import Line
+from blocksar.focusing.recovery import Recovery
+from blocksar.planning.dwell_weights import taper_over_dwells
+from blocksar.planning.relief import Relief, stacked
+from blocksar.planning.target_lines import Dwells, find_dwells
+
+REFERENCE_ORDER = 8  # of the range series of a block's centre
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sector:
+    """The ground that a block owns: yaws [low, high), rad, at epoch ranges [near, far), m.
+
+    With the weighting of its image, and the error that the interpolation of the focused block may have. On a terrain
+    the geometry is over the smooth part of it, and `relief` has the rest.
+    """
+
+    geometry: Geometry
+    recovery: Recovery
+    region: Region
+    low: float
+    high: float
+    near: float
+    far: float
+    weighting: Weighting = UNIFORM
+    tap_error: float = IMAGE_TAP_ERROR
+    relief: Relief | None = None
+
+    @property
+    def taper(self) -> Taper:
+        """The weighting over dwells."""
+        return taper_over_dwells(self.geometry.collection, self.weighting)
+
+    def dwells(self, yaw: FloatArray, *, coarsely: bool = False) -> Dwells:
+        """Dwells of targets at yaws (...), rad, for their lines in the recovered signal."""
+        recovery = self.recovery
+        return find_dwells(
+            self.geometry, yaw=yaw, origin=recovery.origin, walk=recovery.walk, common=recovery.common,
+            coarsely=coarsely,
+        )  # fmt: skip
+
+    def over(self, offset: float) -> Sector:
+        """The same sector with the smooth ground raised by an offset, m."""
+        assert self.relief is not None
+        return replace(self, geometry=self.relief.over(self.geometry, offset))
+
+    def refined(self) -> Sector:
+        """The same sector, on a terrain over its finer smooth ground."""
+        return self if self.relief is None else replace(self, geometry=self.geometry.over(None, self.relief.fine))
+
+    def with_relief(self, line: Line, trace: Callable[[Sector], Line]) -> Line:
+        """Lines of targets on the smooth ground; on a terrain followed by those of the lowest and the highest ones."""
+        if self.relief is None:
+            return line
+        return stacked([line, *(trace(self.over(offset)) for offset in (self.relief.low, self.relief.high))])
+
+    def reference(self) -> FloatArray:
+        """Range series of the sector's centre, m/s^n, less the common range that recovery removes."""
+        middle = np.array((self.near + self.far) / 2), np.array((self.low + self.high) / 2)
+        series = range_series.range_series(self.geometry, *middle, order=REFERENCE_ORDER)
+        return np.asarray(series - self.recovery.common.taylor(REFERENCE_ORDER))

@@ -1,0 +1,87 @@
+"""A block's terrain: its smooth parts, what stands over them, and what a plan says of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scenes import scene
+
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.grid import Grid
+from blocksar.collection.terrain import Terrain
+from blocksar.planning.plan import Plan, plan_collection
+from blocksar.planning.relief import find_relief, sample_terrain
+from blocksar.simulation.scene import Scene
+
+GRID = Grid(15700.0, 16500.0, 4.0, 18800.0, 19600.0, 4.0)
+BOX = (GRID.x0 - 100, GRID.x1 + 100), (GRID.y0 - 100, GRID.y1 + 100)
+
+
+def hilly(height: float, width: float = 400.0, level: float = 0.0) -> Terrain:
+    (x0, x1), (y0, y1) = BOX
+    x, y = np.arange(x0, x1, 12.5), np.arange(y0, y1, 12.5)[:, None]
+    rate = 4 * np.log(2) / width**2
+    heights = level + height * np.exp(-rate * ((x - 16100) ** 2 + (y - 19200) ** 2))
+    return Terrain(x0=x0, dx=12.5, y0=y0, dy=12.5, heights=heights)
+
+
+def planned(terrain: Terrain | None, **settings: object) -> Plan:
+    collection = Scene.parse(scene(swath=[29600.0, 30400.0])).collection().centred()
+    return plan_collection(collection, **{"blocks": 3, "grid": GRID, "terrain": terrain, **settings})  # type: ignore[arg-type]
+
+
+def test_smooth_parts_follow_what_is_smooth_and_the_rest_stands_over_them() -> None:
+    collection = Scene.parse(scene(swath=[29600.0, 30400.0])).collection().centred()
+    geometry = Geometry(collection=collection, terrain=hilly(200.0))
+    samples = sample_terrain(geometry, (GRID.x0, GRID.x1), (GRID.y0, GRID.y1))
+    assert geometry.terrain is not None
+    assert samples.z == pytest.approx(geometry.terrain(*place(geometry, samples)), abs=1e-6)
+    box = {"low": float(samples.yaw.min()), "high": float(samples.yaw.max())}
+    box |= {"near": float(samples.epoch_range.min()), "far": float(samples.epoch_range.max())}
+    relief = find_relief(samples, **box, level=0.0)
+    coarse = samples.z - relief.smooth(samples.epoch_range, samples.yaw)
+    fine = samples.z - relief.fine(samples.epoch_range, samples.yaw)
+    assert relief.low < coarse.min() and coarse.max() < relief.high
+    assert np.ptp(fine) < 0.4 * np.ptp(samples.z) and np.std(fine) < np.std(coarse)
+    low, high, known = relief.extremes(13, 33)
+    assert known.any() and low[known].min() >= fine.min() - 1e-9 and high[known].max() <= fine.max() + 1e-9
+    empty = find_relief(samples, low=2.0, high=2.1, near=5e4, far=6e4, level=33.0)
+    assert empty.smooth(np.array(5.5e4), np.array(2.05)) == pytest.approx(33.0, abs=1e-6)
+
+
+def place(geometry: Geometry, samples: object) -> tuple[np.ndarray, np.ndarray]:
+    """x and y of samples, from their yaw, range and height."""
+    yaw, rng, z = samples  # type: ignore[misc]
+    flat = geometry.over(None, lambda epoch_range, at: z)
+    return flat.ground_axes(rng, yaw)
+
+
+def test_a_level_terrain_is_planned_as_its_plane() -> None:
+    level, plane = planned(Terrain.flat(0.0, *BOX)), planned(None)
+    assert level.n_blocks == plane.n_blocks
+    for one, other in zip(level.blocks, plane.blocks, strict=True):
+        assert one.prediction.coherence == pytest.approx(other.prediction.coherence, abs=4e-4)
+        assert one.ground.relief is not None and other.ground.relief is None
+        assert abs(one.ground.relief.most_bend) * 0.08**2 < 0.005  # cycles over half a dwell
+
+
+def test_relief_costs_coherence_as_predicted_and_bends_grow_with_it() -> None:
+    plans = [planned(hilly(height)) for height in (50.0, 300.0)]
+    bends = [max(block.ground.relief.most_bend for block in plan.blocks) for plan in plans]  # type: ignore[union-attr]
+    assert bends[1] > 3 * bends[0]
+    assert plans[0].coherence > plans[1].coherence > 0.99
+    again = planned(hilly(300.0))
+    for one, other in zip(plans[1].blocks, again.blocks, strict=True):
+        assert one.prediction == other.prediction
+        assert one.ground.relief is not None and other.ground.relief is not None
+        for terms, others in zip(one.ground.relief.layers, other.ground.relief.layers, strict=True):
+            assert all(np.array_equal(a.series, b.series) for a, b in zip(terms, others, strict=True))
+
+
+def test_peaks_between_the_borders_extend_the_ranges_of_an_unsteered_scene() -> None:
+    text = scene(swath=[28500.0, 31500.0], steering=None, prf=12e3, duration=0.2)
+    collection = Scene.parse(text).collection().centred()
+    flat = plan_collection(collection, blocks=1, grid=GRID)
+    high = plan_collection(collection, blocks=1, grid=GRID, terrain=hilly(1200.0))
+    assert high.region.near.min() < flat.region.near.min() - 50
+    assert high.blocks[0].ground.levels == pytest.approx((0.0, 1200.0), abs=5)
