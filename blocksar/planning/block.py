@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.polynomial import chebyshev
 
-from blocksar import solvers
 from blocksar.arrays import BoolArray, FloatArray
 from blocksar.chunks import DOPPLER_GROUP
 from blocksar.collection.beam import dwell_at
@@ -29,6 +26,7 @@ from blocksar.focusing.recovery import Recovery
 from blocksar.focusing.relief_map import NodeHeights
 from blocksar.focusing.sampling import Sampling
 from blocksar.focusing.step import Constants, Step
+from blocksar.focusing.surfaces import Surface
 from blocksar.kernels import fourier
 from blocksar.kernels.fourier import Axis
 from blocksar.kernels.interpolation import taps_needed
@@ -40,6 +38,7 @@ from blocksar.planning.fidelity import gate_blur
 from blocksar.planning.gates import GATE_DEGREES, full_dwells, plan_gate, plan_range_gate
 from blocksar.planning.memory import block_memory
 from blocksar.planning.motion import plan_motion
+from blocksar.planning.nodes import common_ranges, nodes_between
 from blocksar.planning.prediction import Prediction, predict
 from blocksar.planning.relief import FINE_DEGREE, map_relief, trace_layer
 from blocksar.planning.sector import Sector
@@ -49,8 +48,6 @@ TIME_GUARD = 0.1  # dwells kept on either side of the time in which a block's ta
 # Oversampling of a focused block: twelve taps in range and eight in Doppler then err by less than IMAGE_TAP_ERROR.
 RANGE_ROOM = 1.42
 LEAST_ROOM = 1.4  # dwells that slow time has room for, so that the windows of the gate can fade out
-RANGE_STEPS = 3  # of the iteration that finds the targets of an apparent range
-MOST_BEYOND = 1.05  # half swaths from its middle at which the series of that iteration is trusted
 RESAMPLING_ROOM = 1.35  # oversampling of Doppler by padding in time: dense enough to interpolate
 REGION_STEPS, LEAST_STEPS = 64 * YAW_STEPS, 128  # of yaw over the region, in which a block has its share; at least
 STEPS_BY_RANGE = 512  # of yaw, where the sum over lit pulses is a table over range and yaw
@@ -129,7 +126,7 @@ def plan_block(
     """
     collection, recovery = sector.geometry.collection, sector.recovery
     # Coarse lines through the range steps: for the slab, the coefficients and the sampling.
-    nodes, yaws = _end_nodes(sector.near, sector.far, 9), np.linspace(sector.low, sector.high, 15)
+    nodes, yaws = nodes_between(sector.near, sector.far, 9), np.linspace(sector.low, sector.high, 15)
     dwells = sector.dwells(yaws, coarsely=True)
     line = dwells.lines(nodes[:, None])
     duration = float(line.weight.sum(axis=-1).max())
@@ -153,7 +150,7 @@ def plan_block(
     )
 
     # Fine lines through the whole chain: for the gate, the ground map and the prediction.
-    fine_range, fine_yaw = _end_nodes(sector.near, sector.far, 13), _end_nodes(sector.low, sector.high, 33)
+    fine_range, fine_yaw = nodes_between(sector.near, sector.far, 13), nodes_between(sector.low, sector.high, 33)
     lit = sector.dwells(fine_yaw).lines(fine_range[:, None])
     compressed = range_part.trace(lit)
     biased, _, fine = azimuth.trace(compressed)
@@ -172,19 +169,8 @@ def plan_block(
     )  # fmt: skip
     full = full_dwells(fine, sector.geometry, fine_range[:, None], fine_yaw)
     ends = Ends(rate=biased.rate, uncut=uncut, scaled_about=azimuth.range_part.scales_time_about, full=full)
-    gate = _plan_dwell_gate(sector, sampling, fine, spots, lit, ends)
-    if sector.relief is not None:
-        gate = _follow_terrain(sector, azimuth, sampling, fine_range, fine_yaw, weights, ends, in_time)
-    sampling = replace(sampling, gate=gate)
-    ground = _plan_ground(sector, sampling, fine, spots, epoch_range=fine_range, yaw=fine_yaw)
-    prediction = predict(
-        fine, spots, fine_range, fine_yaw, sector.geometry, rate=ends.rate, gate=gate,
-        scaled_about=ends.scaled_about, weights=weights,
-    )  # fmt: skip
-    if sector.relief is not None:
-        ground, prediction = _raise(
-            sector, azimuth, ground, prediction, fine_range, fine_yaw, weights, gate, ends, in_time
-        )
+    lines = FineLines(lit, fine, spots, fine_range, fine_yaw, weights, ends, in_time)
+    sampling, ground, prediction = _plan_image(sector, azimuth, sampling, lines)
     return BlockPlan(
         index=index, part=part, low=sector.low, high=sector.high, first_bin=slab.first_bin, n_bin=slab.doppler.size,
         chain=azimuth.sampled(sampling) if range_gate is None else (range_gate, *azimuth.sampled(sampling)),
@@ -196,52 +182,65 @@ def plan_block(
     )  # fmt: skip
 
 
-def _follow_terrain(
-    sector: Sector, azimuth: AzimuthPart, sampling: Sampling, epoch_range: FloatArray, yaw: FloatArray,
-    weights: DwellWeights, ends: Ends, in_time: AxisTaper | None,
-) -> DwellGate | None:  # fmt: skip
-    """The dwell gate for targets on the finer smooth part of a terrain."""
-    lit = sector.refined().dwells(yaw).lines(epoch_range[:, None])
+def _plan_image(
+    sector: Sector, azimuth: AzimuthPart, sampling: Sampling, lines: FineLines
+) -> tuple[Sampling, GroundMap, Prediction]:
+    """The sampling with its dwell gate, the ground map, and the prediction."""
+    rng, yaw, ends, weights = lines.epoch_range, lines.yaw, lines.ends, lines.weights
+    gated = lines if sector.relief is None else _follow_terrain(sector, azimuth, lines)
+    gate = _plan_dwell_gate(sector, sampling, gated.line, gated.spots, gated.lit, gated.ends)
+    sampling = replace(sampling, gate=gate)
+    ground = _plan_ground(sector, sampling, lines.line, lines.spots, epoch_range=rng, yaw=yaw)
+    if sector.relief is not None:
+        return sampling, *_raise(sector, azimuth, ground, gate, lines)
+    prediction = predict(
+        lines.line, lines.spots, rng, yaw, sector.geometry, rate=ends.rate, gate=gate, scaled_about=ends.scaled_about,
+        weights=weights,
+    )  # fmt: skip
+    return sampling, ground, prediction
+
+
+def _trace(sector: Sector, azimuth: AzimuthPart, lines: FineLines) -> tuple[Line, Line, FloatArray]:
+    """Lines of other targets at the same ranges and yaws, before and after all steps, and their rate in between."""
+    lit = sector.dwells(lines.yaw).lines(lines.epoch_range[:, None])
     biased, _, line = azimuth.trace(azimuth.range_part.trace(lit))
-    line = line if in_time is None else levelled(line, in_time)
-    return _plan_dwell_gate(sector, sampling, line, focus(weights.weigh(line)), lit, ends._replace(rate=biased.rate))
+    return lit, line if lines.in_time is None else levelled(line, lines.in_time), biased.rate
+
+
+def _follow_terrain(sector: Sector, azimuth: AzimuthPart, lines: FineLines) -> FineLines:
+    """The lines of targets on the finer smooth part of a terrain, which the dwell gate follows."""
+    lit, line, rate = _trace(sector.refined(), azimuth, lines)
+    spots = focus(lines.weights.weigh(line))
+    return lines._replace(lit=lit, line=line, spots=spots, ends=lines.ends._replace(rate=rate))
 
 
 def _raise(
-    sector: Sector, azimuth: AzimuthPart, ground: GroundMap, prediction: Prediction, epoch_range: FloatArray,
-    yaw: FloatArray, weights: DwellWeights, gate: DwellGate | None, ends: Ends, in_time: AxisTaper | None,
-) -> tuple[GroundMap, Prediction]:  # fmt: skip
-    """The ground map of a terrain, and the worst prediction over its heights."""
-    relief = sector.relief
+    sector: Sector, azimuth: AzimuthPart, ground: GroundMap, gate: DwellGate | None, lines: FineLines
+) -> tuple[GroundMap, Prediction]:
+    """The ground map with the terrain's heights, and the worst prediction over them."""
+    relief, weights, rng, yaw = sector.relief, lines.weights, lines.epoch_range, lines.yaw
     assert relief is not None
-    origin, carrier = sector.recovery.origin, sector.geometry.collection.carrier
+    origin, carrier, degree = sector.recovery.origin, sector.geometry.collection.carrier, (9, 16)
 
     def trace(geometry: Geometry) -> tuple[Line, FloatArray]:
-        lit = replace(sector, geometry=geometry).dwells(yaw).lines(epoch_range[:, None])
-        biased, _, line = azimuth.trace(azimuth.range_part.trace(lit))
-        return line if in_time is None else levelled(line, in_time), biased.rate
+        return _trace(replace(sector, geometry=geometry), azimuth, lines)[1:]
 
-    offsets = relief.offsets.tolist()
-    layers = [trace_layer(sector.over(offset).geometry, trace, weights.weigh) for offset in offsets]
-    degree = 9, 16
-    by_height = map_relief(
-        relief, layers,
-        lambda spots: surfaces(
-            spots, epoch_range=epoch_range, yaw=yaw, origin=origin, carrier=carrier, degree=degree
-        ),
-        epoch_range=epoch_range, yaw=yaw, degree=degree,
-    )  # fmt: skip
-    *extremes, known = relief.extremes(epoch_range.size, yaw.size)
+    def surfaces_of(spots: Focus) -> tuple[Surface, ...]:
+        return surfaces(spots, epoch_range=rng, yaw=yaw, origin=origin, carrier=carrier, degree=degree)
+
+    layers = [trace_layer(sector.over(offset).geometry, trace, weights.weigh) for offset in relief.offsets.tolist()]
+    by_height = map_relief(relief, layers, surfaces_of, epoch_range=rng, yaw=yaw, degree=degree)
+    *extremes, known = relief.extremes(rng.size, yaw.size)
+    known = known if known.any() else np.ones_like(known)
     grounds = [sector.geometry.over(None, NodeHeights(smooth=relief.fine, over=heights)) for heights in extremes]
     predictions = [
         predict(
-            layer.line, layer.spots, epoch_range, yaw, layer.geometry, rate=layer.rate, gate=gate,
-            scaled_about=ends.scaled_about, weights=weights, reached=known,
+            layer.line, layer.spots, rng, yaw, layer.geometry, rate=layer.rate, gate=gate,
+            scaled_about=lines.ends.scaled_about, weights=weights, reached=known,
         )
-        for layer in (trace_layer(ground, trace, weights.weigh) for ground in grounds)
-        if known.any()
+        for layer in (trace_layer(each, trace, weights.weigh) for each in grounds)
     ]  # fmt: skip
-    return replace(ground, relief=by_height), min(predictions or [prediction], key=lambda each: each.coherence)
+    return replace(ground, relief=by_height), min(predictions, key=lambda each: each.coherence)
 
 
 class Ends(NamedTuple):
@@ -251,6 +250,19 @@ class Ends(NamedTuple):
     uncut: tuple[FloatArray, FloatArray]  # (n_yaw,) or (n_range, n_yaw), s from the epoch, as if nothing cut them
     scaled_about: float | None  # time about which a keystone scales time, s
     full: BoolArray  # (n_range, n_yaw), from `full_dwells`
+
+
+class FineLines(NamedTuple):
+    """Lines (n_range, n_yaw) through the whole chain, for the gate, the ground map and the prediction."""
+
+    lit: Line  # before all steps
+    line: Line  # after them
+    spots: Focus
+    epoch_range: FloatArray  # (n_range,) m
+    yaw: FloatArray  # (n_yaw,) rad
+    weights: DwellWeights
+    ends: Ends
+    in_time: AxisTaper | None  # over the pulses of a beam that is not steered
 
 
 def _plan_dwell_gate(
@@ -284,7 +296,7 @@ def _plan_azimuth(
 ) -> tuple[AzimuthPart, Choice]:
     """The steps after range compression, with coefficients for targets that share an apparent range."""
     recovery = sector.recovery
-    ranges, epoch_range = _common_ranges(
+    ranges, epoch_range = common_ranges(
         lambda at: range_part.trace(dwells.lines(at)), straight, nodes, origin=recovery.origin
     )
     shared = range_part.trace(dwells.lines(epoch_range))
@@ -300,35 +312,6 @@ def _plan_azimuth(
         neighbour=neighbour,
     )
     return AzimuthPart.bind(range_part, polynomials, straight), choice
-
-
-def _common_ranges(
-    trace: Callable[[FloatArray], Line], line: Line, nodes: FloatArray, *, origin: float
-) -> tuple[FloatArray, FloatArray]:
-    """Apparent ranges that span those of lines (n_range, n_yaw), and the epoch range of each yaw's target there.
-
-    Targets of one output row share its coefficients but not always the range at the epoch: correcting range curvature
-    at a target's own Doppler moves the target by that curvature (paper C, below (5)).
-
-    Returns
-    -------
-    ranges : (n_range,) m from the origin, ascending
-    epoch_range : (n_range, n_yaw) m
-    """
-    apparent = line.range.mean(axis=-1)
-    ranges = _end_nodes(float(apparent.min()), float(apparent.max()), nodes.size)
-    # How far ranges move, as a series over the nodes; targets beyond the nodes need one step with their own lines.
-    moved = solvers.node_series(apparent - (nodes[:, None] - origin), nodes.size - 1)
-    epoch_range = origin + ranges[:, None] - moved[0]
-    for _ in range(RANGE_STEPS):
-        u = np.clip((2 * epoch_range - nodes[0] - nodes[-1]) / (nodes[-1] - nodes[0]), -MOST_BEYOND, MOST_BEYOND)
-        epoch_range = origin + ranges[:, None] - chebyshev.chebval(u, moved[:, None], tensor=False)
-    return ranges, epoch_range + ranges[:, None] - trace(epoch_range).range.mean(axis=-1)
-
-
-def _end_nodes(low: float, high: float, count: int) -> FloatArray:
-    """`solvers.end_nodes` from low to high."""
-    return low + (high - low) * (1 + solvers.end_nodes(count)) / 2
 
 
 def _plan_slab(collection: Collection, spectrum: Axis, line: Line, *, margin: float) -> Slab:

@@ -120,6 +120,9 @@ def test_defaults(api: Calls) -> None:
         ("table1",),
         {
             "processor": "angular-division",
+            "terrain": None,
+            "surface": "plane",
+            "vertical": None,
             "blocks": "auto",
             "fidelity": 0.999,
             "weighting": "uniform",
