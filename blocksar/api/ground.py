@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from blocksar import stores
-from blocksar.api.arguments import history_of
+from blocksar.api.arguments import One, history_of
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.georeference import Georeference
@@ -16,17 +16,13 @@ from blocksar.collection.region import default_grid, plan_region
 from blocksar.collection.terrain import Terrain
 from blocksar.errors import InputError
 from blocksar.ingestion.terrain.reading import Ground
-from blocksar.places import Location
 from blocksar.places.place import Place
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 PLANE = Ground()
 
 
 def read_ground(
-    ground: Ground, collection: Collection, grid: Grid | None, source: Location | xr.Dataset | dict[str, Any]
+    ground: Ground, collection: Collection, grid: Grid | None, source: One | dict[str, Any]
 ) -> Terrain | None:
     """The ground under an image; None for the plane. The source is a phase history, a scene, or attributes of such.
 
@@ -49,7 +45,7 @@ def read_ground(
     return ground.read(georeference, collection.ground_height, image_grid(collection, grid))
 
 
-def _attributes(source: Location | xr.Dataset) -> Mapping[str, Any]:
+def _attributes(source: One) -> Mapping[str, Any]:
     """The attributes of a phase history; a scene has none."""
     try:
         return history_of(source).attrs
