@@ -207,7 +207,7 @@ def test_corrupt_samples_are_refused_and_leave_nothing(store: Path, client: Clie
     ("settings", "message"),
     [
         ({"grid": ((0.0, 0.0, 1.0), (0.0, 10.0, 1.0))}, "empty"),
-        ({"grid": ((0.0, 100.0, -1.0), (0.0, 10.0, 1.0))}, "step above 0"),
+        ({"grid": ((0.0, 100.0, -1.0), (0.0, 10.0, 1.0))}, "spacing of .* give one above zero"),
         ({"grid": ((5e4, 5.1e4, 1.0), (5e4, 5.1e4, 1.0))}, "outside the swath"),
         ({"processor": "omega-k"}, "processor"),
         ({"workers": -1}, "workers"),
