@@ -113,7 +113,7 @@ def measure(
     ]
     result = as_json(responses, weighting)
     others: list[Table] = []
-    lines = [*_weighting_lines(weighting), *_count_line(responses)] if responses else []
+    lines = [*_weighting_lines(weighting, run.collection.has_pattern), *_count_line(responses)] if responses else []
     if not responses:
         lines.append("the collection names no targets: give --targets FILE to measure some, or --found N to find some")
     if run.attrs.get("scene") == "table1" and responses:
@@ -213,7 +213,7 @@ def _response_table(responses: Sequence[PointResponse]) -> Table:
     return header, rows
 
 
-def _weighting_lines(weighting: Weighting) -> list[str]:
+def _weighting_lines(weighting: Weighting, patterned: bool) -> list[str]:
     """What the tapers of a weighted image make of its ideal response."""
     if weighting.uniform:
         return []
@@ -223,7 +223,8 @@ def _weighting_lines(weighting: Weighting) -> list[str]:
         f"ISLR {taper.ideal.islr:.2f} dB"
         for name, taper in along
     ]
-    return [f"ideal responses of the weighting: {'; '.join(figures)}"]
+    beside = "; in azimuth each target has those of the weighting times the antenna's pattern" if patterned else ""
+    return [f"ideal responses of the weighting: {'; '.join(figures)}{beside}"]
 
 
 def _count_line(responses: Sequence[PointResponse]) -> list[str]:

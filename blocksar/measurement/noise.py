@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -33,13 +34,18 @@ class NoiseFigures(NamedTuple):
 
     @classmethod
     def of(
-        cls, geometry: Geometry, x: FloatArray, y: FloatArray, noise: FloatArray, weighting: Weighting = UNIFORM
+        cls,
+        geometry_at: Callable[[float, float], Geometry],
+        x: FloatArray,
+        y: FloatArray,
+        noise: FloatArray,
+        weighting: Weighting = UNIFORM,
     ) -> Self:
-        """The figures of noise (n,) at pixels x, y (n,), m."""
+        """The figures of noise (n,) at pixels x, y (n,), m; `geometry_at` is that of the collection seen at a place."""
         least, median, greatest = (float(value) for value in np.quantile(noise, SHARES))
         middle = int(np.argmin((x - x.mean()) ** 2 + (y - y.mean()) ** 2))
         there = float(x[middle]), float(y[middle])
-        axes = response_axes(geometry, *there, weighting)
+        axes = response_axes(geometry_at(*there), *there, weighting)
         return cls(least, median, greatest, *there, float(noise[middle]), axes.area if axes else math.nan)
 
     def as_json(self) -> dict[str, float | None]:

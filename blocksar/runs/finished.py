@@ -288,7 +288,7 @@ class FinishedRun:
     def noise(self) -> NoiseFigures | None:
         """The figures of the image's noise; None if the noise of the samples is not known."""
         levels = self.noise_levels(NOISE_POINTS)
-        return None if levels is None else NoiseFigures.of(self.geometry, *levels, self.weighting)
+        return None if levels is None else NoiseFigures.of(self.geometry_at, *levels, self.weighting)
 
     def read_input(self, rows: slice, columns: slice) -> Int16Array:
         """Read which of the record's inputs each pixel comes from, (rows, columns); -1 where not covered."""
