@@ -12,8 +12,6 @@ from distributed import Client
 from scenes import scene
 
 import blocksar
-from blocksar import stores
-from blocksar.errors import InputError
 
 NOISE = "\n[noise]\npower = 0.5\nseed = 5\n[dropped]\npulses = [700, 701, 702]\n"
 PARTS = 8  # of the pixels, from the longest dwells to the shortest
@@ -32,10 +30,10 @@ SCENES = {
 
 
 @pytest.mark.parametrize(("name", "processor", "weighting"), [
-    ("table1", "angular-division", "uniform"),
+    pytest.param("table1", "angular-division", "uniform", marks=pytest.mark.slow),
     ("table1", "angular-division", "taylor:4:-35"),
     ("tops", "angular-division", "taylor:4:-35"),
-    ("tops", "keystone-resampling", "uniform"),
+    pytest.param("tops", "keystone-resampling", "uniform", marks=pytest.mark.slow),
     ("sliding", "backprojection", "taylor:4:-35"),
 ])  # fmt: skip
 def test_the_noise_of_an_image_is_as_strong_as_it_says(
@@ -60,18 +58,3 @@ def test_the_noise_of_an_image_is_as_strong_as_it_says(
     figures = blocksar.quality(tmp_path / "run").result["noise"]
     assert expected[0] <= figures["least"] <= figures["median"] <= figures["greatest"] <= expected[-1]
     assert figures["median"] == pytest.approx(np.median(expected), rel=0.05)
-
-
-def test_without_known_noise_an_image_has_none(client: Client, tmp_path: Path) -> None:
-    text = axis_scene(TOPS, swath=[9800.0, 10200.0], more='[[targets]]\nx = 8660.0\ny = 0.0\nname = "P"\n', **AXIS)
-    (tmp_path / "scene.toml").write_text(text)
-    store = blocksar.simulate(tmp_path / "scene.toml", tmp_path / "ph.zarr")
-    blocksar.focus(
-        store, tmp_path / "run", grid=((8640, 8680, 2), (-10, 10, 1)), processor="backprojection", client=client
-    )
-    assert stores.open_phase_history(store).collection.noise_power is None
-    assert "noise" not in blocksar.quality(tmp_path / "run").result
-    with blocksar.open(tmp_path / "run") as dataset:
-        assert set(dataset.data_vars) == {"image", "block"}
-        with pytest.raises(InputError, match="has no noise_equivalent: the noise of the samples was not known"):
-            dataset.sar.noise_db()

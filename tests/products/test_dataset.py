@@ -31,6 +31,18 @@ def test_db_equals_the_power_of_the_pixels(made: Made) -> None:
         np.testing.assert_allclose(power.values, 20 * np.log10(np.abs(made.image)), rtol=0, atol=1e-4)
 
 
+def test_without_known_noise_there_is_none(tmp_path: Path) -> None:
+    plain, known = (make(tmp_path / str(power), size=(60, 50), noise_power=power).folder for power in (None, 0.5))
+    with blocksar.open(plain) as opened:
+        assert set(opened.data_vars) == {"image", "block"}
+        with pytest.raises(InputError, match="has no noise_equivalent: the noise of the samples was not known"):
+            opened.sar.noise_db()
+    assert "noise" not in blocksar.quality(plain, targets=[]).result
+    assert blocksar.quality(known, targets=[]).result["noise"]["area"] > 0
+    with blocksar.open(known) as opened:
+        assert opened.sar.noise_db().attrs["grid_mapping"] == "spatial_ref"
+
+
 def test_crop_selects_by_ground_coordinates_and_is_lazy(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
     with blocksar.open(made.folder) as opened:
         part = opened.sar.crop(x=(-4.1, 5.0), y=(None, 2.0))
