@@ -119,8 +119,14 @@ def plan(
     grid : Grid, ((x0, x1, dx), (y0, y1, dy)) or str, optional
         Image points x0, x0 + dx, ... < x1 in m in the scene frame, likewise y; as a text "x0:x1:dx,y0:y1:dy". Default:
         the box around the lit sector at about half the resolution. Needed if the beam is not steered.
-    terrain, surface, vertical
-        The ground, as for `focus`.
+    terrain : path, optional
+        Heights of the ground: zarr or netCDF with `height` (y, x) in m of the scene frame, or a GeoTIFF in any
+        coordinate reference system, which needs a georeference. Default: the plane z = ground_height.
+    surface : {"plane", "ellipsoid"}
+        "ellipsoid": WGS 84 at ground_height, which needs a georeference. Default: "plane".
+    vertical : str, optional
+        What a GeoTIFF's heights are measured from, if it does not say so: "ellipsoid", "egm96" or "egm2008"; or
+        "egm2008:FILE" with the geoid's grid. Needed for such a file only.
     workers : int, optional
         Worker processes to plan for; 0: the calling process does the work. Default: as for `focus`.
     memory_limit : int or str, optional
