@@ -5,6 +5,12 @@
 The script makes one sweep and ends; cron or a systemd timer starts it again, as often as required. A sweep lists the
 complete collections of INBOX and focuses them one after the other on one cluster. A collection `NAME.zarr` is complete
 when its group has a zarr.json: write it under another name and rename it when all of it is there. INBOX is only read.
+
+Several collections of one acquisition, such as bursts, become one mosaic. List them beside them in a manifest
+NAME.acquisition.json, {"collections": ["NAME_b0.zarr", ...]}: the acquisition is complete when all of them are. Or give
+a pattern of their names: with --group '(.+)_b[0-9]+', collections whose names have the same first group are focused
+together, and again when one more of them arrives.
+
 OUTBOX belongs to the workflow:
 
     runs/NAME/                   the run; if the collection changes, the next run is NAME.2, and so on
@@ -35,6 +41,7 @@ The script needs the folder `inbox` beside it.
 
 from __future__ import annotations
 
+import re
 import sys
 from typing import Annotated, NoReturn
 
@@ -72,6 +79,12 @@ def main(
     notify: Annotated[
         str | None, typer.Option(metavar="COMMAND", help="Run for each result, with the event as JSON on stdin.")
     ] = None,
+    group: Annotated[
+        str | None,
+        typer.Option(
+            metavar="PATTERN", help="Regular expression: names with the same first group are one acquisition."
+        ),
+    ] = None,
     quiet: options.Quiet = False,
 ) -> None:
     """Focus every collection of an inbox exactly once, oldest first, and end; a timer starts the next sweep.
@@ -89,7 +102,9 @@ def main(
             "threads": threads,
             "memory_limit": None if memory_limit is None else parsing.parse_memory(memory_limit),
         }
-        status = sweep(inbox, outbox, settings, Hook.parse(notify), scheduler=scheduler, quiet=quiet)
+        status = sweep(
+            inbox, outbox, settings, Hook.parse(notify), scheduler=scheduler, group=parse_group(group), quiet=quiet
+        )
     except InputError as error:
         _end(str(error), USAGE)
     except Held as owner:
@@ -104,7 +119,14 @@ def main(
 
 
 def sweep(
-    inbox: str, outbox: str, settings: Settings, hook: Hook, *, scheduler: str | None = None, quiet: bool = False
+    inbox: str,
+    outbox: str,
+    settings: Settings,
+    hook: Hook,
+    *,
+    scheduler: str | None = None,
+    group: re.Pattern[str] | None = None,
+    quiet: bool = False,
 ) -> int:
     """Lock the outbox, sweep the inbox once, and return the exit status.
 
@@ -118,12 +140,28 @@ def sweep(
     if not isinstance(folder := place(outbox), LocalPlace):
         raise InputError(f"OUTBOX {folder} is not a local folder; give one: lock and log need it")
     source, target = place(inbox), Outbox(folder.path)
-    list_arrivals(source)  # before anything is written
+    list_arrivals(source, group)  # before anything is written
     if isinstance(source, LocalPlace):
         target.check_apart(source.path)
     target.prepare()
     with target.lock(), Cluster(settings, scheduler, target.scratch) as cluster:
-        return Sweep(source, target, settings, cluster, hook, Journal(target, quiet=quiet)).run()
+        return Sweep(source, target, settings, cluster, hook, Journal(target, quiet=quiet), group).run()
+
+
+def parse_group(pattern: str | None) -> re.Pattern[str] | None:
+    """The pattern of names of one acquisition.
+
+    Raises
+    ------
+    InputError
+        If it is no regular expression.
+    """
+    try:
+        return None if pattern is None else re.compile(pattern)
+    except re.error as error:
+        raise InputError(
+            f"--group {pattern!r} is no regular expression ({error}); give one such as '(.+)_b[0-9]+'"
+        ) from None
 
 
 def _end(message: str, status: int) -> NoReturn:

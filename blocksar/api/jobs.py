@@ -41,6 +41,11 @@ if TYPE_CHECKING:
     pass
 
 
+def joint_fingerprint(fingerprints: Sequence[str]) -> str:
+    """The fingerprint of a run's input, by those of its collections: its own if there is one only."""
+    return fingerprints[0] if len(fingerprints) == 1 else stores.checksum_bytes("\n".join(fingerprints).encode())
+
+
 @dataclass(frozen=True, kw_only=True)
 class Request:
     """Phase histories to be focused into a folder, and how.
@@ -133,9 +138,7 @@ class Request:
     @property
     def fingerprint(self) -> str:
         """That of the phase history, or of all of them."""
-        if len(self.fingerprints) == 1:
-            return self.fingerprints[0]
-        return stores.checksum_bytes("\n".join(self.fingerprints).encode())
+        return joint_fingerprint(self.fingerprints)
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -281,7 +284,7 @@ class Job:
         grid = request.grid
         if request.terrain is not None:  # the grid that its heights were read for
             grid = grid or joint_grid([Geometry(collection=collection) for collection in collections])
-        planned = plan_segments(plan, collections, grid=grid, like=_divided(earlier))
+        planned = plan_segments(plan, collections, grid=grid, cut=request.blocks == "auto", like=_divided(earlier))
         if (refusal := next(filter(None, (each.plan.refusal for each in planned)), None)) is not None:
             raise InputError(refusal)
         several = len(planned) > 1 or len(collections) > 1

@@ -183,7 +183,7 @@ def plan(
         )  # fmt: skip
 
     if not automatic:
-        return _report_segments(plan_segments(plan_by, collections, grid=points), assumed)
+        return _report_segments(plan_segments(plan_by, collections, grid=points, cut=blocks == "auto"), assumed)
     if len(collections) > 1:
         raise InputError("processor is auto, but several sources are given: compare processors for one of them")
     return _report_contenders(choice.contend(lambda method: plan_by(collections[0], grid=points, by=method)), assumed)

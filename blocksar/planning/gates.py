@@ -209,7 +209,8 @@ def full_dwells(line: Line, geometry: Geometry, epoch_range: FloatArray, yaw: Fl
         full = lit >= FULL * (last - first)
         if full.any():
             return np.asarray(full)
-    return np.asarray(lit >= FULL * lit.max())
+    longest = float(lit.max())  # not above 0 where nothing is lit
+    return np.asarray(lit >= (FULL * longest if longest > 0 else longest))
 
 
 def dwell_ends(line: Line) -> tuple[FloatArray, FloatArray]:

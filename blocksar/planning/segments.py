@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import NamedTuple, Protocol
 
@@ -12,7 +14,10 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.region import Owned, default_grid, plan_region
 from blocksar.errors import InputError, OutsideSwath
 from blocksar.planning.plan import Plan
+from blocksar.planning.strips import Span, cuts, longest_dwell, owned_by, within
 
+USEFUL = 0.9  # of the excess of fewer segments, that more have to leave at most
+ALIKE = 1.05  # times the excess of the segment that was tried, that others may have with its numbers of blocks
 MOST_NUMBERS = 1 << 15  # of blocks, which the image holds as int16
 
 
@@ -78,7 +83,12 @@ def joint_grid(geometries: Sequence[Geometry]) -> Grid:
 
 
 def plan_segments(
-    plan: Planner, collections: Sequence[Collection], *, grid: Grid | None, like: Sequence[Divided] | None = None
+    plan: Planner,
+    collections: Sequence[Collection],
+    *,
+    grid: Grid | None,
+    cut: bool = True,
+    like: Sequence[Divided] | None = None,
 ) -> tuple[PlannedSegment, ...]:
     """Plan every collection that covers some of the grid, about its own epoch.
 
@@ -88,6 +98,8 @@ def plan_segments(
     collections : sequence of Collection
     grid : Grid or None
         None: the default one of a single collection, or that of several jointly.
+    cut : bool
+        Whether strips whose plan does not keep the fidelity are cut into segments along time.
     like : sequence of Divided, optional
         What an earlier process planned, to be planned again.
 
@@ -99,23 +111,85 @@ def plan_segments(
     if grid is None and len(collections) > 1:
         grid = joint_grid([Geometry(collection=collection) for collection in collections])
     if like is not None:
-        return number_blocks([_plan_again(plan, collections, grid, each) for each in like])
+        return number_blocks([_plan_again(plan, collections, grid, each, like) for each in like])
     planned: list[PlannedSegment] = []
     outside: list[OutsideSwath] = []
     for number, collection in enumerate(collections):
         try:
             whole = plan(collection, grid=grid, like=None, owned=None)
-            planned.append(PlannedSegment(collection=number, pulses=None, plan=whole))
         except OutsideSwath as error:
             outside.append(error)
+            continue
+        segments = _cut(plan, collection, whole, number) if cut and collection.has_axis else []
+        planned += segments or [PlannedSegment(collection=number, pulses=None, plan=whole)]
     if not planned:
         raise outside[0]
     return number_blocks(planned)
 
 
-def _plan_again(plan: Planner, collections: Sequence[Collection], grid: Grid | None, like: Divided) -> PlannedSegment:
-    whole = plan(collections[like.collection], grid=grid, like=like, owned=None)
-    return PlannedSegment(collection=like.collection, pulses=None, plan=whole)
+def _cut(plan: Planner, collection: Collection, whole: Plan, number: int) -> list[PlannedSegment]:
+    """The segments of a strip that one epoch does not serve; none if it does, or segments gain nothing.
+
+    The fewest segments that keep the fidelity, judged by one in the middle; else those that come closest.
+    """
+    if _excess(whole) <= 1.0:
+        return []
+    best, probe, spans = USEFUL * _excess(whole), None, []
+    stale = 0
+    for every in cuts(collection, longest_dwell(collection, whole.grid)):
+        trial = within(collection, every, whole.grid)
+        middle = _first_inside(plan, collection, whole.grid, trial)
+        if middle is None:
+            break
+        stale = 0 if _excess(middle) < USEFUL * best else stale + 1
+        if _excess(middle) < best:
+            best, probe, spans = _excess(middle), middle, trial
+        if best <= 1.0 or stale == 2:
+            break
+    if probe is None:
+        return []
+    segments = []
+    for k, span in enumerate(spans):
+        alike = Divided(number, span, probe.n_blocks, probe.parts)
+        own, owned = collection.segment(*span), owned_by(collection, spans, k)
+        try:
+            planned = plan(own, grid=whole.grid, like=alike, owned=owned)
+            if _excess(planned) > ALIKE * max(best, 1.0):
+                planned = plan(own, grid=whole.grid, like=None, owned=owned)
+        except OutsideSwath:
+            continue
+        segments.append(PlannedSegment(collection=number, pulses=span, plan=planned))
+    return segments
+
+
+def _excess(plan: Plan) -> float:
+    return math.inf if plan.refusal is not None else plan.excess()
+
+
+def _first_inside(plan: Planner, collection: Collection, grid: Grid, spans: Sequence[Span]) -> Plan | None:
+    """The plan of the segment that covers some of the grid and lies closest to the middle; None if none does."""
+    for k in sorted(range(len(spans)), key=lambda k: abs(k - len(spans) // 2)):
+        with suppress(OutsideSwath):
+            own = collection.segment(*spans[k])
+            return plan(own, grid=grid, like=None, owned=owned_by(collection, spans, k))
+    return None
+
+
+def _plan_again(
+    plan: Planner,
+    collections: Sequence[Collection],
+    grid: Grid | None,
+    like: Divided,
+    every: Sequence[Divided],
+) -> PlannedSegment:
+    collection = collections[like.collection]
+    if like.pulses is None:
+        again = plan(collection, grid=grid, like=like, owned=None)
+    else:
+        spans = [other.pulses for other in every if other.collection == like.collection and other.pulses is not None]
+        owned = owned_by(collection, spans, spans.index(like.pulses))
+        again = plan(collection.segment(*like.pulses), grid=grid, like=like, owned=owned)
+    return PlannedSegment(collection=like.collection, pulses=like.pulses, plan=again)
 
 
 def number_blocks(segments: Sequence[PlannedSegment]) -> tuple[PlannedSegment, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shlex
 import shutil
 import signal
@@ -20,6 +21,7 @@ from typing import Any
 import psutil
 import pytest
 import typer
+import zarr
 from distributed import Client
 from faults import digests, members, until
 from repository import WORKFLOWS
@@ -67,7 +69,8 @@ def inbox_module() -> Iterator[Any]:
         from inbox import hooks, statuses, sweeping
 
         yield SimpleNamespace(
-            main=process_inbox.main, sweep=process_inbox.sweep, Hook=hooks.Hook, hooks=hooks,
+            main=process_inbox.main, sweep=process_inbox.sweep, parse_group=process_inbox.parse_group,
+            Hook=hooks.Hook, hooks=hooks,
             is_external=sweeping.is_external, DONE=statuses.DONE, FAILED=statuses.FAILED, USAGE=statuses.USAGE,
             QUARANTINED=statuses.QUARANTINED, BUSY=statuses.BUSY,
         )  # fmt: skip
@@ -645,3 +648,46 @@ def test_twenty_collections_do_not_leak_resources(post: Post, tmp_path: Path, mo
         assert shared[-1] <= shared[SETTLED - 1], (pid, shared)
     assert os.listdir(scratch) == []
     assert not (post.outbox / "scratch").exists()
+
+
+# ---------------------------------------------------------------- acquisitions of several collections
+
+
+def test_collections_of_one_acquisition_become_one_mosaic(post: Post) -> None:
+    names = ("pass_b0", "pass_b1", "pass_b2")
+
+    def deliver(*names: str) -> None:
+        post.deliver(*names)
+        for name in names:
+            zarr.open_group(post.inbox / f"{name}.zarr", mode="r+").attrs["frame"] = "site"
+
+    def sweep(group: str | None = None) -> dict[str, Any]:
+        assert post.module.sweep(
+            str(post.inbox), str(post.outbox), SETTINGS, post.module.Hook([]), quiet=True,
+            scheduler=post.client.scheduler.address, group=group and re.compile(group),
+        ) == post.module.DONE  # fmt: skip
+        return json.loads((post.outbox / "status.json").read_text())
+
+    deliver(*names[:2])
+    manifest = {"collections": [f"{name}.zarr" for name in names]}
+    (post.inbox / "pass.acquisition.json").write_text(json.dumps(manifest))
+    status = sweep()
+    assert status["waiting"] == ["pass.zarr"] and not status["done"]
+    deliver(names[2])
+    assert sweep()["done"] == ["pass.zarr"]
+    record = json.loads((post.outbox / "runs" / "pass" / "run.json").read_text())
+    assert [Path(segment["path"]).stem for segment in record["segments"]] == list(names)
+    assert not sweep()["done"]
+    (post.inbox / "pass.acquisition.json").unlink()
+    (post.outbox / "done" / "pass.zarr.json").unlink()
+    assert sweep(r"(.+)_b[0-9]")["done"] == ["pass.zarr"]  # and its run is found finished
+    assert [path.name for path in (post.outbox / "runs").iterdir()] == ["pass"]
+
+
+def test_what_names_an_acquisition_is_checked(post: Post) -> None:
+    post.deliver("a")
+    (post.inbox / "a.acquisition.json").write_text('{"collections": "a.zarr"}')
+    with pytest.raises(InputError, match="lists no collections; write"):
+        post.sweep()
+    with pytest.raises(InputError, match=r"'\(' is no regular expression"):
+        post.module.parse_group("(")

@@ -104,15 +104,19 @@ class Outbox:
         else:
             stores.write_json(quarantine, record)
 
-    def run_of(self, source: Place, fingerprint: str) -> tuple[Path, Standing]:
+    def run_of(self, name: str, source: Place, fingerprint: str) -> tuple[Path, Standing]:
         """The run folder of a collection: NAME, or the first of NAME.2, ... not taken by another collection.
 
         Parameters
         ----------
+        name : str
+            Of the collection, or of an acquisition of several.
+        source : Place
+            The collection, or the first of several.
         fingerprint : str
             Of the phase history, as in run.json.
         """
-        stem = source.name.removesuffix(".zarr")
+        stem = name.removesuffix(".zarr")
         for number in count(1):
             run = self.folder / "runs" / (stem if number == 1 else f"{stem}.{number}")
             if not os.path.lexists(run) or (run.is_dir() and set(os.listdir(run)) <= {LOCK, ASIDE}):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 import traceback
 from contextlib import suppress
@@ -11,6 +12,7 @@ from typing import Any
 
 import blocksar
 from blocksar import stores
+from blocksar.api.jobs import joint_fingerprint
 from blocksar.cli import endings
 from blocksar.errors import FolderError, InputError, ProcessingError
 from blocksar.places.place import Place
@@ -33,6 +35,7 @@ class Sweep:
     cluster: Cluster
     hook: Hook
     journal: Journal
+    group: re.Pattern[str] | None = None  # of names of collections of one acquisition
     done: list[str] = field(default_factory=list)
     failed: list[Event] = field(default_factory=list)
     quarantined: list[str] = field(default_factory=list)  # by this sweep
@@ -49,7 +52,7 @@ class Sweep:
         InputError
             If the inbox cannot be listed.
         """
-        arrivals, waiting = list_arrivals(self.inbox)
+        arrivals, waiting = list_arrivals(self.inbox, self.group)
         self.journal.write({"event": "sweep", "inbox": str(self.inbox), "arrivals": len(arrivals)})
         self.remaining = len(arrivals)
         self._note(
@@ -77,7 +80,7 @@ class Sweep:
                 try:
                     self._settle(arrival)
                 except (OSError, ProcessingError) as error:  # its record could not be read or written
-                    self._fail({"name": arrival.name, "source": str(arrival.store), "reason": str(error)})
+                    self._fail({"name": arrival.name, "source": arrival.source, "reason": str(error)})
                 self.remaining -= 1
         except NoClusterError as error:
             self.journal.write({"event": "no cluster", "reason": str(error)})
@@ -138,7 +141,7 @@ class Sweep:
     def _process(self, arrival: Arrival) -> Event | None:
         """Focus a collection; the event is done, quarantined or failed, or None if the collection was removed."""
         started = time.perf_counter()
-        event: Event = {"name": arrival.name, "source": str(arrival.store)}
+        event: Event = {"name": arrival.name, "source": arrival.source}
         try:
             run, standing = self._find_run(arrival)
             self.journal.write({"event": standing.value, "name": arrival.name, "run": str(run)})
@@ -148,7 +151,7 @@ class Sweep:
         except NoClusterError:
             raise
         except InputError as error:
-            if not arrival.store.exists():
+            if arrival.gone:
                 self.journal.write({"event": "gone", "name": arrival.name})
                 return None
             event |= {"event": "failed" if is_external(error) else "quarantined", "reason": str(error)}
@@ -163,18 +166,21 @@ class Sweep:
         return event
 
     def _find_run(self, arrival: Arrival) -> tuple[Path, Standing]:
-        return self.outbox.run_of(arrival.store, stores.open_phase_history(str(arrival.store)).fingerprint())
+        fingerprints = [stores.open_phase_history(str(store)).fingerprint() for store in arrival.stores]
+        return self.outbox.run_of(arrival.name, arrival.stores[0], joint_fingerprint(fingerprints))
 
     def _focus(self, arrival: Arrival, run: Path, standing: Standing) -> list[str]:
         """Focus into a run and return its summary; an unfinished run of other options or bytes is replaced."""
         arguments: dict[str, Any] = {**self.settings, "client": self.cluster.client(), "progress": self.journal}
+        sources = [str(store) for store in arrival.stores]
+        source = sources[0] if len(sources) == 1 else sources
         try:
-            report = blocksar.focus(str(arrival.store), run, **arguments)
+            report = blocksar.focus(source, run, **arguments)
         except FolderError as error:
             if standing is not Standing.UNFINISHED or not error.replaceable:
                 raise
             self.journal.write({"event": "restarted", "name": arrival.name, "reason": str(error)})
-            report = blocksar.focus(str(arrival.store), run, **arguments, overwrite=True)
+            report = blocksar.focus(source, run, **arguments, overwrite=True)
         return list(report.summary)
 
 

@@ -1,0 +1,96 @@
+"""Strips of many dwells, cut into segments along time: one mosaic without a seam."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from distributed import Client
+from strips import DISTANCE, strip_collection, write_strip
+
+import blocksar
+from blocksar import stores
+from blocksar.api import jobs
+from blocksar.collection.beam import has_full_dwell
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.grid import Grid
+from blocksar.focusing.backprojection import form_image
+from blocksar.graph import stages
+from blocksar.measurement.coherence import coherence
+from blocksar.planning.segments import Divided, plan_segments
+
+SPANS = ((0, 3400), (2600, 6000))
+GRID = Grid(DISTANCE - 30, DISTANCE + 30, 0.8, -45.0, 45.0, 0.45)
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_strip(tmp_path_factory.mktemp("strip"), strip_collection(3.0), GRID)
+
+
+@pytest.fixture
+def cut(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two segments, whatever one epoch would serve."""
+
+    def forced(*arguments: Any, like: Any, **how: Any) -> Any:
+        return plan_segments(*arguments, **how, like=like or [Divided(0, span, 4, 1) for span in SPANS])
+
+    monkeypatch.setattr(jobs, "plan_segments", forced)
+
+
+def against_back_projection(run: Path, store: Path, rows: slice) -> tuple[float, float]:
+    """Coherence with back-projection of all pulses at full dwells, and the largest phase between neighbouring parts."""
+    image = blocksar.open(run).image[rows]
+    history = stores.open_phase_history(store)
+    geometry = Geometry(collection=history.collection.centred())
+    x, y = image.x.values, image.y.values
+    exact = form_image(lambda pulses: history.read(pulses, slice(None)), geometry, x, y, threads=1)
+    full = has_full_dwell(geometry, *np.meshgrid(x, y))
+    found = np.where(full, image.values, np.nan)
+    parts = [coherence(found[i : i + 16], exact[i : i + 16]) for i in range(0, len(y) - 15, 16)]
+    assert all(0.98 < part.gain < 1.02 for part in parts)
+    return abs(coherence(found, exact).coherence), float(np.ptp([part.phase for part in parts]))
+
+
+def test_segments_have_no_seam(
+    store: Path, cut: None, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: Any) -> Any:
+        raise KeyboardInterrupt
+
+    whole, again = tmp_path / "whole", tmp_path / "again"
+    blocksar.focus(store, whole, grid=GRID, client=client)
+    image = blocksar.open(whole)
+    assert "collection" not in image
+    assert np.isfinite(image.image.values.real).all()
+    block = image.block.values
+    assert (block[:80] < 4).all() and (block[-80:] >= 4).all()  # the seam lies in the middle of the strip
+    measured, jump = against_back_projection(whole, store, slice(None))
+    assert measured > 0.999 and jump < 0.02
+    record = json.loads((whole / "run.json").read_text())
+    assert [tuple(segment["pulses"]) for segment in record["segments"]] == list(SPANS)
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(stages, "mosaic", interrupted)
+        blocksar.focus(store, again, grid=GRID, client=client)
+    report = blocksar.focus(store, again, grid=GRID, client=client)
+    assert "went on from an unfinished run" in report.summary[0]
+    assert stores.checksum(blocksar.open(again).image.values) == stores.checksum(image.image.values)
+    chips = blocksar.quality(whole, reference=True).result["reference"]
+    assert min(chip["coherence"] for chip in chips if chip["full_dwell"]) > 0.999
+
+
+@pytest.mark.slow
+def test_a_long_strip_is_cut_by_plan(client: Client, tmp_path: Path) -> None:
+    """80 dwells, which one epoch does not serve at all."""
+    grid = Grid(DISTANCE - 30, DISTANCE + 30, 0.8, -1185.0, 1185.0, 0.45)
+    store = write_strip(tmp_path, strip_collection(12.0, curve=0.0), grid)
+    plans = blocksar.plan(store, grid=grid, fidelity=0.998).result
+    assert isinstance(plans, tuple) and len(plans) > 2
+    blocksar.focus(store, tmp_path / "run", grid=grid, fidelity=0.998, client=client)
+    for first in range(0, grid.shape[0] - 256, 512):
+        measured, jump = against_back_projection(tmp_path / "run", store, slice(first, first + 256))
+        assert measured > 0.999 and jump < 0.02
+    assert abs(measured - min(plan.coherence for plan in plans)) < 0.002
