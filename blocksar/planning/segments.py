@@ -130,21 +130,18 @@ def plan_segments(
 def _cut(plan: Planner, collection: Collection, whole: Plan, number: int) -> list[PlannedSegment]:
     """The segments of a strip that one epoch does not serve; none if it does, or segments gain nothing.
 
-    The fewest segments that keep the fidelity, judged by one in the middle; else those that come closest.
+    The fewest segments that keep the fidelity, judged by one in the middle; else as many as gain.
     """
     if _excess(whole) <= 1.0:
         return []
-    best, probe, spans = USEFUL * _excess(whole), None, []
-    stale = 0
+    best, probe, spans = _excess(whole), None, []
     for every in cuts(collection, longest_dwell(collection, whole.grid)):
         trial = within(collection, every, whole.grid)
         middle = _first_inside(plan, collection, whole.grid, trial)
-        if middle is None:
+        if middle is None or _excess(middle) > USEFUL * best:
             break
-        stale = 0 if _excess(middle) < USEFUL * best else stale + 1
-        if _excess(middle) < best:
-            best, probe, spans = _excess(middle), middle, trial
-        if best <= 1.0 or stale == 2:
+        best, probe, spans = _excess(middle), middle, trial
+        if best <= 1.0:
             break
     if probe is None:
         return []

@@ -87,9 +87,9 @@ def test_a_long_strip_is_cut_by_plan(client: Client, tmp_path: Path) -> None:
     """80 dwells, which one epoch does not serve at all."""
     grid = Grid(DISTANCE - 30, DISTANCE + 30, 0.8, -1185.0, 1185.0, 0.45)
     store = write_strip(tmp_path, strip_collection(12.0, curve=0.0), grid)
-    plans = blocksar.plan(store, grid=grid, fidelity=0.998).result
-    assert isinstance(plans, tuple) and len(plans) > 2
-    blocksar.focus(store, tmp_path / "run", grid=grid, fidelity=0.998, client=client)
+    plans = blocksar.plan(store, grid=grid, fidelity=0.997).result
+    assert isinstance(plans, tuple) and len(plans) > 1
+    blocksar.focus(store, tmp_path / "run", grid=grid, fidelity=0.997, client=client)
     for first in range(0, grid.shape[0] - 256, 512):
         measured, jump = against_back_projection(tmp_path / "run", store, slice(first, first + 256))
         assert measured > 0.999 and jump < 0.02
