@@ -138,12 +138,12 @@ def _cut(plan: Planner, collection: Collection, whole: Plan, number: int) -> lis
     for every in cuts(collection, longest_dwell(collection, whole.grid)):
         trial = within(collection, every, whole.grid)
         middle = _first_inside(plan, collection, whole.grid, trial)
-        if middle is None or _excess(middle) > USEFUL * best:
+        if middle is None or _excess(middle) > max(USEFUL * best, 1.0):
             break
         best, probe, spans = _excess(middle), middle, trial
         if best <= 1.0:
             break
-    if probe is None:
+    if probe is None or probe.refusal is not None:
         return []
     segments = []
     for k, span in enumerate(spans):
@@ -151,7 +151,7 @@ def _cut(plan: Planner, collection: Collection, whole: Plan, number: int) -> lis
         own, owned = collection.segment(*span), owned_by(collection, spans, k)
         try:
             planned = plan(own, grid=whole.grid, like=alike, owned=owned)
-            if _excess(planned) > ALIKE * max(best, 1.0):
+            if _excess(planned) > (1.0 if best <= 1.0 else ALIKE * best):
                 planned = plan(own, grid=whole.grid, like=None, owned=owned)
         except OutsideSwath:
             continue
