@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 
 from blocksar import stores
-from blocksar.api.parsing import parse_blocks, parse_grid, parse_memory, quoted, read_grid
+from blocksar.api.parsing import parse_blocks, parse_grid, parse_memory_limit, quoted, read_grid
 from blocksar.collection.collection import Collection
 from blocksar.collection.grid import Grid
 from blocksar.errors import InputError
@@ -52,7 +52,7 @@ def memory_of(limit: Any) -> int | None:
         If it is neither.
     """
     if isinstance(limit, str):
-        return parse_memory(limit)
+        return parse_memory_limit(limit)
     if limit is None:
         return None
     with suppress(TypeError, ValueError, OverflowError):
@@ -181,7 +181,14 @@ def history_of(source: One) -> stores.PhaseHistory:
     if isinstance(source, stores.PhaseHistory):
         return source
     if isinstance(source, str | os.PathLike | Place):
-        return stores.open_phase_history(source)
+        try:
+            return stores.open_phase_history(source)
+        except InputError:
+            from blocksar.api.mistakes import mistaken  # only where something is wrong
+
+            if (better := mistaken(source)) is None:
+                raise
+            raise InputError(better) from None
     if is_dataset(source):
         return stores.history_of(source)
     what = f"{type(source).__module__.partition('.')[0]}.{type(source).__name__}".removeprefix("builtins.")

@@ -112,6 +112,25 @@ def parse_memory(text: str) -> int:
     return int(size)
 
 
+def parse_memory_limit(text: str) -> int:
+    """Read the memory of a worker, bytes; a number without its unit is refused.
+
+    Raises
+    ------
+    InputError
+        As `parse_memory`, and below 1 MiB.
+
+    Examples
+    --------
+    >>> parse_memory_limit("2GiB")
+    2147483648
+    """
+    size = parse_memory(text)
+    if size < 1 << 20:
+        raise InputError(f"--memory-limit {quoted(text)} is {size} bytes; give it with a unit, such as 2GiB")
+    return size
+
+
 def parse_origin(text: str) -> tuple[float, float, float]:
     """Read `latitude,longitude,height`, in degrees and m.
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
-from blocksar.api.parsing import parse_grid, parse_memory, parse_origin
+from blocksar.api.parsing import parse_grid, parse_memory_limit, parse_origin
 from blocksar.budget import FIDELITY
 from blocksar.cli.configuration import ConfigOption, PrintConfig, configuration
 from blocksar.cli.display import hint, show
@@ -101,7 +101,7 @@ def demo(
 
     Example: [bold]blocksar demo --out demo-run[/bold]
     """
-    memory = None if memory_limit is None else parse_memory(memory_limit)
+    memory = None if memory_limit is None else parse_memory_limit(memory_limit)
 
     from blocksar import api
 

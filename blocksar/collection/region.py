@@ -25,6 +25,7 @@ from blocksar.errors import InputError, OutsideSwath
 LEAST_YAWS, MOST_YAWS, YAWS_AT_ONCE, FINE_YAWS = 16, 4096, 16, 257
 FEW_RANGES, LIT_RANGES = 17, 129
 MOST_SAMPLES = 1024  # of a terrain, along each axis, that are asked for their range
+MOVE = "move the grid"  # what to do about one outside the swath
 WINDOW_GUARD = 8  # range cells kept free at either end of the range window
 
 
@@ -94,7 +95,10 @@ def plan_region(geometry: Geometry, grid: Grid | None) -> Region:
     pad = 0.01 * np.ptp(yaw)
     nodes = np.linspace(yaw.min() - pad, yaw.max() + pad, 33)
     slack = float(np.hypot(grid.dx, grid.dy))  # keeps the farthest pixel off the region's edge
-    near, far = _window(geometry, nodes, (float(rng.min()) - slack, float(rng.max()) + slack))
+    try:
+        near, far = _window(geometry, nodes, (float(rng.min()) - slack, float(rng.max()) + slack))
+    except OutsideSwath as error:
+        raise OutsideSwath(str(error).replace(MOVE, _remedy(geometry, grid))) from None
     return Region(yaw=nodes, near=near, far=far)
 
 
@@ -210,7 +214,7 @@ def _outside(
     reference = collection.reference_range
     return (
         f"grid lies outside the swath: no range stays in {swath}, {reference.min():.6g} .. {reference.max():.6g} m, "
-        f"while it is lit{where}; move the grid"
+        f"while it is lit{where}; {MOVE}"
     )
 
 
@@ -241,7 +245,7 @@ def grid_extent(geometry: Geometry, region: Region, grid: Grid, owned: Owned | N
             f"grid {grid.x0:g}:{grid.x1:g},{grid.y0:g}:{grid.y1:g} lies outside the swath: it spans yaw "
             f"{degrees[0]:.2f} .. {degrees[1]:.2f} degrees and range {rng.min():.0f} .. {rng.max():.0f} m, but lit are "
             f"{degrees[2]:.2f} .. {degrees[3]:.2f} degrees and {region.near.min():.0f} .. {region.far.max():.0f} m; "
-            "move the grid"
+            f"{_remedy(geometry, grid)}"
         )
     slack = step / np.hypot(x - geometry.nadir[0], y - geometry.nadir[1])[covered].min()
     return Extent(
@@ -265,6 +269,15 @@ def on_terrain(geometry: Geometry, grid: Grid, x: FloatArray, y: FloatArray) -> 
     x, y = np.concatenate([x, mesh_x]), np.concatenate([y, mesh_y])
     known = np.isfinite(geometry.height(x, y))
     return x[known], y[known]
+
+
+def _remedy(geometry: Geometry, grid: Grid) -> str:
+    """What to do about a grid outside the swath: its numbers may mean km, if its middle would then be in the swath."""
+    collection = geometry.collection
+    x, y = (500 * np.asarray(low + high) for low, high in ((grid.x0, grid.x1), (grid.y0, grid.y1)))
+    reference = np.interp(geometry.epoch, collection.time, collection.reference_range)
+    kilometres = abs(float(geometry.epoch_range(x, y)) - reference) <= collection.range_window / 2
+    return "it looks like km: give metres" if kilometres else MOVE
 
 
 def default_grid(geometry: Geometry, region: Region) -> Grid:

@@ -1,0 +1,109 @@
+"""The most likely mistakes of a first day at the terminal: one good sentence each, exit status 2, nothing written."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+import small_run
+from typer.testing import CliRunner
+
+import blocksar
+from blocksar.cli import commands
+
+SCENE = """
+title = "small"
+targets = [{ name = "one", ground_range_offset = 10.0, cross_range_offset = -15.0 }]
+[radar]
+carrier = 10e9
+bandwidth = 100e6
+range_sampling = 120e6
+prf = 400.0
+[track]
+position = [0.0, 0.0, 5000.0]
+velocity = [0.0, 120.0, 0.0]
+[time]
+pulses = 160
+[scene]
+swath = [7920.0, 8080.0]
+centre_yaw_deg = 20.0
+reference_range = "constant"
+"""
+# The command line, and what it answers; the table in blocksar/cli/README.md lists the same ten.
+MISTAKES = {
+    "a scene for a phase history": (
+        "focus scene.toml --out new",
+        "is a scene, not a phase history; write one first: blocksar simulate scene.toml --out scene.zarr",
+    ),
+    "a shipped scene for a phase history": (
+        "focus table1 --out new",
+        "table1 is a shipped scene, not a phase history; write one first: blocksar simulate table1 --out table1.zarr",
+    ),
+    "a file that is to be ingested": (
+        "focus collect.cphd --out new",
+        "is a CPHD file; turn it into a phase history first: blocksar ingest cphd collect.cphd --out collect.zarr",
+    ),
+    "a MATLAB file that is to be ingested": (
+        "plan az001_HH.mat",
+        "blocksar ingest gotcha az001_HH.mat --out az001_HH.zarr",
+    ),
+    "a run for a phase history": (
+        "check run",
+        "is a run, not a phase history; `blocksar info` names the phase history",
+    ),
+    "an image for a phase history": ("plan run/image.zarr", "is an image of a run, not a phase history"),
+    "a phase history for a run": (
+        "quality ph.zarr",
+        "holds no run.json; give the folder that `blocksar focus --out` left",
+    ),
+    "a misspelt path": ("plan ph.zar", "ph.zar does not exist; did you mean ph.zarr?"),
+    "a misspelt scene": ("plan tabel1", "tabel1 does not exist; did you mean table1?"),
+    "no grid for a beam that is not steered": (
+        "focus ph.zarr --out new",
+        "grid is missing: a collection whose beam is not",
+    ),
+    "a grid in kilometres": ("plan ph.zarr --grid 5.8:5.9:0.001,2.1:2.2:0.001", "it looks like km: give metres"),
+    "a size without its unit": (
+        "focus ph.zarr --out new --memory-limit 2",
+        "--memory-limit '2' is 2 bytes; give it with a unit",
+    ),
+    "no --out": ("focus ph.zarr new", "missing option '--out'; see blocksar focus --help"),
+    "a misspelt command": ("fokus ph.zarr --out new", "no such command 'fokus'. Did you mean 'focus'?"),
+    "a folder that holds something else": (
+        "focus ph.zarr --out notes --grid 5800:5900:1,2100:2200:1",
+        "holds no run of blocksar",
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder as it looks after the first hour."""
+    folder = tmp_path_factory.mktemp("desk")
+    (folder / "scene.toml").write_text(SCENE)
+    blocksar.simulate(folder / "scene.toml", folder / "ph.zarr")
+    small_run.make(folder / "run")
+    (folder / "collect.cphd").write_bytes(b"CPHD/1.1.0\n")
+    (folder / "az001_HH.mat").write_bytes(b"MATLAB 5.0 MAT-file")
+    (folder / "notes").mkdir()
+    (folder / "notes" / "todo.txt").write_text("look at the data")
+    return folder
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_gets_one_sentence_with_its_remedy(mistake: str, desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    line, sentence = MISTAKES[mistake]
+    monkeypatch.chdir(desk)
+    before = sorted(desk.rglob("*"))
+    done = CliRunner().invoke(commands.app, line.split(), prog_name="blocksar")
+    assert (done.exit_code, done.stdout, done.stderr.count("\n")) == (2, "", 1), done.output
+    assert done.stderr.startswith("blocksar: ") and sentence in done.stderr
+    assert sorted(desk.rglob("*")) == before
+
+
+def test_a_damaged_phase_history_keeps_its_own_message(desk: Path, tmp_path: Path) -> None:
+    damaged = Path(shutil.copytree(desk / "ph.zarr", tmp_path / "ph.zarr"))
+    shutil.rmtree(damaged / "time")
+    with pytest.raises(blocksar.InputError, match="time"):
+        blocksar.plan(damaged)
