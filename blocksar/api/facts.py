@@ -30,6 +30,7 @@ GIB = 1024 * MIB
 USUAL = {
     **{name: value for name, value in Method().as_settings().items() if name != "processor"},
     "blocks": "auto", "fidelity": FIDELITY, "weighting_range": FLAT.text, "weighting_azimuth": FLAT.text,
+    "surface": "plane",
 }  # fmt: skip
 HISTORY_LINES = 3  # the newest ones are shown
 
