@@ -292,7 +292,7 @@ def _carry_out(
         run.folder.sweep()
         record.write(run.folder)
         job = job.with_stored_input()
-        if job.exact:
+        if job.exact or any(plan.fade for plan in job.plans):
             compiling.compile_modules(["focusing.backprojection"], apart=False)  # here, or each worker would
         elif job.request.terrain is not None:
             compiling.compile_modules(["focusing.relief_correction"], apart=False)
@@ -363,15 +363,19 @@ def _run_stages(
     record = add_findings(job, record, recovered, listener)
     run.establish(run.image, lambda: _create_image(run, job, record))
     timings["check"] = lap()
-    input_read()
+    reads_later = any(plan.fade for plan in job.plans)  # the edges of dwells, from the samples
+    if not reads_later:
+        input_read()
     gated = stages.gate_ranges(client, segments, run, recovered, listener)
     if any(gated):
         timings["gate"] = lap()
     receipts = [(*each.receipts, *some) for each, some in zip(recovered, gated, strict=True)]
-    lit = [each.inspection.lit for each in recovered]
-    noises = job.noises(lit)
-    focused = stages.focus_blocks(client, segments, run, receipts, lit, noises, listener)
+    inspections = [each.inspection for each in recovered]
+    noises = job.noises([inspection.lit for inspection in inspections])
+    focused = stages.focus_blocks(client, segments, run, receipts, inspections, noises, listener)
     timings["focus"] = lap()
+    if reads_later:
+        input_read()
     merged = stages.mosaic(client, segments, run, focused, noises, listener)
     timings["mosaic"] = lap()
     every = (*_receipts_of(recovered), *chain(*gated), *focused, *merged)

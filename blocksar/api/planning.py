@@ -360,6 +360,8 @@ def plan_lines(plan: Plan) -> list[str]:
             f"weighting {plan.weighting.text}: ideal side lobes {plan.weighting.range.ideal.pslr:.2f} dB in range, "
             f"{plan.weighting.azimuth.ideal.pslr:.2f} dB in azimuth"
         )
+    if plan.edge_pulses:
+        lines.append(f"the edges of dwells, some {plan.edge_pulses} pulses at either end, are back-projected")
     lines.append(_disk_line(plan))
     if (coarse := undersampling(plan)) is not None:
         lines.append(coarse)

@@ -116,6 +116,25 @@ def axis_dwell(collection: Collection, x: FloatArray, y: FloatArray, *, uncut: b
     return np.maximum(first, time[0] - half_pulse), np.minimum(last, time[-1] + half_pulse)
 
 
+def axis_passing(collection: Collection, x: FloatArray, y: FloatArray, place: float) -> FloatArray:
+    """Times at which points x, y (n,), m, are at a place in the beam, s: -1 where they enter, 1 where they leave it.
+
+    As `axis_dwell`, as if the collection did not cut dwells; in proportion where offsets turn back, and at most half as
+    far from the middle of the dwell again as in proportion.
+    """
+    first, last = axis_dwell(collection, x, y, uncut=True)
+    middle, half = (first + last) / 2, (last - first) / 2
+    known = np.flatnonzero(np.isfinite(middle))
+    turning, rising = _turning(collection, x[known], y[known])
+    some = known[turning == 0]
+    sign = np.where(rising[turning == 0], 1.0, -1.0)
+    found = _edge_times(collection, (x[some], y[some]), sign, place * _half(collection))
+    away = np.full(x.shape, place)
+    spread = (1 - abs(place)) / 2
+    away[some] = np.clip((found - middle[some]) / half[some], place - spread, place + spread)
+    return np.asarray(middle + away * half)
+
+
 def _half(collection: Collection) -> float:
     return (collection.beam_width or 0.0) / 2
 

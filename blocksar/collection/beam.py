@@ -15,12 +15,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
 
 from blocksar.arrays import BoolArray, FloatArray, IntArray
-from blocksar.collection.axis_beam import axis_dwell, axis_offset, axis_spans, refuse_twice
+from blocksar.collection.axis_beam import axis_dwell, axis_offset, axis_passing, axis_spans, refuse_twice
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import FLAT, Taper
@@ -123,6 +124,27 @@ def lit_interval(geometry: Geometry, x: FloatArray, y: FloatArray) -> tuple[IntA
     never = first == last
     first[never], last[never] = 0, 0
     return first.reshape(yaw.shape), last.reshape(yaw.shape)
+
+
+def inner_interval(geometry: Geometry, x: FloatArray, y: FloatArray, share: float) -> tuple[IntArray, IntArray]:
+    """The pulses first <= p < last with |offset| <= share beam_width / 2, as `lit_interval`; equal where none has.
+
+    Parameters
+    ----------
+    geometry : Geometry
+        With a steered beam.
+    x, y : (...) float
+        m, scene frame; of one shape.
+    share : float
+        0 .. 1.
+    """
+    narrow = replace(geometry.collection, beam_width=share * (geometry.collection.beam_width or 0.0))
+    shape, x, y = np.shape(x), np.ravel(np.asarray(x, np.float64)), np.ravel(np.asarray(y, np.float64))
+    if narrow.has_axis:
+        spans = axis_spans(narrow, x, y)
+        return spans.first.reshape(shape), spans.last.reshape(shape)
+    first, last = _lit_interval(narrow, np.asarray(geometry.yaw(x, y)), tolerance=0.0)
+    return first.reshape(shape), last.reshape(shape)
 
 
 def lit_pulses(collection: Collection, yaw: FloatArray, valid: FloatArray) -> FloatArray:
@@ -335,18 +357,39 @@ def dwell_at(
     yaw = np.asarray(yaw, dtype=np.float64)
     if collection.beam_width is None:
         return np.full(yaw.shape, start), np.full(yaw.shape, end)
-    beam, time, half = collection.beam_azimuth, collection.time, collection.beam_width / 2
+    beam, half = collection.beam_azimuth, collection.beam_width / 2
     if abs(beam[-1] - beam[0]) < STILL:
         lit = in_beam(yaw, beam[0], half + EDGE)
         return np.where(lit, start, np.inf), np.where(lit, end, -np.inf)
     yaw = turned_near(yaw, (beam[0] + beam[-1]) / 2)
     sign = 1.0 if beam[-1] > beam[0] else -1.0
 
-    level = np.stack([yaw - sign * half, yaw + sign * half])
+    first, last = _times_at(collection, np.stack([yaw - sign * half, yaw + sign * half]))
+    return (first, last) if uncut else (np.maximum(first, start), np.minimum(last, end))
+
+
+def passing_at(geometry: Geometry, yaw: FloatArray, epoch_range: FloatArray, place: float) -> FloatArray:
+    """Slow time at which points are at a place in a steered beam, s: -1 where they enter, 1 where they leave it.
+
+    Yaws (rad) and epoch ranges (m) are broadcast; as if the collection did not cut dwells.
+    """
+    collection = geometry.collection
+    if collection.has_axis:
+        x, y = np.broadcast_arrays(*geometry.ground_axes(epoch_range, yaw))
+        return axis_passing(collection, x.ravel(), y.ravel(), place).reshape(x.shape)
+    beam = collection.beam_azimuth
+    turned, sign = turned_near(np.asarray(yaw, np.float64), (beam[0] + beam[-1]) / 2), np.sign(beam[-1] - beam[0])
+    times = _times_at(collection, turned + place * sign * (collection.beam_width or 0.0) / 2)
+    return np.broadcast_to(times, np.broadcast_shapes(np.shape(yaw), np.shape(epoch_range)))
+
+
+def _times_at(collection: Collection, level: FloatArray) -> FloatArray:
+    """Times (...) at which a beam that scans has azimuths, rad; beyond the collection's ends as it went on average."""
+    beam, time = collection.beam_azimuth, collection.time
+    sign = 1.0 if beam[-1] > beam[0] else -1.0
     inside = np.interp(sign * level, beam if sign > 0 else -beam, time)
     slope = (time[-1] - time[0]) / (beam[-1] - beam[0])
-    first, last = inside + slope * (level - np.clip(level, min(beam[0], beam[-1]), max(beam[0], beam[-1])))
-    return (first, last) if uncut else (np.maximum(first, start), np.minimum(last, end))
+    return np.asarray(inside + slope * (level - np.clip(level, min(beam[0], beam[-1]), max(beam[0], beam[-1]))))
 
 
 def _axis_dwell(geometry: Geometry, x: FloatArray, y: FloatArray, *, uncut: bool) -> tuple[FloatArray, FloatArray]:

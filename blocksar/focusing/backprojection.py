@@ -181,6 +181,7 @@ def accumulate(
     taper: Taper = FLAT,
     weight: Float32Array | None = None,
     height: FloatArray | None = None,
+    fade: int = 0,
 ) -> None:
     """Add a block of pulses to the image, in place: image += sum over lit pulses of the profile at the pixel's range.
 
@@ -203,13 +204,15 @@ def accumulate(
         Rises by the sum of weights; needed under a weighting.
     height : (n_row, n_column) float, optional
         Of the pixels over the plane z = ground_height, m; finite. None: they lie on it.
+    fade : int
+        Where positive, weights are multiplied by what the chain takes from the edges of dwells (`dwell_edges`).
 
     Raises
     ------
     ValueError
         If a weighting has no array of weights.
     """
-    if not taper.uniform and weight is None:
+    if (fade or not taper.uniform) and weight is None:
         raise ValueError(f"{taper.text} needs an array for the sum of weights")
     weight = np.empty(image.shape, np.float32) if weight is None else weight
     collection, pulses = geometry.collection, profiles.pulses
@@ -224,7 +227,7 @@ def accumulate(
         antenna=position - np.array([[0.0], [0.0], [collection.ground_height]]),
         reference_range=collection.reference_range[pulses],
         half_window=collection.range_window / 2,
-        taper=None if taper.uniform else _beam_taper(taper, profiles, geometry),
+        taper=_beam_taper(taper, profiles, geometry, fade) if fade or not taper.uniform else None,
     )
 
     def work(tile: Tile) -> None:
@@ -244,7 +247,7 @@ def _relief(geometry: Geometry, x: FloatArray, y: FloatArray, outside: BoolArray
     return np.where(unknown, 0.0, height)
 
 
-def _beam_taper(taper: Taper, profiles: Profiles, geometry: Geometry) -> BeamTaper:
+def _beam_taper(taper: Taper, profiles: Profiles, geometry: Geometry, fade: int) -> BeamTaper:
     """The weights of a block of pulses under a taper over the beam."""
     terms, frequency = taper.series
     start, half = profiles.pulses.start, (geometry.collection.beam_width or np.inf) / 2
@@ -254,7 +257,7 @@ def _beam_taper(taper: Taper, profiles: Profiles, geometry: Geometry) -> BeamTap
         return beam_offset(geometry, x[:, None], y[:, None], block) / half
 
     valid = profiles.valid / geometry.collection.n_range_frequency
-    return BeamTaper(terms=terms, frequency=frequency, valid=valid, place=place)
+    return BeamTaper(terms=terms, frequency=frequency, valid=valid, place=place, fade=fade)
 
 
 def form_points(
@@ -305,7 +308,7 @@ def form_points(
     x, y = (np.ascontiguousarray(axis, np.float64).reshape(rows) for axis in (x, y))
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         raise ValueError("x and y must be finite")
-    first, last = _lit_intervals(geometry, x, y, threads)
+    first, last = lit_intervals(geometry, x, y, threads)
     image, outside = np.zeros(x.shape, np.complex64), np.zeros(x.shape, np.bool_)
     height = _relief(geometry, x, y, outside)
     in_range, over_beam, over_pulses = weighting.range, weighting.azimuth, None
@@ -315,7 +318,8 @@ def form_points(
     # Sums of integers are exact: without a weighting nothing is rounded.
     valid: Any = np.zeros(collection.n_pulse, np.int64 if weighting.uniform else np.float64)
     gains = np.zeros(x.shape if collection.has_pattern else 0)
-    for pulses in _blocks(_lit_pulses(first, last, collection.n_pulse), pulse_block or pulse_block_size(collection)):
+    wanted = lit_pulses(first, last, collection.n_pulse)
+    for pulses in pulse_blocks(wanted, pulse_block or pulse_block_size(collection)):
         profiles = range_profiles(read(pulses), collection=collection, pulses=pulses, threads=threads, taper=in_range)
         valid[pulses] = profiles.valid
         if over_pulses is not None:
@@ -424,7 +428,7 @@ def _run_tiles(work: Callable[[Tile], None], shape: tuple[int, ...], threads: in
     run_groups(work, tiles, threads)
 
 
-def _lit_intervals(geometry: Geometry, x: FloatArray, y: FloatArray, threads: int) -> tuple[IntArray, IntArray]:
+def lit_intervals(geometry: Geometry, x: FloatArray, y: FloatArray, threads: int) -> tuple[IntArray, IntArray]:
     """`lit_interval` tile by tile, so that its temporary arrays stay small."""
     first, last = np.empty(x.shape, np.int64), np.empty(x.shape, np.int64)
 
@@ -457,14 +461,14 @@ def _normalise_weighted(image: ComplexArray, outside: BoolArray, weight: Float32
     image[missing] = complex(np.nan, np.nan)
 
 
-def _lit_pulses(first: IntArray, last: IntArray, n_pulse: int) -> BoolArray:
+def lit_pulses(first: IntArray, last: IntArray, n_pulse: int) -> BoolArray:
     """Which pulses light any pixel."""
     begins = np.bincount(first.ravel(), minlength=n_pulse + 1)
     ends = np.bincount(last.ravel(), minlength=n_pulse + 1)
     return np.asarray(np.cumsum(begins - ends)[:-1] > 0)
 
 
-def _blocks(lit: BoolArray, pulse_block: int) -> list[slice]:
+def pulse_blocks(lit: BoolArray, pulse_block: int) -> list[slice]:
     """Slices of at most `pulse_block` pulses, on fixed borders, that hold all lit pulses; unlit ends are excluded."""
     blocks = []
     for start in range(0, lit.size, pulse_block):

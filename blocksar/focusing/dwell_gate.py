@@ -12,13 +12,15 @@ from numpy.typing import NDArray
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.collection.weighting import Taper
 from blocksar.focusing.lines import RowPolynomial
-from blocksar.kernels.fourier import Axis
+from blocksar.kernels.fourier import Axis, fast_length, fft_rows
 
 FAR = 8.0  # from which on the asymptotic series of the Fresnel integrals is used
 # (2 k - 1)!! in pairs of odd and even k: the last term is 1e-14 of the first there.
 FAR_SERIES = tuple(
     (float(math.prod(range(1, 4 * m + 2, 2))), float(math.prod(range(1, 4 * m + 4, 2)))) for m in range(6)
 )
+FADE_SAMPLES = 16  # at least, of the grid on which a faded window is made, over its fade
+SMEARS = 12.0  # sqrt(e) beyond which the smear of a faded window is small
 FADE_START = 0.5  # of the fall's length, from the dwell's other end to where a window begins to fade out
 
 
@@ -46,7 +48,8 @@ class DwellGate:
     a sharp one.
 
     Under a weighting, each window rises (or falls) as the taper does, from its end to the dwell's middle, and stays at
-    the middle's weight beyond: `DwellTaper`.
+    the middle's weight beyond: `DwellTaper`. It begins from zero where the edges of dwells are back-projected
+    (`dwell_edges`), and then `blur` has no effect.
 
     Attributes
     ----------
@@ -95,8 +98,16 @@ class DwellGate:
         half = self.taper.begin if end == "begin" else self.taper.end
         time = self.time.values if end == "begin" else -self.time.values
         since = time + self.length / 2
-        step = smeared_step(since, slope=abs(slope), blur=self.blur)
-        rises = [half.rise(since, length, step, taper=self.taper.taper, slope=abs(slope)) for length in half.lengths]
+        if self.taper.fade:
+            rises = [
+                half.faded_rise(since, length, taper=self.taper.taper, slope=abs(slope), fade=self.taper.fade)
+                for length in half.lengths
+            ]
+        else:
+            step = smeared_step(since, slope=abs(slope), blur=self.blur)
+            rises = [
+                half.rise(since, length, step, taper=self.taper.taper, slope=abs(slope)) for length in half.lengths
+            ]
         if end == "end":  # the weight of the middle counts once
             rises = [rise * float(self.taper.taper(np.array(0.0))) for rise in rises]
         return np.stack([self._faded(rise, slope, time) for rise in rises])
@@ -121,10 +132,14 @@ class HalfDwell:
         Along Doppler, s.
     lengths : tuple of float
         Those for which windows are made, equally spaced, s.
+    edge : float
+        The share of the half in which its edge fades out, where it does: over it the place in the beam changes by
+        1 / fade. It differs from 1 / fade itself where targets pass the beam's edge faster or slower than its centre.
     """
 
     length: RowPolynomial
     lengths: tuple[float, ...]
+    edge: float = 0.0
 
     def share(self, rng: FloatArray) -> FloatArray:
         """Power coefficients along Doppler, (n, order + 1), of the place of a length among `lengths`, 0 .. 1."""
@@ -155,14 +170,44 @@ class HalfDwell:
             total += pace * (ramp + np.sqrt(1j * slope) / (2 * np.pi) * np.exp(1j * np.pi / slope * time**2))
         return np.asarray(total / terms.sum())
 
+    def faded_rise(
+        self, time: FloatArray, length: float, *, taper: Taper, slope: float, fade: int
+    ) -> NDArray[np.complex128]:
+        """The same for a taper that fades to zero over the first 1 / fade of the half, at uniform times.
+
+        Convolved with the Fresnel kernel by a transform on a finer grid: a fade as narrow as this one is no short sum
+        of cosines.
+        """
+        step, extra = abs(float(time[1] - time[0])), max(length / 2, SMEARS * math.sqrt(slope))
+        finer = math.ceil(step * fade / length * FADE_SAMPLES)
+        before = math.ceil(extra / step)
+        size = fast_length((time.size + 2 * before) * finer)
+        fine = min(float(time[0]), float(time[-1])) + (np.arange(size) - before * finer) * step / finer
+        v = np.interp(fine, [0.0, self.edge * length, length], [1.0, 1 - 1 / fade, 0.0])
+        profile = faded(taper, v, fade) / taper(np.array(0.0)) * np.clip(2 * (fine[-1] - fine) / extra, 0, 1)
+        frequency = (np.arange(size) + size // 2) % size - size // 2
+        turn = np.exp(-1j * np.pi * slope * (frequency * finer / (size * step)) ** 2)
+        spectrum = fft_rows(profile[None].astype(np.complex128), inverse=False)
+        window = fft_rows(spectrum * turn, inverse=True)[0, before * finer :: finer][: time.size]
+        return window if time[1] > time[0] else window[::-1]
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DwellTaper:
-    """The weighting over dwells, and the halves into which their middles divide them."""
+    """The weighting over dwells, and the halves into which their middles divide them.
+
+    With a positive `fade`, weights fade to zero over the last 1 / fade of each half (`dwell_edges`).
+    """
 
     taper: Taper
     begin: HalfDwell
     end: HalfDwell
+    fade: int = 0
+
+
+def faded(taper: Taper, v: FloatArray, fade: int) -> FloatArray:
+    """The taper at places v in the beam, -1 .. 1, times sin^2(pi fade (1 - |v|) / 2) for 1 - |v| < 1 / fade."""
+    return taper(v) * np.sin(np.pi / 2 * np.clip(fade * (1 - np.abs(v)), 0, 1)) ** 2
 
 
 def smeared_step(time: FloatArray, *, slope: float, blur: float) -> NDArray[np.complex128]:

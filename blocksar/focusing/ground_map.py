@@ -102,6 +102,21 @@ class GroundMap:
         """Yaw less the block's middle, wrapped to +-pi."""
         return wrapped(self.geometry.yaw(x, y) - self.middle_yaw)
 
+    def lit_at(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """`lit` at ground points (...), m: at the nearest yaw, or linear between ranges and between yaws."""
+        turn = self.relative_yaw(x, y) + (self.middle_yaw - self.yaw_axis[0])
+        place = np.clip(turn / (self.yaw_axis[1] - self.yaw_axis[0]), 0.0, self.yaw_axis.size - 1.0)
+        if self.lit.ndim == 1:
+            return np.asarray(self.lit[(place + 0.5).astype(np.intp)])
+        n_range = self.lit.shape[0]
+        away = (self.geometry.epoch_range(x, y) - self.near) / (self.far - self.near)
+        row = np.clip(away * (n_range - 1), 0.0, n_range - 1.0)
+        i, j = np.minimum(row.astype(np.intp), n_range - 2), np.minimum(place.astype(np.intp), self.yaw_axis.size - 2)
+        down, along = row - i, place - j
+        near = self.lit[i, j] * (1 - along) + self.lit[i, j + 1] * along
+        far = self.lit[i + 1, j] * (1 - along) + self.lit[i + 1, j + 1] * along
+        return np.asarray(near * (1 - down) + far * down)
+
     def doppler_slope(self) -> FloatArray:
         """Doppler of the focus per yaw, Hz/rad, over the block's ranges and yaws (9, 33)."""
         rng = np.linspace(self.near, self.far, 9)

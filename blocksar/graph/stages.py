@@ -31,6 +31,7 @@ from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.range_compression import RawCompression
 from blocksar.focusing.step import stages
 from blocksar.graph.admission import Unit
+from blocksar.graph.edges import Edges
 from blocksar.graph.gating import Gated, gate_bins
 from blocksar.graph.segments import Segment, by_collection
 from blocksar.graph.spectrum import SpectrumChunks
@@ -195,14 +196,14 @@ def focus_blocks(
     segments: Sequence[Segment],
     run: Run,
     receipts: Sequence[Sequence[Receipt]],
-    lit: Sequence[FloatArray],
+    inspections: Sequence[Inspection],
     noises: Sequence[NoiseMap | None],
     listener: Listener,
 ) -> list[Receipt]:
     """Focus every block, from its segment's spectrum to patches/<block>, by a chain of tasks of its own.
 
-    For every segment, the receipts of recovery and of the range gates have the checksums of spectra, and `lit` is the
-    valid fraction of each pulse.
+    For every segment, the receipts of recovery and of the range gates have the checksums of spectra, and the inspection
+    the valid fraction of each pulse. Its samples are read again where the edges of dwells are back-projected.
     """
     # Create all patches here, before the first task: a late task of a lost worker must not empty a store that another
     # task has written to.
@@ -212,19 +213,22 @@ def focus_blocks(
     chunks = [touched_chunks(block.ground, segment.planned.grid) for segment, block in blocks]
     touching = Counter(cell for cells in chunks for cell in cells)
     of_segment = {
-        id(segment): (_whole_spectrum(segment.planned, segment.of(run), some), some, valid, noise)
-        for segment, some, valid, noise in zip(segments, receipts, lit, noises, strict=True)
+        id(segment): (_whole_spectrum(segment.planned, segment.of(run), some), some, inspection, noise)
+        for segment, some, inspection, noise in zip(segments, receipts, inspections, noises, strict=True)
     }
     units: list[Unit] = []
     for position, ((segment, block), cells) in enumerate(zip(blocks, chunks, strict=True)):
         plan, own = segment.planned, segment.of(run)
         alone = frozenset(cell for cell in cells if touching[cell] == 1)
-        spectrum, some, valid, noise = of_segment[id(segment)]
+        spectrum, some, inspection, noise = of_segment[id(segment)]
+        lit, edges = inspection.lit, None
+        if plan.fade:
+            edges = Edges(segment.history, inspection, plan.weighting, plan.fade)
         slab = spectrum if block.range_gate is None else _gated_spectrum(plan, own, block, some)
         units.append(
             (
                 block_unit(block.name),
-                partial(_submit_chain, client, plan, own, slab, valid, noise, block, alone, -position),
+                partial(_submit_chain, client, plan, own, slab, lit, noise, block, alone, -position, edges),
             )
         )
     return run_units(client, "focus", units, run, listener)
@@ -242,7 +246,7 @@ def _create_patch(run: Run, block: BlockPlan, grid: Grid) -> None:
 
 def _submit_chain(
     client: Client, plan: Plan, run: Run, spectrum: SpectrumChunks, lit: FloatArray, noise: NoiseMap | None,
-    block: BlockPlan, own: frozenset[tuple[int, int]], priority: int,
+    block: BlockPlan, own: frozenset[tuple[int, int]], priority: int, edges: Edges | None,
 ) -> Future[Any]:  # fmt: skip
     """Submit the tasks of a block; return the future of the last one.
 
@@ -262,7 +266,7 @@ def _submit_chain(
     for stage in others:
         node = submit(run_stage, run, block, stage, node, key=f"{stage.name}-{tail}")
     key = f"geometric-correction-{tail}"
-    return submit(write_patch, run, unit, block, node, ground, plan.grid, own, noise, key=key)
+    return submit(write_patch, run, unit, block, node, ground, plan.grid, own, noise, edges, key=key)
 
 
 def mosaic(

@@ -30,10 +30,11 @@ from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.range_compression import RawCompression
 from blocksar.focusing.recovery import Recovery, recover_columns
 from blocksar.focusing.step import Stage
+from blocksar.graph.edges import Edges, read_valid
 from blocksar.graph.heights import heights_of, local_terrain, write_height
 from blocksar.graph.segments import Margins, Merged
 from blocksar.graph.spectrum import SpectrumChunks, Window, chunk_spans, read_ahead
-from blocksar.inspection.samples import Inspection, inspect, mask_outliers
+from blocksar.inspection.samples import Inspection, inspect
 from blocksar.kernels import buffers
 from blocksar.places.place import Place
 from blocksar.places.posix import resource
@@ -234,11 +235,13 @@ def write_patch(
     grid: Grid,
     own: frozenset[tuple[int, int]],
     noise: NoiseMap | None = None,
+    edges: Edges | None = None,
 ) -> Receipt:
     """Correct a focused block geometrically, and write its patch in chunks of the image's grid.
 
-    `own` has the chunks, by row and column, that no other block touches: they become the image's as they are, with
-    their noise where that is known. Chunks are written by other threads while the next ones are computed.
+    With `edges`, the edges of dwells are added. `own` has the chunks, by row and column, that no other block touches:
+    they become the image's as they are, with their noise where that is known. Chunks are written by other threads while
+    the next ones are computed.
     """
     started = time.perf_counter()
     first_y, first_x, _, _ = patch_window(ground, grid)
@@ -256,6 +259,8 @@ def write_patch(
             x, y = grid.x[window[1]], grid.y[window[0]]
             z = None if ground.relief is None else heights_of(run, grid, window)
             pixels = correct(samples.values, ground, x=x, y=y, z=z, threads=run.threads, out=out)
+            if edges is not None:
+                edges.add(pixels, ground, window, grid, threads=run.threads)
             writes.append(
                 pool.submit(
                     _write_pixels,
@@ -482,9 +487,7 @@ def _project(run: Run, source: Projected, window: Window, grid: Grid, weighting:
     rows, columns = window
 
     def read(pulses: slice) -> ComplexArray:
-        signal = source.source.read(pulses, slice(None))
-        mask_outliers(signal, source.inspection, pulses=pulses)
-        return signal
+        return read_valid(source.source, source.inspection, pulses)
 
     image = np.full((rows.stop - rows.start, columns.stop - columns.start), np.nan + 1j * np.nan, np.complex64)
     for i in range(0, image.shape[0], BACKPROJECTION_CHUNK):

@@ -95,8 +95,8 @@ class Blend:
     """Transform each row under several windows, and blend the results along the target axis.
 
     y[r, i] = sum_k L_k(s[r, i]) F{windows[which[r], k] x[r]}[i], with L_k Lagrange's polynomials through the nodes
-    0, 1 / (K - 1), .. 1 for s (a single window has L = 1), and s a polynomial along the target axis. It changes so
-    little from row to row that the rows of a group in the cache take that of their mean.
+    0, 1 / (K - 1), .. 1 for s (a single window has L = 1), and s a polynomial along the target axis. The rows of a
+    group in the cache take that of their mean where it hardly changes from row to row.
 
     Attributes
     ----------

@@ -17,7 +17,8 @@ reach beyond the unambiguous window, the loop takes the square root instead. Eit
 weights of the quadratic spline and sums over pulses are float32.
 
 Under a taper over a steered beam a pulse's weight changes from pixel to pixel. The place v in the beam is a quadratic
-polynomial over a tile, through 3 x 3 places; tiles are divided until it errs by less than PLACE_ERROR.
+polynomial over a tile, through 3 x 3 places; tiles are divided until it errs by less than PLACE_ERROR. Of pulses that
+only complete a sum whose ends fade out, the weight is multiplied by what the fade takes (`BeamTaper.fade`).
 """
 
 from __future__ import annotations
@@ -111,12 +112,16 @@ class BeamTaper:
         Fraction of each pulse's samples that are there.
     place : callable
         v (n_point, n) of ground points x, y (n_point,), m, for some pulses of the block: -1 .. 1 where they light them.
+    fade : int
+        Where positive, weights are multiplied by cos^2(pi fade (1 - |v|) / 2), which falls from 1 at |v| = 1 to 0 at
+        |v| = 1 - 1 / fade; pulses further inside are not to be summed.
     """
 
     terms: FloatArray
     frequency: float
     valid: FloatArray
     place: Callable[[FloatArray, FloatArray, slice], FloatArray]
+    fade: int = 0
 
 
 def series_error(reach: FloatArray | float, distance: FloatArray | float) -> FloatArray:
@@ -191,13 +196,14 @@ def project(
         return
     sums, farthest = np.zeros((3, padded), np.float32), np.zeros(padded)
     terms = np.zeros(0, np.float32) if sights.taper is None else sights.taper.terms.astype(np.float32)
-    frequency = 0.0 if sights.taper is None else sights.taper.frequency
+    frequency, fade = (0.0, 0) if sights.taper is None else (sights.taper.frequency, sights.taper.fade)
     # A sample is loaded as one number of 64 bits: the cost of a gather is per element, not per byte.
     samples = sights.values[pulses].reshape(-1).view(np.float64)
     add = add_pulses if relief is None else add_pulses_on_relief
     add(
         *sums, farthest, samples, n_bin, sights.middle, *place, *centre, *lit, spans, begin, series, roots,
-        sights.cycles_per_metre, sights.bins_per_metre, sights.half_window, places, terms, frequency / 2, relief,
+        sights.cycles_per_metre, sights.bins_per_metre, sights.half_window, places, terms, frequency / 2, fade / 2,
+        relief,
     )  # fmt: skip
     if sights.taper is not None:
         weight += sums[2, :size].reshape(image.shape)
@@ -317,10 +323,16 @@ def _sample(samples: Any, k: Any, nearest: Any, right: Any) -> Any:
 
 
 @njit(inline="always")
-def _weight(place: Any, dx: Any, dy: Any, terms: Any, half_frequency: Any) -> Any:
-    """sum_k terms_k cos(2 pi k half_frequency v), by Clenshaw's recurrence; at most |half_frequency v| = 1/2."""
+def _place(place: Any, dx: Any, dy: Any) -> Any:
+    """v in the beam, limited to -1 .. 1."""
     v = place[0] + (place[1] * dx + place[2] * dy) + (place[3] * dx + place[4] * dy) * dx + place[5] * dy * dy
-    turned = remainder(smaller(larger(v, -1.0), 1.0) * half_frequency)
+    return smaller(larger(v, -1.0), 1.0)
+
+
+@njit(inline="always")
+def _weight(v: Any, terms: Any, half_frequency: Any) -> Any:
+    """sum_k terms_k cos(2 pi k half_frequency v), by Clenshaw's recurrence; at most |half_frequency v| = 1/2."""
+    turned = remainder(v * half_frequency)
     cos = cosine(turned)
     twice = cos + cos
     last, total = cos - cos, cos - cos
@@ -353,6 +365,7 @@ def _add_pulses(
     places: FloatArray,
     terms: NDArray[np.float32],
     half_frequency: float,
+    half_fade: float,
     relief: FloatArray | None,
 ) -> None:
     """Sum the lit pulses, in ascending order, at pixels (n,).
@@ -402,7 +415,11 @@ def _add_pulses(
                 share = load_few(weight, i)
                 for p in range(low, high):
                     place = places[p - start]
-                    part = within(_weight(place, dx, dy, terms, half_frequency), lit, p, unlit)
+                    v = _place(place, dx, dy)
+                    part = within(_weight(v, terms, half_frequency), lit, p, unlit)
+                    if half_fade > 0:
+                        taken = cosine(remainder((1.0 - larger(v, 0.0 - v)) * half_fade))
+                        part = part * (np.float32(0.5) + np.float32(0.5) * taken)
                     store(shares, (p - low) * FEW, part)
                     share = share + part * np.float32(place[6])
                 store(weight, i, share)
@@ -422,7 +439,7 @@ def _add_pulses(
 _TYPES = (
     types.float32[::1], types.float32[::1], types.float32[::1], types.float64[::1], REAL_ROW, types.int64, types.int64,
     REAL_ROW, REAL_ROW, types.float64, types.float64, PULSES, PULSES, types.int64[:, ::1], types.int64,
-    REAL_ROWS, REAL_ROWS, types.float64, types.float64, types.float64, REAL_ROWS, WEIGHTS, types.float64,
+    REAL_ROWS, REAL_ROWS, types.float64, types.float64, types.float64, REAL_ROWS, WEIGHTS, types.float64, types.float64,
 )  # fmt: skip
 add_pulses = loop(*_TYPES, types.none, **COMPILED)(_add_pulses)
 add_pulses_on_relief = loop(*_TYPES, REAL_ROW, **COMPILED)(_add_pulses)

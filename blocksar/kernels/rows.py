@@ -24,6 +24,7 @@ from blocksar.kernels.operations import Blend, Cut, Operation, Resample, ScaledT
 from blocksar.kernels.phase import Float32Array, Phase
 
 Layout = Literal["rows", "columns"]
+ALIKE = 0.005  # shares of a blend in the rows of a group: the image errs by -60 dB where windows differ by a sixth
 BEYOND = (-0.5, 1.5)  # shares of a blend: beyond the lines that it was fitted to, a polynomial runs away
 
 
@@ -221,7 +222,7 @@ class _BlendPass:
         blend, which = self.operation, self.operation.which[rows]
         target = blend.transform.target
         z = (target.values - blend.centre) / blend.scale
-        share = np.polynomial.polynomial.polyval(z, blend.share[rows].mean(axis=0))
+        share = _shares(blend.share[rows], z)
         total: ComplexArray | None = None
         for k, weight in enumerate(_lagrange(np.clip(share, *BEYOND), blend.count)):
             part = group if k == blend.count - 1 else group.copy()
@@ -233,13 +234,22 @@ class _BlendPass:
         return total
 
 
+def _shares(coefficients: FloatArray, z: FloatArray) -> FloatArray:
+    """Polynomials of rows at z (n,): those of their mean, (n,), where they are alike, else (n_row, n)."""
+    polyval = np.polynomial.polynomial.polyval
+    apart = np.clip(polyval(z, coefficients[[0, -1]].T), *BEYOND)
+    if np.abs(apart[1] - apart[0]).max() <= ALIKE:
+        return np.asarray(polyval(z, coefficients.mean(axis=0)))
+    return np.asarray(polyval(z, coefficients.T))
+
+
 def _lagrange(share: FloatArray, count: int) -> list[Float32Array]:
-    """Lagrange's polynomials through 0, 1 / (count - 1), .. 1 at the shares."""
+    """Lagrange's polynomials through 0, 1 / (count - 1), .. 1 at the shares (..., n)."""
     nodes = np.arange(count) / max(count - 1, 1)
     terms = []
     for node in nodes:
         others = nodes[nodes != node]
-        terms.append(((share[:, None] - others) / (node - others)).prod(axis=1).astype(np.float32))
+        terms.append(((share[..., None] - others) / (node - others)).prod(axis=-1).astype(np.float32))
     return terms
 
 

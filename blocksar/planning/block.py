@@ -35,7 +35,7 @@ from blocksar.planning.binding import AzimuthPart, RangePart, Slab
 from blocksar.planning.coefficients import Choice, choose
 from blocksar.planning.dwell_weights import DwellWeights, dwell_weights
 from blocksar.planning.fidelity import gate_blur
-from blocksar.planning.gates import GATE_DEGREES, full_dwells, plan_gate, plan_range_gate
+from blocksar.planning.gates import GATE_DEGREES, faded_room, full_dwells, plan_gate, plan_range_gate
 from blocksar.planning.memory import block_memory
 from blocksar.planning.motion import plan_motion
 from blocksar.planning.nodes import common_ranges, nodes_between
@@ -166,9 +166,13 @@ def plan_block(
         recovery, slab, azimuth, straight if sector.relief is None else range_part.trace(everywhere),
         range_frequency=band if range_gate is None else range_gate.range_frequency, duration=duration,
         uncut=float((last - first).max()) if collection.steered else 0.0, tap_error=sector.tap_error,
+        faded=sector.fade > 0,
     )  # fmt: skip
-    full = full_dwells(fine, sector.geometry, fine_range[:, None], fine_yaw)
-    ends = Ends(rate=biased.rate, uncut=uncut, scaled_about=azimuth.range_part.scales_time_about, full=full)
+    ends = Ends(
+        rate=biased.rate, uncut=uncut, scaled_about=azimuth.range_part.scales_time_about,
+        full=full_dwells(fine, sector.geometry, fine_range[:, None], fine_yaw),
+        passing=sector.passing(fine_range[:, None], fine_yaw),
+    )  # fmt: skip
     lines = FineLines(lit, fine, spots, fine_range, fine_yaw, weights, ends, in_time)
     sampling, ground, prediction = _plan_image(sector, azimuth, sampling, lines)
     return BlockPlan(
@@ -177,7 +181,7 @@ def plan_block(
         sampling=sampling,
         ground=ground,
         prediction=prediction,
-        memory=_plan_memory(range_gate, range_part, sampling),
+        memory=_plan_memory(range_gate, range_part, sampling) + sector.edge_memory,
         choice=choice,
     )  # fmt: skip
 
@@ -195,7 +199,7 @@ def _plan_image(
         return sampling, *_raise(sector, azimuth, ground, gate, lines)
     prediction = predict(
         lines.line, lines.spots, rng, yaw, sector.geometry, rate=ends.rate, gate=gate, scaled_about=ends.scaled_about,
-        weights=weights,
+        weights=weights, band=sector.weighting.range,
     )  # fmt: skip
     return sampling, ground, prediction
 
@@ -250,6 +254,7 @@ class Ends(NamedTuple):
     uncut: tuple[FloatArray, FloatArray]  # (n_yaw,) or (n_range, n_yaw), s from the epoch, as if nothing cut them
     scaled_about: float | None  # time about which a keystone scales time, s
     full: BoolArray  # (n_range, n_yaw), from `full_dwells`
+    passing: tuple[FloatArray, ...]  # (n_range, n_yaw) each, from `Sector.passing`
 
 
 class FineLines(NamedTuple):
@@ -275,6 +280,7 @@ def _plan_dwell_gate(
         line, spots, ends.rate, blur=gate_blur(collection, ends.uncut, scaled_about=ends.scaled_about), lit=lit,
         uncut=ends.uncut, full=ends.full, rows=sampling.rows, slow=sampling.long_time, taper=taper,
         degree=GATE_DEGREES if sector.relief is None else FINE_DEGREE,
+        fade=sector.fade, passing=ends.passing,
     )  # fmt: skip
 
 
@@ -334,6 +340,7 @@ def _plan_sampling(
     duration: float,
     uncut: float,
     tap_error: float,
+    faded: bool = False,
 ) -> Sampling:
     """The axes that hold a block's lines, `straight` after range compression, without a gate.
 
@@ -347,7 +354,10 @@ def _plan_sampling(
     begin = min(float(focused.time.min()) - guard, time.start)
     end = max(float(focused.time.max()) + guard, time.start + time.extent)
     room = RESAMPLING_ROOM if azimuth.range_part.freedom.resampling else 1.0
-    n_padded = fourier.fast_length(max((end - begin) / time.step, room * time.size, LEAST_ROOM * uncut / time.step))
+    held = LEAST_ROOM * uncut
+    if faded:
+        held = max(held, faded_room(uncut, float(np.ptp(spots.time) / max(np.ptp(spots.doppler), 1e-9))))
+    n_padded = fourier.fast_length(max((end - begin) / time.step, room * time.size, held / time.step))
     long_time = Axis(begin, time.step, n_padded)
     middle = azimuth.polynomials.middle
     reach = 2 * max(time.start + time.extent - middle, middle - time.start)

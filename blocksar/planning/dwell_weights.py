@@ -82,5 +82,9 @@ def dwell_weights(
 
 def taper_over_dwells(collection: Collection, weighting: Weighting) -> Taper:
     """The weighting over dwells; under a beam that stands still each target has one weight, which cancels."""
-    still = collection.steered and abs(collection.beam_azimuth[-1] - collection.beam_azimuth[0]) < STILL
-    return FLAT if still else weighting.azimuth
+    return FLAT if collection.steered and not beam_moves(collection) else weighting.azimuth
+
+
+def beam_moves(collection: Collection) -> bool:
+    """Whether a beam passes over the ground, so that targets are lit one after the other."""
+    return collection.steered and not abs(collection.beam_azimuth[-1] - collection.beam_azimuth[0]) < STILL

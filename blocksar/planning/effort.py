@@ -26,6 +26,7 @@ from blocksar.progress.estimate import finishing_times
 COMPRESS = 6e-8  # per sample of the echo
 RECOVER = 4.8e-8  # per written sample of the spectrum
 STEPS = 1.3e-10  # per operation of the blocks' transforms and resamplings, as Plan.work counts them
+EDGES = 1e-6  # per written pixel of a patch's chunks whose edges of dwells are back-projected
 CORRECT = 3.6e-8  # per written pixel of a patch's chunks
 MERGE = 1.13e-8  # per merged pixel of a patch's chunk
 INSPECT = 2e-8  # per sample
@@ -56,6 +57,7 @@ FOCUS: Work = dict.fromkeys(("plan", "compile", "start-workers", "recover", "foc
 def of_plan(plan: Plan, *, echo_samples: int = 0) -> Work:
     """Work of focusing by a plan; `echo_samples` is the total if the phase history is a raw echo, otherwise 0."""
     collection, side = plan.geometry.collection, image_chunk(plan.grid)
+    written = CORRECT + (EDGES if plan.fade else 0.0)
     columns = np.diff([*range(0, collection.n_range_frequency, plan.column_group), collection.n_range_frequency])
     chunks = [touched_chunks(block.ground, plan.grid) for block in plan.blocks]
     patches = Counter(chunk for touched in chunks for chunk in touched)  # by chunk of the mosaic
@@ -64,7 +66,7 @@ def of_plan(plan: Plan, *, echo_samples: int = 0) -> Work:
         "recover": (RECOVER * plan.recovery.doppler.size * columns).tolist(),
         **_gating(plan),
         "focus": [
-            STEPS * block_work(block) + CORRECT * len(touched) * side[0] * side[1]
+            STEPS * block_work(block) + written * len(touched) * side[0] * side[1]
             for block, touched in zip(plan.blocks, chunks, strict=True)
         ],
         "mosaic": [

@@ -21,8 +21,14 @@ one displaced by d, the weights differ by the energy
 from |F - H|^2 integrated at d = 0 in frequency, sqrt(a / 2) / pi, and d/dd = 2 Re F(d) - 1. Half of it, over the dwell,
 is lost at each end.
 
+Where the edges of dwells are back-projected (`focusing.dwell_edges`), the chain's ends fade over a time T, and differ
+by less. With P(u) = cos(pi u) / (1 - 4 u^2), the spectrum of the fade's slope at u = f T,
+
+    integral of |F(t) - H(t - d)|^2 dt = T / pi^2 integral of P^2 (1 - cos(pi a u^2 / T^2) cos(2 pi u d / T)) / u^2 du.
+
 Under a weighting w both sums have the weights w besides, and under an antenna's pattern g the echo has g: the inner
-product along the dwell has (w g)^2, and an end loses by that value there.
+product along the dwell has (w g)^2, and an end loses by that value there. Means over the band have the square of its
+weighting.
 """
 
 from __future__ import annotations
@@ -37,13 +43,16 @@ from blocksar.arrays import BoolArray, FloatArray
 from blocksar.collection.beam import dwell_at
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
+from blocksar.collection.weighting import FLAT, Taper
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.dwell_gate import FAR, DwellGate, far_fresnel_integral
 from blocksar.focusing.lines import LEAST_STRETCH, Focus, Line
 from blocksar.planning.gates import dwell_ends, end_smear, full_dwells
 
 BAND_NODES = 4  # of the means over range frequency
+MIGRATION_NODES = 12  # of that over the phase by range migration, under a weighting
 KNOTS = 128  # of the table of the energy of an end, per unit of z
+FADE_NODES, FADE_REACH = 48, 2.5  # of the integral over u, and where it ends: P^2 / u^2 is 1e-5 there
 KNOT_NODES = 6  # of the integrals from one of them to the next
 
 
@@ -70,6 +79,7 @@ def worst_losses(
     weights: FloatArray,
     edge: FloatArray | float,
     reached: BoolArray | None = None,
+    band: Taper = FLAT,
 ) -> Losses:
     """Losses of the target that loses most, of those with full dwell where there are any.
 
@@ -91,12 +101,14 @@ def worst_losses(
         The same at the ends of a dwell.
     reached : (n_range, n_yaw) bool, optional
         Which of the targets there are; default: all.
+    band : Taper
+        Weighting along range frequency.
     """
     squared = line.weighed(weights**2)
-    phase, migration = _along_dwell(squared, spots, geometry)
+    phase, migration = _along_dwell(squared, spots, geometry, band)
     ends = np.zeros_like(phase)
     if gate is not None:
-        ends = _at_ends(line, spots, rng, yaw, geometry, rate=rate, gate=gate, scaled_about=scaled_about)
+        ends = _at_ends(line, spots, rng, yaw, geometry, rate=rate, gate=gate, scaled_about=scaled_about, band=band)
         ends *= edge**2 * line.weight.sum(axis=-1) / squared.weight.sum(axis=-1)
     lost, full = phase + migration + ends, full_dwells(line, geometry, rng[:, None], yaw)
     total = np.where(full, lost, -1.0)
@@ -108,12 +120,17 @@ def worst_losses(
     )
 
 
-def _along_dwell(line: Line, spots: Focus, geometry: Geometry) -> tuple[FloatArray, FloatArray]:
+def _along_dwell(line: Line, spots: Focus, geometry: Geometry, band: Taper) -> tuple[FloatArray, FloatArray]:
     """Loss by residual phase, and what range migration takes besides."""
     stretch = np.maximum(line.stretch, LEAST_STRETCH)
     level = line.phase - spots.doppler[..., None] * line.time - spots.phase[..., None]
     offset = line.range - spots.range[..., None]
-    response = np.sinc(2 * geometry.collection.bandwidth / SPEED_OF_LIGHT * offset)
+    turns = 2 * geometry.collection.bandwidth / SPEED_OF_LIGHT * offset
+    if band.uniform:
+        response = np.sinc(turns)
+    else:
+        nodes, shares = band_nodes(band, MIGRATION_NODES)
+        response = sum(share * np.cos(np.pi * node * turns) for node, share in zip(nodes, shares, strict=True))
     norm = np.sqrt(line.weight.sum(axis=-1) * (line.weight * stretch).sum(axis=-1))
     turned = line.weight * np.sqrt(stretch) * np.exp(2j * np.pi * level)
     phase = 1 - np.abs(turned.sum(axis=-1)) / norm
@@ -131,13 +148,15 @@ def _at_ends(
     rate: FloatArray,
     gate: DwellGate,
     scaled_about: float | None,
+    band: Taper,
 ) -> FloatArray:
     """Loss by ends of the dwell that are smeared or displaced; none at an end that the collection's end cuts."""
     collection = geometry.collection
     lit = line.weight.sum(axis=-1)
     lost = np.zeros(lit.shape)
     smear = end_smear(line, rate)
-    band = collection.bandwidth / 2 / collection.carrier
+    edge_of_band = collection.bandwidth / 2 / collection.carrier
+    fade = 0 if gate.taper is None else gate.taper.fade
     for end, placed, moment, phase, slope in zip(
         (0, -1),
         dwell_ends(line),
@@ -151,7 +170,10 @@ def _at_ends(
         left = smear[..., end] - (slope.coefficients(spots.range)[..., 0] - moves)
         displaced = (at + side * gate.length / 2 - placed) / line.stretch[..., end]
         scaled = np.zeros(yaw.shape) if scaled_about is None else moment - geometry.epoch - scaled_about
-        total = _blurred_energy(left, displaced, scaled * band, gate.blur, collection.pulse_interval)
+        if fade:
+            total = faded_energy(left, displaced, scaled * edge_of_band, lit / (2 * fade), band)
+        else:
+            total = blurred_energy(left, displaced, scaled * edge_of_band, gate.blur, collection.pulse_interval, band)
         cut = np.abs(moment - collection.time[end]) < collection.pulse_interval
         lost += np.where(cut, 0.0, total)
     return lost / (2 * lit)
@@ -178,7 +200,7 @@ def smear_loss(line: Line, spots: Focus, rate: FloatArray, geometry: Geometry, f
         none = ~full.any(axis=1)
         low[none], high[none] = 0.0, 0.0
         middle = (low + high)[:, None] / 2
-        lost += _blurred_energy(slope - middle, np.zeros(1), spread, spread, collection.pulse_interval) / (2 * lit)
+        lost += blurred_energy(slope - middle, np.zeros(1), spread, spread, collection.pulse_interval) / (2 * lit)
     return float(lost[full].max())
 
 
@@ -194,8 +216,13 @@ def gate_blur(collection: Collection, uncut: tuple[FloatArray, FloatArray], *, s
     return float(np.hypot(spread, collection.pulse_interval / 2))
 
 
-def _blurred_energy(
-    area: FloatArray, displaced: FloatArray, spread: FloatArray, blur: FloatArray | float, pulse_interval: float
+def blurred_energy(
+    area: FloatArray,
+    displaced: FloatArray,
+    spread: FloatArray,
+    blur: FloatArray | float,
+    pulse_interval: float,
+    taper: Taper = FLAT,
 ) -> FloatArray:
     """Mean energy by which smeared ends, spread by +-`spread` over the band, differ from their gate, s.
 
@@ -203,12 +230,44 @@ def _blurred_energy(
     energies by which those do, less their own variance, blur / 3.
     """
     nodes, weights = solvers.gauss_legendre(BAND_NODES)
+    _, shares = band_nodes(taper, BAND_NODES)
     shape = np.broadcast_shapes(area.shape, displaced.shape, spread.shape)
     band = nodes.reshape(-1, 1, *(1,) * len(shape))
     gate = band.swapaxes(0, 1)
     apart = np.hypot(displaced - band * spread - gate * blur, pulse_interval / np.sqrt(12))
-    total = np.einsum("i,j,ij...->...", weights, weights, end_energy(area, apart)) / 4
+    total = np.einsum("i,j,ij...->...", 2 * shares, weights, end_energy(area, apart)) / 4
     return np.maximum(total - blur / 3, 0.0)
+
+
+def faded_energy(
+    area: FloatArray,
+    displaced: FloatArray,
+    spread: FloatArray,
+    duration: FloatArray | float,
+    taper: Taper = FLAT,
+) -> FloatArray:
+    """Mean energy by which ends that fade over a time `duration` and are moved by +-`spread` differ from their gate, s.
+
+    Area, s^2, displacement, s, as in `end_energy`.
+    """
+    nodes, weights = solvers.gauss_legendre(FADE_NODES)
+    u, du = FADE_REACH * (1 + nodes) / 2, FADE_REACH * weights / 2
+    slope = np.pi / 4 * (np.sinc(u + 0.5) + np.sinc(u - 0.5))
+    energy = np.zeros(np.broadcast_shapes(area.shape, displaced.shape, spread.shape))
+    for node, share in zip(*band_nodes(taper, BAND_NODES), strict=True):
+        moved = ((displaced - node * spread) / duration)[..., None]
+        turned = np.cos(np.pi * u**2 * (area / duration**2)[..., None]) * np.cos(2 * np.pi * u * moved)
+        energy += share * (slope**2 / u**2 * (1 - turned) * du).sum(axis=-1)
+    return np.asarray(energy * duration / np.pi**2)
+
+
+def band_nodes(taper: Taper, n: int) -> tuple[FloatArray, FloatArray]:
+    """Nodes over the band, -1 .. 1, and their shares in a mean under the square of the weighting."""
+    nodes, weights = solvers.gauss_legendre(n)
+    if taper.uniform:
+        return nodes, weights / 2
+    shares = weights * taper(nodes) ** 2
+    return nodes, shares / shares.sum()
 
 
 def end_energy(area: FloatArray, displaced: FloatArray) -> FloatArray:

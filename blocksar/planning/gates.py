@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -23,8 +24,12 @@ from blocksar.planning.target_lines import middle_line
 
 RANGE_GUARD = 48  # range cells on either side of a sub-block, for side lobes of targets at its ends
 GATE_ROOM = 1.62  # dwells that the sampling in Doppler has room for
+FADE_ROOM = 9.0  # sqrt(e) on either side of a dwell for which it has room where edges fade out, at least
 FULL = 0.999  # of the longest dwell: a full one
 GATE_DEGREES = 4, 5  # of the ends of dwells in range and in Doppler
+FIT_PRECISION = 0.02  # of the time in which an edge fades out, to which the ends of dwells are fitted
+UNCUT = 1e-4  # of a dwell: by less, the collection does not cut it
+UNKNOWN = 1e-4  # weight in that fit of an end that the collection cuts off: there is nothing to gate where it lies
 LENGTHS, MOST_LENGTHS = {1e-3: 1, 0.04: 2, 0.15: 3}, 4  # windows by the relative spread of the halves' lengths
 
 
@@ -77,6 +82,8 @@ def plan_gate(
     slow: Axis,
     taper: Taper = FLAT,
     degree: tuple[int, int] = GATE_DEGREES,
+    fade: int = 0,
+    passing: tuple[FloatArray, ...] = (),
 ) -> DwellGate | None:
     """The gate that follows the ends of the dwells along Doppler, from the lines (n_range, n_yaw) of targets.
 
@@ -101,36 +108,36 @@ def plan_gate(
         Weighting over the dwells.
     degree : (int, int)
         Of the ends of dwells, in range and in Doppler.
+    fade : int
+        From `planning.edges`: where positive, the edges of dwells fade out.
+    passing : tuple of (n_range, n_yaw) float, optional
+        Slow times, s from the epoch, at which the beam's centre passes the targets, by default amid their dwells; and
+        with `fade` those at which the edge after the begin ends, and at which that before the end begins.
     """
+    weighed = fade > 0 or not taper.uniform
     begins, ends = dwell_ends(line)
     first, last = dwell_ends(lit)
     begins = begins - (first - uncut[0]) * line.stretch[..., 0]
     ends = ends + (uncut[1] - last) * line.stretch[..., -1]
     middles, lengths = (begins + ends) / 2, ends - begins
-    if np.ptp(middles) < 0.02 * lengths.max() and taper.uniform:  # a taper needs its windows all the same
+    if np.ptp(middles) < 0.02 * lengths.max() and not weighed:  # a taper needs its windows all the same
         return None
     doppler = spots.doppler
     near, far = rows.start, rows.start + rows.extent
     scale = max(float(np.ptp(spots.doppler) / 2), 1e-6)
     place = _RowPlace(near, far, centre=float((doppler.min() + doppler.max()) / 2), scale=scale)
-    basis = chebyshev.chebvander2d(
-        (2 * spots.range.ravel() - near - far) / (far - near),
-        (doppler.ravel() - place.centre) / scale,
-        list(degree),
-    )
     length, smear = float(lengths.mean()), end_smear(line, rate)
     edges = [begins + length / 2, ends - length / 2]
-    if not taper.uniform:
-        middle = _crossing(line, (first, last), (uncut[0] + uncut[1]) / 2)
+    if weighed:
+        middle = _crossing(line, (first, last), passing[0] if passing else (uncut[0] + uncut[1]) / 2)
         edges += [middle - begins, ends - middle]
-    fitted = solvers.least_squares(
-        np.asarray(basis.T, np.float64),
-        np.stack(edges).reshape(len(edges), -1),
-        damping=1e-20 * basis.shape[0],
-    )
-    # Series in range of powers of z, (degree[0] + 1, degree[1] + 1).
-    begin, end, *halves = (
-        solvers.product(fitted[:, k].reshape(-1, degree[1] + 1), _to_powers(degree[1])) for k in range(len(edges))
+    shares = (0.0, 0.0)
+    if fade:  # of the halves' lengths, over which the place in the beam changes by 1 / fade at the dwell's ends
+        after, before = (_crossing(line, (first, last), moment) for moment in passing[1:])
+        at_begin, at_end = (after - begins) / edges[2], (ends - before) / edges[3]
+        shares = float(np.median(at_begin[full])), float(np.median(at_end[full]))
+    begin, end, *halves = _fit_ends(
+        place, spots, np.stack(edges), degree=degree, cut=(first - uncut[0], uncut[1] - last), length=length, fade=fade
     )
     phases = place.integral(begin), place.integral(end)
     at_middle = place.integral((begin + end) / 2).coefficients(np.array((near + far) / 2))[None]
@@ -139,18 +146,51 @@ def plan_gate(
     along = [phase.evaluate(spots.range, spots.doppler[..., None]) for phase in phases]
     apart = max(float(np.abs(at - shared).max()) for _, at, _ in along)
     moves = [bend[..., 0] for _, _, bend in along]
-    size = min(fourier.fast_length((GATE_ROOM * length + 2 * apart) / slow.step), slow.size)
+    begin_slope = _slope(place, begin, spots, smear[..., 0] + moves[0], full=full)
+    end_slope = _slope(place, end, spots, smear[..., 1] + moves[1], full=full)
+    room = GATE_ROOM * length
+    if fade:
+        room = max(room, faded_room(length, max(float(np.abs(s.series[0]).max()) for s in (begin_slope, end_slope))))
+    size = min(fourier.fast_length((room + 2 * apart) / slow.step), slow.size)
     return DwellGate(
         begin=phases[0],
         end=phases[1],
         common=common,
-        begin_slope=_slope(place, begin, spots, smear[..., 0] + moves[0], full=full),
-        end_slope=_slope(place, end, spots, smear[..., 1] + moves[1], full=full),
+        begin_slope=begin_slope,
+        end_slope=end_slope,
         blur=blur,
         length=length,
         time=fourier.centred(0.0, slow.step, size),
-        taper=_plan_taper(taper, [place.polynomial(series) for series in halves], edges[2:]),
+        taper=_plan_taper(taper, fade, [place.polynomial(series) for series in halves], edges[2:], shares),
     )
+
+
+def faded_room(length: float, slope: float) -> float:
+    """Time that a gate needs where the edges of dwells fade out, s: beyond a dwell, it fades out clear of the smear."""
+    return length + 2 * FADE_ROOM * math.sqrt(slope)
+
+
+def _fit_ends(
+    place: _RowPlace,
+    spots: Focus,
+    edges: FloatArray,
+    *,
+    degree: tuple[int, int],
+    cut: tuple[FloatArray, FloatArray],
+    length: float,
+    fade: int,
+) -> list[FloatArray]:
+    """Fit begins and ends, and under a weighting the lengths of halves: (2 or 4, n_range, n_yaw), s.
+
+    Where edges fade out, those that the collection cuts off, by the times `cut`, are left to the others.
+    """
+    if not fade:
+        return place.fit(spots, edges, degree, known=np.ones(edges.shape[1:], np.bool_))
+    known = [time < UNCUT * length for time in cut]
+    known = [each if each.any() else np.ones_like(each) for each in known]
+    precision = FIT_PRECISION * length / (2 * fade)
+    fitted = [place.fit(spots, edges[i::2], degree, known=known[i], precision=precision) for i in (0, 1)]
+    return [series for pair in zip(*fitted, strict=True) for series in pair]
 
 
 def _crossing(line: Line, lit: tuple[FloatArray, FloatArray], moment: FloatArray) -> FloatArray:
@@ -168,15 +208,20 @@ def _crossing(line: Line, lit: tuple[FloatArray, FloatArray], moment: FloatArray
     return np.asarray(time + before * line.stretch[..., 0] + after * line.stretch[..., -1])
 
 
-def _plan_taper(taper: Taper, lengths: list[RowPolynomial], halves: list[FloatArray]) -> DwellTaper | None:
-    """The taper over dwells whose halves have the lengths of `halves`, each (n_range, n_yaw), and the polynomials."""
-    if taper.uniform:
+def _plan_taper(
+    taper: Taper, fade: int, lengths: list[RowPolynomial], halves: list[FloatArray], shares: tuple[float, float]
+) -> DwellTaper | None:
+    """The taper over dwells whose halves have the lengths of `halves`, each (n_range, n_yaw), and the polynomials.
+
+    `shares` are those of edges that fade out in the halves.
+    """
+    if not halves:
         return None
     begin, end = (
-        HalfDwell(length=length, lengths=_window_lengths(float(half.min()), float(half.max())))
-        for length, half in zip(lengths, halves, strict=True)
+        HalfDwell(length=length, lengths=_window_lengths(float(half.min()), float(half.max())), edge=share)
+        for length, half, share in zip(lengths, halves, shares, strict=True)
     )
-    return DwellTaper(taper=taper, begin=begin, end=end)
+    return DwellTaper(taper=taper, begin=begin, end=end, fade=fade)
 
 
 def _window_lengths(shortest: float, longest: float) -> tuple[float, ...]:
@@ -257,6 +302,38 @@ class _RowPlace(NamedTuple):
 
     def polynomial(self, series: FloatArray) -> RowPolynomial:
         return RowPolynomial(series=series, near=self.near, far=self.far, centre=self.centre, scale=self.scale)
+
+    def fit(
+        self,
+        spots: Focus,
+        values: FloatArray,
+        degrees: tuple[int, int],
+        *,
+        known: BoolArray,
+        precision: float = 0.0,
+    ) -> list[FloatArray]:
+        """Fit values (n, n_range, n_yaw), s, where targets focus: series in range of powers of z, one for each.
+
+        With a `precision`, s, the lowest degree in Doppler is taken that meets the `known` values to it, up to that of
+        `degrees`, and the others count little: the image of a block also has the ends of dwells of targets beyond it,
+        and polynomials of a high degree leave them.
+        """
+        u = (2 * spots.range.ravel() - self.near - self.far) / (self.far - self.near)
+        z = (spots.doppler.ravel() - self.centre) / self.scale
+        flat, counts = values.reshape(values.shape[0], -1), np.where(known.ravel(), 1.0, UNKNOWN)
+        in_range, most = degrees
+        for degree in range(1 if precision > 0 else most, most + 1):
+            basis = np.asarray(chebyshev.chebvander2d(u, z, [in_range, degree]).T, np.float64)
+            fitted = solvers.least_squares(basis * counts, flat * counts, damping=1e-20 * u.size)
+            left = solvers.product(basis.T, fitted).T - flat
+            if degree == most or np.abs(left[:, known.ravel()]).max(initial=0.0) <= precision:
+                break
+        found = []
+        for row in fitted.T:
+            series = np.zeros((in_range + 1, most + 1))
+            series[:, : degree + 1] = row.reshape(-1, degree + 1)
+            found.append(solvers.product(series, _to_powers(most)))
+        return found
 
     def integral(self, series: FloatArray) -> RowPolynomial:
         """The polynomial whose derivative has these coefficients (n, order + 1): cycles."""

@@ -34,14 +34,17 @@ from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import UNIFORM, Weighting
 from blocksar.constants import MIB, SPEED_OF_LIGHT
 from blocksar.errors import InputError
+from blocksar.focusing.chains import steps_of
 from blocksar.focusing.method import DEFAULT, Method
 from blocksar.focusing.range_gate import RangeGate
+from blocksar.focusing.range_steps import Keystone
 from blocksar.focusing.recovery import Recovery
 from blocksar.focusing.step import stages
 from blocksar.kernels.operations import Blend, Resample, Stretch, Transform
 from blocksar.planning.block import BlockPlan, plan_block
 from blocksar.planning.coefficients import Choice
 from blocksar.planning.division import MAX_BLOCKS, find_division
+from blocksar.planning.edges import plan_fade
 from blocksar.planning.memory import MEMORY_SHARE, PROCESS_MEMORY, gating_memory
 from blocksar.planning.recovery import plan_recovery
 from blocksar.planning.refusal import find_refusal
@@ -75,6 +78,8 @@ class Plan:
         Coherence with exact back-projection that `auto` keeps where it can.
     weighting : Weighting
         Tapers over band and dwell.
+    fade : int
+        From `planning.edges`: where positive, the edges of dwells are back-projected.
     refusal : str or None
         Why the geometry cannot be focused, with the figure.
     """
@@ -89,6 +94,7 @@ class Plan:
     method: Method
     fidelity: float
     weighting: Weighting
+    fade: int
     refusal: str | None
 
     def __repr__(self) -> str:
@@ -180,6 +186,15 @@ class Plan:
     def coherence(self) -> float:
         """The least coherence with exact back-projection that any block predicts."""
         return min(block.prediction.coherence for block in self.blocks)
+
+    @property
+    def edge_pulses(self) -> int:
+        """Pulses at either end of a dwell that are back-projected; 0 where none are."""
+        gates = [block.sampling.gate for block in self.blocks]
+        lengths = [gate.length for gate in gates if gate is not None]
+        if not self.fade or not lengths:
+            return 0
+        return math.ceil(max(lengths) * self.geometry.collection.prf / (2 * self.fade))
 
     def transforms(self) -> list[Transforms]:
         """All FFTs of samples in the plan, in order."""
@@ -286,10 +301,13 @@ def plan_collection(
     recovery = plan_recovery(geometry, region, method)
     grid = grid or default_grid(geometry, region)
     extent = grid_extent(geometry, region, grid, owned)
-
+    fade = plan_fade(
+        geometry, region, fidelity=fidelity, weighting=weighting, band=recovery.band[1] - recovery.band[0],
+        keystone=Keystone in steps_of(method),
+    )  # fmt: skip
     planner = _Planner(
         geometry=geometry, region=region, recovery=recovery, grid=grid, extent=extent, method=method,
-        fidelity=fidelity, weighting=weighting,
+        fidelity=fidelity, weighting=weighting, fade=fade,
     )  # fmt: skip
     if blocks == "auto":
         first = find_division(planner.plan, workers=workers, parts=None if parts == "auto" else parts)
@@ -349,6 +367,7 @@ class _Planner:
     method: Method
     fidelity: float
     weighting: Weighting
+    fade: int
     planned: dict[tuple[int, int, int], list[BlockPlan]] = field(default_factory=dict)
 
     def plan(self, count: int, n_parts: int, probe: bool) -> Plan:
@@ -370,7 +389,7 @@ class _Planner:
         return Plan(
             geometry=self.geometry, grid=self.grid, region=self.region, recovery=self.recovery, seams=seams,
             parts=n_parts, blocks=tuple(planned), method=self.method, fidelity=self.fidelity,
-            weighting=self.weighting, refusal=find_refusal(planned, self.method),
+            weighting=self.weighting, fade=self.fade, refusal=find_refusal(planned, self.method),
         )  # fmt: skip
 
     def _plan_angle(
@@ -395,7 +414,7 @@ class _Planner:
             sector = Sector(
                 geometry=self.geometry if relief is None else self.geometry.over(None, relief.smooth),
                 recovery=self.recovery, region=self.region, low=low, high=high, near=nearest, far=farthest,
-                weighting=self.weighting, tap_error=image_tap_error(self.fidelity), relief=relief,
+                weighting=self.weighting, tap_error=image_tap_error(self.fidelity), fade=self.fade, relief=relief,
             )  # fmt: skip
             like = parts[-1].choice if parts else neighbour
             number = part if n_parts > 1 else None

@@ -10,6 +10,7 @@ from blocksar.arrays import BoolArray, FloatArray
 from blocksar.budget import side_lobe_budget
 from blocksar.collection.beam import centre_yaw, dwell_at, has_full_dwell
 from blocksar.collection.geometry import TRACK_ACCURACY, Geometry
+from blocksar.collection.weighting import FLAT, Taper
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.lines import LEAST_STRETCH, Focus, Line
@@ -56,8 +57,11 @@ def predict(
     scaled_about: float | None,
     weights: DwellWeights,
     reached: BoolArray | None = None,
+    band: Taper = FLAT,
 ) -> Prediction:
-    """The worst figures of traced lines (n_range, n_yaw); `rate` is their Doppler rate before the steps in Doppler.
+    """The worst figures of traced lines (n_range, n_yaw) under a weighting `band` along range frequency.
+
+    `rate` is the lines' Doppler rate before the steps in Doppler.
 
     The ideal side lobes are those of the taper; under an antenna's pattern, or where weights are cut with the dwells of
     all targets, those of the target with the worst phase, as if it had none. On a terrain `reached` (n_range, n_yaw)
@@ -94,7 +98,7 @@ def predict(
     track_phase = _track_phase(geometry, rng, yaw)
     lost = worst_losses(
         line, spots, rng, yaw, geometry, rate=rate, gate=gate, scaled_about=scaled_about, track_phase=track_phase,
-        weights=weights.nodes, edge=weights.edge, reached=reached,
+        weights=weights.nodes, edge=weights.edge, reached=reached, band=band,
     )  # fmt: skip
     return Prediction(
         residual_phase=float((residual if reached is None else residual[reached]).max()),

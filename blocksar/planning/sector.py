@@ -9,10 +9,13 @@ import numpy as np
 
 from blocksar.arrays import FloatArray
 from blocksar.budget import IMAGE_TAP_ERROR
+from blocksar.chunks import IMAGE_PIXELS
 from blocksar.collection import range_series
+from blocksar.collection.beam import passing_at
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import Region
 from blocksar.collection.weighting import UNIFORM, Taper, Weighting
+from blocksar.focusing.dwell_edges import edge_memory
 from blocksar.focusing.lines import Line
 from blocksar.focusing.recovery import Recovery
 from blocksar.planning.dwell_weights import taper_over_dwells
@@ -26,8 +29,8 @@ REFERENCE_ORDER = 8  # of the range series of a block's centre
 class Sector:
     """The ground that a block owns: yaws [low, high), rad, at epoch ranges [near, far), m.
 
-    With the weighting of its image, and the error that the interpolation of the focused block may have. On a terrain
-    the geometry is over the smooth part of it, and `relief` has the rest.
+    With the weighting of its image, the error that the interpolation of the focused block may have, and the `fade`.
+    On a terrain the geometry is over the smooth part of it, and `relief` has the rest.
     """
 
     geometry: Geometry
@@ -40,6 +43,7 @@ class Sector:
     weighting: Weighting = UNIFORM
     tap_error: float = IMAGE_TAP_ERROR
     relief: Relief | None = None
+    fade: int = 0
 
     @property
     def taper(self) -> Taper:
@@ -53,6 +57,18 @@ class Sector:
             self.geometry, yaw=yaw, origin=recovery.origin, walk=recovery.walk, common=recovery.common,
             coarsely=coarsely,
         )  # fmt: skip
+
+    def passing(self, epoch_range: FloatArray, yaw: FloatArray) -> tuple[FloatArray, ...]:
+        """Times, s from the epoch, at which targets pass the beam's centre and leave and enter edges that fade out."""
+        places: tuple[float, ...] = (0.0,) if self.geometry.collection.has_axis and not self.taper.uniform else ()
+        if self.fade:
+            places = 0.0, 1 / self.fade - 1, 1 - 1 / self.fade
+        return tuple(passing_at(self.geometry, yaw, epoch_range, v) - self.geometry.epoch for v in places)
+
+    @property
+    def edge_memory(self) -> int:
+        """What the edges of dwells add to the peak memory, bytes."""
+        return edge_memory(IMAGE_PIXELS, self.geometry.collection) if self.fade else 0
 
     def over(self, offset: float) -> Sector:
         """The same sector with the smooth ground raised by an offset, m."""

@@ -60,6 +60,10 @@ GEOMETRIES: dict[str, dict[str, Any]] = {
 }
 
 
+# A third of the scan, and a narrow swath: runs take seconds.
+SMALL_SCAN: dict[str, Any] = {"steering": (44.75, 55.25), "duration": 0.4, "swath": [29850.0, 30150.0]}
+
+
 # Scenes of papers B and C: the processor of each paper, and the grid of an image, m.
 PAPERS: dict[str, tuple[Any, Any]] = {
     "paper_b": ("keystone-resampling", ((10960.0, 11670.0, 0.25), (-1050.0, 1050.0, 0.25))),

@@ -1,0 +1,56 @@
+"""The edges of dwells in a run: read from the samples, and added to the chunks of patches (`focusing.dwell_edges`)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from blocksar import stores
+from blocksar.arrays import ComplexArray
+from blocksar.collection.grid import Grid
+from blocksar.collection.weighting import Weighting
+from blocksar.focusing.dwell_edges import add_edges
+from blocksar.focusing.ground_map import GroundMap
+from blocksar.graph.spectrum import Window
+from blocksar.inspection.samples import Inspection, mask_outliers
+
+
+@dataclass(frozen=True, eq=False)
+class Edges:
+    """What the edges of dwells are summed from.
+
+    Attributes
+    ----------
+    source : PhaseHistory
+        Whose samples the run recovers.
+    inspection : Inspection
+        Of all of it.
+    weighting : Weighting
+    fade : int
+        From the plan.
+    """
+
+    source: stores.PhaseHistory
+    inspection: Inspection
+    weighting: Weighting
+    fade: int
+
+    def add(self, pixels: ComplexArray, ground: GroundMap, window: Window, grid: Grid, *, threads: int) -> None:
+        """Add the edges to a chunk of a patch, in place."""
+        x, y = grid.x[window[1]], grid.y[window[0]]
+
+        def read(pulses: slice) -> ComplexArray:
+            return read_valid(self.source, self.inspection, pulses)
+
+        add_edges(
+            pixels, read, ground.geometry, x=x, y=y, lit=ground.lit_at(*np.meshgrid(x, y)), fade=self.fade,
+            weighting=self.weighting, threads=threads,
+        )  # fmt: skip
+
+
+def read_valid(source: stores.PhaseHistory, inspection: Inspection, pulses: slice) -> ComplexArray:
+    """All columns of pulses; outliers are missing."""
+    signal = source.read(pulses, slice(None))
+    mask_outliers(signal, inspection, pulses=pulses)
+    return signal

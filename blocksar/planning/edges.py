@@ -1,0 +1,73 @@
+"""Whether the edges of dwells are summed pulse by pulse, and how many pulses of them (`focusing.dwell_edges`).
+
+A chain ends a dwell at any time, back-projection at a whole pulse; and where a keystone scales time, the ends move over
+the band. What that costs does not depend on the division, so no number of blocks helps: with the weight w g at the
+ends, and the energy E by which the chain's end differs from back-projection's (`fidelity.blurred_energy`),
+
+    1 - coherence = E (w g)^2 at the ends / (dwell * mean of (w g)^2).
+
+Where this exceeds what the fidelity allows, edges are faded in the chain and back-projected.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from blocksar import solvers
+from blocksar.collection.beam import aperture, dwell_at
+from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.region import Region
+from blocksar.collection.weighting import Weighting
+from blocksar.planning.dwell_weights import beam_moves, taper_over_dwells
+from blocksar.planning.fidelity import blurred_energy
+
+LEAST_PULSES = 8  # over which an end fades: with fewer its spectrum reaches the Doppler of other targets
+PER_MOVE = 6.0  # the time in which an end fades, at least: over that by which it moves at the edge of the band
+PER_SMEAR = 0.25  # and over sqrt(e)
+LEAST_FADE = 2  # an edge is at most a quarter of a dwell
+PLACES = 33  # yaws at which dwells are looked at
+BEAM_NODES = 64  # of the mean over the beam
+
+
+def plan_fade(
+    geometry: Geometry, region: Region, *, fidelity: float, weighting: Weighting, band: float, keystone: bool
+) -> int:
+    """n of `focusing.dwell_edges`: half a dwell over one of its edges; 0 where whole dwells keep the fidelity.
+
+    `band` is the Doppler band that is lit at a time, Hz. In the time of a dwell the beam passes over all of it: ends of
+    dwells move along Doppler by e = dwell / band, and the steps of a chain smear them over a share of sqrt(e).
+    """
+    collection = geometry.collection
+    if not beam_moves(collection) or geometry.terrain is not None:  # edges are summed on the plane
+        return 0
+    yaw = np.linspace(region.yaw[0], region.yaw[-1], PLACES)
+    near, far = region.at(yaw)
+    first, last = dwell_at(geometry, yaw, (near + far) / 2, uncut=True)
+    start, end = aperture(collection)
+    ended = (last > first) & ((first > start) | (last < end))
+    if not ended.any():
+        return 0
+    dwell = float(np.median((last - first)[ended]))
+    moved = dwell / 2 * collection.bandwidth / (2 * collection.carrier) if keystone else 0.0
+    if edge_loss(collection, weighting, dwell, moved) <= 1 - fidelity:
+        return 0
+    smeared = math.sqrt(dwell / max(band, 1 / dwell))
+    pulses = max(LEAST_PULSES, math.ceil(max(PER_MOVE * moved, PER_SMEAR * smeared) * collection.prf))
+    return max(int(dwell * collection.prf / 2 / pulses), LEAST_FADE)
+
+
+def edge_loss(collection: Collection, weighting: Weighting, dwell: float, moved: float) -> float:
+    """Loss of coherence at the ends of a dwell (s) that move over the band by +-`moved`, s, under the best gate."""
+    interval, none = collection.pulse_interval, np.zeros(1)
+    blur = math.hypot(moved, interval / 2)
+    energy = float(blurred_energy(none, none, np.array([moved]), blur, interval, weighting.range)[0])
+    nodes, weights = solvers.gauss_legendre(BEAM_NODES)
+    v = np.concatenate([nodes, [-1.0, 1.0]])
+    squared = taper_over_dwells(collection, weighting)(v) ** 2
+    if collection.beam_offset is not None and collection.beam_pattern is not None:
+        offset = v * (collection.beam_width or 0.0) / 2
+        squared = squared * np.interp(offset, collection.beam_offset, collection.beam_pattern) ** 2
+    return float(energy * squared[-2:].mean() / (dwell * (weights * squared[:-2]).sum() / 2))

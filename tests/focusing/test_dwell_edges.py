@@ -1,0 +1,105 @@
+"""Edges of dwells: those that are summed pulse by pulse, and the windows that fade them out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.fft
+from axis_beams import axis_collection, with_patterns
+from slow_twins import back_projection, lit, offset
+
+from blocksar.arrays import ComplexArray
+from blocksar.collection.beam import inner_interval, lit_interval
+from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.weighting import Taper, Weighting
+from blocksar.focusing.dwell_edges import add_edges
+from blocksar.focusing.dwell_gate import HalfDwell, faded
+from blocksar.focusing.lines import RowPolynomial
+
+FADE = 9
+X, Y = 9000.0 + np.arange(-2.0, 3.0) * 17, np.arange(-1.0, 2.0) * 21  # m
+
+
+def noise(collection: Collection) -> ComplexArray:
+    shape = collection.n_pulse, 2 * collection.n_range_frequency
+    signal = np.random.default_rng(2).standard_normal(shape, dtype=np.float32).view(np.complex64)
+    signal[200:203] = np.nan
+    return signal
+
+
+def small(kind: str) -> Collection:
+    if kind == "axis":
+        return with_patterns(axis_collection("sliding spotlight"))
+    plain = axis_collection()
+    sign = 1.0 if kind == "scan" else -1.0
+    beam = {"beam_axis": None, "beam_steering": None, "beam_azimuth": sign * 0.06 * plain.time, "beam_width": 0.02}
+    return Collection(**{**plain.as_dict(), **beam})
+
+
+@pytest.mark.parametrize("weighting", ["uniform", "taylor:4:-35"])
+@pytest.mark.parametrize("kind", ["scan", "scan back", "axis"])
+def test_edges_are_the_sum_over_their_pulses(kind: str, weighting: str) -> None:
+    """Against the double loop, whose mean is multiplied by the sum of weights; pixels that are not owned stay."""
+    collection = small(kind)
+    geometry, signal, tapers = Geometry(collection=collection), noise(collection), Weighting.parse(weighting)
+    mesh = np.meshgrid(X, Y)
+
+    def taken(v: np.ndarray) -> np.ndarray:
+        v = np.asarray(v, np.float64)
+        return tapers.azimuth(v) - faded(tapers.azimuth, v, FADE)
+
+    plain = Collection(**{**collection.as_dict(), "beam_offset": None, "beam_pattern": None, "elevation": None,
+                          "elevation_pattern": None})  # fmt: skip
+    mean = back_projection(plain, signal, *mesh, in_range=tapers.range, in_azimuth=taken)
+    half, total = (collection.beam_width or 0.0) / 2, np.zeros(mesh[0].shape)
+    for pixel in np.ndindex(total.shape):
+        x, y = mesh[0][pixel], mesh[1][pixel]
+        there = [p for p in range(collection.n_pulse) if lit(collection, p, x, y) and not 200 <= p < 203]
+        total[pixel] = sum(float(taken(np.array(offset(collection, p, x, y) / half))) for p in there)
+    image = np.full(total.shape, 2 + 1j, np.complex64)
+    image[0, 0] = np.nan
+    before = image.copy()
+    denominator = np.full(total.shape, 40.0)
+    add_edges(
+        image, lambda pulses: signal[pulses], geometry, x=X, y=Y, lit=denominator, fade=FADE, weighting=tapers,
+        threads=2,
+    )  # fmt: skip
+    added, wanted = (image - before).ravel()[1:], (mean * total / denominator).ravel()[1:]
+    assert np.isnan(image[0, 0]) and np.abs(wanted).min() > 0
+    assert np.linalg.norm(added - wanted) < 2e-3 * np.linalg.norm(wanted)
+
+
+@pytest.mark.parametrize("kind", ["scan", "scan back", "axis"])
+def test_the_inner_interval_has_the_pulses_of_a_narrower_beam(kind: str) -> None:
+    collection = small(kind)
+    geometry, share = Geometry(collection=collection), 1 - 1 / FADE
+    mesh = np.meshgrid(X, Y)
+    first, last = inner_interval(geometry, *mesh, share)
+    outer = lit_interval(geometry, *mesh)
+    for pixel in np.ndindex(first.shape):
+        away = [abs(offset(collection, p, mesh[0][pixel], mesh[1][pixel])) for p in range(collection.n_pulse)]
+        inside = np.flatnonzero(np.array(away) <= share * (collection.beam_width or 0.0) / 2)
+        assert (first[pixel], last[pixel]) == (inside[0], inside[-1] + 1)
+        assert outer[0][pixel] <= first[pixel] < last[pixel] <= outer[1][pixel]
+
+
+@pytest.mark.parametrize("taper", ["uniform", "taylor:4:-35"])
+@pytest.mark.parametrize("backwards", [False, True])
+def test_a_faded_window_is_the_fresnel_integral_of_its_taper(taper: str, backwards: bool) -> None:
+    """The convolution with exp(1j pi u^2 / e) / sqrt(1j e), by a fine transform; the edge is passed more slowly."""
+    slope, length, step, n, edge = 2.65e-5, 0.081, 4e-6, 2**18, 1.2 / 80
+    t = (np.arange(n) - n // 4) * step
+    w, fade = Taper.parse(taper), 80
+    v = np.interp(t, [0, edge * length, length], [1, 1 - 1 / fade, 0])
+    rise = w(v) * np.sin(np.pi / 2 * np.clip(fade * (1 - v), 0, 1)) ** 2 / w(np.array(0.0))
+    window = rise * np.clip((0.6 - t) / 0.1, 0, 1)
+    kernel = np.exp(-1j * np.pi * slope * scipy.fft.fftfreq(n, step) ** 2)
+    wanted = scipy.fft.ifft(scipy.fft.fft(window) * kernel)[::50]
+    at = t[::50]
+    near = (at > -0.02) & (at < 0.12)
+    one = RowPolynomial(series=np.ones((1, 1)), near=0.0, far=1.0, centre=0.0, scale=1.0)
+    half = HalfDwell(length=one, lengths=(length,), edge=edge)
+    turn = slice(None, None, -1 if backwards else 1)
+    found = half.faded_rise(at[near][turn], length, taper=w, slope=slope, fade=fade)[turn]
+    assert np.abs(found - wanted[near]).max() < 2e-3

@@ -1,0 +1,90 @@
+"""Edges of dwells in a plan: when they are back-projected, what their fade loses, and when points pass the beam."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from axis_beams import axis_collection
+from scenes import SMALL_SCAN, scene
+
+import blocksar
+from blocksar.collection.beam import at_times, beam_offset, dwell_at, passing_at
+from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
+from blocksar.planning.fidelity import faded_energy
+
+
+@pytest.mark.parametrize(("area", "displaced"), [(0.0, 1e-4), (2e-7, 0.0), (-6e-7, 2e-4), (5e-6, -1e-3)])
+def test_the_energy_of_a_faded_end_is_that_of_its_integral(area: float, displaced: float) -> None:
+    """Integrate |F(t) - H(t - d)|^2, F smeared by a fine transform, and the mean of both signs of the displacement."""
+    step, n, duration = 2e-6, 2**17, 1e-3
+    t = (np.arange(n) - n // 2) * step
+    fall = np.clip((t - 0.1) / 0.02, 0, 1)
+
+    def rise(at: np.ndarray) -> np.ndarray:
+        return np.asarray(np.sin(np.pi / 2 * np.clip(at / duration, 0, 1)) ** 2)
+
+    frequency = np.fft.fftfreq(n, step)
+    turned = np.fft.fft(rise(t) * np.cos(np.pi / 2 * fall) ** 2) * np.exp(-1j * np.pi * area * frequency**2)
+    smeared, near = np.fft.ifft(turned), np.abs(t) < 0.05
+    totals = [np.sum(np.abs(smeared - rise(t - d))[near] ** 2) * step for d in (displaced, -displaced)]
+    found = faded_energy(np.array(area), np.array(displaced), np.array(0.0), duration)
+    assert found == pytest.approx(np.mean(totals), rel=0.01)
+
+
+def test_an_end_that_moves_over_the_band_loses_the_mean() -> None:
+    nodes, weights = np.polynomial.legendre.leggauss(4)
+    none, spread, duration = np.array(0.0), 4e-4, 1e-3
+    each = [float(faded_energy(none, np.array(node * spread), none, duration)) for node in nodes]
+    found = faded_energy(none, none, np.array(spread), duration)
+    assert found == pytest.approx(float(weights @ each) / 2, rel=1e-9)
+
+
+@pytest.mark.parametrize(("weighting", "fidelity", "faded"), [
+    ("uniform", 0.999, False),
+    ("uniform", 0.9999, True),
+    ("taylor:4:-35", 0.999, False),
+    ("taylor:4:-35", 0.999995, True),
+    ("hann", 0.999995, False),
+])  # fmt: skip
+def test_edges_fade_where_whole_dwells_do_not_keep_the_fidelity(weighting: str, fidelity: float, faded: bool) -> None:
+    report = blocksar.plan("table1", blocks=3, weighting=weighting, fidelity=fidelity)
+    assert (report.result.fade > 0) == faded
+    assert any("are back-projected" in line for line in report.summary) == faded
+    if faded:
+        whole = blocksar.plan("table1", blocks=3, weighting=weighting, fidelity=0.999).result
+        for one, other in zip(report.result.blocks, whole.blocks, strict=True):
+            assert one.prediction.dispersion_loss < other.prediction.dispersion_loss / 4
+            assert one.memory > other.memory
+
+
+def test_a_beam_that_is_not_steered_has_no_edges(tmp_path: Path) -> None:
+    path = tmp_path / "scene.toml"
+    path.write_text(scene(**SMALL_SCAN | {"steering": None, "dwell": None, "prf": 12e3}))
+    grid = ((16040.0, 16180.0, 0.5), (19120.0, 19260.0, 0.5))
+    assert blocksar.plan(path, blocks=1, weighting="taylor:4:-35", fidelity=0.999995, grid=grid).result.fade == 0
+
+
+@pytest.mark.parametrize("kind", ["squinted", "sliding spotlight", "scan", "scan back"])
+def test_points_pass_places_in_the_beam(kind: str) -> None:
+    collection = axis_collection(kind if not kind.startswith("scan") else "stripmap")
+    if kind.startswith("scan"):
+        azimuth = (0.06 if kind == "scan" else -0.06) * (collection.time + 0.05 * collection.time**2)
+        beam = {"beam_axis": None, "beam_steering": None, "beam_azimuth": azimuth}
+        collection = Collection(**{**collection.as_dict(), **beam})
+    geometry = Geometry(collection=collection)
+    yaw = (0.274 if kind == "squinted" else 0.0) + np.linspace(-2e-3, 2e-3, 5)
+    rng = np.linspace(9700, 10000, 3)[:, None]
+    first, last = dwell_at(geometry, yaw, rng, uncut=True)
+    x, y = geometry.ground_axes(rng, yaw)
+    half = (collection.beam_width or 0.0) / 2
+    for place in (-0.9, 0.0, 0.6):
+        times = passing_at(geometry, yaw, rng, place)
+        found = np.abs(at_times(geometry, x, y, times, beam_offset)) / half
+        inside = (times > collection.time[0]) & (times < collection.time[-1])
+        assert inside.mean() > 0.5
+        np.testing.assert_allclose(found[inside], abs(place), atol=1e-6)
+    for place, end in ((-1.0, first), (1.0, last)):
+        np.testing.assert_allclose(passing_at(geometry, yaw, rng, place), np.broadcast_to(end, times.shape), atol=1e-9)
