@@ -127,7 +127,9 @@ def lit_interval(geometry: Geometry, x: FloatArray, y: FloatArray) -> tuple[IntA
 
 
 def inner_interval(geometry: Geometry, x: FloatArray, y: FloatArray, share: float) -> tuple[IntArray, IntArray]:
-    """The pulses first <= p < last with |offset| <= share beam_width / 2, as `lit_interval`; equal where none has.
+    """The pulses first <= p < last with |offset| <= share beam_width / 2; equal where none has.
+
+    With a share of 1 those of `lit_interval`, but points that are lit twice are not refused.
 
     Parameters
     ----------

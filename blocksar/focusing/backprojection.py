@@ -308,7 +308,7 @@ def form_points(
     x, y = (np.ascontiguousarray(axis, np.float64).reshape(rows) for axis in (x, y))
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         raise ValueError("x and y must be finite")
-    first, last = lit_intervals(geometry, x, y, threads)
+    first, last = _lit_intervals(geometry, x, y, threads)
     image, outside = np.zeros(x.shape, np.complex64), np.zeros(x.shape, np.bool_)
     height = _relief(geometry, x, y, outside)
     in_range, over_beam, over_pulses = weighting.range, weighting.azimuth, None
@@ -428,7 +428,7 @@ def _run_tiles(work: Callable[[Tile], None], shape: tuple[int, ...], threads: in
     run_groups(work, tiles, threads)
 
 
-def lit_intervals(geometry: Geometry, x: FloatArray, y: FloatArray, threads: int) -> tuple[IntArray, IntArray]:
+def _lit_intervals(geometry: Geometry, x: FloatArray, y: FloatArray, threads: int) -> tuple[IntArray, IntArray]:
     """`lit_interval` tile by tile, so that its temporary arrays stay small."""
     first, last = np.empty(x.shape, np.int64), np.empty(x.shape, np.int64)
 

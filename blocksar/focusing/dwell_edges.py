@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from blocksar.arrays import ComplexArray, FloatArray, IntArray
+from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from blocksar.collection.beam import inner_interval
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
@@ -26,7 +26,6 @@ from blocksar.focusing.backprojection import (
     ReadPulses,
     accumulate,
     image_memory,
-    lit_intervals,
     lit_pulses,
     pulse_block_size,
     pulse_blocks,
@@ -74,7 +73,7 @@ def add_edges(
     part = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
     image, lit, owned = image[part], lit[part], owned[part]
     mesh_x, mesh_y = np.meshgrid(np.asarray(x, np.float64)[part[1]], np.asarray(y, np.float64)[part[0]])
-    edges = _edges(geometry, mesh_x, mesh_y, owned, fade, threads)
+    edges = _edges(geometry, mesh_x, mesh_y, owned, fade)
     total, weight = np.zeros(image.shape, np.complex64), np.zeros(image.shape, np.float32)
     outside = np.zeros(image.shape, np.bool_)
     wanted = np.logical_or(*(lit_pulses(*edge, collection.n_pulse) for edge in edges))
@@ -93,14 +92,14 @@ def add_edges(
 
 def edge_memory(n_pixels: int, collection: Collection, *, threads: int = 1) -> int:
     """Upper bound of the memory to add edges to an image of n_pixels, bytes, without the image."""
-    return image_memory(n_pixels, collection, threads=threads) + 8 * 4 * n_pixels
+    return image_memory(n_pixels, collection, threads=threads) + 8 * 16 * n_pixels  # and what finds lit pulses
 
 
 def _edges(
-    geometry: Geometry, x: FloatArray, y: FloatArray, owned: np.ndarray, fade: int, threads: int
+    geometry: Geometry, x: FloatArray, y: FloatArray, owned: BoolArray, fade: int
 ) -> tuple[tuple[IntArray, IntArray], tuple[IntArray, IntArray]]:
     """Pulses first <= p < last of the two edges of each pixel's dwell; none for pixels that are not owned."""
-    first, last = lit_intervals(geometry, x, y, threads)
+    first, last = inner_interval(geometry, x, y, 1.0)
     inner_first, inner_last = inner_interval(geometry, x, y, 1 - 1 / fade)
     none = inner_first >= inner_last  # a dwell that the collection's end cuts short lies within one edge
     inner_first, inner_last = np.where(none, last, inner_first), np.where(none, last, inner_last)
