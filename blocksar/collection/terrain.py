@@ -109,12 +109,14 @@ class Terrain:
         rows, along_y, inside_y = self._taps((y - self.y0) / self.dy, self.row, self.heights.shape[0])
         first, last = int(rows.min()), int(rows.max()) + 4
         strip = self.heights[first:last]
-        along = np.zeros((strip.shape[0], x.size))
+        along, part = np.zeros((strip.shape[0], x.size)), np.empty((strip.shape[0], x.size))
         for i in range(4):
-            along = along + strip[:, columns + i] * along_x[i]
-        total = np.zeros((y.size, x.size))
+            np.multiply(np.take(strip, columns + i, axis=1, out=part, mode="clip"), along_x[i], out=part)
+            along += part
+        total, part = np.zeros((y.size, x.size)), np.empty((y.size, x.size))
         for j in range(4):
-            total = total + along[rows - first + j] * along_y[j][:, None]
+            np.multiply(np.take(along, rows - first + j, axis=0, out=part, mode="clip"), along_y[j][:, None], out=part)
+            total += part
         total[~inside_y] = np.nan
         total[:, ~inside_x] = np.nan
         return total

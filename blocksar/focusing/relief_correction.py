@@ -38,7 +38,7 @@ from blocksar.kernels.groups import run_groups
 from blocksar.kernels.lanes import FEW
 from blocksar.kernels.loops import compile_for
 from blocksar.kernels.phase import Float32Array
-from blocksar.kernels.signatures import COMPILED, KEPT, PART
+from blocksar.kernels.signatures import COMPILED, KEPT, PART, UNCHECKED
 from blocksar.solvers import least_squares, product
 
 HEIGHT_DEGREE = 2  # of a tile's polynomials
@@ -210,14 +210,16 @@ def _sector(  # type: ignore[no-untyped-def]
     return n_inside > 0
 
 
-@njit(**PART, **COMPILED)
-def _combine(by_height, span, z, row, first, n, values) -> None:  # type: ignore[no-untyped-def]
+@njit(**PART, **COMPILED, **UNCHECKED)
+def _combine(by_height, span, z, row, first, n, w, values) -> None:  # type: ignore[no-untyped-def]
     """values[q] = sum_k by_height[k, q] w^k, with w the pixels' heights in the tile's span; NaN heights become 0."""
     for k in range(n):
-        w = (z[row, first + k] - span[0]) / span[1]
-        w = 0.0 if np.isnan(w) else w
-        for q in range(QUANTITIES):
-            values[q, k] = by_height[q, k] + w * (by_height[QUANTITIES + q, k] + w * by_height[2 * QUANTITIES + q, k])
+        at = (z[row, first + k] - span[0]) / span[1]
+        w[k] = 0.0 if np.isnan(at) else at
+    for q in range(QUANTITIES):
+        level, slope, curve = by_height[q], by_height[QUANTITIES + q], by_height[2 * QUANTITIES + q]
+        for k in range(w.size):
+            values[q, k] = level[k] + w[k] * (slope[k] + w[k] * curve[k])
 
 
 @njit(**KEPT, **COMPILED)
@@ -238,7 +240,7 @@ def _resample(  # type: ignore[no-untyped-def]
     row, doppler, cycles, loss, turn, middle, bend = (
         values[0], values[1], values[2], values[3], values[4], values[5], values[6],
     )  # fmt: skip
-    rng, owned = np.zeros(tile), np.empty(tile)
+    rng, owned, w = np.zeros(tile), np.empty(tile), np.zeros(tile)
     first_row, range_row, at = np.empty(tile, np.int64), np.empty(tile, np.int64), np.empty(tile, np.int64)
     first_doppler, doppler_row, carrier = np.empty(tile, np.int64), np.empty(tile, np.int64), np.empty(tile, np.int64)
     parts = np.empty((8, tile), np.float32)
@@ -254,7 +256,7 @@ def _resample(  # type: ignore[no-untyped-def]
                 continue
             along_row(coefficients, t, across[i - i0], along)
             evaluate_row(along, across, by_height)
-            _combine(by_height, spans[t], z, i, j0, n, values)
+            _combine(by_height, spans[t], z, i, j0, n, w, values)
             for k in range(n):
                 away = 0.0 if np.isnan(rng[k]) else rng[k] - origin
                 row[k] += away * per_row
