@@ -163,7 +163,8 @@ def refined(
         phase = sample_phase(sharp.some(half), weights[half])
         estimates.append(phase - knots.smooth(phase[:, None])[:, 0])
     fine = believed(*estimates)
-    return smooth + sight * (fine.phase / wavenumber)[:, None] - before, fine.error
+    error = fine.error if work.decimation == 1 else float(np.hypot(fine.error, fine.beyond))
+    return smooth + sight * (fine.phase / wavenumber)[:, None] - before, error
 
 
 def halves(chips: Chips) -> tuple[IntArray, IntArray]:

@@ -19,15 +19,20 @@ from blocksar.kernels.fourier import fft_rows
 
 TURNS = 4  # of points' own phases and the shared one
 BANDS = 8  # of frequencies, at most
+OFF_END = 3  # from the last band: the one from which power beyond is told, not dimmed by the chips' low-pass
 LEAST_BINS = 8  # of a band
 DOUBT = 3.0  # standard deviations of the halves' common power in noise that are not believed
 
 
 class FinePhase(NamedTuple):
-    """A phase (n_sample,), rad, and the error that is expected of it, rad rms."""
+    """A phase (n_sample,), rad; the error that is expected of it, and what it has beyond its samples, rad rms.
+
+    The latter as of a random walk, whose power falls with the square of frequency: it goes on beyond the samples' rate.
+    """
 
     phase: FloatArray
     error: float
+    beyond: float
 
 
 def sample_phase(chips: Chips, weights: FloatArray) -> FloatArray:
@@ -84,13 +89,16 @@ def believed(first: FloatArray, second: FloatArray) -> FinePhase:
     common = (spectra[0] * np.conj(spectra[1])).real
     mean = np.abs(spectra.sum(axis=0) / 2) ** 2
     half = n // 2 + 1
-    gain, error = np.zeros(n), 0.0
-    for band in np.array_split(np.arange(half), max(min(BANDS, half // LEAST_BINS), 1)):
+    gain, error, beyond = np.zeros(n), 0.0, 0.0
+    bands = np.array_split(np.arange(half), max(min(BANDS, half // LEAST_BINS), 1))
+    for number, band in enumerate(bands):
         signal, power = float(common[band].mean()), float(mean[band].mean())
         noise = max(power - signal, 0.0)
         share = signal / power if power > 0 and signal > DOUBT * noise * np.sqrt(2 / band.size) else 0.0
         share = min(max(share, 0.0), 1.0)
         gain[band], gain[-band] = share, share
         error += band.size * share * noise
+        if number == max(len(bands) - OFF_END, 0):
+            beyond = share * power * float(band.mean()) ** 2 / half
     phase = fft_rows((spectra.sum(axis=0, keepdims=True) / 2 * gain), inverse=True)[0].real
-    return FinePhase(np.asarray(phase), float(np.sqrt(2 * error) / n))
+    return FinePhase(np.asarray(phase), float(np.sqrt(2 * error) / n), float(np.sqrt(2 * beyond) / n))
