@@ -12,10 +12,11 @@ from blocksar.autofocusing import range_lines
 from blocksar.autofocusing.correction import between_samples
 from blocksar.autofocusing.selection import Points
 from blocksar.autofocusing.work import Work, low_pass
-from blocksar.kernels.fourier import fast_length
+from blocksar.kernels.fourier import fast_length, fft_rows
 from blocksar.kernels.groups import run_groups
 
 POINTS_AT_ONCE = 4  # that a thread takes
+PLACE_PADDING = 2.0  # Doppler cells for each sample, between which the brightest is interpolated
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,6 +49,8 @@ class Chips:
         Samples of a chip: first <= m < first + count.
     sight : (n_point, n, 3) float
         Unit vectors from the antenna to the point.
+    distance : (n_point, n) float
+        From the antenna to the point, m.
     """
 
     work: Work
@@ -56,6 +59,7 @@ class Chips:
     first: IntArray
     count: IntArray
     sight: FloatArray
+    distance: FloatArray
 
     @property
     def index(self) -> IntArray:
@@ -65,7 +69,7 @@ class Chips:
 
     def some(self, which: IntArray) -> Chips:
         """The chips of some points."""
-        parts = {name: getattr(self, name)[which] for name in ("values", "first", "count", "sight")}
+        parts = {name: getattr(self, name)[which] for name in ("values", "first", "count", "sight", "distance")}
         return replace(self, **parts)
 
     def corrected(self, displacement: FloatArray) -> Chips:
@@ -109,8 +113,23 @@ class Chips:
         time = np.interp(middle, np.arange(self.time.size), self.time)
         index = np.minimum(first[:, None] + np.arange(n), n_sample - 1) * factor + factor // 2 - self.first[:, None]
         index = np.clip(index, 0, self.values.shape[2] - 1)
-        sight = np.take_along_axis(self.sight, index[..., None], axis=1)
-        return replace(self, time=time, values=values, first=first, count=count, sight=sight)
+        sight, distance = (
+            np.take_along_axis(array, at, axis=1)
+            for array, at in ((self.sight, index[..., None]), (self.distance, index))
+        )
+        return replace(self, time=time, values=values, first=first, count=count, sight=sight, distance=distance)
+
+    def recentred(self, displacement: FloatArray) -> Chips:
+        """The chips about their brightest scatterers: the phase of these' own ranges removed instead of the points'.
+
+        A scatterer that lies aside of its point has a phase with more than a constant and a line, which would otherwise
+        be taken for an error of the track. Where it lies is seen with a displacement (n_sample, 3), m, corrected.
+        """
+        away = brightest_places(self.corrected(displacement))
+        vector = self.sight * self.distance[..., None] + np.pad(away, ((0, 0), (0, 1)))[:, None]
+        distance = np.sqrt((vector * vector).sum(axis=2))
+        turn = np.exp(1j * self.work.wavenumber * (distance - self.distance)).astype(np.complex64)
+        return replace(self, values=self.values * turn[:, None], sight=vector / distance[..., None], distance=distance)
 
 
 def take_chips(
@@ -177,5 +196,47 @@ def join_chips(work: Work, points: Points, parts: Sequence[ChipPart], displaceme
     index = np.minimum(lit_first[:, None] + np.arange(n), work.n_sample - 1)
     place = np.stack([points.x, points.y, np.full(points.x.size, collection.ground_height)], axis=1)
     sight = place[:, None] - position[index]
-    sight /= np.sqrt((sight * sight).sum(axis=2, keepdims=True))
-    return Chips(work=work, time=work.sample_times, values=values, first=lit_first, count=count, sight=sight)
+    distance = np.sqrt((sight * sight).sum(axis=2))
+    sight /= distance[..., None]
+    return Chips(
+        work=work, time=work.sample_times, values=values, first=lit_first, count=count, sight=sight, distance=distance
+    )
+
+
+def brightest_places(chips: Chips) -> FloatArray:
+    """Where the brightest scatterer of each chip lies from its point on the ground, (n_point, 2), m.
+
+    Its line tells the range, and its Doppler the range rate. 0 where they tell no place within the chip.
+    """
+    work, (n_point, n_line, n) = chips.work, chips.values.shape
+    interval = float(chips.time[-1] - chips.time[0]) / (chips.time.size - 1)
+    away = np.zeros((n_point, 2))
+    length = fast_length(PLACE_PADDING * n)
+    reach = n_line / 2 * work.settings.line_spacing * work.cell
+    for i in range(n_point):
+        padded = np.zeros((n_line, length), np.complex64)
+        padded[:, :n] = chips.values[i]
+        power = np.abs(fft_rows(padded, inverse=False)) ** 2
+        line, cell = np.unravel_index(int(power.argmax()), power.shape)
+        beside = _vertex(power[max(line - 1, 0) : line + 2, cell])
+        finer = _vertex(power[line, [cell - 1, cell, (cell + 1) % length]])
+        rate = 2 * np.pi * ((cell + finer + length / 2) % length - length / 2) / (length * interval)
+        offset = (line + beside - n_line // 2) * work.settings.line_spacing * work.cell
+        middle = min(max(int(chips.count[i]) // 2, 1), n - 2)
+        sight, turned = chips.sight[i, middle, :2], chips.sight[i, middle + 1, :2] - chips.sight[i, middle - 1, :2]
+        turned = turned / (2 * interval)
+        determinant = sight[0] * turned[1] - sight[1] * turned[0]
+        if power.max() > 0 and abs(determinant) > 0:
+            slow = -rate / work.wavenumber
+            moved = np.array([offset * turned[1] - slow * sight[1], slow * sight[0] - offset * turned[0]]) / determinant
+            if np.isfinite(moved).all() and abs((moved * sight).sum()) < reach:
+                away[i] = moved
+    return away
+
+
+def _vertex(values: FloatArray) -> float:
+    """Where a parabola through three values is highest, from the middle one, in steps; 0 for fewer values."""
+    if values.size < 3:
+        return 0.0
+    bend = float(values[0]) - 2 * float(values[1]) + float(values[2])
+    return float(np.clip((float(values[0]) - float(values[2])) / (2 * bend), -0.5, 0.5)) if bend < 0 else 0.0

@@ -182,7 +182,8 @@ def _narrowing(work: Work, n_interval: int) -> int:
 
 def shared_error(chips: Chips, weights: FloatArray, threads: int = 1) -> FloatArray:
     """Displacement (n_sample, 3), m, that sharpens chips."""
-    return by_entropy(chips, by_phase_gradient(chips, weights), weights, threads)
+    found = by_phase_gradient(chips, weights)
+    return by_entropy(chips.recentred(found), found, weights, threads)
 
 
 def estimate(
@@ -195,6 +196,7 @@ def estimate(
     found = by_phase_gradient(chips, weights)
     if _entropy(chips.corrected(found), weights, threads) > _entropy(chips, weights, threads):
         found = np.zeros_like(found)  # the chips are sharper than what the phase gradient can do
+    chips = chips.recentred(found)
     found = by_entropy(chips, found, weights, threads)
     found, fine_error = refined(chips, found, before, weights)
     corrected = chips.corrected(found)

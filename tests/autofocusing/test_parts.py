@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-from blocksar.autofocusing.chips import Chips
+from blocksar.autofocusing.chips import Chips, brightest_places
 from blocksar.autofocusing.correction import Knots, between_samples
 from blocksar.autofocusing.entropy import PADDING, entropies
 from blocksar.autofocusing.estimation import Polish, without_line
@@ -50,6 +50,7 @@ def synthetic_chips(work: Work, phase: np.ndarray, *, points: int = 12, length: 
         first=first,
         count=np.full(points, length, np.int64),
         sight=sight,
+        distance=np.full((points, length), 6000.0),
     )  # fmt: skip
 
 
@@ -193,3 +194,24 @@ def test_narrowed_chips_keep_slow_phases(work: Work) -> None:
     before = np.abs(np.fft.fft(chips.values[5, 3])).max()
     after = np.abs(np.fft.fft(narrow.values[5, 3])).max()
     assert after == pytest.approx(before / 4, rel=0.1)
+
+
+def test_chips_about_their_brightest_scatterers(work: Work) -> None:
+    """A scatterer aside of its point leaves more than a line, until its own range is removed instead."""
+    away, n = np.array([0.8, 3.0]), work.n_sample  # m
+    antenna = work.geometry.collection.antenna_position
+    place = np.array([6010.0, -20.0, 0.0])
+    sights = [place + shift - antenna for shift in (np.zeros(3), np.append(away, 0.0))]
+    distance, true = (np.linalg.norm(sight, axis=1)[None] for sight in sights)
+    values = 1e-3 * noise(1, 7, n)
+    for line in range(7):
+        offset = (line - 3) * work.settings.line_spacing - (true - distance)[0].mean() / work.cell
+        values[0, line] += np.sinc(offset) * np.exp(-1j * work.wavenumber * (true - distance)[0])
+    chips = Chips(
+        work=work, time=work.sample_times, values=values, first=np.zeros(1, np.int64), count=np.full(1, n, np.int64),
+        sight=(sights[0] / distance[0][:, None])[None], distance=distance,
+    )  # fmt: skip
+    assert brightest_places(chips)[0] == pytest.approx(away, abs=0.2)
+    recentred = chips.recentred(np.zeros((n, 3)))
+    left = np.unwrap(np.angle(recentred.values[0, 4]))
+    assert np.ptp(without_line(left)) < 0.05 < np.ptp(without_line(np.unwrap(np.angle(values[0, 4]))))
