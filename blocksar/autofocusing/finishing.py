@@ -17,8 +17,8 @@ from blocksar.autofocusing.selection import Points, Refused
 from blocksar.autofocusing.work import Work
 from blocksar.kernels.fourier import fft_rows
 
-# Each half has twice the variance of the whole, and their difference four times that: one half. But both halves share what
-# points do to each other and what splines leave: measured errors are 0.5 to 1.2 of the difference.
+# Each half has twice the variance of the whole, and their difference four times that: one half. But both halves share
+# what points do to each other and what splines leave: measured errors are 0.5 to 1.2 of the difference.
 HALVES_TO_WHOLE = 0.75
 PICTURES = 6  # points whose chips are kept for pictures
 
