@@ -1,9 +1,9 @@
 """blocksar: focus squint-TOPS synthetic aperture radar data by angular blocks, in parallel.
 
-The functions correspond to the commands: `simulate`, `ingest`, `info`, `preview`, `check`, `plan`, `focus`, `quality`,
-`report`, `export` and `compile`; `open` returns a finished image; `collection` builds a phase history from arrays, and
-`write` stores it. They are loaded on first use, so that `import blocksar` is fast. They raise `InputError` if the input
-is wrong, and `ProcessingError` if processing failed and the same call can resume it.
+The functions correspond to the commands: `simulate`, `ingest`, `info`, `preview`, `check`, `autofocus`, `plan`,
+`focus`, `quality`, `report`, `export` and `compile`; `open` returns a finished image; `collection` builds a phase
+history from arrays, and `write` stores it. They are loaded on first use, so that `import blocksar` is fast. They raise
+`InputError` if the input is wrong, and `ProcessingError` if processing failed and the same call can resume it.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from blocksar.version import __version__
 
 if TYPE_CHECKING:
     from blocksar.api import (
+        autofocus,
         check,
         collection,
         compile,
@@ -40,6 +41,7 @@ __all__ = [
     "InputError",
     "ProcessingError",
     "__version__",
+    "autofocus",
     "check",
     "collection",
     "compile",

@@ -1,8 +1,9 @@
-"""The commands as functions: simulate, ingest, check, plan, focus, quality, report, export, open, info, preview, demo,
-compile; and collection and write, for data in memory.
+"""The commands as functions: simulate, ingest, check, autofocus, plan, focus, quality, report, export, open, info,
+preview, demo, compile; and collection and write, for data in memory.
 
-One module for each stage: `sources`, `datasets`, `describing` (with `facts`), `previewing`, `checking`, `planning`,
-`focusing` (with `jobs`), `measuring`, `exporting`, `demonstrating`, `compiling`. They share `arguments` and `reports`.
+One module for each stage: `sources`, `datasets`, `describing` (with `facts`), `previewing`, `checking`, `autofocusing`
+(with `tracks`), `planning`, `focusing` (with `jobs`), `measuring`, `exporting`, `demonstrating`, `compiling`. They
+share `arguments` and `reports`.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from blocksar.garbage import uncollected
 
 if TYPE_CHECKING:
+    from blocksar.api.autofocusing import autofocus
     from blocksar.api.checking import check
     from blocksar.api.compiling import compile
     from blocksar.api.datasets import collection, write
@@ -29,16 +31,17 @@ if TYPE_CHECKING:
 
 # The module of each function: it is loaded on first use, since a command needs one of them.
 _HOMES = {
-    "PlanReport": "shown", "Report": "reports", "RunReport": "shown", "check": "checking", "collection": "datasets",
-    "compile": "compiling", "demo": "demonstrating", "export": "exporting", "focus": "focusing", "info":
-    "describing", "ingest": "sources", "ingest_cphd": "sources", "ingest_gotcha": "sources", "open": "exporting",
-    "plan": "planning", "preview": "previewing", "quality": "measuring", "report": "exporting", "simulate":
-    "sources", "write": "datasets",
+    "PlanReport": "shown", "Report": "reports", "RunReport": "shown", "autofocus": "autofocusing", "check": "checking",
+    "collection": "datasets", "compile": "compiling", "demo": "demonstrating", "export": "exporting",
+    "focus": "focusing", "info": "describing", "ingest": "sources", "ingest_cphd": "sources",
+    "ingest_gotcha": "sources", "open": "exporting", "plan": "planning", "preview": "previewing",
+    "quality": "measuring", "report": "exporting", "simulate": "sources", "write": "datasets",
 }  # fmt: skip
 __all__ = [
     "PlanReport",
     "Report",
     "RunReport",
+    "autofocus",
     "check",
     "collection",
     "compile",

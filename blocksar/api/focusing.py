@@ -24,6 +24,7 @@ from blocksar.api.joint import channels_of, focus_channels
 from blocksar.api.planning import undersampling
 from blocksar.api.rehearsing import rehearse
 from blocksar.api.shown import RunReport
+from blocksar.api.tracks import control_points, track_corrected
 from blocksar.budget import FIDELITY
 from blocksar.collection.terrain import Surface
 from blocksar.collection.weighting import Weighting
@@ -35,6 +36,7 @@ from blocksar.graph.machine import Resources, resources
 from blocksar.graph.segments import Segment
 from blocksar.graph.stages import Recovered
 from blocksar.ingestion.terrain.reading import Ground, coverage_note
+from blocksar.measurement.targets import Target
 from blocksar.places import Location, place
 from blocksar.places.place import Place
 from blocksar.planning.tiling import image_chunk
@@ -78,6 +80,8 @@ def focus(
     terrain: Location | None = None,
     surface: Surface = "plane",
     vertical: str | None = None,
+    autofocus: bool = False,
+    control: Location | Sequence[Target] | None = None,
     workers: int | None = None,
     threads: int | None = None,
     memory_limit: int | str | None = None,
@@ -87,7 +91,7 @@ def focus(
     progress: Progress | None = None,
     performance_report: str | Path | None = None,
     client: Client | None = None,
-) -> RunReport:
+) -> RunReport:  # longer than most: it hands on every setting by its name
     """Focus a phase history into a run folder; an unfinished run of the same settings and input there is resumed.
 
     Parameters
@@ -132,6 +136,10 @@ def focus(
     vertical : str, optional
         What a GeoTIFF's heights are measured from, if it does not say so: "ellipsoid", "egm96" or "egm2008"; or
         "egm2008:FILE" with the geoid's grid. Needed for such a file only.
+    autofocus : bool
+        Correct the track from the samples first, as `autofocus` does. Default: False.
+    control : path or sequence of Target, optional
+        With `autofocus`: points at known places, which anchor the track. Default: none.
     workers : int, optional
         Processes of the local cluster; 0: the calling process does the work, without a cluster. Default: the number of
         cores, at most 4; in a notebook or another interactive session 0 for a collection of at most 2**24 samples.
@@ -189,6 +197,8 @@ def focus(
         grid=grid_of(grid),
         overwrite=overwrite,
         ground=Ground(terrain=terrain, surface=surface, vertical=vertical),
+        autofocus=autofocus,
+        control=control_points(control, used=autofocus),
     )
     if profile is not None:
         recording.check_recordable(profile, client)
@@ -223,7 +233,9 @@ def focus(
             return _report_finished(request.folder, record, claimed=True)
         if here:
             connected = cluster.open_here(listener)
-        return _focus(request, record, machine, connected, listener, profile)
+        with track_corrected(request, machine, connected, listener) as (corrected, said):
+            report = _focus(corrected, record, machine, connected, listener, profile)
+        return replace(report, summary=[*said, *report.summary])
 
 
 def _report_finished(folder: Place, record: RunRecord, *, claimed: bool = False) -> RunReport:

@@ -25,6 +25,7 @@ from blocksar.focusing.range_compression import RawCompression
 from blocksar.graph.machine import Resources
 from blocksar.graph.segments import Segment
 from blocksar.ingestion.terrain.reading import Ground
+from blocksar.measurement.targets import Target
 from blocksar.places import place
 from blocksar.places.place import Place
 from blocksar.planning import effort
@@ -72,6 +73,10 @@ class Request:
         The ground itself, under the grid; None for the plane.
     overwrite : bool
         Whether to replace a run of other settings or another input.
+    autofocus : bool
+        Whether the track is corrected first.
+    control : sequence of Target
+        Points that anchor it.
     """
 
     histories: tuple[stores.PhaseHistory, ...]
@@ -85,6 +90,8 @@ class Request:
     overwrite: bool
     ground: Ground = PLANE
     terrain: Terrain | None = None
+    autofocus: bool = False
+    control: Sequence[Target] = ()
 
     @classmethod
     def open(
@@ -99,6 +106,8 @@ class Request:
         grid: Grid | None,
         overwrite: bool,
         ground: Ground = PLANE,
+        autofocus: bool = False,
+        control: Sequence[Target] = (),
     ) -> Request:
         """Open the phase histories; nothing is written.
 
@@ -127,7 +136,7 @@ class Request:
         return cls(
             histories=histories, folder=folder, method=method, blocks=blocks, fidelity=fidelity, weighting=weighting,
             grid=grid, fingerprints=tuple(fingerprint for _, fingerprint in opened), overwrite=overwrite, ground=ground,
-            terrain=terrain,
+            terrain=terrain, autofocus=autofocus, control=control,
         )  # fmt: skip
 
     @property
@@ -152,6 +161,9 @@ class Request:
             "weighting_azimuth": self.weighting.azimuth.text,
             "grid": None if self.grid is None else list(grid_numbers(self.grid)),
             **ground_settings(self.ground, self.terrain),
+            # Not in runs without them, also those of earlier versions.
+            **({"autofocus": True} if self.autofocus else {}),
+            **({"control": records_of(self.control)} if self.control else {}),
         }
 
     def identity(self, division: Division) -> str:
@@ -436,6 +448,11 @@ def _divided(earlier: RunRecord | None) -> tuple[Divided, ...] | None:
     if earlier.plan.blocks is None:
         return None
     return (Divided(0, None, earlier.plan.blocks, earlier.plan.parts or 1),)
+
+
+def records_of(control: Sequence[Target]) -> list[list[str | float]]:
+    """Control points as settings hold them: name, x, y, real and imaginary part of the reflectivity."""
+    return [[t.name, t.x, t.y, t.reflectivity.real, t.reflectivity.imag] for t in control]
 
 
 def predicted_blocks(plan: Plan) -> tuple[PredictedBlock, ...]:

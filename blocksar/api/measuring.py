@@ -33,6 +33,7 @@ from blocksar.places.place import Place
 from blocksar.runs.finished import FinishedRun, folder_of
 from blocksar.runs.folder import INPUT
 from blocksar.runs.record import RunPlan
+from blocksar.runs.track import TrackCorrection
 from blocksar.simulation.scene import Scene
 
 WORST = 10  # targets that are shown of more
@@ -116,6 +117,10 @@ def measure(
     lines = [*_weighting_lines(weighting, run.collection.has_pattern), *_count_line(responses)] if responses else []
     if not responses:
         lines.append("the collection names no targets: give --targets FILE to measure some, or --found N to find some")
+    if run.track is not None:
+        result["autofocus"] = dict(run.track.figures)
+        others.append(_track_table(run.track))
+        lines += run.track.sentences()
     if run.attrs.get("scene") == "table1" and responses:
         result["table3"] = {name: row._asdict() for name, row in TABLE3.items()}
         others.append(_table3(responses))
@@ -276,6 +281,19 @@ def _table3(responses: Sequence[PointResponse]) -> Table:
             f"{r.range_irw:.2f}", f"{p.range_irw:.2f}", f"{r.azimuth_pslr:.2f}", f"{p.azimuth_pslr:.2f}",
             f"{r.azimuth_islr:.2f}", f"{p.azimuth_islr:.2f}", f"{r.azimuth_irw:.2f}", f"{p.azimuth_irw:.2f}",
         ])  # fmt: skip
+    return header, rows
+
+
+def _track_table(track: TrackCorrection) -> Table:
+    """What was taken off the track, axis by axis, mm."""
+    header = ("track's error", "at the first pulse (mm)", "in the middle (mm)", "at the last pulse (mm)", "r.m.s. (mm)",
+              "largest uncertainty (mm)")  # fmt: skip
+    middle = track.time.size // 2
+    rows = []
+    for axis, name in enumerate("xyz"):
+        error, spread = 1e3 * track.error[:, axis], 1e3 * track.uncertainty[:, axis]
+        figures = (error[0], error[middle], error[-1], np.sqrt(np.mean(error * error)), spread.max())
+        rows.append([name, *(f"{value:.2f}" for value in figures)])
     return header, rows
 
 

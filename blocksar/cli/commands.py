@@ -13,6 +13,7 @@ import typer
 
 from blocksar.api.parsing import parse_grid, parse_memory_limit, parse_origin
 from blocksar.budget import FIDELITY
+from blocksar.cli.autofocusing import autofocus
 from blocksar.cli.configuration import ConfigOption, PrintConfig, configuration
 from blocksar.cli.display import hint, show
 from blocksar.cli.endings import WRONG_INPUT, Commands, catch_signals, complain
@@ -21,10 +22,12 @@ from blocksar.cli.ingesting import ingest
 from blocksar.cli.listening import listening
 from blocksar.cli.options import (
     PROCESSORS,
+    AutofocusOption,
     AzimuthWeighting,
     Blocks,
     Channel,
     ColourMap,
+    Control,
     Everything,
     Explain,
     Fidelity,
@@ -37,6 +40,7 @@ from blocksar.cli.options import (
     Quiet,
     RangeWeighting,
     Run,
+    Scheduler,
     StoreOut,
     SurfaceOption,
     TerrainOption,
@@ -312,6 +316,9 @@ def preview(
     hint(context, "plan", source, *(["--grid", grid] if grid else []))
 
 
+app.command()(autofocus)
+
+
 @app.command()
 @method_options
 def focus(
@@ -330,12 +337,12 @@ def focus(
     terrain: TerrainOption = None,
     surface: SurfaceOption = "plane",
     vertical: VerticalOption = None,
+    autofocus: AutofocusOption = False,
+    control: Control = None,
     workers: Workers = None,
     threads: Threads = None,
     memory_limit: MemoryLimit = None,
-    scheduler: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Use this dask scheduler instead of a local cluster.")
-    ] = None,
+    scheduler: Scheduler = None,
     performance_report: PerformanceReport = None,
     overwrite: Overwrite = False,
     config: ConfigOption = None,
@@ -376,6 +383,8 @@ def focus(
             surface=surface,
             vertical=vertical,
             **method,
+            autofocus=autofocus,
+            control=control,
             threads=threads,
             scheduler=scheduler,
             overwrite=overwrite,

@@ -77,6 +77,16 @@ Threads = Annotated[
 MemoryLimit = Annotated[
     str | None, typer.Option(metavar="SIZE", help="Memory per worker, such as 2GiB; default: its share.")
 ]
+AutofocusOption = Annotated[
+    bool, typer.Option("--autofocus", help="Correct the track from the samples first; see blocksar autofocus.")
+]
+Control = Annotated[
+    str | None,
+    typer.Option(metavar="FILE", help="With autofocus: JSON file of points at known places, which anchor the track."),
+]
+Scheduler = Annotated[
+    str | None, typer.Option(metavar="ADDRESS", help="Use this dask scheduler instead of a local cluster.")
+]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an existing output.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress, and no next command.")]
 Everything = Annotated[bool, typer.Option("--all", help="Show all rows and columns of the tables.")]

@@ -26,6 +26,8 @@ from blocksar.planning.tiling import image_chunk, inspection_width
 
 MEMORY_SHARE = 0.8  # fraction of a worker's limit that a plan may fill
 PROCESS_MEMORY = 288 * MIB  # a worker's interpreter and libraries, without samples
+PROFILES = 3 * 2  # bytes of range profiles and their copies, for each of the samples, which are zero-padded twofold
+TRACK_MEMORY = 96 * MIB  # chips of all points, and the information in them
 
 
 def checked_back_projection_memory(collection: Collection, grid: Grid, threads: int, memory_limit: int) -> int:
@@ -63,6 +65,12 @@ def compression_memory(collection: Collection, raw: RawEcho | None) -> int:
     echo, band = raw.fast_time.size, collection.range_frequency.size
     pulses = 8 * TILE[0] * (2 * echo + 2 * band)  # as arrays, and as chunks read and written
     return PROCESS_MEMORY + pulses + COMPRESSED_ROWS * (8 * echo + 5 * 16 * band)
+
+
+def track_memory(collection: Collection, n_pulse: int, threads: int) -> int:
+    """Peak memory of a worker that looks for points in `n_pulse` pulses, or takes chips of them, bytes."""
+    samples = 8 * n_pulse * collection.n_range_frequency
+    return PROCESS_MEMORY + TRACK_MEMORY + (2 + PROFILES) * samples  # as an array, and as chunks read
 
 
 def back_projection_memory(collection: Collection, grid: Grid, *, threads: int) -> int:

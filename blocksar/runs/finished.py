@@ -22,6 +22,7 @@ from blocksar.measurement.noise import NoiseFigures
 from blocksar.places.place import Place
 from blocksar.runs.folder import member
 from blocksar.runs.record import RECORD, RunRecord
+from blocksar.runs.track import ATTRIBUTE, TrackCorrection
 
 Int16Array = np.ndarray[tuple[int, ...], np.dtype[np.int16]]
 NOISE_POINTS = 64  # a side, at which the noise of an image is read for its figures
@@ -195,6 +196,18 @@ class FinishedRun:
         """The tapers over band and dwell; none in runs of earlier versions."""
         chosen = [str(self.record.settings.get(f"weighting_{axis}", "uniform")) for axis in ("range", "azimuth")]
         return Weighting.parse(range=chosen[0], azimuth=chosen[1])
+
+    @cached_property
+    def track(self) -> TrackCorrection | None:
+        """How the track was corrected from the samples; None if it was not.
+
+        Raises
+        ------
+        InputError
+            If the attribute is damaged.
+        """
+        attribute = self.attrs.get(ATTRIBUTE)
+        return None if attribute is None else TrackCorrection.of(attribute, str(self.folder / "collection.zarr"))
 
     @cached_property
     def spacing(self) -> tuple[float, float]:

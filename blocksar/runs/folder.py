@@ -43,9 +43,11 @@ OWN = (
     "mosaic.png",
     "contours.png",
 )
-TEMPORARY = ("receipts", "compressed.zarr", "gated", "scratch")  # those of OWN that a finished run does not need
+SCRATCH = "scratch"
+TRACK = "autofocus"  # the estimate of the track's error, which comes before all else
+TEMPORARY = ("receipts", "compressed.zarr", "gated", SCRATCH, TRACK)  # what a finished run does not need
 INTERMEDIATE = ("spectrum.zarr", "patches")  # those of OWN that nothing reads once a run is finished
-LEFT_ALONE = ("phase_history.zarr",)  # may lie in the folder of a new run: `demo` puts its input there
+LEFT_ALONE = ("phase_history.zarr", TRACK)  # may lie in the folder of a new run: `demo` puts its input there
 LOCK, ASIDE = "run.lock", ".replaced"
 
 
@@ -273,11 +275,11 @@ def discard_intermediate(folder: Place) -> None:
 
 def scratch(folder: Place) -> str | None:
     """Return a folder for temporary files of own workers; None where there can be none that dask accepts."""
-    path = str(folder / "scratch")
+    path = str(folder / SCRATCH)
     if not isinstance(folder, LocalPlace) or not path.isprintable():
         return None
     with suppress(OSError):
-        (folder / "scratch").remove()
+        (folder / SCRATCH).remove()
         os.makedirs(path)
         return path
     return None

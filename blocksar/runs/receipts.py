@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -111,12 +111,10 @@ class Run:
     def intact(self, receipt: Receipt) -> bool:
         """Read everything that a unit wrote, and tell whether it still has the checksums of the receipt."""
         try:
-            return self._same_files(receipt.files) and all(part.intact(self.folder) for part in receipt.written)
+            same = stores.same_files(self.folder, receipt.files)
+            return same and all(part.intact(self.folder) for part in receipt.written)
         except (InputError, OSError, ValueError, IndexError):
             return False
-
-    def _same_files(self, checksums: Mapping[str, str]) -> bool:
-        return all(stores.file_checksum(self.folder / name) == checksum for name, checksum in checksums.items())
 
     def file_checksums(self, store: Place, *, volatile: Sequence[str] = ()) -> dict[str, str]:
         """Return the checksums of a new store's files (metadata and coordinates) by path relative to the run folder.

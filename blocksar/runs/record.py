@@ -174,6 +174,7 @@ def _stage_of(unit: str, *, back_projection: bool) -> str:
 
 # Figures of a block that records of earlier versions lack.
 _BEFORE = {"weighting_range": "uniform", "weighting_azimuth": "uniform", "surface": "plane"}  # of older runs
+_IF_USED = ("autofocus", "control")  # settings that only runs with them have
 _ADDED = (
     "bias", "quadratic_phase", "resolution", "track_phase", "coherence", "phase_loss", "range_loss",
     "dispersion_loss", "track_loss", "ideal_pslr",
@@ -475,7 +476,8 @@ class RunRecord:
         """Tell how a run with these settings and this input differs from the recorded one; None if it does not."""
         if self.format != FORMAT:
             return f"format {self.format!r}"
-        recorded = {name: (_BEFORE | dict(self.settings)).get(name) for name in settings}
-        if changed := {name: value for name, value in recorded.items() if value != settings[name]}:
+        own = _BEFORE | dict(self.settings)
+        recorded = {name: own.get(name) for name in (*settings, *(name for name in _IF_USED if name in own))}
+        if changed := {name: value for name, value in recorded.items() if value != settings.get(name)}:
             return ", ".join(f"{name} {value!r}" for name, value in changed.items())
         return None if self.input.fingerprint == fingerprint else "another input"

@@ -18,7 +18,16 @@ from __future__ import annotations
 
 from blocksar.stores.channels import check_channels, number_of, with_channels, without_unseen
 from blocksar.stores.chunk_files import Array, Region
-from blocksar.stores.creation import UNFINISHED, create
+from blocksar.stores.copying import (
+    ORIGINAL,
+    copy_files,
+    files_to_copy,
+    groups_of,
+    publish,
+    same_files,
+    write_track,
+)
+from blocksar.stores.creation import UNFINISHED, create, refuse_existing
 from blocksar.stores.datasets import CONTENT, DatasetHistory, dataset_of, history_in_memory, history_of
 from blocksar.stores.history_creation import create_phase_history, history_line, write_collection
 from blocksar.stores.phase_history import PhaseHistory, open_dataset, open_phase_history, read_collection
@@ -52,6 +61,7 @@ __all__ = [
     "HEIGHT",
     "IMAGE",
     "NOISE",
+    "ORIGINAL",
     "PATCH",
     "PHASE_HISTORY",
     "RAW_ECHO",
@@ -68,10 +78,13 @@ __all__ = [
     "checksum",
     "checksum_bytes",
     "chunk_shape",
+    "copy_files",
     "create",
     "create_phase_history",
     "dataset_of",
     "file_checksum",
+    "files_to_copy",
+    "groups_of",
     "history_in_memory",
     "history_line",
     "history_of",
@@ -80,10 +93,13 @@ __all__ = [
     "number_of",
     "open_dataset",
     "open_phase_history",
+    "publish",
     "read_collection",
     "read_json",
     "read_region",
     "read_terrain",
+    "refuse_existing",
+    "same_files",
     "share_region",
     "terrain_fingerprint",
     "with_channels",
@@ -92,5 +108,6 @@ __all__ = [
     "write_json",
     "write_region",
     "write_terrain",
+    "write_track",
     "write_truth",
 ]

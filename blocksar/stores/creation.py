@@ -84,7 +84,7 @@ def create(
         _create_objects(place, files, metadata, fill, overwrite=overwrite)
         return
     assert isinstance(place, LocalPlace)
-    with _replacing(place.path, overwrite=overwrite) as part:
+    with replacing(place.path, overwrite=overwrite) as part:
         for key, data in {**files, "zarr.json": metadata}.items():
             put_file(part / key, data)
         if fill is not None:
@@ -179,7 +179,7 @@ def _variable_attrs(
 
 
 @contextmanager
-def _replacing(path: Path, *, overwrite: bool) -> Iterator[LocalPlace]:
+def replacing(path: Path, *, overwrite: bool) -> Iterator[LocalPlace]:
     """Yield a temporary name beside a folder: it replaces the folder if the block succeeds, else it is removed."""
     part, old = temporary_name(path, "part"), temporary_name(path, "old")
     try:
@@ -209,6 +209,14 @@ def _replacing(path: Path, *, overwrite: bool) -> Iterator[LocalPlace]:
             if not os.path.lexists(path):
                 os.rename(old, path)
             shutil.rmtree(old, ignore_errors=True)
+
+
+def refuse_existing(place: Place, *, overwrite: bool) -> None:
+    """Raise an InputError if something exists at a place and may not be replaced by a store."""
+    if isinstance(place, ObjectPlace):
+        _refuse_objects(place, overwrite=overwrite)
+    elif isinstance(place, LocalPlace):
+        _refuse_existing(place.path, overwrite=overwrite)
 
 
 def _refuse_existing(path: Path, *, overwrite: bool) -> None:

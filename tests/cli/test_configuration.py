@@ -27,6 +27,8 @@ EVERY = """
 terrain = "dem.tif"
 surface = "ellipsoid"
 vertical = "egm96"
+autofocus = true
+control = "points.json"
 source = "ph.zarr"
 out = "run"
 processor = "high-order-phase"
@@ -53,7 +55,7 @@ range-model = "conventional"
 AS_WORDS = (
     "focus ph.zarr --out run --processor high-order-phase --blocks 5 --fidelity 0.9995 --weighting hann "
     "--weighting-range taylor:4:-35 --weighting-azimuth kaiser:2.5 --grid -10:10:0.5,100:200:1 "
-    "--terrain dem.tif --surface ellipsoid --vertical egm96 --workers 3 --threads 2 "
+    "--terrain dem.tif --surface ellipsoid --vertical egm96 --autofocus --control points.json --workers 3 --threads 2 "
     "--memory-limit 2GiB --scheduler tcp://a:1 --performance-report report.html --overwrite --quiet "
     "--json-log log.jsonl --coefficients closed-form --perturbation none --no-keystone --derotation linear "
     "--range-model conventional"
@@ -125,7 +127,7 @@ def test_the_printed_configuration_is_read_back(text: str, seen: Any) -> None:
         ("blokcs = 3", "c.toml: 'blokcs' is no option of focus; did you mean blocks?"),
         ("weighting_asimuth = 'hann'", "did you mean weighting-azimuth?"),
         ("zzz = 1", "'zzz' is no option of focus; known are source, out, processor, blocks"),
-        ("[focus]\nblocks = 3", "'focus' is no option of focus; known are source"),
+        ("[focus]\nblocks = 3", "'focus' is no option of focus; did you mean autofocus?"),
         ("dry-run = true", "'dry-run' is no option of focus"),
         ("workers = -1", "c.toml: workers = '-1': Input should be greater than or equal to 0"),
         ("workers = 'many'", "c.toml: workers = 'many': "),

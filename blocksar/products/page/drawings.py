@@ -14,8 +14,10 @@ from blocksar.measurement.targets import Target
 from blocksar.products.page.picture import Picture, data_uri
 from blocksar.products.page.words import describe
 from blocksar.products.pictures.responses import plot_contours, plot_cuts
+from blocksar.products.pictures.track import has_chips, plot_chips, plot_track
 from blocksar.progress.listening import Callback
 from blocksar.runs.finished import FinishedRun
+from blocksar.runs.track import TrackCorrection
 
 
 class Drawing(NamedTuple):
@@ -56,3 +58,25 @@ def _draw(response: Response, folder: Path) -> tuple[str, str]:
     plot_contours([response], contours)
     plot_cuts([response], cuts)
     return data_uri("png", contours.read_bytes()), data_uri("png", cuts.read_bytes())
+
+
+class TrackDrawing(NamedTuple):
+    """The error of a track, and chips before and after its correction, as data URIs; no chips: an empty one."""
+
+    sentences: list[str]
+    error: str
+    chips: str
+
+
+def draw_track(correction: TrackCorrection | None) -> TrackDrawing | None:
+    """Draw the correction of a run's track, if there was one."""
+    if correction is None:
+        return None
+    with tempfile.TemporaryDirectory() as folder:
+        error, chips = Path(folder) / "error.png", Path(folder) / "chips.png"
+        plot_track(correction, error)
+        drawn = data_uri("png", error.read_bytes())
+        if not has_chips(correction):
+            return TrackDrawing(correction.sentences(), drawn, "")
+        plot_chips(correction, chips)
+        return TrackDrawing(correction.sentences(), drawn, data_uri("png", chips.read_bytes()))

@@ -20,7 +20,7 @@ import jinja2
 from blocksar.errors import InputError, printable
 from blocksar.measurement.figures import DEFINITIONS
 from blocksar.products.page import picture
-from blocksar.products.page.drawings import draw_responses
+from blocksar.products.page.drawings import draw_responses, draw_track
 from blocksar.products.page.facts import Facts
 from blocksar.products.page.provenance import provenance, repeat_run, settings_rows
 from blocksar.products.page.sentences import memory_sentence, plan_sentence, quality_sentences, subtitle, verdicts
@@ -105,6 +105,7 @@ def make(
         "definitions": DEFINITIONS.replace("\n", " ").split(". "),
         "reference": reference_table(run),
         "drawings": draw_responses(source, [r for r in run.responses if r.name in drawn_names], image, drawn),
+        "track": draw_track(source.track),
         "stages": stage_table(run),
         "units": unit_table(run),
         "blocks": block_table(run),

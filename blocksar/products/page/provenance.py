@@ -24,6 +24,7 @@ def repeat_command(settings: Mapping[str, Any], paths: Sequence[str], folder: st
         "blocks": "auto",
         "fidelity": FIDELITY,
         "grid": None,
+        "autofocus": False,
         "weighting_range": "uniform",
         "weighting_azimuth": "uniform",
     }
@@ -35,6 +36,8 @@ def repeat_command(settings: Mapping[str, Any], paths: Sequence[str], folder: st
             words.append(f"--grid={x0!r}:{x1!r}:{dx!r},{y0!r}:{y1!r}:{dy!r}")
         elif isinstance(value, bool):
             words.append(f"--{'' if value else 'no-'}{name}")
+        elif name == "control":
+            words += ["--control", "TARGETS.json"]  # the run keeps the points, and no name of a file
         else:
             words += [f"--{name.replace('_', '-')}", str(value)]
     return shlex.join(words)

@@ -1,0 +1,173 @@
+"""autofocus: correct the track of a phase history from its samples.
+
+The estimate and the copy of the samples are made in a folder beside the store, OUT.autofocus, with receipts as those of
+a run; the store gets its name when it is complete.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Any
+
+from blocksar import stores
+from blocksar.api.arguments import GridLike, grid_of, history_of, memory_of
+from blocksar.api.reports import Report
+from blocksar.api.tracks import TrackEstimate, control_points
+from blocksar.errors import InputError, ProcessingError
+from blocksar.graph import cluster
+from blocksar.graph.machine import resources
+from blocksar.graph.track_stages import copy_store
+from blocksar.measurement.targets import Target
+from blocksar.places import Location, place
+from blocksar.places.place import Place
+from blocksar.progress import Listener, as_listener
+from blocksar.progress import Wanted as Progress
+from blocksar.runs import folder as run_folder
+from blocksar.runs.record import Receipt
+from blocksar.runs.track import ATTRIBUTE
+from blocksar.version import __version__
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from distributed import Client
+
+
+def autofocus(
+    source: Location | xr.Dataset,
+    out: Location,
+    *,
+    grid: GridLike | None = None,
+    control: Location | Sequence[Target] | None = None,
+    workers: int | None = None,
+    threads: int | None = None,
+    memory_limit: int | str | None = None,
+    scheduler: str | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+    client: Client | None = None,
+) -> Report:
+    """Estimate the error of the track from prominent points, and write the phase history with its track corrected.
+
+    Only `antenna_position` changes. What all of the scene has in common, a shift of the track or of its speed along the
+    line of sight, cannot be seen in the samples, and stays as it is.
+
+    Parameters
+    ----------
+    source : path or xarray.Dataset
+        Phase-history store, or a dataset.
+    out : path
+        Phase-history store to write. An unfinished one of the same input and settings is gone on with.
+    grid : Grid or ((x0, x1, dx), (y0, y1, dy)), optional
+        Ground in which points are looked for, m in the scene frame. Default: the lit sector. Needed if the beam is not
+        steered.
+    control : path or sequence of Target, optional
+        Points at known places, as `quality` takes targets: they anchor place and phase, which the samples alone do not
+        tell. Default: none, and the track is moved by nothing that the samples do not tell.
+    workers : int, optional
+        Processes of the local cluster; 0: the calling process does the work, without a cluster. Default: the number of
+        cores, at most 4.
+    threads : int, optional
+        Threads of each worker. Default: cores / workers, at least 1.
+    memory_limit : int or str, optional
+        Memory of each worker, bytes or a text such as "2GiB". Default: its share of the machine's memory.
+    scheduler : str, optional
+        Address of a running dask scheduler, used instead of a local cluster.
+    overwrite : bool
+        Replace what stands at `out`. Default: False.
+    progress : object with a method update(stage, done, total), or False, optional
+        Called with the name of the stage (str) and the numbers of finished and of all units (int). A
+        `blocksar.progress.Listener` receives more. Default: bars in a notebook, silence elsewhere; False: silence.
+    client : distributed.Client, optional
+        Client of a running cluster, used instead of a local cluster.
+
+    Returns
+    -------
+    Report
+        `summary` has the figures of the correction; `result` is the attribute `autofocus` of the store.
+
+    Raises
+    ------
+    InputError
+        If the input or a setting is wrong, or the samples do not tell of the track's error; nothing is written.
+    ProcessingError
+        If processing fails; finished work stays, and the same call goes on with it.
+    """
+    listener, target = as_listener(progress), place(out)
+    history = history_of(source).pinned()
+    if not isinstance(history, stores.DatasetHistory):
+        _refuse_overlap(history.path, target)
+    estimate = TrackEstimate(
+        history=history, folder=place(f"{target}.autofocus"), fingerprint=history.fingerprint(), grid=grid_of(grid),
+        control=control_points(control),
+    )  # fmt: skip
+    if (attribute := _finished(target, estimate)) is not None:
+        estimate.folder.remove()
+        return Report(
+            summary=[f"{target} is finished already with these settings and this input: nothing to do"],
+            result=attribute,
+        )
+    stores.refuse_existing(target, overwrite=overwrite)
+    with ExitStack() as stack:
+        connected, limit = None, memory_of(memory_limit)
+        if client is not None or scheduler is not None:
+            connected = stack.enter_context(cluster.open_client(scheduler=scheduler, client=client))
+            workers, limit = cluster.cluster_size(connected)
+        elif workers == 0:
+            connected = cluster.open_here(listener)
+        machine = resources(workers, threads, limit)
+        memory = estimate.checked_memory(machine)
+        stack.enter_context(run_folder.claim(estimate.folder))
+        stores.refuse_existing(target, overwrite=overwrite)  # again: another process may have written it meanwhile
+        clock = time.perf_counter()
+        try:
+            with estimate.connected(machine, connected, listener) as client_:
+                receipts, attribute = _write(estimate, target, client_, machine.threads, listener, overwrite=overwrite)
+        except InputError:
+            estimate.folder.remove()
+            raise
+        except ProcessingError as error:
+            raise ProcessingError(f"{error}; what was finished stays, the same command goes on from there") from error
+        estimate.folder.remove()
+        summary = estimate.summary(receipts, attribute, memory)
+        return Report(
+            summary=[*summary, f"{target} is finished in {time.perf_counter() - clock:.1f} s"], result=attribute
+        )
+
+
+def _refuse_overlap(source: Place, target: Place) -> None:
+    for inside, outside in ((source, target), (target, source)):
+        if f"{inside}/".startswith(f"{outside}/"):
+            raise InputError(f"--out {target} and the input {source} lie in each other; choose another place")
+
+
+def _finished(target: Place, estimate: TrackEstimate) -> dict[str, Any] | None:
+    """The attribute of a store that is what this estimate would write, or None."""
+    if not target.exists():
+        return None
+    try:
+        attribute = stores.open_phase_history(target).attrs.get(ATTRIBUTE)
+    except InputError:
+        return None
+    return attribute if isinstance(attribute, dict) and attribute.get("identity") == estimate.identity else None
+
+
+def _write(
+    estimate: TrackEstimate, target: Place, client: Client, threads: int, listener: Listener, *, overwrite: bool
+) -> tuple[Sequence[Receipt], dict[str, Any]]:
+    """Estimate the track, and write the store, in a folder that this process has claimed."""
+    receipts, result = estimate.carry_out(client, threads, listener)
+    source, made = estimate.stored(), estimate.folder / "store.zarr"
+    receipts = [*receipts, *copy_store(client, source.path, made, estimate.run(threads), listener)]
+    listener.begin("finish")
+    attribute = estimate.attribute(result)
+    line = stores.history_line(f"track corrected by blocksar {__version__}", source.attrs.get("history"))
+    stores.write_track(
+        source.path, made, corrected=result.antenna_position, original=source.collection.antenna_position,
+        attrs={ATTRIBUTE: attribute, "history": line},
+    )  # fmt: skip
+    made.settle()
+    stores.publish(made, target, overwrite=overwrite)
+    listener.update("finish", 1, 1)
+    return receipts, attribute

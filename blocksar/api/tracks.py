@@ -1,0 +1,252 @@
+"""The estimate of a track's error, as `autofocus` and `focus` make it: its identity, its folder, its figures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from blocksar import stores
+from blocksar.api.jobs import Request, grid_numbers, records_of
+from blocksar.api.measuring import targets_of
+from blocksar.autofocusing.anchoring import Control
+from blocksar.autofocusing.finishing import Result
+from blocksar.autofocusing.work import begin
+from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.grid import Grid
+from blocksar.constants import MIB
+from blocksar.errors import InputError, ProcessingError
+from blocksar.graph import cluster
+from blocksar.graph.machine import Resources
+from blocksar.graph.track_stages import estimate_track
+from blocksar.measurement.targets import Target
+from blocksar.places import Location
+from blocksar.places.place import Place
+from blocksar.planning.memory import checked_memory, compression_memory, track_memory
+from blocksar.progress import Listener
+from blocksar.runs import folder as run_folder
+from blocksar.runs.receipts import Run
+from blocksar.runs.record import RECORD, Receipt
+from blocksar.runs.track import ATTRIBUTE, SHOWN, TrackCorrection, levels
+from blocksar.version import __version__
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+FORMAT = 1  # of the folder of an estimate
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackEstimate:
+    """A phase history whose track is to be corrected, and how.
+
+    Attributes
+    ----------
+    history : PhaseHistory
+        Pinned.
+    folder : Place
+        For receipts and what they vouch for.
+    fingerprint : str
+        Of the phase history.
+    grid : Grid or None
+        Ground in which points are looked for; None: the lit sector.
+    control : sequence of Target
+        Points at known places, which anchor the track.
+    """
+
+    history: stores.PhaseHistory
+    folder: Place
+    fingerprint: str
+    grid: Grid | None
+    control: Sequence[Target] = ()
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        grid = None if self.grid is None else list(grid_numbers(self.grid))
+        return {"grid": grid, "control": records_of(self.control) or None}
+
+    @property
+    def identity(self) -> str:
+        """Hash of everything that the corrected track depends on."""
+        text = repr((FORMAT, __version__, sorted(self.settings.items()), self.fingerprint))
+        return stores.checksum_bytes(text.encode("utf-8", "surrogateescape"))
+
+    def run(self, threads: int) -> Run:
+        return Run(folder=self.folder, identity=self.identity, threads=threads)
+
+    def checked_memory(self, machine: Resources) -> int:
+        """Predicted peak memory of a worker, bytes.
+
+        Raises
+        ------
+        InputError
+            If the limit does not hold it, or the collection cannot serve.
+        """
+        collection, raw = self.history.collection, self.history.raw
+        for point in self.control:
+            if point.z not in (None, collection.ground_height):
+                raise InputError(
+                    f"control point {point.name} has z = {point.z:g} m, but all are taken at the ground_height of "
+                    f"{collection.ground_height:g} m; give points on that plane"
+                )
+        work = begin(Geometry(collection=collection.centred()), self.grid)
+        pulses = max(block.stop - block.start for block in (*work.blocks, *work.apertures))
+        needed = max(track_memory(collection, pulses, machine.threads), compression_memory(collection, raw))
+        return checked_memory("autofocus", needed, machine.memory_limit)
+
+    @contextmanager
+    def connected(self, machine: Resources, client: Client | None, listener: Listener) -> Iterator[Client]:
+        """A client: the one given, or that of a new local cluster, whose temporary files lie in the folder."""
+        if client is not None:
+            yield client
+            return
+        cluster.prepare_workers(machine.threads, listener)
+        scratch = run_folder.scratch(self.folder)
+        with cluster.open_client(**machine._asdict(), scratch=scratch, listener=listener) as own:
+            yield own
+
+    def carry_out(self, client: Client, threads: int, listener: Listener) -> tuple[list[Receipt], Result]:
+        """Estimate the track in the folder, or go on with an estimate there.
+
+        Raises
+        ------
+        InputError
+            If the samples do not tell of the track's error.
+        """
+        self._begin()
+        control = (
+            None
+            if not self.control
+            else Control(
+                names=tuple(t.name for t in self.control),
+                x=np.array([t.x for t in self.control]),
+                y=np.array([t.y for t in self.control]),
+                phase=np.angle([t.reflectivity for t in self.control]),
+            )
+        )
+        return estimate_track(client, self.stored(), self.run(threads), self.grid, control, listener)
+
+    def stored(self) -> stores.PhaseHistory:
+        """The phase history in a store: samples in memory are written into the folder, once.
+
+        Raises
+        ------
+        ProcessingError
+            If they cannot be written.
+        """
+        if not isinstance(self.history, stores.DatasetHistory):
+            return self.history
+        try:
+            return self.history.stored(self.folder / run_folder.INPUT).pinned()
+        except InputError as error:  # about the own store, not about the input
+            raise ProcessingError(str(error)) from error
+
+    def _begin(self) -> None:
+        """Leave in the folder what belongs to this estimate only."""
+        with_record = (self.folder / RECORD).exists()
+        record = stores.read_json(self.folder / RECORD) if with_record else None
+        if isinstance(record, Mapping) and record.get("identity") == self.identity:
+            return
+        for name in self.folder.names():
+            if name not in (run_folder.LOCK, run_folder.SCRATCH):
+                (self.folder / name).remove()
+        stores.write_json(self.folder / RECORD, {"identity": self.identity, "settings": self.settings})
+
+    def attribute(self, result: Result) -> dict[str, Any]:
+        """The attribute `autofocus`."""
+        shown = np.unique(np.linspace(0, result.time.size - 1, SHOWN).round().astype(int))
+        before, after = levels(result.chips_before, result.chips_after)
+        correction = TrackCorrection(
+            figures=result.figures, identity=self.identity, settings=self.settings, time=result.time[shown],
+            error=result.track_error[shown], uncertainty=result.uncertainty[shown], before=before, after=after,
+            places=np.stack([result.x, result.y], axis=1),
+        )  # fmt: skip
+        return correction.as_json()
+
+    def corrected(self, result: Result) -> stores.PhaseHistory:
+        """The phase history with the corrected track; its samples stay where they are."""
+        collection = Collection(**{**self.history.collection.as_dict(), "antenna_position": result.antenna_position})
+        attrs = {**self.history.attrs, ATTRIBUTE: self.attribute(result)}
+        return replace(self.history, collection=collection, attrs=attrs)
+
+    def summary(self, receipts: Sequence[Receipt], attribute: Mapping[str, Any], memory: int) -> list[str]:
+        """Sentences on the correction, on resumed work and on memory; `memory` is the planned peak, bytes."""
+        reused = sum(receipt.reused for receipt in receipts)
+        resumed = [f"went on from an unfinished estimate: {reused} of {len(receipts)} units were used again"]
+        peak = max((receipt.peak_memory or 0 for receipt in receipts), default=0)
+        return [
+            *TrackCorrection.of(attribute, str(self.history.path)).sentences(),
+            *(resumed if reused else []),
+            f"peak memory of a worker {peak / MIB:.0f} MiB, planned {memory / MIB:.0f} MiB",
+        ]
+
+
+def control_points(control: Location | Sequence[Target] | None, *, used: bool = True) -> tuple[Target, ...]:
+    """Read control points, as targets of `quality` are read; none by default.
+
+    Raises
+    ------
+    InputError
+        If there are none in the file, or they are not `used`.
+    """
+    if control is None:
+        return ()
+    if not used:
+        raise InputError("control is given without autofocus, which alone uses it; give both, or leave it out")
+    found = tuple(targets_of(control, {}))
+    if not found:
+        raise InputError(f"control {control} names no points; give some, or leave it out")
+    return found
+
+
+@contextmanager
+def track_corrected(
+    request: Request, machine: Resources, client: Client | None, listener: Listener
+) -> Iterator[tuple[Request, list[str]]]:
+    """Correct the track of a run's input if asked to, in a folder of the run; yield the request, and sentences.
+
+    The folder stays until the run is finished, for runs that are resumed; an InputError removes it.
+
+    Raises
+    ------
+    InputError
+        If the samples do not tell of the track's error.
+    ProcessingError
+        If processing fails.
+    """
+    if not request.autofocus:
+        yield request, []
+        return
+    folder = request.folder / run_folder.TRACK
+    corrected: list[stores.PhaseHistory] = []
+    said: list[str] = []
+    try:
+        for number, (history, fingerprint) in enumerate(zip(request.histories, request.fingerprints, strict=True)):
+            # All channels have the track that the first one tells.
+            estimate = TrackEstimate(
+                history=history.of_channel(None).pinned() if history.channels and history.channel else history,
+                folder=folder if len(request.histories) == 1 else folder / f"{number}",
+                fingerprint=fingerprint,
+                grid=request.grid,
+                control=request.control,
+            )
+            memory = estimate.checked_memory(machine)
+            try:
+                with estimate.connected(machine, client, listener) as connected:
+                    receipts, result = estimate.carry_out(connected, machine.threads, listener)
+            except ProcessingError as error:
+                raise ProcessingError(
+                    f"{error}; what was finished stays, the same command goes on from there"
+                ) from error
+            made = estimate.corrected(result)
+            attrs = {**history.attrs, ATTRIBUTE: made.attrs[ATTRIBUTE]}
+            corrected.append(replace(history, collection=made.collection, attrs=attrs))
+            said += estimate.summary(receipts, made.attrs[ATTRIBUTE], memory)
+        yield replace(request, histories=tuple(corrected)), said
+    except InputError:
+        folder.remove()
+        raise

@@ -1,0 +1,157 @@
+"""The stages of an estimate of the track's error, and of the store that it corrects, as task graphs.
+
+What each step writes lies in the folder of the estimate, with receipts as in a run, so that a killed estimate goes on
+where it was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+from distributed import Client
+
+from blocksar import stores
+from blocksar.autofocusing.anchoring import Control
+from blocksar.autofocusing.finishing import Result
+from blocksar.autofocusing.work import Work
+from blocksar.chunks import COPY_BYTES
+from blocksar.collection.grid import Grid
+from blocksar.errors import InputError
+from blocksar.graph.admission import Unit
+from blocksar.graph.kept import Files, kept
+from blocksar.graph.segments import Segment
+from blocksar.graph.stages import compress_raw
+from blocksar.graph.track_tasks import (
+    anchor_track,
+    chips_of_pulses,
+    copy_group,
+    estimate_error,
+    finish_estimate,
+    keep_points,
+    search_pulses,
+    select,
+    work_of,
+)
+from blocksar.graph.units import run_units, single_task, spans
+from blocksar.places.place import Place
+from blocksar.progress import Listener
+from blocksar.runs.receipts import Run
+from blocksar.runs.record import Receipt
+
+SEARCHED = 4  # short apertures that a task searches
+MISSING = 1 / 3  # of the pulses; with more of them missing, the error cannot be followed across the gaps
+
+
+def estimate_track(
+    client: Client,
+    source: stores.PhaseHistory,
+    run: Run,
+    grid: Grid | None,
+    control: Control | None,
+    listener: Listener,
+) -> tuple[list[Receipt], Result]:
+    """Estimate the error of a phase history's track; return the receipts and the corrected track.
+
+    Control points, if there are some, anchor what the samples alone do not tell.
+
+    Raises
+    ------
+    InputError
+        If the samples do not tell of it.
+    """
+    collection, store = source.collection, run.folder / "collection.zarr"
+    run.establish(store, lambda: stores.write_collection(store, collection))
+    work = work_of(str(run.folder), run.identity, grid)
+    (segment,), (receipts,) = compress_raw(
+        client, [Segment(source=source, geometry=work.geometry, plan=None)], run, listener
+    )
+    source = segment.source
+    stage = partial(_run_stage, client, run, listener)
+    searched = stage("search", _search(client, run, source, work, grid))
+    selected = stage("select", [single_task(client, run, "select", "points", select, _files(searched), grid)])
+    receipts += [*searched, *selected]
+    correction: Files = {}
+    for loop in range(1, work.settings.loops + 1):
+        chips = stage(f"chips-{loop}", _chips(client, run, source, work, selected, correction, str(loop), grid))
+        if loop == 1:
+            _refuse_gaps(chips, collection.n_pulse)
+        arguments = (_files(selected), _files(chips), correction, grid)
+        estimated = stage(
+            f"estimate-{loop}",
+            [single_task(client, run, "estimate", f"correction-{loop}", estimate_error, *arguments)],
+        )
+        receipts += [*chips, *estimated]
+        correction = estimated[0].files
+        if (estimated[0].found or {})["finished"]:
+            break
+    arguments = (_files(selected), _files(chips), correction, grid)
+    finished = stage("test", [single_task(client, run, "test", "track", finish_estimate, *arguments)])
+    receipts += finished
+    if control is not None:
+        known = stage("control", [single_task(client, run, "control", "control", keep_points, control, grid)])
+        chips = stage("control-chips", _chips(client, run, source, work, known, correction, "control", grid))
+        given = (_files(finished), control, _files(chips), correction, grid)
+        finished = stage("anchor", [single_task(client, run, "anchor", "anchored", anchor_track, *given)])
+        receipts += [*known, *chips, *finished]
+    return receipts, kept(run, Result, finished[0].files)[0]
+
+
+def _run_stage(client: Client, run: Run, listener: Listener, name: str, units: Sequence[Unit]) -> list[Receipt]:
+    # A refusal by any stage is about the samples, also where they are those of a raw echo, compressed.
+    return run_units(client, name, units, run, listener, per_worker=2, reading_input=[unit for unit, _ in units])
+
+
+def _files(receipts: Sequence[Receipt]) -> Files:
+    return {name: checksum for receipt in receipts for name, checksum in receipt.files.items()}
+
+
+def _search(client: Client, run: Run, source: stores.PhaseHistory, work: Work, grid: Grid | None) -> list[Unit]:
+    units = []
+    for first, end in spans(len(work.apertures), SEARCHED):
+        pulses = [(one.start, one.stop) for one in work.apertures[first:end]]
+        within = source.within(pulses=slice(pulses[0][0], pulses[-1][1]))
+        units.append(single_task(client, run, "search", f"candidates-{first}", search_pulses, within, pulses, grid))
+    return units
+
+
+def _chips(
+    client: Client,
+    run: Run,
+    source: stores.PhaseHistory,
+    work: Work,
+    selected: Sequence[Receipt],
+    correction: Files,
+    name: str,
+    grid: Grid | None,
+) -> list[Unit]:
+    points = _files(selected)
+    return [
+        single_task(
+            client, run, "chips", f"chips-{name}-{pulses.start}", chips_of_pulses, source.within(pulses=pulses),
+            (pulses.start, pulses.stop), points, correction, grid,
+        )
+        for pulses in work.blocks
+    ]  # fmt: skip
+
+
+def _refuse_gaps(chips: Sequence[Receipt], n_pulse: int) -> None:
+    missing = sum(int((receipt.found or {}).get("missing", 0)) for receipt in chips)
+    if missing > MISSING * n_pulse:
+        raise InputError(
+            f"signal is NaN in {missing} of {n_pulse} pulses, and the track's error cannot be followed where more than "
+            f"{MISSING:.0%} are missing; give the part of the collection that has its pulses"
+        )
+
+
+def copy_store(client: Client, source: Place, target: Place, run: Run, listener: Listener) -> list[Receipt]:
+    """Copy the files of a store, all but its metadata and positions, to a place in the run's folder."""
+    versions = stores.files_to_copy(source)
+    units = []
+    for group in stores.groups_of(versions, COPY_BYTES):
+        some: dict[str, Any] = {name: versions[name] for name in group}
+        units.append(
+            single_task(client, run, "copy", f"copy-{group[0].replace('/', '-')}", copy_group, source, target, some)
+        )
+    return _run_stage(client, run, listener, "copy", units)

@@ -1,0 +1,151 @@
+"""The tasks of an estimate of the track's error: each reads samples or small files, and writes one small file.
+
+Receipts have the files' checksums; what a task reads is compared with them. Samples, and chips of them, do not travel
+through the scheduler.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+
+import numpy as np
+
+from blocksar import stores
+from blocksar.arrays import ComplexArray
+from blocksar.autofocusing.anchoring import Control, anchor
+from blocksar.autofocusing.chips import ChipPart, take_chips
+from blocksar.autofocusing.correction import Correction
+from blocksar.autofocusing.estimation import estimate
+from blocksar.autofocusing.finishing import Result, finish
+from blocksar.autofocusing.selection import Candidates, Points, find_candidates, select_points
+from blocksar.autofocusing.work import Work, begin
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.grid import Grid
+from blocksar.errors import InputError, ProcessingError
+from blocksar.graph.kept import Files, keep, kept
+from blocksar.graph.tasks import sign
+from blocksar.places import place
+from blocksar.places.place import Place
+from blocksar.runs.receipts import Run
+from blocksar.runs.record import Receipt
+
+Span = tuple[int, int]
+
+
+@lru_cache(maxsize=2)
+def work_of(folder: str, identity: str, grid: Grid | None) -> Work:
+    """What the stages need besides samples, from the collection in a folder; the same in every process.
+
+    A process keeps those of its last two estimates; `identity` tells them apart.
+    """
+    collection, _ = stores.read_collection(place(folder) / "collection.zarr")
+    return begin(Geometry(collection=collection.centred()), grid)
+
+
+def _samples(run: Run, source: stores.PhaseHistory, pulses: slice) -> ComplexArray:
+    """Samples of some pulses, (pulses, range frequencies); NaN where there is no number."""
+    try:
+        signal = source.read(pulses, slice(None))
+    except InputError as error:
+        if source.path == run.compressed:  # the estimate's own store, not the input
+            raise ProcessingError(str(error)) from error
+        raise
+    signal[~np.isfinite(signal)] = np.nan
+    return signal
+
+
+def search_pulses(
+    run: Run, unit: str, source: stores.PhaseHistory, spans: Sequence[Span], grid: Grid | None
+) -> Receipt:
+    """Look for prominent places in some short apertures."""
+    started, work = time.perf_counter(), work_of(str(run.folder), run.identity, grid)
+    found = [find_candidates(_samples(run, source, slice(*s)), work, slice(*s), threads=run.threads) for s in spans]
+    return sign(run, Receipt(unit=unit, stage="search", files=keep(run, f"{unit}.npz", found)), started)
+
+
+def select(run: Run, unit: str, candidates: Files, grid: Grid | None) -> Receipt:
+    """Select the points of the estimate."""
+    started, work = time.perf_counter(), work_of(str(run.folder), run.identity, grid)
+    found = kept(run, Candidates, candidates)
+    if not any(one.x.size for one in found):
+        raise InputError(
+            f"0 points stand out in the scene, but the track's error needs at least {work.settings.least_points}; "
+            "give another --grid, or another collection"
+        )
+    points = select_points(found, work)
+    return sign(run, Receipt(unit=unit, stage="select", files=keep(run, f"{unit}.npz", [points])), started)
+
+
+def chips_of_pulses(
+    run: Run,
+    unit: str,
+    source: stores.PhaseHistory,
+    pulses: Span,
+    points: Files,
+    correction: Files,
+    grid: Grid | None,
+) -> Receipt:
+    """Take the points' chips of a block of pulses, along the track as corrected so far."""
+    started, work = time.perf_counter(), work_of(str(run.folder), run.identity, grid)
+    signal = _samples(run, source, slice(*pulses))
+    missing = int(np.isnan(signal).any(axis=1).sum())
+    along = _correction(run, work, correction).displacement
+    part = take_chips(signal, work, _points(run, points), along, slice(*pulses), threads=run.threads)
+    files = keep(run, f"{unit}.npz", [part])
+    return sign(run, Receipt(unit=unit, stage="chips", files=files, found={"missing": missing}), started)
+
+
+def estimate_error(run: Run, unit: str, points: Files, chips: Files, correction: Files, grid: Grid | None) -> Receipt:
+    """Estimate the correction once more."""
+    started, work = time.perf_counter(), work_of(str(run.folder), run.identity, grid)
+    better = estimate(
+        work, _points(run, points), kept(run, ChipPart, chips), _correction(run, work, correction), run.threads
+    )
+    files = keep(run, f"{unit}.npz", [better])
+    found = {"finished": better.finished, "loop": better.history[-1]}
+    return sign(run, Receipt(unit=unit, stage="estimate", files=files, found=found), started)
+
+
+def finish_estimate(run: Run, unit: str, points: Files, chips: Files, correction: Files, grid: Grid | None) -> Receipt:
+    """Test the estimate by halves of the points, and keep the corrected track."""
+    started, work = time.perf_counter(), work_of(str(run.folder), run.identity, grid)
+    result = finish(
+        work, _points(run, points), kept(run, ChipPart, chips), _correction(run, work, correction), run.threads
+    )
+    return sign(run, Receipt(unit=unit, stage="finish", files=keep(run, f"{unit}.npz", [result])), started)
+
+
+def anchor_track(
+    run: Run, unit: str, result: Files, control: Control, chips: Files, correction: Files, grid: Grid | None
+) -> Receipt:
+    """Anchor a corrected track by control points."""
+    started, work = time.perf_counter(), work_of(str(run.folder), run.identity, grid)
+    parts, last = kept(run, ChipPart, chips), _correction(run, work, correction)
+    anchored = anchor(work, kept(run, Result, result)[0], control, parts, last)
+    return sign(run, Receipt(unit=unit, stage="anchor", files=keep(run, f"{unit}.npz", [anchored])), started)
+
+
+def keep_points(run: Run, unit: str, control: Control, grid: Grid | None) -> Receipt:
+    """Keep the control points as points of chips."""
+    started, work = time.perf_counter(), work_of(str(run.folder), run.identity, grid)
+    return sign(
+        run, Receipt(unit=unit, stage="control", files=keep(run, f"{unit}.npz", [control.points(work)])), started
+    )
+
+
+def _points(run: Run, files: Files) -> Points:
+    return kept(run, Points, files)[0]
+
+
+def _correction(run: Run, work: Work, files: Files) -> Correction:
+    return kept(run, Correction, files)[0] if files else Correction.none(work)
+
+
+def copy_group(run: Run, unit: str, source: Place, target: Place, versions: Mapping[str, str]) -> Receipt:
+    """Copy files of the phase history to the corrected store."""
+    started = time.perf_counter()
+    checksums = stores.copy_files(source, target, versions)
+    files = {f"{run.name_of(target)}/{name}": checksum for name, checksum in checksums.items()}
+    return sign(run, Receipt(unit=unit, stage="copy", files=files), started)

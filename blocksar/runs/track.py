@@ -1,0 +1,151 @@
+"""The correction of a track as the attribute `autofocus` of a phase history, and of its runs, holds it."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from blocksar.arrays import FloatArray
+from blocksar.errors import InputError
+from blocksar.runs.fields import Field
+from blocksar.version import __version__
+
+ATTRIBUTE = "autofocus"
+DEPTH = 40.0  # dB between the brightest level of chips and 0
+FIGURES = ("points", "knots", "halves_apart", "predicted_error", "entropy_before", "entropy_after")
+COLUMNS = 97  # Doppler samples of a chip that are kept, about the brightest
+SHOWN = 129  # times of the track's error, at most
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrackCorrection:
+    """What was done to a track.
+
+    Attributes
+    ----------
+    figures : mapping
+        Number of `points` and of `knots`; `halves_apart`, the difference of two estimates from disjoint halves of the
+        points; `predicted_error`, of what is left; `entropy_before` and `entropy_after` of the chips; `history`,
+        the figures of each loop; and others.
+    identity : str
+        Hash of what the correction depends on; empty if unknown.
+    settings : mapping
+    time : (n,) float
+        Slow time, s.
+    error, uncertainty : (n, 3) float
+        What was taken off the track in x, y, z, and its predicted standard deviation, m.
+    before, after : (n_chip, n_row, n_column) uint8
+        Chips about some points before and after: 255 at the brightest of both, 0 at `DEPTH` dB below it or less.
+    places : (n_chip, 2) float
+        x, y of the chips' points, m.
+    """
+
+    figures: Mapping[str, Any]
+    identity: str
+    settings: Mapping[str, Any]
+    time: FloatArray
+    error: FloatArray
+    uncertainty: FloatArray
+    before: NDArray[np.uint8]
+    after: NDArray[np.uint8]
+    places: FloatArray
+
+    def as_json(self) -> dict[str, Any]:
+        return {
+            **self.figures,
+            "identity": self.identity,
+            "settings": dict(self.settings),
+            "version": __version__,
+            "track": {
+                "time": _rounded(self.time), "error": _rounded(self.error), "uncertainty": _rounded(self.uncertainty),
+            },
+            "chips": {
+                "places": _rounded(self.places), "shape": list(self.before.shape), "decibels": DEPTH,
+                "before": base64.b64encode(self.before.tobytes()).decode(),
+                "after": base64.b64encode(self.after.tobytes()).decode(),
+            },
+        }  # fmt: skip
+
+    @classmethod
+    def of(cls, value: Any, file: str) -> Self:
+        """Convert from the attribute; `file` is for messages.
+
+        Raises
+        ------
+        InputError
+            If it is damaged.
+        """
+        entry = Field(value, ATTRIBUTE, file)
+        track, chips = entry["track"], entry["chips"]
+        try:
+            shape = tuple(side.integer() for side in chips["shape"])
+            before, after = (
+                np.frombuffer(base64.b64decode(chips[name].text(), validate=True), np.uint8).reshape(shape)
+                for name in ("before", "after")
+            )
+            time = np.array([t.number() for t in track["time"]], dtype=np.float64)
+            if time.size < 2:
+                raise ValueError(f"track.time has {time.size} values")
+            error, uncertainty = (_numbers(track[name]).reshape(time.size, 3) for name in ("error", "uncertainty"))
+            places = _numbers(chips["places"]).reshape(shape[0], 2)
+        except (ValueError, IndexError, binascii.Error) as error_:
+            if isinstance(error_, InputError):
+                raise
+            raise InputError(
+                f"{file}: the attribute {ATTRIBUTE} is damaged ({error_}); correct the track anew"
+            ) from None
+        for name in FIGURES:
+            entry[name].number_or_nan()
+        rest = {"identity", "settings", "version", "track", "chips"}
+        return cls(
+            figures={name: item for name, item in entry.mapping().items() if name not in rest},
+            identity=entry["identity"].text(""), settings=entry["settings"].mapping(), time=time, error=error,
+            uncertainty=uncertainty, before=before, after=after, places=places,
+        )  # fmt: skip
+
+    def sentences(self) -> list[str]:
+        """What was done, with figures."""
+        f = self.figures
+        size = np.sqrt((self.error * self.error).sum(axis=1))
+        loops = len(f.get("history") or [])
+        return [
+            f"track corrected by up to {1e3 * size.max():.3g} mm ({1e3 * np.sqrt((size * size).mean()):.3g} mm r.m.s.) "
+            f"from {f['points']} points in {loops} loop{'s' if loops != 1 else ''}; entropy of their chips "
+            f"{f['entropy_before']:.3f} before and {f['entropy_after']:.3f} after",
+            f"phase error left over a dwell: {f['predicted_error']:.3f} rad r.m.s. predicted; two estimates from "
+            f"disjoint halves of the points differ by {f['halves_apart']:.3f} rad",
+        ]
+
+
+def levels(before: FloatArray, after: FloatArray) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Levels of chips, (n_chip, n_row, n_column) of power, before and after: each pair relative to its brightest.
+
+    Of each, the columns about the brightest one after.
+    """
+    width = min(COLUMNS, after.shape[2])
+    middle = after.max(axis=1).argmax(axis=1)
+    columns = (np.arange(width) - width // 2 + middle[:, None]) % after.shape[2]  # Doppler is cyclic
+    before, after = (np.take_along_axis(chips, columns[:, None, :], axis=2) for chips in (before, after))
+    top = np.maximum(before.max(axis=(1, 2), keepdims=True), after.max(axis=(1, 2), keepdims=True))
+    floor = 10 ** (-DEPTH / 10)
+
+    def scaled(power: FloatArray) -> NDArray[np.uint8]:
+        decibels = 10 * np.log10(np.maximum(power / np.where(top > 0, top, 1.0), floor))
+        return np.rint(255 * (1 + decibels / DEPTH)).astype(np.uint8)
+
+    return scaled(before), scaled(after)
+
+
+def _rounded(values: FloatArray) -> Any:
+    """Lists of numbers with seven digits after the point: a tenth of a micrometre."""
+    return np.round(values, 7).tolist()
+
+
+def _numbers(entry: Field) -> FloatArray:
+    return np.array([[number.number() for number in row] for row in entry], dtype=np.float64)

@@ -1,0 +1,217 @@
+"""A phase history once more, with another track: its files byte by byte, and positions of its own.
+
+Chunking, compression, extra variables and the version of the zarr format stay those of the source. Metadata is written
+last: until then the copy is no store.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import warnings
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+import xxhash
+import zarr
+from zarr.core.buffer import default_buffer_prototype
+from zarr.storage import MemoryStore
+
+from blocksar.arrays import FloatArray
+from blocksar.errors import InputError, ProcessingError
+from blocksar.places.local import LocalPlace
+from blocksar.places.place import Place
+from blocksar.stores.chunk_files import refuse_odd_file
+from blocksar.stores.creation import refuse_existing, replacing
+from blocksar.stores.faults import unreachable
+from blocksar.stores.records import checksum_bytes, nan_to_null, plain_value
+from blocksar.stores.schema import TRACK_AND_BEAM, Variable
+
+POSITION = "antenna_position"
+ORIGINAL = "antenna_position_original"
+METADATA = ("zarr.json", ".zarray", ".zattrs", ".zgroup", ".zmetadata")
+PIECE = 1 << 24  # bytes of a file in memory at a time
+_VARIABLES = {
+    POSITION: TRACK_AND_BEAM[POSITION],
+    ORIGINAL: Variable(("pulse", "axis"), "float64", "m", "antenna phase centre before the correction of the track"),
+}
+
+
+def files_to_copy(source: Place) -> dict[str, str]:
+    """Names and versions of the files of a store that a copy takes as they are: all but metadata and positions."""
+    return {
+        name: f"{size} {version}"
+        for name, size, version in source.files()
+        if os.path.basename(name) not in METADATA and name.split("/")[0] not in _VARIABLES
+    }
+
+
+def copy_files(source: Place, target: Place, versions: Mapping[str, str]) -> dict[str, str]:
+    """Copy files of these versions from one store to another; return their checksums by name.
+
+    Raises
+    ------
+    InputError
+        If one has another version, or cannot be read.
+    ProcessingError
+        If one cannot be written.
+    """
+    checksums = {}
+    for name, version in versions.items():
+        if (source / name).version() != version:
+            raise InputError(f"{source} changes while it is read ({name}); start again once nothing writes to it")
+        checksums[name] = _copy_file(source / name, target / name)
+    return checksums
+
+
+def _copy_file(source: Place, target: Place) -> str:
+    digest = xxhash.xxh3_128()
+    if not (isinstance(source, LocalPlace) and isinstance(target, LocalPlace)):
+        try:
+            data = source.read_bytes()
+        except OSError as error:
+            raise unreachable(source, error) from error
+        _put(target, data)
+        return checksum_bytes(data)
+    try:
+        reading = open(source, "rb")  # noqa: SIM115 - closed below; its errors are those of the input
+    except OSError as error:
+        raise unreachable(source, error) from error
+    with reading:
+        try:
+            target.path.parent.mkdir(parents=True, exist_ok=True)
+            with open(target, "wb") as written:
+                while piece := reading.read(PIECE):
+                    digest.update(piece)
+                    written.write(piece)
+        except OSError as error:
+            raise ProcessingError(f"{target} cannot be written ({error.strerror or error})") from error
+    return digest.hexdigest()
+
+
+def same_files(place: Place, checksums: Mapping[str, str]) -> bool:
+    """Tell whether all files below a place have these checksums; reads them."""
+    return all(_digest(place / name) == checksum for name, checksum in checksums.items())
+
+
+def _digest(place: Place) -> str | None:
+    digest = xxhash.xxh3_128()
+    with suppress(OSError, InputError):
+        if not isinstance(place, LocalPlace):
+            return checksum_bytes(place.read_bytes())
+        refuse_odd_file(place.path, sys.maxsize)
+        with open(place, "rb") as file:
+            while piece := file.read(PIECE):
+                digest.update(piece)
+        return digest.hexdigest()
+    return None
+
+
+def write_track(
+    source: Place, target: Place, *, corrected: FloatArray, original: FloatArray, attrs: Mapping[str, Any]
+) -> None:
+    """Write the metadata of a copy, with its positions (n_pulse, 3), m, before and after the correction.
+
+    Parameters
+    ----------
+    source, target : Place
+        The store, and its copy, whose other files are there.
+    attrs : dict
+        Attributes that are added to those of the source, or replace them.
+
+    Raises
+    ------
+    InputError
+        If the source cannot be read.
+    ProcessingError
+        If the target cannot be written.
+    """
+    memory: dict[str, Any] = {}
+    prototype = default_buffer_prototype()
+    try:
+        for name, _, _ in source.files():
+            if os.path.basename(name) in METADATA and name.split("/")[0] not in _VARIABLES:
+                memory[name] = prototype.buffer.from_bytes((source / name).read_bytes())
+    except OSError as error:
+        raise unreachable(source, error) from error
+    consolidated = ".zmetadata" in memory
+    if "zarr.json" in memory:
+        consolidated = json.loads(memory["zarr.json"].to_bytes()).get("consolidated_metadata") is not None
+    _change(memory, {POSITION: corrected, ORIGINAL: original}, attrs, consolidated=consolidated)
+    for name in sorted(memory, key=_last):
+        _put(target / name, memory[name].to_bytes())
+
+
+def _change(
+    memory: dict[str, Any], positions: Mapping[str, FloatArray], attrs: Mapping[str, Any], *, consolidated: bool
+) -> None:
+    """Put positions and attributes into a store's metadata; consolidate it once more where it was."""
+    version: Any = 3 if "zarr.json" in memory else 2
+    store = MemoryStore(memory)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of consolidated metadata, and of variables without chunks here
+        group = zarr.open_group(store, mode="r+", zarr_format=version, use_consolidated=False)
+        for name, values in positions.items():
+            variable = _VARIABLES[name]
+            attributes: dict[str, Any] = {
+                "units": variable.units,
+                "long_name": variable.long_name,
+                "coordinates": "time",
+            }
+            names: dict[str, Any] = {"dimension_names": variable.dims}
+            if version == 2:
+                names, attributes["_ARRAY_DIMENSIONS"] = {}, list(variable.dims)
+            array = group.create_array(
+                name, shape=values.shape, chunks=values.shape, dtype=variable.dtype, fill_value=np.nan,
+                compressors=None, filters=None, attributes=attributes, config={"write_empty_chunks": True}, **names,
+            )  # fmt: skip
+            array[...] = values
+        group.attrs.update({name: nan_to_null(plain_value(value, name)) for name, value in attrs.items()})
+        if consolidated:
+            zarr.consolidate_metadata(store, zarr_format=version)
+
+
+def publish(made: Place, out: Place, *, overwrite: bool) -> None:
+    """Give a store that is complete its name: by renaming, or in an object store by copying, group metadata last.
+
+    Raises
+    ------
+    InputError
+        If `out` exists and `overwrite` is False, or cannot be written.
+    """
+    if isinstance(made, LocalPlace) and isinstance(out, LocalPlace):
+        with replacing(out.path, overwrite=overwrite) as part:
+            os.rename(made, part)
+        return
+    refuse_existing(out, overwrite=overwrite)
+    out.remove()
+    for name in sorted((name for name, _, _ in made.files()), key=_last):
+        _put(out / name, (made / name).read_bytes())
+
+
+def _last(name: str) -> tuple[bool, str]:
+    """Order of writing: the group's own metadata last."""
+    return name in METADATA, name
+
+
+def _put(place: Place, data: bytes) -> None:
+    try:
+        place.write_bytes(data)
+    except OSError as error:
+        raise ProcessingError(f"{place} cannot be written ({error.strerror or error})") from error
+
+
+def groups_of(versions: Mapping[str, str], size: int) -> list[Sequence[str]]:
+    """Divide files into groups of consecutive names, of about `size` bytes each."""
+    groups: list[list[str]] = [[]]
+    filled = 0
+    for name in sorted(versions):
+        if filled >= size:
+            groups.append([])
+            filled = 0
+        groups[-1].append(name)
+        filled += int(versions[name].split()[0])
+    return [group for group in groups if group]

@@ -1,0 +1,89 @@
+"""Control points anchor what the samples alone do not tell."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import wrong_tracks
+
+from blocksar.autofocusing.anchoring import Control, anchor
+from blocksar.autofocusing.chips import take_chips
+from blocksar.autofocusing.correction import Correction
+from blocksar.autofocusing.finishing import Result
+from blocksar.autofocusing.work import Work, begin
+from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.grid import Grid
+from blocksar.errors import InputError
+from blocksar.simulation.scatterers import simulate_pulses
+from blocksar.simulation.scene import Scene
+
+PLACES = np.array([[-40.0, -50.0], [45.0, 10.0], [0.0, 55.0], [30.0, -45.0]])
+PHASES = np.array([0.3, -1.0, 2.0, 0.0])
+GRID = Grid(*wrong_tracks.GRID[0], *wrong_tracks.GRID[1])
+
+
+def anchored(offset: list[float], velocity: list[float], count: int = 4) -> tuple[Work, Result, np.ndarray]:
+    """A track that is wrong by a constant and a line, corrected by control points; the true positions."""
+    true = Scene.parse(wrong_tracks.SCENE).collection()
+    signal = simulate_pulses(true, PLACES[:, 0], PLACES[:, 1], np.exp(1j * PHASES))
+    wrong = true.antenna_position + np.array(offset) + true.time[:, None] * np.array(velocity)
+    work = begin(Geometry(collection=Collection(**{**true.as_dict(), "antenna_position": wrong}).centred()), GRID)
+    control = Control(names=tuple("ABCD"[:count]), x=PLACES[:count, 0], y=PLACES[:count, 1], phase=PHASES[:count])
+    nothing, points = Correction.none(work), control.points(work)
+    parts = [take_chips(signal[pulses], work, points, nothing.displacement, pulses) for pulses in work.blocks]
+    time = work.sample_times
+    empty = np.zeros((0, 1, 1))
+    result = Result(
+        antenna_position=wrong, time=time, track_error=np.zeros((time.size, 3)), uncertainty=np.zeros((time.size, 3)),
+        x=np.zeros(0), y=np.zeros(0), chips_before=empty, chips_after=empty, figures={"points": 30},
+    )  # fmt: skip
+    return work, anchor(work, result, control, parts, nothing), true.antenna_position
+
+
+@pytest.mark.parametrize(
+    ("offset", "velocity"),
+    [
+        ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0]),
+        ([0.06, 0.0, 0.05], [0.0, 0.03, 0.0]),
+        ([-0.2, 0.1, 0.3], [0.02, -0.05, 0.01]),
+    ],
+)
+def test_range_and_phase_of_places_are_those_of_the_true_track(offset: list[float], velocity: list[float]) -> None:
+    work, result, true = anchored(offset, velocity)
+    assert result.figures["points"] == 30 and result.figures["control"]["points"] == 4
+    assert result.figures["control"]["phase_left"] < 0.1
+    taken = np.stack([np.interp(work.geometry.collection.time, result.time, axis) for axis in result.track_error.T], 1)
+    inside = slice(20, -20)  # beyond the first and last sample of the chips, np.interp is constant
+    moved = work.geometry.collection.antenna_position - result.antenna_position
+    assert taken[inside] == pytest.approx(moved[inside], abs=1e-4)
+    for x, y in [*PLACES, [10.0, 10.0]]:  # also where there is no control point
+        ranges = [np.linalg.norm([x, y, 0.0] - track, axis=1) for track in (result.antenna_position, true)]
+        left = work.wavenumber * (ranges[0] - ranges[1])
+        turns = 2 * np.pi * np.round(left.mean() / (2 * np.pi))
+        assert abs(turns) <= 2 * 2 * np.pi  # from the range of the points: within 3 cm
+        assert np.abs(left - turns).max() < 0.35
+
+
+def test_one_point_anchors_its_own_line_of_sight() -> None:
+    work, result, true = anchored([0.06, 0.0, 0.05], [0.0, 0.0, 0.0], count=1)
+    ranges = [np.linalg.norm([*PLACES[0], 0.0] - track, axis=1) for track in (result.antenna_position, true)]
+    left = work.wavenumber * (ranges[0] - ranges[1])
+    assert np.abs(left - 2 * np.pi * np.round(left.mean() / (2 * np.pi))).max() < 0.2
+
+
+def test_a_point_that_is_not_there_is_named() -> None:
+    true = Scene.parse(wrong_tracks.SCENE).collection()
+    work = begin(Geometry(collection=true.centred()), GRID)
+    noise = np.random.default_rng(1).standard_normal((true.n_pulse, 2 * true.n_range_frequency)).view(np.complex128)
+    control = Control(names=("A",), x=np.zeros(1), y=np.zeros(1), phase=np.zeros(1))
+    nothing, points = Correction.none(work), control.points(work)
+    signal = noise.astype(np.complex64)
+    parts = [take_chips(signal[pulses], work, points, nothing.displacement, pulses) for pulses in work.blocks]
+    zero = np.zeros((work.sample_times.size, 3))
+    result = Result(
+        antenna_position=true.antenna_position, time=work.sample_times, track_error=zero, uncertainty=zero,
+        x=np.zeros(0), y=np.zeros(0), chips_before=zero, chips_after=zero, figures={},
+    )  # fmt: skip
+    with pytest.raises(InputError, match="control point A is not seen"):
+        anchor(work, result, control, parts, nothing)

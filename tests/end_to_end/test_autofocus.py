@@ -1,0 +1,175 @@
+"""Correction of a track from the samples: the store that it writes, resuming, refusals, and focusing with it."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+import wrong_tracks
+from distributed import Client
+
+import blocksar
+from blocksar import stores
+from blocksar.errors import InputError
+
+
+class Corrected(NamedTuple):
+    """A phase history with a wrong track, its correction, the report about it, and the control points' file."""
+
+    source: Path
+    store: Path
+    report: Any
+    control: Path
+
+
+@pytest.fixture(scope="module")
+def corrected(client: Client, tmp_path_factory: pytest.TempPathFactory) -> Corrected:
+    folder = tmp_path_factory.mktemp("autofocus")
+    source, out, control = wrong_tracks.make(folder), folder / "corrected.zarr", folder / "control.json"
+    control.write_text(json.dumps(stores.open_phase_history(source).attrs["targets"][:4]))
+    report = blocksar.autofocus(source, out, grid=wrong_tracks.GRID, control=control, client=client)
+    return Corrected(source, out, report, control)
+
+
+def files(store: Path) -> dict[str, bytes]:
+    """All files of a store; of the group's metadata, what does not tell the time."""
+    found = {str(path.relative_to(store)): path.read_bytes() for path in store.rglob("*") if path.is_file()}
+    group = json.loads(found["zarr.json"])
+    group["attributes"].pop("history")
+    return {**found, "zarr.json": json.dumps(group).encode()}
+
+
+def test_the_track_is_corrected_and_nothing_else_changes(corrected: Corrected) -> None:
+    source, store, report, _ = corrected
+    assert wrong_tracks.residual_phase(source, source) > 5
+    assert wrong_tracks.residual_phase(store, source) < 0.1
+    assert sorted(path.name for path in store.parent.iterdir()) == [
+        "control.json", "corrected.zarr", "ph.truth.zarr", "ph.zarr", "scene.toml",
+    ]  # fmt: skip
+    before, after = stores.open_phase_history(source), stores.open_phase_history(store)
+    assert np.array_equal(before.read(slice(None), slice(None)), after.read(slice(None), slice(None)))
+    for name, value in before.collection.as_dict().items():
+        same = np.array_equal(getattr(after.collection, name), value, equal_nan=isinstance(value, np.ndarray))
+        assert same == (name != "antenna_position"), name
+    original = stores.open_dataset(store)[stores.ORIGINAL]
+    assert np.array_equal(original, before.collection.antenna_position)
+    attribute = after.attrs.pop("autofocus")
+    assert attribute == report.result
+    assert attribute["points"] >= 20 and attribute["entropy_after"] < attribute["entropy_before"] - 1
+    line, earlier = after.attrs.pop("history").split("\n")
+    assert "track corrected by blocksar" in line and earlier == before.attrs.pop("history")
+    assert after.attrs == before.attrs
+    assert report.summary[0].startswith("track corrected by up to")
+
+
+def test_control_points_anchor_the_phase(corrected: Corrected) -> None:
+    figures = corrected.report.result["control"]
+    assert figures["points"] == 4 and figures["phase_left"] < 0.2
+    phases = wrong_tracks.phase_errors(corrected.store, corrected.source)
+    turns = np.round(phases.mean() / (2 * np.pi))
+    assert np.abs(phases - 2 * np.pi * turns).max() < 1.0  # everywhere, not at the control points only
+
+
+def test_the_same_command_again_does_nothing_and_another_is_refused(corrected: Corrected, client: Client) -> None:
+    source, store, report, control = corrected
+    before = files(store)
+    again = blocksar.autofocus(source, store, grid=wrong_tracks.GRID, control=control, client=client)
+    assert again.result == report.result
+    assert again.summary == [f"{store} is finished already with these settings and this input: nothing to do"]
+    with pytest.raises(InputError, match="exists; choose another name"):
+        blocksar.autofocus(source, store, grid=wrong_tracks.GRID, client=client)
+    for out in (source, source / "inside.zarr", source.parent):
+        with pytest.raises(InputError, match="lie in each other"):
+            blocksar.autofocus(source, out, grid=wrong_tracks.GRID, client=client)
+    with pytest.raises(InputError, match="grid is missing"):
+        blocksar.autofocus(source, store.with_name("other.zarr"), client=client)
+    assert files(store) == before
+    assert not [path.name for path in store.parent.iterdir() if path.name.endswith(".autofocus")]
+
+
+@pytest.mark.parametrize(
+    "unit",
+    ["correction-1", pytest.param("chips-1-512", marks=pytest.mark.slow), pytest.param("copy", marks=pytest.mark.slow)],
+)
+def test_a_killed_command_goes_on_to_the_same_bytes(
+    unit: str, corrected: Corrected, client: Client, tmp_path: Path
+) -> None:
+    out, receipts = tmp_path / "again.zarr", tmp_path / "again.zarr.autofocus" / "receipts"
+    grid = ",".join(f"{low}:{high}:{step}" for low, high, step in wrong_tracks.GRID)
+    words = [str(corrected.source), "--out", str(out), f"--grid={grid}", "--scheduler", client.scheduler.address]
+    words += ["--control", str(corrected.control)]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "blocksar", "autofocus", *words, "--quiet"], stdout=subprocess.DEVNULL
+    )
+    until = time.monotonic() + 300
+    while time.monotonic() < until and process.poll() is None and not any(receipts.glob(f"{unit}*")):
+        time.sleep(0.001)
+    os.kill(process.pid, signal.SIGKILL)
+    assert process.wait() == -signal.SIGKILL and not out.exists()
+    report = blocksar.autofocus(corrected.source, out, grid=wrong_tracks.GRID, control=corrected.control, client=client)
+    assert any(line.startswith("went on from an unfinished estimate") for line in report.summary)
+    assert files(out) == files(corrected.store)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["again.zarr"]
+
+
+NOISE = "[noise]\npower = 1.0\nseed = 4\n"
+REFUSED = {
+    "noise alone": NOISE,
+    "one bright point": '[[targets]]\nname = "P"\nx = 3.0\ny = 4.0\namplitude = 30.0\n' + NOISE,
+    "half of the pulses missing": wrong_tracks.targets() + "[dropped]\nfraction = 0.5\nseed = 1\n",
+    "an empty scene": '[[targets]]\nname = "P"\nx = 3.0\ny = 4.0\namplitude = 0.0\n',
+}
+
+
+SLOW = ("noise alone", "one bright point")  # all loops are made before the halves are compared
+
+
+@pytest.mark.parametrize(
+    "case", [pytest.param(case, marks=pytest.mark.slow) if case in SLOW else case for case in REFUSED]
+)
+def test_samples_that_do_not_tell_are_refused_and_nothing_is_left(case: str, client: Client, tmp_path: Path) -> None:
+    source = wrong_tracks.make(tmp_path, REFUSED[case])
+    before = sorted(path.name for path in tmp_path.iterdir())
+    with pytest.raises(InputError) as caught:
+        blocksar.autofocus(source, tmp_path / "corrected.zarr", grid=wrong_tracks.GRID, client=client)
+    assert "\n" not in str(caught.value) and any(character.isdigit() for character in str(caught.value))
+    assert sorted(path.name for path in tmp_path.iterdir()) == before
+    with pytest.raises(InputError, match=str(caught.value)[:20]):
+        blocksar.focus(source, tmp_path / "run", grid=wrong_tracks.GRID, autofocus=True, client=client)
+    assert sorted(path.name for path in tmp_path.iterdir()) == before
+
+
+def test_focus_with_autofocus_is_the_two_in_one(corrected: Corrected, client: Client, tmp_path: Path) -> None:
+    settings: dict[str, Any] = {"grid": wrong_tracks.GRID, "client": client, "processor": "backprojection"}
+    anchored = {**settings, "control": corrected.control}
+    both = blocksar.focus(corrected.source, tmp_path / "both", autofocus=True, **anchored)
+    assert both.summary[0].startswith("track corrected by up to")
+    blocksar.focus(corrected.store, tmp_path / "second", **settings)
+    image, second = (np.array(blocksar.open(tmp_path / name)["image"]) for name in ("both", "second"))
+    assert np.array_equal(image, second)
+    assert both.result["settings"]["autofocus"] is True
+    quality = blocksar.quality(tmp_path / "both", targets=[])
+    assert quality.result["autofocus"]["points"] == corrected.report.result["points"]
+    again = blocksar.focus(corrected.source, tmp_path / "both", autofocus=True, **anchored)
+    assert "nothing to do" in again.summary[0]
+    assert not (tmp_path / "both" / "autofocus").exists()
+    with pytest.raises(InputError, match="holds a run with autofocus"):
+        blocksar.focus(corrected.source, tmp_path / "both", **settings)
+    with pytest.raises(InputError, match="control is given without autofocus"):
+        blocksar.focus(corrected.source, tmp_path / "other", **anchored)
+
+
+@pytest.mark.slow
+def test_a_raw_echo_is_corrected_too(client: Client, tmp_path: Path) -> None:
+    source = wrong_tracks.make(tmp_path, raw=True)
+    blocksar.autofocus(source, tmp_path / "corrected.zarr", grid=wrong_tracks.GRID, client=client)
+    assert wrong_tracks.residual_phase(tmp_path / "corrected.zarr", source) < 0.1
+    assert stores.open_phase_history(tmp_path / "corrected.zarr").raw is not None
