@@ -186,7 +186,7 @@ def run_rows(record: RunRecord) -> Rows:
     if record.input.path:
         rows.append(("input", record.input.path))
     if record.channels:
-        rows.append(("channels", ", ".join(record.channels)))
+        rows.append((f"{record.dimension}s", ", ".join(record.channels)))
     chosen = [f"{name.replace('_', '-')} {value}" for name, value in settings.items() if _told(name, value)]
     if chosen:
         rows.append(("settings", ", ".join(chosen)))

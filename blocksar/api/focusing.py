@@ -20,7 +20,7 @@ from blocksar import stores
 from blocksar.api.arguments import GridLike, Source, blocks_of, fidelity_of, grid_of, in_this_process, memory_of
 from blocksar.api.findings import add_findings
 from blocksar.api.jobs import Job, Request
-from blocksar.api.joint import channels_of, focus_channels
+from blocksar.api.joint import focus_members, members_of
 from blocksar.api.planning import undersampling
 from blocksar.api.rehearsing import rehearse
 from blocksar.api.shown import RunReport
@@ -82,6 +82,7 @@ def focus(
     vertical: str | None = None,
     autofocus: bool = False,
     control: Location | Sequence[Target] | None = None,
+    looks: int | None = None,
     workers: int | None = None,
     threads: int | None = None,
     memory_limit: int | str | None = None,
@@ -140,6 +141,9 @@ def focus(
         Correct the track from the samples first, as `autofocus` does. Default: False.
     control : path or sequence of Target, optional
         With `autofocus`: points at known places, which anchor the track. Default: none.
+    looks : int, optional
+        Number of parts of each target's dwell, each of which becomes an image of its own: (look, y, x). Default: one
+        image of whole dwells.
     workers : int, optional
         Processes of the local cluster; 0: the calling process does the work, without a cluster. Default: the number of
         cores, at most 4; in a notebook or another interactive session 0 for a collection of at most 2**24 samples.
@@ -176,8 +180,8 @@ def focus(
     listener, memory_limit = as_listener(progress), memory_of(memory_limit)
     resources(workers, threads, memory_limit)  # refuses wrong numbers before anything is read
     arguments = dict(locals())
-    if (histories := channels_of(source)) is not None:
-        return focus_channels(focus, histories, {name: arguments[name] for name in signature(focus).parameters})
+    if (members := members_of(source, looks, grid)) is not None:
+        return focus_members(focus, members, {name: arguments[name] for name in signature(focus).parameters})
     profile = None if performance_report is None else Path(performance_report)
     method = method_of(
         processor,

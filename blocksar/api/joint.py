@@ -1,23 +1,28 @@
-"""Runs of several channels: each is a run of its own, one after the other, and their images lie in one store.
+"""Runs of several channels or looks: each is a run of its own, one after the other, and their images lie in one store.
 
 RUN/channels/NAME is the run of a channel, as it would be alone: one geometry gives all of them one plan, and so pixels
-at the same places to the last bit. RUN/image.zarr has their images as (channel, y, x), in files that are shared with
-the channels' own images where the file system has links. RUN/run.json is the record of the whole.
+at the same places to the last bit. RUN/looks/NAME is that of a look, a part of each target's dwell (`collection.
+sublooks`). RUN/image.zarr has their images as (channel, y, x) or (look, y, x), in files that are shared with the
+members' own images where the file system has links. RUN/run.json is the record of the whole.
 """
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from blocksar import stores
-from blocksar.api.arguments import Source, history_of, sources_of
+from blocksar.api.arguments import GridLike, Source, grid_of, history_of, sources_of
+from blocksar.api.ground import image_grid
 from blocksar.api.shown import RunReport
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.sublooks import checked_count, entering_side
 from blocksar.errors import FolderError, InputError
 from blocksar.graph import cluster
 from blocksar.graph.machine import resources
@@ -30,17 +35,35 @@ from blocksar.runs.sources import RunInput
 from blocksar.version import __version__
 
 Focus = Callable[..., RunReport]
-SAME = ("block", "collection", "noise_equivalent", "height")  # of the image: the same in all channels
+SAME = ("block", "collection", "noise_equivalent", "height")  # of the image: those of the first channel or look
 
 
-def channels_of(source: Source) -> list[stores.PhaseHistory] | None:
-    """Return the phase histories if they have several channels, of which none is chosen; else None.
+@dataclass(frozen=True)
+class Members:
+    """What each channel or look is focused from, by name, and what they are: "channel" or "look"."""
+
+    dimension: str
+    histories: dict[str, list[stores.PhaseHistory]]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(self.histories)
+
+    def folder(self, run: Place, name: str) -> Place:
+        return run_folder.member(run, name, self.dimension)
+
+
+def members_of(source: Source, looks: int | None, grid: GridLike | None) -> Members | None:
+    """Return the channels, or the looks that are asked for; None if there is one image only.
 
     Raises
     ------
     InputError
-        If they do not have the same ones.
+        If several phase histories do not have the same channels, or looks cannot be formed.
     """
+    if looks is not None:
+        return _looks_of(source, looks, grid)
     sources = sources_of(source)
     if any(isinstance(each, stores.PhaseHistory) for each in sources):
         return None
@@ -52,16 +75,39 @@ def channels_of(source: Source) -> list[stores.PhaseHistory] | None:
             raise InputError(
                 f"{first.path} and {other.path} do not have the same channels ({' and '.join(have)}); focus each alone"
             )
-    return histories if first.channels else None
+    if not first.channels:
+        return None
+    return Members("channel", {name: [each.of_channel(name) for each in histories] for name in first.channels})
 
 
-def focus_channels(focus: Focus, histories: list[stores.PhaseHistory], arguments: Mapping[str, Any]) -> RunReport:
-    """Focus all channels of phase histories.
+def _looks_of(source: Source, count: int, grid: GridLike | None) -> Members:
+    sources = sources_of(source)
+    if len(sources) > 1:
+        raise InputError(f"looks = {count}: looks are formed of one collection, and here are {len(sources)}")
+    history = history_of(sources[0])
+    if history.channels and not isinstance(sources[0], stores.PhaseHistory):
+        raise InputError(f"looks = {count}: {history.path} has several channels; looks are formed of a single one")
+    if isinstance(history, stores.DatasetHistory):
+        raise InputError(f"looks = {count}: looks are formed of a phase history in a store; write it (blocksar.write)")
+    collection = history.collection.centred()
+    count = checked_count(count, collection)
+    geometry, points = Geometry(collection=collection), image_grid(collection, grid_of(grid))
+    sign, notes = 1.0, []
+    if collection.beam_width is not None:
+        sign = entering_side(geometry, (points.x0 + points.x1) / 2, (points.y0 + points.y1) / 2)
+        part = math.degrees(collection.beam_width) / count
+        notes = [f"each look sees {part:.3g} of the beam's {part * count:.3g} degrees, the first in time first"]
+    named = {f"look-{number + 1}": [history.of_look(number, count, sign)] for number in range(count)}
+    return Members("look", named, tuple(notes))
+
+
+def focus_members(focus: Focus, members: Members, arguments: Mapping[str, Any]) -> RunReport:
+    """Focus all channels or looks.
 
     Parameters
     ----------
     focus : callable
-        Focuses one channel, and takes the same arguments.
+        Focuses one of them, and takes the same arguments.
     arguments : mapping
         Those of `focus`.
 
@@ -70,54 +116,60 @@ def focus_channels(focus: Focus, histories: list[stores.PhaseHistory], arguments
     InputError, ProcessingError
         As `focus` does.
     """
-    folder, names = place(arguments["out"]), histories[0].channels
+    folder, names, kinds = place(arguments["out"]), members.names, f"{members.dimension}s"
     if arguments["performance_report"] is not None:
-        raise InputError("performance_report covers one run, but each channel is one; leave it out")
-    shared = {name: value for name, value in arguments.items() if name not in ("source", "out")}
+        raise InputError(f"performance_report covers one run, but each of the {kinds} is one; leave it out")
+    if members.dimension == "look" and arguments["autofocus"]:
+        raise InputError("looks of one dwell have one track; correct it first (blocksar autofocus), then form looks")
+    shared = {name: value for name, value in arguments.items() if name not in ("source", "out", "looks")}
+    if members.dimension == "look":  # their beams differ, but not the ground that they show
+        first = history_of(sources_of(arguments["source"])[0])
+        shared["grid"] = image_grid(first.collection.centred(), grid_of(arguments["grid"]))
 
     def focus_one(name: str) -> RunReport:
-        return focus([history.of_channel(name) for history in histories], run_folder.member(folder, name), **shared)
+        return focus(members.histories[name], members.folder(folder, name), **shared)
 
     if arguments["dry_run"]:
         found = focus_one(names[0])
-        return replace(found, summary=[f"{len(names)} channels ({', '.join(names)}), each as follows", *found.summary])
-    earlier = _earlier(folder, overwrite=bool(arguments["overwrite"]))
+        return replace(found, summary=[f"{len(names)} {kinds} ({', '.join(names)}), each as follows", *found.summary])
+    earlier = _earlier(folder, members.dimension, overwrite=bool(arguments["overwrite"]))
     listener = as_listener(arguments["progress"])
     with ExitStack() as stack:
         stack.enter_context(run_folder.claim(folder))
         if earlier is None:
-            RunRecord(status=UNFINISHED, format=FORMAT, channels=names, versions={"blocksar": __version__}).write(
-                folder
-            )
-        if arguments["client"] is None and arguments["scheduler"] is None and arguments["workers"] != 0:
-            machine = resources(arguments["workers"], arguments["threads"], arguments["memory_limit"])
-            scratch = run_folder.scratch(folder)
-            client = cluster.open_client(**machine._asdict(), scratch=scratch, listener=listener)
-            shared |= {"client": stack.enter_context(client), "workers": None, "threads": machine.threads}
-            shared["memory_limit"] = None
+            unfinished = RunRecord(
+                status=UNFINISHED, format=FORMAT, channels=names, dimension=members.dimension,
+                versions={"blocksar": __version__},
+            )  # fmt: skip
+            unfinished.write(folder)
+            if arguments["client"] is None and arguments["scheduler"] is None and arguments["workers"] != 0:
+                machine = resources(arguments["workers"], arguments["threads"], arguments["memory_limit"])
+                scratch = run_folder.scratch(folder)
+                client = cluster.open_client(**machine._asdict(), scratch=scratch, listener=listener)
+                shared |= {"client": stack.enter_context(client), "workers": None, "threads": machine.threads}
+                shared["memory_limit"] = None
         reports = {name: focus_one(name) for name in names}
-        members = {name: run_folder.member(folder, name) for name in names}
-        records = {name: RunRecord.read(path) for name, path in members.items()}
+        folders = {name: members.folder(folder, name) for name in names}
+        records = {name: RunRecord.read(path) for name, path in folders.items()}
         if earlier is not None and earlier.identity == _identity(records):
             run_folder.check_finished(folder, earlier)
             done = f"{folder} is finished already with these settings and this input: nothing to do"
             return RunReport(summary=[done], result=earlier.as_json(), folder=folder)
-        record = _join(folder, str(histories[0].path), members, records)
+        source = str(members.histories[names[0]][0].path)
+        record = _join(folder, members.dimension, source, folders, records)
         run_folder.finish(folder, record)
     lines = [f"{name}: {line}" for name, report in reports.items() for line in report.summary]
-    return RunReport(
-        summary=[*lines, f"{folder / 'image.zarr'} has the images of {len(names)} channels ({', '.join(names)})"],
-        result=record.as_json(), folder=folder,
-    )  # fmt: skip
+    whole = f"{folder / 'image.zarr'} has the images of {len(names)} {kinds} ({', '.join(names)})"
+    return RunReport(summary=[*lines, *members.notes, whole], result=record.as_json(), folder=folder)
 
 
-def _earlier(folder: Place, *, overwrite: bool) -> RunRecord | None:
-    """Return the record of a finished run of channels that stays; remove another run if it may be overwritten.
+def _earlier(folder: Place, dimension: str, *, overwrite: bool) -> RunRecord | None:
+    """Return the record of a finished run of channels or looks that stays; remove another if it may be overwritten.
 
     Raises
     ------
     FolderError
-        If the folder holds something else, or a run without channels.
+        If the folder holds something else, or a run without these.
     """
     names = folder.names() if folder.exists() else []
     run_folder.refuse_links(folder)
@@ -127,11 +179,12 @@ def _earlier(folder: Place, *, overwrite: bool) -> RunRecord | None:
             raise FolderError(f"{folder} exists and holds no run of blocksar (but {foreign[0]}); choose another --out")
         return None
     record = RunRecord.read(folder)
-    if record.channels:
+    if record.channels and record.dimension == dimension:
         return record if record.finished and not overwrite else None
     if not overwrite:
         raise FolderError(
-            f"{folder} holds a run without channels; use --overwrite to replace it, or another --out", replaceable=True
+            f"{folder} holds a run without {dimension}s; use --overwrite to replace it, or another --out",
+            replaceable=True,
         )
     with run_folder.claim(folder):
         run_folder.clear(folder)
@@ -143,7 +196,9 @@ def _identity(records: Mapping[str, RunRecord]) -> str:
     return stores.checksum_bytes(repr([(name, record.identity) for name, record in records.items()]).encode())
 
 
-def _join(folder: Place, source: str, members: Mapping[str, Place], records: Mapping[str, RunRecord]) -> RunRecord:
+def _join(
+    folder: Place, dimension: str, source: str, members: Mapping[str, Place], records: Mapping[str, RunRecord]
+) -> RunRecord:
     """Make the image of all channels out of theirs, and the record of the whole."""
     started = time.perf_counter()
     first, image = next(iter(members.values())), folder / "image.zarr"
@@ -164,9 +219,9 @@ def _join(folder: Place, source: str, members: Mapping[str, Place], records: Map
                     written[name].append(share_chunk(path / "image.zarr", made, part, lead))
 
     stores.create(
-        image, stores.with_channels(schema, "image"), sizes={},
-        coords={"x": x, "y": y, "channel": np.asarray(list(members), "T")},
-        attrs=_attributes(first), chunks={"channel": 1, "y": side[0], "x": side[1]}, overwrite=True, fill=fill,
+        image, stores.with_channels(schema, "image", dimension=dimension), sizes={},
+        coords={"x": x, "y": y, dimension: np.asarray(list(members), "T")},
+        attrs=_attributes(first), chunks={dimension: 1, "y": side[0], "x": side[1]}, overwrite=True, fill=fill,
     )  # fmt: skip
     identity = _identity(records)
     base = next(iter(records.values()))
@@ -176,7 +231,7 @@ def _join(folder: Place, source: str, members: Mapping[str, Place], records: Map
     )
     stages = {stage: sum(r.timings.get(stage, 0.0) for r in records.values()) for stage in base.timings}
     return replace(
-        base, status=FINISHED, channels=tuple(members), identity=identity, receipts=receipts,
+        base, status=FINISHED, channels=tuple(members), dimension=dimension, identity=identity, receipts=receipts,
         input=RunInput(source, stores.checksum_bytes(repr([r.input for r in records.values()]).encode())),
         warnings=tuple(f"{name}: {line}" for name, record in records.items() for line in record.warnings),
         timings={**stages, "join": time.perf_counter() - started},

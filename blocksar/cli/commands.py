@@ -334,6 +334,9 @@ def focus(
     weighting_range: RangeWeighting = None,
     weighting_azimuth: AzimuthWeighting = None,
     grid: GridOption = None,
+    looks: Annotated[
+        int | None, typer.Option(metavar="N", help="Form N images, each of a part of every target's dwell.")
+    ] = None,
     terrain: TerrainOption = None,
     surface: SurfaceOption = "plane",
     vertical: VerticalOption = None,
@@ -379,6 +382,7 @@ def focus(
             out,
             processor=processor,
             **settings,
+            looks=looks,
             terrain=terrain,
             surface=surface,
             vertical=vertical,

@@ -112,9 +112,10 @@ class SarAccessor:
     def _image(self) -> xr.DataArray:
         image = self._images
         if image.ndim > 2:
-            first = str(self._dataset["channel"].values[0])
+            kind = str(image.dims[0])
+            first = str(self._dataset[kind].values[0])
             raise InputError(
-                f"the dataset has {image.shape[0]} channels; choose one, such as ds.sel(channel={first!r}).sar"
+                f"the dataset has {image.shape[0]} {kind}s; choose one, such as ds.sel({kind}={first!r}).sar"
             )
         return image
 

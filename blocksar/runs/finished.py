@@ -59,9 +59,9 @@ def folder_of(folder: Place, channel: str | None) -> Place:
     InputError
         If the run is not finished, or has no such channel.
     """
-    channels = finished_record(folder).channels
-    number = stores.number_of(channels, channel, str(folder))
-    return member(folder, channels[number]) if channels else folder
+    record = finished_record(folder)
+    number = stores.number_of(record.channels, channel, str(folder))
+    return member(folder, record.channels[number], record.dimension) if record.channels else folder
 
 
 class Coverage(NamedTuple):

@@ -34,6 +34,7 @@ OWN = (
     "gated",
     "image.zarr",
     "channels",
+    "looks",
     "terrain.zarr",
     "patches",
     "receipts",
@@ -51,9 +52,9 @@ LEFT_ALONE = ("phase_history.zarr", TRACK)  # may lie in the folder of a new run
 LOCK, ASIDE = "run.lock", ".replaced"
 
 
-def member(folder: Place, channel: str) -> Place:
-    """Return the folder of a channel's own run, in a run of several channels."""
-    return folder / "channels" / channel
+def member(folder: Place, name: str, dimension: str = "channel") -> Place:
+    """Return the folder of a channel's or look's own run, in a run of several."""
+    return folder / f"{dimension}s" / name
 
 
 @contextmanager

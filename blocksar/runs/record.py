@@ -320,7 +320,9 @@ class RunRecord:
     segments : tuple of RunSegment
         Empty unless there are several collections, or segments of one.
     channels : tuple of str
-        Names of the channels, each of which has a run of its own; empty in such a run.
+        Names of the channels or looks, each of which has a run of its own; empty in such a run.
+    dimension : str
+        What they are: "channel" or "look".
     identity : str
         Hash of format, settings, input and division into blocks.
     versions : mapping of str to str
@@ -348,6 +350,7 @@ class RunRecord:
     input: RunInput = field(default_factory=RunInput)
     segments: tuple[RunSegment, ...] = ()
     channels: tuple[str, ...] = ()
+    dimension: str = "channel"
     identity: str = ""
     versions: Mapping[str, str] = field(default_factory=dict)
     workers: int | None = None
@@ -419,6 +422,7 @@ class RunRecord:
             input=entry["input"].optional(RunInput.of) or RunInput(),
             segments=tuple(map(RunSegment.of, entry["segments"])),
             channels=tuple(name.path() for name in entry["channels"]),
+            dimension=entry["dimension"].text("channel"),
             identity=entry["identity"].text(""),
             versions={name: version.text() for name, version in entry["versions"].items()},
             workers=entry["workers"].optional(Field.count),
@@ -442,7 +446,7 @@ class RunRecord:
             "settings": dict(self.settings),
             "input": asdict(self.input),
             **({"segments": [segment.as_json() for segment in self.segments]} if self.segments else {}),
-            **({"channels": list(self.channels)} if self.channels else {}),
+            **({"channels": list(self.channels), "dimension": self.dimension} if self.channels else {}),
             "identity": self.identity,
             "versions": dict(self.versions),
             "workers": self.workers,

@@ -15,16 +15,19 @@ from blocksar.places.place import Place
 from blocksar.stores.arrays import dimension_names, metadata_file, open_array
 from blocksar.stores.schema import Variable
 
-CHANNEL = Variable(("channel",), "T", "", "channel, such as a polarisation")
+NAMED = {
+    "channel": "channel, such as a polarisation",
+    "look": "look: part of each target's dwell, the first in time first",
+}
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_+-]{0,31}")  # also the name of a folder
 MOST = 64
 REMEDY = "give each a short name of letters, digits, _, + and -, such as HH"
 
 
-def with_channels(schema: Mapping[str, Variable], *names: str) -> dict[str, Variable]:
-    """The schema with a leading dimension `channel` for some variables, and its coordinate."""
-    more = {name: replace(schema[name], dims=("channel", *schema[name].dims)) for name in names}
-    return {**schema, **more, "channel": CHANNEL}
+def with_channels(schema: Mapping[str, Variable], *names: str, dimension: str = "channel") -> dict[str, Variable]:
+    """The schema with a leading dimension, of channels or looks, for some variables, and its coordinate."""
+    more = {name: replace(schema[name], dims=(dimension, *schema[name].dims)) for name in names}
+    return {**schema, **more, dimension: Variable((dimension,), "T", "", NAMED[dimension])}
 
 
 def check_channels(names: Sequence[str]) -> tuple[str, ...]:

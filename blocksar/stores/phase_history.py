@@ -17,6 +17,7 @@ import xxhash
 import zarr
 
 from blocksar.arrays import ComplexArray, FloatArray, check_axis
+from blocksar.collection import sublooks
 from blocksar.collection.collection import Collection
 from blocksar.collection.raw_echo import RawEcho
 from blocksar.errors import InputError
@@ -69,6 +70,8 @@ class PhaseHistory:
         Names along the samples' leading dimension `channel`; empty if they have none.
     channel : int
         Number of the channel that is read.
+    look : (number, count, sign) or None
+        Of a part of each dwell, see `of_look`.
     """
 
     path: Place
@@ -79,6 +82,7 @@ class PhaseHistory:
     cut: tuple[int, int] | None = None
     channels: tuple[str, ...] = ()
     channel: int = 0
+    look: tuple[int, int, float] | None = None
 
     @property
     def variable(self) -> str:
@@ -108,15 +112,24 @@ class PhaseHistory:
         number = number_of(self.channels, name, str(self.path))
         return replace(self, channel=number, versions=None, attrs=attrs_of_channel(self.attrs, self.channels, number))
 
+    def of_look(self, number: int, count: int, sign: float) -> PhaseHistory:
+        """The same with a collection that sees one of `count` parts of each dwell, see `collection.sublooks`."""
+        pulses = sublooks.pulses_of(self.collection, number, count)
+        if not self.collection.steered:
+            return replace(self.segment(pulses.start, pulses.stop), look=(number, count, sign))
+        collection = sublooks.narrowed(self.collection, number, count, sign)
+        return replace(self, collection=collection, look=(number, count, sign))
+
     def opened_again(self) -> PhaseHistory:
-        """The same channel of the store as it is now.
+        """The same channel and look of the store as it is now.
 
         Raises
         ------
         InputError
             As `open_phase_history`.
         """
-        return open_phase_history(self.path).of_channel(self.channels[self.channel] if self.channels else None)
+        history = open_phase_history(self.path).of_channel(self.channels[self.channel] if self.channels else None)
+        return history if self.look is None else history.of_look(*self.look)
 
     def _region(self, pulses: slice, columns: slice) -> tuple[slice, ...]:
         """Samples of the channel, as a region of the variable."""
@@ -211,7 +224,7 @@ class PhaseHistory:
         InputError
             If a file cannot be read.
         """
-        digest = xxhash.xxh3_128()
+        digest = xxhash.xxh3_128(b"" if self.look is None else repr(self.look).encode())
         try:
             for name, chunk, file in self._files():
                 digest.update(os.fsencode(f"{name}\n"))

@@ -81,7 +81,7 @@ def test_focus_passes_every_option(api: Calls) -> None:
     words += " --weighting hann --weighting-azimuth taylor:4:-35"
     words += " --fidelity 0.9995 --perturbation none --no-keystone --derotation linear --range-model conventional"
     words += (
-        " --terrain dem.tif --surface ellipsoid --vertical egm96 --autofocus --control points.json"
+        " --terrain dem.tif --surface ellipsoid --vertical egm96 --looks 3 --autofocus --control points.json"
         " --grid -10:10:0.5,100:200:1 --workers 3 --threads 2 --memory-limit 2GiB --scheduler tcp://a:1 --overwrite"
     )
     assert run(*words.split()).exit_code == 0
@@ -92,6 +92,7 @@ def test_focus_passes_every_option(api: Calls) -> None:
         "terrain": "dem.tif",
         "surface": "ellipsoid",
         "vertical": "egm96",
+        "looks": 3,
         "autofocus": True,
         "control": "points.json",
         "processor": "high-order-phase",

@@ -1,0 +1,72 @@
+"""Sub-aperture looks: the parts into which each target's dwell is divided, and the collections that see one part only.
+
+A look of a steered beam is what a beam of 1 / n of its width would have seen, which points as far off the beam's centre
+as the part of the dwell lies: parts of equal angle, since w and g of the image's definition are functions of it.
+Without a steered beam all targets have one dwell, and a look is a part of the pulses. Everything else follows from the
+collection: dwells, gates, prediction, weighting. The sum of the looks, each times its sum of weights, is the image.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from blocksar.collection.beam import beam_offset
+from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
+from blocksar.errors import InputError
+
+MOST = 32
+LEAST_PULSES = 16  # of a look
+
+
+def pulses_of(collection: Collection, number: int, count: int) -> slice:
+    """The pulses of a look: all where the beam is steered."""
+    n = collection.n_pulse
+    if collection.steered:
+        return slice(0, n)
+    return slice(round(number * n / count), round((number + 1) * n / count))
+
+
+def narrowed(collection: Collection, number: int, count: int, sign: float) -> Collection:
+    """A collection with a steered beam as one look of its dwells sees it.
+
+    Parameters
+    ----------
+    number, count : int
+        0 is the first in time, of `count`.
+    sign : float
+        1 where targets enter the beam at positive offsets, -1 where at negative ones; see `entering_side`.
+    """
+    assert collection.beam_width is not None
+    centre = sign * (0.5 - (number + 0.5) / count) * collection.beam_width
+    moved = "beam_steering" if collection.has_axis else "beam_azimuth"
+    changes = {moved: getattr(collection, moved) + centre, "beam_width": collection.beam_width / count}
+    if collection.beam_offset is not None:
+        changes["beam_offset"] = collection.beam_offset - centre
+    return replace(collection, **changes)
+
+
+def entering_side(geometry: Geometry, x: float, y: float) -> float:
+    """1 if a point on the ground, m, enters the beam at a positive offset from its centre, else -1."""
+    offset = np.asarray(beam_offset(geometry, np.array(x), np.array(y), slice(None)), np.float64)
+    middle = int(np.clip(np.argmin(np.abs(offset)), 1, offset.size - 2))
+    return 1.0 if offset[middle + 1] < offset[middle - 1] else -1.0
+
+
+def checked_count(count: int, collection: Collection) -> int:
+    """Return a number of looks that can be formed.
+
+    Raises
+    ------
+    InputError
+        If it is none, or leaves too few pulses.
+    """
+    if isinstance(count, bool) or not 2 <= count <= MOST:
+        raise InputError(f"looks = {count!r}: give 2 to {MOST} looks, or leave it out")
+    if collection.n_pulse < count * LEAST_PULSES:
+        raise InputError(
+            f"looks = {count}: {collection.n_pulse} pulses leave fewer than {LEAST_PULSES} for each; take fewer looks"
+        )
+    return int(count)

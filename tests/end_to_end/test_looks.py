@@ -1,0 +1,91 @@
+"""Sub-aperture looks: parts of each dwell, whose sum is the image."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from axis_beams import axis_scene
+from scenes import write_store
+
+import blocksar
+from blocksar import stores
+from blocksar.collection.beam import lit_interval
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.sublooks import entering_side
+from blocksar.errors import InputError
+
+SETTINGS: dict[str, Any] = {"workers": 0}
+CLUTTER = "[clutter]\nscatterers = 500\npower = 1e-3\nseed = 3\n"
+
+
+def coherence(a: Any, b: Any) -> float:
+    seen = np.isfinite(a) & np.isfinite(b)
+    assert seen.mean() > 0.5
+    a, b = a[seen].astype(complex), b[seen].astype(complex)
+    return float(abs(np.vdot(a, b)) / np.sqrt(np.vdot(a, a).real * np.vdot(b, b).real))
+
+
+def check_sum(store: Path, folder: Path, grid: Any, count: int, **more: Any) -> None:
+    """The looks, each times its number of lit pulses, sum up to the image, and follow each other in time."""
+    settings = {**SETTINGS, **more, "grid": grid}
+    blocksar.focus(store, folder / "whole", **settings)
+    said = blocksar.focus(store, folder / "looks", looks=count, **settings).summary
+    assert f"has the images of {count} looks" in said[-1]
+    whole, looks = blocksar.open(folder / "whole").image, blocksar.open(folder / "looks").image
+    assert looks.dims == ("look", "y", "x") and looks.look.values.tolist()[0] == "look-1"
+    history = stores.open_phase_history(store)
+    x, y = np.meshgrid(whole.x.values, whole.y.values)
+    side, total, pulses, before = 1.0, 0, 0, -1
+    geometry = Geometry(collection=history.collection.centred())
+    if history.collection.steered:
+        side = entering_side(geometry, float(x.mean()), float(y.mean()))
+    for number in range(count):
+        view = history.of_look(number, count, side)
+        first, last = lit_interval(Geometry(collection=view.collection.centred()), x, y)
+        start = 0 if view.cut is None else view.cut[0]
+        middle = start + int(first[first.shape[0] // 2, first.shape[1] // 2])
+        assert middle > before
+        before = middle
+        total = total + np.nan_to_num(looks.values[number]) * (last - first)
+        pulses = pulses + (last - first)
+    assert coherence(total / np.maximum(pulses, 1), np.where(pulses > 0, whole.values, np.nan)) > 0.998
+
+
+def test_looks_of_a_steered_beam_sum_up_to_the_image(tmp_path: Path) -> None:
+    where = "range = [29950.0, 30050.0]\nyaw_deg = [49.9, 50.1]\n"
+    store = write_store(tmp_path, swath=[29_800.0, 30_200.0], more=CLUTTER + where)
+    geometry = Geometry(collection=stores.open_phase_history(store).collection.centred())
+    x, y, _ = (round(float(at)) for at in geometry.ground_point(np.array(30_000.0), np.array(np.radians(50.0))))
+    grid = ((x - 30.0, x + 30.0, 1.0), (y - 30.0, y + 30.0, 1.0))
+    check_sum(store, tmp_path, grid, 2, blocks=1, coefficients="closed-form")
+
+
+def test_looks_of_a_beam_about_its_axis_sum_up_to_the_image(tmp_path: Path) -> None:
+    more = CLUTTER + "x = [8950.0, 9050.0]\ny = [-50.0, 50.0]\n"
+    (tmp_path / "scene.toml").write_text(axis_scene('mode = "stripmap"\nwidth_deg = 0.8\n', more=more))
+    store = Path(blocksar.simulate(tmp_path / "scene.toml", tmp_path / "phase_history.zarr"))
+    check_sum(store, tmp_path, ((8980.0, 9020.0, 1.0), (-20.0, 20.0, 0.5)), 2, processor="backprojection")
+
+
+def test_looks_of_an_unsteered_collection_are_parts_of_its_pulses(tmp_path: Path) -> None:
+    time = (np.arange(400) - 200) / 200.0
+    track = np.stack([-6000 + 0 * time, 150 * time, 4000 + 0 * time], axis=1)
+    frequency, reference = (np.arange(96) - 48) * 1e6, np.linalg.norm(track, axis=1)
+    signal = np.zeros((time.size, frequency.size), np.complex128)
+    for x, y in np.random.default_rng(0).uniform(-25, 25, (60, 2)):
+        distance = np.linalg.norm([x, y, 0.0] - track, axis=1) - reference
+        signal += np.exp(-4j * np.pi / 299792458.0 * np.outer(distance, 9.6e9 + frequency))
+    dataset = blocksar.collection(
+        signal=signal, time=time, range_frequency=frequency, reference_range=reference, antenna_position=track,
+        carrier_frequency=9.6e9,
+    )  # fmt: skip
+    blocksar.write(dataset, tmp_path / "ph.zarr")
+    check_sum(tmp_path / "ph.zarr", tmp_path, ((-30.0, 30.0, 0.5), (-30.0, 30.0, 0.5)), 3)
+    for count, words in ((1, "give 2 to 32 looks"), (30, "take fewer looks")):
+        with pytest.raises(InputError, match=words):
+            blocksar.focus(tmp_path / "ph.zarr", tmp_path / "wrong", looks=count, **SETTINGS)
+    with pytest.raises(InputError, match="in a store"):
+        blocksar.focus(dataset, tmp_path / "wrong", looks=2, grid=((-30.0, 30.0, 0.5), (-30.0, 30.0, 0.5)))
