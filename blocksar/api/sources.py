@@ -177,7 +177,8 @@ def ingest_gotcha(
     Parameters
     ----------
     source : path or sequence of paths
-        Files of one pass and one polarisation, in any order.
+        Files of one pass, in any order. Several polarisations become the channels of the store, if their pulses are at
+        the same places.
     out : path
         Phase-history store to write.
     collection_start : str, optional

@@ -95,12 +95,17 @@ def number_of(channels: Sequence[str], channel: str | None, label: str) -> int:
 def attrs_of_channel(attrs: Mapping[str, Any], channels: Sequence[str], number: int) -> dict[str, Any]:
     """Attributes of a store as a channel has them: its name as `channel`, and targets with their reflectivity in it.
 
+    If `polarizations` has the channel, that is its `polarization`.
+
     The `channels` of a target have its reflectivity in each: 0 where it is not seen. One that lacks them is the
     same in all.
     """
     if not channels:
         return dict(attrs)
     name, targets = channels[number], attrs.get("targets")
+    polarizations = attrs.get("polarizations")
+    if isinstance(polarizations, Mapping) and isinstance(polarizations.get(name), Mapping):
+        attrs = {**attrs, "polarization": polarizations[name]}
     attrs = {**attrs, "channel": name}
     if not isinstance(targets, list):
         return attrs

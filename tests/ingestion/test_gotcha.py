@@ -158,7 +158,7 @@ def test_a_few_lost_pulses_become_missing(tmp_path: Path) -> None:
 
 
 def test_chunks_of_pulses_are_gathered_across_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for holder in (ingestion, stores.phase_history):
+    for holder in (ingestion, stores.history_creation):
         monkeypatch.setattr(holder, "TILE", (16, 1024))
     told: list[tuple[int, int]] = []
     ingestion.ingest(
@@ -189,6 +189,85 @@ def test_r0_is_kept_where_it_differs_from_the_distance(tmp_path: Path) -> None:
     (tmp_path / "a.mat").write_bytes(packed(record))
     made = ingestion.ingest(tmp_path / "a.mat", tmp_path / "ph.zarr")
     assert np.abs(made.collection.reference_range - np.linalg.norm(position, axis=1) - 3).max() < 2e-3
+
+
+# ---------------------------------------------------------------- Polarisations
+
+
+def polarised(paths: list[Path], name: str, factor: complex) -> list[Path]:
+    """Copies of files of HH as another polarisation, in which every target has `factor` times the reflectivity."""
+    copies = [path.with_name(path.name.replace("HH", name)) for path in paths]
+    for path, copied in zip(paths, copies, strict=True):
+        fields = read_struct(path.read_bytes(), "data")
+        record = {key: value for key, value in fields.items() if key not in ("af", "fp")}
+        copied.write_bytes(packed({**record, "fp": (factor * fields["fp"]).astype(np.complex64)}))
+    return copies
+
+
+def test_polarisations_become_channels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for holder in (ingestion, stores.history_creation):
+        monkeypatch.setattr(holder, "TILE", (16, 1024))
+    position = circle(AZIMUTH)
+    factors = {"HH": 1, "HV": 0.25j, "VH": 0.5, "VV": -2}
+    alone = written(tmp_path, position[:40], position[45:])
+    ingestion.ingest(alone, tmp_path / "hh.zarr")
+    others = [path for name in ("VV", "HV", "VH") for path in polarised(alone, name, factors[name])]
+    told: list[tuple[int, int]] = []
+    made = ingestion.ingest([*others, *alone], tmp_path / "ph.zarr", progress=lambda *n: told.append(n))
+    assert "8 files, 85 pulses in each of the channels HH, HV, VH, VV;" in made.messages[0]
+    assert told[-1] == (360, 360) and len(told) == 24
+    single, history = (stores.open_phase_history(tmp_path / name) for name in ("hh.zarr", "ph.zarr"))
+    assert single.channels == () and history.channels == ("HH", "HV", "VH", "VV")
+    for name in ("time", "reference_range", "antenna_position", "range_frequency"):
+        assert np.array_equal(getattr(history.collection, name), getattr(single.collection, name))
+    wanted = samples(tmp_path / "hh.zarr")
+    assert np.isnan(wanted[40:45]).all()
+    for name, factor in factors.items():
+        channel = history.of_channel(name)
+        found = channel.read(slice(None), slice(None))
+        assert np.array_equal(found, (factor * wanted).astype(np.complex64), equal_nan=True), name
+        assert channel.attrs["polarization"] == {"transmit": name[0], "receive": name[1]}
+
+
+def test_uneven_polarisations_are_resampled_alike(tmp_path: Path) -> None:
+    random = np.random.default_rng(3)
+    alone = written(tmp_path, circle(STEP * (np.arange(150) + random.uniform(-0.2, 0.2, 150))))
+    ingestion.ingest(alone, tmp_path / "hh.zarr")
+    ingestion.ingest([*alone, *polarised(alone, "VV", -2)], tmp_path / "ph.zarr")
+    history, wanted = stores.open_phase_history(tmp_path / "ph.zarr"), samples(tmp_path / "hh.zarr")
+    for name, factor in (("HH", 1), ("VV", -2)):
+        found = history.of_channel(name).read(slice(None), slice(None))
+        assert np.array_equal(found, (factor * wanted).astype(np.complex64), equal_nan=True)
+
+
+def test_polarisations_of_other_places_are_refused(tmp_path: Path) -> None:
+    position = circle(AZIMUTH)
+    alone = written(tmp_path, position)
+
+    def other(name: str, **fields: np.ndarray) -> Path:
+        path = tmp_path / name
+        path.write_bytes(packed({**record_of(position), **fields}))
+        return path
+
+    record = record_of(position)
+    aside = other("aside_VV.mat", z=record["z"] + np.float32(0.004))
+    referred = other("referred_VV.mat", r0=record["r0"] + np.float32(0.004))
+    close = other("close_VV.mat", z=record["z"] + np.float32(0.0005))  # less than a float32's rounding
+    short = tmp_path / "short_VV.mat"
+    short.write_bytes(packed(record_of(position[:-1])))
+    nameless = other("nameless.mat")
+    for given, said in (
+        ([aside], r"x, y and z of VV and HH differ by 0\.00\d+ m at azimuth"),
+        ([referred], r"r0 of VV and HH differ by 0\.00\d+ m"),
+        ([short], "polarisation VV has 89 pulses, but HH 90"),
+        ([close, nameless], "nameless.mat has no polarisation in its name, but others are of HH and VV"),
+    ):
+        with pytest.raises(InputError, match=said) as refused:
+            ingestion.ingest([*alone, *given], tmp_path / "ph.zarr")
+        one_sentence(str(refused.value).replace(str(tmp_path), "").replace(".mat", ""))
+        assert not (tmp_path / "ph.zarr").exists()
+    made = ingestion.ingest([*alone, close], tmp_path / "ph.zarr")
+    assert made.collection.n_pulse == 90
 
 
 # ---------------------------------------------------------------- Uneven pulses
@@ -425,7 +504,7 @@ def test_files_that_do_not_belong_together_are_refused(tmp_path: Path) -> None:
     again = record_of(position[40:80])
     same.write_bytes(packed({**again, "fp": 2 * again["fp"]}))
     for given, said in (
-        ([first, other], "polarisation VV"),
+        ([first, other], "x, y and z of VV and HH differ by"),
         ([first, another], "pass 2"),
         ([first, moved], "freq from"),
         ([first, fewer], "47 samples"),
@@ -617,6 +696,20 @@ def test_measured_figures(measured: list[Path], tmp_path: Path) -> None:
     assert track.order <= 6 and track.max_misfit < 2e-3
     assert any("number serves as slow time" in line for line in made.messages)
     assert any("its rounding" in line for line in made.messages)
+
+
+def test_measured_samples_are_the_same_beside_another_polarisation(measured: list[Path], tmp_path: Path) -> None:
+    alone = [tmp_path / path.name for path in measured[:2]]
+    for path, copied in zip(measured, alone, strict=False):
+        copied.write_bytes(path.read_bytes())
+    ingestion.ingest(alone, tmp_path / "hh.zarr")
+    ingestion.ingest([*polarised(alone, "VV", 0.5j), *alone], tmp_path / "ph.zarr")
+    both, single = (stores.open_phase_history(tmp_path / name) for name in ("ph.zarr", "hh.zarr"))
+    whole = slice(None), slice(None)
+    assert both.channels == ("HH", "VV")
+    assert np.array_equal(both.read(*whole), single.read(*whole), equal_nan=True)
+    assert np.array_equal(both.of_channel("VV").read(*whole), 0.5j * single.read(*whole), equal_nan=True)
+    assert np.array_equal(both.collection.antenna_position, single.collection.antenna_position)
 
 
 def test_measured_sign_and_reference(store: Path, reference: np.ndarray, measured: list[Path]) -> None:

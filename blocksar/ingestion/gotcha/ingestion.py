@@ -26,8 +26,15 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import TRACK_ACCURACY, Geometry, Track, fit_track
 from blocksar.constants import SPEED_OF_LIGHT, TURN
 from blocksar.errors import InputError
-from blocksar.ingestion.gotcha.files import ROUNDING, read_headers
-from blocksar.ingestion.gotcha.joining import Joined, check_same_collection, describe_band, join
+from blocksar.ingestion.gotcha.files import ROUNDING, File, read_headers
+from blocksar.ingestion.gotcha.joining import (
+    Joined,
+    by_polarisation,
+    check_same_collection,
+    check_same_geometry,
+    describe_band,
+    join,
+)
 from blocksar.ingestion.reading import Ingested
 from blocksar.ingestion.resampling import OCCUPIED, Resampling, plan_resampling
 from blocksar.places import Location, place
@@ -52,7 +59,8 @@ def ingest(
     Parameters
     ----------
     source : path, or sequence of paths
-        MATLAB files of one pass and polarisation that adjoin in azimuth, up to the full circle.
+        MATLAB files of one pass that adjoin in azimuth, up to the full circle. Several polarisations become the
+        channels of the store, if their pulses are at the same places.
     out : path, URL or Place
         Of the new store.
     times : mapping, optional
@@ -73,18 +81,21 @@ def ingest(
         raise InputError("source is empty; give at least one MATLAB file")
     files = [read_headers(place(path)) for path in sources]
     check_same_collection(files)
-    layout = lay_out(join(files))
+    channels = {name: join(some) for name, some in by_polarisation(files).items()}
+    check_same_geometry(channels)
+    layout = lay_out(channels)
     target = place(out)
     given = {"time_zero": 0.0, **times} if times else {}
-    source_text = {"format": "AFRL Gotcha", "files": layout.attributes["source"], **given}
+    source_text = {"format": "AFRL Gotcha", "files": [file.path.name for file in files], **given}
     attributes = {
         **layout.attributes,
         "source": source_text,
         "history": stores.history_line(f"ingested by blocksar from {len(files)} files"),
     }
     stores.create_phase_history(
-        target, layout.collection, attrs=attributes, overwrite=overwrite, fill=_writer(layout, progress)
-    )
+        target, layout.collection, channels=layout.names, attrs=attributes, overwrite=overwrite,
+        fill=_writer(layout, progress),
+    )  # fmt: skip
     return Ingested(
         path=target.path if isinstance(target, LocalPlace) else target,
         collection=layout.collection,
@@ -94,9 +105,13 @@ def ingest(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Layout:
-    """The new store: its collection, and the row of each joined pulse, or how rows are resampled from them."""
+    """The new store: its collection, and the row of each joined pulse, or how rows are resampled from them.
 
-    joined: Joined
+    `names` are those of the channels; empty if there is one polarisation.
+    """
+
+    channels: tuple[Joined, ...]
+    names: tuple[str, ...]
     collection: Collection
     rows: IntArray  # of the joined pulses, if they are not resampled
     resampling: Resampling | None
@@ -104,8 +119,14 @@ class _Layout:
     messages: list[str]
 
 
-def lay_out(joined: Joined) -> _Layout:
-    """Determine slow time, track and reference range of the store, and how its rows follow from the pulses."""
+def lay_out(channels: Mapping[str, Joined]) -> _Layout:
+    """Determine slow time, track and reference range of the store, and how its rows follow from the pulses.
+
+    They are those of the first channel.
+    """
+    joined, *_ = channels.values()
+    names = tuple(channels) if len(channels) > 1 else ()
+    files = [file for channel in channels.values() for file in channel.files]
     frequency = joined.files[0].frequency
     carrier = float(frequency[0] + frequency[-1]) / 2
     steps = np.diff(joined.azimuth) / joined.step
@@ -136,42 +157,44 @@ def lay_out(joined: Joined) -> _Layout:
         reference_range=reference[usable],
         antenna_position=position[usable],
         beam_azimuth=np.full(n, np.nan),
-        title=_title(joined),
+        title=_title(files, joined.azimuth),
     )
+    each = f" in each of the channels {', '.join(names)}" if names else ""
     messages = [
-        f"{len(joined.files)} files, {joined.azimuth.size} pulses; {collection.title}; {describe_band(frequency)}",
+        f"{len(files)} files, {joined.azimuth.size} pulses{each}; {collection.title}; {describe_band(frequency)}",
         f"slow time: {slow_time}; its interval, {PULSE_INTERVAL:g} s, is nominal, as the files have no times",
         *([f"{missing} of {n} pulses are missing"] if missing else []),
         reference_message,
         _describe_track(Geometry(collection=collection).track, collection, radius),
     ]
-    if any(file.autofocus for file in joined.files):
+    if any(file.autofocus for file in files):
         messages.append("autofocus: the files' solution (af) is not applied, as it follows one target")
     return _Layout(
-        joined=joined,
+        channels=tuple(channels.values()),
+        names=names,
         collection=collection,
         rows=rows,
         resampling=resampling,
-        attributes={"source": [file.path.name for file in joined.files], "ingested": messages, **_polarization(joined)},
+        attributes={"ingested": messages, **_polarization(list(channels))},
         messages=messages,
     )
 
 
-def _title(joined: Joined) -> str:
+def _title(files: Sequence[File], azimuth: FloatArray) -> str:
     """The store's title: passes, polarisations and azimuths."""
-    first, last = np.degrees(joined.azimuth[[0, -1]])
+    first, last = np.degrees(azimuth[[0, -1]])
     parts = ["AFRL Gotcha"]
-    parts += [f"pass {p}" for p in sorted({f.pass_ for f in joined.files if f.pass_})]
-    parts += sorted({f.polarisation for f in joined.files if f.polarisation})
+    parts += [f"pass {p}" for p in sorted({f.pass_ for f in files if f.pass_})]
+    parts += sorted({f.polarisation for f in files if f.polarisation})
     return ", ".join([*parts, f"azimuth {first:.2f} to {last:.2f} degrees"])
 
 
-def _polarization(joined: Joined) -> dict[str, Any]:
-    """The attribute `polarization`, if the files' names contain it."""
-    match sorted({f.polarisation for f in joined.files if f.polarisation}):
-        case [both]:
-            return {"polarization": {"transmit": both[0], "receive": both[1]}}
-    return {}
+def _polarization(names: Sequence[str]) -> dict[str, Any]:
+    """The attribute `polarization`, or `polarizations` of several channels, if the files' names contain it."""
+    known = {both: {"transmit": both[0], "receive": both[1]} for both in names if both}
+    if len(known) > 1:
+        return {"polarizations": known}
+    return {"polarization": next(iter(known.values()))} if known else {}
 
 
 def _unevenness(rows: IntArray, steps: FloatArray) -> float:
@@ -264,25 +287,37 @@ def _describe_track(track: Track, collection: Collection, radius: float) -> str:
 
 
 def _writer(layout: _Layout, progress: Callback | None) -> Callable[[Place], None]:
-    """Make the function that fills the store by chunks of pulses; only the files of one chunk are in memory."""
+    """Make the function that fills the store by channels and chunks of pulses.
+
+    Only the files of one chunk are in memory.
+    """
     n, columns = layout.collection.n_pulse, layout.collection.n_range_frequency
 
     def write(store: Place) -> None:
-        loaded: dict[int, ComplexArray] = {}
-        for first in range(0, n, TILE[0]):
-            rows = slice(first, min(first + TILE[0], n))
-            if layout.resampling is None:
-                start, stop = np.searchsorted(layout.rows, [rows.start, rows.stop])
-                samples = np.full((rows.stop - rows.start, columns), complex(np.nan, np.nan), np.complex64)
-                samples[layout.rows[start:stop] - first] = _gather(layout.joined, slice(start, stop), loaded)
-            else:
-                inputs = _gather(layout.joined, layout.resampling.inputs(rows), loaded)
-                samples = layout.resampling.apply(inputs, rows)
-            stores.write_region(store, "signal", (rows, slice(0, columns)), samples)
-            if progress is not None:
-                progress(rows.stop, n)
+        for number, joined in enumerate(layout.channels):
+            lead = (slice(number, number + 1),) if layout.names else ()
+            loaded: dict[int, ComplexArray] = {}
+            for first in range(0, n, TILE[0]):
+                rows = slice(first, min(first + TILE[0], n))
+                samples = _rows(layout, joined, rows, loaded)
+                stores.write_region(
+                    store, "signal", (*lead, rows, slice(0, columns)), samples[None] if lead else samples
+                )
+                if progress is not None:
+                    progress(number * n + rows.stop, len(layout.channels) * n)
 
     return write
+
+
+def _rows(layout: _Layout, joined: Joined, rows: slice, loaded: dict[int, ComplexArray]) -> ComplexArray:
+    """Some rows of a channel of the store, (n, n_frequency); those of missing pulses are NaN."""
+    if layout.resampling is not None:
+        return layout.resampling.apply(_gather(joined, layout.resampling.inputs(rows), loaded), rows)
+    start, stop = np.searchsorted(layout.rows, [rows.start, rows.stop])
+    shape = (rows.stop - rows.start, layout.collection.n_range_frequency)
+    samples = np.full(shape, complex(np.nan, np.nan), np.complex64)
+    samples[layout.rows[start:stop] - rows.start] = _gather(joined, slice(start, stop), loaded)
+    return samples
 
 
 def _gather(joined: Joined, pulses: slice, loaded: dict[int, ComplexArray]) -> ComplexArray:

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from blocksar.arrays import UNIFORM_TOLERANCE, BoolArray, FloatArray, IntArray
-from blocksar.constants import TURN
+from blocksar.constants import SPEED_OF_LIGHT, TURN
 from blocksar.errors import InputError
 from blocksar.ingestion.gotcha.files import File
 
 MAX_GAP = 32  # pulses that may be missing in one place; an omitted file leaves a larger gap
 MAX_JUMP = 5.0  # largest distance between two pulses over the usual one; a single pass stays below it
+
+SAME_PLACE = 1 / 32  # wavelengths: two polarisations' positions; those of float32 are rounded to half of that
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -35,23 +37,71 @@ class Joined:
 
 
 def check_same_collection(files: Sequence[File]) -> None:
-    """Refuse files that differ in polarisation, pass or frequency grid, with an InputError."""
+    """Refuse files that differ in pass or frequency grid, with an InputError."""
     first = files[0]
     step = first.frequency[1] - first.frequency[0]
     for other in files[1:]:
-        for attribute, name in (("polarisation", "polarisation"), ("pass_", "pass")):
-            ours, theirs = getattr(first, attribute), getattr(other, attribute)
-            if ours and theirs and ours != theirs:
-                raise InputError(
-                    f"{other.path} is of {name} {theirs}, but {first.path} of {name} {ours}; ingest each {name} "
-                    "by itself"
-                )
+        if first.pass_ and other.pass_ and first.pass_ != other.pass_:
+            raise InputError(
+                f"{other.path} is of pass {other.pass_}, but {first.path} of pass {first.pass_}; ingest each pass by "
+                "itself"
+            )
         same = other.frequency.size == first.frequency.size
         if not same or np.abs(other.frequency - first.frequency).max() > UNIFORM_TOLERANCE * step:
             raise InputError(
                 f"{other.path} has {describe_band(other.frequency)}, but {first.path} "
                 f"{describe_band(first.frequency)}; ingest files of one grid"
             )
+
+
+def by_polarisation(files: Sequence[File]) -> dict[str, list[File]]:
+    """The files of each polarisation, in alphabetical order; all of them under one name if there is only one.
+
+    Raises
+    ------
+    InputError
+        If there are several, and the name of a file has none.
+    """
+    names = sorted({file.polarisation for file in files if file.polarisation})
+    if len(names) < 2:
+        return {names[0] if names else "": list(files)}
+    for file in files:
+        if not file.polarisation:
+            raise InputError(
+                f"{file.path} has no polarisation in its name, but others are of {' and '.join(names)}; rename it, "
+                f"such as {names[0]}.mat, or ingest each polarisation by itself"
+            )
+    return {name: [file for file in files if file.polarisation == name] for name in names}
+
+
+def check_same_geometry(channels: Mapping[str, Joined]) -> None:
+    """Refuse polarisations whose pulses are not at the same places.
+
+    Raises
+    ------
+    InputError
+        If numbers of pulses differ, or a position or r0 by more than `SAME_PLACE` wavelengths.
+    """
+    (name, first), *others = channels.items()
+    most = SAME_PLACE * SPEED_OF_LIGHT / float(first.files[0].frequency[-1])
+    alone = "ingest each polarisation by itself"
+    for other, joined in others:
+        if joined.azimuth.size != first.azimuth.size:
+            raise InputError(
+                f"polarisation {other} has {joined.azimuth.size} pulses, but {name} {first.azimuth.size}; give the "
+                f"same files of both, or {alone}"
+            )
+        for what, apart in (
+            ("x, y and z", np.linalg.norm(joined.position - first.position, axis=1)),
+            ("r0", np.abs(joined.r0 - first.r0)),
+        ):
+            where = int(apart.argmax())
+            if apart[where] > most:
+                raise InputError(
+                    f"{what} of {other} and {name} differ by {apart[where]:.4g} m at azimuth "
+                    f"{np.degrees(first.azimuth[where]):.4f} degrees, more than {1e3 * most:.2g} mm, so that they make "
+                    f"no single image; {alone}"
+                )
 
 
 def describe_band(frequency: FloatArray) -> str:
