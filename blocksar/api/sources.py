@@ -123,7 +123,7 @@ def ingest_cphd(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> Report:
-    """Turn one channel of a CPHD file into a phase history, in the tangent frame at its scene's reference point.
+    """Turn a CPHD file into a phase history, in the tangent frame at its scene's reference point.
 
     Parameters
     ----------
@@ -132,7 +132,8 @@ def ingest_cphd(
     out : path
         Phase-history store to write.
     channel : str, optional
-        Identifier of the channel. Needed if the file has several.
+        Identifier of the channel. Needed if the file has several. "all" makes a store with a channel for each of the
+        file's, which must have the same geometry.
     collection_start : str, optional
         UTC from which the collection's times count, ISO 8601, such as "2008-08-19T14:03:21.5Z"; for products.
         Default: the file's own.

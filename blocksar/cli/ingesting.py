@@ -32,7 +32,8 @@ def ingest_cphd(
     source: Annotated[str, typer.Argument(metavar="SOURCE.cphd", help="CPHD file, version 1.0.1 or 1.1.0.")],
     out: StoreOut,
     channel: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Channel to read, if the file has several.")
+        str | None,
+        typer.Option(metavar="NAME", help="Channel to read, if the file has several; all: one store of all of them."),
     ] = None,
     collection_start: CollectionStart = None,
     time_zero: TimeZero = None,
@@ -63,7 +64,10 @@ def ingest_cphd(
 @ingest.command("gotcha")
 def ingest_gotcha(
     context: typer.Context,
-    source: Annotated[list[str], typer.Argument(metavar="SOURCE.mat...", help="MATLAB files of one pass.")],
+    source: Annotated[
+        list[str],
+        typer.Argument(metavar="SOURCE.mat...", help="MATLAB files of one pass, of one or more polarisations."),
+    ],
     out: StoreOut,
     collection_start: CollectionStart = None,
     time_zero: TimeZero = None,

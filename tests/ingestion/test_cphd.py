@@ -7,6 +7,7 @@ import logging
 import shutil
 import struct
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,8 +30,8 @@ from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.focusing.backprojection import form_image
 from blocksar.ingestion import cphd
-from blocksar.ingestion.cphd import ingestion
-from blocksar.ingestion.cphd.files import CphdFile
+from blocksar.ingestion.cphd import channels, ingestion
+from blocksar.ingestion.cphd.files import CphdFile, open_file
 from blocksar.ingestion.cphd.samples import ACCURACY
 from blocksar.simulation import cphd as cphd_simulation
 from blocksar.simulation.scatterers import simulate_pulses
@@ -630,22 +631,41 @@ def test_version_1_0_1(base: Base, tmp_path: Path) -> None:
     check(path, base)
 
 
-def test_two_channels(base: Base, tmp_path: Path) -> None:
+def with_two_channels(
+    path: Path,
+    base: Base,
+    *,
+    change: Callable[[Array], None] = lambda vectors: None,
+    names: tuple[str, str] = ("1", "2"),
+    polarizations: tuple[str, ...] = (),
+) -> Path:
+    """Write a file of two channels, the samples of the first 3 times those of the second, whose vectors may change."""
     parts = parts_of(base.path)
     for where in ("Data/Channel", "Channel/Parameters"):
         (node,) = parts.root.findall("/".join(f"{{*}}{part}" for part in where.split("/")))
         second = copy.deepcopy(node)
-        second.find("{*}Identifier").text = "2"
         node.addnext(second)
+        for channel, name in ((node, names[0]), (second, names[1])):
+            channel.find("{*}Identifier").text = name
     data = parts.root.findall("{*}Data/{*}Channel")[1]
     data.find("{*}SignalArrayByteOffset").text = str(8 * parts.samples.size)
     data.find("{*}PVPArrayByteOffset").text = str(parts.vectors.nbytes)
-    path = tmp_path / "two.cphd"
+    parts.root.find("{*}Channel/{*}RefChId").text = names[0]
+    for node, pair in zip(parts.root.findall("{*}Channel/{*}Parameters"), polarizations, strict=False):
+        for key, letter in zip(("TxPol", "RcvPol"), pair, strict=True):
+            node.find(f"{{*}}Polarization/{{*}}{key}").text = letter
+    vectors = parts.vectors.copy()
+    change(vectors)
     with open(path, "wb") as file:
         writer = skcphd.Writer(file, skcphd.Metadata(xmltree=parts.root.getroottree()))
-        for name, factor in (("1", 3), ("2", 1)):
+        for name, factor, parameters in ((names[0], 3, parts.vectors), (names[1], 1, vectors)):
             writer.write_signal(name, (factor * parts.samples).astype(np.complex64))
-            writer.write_pvp(name, parts.vectors)
+            writer.write_pvp(name, parameters)
+    return path
+
+
+def test_two_channels(base: Base, tmp_path: Path) -> None:
+    path = with_two_channels(tmp_path / "two.cphd", base)
     with pytest.raises(InputError, match=r"2 channels.*--channel, one of '1', '2'"):
         ingested(path)
     with pytest.raises(InputError, match="channel 'x' is not in it; it has '1', '2'"):
@@ -653,6 +673,99 @@ def test_two_channels(base: Base, tmp_path: Path) -> None:
     collection, samples, _, _ = ingested(path, channel="2")
     np.testing.assert_allclose(samples, expected(collection, base), atol=2e-5)
     assert not (tmp_path / "x.zarr").exists()
+
+
+def test_all_channels_of_one_geometry_become_one_store(base: Base, tmp_path: Path) -> None:
+    def lose(vectors: Array) -> None:  # a tenth of a millimetre off, and some signals
+        vectors["TxPos"] += 1e-4
+        vectors["SIGNAL"][7:10] = 0
+
+    path = with_two_channels(tmp_path / "pair.cphd", base, change=lose, polarizations=("HH", "HV"))
+    told: list[tuple[int, int]] = []
+    made = cphd.ingest(path, tmp_path / "ph.zarr", channel="all", progress=lambda *n: told.append(n))
+    assert made.messages[0] == "channels HH (1), HV (2) have one geometry"
+    assert told == [(160, 320), (320, 320)]
+    both = stores.open_phase_history(tmp_path / "ph.zarr")
+    assert both.channels == ("HH", "HV") and both.attrs["source"]["channel"] == "1, 2"
+    collection, single, _, attrs = ingested(path, channel="1")
+    np.testing.assert_array_equal(both.read(slice(None), slice(None)), single)
+    for name in ("time", "antenna_position", "reference_range", "range_frequency", "beam_azimuth"):
+        np.testing.assert_array_equal(getattr(both.collection, name), getattr(collection, name))
+    assert attrs["polarization"] == {"transmit": "H", "receive": "H"} == both.attrs["polarization"]
+    second = both.of_channel("HV")
+    assert second.attrs["polarization"] == {"transmit": "H", "receive": "V"}
+    _, alone, _, _ = ingested(path, channel="2")
+    np.testing.assert_array_equal(second.read(slice(None), slice(None)), alone)
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(alone[:, 0])), [7, 8, 9])
+    # A file of one channel has no channels, unless one of two is called so.
+    assert stores.open_phase_history(cphd.ingest(base.path, tmp_path / "a.zarr", channel="all").path).channels == ()
+    called = with_two_channels(tmp_path / "called.cphd", base, names=("all", "b"))
+    assert stores.open_phase_history(cphd.ingest(called, tmp_path / "b.zarr", channel="all").path).channels == ()
+
+
+@pytest.mark.parametrize(
+    ("identifiers", "polarizations", "wanted"),
+    [
+        (["1", "2"], ["HH", "HV"], ("HH", "HV")),
+        (["1", "2"], ["HH", "HH"], ("1", "2")),
+        (["a b", "a/b", "()"], ["HH", "HV", None], ("a_b", "a_b_2", "3")),
+        (["c" * 40 + "1", "c" * 40 + "2"], [None, None], ("c" * 32, "c" * 28 + "_2")),
+    ],
+)
+def test_names_of_channels_are_fit_for_a_store(
+    identifiers: list[str], polarizations: list[str | None], wanted: tuple[str, ...]
+) -> None:
+    known = [None if p is None else {"transmit": p[0], "receive": p[1]} for p in polarizations]
+    assert channels.names_of(identifiers, known) == wanted
+
+
+def shift(name: str, by: Any) -> Callable[[Array], None]:
+    def change(vectors: Array) -> None:
+        vectors[name] += by
+
+    return change
+
+
+def move_both(vectors: Array) -> None:
+    for name in ("TxPos", "RcvPos"):
+        vectors[name] += 0.01
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (move_both, r"the antenna's positions \(TxPos, RcvPos\), by up to 0.01732 m, more than 0.0003 m"),
+        (shift("SRPPos", np.array([0.0, 0.02, 0.0])), r"the reference point \(SRPPos\), by up to 0.02 m"),
+        (shift("SC0", 5e5), "frequencies: "),
+    ],
+)
+def test_channels_of_other_geometry_are_refused(
+    base: Base, tmp_path: Path, change: Callable[[Array], None], said: str
+) -> None:
+    path = with_two_channels(tmp_path / "two.cphd", base, change=change)
+    with pytest.raises(InputError, match=rf"two.cphd: channels '1' and '2' differ in {said}.*; give --channel") as no:
+        cphd.ingest(path, tmp_path / "ph.zarr", channel="all")
+    assert "\n" not in str(no.value) and not (tmp_path / "ph.zarr").exists()
+
+
+def test_beams_and_patterns_of_channels_are_compared(base: Base) -> None:
+    with open(base.path, "rb") as stream:
+        made = ingestion.prepare(open_file(stream, base.path, None))
+    n = made.collection.n_pulse
+
+    def steered(azimuth: float, width: float, **more: Any) -> tuple[Collection, Any]:
+        return replace(made.collection, beam_azimuth=np.full(n, azimuth), beam_width=width, **more), made.pulses
+
+    first, angle = steered(0.3, 0.1), np.linspace(-0.06, 0.06, 9)
+    assert channels.check_same_geometry(["a", "b"], [first, steered(0.3005, 0.1)]) == []
+    others = (steered(0.302, 0.1), steered(0.3, 0.102), (made.collection, made.pulses))
+    for other in others:
+        with pytest.raises(InputError, match="'a' and 'b' differ in their beams"):
+            channels.check_same_geometry(["a", "b"], [first, other])
+    shaped = steered(0.3, 0.1, beam_offset=angle, beam_pattern=1 - 50 * angle**2)
+    (note,) = channels.check_same_geometry(["a", "b"], [shaped, first])
+    assert "pattern in channel b is not that of the first" in note
+    assert channels.check_same_geometry(["a", "b"], [shaped, shaped]) == []
 
 
 def test_a_surface_of_constant_height(base: Base, tmp_path: Path) -> None:

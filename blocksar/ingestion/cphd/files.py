@@ -221,7 +221,7 @@ def _check_supported(root: Any) -> None:
 
 def _choose_channel(root: Any, channel: str | None, *, any_channel: bool) -> str:
     """The identifier of the requested channel, or of the only one; of the first if `any_channel`."""
-    names = [node.text or "" for node in root.findall("{*}Data/{*}Channel/{*}Identifier")]
+    names = identifiers_of(root)
     if len(set(names)) != len(names) or not all(names) or any("'" in name for name in names):
         raise InputError(
             f"Data/Channel has the identifiers {names[:8]}, which must be present, once each; correct the XML"
@@ -232,8 +232,13 @@ def _choose_channel(root: Any, channel: str | None, *, any_channel: bool) -> str
             raise InputError(f"channel {channel!r} is not in it; it has {known}")
         return channel
     if not names or (len(names) != 1 and not any_channel):
-        raise InputError(f"it has {len(names)} channels, and one is ingested at a time; give --channel, one of {known}")
+        raise InputError(f"it has {len(names)} channels; give --channel, one of {known}, or all")
     return names[0]
+
+
+def identifiers_of(root: Any) -> list[str]:
+    """The identifiers of a file's channels, in the order of the XML."""
+    return [node.text or "" for node in root.findall("{*}Data/{*}Channel/{*}Identifier")]
 
 
 def child_of(node: Any, path: str, name: str) -> Any:

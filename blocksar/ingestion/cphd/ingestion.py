@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, BinaryIO
 
@@ -16,7 +16,8 @@ from blocksar.collection.georeference import Georeference
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, printable
 from blocksar.ingestion.cphd.beams import fit_beam
-from blocksar.ingestion.cphd.files import CphdFile, library, numbers_of, open_file, reading_file
+from blocksar.ingestion.cphd.channels import check_same_geometry, names_of, open_channels
+from blocksar.ingestion.cphd.files import CphdFile, library, numbers_of, reading_file
 from blocksar.ingestion.cphd.samples import (
     Delays,
     Interpolated,
@@ -49,7 +50,7 @@ def ingest(
     overwrite: bool = False,
     progress: Callback | None = None,
 ) -> Ingested:
-    """Turn one channel of a CPHD file into a phase-history store, one block of vectors at a time.
+    """Turn one channel of a CPHD file, or all of them, into a phase-history store, one block of vectors at a time.
 
     Parameters
     ----------
@@ -58,7 +59,8 @@ def ingest(
     out : path, URL or Place
         Of the new store.
     channel : str, optional
-        Identifier; optional if the file has only one.
+        Identifier; optional if the file has only one. "all" makes a store with a channel for each of the file's, which
+        must have one geometry.
     times : mapping, optional
         What `stated_times` gives, instead of the file's own.
     overwrite : bool
@@ -81,20 +83,19 @@ def ingest(
             raise InputError("it is no regular file; give the path of a CPHD file")
         # Damaged numbers may cause floating-point warnings; the checks report them.
         with open(where.path, "rb") as stream, np.errstate(all="ignore"):
-            file = open_file(stream, where.path, channel)
-            prepared = prepare(file)
-    write = _writer(file, prepared, progress)
-    source_text = {**prepared.attributes["source"], **(times or {})}
+            files = open_channels(stream, where.path, channel)
+            prepared = [prepare(file) for file in files]
+            names, attributes, messages = _combined(files, prepared)
+    write = _writer(files, prepared, names, progress)
     attributes = {
-        **prepared.attributes,
-        "source": source_text,
+        **attributes,
+        "source": {**attributes["source"], **(times or {})},
         "history": stores.history_line(f"ingested by blocksar from {where.name}"),
     }
-    stores.create_phase_history(target, prepared.collection, attrs=attributes, overwrite=overwrite, fill=write)
+    collection = prepared[0].collection
+    stores.create_phase_history(target, collection, channels=names, attrs=attributes, overwrite=overwrite, fill=write)
     return Ingested(
-        path=target.path if isinstance(target, LocalPlace) else target,
-        collection=prepared.collection,
-        messages=prepared.messages,
+        path=target.path if isinstance(target, LocalPlace) else target, collection=collection, messages=messages
     )
 
 
@@ -109,6 +110,38 @@ class _Prepared:
     delays: Delays
     attributes: dict[str, Any]
     messages: list[str]
+
+
+def _combined(
+    files: Sequence[CphdFile], prepared: Sequence[_Prepared]
+) -> tuple[tuple[str, ...], dict[str, Any], list[str]]:
+    """Names of the store's channels, none of a single one; its attributes; and messages about it.
+
+    Raises
+    ------
+    InputError
+        If the channels do not have one geometry.
+    """
+    first, *others = prepared
+    if not others:
+        return (), first.attributes, first.messages
+    identifiers = [file.channel for file in files]
+    notes = check_same_geometry(identifiers, [(each.collection, each.pulses) for each in prepared])
+    polarizations = [each.attributes.get("polarization") for each in prepared]
+    names = names_of(identifiers, polarizations)
+    sources = [each.attributes["source"] for each in prepared]
+    worst = {name: max(source[name] for source in sources) for name in first.attributes["source"] if "error" in name}
+    attributes = {
+        **{name: value for name, value in first.attributes.items() if name != "polarization"},
+        "polarizations": {name: known for name, known in zip(names, polarizations, strict=True) if known},
+        "source": {**sources[0], **worst, "channel": ", ".join(identifiers)},
+    }
+    listed = ", ".join(
+        name if name == identifier else f"{name} ({printable(identifier)[:40]})"
+        for name, identifier in zip(names, identifiers, strict=True)
+    )
+    more = [line for each in others for line in each.messages if line not in first.messages]
+    return names, attributes, [f"channels {listed} have one geometry", *first.messages, *dict.fromkeys(more), *notes]
 
 
 def prepare(file: CphdFile) -> _Prepared:
@@ -287,14 +320,33 @@ def _describe_frame(frame: Georeference) -> str:
     )
 
 
-def _writer(file: CphdFile, prepared: _Prepared, progress: Callback | None) -> Callable[[Place], None]:
-    """Make the function that fills the store with samples."""
-    vector, total = prepared.pulses.vector, prepared.pulses.vector.size
-    columns = slice(0, prepared.resampler.frequency.size)
+def _writer(
+    files: Sequence[CphdFile], prepared: Sequence[_Prepared], names: Sequence[str], progress: Callback | None
+) -> Callable[[Place], None]:
+    """Make the function that fills the store with samples, channel by channel."""
+    total, columns = prepared[0].pulses.vector.size, slice(0, prepared[0].resampler.frequency.size)
+
+    def write(store: Place) -> None:
+        for number, (file, each) in enumerate(zip(files, prepared, strict=True)):
+            lead, read = (slice(number, number + 1),) if names else (), _reader(file, each)
+            with reading_file(LocalPlace(file.path)), open(file.path, "rb") as stream:
+                for first in range(0, total, ROWS):
+                    pulses = slice(first, min(first + ROWS, total))
+                    block = read(stream, pulses)
+                    stores.write_region(store, "signal", (*lead, pulses, columns), block[None] if lead else block)
+                    if progress is not None:
+                        progress(number * total + pulses.stop, len(files) * total)
+
+    return write
+
+
+def _reader(file: CphdFile, prepared: _Prepared) -> Callable[[BinaryIO, slice], ComplexArray]:
+    """Make the function that reads samples of some pulses of a channel, on the store's frequencies."""
+    vector, width = prepared.pulses.vector, prepared.resampler.frequency.size
     scaled = "AmpSF" in (file.vectors.dtype.names or ())
 
     def read_vectors(stream: BinaryIO, rows: IntArray) -> ComplexArray:
-        """Samples of some vectors, ascending, on the store's frequencies."""
+        """Samples of some vectors, ascending."""
         read = file.read(stream, int(rows[0]), int(rows[-1]) + 1, prepared.resampler.samples)[rows - rows[0]]
         if scaled:
             read *= file.parameter("AmpSF", rows).astype(np.float32)[:, None]
@@ -307,27 +359,21 @@ def _writer(file: CphdFile, prepared: _Prepared, progress: Callback | None) -> C
         return (out * phasor(prepared.resampler.frequency * middle[:, None])).astype(np.complex64)
 
     def read_in_parts(stream: BinaryIO, rows: IntArray) -> ComplexArray:
-        out = np.empty((rows.size, columns.stop), np.complex64)
+        out = np.empty((rows.size, width), np.complex64)
         for start in range(0, rows.size, PART):
             out[start : start + PART] = read_vectors(stream, rows[start : start + PART])
         return out
 
-    def write(store: Place) -> None:
-        with reading_file(LocalPlace(file.path)), open(file.path, "rb") as stream:
-            for first in range(0, total, ROWS):
-                pulses = slice(first, min(first + ROWS, total))
-                if prepared.slow_time is None:
-                    block = np.full((pulses.stop - first, columns.stop), complex(np.nan, np.nan), np.complex64)
-                    lit = np.flatnonzero(vector[pulses] >= 0)
-                    block[lit] = read_in_parts(stream, vector[pulses][lit])
-                else:
-                    slow_time = prepared.slow_time
-                    inputs = slow_time.resampling.inputs(pulses)
-                    cycles = 2 / SPEED_OF_LIGHT * prepared.resampler.frequency * slow_time.range_shift[inputs, None]
-                    rows = read_in_parts(stream, slow_time.vector[inputs])
-                    block = slow_time.resampling.apply((rows * phasor(cycles)).astype(np.complex64), pulses)
-                stores.write_region(store, "signal", (pulses, columns), block)
-                if progress is not None:
-                    progress(pulses.stop, total)
+    def read_pulses(stream: BinaryIO, pulses: slice) -> ComplexArray:
+        if prepared.slow_time is None:
+            block = np.full((pulses.stop - pulses.start, width), complex(np.nan, np.nan), np.complex64)
+            lit = np.flatnonzero(vector[pulses] >= 0)
+            block[lit] = read_in_parts(stream, vector[pulses][lit])
+            return block
+        slow_time = prepared.slow_time
+        inputs = slow_time.resampling.inputs(pulses)
+        cycles = 2 / SPEED_OF_LIGHT * prepared.resampler.frequency * slow_time.range_shift[inputs, None]
+        rows = read_in_parts(stream, slow_time.vector[inputs])
+        return slow_time.resampling.apply((rows * phasor(cycles)).astype(np.complex64), pulses)
 
-    return write
+    return read_pulses
