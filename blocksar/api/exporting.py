@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal
 
 from blocksar import stores
@@ -154,6 +155,7 @@ def export(
     crop: tuple[tuple[float, float], tuple[float, float]] | str | None = None,
     colour_map: str | None = None,
     size: int | None = None,
+    composite: Literal["pauli"] | None = None,
     channel: str | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
@@ -186,6 +188,9 @@ def export(
         Of a PNG, by matplotlib's name. Default: "gray".
     size : int, optional
         Pixels of a PNG along its longer side. Default: by the image, up to about 1700.
+    composite : {"pauli"}, optional
+        Colours of a PNG from the channels HH, VV and HV or VH of one run: |HH - VV|, |HV + VH| and |HH + VV|, each over
+        sqrt(2), as red, green and blue.
     channel : str, optional
         Of a run of several channels. Default: the first.
     overwrite : bool
@@ -211,28 +216,54 @@ def export(
     if kind not in OPTIONS:
         raise InputError(f"kind is {kind!r}; it must be 'sicd', 'geotiff' or 'png'")
     given = {"content": content, "looks": looks, "scale": scale, "range": range, "crop": crop,
-             "colour_map": colour_map, "size": size}  # fmt: skip
+             "colour_map": colour_map, "size": size, "composite": composite}  # fmt: skip
     for name, value in given.items():
         if value is not None and name not in OPTIONS[kind]:
             kinds = [other for other, names in OPTIONS.items() if name in names]
             raise InputError(f"{name} is {value!r}, but it is an option of {' and '.join(kinds)} only; leave it out")
     check_ending(kind, str(place(out)))
-    source = FinishedRun.open(folder_of(place(run), channel))
-    if crop is not None:
-        source = source.cropped(*parse_crop(crop))
     limits = None if range is None else checked_limits(parse_range(range))
     callback = only_stage(progress, "export")
+
+    if composite is not None:
+        sources = _composed(place(run), composite, crop, {"channel": channel, "colour_map": colour_map})
+        lines = _pictures("composite").write(
+            sources, out, limits=limits, size=size, overwrite=overwrite, progress=callback
+        )
+        return Report(summary=[*lines, f"wrote {place(out)}"])
+    source = _opened(place(run), channel, crop)
     if kind == "sicd":
         lines = sicd.write(source, out, overwrite=overwrite, progress=callback)
     elif kind == "geotiff":
         pixels = pixels_of(source, content=content, looks=parse_looks(looks or (1, 1)), scale=scale, limits=limits)
         lines = geotiff.write(pixels, out, overwrite=overwrite, progress=callback)
     else:
-        try:
-            from blocksar.products.pictures import quicklook  # optional, and slow to load
-        except ModuleNotFoundError as error:
-            raise InputError(f"{error.name} is not installed, which PNG needs; install blocksar[plots]") from None
-        lines = quicklook.write(
+        lines = _pictures("quicklook").write(
             source, out, limits=limits, colour_map=colour_map, size=size, overwrite=overwrite, progress=callback
         )
     return Report(summary=[*lines, f"wrote {place(out)}"])
+
+
+def _opened(run: Place, channel: str | None, crop: Any) -> FinishedRun:
+    """Open a channel of a run, or a part of it."""
+    source = FinishedRun.open(folder_of(run, channel))
+    return source if crop is None else source.cropped(*parse_crop(crop))
+
+
+def _composed(run: Place, composite: str, crop: Any, others: dict[str, Any]) -> dict[str, FinishedRun]:
+    """Open the channels of a composite, by polarisation; `others` are options that must be None beside it."""
+    if composite != "pauli":
+        raise InputError(f"composite is {composite!r}; it must be 'pauli'")
+    for name, value in others.items():
+        if value is not None:
+            raise InputError(f"{name} is {value!r}, but a composite has channels and colours of its own; leave it out")
+    taken = _pictures("composite").pauli_channels(finished_record(run).channels, str(run))
+    return {name: _opened(run, channel, crop) for name, channel in taken.items()}
+
+
+def _pictures(name: str) -> Any:
+    """Import a module of pictures: optional, and slow to load."""
+    try:
+        return import_module(f"blocksar.products.pictures.{name}")
+    except ModuleNotFoundError as error:
+        raise InputError(f"{error.name} is not installed, which PNG needs; install blocksar[plots]") from None

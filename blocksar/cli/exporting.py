@@ -108,6 +108,10 @@ def export_png(
         typer.Option(metavar="PIXELS", help="Longer side of the picture.", show_default="by the image, up to 1700"),
     ] = None,
     crop: Crop = None,
+    composite: Annotated[
+        Literal["pauli"] | None,
+        typer.Option(help="Colours from HH, VV and HV or VH of one run.", show_default="one channel, in grey"),
+    ] = None,
     channel: Channel = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
@@ -123,8 +127,8 @@ def export_png(
 
     with listening(context) as progress:
         report = api.export(
-            "png", run, out, range=range, colour_map=colour_map, size=size, crop=crop, channel=channel,
-            overwrite=overwrite, progress=progress,
+            "png", run, out, range=range, colour_map=colour_map, size=size, crop=crop, composite=composite,
+            channel=channel, overwrite=overwrite, progress=progress,
         )  # fmt: skip
     show(report)
     hint(context, "report", run)

@@ -12,7 +12,7 @@ from blocksar.errors import InputError, printable
 OPTIONS: dict[str, tuple[str, ...]] = {
     "sicd": (),
     "geotiff": ("content", "looks", "scale", "range", "crop"),
-    "png": ("range", "crop", "colour_map", "size"),
+    "png": ("range", "crop", "colour_map", "size", "composite"),
 }
 ENDINGS = {"sicd": (".nitf", ".ntf", ".nsf"), "geotiff": (".tif", ".tiff"), "png": (".png",)}
 OTHERS = (".jpg", ".jpeg", ".gif", ".webp", ".svg", ".pdf", ".html", ".json", ".csv", ".zarr", ".nc", ".h5", ".toml")

@@ -8,14 +8,15 @@ Import this module only where a picture is drawn: matplotlib is slow to load.
 from __future__ import annotations
 
 import difflib
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from matplotlib import colormaps, patheffects
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
-from matplotlib.image import AxesImage
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.text import OffsetFrom
 from matplotlib.ticker import FuncFormatter
@@ -83,9 +84,8 @@ def write(
         If writing fails.
     """
     colour_map = checked_colour_map(colour_map)
-    if size is not None and not SMALLEST <= size <= LARGEST:
-        raise InputError(f"size = {size!r}: give {SMALLEST} to {LARGEST} pixels along the longer side of the picture")
-    caption = _caption(source)
+    size = checked_size(size)
+    caption = caption_of(source)
 
     def read(rows: slice, columns: slice) -> ComplexArray:
         if progress is not None:
@@ -117,12 +117,25 @@ def save(
     size: int | None = None,
 ) -> tuple[float, float]:
     """Write a decimated image as a PNG file; return the dB drawn in the first and in the last colour."""
-    figure, axes = _new_figure(reduced, size)
+    figure, axes = new_figure(reduced, size)
     limits = draw(axes, reduced, arrows=arrows, limits=limits, colour_map=colour_map)
     axes.set_title(title, fontsize=11)
     figure.supxlabel(caption, fontsize=8, color="#5a6676")
     figure.savefig(path, format="png")
     return limits
+
+
+def checked_size(size: int | None) -> int | None:
+    """Return the pixels of a picture along its longer side.
+
+    Raises
+    ------
+    InputError
+        If they are too few or too many.
+    """
+    if size is not None and not SMALLEST <= size <= LARGEST:
+        raise InputError(f"size = {size!r}: give {SMALLEST} to {LARGEST} pixels along the longer side of the picture")
+    return size
 
 
 def checked_colour_map(name: str | None) -> str:
@@ -169,17 +182,30 @@ def draw(
         vmax=high,
         interpolation="nearest",
     )
+    draw_colour_bar(axes, picture, "power (dB, unit reflectivity = 0)")
+    furnish(axes, reduced, arrows=arrows or [])
+    return low, high
+
+
+def furnish(axes: Axes, reduced: Overview, *, arrows: list[Arrow], handles: Sequence[Patch] = ()) -> None:
+    """Label the axes of a picture, draw its scale bar and arrows, and say what its colours mean.
+
+    `handles` make a legend above the picture; without them there is one in its corner if cells are not covered.
+    """
     axes.set(xlabel="x (m)", ylabel="y (m)")
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_formatter(FuncFormatter(_grouped))
-    _draw_colour_bar(axes, picture)
     _draw_scale_bar(axes, reduced)
-    for place, arrow in enumerate(arrows or []):
+    for place, arrow in enumerate(arrows):
         draw_arrow(axes, arrow, place)
-    if np.isnan(reduced.power).any():
-        handles = [Patch(facecolor=NOT_COVERED, label="not covered")]
-        axes.legend(handles=handles, loc="upper left", fontsize=8, framealpha=0.85)
-    return low, high
+    blank = [Patch(facecolor=NOT_COVERED, label="not covered")] if np.isnan(reduced.power).any() else []
+    if handles:
+        figure = axes.get_figure()
+        assert figure is not None
+        legend = [*handles, *blank]
+        figure.legend(handles=legend, loc="outside upper center", ncols=len(legend), fontsize=8, frameon=False)
+    elif blank:
+        axes.legend(handles=blank, loc="upper left", fontsize=8, framealpha=0.85)
 
 
 def _grouped(value: float, _: object) -> str:
@@ -211,7 +237,7 @@ def _size(reduced: Overview) -> tuple[float, float]:
     return max(4.0, width * scale) + 1.8, max(3.0, height * scale) + 1.0
 
 
-def _new_figure(reduced: Overview, size: int | None = None) -> tuple[Figure, Axes]:
+def new_figure(reduced: Overview, size: int | None = None) -> tuple[Figure, Axes]:
     inches = _size(reduced)
     dots = DPI if size is None else size / max(inches)
     figure = Figure(figsize=inches, dpi=dots, layout="constrained")
@@ -234,7 +260,7 @@ def scene_arrows(reduced: Overview, geometry: Geometry, frame: Georeference | No
     return arrows
 
 
-def _caption(source: FinishedRun) -> str:
+def caption_of(source: FinishedRun) -> str:
     """Carrier, pixel spacing and, if georeferenced, the centre of the image."""
     dx, dy = source.spacing
     parts = [f"{source.collection.carrier / 1e9:.4g} GHz", f"pixels {dx:.4g} m x {dy:.4g} m"]
@@ -249,11 +275,12 @@ def _caption(source: FinishedRun) -> str:
     return "   ".join(parts)
 
 
-def _draw_colour_bar(axes: Axes, picture: AxesImage) -> None:
+def draw_colour_bar(axes: Axes, picture: ScalarMappable, label: str) -> None:
+    """Draw the colour bar of a picture beside it."""
     figure = axes.get_figure()
     assert figure is not None
     bar = figure.colorbar(picture, ax=axes, extend="both", shrink=0.85, pad=0.02)
-    bar.set_label("power (dB, unit reflectivity = 0)")
+    bar.set_label(label)
 
 
 def round_length(longest: float) -> float:
