@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -129,7 +130,8 @@ def test_the_image_is_that_of_the_store(
 ) -> None:
     report = focus(dataset, tmp_path / "own")
     assert report.result["input"]["path"] == str(tmp_path / "own" / "input.zarr")
-    blocksar.focus(store, tmp_path / "cluster", grid=GRID, client=client)
+    (blocks,) = {json.loads((run / "run.json").read_text())["plan"]["blocks"] for run in (focused, tmp_path / "own")}
+    blocksar.focus(store, tmp_path / "cluster", grid=GRID, client=client, blocks=blocks)  # auto depends on workers
     for run in (tmp_path / "own", tmp_path / "cluster"):
         np.testing.assert_array_equal(pixels(run), pixels(focused))
 

@@ -86,7 +86,8 @@ def test_a_run_shows_its_progress_in_a_terminal(store: Path, tmp_path: Path) -> 
     assert process.returncode == 0, written.decode()
     assert written.count(HIDDEN) == written.count(SHOWN) == 1 and written.find(HIDDEN) < written.find(SHOWN)
     shown = frames(written)
-    assert max(len(line) for frame in shown for line in frame) <= 80
+    drawn = [line for frame in shown for line in frame if not line.startswith("next: ")]  # commands are not folded
+    assert max(map(len, drawn)) <= 80
     names = ["plan", "compile", "start-workers", "recover", "focus", "mosaic", "finish"]
     assert [line.split()[0] for line in shown[-1][:7]] == names
     assert re.fullmatch(r"focus +━+ +3/3 .*\d:\d\d *", shown[-1][4])
@@ -118,8 +119,8 @@ def test_ctrl_c_restores_the_terminal_and_completes_the_log(store: Path, tmp_pat
 
 
 HANGING = """
-import sys, time, types
-api = types.ModuleType("blocksar.api")
+import time
+from blocksar import api
 def focus(source, out, progress, **settings):
     progress.update("recover", 1, 4)
     try:
@@ -127,7 +128,6 @@ def focus(source, out, progress, **settings):
     finally:
         time.sleep(60)
 api.focus = focus
-sys.modules["blocksar.api"] = api
 from blocksar import cli
 from blocksar.cli import endings
 endings.GRACE = 0.2
