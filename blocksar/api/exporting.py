@@ -190,7 +190,7 @@ def export(
         Pixels of a PNG along its longer side. Default: by the image, up to about 1700.
     composite : {"pauli"}, optional
         Colours of a PNG from the channels HH, VV and HV or VH of one run: |HH - VV|, |HV + VH| and |HH + VV|, each over
-        sqrt(2), as red, green and blue.
+        sqrt(2), as red, green and blue. Default: one channel, in grey.
     channel : str, optional
         Of a run of several channels. Default: the first.
     overwrite : bool

@@ -160,7 +160,8 @@ def general_rows(attrs: Mapping[str, Any]) -> Rows:
             rows.append(("source", f"{source['format']}{channel}"))
         if start := source.get("collection_start"):
             rows.append(("collection start", f"{start}, t = 0 is {source.get('time_zero', 0.0):.6g} s later"))
-    if isinstance(polarization := attrs.get("polarization"), Mapping):
+    # Of several channels, each has its own; the row of their names says which.
+    if "polarizations" not in attrs and isinstance(polarization := attrs.get("polarization"), Mapping):
         rows.append(("polarization", f"{polarization.get('transmit', '?')}{polarization.get('receive', '?')}"))
     if targets := attrs.get("targets"):
         rows.append(("targets", f"{len(targets)} at known positions"))
