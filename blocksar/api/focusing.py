@@ -440,7 +440,7 @@ def _create_image(run: Run, job: Job, record: RunRecord) -> None:
         **stores.IMAGE,
         **(stores.COLLECTION_NUMBER if several else {}),
         **(stores.NOISE if all(segment.source.collection.noise_power for segment in job.segments) else {}),
-        **(stores.HEIGHT if job.request.terrain is not None else {}),
+        **(stores.ON_TERRAIN if job.request.terrain is not None else {}),
     }
     stores.create(
         run.image, schema, sizes={}, coords={"x": job.grid.x, "y": job.grid.y}, attrs=attributes,

@@ -35,7 +35,12 @@ from blocksar.runs.sources import RunInput
 from blocksar.version import __version__
 
 Focus = Callable[..., RunReport]
-SAME = ("block", "collection", "noise_equivalent", "height")  # of the image: those of the first channel or look
+SAME = (
+    "block",
+    "collection",
+    "noise_equivalent",
+    *stores.ON_TERRAIN,
+)  # of the image: those of the first channel or look
 
 
 @dataclass(frozen=True)
@@ -205,7 +210,7 @@ def _join(
     x, y = (stores.read_region(first / "image.zarr", name, (slice(None),)) for name in ("x", "y"))
     same = [name for name in SAME if (first / "image.zarr" / name).exists()]
     schema = {
-        name: {**stores.IMAGE, **stores.COLLECTION_NUMBER, **stores.NOISE, **stores.HEIGHT}[name]
+        name: {**stores.IMAGE, **stores.COLLECTION_NUMBER, **stores.NOISE, **stores.ON_TERRAIN}[name]
         for name in ("image", *same, "x", "y")
     }
     side = stores.chunk_shape(first / "image.zarr", "image")

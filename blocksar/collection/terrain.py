@@ -121,6 +121,15 @@ class Terrain:
         total[:, ~inside_x] = np.nan
         return total
 
+    def slopes_on_grid(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Derivatives (n_y, n_x) of the height along x and y, over a fraction of a sample; columns and rows in m."""
+        (left, right), (down, up) = (
+            (np.maximum(at - step / 16, axis[0]), np.minimum(at + step / 16, axis[-1]))
+            for at, step, axis in ((x, self.dx, self.x), (y, self.dy, self.y))
+        )
+        along_x = (self.on_grid(right, y) - self.on_grid(left, y)) / (right - left)
+        return along_x, (self.on_grid(x, up) - self.on_grid(x, down)) / (up - down)[:, None]
+
     def slope(self, x: float, y: float) -> tuple[float, float]:
         """Derivatives of the height along x and y at a point, over a fraction of a sample."""
         hx, hy = self.dx / 16, self.dy / 16

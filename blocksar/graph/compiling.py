@@ -24,6 +24,7 @@ SECONDS = {  # that a core takes to compile the loops of a module, to divide the
     "kernels.phase": 2.1,
     "kernels.interpolation": 2.8,
     "kernels.levelling": 3.7,
+    "kernels.occlusion": 1.5,
     "inspection.scan": 2.5,
     "autofocusing.range_lines": 1.2,
     "focusing.relief_correction": 4.5,

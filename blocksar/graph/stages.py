@@ -30,6 +30,7 @@ from blocksar.focusing.ground_map import sum_lit
 from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.range_compression import RawCompression
 from blocksar.focusing.step import stages
+from blocksar.focusing.terrain_layers import Sight
 from blocksar.graph.admission import Unit
 from blocksar.graph.edges import Edges
 from blocksar.graph.gating import Gated, gate_bins
@@ -282,7 +283,6 @@ def mosaic(
     Chunks that only one block touches are there already; chunks that no block covers are not written.
     """
     grid = segments[0].planned.grid
-    on_terrain = segments[0].planned.geometry.terrain is not None
     side = image_chunk(grid)
     cells: dict[tuple[int, int], list[PatchChunk]] = {}
     blocks = [(segment, block) for segment in segments for block in segment.planned.blocks]
@@ -302,6 +302,8 @@ def mosaic(
             )
             cells.setdefault(cell, []).append(chunk)
     known = {segment.number or 0: noise for segment, noise in zip(segments, noises, strict=True) if noise is not None}
+    on_terrain = segments[0].planned.geometry.terrain is not None
+    sights = {segment.number or 0: Sight.of(segment.planned.geometry) for segment in segments if on_terrain}
     ordered = sorted(cells)
     units = []
     for first, end in spans(len(ordered), MOSAIC_CHUNKS):
@@ -309,7 +311,7 @@ def mosaic(
         margins = {cell: _margins(segments, cell, grid, parts) for cell, parts in group.items()}
         row, column = ordered[first]
         unit = f"chunk-{row}-{column}"
-        task = merge_chunks, group, grid, margins, known, on_terrain
+        task = merge_chunks, group, grid, margins, known, sights
         units.append(single_task(client, run, "mosaic", unit, *task))
     return run_units(client, "mosaic", units, run, listener, per_worker=2)
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from blocksar import stores
-from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.arrays import ComplexArray
 from blocksar.chunks import BACKPROJECTION_CHUNK, WRITES_AT_ONCE
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
@@ -30,8 +30,9 @@ from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.range_compression import RawCompression
 from blocksar.focusing.recovery import Recovery, recover_columns
 from blocksar.focusing.step import Stage
+from blocksar.focusing.terrain_layers import Sight
 from blocksar.graph.edges import Edges, read_valid
-from blocksar.graph.heights import heights_of, local_terrain, write_height
+from blocksar.graph.layers import TerrainLayers, heights_of, local_terrain, write_noise
 from blocksar.graph.segments import Margins, Merged
 from blocksar.graph.spectrum import SpectrumChunks, Window, chunk_spans, read_ahead
 from blocksar.inspection.samples import Inspection, inspect
@@ -246,6 +247,7 @@ def write_patch(
     started = time.perf_counter()
     first_y, first_x, _, _ = patch_window(ground, grid)
     side = image_chunk(grid)
+    layers = TerrainLayers(run, grid, {} if ground.relief is None else {block.index: Sight.of(ground.geometry)})
     assert samples.values is not None
     chunks = [np.empty(side[0] * side[1], np.complex64) for _ in range(WRITES_AT_ONCE + 1)]
     writes: list[Future[list[Written]]] = []
@@ -271,7 +273,7 @@ def write_patch(
                     (first_y, first_x),
                     grid,
                     noise,
-                    z,
+                    layers,
                     merged=cell not in own,
                 )
             )
@@ -305,7 +307,7 @@ def _write_pixels(
     origin: tuple[int, int],
     grid: Grid,
     noise: NoiseMap | None,
-    height: FloatArray | None,
+    layers: TerrainLayers,
     *,
     merged: bool,
 ) -> list[Written]:
@@ -325,7 +327,7 @@ def _write_pixels(
         written,
         *_write_image(run, window, pixels, owner, of, (patch, part), written.checksum),
         *write_noise(run, window, owner, grid, noises),
-        *write_height(run, window, height),
+        *layers.write(window, owner),
     ]
 
 
@@ -361,19 +363,6 @@ def _write_owner(run: Run, window: Window, owner: NDArray[np.int16], collections
     return written
 
 
-def write_noise(
-    run: Run, window: Window, owner: NDArray[np.int16], grid: Grid, noises: Mapping[int, NoiseMap]
-) -> list[Written]:
-    """Write the noise of a chunk of the image where it is covered, by that of blocks; nothing if it is not known."""
-    if not noises:
-        return []
-    values = np.full(owner.shape, np.nan, np.float32)
-    for noise in {id(noise): noise for noise in noises.values()}.values():
-        own = np.isin(owner, [block for block, of in noises.items() if of is noise])
-        np.copyto(values, noise.over(grid.x[window[1]], grid.y[window[0]]), where=own)
-    return [write(run, run.image, "noise_equivalent", window, values)]
-
-
 @naming_failures(lambda run, unit, *_: f"mosaic of {unit}")
 def merge_chunks(
     run: Run,
@@ -382,18 +371,17 @@ def merge_chunks(
     grid: Grid,
     margins: Mapping[tuple[int, int], Margins],
     noises: Mapping[int, NoiseMap] | None = None,
-    on_terrain: bool = False,
+    sights: Mapping[int, Sight] | None = None,
 ) -> Receipt:
     """Merge patches into output chunks of the mosaic, given by row and column of the chunk.
 
-    Where several segments cover some of a chunk, `margins` has theirs; `noises` has those of segments, if known.
+    Where several segments cover some of a chunk, `margins` has theirs; `noises` has those of segments, if known, and
+    `sights` those of segments on a terrain.
     """
     started = time.perf_counter()
     parts: list[Written] = []
     for cell, patches in cells.items():
-        parts += _merge(run, cell, patches, grid, margins[cell], noises or {})
-        window = chunk_window(cell, grid)
-        parts += write_height(run, window, heights_of(run, grid, window) if on_terrain else None)
+        parts += _merge(run, cell, patches, grid, margins[cell], noises or {}, sights or {})
     return sign(run, Receipt(unit=unit, stage="mosaic", written=tuple(parts)), started)
 
 
@@ -404,8 +392,9 @@ def _merge(
     grid: Grid,
     margins: Margins,
     noises: Mapping[int, NoiseMap],
+    sights: Mapping[int, Sight],
 ) -> list[Written]:
-    """Write the image of one output chunk, its noise, and the block that each pixel comes from."""
+    """Write the image of one output chunk, its layers, and the block that each pixel comes from."""
     window = chunk_window(cell, grid)
     by_segment = [list(some) for _, some in groupby(parts, key=lambda part: part.segment)]
     image, owner = _lay(run, window, by_segment[0])
@@ -421,9 +410,11 @@ def _merge(
     source = None if alone is None else (run.patch(alone.name), _shifted(window, alone.origin))
     collections = {part.block: part.collection for part in parts if part.collection is not None}
     of_blocks = {part.block: noises[part.segment] for part in parts if noises}
+    seen = {part.block: sights[part.segment] for part in parts if sights}
     return [
         *_write_image(run, window, image, owner, collections, source, parts[0].checksum),
         *write_noise(run, window, owner, grid, of_blocks),
+        *TerrainLayers(run, grid, seen).write(window, owner),
     ]
 
 
@@ -472,13 +463,13 @@ def back_project_chunk(
     if (owner >= 0).any():
         collections = {source.number: source.collection for source in sources if source.collection is not None}
         noises = {source.number: source.noise for source in sources if source.noise is not None}
+        sights = {source.number: Sight.of(source.geometry) for source in sources if on_terrain}
         parts = [
             write(run, run.image, "image", window, image),
             *_write_owner(run, window, owner, collections),
             *write_noise(run, window, owner, grid, noises),
+            *TerrainLayers(run, grid, sights).write(window, owner),
         ]
-        height = None if terrain is None else terrain.on_grid(grid.x[window[1]], grid.y[window[0]])
-        parts += write_height(run, window, height)
     return sign(run, Receipt(unit=unit, stage="backprojection", written=tuple(parts)), started)
 
 

@@ -38,9 +38,9 @@ from blocksar.stores.schema import (
     COLLECTION_NUMBER,
     CONVENTIONS,
     GATED,
-    HEIGHT,
     IMAGE,
     NOISE,
+    ON_TERRAIN,
     PATCH,
     PHASE_HISTORY,
     RAW_ECHO,
@@ -49,7 +49,7 @@ from blocksar.stores.schema import (
     TRUTH,
     Variable,
 )
-from blocksar.stores.terrain import read_terrain, terrain_fingerprint, write_terrain
+from blocksar.stores.terrain import read_terrain, terrain_fingerprint, terrain_limits, write_terrain
 from blocksar.stores.truth import is_truth, write_truth
 
 __all__ = [
@@ -58,9 +58,9 @@ __all__ = [
     "CONTENT",
     "CONVENTIONS",
     "GATED",
-    "HEIGHT",
     "IMAGE",
     "NOISE",
+    "ON_TERRAIN",
     "ORIGINAL",
     "PATCH",
     "PHASE_HISTORY",
@@ -102,6 +102,7 @@ __all__ = [
     "same_files",
     "share_region",
     "terrain_fingerprint",
+    "terrain_limits",
     "with_channels",
     "without_unseen",
     "write_collection",

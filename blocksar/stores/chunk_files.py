@@ -34,14 +34,16 @@ TRANSPOSED_COLUMNS = 64  # columns copied at a time in a transposition: more wou
 # lets every reader notice an altered chunk.
 COMPRESSION: dict[str, Any] = {"name": "zstd", "configuration": {"level": -5, "checksum": True}}
 # Fill values by dtype, as in the metadata.
-FILLS = {"complex64": ["NaN", "NaN"], "float64": "NaN", "float32": "NaN", "int16": -1}
+FILLS = {"complex64": ["NaN", "NaN"], "float64": "NaN", "float32": "NaN", "int16": -1, "uint8": 255}
 
 
 def fill_value(dtype: str) -> Any:
-    """Return the value that stands for missing samples: NaN, -1 for integers, or no text."""
+    """Return the value that stands for missing samples: NaN, -1 or the largest number for integers, or no text."""
     kind = np.dtype(dtype).kind
     if kind == "T":
         return ""
+    if kind == "u":
+        return int(np.iinfo(dtype).max)
     return complex(np.nan, np.nan) if kind == "c" else np.nan if kind == "f" else -1
 
 
@@ -300,7 +302,7 @@ def _layout(metadata: bytes) -> tuple[tuple[int, ...], tuple[int, ...], np.dtype
                 "fill_value": FILLS.get(dtype),
                 "storage_transformers": [],
             }
-            compressed = _compression(rest.pop("codecs", None))
+            compressed = _compression(rest.pop("codecs", None), dtype)
             if compressed is not None and dtype in FILLS and rest == plain:
                 return tuple(shape), tuple(chunks), np.dtype(dtype), compressed
     return None
@@ -316,9 +318,11 @@ def _declared_size(header: bytes) -> int:
     return int.from_bytes(header[start : start + width], "little") + 256 * (width == 2)
 
 
-def _compression(codecs: Any) -> bool | None:
+def _compression(codecs: Any, dtype: str) -> bool | None:
     """Tell whether chunks are compressed, from an array's codecs; None if these are others."""
-    plain = {"name": "bytes", "configuration": {"endian": sys.byteorder}}
+    plain: dict[str, Any] = {"name": "bytes"}
+    if dtype != "uint8":
+        plain["configuration"] = {"endian": sys.byteorder}
     match codecs:
         case [first] if first == plain:
             return False

@@ -168,9 +168,11 @@ def _lengths(schema: Mapping[str, Variable], sizes: Mapping[str, int], arrays: M
 def _variable_attrs(
     name: str, variable: Variable, schema: Mapping[str, Variable], coords: Mapping[str, Array]
 ) -> dict[str, Any]:
-    attrs = {"units": variable.units, "long_name": variable.long_name}
+    attrs: dict[str, Any] = {"units": variable.units, "long_name": variable.long_name}
     if not variable.units:  # text
         del attrs["units"]
+    if variable.flags:  # CF conventions, 3.5
+        attrs["flag_values"], attrs["flag_meanings"] = list(range(len(variable.flags))), " ".join(variable.flags)
     # xarray recognises a coordinate that is named as its dimension; others (time over pulse) must be listed.
     listed = [c for c in coords if schema[c].dims != (c,) and set(schema[c].dims) <= set(variable.dims)]
     if listed and name not in coords:

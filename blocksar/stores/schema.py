@@ -9,6 +9,7 @@ from dataclasses import dataclass
 class Variable:
     """One variable of a store: its dimensions, numpy dtype, units and long name, and whether it is compressed.
 
+    `flags` has the meanings of 0, 1, 2 ... where the numbers are flags.
     Samples are noise, which does not compress; images are compressed for their pixels that are not covered.
     """
 
@@ -17,6 +18,7 @@ class Variable:
     units: str
     long_name: str
     compressed: bool = False
+    flags: tuple[str, ...] = ()
 
 
 TIME = Variable(("pulse",), "float64", "s", "slow time")
@@ -90,9 +92,17 @@ NOISE = {
     ),
 }  # fmt: skip
 # Of images on a terrain.
-HEIGHT = {
+ON_TERRAIN = {
     "height": Variable(("y", "x"), "float32", "m", "height of the ground, scene-frame z", compressed=True),
-}
+    "incidence_angle": Variable(
+        ("y", "x"), "float32", "rad", "local incidence angle, between the ground's normal and the line of sight at the "
+        "middle of the dwell; NaN where not covered", compressed=True,
+    ),
+    "visibility": Variable(
+        ("y", "x"), "uint8", "1", "visibility of the ground; 255 where not covered", compressed=True,
+        flags=("visible", "layover", "shadow"),
+    ),
+}  # fmt: skip
 TERRAIN = {
     "height": Variable(("y", "x"), "float64", "m", "height of the ground, scene-frame z", compressed=True),
     "x": X,

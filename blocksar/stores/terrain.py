@@ -15,6 +15,7 @@ from blocksar.stores.records import checksum, checksum_bytes, read_json
 from blocksar.stores.regions import read_region, write_region
 from blocksar.stores.schema import CONVENTIONS, TERRAIN
 
+LIMITS = "limits"  # attribute: lowest and highest height, m
 NUMBERS = ("x0", "dx", "y0", "dy", "row", "column")  # attributes that make a window's arithmetic that of the whole
 
 
@@ -30,7 +31,7 @@ def write_terrain(place: Place, terrain: Terrain) -> None:
     create(
         place, TERRAIN, sizes={}, coords={"x": terrain.x, "y": terrain.y}, overwrite=True,
         attrs={"title": "height of the ground", "Conventions": CONVENTIONS}
-        | {name: getattr(terrain, name) for name in NUMBERS},
+        | {name: getattr(terrain, name) for name in NUMBERS} | {LIMITS: list(terrain.limits)},
         chunks={"y": IMAGE_CHUNK, "x": IMAGE_CHUNK},
         fill=lambda store: write_region(store, "height", whole, terrain.heights),
     )  # fmt: skip
@@ -54,3 +55,18 @@ def read_terrain(place: Place, x: tuple[float, float] | None = None, y: tuple[fl
     columns, rows = (slice(0, shape[1]), slice(0, shape[0])) if x is None or y is None else known.span(x, y)
     heights = read_region(place, "height", (rows, columns))
     return replace(known, heights=heights, row=known.row + rows.start, column=known.column + columns.start)
+
+
+def terrain_limits(place: Place) -> tuple[float, float]:
+    """Lowest and highest height of a stored terrain, m.
+
+    Raises
+    ------
+    InputError
+        If the store is damaged.
+    """
+    try:
+        low, high = (float(limit) for limit in read_json(place / "zarr.json")["attributes"][LIMITS])
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{place} is damaged ({error}); focus again with --overwrite") from error
+    return low, high

@@ -13,6 +13,9 @@ from scenes import write_store
 
 import blocksar
 from blocksar import stores
+from blocksar.collection.beam import is_lit
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.terrain import Terrain
 from blocksar.errors import FolderError, InputError
 from blocksar.measurement.coherence import coherence
 from blocksar.places import place
@@ -29,6 +32,24 @@ hills = [{x = 16140.0, y = 19200.0, height = 300.0, width = 700.0},
 
 def grid_about(half: float, step: float = 0.8) -> Any:
     return tuple((float(c - half), float(c + half), step) for c in MIDDLE)
+
+
+def check_layers(image: Any, store: Path, ground: Terrain) -> None:
+    """Check incidence and visibility of some pixels, from the pulses that light them."""
+    assert image.incidence_angle.dtype == np.float32 and image.incidence_angle.attrs["units"] == "rad"
+    assert image.visibility.dtype == np.uint8 and list(image.visibility.attrs["flag_values"]) == [0, 1, 2]
+    assert image.visibility.attrs["flag_meanings"] == "visible layover shadow"
+    assert (image.visibility.values == 0).all()  # the hills are not that steep
+    geometry = Geometry(collection=stores.open_phase_history(store).collection)
+    rows, columns = (np.linspace(1, n - 2, 5).astype(int) for n in image.image.shape)
+    for row, column in zip(rows, columns, strict=True):
+        x, y = float(image.x[column]), float(image.y[row])
+        lit = np.flatnonzero(is_lit(geometry, np.array(x), np.array(y)))
+        antenna = geometry.collection.antenna_position[[lit[0], lit[-1]]].mean(axis=0)
+        slope = ground.slope(x, y)
+        normal, sight = np.array([-slope[0], -slope[1], 1.0]), antenna - [x, y, float(ground(np.array(x), np.array(y)))]
+        cosine = normal @ sight / np.linalg.norm(normal) / np.linalg.norm(sight)
+        assert float(image.incidence_angle[row, column]) == pytest.approx(np.arccos(cosine), abs=2e-4)
 
 
 @pytest.fixture(scope="module")
@@ -79,6 +100,7 @@ def test_back_projection_puts_targets_where_they_stand(
     ground = stores.read_terrain(place(terrain))
     expected = ground.on_grid(image.x.values, image.y.values)
     assert np.nanmax(np.abs(image.height.values - expected)) < 1e-4
+    check_layers(image, store, ground)
     # The same again is finished; another ground is another run.
     assert "nothing to do" in blocksar.focus(store, run, grid=grid, **settings).summary[0]
     with pytest.raises(FolderError, match="terrain"):
@@ -98,6 +120,7 @@ def test_a_chain_puts_targets_where_they_stand(store: Path, terrain: Path, tmp_p
     assert np.isfinite(image.image.values.real).all() and set(np.unique(image.block.values)) == {0, 1}
     ground = stores.read_terrain(place(terrain))
     assert np.abs(image.height.values - ground.on_grid(image.x.values, image.y.values)).max() < 1e-3
+    check_layers(image, store, ground)
 
 
 def test_clutter_on_hills_is_that_of_back_projection(tmp_path: Path, client: Client) -> None:

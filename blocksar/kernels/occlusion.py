@@ -1,0 +1,163 @@
+"""Points of a terrain that others hide (shadow) or that share range and Doppler with others (layover), compiled.
+
+All three tests march from a point over the terrain until its heights cross a curve that begins at the point, with the
+antenna at the height H over it, at the horizontal distances d from it and D across its track:
+
+    shadow          towards the antenna              above  z + s H / d
+    layover, near   across the track, to the antenna below  z + H - sqrt(D^2 + H^2 - (D - s)^2)
+    layover, far    across the track, away from it   above  z + H - sqrt(D^2 + H^2 - (D + s)^2)
+
+The last two curves are the circle of the point's range in the plane across the track. The terrain is bilinear between
+its samples here, and so is the point's own height. Blocks of samples that lie wholly on the other side of a curve are
+passed in one step.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit, types
+from numpy.typing import NDArray
+
+from blocksar.arrays import FloatArray
+from blocksar.kernels.loops import loop
+from blocksar.kernels.signatures import PART, REAL_ROW, REAL_ROWS
+
+VISIBLE, LAYOVER, SHADOW, UNKNOWN = 0, 1, 2, 255
+BLOCK = 16  # samples a side
+STEPS = 2  # of a march, to a sample of the terrain
+TOLERANCE = 1e-6  # m: less than this above or below a curve is rounding
+_SHADOW, _NEAR, _FAR = 0, 1, 2
+OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
+
+
+def block_extremes(heights: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Lowest and highest height of each block of cells between samples (n_y, n_x), m; inf and -inf if none is known."""
+    shape = [-(-(n - 1) // BLOCK) for n in heights.shape]
+    low, high = np.full(shape, np.inf), np.full(shape, -np.inf)
+    below, above = np.where(np.isnan(heights), np.inf, heights), np.where(np.isnan(heights), -np.inf, heights)
+    for i, j in np.ndindex(*shape):
+        part = (slice(i * BLOCK, (i + 1) * BLOCK + 1), slice(j * BLOCK, (j + 1) * BLOCK + 1))
+        low[i, j], high[i, j] = below[part].min(), above[part].max()
+    return low, high
+
+
+@njit(**PART, **OPTIONS)
+def _height(heights: FloatArray, column: float, row: float) -> float:
+    """Bilinear height, m, at a position in samples; NaN outside."""
+    if not (0 <= column <= heights.shape[1] - 1 and 0 <= row <= heights.shape[0] - 1):
+        return np.nan
+    i, j = min(int(row), heights.shape[0] - 2), min(int(column), heights.shape[1] - 2)
+    v, u = row - i, column - j
+    near = heights[i, j] * (1 - u) + heights[i, j + 1] * u
+    far = heights[i + 1, j] * (1 - u) + heights[i + 1, j + 1] * u
+    return near * (1 - v) + far * v
+
+
+@njit(**PART, **OPTIONS)
+def _leave(at: float, pace: float) -> float:
+    """Way until a position in samples, which changes by `pace` a metre, leaves its block, m."""
+    block = np.floor(at / BLOCK)
+    if pace > 0:
+        return ((block + 1) * BLOCK - at) / pace
+    if pace < 0:
+        return (block * BLOCK - at) / pace
+    return np.inf
+
+
+@njit(**PART, **OPTIONS)
+def _crosses(
+    heights: FloatArray, low: FloatArray, high: FloatArray, limits: tuple[float, float], column: float, row: float,
+    along_column: float, along_row: float, step: float, kind: int, z: float, above: float, distance: float,
+) -> bool:  # fmt: skip
+    """Whether the terrain crosses a curve on a march; `along_*` are samples a metre, `above` and `distance` H and d."""
+    square = distance * distance + above * above
+    n = 1
+    while True:
+        s = n * step
+        if kind == _SHADOW:
+            curve = z + s * above / distance
+        else:
+            flat = distance + s if kind == _FAR else distance - s
+            if flat * flat > square:
+                return False
+            curve = z + above - np.sqrt(square - flat * flat)
+        if kind != _FAR and s >= distance:
+            return False
+        if curve < limits[0] if kind == _NEAR else curve > limits[1]:
+            return False
+        at_column, at_row = column + s * along_column, row + s * along_row
+        if not (0 <= at_column <= heights.shape[1] - 1 and 0 <= at_row <= heights.shape[0] - 1):
+            return False
+        i = min(int(at_row) // BLOCK, low.shape[0] - 1)
+        j = min(int(at_column) // BLOCK, low.shape[1] - 1)
+        if curve < low[i, j] if kind == _NEAR else curve > high[i, j]:
+            way = min(_leave(at_column, along_column), _leave(at_row, along_row))
+            n = max(n + 1, int(np.ceil((s + way) / step)))
+            continue
+        ground = _height(heights, at_column, at_row)
+        if ground < curve - TOLERANCE if kind == _NEAR else ground > curve + TOLERANCE:
+            return True
+        n += 1
+
+
+@loop(
+    REAL_ROWS, REAL_ROWS, REAL_ROWS, REAL_ROW, REAL_ROW, REAL_ROW, REAL_ROWS, REAL_ROWS, types.float64,
+    types.uint8[::1], **OPTIONS
+)  # fmt: skip
+def find_visibility(
+    heights: FloatArray, low: FloatArray, high: FloatArray, spacing: FloatArray, column: FloatArray, row: FloatArray,
+    sight: FloatArray, across: FloatArray, step: float, found: NDArray[np.uint8],
+) -> None:  # fmt: skip
+    """Find the visibility of points on a terrain: VISIBLE, LAYOVER, SHADOW, or UNKNOWN where it has no height.
+
+    Parameters
+    ----------
+    heights : (n_y, n_x) float
+        m.
+    low, high : float
+        `block_extremes` of them.
+    spacing : (2,) float
+        Of the samples, along x and y, m.
+    column, row : (n,) float
+        Points, in samples.
+    sight : (n, 3) float
+        From the points' places at height 0 to the antenna, m.
+    across : (n, 2) float
+        Horizontal unit vectors across the track.
+    step : float
+        Of a march, m.
+    found : (n,) uint8
+        Written.
+    """
+    lowest, highest = np.inf, -np.inf
+    for i in range(low.shape[0]):
+        for j in range(low.shape[1]):
+            lowest, highest = min(lowest, low[i, j]), max(highest, high[i, j])
+    limits = lowest, highest
+    for k in range(column.size):
+        z = _height(heights, column[k], row[k])
+        if np.isnan(z):
+            found[k] = UNKNOWN
+            continue
+        found[k] = VISIBLE
+        above = sight[k, 2] - z
+        distance = np.sqrt(sight[k, 0] * sight[k, 0] + sight[k, 1] * sight[k, 1])
+        if distance > 0 and _crosses(
+            heights, low, high, limits, column[k], row[k], sight[k, 0] / distance / spacing[0],
+            sight[k, 1] / distance / spacing[1], step, _SHADOW, z, above, distance,
+        ):  # fmt: skip
+            found[k] = SHADOW
+            continue
+        side = sight[k, 0] * across[k, 0] + sight[k, 1] * across[k, 1]
+        way = 1.0 if side > 0 else -1.0
+        along_column, along_row = way * across[k, 0] / spacing[0], way * across[k, 1] / spacing[1]
+        for kind in (_NEAR, _FAR):
+            turn = 1.0 if kind == _NEAR else -1.0
+            if _crosses(
+                heights, low, high, limits, column[k], row[k], turn * along_column, turn * along_row, step, kind, z,
+                above, abs(side),
+            ):  # fmt: skip
+                found[k] = LAYOVER
+                break
