@@ -170,8 +170,9 @@ def export(
         Folder of a finished run.
     out : path
         Local file to write.
-    content : {"amplitude", "power", "db", "complex"}, optional
-        Pixels of a GeoTIFF: float32, or complex64. Default: "amplitude", or "db" with `scale`. Only for
+    content : {"amplitude", "power", "db", "complex", "height", "incidence", "visibility", "gamma"}, optional
+        Pixels of a GeoTIFF: float32, or complex64, or uint8 flags. Those from "height" on are of images on a terrain;
+        "gamma" is the power without what slopes do to it. Default: "amplitude", or "db" with `scale`. Only for
         `kind="geotiff"`.
     looks : (int, int) or str, optional
         Pixels along y and along x of the cells over which a GeoTIFF averages power, such as (4, 2) or "4x2". Cells that

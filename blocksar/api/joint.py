@@ -35,12 +35,8 @@ from blocksar.runs.sources import RunInput
 from blocksar.version import __version__
 
 Focus = Callable[..., RunReport]
-SAME = (
-    "block",
-    "collection",
-    "noise_equivalent",
-    *stores.ON_TERRAIN,
-)  # of the image: those of the first channel or look
+# Of the image: those of the first channel or look.
+SAME = ("block", "collection", "noise_equivalent", *stores.ON_TERRAIN)
 
 
 @dataclass(frozen=True)

@@ -53,8 +53,11 @@ def export_geotiff(
     run: Run,
     out: Annotated[str, typer.Option(metavar="FILE", help="GeoTIFF to write.")],
     content: Annotated[
-        Literal["amplitude", "power", "db", "complex"] | None,
-        typer.Option(help="Pixel values, in float32, or complex64.", show_default="amplitude; db with --scale"),
+        Literal["amplitude", "power", "db", "complex", "height", "incidence", "visibility", "gamma"] | None,
+        typer.Option(
+            help="Pixel values, in float32, or complex64; the last four of images on a terrain.",
+            show_default="amplitude; db with --scale",
+        ),
     ] = None,
     looks: Annotated[
         str | None,

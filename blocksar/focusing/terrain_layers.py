@@ -112,20 +112,21 @@ def incidence_angle(terrain: Terrain, sight: Sight, x: FloatArray, y: FloatArray
     return angle
 
 
-def gamma_factor(terrain: Terrain, sight: Sight, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
+def gamma_factor(terrain: Terrain, sight: Sight, x: FloatArray, y: FloatArray) -> NDArray[np.float32]:
     """Factor of the power (n_y, n_x) that removes what slopes do; NaN where a surface faces away or stands on edge."""
-    along_x, along_y = terrain.slopes_on_grid(x, y)
-    u = np.stack(_sight(sight, x, y, z), axis=-1)
-    u = u / np.linalg.norm(u, axis=-1, keepdims=True)
-    slant = np.cross(u, sight.velocity_at(*np.meshgrid(x, y)))
-    slant = slant / np.linalg.norm(slant, axis=-1, keepdims=True)
-    up = np.sign(slant[..., 2])  # the slant plane's normal points up
-    # The length of the terrain's normal (-along_x, -along_y, 1) cancels.
-    incidence = u[..., 2] - u[..., 0] * along_x - u[..., 1] * along_y
-    psi = up * (slant[..., 2] - slant[..., 0] * along_x - slant[..., 1] * along_y)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        factor = (psi / incidence) / (up * slant[..., 2] / u[..., 2])
-    return np.where((psi > 0) & (incidence > 0), factor, np.nan)
+    factor = np.empty((y.size, x.size), np.float32)
+    for first in range(0, y.size, ROWS):
+        rows = slice(first, first + ROWS)
+        along_x, along_y = terrain.slopes_on_grid(x, y[rows])
+        ux, uy, uz = _sight(sight, x, y[rows], terrain.on_grid(x, y[rows]))
+        vx, vy, vz = np.moveaxis(sight.velocity_at(*np.meshgrid(x, y[rows])), -1, 0)
+        across_x, across_y, across_z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx  # u x v
+        # Only ratios to those of a level surface count, so that no normal needs to have unit length.
+        incidence = 1 - (ux * along_x + uy * along_y) / uz
+        with np.errstate(invalid="ignore", divide="ignore"):
+            slant = 1 - (across_x * along_x + across_y * along_y) / across_z
+            factor[rows] = np.where((slant > 0) & (incidence > 0), slant / incidence, np.nan)
+    return factor
 
 
 def reach(sight: Sight, x: FloatArray, y: FloatArray, limits: tuple[float, float]) -> Box:

@@ -33,7 +33,10 @@ if TYPE_CHECKING:
     from pyproj import CRS
 
 
-OVERVIEWS = {"amplitude": "average", "power": "average"}
+OVERVIEWS = dict.fromkeys(("amplitude", "power", "gamma", "height", "incidence"), "average")
+UNITS = {"height": "m", "incidence": "rad"}
+GAMMA = "power times cos psi / cos theta over that of level ground, psi: slant plane to slope, theta: local incidence"
+FLAGS = "0 visible, 1 layover, 2 shadow, 255 not covered"
 MAX_ERROR = 0.05  # pixels that a pixel may lie off its exact place
 TILE = 512  # pixels a side
 TRAILER = 4  # bytes after each tile of GDAL's COG, which repeat its last four
@@ -71,8 +74,9 @@ def write(
     Parameters
     ----------
     pixels : Pixels
-        Overviews hold means of amplitude and power, and nearest neighbours of complex pixels and of decibels, whose
-        means say nothing. NaN means no data; 0 in whole numbers, whose scale and offset the band tells.
+        Overviews hold means of amplitude, power, gamma, height and incidence, and nearest neighbours of complex pixels,
+        decibels and visibility, whose means say nothing. NaN means no data; 255 in visibility; 0 in whole numbers of
+        dB, whose scale and offset the band tells.
 
     Returns
     -------
@@ -140,6 +144,8 @@ def _write_plain(pixels: Pixels, path: str, placement: Placement, progress: Call
         file.set_band_description(1, pixels.content)
         if pixels.scale is not None:
             file.scales, file.offsets, file.units = (pixels.step,), (pixels.offset,), ("dB",)
+        elif pixels.content in UNITS:
+            file.units = (UNITS[pixels.content],)
         file.update_tags(**_tags(pixels, placement))
 
 
@@ -201,15 +207,20 @@ def _tags(pixels: Pixels, placement: Placement) -> dict[str, str]:
     """Tags of the file."""
     source = pixels.source
     looks = {} if pixels.looks == (1, 1) else {"looks": f"{pixels.looks[0]} x {pixels.looks[1]} pixels (y x x)"}
-    return looks | {
-        "TIFFTAG_IMAGEDESCRIPTION": source.title,
-        "TIFFTAG_SOFTWARE": f"blocksar {__version__}",
-        "AREA_OR_POINT": "Area",
-        "calibration": "a target of reflectivity 1 peaks at 1 + 0j",
-        "run": source.record.identity,
-        "carrier_frequency_hz": repr(source.collection.carrier),
-        "location_error_m": f"{placement.error:.3g}",
-    }
+    meaning = {"gamma": GAMMA, "visibility": FLAGS}.get(pixels.content)
+    return (
+        looks
+        | ({} if meaning is None else {"content": meaning})
+        | {
+            "TIFFTAG_IMAGEDESCRIPTION": source.title,
+            "TIFFTAG_SOFTWARE": f"blocksar {__version__}",
+            "AREA_OR_POINT": "Area",
+            "calibration": "a target of reflectivity 1 peaks at 1 + 0j",
+            "run": source.record.identity,
+            "carrier_frequency_hz": repr(source.collection.carrier),
+            "location_error_m": f"{placement.error:.3g}",
+        }
+    )
 
 
 def place_pixels(pixels: Pixels, frame: Georeference) -> Placement:

@@ -5,20 +5,23 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from blocksar.arrays import FloatArray
 from blocksar.errors import InputError
+from blocksar.focusing.terrain_layers import Sight, by_owner, gamma_factor
+from blocksar.kernels.occlusion import UNKNOWN, VISIBLE
 from blocksar.measurement.looks import checked_looks, decibels, multilook, power_of
 from blocksar.products.pictures.overview import overview, stretch
 from blocksar.runs.finished import STRIP, FinishedRun
 
-Content = Literal["amplitude", "power", "db", "complex"]
+Content = Literal["amplitude", "power", "db", "complex", "height", "incidence", "visibility", "gamma"]
 Scale = Literal["uint8", "uint16"]
-CONTENTS: tuple[Content, ...] = ("amplitude", "power", "db", "complex")
+LAYERS = {"height": "height", "incidence": "incidence_angle", "visibility": "visibility"}  # in image.zarr, on a terrain
+CONTENTS: tuple[Content, ...] = get_args(Content)
 SCALES: tuple[Scale, ...] = ("uint8", "uint16")
 STRETCHED = 1000  # cells along the longer side of what the range in dB is chosen from
 
@@ -32,7 +35,10 @@ class Pixels:
     source : FinishedRun
         The image.
     content : str
-        "amplitude": the root of the power; "power": |image|^2; "db": 10 log10 of it; "complex": the image itself.
+        "amplitude": the root of the power; "power": |image|^2; "db": 10 log10 of it; "complex": the image itself. On a
+        terrain also "height", m; "incidence", local angle, rad; "visibility", 0 visible, 1 layover, 2 shadow; "gamma":
+        the power times `gamma_factor` of `focusing.terrain_layers`, which removes what slopes do to it, so that level
+        ground keeps its power; NaN in layover and shadow.
     looks : (int, int)
         Pixels along y and along x in a cell, whose power is averaged.
     scale : str, optional
@@ -65,11 +71,13 @@ class Pixels:
 
     @property
     def dtype(self) -> str:
-        return self.scale or ("complex64" if self.content == "complex" else "float32")
+        return self.scale or {"complex": "complex64", "visibility": "uint8"}.get(self.content, "float32")
 
     @property
     def nodata(self) -> float:
         """What a pixel that is not covered holds."""
+        if self.content == "visibility":
+            return UNKNOWN
         return np.nan if self.scale is None else 0
 
     @property
@@ -94,16 +102,41 @@ class Pixels:
 
     def read(self, rows: slice) -> NDArray[Any]:
         """Read whole rows, (rows, x.size)."""
+        if self.content in LAYERS:
+            layer = self.source.read_layer(LAYERS[self.content], rows, slice(None))
+            layer[self.source.read_block(rows, slice(None)) < 0] = self.nodata
+            return layer
         side = self.looks[0]
-        pixels = self.source.read(slice(rows.start * side, rows.stop * side), slice(None))
+        part = slice(rows.start * side, rows.stop * side)
+        pixels = self.source.read(part, slice(None))
         if self.content == "complex":
             return pixels
         if self.content == "amplitude" and self.looks == (1, 1):
             return np.abs(pixels)
-        power = multilook(power_of(pixels), self.looks)
+        power = power_of(pixels)
+        if self.content == "gamma":
+            power = power * self._gamma_factor(part)
+        power = multilook(power, self.looks)
         if self.content == "db":
             return self._scaled(decibels(power))
         return np.sqrt(power) if self.content == "amplitude" else power
+
+    @cached_property
+    def _sights(self) -> list[Sight]:
+        """The antenna as the pixels of each segment see it."""
+        return [Sight.of(geometry) for geometry in self.source.segments or (self.source.geometry,)]
+
+    def _gamma_factor(self, rows: slice) -> NDArray[np.float32]:
+        """What the power of whole rows is multiplied by; NaN in layover and shadow."""
+        terrain = self.source.geometry.terrain
+        assert terrain is not None
+        owner = self.source.read_block(rows, slice(None))
+        sights = {int(block): self._sights[self.source.segment_of(int(block))] for block in np.unique(owner)}
+        factor = by_owner(
+            sights, owner, lambda sight: gamma_factor(terrain, sight, self.source.x, self.source.y[rows]), np.nan
+        ).astype(np.float32)
+        factor[self.source.read_layer("visibility", rows, slice(None)) != VISIBLE] = np.nan
+        return factor
 
     def _scaled(self, values: NDArray[np.float32]) -> NDArray[Any]:
         if self.scale is None:
@@ -140,6 +173,10 @@ def pixels_of(
     if content not in CONTENTS:
         raise InputError(f"content = {content!r}: give one of {', '.join(CONTENTS)}")
     looks = checked_looks(looks, (source.y.size, source.x.size))
+    if content in LAYERS or content == "gamma":
+        source.check_layer(LAYERS.get(content, "visibility"))
+    if content in LAYERS and looks != (1, 1):
+        raise InputError(f"content = {content!r} has no looks: it is no power; leave looks out")
     if content == "complex" and looks != (1, 1):
         raise InputError("content = 'complex' has no looks: the mean of complex pixels is no image; take power")
     if scale is not None and scale not in SCALES:

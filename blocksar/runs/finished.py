@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import Any, NamedTuple, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from blocksar import stores
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
@@ -268,6 +269,22 @@ class FinishedRun:
     def read_block(self, rows: slice, columns: slice) -> Int16Array:
         """Read the index of the block that each pixel comes from, (rows, columns); -1 where not covered."""
         return stores.read_region(self.image, "block", self._in_image(rows, columns))
+
+    def check_layer(self, name: str) -> None:
+        """Check that the image has a layer that only images on a terrain have.
+
+        Raises
+        ------
+        InputError
+            If it has not.
+        """
+        if not (self.image / name / "zarr.json").exists():
+            why = "lies on the plane" if self.geometry.terrain is None else "is of an earlier version"
+            raise InputError(f"{self.image} {why} and has no {name}; focus again with --terrain and --overwrite")
+
+    def read_layer(self, name: str, rows: slice, columns: slice) -> NDArray[Any]:
+        """Read a layer beside the image, such as `height`, (rows, columns)."""
+        return stores.read_region(self.image, name, self._in_image(rows, columns))
 
     def _in_image(self, rows: slice, columns: slice) -> tuple[slice, slice]:
         """Rows and columns of the run's image."""

@@ -107,7 +107,7 @@ def test_incidence_and_area_are_those_of_small_facets(name: str) -> None:
     x, y = GRID.x[3::50], GRID.y[7::50]
     z = terrain.on_grid(x, y)
     angle = incidence_angle(terrain, sight, x, y, z)
-    factor = gamma_factor(terrain, sight, x, y, z)
+    factor = gamma_factor(terrain, sight, x, y)
     antenna, velocity, h = sight.position[0], sight.velocity[0], 0.01
 
     def facet(px: float, py: float, *, level: float | None) -> tuple[float, float]:
@@ -154,7 +154,7 @@ def test_slopes_along_range_broadside_change_power_by_the_ratio_of_tangents() ->
     angle = incidence_angle(terrain, sight, *at, z)
     level = np.arctan2(np.abs(at[0] - sight.position[0, 0]), sight.position[0, 2] - z)
     assert angle == pytest.approx(level - np.arctan(0.2), abs=1e-6)
-    assert gamma_factor(terrain, sight, *at, z) == pytest.approx(np.tan(angle) / np.tan(level), rel=1e-6)
+    assert gamma_factor(terrain, sight, *at) == pytest.approx(np.tan(angle) / np.tan(level), rel=1e-6)
 
 
 def test_pixels_are_seen_from_the_block_that_they_come_from() -> None:

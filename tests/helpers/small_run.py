@@ -13,10 +13,13 @@ from blocksar import stores
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
+from blocksar.collection.grid import Grid
+from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.backprojection import form_image
 from blocksar.focusing.noise import NoiseMap
+from blocksar.focusing.terrain_layers import Sight, incidence_angle, visibility
 from blocksar.measurement.targets import Target
 from blocksar.runs import finished
 
@@ -75,10 +78,12 @@ def make(
     more: dict[str, Any] | None = None,
     weighting: str = "uniform",
     noise_power: float | None = None,
+    terrain: Terrain | None = None,
 ) -> Made:
     """Make a finished run over targets about `centre`; no coverage in a south-west corner and some northern rows.
 
-    With `noise_power` the run says what noise its image has; there is none in it.
+    With `noise_power` the run says what noise its image has; there is none in it. With a terrain it has the layers of
+    one, but the image is that of the plane.
     """
     n = 160
     time = (np.arange(n) - n // 2) / 60.0 + 0.5
@@ -132,6 +137,14 @@ def make(
     if noise is not None:
         variables["noise_equivalent"] = np.where(np.isfinite(image), noise.over(x, y), np.nan).astype(np.float32)
 
+    if terrain is not None:
+        stores.write_terrain(blocksar.places.place(folder) / "terrain.zarr", terrain)  # type: ignore[attr-defined]
+        grid, sight = Grid(x[0], x[-1], step, y[0], y[-1], step), Sight.of(geometry)
+        height = terrain.on_grid(x, y)
+        variables["height"] = height.astype(np.float32)
+        variables["incidence_angle"] = incidence_angle(terrain, sight, x, y, height)
+        variables["visibility"] = visibility(terrain, sight, grid, whole)
+
     def fill(place: Any) -> None:
         for name, values in variables.items():
             for first in range(0, y.size, 64):
@@ -140,7 +153,7 @@ def make(
 
     stores.create(
         folder / "image.zarr",
-        {**stores.IMAGE, **(stores.NOISE if noise_power else {})},
+        {**stores.IMAGE, **(stores.NOISE if noise_power else {}), **(stores.ON_TERRAIN if terrain else {})},
         sizes={},
         coords={"x": x, "y": y},
         attrs=image_attrs,
@@ -149,7 +162,10 @@ def make(
     )
     stores.write_json(folder / "run.json", {
         "status": "finished", "identity": "0123456789abcdef",
-        "settings": dict.fromkeys(("weighting_range", "weighting_azimuth"), weighting),
+        "settings": {
+            **dict.fromkeys(("weighting_range", "weighting_azimuth"), weighting),
+            "heights": None if terrain is None else stores.terrain_fingerprint(terrain),
+        },
     })  # fmt: skip
     return Made(folder, collection, image, x, y)
 

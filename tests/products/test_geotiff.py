@@ -13,6 +13,8 @@ from small_run import DAYTON, TARGETS, make
 
 import blocksar
 from blocksar.collection.georeference import Georeference
+from blocksar.collection.terrain import Terrain
+from blocksar.errors import InputError
 from blocksar.measurement.targets import Target
 
 pytestmark = pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")  # by affine, in rioxarray
@@ -124,3 +126,53 @@ def test_wrong_options_are_refused_in_a_sentence(
     with pytest.raises(blocksar.InputError, match=words):
         blocksar.export(kind, made.folder, tmp_path / name, **options)
     assert not list(tmp_path.iterdir())
+
+
+def ridge() -> Terrain:
+    """A ridge across range, with layover before it and shadow behind it, in small_run's scene."""
+    x, y = np.meshgrid(np.arange(-60.0, 61.0, 1.5), np.arange(-60.0, 61.0, 1.5))
+    along = 0.6 * x + 0.8 * y
+    return Terrain(x0=-60.0, dx=1.5, y0=-60.0, dy=1.5, heights=14 * np.exp(-(((along + 4) / 6) ** 2)) + 0.02 * x)
+
+
+def test_layers_of_a_terrain_are_those_of_the_image_where_it_is_covered(tmp_path: Path) -> None:
+    run = make(tmp_path / "run", terrain=ridge())
+    image, covered = blocksar.open(run.folder), np.isfinite(run.image)
+    read = {}
+    for content in ("height", "incidence", "visibility", "gamma", "power"):
+        out = tmp_path / f"{content}.tif"
+        blocksar.export("geotiff", run.folder, out, content=content)  # type: ignore[arg-type]
+        assert cog_validate(out, strict=True, quiet=True) == (True, [], [])
+        with rasterio.open(out) as file:
+            read[content] = file.read(1)[::-1]
+            assert (file.units[0], file.nodata == 255) == (
+                {"height": "m", "incidence": "rad"}.get(content), content == "visibility"
+            )  # fmt: skip
+    for content, name in (("height", "height"), ("incidence", "incidence_angle")):
+        np.testing.assert_array_equal(read[content], np.where(covered, image[name].values, np.nan))
+    flags = read["visibility"]
+    np.testing.assert_array_equal(flags, np.where(covered, image.visibility.values, 255))
+    assert flags.dtype == np.uint8 and all((flags == flag).sum() > 50 for flag in (0, 1, 2, 255))
+    # At the very edge of layover the slope, which is smoother than what visibility is found on, may stand on edge.
+    assert not np.isfinite(read["gamma"])[flags != 0].any()
+    assert np.isfinite(read["gamma"])[flags == 0].mean() > 0.97
+    factor = read["gamma"] / read["power"]
+    # Broadside, nearly: the ratio of the tangents of local and level incidence, where the slope is along range.
+    geometry = run.source.geometry
+    antenna = geometry.collection.antenna_position.mean(axis=0)
+    x, y = np.meshgrid(run.x, run.y)
+    level = np.arctan2(np.hypot(x - antenna[0], y - antenna[1]), antenna[2] - read["height"])
+    expected = np.tan(read["incidence"]) / np.tan(level)
+    some = np.isfinite(factor) & (read["incidence"] > 0.4)
+    assert 0.1 < factor[some].min() < 0.7 and factor[some].max() > 1.3
+    assert np.median(np.abs(factor[some] / expected[some] - 1)) < 0.05
+
+
+def test_layers_of_a_terrain_are_refused_where_there_are_none(tmp_path: Path) -> None:
+    run = make(tmp_path / "run")
+    with pytest.raises(InputError, match="lies on the plane and has no visibility; focus again with terrain"):
+        blocksar.export("geotiff", run.folder, tmp_path / "a.tif", content="gamma")
+    hilly = make(tmp_path / "hilly", terrain=ridge())
+    with pytest.raises(InputError, match="content = 'height' has no looks"):
+        blocksar.export("geotiff", hilly.folder, tmp_path / "a.tif", content="height", looks=(2, 2))
+    assert not (tmp_path / "a.tif").exists()
