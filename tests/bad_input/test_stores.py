@@ -43,6 +43,7 @@ from hypothesis import strategies as st
 
 import blocksar
 from blocksar import stores
+from blocksar.api import focusing
 from blocksar.errors import InputError
 from blocksar.stores import arrays
 
@@ -837,6 +838,7 @@ def as_nobody(ask: Callable[[], list[str]]) -> list[str]:
     """Return the messages that an unprivileged user gets; as root, ask in a forked process that drops its rights."""
     if os.geteuid() != 0:
         return ask()
+    assert focusing.__name__  # imported before: nobody may write loops into numba's cache
     reading, writing = os.pipe()
     with warnings.catch_warnings(action="ignore", category=DeprecationWarning):  # about forking a process with threads
         child = os.fork()
