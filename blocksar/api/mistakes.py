@@ -17,7 +17,14 @@ def mistaken(source: Location) -> str | None:
     where = place(source)
     if not isinstance(where, LocalPlace):
         return None
-    path, text = where.path, str(source)
+    try:
+        return _told(where, str(source))
+    except OSError:  # the first error says what cannot be read
+        return None
+
+
+def _told(where: LocalPlace, text: str) -> str | None:
+    path = where.path
     if not path.exists():
         return _missing(path, text)
     if path.is_file():
@@ -46,11 +53,8 @@ def _file(path: Path, text: str) -> str | None:
     store = f"{path.stem}.zarr"
     if path.suffix.lower() == ".toml":
         return f"{path} is a scene, not a phase history; write one first: blocksar simulate {text} --out {store}"
-    try:
-        with open(path, "rb") as file:
-            start = file.read(8)
-    except OSError:
-        return None
+    with open(path, "rb") as file:
+        start = file.read(8)
     if start.startswith(b"CPHD/"):
         return f"{path} is a CPHD file; turn it into a phase history first: blocksar ingest cphd {text} --out {store}"
     if start.startswith(b"MATLAB"):
