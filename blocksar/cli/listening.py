@@ -15,7 +15,9 @@ from blocksar.version import __version__
 @contextmanager
 def listening(context: typer.Context) -> Iterator[Progress]:
     """Show the progress of a command; log its settings and how it ends."""
-    settings = context.params
+    settings = dict(context.params)
+    if isinstance(source := settings.get("source"), list | tuple) and len(source) == 1:
+        settings["source"] = source[0]  # programs that read the log know it as a text
     with Progress(quiet=settings["quiet"], log=settings["json_log"]) as progress:
         progress.start(" ".join(context.command_path.split()[1:]), settings, __version__)
         try:
