@@ -78,7 +78,8 @@ def report(
     out : path, optional
         HTML file to write. Default: RUN/report.html, which is always replaced.
     channel : str, optional
-        Of a run of several channels, each of which has a page of its own. Default: the first.
+        Of a run of several channels or looks, each of which has a page of its own with links to the others. Default:
+        all of them; with `out`, the first.
     overwrite : bool
         Replace what stands at `out`. Default: False.
     progress : object with a method update(stage, done, total), or False, optional
@@ -88,7 +89,7 @@ def report(
     Returns
     -------
     Report
-        `summary` has the verdict; `result` is the path of the page.
+        `summary` has the verdict; `result` is the path of the page, of several that of the first.
 
     Raises
     ------
@@ -98,6 +99,11 @@ def report(
     ProcessingError
         If the page cannot be written; an earlier page stays.
     """
+    whole = finished_record(place(run))
+    if whole.channels and channel is None and out is None:
+        pages = {name: report(run, channel=name, progress=progress) for name in whole.channels}
+        lines = [f"{name}: {line}" for name, page in pages.items() for line in page.summary]
+        return Report(summary=lines, result=next(iter(pages.values())).result)
     folder = folder_of(place(run), channel)
     target = folder / "report.html" if out is None else place(out)
     if out is not None and target.exists() and not overwrite:
@@ -113,9 +119,12 @@ def report(
     figures, reason = _read_or_measure(folder, source)
     history = str(stores.open_dataset(source.image).attrs.get("history", ""))
     listener = as_listener(progress)
+    linked = whole.channels if out is None else ()
+    siblings = [page.Sibling(name, f"../{name}/report.html", name == folder.name) for name in linked]
     content, verdict = page.make(
-        source, figures, folder=str(folder), history=history, why=reason, progress=only_stage(listener, "report"),
-        drawn=partial(listener.update, "responses"),
+        source, figures, folder=str(place(run)), siblings=siblings,
+        looks=len(whole.channels) if whole.dimension == "look" else None, history=history, why=reason,
+        progress=only_stage(listener, "report"), drawn=partial(listener.update, "responses"),
     )  # fmt: skip
     try:
         target.write_bytes(content)

@@ -83,6 +83,12 @@ def test_every_channel_is_measured_shown_and_exported(run: Path, tmp_path: Path)
     with pytest.raises(InputError, match="channel 'VV' is none of"):
         blocksar.export("png", run, tmp_path / "vv.png", channel="VV")
     assert blocksar.info(run).result["facts"]["channels"] == "HH, HV"
+    pages = [run / "channels" / name / "report.html" for name in ("HH", "HV")]
+    assert Path(str(blocksar.report(run).result)) == pages[0]
+    first, second = (page.read_text() for page in pages)
+    assert 'href="../HV/report.html"' in first and '<strong aria-current="page">HH</strong>' in first
+    assert 'href="../HH/report.html"' in second
+    assert f"--out {run} " in first.replace("\n", " ")  # the command that repeats the whole
 
 
 def test_an_interrupted_run_goes_on_to_the_same_bytes(

@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import base64
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import resources
-from typing import Any
+from typing import Any, NamedTuple
 
 import jinja2
 
@@ -39,11 +39,21 @@ from blocksar.runs.finished import FinishedRun
 from blocksar.version import __version__
 
 
+class Sibling(NamedTuple):
+    """The page of a channel or look of the same run: name, place relative to this page, and whether it is this one."""
+
+    name: str
+    href: str
+    here: bool
+
+
 def make(
     source: FinishedRun,
     quality: Mapping[str, Any] | None,
     *,
     folder: str,
+    siblings: Sequence[Sibling] = (),
+    looks: int | None = None,
     history: str = "",
     why: str = "",
     progress: Callback | None = None,
@@ -57,7 +67,11 @@ def make(
     quality : mapping, optional
         Contents of quality.json, or the same measured now; None if nothing could be measured.
     folder : str
-        Folder of the run, for the command that repeats it.
+        Folder of the run, for the command that repeats it; of the whole, if this is one of several channels or looks.
+    siblings : sequence of Sibling
+        Pages of all channels or looks, this one among them.
+    looks : int, optional
+        Number of looks of the whole.
     history : str
         History of the image, one line per step, the last one first.
     why : str
@@ -79,7 +93,7 @@ def make(
     """
     try:
         run = Facts(source, quality, why)
-        command = repeat_run(run, folder)
+        command = repeat_run(run, folder, looks)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
         raise InputError(
             f"the settings in run.json, quality.json or the attributes of {folder} are damaged ({error}); "
@@ -91,6 +105,7 @@ def make(
         "title": source.title,
         "subtitle": subtitle(run),
         "verdicts": page_verdicts,
+        "siblings": siblings,
         "warnings": run.warnings,
         "picture": image,
         "outlines": list(picture.outlines(source, run.predicted, image)),

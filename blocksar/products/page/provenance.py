@@ -11,20 +11,28 @@ from blocksar.focusing.method import Method
 from blocksar.products.page.facts import Facts
 from blocksar.products.page.words import number
 from blocksar.runs.finished import FinishedRun
-from blocksar.runs.folder import LEFT_ALONE
+from blocksar.runs.folder import INPUT, LEFT_ALONE
 
 
 def repeat_command(settings: Mapping[str, Any], paths: Sequence[str], folder: str) -> str:
-    """The command that focuses the inputs in the same way again; empty if settings or paths are unknown."""
+    """The command that focuses the inputs in the same way again; empty if settings or paths are unknown.
+
+    An input that lies in the run folder, as samples from memory do, is focused into another one.
+    """
     if not settings or not paths:
         return ""
-    words = ["blocksar", "focus", *paths, "--out", folder]
+    inside = any(f"{path}/".startswith(f"{folder}/{INPUT}/") for path in paths)
+    words = ["blocksar", "focus", *paths, "--out", f"{folder}-again" if inside else folder]
     defaults = Method().as_settings() | {
         "processor": "angular-division",
         "blocks": "auto",
         "fidelity": FIDELITY,
         "grid": None,
         "autofocus": False,
+        "terrain": None,
+        "surface": "plane",
+        "vertical": None,
+        "looks": None,
         "weighting_range": "uniform",
         "weighting_azimuth": "uniform",
     }
@@ -43,10 +51,11 @@ def repeat_command(settings: Mapping[str, Any], paths: Sequence[str], folder: st
     return shlex.join(words)
 
 
-def repeat_run(run: Facts, folder: str) -> str:
+def repeat_run(run: Facts, folder: str, looks: int | None = None) -> str:
     """The command that repeats a run: `blocksar demo` for a demonstration, `blocksar focus` for others."""
     history = f"{folder}/{LEFT_ALONE[0]}"
-    command = repeat_command(run.settings, run.record.inputs, folder)
+    settings = run.settings if looks is None else {**run.settings, "looks": looks}
+    command = repeat_command(settings, run.record.inputs, folder)
     usual = shlex.join(["blocksar", "focus", history, "--out", folder, "--blocks", "3"])
     if command == usual and run.source.attrs.get("scene") == "table1":
         return shlex.join(["blocksar", "demo", "--out", folder, "--overwrite"])
