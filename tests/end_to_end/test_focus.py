@@ -122,6 +122,7 @@ def test_range_sub_blocks_are_as_accurate_as_whole_blocks(
         assert abs(chip["phase"]) <= 0.02, chip
 
 
+@pytest.mark.slow
 def test_an_unsteered_beam_is_coherent_with_back_projection(client: Client, tmp_path: Path) -> None:
     clutter = "[clutter]\nscatterers = 30000\nseed = 5\nx = [15306.0, 16906.0]\ny = [18394.0, 19994.0]\n"
     store = write_store(tmp_path, steering=None, prf=12e3, more=clutter)

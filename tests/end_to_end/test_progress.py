@@ -77,6 +77,7 @@ def frames(written: bytes) -> list[list[str]]:
 
 
 @needs_bokeh
+@pytest.mark.slow
 def test_a_run_shows_its_progress_in_a_terminal(store: Path, tmp_path: Path) -> None:
     log, page = tmp_path / "log.jsonl", tmp_path / "page.html"
     typed = words(store, tmp_path / "run", "--workers", "1", "--json-log", str(log), "--performance-report", str(page))

@@ -65,6 +65,7 @@ def inside_strip(run: Path, table1: Path) -> dict[str, Any]:
     return found | {"targets": [t for t in found["targets"] if low + MARGIN <= t["y"] <= high - MARGIN]}
 
 
+@pytest.mark.slow
 def test_a_low_memory_limit_divides_blocks_in_range_and_is_kept(table1: Path, tmp_path: Path) -> None:
     limit = 520 * 2**20
     blocksar.focus(table1, tmp_path / "run", blocks=2, workers=2, memory_limit=limit, grid=middle_strip(table1))
