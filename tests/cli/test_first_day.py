@@ -7,29 +7,12 @@ from pathlib import Path
 
 import pytest
 import small_run
+from scenes import UNSTEERED_SCENE
 from typer.testing import CliRunner
 
 import blocksar
 from blocksar.cli import commands
 
-SCENE = """
-title = "small"
-targets = [{ name = "one", ground_range_offset = 10.0, cross_range_offset = -15.0 }]
-[radar]
-carrier = 10e9
-bandwidth = 100e6
-range_sampling = 120e6
-prf = 400.0
-[track]
-position = [0.0, 0.0, 5000.0]
-velocity = [0.0, 120.0, 0.0]
-[time]
-pulses = 160
-[scene]
-swath = [7920.0, 8080.0]
-centre_yaw_deg = 20.0
-reference_range = "constant"
-"""
 # The command line, and what it answers; the table in blocksar/cli/README.md lists the same ten.
 MISTAKES = {
     "a scene for a phase history": (
@@ -81,7 +64,7 @@ MISTAKES = {
 def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder as it looks after the first hour."""
     folder = tmp_path_factory.mktemp("desk")
-    (folder / "scene.toml").write_text(SCENE)
+    (folder / "scene.toml").write_text(UNSTEERED_SCENE)
     blocksar.simulate(folder / "scene.toml", folder / "ph.zarr")
     small_run.make(folder / "run")
     (folder / "collect.cphd").write_bytes(b"CPHD/1.1.0\n")

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import small_run
+from scenes import UNSTEERED_SCENE
 from scipy.io import savemat
 from typer.testing import CliRunner
 
@@ -22,25 +23,6 @@ from blocksar.collection.region import default_grid, plan_region
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 
-SCENE = """
-title = "small"
-targets = [{ name = "one", ground_range_offset = 10.0, cross_range_offset = -15.0 }]
-[radar]
-carrier = 10e9
-bandwidth = 100e6
-range_sampling = 120e6
-prf = 400.0
-[track]
-position = [0.0, 0.0, 5000.0]
-velocity = [0.0, 120.0, 0.0]
-[time]
-pulses = 160
-[scene]
-swath = [7920.0, 8080.0]
-centre_yaw_deg = 20.0
-reference_range = "constant"
-"""
-
 
 def facts_of(path: Path | str) -> tuple[str, dict[str, str], list[list[str]]]:
     result: Any = blocksar.info(path).result
@@ -50,7 +32,7 @@ def facts_of(path: Path | str) -> tuple[str, dict[str, str], list[list[str]]]:
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("info") / "small.toml"
-    path.write_text(SCENE)
+    path.write_text(UNSTEERED_SCENE)
     return path
 
 
@@ -93,7 +75,7 @@ def test_an_unsteered_phase_history_needs_a_grid(store: Path) -> None:
 
 
 def test_a_raw_echo_is_named_as_such(scene: Path) -> None:
-    text = SCENE.replace("prf = 400.0", "prf = 400.0\npulse_width = 1e-6")
+    text = UNSTEERED_SCENE.replace("prf = 400.0", "prf = 400.0\npulse_width = 1e-6")
     scene.with_name("raw.toml").write_text(text)
     path = Path(blocksar.simulate(scene.with_name("raw.toml"), scene.with_name("raw.zarr"), raw=True))
     assert "a raw echo, not range-compressed" in facts_of(path)[1]["samples"]

@@ -64,6 +64,26 @@ GEOMETRIES: dict[str, dict[str, Any]] = {
 SMALL_SCAN: dict[str, Any] = {"steering": (44.75, 55.25), "duration": 0.4, "swath": [29850.0, 30150.0]}
 
 
+# A beam that is not steered, and a single target: no run needs more than a second.
+UNSTEERED_SCENE = """
+title = "small"
+targets = [{ name = "one", ground_range_offset = 10.0, cross_range_offset = -15.0 }]
+[radar]
+carrier = 10e9
+bandwidth = 100e6
+range_sampling = 120e6
+prf = 400.0
+[track]
+position = [0.0, 0.0, 5000.0]
+velocity = [0.0, 120.0, 0.0]
+[time]
+pulses = 160
+[scene]
+swath = [7920.0, 8080.0]
+centre_yaw_deg = 20.0
+reference_range = "constant"
+"""
+
 # Scenes of papers B and C: the processor of each paper, and the grid of an image, m.
 PAPERS: dict[str, tuple[Any, Any]] = {
     "paper_b": ("keystone-resampling", ((10960.0, 11670.0, 0.25), (-1050.0, 1050.0, 0.25))),
