@@ -20,7 +20,7 @@ import numpy as np
 from numba import njit, types
 from numpy.typing import NDArray
 
-from blocksar.arrays import FloatArray
+from blocksar.arrays import BoolArray, FloatArray
 from blocksar.kernels.loops import loop
 from blocksar.kernels.signatures import PART, REAL_ROW, REAL_ROWS
 
@@ -102,6 +102,55 @@ def _crosses(
         n += 1
 
 
+@njit(**PART, **OPTIONS)
+def _limits(low: FloatArray, high: FloatArray) -> tuple[float, float]:
+    """Lowest and highest height of all blocks, m."""
+    lowest, highest = np.inf, -np.inf
+    for i in range(low.shape[0]):
+        for j in range(low.shape[1]):
+            lowest, highest = min(lowest, low[i, j]), max(highest, high[i, j])
+    return lowest, highest
+
+
+@njit(**PART, **OPTIONS)
+def _hidden(
+    heights: FloatArray, low: FloatArray, high: FloatArray, limits: tuple[float, float], spacing: FloatArray,
+    column: float, row: float, z: float, sight: FloatArray, step: float,
+) -> bool:  # fmt: skip
+    """Whether the terrain crosses the ray from a point at the height z to the antenna."""
+    distance = np.sqrt(sight[0] * sight[0] + sight[1] * sight[1])
+    return distance > 0 and _crosses(
+        heights, low, high, limits, column, row, sight[0] / distance / spacing[0], sight[1] / distance / spacing[1],
+        step, _SHADOW, z, sight[2] - z, distance,
+    )  # fmt: skip
+
+
+@loop(
+    REAL_ROWS, REAL_ROWS, REAL_ROWS, REAL_ROW, REAL_ROW, REAL_ROW, REAL_ROW, REAL_ROWS, types.float64,
+    types.bool_[::1], **OPTIONS
+)  # fmt: skip
+def find_shadow(
+    heights: FloatArray, low: FloatArray, high: FloatArray, spacing: FloatArray, column: FloatArray, row: FloatArray,
+    height: FloatArray, sight: FloatArray, step: float, found: BoolArray,
+) -> None:  # fmt: skip
+    """Find which points on a terrain, or above it, it hides from antennas, as `find_visibility` does.
+
+    Parameters
+    ----------
+    heights, low, high, spacing, column, row, sight, step
+        As there.
+    height : (n,) float
+        Of the points, m; those below the terrain are seen as the terrain there is. Where that is unknown, nothing
+        hides.
+    found : (n,) bool
+        Written.
+    """
+    limits = _limits(low, high)
+    for k in range(column.size):
+        z = max(_height(heights, column[k], row[k]), height[k])
+        found[k] = _hidden(heights, low, high, limits, spacing, column[k], row[k], z, sight[k], step)
+
+
 @loop(
     REAL_ROWS, REAL_ROWS, REAL_ROWS, REAL_ROW, REAL_ROW, REAL_ROW, REAL_ROWS, REAL_ROWS, types.float64,
     types.uint8[::1], **OPTIONS
@@ -131,11 +180,7 @@ def find_visibility(
     found : (n,) uint8
         Written.
     """
-    lowest, highest = np.inf, -np.inf
-    for i in range(low.shape[0]):
-        for j in range(low.shape[1]):
-            lowest, highest = min(lowest, low[i, j]), max(highest, high[i, j])
-    limits = lowest, highest
+    limits = _limits(low, high)
     for k in range(column.size):
         z = _height(heights, column[k], row[k])
         if np.isnan(z):
@@ -143,11 +188,7 @@ def find_visibility(
             continue
         found[k] = VISIBLE
         above = sight[k, 2] - z
-        distance = np.sqrt(sight[k, 0] * sight[k, 0] + sight[k, 1] * sight[k, 1])
-        if distance > 0 and _crosses(
-            heights, low, high, limits, column[k], row[k], sight[k, 0] / distance / spacing[0],
-            sight[k, 1] / distance / spacing[1], step, _SHADOW, z, above, distance,
-        ):  # fmt: skip
+        if _hidden(heights, low, high, limits, spacing, column[k], row[k], z, sight[k], step):
             found[k] = SHADOW
             continue
         side = sight[k, 0] * across[k, 0] + sight[k, 1] * across[k, 1]

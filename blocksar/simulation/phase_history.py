@@ -122,7 +122,7 @@ def sampler(
     `collection` is the scene's own, or one that differs from it in frequencies and reference range.
     """
     n = collection.n_range_frequency if echo is None else echo.fast_time.size
-    parts, lost = _scatterers(scene, as_flown(scene, collection)), scene.dropped_pulses()
+    parts, lost = _scatterers(scene, as_flown(scene, collection), threads), scene.dropped_pulses()
 
     def sample(pulses: slice) -> ComplexArray:
         samples = _samples(parts, echo, n, pulses, threads)
@@ -189,19 +189,20 @@ def _echo_axes(scene: Scene) -> RawEcho:
     )
 
 
-def _scatterers(scene: Scene, collection: Collection) -> list[tuple[Field, bool]]:
+def _scatterers(scene: Scene, collection: Collection, threads: int) -> list[tuple[Field, bool]]:
     """Return point targets, and field with map, each with whether its raw echo is evaluated exactly."""
-    points, many = scene.point_targets(), scene.scatterers()
+    points, many, terrain = scene.point_targets(), scene.scatterers(), scene.terrain
     parts = []
     if points:
-        _, x, y, sigma, z = zip(*points, strict=True)
+        _, x, y, sigma, z = (np.array(column) for column in zip(*points, strict=True))
         raised = None
         if any(height is not None for height in z):
             raised = np.array([collection.ground_height if height is None else height for height in z])
-        parts.append((field(collection, np.array(x), np.array(y), np.array(sigma), raised), True))
+        parts.append((field(collection, x, y, sigma, raised, terrain=terrain, threads=threads), True))
     if many.x.size:
-        ground = None if scene.terrain is None else scene.terrain(many.x, many.y)
-        parts.append((field(collection, many.x, many.y, many.reflectivity, ground), False))
+        ground = None if terrain is None else terrain(many.x, many.y)
+        seen = field(collection, many.x, many.y, many.reflectivity, ground, terrain=terrain, threads=threads)
+        parts.append((seen, False))
     return parts
 
 

@@ -18,10 +18,12 @@ from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.collection.beam import EDGE, beam_at, in_beam, is_lit, pattern_gain, wrapped
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
+from blocksar.collection.terrain import Terrain
 from blocksar.constants import SPEED_OF_LIGHT, TURN
 from blocksar.kernels.chirp import chirp_spectrum
 from blocksar.kernels.trigonometry import cosine, sine
 from blocksar.simulation.columns import Scatterers, compiled
+from blocksar.simulation.shadow import Shadow, cast_shadow
 
 NUFFT_ACCURACY = 1e-7  # relative to the norm of the lit reflectivity: below the rounding error of complex64
 DIRECT_LIMIT = 400  # scatterers beyond which the non-uniform transform is faster
@@ -42,6 +44,8 @@ class Field:
     reflectivity : (n,) complex128
     z : (n,) float or None
         m; None: on the ground plane.
+    shadow : Shadow or None
+        The pulses that the terrain keeps from them.
     """
 
     collection: Collection
@@ -50,6 +54,7 @@ class Field:
     yaw: FloatArray
     reflectivity: NDArray[np.complex128]
     z: FloatArray | None = None
+    shadow: Shadow | None = None
 
     @cached_property
     def geometry(self) -> Geometry:
@@ -58,9 +63,11 @@ class Field:
     def part(self, pulse: int, first: int, last: int) -> Scatterers:
         """Those of a slice that a pulse lights, with the antenna's pattern in their reflectivity.
 
-        Under a beam that is described by its yaw, all of the slice: the loops ask the rule.
+        Under a beam that is described by its yaw, all of the slice but those in shadow: the loops ask the rule.
         """
         of = Scatterers(self.x, self.y, self.yaw, self.reflectivity, self.z).at(slice(first, last))
+        if self.shadow is not None:
+            of = of.at(~self.shadow.at(pulse, first, last))
         if self.collection.has_axis:
             of = of.at(is_lit(self.geometry, of.x, of.y, slice(pulse, pulse + 1))[:, 0])
         if self.collection.has_pattern:
@@ -86,9 +93,12 @@ class Field:
 
 
 def field(
-    collection: Collection, x: FloatArray, y: FloatArray, reflectivity: NDArray[Any], z: FloatArray | None = None
-) -> Field:
+    collection: Collection, x: FloatArray, y: FloatArray, reflectivity: NDArray[Any], z: FloatArray | None = None,
+    *, terrain: Terrain | None = None, threads: int = 1,
+) -> Field:  # fmt: skip
     """Prepare scatterers, on the ground plane without z, for `phase_history` and `raw_echo`; arrays of any shape.
+
+    Those with z do not echo where the terrain hides them.
 
     Raises
     ------
@@ -109,7 +119,8 @@ def field(
     yaw = np.asarray(Geometry(collection=collection).yaw(x, y), dtype=np.float64)
     order = np.argsort(yaw, kind="stable")
     x, y, yaw, sigma, z = Scatterers(x, y, yaw, sigma, z).at(order)
-    return Field(collection=collection, x=x, y=y, yaw=yaw, reflectivity=sigma, z=z)
+    shadow = None if terrain is None or z is None else cast_shadow(collection, terrain, x, y, z, threads=threads)
+    return Field(collection=collection, x=x, y=y, yaw=yaw, reflectivity=sigma, z=z, shadow=shadow)
 
 
 def simulate_pulses(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import slow_twins
 
 from blocksar.arrays import FloatArray
 from blocksar.collection.grid import Grid
@@ -30,16 +31,6 @@ def hills() -> Terrain:
     return Terrain(x0=-1600.0, dx=20.0, y0=-1600.0, dy=20.0, heights=heights + 10 * np.sin(x / 90) * np.cos(y / 70))
 
 
-def shadowed(terrain: Terrain, antenna: FloatArray, x: float, y: float) -> bool:
-    """Step along the ray from a point to the antenna every metre: is it below the ground somewhere?"""
-    point = np.array([x, y, float(terrain(np.array(x), np.array(y)))])
-    way = np.linalg.norm(antenna[:2] - point[:2])
-    part = np.arange(1.0, min(way, 3000.0)) / way
-    ray = point + part[:, None] * (antenna - point)
-    ground = terrain(ray[:, 0], ray[:, 1])
-    return bool((ground[np.isfinite(ground)] > ray[np.isfinite(ground), 2]).any())
-
-
 def overlaid(terrain: Terrain, antenna: FloatArray, velocity: FloatArray, x: float, y: float) -> bool:
     """Solve range and Doppler for every height: how often does the curve of those of a point pass the ground?"""
     point = np.array([x, y, float(terrain(np.array(x), np.array(y)))])
@@ -64,7 +55,8 @@ def test_visibility_is_that_of_rays_and_of_range_and_doppler(name: str) -> None:
     wanted = []
     for row, column in zip(rows, columns, strict=True):
         x, y = float(GRID.x[column]), float(GRID.y[row])
-        if shadowed(terrain, sight.position[0], x, y):
+        point = np.array([x, y, float(terrain(np.array(x), np.array(y)))])
+        if slow_twins.ray_clearance(terrain, sight.position[0], point) < 0:
             wanted.append(SHADOW)
         else:
             wanted.append(LAYOVER if overlaid(terrain, sight.position[0], sight.velocity[0], x, y) else VISIBLE)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
+from blocksar.collection.terrain import Terrain
 from blocksar.constants import SPEED_OF_LIGHT
 
 
@@ -30,6 +31,15 @@ def lit(collection: Collection, pulse: int, x: float, y: float) -> bool:
     away = yaw - collection.beam_azimuth[pulse]
     away = np.arctan2(np.sin(away), np.cos(away))
     return bool(abs(away) <= collection.beam_width / 2)
+
+
+def ray_clearance(terrain: Terrain, antenna: NDArray[np.float64], point: NDArray[np.float64]) -> float:
+    """Step along the ray from a point (3,) to the antenna (3,), m, every metre: its least height above the ground."""
+    way = float(np.linalg.norm(antenna[:2] - point[:2]))
+    part = np.arange(1.0, min(way, 3000.0)) / way
+    ray = point + part[:, None] * (antenna - point)
+    above = ray[:, 2] - terrain(ray[:, 0], ray[:, 1])
+    return float(above[np.isfinite(above)].min(initial=np.inf))
 
 
 def offset(collection: Collection, pulse: int, x: float, y: float) -> float:
