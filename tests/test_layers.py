@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -91,10 +92,16 @@ def name_of(path: Path) -> str:
     return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
 
 
+@cache
+def nodes_of(path: Path) -> list[ast.AST]:
+    """All nodes of a file's syntax tree, which several tests look at."""
+    return list(ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))))
+
+
 def imports(path: Path) -> Iterator[tuple[str, int]]:
     """Every dotted name that a file imports, also inside functions and under TYPE_CHECKING, with its line."""
     package = list(path.relative_to(ROOT).parts[:-1])
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))):
+    for node in nodes_of(path):
         if isinstance(node, ast.Import):
             yield from ((alias.name, node.lineno) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -171,16 +178,15 @@ def test_every_library_is_used_and_declared() -> None:
 def test_one_home_for_the_fourier_transform(room: str) -> None:
     wrong = []
     for path in modules_of(room):
-        place, text = path.relative_to(PACKAGE).as_posix(), path.read_text(encoding="utf-8")
-        lines = text.splitlines()
+        place, lines = path.relative_to(PACKAGE).as_posix(), path.read_text(encoding="utf-8").splitlines()
         for name, line in imports(path):
             if name.split(".")[:2] in (["numpy", "fft"], ["scipy", "fft"], ["scipy", "fftpack"]):
                 reason = "#" in lines[line - 1] or lines[line - 2].lstrip().startswith("#")
                 home = place == "kernels/fourier.py" or (place in OWN_TRANSFORMS and reason)
                 if not (home and name.startswith("scipy.fft")):
                     wrong.append(f"{line_in(path, line)}: import {name}")
-        for node in ast.walk(ast.parse(text)):
-            if isinstance(node, ast.Attribute) and ast.unparse(node) in ("np.fft", "numpy.fft"):
+        for node in nodes_of(path):
+            if isinstance(node, ast.Attribute) and node.attr == "fft" and ast.unparse(node) in ("np.fft", "numpy.fft"):
                 wrong.append(f"{line_in(path, node.lineno)}: {ast.unparse(node)}")
     assert not wrong, "call blocksar.kernels.fourier instead:\n" + "\n".join(wrong)
 
@@ -209,9 +215,8 @@ def test_no_room_is_named_as_a_public_function() -> None:
 
 def functions_of(path: Path) -> Iterator[tuple[ast.FunctionDef, int, bool]]:
     """Functions with the lines of their bodies, docstrings excluded, and whether a comment says why they are long."""
-    text = path.read_text(encoding="utf-8")
-    lines = text.splitlines()
-    for node in ast.walk(ast.parse(text)):
+    lines = path.read_text(encoding="utf-8").splitlines()
+    for node in nodes_of(path):
         if isinstance(node, ast.FunctionDef):
             documented = ast.get_docstring(node) is not None
             first = node.body[0].end_lineno or 0 if documented else node.body[0].lineno - 1
@@ -235,14 +240,14 @@ def test_modules_and_functions_stay_small() -> None:
 def test_tests_use_public_names_and_no_other_tests() -> None:
     wrong = []
     for path in sorted((ROOT / "tests").rglob("*.py")):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
+        nodes = nodes_of(path)
         modules = {
             alias.asname or alias.name.split(".")[-1]
-            for node in ast.walk(tree)
+            for node in nodes
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(PACKAGE.name)
             for alias in node.names
         }
-        for node in ast.walk(tree):
+        for node in nodes:
             private = isinstance(node, ast.Attribute) and node.attr.startswith("_") and not node.attr.startswith("__")
             if private and isinstance(node.value, ast.Name) and node.value.id in modules:
                 wrong.append(f"{line_in(path, node.lineno)}: {ast.unparse(node)}")
