@@ -162,6 +162,7 @@ def export(
     scale: Scale | None = None,
     range: tuple[float, float] | str | None = None,
     crop: tuple[tuple[float, float], tuple[float, float]] | str | None = None,
+    crs: str | None = None,
     colour_map: str | None = None,
     size: int | None = None,
     composite: Literal["pauli"] | None = None,
@@ -194,6 +195,9 @@ def export(
     crop : ((float, float), (float, float)) or str, optional
         Ends of x and of y, m, of the part to write, such as "0:500,18000:18500"; not for SICD. Default: the whole
         image.
+    crs : str, optional
+        Coordinate reference system to which a GeoTIFF is orthorectified, such as "EPSG:32616": each pixel shows the
+        ground, at its height, whose place it is. Default: the pixels of the image, in the frame's own projection.
     colour_map : str, optional
         Of a PNG, by matplotlib's name. Default: "gray".
     size : int, optional
@@ -225,7 +229,7 @@ def export(
     """
     if kind not in OPTIONS:
         raise InputError(f"kind is {kind!r}; it must be 'sicd', 'geotiff' or 'png'")
-    given = {"content": content, "looks": looks, "scale": scale, "range": range, "crop": crop,
+    given = {"content": content, "looks": looks, "scale": scale, "range": range, "crop": crop, "crs": crs,
              "colour_map": colour_map, "size": size, "composite": composite}  # fmt: skip
     for name, value in given.items():
         if value is not None and name not in OPTIONS[kind]:
@@ -246,7 +250,7 @@ def export(
         lines = sicd.write(source, out, overwrite=overwrite, progress=callback)
     elif kind == "geotiff":
         pixels = pixels_of(source, content=content, looks=parse_looks(looks or (1, 1)), scale=scale, limits=limits)
-        lines = geotiff.write(pixels, out, overwrite=overwrite, progress=callback)
+        lines = geotiff.write(pixels, out, crs=crs, overwrite=overwrite, progress=callback)
     else:
         lines = _pictures("quicklook").write(
             source, out, limits=limits, colour_map=colour_map, size=size, overwrite=overwrite, progress=callback

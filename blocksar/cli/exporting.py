@@ -74,6 +74,14 @@ def export_geotiff(
         typer.Option("--range", metavar="LOW:HIGH", help="dB at the ends of --scale.", show_default="by the image"),
     ] = None,
     crop: Crop = None,
+    crs: Annotated[
+        str | None,
+        typer.Option(
+            metavar="EPSG:n",
+            help="Orthorectify to this coordinate reference system.",
+            show_default="the scene frame's own, without resampling",
+        ),
+    ] = None,
     channel: Channel = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
@@ -89,8 +97,8 @@ def export_geotiff(
 
     with listening(context) as progress:
         report = api.export(
-            "geotiff", run, out, content=content, looks=looks, scale=scale, range=range, crop=crop, channel=channel,
-            overwrite=overwrite, progress=progress,
+            "geotiff", run, out, content=content, looks=looks, scale=scale, range=range, crop=crop, crs=crs,
+            channel=channel, overwrite=overwrite, progress=progress,
         )  # fmt: skip
     show(report)
     hint(context, "report", run)

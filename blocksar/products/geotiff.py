@@ -1,10 +1,11 @@
 """The image of a run as a cloud-optimised GeoTIFF, through GDAL (rasterio).
 
-Pixels equal those of the image bit for bit, or are means over whole cells of them, north up; nothing is resampled. A
-GIS also needs a map projection in which the pixels form a grid. Transverse Mercator about the scene frame's origin,
-with a scale of 1 + height / radius of curvature, comes very close: its easting and northing equal x and y of the
-frame's horizontal plane but for d^3 / (3 R^2) at the distance d (8 mm at 10 km). UTM would need resampling, or a grid
-that is rotated and sheared.
+Pixels equal those of the image bit for bit, or are means over whole cells of them, north up; nothing is resampled,
+unless a coordinate reference system is asked for (`map_pixels`). A GIS also needs a map projection in which the pixels
+form a grid. Transverse Mercator about the scene frame's origin, with a scale of 1 + height / radius of curvature, comes
+very close: its easting and northing equal x and y of the frame's horizontal plane but for d^3 / (3 R^2) at the distance
+d (8 mm at 10 km). A height h over that plane adds h d / R. UTM would need resampling, or a grid that is rotated and
+sheared.
 
 Where the error exceeds a twentieth of a pixel, because the origin is far away (as a platform's nadir is) or the frame
 is rotated from north, the projection is centred on the image instead, and the best affine map places the pixels,
@@ -24,6 +25,7 @@ from blocksar.collection.georeference import Georeference
 from blocksar.errors import InputError, printable
 from blocksar.places import Location
 from blocksar.places.local import temporary_name
+from blocksar.products.map_pixels import MapPixels, parse_crs
 from blocksar.products.pixels import Pixels
 from blocksar.products.writing import replacing
 from blocksar.progress.listening import Callback
@@ -38,6 +40,8 @@ UNITS = {"height": "m", "incidence": "rad"}
 GAMMA = "power times cos psi / cos theta over that of level ground, psi: slant plane to slope, theta: local incidence"
 FLAGS = "0 visible, 1 layover, 2 shadow, 255 not covered"
 MAX_ERROR = 0.05  # pixels that a pixel may lie off its exact place
+NOTED = 0.5  # pixels, from which on the remedy is told
+POINTS = 17, 65  # along a side, at which places are compared: on the plane, on a terrain
 TILE = 512  # pixels a side
 TRAILER = 4  # bytes after each tile of GDAL's COG, which repeat its last four
 CACHE = 64 * 2**20  # bytes, GDAL's cache of blocks to write
@@ -66,6 +70,7 @@ def write(
     pixels: Pixels,
     out: Location,
     *,
+    crs: str | None = None,
     overwrite: bool = False,
     progress: Callback | None = None,
 ) -> list[str]:
@@ -77,6 +82,8 @@ def write(
         Overviews hold means of amplitude, power, gamma, height and incidence, and nearest neighbours of complex pixels,
         decibels and visibility, whose means say nothing. NaN means no data; 255 in visibility; 0 in whole numbers of
         dB, whose scale and offset the band tells.
+    crs : str, optional
+        The map to orthorectify to, such as EPSG:32616. Default: the pixels as they are, in the frame's projection.
 
     Returns
     -------
@@ -86,7 +93,8 @@ def write(
     Raises
     ------
     InputError
-        If the run has no georeference or no covered pixel, rasterio is not installed, or `out` cannot be written.
+        If the run has no georeference or no covered pixel, the CRS is none or does not suit the place, rasterio is not
+        installed, or `out` cannot be written.
     ProcessingError
         If writing fails.
     """
@@ -97,13 +105,13 @@ def write(
     except ModuleNotFoundError as error:
         raise InputError(f"{error.name} is not installed, which GeoTIFF needs; install blocksar[geotiff]") from None
     source = pixels.source
-    placement = place_pixels(pixels, source.placed("a GeoTIFF"))
+    raster, placement = _placed(pixels, source.placed("a GeoTIFF"), crs)
     listener = progress or (lambda done, total: None)
     source.coverage()  # raises if no pixel is covered
     with replacing(out, overwrite=overwrite) as part, rasterio.Env(GDAL_CACHEMAX=CACHE, GDAL_NUM_THREADS=1):
         plain = temporary_name(part, "part")
         try:
-            _write_plain(pixels, plain, placement, listener)
+            _write_plain(raster, plain, placement, listener)
             _optimise(plain, part, OVERVIEWS.get(pixels.content, "nearest"))
         except (RasterioError, CPLE_BaseError) as error:
             message = printable(" ".join(str(error).split()).replace(f"{os.path.dirname(plain)}/", ""))[:200]
@@ -111,36 +119,60 @@ def write(
         finally:
             if os.path.exists(plain):
                 os.unlink(plain)
-    lines = [
-        f"{pixels.content} of {pixels.x.size} x {pixels.y.size} pixels, {placement.crs.name}; pixels lie at most "
-        f"{placement.error:.2g} m, {placement.pixels:.2g} pixels, off their exact places"
-    ]
+    lines = [_describe(pixels, raster, placement)]
     if pixels.scale is not None:
         low, high = pixels.limits
         lines.append(f"{pixels.scale}: 1 is {low:g} dB, {np.iinfo(pixels.scale).max} is {high:g} dB, 0 is not covered")
     return lines
 
 
-def _write_plain(pixels: Pixels, path: str, placement: Placement, progress: Callback) -> None:
+def _placed(pixels: Pixels, frame: Georeference, crs: str | None) -> tuple[Pixels | MapPixels, Placement]:
+    """The pixels to write, and their places: those of the image, or those of a map."""
+    if crs is None:
+        return pixels, place_pixels(pixels, frame)
+    mapped = MapPixels.over(pixels, parse_crs(crs), frame)
+    error = mapped.error
+    return mapped, Placement(mapped.crs, np.zeros(2), np.eye(2), error, error / min(pixels.spacing))
+
+
+def _describe(pixels: Pixels, raster: Pixels | MapPixels, placement: Placement) -> str:
+    """One line about what was written."""
+    what = f"{pixels.content} of {raster.x.size} x {raster.y.size} pixels"
+    if isinstance(raster, MapPixels):
+        unit, (step, _) = ("degrees" if placement.crs.is_geographic else "m"), raster.spacing
+        on = "the ground plane" if pixels.source.geometry.terrain is None else "the terrain"
+        what = f"{what}, {step:.4g} {unit} wide, orthorectified on {on}"
+    line = (
+        f"{what}, {placement.crs.name}; pixels lie at most {placement.error:.2g} m, {placement.pixels:.2g} pixels, off "
+        "their exact places"
+    )
+    if placement.pixels > NOTED:
+        line += "; --crs EPSG:n makes a map without that error"
+    return line
+
+
+def _write_plain(raster: Pixels | MapPixels, path: str, placement: Placement, progress: Callback) -> None:
     """Write a tiled GeoTIFF without overviews."""
     import rasterio
 
+    pixels = raster.of if isinstance(raster, MapPixels) else raster
+
     profile = {
         "driver": "GTiff",
-        "width": pixels.x.size,
-        "height": pixels.y.size,
+        "width": raster.x.size,
+        "height": raster.y.size,
         "count": 1,
         "dtype": pixels.dtype,
         "nodata": pixels.nodata,
         "crs": rasterio.CRS.from_wkt(placement.crs.to_wkt()),
-        "transform": rasterio.Affine(*_transform(pixels, placement)),
+        "transform": rasterio.Affine(*_transform(raster, placement)),
         "tiled": True,
         "blockxsize": TILE,
         "blockysize": TILE,
         "bigtiff": "if_safer",
     }
     with rasterio.open(path, "w", **profile) as file:
-        _write_pixels(pixels, file, progress)
+        _write_pixels(raster, file, progress)
         file.set_band_description(1, pixels.content)
         if pixels.scale is not None:
             file.scales, file.offsets, file.units = (pixels.step,), (pixels.offset,), ("dB",)
@@ -174,7 +206,7 @@ def _optimise(plain: str, path: str, overviews: str) -> None:
         raise OSError(None, f"its last {lacking} bytes were lost; is there room on the disk?", path)
 
 
-def _write_pixels(pixels: Pixels, file: object, progress: Callback) -> None:
+def _write_pixels(pixels: Pixels | MapPixels, file: object, progress: Callback) -> None:
     """Write rows from north to south."""
     from rasterio.windows import Window
 
@@ -225,10 +257,12 @@ def _tags(pixels: Pixels, placement: Placement) -> dict[str, str]:
 
 def place_pixels(pixels: Pixels, frame: Georeference) -> Placement:
     """Place pixels in the projection about the frame's origin, or about the image if the error exceeds MAX_ERROR."""
-    height, spacing = pixels.source.ground_height, min(pixels.spacing)
-    x, y = (axis[np.unique(np.linspace(0, axis.size - 1, 17).astype(int))] for axis in (pixels.x, pixels.y))
+    height, spacing, geometry = pixels.source.ground_height, min(pixels.spacing), pixels.source.geometry
+    count = POINTS[geometry.terrain is not None]
+    x, y = (axis[np.unique(np.linspace(0, axis.size - 1, count).astype(int))] for axis in (pixels.x, pixels.y))
     xy = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    points = np.concatenate([xy, np.full((len(xy), 1), height)], axis=1)
+    points = geometry.on_ground(xy[:, 0], xy[:, 1])
+    points[~np.isfinite(points[:, 2]), 2] = height
 
     def evaluate(crs: CRS, offset: FloatArray, matrix: FloatArray) -> Placement:
         error = float(np.linalg.norm(offset + xy @ matrix.T - frame.project(crs, points), axis=1).max())
@@ -244,7 +278,7 @@ def place_pixels(pixels: Pixels, frame: Georeference) -> Placement:
     return evaluate(crs, fit[0] - fit[1:].T @ middle, fit[1:].T)
 
 
-def _transform(pixels: Pixels, placement: Placement) -> tuple[float, ...]:
+def _transform(pixels: Pixels | MapPixels, placement: Placement) -> tuple[float, ...]:
     """GDAL's affine map from column and row of a pixel's north-western corner to easting and northing, m."""
     dx, dy = pixels.spacing
     along, down = placement.matrix[:, 0] * dx, -placement.matrix[:, 1] * dy

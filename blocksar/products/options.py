@@ -11,7 +11,7 @@ from blocksar.errors import InputError, printable
 
 OPTIONS: dict[str, tuple[str, ...]] = {
     "sicd": (),
-    "geotiff": ("content", "looks", "scale", "range", "crop"),
+    "geotiff": ("content", "looks", "scale", "range", "crop", "crs"),
     "png": ("range", "crop", "colour_map", "size", "composite"),
 }
 ENDINGS = {"sicd": (".nitf", ".ntf", ".nsf"), "geotiff": (".tif", ".tiff"), "png": (".png",)}

@@ -102,6 +102,12 @@ class Pixels:
 
     def read(self, rows: slice) -> NDArray[Any]:
         """Read whole rows, (rows, x.size)."""
+        if self.content == "amplitude" and self.looks == (1, 1):
+            return np.abs(self.source.read(rows, slice(None)))
+        return self.coded(self.measured(rows))
+
+    def measured(self, rows: slice) -> NDArray[Any]:
+        """Read whole rows of what `coded` makes the product of: power, complex pixels, or a layer."""
         if self.content in LAYERS:
             layer = self.source.read_layer(LAYERS[self.content], rows, slice(None))
             layer[self.source.read_block(rows, slice(None)) < 0] = self.nodata
@@ -111,15 +117,16 @@ class Pixels:
         pixels = self.source.read(part, slice(None))
         if self.content == "complex":
             return pixels
-        if self.content == "amplitude" and self.looks == (1, 1):
-            return np.abs(pixels)
         power = power_of(pixels)
         if self.content == "gamma":
             power = power * self._gamma_factor(part)
-        power = multilook(power, self.looks)
+        return multilook(power, self.looks)
+
+    def coded(self, values: NDArray[Any]) -> NDArray[Any]:
+        """What the product holds of values that were measured."""
         if self.content == "db":
-            return self._scaled(decibels(power))
-        return np.sqrt(power) if self.content == "amplitude" else power
+            return self._scaled(decibels(values))
+        return np.sqrt(values) if self.content == "amplitude" else values
 
     @cached_property
     def _sights(self) -> list[Sight]:

@@ -11,7 +11,7 @@ import numpy as np
 import blocksar
 from blocksar import stores
 from blocksar.collection.collection import Collection
-from blocksar.collection.geometry import Geometry
+from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
@@ -79,11 +79,12 @@ def make(
     weighting: str = "uniform",
     noise_power: float | None = None,
     terrain: Terrain | None = None,
+    formed_on_it: bool = False,
 ) -> Made:
     """Make a finished run over targets about `centre`; no coverage in a south-west corner and some northern rows.
 
     With `noise_power` the run says what noise its image has; there is none in it. With a terrain it has the layers of
-    one, but the image is that of the plane.
+    one, but the image is that of the plane, unless it is `formed_on_it`.
     """
     n = 160
     time = (np.arange(n) - n // 2) / 60.0 + 0.5
@@ -106,10 +107,13 @@ def make(
         title="small scene, é",
     ).centred()
     geometry = Geometry(collection=collection)
+    if terrain is not None and formed_on_it:
+        geometry = over_terrain(collection, terrain)
     targets = [Target(t.name, t.x + centre[0], t.y + centre[1]) for t in TARGETS]
     signal = np.zeros((n, frequency.size), np.complex128)
     for target in targets:
-        distance = np.linalg.norm([target.x, target.y, 0.0] - track, axis=1) - collection.reference_range
+        point = geometry.on_ground(np.array(target.x), np.array(target.y))
+        distance = np.linalg.norm(point - track, axis=1) - collection.reference_range
         phase = np.outer(distance, collection.carrier + collection.range_frequency) * 4 * np.pi / SPEED_OF_LIGHT
         signal += np.exp(-1j * phase)
     x, y = (c + (np.arange(k) - k // 2) * step for c, k in zip(centre, size, strict=True))

@@ -1,0 +1,183 @@
+"""GeoTIFF files in the grid of a map, against the image computed at each of its places."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rasterio
+from numpy.typing import NDArray
+from pyproj import Transformer
+from rio_cogeo import cog_validate
+from scipy.optimize import brentq
+from small_run import DAYTON, TARGETS, Made, make
+
+import blocksar
+from blocksar.collection.georeference import Georeference
+from blocksar.collection.terrain import Terrain
+from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.errors import InputError
+from blocksar.kernels.sampling import sample_places
+
+SYDNEY = Georeference(latitude=-33.1, longitude=151.2, height=40.0, rotation=200.0)
+CENTRE = {
+    "DAYTON": (0.0, 0.0),
+    "SYDNEY": (9000.0, -4000.0),
+}  # 10 km from the origin, heights move places by centimetres
+
+
+def hilly(centre: tuple[float, float]) -> Terrain:
+    x, y = np.meshgrid(np.arange(-60.0, 61.0, 2.0), np.arange(-60.0, 61.0, 2.0))
+    heights = 60 + 14 * np.exp(-((x - 5) ** 2 + (y + 4) ** 2) / 22**2) + 0.05 * x
+    return Terrain(x0=centre[0] - 60, dx=2.0, y0=centre[1] - 60, dy=2.0, heights=heights)
+
+
+@pytest.fixture(scope="module", params=["DAYTON", "SYDNEY"])
+def run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Made, Georeference, str]:
+    """A run on hills, its frame, and a map for it."""
+    frame, crs = {"DAYTON": (DAYTON, "EPSG:32616"), "SYDNEY": (SYDNEY, "EPSG:4326")}[request.param]
+    centre, folder = CENTRE[request.param], tmp_path_factory.mktemp("run")
+    made = make(folder, frame=frame, centre=centre, terrain=hilly(centre), formed_on_it=True, steered=frame is DAYTON)
+    return made, frame, crs
+
+
+def ground_at(frame: Georeference, terrain: Terrain, crs: Any, east: float, north: float) -> NDArray[np.float64]:
+    """The place of the ground on the vertical of a map's place, by bisection."""
+    longitude, latitude = Transformer.from_crs(crs, "EPSG:4326", always_xy=True).transform(east, north)
+
+    def point(over: float) -> NDArray[np.float64]:
+        return frame.from_geodetic(np.array([latitude, longitude, frame.height + over]))
+
+    def above(over: float) -> float:
+        at = point(over)
+        return float(at[2] - terrain(at[0], at[1]))
+
+    return point(brentq(above, 20.0, 120.0, xtol=1e-9))
+
+
+def image_at(made: Made, terrain: Terrain, centre: tuple[float, float], point: NDArray[np.float64]) -> complex:
+    """The image of the targets, by its definition."""
+    collection, total = made.collection, 0.0 + 0j
+    track, frequency = collection.antenna_position, collection.carrier + collection.range_frequency
+    yaw = np.arctan2(point[1] - made.source.geometry.nadir[1], point[0] - made.source.geometry.nadir[0])
+    lit = np.ones(len(track), bool)
+    if collection.beam_width is not None:
+        lit = np.abs(np.angle(np.exp(1j * (yaw - collection.beam_azimuth)))) <= collection.beam_width / 2
+    distance = np.linalg.norm(point - track[lit], axis=1)
+    for target in TARGETS:
+        x, y = target.x + centre[0], target.y + centre[1]
+        own = np.linalg.norm([x, y, float(terrain(np.array(x), np.array(y)))] - track[lit], axis=1)
+        total += np.exp(4j * np.pi / SPEED_OF_LIGHT * np.outer(distance - own, frequency)).mean()
+    return total
+
+
+def test_each_pixel_is_the_image_at_its_own_place_of_the_ground(
+    run: tuple[Made, Georeference, str], tmp_path: Path
+) -> None:
+    made, frame, crs = run
+    centre = CENTRE["DAYTON" if frame is DAYTON else "SYDNEY"]
+    terrain, out = hilly(centre), tmp_path / "map.tif"
+    report = blocksar.export("geotiff", made.folder, out, content="complex", crs=crs)
+    assert "orthorectified on the terrain" in report.summary[0]
+    assert cog_validate(out, strict=True, quiet=True) == (True, [], [])
+    with rasterio.open(out) as file:
+        pixels, transform = file.read(1), file.transform
+        assert file.crs.to_epsg() == int(crs[5:]) and transform.b == transform.d == 0 and transform.e < 0
+        assert float(file.tags()["location_error_m"]) < 1e-4
+    random, error, strongest, seen = np.random.default_rng(1), [], [], 0
+    places = list(zip(random.integers(0, pixels.shape[0], 60), random.integers(0, pixels.shape[1], 60), strict=True))
+    to_map = Transformer.from_crs("EPSG:4326", crs, always_xy=True)
+    for target in TARGETS:
+        x, y = target.x + centre[0], target.y + centre[1]
+        latitude, longitude, _ = frame.to_geodetic(np.array([x, y, float(terrain(np.array(x), np.array(y)))]))
+        column, row = ~transform @ to_map.transform(longitude, latitude)
+        places.append((int(row), int(column)))
+    for row, column in places:
+        east, north = transform @ (column + 0.5, row + 0.5)
+        point = ground_at(frame, terrain, crs, east, north)
+        i, j = (round((at - axis[0]) / (axis[1] - axis[0])) for at, axis in ((point[1], made.y), (point[0], made.x)))
+        inside = 0 <= i < made.y.size and 0 <= j < made.x.size and np.isfinite(made.image[i, j])
+        assert bool(np.isfinite(pixels[row, column])) == bool(inside)
+        around = made.image[max(i - 8, 0) : i + 9, max(j - 8, 0) : j + 9]
+        if inside and around.shape == (17, 17) and np.isfinite(around).all():
+            error.append(abs(pixels[row, column] - image_at(made, terrain, centre, point)))
+            strongest.append(abs(pixels[row, column]))
+            seen += 1
+    assert seen > 20 and max(strongest) > 0.9
+    # Under a beam, a pixel has a pulse more or less than its neighbour, of about 100.
+    assert max(error) < (8e-3 if made.collection.steered else 2e-3)
+
+
+def test_detected_pixels_and_layers_follow_the_complex_ones(
+    run: tuple[Made, Georeference, str], tmp_path: Path
+) -> None:
+    made, frame, crs = run
+    centre = CENTRE["DAYTON" if frame is DAYTON else "SYDNEY"]
+    read, terrain = {}, hilly(centre)
+    contents = ("complex", "amplitude", "power", "db", "height", "incidence", "visibility", "gamma")
+    for content in contents:
+        blocksar.export("geotiff", made.folder, tmp_path / "a.tif", content=content, crs=crs, overwrite=True)  # type: ignore[arg-type]
+        with rasterio.open(tmp_path / "a.tif") as file:
+            read[content], transform = file.read(1), file.transform
+    covered = np.isfinite(read["complex"])
+    np.testing.assert_allclose(read["amplitude"], np.abs(read["complex"]), rtol=1e-6)
+    np.testing.assert_allclose(read["power"], read["amplitude"] ** 2, rtol=1e-6)
+    np.testing.assert_allclose(read["db"], 20 * np.log10(read["amplitude"]), atol=1e-4)
+    assert (np.isfinite(read["height"]) == covered).all() and ((read["visibility"] != 255) == covered).all()
+    assert np.isfinite(read["incidence"]).mean() > 0.97 * covered.mean()
+    for row, column in ((60, 70), (90, 60)):
+        point = ground_at(frame, terrain, crs, *(transform @ (column + 0.5, row + 0.5)))
+        assert read["height"][row, column] == pytest.approx(point[2], abs=1e-3)
+        exact = blocksar.open(made.folder).incidence_angle.interp(x=point[0], y=point[1])
+        assert read["incidence"][row, column] == pytest.approx(float(exact), abs=1e-4)
+
+
+def test_looks_are_averaged_before_the_map_is_made(run: tuple[Made, Georeference, str], tmp_path: Path) -> None:
+    made, frame, crs = run
+    terrain = hilly(CENTRE["DAYTON" if frame is DAYTON else "SYDNEY"])
+    blocksar.export("geotiff", made.folder, tmp_path / "a.tif", content="power", looks="4x4", crs=crs)
+    with rasterio.open(tmp_path / "a.tif") as file:
+        pixels, transform = file.read(1), file.transform
+    cells = blocksar.open(made.folder).sar.multilook("4x4")
+    seen = 0
+    for row in range(4, 30, 5):
+        for column in range(4, 36, 6):
+            point = ground_at(frame, terrain, crs, *(transform @ (column + 0.5, row + 0.5)))
+            expected = float(cells.interp(x=point[0], y=point[1]))
+            if np.isfinite(expected):
+                assert pixels[row, column] == pytest.approx(expected, rel=2e-3)
+                seen += 1
+    assert seen > 10
+
+
+@pytest.mark.parametrize(
+    ("crs", "words"),
+    [
+        ("EPSG:99999", "is no coordinate reference system; give a projected one, such as EPSG:32616"),
+        ("EPSG:4978", "Geocentric"),
+        ("EPSG:4979", "Geographic 3D"),
+        ("EPSG:32633", r"for longitudes 12 .. 18 .* UTM there is EPSG:32616"),
+        ("EPSG:32716", "UTM there is EPSG:32616"),
+    ],
+)
+def test_a_map_that_does_not_suit_is_refused(crs: str, words: str, made: Made, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=words):
+        blocksar.export("geotiff", made.folder, tmp_path / "a.tif", crs=crs)
+    assert not list(tmp_path.iterdir())
+
+
+def test_samples_are_interpolated_to_a_thousandth() -> None:
+    random = np.random.default_rng(4)
+    frequency, phase = random.uniform(-0.36, 0.36, (9, 2)), random.uniform(-3, 3, 9)
+
+    def exact(row: Any, column: Any) -> Any:
+        return sum(
+            np.exp(2j * np.pi * (f[0] * row + f[1] * column) + 1j * p) for f, p in zip(frequency, phase, strict=True)
+        )
+
+    rows, columns = np.meshgrid(np.arange(40), np.arange(50), indexing="ij")
+    row, column = random.uniform(8, 31, 300), random.uniform(8, 41, 300)
+    found = sample_places(exact(rows, columns).astype(np.complex64), row=row, column=column)
+    assert np.abs(found - exact(row, column)).max() < 9 * 2e-3
