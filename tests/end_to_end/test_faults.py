@@ -302,7 +302,8 @@ def test_a_killed_run_is_resumed(
     assert again(run) == set()
 
 
-@pytest.mark.parametrize("attempt", [0, *(pytest.param(more, marks=pytest.mark.slow) for more in (1, 2))])
+@pytest.mark.parametrize("attempt", range(3))
+@pytest.mark.slow
 def test_a_run_killed_at_its_first_file_is_resumed(
     attempt: int,
     launcher: Launcher,
@@ -337,7 +338,7 @@ def test_a_run_killed_while_writing_a_patch_is_resumed(
     assert again(run) == set()
 
 
-@pytest.mark.parametrize("name", [".run.json.0123abcd.part", "run.lock"])
+@pytest.mark.parametrize("name", ["run.lock", pytest.param(".run.json.0123abcd.part", marks=pytest.mark.slow)])
 def test_a_folder_with_only_a_temporary_file_is_accepted(
     name: str, again: Callable[[Path], set[str]], tmp_path: Path
 ) -> None:
@@ -651,6 +652,7 @@ def test_a_second_writer_is_refused(
     assert litter(tmp_path / "run") == []
 
 
+@pytest.mark.slow  # every run that is killed leaves its lock
 def test_the_lock_of_a_killed_writer_is_ignored(
     launcher: Launcher,
     store: Path,

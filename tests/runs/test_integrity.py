@@ -138,7 +138,7 @@ def test_a_damaged_chunk_of_the_spectrum_is_noticed_and_computed_again(
     assert any("damaged and computed again" in line for line in report.summary)
 
 
-@pytest.mark.parametrize("damage", [os.unlink, overwrite])
+@pytest.mark.parametrize("damage", [overwrite, pytest.param(os.unlink, marks=pytest.mark.slow)])
 def test_a_damaged_chunk_of_a_gated_spectrum_is_noticed_and_computed_again(
     store: Path, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage: Callable[[Path], None]
 ) -> None:
