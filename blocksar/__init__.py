@@ -15,6 +15,7 @@ from functools import cache, wraps
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
+from blocksar.loop_cache import choose_cache
 from blocksar.version import __version__
 
 if TYPE_CHECKING:
@@ -57,6 +58,9 @@ __all__ = [
     "simulate",
     "write",
 ]
+
+
+choose_cache()
 
 
 def __getattr__(name: str) -> Any:

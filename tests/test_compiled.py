@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import importlib
+import os
 import pkgutil
+import stat
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
+from numba import config
 from numba.core.caching import NullCache
 from numba.core.dispatcher import Dispatcher
 
 import blocksar
-from blocksar.api import compiling
+from blocksar import loop_cache
 from blocksar.errors import InputError
+from blocksar.kernels import loops as kernel_loops
 from blocksar.kernels import phase
 from blocksar.kernels.loops import Loop, dispatchers
 
@@ -74,13 +80,57 @@ def test_loops_are_loaded_without_all_that_numba_can_compile() -> None:
     assert int(loaded) > 15 and (compiled, imported) == ("0", "False")
 
 
-def test_a_cache_that_cannot_be_written_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(names: object, *, apart: bool) -> None:
+@pytest.fixture
+def read_only(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """An installation whose modules cannot be written, and a folder for temporary files; HOME is a file."""
+    (tmp_path / "home").touch()
+    monkeypatch.setattr(loop_cache, "MODULES", "/dev/null/kernels")
+    for name, value in {"HOME": tmp_path / "home", "TMPDIR": tmp_path}.items():
+        monkeypatch.setenv(name, str(value))
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "")  # so that it is put back afterwards
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    monkeypatch.setattr(config, "CACHE_DIR", config.CACHE_DIR)
+    return tmp_path
+
+
+def _link(folder: Path, other: Path) -> None:
+    folder.rename(other)
+    other.chmod(0o700)
+    folder.symlink_to(other)
+
+
+def chosen() -> str:
+    loop_cache.choose_cache()
+    assert os.environ["NUMBA_CACHE_DIR"] == config.CACHE_DIR
+    return os.environ["NUMBA_CACHE_DIR"]
+
+
+def test_loops_of_a_read_only_installation_are_kept_for_the_user(
+    read_only: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(read_only / "caches"))
+    assert chosen() == str(read_only / "caches" / "blocksar") and os.path.isdir(chosen())
+
+
+def test_without_a_home_loops_are_kept_among_temporary_files(read_only: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    usual = read_only / f"blocksar-{os.getuid()}"
+    assert chosen() == str(usual) and stat.S_IMODE(usual.stat().st_mode) == 0o700
+    # What others can write to is not taken: what lies in it is run.
+    for spoil in (lambda: usual.chmod(0o777), lambda: _link(usual, read_only / "other")):
+        spoil()
+        monkeypatch.setenv("NUMBA_CACHE_DIR", "")
+        own = Path(chosen())
+        assert own.parent == read_only and own != usual and stat.S_IMODE(own.stat().st_mode) == 0o700
+
+
+def test_without_any_folder_for_them_loops_are_refused(read_only: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def define(_: object) -> None:
         raise RuntimeError("cannot cache function '_rotate': no locator available")
 
-    monkeypatch.setattr(compiling, "compile_modules", fail)
-    with pytest.raises(InputError, match="set NUMBA_CACHE_DIR"):
-        blocksar.compile()
+    monkeypatch.setattr(kernel_loops, "njit", lambda **_: define)
+    with pytest.raises(InputError, match="set NUMBA_CACHE_DIR to one"):
+        kernel_loops.loop()(np.add)
 
 
 def test_a_loop_takes_writable_and_read_only_arrays_by_one_compilation() -> None:

@@ -25,7 +25,7 @@ PACKAGE = ROOT / "blocksar"
 # From the ground up. A room is a folder or a module right under blocksar/; it imports from lower layers only, and from
 # no other room of its own layer.
 LAYERS = (
-    {"errors", "constants", "budget", "garbage", "version"},
+    {"errors", "constants", "budget", "garbage", "loop_cache", "version"},
     {"places", "progress", "arrays", "solvers", "chunks"},
     {"collection", "kernels"},
     {"stores", "measurement", "focusing"},

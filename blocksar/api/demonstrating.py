@@ -21,7 +21,7 @@ from blocksar.places.place import Place
 from blocksar.planning import effort
 from blocksar.progress import Wanted as Progress
 from blocksar.progress import as_listener
-from blocksar.runs import folder as run_folder
+from blocksar.runs import demonstration
 from blocksar.runs.finished import FinishedRun
 
 
@@ -38,7 +38,7 @@ def demo(
     """Simulate the shipped scene "table1", focus it in three blocks, measure it, and draw it.
 
     Leaves a run folder that also holds quality.json, mosaic.png, contours.png and report.html, but not the spectrum and
-    the patches that `focus` leaves: 0.6 GB, and 0.9 GB while it runs.
+    the patches that `focus` leaves: 0.3 GB, and 0.6 GB while it runs.
 
     Parameters
     ----------
@@ -74,20 +74,20 @@ def demo(
     if performance_report is not None:
         recording.check_recordable(Path(performance_report), None)
     folder = place(out)
-    history = folder / run_folder.LEFT_ALONE[0]
+    history = folder / demonstration.HISTORY
     if folder.names() and not history.exists():
         raise InputError(f"{folder} exists and is not a demonstration run; choose another --out")
     simulated = history.exists() and not overwrite
     if not simulated:
-        listener.note(f"{folder} will take 0.6 GB, and 0.9 GB while the demonstration runs")
+        listener.note(f"{folder} will take 0.3 GB, and 0.6 GB while the demonstration runs")
     listener.expect(effort.of_demo(simulated=simulated, compiled=compiling.kernels_cached()), 1)
     if not simulated:
-        simulate("table1", history, threads=threads, overwrite=overwrite, progress=listener)
+        simulate(demonstration.SCENE, history, threads=threads, overwrite=overwrite, progress=listener)
     focused = focus(
-        history, folder, blocks=3, workers=workers, threads=threads, memory_limit=memory_limit, overwrite=overwrite,
-        progress=listener, performance_report=performance_report,
+        history, folder, blocks=demonstration.BLOCKS, grid=demonstration.GRID, workers=workers, threads=threads,
+        memory_limit=memory_limit, overwrite=overwrite, discard=True, progress=listener,
+        performance_report=performance_report,
     )  # fmt: skip
-    run_folder.discard_intermediate(folder)
     listener.expect(effort.FOCUS, 1)  # withdraw stages of `focus` that a finished run did not need
     listener.update("measure", 0, 1)
     quality, responses = measure(folder, None, reference=False)
@@ -99,7 +99,10 @@ def demo(
     lines = [*quality.summary, *focused.summary, f"pictures: {', '.join(str(p) for p in pictures)}"]
     lines.append(f"report: {page.result}, for a browser")
     if (size := disk_size(folder)) is not None:
-        lines.append(f"{folder} takes {size / 1e9:.2f} GB, without the spectrum and the patches, which `focus` keeps")
+        lines.append(
+            f"{folder} takes {size / 1e9:.2f} GB: `focus` keeps spectrum and patches too, unless --discard is given, "
+            "and proposes a grid of 1 m"
+        )
     return Report(
         tables=quality.tables, details=quality.details, definitions=quality.definitions, summary=lines,
         result=quality.result,

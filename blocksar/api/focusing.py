@@ -88,6 +88,7 @@ def focus(
     memory_limit: int | str | None = None,
     scheduler: str | None = None,
     overwrite: bool = False,
+    discard: bool = False,
     dry_run: bool = False,
     progress: Progress | None = None,
     performance_report: str | Path | None = None,
@@ -155,6 +156,8 @@ def focus(
         Address of a running dask scheduler, used instead of a local cluster.
     overwrite : bool
         Replace a run with other settings or another input. Default: False.
+    discard : bool
+        Remove spectrum and patches as soon as the run needs them no more. Default: False, keep them.
     dry_run : bool
         Say what would be done, and write nothing: `tables` and `result` are then those of `plan`. Default: False.
     progress : object with a method update(stage, done, total), or False, optional
@@ -200,6 +203,7 @@ def focus(
         weighting=Weighting.parse(weighting, weighting_range, weighting_azimuth),
         grid=grid_of(grid),
         overwrite=overwrite,
+        discard=discard,
         ground=Ground(terrain=terrain, surface=surface, vertical=vertical),
         autofocus=autofocus,
         control=control_points(control, used=autofocus),
@@ -210,7 +214,7 @@ def focus(
     if record is not None and record.finished and not dry_run:
         if profile is not None:
             listener.note(f"nothing was done, so there is no performance report at {profile}")
-        return _report_finished(request.folder, record)
+        return _report_finished(request.folder, record, discard=discard)
     with ExitStack() as stack:
         connected = None
         here = (
@@ -234,7 +238,7 @@ def focus(
         stack.enter_context(run_folder.claim(request.folder))
         record = request.find_run()  # again: another process may have written it in the meantime
         if record is not None and record.finished:
-            return _report_finished(request.folder, record, claimed=True)
+            return _report_finished(request.folder, record, discard=discard, claimed=True)
         if here:
             connected = cluster.open_here(listener)
         with track_corrected(request, machine, connected, listener) as (corrected, said):
@@ -242,7 +246,7 @@ def focus(
         return replace(report, summary=[*said, *report.summary])
 
 
-def _report_finished(folder: Place, record: RunRecord, *, claimed: bool = False) -> RunReport:
+def _report_finished(folder: Place, record: RunRecord, *, discard: bool, claimed: bool = False) -> RunReport:
     """Report that a run was finished before, after checking its image and removing leftovers.
 
     Raises
@@ -251,9 +255,11 @@ def _report_finished(folder: Place, record: RunRecord, *, claimed: bool = False)
         If the image is damaged, or another process holds the folder.
     """
     run_folder.check_finished(folder, record)
-    if not run_folder.is_tidy(folder):
+    if discard or not run_folder.is_tidy(folder):
         with nullcontext() if claimed else run_folder.claim(folder):
             run_folder.tidy(folder)
+            if discard:
+                run_folder.discard_intermediate(folder)
     return RunReport(
         summary=[f"{folder} is finished already with these settings and this input: nothing to do"],
         result=record.as_json(),
@@ -330,6 +336,8 @@ def _carry_out(
         peak_memory=max(receipt.peak_memory or 0 for receipt in record.receipts),
     )
     run_folder.finish(run.folder, record)
+    if job.request.discard:
+        run_folder.discard_intermediate(run.folder)
     listener.update("finish", 1, 1)
     return record
 
@@ -392,6 +400,13 @@ def _run_stages(
     timings["focus"] = lap()
     if reads_later:
         input_read()
+    if job.request.discard:
+        for segment, some in zip(segments, receipts, strict=True):
+            own = segment.of(run)
+            own.discard(own.spectrum, some)
+            for block in segment.planned.blocks:
+                if block.range_gate is not None:
+                    own.discard(own.gated(block.name), some)
     merged = stages.mosaic(client, segments, run, focused, noises, listener)
     timings["mosaic"] = lap()
     every = (*_receipts_of(recovered), *chain(*gated), *focused, *merged)

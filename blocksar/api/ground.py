@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from blocksar import stores
@@ -17,6 +17,7 @@ from blocksar.collection.terrain import Terrain
 from blocksar.errors import InputError
 from blocksar.ingestion.terrain.reading import Ground
 from blocksar.places.place import Place
+from blocksar.planning.segments import joint_grid
 
 PLANE = Ground()
 
@@ -76,3 +77,20 @@ def ground_settings(ground: Ground, terrain: Terrain | None) -> dict[str, Any]:
         "vertical": ground.vertical,
         "heights": None if terrain is None else stores.terrain_fingerprint(terrain),
     }
+
+
+def check_ground(collections: Sequence[Collection], grid: Grid | None, *, any_grid: bool) -> None:
+    """Find the ground to image before the work starts: the plan does so only after loops are compiled.
+
+    Of several collections, those that cover nothing of a grid are left out later; back-projection takes any grid, and
+    the ranges of a terrain are not those of the plane.
+
+    Raises
+    ------
+    InputError
+        If the grid is missing, or lies outside the swath.
+    """
+    if grid is None:
+        joint_grid([Geometry(collection=collection) for collection in collections])
+    elif len(collections) == 1 and not any_grid:
+        plan_region(Geometry(collection=collections[0]), grid)

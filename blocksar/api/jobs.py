@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib import metadata
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 from blocksar import stores
 from blocksar.api.arguments import One, Source, check_one_frame, history_of, sources_of
-from blocksar.api.ground import PLANE, geometry_over, ground_settings, read_ground
+from blocksar.api.ground import PLANE, check_ground, geometry_over, ground_settings, read_ground
 from blocksar.arrays import FloatArray
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
@@ -37,9 +37,6 @@ from blocksar.runs import folder as run_folder
 from blocksar.runs.record import FORMAT, UNFINISHED, PredictedBlock, RunPlan, RunRecord
 from blocksar.runs.sources import RunInput, RunSegment
 from blocksar.version import __version__
-
-if TYPE_CHECKING:
-    pass
 
 
 def joint_fingerprint(fingerprints: Sequence[str]) -> str:
@@ -73,6 +70,8 @@ class Request:
         The ground itself, under the grid; None for the plane.
     overwrite : bool
         Whether to replace a run of other settings or another input.
+    discard : bool
+        Whether to remove spectra and patches once nothing reads them.
     autofocus : bool
         Whether the track is corrected first.
     control : sequence of Target
@@ -88,6 +87,7 @@ class Request:
     grid: Grid | None
     fingerprints: tuple[str, ...]
     overwrite: bool
+    discard: bool = False
     ground: Ground = PLANE
     terrain: Terrain | None = None
     autofocus: bool = False
@@ -105,6 +105,7 @@ class Request:
         weighting: Weighting = UNIFORM,
         grid: Grid | None,
         overwrite: bool,
+        discard: bool = False,
         ground: Ground = PLANE,
         autofocus: bool = False,
         control: Sequence[Target] = (),
@@ -115,7 +116,7 @@ class Request:
         ------
         InputError
             If there is none, its georeference is wrong, several do not share a frame, or one and the folder lie in each
-            other; or the ground cannot be read.
+            other; if the grid is missing or lies outside the swath; or the ground cannot be read.
         """
         sources = sources_of(source)
         opened = [_open(each, folder, i if len(sources) > 1 else None) for i, each in enumerate(sources)]
@@ -124,9 +125,10 @@ class Request:
         for history in histories:
             if not isinstance(history, stores.DatasetHistory):
                 run_folder.refuse_overlap(place(history.path), folder)
+        centred = [history.collection.centred() for history in histories]
+        check_ground(centred, grid, any_grid=method is None or not ground.plane)
         terrain = None
         if not ground.plane:
-            centred = [history.collection.centred() for history in histories]
             under = grid or joint_grid([Geometry(collection=collection) for collection in centred])
             read = [
                 read_ground(ground, each, under, history.attrs)
@@ -135,8 +137,8 @@ class Request:
             terrain = read[0]
         return cls(
             histories=histories, folder=folder, method=method, blocks=blocks, fidelity=fidelity, weighting=weighting,
-            grid=grid, fingerprints=tuple(fingerprint for _, fingerprint in opened), overwrite=overwrite, ground=ground,
-            terrain=terrain, autofocus=autofocus, control=control,
+            grid=grid, fingerprints=tuple(fingerprint for _, fingerprint in opened), overwrite=overwrite,
+            discard=discard, ground=ground, terrain=terrain, autofocus=autofocus, control=control,
         )  # fmt: skip
 
     @property

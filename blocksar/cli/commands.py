@@ -28,6 +28,7 @@ from blocksar.cli.options import (
     Channel,
     ColourMap,
     Control,
+    Discard,
     Everything,
     Explain,
     Fidelity,
@@ -348,6 +349,7 @@ def focus(
     scheduler: Scheduler = None,
     performance_report: PerformanceReport = None,
     overwrite: Overwrite = False,
+    discard: Discard = False,
     config: ConfigOption = None,
     print_config: PrintConfig = False,
     dry_run: Annotated[
@@ -392,6 +394,7 @@ def focus(
             threads=threads,
             scheduler=scheduler,
             overwrite=overwrite,
+            discard=discard,
             progress=progress,
             performance_report=performance_report,
             dry_run=dry_run,

@@ -88,6 +88,9 @@ Scheduler = Annotated[
     str | None, typer.Option(metavar="ADDRESS", help="Use this dask scheduler instead of a local cluster.")
 ]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an existing output.")]
+Discard = Annotated[
+    bool, typer.Option("--discard", help="Remove spectrum and patches once the run needs them no more.")
+]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress, and no next command.")]
 Everything = Annotated[bool, typer.Option("--all", help="Show all rows and columns of the tables.")]
 Explain = Annotated[bool, typer.Option("--explain", help="Say what the columns mean.")]

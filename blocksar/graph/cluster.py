@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ast
 import logging
+import multiprocessing
 import os
 import signal
 import sys
@@ -188,11 +189,12 @@ def _local_cluster(
     Raises
     ------
     InputError
-        If the caller is a script that its workers would run again.
+        If the caller is a script that its workers would run again, or processes cannot share locks.
     ProcessingError
         If the workers do not start.
     """
     _refuse_unguarded_script()
+    _check_locks()
     _compile_once(listener)
     listener.update("start-workers", 0, workers)
     with ExitStack() as stack:
@@ -216,7 +218,7 @@ def _local_cluster(
         try:
             client.wait_for_workers(workers, timeout=NO_WORKER)
         except TimeoutError:
-            raise ProcessingError(f"{workers} workers did not start within {NO_WORKER:.0f} s") from None
+            raise ProcessingError(f"the workers did not start within {NO_WORKER:.0f} s") from None
         stack.enter_context(_replacing_hung_workers(cluster))
         listener.update("start-workers", workers, workers)
         try:
@@ -255,6 +257,23 @@ def _refuse_unguarded_script() -> None:
                     f"{file}, line {frame.f_lineno}: workers import this script, and would call focus again; call it "
                     'below `if __name__ == "__main__":`, or focus in this process with workers=0'
                 )
+
+
+def _check_locks() -> None:
+    """Check that processes can share locks: a worker that cannot have one fails before it can say so.
+
+    Raises
+    ------
+    InputError
+        If they cannot.
+    """
+    try:
+        multiprocessing.get_context("forkserver").Lock()
+    except OSError as error:
+        raise InputError(
+            f"processes cannot share locks here ({error.strerror or error}); make /dev/shm writable, or focus in one "
+            "process with --workers 0"
+        ) from error
 
 
 @contextmanager

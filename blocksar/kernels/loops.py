@@ -17,6 +17,8 @@ from numba import njit, typeof
 from numba.core.dispatcher import Dispatcher  # type: ignore[attr-defined, unused-ignore]
 from numba.core.runtime.nrt import rtsys
 
+from blocksar.errors import InputError
+
 
 class Loop:
     """A function that is compiled when it is first called.
@@ -28,10 +30,20 @@ class Loop:
         The numba types of its arguments. Writable arrays are taken for read-only ones.
     options : dict
         Of numba's `njit`.
+
+    Raises
+    ------
+    InputError
+        If it is to be kept in numba's cache, and no folder for that can be written.
     """
 
     def __init__(self, function: Callable[..., Any], arguments: Sequence[Any], options: dict[str, Any]) -> None:
-        self.dispatcher = njit(**options)(function)
+        try:
+            self.dispatcher = njit(**options)(function)
+        except RuntimeError as error:
+            if "cannot cache function" not in str(error):
+                raise
+            raise InputError("no folder can be written to keep compiled loops; set NUMBA_CACHE_DIR to one") from None
         self.__name__, self.__module__, self.__doc__ = function.__name__, function.__module__, function.__doc__
         self._arguments, self._ready, self._lock = tuple(arguments), False, Lock()
 

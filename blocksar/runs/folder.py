@@ -19,6 +19,7 @@ from blocksar import stores
 from blocksar.errors import FolderError, InputError, ProcessingError
 from blocksar.places.local import LocalPlace, is_temporary
 from blocksar.places.place import Held, Place
+from blocksar.runs.demonstration import HISTORY
 from blocksar.runs.record import RECORD, RunRecord, Written
 from blocksar.version import __version__
 
@@ -48,7 +49,7 @@ SCRATCH = "scratch"
 TRACK = "autofocus"  # the estimate of the track's error, which comes before all else
 TEMPORARY = ("receipts", "compressed.zarr", "gated", SCRATCH, TRACK)  # what a finished run does not need
 INTERMEDIATE = ("spectrum.zarr", "patches")  # those of OWN that nothing reads once a run is finished
-LEFT_ALONE = ("phase_history.zarr", TRACK)  # may lie in the folder of a new run: `demo` puts its input there
+LEFT_ALONE = (HISTORY, TRACK)  # may lie in the folder of a new run: `demo` puts its input there
 LOCK, ASIDE = "run.lock", ".replaced"
 
 
@@ -269,9 +270,10 @@ def tidy(folder: Place) -> None:
 
 
 def discard_intermediate(folder: Place) -> None:
-    """Remove the spectrum and the patches of a finished run; its image stays as it is."""
-    for name in INTERMEDIATE:
-        (folder / name).remove()
+    """Remove the spectra and the patches of a finished run; its image stays as it is."""
+    for part in (folder, *(folder / "segments" / number for number in (folder / "segments").names())):
+        for name in INTERMEDIATE:
+            (part / name).remove()
 
 
 def scratch(folder: Place) -> str | None:

@@ -153,8 +153,7 @@ class Run:
         ProcessingError
             If it cannot be written.
         """
-        folder, *inner = self.name_of(store).removesuffix(".zarr").split("/")
-        unit = "-".join(["store", *([] if inner and folder in ("patches", "gated") else [folder]), *inner])
+        unit = self._unit_of(store)
         receipt = self.receipt(unit)
         if receipt is None or not self.intact(receipt):
             try:
@@ -163,6 +162,22 @@ class Run:
                 raise ProcessingError(str(error)) from error
             files = self.file_checksums(store, volatile=volatile)
             self.sign(Receipt(unit=unit, stage="create", files=files), time.perf_counter())
+
+    def discard(self, store: Place, receipts: Sequence[Receipt]) -> None:
+        """Remove a store that the run needs no more, and first the receipts of what was written to it.
+
+        If the run is resumed, the store is written again.
+        """
+        name = self.name_of(store)
+        writers = [receipt.unit for receipt in receipts if any(part.store == name for part in receipt.written)]
+        for unit in (self._unit_of(store), *writers):
+            self._receipt(unit).remove()
+        store.remove()
+
+    def _unit_of(self, store: Place) -> str:
+        """Name of the unit of work that creates a store."""
+        folder, *inner = self.name_of(store).removesuffix(".zarr").split("/")
+        return "-".join(["store", *([] if inner and folder in ("patches", "gated") else [folder]), *inner])
 
 
 def write(run: Run, store: Place, variable: str, region: tuple[slice, ...], values: Array) -> Written:

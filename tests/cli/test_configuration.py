@@ -45,6 +45,7 @@ memory-limit = "2GiB"
 scheduler = "tcp://a:1"
 performance-report = "report.html"
 overwrite = true
+discard = true
 quiet = true
 json-log = "log.jsonl"
 coefficients = "closed-form"
@@ -58,7 +59,7 @@ AS_WORDS = (
     "--weighting-range taylor:4:-35 --weighting-azimuth kaiser:2.5 --grid -10:10:0.5,100:200:1 "
     "--terrain dem.tif --surface ellipsoid --vertical egm96 --looks 3 --autofocus --control points.json "
     "--workers 3 --threads 2 --memory-limit 2GiB --scheduler tcp://a:1 --performance-report report.html "
-    "--overwrite --quiet --json-log log.jsonl --coefficients closed-form --perturbation none "
+    "--overwrite --discard --quiet --json-log log.jsonl --coefficients closed-form --perturbation none "
     "--no-keystone --derotation linear --range-model conventional"
 )
 

@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 import blocksar
 from blocksar.cli import commands
+from blocksar.graph import cluster
 
 # The command line, and what it answers; the table in blocksar/cli/README.md lists the same ten.
 MISTAKES = {
@@ -83,6 +84,18 @@ def test_a_mistake_gets_one_sentence_with_its_remedy(mistake: str, desk: Path, m
     assert (done.exit_code, done.stdout, done.stderr.count("\n")) == (2, "", 1), done.output
     assert done.stderr.startswith("blocksar: ") and sentence in done.stderr
     assert sorted(desk.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    "line", ["focus ph.zarr --out new", "focus ph.zarr --out new --grid 5.8:5.9:0.001,2.1:2.2:0.001"]
+)
+def test_a_grid_is_judged_before_loops_are_compiled(line: str, desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """That takes half a minute on the first day, and says so in a line of its own."""
+    monkeypatch.chdir(desk)
+    monkeypatch.setattr(cluster, "kernels_cached", lambda: False)
+    monkeypatch.setattr(cluster, "compile_kernels", lambda: pytest.fail("loops were compiled"))
+    done = CliRunner().invoke(commands.app, line.split(), prog_name="blocksar")
+    assert (done.exit_code, done.stderr.count("\n")) == (2, 1), done.output
 
 
 def test_a_damaged_phase_history_keeps_its_own_message(desk: Path, tmp_path: Path) -> None:

@@ -9,10 +9,12 @@ from typing import Any
 import pytest
 from distributed import Client
 from quality_bar import MARGIN, check_targets, planned
+from repository import ROOT
 
 import blocksar
 from blocksar.errors import InputError
 from blocksar.planning.disk import run_bytes
+from blocksar.runs import demonstration
 from blocksar.simulation.scene import Scene
 
 EDGES = ("A1", "A3", "B1", "B3", "C1", "C3")
@@ -49,6 +51,16 @@ def test_a_run_takes_the_room_that_was_planned(run: Path, table1: Path) -> None:
     # What only one block touches is stored once.
     merged = [path for path in (run / "image.zarr" / "image").rglob("c/*/*") if path.stat().st_nlink == 1]
     assert sum(path.stat().st_size for path in merged) == pytest.approx(predicted["image"], rel=0.1)
+
+
+def test_a_demonstration_takes_600_megabytes_at_most(table1: Path) -> None:
+    """While it runs: phase history, spectrum and patches, before the spectrum is removed and chunks are merged."""
+    room = run_bytes(planned(table1, blocks=demonstration.BLOCKS, grid=demonstration.GRID))
+    history = sum(path.stat().st_size for path in table1.rglob("*") if path.is_file())
+    assert history + room["spectrum"] + room["patches"] < 0.59e9
+    assert history + room["patches"] + room["image"] < 0.4e9
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert "leaves 0.3 GB in `demo-run` and takes 0.6 GB while it runs" in text
 
 
 def middle_strip(table1: Path) -> tuple[tuple[float, float, float], tuple[float, float, float]]:

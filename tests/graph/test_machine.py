@@ -1,12 +1,28 @@
-"""The machine as this package sees it is the machine as dask sees it."""
+"""The machine as this package sees it is the machine as dask sees it; what workers need of it."""
 
 from __future__ import annotations
 
+import multiprocessing
+
+import pytest
 from dask.system import cpu_count
 from distributed.system import memory_limit
 
+from blocksar.errors import InputError
+from blocksar.graph import cluster
 from blocksar.graph.machine import machine
 
 
 def test_cores_and_memory_are_those_that_dask_finds() -> None:
     assert machine() == (cpu_count(), memory_limit())
+
+
+def test_without_shared_locks_workers_are_refused_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else a run would wait two minutes for them."""
+
+    def fail() -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(multiprocessing.get_context("forkserver"), "Lock", fail)
+    with pytest.raises(InputError, match=r"\(Permission denied\); make /dev/shm writable"), cluster.open_client():
+        pass

@@ -30,6 +30,7 @@ from blocksar.focusing import method
 from blocksar.measurement.targets import Target
 from blocksar.places import place
 from blocksar.products.page import facts, picture, provenance, tables, words
+from blocksar.runs import demonstration
 from blocksar.runs.finished import FinishedRun
 from blocksar.runs.record import RunRecord
 
@@ -312,17 +313,25 @@ def test_the_command_repeats_the_run(settings: dict[str, Any], monkeypatch: pyte
     assert {name: seen[name] for name in usual} == usual | settings
 
 
+DEMO = [*demonstration.GRID[0], *demonstration.GRID[1]]
+
+
 @pytest.mark.parametrize(
-    ("scene", "source", "blocks", "command"),
+    ("scene", "source", "blocks", "grid", "command"),
     [
-        ("table1", "phase_history.zarr", 3, "demo"),
-        ("table1", "phase_history.zarr", 4, "focus"),
-        ("table1", "other.zarr", 3, "focus"),
-        ("paper_b", "phase_history.zarr", 3, "focus"),
+        ("table1", "phase_history.zarr", 3, DEMO, "demo"),
+        ("table1", "phase_history.zarr", 4, DEMO, "focus"),
+        ("table1", "other.zarr", 3, DEMO, "focus"),
+        ("paper_b", "phase_history.zarr", 3, DEMO, "focus"),
+        ("table1", "phase_history.zarr", 3, None, "focus"),
     ],
 )
-def test_a_demonstration_is_repeated_as_one(scene: str, source: str, blocks: int, command: str) -> None:
-    record = SimpleNamespace(settings={"blocks": blocks}, record=SimpleNamespace(inputs=[f"/runs/a b/{source}"]))
+def test_a_demonstration_is_repeated_as_one(
+    scene: str, source: str, blocks: int, grid: list[float] | None, command: str
+) -> None:
+    record = SimpleNamespace(
+        settings={"blocks": blocks, "grid": grid}, record=SimpleNamespace(inputs=[f"/runs/a b/{source}"])
+    )
     record.source = SimpleNamespace(attrs={"scene": scene})
     words = shlex.split(provenance.repeat_run(record, "/runs/a b"))
     assert words[:2] == ["blocksar", command] and words[words.index("--out") + 1] == "/runs/a b"

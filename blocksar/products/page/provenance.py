@@ -10,8 +10,9 @@ from blocksar.budget import FIDELITY
 from blocksar.focusing.method import Method
 from blocksar.products.page.facts import Facts
 from blocksar.products.page.words import number
+from blocksar.runs import demonstration
 from blocksar.runs.finished import FinishedRun
-from blocksar.runs.folder import INPUT, LEFT_ALONE
+from blocksar.runs.folder import INPUT
 
 
 def repeat_command(settings: Mapping[str, Any], paths: Sequence[str], folder: str) -> str:
@@ -53,11 +54,12 @@ def repeat_command(settings: Mapping[str, Any], paths: Sequence[str], folder: st
 
 def repeat_run(run: Facts, folder: str, looks: int | None = None) -> str:
     """The command that repeats a run: `blocksar demo` for a demonstration, `blocksar focus` for others."""
-    history = f"{folder}/{LEFT_ALONE[0]}"
+    history = f"{folder}/{demonstration.HISTORY}"
     settings = run.settings if looks is None else {**run.settings, "looks": looks}
     command = repeat_command(settings, run.record.inputs, folder)
-    usual = shlex.join(["blocksar", "focus", history, "--out", folder, "--blocks", "3"])
-    if command == usual and run.source.attrs.get("scene") == "table1":
+    shown = {"blocks": demonstration.BLOCKS, "grid": [*demonstration.GRID[0], *demonstration.GRID[1]]}
+    usual = repeat_command(shown, [history], folder)
+    if command == usual and run.source.attrs.get("scene") == demonstration.SCENE:
         return shlex.join(["blocksar", "demo", "--out", folder, "--overwrite"])
     return command
 

@@ -1,0 +1,61 @@
+"""The folder in which compiled loops are kept, where that cannot be the package's own."""
+
+from __future__ import annotations
+
+import os
+import stat
+import sys
+
+VARIABLE = "NUMBA_CACHE_DIR"
+MODULES = os.path.join(os.path.dirname(os.path.abspath(__file__)), "kernels")  # as other folders with loops
+
+
+def choose_cache() -> None:
+    """Set NUMBA_CACHE_DIR for this process and those that it starts, unless it is set or loops are kept by the modules.
+
+    numba defines no loop that it cannot keep. The folder is `blocksar` among the user's caches, or else one in the
+    folder for temporary files.
+    """
+    beside = os.path.join(MODULES, "__pycache__")
+    if os.environ.get(VARIABLE) or os.access(beside if os.path.isdir(beside) else MODULES, os.W_OK):
+        return
+    folder = _user_folder() or _temporary_folder()
+    if folder is not None:
+        os.environ[VARIABLE] = folder
+        if (numba := sys.modules.get("numba")) is not None:  # it has read the variable already
+            numba.config.CACHE_DIR = folder
+
+
+def _user_folder() -> str | None:
+    caches = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
+    folder = os.path.join(caches, "blocksar")
+    try:
+        os.makedirs(folder, exist_ok=True)
+    except OSError:
+        return None
+    return folder if os.access(folder, os.W_OK) else None
+
+
+def _temporary_folder() -> str | None:
+    """A folder that no other user can write to: what lies in it is run.
+
+    It has one name for each user, so that the next command finds the loops; where another owns that name, one for this
+    process.
+    """
+    import atexit
+    import shutil
+    import tempfile
+
+    user = os.getuid()
+    try:
+        folder = os.path.join(tempfile.gettempdir(), f"blocksar-{user}")
+        try:
+            os.mkdir(folder, 0o700)
+        except FileExistsError:
+            found = os.lstat(folder)
+            if not stat.S_ISDIR(found.st_mode) or found.st_uid != user or found.st_mode & 0o022:
+                folder = tempfile.mkdtemp(prefix="blocksar-")
+                atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    except OSError:
+        return None
+    return folder
