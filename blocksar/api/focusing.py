@@ -314,7 +314,7 @@ def _carry_out(
         run.folder.sweep()
         record.write(run.folder)
         job = job.with_stored_input()
-        if job.exact or any(plan.fade for plan in job.plans):
+        if job.exact or any(plan.completed for plan in job.plans):
             compiling.compile_modules(["focusing.backprojection"], apart=False)  # here, or each worker would
         elif job.request.terrain is not None:
             compiling.compile_modules(["focusing.relief_correction"], apart=False)
@@ -387,7 +387,7 @@ def _run_stages(
     record = add_findings(job, record, recovered, listener)
     run.establish(run.image, lambda: _create_image(run, job, record))
     timings["check"] = lap()
-    reads_later = any(plan.fade for plan in job.plans)  # the edges of dwells, from the samples
+    reads_later = any(plan.completed for plan in job.plans)  # the edges of dwells, from the samples
     if not reads_later:
         input_read()
     gated = stages.gate_ranges(client, segments, run, recovered, listener)

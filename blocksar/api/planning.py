@@ -356,9 +356,16 @@ def plan_lines(plan: Plan) -> list[str]:
         f"{_digits(plan.coherence)} for targets with full dwell"
     )
     if not plan.weighting.uniform:
+        azimuth = plan.weighting.azimuth.ideal.pslr
+        if plan.stays:  # each target has a part of the taper
+            azimuth = max(block.prediction.ideal_pslr for block in plan.blocks)
         lines.append(
             f"weighting {plan.weighting.text}: ideal side lobes {plan.weighting.range.ideal.pslr:.2f} dB in range, "
-            f"{plan.weighting.azimuth.ideal.pslr:.2f} dB in azimuth"
+            f"{azimuth:.2f} dB in azimuth"
+        )
+    if plan.stays:
+        lines.append(
+            "the beam stays on its ground: all pulses are summed, and those that do not light a pixel taken out"
         )
     if plan.edge_pulses:
         lines.append(f"the edges of dwells, some {plan.edge_pulses} pulses at either end, are back-projected")

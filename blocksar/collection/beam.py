@@ -188,16 +188,25 @@ def most_lit_pulses(geometry: Geometry, x: FloatArray, y: FloatArray) -> int:
 
 
 def lit_total(
-    geometry: Geometry, epoch_range: FloatArray, yaw: FloatArray, valid: FloatArray, taper: Taper = FLAT
+    geometry: Geometry,
+    epoch_range: FloatArray,
+    yaw: FloatArray,
+    valid: FloatArray,
+    taper: Taper = FLAT,
+    *,
+    stays: bool = False,
 ) -> FloatArray:
     """Sum of `valid` (n_pulse,) times taper and antenna's pattern over lit pulses: (n_range, n_yaw), at (n,) m and rad.
 
-    Dwells begin and end between pulses here, so that the sum is continuous.
+    Dwells begin and end between pulses here, so that the sum is continuous. Where the beam `stays`, over all pulses.
     """
     collection = geometry.collection
-    first, last = dwell_at(geometry, yaw, epoch_range[:, None])
     shape = epoch_range.size, yaw.size
-    start, _ = aperture(collection)
+    start, end = aperture(collection)
+    if stays:
+        first, last = np.full(shape, start), np.full(shape, end)
+    else:
+        first, last = dwell_at(geometry, yaw, epoch_range[:, None])
     begin, stop = (np.broadcast_to(np.clip((t - start) * collection.prf, 0, None), shape) for t in (first, last))
     before, pulse = np.concatenate([[0.0], np.cumsum(valid)]), np.arange(valid.size + 1.0)
     x, y = geometry.ground_axes(epoch_range[:, None], yaw)

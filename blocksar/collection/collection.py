@@ -389,6 +389,12 @@ class Collection:
         time = self.time[first:last] - self.time[first + (last - first) // 2]
         return Collection(**{**self.as_dict(), **cut, "time": time})
 
+    def unsteered(self) -> Collection:
+        """The same collection under a beam that lights everything all the time."""
+        beam = ("beam_width", "beam_axis", "beam_steering", "beam_offset", "beam_pattern")
+        nowhere = {"beam_azimuth": np.full(self.n_pulse, np.nan)}
+        return Collection(**{**self.as_dict(), **dict.fromkeys(beam), **nowhere})
+
     def as_dict(self) -> dict[str, Any]:
         """The fields by name, usable as keyword arguments of `Collection`."""
         return {name: getattr(self, name) for name in self.__dataclass_fields__}

@@ -206,7 +206,14 @@ class Geometry:
         self, terrain: Terrain | None, smooth: Callable[[FloatArray, FloatArray], FloatArray] | None = None
     ) -> Geometry:
         """The same collection over another ground; what is known of its track is kept."""
-        other = Geometry(collection=self.collection, terrain=terrain, smooth=smooth)
+        return self._keeping_track(Geometry(collection=self.collection, terrain=terrain, smooth=smooth))
+
+    def unsteered(self) -> Geometry:
+        """The same under a beam that lights everything all the time; what is known of its track is kept."""
+        collection = self.collection.unsteered()
+        return self._keeping_track(Geometry(collection=collection, terrain=self.terrain, smooth=self.smooth))
+
+    def _keeping_track(self, other: Geometry) -> Geometry:
         kept = ("track", "epoch", "nadir", "epoch_position", "track_powers")
         other.__dict__.update({name: self.__dict__[name] for name in kept if name in self.__dict__})
         return other

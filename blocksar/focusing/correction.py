@@ -9,12 +9,14 @@ weights in vector registers.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 from numba import njit
 
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
+from blocksar.focusing.aperture_waves import sum_waves
 from blocksar.focusing.ground_map import GroundMap
 from blocksar.focusing.pixel_rows import (
     N_CARRIER,
@@ -87,6 +89,13 @@ def correct(
         Calibrated: 1 + 0j at the position of a unit target.
     """
     out = np.empty((y.size, x.size), np.complex64) if out is None else out
+    if ground.waves is not None:
+
+        def weigh_equally(part: GroundMap) -> ComplexArray:
+            return correct(block, part, x=x, y=y, z=z, threads=threads)
+
+        out[...] = sum_waves(weigh_equally, replace(ground, waves=None), ground.waves, x=x, y=y)
+        return out
     out[...] = np.nan + 1j * np.nan
     tile = _tile_side(ground, x, y)
     tiles = _tiles(ground, x, y, (tile, tile))

@@ -11,14 +11,21 @@ with v = 2 offset / beam_width from -1 to 1 and y the echo of a pulse at the pix
 chain's dwell gate makes the first sum, whose ends fade out: s is smooth over several pulses, and a moved end changes
 little. The second one has a few pulses at either end, and is exact. The number n = `fade` is planned
 (`planning.edges`); without it chains sum whole dwells.
+
+Under a beam that stays on its ground, as in a spotlight, most of it is lit by all pulses, and dwells end at no smooth
+function of range and Doppler that a gate could follow. Chains then sum all pulses (`planning.staying`), and those that
+do not light a pixel, near the edge of what the beam lights, are back-projected and taken out again (`take_unlit`).
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+
 import numpy as np
 
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from blocksar.collection.beam import inner_interval
+from blocksar.collection.beam import beam_offset, inner_interval
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import Weighting
@@ -31,6 +38,11 @@ from blocksar.focusing.backprojection import (
     pulse_blocks,
     range_profiles,
 )
+from blocksar.focusing.pattern_sums import add_gains
+
+CELL = 16  # pixels along a side, that are looked at together
+OFFSET_NODES = 65  # pulses at which a beam that stays is compared with the ground
+OFFSET_ROOM = 1e-3  # of half a beam, by which offsets may differ between them
 
 
 def add_edges(
@@ -88,6 +100,101 @@ def add_edges(
             )  # fmt: skip
         del profiles  # before the next block is read: otherwise two blocks are in memory
     image += total / np.where(owned, lit, 1.0).astype(np.float32)
+
+
+def take_unlit(
+    image: ComplexArray,
+    read: ReadPulses,
+    geometry: Geometry,
+    *,
+    x: FloatArray,
+    y: FloatArray,
+    total: Callable[[FloatArray, FloatArray], FloatArray],
+    valid: FloatArray,
+    weighting: Weighting,
+    threads: int = 1,
+) -> None:
+    """Take out of an image, in place, the pulses that do not light each pixel, under a beam that stays on its ground.
+
+    A chain sums all pulses then. Pixels that all of them light stay as they are, those that none does become NaN.
+
+    Parameters
+    ----------
+    image : (n_y, n_x) complex64
+        From the chain, divided by `total`; NaN where it owns no pixel.
+    read : callable
+        Returns the samples (n, n_range_frequency) complex64 of a slice of pulses; NaN samples are missing.
+    geometry : Geometry
+        With a beam about its axis.
+    x, y : (n_x,), (n_y,) float
+        m, scene frame.
+    total : callable
+        Of points x, y (n,), m: sum of the weights w, times the antenna's pattern, over all valid pulses.
+    valid : (n_pulse,) float
+        The fraction of each pulse's samples that is there.
+    weighting : Weighting
+    threads : int
+        The result does not depend on it.
+    """
+    collection, taper = geometry.collection, weighting.azimuth
+    n = collection.n_pulse
+    doubtful = _find_doubtful(geometry, x, y) & np.isfinite(image.real)
+    rows, columns = (np.flatnonzero(doubtful.any(axis=axis)) for axis in (1, 0))
+    if not rows.size:
+        return
+    part = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    image, doubtful = image[part], doubtful[part]
+    mesh_x, mesh_y = np.meshgrid(np.asarray(x, np.float64)[part[1]], np.asarray(y, np.float64)[part[0]])
+    first, last = np.zeros(image.shape, np.int64), np.full(image.shape, n, np.int64)
+    first[doubtful], last[doubtful] = inner_interval(geometry, mesh_x[doubtful], mesh_y[doubtful], 1.0)
+    cut = (first > 0) | (last < n)
+    if not cut.any():
+        return
+    edges = (np.zeros_like(first), first), (last, np.full_like(last, n))
+    unlit, weight = np.zeros(image.shape, np.complex64), np.zeros(image.shape, np.float32)
+    outside = np.zeros(image.shape, np.bool_)
+    wanted = np.logical_or(*(lit_pulses(*edge, n) for edge in edges))
+    for pulses in pulse_blocks(wanted, pulse_block_size(collection)):
+        profiles = range_profiles(
+            read(pulses), collection=collection, pulses=pulses, threads=threads, taper=weighting.range
+        )
+        for begin, end in edges:
+            accumulate(
+                unlit, outside, profiles, geometry=geometry, x=mesh_x, y=mesh_y, first=begin, last=end,
+                threads=threads, taper=taper, weight=weight,
+            )  # fmt: skip
+        del profiles  # before the next block is read: otherwise two blocks are in memory
+    at_x, at_y, of_lit = mesh_x[cut], mesh_y[cut], np.zeros((1, int(cut.sum())))
+    add_gains(
+        of_lit, geometry, at_x[None], at_y[None], first=first[cut][None], last=last[cut][None], pulses=slice(0, n),
+        valid=valid, taper=taper,
+    )  # fmt: skip
+    lit, kept = of_lit[0], image[cut] * total(at_x, at_y) - unlit[cut]
+    image[cut] = np.where(lit > 0, kept / np.where(lit > 0, lit, 1.0), complex(np.nan, np.nan))
+
+
+def _find_doubtful(geometry: Geometry, x: FloatArray, y: FloatArray) -> BoolArray:
+    """Which pixels (n_y, n_x) some pulse may not light, under a beam about its axis.
+
+    Whole cells of pixels are lit all the time where their middle lies so far inside the beam that none can leave it: a
+    point moves by less than its distance over the range.
+    """
+    collection = geometry.collection
+    middles, reach = [], 0.0
+    for axis in (x, y):
+        firsts = axis[::CELL]
+        lasts = axis[np.minimum(np.arange(0, axis.size, CELL) + CELL, axis.size) - 1]
+        middles.append((firsts + lasts) / 2)
+        reach = math.hypot(reach, float((lasts - firsts).max()) / 2)
+    mesh_x, mesh_y = np.meshgrid(*middles)
+    farthest, nearest = np.zeros(mesh_x.shape), math.inf
+    for pulse in np.unique(np.linspace(0, collection.n_pulse - 1, OFFSET_NODES).round().astype(np.int64)).tolist():
+        np.maximum(farthest, np.abs(beam_offset(geometry, mesh_x, mesh_y, pulse)), out=farthest)
+        px, py, pz = collection.antenna_position[pulse] - (0.0, 0.0, collection.ground_height)
+        nearest = min(nearest, math.sqrt(float(((mesh_x - px) ** 2 + (mesh_y - py) ** 2).min() + pz**2)))
+    half, moves = (collection.beam_width or 0.0) / 2, reach / max(nearest - reach, reach)
+    cells = farthest >= half * (1 - OFFSET_ROOM) - moves
+    return np.repeat(np.repeat(cells, CELL, axis=0), CELL, axis=1)[: y.size, : x.size]
 
 
 def edge_memory(n_pixels: int, collection: Collection, *, threads: int = 1) -> int:

@@ -21,6 +21,28 @@ YAW_STEPS = 4096  # of the range window's limits and the number of lit pulses al
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class ApertureWaves:
+    """Weights of all pulses that differ from place to place: see `focusing.aperture_waves`.
+
+    Attributes
+    ----------
+    step : float
+        h, Hz.
+    middle : float
+        m, s.
+    constant : Surface
+        a_0.
+    pairs : tuple of (Surface, Surface)
+        a_k and b_k for k = 1, 2, ..
+    """
+
+    step: float
+    middle: float
+    constant: Surface
+    pairs: tuple[tuple[Surface, Surface], ...]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class GroundMap:
     """The position of each ground point in a block's image, and the complex value of a unit target there.
 
@@ -53,6 +75,8 @@ class GroundMap:
         Epoch ranges at the ends of the range window at each yaw, m.
     taper : Taper
         Weighting over the dwells.
+    stays : bool
+        From `planning.staying`: whether all pulses are summed, lit or not.
     lit : (n,) or (LIT_RANGES, n) float
         From `sum_lit`: at each yaw, or at each range from near to far and each yaw.
     scale : float
@@ -61,6 +85,8 @@ class GroundMap:
         Taps of the interpolation, and the occupied fraction of the sampling rate.
     relief : ReliefMap or None
         The same with the height as third coordinate, which a terrain needs in place of the five surfaces.
+    waves : ApertureWaves or None
+        Weights that the block's chain has not applied.
     """
 
     geometry: Geometry
@@ -81,11 +107,13 @@ class GroundMap:
     near_limit: FloatArray
     far_limit: FloatArray
     taper: Taper
+    stays: bool
     lit: FloatArray
     scale: float
     range_taps: tuple[int, float]
     doppler_taps: tuple[int, float]
     relief: ReliefMap | None = None
+    waves: ApertureWaves | None = None
 
     @property
     def levels(self) -> tuple[float, float]:
@@ -149,16 +177,16 @@ class GroundMap:
 
 
 def sum_lit(
-    geometry: Geometry, *, near: float, far: float, yaw: FloatArray, valid: FloatArray, taper: Taper
+    geometry: Geometry, *, near: float, far: float, yaw: FloatArray, valid: FloatArray, taper: Taper, stays: bool
 ) -> FloatArray:
     """Number of lit pulses at yaws (n,), rad, missing ones left out: sum of `valid` (n_pulse,) times the taper, (n,).
 
     Where dwells depend on range, or the antenna has a pattern, which weighs the pulses besides: (LIT_RANGES, n), at
-    ranges from near to far, m.
+    ranges from near to far, m. Where the beam `stays`, over all pulses.
     """
     if not by_range(geometry):
         return weighted_pulses(geometry.collection, yaw, valid, taper)
-    return lit_total(geometry, np.linspace(near, far, LIT_RANGES), yaw, valid, taper)
+    return lit_total(geometry, np.linspace(near, far, LIT_RANGES), yaw, valid, taper, stays=stays)
 
 
 def by_range(geometry: Geometry) -> bool:

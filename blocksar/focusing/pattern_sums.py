@@ -61,7 +61,8 @@ def add_gains(
     # Copies: the loop is compiled for one layout of its arrays.
     places = [np.array(values, order="C") for values in (x, y, yaw)]
     lit = [np.array(values, np.int64, order="C") for values in (first, last)]
-    beam, sums = [np.array(values) for values in (axis, steering, azimuth)], np.array(total, order="C")
+    antenna, sums = np.array(antenna, order="C"), np.array(total, order="C")
+    beam = [np.array(values, order="C") for values in (axis, steering, azimuth)]
     terms, frequency = taper.series
     pace = 2 * np.pi * frequency / (collection.beam_width or np.inf)  # of the cosines, per rad off the beam's centre
     _add_gains(

@@ -1,4 +1,4 @@
-"""The edges of dwells in a run: read from the samples, and added to the chunks of patches (`focusing.dwell_edges`)."""
+"""Edges of dwells in a run: read from the samples to complete the chunks of patches (`focusing.dwell_edges`)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from blocksar import stores
 from blocksar.arrays import ComplexArray
 from blocksar.collection.grid import Grid
 from blocksar.collection.weighting import Weighting
-from blocksar.focusing.dwell_edges import add_edges
+from blocksar.focusing.dwell_edges import add_edges, take_unlit
 from blocksar.focusing.ground_map import GroundMap
 from blocksar.graph.spectrum import Window
 from blocksar.inspection.samples import Inspection, mask_outliers
@@ -28,7 +28,7 @@ class Edges:
         Of all of it.
     weighting : Weighting
     fade : int
-        From the plan.
+        From the plan; without effect where the beam stays.
     """
 
     source: stores.PhaseHistory
@@ -37,12 +37,18 @@ class Edges:
     fade: int
 
     def add(self, pixels: ComplexArray, ground: GroundMap, window: Window, grid: Grid, *, threads: int) -> None:
-        """Add the edges to a chunk of a patch, in place."""
+        """Add the edges to a chunk of a patch, or take out what is not lit where the beam stays, in place."""
         x, y = grid.x[window[1]], grid.y[window[0]]
 
         def read(pulses: slice) -> ComplexArray:
             return read_valid(self.source, self.inspection, pulses)
 
+        if ground.stays:
+            take_unlit(
+                pixels, read, ground.geometry, x=x, y=y, total=ground.lit_at, valid=self.inspection.lit,
+                weighting=self.weighting, threads=threads,
+            )  # fmt: skip
+            return
         add_edges(
             pixels, read, ground.geometry, x=x, y=y, lit=ground.lit_at(*np.meshgrid(x, y)), fade=self.fade,
             weighting=self.weighting, threads=threads,

@@ -223,7 +223,7 @@ def focus_blocks(
         alone = frozenset(cell for cell in cells if touching[cell] == 1)
         spectrum, some, inspection, noise = of_segment[id(segment)]
         lit, edges = inspection.lit, None
-        if plan.fade:
+        if plan.completed:
             edges = Edges(segment.history, inspection, plan.weighting, plan.fade)
         slab = spectrum if block.range_gate is None else _gated_spectrum(plan, own, block, some)
         units.append(
@@ -258,8 +258,9 @@ def _submit_chain(
     submit = partial(client.submit, pure=False, priority=priority)
     ground = block.ground
     summed = sum_lit(
-        ground.geometry, near=ground.near, far=ground.far, yaw=ground.yaw_axis, valid=lit, taper=ground.taper
-    )
+        ground.geometry, near=ground.near, far=ground.far, yaw=ground.yaw_axis, valid=lit, taper=ground.taper,
+        stays=ground.stays,
+    )  # fmt: skip
     ground = replace(ground, lit=summed)
     first, *others = stages(block.steps)
     slab = spectrum.within(block.first_bin, block.first_bin + block.n_bin)

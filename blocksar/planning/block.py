@@ -30,10 +30,11 @@ from blocksar.focusing.surfaces import Surface
 from blocksar.kernels import fourier
 from blocksar.kernels.fourier import Axis
 from blocksar.kernels.interpolation import taps_needed
+from blocksar.planning.aperture_waves import plan_waves
 from blocksar.planning.apertures import level_aperture, levelled
 from blocksar.planning.binding import AzimuthPart, RangePart, Slab
 from blocksar.planning.coefficients import Choice, choose
-from blocksar.planning.dwell_weights import DwellWeights, dwell_weights
+from blocksar.planning.dwell_weights import DwellWeights
 from blocksar.planning.fidelity import gate_blur
 from blocksar.planning.gates import GATE_DEGREES, faded_room, full_dwells, plan_gate, plan_range_gate
 from blocksar.planning.memory import block_memory
@@ -160,7 +161,7 @@ def plan_block(
         azimuth = azimuth.weighed(in_time)
     first, last = dwell_at(sector.geometry, fine_yaw, fine_range[:, None], uncut=True)
     uncut = first - sector.geometry.epoch, last - sector.geometry.epoch
-    weights = dwell_weights(sector.geometry, sector.taper, lit, uncut=uncut, epoch_range=fine_range, yaw=fine_yaw)
+    weights = sector.weights(lit, uncut=uncut, epoch_range=fine_range, yaw=fine_yaw)
     spots = focus(weights.weigh(fine))
     sampling = _plan_sampling(
         recovery, slab, azimuth, straight if sector.relief is None else range_part.trace(everywhere),
@@ -195,6 +196,9 @@ def _plan_image(
     gate = _plan_dwell_gate(sector, sampling, gated.line, gated.spots, gated.lit, gated.ends)
     sampling = replace(sampling, gate=gate)
     ground = _plan_ground(sector, sampling, lines.line, lines.spots, epoch_range=rng, yaw=yaw)
+    if sector.staying is not None and not sector.taper.uniform:
+        waves = plan_waves(sector.staying, sector.taper, lines.lit, lines.line, epoch_range=rng, yaw=yaw)
+        ground = replace(ground, waves=waves)
     if sector.relief is not None:
         return sampling, *_raise(sector, azimuth, ground, gate, lines)
     prediction = predict(
@@ -285,9 +289,10 @@ def _plan_dwell_gate(
 
 
 def _pulse_taper(sector: Sector) -> AxisTaper | None:
-    """The weighting over the pulses of a beam that is not steered."""
+    """The weighting over the pulses of a beam that is not steered; none where it stays, and depends on the place."""
     pulses = sector.recovery.pulses
-    return AxisTaper.over(sector.weighting.azimuth, pulses.start, pulses.step, pulses.size)
+    taper = sector.weighting.azimuth if sector.staying is None else FLAT
+    return AxisTaper.over(taper, pulses.start, pulses.step, pulses.size)
 
 
 def _plan_azimuth(
@@ -427,7 +432,7 @@ def _plan_ground(
 ) -> GroundMap:
     """The map from the ground to the focused block, by where lines (n_range, n_yaw) focus."""
     collection, origin = sector.geometry.collection, sector.recovery.origin
-    taper, valid = sector.taper, np.ones(collection.n_pulse)
+    taper, valid, stays = sector.taper, np.ones(collection.n_pulse), sector.staying is not None
     offset, doppler_focus, phase, gain, dwell_time = surfaces(
         spots, epoch_range=epoch_range, yaw=yaw, origin=origin, carrier=collection.carrier, degree=(9, 16)
     )
@@ -436,7 +441,7 @@ def _plan_ground(
     range_taps = _range_taps(sampling.range_frequency, sector.tap_error)
     filled = _local_occupancy(line, spots, sampling.image_doppler)
     return GroundMap(
-        geometry=sector.geometry,
+        geometry=sector.lighting,
         low=sector.low,
         high=sector.high,
         near=sector.near,
@@ -454,7 +459,10 @@ def _plan_ground(
         near_limit=near_limit,
         far_limit=far_limit,
         taper=taper,
-        lit=sum_lit(sector.geometry, near=sector.near, far=sector.far, yaw=yaw_axis, valid=valid, taper=taper),
+        stays=stays,
+        lit=sum_lit(
+            sector.lighting, near=sector.near, far=sector.far, yaw=yaw_axis, valid=valid, taper=taper, stays=stays
+        ),
         scale=range_taps[1] * float(sector.weighting.range.samples(collection.n_range_frequency).mean()),
         range_taps=range_taps,
         doppler_taps=(taps_needed(filled, error=sector.tap_error), filled),
@@ -465,7 +473,7 @@ def _yaw_steps(sector: Sector) -> int:
     """Yaws at which a block knows its limits: its share of the region's, so that many narrow blocks are small."""
     step = float(np.ptp(sector.region.yaw)) / REGION_STEPS
     share = (sector.high - sector.low) / step if step > 0 else math.inf
-    return math.ceil(min(max(share, LEAST_STEPS), STEPS_BY_RANGE if by_range(sector.geometry) else YAW_STEPS))
+    return math.ceil(min(max(share, LEAST_STEPS), STEPS_BY_RANGE if by_range(sector.lighting) else YAW_STEPS))
 
 
 def _plan_memory(range_gate: RangeGate | None, range_part: RangePart, sampling: Sampling) -> int:

@@ -27,7 +27,7 @@ class DwellWeights:
     edge : (...) float
         The same at the ends of the dwells.
     patterned : bool
-        Whether there is an antenna's pattern.
+        Whether dwells have other weights than the whole taper: an antenna's pattern, or a part of the taper.
     """
 
     taper: Taper
@@ -52,6 +52,7 @@ def dwell_weights(
     uncut: tuple[FloatArray, FloatArray],
     epoch_range: FloatArray,
     yaw: FloatArray,
+    stays: bool = False,
 ) -> DwellWeights:
     """The weights of targets at epoch ranges (n_range,), m, and yaws (n_yaw,), rad.
 
@@ -62,6 +63,8 @@ def dwell_weights(
     uncut : pair of (n_yaw,) or (n_range, n_yaw) float
         Slow time, s from the epoch, at which the dwells would begin and end if the collection did not cut them. The
         place in a beam that is described by its yaw, or not steered, is taken as linear in between.
+    stays : bool
+        From `planning.staying`: each target then has a part of the taper of its own.
     """
     collection = geometry.collection
     x, y = (axis[..., None] for axis in geometry.ground_axes(epoch_range[:, None], yaw))
@@ -73,7 +76,7 @@ def dwell_weights(
     else:
         nodes = taper((2 * lit.time - (uncut[0] + uncut[1])[..., None]) / (uncut[1] - uncut[0])[..., None])
     if not collection.has_pattern:
-        return DwellWeights(taper=taper, nodes=nodes, edge=edge, patterned=False)
+        return DwellWeights(taper=taper, nodes=nodes, edge=edge, patterned=stays and not taper.uniform)
     gain = at_times(geometry, x, y, time, pattern_gain)
     # The outer nodes lie close to the ends: by half a hundredth of the dwell.
     at_ends = np.sqrt((gain[..., 0] ** 2 + gain[..., -1] ** 2) / 2)

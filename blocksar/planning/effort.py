@@ -57,7 +57,7 @@ FOCUS: Work = dict.fromkeys(("plan", "compile", "start-workers", "recover", "foc
 def of_plan(plan: Plan, *, echo_samples: int = 0) -> Work:
     """Work of focusing by a plan; `echo_samples` is the total if the phase history is a raw echo, otherwise 0."""
     collection, side = plan.geometry.collection, image_chunk(plan.grid)
-    written = CORRECT + (EDGES if plan.fade else 0.0)
+    written = CORRECT + (EDGES if plan.completed else 0.0)
     columns = np.diff([*range(0, collection.n_range_frequency, plan.column_group), collection.n_range_frequency])
     chunks = [touched_chunks(block.ground, plan.grid) for block in plan.blocks]
     patches = Counter(chunk for touched in chunks for chunk in touched)  # by chunk of the mosaic

@@ -50,6 +50,7 @@ from blocksar.planning.recovery import plan_recovery
 from blocksar.planning.refusal import find_refusal
 from blocksar.planning.relief import Relief, Samples, find_relief, sample_terrain
 from blocksar.planning.sector import Sector
+from blocksar.planning.staying import beam_stays
 
 MOST_BLOCKS = 1000  # that a caller may ask for
 MAX_PARTS = 64  # range sub-blocks of a block
@@ -80,6 +81,8 @@ class Plan:
         Tapers over band and dwell.
     fade : int
         From `planning.edges`: where positive, the edges of dwells are back-projected.
+    stays : bool
+        From `planning.staying`: whether all pulses are summed, and those that do not light a pixel taken out.
     refusal : str or None
         Why the geometry cannot be focused, with the figure.
     """
@@ -95,6 +98,7 @@ class Plan:
     fidelity: float
     weighting: Weighting
     fade: int
+    stays: bool
     refusal: str | None
 
     def __repr__(self) -> str:
@@ -186,6 +190,11 @@ class Plan:
     def coherence(self) -> float:
         """The least coherence with exact back-projection that any block predicts."""
         return min(block.prediction.coherence for block in self.blocks)
+
+    @property
+    def completed(self) -> bool:
+        """Whether the chains' image is completed by back-projection of some pulses."""
+        return self.fade > 0 or self.stays
 
     @property
     def edge_pulses(self) -> int:
@@ -298,15 +307,16 @@ def plan_collection(
         raise InputError(f"blocks = {blocks}: ask for 1 to {MOST_BLOCKS}, or for 'auto'")
     geometry = Geometry(collection=collection) if terrain is None else over_terrain(collection, terrain)
     region = plan_region(geometry, grid)
-    recovery = plan_recovery(geometry, region, method)
     grid = grid or default_grid(geometry, region)
     extent = grid_extent(geometry, region, grid, owned)
+    summed = geometry.unsteered() if beam_stays(geometry, region, extent) else geometry
+    recovery = plan_recovery(summed, region, method)
     fade = plan_fade(
-        geometry, region, fidelity=fidelity, weighting=weighting, band=recovery.band[1] - recovery.band[0],
+        summed, region, fidelity=fidelity, weighting=weighting, band=recovery.band[1] - recovery.band[0],
         keystone=Keystone in steps_of(method),
     )  # fmt: skip
     planner = _Planner(
-        geometry=geometry, region=region, recovery=recovery, grid=grid, extent=extent, method=method,
+        geometry=geometry, summed=summed, region=region, recovery=recovery, grid=grid, extent=extent, method=method,
         fidelity=fidelity, weighting=weighting, fade=fade,
     )  # fmt: skip
     if blocks == "auto":
@@ -355,11 +365,14 @@ class _Planner:
 
     Attributes
     ----------
+    summed : Geometry
+        `geometry`, or where its beam stays that of a beam that lights everything.
     planned : dict
         The blocks by (blocks, sub-blocks, index): a plan after its probe plans the rest, and none is planned twice.
     """
 
     geometry: Geometry
+    summed: Geometry
     region: Region
     recovery: Recovery
     grid: Grid
@@ -369,6 +382,10 @@ class _Planner:
     weighting: Weighting
     fade: int
     planned: dict[tuple[int, int, int], list[BlockPlan]] = field(default_factory=dict)
+
+    @property
+    def stays(self) -> bool:
+        return self.summed is not self.geometry
 
     def plan(self, count: int, n_parts: int, probe: bool) -> Plan:
         """Plan all blocks that the grid touches; a probe plans only the outermost ones and the one in the middle."""
@@ -389,7 +406,7 @@ class _Planner:
         return Plan(
             geometry=self.geometry, grid=self.grid, region=self.region, recovery=self.recovery, seams=seams,
             parts=n_parts, blocks=tuple(planned), method=self.method, fidelity=self.fidelity,
-            weighting=self.weighting, fade=self.fade, refusal=find_refusal(planned, self.method),
+            weighting=self.weighting, fade=self.fade, stays=self.stays, refusal=find_refusal(planned, self.method),
         )  # fmt: skip
 
     def _plan_angle(
@@ -412,9 +429,10 @@ class _Planner:
         for part, (nearest, farthest) in enumerate(pairwise(edges.tolist())):
             relief = self._relief(low, high, nearest, farthest)
             sector = Sector(
-                geometry=self.geometry if relief is None else self.geometry.over(None, relief.smooth),
+                geometry=self.summed if relief is None else self.summed.over(None, relief.smooth),
                 recovery=self.recovery, region=self.region, low=low, high=high, near=nearest, far=farthest,
                 weighting=self.weighting, tap_error=image_tap_error(self.fidelity), fade=self.fade, relief=relief,
+                staying=self.geometry if self.stays else None,
             )  # fmt: skip
             like = parts[-1].choice if parts else neighbour
             number = part if n_parts > 1 else None

@@ -10,8 +10,7 @@ from blocksar.arrays import FloatArray
 from blocksar.collection.beam import aperture, dwell_at
 from blocksar.focusing.method import Method
 from blocksar.planning.block import BlockPlan
-
-MOST_DWELL = 2.5  # durations of the collection for which ground may stay in the beam, if it went on
+from blocksar.planning.staying import MOST_DWELL, longest_stay
 
 
 def find_refusal(blocks: Sequence[BlockPlan], method: Method) -> str | None:
@@ -20,31 +19,20 @@ def find_refusal(blocks: Sequence[BlockPlan], method: Method) -> str | None:
 
 
 def _find_lingering(blocks: Sequence[BlockPlan]) -> str | None:
-    """The reason why a beam about its axis stays too long on a block's ground for a dwell gate, or None.
-
-    Near the point on which a beam turns, ground passes it ever more slowly, and on the far side the other way: the ends
-    of dwells are then no smooth function of range and Doppler, as the gate needs.
-    """
+    """The reason why a beam about its axis stays too long on some of a block's ground for a dwell gate, or None."""
     for block in blocks:
         geometry = block.ground.geometry
-        if not geometry.collection.has_axis:
+        if block.ground.stays or not geometry.collection.has_axis:
             return None
-        yaw, ranges = (
-            np.linspace(block.low, block.high, 33),
-            np.linspace(block.ground.near, block.ground.far, 9)[:, None],
-        )
-        first, last = dwell_at(geometry, yaw, ranges)
-        begin, end = dwell_at(geometry, yaw, ranges, uncut=True)
+        ranges = np.linspace(block.ground.near, block.ground.far, 9)[:, None]
+        longest = longest_stay(geometry, ranges, np.linspace(block.low, block.high, 33))
         start, stop = aperture(geometry.collection)
-        lit, whole = last > first, (begin <= start) & (end >= stop)
-        length = np.where(lit, end - begin, 0.0)
-        turning = lit & whole & (length <= (stop - start) * (1 + 1e-9))  # offsets turn back: dwells are not continued
-        longest = float(length.max())
-        if turning.any() or longest > MOST_DWELL * (stop - start):
-            stays = "for ever" if turning.any() else f"for {longest:.3g} s"
+        if longest > MOST_DWELL * (stop - start):
+            stays = "for ever" if longest == np.inf else f"for {longest:.3g} s"
             return (
-                f"{_describe_block(block)}: beam_steering turns with the line of sight, so that the beam would stay on "
-                f"ground {stays}, beyond the {stop - start:.3g} s of the collection; use --processor backprojection"
+                f"{_describe_block(block)}: beam_steering turns with the line of sight of some ground, so that the "
+                f"beam would stay on it {stays}, beyond the {stop - start:.3g} s of the collection, and passes over "
+                "more; cut the collection, image a smaller grid, or use --processor backprojection"
             )
     return None
 

@@ -18,7 +18,7 @@ from blocksar.collection.weighting import UNIFORM, Taper, Weighting
 from blocksar.focusing.dwell_edges import edge_memory
 from blocksar.focusing.lines import Line
 from blocksar.focusing.recovery import Recovery
-from blocksar.planning.dwell_weights import taper_over_dwells
+from blocksar.planning.dwell_weights import DwellWeights, dwell_weights, taper_over_dwells
 from blocksar.planning.relief import Relief, stacked
 from blocksar.planning.target_lines import Dwells, find_dwells
 
@@ -30,7 +30,8 @@ class Sector:
     """The ground that a block owns: yaws [low, high), rad, at epoch ranges [near, far), m.
 
     With the weighting of its image, the error that the interpolation of the focused block may have, and the `fade`.
-    On a terrain the geometry is over the smooth part of it, and `relief` has the rest.
+    On a terrain the geometry is over the smooth part of it, and `relief` has the rest. Where the beam stays on its
+    ground, the geometry is that of a beam that lights everything, and `staying` has the beam (`planning.staying`).
     """
 
     geometry: Geometry
@@ -44,11 +45,26 @@ class Sector:
     tap_error: float = IMAGE_TAP_ERROR
     relief: Relief | None = None
     fade: int = 0
+    staying: Geometry | None = None
+
+    @property
+    def lighting(self) -> Geometry:
+        """The geometry with the beam as it is."""
+        return self.geometry if self.staying is None else self.staying
 
     @property
     def taper(self) -> Taper:
         """The weighting over dwells."""
-        return taper_over_dwells(self.geometry.collection, self.weighting)
+        return taper_over_dwells(self.lighting.collection, self.weighting)
+
+    def weights(
+        self, lit: Line, *, uncut: tuple[FloatArray, FloatArray], epoch_range: FloatArray, yaw: FloatArray
+    ) -> DwellWeights:
+        """Weights of targets over their dwells: see `dwell_weights`."""
+        return dwell_weights(
+            self.lighting, self.taper, lit, uncut=uncut, epoch_range=epoch_range, yaw=yaw,
+            stays=self.staying is not None,
+        )  # fmt: skip
 
     def dwells(self, yaw: FloatArray, *, coarsely: bool = False) -> Dwells:
         """Dwells of targets at yaws (...), rad, for their lines in the recovered signal."""
@@ -68,7 +84,8 @@ class Sector:
     @property
     def edge_memory(self) -> int:
         """What the edges of dwells add to the peak memory, bytes."""
-        return edge_memory(IMAGE_PIXELS, self.geometry.collection) if self.fade else 0
+        summed = self.fade > 0 or self.staying is not None
+        return edge_memory(IMAGE_PIXELS, self.lighting.collection) if summed else 0
 
     def over(self, offset: float) -> Sector:
         """The same sector with the smooth ground raised by an offset, m."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from axis_beams import MODES, axis_collection, with_patterns
+from axis_beams import MODES, axis_collection, spotlight, with_patterns
 from slow_twins import gain, lit, offset
 
 from blocksar.arrays import FloatArray
@@ -31,15 +31,6 @@ from blocksar.collection.weighting import Taper
 from blocksar.errors import InputError
 
 EACH = pytest.mark.parametrize("mode", MODES)
-
-
-def spotlight(**changes: Any) -> Collection:
-    """A beam that stays on (9 km, 0): offsets of points about it turn back."""
-    c = axis_collection()
-    sight = np.array([9000.0, 0.0, 0.0]) - c.antenna_position
-    sight /= np.linalg.norm(sight, axis=1, keepdims=True)
-    assert c.beam_axis is not None
-    return axis_collection(beam_steering=np.arcsin((sight * c.beam_axis).sum(axis=1)), **changes)
 
 
 def points(collection: Collection, *, n: int = 60) -> tuple[FloatArray, FloatArray]:

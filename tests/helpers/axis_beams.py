@@ -39,6 +39,16 @@ def axis_collection(mode: str = "stripmap", *, n_pulse: int = 400, **changes: An
     })  # fmt: skip
 
 
+def spotlight(**changes: Any) -> Collection:
+    """A beam that stays on (9 km, 0): offsets of points about it turn back."""
+    n_pulse = changes.pop("n_pulse", 400)
+    c = axis_collection(n_pulse=n_pulse)
+    sight = np.array([9000.0, 0.0, 0.0]) - c.antenna_position
+    sight /= np.linalg.norm(sight, axis=1, keepdims=True)
+    assert c.beam_axis is not None
+    return axis_collection(n_pulse=n_pulse, beam_steering=np.arcsin((sight * c.beam_axis).sum(axis=1)), **changes)
+
+
 AXIS_SCENE: dict[str, Any] = {
     "bandwidth": 40e6,
     "range_sampling": 50e6,

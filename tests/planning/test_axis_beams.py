@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from axis_beams import MODES, axis_collection, with_patterns
+from axis_beams import MODES, axis_collection, spotlight, with_patterns
 
 from blocksar.arrays import BoolArray, ComplexArray
 from blocksar.collection.beam import has_full_dwell, lit_interval
@@ -14,7 +14,7 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.weighting import Weighting
 from blocksar.focusing.backprojection import form_image
 from blocksar.focusing.correction import correct
-from blocksar.focusing.dwell_edges import add_edges
+from blocksar.focusing.dwell_edges import add_edges, take_unlit
 from blocksar.focusing.recovery import recover_columns
 from blocksar.measurement.coherence import coherence
 from blocksar.planning.plan import Plan, plan_collection
@@ -49,6 +49,11 @@ def focus(plan: Plan, signal: ComplexArray) -> ComplexArray:
         for step in block.chain:
             slab = step.apply(slab, threads=2)
         part = correct(np.ascontiguousarray(slab), block.ground, x=grid.x, y=grid.y, threads=2)
+        if plan.stays:
+            take_unlit(
+                part, lambda pulses: signal[pulses], plan.geometry, x=grid.x, y=grid.y, total=block.ground.lit_at,
+                valid=np.ones(signal.shape[0]), weighting=plan.weighting, threads=2,
+            )  # fmt: skip
         if plan.fade:
             lit = block.ground.lit_at(*np.meshgrid(grid.x, grid.y))
             add_edges(
@@ -143,16 +148,40 @@ def test_a_unit_target_under_patterns_peaks_at_one(kind: str) -> None:
         assert abs(focus(plan, signal)[row, column] - 1) < 0.012
 
 
-def test_a_beam_that_stays_on_a_spot_is_left_to_back_projection() -> None:
-    strip = axis_collection(beam_width=0.02)
-    assert strip.beam_axis is not None
-    sight = np.array([9000.0, 0.0, 0.0]) - strip.antenna_position
-    sine = (sight * strip.beam_axis).sum(axis=1) / np.linalg.norm(sight, axis=1)
-    collection = axis_collection(beam_width=0.02, beam_steering=np.arcsin(sine))
-    plan = plan_collection(collection, grid=Grid(8930.0, 9070.0, STEP_X, -40.0, 40.0, STEP_Y))
+@pytest.mark.parametrize(("patterns", "text"), [(False, "uniform"), (True, "taylor:4:-35")])
+def test_all_pulses_are_summed_where_the_beam_stays_on_a_spot(patterns: bool, text: str) -> None:
+    """Also near the edges of the beam, which not all pulses light; and those that none does are not covered."""
+    collection = spotlight(n_pulse=900, beam_width=0.013)
+    collection = with_patterns(collection) if patterns else collection
+    grid, weighting = grid_of(collection), Weighting.parse(text)
+    signal = clutter(collection, grid)
+    geometry = Geometry(collection=collection)
+    plan = plan_collection(collection, grid=grid, weighting=weighting, fidelity=0.999995)
+    assert plan.refusal is None and plan.stays and plan.completed and not plan.fade
+    image = focus(plan, signal)
+    exact = form_image(lambda p: signal[p], geometry, grid.x, grid.y, threads=2, weighting=weighting)
+    full = has_full_dwell(geometry, *np.meshgrid(grid.x, grid.y))
+    np.testing.assert_array_equal(np.isnan(image), np.isnan(exact))
+    assert 0.5 < full.mean() < np.isfinite(image).mean() - 0.01 < 0.95
+    error, gain = relative_error(image, exact, full)
+    assert error < -50 and abs(gain - 1) < 1e-3
+    assert relative_error(image, exact, np.ones_like(full))[0] < -38
+    assert abs(coherence(np.where(full, image, np.nan), exact).coherence) == pytest.approx(plan.coherence, abs=1e-5)
+
+
+def test_a_beam_that_stays_on_little_of_what_it_lights_is_left_to_back_projection() -> None:
+    """After a scan it stays on the ground that it lights at the end."""
+    scan = axis_collection("tops", beam_width=0.004)
+    assert scan.beam_steering is not None
+    stays = spotlight(beam_width=0.004)
+    assert stays.beam_steering is not None
+    steering = np.where(np.arange(400) < 320, scan.beam_steering, scan.beam_steering[320])
+    steering = steering + np.where(np.arange(400) < 320, 0.0, stays.beam_steering - stays.beam_steering[320])
+    collection = axis_collection(beam_width=0.004, beam_steering=steering)
+    plan = plan_collection(collection, grid=Grid(8930.0, 9070.0, STEP_X, -90.0, 200.0, STEP_Y), blocks=1)
     assert plan.refusal is not None
-    assert "would stay on ground" in plan.refusal and "--processor backprojection" in plan.refusal
-    assert plan_collection(strip, grid=plan.grid).refusal is None
+    assert "so that the beam would stay on it for" in plan.refusal and "passes over more" in plan.refusal
+    assert "--processor backprojection" in plan.refusal
 
 
 def test_plans_are_the_same_each_time() -> None:
