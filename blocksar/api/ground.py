@@ -30,15 +30,10 @@ def read_ground(
     Raises
     ------
     InputError
-        If it cannot be read, or the collection has a beam that terrain is not supported for.
+        If it cannot be read.
     """
     if ground.plane:
         return None
-    if collection.has_axis or collection.elevation_pattern is not None:
-        what = "beam_axis" if collection.has_axis else "elevation_pattern"
-        raise InputError(
-            f"{what}: a collection with it can be imaged on the plane only; leave --terrain and --surface out"
-        )
     attrs = source if isinstance(source, dict) else _attributes(source)
     georeference = None
     if attrs.get("georeference") is not None:

@@ -10,6 +10,8 @@ spotlight, a fast one TOPS. When a point is lit depends on its range as well as 
 A point's offset mostly rises or falls throughout, so that its edges are found by bisection. Under a beam that stays on
 a spot it may turn back: once, which divides the pulses into two parts to be bisected; or more often, and then every
 pulse is looked at. The beam is taken to be smooth over a fraction 1 / NODES of the collection.
+
+Points x, y lie at heights z, m; without, on the plane z = ground_height.
 """
 
 from __future__ import annotations
@@ -26,6 +28,29 @@ NODES = 32  # parts of the collection at whose ends offsets are compared, to see
 SCANNED = 1 << 22  # offsets computed at a time where every pulse is looked at
 REACH = 64  # the part of the collection, 1 / REACH, whose slope continues an offset beyond the collection's ends
 LEAST_SLOPE = 1e-12  # rad/s
+Height = FloatArray | float
+
+
+class Points(NamedTuple):
+    """Places x, y (n,) and z (n,) or one for all, m."""
+
+    x: FloatArray
+    y: FloatArray
+    z: Height
+
+    @classmethod
+    def of(cls, collection: Collection, x: FloatArray, y: FloatArray, z: Height | None) -> Points:
+        """Points at heights z; None: on the plane."""
+        return cls(x, y, collection.ground_height if z is None else z)
+
+    def some(self, which: IntArray | BoolArray) -> Points:
+        """The points at some indices."""
+        return Points(self.x[which], self.y[which], self.z[which] if isinstance(self.z, np.ndarray) else self.z)
+
+    def offsets(self, collection: Collection, pulses: slice | IntArray) -> FloatArray:
+        """Offsets (n, n_pulse) at some pulses, rad."""
+        z = self.z[:, None] if isinstance(self.z, np.ndarray) else self.z
+        return axis_offset(collection, self.x[:, None], self.y[:, None], pulses, z)
 
 
 class Spans(NamedTuple):
@@ -36,28 +61,30 @@ class Spans(NamedTuple):
     twice: BoolArray
 
 
-def axis_offset(collection: Collection, x: FloatArray, y: FloatArray, pulses: slice | IntArray | int) -> FloatArray:
-    """Angle of ground points x, y (m) off the beam's centre at pulses, rad; points and pulses are broadcast."""
+def axis_offset(
+    collection: Collection, x: FloatArray, y: FloatArray, pulses: slice | IntArray | int, z: Height | None = None
+) -> FloatArray:
+    """Angle of points x, y, z (m) off the beam's centre at pulses, rad; points and pulses are broadcast."""
     assert collection.beam_axis is not None and collection.beam_steering is not None
     px, py, pz = np.moveaxis(collection.antenna_position[pulses], -1, 0)
     ax, ay, az = np.moveaxis(collection.beam_axis[pulses], -1, 0)
-    dx, dy, dz = x - px, y - py, collection.ground_height - pz
+    dx, dy, dz = x - px, y - py, (collection.ground_height if z is None else z) - pz
     sine = (dx * ax + dy * ay + dz * az) / np.sqrt(dx * dx + dy * dy + dz * dz)
     return np.asarray(np.arcsin(np.clip(sine, -1.0, 1.0)) - collection.beam_steering[pulses])
 
 
-def axis_spans(collection: Collection, x: FloatArray, y: FloatArray) -> Spans:
-    """The lit pulses of points x, y (n,), m: exactly those with |offset| <= beam_width / 2.
+def axis_spans(collection: Collection, x: FloatArray, y: FloatArray, z: Height | None = None) -> Spans:
+    """The lit pulses of points x, y, z (n,), m: exactly those with |offset| <= beam_width / 2.
 
     Where a point is lit twice, from the first lit pulse to the last.
     """
-    n = collection.n_pulse
-    turning, rising = _turning(collection, x, y)
+    n, points = collection.n_pulse, Points.of(collection, x, y, z)
+    turning, rising = _turning(collection, points)
     first, last = np.zeros(x.size, np.int64), np.zeros(x.size, np.int64)
     twice = np.zeros(x.size, np.bool_)
     once = np.flatnonzero(turning >= 0)
     if once.size:
-        at, sign = (x[once], y[once]), np.where(rising[once], 1.0, -1.0)
+        at, sign = points.some(once), np.where(rising[once], 1.0, -1.0)
         middle = np.where(turning[once] > 0, turning[once], n)
         before = _passage(collection, at, np.zeros_like(middle), middle, sign)
         after = _passage(collection, at, middle, np.full_like(middle, n), -sign)
@@ -68,7 +95,7 @@ def axis_spans(collection: Collection, x: FloatArray, y: FloatArray) -> Spans:
     often = np.flatnonzero(turning < 0)
     rows = max(SCANNED // n, 1)
     for some in np.split(often, range(rows, often.size, rows)):
-        lit = np.abs(axis_offset(collection, x[some, None], y[some, None], slice(None))) <= _half(collection)
+        lit = np.abs(points.some(some).offsets(collection, slice(None))) <= _half(collection)
         any_ = lit.any(axis=1)
         first[some] = np.where(any_, lit.argmax(axis=1), 0)
         last[some] = np.where(any_, n - lit[:, ::-1].argmax(axis=1), 0)
@@ -89,25 +116,28 @@ def refuse_twice(collection: Collection, x: FloatArray, y: FloatArray, twice: Bo
         )
 
 
-def axis_dwell(collection: Collection, x: FloatArray, y: FloatArray, *, uncut: bool) -> tuple[FloatArray, FloatArray]:
-    """Times at which points x, y (n,), m, enter and leave the beam, s, as a continuous function of time.
+def axis_dwell(
+    collection: Collection, x: FloatArray, y: FloatArray, z: Height | None = None, *, uncut: bool
+) -> tuple[FloatArray, FloatArray]:
+    """Times at which points x, y, z (n,), m, enter and leave the beam, s, as a continuous function of time.
 
     Between pulses, offsets are interpolated linearly; beyond the ends of the collection they go on with their slope
     there. Without `uncut`, times are limited to the collection; the first is not before the last where a point is
-    never lit. Where offsets turn back, times are those of pulses. NaN where x or y is.
+    never lit. Where offsets turn back, times are those of pulses. NaN where x, y or z is.
     """
-    known = np.isfinite(x) & np.isfinite(y)
+    points = Points.of(collection, x, y, z)
+    known = np.isfinite(x) & np.isfinite(y) & np.isfinite(points.z)
     if not known.all():
         first, last = np.full(x.shape, np.nan), np.full(x.shape, np.nan)
-        first[known], last[known] = axis_dwell(collection, x[known], y[known], uncut=uncut)
+        first[known], last[known] = axis_dwell(collection, *points.some(known), uncut=uncut)
         return first, last
     time, half_pulse = collection.time, collection.pulse_interval / 2
-    turning, rising = _turning(collection, x, y)
+    turning, rising = _turning(collection, points)
     sign = np.where(rising, 1.0, -1.0)
-    first, last = (_edge_times(collection, (x, y), sign, level) for level in (-_half(collection), _half(collection)))
+    first, last = (_edge_times(collection, points, sign, level) for level in (-_half(collection), _half(collection)))
     bent = np.flatnonzero(turning != 0)
     if bent.size:
-        spans = axis_spans(collection, x[bent], y[bent])
+        spans = axis_spans(collection, *points.some(bent))
         lit, at_turn = spans.last > spans.first, time[np.maximum(turning[bent], 0)]
         first[bent] = np.where(lit, time[spans.first] - half_pulse, at_turn)
         last[bent] = np.where(lit, time[spans.last - 1] + half_pulse, at_turn)
@@ -116,19 +146,22 @@ def axis_dwell(collection: Collection, x: FloatArray, y: FloatArray, *, uncut: b
     return np.maximum(first, time[0] - half_pulse), np.minimum(last, time[-1] + half_pulse)
 
 
-def axis_passing(collection: Collection, x: FloatArray, y: FloatArray, place: float) -> FloatArray:
-    """Times at which points x, y (n,), m, are at a place in the beam, s: -1 where they enter, 1 where they leave it.
+def axis_passing(
+    collection: Collection, x: FloatArray, y: FloatArray, place: float, z: Height | None = None
+) -> FloatArray:
+    """Times at which points x, y, z (n,), m, are at a place in the beam, s: -1 where they enter, 1 where they leave it.
 
     As `axis_dwell`, as if the collection did not cut dwells; in proportion where offsets turn back, and at most half as
     far from the middle of the dwell again as in proportion.
     """
-    first, last = axis_dwell(collection, x, y, uncut=True)
+    points = Points.of(collection, x, y, z)
+    first, last = axis_dwell(collection, *points, uncut=True)
     middle, half = (first + last) / 2, (last - first) / 2
     known = np.flatnonzero(np.isfinite(middle))
-    turning, rising = _turning(collection, x[known], y[known])
+    turning, rising = _turning(collection, points.some(known))
     some = known[turning == 0]
     sign = np.where(rising[turning == 0], 1.0, -1.0)
-    found = _edge_times(collection, (x[some], y[some]), sign, place * _half(collection))
+    found = _edge_times(collection, points.some(some), sign, place * _half(collection))
     away = np.full(x.shape, place)
     spread = (1 - abs(place)) / 2
     away[some] = np.clip((found - middle[some]) / half[some], place - spread, place + spread)
@@ -139,35 +172,36 @@ def _half(collection: Collection) -> float:
     return (collection.beam_width or 0.0) / 2
 
 
-def _turning(collection: Collection, x: FloatArray, y: FloatArray) -> tuple[IntArray, BoolArray]:
+def _turning(collection: Collection, points: Points) -> tuple[IntArray, BoolArray]:
     """The pulse at which the offset of each point (n,) turns back, and whether it rises before that.
 
     The pulse is 0 where it never turns, -1 where it does so more than once.
     """
     nodes = np.unique(np.linspace(0, collection.n_pulse - 1, NODES + 1).round().astype(np.int64))
-    rising = np.diff(axis_offset(collection, x[:, None], y[:, None], nodes)) > 0
+    rising = np.diff(points.offsets(collection, nodes)) > 0
     changes = rising[:, 1:] != rising[:, :-1]
     count, where = changes.sum(axis=1), changes.argmax(axis=1)
     turning = np.where(count > 1, -1, 0).astype(np.int64)
     some = np.flatnonzero(count == 1)
+    once = points.some(some)
     low, high = nodes[where[some]], nodes[where[some] + 2]
     while (low < high).any():
         middle = np.minimum((low + high) // 2, collection.n_pulse - 2)
-        step = _at(collection, (x[some], y[some]), middle + 1) > _at(collection, (x[some], y[some]), middle)
+        step = _at(collection, once, middle + 1) > _at(collection, once, middle)
         as_before = step == rising[some, 0]
         low, high = np.where(as_before & (low < high), middle + 1, low), np.where(as_before, high, middle)
     turning[some] = low
     return turning, rising[:, 0]
 
 
-def _at(collection: Collection, points: tuple[FloatArray, FloatArray], pulses: IntArray) -> FloatArray:
+def _at(collection: Collection, points: Points, pulses: IntArray) -> FloatArray:
     """Offsets of points (n,) at a pulse each (n,)."""
-    return axis_offset(collection, *points, pulses)
+    return axis_offset(collection, points.x, points.y, pulses, points.z)
 
 
 def _first_pulse(
     collection: Collection,
-    points: tuple[FloatArray, FloatArray],
+    points: Points,
     low: IntArray,
     high: IntArray,
     sign: FloatArray,
@@ -186,7 +220,7 @@ def _first_pulse(
 
 def _passage(
     collection: Collection,
-    points: tuple[FloatArray, FloatArray],
+    points: Points,
     low: IntArray,
     high: IntArray,
     sign: FloatArray,
@@ -197,9 +231,7 @@ def _passage(
     return first, _first_pulse(collection, points, first, high, sign, half, beyond=True)
 
 
-def _edge_times(
-    collection: Collection, points: tuple[FloatArray, FloatArray], sign: FloatArray, level: float
-) -> FloatArray:
+def _edge_times(collection: Collection, points: Points, sign: FloatArray, level: float) -> FloatArray:
     """Times at which sign offset, which rises, passes the level, s."""
     n, time = collection.n_pulse, collection.time
     zeros = np.zeros(sign.size, np.int64)

@@ -9,6 +9,7 @@ the very edge are lit. A collection whose beam is not steered lights every point
 positions ask `is_lit`, `lit_interval` and `dwell`; `is_lit` and `lit_interval` compare without tolerance. Callers that
 work in the polar frame ask `lit_pulses`, `weighted_pulses`, `dwell_at` and `lit_total`, which allow for the rounding of
 computed yaws (`EDGE`). `pulse_weights` are the weights over a dwell, `pattern_gain` is the antenna's pattern.
+Points x, y lie on the ground, or at heights z, m, which count under a beam about its axis and in elevation patterns.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from typing import TypeVar
 import numpy as np
 
 from blocksar.arrays import BoolArray, FloatArray, IntArray
-from blocksar.collection.axis_beam import axis_dwell, axis_offset, axis_passing, axis_spans, refuse_twice
+from blocksar.collection.axis_beam import Height, axis_dwell, axis_offset, axis_passing, axis_spans, refuse_twice
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import FLAT, Taper
@@ -29,6 +30,7 @@ from blocksar.constants import TURN
 from blocksar.errors import InputError
 
 Angle = TypeVar("Angle", float, FloatArray)
+Pulses = slice | IntArray | int
 
 # rad; 3 micrometres at 30 km. The only tolerance, for yaws that were themselves computed from the beam's edge: they
 # carry rounding errors (4e-16 at pi, 1e-14 at 100 rad, 1e-11 where coordinates are large) and still count as on it.
@@ -75,10 +77,13 @@ def beam_at(collection: Collection, pulses: slice) -> tuple[FloatArray, float]:
 # ---------------------------------------------------------------- pulses that light a point
 
 
-def is_lit(geometry: Geometry, x: FloatArray, y: FloatArray, pulses: slice = slice(None)) -> BoolArray:
-    """Which pulses light ground points x, y (...), m: (..., n_pulse)."""
+def is_lit(
+    geometry: Geometry, x: FloatArray, y: FloatArray, pulses: slice = slice(None), z: Height | None = None
+) -> BoolArray:
+    """Which pulses light points x, y (...), m: (..., n_pulse)."""
     if geometry.collection.has_axis:
-        offset = beam_offset(geometry, np.asarray(x)[..., None], np.asarray(y)[..., None], pulses)
+        px, py, pz = (np.asarray(axis)[..., None] for axis in (x, y, _height(geometry, x, y, z)))
+        offset = beam_offset(geometry, px, py, pulses, pz)
         return np.asarray(np.abs(offset) <= (geometry.collection.beam_width or 0.0) / 2)
     return in_beam(geometry.yaw(x, y)[..., None], *beam_at(geometry.collection, pulses))
 
@@ -106,11 +111,10 @@ def lit_interval(geometry: Geometry, x: FloatArray, y: FloatArray) -> tuple[IntA
     """
     collection = geometry.collection
     if collection.has_axis:
-        shape = np.shape(x)
-        x, y = np.ravel(np.asarray(x, np.float64)), np.ravel(np.asarray(y, np.float64))
-        spans = axis_spans(collection, x, y)
-        refuse_twice(collection, x, y, spans.twice)
-        return spans.first.reshape(shape), spans.last.reshape(shape)
+        points = _raveled(x, y, _height(geometry, x, y, None))
+        spans = axis_spans(collection, *points)
+        refuse_twice(collection, *points[:2], spans.twice)
+        return spans.first.reshape(np.shape(x)), spans.last.reshape(np.shape(x))
     yaw = np.asarray(geometry.yaw(np.asarray(x, np.float64), np.asarray(y, np.float64)))
     if collection.beam_width is not None:
         beam, width = collection.beam_azimuth, collection.beam_width
@@ -141,12 +145,11 @@ def inner_interval(geometry: Geometry, x: FloatArray, y: FloatArray, share: floa
         0 .. 1.
     """
     narrow = replace(geometry.collection, beam_width=share * (geometry.collection.beam_width or 0.0))
-    shape, x, y = np.shape(x), np.ravel(np.asarray(x, np.float64)), np.ravel(np.asarray(y, np.float64))
     if narrow.has_axis:
-        spans = axis_spans(narrow, x, y)
-        return spans.first.reshape(shape), spans.last.reshape(shape)
-    first, last = _lit_interval(narrow, np.asarray(geometry.yaw(x, y)), tolerance=0.0)
-    return first.reshape(shape), last.reshape(shape)
+        first, last, _ = axis_spans(narrow, *_raveled(x, y, _height(geometry, x, y, None)))
+    else:
+        first, last = _lit_interval(narrow, np.asarray(geometry.yaw(*_raveled(x, y, 0.0)[:2])), tolerance=0.0)
+    return first.reshape(np.shape(x)), last.reshape(np.shape(x))
 
 
 def lit_pulses(collection: Collection, yaw: FloatArray, valid: FloatArray) -> FloatArray:
@@ -210,6 +213,7 @@ def lit_total(
     begin, stop = (np.broadcast_to(np.clip((t - start) * collection.prf, 0, None), shape) for t in (first, last))
     before, pulse = np.concatenate([[0.0], np.cumsum(valid)]), np.arange(valid.size + 1.0)
     x, y = geometry.ground_axes(epoch_range[:, None], yaw)
+    z = geometry.level(epoch_range[:, None], yaw)
     weighed = collection.has_pattern or not taper.uniform
     parts, total = GAIN_PARTS if weighed else 1, np.zeros(shape)
     for part in range(parts):
@@ -217,7 +221,7 @@ def lit_total(
         count = np.interp(high, pulse, before) - np.interp(low, pulse, before)
         if weighed:
             middle = np.clip((low + high) / 2, 0, valid.size - 1).astype(np.int64)
-            count = count * pulse_weights(geometry, x, y, middle, taper) * pattern_gain(geometry, x, y, middle)
+            count = count * pulse_weights(geometry, x, y, middle, taper, z) * pattern_gain(geometry, x, y, middle, z)
         total += count
     return np.asarray(np.where((last > first) & np.isfinite(x), np.maximum(total, 0.0), 0.0))
 
@@ -225,18 +229,20 @@ def lit_total(
 # ---------------------------------------------------------------- angles off the beam's centre, weights and patterns
 
 
-def beam_offset(geometry: Geometry, x: FloatArray, y: FloatArray, pulses: slice | IntArray | int) -> FloatArray:
-    """Angle of ground points x, y (m) off the beam's centre at pulses, rad; points and pulses are broadcast."""
+def beam_offset(
+    geometry: Geometry, x: FloatArray, y: FloatArray, pulses: Pulses, z: Height | None = None
+) -> FloatArray:
+    """Angle of points x, y (m) off the beam's centre at pulses, rad; points and pulses are broadcast."""
     collection = geometry.collection
     if collection.has_axis:
-        return axis_offset(collection, x, y, pulses)
+        return axis_offset(collection, x, y, pulses, _height(geometry, x, y, z))
     return wrapped(geometry.yaw(x, y) - collection.beam_azimuth[pulses])
 
 
 def pulse_weights(
-    geometry: Geometry, x: FloatArray, y: FloatArray, pulses: slice | IntArray | int, taper: Taper
+    geometry: Geometry, x: FloatArray, y: FloatArray, pulses: Pulses, taper: Taper, z: Height | None = None
 ) -> FloatArray:
-    """Weights w of pulses at ground points x, y (m); points and pulses are broadcast.
+    """Weights w of pulses at points x, y (m); points and pulses are broadcast.
 
     A taper of v = 2 offset / beam_width, or of the pulse's place in the collection where the beam is not steered.
     """
@@ -245,11 +251,13 @@ def pulse_weights(
         return np.ones(())
     if collection.beam_width is None:
         return taper.samples(collection.n_pulse)[pulses]
-    return taper(2 * beam_offset(geometry, x, y, pulses) / collection.beam_width)
+    return taper(2 * beam_offset(geometry, x, y, pulses, z) / collection.beam_width)
 
 
-def pattern_gain(geometry: Geometry, x: FloatArray, y: FloatArray, pulses: slice | IntArray | int) -> FloatArray:
-    """Two-way amplitude g that the antenna gives ground points x, y (m) at pulses; points and pulses are broadcast.
+def pattern_gain(
+    geometry: Geometry, x: FloatArray, y: FloatArray, pulses: Pulses, z: Height | None = None
+) -> FloatArray:
+    """Two-way amplitude g that the antenna gives points x, y (m) at pulses; points and pulses are broadcast.
 
     The product of both patterns, linear between their samples; 1 where there is none.
     """
@@ -257,9 +265,9 @@ def pattern_gain(geometry: Geometry, x: FloatArray, y: FloatArray, pulses: slice
     px, py, pz = np.moveaxis(collection.antenna_position[pulses], -1, 0)
     gain = np.ones(np.broadcast_shapes(np.shape(x), np.shape(px)))
     if collection.beam_offset is not None and collection.beam_pattern is not None:
-        gain = np.interp(beam_offset(geometry, x, y, pulses), collection.beam_offset, collection.beam_pattern)
+        gain = np.interp(beam_offset(geometry, x, y, pulses, z), collection.beam_offset, collection.beam_pattern)
     if collection.elevation is not None and collection.elevation_pattern is not None:
-        down = np.arctan2(pz - collection.ground_height, np.sqrt((x - px) ** 2 + (y - py) ** 2))
+        down = np.arctan2(pz - _height(geometry, x, y, z), np.sqrt((x - px) ** 2 + (y - py) ** 2))
         gain = gain * np.interp(down, collection.elevation, collection.elevation_pattern)
     return np.asarray(gain)
 
@@ -267,8 +275,8 @@ def pattern_gain(geometry: Geometry, x: FloatArray, y: FloatArray, pulses: slice
 def dwell_weight(geometry: Geometry, x: FloatArray, y: FloatArray, time: FloatArray, taper: Taper) -> FloatArray:
     """w g of ground points x, y (m) at slow times (s): what they count in the sum to an image; broadcast."""
 
-    def weight(geometry: Geometry, x: FloatArray, y: FloatArray, pulses: IntArray) -> FloatArray:
-        return pulse_weights(geometry, x, y, pulses, taper) * pattern_gain(geometry, x, y, pulses)
+    def weight(geometry: Geometry, x: FloatArray, y: FloatArray, pulses: IntArray, z: Height | None) -> FloatArray:
+        return pulse_weights(geometry, x, y, pulses, taper, z) * pattern_gain(geometry, x, y, pulses, z)
 
     return at_times(geometry, x, y, time, weight)
 
@@ -278,14 +286,28 @@ def at_times(
     x: FloatArray,
     y: FloatArray,
     time: FloatArray,
-    value: Callable[[Geometry, FloatArray, FloatArray, IntArray], FloatArray],
+    value: Callable[[Geometry, FloatArray, FloatArray, IntArray, Height | None], FloatArray],
+    z: Height | None = None,
 ) -> FloatArray:
     """`value` of points and pulses, such as `beam_offset`, at slow times (s), linear between pulses; broadcast."""
     collection = geometry.collection
     position = (time - collection.time[0]) * collection.prf
     before = np.clip(np.floor(position), 0, collection.n_pulse - 2).astype(np.int64)
     part = np.clip(position - before, 0.0, 1.0)
-    return np.asarray(value(geometry, x, y, before) * (1 - part) + value(geometry, x, y, before + 1) * part)
+    return np.asarray(value(geometry, x, y, before, z) * (1 - part) + value(geometry, x, y, before + 1, z) * part)
+
+
+def _height(geometry: Geometry, x: FloatArray, y: FloatArray, z: Height | None) -> Height:
+    """Heights z, by default those of the ground at points x, y, broadcast; one number on the plane."""
+    if z is not None or geometry.terrain is None:
+        return geometry.collection.ground_height if z is None else z
+    return geometry.on_ground(x, y)[..., 2]
+
+
+def _raveled(x: FloatArray, y: FloatArray, z: Height) -> tuple[FloatArray, FloatArray, Height]:
+    """Points (n,), whose height may be one number."""
+    along_x, along_y = (np.ravel(np.asarray(axis, np.float64)) for axis in (x, y))
+    return along_x, along_y, np.ravel(z) if isinstance(z, np.ndarray) else z
 
 
 def _lit_interval(collection: Collection, yaw: FloatArray, *, tolerance: float) -> tuple[IntArray, IntArray]:
@@ -340,10 +362,12 @@ def aperture(collection: Collection) -> tuple[float, float]:
     return collection.time[0] - half_pulse, collection.time[-1] + half_pulse
 
 
-def dwell(geometry: Geometry, x: FloatArray, y: FloatArray, *, uncut: bool = False) -> tuple[FloatArray, FloatArray]:
+def dwell(
+    geometry: Geometry, x: FloatArray, y: FloatArray, *, z: Height | None = None, uncut: bool = False
+) -> tuple[FloatArray, FloatArray]:
     """First and last lit slow time of ground points x, y (...), m: see `dwell_at`."""
     if geometry.collection.has_axis:
-        return _axis_dwell(geometry, np.asarray(x, np.float64), np.asarray(y, np.float64), uncut=uncut)
+        return _axis_dwell(geometry, np.asarray(x), np.asarray(y), _height(geometry, x, y, z), uncut=uncut)
     return dwell_at(geometry, geometry.yaw(x, y), np.zeros(1), uncut=uncut)
 
 
@@ -363,7 +387,8 @@ def dwell_at(
     """
     collection = geometry.collection
     if collection.has_axis:
-        return _axis_dwell(geometry, *geometry.ground_axes(epoch_range, yaw), uncut=uncut)
+        z = geometry.level(epoch_range, yaw)
+        return _axis_dwell(geometry, *geometry.ground_axes(epoch_range, yaw), z, uncut=uncut)
     start, end = aperture(collection)
     yaw = np.asarray(yaw, dtype=np.float64)
     if collection.beam_width is None:
@@ -386,8 +411,8 @@ def passing_at(geometry: Geometry, yaw: FloatArray, epoch_range: FloatArray, pla
     """
     collection = geometry.collection
     if collection.has_axis:
-        x, y = np.broadcast_arrays(*geometry.ground_axes(epoch_range, yaw))
-        return axis_passing(collection, x.ravel(), y.ravel(), place).reshape(x.shape)
+        x, y, z = np.broadcast_arrays(*geometry.ground_axes(epoch_range, yaw), geometry.level(epoch_range, yaw))
+        return axis_passing(collection, x.ravel(), y.ravel(), place, z.ravel()).reshape(x.shape)
     beam = collection.beam_azimuth
     turned, sign = turned_near(np.asarray(yaw, np.float64), (beam[0] + beam[-1]) / 2), np.sign(beam[-1] - beam[0])
     times = _times_at(collection, turned + place * sign * (collection.beam_width or 0.0) / 2)
@@ -403,9 +428,12 @@ def _times_at(collection: Collection, level: FloatArray) -> FloatArray:
     return np.asarray(inside + slope * (level - np.clip(level, min(beam[0], beam[-1]), max(beam[0], beam[-1]))))
 
 
-def _axis_dwell(geometry: Geometry, x: FloatArray, y: FloatArray, *, uncut: bool) -> tuple[FloatArray, FloatArray]:
+def _axis_dwell(
+    geometry: Geometry, x: FloatArray, y: FloatArray, z: Height, *, uncut: bool
+) -> tuple[FloatArray, FloatArray]:
     x, y = np.broadcast_arrays(x, y)
-    first, last = axis_dwell(geometry.collection, x.ravel(), y.ravel(), uncut=uncut)
+    z = np.broadcast_to(z, x.shape) if isinstance(z, np.ndarray) else z
+    first, last = axis_dwell(geometry.collection, *_raveled(x, y, z), uncut=uncut)
     return first.reshape(x.shape), last.reshape(x.shape)
 
 
@@ -435,7 +463,9 @@ def centre_yaw(
     return np.array(rows).reshape(*np.shape(epoch_range), time.size)
 
 
-def has_full_dwell(geometry: Geometry, x: FloatArray | float, y: FloatArray | float) -> BoolArray:
+def has_full_dwell(
+    geometry: Geometry, x: FloatArray | float, y: FloatArray | float, z: Height | None = None
+) -> BoolArray:
     """Whether the whole beam sweeps over targets at x, y (...), m, to within one pulse; true if it is not steered.
 
     Where the beam stands still: whether it lights them. About its axis: also where it lights them all the time.
@@ -443,7 +473,8 @@ def has_full_dwell(geometry: Geometry, x: FloatArray | float, y: FloatArray | fl
     collection = geometry.collection
     if collection.has_axis:
         start, end = aperture(collection)
-        first, last = _axis_dwell(geometry, np.asarray(x, np.float64), np.asarray(y, np.float64), uncut=True)
+        x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
+        first, last = _axis_dwell(geometry, x, y, _height(geometry, x, y, z), uncut=True)
         whole = (first >= start - collection.pulse_interval) & (last <= end + collection.pulse_interval)
         return np.asarray((whole & (last > first)) | ((first <= start) & (last >= end)))
     yaw = geometry.yaw(np.asarray(x), np.asarray(y))

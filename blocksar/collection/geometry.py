@@ -181,6 +181,16 @@ def _rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(values * values)))
 
 
+@dataclass(frozen=True)
+class Level:
+    """A level ground at a height, m."""
+
+    height: float
+
+    def __call__(self, epoch_range: FloatArray, yaw: FloatArray) -> FloatArray:
+        return np.full(np.broadcast_shapes(np.shape(epoch_range), np.shape(yaw)), self.height)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Geometry:
     """The fitted track of a collection, its nadir at t = 0 and its epoch; and the ground.
@@ -217,6 +227,14 @@ class Geometry:
         kept = ("track", "epoch", "nadir", "epoch_position", "track_powers")
         other.__dict__.update({name: self.__dict__[name] for name in kept if name in self.__dict__})
         return other
+
+    @property
+    def levels(self) -> tuple[Geometry, ...]:
+        """The plane; on a terrain, planes at its lowest, mean and highest height, between which it lies."""
+        if self.terrain is None:
+            return (self,)
+        low, high = self.terrain.limits
+        return tuple(self.over(None, Level(height)) for height in (low, self.collection.ground_height, high))
 
     def height(self, x: FloatArray, y: FloatArray) -> FloatArray | float:
         """Height z of ground points x, y (m), m: one number on the plane; NaN where the terrain has none."""

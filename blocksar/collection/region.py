@@ -6,7 +6,7 @@ Regions are given in yaw, and in range from the antenna position at the epoch.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -90,7 +90,8 @@ def plan_region(geometry: Geometry, grid: Grid | None) -> Region:
         )
     yaw = np.unwrap(geometry.yaw(x, y))
     if collection.has_axis:
-        return _lit_region(geometry, grid, float(yaw.min()), float(yaw.max()))
+        ends = float(yaw.min()), float(yaw.max())
+        return _joined([_lit_region(level, grid, *ends) for level in geometry.levels])
     rng = geometry.epoch_range(*on_terrain(geometry, grid, x, y))
     pad = 0.01 * np.ptp(yaw)
     nodes = np.linspace(yaw.min() - pad, yaw.max() + pad, 33)
@@ -145,6 +146,16 @@ def _lit_region(geometry: Geometry, grid: Grid, low: float, high: float) -> Regi
     farthest = np.maximum(np.maximum(farthest[:-2], farthest[1:-1]), farthest[2:])
     lit_there = nearest < farthest
     return Region(yaw=yaw, near=np.where(lit_there, nearest, near), far=np.where(lit_there, farthest, far))
+
+
+def _joined(regions: Sequence[Region]) -> Region:
+    """The region that holds some regions."""
+    if len(regions) == 1:
+        return regions[0]
+    low, high = min(float(each.yaw[0]) for each in regions), max(float(each.yaw[-1]) for each in regions)
+    yaw = np.linspace(low, high, regions[0].yaw.size)
+    near, far = (np.array(limits) for limits in zip(*(each.at(yaw) for each in regions), strict=True))
+    return Region(yaw=yaw, near=near.min(axis=0), far=far.max(axis=0))
 
 
 def _lit_ranges(

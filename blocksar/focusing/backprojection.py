@@ -249,15 +249,15 @@ def _relief(geometry: Geometry, x: FloatArray, y: FloatArray, outside: BoolArray
 
 def _beam_taper(taper: Taper, profiles: Profiles, geometry: Geometry, fade: int) -> BeamTaper:
     """The weights of a block of pulses under a taper over the beam."""
-    terms, frequency = taper.series
     start, half = profiles.pulses.start, (geometry.collection.beam_width or np.inf) / 2
 
-    def place(x: FloatArray, y: FloatArray, pulses: slice) -> FloatArray:
+    def place(x: FloatArray, y: FloatArray, pulses: slice, over: FloatArray | None) -> FloatArray:
         block = slice(pulses.start + start, pulses.stop + start)
-        return beam_offset(geometry, x[:, None], y[:, None], block) / half
+        z = geometry.collection.ground_height + (0.0 if over is None else over[:, None])
+        return beam_offset(geometry, x[:, None], y[:, None], block, z) / half
 
     valid = profiles.valid / geometry.collection.n_range_frequency
-    return BeamTaper(terms=terms, frequency=frequency, valid=valid, place=place, fade=fade)
+    return BeamTaper(terms=taper.series[0], frequency=taper.series[1], valid=valid, place=place, fade=fade)
 
 
 def form_points(
@@ -332,7 +332,7 @@ def form_points(
         del profiles  # before the next block is read: otherwise two blocks are in memory
         if collection.has_pattern:
             _add_gains(
-                gains, geometry, x, y, first=first, last=last, pulses=pulses, valid=valid, taper=over_beam,
+                gains, geometry, x, y, height, first=first, last=last, pulses=pulses, valid=valid, taper=over_beam,
                 threads=threads,
             )  # fmt: skip
     if collection.has_pattern:
@@ -440,15 +440,15 @@ def _lit_intervals(geometry: Geometry, x: FloatArray, y: FloatArray, threads: in
 
 
 def _add_gains(
-    gains: FloatArray, geometry: Geometry, x: FloatArray, y: FloatArray, *, first: IntArray, last: IntArray,
-    pulses: slice, valid: IntArray | FloatArray, taper: Taper, threads: int,
+    gains: FloatArray, geometry: Geometry, x: FloatArray, y: FloatArray, height: FloatArray | None, *,
+    first: IntArray, last: IntArray, pulses: slice, valid: IntArray | FloatArray, taper: Taper, threads: int,
 ) -> None:  # fmt: skip
     """`pattern_sums.add_gains` tile by tile, in threads."""
 
     def work(tile: Tile) -> None:
         add_gains(
-            gains[tile], geometry, x[tile], y[tile], first=first[tile], last=last[tile], pulses=pulses,
-            valid=valid[pulses], taper=taper,
+            gains[tile], geometry, x[tile], y[tile], None if height is None else height[tile], first=first[tile],
+            last=last[tile], pulses=pulses, valid=valid[pulses], taper=taper,
         )  # fmt: skip
 
     _run_tiles(work, gains.shape, threads)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from blocksar.arrays import FloatArray
 from blocksar.collection.beam import lit_total, weighted_pulses, wrapped
 from blocksar.collection.geometry import Geometry
+from blocksar.collection.region import Region
 from blocksar.collection.weighting import Taper
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.lines import Focus, RowPolynomial
@@ -144,6 +145,14 @@ class GroundMap:
         near = self.lit[i, j] * (1 - along) + self.lit[i, j + 1] * along
         far = self.lit[i + 1, j] * (1 - along) + self.lit[i + 1, j + 1] * along
         return np.asarray(near * (1 - down) + far * down)
+
+    def widened(self, region: Region, room: float) -> GroundMap:
+        """The same with limits and sums over lit pulses known `room`, rad, beyond the block."""
+        yaw = np.linspace(self.low - room, self.high + room, self.yaw_axis.size)
+        near_limit, far_limit = region.at(yaw)
+        valid = np.ones(self.geometry.collection.n_pulse)
+        lit = sum_lit(self.geometry, near=self.near, far=self.far, yaw=yaw, valid=valid, taper=self.taper)
+        return replace(self, yaw_axis=yaw, near_limit=near_limit, far_limit=far_limit, lit=lit)
 
     def doppler_slope(self) -> FloatArray:
         """Doppler of the focus per yaw, Hz/rad, over the block's ranges and yaws (9, 33)."""

@@ -21,6 +21,7 @@ def add_gains(
     geometry: Geometry,
     x: FloatArray,
     y: FloatArray,
+    height: FloatArray | None = None,
     *,
     first: IntArray,
     last: IntArray,
@@ -37,6 +38,8 @@ def add_gains(
     total : (n_row, n_column) float
     x, y : (n_row, n_column) float
         m, scene frame.
+    height : (n_row, n_column) float, optional
+        Over the plane z = ground_height, m. None: on it.
     first, last : (n_row, n_column) int
         Lit pulses, of the collection.
     pulses : slice
@@ -59,7 +62,8 @@ def add_gains(
     tables = [np.array(values) for pair in (across, down) for values in (_NONE if pair[1] is None else pair)]
     antenna = collection.antenna_position[pulses] - np.array([0.0, 0.0, collection.ground_height])
     # Copies: the loop is compiled for one layout of its arrays.
-    places = [np.array(values, order="C") for values in (x, y, yaw)]
+    over = np.zeros(x.shape) if height is None else height
+    places = [np.array(values, order="C") for values in (x, y, over, yaw)]
     lit = [np.array(values, np.int64, order="C") for values in (first, last)]
     antenna, sums = np.array(antenna, order="C"), np.array(total, order="C")
     beam = [np.array(values, order="C") for values in (axis, steering, azimuth)]
@@ -87,11 +91,11 @@ def _between(angle, angles, values):  # type: ignore[no-untyped-def]
 
 
 @loop(
-    types.float64[:, ::1], *[REAL_ROWS] * 3, *[_PULSES] * 2, *[REAL_ROWS] * 2, *[REAL_ROW] * 3, types.int64,
+    types.float64[:, ::1], *[REAL_ROWS] * 4, *[_PULSES] * 2, *[REAL_ROWS] * 2, *[REAL_ROW] * 3, types.int64,
     types.boolean, *[REAL_ROW] * 5, types.float64, nogil=True,
 )  # fmt: skip
 def _add_gains(  # type: ignore[no-untyped-def]
-    total, x, y, yaw, first, last, antenna, axis, steering, azimuth, valid, start, has_axis, offsets, pattern,
+    total, x, y, over, yaw, first, last, antenna, axis, steering, azimuth, valid, start, has_axis, offsets, pattern,
     elevations, elevation_pattern, terms, pace,
 ):  # fmt: skip
     """The sum of `add_gains`; the antenna's heights (n, 3) are above the ground."""
@@ -99,7 +103,8 @@ def _add_gains(  # type: ignore[no-untyped-def]
     for row in range(x.shape[0]):
         for column in range(x.shape[1]):
             for p in range(max(first[row, column] - start, 0), min(last[row, column] - start, n)):
-                dx, dy, height = x[row, column] - antenna[p, 0], y[row, column] - antenna[p, 1], antenna[p, 2]
+                dx, dy = x[row, column] - antenna[p, 0], y[row, column] - antenna[p, 1]
+                height = antenna[p, 2] - over[row, column]
                 gain = 1.0
                 if pattern.size > 1 or terms.size > 1:
                     if has_axis:

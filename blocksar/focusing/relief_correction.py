@@ -90,14 +90,15 @@ def _bent_taps(n_tap: int, occupancy: float, most: float) -> BentTaps:
 def locate_on_relief(ground: GroundMap, x: FloatArray, y: FloatArray, z: FloatArray) -> tuple[FloatArray, ...]:
     """Row and Doppler index, phase (cycles), 1 / gain, relative yaw, dwell time and bend of points (...), m.
 
-    The row is without (range - origin) / step, the phase without the carrier's. The dwell time is in cycles per Doppler
-    sample, the bend in cycles at the dwell's ends.
+    The yaw is that of the point of the smooth ground with the same range and place in the beam. The row is without
+    (range - origin) / step, the phase without the carrier's. The dwell time is in cycles per Doppler sample, the bend
+    in cycles at the dwell's ends.
     """
     assert ground.relief is not None
     geometry = ground.geometry
     epoch_range, turn = geometry.epoch_range(x, y, z), ground.relative_yaw(x, y)
     turn = np.broadcast_to(turn, epoch_range.shape)
-    offset, doppler, cycles, gain, time, bend = ground.relief(epoch_range, ground.middle_yaw + turn, z)
+    offset, doppler, cycles, gain, time, bend, beyond = ground.relief(epoch_range, ground.middle_yaw + turn, z)
     if ground.common is not None:
         common, rate, _ = ground.common.evaluate(epoch_range - ground.origin + offset, doppler[..., None])
         cycles, time = cycles + common[..., 0], time - rate[..., 0]
@@ -106,7 +107,7 @@ def locate_on_relief(ground: GroundMap, x: FloatArray, y: FloatArray, z: FloatAr
         ground.doppler.position(doppler),
         cycles,
         1 / gain,
-        turn,
+        turn + beyond if ground.relief.turns else turn,
         time * ground.doppler.step,
         bend * bend_scale(ground),
     )

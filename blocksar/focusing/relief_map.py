@@ -12,7 +12,7 @@ from blocksar.focusing.surfaces import Surface
 
 BEYOND = 1.2  # half extents of its domain from its middle, at which a smooth ground ends: it goes on level
 SHORT = 0.05  # of the fourth moment of the longest dwells: half of their length
-QUANTITIES = 6  # range offset, Doppler, phase, gain, time and bend
+QUANTITIES, GAIN = 6, 3  # range offset, Doppler, phase, gain, time and bend; which of them is the gain
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,16 +43,6 @@ class NodeHeights:
         return height + self.over if height.shape == self.over.shape else height
 
 
-@dataclass(frozen=True)
-class Level:
-    """A level ground at a height, m."""
-
-    height: float
-
-    def __call__(self, epoch_range: FloatArray, yaw: FloatArray) -> FloatArray:
-        return np.full(np.broadcast_shapes(np.shape(epoch_range), np.shape(yaw)), self.height)
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReliefMap:
     """Where and how points of a block's terrain focus, by epoch range, yaw and height over the smooth ground.
@@ -70,6 +60,9 @@ class ReliefMap:
         from the middle of its dwell, cycles/s^2.
     most_bend : float
         Largest magnitude of the bend, cycles/s^2.
+    turns : tuple of Surface
+        Under a beam about its axis, terms of a series as in `layers`: by how much the point of the smooth ground that
+        has the same range and place in the beam lies at a greater yaw, rad. Sums over lit pulses are known there.
     """
 
     smooth: SmoothGround
@@ -79,12 +72,16 @@ class ReliefMap:
     highest: float
     layers: tuple[tuple[Surface, ...], ...]
     most_bend: float
+    turns: tuple[Surface, ...] = ()
 
     def __call__(self, epoch_range: FloatArray, yaw: FloatArray, z: FloatArray) -> list[FloatArray]:
-        """The quantities of points at epoch ranges (m), yaws (rad) and heights z (m), all of one shape."""
+        """The quantities of points at epoch ranges (m), yaws (rad) and heights z (m), all of one shape.
+
+        Last the turn; 0 where there is none.
+        """
         w = (2 * (z - self.smooth(epoch_range, yaw)) - self.low - self.high) / (self.high - self.low)
         values = []
-        for terms in self.layers:
+        for terms in (*self.layers, self.turns):
             before, chebyshev = np.zeros_like(w), np.ones_like(w)
             total = np.zeros_like(w)
             for k, term in enumerate(terms):

@@ -32,71 +32,128 @@ import numpy as np
 from numpy.typing import NDArray
 
 from blocksar.arrays import FloatArray
-from blocksar.collection.beam import aperture, dwell_at, lit_yaw, turned_near
+from blocksar.collection.beam import aperture, dwell, dwell_at, lit_yaw, turned_near
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.kernels.occlusion import STEPS, block_extremes, find_visibility
 
-NODES = 257  # yaws between which the antenna's place at the middle of dwells is interpolated
+NODES = 257  # yaws, or times, between which the antenna's place at the middle of dwells is interpolated
+BOX_NODES = 65  # places along each side of a box between which these times are, under a beam about its axis
 PLACES_PER_SAMPLE = 4  # of the terrain, along each axis, at which visibility is found; pixels take the nearest
 ROWS = 64  # of pixels whose angles are computed at a time
 EDGE_NODES = 9  # a side of a window, for which the reach of shadow and layover is found
 Box = tuple[tuple[float, float], tuple[float, float]]  # x and y, from .. to, m
 
 
+def box_of(x: FloatArray, y: FloatArray) -> Box:
+    """The box of an image's columns and rows, m."""
+    return (float(x[0]), float(x[-1])), (float(y[0]), float(y[-1]))
+
+
+@dataclass(frozen=True, eq=False)
+class Middles:
+    """Slow time at the middle of dwells under a beam about its axis, at places of a box; linear in between.
+
+    Attributes
+    ----------
+    x, y, z : (n,) float
+        m, ascending and uniform.
+    time : (n_z, n_y, n_x) float
+        s
+    """
+
+    x: FloatArray
+    y: FloatArray
+    z: FloatArray
+    time: FloatArray
+
+    @classmethod
+    def over(cls, geometry: Geometry, box: Box, levels: tuple[float, float]) -> Middles:
+        """Those over a box, between two heights, m."""
+        x, y = (np.linspace(low, max(high, low + 1.0), BOX_NODES) for low, high in box)
+        z = np.array([levels[0], max(levels[1], levels[0] + 1.0)])
+        start, end = aperture(geometry.collection)
+        times = []
+        for height in z.tolist():
+            first, last = dwell(geometry, *np.meshgrid(x, y), z=height, uncut=True)
+            middle = (np.maximum(first, start) + np.minimum(last, end)) / 2
+            times.append(np.clip(np.nan_to_num(middle, nan=(start + end) / 2), start, end))
+        return cls(x, y, z, np.stack(times))
+
+    def at(self, x: FloatArray, y: FloatArray, z: FloatArray | None) -> FloatArray:
+        """Times of points (...), s; without z, m, at the middle height."""
+        height = np.full_like(x, self.z.mean()) if z is None else z
+        (i, u), (j, v), (_, w) = (_between(axis, at) for axis, at in ((self.x, x), (self.y, y), (self.z, height)))
+        low, high = (
+            (t[j, i] * (1 - u) + t[j, i + 1] * u) * (1 - v) + (t[j + 1, i] * (1 - u) + t[j + 1, i + 1] * u) * v
+            for t in self.time
+        )
+        return np.asarray(low * (1 - w) + high * w)
+
+
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """The antenna at the middle of the dwells of ground points, over their yaw.
+    """The antenna at the middle of the dwells of ground points, over their yaw, or over that time.
 
     Attributes
     ----------
     nadir : (2,) float
         Origin of the yaw, m.
-    yaw : (n,) float
-        rad, ascending.
+    along : (n,) float
+        Yaws, rad, or with `middles` slow times, s; ascending.
     position, velocity : (n, 3) float
         m, m/s.
+    middles : Middles or None
+        Under a beam about its axis, whose dwells depend on range and height.
     """
 
     nadir: FloatArray
-    yaw: FloatArray
+    along: FloatArray
     position: FloatArray
     velocity: FloatArray
+    middles: Middles | None = None
 
     @classmethod
-    def of(cls, geometry: Geometry) -> Sight:
-        """The antenna of a collection whose beam is described by its yaw, or that is not steered."""
+    def of(cls, geometry: Geometry, box: Box, levels: tuple[float, float]) -> Sight:
+        """The antenna of a collection, for points in a box between two heights, m."""
         collection = geometry.collection
-        middle = sum(aperture(collection)) / 2
+        middle, middles = sum(aperture(collection)) / 2, None
         if not collection.steered:
             yaw, time = np.zeros(1), np.array([middle])
+        elif collection.has_axis:
+            yaw = time = np.linspace(*aperture(collection), NODES)
+            middles = Middles.over(geometry, box, levels)
         else:
             yaw = np.linspace(*lit_yaw(collection), NODES)
             first, last = dwell_at(geometry, yaw, np.zeros(1))
             time = np.where(np.isfinite(first) & np.isfinite(last), (first + last) / 2, middle)
             time = np.clip(time, *aperture(collection))
-        return cls(geometry.nadir, yaw, geometry.track.position(time), geometry.track.velocity(time))
+        return cls(geometry.nadir, yaw, geometry.track.position(time), geometry.track.velocity(time), middles)
 
-    def antenna(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Positions (..., 3), m, at the middle of the dwells of points x, y (...), m."""
-        return self._at(self.position, x, y)
+    def antenna(self, x: FloatArray, y: FloatArray, z: FloatArray | None = None) -> FloatArray:
+        """Positions (..., 3), m, at the middle of the dwells of points x, y, z (...), m; without z at a mean height."""
+        return self._at(self.position, x, y, z)
 
-    def across(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Horizontal unit vectors (..., 2) across the track at the middle of the dwells of points x, y (...), m."""
-        velocity = self._at(self.velocity, x, y)
+    def across(self, x: FloatArray, y: FloatArray, z: FloatArray | None = None) -> FloatArray:
+        """Horizontal unit vectors (..., 2) across the track at the middle of the dwells of these points."""
+        velocity = self._at(self.velocity, x, y, z)
         normal = np.stack([-velocity[..., 1], velocity[..., 0]], axis=-1)
         return normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), np.finfo(float).tiny)
 
-    def velocity_at(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Velocities (..., 3), m/s, at the middle of the dwells of points x, y (...), m."""
-        return self._at(self.velocity, x, y)
+    def velocity_at(self, x: FloatArray, y: FloatArray, z: FloatArray | None = None) -> FloatArray:
+        """Velocities (..., 3), m/s, at the middle of the dwells of these points."""
+        return self._at(self.velocity, x, y, z)
 
-    def _at(self, values: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
-        if self.yaw.size == 1:
+    def _at(self, values: FloatArray, x: FloatArray, y: FloatArray, z: FloatArray | None) -> FloatArray:
+        if self.along.size == 1:
             return np.broadcast_to(values[0], (*np.shape(x), 3))
-        yaw = turned_near(np.arctan2(y - self.nadir[1], x - self.nadir[0]), float(self.yaw[0] + self.yaw[-1]) / 2)
-        return np.stack([np.interp(yaw, self.yaw, column) for column in values.T], axis=-1)
+        if self.middles is not None:
+            at = self.middles.at(x, y, z)
+        else:
+            middle = float(self.along[0] + self.along[-1]) / 2
+            at = turned_near(np.arctan2(y - self.nadir[1], x - self.nadir[0]), middle)
+        return np.stack([np.interp(at, self.along, column) for column in values.T], axis=-1)
 
 
 def incidence_angle(terrain: Terrain, sight: Sight, x: FloatArray, y: FloatArray, z: FloatArray) -> NDArray[np.float32]:
@@ -118,8 +175,9 @@ def gamma_factor(terrain: Terrain, sight: Sight, x: FloatArray, y: FloatArray) -
     for first in range(0, y.size, ROWS):
         rows = slice(first, first + ROWS)
         along_x, along_y = terrain.slopes_on_grid(x, y[rows])
-        ux, uy, uz = _sight(sight, x, y[rows], terrain.on_grid(x, y[rows]))
-        vx, vy, vz = np.moveaxis(sight.velocity_at(*np.meshgrid(x, y[rows])), -1, 0)
+        z = terrain.on_grid(x, y[rows])
+        ux, uy, uz = _sight(sight, x, y[rows], z)
+        vx, vy, vz = np.moveaxis(sight.velocity_at(*np.meshgrid(x, y[rows]), z), -1, 0)
         across_x, across_y, across_z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx  # u x v
         # Only ratios to those of a level surface count, so that no normal needs to have unit length.
         incidence = 1 - (ux * along_x + uy * along_y) / uz
@@ -176,13 +234,14 @@ def visibility(terrain: Terrain, sight: Sight, grid: Grid, window: tuple[slice, 
     rows, at_row = _places(grid.y, window[0], terrain.dy)
     columns, at_column = _places(grid.x, window[1], terrain.dx)
     x, y = (part.ravel() for part in np.meshgrid(grid.x[columns], grid.y[rows]))
-    antenna = sight.antenna(x, y) - np.stack([x, y, np.zeros(x.size)], axis=-1)
+    z = None if sight.middles is None else terrain(x, y)
+    antenna = sight.antenna(x, y, z) - np.stack([x, y, np.zeros(x.size)], axis=-1)
     heights = np.ascontiguousarray(terrain.heights, np.float64)
     found = np.empty(x.size, np.uint8)
     find_visibility(
         heights, *block_extremes(heights), np.array([terrain.dx, terrain.dy]),
         (x - terrain.x0) / terrain.dx - terrain.column, (y - terrain.y0) / terrain.dy - terrain.row,
-        antenna, np.ascontiguousarray(sight.across(x, y)), min(terrain.dx, terrain.dy) / STEPS, found,
+        antenna, np.ascontiguousarray(sight.across(x, y, z)), min(terrain.dx, terrain.dy) / STEPS, found,
     )  # fmt: skip
     return found.reshape(rows.size, columns.size)[at_row][:, at_column]
 
@@ -200,9 +259,16 @@ def by_owner(
     return np.full(owner.shape, missing) if layer is None else layer
 
 
+def _between(axis: FloatArray, at: FloatArray) -> tuple[NDArray[np.intp], FloatArray]:
+    """Index of the place of a uniform axis before each value (...), and the part of the way to the next."""
+    place = np.clip(np.nan_to_num((at - axis[0]) / (axis[1] - axis[0])), 0.0, axis.size - 1.0)
+    before = np.minimum(place.astype(np.intp), axis.size - 2)
+    return before, place - before
+
+
 def _sight(sight: Sight, x: FloatArray, y: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Components of the vectors from pixels to the antenna, m, each (n_y, n_x)."""
-    antenna = sight.antenna(*np.meshgrid(x, y))
+    antenna = sight.antenna(*np.meshgrid(x, y), z)
     return antenna[..., 0] - x, antenna[..., 1] - y[:, None], antenna[..., 2] - z
 
 

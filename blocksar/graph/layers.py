@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from blocksar import stores
 from blocksar.arrays import FloatArray
+from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.focusing.noise import NoiseMap
-from blocksar.focusing.terrain_layers import Sight, by_owner, incidence_angle, reach, visibility
+from blocksar.focusing.terrain_layers import Sight, box_of, by_owner, incidence_angle, reach, visibility
 from blocksar.graph.spectrum import Window
 from blocksar.kernels.occlusion import UNKNOWN
 from blocksar.runs.receipts import Run, write
@@ -29,6 +30,14 @@ def local_terrain(run: Run, grid: Grid, window: Window) -> Terrain:
 def heights_of(run: Run, grid: Grid, window: Window) -> FloatArray:
     """The heights of some rows and columns of the image, m."""
     return local_terrain(run, grid, window).on_grid(grid.x[window[1]], grid.y[window[0]])
+
+
+def sights_of(run: Run, grid: Grid, geometries: Sequence[tuple[int, Geometry]]) -> dict[int, Sight]:
+    """The antenna of numbered geometries as an image on the run's terrain sees it."""
+    if not geometries:
+        return {}
+    limits = stores.terrain_limits(run.terrain)
+    return {number: Sight.of(geometry, box_of(grid.x, grid.y), limits) for number, geometry in geometries}
 
 
 @dataclass(frozen=True, eq=False)

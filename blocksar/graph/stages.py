@@ -30,10 +30,10 @@ from blocksar.focusing.ground_map import sum_lit
 from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.range_compression import RawCompression
 from blocksar.focusing.step import stages
-from blocksar.focusing.terrain_layers import Sight
 from blocksar.graph.admission import Unit
 from blocksar.graph.edges import Edges
 from blocksar.graph.gating import Gated, gate_bins
+from blocksar.graph.layers import sights_of
 from blocksar.graph.segments import Segment, by_collection
 from blocksar.graph.spectrum import SpectrumChunks
 from blocksar.graph.tasks import (
@@ -304,7 +304,8 @@ def mosaic(
             cells.setdefault(cell, []).append(chunk)
     known = {segment.number or 0: noise for segment, noise in zip(segments, noises, strict=True) if noise is not None}
     on_terrain = segments[0].planned.geometry.terrain is not None
-    sights = {segment.number or 0: Sight.of(segment.planned.geometry) for segment in segments if on_terrain}
+    seen = [(segment.number or 0, segment.planned.geometry) for segment in segments if on_terrain]
+    sights = sights_of(run, grid, seen)
     ordered = sorted(cells)
     units = []
     for first, end in spans(len(ordered), MOSAIC_CHUNKS):

@@ -32,7 +32,7 @@ from blocksar.focusing.recovery import Recovery, recover_columns
 from blocksar.focusing.step import Stage
 from blocksar.focusing.terrain_layers import Sight
 from blocksar.graph.edges import Edges, read_valid
-from blocksar.graph.layers import TerrainLayers, heights_of, local_terrain, write_noise
+from blocksar.graph.layers import TerrainLayers, heights_of, local_terrain, sights_of, write_noise
 from blocksar.graph.segments import Margins, Merged
 from blocksar.graph.spectrum import SpectrumChunks, Window, chunk_spans, read_ahead
 from blocksar.inspection.samples import Inspection, inspect
@@ -247,7 +247,8 @@ def write_patch(
     started = time.perf_counter()
     first_y, first_x, _, _ = patch_window(ground, grid)
     side = image_chunk(grid)
-    layers = TerrainLayers(run, grid, {} if ground.relief is None else {block.index: Sight.of(ground.geometry)})
+    seen = [] if ground.relief is None else [(block.index, ground.geometry)]
+    layers = TerrainLayers(run, grid, sights_of(run, grid, seen))
     assert samples.values is not None
     chunks = [np.empty(side[0] * side[1], np.complex64) for _ in range(WRITES_AT_ONCE + 1)]
     writes: list[Future[list[Written]]] = []
@@ -463,7 +464,7 @@ def back_project_chunk(
     if (owner >= 0).any():
         collections = {source.number: source.collection for source in sources if source.collection is not None}
         noises = {source.number: source.noise for source in sources if source.noise is not None}
-        sights = {source.number: Sight.of(source.geometry) for source in sources if on_terrain}
+        sights = sights_of(run, grid, [(source.number, source.geometry) for source in sources if on_terrain])
         parts = [
             write(run, run.image, "image", window, image),
             *_write_owner(run, window, owner, collections),

@@ -54,7 +54,7 @@ from blocksar.kernels.loops import loop
 from blocksar.kernels.phase import Float32Array
 from blocksar.kernels.signatures import COMPILED, REAL_ROW, REAL_ROWS
 from blocksar.kernels.trigonometry import cosine, cosine_and_sine
-from blocksar.solvers import product
+from blocksar.solvers import least_squares, product
 
 SERIES_ERROR = 1e-9  # m
 CHUNK = 32  # pulses whose profiles, as far as neighbouring pixels read them, stay in the first-level cache
@@ -111,7 +111,8 @@ class BeamTaper:
     valid : (n,) float
         Fraction of each pulse's samples that are there.
     place : callable
-        v (n_point, n) of ground points x, y (n_point,), m, for some pulses of the block: -1 .. 1 where they light them.
+        v (n_point, n) of points x, y (n_point,), m, for some pulses of the block: -1 .. 1 where they light them. Last
+        their heights (n_point,) over the ground, m; None: they lie on it.
     fade : int
         Where positive, weights are multiplied by cos^2(pi fade (1 - |v|) / 2), which falls from 1 at |v| = 1 to 0 at
         |v| = 1 - 1 / fade; pulses further inside are not to be summed.
@@ -120,7 +121,7 @@ class BeamTaper:
     terms: FloatArray
     frequency: float
     valid: FloatArray
-    place: Callable[[FloatArray, FloatArray, slice], FloatArray]
+    place: Callable[[FloatArray, FloatArray, slice, FloatArray | None], FloatArray]
     fade: int = 0
 
 
@@ -186,7 +187,8 @@ def project(
         relief -= middle
         reach = float(np.hypot(reach, relief.max()))
     series, roots = pulse_tables(sights, pulses, centre, reach=reach, height=middle)
-    places, precise = place_tables(sights.taper, pulses, low, high)
+    over = None if relief is None else (middle, float(relief.max()))
+    places, precise = place_tables(sights.taper, pulses, low, high, over)
     if (size > SMALL and not series[:, 0].all()) or (size > 1 and not precise):
         for part in _halves(x.shape):
             of_part = None if height is None else height[part]
@@ -213,23 +215,33 @@ def project(
         outside |= (farthest[:size] > sights.half_window).reshape(image.shape)
 
 
-def place_tables(taper: BeamTaper | None, pulses: slice, low: FloatArray, high: FloatArray) -> tuple[FloatArray, bool]:
+def place_tables(
+    taper: BeamTaper | None,
+    pulses: slice,
+    low: FloatArray,
+    high: FloatArray,
+    relief: tuple[float, float] | None = None,
+) -> tuple[FloatArray, bool]:
     """For each pulse the polynomial of the place in the beam over a tile from `low` to `high` (2,), m.
+
+    `relief` is the middle of the heights over it, and how far they reach from there, m.
 
     Returns
     -------
-    places : (n, 7) float
-        Coefficients of 1, dx, dy, dx^2, dx dy and dy^2, from the tile's centre, and the fraction of valid samples;
-        without a taper none.
+    places : (n, 7) or (n, 11) float
+        Coefficients of 1, dx, dy, dx^2, dx dy and dy^2, from the tile's centre, and the fraction of valid samples; with
+        relief those of dz, dx dz, dy dz and dz^2 besides; without a taper none.
     precise : bool
         Whether it errs by less than PLACE_ERROR, where the pulse lights any of the tile.
     """
     if taper is None:
         return np.empty((0, 7)), True
+    if relief is not None:
+        return _places_on_relief(taper, pulses, low, high, relief)
     at = np.linspace(-1, 1, 5)
     half = np.maximum((high - low) / 2, 1e-6)
     u, w = (axis.ravel() for axis in np.meshgrid(at, at))
-    exact = taper.place((low + high)[0] / 2 + half[0] * u, (low + high)[1] / 2 + half[1] * w, pulses)
+    exact = taper.place((low + high)[0] / 2 + half[0] * u, (low + high)[1] / 2 + half[1] * w, pulses, None)
     grid = exact.reshape(5, 5, -1)[::2, ::2]  # rows along y
     middle, (left, right), (below, above) = grid[1, 1], grid[1, ::2], grid[::2, 1]
     mixed = (grid[2, 2] - grid[2, 0] - grid[0, 2] + grid[0, 0]) / 4
@@ -241,6 +253,26 @@ def place_tables(taper: BeamTaper | None, pulses: slice, low: FloatArray, high: 
     precise = bool((np.abs(fitted.T - exact)[:, near] < PLACE_ERROR).all())
     scale = np.array([1.0, half[0], half[1], half[0] ** 2, half[0] * half[1], half[1] ** 2])
     return np.column_stack([places / scale, taper.valid[pulses]]), precise
+
+
+def _places_on_relief(
+    taper: BeamTaper, pulses: slice, low: FloatArray, high: FloatArray, relief: tuple[float, float]
+) -> tuple[FloatArray, bool]:
+    """`place_tables` with the height as third coordinate: the quadratic polynomial closest to 3 x 3 x 3 places."""
+    half = np.maximum(np.array([*(high - low) / 2, relief[1]]), 1e-6)
+    centre = [*(low + high) / 2, relief[0]]
+    nodes = np.array([axis.ravel() for axis in np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3)])
+    x, y, z = (c + h * u for c, h, u in zip(centre, half, nodes, strict=True))
+    exact = taper.place(x, y, pulses, z)
+    exponents = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (2, 0, 0), (1, 1, 0), (0, 2, 0), (0, 0, 1), (1, 0, 1),
+                          (0, 1, 1), (0, 0, 2)])  # fmt: skip
+    terms = np.prod(nodes.T[:, None, :] ** exponents, axis=-1)
+    places = least_squares(terms.T, exact.T).T
+    near = (np.abs(exact) <= 1).any(axis=0)
+    precise = bool((np.abs(product(terms, places.T) - exact)[:, near] < PLACE_ERROR).all())
+    places = places / np.prod(half**exponents, axis=-1)
+    table = np.column_stack([places[:, :6], taper.valid[pulses], places[:, 6:]])
+    return np.ascontiguousarray(table), precise
 
 
 def _halves(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
@@ -330,6 +362,14 @@ def _place(place: Any, dx: Any, dy: Any) -> Any:
 
 
 @njit(inline="always")
+def _place_on_relief(place: Any, dx: Any, dy: Any, dz: Any) -> Any:
+    """The same for pixels at heights dz over the centre's."""
+    v = place[0] + (place[1] * dx + place[2] * dy) + (place[3] * dx + place[4] * dy) * dx + place[5] * dy * dy
+    v = v + (place[7] + place[8] * dx + place[9] * dy + place[10] * dz) * dz
+    return smaller(larger(v, -1.0), 1.0)
+
+
+@njit(inline="always")
 def _weight(v: Any, terms: Any, half_frequency: Any) -> Any:
     """sum_k terms_k cos(2 pi k half_frequency v), by Clenshaw's recurrence; at most |half_frequency v| = 1/2."""
     turned = remainder(v * half_frequency)
@@ -415,7 +455,7 @@ def _add_pulses(
                 share = load_few(weight, i)
                 for p in range(low, high):
                     place = places[p - start]
-                    v = _place(place, dx, dy)
+                    v = _place(place, dx, dy) if relief is None else _place_on_relief(place, dx, dy, dz)
                     part = within(_weight(v, terms, half_frequency), lit, p, unlit)
                     if half_fade > 0:
                         taken = cosine(remainder((1.0 - larger(v, 0.0 - v)) * half_fade))

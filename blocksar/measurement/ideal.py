@@ -39,10 +39,10 @@ def ideal_response(
         of_pixel = is_lit(geometry, x, y, pulses)
         at_target = np.array([target.x]), np.array([target.y])
         weights = of_pixel * pulse_weights(geometry, x[:, None], y[:, None], pulses, weighting.azimuth)
-        lit = weights * is_lit(geometry, *at_target, pulses)
+        lit = weights * is_lit(geometry, *at_target, pulses, origin[2:])
         if collection.has_pattern:
             weights = weights * pattern_gain(geometry, x[:, None], y[:, None], pulses)
-            lit = lit * pattern_gain(geometry, *at_target, pulses)
+            lit = lit * pattern_gain(geometry, *at_target, pulses, origin[2:])
         count += weights.sum(axis=1)
         if not lit.any():
             continue

@@ -41,7 +41,7 @@ from blocksar.planning.memory import block_memory
 from blocksar.planning.motion import plan_motion
 from blocksar.planning.nodes import common_ranges, nodes_between
 from blocksar.planning.prediction import Prediction, predict
-from blocksar.planning.relief import FINE_DEGREE, map_relief, trace_layer
+from blocksar.planning.relief import FINE_DEGREE, elevation_ratio, map_relief, trace_layer, turns_of
 from blocksar.planning.sector import Sector
 from blocksar.planning.target_lines import Dwells, tail_margin
 
@@ -192,7 +192,7 @@ def _plan_image(
 ) -> tuple[Sampling, GroundMap, Prediction]:
     """The sampling with its dwell gate, the ground map, and the prediction."""
     rng, yaw, ends, weights = lines.epoch_range, lines.yaw, lines.ends, lines.weights
-    gated = lines if sector.relief is None else _follow_terrain(sector, azimuth, lines)
+    gated = _follow_terrain(sector, azimuth, lines) if sector.gates_by_height else lines
     gate = _plan_dwell_gate(sector, sampling, gated.line, gated.spots, gated.lit, gated.ends)
     sampling = replace(sampling, gate=gate)
     ground = _plan_ground(sector, sampling, lines.line, lines.spots, epoch_range=rng, yaw=yaw)
@@ -237,7 +237,14 @@ def _raise(
         return surfaces(spots, epoch_range=rng, yaw=yaw, origin=origin, carrier=carrier, degree=degree)
 
     layers = [trace_layer(sector.over(offset).geometry, trace, weights.weigh) for offset in relief.offsets.tolist()]
-    by_height = map_relief(relief, layers, surfaces_of, epoch_range=rng, yaw=yaw, degree=degree)
+    if sector.geometry.collection.elevation_pattern is not None:
+        of_smooth = sector.geometry, rng, yaw
+        layers = [layer._replace(pattern=elevation_ratio(layer.geometry, *of_smooth)) for layer in layers]
+    turns = []
+    if sector.geometry.collection.has_axis:
+        turns = [turns_of(layer.geometry, sector.geometry, rng, yaw) for layer in layers]
+        ground = ground.widened(sector.region, float(np.abs(turns).max()))
+    by_height = map_relief(relief, layers, surfaces_of, epoch_range=rng, yaw=yaw, degree=degree, turns=turns)
     *extremes, known = relief.extremes(rng.size, yaw.size)
     known = known if known.any() else np.ones_like(known)
     grounds = [sector.geometry.over(None, NodeHeights(smooth=relief.fine, over=heights)) for heights in extremes]
@@ -283,7 +290,7 @@ def _plan_dwell_gate(
     return plan_gate(
         line, spots, ends.rate, blur=gate_blur(collection, ends.uncut, scaled_about=ends.scaled_about), lit=lit,
         uncut=ends.uncut, full=ends.full, rows=sampling.rows, slow=sampling.long_time, taper=taper,
-        degree=GATE_DEGREES if sector.relief is None else FINE_DEGREE,
+        degree=FINE_DEGREE if sector.gates_by_height else GATE_DEGREES,
         fade=sector.fade, passing=ends.passing,
     )  # fmt: skip
 

@@ -67,17 +67,18 @@ def dwell_weights(
         From `planning.staying`: each target then has a part of the taper of its own.
     """
     collection = geometry.collection
-    x, y = (axis[..., None] for axis in geometry.ground_axes(epoch_range[:, None], yaw))
+    at = epoch_range[:, None], yaw
+    x, y, z = (np.asarray(axis)[..., None] for axis in (*geometry.ground_axes(*at), geometry.level(*at)))
     time, edge = lit.time + geometry.epoch, float(taper(np.array(1.0)))
     if taper.uniform:
         nodes = np.ones(lit.time.shape)
     elif collection.has_axis and collection.beam_width is not None:
-        nodes = taper(2 * at_times(geometry, x, y, time, beam_offset) / collection.beam_width)
+        nodes = taper(2 * at_times(geometry, x, y, time, beam_offset, z) / collection.beam_width)
     else:
         nodes = taper((2 * lit.time - (uncut[0] + uncut[1])[..., None]) / (uncut[1] - uncut[0])[..., None])
     if not collection.has_pattern:
         return DwellWeights(taper=taper, nodes=nodes, edge=edge, patterned=stays and not taper.uniform)
-    gain = at_times(geometry, x, y, time, pattern_gain)
+    gain = at_times(geometry, x, y, time, pattern_gain, z)
     # The outer nodes lie close to the ends: by half a hundredth of the dwell.
     at_ends = np.sqrt((gain[..., 0] ** 2 + gain[..., -1] ** 2) / 2)
     return DwellWeights(taper=taper, nodes=nodes * gain, edge=edge * at_ends, patterned=True)

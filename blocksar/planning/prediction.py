@@ -119,7 +119,8 @@ def predict(
 
 def _has_full_dwell(geometry: Geometry, rng: FloatArray, yaw: FloatArray, which: tuple[np.intp, ...]) -> bool:
     """Whether the target at rng[which[0]] and yaw[which[1]] has a full dwell."""
-    return bool(has_full_dwell(geometry, *geometry.ground_axes(rng[which[0]], yaw[which[1]])))
+    at = rng[which[0]], yaw[which[1]]
+    return bool(has_full_dwell(geometry, *geometry.ground_axes(*at), geometry.level(*at)))
 
 
 def _track_phase(geometry: Geometry, rng: FloatArray, yaw: FloatArray) -> float:

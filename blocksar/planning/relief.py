@@ -11,10 +11,11 @@ from numpy.polynomial import chebyshev
 
 from blocksar import solvers
 from blocksar.arrays import BoolArray, FloatArray
-from blocksar.collection.beam import wrapped
+from blocksar.collection.beam import at_times, beam_offset, dwell_at, pattern_gain, wrapped
+from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.focusing.lines import Focus, Line
-from blocksar.focusing.relief_map import ReliefMap, SmoothGround, straighten
+from blocksar.focusing.relief_map import GAIN, QUANTITIES, ReliefMap, SmoothGround, straighten
 from blocksar.focusing.surfaces import Surface, fit_surface
 
 SMOOTH_DEGREE = 2, 2  # of the smooth ground, along range and yaw, on which coefficients are fitted: no finer is better
@@ -25,6 +26,10 @@ MOST_POINTS = 1 << 20  # of a terrain that are looked at
 ROOM = 0.02  # of the relief, that heights may go beyond on either side
 LEAST_RELIEF = 0.5  # m
 LAYER_HEIGHT, FEWEST_LAYERS, MOST_LAYERS = 250.0, 4, 8  # m of relief for one more height; heights that are traced
+
+# Newton's steps to a yaw: a fraction of the beam's width for the slope, their number, the slope at which yaw no longer
+# moves a point in the beam, and the longest step, rad.
+TURN_STEP, TURN_STEPS, LEAST_TURN, MOST_TURN = 1 / 64, 3, 1e-3, 0.1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -177,6 +182,44 @@ def stacked(lines: Sequence[Line]) -> Line:
     )
 
 
+def turns_of(raised: Geometry, smooth: Geometry, epoch_range: FloatArray, yaw: FloatArray) -> FloatArray:
+    """Yaw, rad, from targets on a raised ground (n_range, n_yaw) to those of the smooth one with the same dwell.
+
+    They have the same range, and the same place in a beam about its axis at the middle of the dwell. By Newton's steps.
+    """
+    collection = smooth.collection
+    first, last = dwell_at(raised, yaw, epoch_range[:, None])
+    time = np.clip((first + last) / 2, collection.time[0], collection.time[-1])
+
+    def offset(geometry: Geometry, turn: FloatArray) -> FloatArray:
+        at = epoch_range[:, None], yaw + turn
+        return at_times(geometry, *geometry.ground_axes(*at), time, beam_offset, geometry.level(*at))
+
+    turn, step = np.zeros(time.shape), (collection.beam_width or 0.0) * TURN_STEP
+    wanted = offset(raised, turn)
+    for _ in range(TURN_STEPS):
+        here, ahead = offset(smooth, turn), offset(smooth, turn + step)
+        slope = (ahead - here) / step
+        move = (wanted - here) / np.where(np.abs(slope) > LEAST_TURN, slope, np.inf)
+        turn = turn + np.clip(move, -MOST_TURN, MOST_TURN)
+    return turn
+
+
+def elevation_ratio(raised: Geometry, smooth: Geometry, epoch_range: FloatArray, yaw: FloatArray) -> FloatArray:
+    """The pattern in elevation at targets of a raised ground (n_range, n_yaw) over that at the smooth one's."""
+    collection = smooth.collection
+    first, last = np.clip(dwell_at(raised, yaw, epoch_range[:, None]), collection.time[0], collection.time[-1])
+    alone = Collection(**{**collection.as_dict(), "beam_offset": None, "beam_pattern": None})
+
+    def gain(geometry: Geometry) -> FloatArray:
+        at = epoch_range[:, None], yaw
+        of = replace(geometry, collection=alone)
+        return at_times(of, *geometry.ground_axes(*at), (first + last) / 2, pattern_gain, geometry.level(*at))
+
+    here = gain(smooth)
+    return np.where(here > 0, gain(raised) / np.where(here > 0, here, 1.0), 1.0)
+
+
 class Layer(NamedTuple):
     """Targets at some heights: their lines after all steps, without the bend, and their focus."""
 
@@ -185,6 +228,7 @@ class Layer(NamedTuple):
     bend: FloatArray
     spots: Focus
     rate: FloatArray  # Doppler rate before the steps in Doppler, Hz/s
+    pattern: FloatArray | None = None  # from `elevation_ratio`, where there is a pattern in elevation
 
 
 def trace_layer(
@@ -198,13 +242,21 @@ def trace_layer(
 
 def map_relief(
     relief: Relief, layers: Sequence[Layer], surfaces: Callable[[Focus], Sequence[Surface]], *, epoch_range: FloatArray,
-    yaw: FloatArray, degree: tuple[int, int],
+    yaw: FloatArray, degree: tuple[int, int], turns: Sequence[FloatArray] = (),
 ) -> ReliefMap:  # fmt: skip
-    """The map from epoch range, yaw and height to the focused block; `surfaces` has those of a focus."""
+    """The map from epoch range, yaw and height to the focused block; `surfaces` has those of a focus.
+
+    `turns` are those of each layer at its targets, from `turns_of`; none where dwells do not depend on height.
+    """
     fitted = [
         [*surfaces(layer.spots), fit_surface(layer.bend, epoch_range=epoch_range, yaw=yaw, degree=degree)]
         for layer in layers
     ]
+    for row, layer in zip(fitted, layers, strict=True):
+        if layer.pattern is not None:
+            row[GAIN] = fit_surface(layer.spots.gain * layer.pattern, epoch_range=epoch_range, yaw=yaw, degree=degree)
+    for surfaces_of_layer, turn in zip(fitted, turns, strict=False):
+        surfaces_of_layer.append(fit_surface(turn, epoch_range=epoch_range, yaw=yaw, degree=degree))
     terms = []
     for quantity in zip(*fitted, strict=True):
         values = np.stack([surface.series for surface in quantity])
@@ -220,5 +272,6 @@ def map_relief(
         )
     return ReliefMap(
         smooth=relief.smooth, low=relief.low, high=relief.high, lowest=relief.lowest, highest=relief.highest,
-        layers=tuple(terms), most_bend=max(float(np.abs(layer.bend).max()) for layer in layers),
+        layers=tuple(terms[:QUANTITIES]), turns=terms[QUANTITIES] if turns else (),
+        most_bend=max(float(np.abs(layer.bend).max()) for layer in layers),
     )  # fmt: skip

@@ -87,6 +87,14 @@ class Sector:
         summed = self.fade > 0 or self.staying is not None
         return edge_memory(IMAGE_PIXELS, self.lighting.collection) if summed else 0
 
+    @property
+    def gates_by_height(self) -> bool:
+        """Whether the dwell of a target depends on its height besides its range and Doppler.
+
+        Under a beam about its axis it hardly does: places of equal range and Doppler see the axis at the same angle.
+        """
+        return self.relief is not None and not self.geometry.collection.has_axis
+
     def over(self, offset: float) -> Sector:
         """The same sector with the smooth ground raised by an offset, m."""
         assert self.relief is not None

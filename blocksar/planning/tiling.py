@@ -6,10 +6,10 @@ import numpy as np
 
 from blocksar.chunks import IMAGE_CHUNK, SIGNAL_BYTES, TILE
 from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Level
 from blocksar.collection.grid import Grid
 from blocksar.focusing.correction import touched
 from blocksar.focusing.ground_map import GroundMap
-from blocksar.focusing.relief_map import Level
 
 
 def image_chunk(grid: Grid) -> tuple[int, int]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from blocksar.arrays import FloatArray
 from blocksar.errors import InputError
-from blocksar.focusing.terrain_layers import Sight, by_owner, gamma_factor
+from blocksar.focusing.terrain_layers import Sight, box_of, by_owner, gamma_factor
 from blocksar.kernels.occlusion import UNKNOWN, VISIBLE
 from blocksar.measurement.looks import checked_looks, decibels, multilook, power_of
 from blocksar.products.pictures.overview import overview, stretch
@@ -131,7 +131,10 @@ class Pixels:
     @cached_property
     def _sights(self) -> list[Sight]:
         """The antenna as the pixels of each segment see it."""
-        return [Sight.of(geometry) for geometry in self.source.segments or (self.source.geometry,)]
+        source, terrain = self.source, self.source.geometry.terrain
+        assert terrain is not None
+        box = box_of(source.x, source.y)
+        return [Sight.of(geometry, box, terrain.limits) for geometry in source.segments or (source.geometry,)]
 
     def _gamma_factor(self, rows: slice) -> NDArray[np.float32]:
         """What the power of whole rows is multiplied by; NaN in layover and shadow."""

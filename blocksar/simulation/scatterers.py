@@ -69,9 +69,9 @@ class Field:
         if self.shadow is not None:
             of = of.at(~self.shadow.at(pulse, first, last))
         if self.collection.has_axis:
-            of = of.at(is_lit(self.geometry, of.x, of.y, slice(pulse, pulse + 1))[:, 0])
+            of = of.at(is_lit(self.geometry, of.x, of.y, slice(pulse, pulse + 1), of.z)[:, 0])
         if self.collection.has_pattern:
-            of = of._replace(reflectivity=of.reflectivity * pattern_gain(self.geometry, of.x, of.y, pulse))
+            of = of._replace(reflectivity=of.reflectivity * pattern_gain(self.geometry, of.x, of.y, pulse, of.z))
         return of
 
     def lit_slices(self, pulse: int) -> list[tuple[int, int]]:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import slow_twins
+from axis_beams import axis_collection, with_patterns
 from numpy.typing import NDArray
 
 from blocksar.arrays import ComplexArray
+from blocksar.collection.beam import is_lit, lit_interval
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.terrain import Terrain
@@ -63,6 +65,33 @@ def test_pixels_at_their_heights_equal_the_double_loop(
     assert np.isfinite(image).sum() > 20
     error = np.sqrt(np.nanmean(np.abs(image - expected) ** 2) / np.nanmean(np.abs(expected) ** 2))
     assert error < 5e-4  # the spline's, as on the plane
+
+
+@pytest.mark.parametrize(("weighting", "patterns"), [("uniform", False), ("taylor:4:-35", True)])
+def test_beams_about_their_axis_light_pixels_at_their_heights(weighting: str, patterns: bool) -> None:
+    """Heights of 400 m move the dwells of a beam at 14 degrees by a third of their length."""
+    c = axis_collection("squinted")
+    c, signal = with_patterns(c) if patterns else c, noise(c)
+    random = np.random.default_rng(2)
+    x, y = 9000 + random.uniform(-80, 80, 24), 2515 + random.uniform(-80, 80, 24)
+    along = np.linspace(-100, 100, 26)
+    heights = 200 + 200 * np.sin(along / 30)[:, None] * np.cos(along / 40)
+    terrain = Terrain(x0=8900.0, dx=8.0, y0=2415.0, dy=8.0, heights=heights)
+    geometry, z, tapers = Geometry(collection=c).over(terrain), terrain(x, y), Weighting.parse(weighting)
+    levels = [(at_height(c, float(h)), np.array([a]), np.array([b])) for a, b, h in zip(x, y, z, strict=True)]
+    lit = np.array([[slow_twins.lit(of, p, float(a[0]), float(b[0])) for p in range(400)] for of, a, b in levels])
+    np.testing.assert_array_equal(is_lit(geometry, x, y), lit)
+    first, last = lit_interval(geometry, x, y)
+    np.testing.assert_array_equal(last - first, lit.sum(axis=1))
+    plane_first, plane_last = lit_interval(Geometry(collection=c), x, y)
+    assert np.ptp(first - plane_first) > 20 < np.ptp(last - plane_last)
+    image = form_points(lambda pulses: signal[pulses], geometry, x, y, threads=1, weighting=tapers)
+    given = {"in_range": tapers.range, "in_azimuth": tapers.azimuth}
+    expected = np.array([slow_twins.back_projection(of, signal, a, b, **given)[0] for of, a, b in levels])
+    assert np.isfinite(expected).sum() > 15
+    np.testing.assert_array_equal(np.isnan(image), np.isnan(expected))
+    error = np.sqrt(np.nanmean(np.abs(image - expected) ** 2) / np.nanmean(np.abs(expected) ** 2))
+    assert error < 5e-4
 
 
 def test_a_level_terrain_is_the_plane_and_unknown_heights_are_not_covered(small_collection: Collection) -> None:
