@@ -159,7 +159,13 @@ AXIS = {
     "bandwidth": 50e6, "range_sampling": 60e6, "prf": 600, "height": 5000.0, "velocity": [0.0, 200.0, 0.0],
     "acceleration": [0.4, -0.8, -0.6], "time": "duration = 2.0", "swath": [9650.0, 10350.0], "yaw": 23.3,
 }  # fmt: skip
-BEAM = 'mode = "tops"\nwidth_deg = 1.2\nrate_deg = 1.0\nsquint_deg = 20.0\npattern = "gaussian"'
+BEAM = """mode = "tops"
+width_deg = 1.2
+rate_deg = 1.0
+squint_deg = 20.0
+pattern = "gaussian"
+elevation_pattern = "gaussian"
+elevation_width_deg = 4.0"""
 
 
 def test_clutter_on_hills_under_a_beam_about_its_axis_is_that_of_back_projection(
