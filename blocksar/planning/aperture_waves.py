@@ -33,8 +33,9 @@ def plan_waves(
         (n_range, n_yaw, n), over all pulses, before and after all steps.
     """
     collection = geometry.collection
-    x, y = (axis[..., None] for axis in geometry.ground_axes(epoch_range[:, None], yaw))
-    v = 2 * at_times(geometry, x, y, lit.time + geometry.epoch, beam_offset) / (collection.beam_width or np.inf)
+    at = epoch_range[:, None], yaw
+    x, y, z = (np.asarray(axis)[..., None] for axis in (*geometry.ground_axes(*at), geometry.level(*at)))
+    v = 2 * at_times(geometry, x, y, lit.time + geometry.epoch, beam_offset, z) / (collection.beam_width or np.inf)
     weights, seen = taper(v), (np.abs(v) <= 1).any(axis=-1)
     first, last = float(line.time.min()), float(line.time.max())
     step, middle = TURN_SHARE / (last - first), (first + last) / 2
