@@ -151,7 +151,9 @@ class GroundMap:
         yaw = np.linspace(self.low - room, self.high + room, self.yaw_axis.size)
         near_limit, far_limit = region.at(yaw)
         valid = np.ones(self.geometry.collection.n_pulse)
-        lit = sum_lit(self.geometry, near=self.near, far=self.far, yaw=yaw, valid=valid, taper=self.taper)
+        lit = sum_lit(
+            self.geometry, near=self.near, far=self.far, yaw=yaw, valid=valid, taper=self.taper, stays=self.stays
+        )  # fmt: skip
         return replace(self, yaw_axis=yaw, near_limit=near_limit, far_limit=far_limit, lit=lit)
 
     def doppler_slope(self) -> FloatArray:
