@@ -24,10 +24,10 @@ from blocksar.api.ground import read_ground
 from blocksar.api.reports import Table
 from blocksar.api.shown import PlanReport
 from blocksar.budget import FIDELITY
-from blocksar.collection.beam import most_lit_pulses
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid, ground_resolution
+from blocksar.collection.lit_sums import most_lit_pulses
 from blocksar.collection.region import Owned
 from blocksar.collection.terrain import Surface
 from blocksar.collection.weighting import Weighting

@@ -10,9 +10,9 @@ import numpy as np
 
 from blocksar.arrays import FloatArray
 from blocksar.autofocusing.settings import Settings
-from blocksar.collection.beam import most_lit_pulses
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
+from blocksar.collection.lit_sums import most_lit_pulses
 from blocksar.collection.region import Region, plan_region
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError

@@ -7,14 +7,13 @@ the very edge are lit. A collection whose beam is not steered lights every point
 
 `in_beam` is the first rule for plain angles; compiled loops wrap it by `numba.njit(inline="always")`. Callers that have
 positions ask `is_lit`, `lit_interval` and `dwell`; `is_lit` and `lit_interval` compare without tolerance. Callers that
-work in the polar frame ask `lit_pulses`, `weighted_pulses`, `dwell_at` and `lit_total`, which allow for the rounding of
-computed yaws (`EDGE`). `pulse_weights` are the weights over a dwell, `pattern_gain` is the antenna's pattern.
+work in the polar frame ask `yaw_interval`, `dwell_at` and `lit_sums`, which allow for the rounding of computed yaws
+(`EDGE`). `pulse_weights` are the weights over a dwell, `pattern_gain` is the antenna's pattern.
 Points x, y lie on the ground, or at heights z, m, which count under a beam about its axis and in elevation patterns.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import TypeVar
@@ -25,7 +24,7 @@ from blocksar.arrays import BoolArray, FloatArray, IntArray
 from blocksar.collection.axis_beam import Height, axis_dwell, axis_offset, axis_passing, axis_spans, refuse_twice
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
-from blocksar.collection.weighting import FLAT, Taper
+from blocksar.collection.weighting import Taper
 from blocksar.constants import TURN
 from blocksar.errors import InputError
 
@@ -37,7 +36,6 @@ Pulses = slice | IntArray | int
 STILL = 1e-9  # rad: a beam that turns by less stands still
 EDGE = 1e-10
 CENTRE_NODES = 65  # yaws between which the centre of a beam about its axis is interpolated
-GAIN_PARTS = 32  # of a dwell, in each of which weights and the antenna's pattern are taken as constant
 
 
 # ---------------------------------------------------------------- angles
@@ -124,7 +122,7 @@ def lit_interval(geometry: Geometry, x: FloatArray, y: FloatArray) -> tuple[IntA
                 f"beam_azimuth scans {scan:.4g} rad with a beam_width of {width:.4g} rad, all round: a target would "
                 "be lit twice; cut the collection"
             )
-    first, last = _lit_interval(collection, yaw.ravel(), tolerance=0.0)
+    first, last = yaw_interval(collection, yaw.ravel(), tolerance=0.0)
     never = first == last
     first[never], last[never] = 0, 0
     return first.reshape(yaw.shape), last.reshape(yaw.shape)
@@ -148,82 +146,8 @@ def inner_interval(geometry: Geometry, x: FloatArray, y: FloatArray, share: floa
     if narrow.has_axis:
         first, last, _ = axis_spans(narrow, *_raveled(x, y, _height(geometry, x, y, None)))
     else:
-        first, last = _lit_interval(narrow, np.asarray(geometry.yaw(*_raveled(x, y, 0.0)[:2])), tolerance=0.0)
+        first, last = yaw_interval(narrow, np.asarray(geometry.yaw(*_raveled(x, y, 0.0)[:2])), tolerance=0.0)
     return first.reshape(np.shape(x)), last.reshape(np.shape(x))
-
-
-def lit_pulses(collection: Collection, yaw: FloatArray, valid: FloatArray) -> FloatArray:
-    """Number of valid pulses that light points at yaws (n,): sum of `valid` (n_pulse,) over the lit ones.
-
-    `valid` is the fraction of each pulse's samples that is there; 0 for a missing pulse. Yaws on the edge of the beam
-    but for rounding (`EDGE`) are lit.
-    """
-    total = np.concatenate([[0.0], np.cumsum(valid)])
-    first, last = _lit_interval(collection, yaw, tolerance=EDGE)
-    return np.asarray(total[last] - total[first])
-
-
-def weighted_pulses(collection: Collection, yaw: FloatArray, valid: FloatArray, taper: Taper) -> FloatArray:
-    """Sum of `valid` (n_pulse,) times the taper over the pulses that light points at yaws (n,); see `lit_pulses`."""
-    if taper.uniform:
-        return lit_pulses(collection, yaw, valid)
-    if collection.beam_width is None:
-        return np.full(yaw.shape, float((valid * taper.samples(collection.n_pulse)).sum()))
-    first, last = _lit_interval(collection, yaw, tolerance=EDGE)
-    beam, half = collection.beam_azimuth, collection.beam_width / 2
-    centre = float(beam[0] + beam[-1]) / 2
-    point, along = wrapped(yaw - centre) / half, (beam - centre) / half
-    # Each cosine of the difference is a product of two phasors, so that one running sum serves all points.
-    total, (terms, frequency) = np.zeros(yaw.shape), taper.series
-    for k, term in enumerate(terms):
-        running = np.concatenate([[0.0], np.cumsum(valid * np.exp(-1j * np.pi * frequency * k * along))])
-        total += term * (np.exp(1j * np.pi * frequency * k * point) * (running[last] - running[first])).real
-    return total
-
-
-def most_lit_pulses(geometry: Geometry, x: FloatArray, y: FloatArray) -> int:
-    """The largest number of pulses that light any one point; under a beam about its axis, any of those at x, y, m."""
-    collection = geometry.collection
-    if collection.has_axis:
-        first, last = dwell(geometry, x, y)
-        return math.ceil(max(float((last - first).max()), 0.0) * collection.prf)
-    return int(lit_pulses(collection, collection.beam_azimuth, np.ones(collection.n_pulse)).max())
-
-
-def lit_total(
-    geometry: Geometry,
-    epoch_range: FloatArray,
-    yaw: FloatArray,
-    valid: FloatArray,
-    taper: Taper = FLAT,
-    *,
-    stays: bool = False,
-) -> FloatArray:
-    """Sum of `valid` (n_pulse,) times taper and antenna's pattern over lit pulses: (n_range, n_yaw), at (n,) m and rad.
-
-    Dwells begin and end between pulses here, so that the sum is continuous. Where the beam `stays`, over all pulses.
-    """
-    collection = geometry.collection
-    shape = epoch_range.size, yaw.size
-    start, end = aperture(collection)
-    if stays:
-        first, last = np.full(shape, start), np.full(shape, end)
-    else:
-        first, last = dwell_at(geometry, yaw, epoch_range[:, None])
-    begin, stop = (np.broadcast_to(np.clip((t - start) * collection.prf, 0, None), shape) for t in (first, last))
-    before, pulse = np.concatenate([[0.0], np.cumsum(valid)]), np.arange(valid.size + 1.0)
-    x, y = geometry.ground_axes(epoch_range[:, None], yaw)
-    z = geometry.level(epoch_range[:, None], yaw)
-    weighed = collection.has_pattern or not taper.uniform
-    parts, total = GAIN_PARTS if weighed else 1, np.zeros(shape)
-    for part in range(parts):
-        low, high = (begin + (stop - begin) * (part + k) / parts for k in (0, 1))
-        count = np.interp(high, pulse, before) - np.interp(low, pulse, before)
-        if weighed:
-            middle = np.clip((low + high) / 2, 0, valid.size - 1).astype(np.int64)
-            count = count * pulse_weights(geometry, x, y, middle, taper, z) * pattern_gain(geometry, x, y, middle, z)
-        total += count
-    return np.asarray(np.where((last > first) & np.isfinite(x), np.maximum(total, 0.0), 0.0))
 
 
 # ---------------------------------------------------------------- angles off the beam's centre, weights and patterns
@@ -310,7 +234,7 @@ def _raveled(x: FloatArray, y: FloatArray, z: Height) -> tuple[FloatArray, Float
     return along_x, along_y, np.ravel(z) if isinstance(z, np.ndarray) else z
 
 
-def _lit_interval(collection: Collection, yaw: FloatArray, *, tolerance: float) -> tuple[IntArray, IntArray]:
+def yaw_interval(collection: Collection, yaw: FloatArray, *, tolerance: float) -> tuple[IntArray, IntArray]:
     """first <= p < last of yaws (n,), found by bisection with the very inequality of `in_beam`; equal if never lit.
 
     `in_beam` wraps each difference; here the turns of all pulses are those of the sweep's middle, so that the

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from blocksar.arrays import FloatArray
-from blocksar.collection.beam import lit_total, weighted_pulses, wrapped
+from blocksar.collection.beam import wrapped
 from blocksar.collection.geometry import Geometry
+from blocksar.collection.lit_sums import lit_total, weighted_pulses
 from blocksar.collection.region import Region
 from blocksar.collection.weighting import Taper
 from blocksar.constants import SPEED_OF_LIGHT

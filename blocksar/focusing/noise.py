@@ -17,8 +17,9 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from blocksar.arrays import FloatArray, IntArray
-from blocksar.collection.beam import GAIN_PARTS, aperture, dwell, pattern_gain, pulse_weights
+from blocksar.collection.beam import aperture, dwell, pattern_gain, pulse_weights
 from blocksar.collection.geometry import Geometry
+from blocksar.collection.lit_sums import GAIN_PARTS
 from blocksar.collection.weighting import Weighting
 from blocksar.kernels.phase import Float32Array
 

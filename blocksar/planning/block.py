@@ -446,7 +446,9 @@ def _plan_ground(
     yaw_axis = np.linspace(sector.low, sector.high, _yaw_steps(sector))
     near_limit, far_limit = sector.region.at(yaw_axis)
     range_taps = _range_taps(sampling.range_frequency, sector.tap_error)
-    filled = _local_occupancy(line, spots, sampling.image_doppler)
+    # Of the sampling rate, what a target's response fills along Doppler without its own carrier.
+    reach = np.abs(line.time - spots.time[..., None]).max()
+    filled = float(min(2.2 * reach * sampling.image_doppler.step, 0.9))
     return GroundMap(
         geometry=sector.lighting,
         low=sector.low,
@@ -496,9 +498,3 @@ def _plan_memory(range_gate: RangeGate | None, range_part: RangePart, sampling: 
         n_image=sampling.image_doppler.size,
         length=max(sampling.long_time.size, _range_transform(sampling.range_frequency)[0]),
     )
-
-
-def _local_occupancy(line: Line, spots: Focus, doppler: Axis) -> float:
-    """Fraction of the sampling rate that a target's response fills along Doppler without its own carrier."""
-    reach = np.abs(line.time - spots.time[..., None]).max()
-    return float(min(2.2 * reach * doppler.step, 0.9))

@@ -19,13 +19,12 @@ from blocksar.collection.beam import (
     has_full_dwell,
     is_lit,
     lit_interval,
-    lit_total,
-    most_lit_pulses,
     pattern_gain,
 )
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
+from blocksar.collection.lit_sums import lit_total, most_lit_pulses
 from blocksar.collection.region import plan_region
 from blocksar.collection.weighting import Taper
 from blocksar.errors import InputError
