@@ -202,3 +202,54 @@ def find_visibility(
             ):  # fmt: skip
                 found[k] = LAYOVER
                 break
+
+
+@loop(
+    REAL_ROWS, REAL_ROWS, REAL_ROWS, REAL_ROW, REAL_ROW, REAL_ROWS, REAL_ROWS, REAL_ROWS, types.float64,
+    types.float64[::1], **OPTIONS
+)  # fmt: skip
+def find_heights(
+    heights: FloatArray, low: FloatArray, high: FloatArray, first: FloatArray, spacing: FloatArray, place: FloatArray,
+    antenna: FloatArray, velocity: FloatArray, step: float, found: FloatArray,
+) -> None:  # fmt: skip
+    """Find the highest point of a terrain that has the range and Doppler of each of some places.
+
+    The points of a range and a Doppler lie on a circle about the velocity; from the terrain's top it is followed down
+    the side of the place, until it passes below the terrain.
+
+    Parameters
+    ----------
+    heights, low, high, spacing
+        As in `find_visibility`.
+    first : (2,) float
+        x and y of the first sample, m.
+    place, antenna, velocity : (n, 3) float
+        m, m/s.
+    step : float
+        Of a march along the ground, m.
+    found : (n,) float
+        Written: z, m, to a thousandth of a step; NaN where there is none.
+    """
+    lowest, highest = _limits(low, high)
+    for k in range(place.shape[0]):
+        dx, dy, dz = place[k, 0] - antenna[k, 0], place[k, 1] - antenna[k, 1], place[k, 2] - antenna[k, 2]
+        vx, vy, vz = velocity[k, 0], velocity[k, 1], velocity[k, 2]
+        level = np.sqrt(vx * vx + vy * vy)
+        square, along = dx * dx + dy * dy + dz * dz, (dx * vx + dy * vy + dz * vz) / level
+        way = 1.0 if dy * vx - dx * vy > 0 else -1.0
+        z, above, inside = highest, np.nan, False
+        found[k] = np.nan
+        span = 0.0
+        while z >= lowest - span:
+            down = antenna[k, 2] - z
+            ahead = along + vz * down / level
+            side = np.sqrt(max(square - down * down - ahead * ahead, 0.0))
+            x = antenna[k, 0] + (ahead * vx - way * side * vy) / level
+            y = antenna[k, 1] + (ahead * vy + way * side * vx) / level
+            clearance = z - _height(heights, (x - first[0]) / spacing[0], (y - first[1]) / spacing[1])
+            if inside and (clearance <= 0) != (above <= 0):
+                found[k] = z + clearance / (clearance - above) * span
+                break
+            above, inside = clearance, not np.isnan(clearance)
+            span = step * max(side, step) / max(abs(down), step)
+            z -= span

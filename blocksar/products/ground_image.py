@@ -41,8 +41,11 @@ class GroundImage:
         inside[inside] = block[row[inside] - rows.start, column[inside] - columns.start] >= 0
         return inside
 
-    def at(self, x: FloatArray, y: FloatArray) -> ComplexArray:
-        """The image (...) at places x, y (...), m, near one another; NaN where it is not covered."""
+    def at(self, x: FloatArray, y: FloatArray, *, carried_to: FloatArray | None = None) -> ComplexArray:
+        """The image (...) at places x, y (...), m, near one another; NaN where it is not covered.
+
+        The carrier is that of the places, or of other points (..., 3) of the same range and Doppler, m.
+        """
         out = np.full(x.shape, np.nan, np.complex64)
         seen = self.covered(x, y)
         if not seen.any():
@@ -56,7 +59,10 @@ class GroundImage:
         own = carrier.turns(self.source.x[columns], self.source.y[rows][:, None])
         level = np.where(np.isfinite(pixels) & np.isfinite(own), pixels, 0) * _phasor(-np.nan_to_num(own))
         found = sample_places(level, row=row - rows.start, column=column - columns.start)
-        out[seen] = found * _phasor(carrier.turns(x[seen], y[seen]))
+        if carried_to is None:
+            out[seen] = found * _phasor(carrier.turns(x[seen], y[seen]))
+        else:
+            out[seen] = found * _phasor(carrier.turns_at(carried_to[seen]))
         return out
 
     def _indices(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -82,7 +88,11 @@ class _Carrier:
 
     def turns(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """2 fc / c (R - R0), turns, of ground places x, y (broadcast), m; NaN where the ground has no height."""
-        distance = self.geometry.range_history(self.geometry.on_ground(x, y), np.array(self.time))[0]
+        return self.turns_at(self.geometry.on_ground(x, y))
+
+    def turns_at(self, points: FloatArray) -> FloatArray:
+        """The same of points (..., 3), m."""
+        distance = self.geometry.range_history(points, np.array(self.time))[0]
         return 2 * self.geometry.collection.carrier / SPEED_OF_LIGHT * (distance - self.origin)
 
 

@@ -45,11 +45,34 @@ class Made:
         record = finished.finished_record(folder)
         return finished.FinishedRun(folder, self.x, self.y, geometry, attrs, record)
 
+    def exact_value(self, terrain: Terrain, point: Any, *, centre: tuple[float, float] = (0.0, 0.0)) -> complex:
+        """The image of the targets on a terrain at a point (3,) of it, m, by its definition."""
+        collection, total = self.collection, 0.0 + 0j
+        away = point[:2] - Geometry(collection=collection).nadir
+        lit = np.ones(collection.n_pulse, bool)
+        if collection.beam_width is not None:
+            off = np.arctan2(away[1], away[0]) - collection.beam_azimuth
+            lit = np.abs(np.angle(np.exp(1j * off))) <= collection.beam_width / 2
+        track, frequency = collection.antenna_position[lit], collection.carrier + collection.range_frequency
+        distance = np.linalg.norm(point - track, axis=1)
+        for target in TARGETS:
+            x, y = target.x + centre[0], target.y + centre[1]
+            own = np.linalg.norm([x, y, float(terrain(np.array(x), np.array(y)))] - track, axis=1)
+            total += np.exp(4j * np.pi / SPEED_OF_LIGHT * np.outer(distance - own, frequency)).mean()
+        return total
+
     def peak(self, target: Target) -> Any:
         """Fractional (row of y, column of x) of the target's peak, from a chip upsampled 16 times by zero padding."""
         at = [round((v - axis[0]) / (axis[1] - axis[0])) for v, axis in ((target.y, self.y), (target.x, self.x))]
         chip = self.image[at[0] - 12 : at[0] + 12, at[1] - 12 : at[1] + 12]
         return np.array(at) - 12 + upsampled_peak(chip)
+
+
+def hilly(centre: tuple[float, float]) -> Terrain:
+    """A hill on a slope, with the scene about `centre` on it."""
+    x, y = np.meshgrid(np.arange(-60.0, 61.0, 2.0), np.arange(-60.0, 61.0, 2.0))
+    heights = 8 + 14 * np.exp(-((x - 5) ** 2 + (y + 4) ** 2) / 22**2) + 0.05 * x
+    return Terrain(x0=centre[0] - 60, dx=2.0, y0=centre[1] - 60, dy=2.0, heights=heights)
 
 
 def upsampled_peak(chip: Any, factor: int = 16) -> Any:

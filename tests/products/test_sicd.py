@@ -15,7 +15,7 @@ from axis_beams import axis_collection, with_patterns
 from lxml import etree
 from numpy.polynomial import polynomial
 from sicd_files import Sicd, errors, read_sicd
-from small_run import DAYTON, TARGETS, Made, make, upsampled_peak
+from small_run import DAYTON, TARGETS, Made, hilly, make, upsampled_peak
 
 import blocksar
 from blocksar import stores
@@ -121,6 +121,45 @@ def test_sicd_metadata_project_targets_onto_their_peaks(exported: tuple[Made, Si
         ground, _, success = sksicd.image_to_ground_plane(found.tree, place, ecef, DAYTON.axes[2])
         assert success
         assert ground == pytest.approx(ecef, abs=0.01)
+
+
+@pytest.mark.parametrize(("steered", "look"), [(False, 0.9), (True, -1.9)])
+def test_an_image_on_a_terrain_projects_to_its_heights(*, steered: bool, look: float, tmp_path: Path) -> None:
+    """Targets stand where the standard's projection has them, and their pixels project to their x and y."""
+    terrain = hilly((0.0, 0.0))
+    run = make(tmp_path, look=look, steered=steered, terrain=terrain, formed_on_it=True, hole=False)
+    report = blocksar.export("sicd", run.folder, tmp_path / "image.nitf")
+    assert "laid on the plane z = " in report.summary[0]
+    found = read_sicd(tmp_path / "image.nitf")
+    assert errors(found.checked) == []
+    assert "equal range and Doppler" in found.tree.findtext("{*}ImageFormation/{*}Processing/{*}Type")
+    random = np.random.default_rng(3)
+    points = [(target.x, target.y) for target in TARGETS] + [tuple(p) for p in random.uniform(-15, 15, (4, 2))]
+    for number, (x, y) in enumerate(points):
+        z = float(terrain(np.array(x), np.array(y)))
+        at, _, success = sksicd.scene_to_image(found.tree, DAYTON.to_ecef(np.array([x, y, z])))
+        assert success
+        row, column = sksicd.xrowycol_to_rowcol(found.tree, at)
+        pixel = np.rint([row, column]).astype(int)
+        if number < len(TARGETS):
+            chip = found.pixels[pixel[0] - 12 : pixel[0] + 12, pixel[1] - 12 : pixel[1] + 12]
+            assert np.abs(chip).max() > 0.9
+            peak = pixel - 12 + upsampled_peak(chip)
+            assert np.abs(peak - [row, column]).max() < 0.1
+            at = sksicd.rowcol_to_xrowycol(found.tree, peak)
+        height = DAYTON.to_geodetic(np.array([x, y, z]))[2]
+        back, _, success = sksicd.image_to_constant_hae_surface(found.tree, at, height)
+        assert success and np.abs(DAYTON.from_ecef(back)[:2] - [x, y]).max() < 0.04  # a tenth of a pixel
+        # The pixel has the value of the ground that it projects to, with the carrier's phase of their common range.
+        ground = np.array([x, y, z])
+        if number % 4:
+            continue
+        for _ in range(12):
+            height = DAYTON.to_geodetic(ground)[2]
+            place_there = sksicd.rowcol_to_xrowycol(found.tree, pixel.astype(float))
+            ground = DAYTON.from_ecef(sksicd.image_to_constant_hae_surface(found.tree, place_there, height)[0])
+            ground[2] = terrain(ground[0], ground[1])
+        assert abs(found.pixels[*pixel] - run.exact_value(terrain, ground)) < (1e-2 if steered else 2e-3)
 
 
 def test_sicd_pixels_equal_those_of_the_image(exported: tuple[Made, Sicd]) -> None:

@@ -10,6 +10,8 @@ in ECEF, and each has a centre of aperture, which for a steered beam depends on 
 contours, layover and height sensitivity follow from plane, time and track, and are correct wherever the track is exact.
 Block seams need no treatment: every pixel was focused with its own full dwell, whichever block it lies in.
 
+An image on a terrain is laid on the plane first, by equal range and Doppler (`plane_image`).
+
 Pixels. Rows of the file run along the axis of the scene, +x, +y, -x or -y, that points most directly away from the
 radar, so that shadows fall downwards; columns follow, right-handed about z. Pixels equal those of the image bit for
 bit; pixels that are not covered are zero and lie outside ValidData, which bounds the covered ones.

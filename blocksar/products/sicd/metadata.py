@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.polynomial import polynomial as power
 
-from blocksar.arrays import FloatArray
+from blocksar.arrays import BoolArray, FloatArray
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.products.sicd.aperture import Support, cut_weights, cut_width, find_support, lines_of_sight, lit_times
 from blocksar.products.sicd.layout import FIT_POINTS, Layout, central_pixel, lay_out, sample_pixels, valid_data
+from blocksar.products.sicd.plane_image import PlaneImage
 from blocksar.products.sicd.polynomials import Poly2D, arp_polynomial, fit_poly2d
 from blocksar.runs.finished import Coverage, FinishedRun
 from blocksar.version import __version__
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
 NAMESPACE = "urn:SICD:1.3.0"
 TIME_ACCURACY = 1e-3  # of a dwell, that TimeCOAPoly may be off
+EXACTLY = 1e-9  # s, that it may be off the polynomial by which pixels of a terrain are laid on the plane
 BAND_ACCURACY = 1e-2  # of the bandwidth, that DeltaKCOAPoly may be off
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 NOISE_ACCURACY = 0.1  # dB, that NoisePoly may be off
@@ -105,19 +107,19 @@ def _grid(
     geometry, zero = source.geometry, source.collection.time[0]
     pixels = sample_pixels(coverage, layout)
     points = layout.point(*pixels.T)
-    first, last = lit_times(geometry, points)
-    lit = first < last
+    middle, lit, known = _centres_of_aperture(source, points)
     if not lit.any():
         raise InputError(f"the beam of the collection never lights {source.image}; check collection.zarr")
     offset = (pixels[lit] - scp_pixel) * layout.spacing
-    centre_of_aperture = (first[lit] + last[lit]) / 2 - zero
-    coa = fit_poly2d(offset[:, 0], offset[:, 1], centre_of_aperture, TIME_ACCURACY * support.dwell)
+    coa = fit_poly2d(offset[:, 0], offset[:, 1], middle[lit] - zero, known or TIME_ACCURACY * support.dwell)
     time = np.asarray(power.polyval2d(offset[:, 0], offset[:, 1], coa.coefficients))
-    sight = lines_of_sight(geometry, points[lit], time + zero)
+    sight, error = lines_of_sight(geometry, points[lit], time + zero), coa.error
+    if isinstance(source, PlaneImage):
+        error += source.time_error
     notes = [
         f"rows run along {_axis_name(layout.row)}, columns along {_axis_name(layout.column)}",
-        f"TimeCOAPoly is of order {len(coa.coefficients) - 1} and at most {coa.error:.2g} s, "
-        f"{100 * coa.error / support.dwell:.2g} % of the dwell, off the middle of a pixel's lit time",
+        f"TimeCOAPoly is of order {len(coa.coefficients) - 1} and at most {error:.2g} s, "
+        f"{100 * error / support.dwell:.2g} % of the dwell, off the middle of a pixel's lit time",
     ]
     corners = (vertices - scp_pixel) * layout.spacing
     branches: dict[str, Any] = {}
@@ -129,6 +131,14 @@ def _grid(
         branches[name] = {"UVectECF": np.array([*direction, 0.0]) @ frame.axes, **branch}
         notes.append(f"{name}.DeltaKCOAPoly {note}")
     return {"ImagePlane": "GROUND", "Type": "PLANE", "TimeCOAPoly": coa.coefficients, **branches}, notes
+
+
+def _centres_of_aperture(source: FinishedRun, points: FloatArray) -> tuple[FloatArray, BoolArray, float]:
+    """Middles of the lit times of points (n, 3), s; whether they are lit; how exactly to follow them, s (0: not so)."""
+    if isinstance(source, PlaneImage):
+        return source.times(points), np.ones(len(points), bool), EXACTLY
+    first, last = lit_times(source.geometry, points)
+    return (first + last) / 2, first < last, 0.0
 
 
 def _direction(
@@ -295,6 +305,11 @@ def _set_radar(sicd: Any, source: FinishedRun) -> None:
         "AzAutofocus": "NO",
         "RgAutofocus": "NO",
     }
+    if isinstance(source, PlaneImage):
+        low, high = source.terrain.limits
+        what = f"focused on a terrain of z = {low:.4g} .. {high:.4g} m in the scene frame, and laid on the plane "
+        how = f"z = {source.ground_height:.6g} m by equal range and Doppler at the center of aperture"
+        sicd["ImageFormation"]["Processing"] = [{"Type": what + how, "Applied": True}]
 
 
 def _polarization(source: FinishedRun) -> tuple[str, str]:

@@ -10,6 +10,7 @@ from blocksar.errors import InputError
 from blocksar.places import Location
 from blocksar.products.sicd.layout import Layout
 from blocksar.products.sicd.metadata import ascii_text, build_metadata, classification
+from blocksar.products.sicd.plane_image import PlaneImage
 from blocksar.products.writing import replacing
 from blocksar.progress.listening import Callback
 from blocksar.runs.finished import FinishedRun
@@ -41,7 +42,14 @@ def write(
         from sarkit import sicd as sksicd
     except ModuleNotFoundError as error:
         raise InputError(f"{error.name} is not installed, which SICD needs; install blocksar[formats]") from None
-    frame = source.placed("a SICD")
+    frame, notes = source.placed("a SICD"), []
+    if source.geometry.terrain is not None:
+        source = PlaneImage.of(source)
+        low, high = source.terrain.limits
+        notes = [
+            f"the ground, z = {low:.5g} .. {high:.5g} m, is laid on the plane z = {source.ground_height:.6g} m by "
+            "equal range and Doppler: project pixels to their heights as SICD says"
+        ]
     n_byte = 8 * source.x.size * source.y.size
     if n_byte > MAX_BYTES:
         raise InputError(
@@ -61,7 +69,7 @@ def write(
     with replacing(out, overwrite=overwrite) as part, open(part, "wb") as file, sksicd.NitfWriter(file, nitf, jbp):
         file.seek(jbp["ImageSegments"][0]["Data"].get_offset())
         _write_pixels(source, metadata.layout, file, progress or (lambda done, total: None))
-    return metadata.notes
+    return [*notes, *metadata.notes]
 
 
 def _write_pixels(source: FinishedRun, layout: Layout, file: BinaryIO, progress: Callback) -> None:
