@@ -203,6 +203,12 @@ def join_chips(work: Work, points: Points, parts: Sequence[ChipPart], displaceme
     )
 
 
+def mean_sight(chips: Chips) -> FloatArray:
+    """Mean unit vector (n_sample, 3) from the antenna to the points that are lit; 0 where none is."""
+    mean = chips.spread(chips.lit.astype(np.float64))
+    return np.asarray(mean / np.maximum(np.sqrt((mean * mean).sum(axis=1, keepdims=True)), 1e-300))
+
+
 def brightest_places(chips: Chips) -> FloatArray:
     """Where the brightest scatterer of each chip lies from its point on the ground, (n_point, 2), m.
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from blocksar.arrays import FloatArray, IntArray
-from blocksar.autofocusing.work import Work
+from blocksar.autofocusing.work import FILTER_BAND, Work
 from blocksar.collection.spline import basis, solve_normal
 
 SAMPLES_PER_INTERVAL = 4  # of a chip, at least
@@ -72,6 +72,13 @@ def intervals(work: Work) -> int:
     """Intervals of the finest spline that the samples of chips support, a power of two."""
     fine = int(np.clip(work.n_sample // SAMPLES_PER_INTERVAL, 4, work.settings.intervals))
     return 1 << (fine.bit_length() - 1)
+
+
+def narrowing(work: Work, n_interval: int) -> int:
+    """By how much chips are decimated for splines of so many intervals."""
+    rate = work.settings.narrow_speed * work.wavenumber / np.pi / FILTER_BAND  # Hz
+    by_speed = int(work.geometry.collection.prf / work.decimation / rate)
+    return max(min(by_speed, work.n_sample // (2 * n_interval)), 1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

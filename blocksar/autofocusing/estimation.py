@@ -10,16 +10,17 @@ import numpy as np
 
 from blocksar import solvers
 from blocksar.arrays import FloatArray, IntArray
-from blocksar.autofocusing.chips import ChipPart, Chips, join_chips
-from blocksar.autofocusing.correction import Correction, Knots, intervals
+from blocksar.autofocusing.chips import ChipPart, Chips, join_chips, mean_sight
+from blocksar.autofocusing.correction import Correction, Knots, intervals, narrowing
 from blocksar.autofocusing.entropy import entropies
 from blocksar.autofocusing.fine_phase import believed, sample_phase
 from blocksar.autofocusing.information import bending, factor, information
+from blocksar.autofocusing.least_squares import by_least_squares
 from blocksar.autofocusing.minimising import minimise
 from blocksar.autofocusing.phase_gradient import LEAST_BAND, NARROWING, line_of_sight
 from blocksar.autofocusing.robust import own_errors, point_weights
 from blocksar.autofocusing.selection import Points
-from blocksar.autofocusing.work import FILTER_BAND, Work
+from blocksar.autofocusing.work import Work
 
 GRADIENTS = 8  # iterations of the phase gradient
 WIDEST_BAND = 0.45  # of a chip's Doppler cells to either side, in the first of them
@@ -97,21 +98,16 @@ class Polish:
 
 def by_phase_gradient(chips: Chips, weights: FloatArray) -> FloatArray:
     """Displacement along the mean line of sight (n_sample, 3), m, by phase gradient alone."""
-    mean = mean_sight(chips)
+    narrow = chips.narrowed(chips.work.coarse)
+    mean = mean_sight(narrow)
     displacement = np.zeros(mean.shape)
-    band = int(WIDEST_BAND * chips.values.shape[2])
+    band = int(WIDEST_BAND * narrow.values.shape[2])
     for _ in range(GRADIENTS):
-        phase = chips.work.wavenumber * chips.los(displacement)
-        shared = without_line(line_of_sight(chips, phase, band, weights))
-        displacement += mean * (shared / chips.work.wavenumber)[:, None]
+        phase = narrow.work.wavenumber * narrow.los(displacement)
+        shared = without_line(line_of_sight(narrow, phase, band, weights))
+        displacement += mean * (shared / narrow.work.wavenumber)[:, None]
         band = max(int(NARROWING * band), LEAST_BAND)
-    return displacement
-
-
-def mean_sight(chips: Chips) -> FloatArray:
-    """Mean unit vector (n_sample, 3) from the antenna to the points that are lit; 0 where none is."""
-    mean = chips.spread(chips.lit.astype(np.float64))
-    return np.asarray(mean / np.maximum(np.sqrt((mean * mean).sum(axis=1, keepdims=True)), 1e-300))
+    return np.stack([np.interp(chips.time, narrow.time, axis) for axis in displacement.T], axis=1)
 
 
 def without_line(values: FloatArray) -> FloatArray:
@@ -124,7 +120,7 @@ def without_line(values: FloatArray) -> FloatArray:
 def by_entropy(chips: Chips, start: FloatArray, weights: FloatArray, threads: int = 1) -> FloatArray:
     """Polish a displacement (n_sample, 3), m, by minimum entropy with splines of ever more intervals."""
     work, finest = chips.work, intervals(chips.work)
-    narrow = chips.corrected(start).narrowed(_narrowing(work, finest))
+    narrow = chips.corrected(start).narrowed(narrowing(work, finest))
     displacement = start
     for level in range(LEVELS - 1, -1, -1):
         count = max(finest >> level, 4)
@@ -163,8 +159,17 @@ def refined(
         phase = sample_phase(sharp.some(half), weights[half])
         estimates.append(phase - knots.smooth(phase[:, None])[:, 0])
     fine = believed(*estimates)
-    error = fine.error if work.decimation == 1 else float(np.hypot(fine.error, fine.beyond))
+    # Across the mean line of sight errors are alike, but splines alone tell them.
+    unseen = float(np.sqrt((fine.phase**2).mean())) * spread_of_sights(chips)
+    beyond = 0.0 if work.decimation == 1 else fine.beyond
+    error = float(np.sqrt(fine.error**2 + unseen**2 + beyond**2))
     return smooth + sight * (fine.phase / wavenumber)[:, None] - before, error
+
+
+def spread_of_sights(chips: Chips) -> float:
+    """Distance, rms, of the points' lines of sight from their mean at the same time, rad."""
+    away = np.where(chips.lit[..., None], chips.sight - mean_sight(chips)[chips.index], 0.0)
+    return float(np.sqrt((away * away).sum() / max(int(chips.lit.sum()), 1)))
 
 
 def halves(chips: Chips) -> tuple[IntArray, IntArray]:
@@ -173,17 +178,14 @@ def halves(chips: Chips) -> tuple[IntArray, IntArray]:
     return order[0::2], order[1::2]
 
 
-def _narrowing(work: Work, n_interval: int) -> int:
-    """By how much chips are decimated for the polish."""
-    rate = work.settings.narrow_speed * work.wavenumber / np.pi / FILTER_BAND  # Hz
-    by_speed = int(work.geometry.collection.prf / work.decimation / rate)
-    return max(min(by_speed, work.n_sample // (2 * n_interval)), 1)
-
-
-def shared_error(chips: Chips, weights: FloatArray, threads: int = 1) -> FloatArray:
-    """Displacement (n_sample, 3), m, that sharpens chips."""
+def shared_error(chips: Chips, before: FloatArray, weights: FloatArray, threads: int = 1) -> FloatArray:
+    """Displacement (n_sample, 3), m, that sharpens chips which were taken with that of `before` (n_sample, 3)."""
     found = by_phase_gradient(chips, weights)
-    return by_entropy(chips.recentred(found), found, weights, threads)
+    chips = chips.recentred(found)
+    found = by_entropy(chips, found, weights, threads)
+    for _ in range(2):
+        found = by_least_squares(chips, found, before, weights)
+    return found
 
 
 def estimate(
@@ -197,7 +199,7 @@ def estimate(
     if _entropy(chips.corrected(found), weights, threads) > _entropy(chips, weights, threads):
         found = np.zeros_like(found)  # the chips are sharper than what the phase gradient can do
     chips = chips.recentred(found)
-    found = by_entropy(chips, found, weights, threads)
+    found = by_least_squares(chips, by_entropy(chips, found, weights, threads), before, weights)
     found, fine_error = refined(chips, found, before, weights)
     corrected = chips.corrected(found)
     step = phase_step(chips, work.wavenumber * chips.los(found), weights)
@@ -220,7 +222,8 @@ def estimate(
 
 def _entropy(chips: Chips, weights: FloatArray, threads: int) -> float:
     """Mean entropy of chips as they are, nats."""
-    each, _ = entropies(chips.values, np.zeros(chips.index.shape), threads)
+    narrow = chips.narrowed(chips.work.coarse)
+    each, _ = entropies(narrow.values, np.zeros(narrow.index.shape), threads)
     return float((weights * each).sum() / weights.sum())
 
 

@@ -21,6 +21,7 @@ TURNS = 4  # of points' own phases and the shared one
 BANDS = 8  # of frequencies, at most
 OFF_END = 3  # from the last band: the one from which power beyond is told, not dimmed by the chips' low-pass
 LEAST_BINS = 8  # of a band
+WHOLE = 8  # times the Doppler cells: a band that cuts nothing
 DOUBT = 3.0  # standard deviations of the halves' common power in noise that are not believed
 
 
@@ -37,15 +38,12 @@ class FinePhase(NamedTuple):
 
 def sample_phase(chips: Chips, weights: FloatArray) -> FloatArray:
     """Phase (n_sample,) that the points share in each sample, rad; slow parts of it are arbitrary."""
-    energy = (np.abs(chips.values) ** 2).sum(axis=2, dtype=np.float64)
-    strongest = energy.argmax(axis=1)
-    lines = np.ascontiguousarray(chips.values[np.arange(strongest.size), strongest])
-    rows, _ = centred_rows(lines, chips.count, 8 * lines.shape[1], blur=1)  # all of the band
+    rows = strongest_rows(chips)
     index, n = chips.index, chips.time.size
     shared = np.zeros(n)
     for _ in range(TURNS):
         turned = rows * np.exp(-1j * shared[index])
-        own, noise = _own_phase(turned, chips)
+        own, noise = own_phase(turned, chips)
         share = (weights / np.maximum(noise, 1e-300))[:, None] * np.conj(own)
         values = np.where(chips.lit, rows * share, 0)
         total = np.bincount(index.ravel(), values.real.ravel(), minlength=n) + 1j * np.bincount(
@@ -55,7 +53,15 @@ def sample_phase(chips: Chips, weights: FloatArray) -> FloatArray:
     return np.asarray(np.unwrap(shared))
 
 
-def _own_phase(rows: ComplexArray, chips: Chips) -> tuple[Complex128Array, FloatArray]:
+def strongest_rows(chips: Chips) -> ComplexArray:
+    """The strongest line of each chip, centred on its brightest Doppler, with all of its band, (n_point, n)."""
+    energy = (np.abs(chips.values) ** 2).sum(axis=2, dtype=np.float64)
+    strongest = energy.argmax(axis=1)
+    lines = np.ascontiguousarray(chips.values[np.arange(strongest.size), strongest])
+    return centred_rows(lines, chips.count, WHOLE * lines.shape[1], blur=1)[0]
+
+
+def own_phase(rows: ComplexArray, chips: Chips) -> tuple[Complex128Array, FloatArray]:
     """Each row's amplitude with its own phase and Doppler (n_point, n), and its power besides, (n_point,)."""
     n_point, n = rows.shape
     own, noise = np.zeros((n_point, n), np.complex128), np.ones(n_point)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from blocksar.arrays import ComplexArray, FloatArray
-from blocksar.autofocusing.chips import ChipPart, Chips, join_chips
+from blocksar.autofocusing.chips import ChipPart, Chips, join_chips, mean_sight
 from blocksar.autofocusing.correction import Correction, Knots, between_samples, intervals
 from blocksar.autofocusing.estimation import halves, phase_step, shared_error
 from blocksar.autofocusing.information import factor, information
@@ -20,6 +21,8 @@ from blocksar.kernels.fourier import fft_rows
 # Each half has twice the variance of the whole, and their difference four times that: one half. But both halves share
 # what points do to each other and what splines leave: measured errors are 0.5 to 1.2 of the difference.
 HALVES_TO_WHOLE = 0.75
+SLOW = 4  # intervals of the finest spline for one of those that follow slow motion
+TURNS = 0.1  # whole turns of the phase that may remain unknown
 PICTURES = 6  # points whose chips are kept for pictures
 
 
@@ -72,6 +75,12 @@ def finish(work: Work, points: Points, parts: Sequence[ChipPart], correction: Co
     chips = join_chips(work, points, parts, correction.previous)
     apart = halves_apart(chips, correction, threads)
     last = correction.history[-1]
+    if (turns := unknown_turns(chips, correction.displacement)) > TURNS:
+        raise Refused(
+            "the samples do not tell the track's error: the points' phase jumps so far from sample to sample that "
+            f"some {max(turns, 1):.0f} whole turns of it remain unknown; give a collection with a higher PRF, or focus "
+            "the phase history as it is"
+        )
     if not (correction.finished and apart <= work.settings.halves):
         raise Refused(
             f"the samples do not tell the track's error: two estimates, each from half of {points.x.size} points, "
@@ -112,9 +121,21 @@ def halves_apart(chips: Chips, correction: Correction, threads: int = 1) -> floa
     knots = Knots(work=work, n_interval=intervals(work), time=chips.time)
     found = []
     for half in halves(chips):
-        displacement = shared_error(chips.some(half), correction.weights[half], threads)
+        displacement = shared_error(chips.some(half), correction.previous, correction.weights[half], threads)
         found.append(knots.smooth(displacement))
     return phase_step(chips, work.wavenumber * chips.los(found[0] - found[1]), correction.weights)
+
+
+def unknown_turns(chips: Chips, displacement: FloatArray) -> float:
+    """Steps between samples that are expected to exceed half a turn, and count as whole turns less, of all samples.
+
+    The steps are normally distributed, as those of a random walk: slow motion, which splines follow, is taken out.
+    """
+    work = chips.work
+    knots = Knots(work=work, n_interval=max(intervals(work) // SLOW, 4), time=chips.time)
+    seen = work.wavenumber * (displacement * mean_sight(chips)).sum(axis=1)
+    step = float(np.std(np.diff(seen - knots.smooth(seen[:, None])[:, 0])))
+    return seen.size * math.erfc(np.pi / max(step, 1e-3) / math.sqrt(2))
 
 
 def _uncertainty(chips: Chips, correction: Correction, predicted: float) -> FloatArray:

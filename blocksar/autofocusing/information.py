@@ -69,10 +69,23 @@ def bending(size: int) -> FloatArray:
     return np.asarray(np.einsum("ij,ab->iajb", one, np.eye(3)).reshape(3 * size, 3 * size))
 
 
-def factor(form: FloatArray) -> FloatArray:
-    """The upper triangular inverse factor f of a positive definite form: f f^T = form^-1, (n, n)."""
+def cholesky(form: FloatArray) -> FloatArray:
+    """The upper triangular r of a positive definite form: r^T r = form, (n, n)."""
     rest, upper = form.copy(), np.zeros_like(form)
-    for i in range(form.shape[0]):  # Cholesky's method, without BLAS: see `solvers`
+    for i in range(form.shape[0]):  # without BLAS: see `solvers`
         upper[i, i:] = rest[i, i:] / np.sqrt(rest[i, i])
         rest[i + 1 :, i + 1 :] -= upper[i, i + 1 :, None] * upper[i, i + 1 :]
-    return solvers.back_substitute(upper, np.eye(form.shape[0]))
+    return upper
+
+
+def factor(form: FloatArray) -> FloatArray:
+    """The upper triangular inverse factor f of a positive definite form: f f^T = form^-1, (n, n)."""
+    return solvers.back_substitute(cholesky(form), np.eye(form.shape[0]))
+
+
+def solve(form: FloatArray, right: FloatArray) -> FloatArray:
+    """form^-1 right (n,), of a positive definite form (n, n)."""
+    upper, forward = cholesky(form), np.zeros(right.size)
+    for i in range(right.size):
+        forward[i] = (right[i] - (upper[:i, i] * forward[:i]).sum()) / upper[i, i]
+    return np.asarray(solvers.back_substitute(upper, forward))

@@ -23,6 +23,7 @@ from blocksar.kernels.groups import row_groups, run_groups
 RANGE_STEP = 0.75  # range cells between lines
 DOPPLER_SHARE = 0.8  # of the PRF that lines about one yaw may fill
 CELLS = (6, 8)  # parts of a coarse image along range and Doppler; its brightest sample in each may become a point
+SIDELOBES = 1e-4  # of the brightest sample's power: what may be a sidelobe of it does not stand out
 YAWS = 65  # at which the beam's edges are looked for
 NEAR = 2.5  # range cells, and Doppler cells of a short aperture, within which candidates are the same point
 APART = 0.5  # of a chip's width: points closer than this share what they tell
@@ -160,10 +161,11 @@ def _brightest(work: Work, pulses: slice, power: FloatArray, ground: FloatArray,
     shifts = np.arange(-reach, reach + 1)
     power = power[:, shifts % n]
     rows, columns, prominence = [], [], []
+    floor = SIDELOBES * float(power.max())
     for part in np.array_split(np.arange(power.shape[0]), min(CELLS[0], power.shape[0])):
         for cut in np.array_split(np.arange(shifts.size), min(CELLS[1], shifts.size)):
             values = power[part[0] : part[-1] + 1, cut[0] : cut[-1] + 1]
-            typical = float(np.median(values))
+            typical = max(float(np.median(values)), floor)
             row, column = np.unravel_index(int(np.argmax(values)), values.shape)
             if typical > 0:
                 rows.append(part[0] + row)

@@ -19,7 +19,8 @@ from blocksar.errors import InputError
 
 BLOCK = 512  # pulses whose samples are in memory at a time, about
 LEAST_PULSES = 64
-LEAST_SAMPLES = 1024  # of a chip over the collection, if it has so many pulses
+LEAST_SAMPLES = 4096  # of a chip over the collection, if it has so many pulses: a random walk needs them
+COARSE_SAMPLES = 1024  # likewise where only smooth errors are looked for
 APERTURES = 5  # short ones within a dwell
 FILTER_LENGTH = 7  # decimated samples: of the low-pass filter; odd, so that it lies about a sample's centre
 FILTER_BAND = 0.8  # of a chip's sampling rate
@@ -88,8 +89,18 @@ class Work:
     def decimation(self) -> int:
         """Pulses for one sample of a chip."""
         collection = self.geometry.collection
-        rate = self.settings.speed * self.wavenumber / np.pi / FILTER_BAND
-        return max(min(int(collection.prf / rate), collection.n_pulse // LEAST_SAMPLES), 1)
+        return max(min(int(collection.prf / self._rate), collection.n_pulse // LEAST_SAMPLES), 1)
+
+    @property
+    def coarse(self) -> int:
+        """Samples of a chip for one of those in which smooth errors are looked for."""
+        rate = self.geometry.collection.prf / self.decimation
+        return max(min(int(rate / self._rate), self.n_sample // COARSE_SAMPLES), 1)
+
+    @property
+    def _rate(self) -> float:
+        """Samples a second that hold `Settings.speed`, Hz."""
+        return self.settings.speed * self.wavenumber / np.pi / FILTER_BAND
 
     @cached_property
     def n_sample(self) -> int:

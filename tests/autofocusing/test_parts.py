@@ -11,7 +11,9 @@ from blocksar.autofocusing.correction import Knots, between_samples
 from blocksar.autofocusing.entropy import PADDING, entropies
 from blocksar.autofocusing.estimation import Polish, without_line
 from blocksar.autofocusing.fine_phase import believed
-from blocksar.autofocusing.information import factor, information
+from blocksar.autofocusing.finishing import unknown_turns
+from blocksar.autofocusing.information import factor, information, solve
+from blocksar.autofocusing.least_squares import by_least_squares, point_phases
 from blocksar.autofocusing.minimising import minimise
 from blocksar.autofocusing.phase_gradient import line_of_sight
 from blocksar.autofocusing.range_lines import range_profiles, take_chips, take_lines, taps
@@ -27,11 +29,13 @@ def work() -> Work:
     return begin(Geometry(collection=spotlight()), GRID)
 
 
-def synthetic_chips(work: Work, phase: np.ndarray, *, points: int = 12, length: int = 160, seed: int = 3) -> Chips:
+def synthetic_chips(
+    work: Work, phase: np.ndarray, *, points: int = 12, length: int = 160, level: float = 0.1, seed: int = 3
+) -> Chips:
     """One point a chip, with a dwell, a Doppler and a phase of its own, and the phase (n_sample,) that all share."""
     random = np.random.default_rng(seed)
     first = np.linspace(0, work.n_sample - length, points).astype(np.int64)
-    values = 0.1 * noise(points, 7, length, seed=seed)
+    values = level * noise(points, 7, length, seed=seed)
     for i in range(points):
         at = first[i] + np.arange(length)
         values[i, 3] += np.exp(1j * (phase[at] + random.uniform(-0.4, 0.4) * np.arange(length) + random.uniform(0, 6)))
@@ -150,6 +154,44 @@ def test_information_is_the_phase_without_mean_and_line(work: Work) -> None:
     assert coefficients.ravel() @ told @ coefficients.ravel() == pytest.approx(slow, rel=1e-9)
     form = told + np.eye(27)
     assert factor(form) @ factor(form).T @ form == pytest.approx(np.eye(27), abs=1e-9)
+    assert form @ solve(form, coefficients.ravel()) == pytest.approx(coefficients.ravel())
+
+
+def test_least_squares_is_told_by_the_points_that_stand_out(work: Work) -> None:
+    """Half of the points have a phase of their own: weighed by their variance, they hardly count."""
+    u = np.linspace(-1, 1, work.n_sample)
+    phase = 0.1 * np.sin(7 * u)
+    chips = synthetic_chips(work, phase, level=0.01)
+    chips.values[::2, 3] *= np.exp(0.4j * np.sin(9 * np.linspace(-1, 1, 160) + np.arange(6)[:, None]))
+    found = nothing = np.zeros((work.n_sample, 3))
+
+    def left() -> float:
+        shared = work.wavenumber * (found @ [0.8, 0, -0.6])
+        return float(np.mean([np.std(without_line((shared - phase)[chips.index[i]])) for i in range(1, 12, 2)]))
+
+    before = left()
+    for _ in range(3):
+        found = by_least_squares(chips, found, nothing, np.ones(12))
+    assert left() < before / 4
+    assert left() < 0.01
+
+
+def test_phases_of_points_are_what_they_were_made_with(work: Work) -> None:
+    u = np.linspace(-1, 1, work.n_sample)
+    chips = synthetic_chips(work, 0.3 * np.cos(9 * u))
+    for i, phase in enumerate(point_phases(chips)):
+        at = chips.first[i] + np.arange(160)
+        line = np.polyval(np.polyfit(u[at], 0.3 * np.cos(9 * u[at]), 1), u[at])
+        assert np.std(phase[:160] - 0.3 * np.cos(9 * u[at]) + line) < 0.15  # the noise beside the points
+
+
+def test_whole_turns_are_counted(work: Work) -> None:
+    chips, random = synthetic_chips(work, np.zeros(work.n_sample)), np.random.default_rng(8)
+    steps = random.standard_normal(work.n_sample)
+    for size in (0.3, 1.5):  # rad, rms
+        walk = np.cumsum(size * steps) / work.wavenumber
+        beyond = work.n_sample * np.mean(np.abs(random.normal(0, size, 100000)) > np.pi)
+        assert unknown_turns(chips, walk[:, None] * [0.8, 0.0, -0.6]) == pytest.approx(beyond, rel=0.3, abs=1e-6)
 
 
 def test_minimum_of_a_banana() -> None:
