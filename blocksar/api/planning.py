@@ -369,6 +369,8 @@ def plan_lines(plan: Plan) -> list[str]:
         )
     if plan.edge_pulses:
         lines.append(f"the edges of dwells, some {plan.edge_pulses} pulses at either end, are back-projected")
+    if (parts := max(len(block.sampling.over_band) for block in plan.blocks)) > 1:
+        lines.append(f"dwells are gated in {parts} parts over the band, which are focused one after the other")
     lines.append(_disk_line(plan))
     if (coarse := undersampling(plan)) is not None:
         lines.append(coarse)

@@ -131,6 +131,12 @@ class Taper:
             return np.asarray(np.where(away >= 0, within, _sum(*self.series, np.asarray(v, np.float64))))
         return _sum(*self.series, np.asarray(v, np.float64))
 
+    def slope(self, v: FloatArray) -> FloatArray:
+        """dw/dv (...) at v."""
+        terms, frequency = self.series
+        turns = np.pi * frequency * np.arange(terms.size)
+        return np.asarray(-(terms * turns * np.sin(np.multiply.outer(v, turns))).sum(axis=-1))
+
     def samples(self, n: int) -> FloatArray:
         """w at v = (2k + 1 - n) / n, k = 0 .. n - 1."""
         return self((2 * np.arange(n) + 1 - n) / n)
@@ -210,7 +216,12 @@ class AxisTaper:
     @classmethod
     def over(cls, taper: Taper, start: float, step: float, n: int) -> AxisTaper | None:
         """The taper over n samples, each of which stands for a step; None if it is uniform."""
-        return None if taper.uniform else cls(taper, start + (n - 1) / 2 * step, n / 2 * step)
+        return None if taper.uniform else cls.spanning(taper, start, step, n)
+
+    @classmethod
+    def spanning(cls, taper: Taper, start: float, step: float, n: int) -> AxisTaper:
+        """The same of any taper."""
+        return cls(taper, start + (n - 1) / 2 * step, n / 2 * step)
 
     def __call__(self, values: FloatArray) -> FloatArray:
         v = (values - self.centre) / self.half

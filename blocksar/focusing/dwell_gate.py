@@ -51,6 +51,10 @@ class DwellGate:
     the middle's weight beyond: `DwellTaper`. It begins from zero where the edges of dwells are back-projected
     (`dwell_edges`), and then `blur` has no effect.
 
+    That scaling also moves the slopes of a taper, and ends that fade out. Where this costs too much, the band is
+    divided by Lagrange's polynomials L_k(f) through a few frequencies f_k: images of the samples times L_k, each with
+    windows for dwells as they are at f_k, add up to one whose windows follow f to the order of the polynomials.
+
     Attributes
     ----------
     begin, end : RowPolynomial
@@ -68,6 +72,8 @@ class DwellGate:
         Slow time after the gate, about 0, s.
     taper : DwellTaper or None
         None where all of a dwell has equal weights.
+    share : tuple of float
+        Legendre series over the band of the L_k by which range frequencies are multiplied; none for all of the band.
     """
 
     begin: RowPolynomial
@@ -79,6 +85,7 @@ class DwellGate:
     length: float
     time: Axis
     taper: DwellTaper | None = None
+    share: tuple[float, ...] = ()
 
     def begin_window(self, slope: float) -> ComplexArray:
         """G over `time` for the dwell's begin, (time.size,) complex64; it fades out well after the end."""

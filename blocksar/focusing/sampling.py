@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.kernels import fourier
@@ -35,6 +35,8 @@ class Sampling:
         Doppler of the final transform, Hz.
     gate : DwellGate or None
         None where all targets are lit at the same time.
+    over_band : tuple of DwellGate
+        Where dwells need windows of their own over the band: the gates of its parts, which take the place of `gate`.
     """
 
     slab: Axis
@@ -47,6 +49,12 @@ class Sampling:
     rows: Axis
     focused_doppler: Axis
     gate: DwellGate | None
+    over_band: tuple[DwellGate, ...] = ()
+
+    @property
+    def branches(self) -> tuple[Sampling, ...]:
+        """The samplings under which a block is compressed in range and focused: its images add up."""
+        return tuple(replace(self, gate=gate, over_band=()) for gate in self.over_band) or (self,)
 
     @property
     def image_doppler(self) -> Axis:

@@ -29,8 +29,8 @@ from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.ground_map import sum_lit
 from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.range_compression import RawCompression
-from blocksar.focusing.step import stages
 from blocksar.graph.admission import Unit
+from blocksar.graph.branches import run_branches
 from blocksar.graph.edges import Edges
 from blocksar.graph.gating import Gated, gate_bins
 from blocksar.graph.layers import sights_of
@@ -262,11 +262,14 @@ def _submit_chain(
         stays=ground.stays,
     )  # fmt: skip
     ground = replace(ground, lit=summed)
-    first, *others = stages(block.steps)
+    first, branches = block.first_stage, block.branches
     slab = spectrum.within(block.first_bin, block.first_bin + block.n_bin)
     node = submit(read_slab, run, block, first, slab, key=f"read-slab+{first.name}-{tail}")
-    for stage in others:
-        node = submit(run_stage, run, block, stage, node, key=f"{stage.name}-{tail}")
+    if len(branches) > 1:
+        node = submit(run_branches, run, block, node, key=f"branches-{tail}")
+    else:
+        for stage in branches[0]:
+            node = submit(run_stage, run, block, stage, node, key=f"{stage.name}-{tail}")
     key = f"geometric-correction-{tail}"
     return submit(write_patch, run, unit, block, node, ground, plan.grid, own, noise, edges, key=key)
 

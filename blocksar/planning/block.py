@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from itertools import chain
 
 import numpy as np
 
-from blocksar.arrays import BoolArray, FloatArray
+from blocksar.arrays import FloatArray
 from blocksar.chunks import DOPPLER_GROUP
 from blocksar.collection.beam import dwell_at
 from blocksar.collection.collection import Collection
@@ -25,7 +25,7 @@ from blocksar.focusing.range_gate import RangeGate
 from blocksar.focusing.recovery import Recovery
 from blocksar.focusing.relief_map import NodeHeights
 from blocksar.focusing.sampling import Sampling
-from blocksar.focusing.step import Constants, Step
+from blocksar.focusing.step import Constants, Stage, Step, stages
 from blocksar.focusing.surfaces import Surface
 from blocksar.kernels import fourier
 from blocksar.kernels.fourier import Axis
@@ -33,15 +33,14 @@ from blocksar.kernels.interpolation import taps_needed
 from blocksar.planning.aperture_waves import plan_waves
 from blocksar.planning.apertures import level_aperture, levelled
 from blocksar.planning.binding import AzimuthPart, RangePart, Slab
+from blocksar.planning.block_gates import Ends, FineLines, plan_dwell_gate, plan_over_band
 from blocksar.planning.coefficients import Choice, choose
-from blocksar.planning.dwell_weights import DwellWeights
-from blocksar.planning.fidelity import gate_blur
-from blocksar.planning.gates import GATE_DEGREES, faded_room, full_dwells, plan_gate, plan_range_gate
+from blocksar.planning.gates import faded_room, full_dwells, plan_range_gate
 from blocksar.planning.memory import block_memory
 from blocksar.planning.motion import plan_motion
 from blocksar.planning.nodes import common_ranges, nodes_between
 from blocksar.planning.prediction import Prediction, predict
-from blocksar.planning.relief import FINE_DEGREE, elevation_ratio, map_relief, trace_layer, turns_of
+from blocksar.planning.relief import elevation_ratio, map_relief, trace_layer, turns_of
 from blocksar.planning.sector import Sector
 from blocksar.planning.target_lines import Dwells, tail_margin
 
@@ -106,6 +105,23 @@ class BlockPlan:
         return self.chain if self.range_gate is None else self.chain[1:]
 
     @property
+    def stages(self) -> list[Stage]:
+        """All that is run, in order: the first stage, and the rest of the steps once for each part of the gate."""
+        return list(chain([self.first_stage], *self.branches))
+
+    @property
+    def first_stage(self) -> Stage:
+        return stages(self.steps)[0]
+
+    @property
+    def branches(self) -> list[list[Stage]]:
+        """The stages after the first, once for each part of the gate over the band: their images add up."""
+        rest = self.steps[len(self.first_stage.steps) :]
+        if not self.sampling.over_band:
+            return [stages(rest)]
+        return [stages([step.sampled(sampling) for step in rest]) for sampling in self.sampling.branches]
+
+    @property
     def name(self) -> str:
         return str(self.index) if self.part is None else f"{self.index}.{self.part}"
 
@@ -161,7 +177,8 @@ def plan_block(
         azimuth = azimuth.weighed(in_time)
     first, last = dwell_at(sector.geometry, fine_yaw, fine_range[:, None], uncut=True)
     uncut = first - sector.geometry.epoch, last - sector.geometry.epoch
-    weights = sector.weights(lit, uncut=uncut, epoch_range=fine_range, yaw=fine_yaw)
+    about = range_part.scales_time_about
+    weights = sector.weights(lit, uncut=uncut, epoch_range=fine_range, yaw=fine_yaw, scaled_about=about)
     spots = focus(weights.weigh(fine))
     sampling = _plan_sampling(
         recovery, slab, azimuth, straight if sector.relief is None else range_part.trace(everywhere),
@@ -170,7 +187,7 @@ def plan_block(
         faded=sector.fade > 0,
     )  # fmt: skip
     ends = Ends(
-        rate=biased.rate, uncut=uncut, scaled_about=azimuth.range_part.scales_time_about,
+        rate=biased.rate, uncut=uncut, scaled_about=about,
         full=full_dwells(fine, sector.geometry, fine_range[:, None], fine_yaw),
         passing=sector.passing(fine_range[:, None], fine_yaw),
     )  # fmt: skip
@@ -179,11 +196,8 @@ def plan_block(
     return BlockPlan(
         index=index, part=part, low=sector.low, high=sector.high, first_bin=slab.first_bin, n_bin=slab.doppler.size,
         chain=azimuth.sampled(sampling) if range_gate is None else (range_gate, *azimuth.sampled(sampling)),
-        sampling=sampling,
-        ground=ground,
-        prediction=prediction,
+        sampling=sampling, ground=ground, prediction=prediction, choice=choice,
         memory=_plan_memory(range_gate, range_part, sampling) + sector.edge_memory,
-        choice=choice,
     )  # fmt: skip
 
 
@@ -193,8 +207,9 @@ def _plan_image(
     """The sampling with its dwell gate, the ground map, and the prediction."""
     rng, yaw, ends, weights = lines.epoch_range, lines.yaw, lines.ends, lines.weights
     gated = _follow_terrain(sector, azimuth, lines) if sector.gates_by_height else lines
-    gate = _plan_dwell_gate(sector, sampling, gated.line, gated.spots, gated.lit, gated.ends)
-    sampling = replace(sampling, gate=gate)
+    gate = plan_dwell_gate(sector, sampling, gated)
+    over_band = () if gate is None else plan_over_band(sector, sampling, gated, gate)
+    sampling = replace(sampling, gate=gate, over_band=over_band)
     ground = _plan_ground(sector, sampling, lines.line, lines.spots, epoch_range=rng, yaw=yaw)
     if sector.staying is not None and not sector.taper.uniform:
         waves = plan_waves(sector.staying, sector.taper, lines.lit, lines.line, epoch_range=rng, yaw=yaw)
@@ -202,8 +217,8 @@ def _plan_image(
     if sector.relief is not None:
         return sampling, *_raise(sector, azimuth, ground, gate, lines)
     prediction = predict(
-        lines.line, lines.spots, rng, yaw, sector.geometry, rate=ends.rate, gate=gate, scaled_about=ends.scaled_about,
-        weights=weights, band=sector.weighting.range,
+        lines.line, lines.spots, rng, yaw, sector.geometry, rate=ends.rate, gate=gate, parts=sector.gate_parts,
+        scaled_about=ends.scaled_about, weights=weights, band=sector.weighting.range,
     )  # fmt: skip
     return sampling, ground, prediction
 
@@ -251,48 +266,12 @@ def _raise(
     predictions = [
         predict(
             layer.line, layer.spots, rng, yaw, layer.geometry, rate=layer.rate, gate=gate,
-            scaled_about=lines.ends.scaled_about, weights=weights, reached=known,
+            parts=sector.gate_parts, scaled_about=lines.ends.scaled_about, weights=weights, reached=known,
+            band=sector.weighting.range,
         )
         for layer in (trace_layer(each, trace, weights.weigh) for each in grounds)
     ]  # fmt: skip
     return replace(ground, relief=by_height), min(predictions, key=lambda each: each.coherence)
-
-
-class Ends(NamedTuple):
-    """What the ends of dwells depend on besides the lines."""
-
-    rate: FloatArray  # of the lines before the steps in Doppler, Hz/s
-    uncut: tuple[FloatArray, FloatArray]  # (n_yaw,) or (n_range, n_yaw), s from the epoch, as if nothing cut them
-    scaled_about: float | None  # time about which a keystone scales time, s
-    full: BoolArray  # (n_range, n_yaw), from `full_dwells`
-    passing: tuple[FloatArray, ...]  # (n_range, n_yaw) each, from `Sector.passing`
-
-
-class FineLines(NamedTuple):
-    """Lines (n_range, n_yaw) through the whole chain, for the gate, the ground map and the prediction."""
-
-    lit: Line  # before all steps
-    line: Line  # after them
-    spots: Focus
-    epoch_range: FloatArray  # (n_range,) m
-    yaw: FloatArray  # (n_yaw,) rad
-    weights: DwellWeights
-    ends: Ends
-    in_time: AxisTaper | None  # over the pulses of a beam that is not steered
-
-
-def _plan_dwell_gate(
-    sector: Sector, sampling: Sampling, line: Line, spots: Focus, lit: Line, ends: Ends
-) -> DwellGate | None:
-    """The dwell gate for lines after all steps, and `lit` before them."""
-    collection = sector.geometry.collection
-    taper = sector.taper if collection.steered else FLAT
-    return plan_gate(
-        line, spots, ends.rate, blur=gate_blur(collection, ends.uncut, scaled_about=ends.scaled_about), lit=lit,
-        uncut=ends.uncut, full=ends.full, rows=sampling.rows, slow=sampling.long_time, taper=taper,
-        degree=FINE_DEGREE if sector.gates_by_height else GATE_DEGREES,
-        fade=sector.fade, passing=ends.passing,
-    )  # fmt: skip
 
 
 def _pulse_taper(sector: Sector) -> AxisTaper | None:
@@ -497,4 +476,5 @@ def _plan_memory(range_gate: RangeGate | None, range_part: RangePart, sampling: 
         n_row=sampling.rows.size,
         n_image=sampling.image_doppler.size,
         length=max(sampling.long_time.size, _range_transform(sampling.range_frequency)[0]),
+        divided=bool(sampling.over_band),
     )

@@ -28,12 +28,15 @@ class DwellWeights:
         The same at the ends of the dwells.
     patterned : bool
         Whether dwells have other weights than the whole taper: an antenna's pattern, or a part of the taper.
+    change : (..., n) float
+        Of these weights per relative range frequency f / fc, where a keystone scales time; 0 without one.
     """
 
     taper: Taper
     nodes: FloatArray
     edge: FloatArray | float
     patterned: bool
+    change: FloatArray | float = 0.0
 
     @property
     def uniform(self) -> bool:
@@ -53,6 +56,7 @@ def dwell_weights(
     epoch_range: FloatArray,
     yaw: FloatArray,
     stays: bool = False,
+    scaled_about: float | None = None,
 ) -> DwellWeights:
     """The weights of targets at epoch ranges (n_range,), m, and yaws (n_yaw,), rad.
 
@@ -65,23 +69,31 @@ def dwell_weights(
         place in a beam that is described by its yaw, or not steered, is taken as linear in between.
     stays : bool
         From `planning.staying`: each target then has a part of the taper of its own.
+    scaled_about : float or None
+        Time, s from the epoch, about which a keystone scales time with range frequency; None without one.
     """
     collection = geometry.collection
     at = epoch_range[:, None], yaw
     x, y, z = (np.asarray(axis)[..., None] for axis in (*geometry.ground_axes(*at), geometry.level(*at)))
     time, edge = lit.time + geometry.epoch, float(taper(np.array(1.0)))
+    change: FloatArray | float = 0.0
     if taper.uniform:
         nodes = np.ones(lit.time.shape)
-    elif collection.has_axis and collection.beam_width is not None:
-        nodes = taper(2 * at_times(geometry, x, y, time, beam_offset, z) / collection.beam_width)
     else:
-        nodes = taper((2 * lit.time - (uncut[0] + uncut[1])[..., None]) / (uncut[1] - uncut[0])[..., None])
+        dwell = (uncut[1] - uncut[0])[..., None]
+        if collection.has_axis and collection.beam_width is not None:
+            place = 2 * at_times(geometry, x, y, time, beam_offset, z) / collection.beam_width
+        else:
+            place = (2 * lit.time - (uncut[0] + uncut[1])[..., None]) / dwell
+        nodes = taper(place)
+        if collection.steered and not stays and scaled_about is not None:
+            change = taper.slope(place) * 2 / dwell * (lit.time - scaled_about)
     if not collection.has_pattern:
-        return DwellWeights(taper=taper, nodes=nodes, edge=edge, patterned=stays and not taper.uniform)
+        return DwellWeights(taper=taper, nodes=nodes, edge=edge, patterned=stays and not taper.uniform, change=change)
     gain = at_times(geometry, x, y, time, pattern_gain, z)
     # The outer nodes lie close to the ends: by half a hundredth of the dwell.
     at_ends = np.sqrt((gain[..., 0] ** 2 + gain[..., -1] ** 2) / 2)
-    return DwellWeights(taper=taper, nodes=nodes * gain, edge=edge * at_ends, patterned=True)
+    return DwellWeights(taper=taper, nodes=nodes * gain, edge=edge * at_ends, patterned=True, change=change * gain)
 
 
 def taper_over_dwells(collection: Collection, weighting: Weighting) -> Taper:

@@ -6,12 +6,15 @@ ends, and the energy E by which the chain's end differs from back-projection's (
 
     1 - coherence = E (w g)^2 at the ends / (dwell * mean of (w g)^2).
 
-Where this exceeds what the fidelity allows, edges are faded in the chain and back-projected.
+Where this exceeds what the fidelity allows, edges are faded in the chain and back-projected. What the keystone then
+costs, by the ends that fade out and by the slopes of a taper, shrinks with the parts of the gate over the band
+(`focusing.dwell_gate`): the fewest are taken that leave half of the allowed loss to other causes.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,7 +25,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import Region
 from blocksar.collection.weighting import Weighting
 from blocksar.planning.dwell_weights import beam_moves, taper_over_dwells
-from blocksar.planning.fidelity import blurred_energy
+from blocksar.planning.fidelity import blurred_energy, faded_energy, slope_loss
 
 LEAST_PULSES = 8  # over which an end fades: with fewer its spectrum reaches the Doppler of other targets
 PER_MOVE = 6.0  # the time in which an end fades, at least: over that by which it moves at the edge of the band
@@ -30,33 +33,68 @@ PER_SMEAR = 0.25  # and over sqrt(e)
 LEAST_FADE = 2  # an edge is at most a quarter of a dwell
 PLACES = 33  # yaws at which dwells are looked at
 BEAM_NODES = 64  # of the mean over the beam
+MOST_PARTS = 3  # of a gate over the band
+PARTS_SHARE = 0.5  # of the allowed loss that the keystone may take before the gate is divided
 
 
-def plan_fade(
+class Edges(NamedTuple):
+    """How dwells are gated.
+
+    Attributes
+    ----------
+    fade : int
+        n of `focusing.dwell_edges`: half a dwell over one of its edges; 0 where whole dwells keep the fidelity.
+    parts : int
+        Of the gate over the band.
+    """
+
+    fade: int = 0
+    parts: int = 1
+
+
+def plan_edges(
     geometry: Geometry, region: Region, *, fidelity: float, weighting: Weighting, band: float, keystone: bool
-) -> int:
-    """n of `focusing.dwell_edges`: half a dwell over one of its edges; 0 where whole dwells keep the fidelity.
+) -> Edges:
+    """Whether edges of dwells are back-projected, and of how many parts the gate is.
 
     `band` is the Doppler band that is lit at a time, Hz. In the time of a dwell the beam passes over all of it: ends of
     dwells move along Doppler by e = dwell / band, and the steps of a chain smear them over a share of sqrt(e).
     """
     collection = geometry.collection
     if not beam_moves(collection) or geometry.terrain is not None:  # edges are summed on the plane
-        return 0
+        return Edges()
     yaw = np.linspace(region.yaw[0], region.yaw[-1], PLACES)
     near, far = region.at(yaw)
     first, last = dwell_at(geometry, yaw, (near + far) / 2, uncut=True)
     start, end = aperture(collection)
     ended = (last > first) & ((first > start) | (last < end))
     if not ended.any():
-        return 0
+        return Edges()
     dwell = float(np.median((last - first)[ended]))
     moved = dwell / 2 * collection.bandwidth / (2 * collection.carrier) if keystone else 0.0
-    if edge_loss(collection, weighting, dwell, moved) <= 1 - fidelity:
-        return 0
-    smeared = math.sqrt(dwell / max(band, 1 / dwell))
-    pulses = max(LEAST_PULSES, math.ceil(max(PER_MOVE * moved, PER_SMEAR * smeared) * collection.prf))
-    return max(int(dwell * collection.prf / 2 / pulses), LEAST_FADE)
+    fade = 0
+    if edge_loss(collection, weighting, dwell, moved) > 1 - fidelity:
+        smeared = math.sqrt(dwell / max(band, 1 / dwell))
+        pulses = max(LEAST_PULSES, math.ceil(max(PER_MOVE * moved, PER_SMEAR * smeared) * collection.prf))
+        fade = max(int(dwell * collection.prf / 2 / pulses), LEAST_FADE)
+    return Edges(fade, _plan_parts(collection, weighting, dwell, moved, fade=fade, most=PARTS_SHARE * (1 - fidelity)))
+
+
+def _plan_parts(
+    collection: Collection, weighting: Weighting, dwell: float, moved: float, *, fade: int, most: float
+) -> int:
+    """The fewest parts over the band with which the keystone costs at most `most`."""
+    if not moved:
+        return 1
+    none, weights = np.zeros(1), _beam_weights(collection, weighting)
+    for parts in range(1, MOST_PARTS):
+        lost = slope_loss(collection, weighting.range) * weights.change if parts == 1 else 0.0
+        if fade:
+            energy = faded_energy(none, none, np.array([moved]), dwell / (2 * fade), weighting.range, parts=parts)
+            lost += float(energy[0]) * weights.ends / dwell
+        if lost <= most:
+            return parts
+    return MOST_PARTS
 
 
 def edge_loss(collection: Collection, weighting: Weighting, dwell: float, moved: float) -> float:
@@ -64,10 +102,23 @@ def edge_loss(collection: Collection, weighting: Weighting, dwell: float, moved:
     interval, none = collection.pulse_interval, np.zeros(1)
     blur = math.hypot(moved, interval / 2)
     energy = float(blurred_energy(none, none, np.array([moved]), blur, interval, weighting.range)[0])
-    nodes, weights = solvers.gauss_legendre(BEAM_NODES)
+    return energy * _beam_weights(collection, weighting).ends / dwell
+
+
+class _BeamWeights(NamedTuple):
+    """Squares over the beam, divided by the mean of (w g)^2."""
+
+    ends: float  # (w g)^2 at the ends
+    change: float  # mean of (v dw/dv g)^2
+
+
+def _beam_weights(collection: Collection, weighting: Weighting) -> _BeamWeights:
+    nodes, shares = solvers.gauss_legendre(BEAM_NODES)
     v = np.concatenate([nodes, [-1.0, 1.0]])
-    squared = taper_over_dwells(collection, weighting)(v) ** 2
+    taper, gain = taper_over_dwells(collection, weighting), np.ones(v.size)
     if collection.beam_offset is not None and collection.beam_pattern is not None:
         offset = v * (collection.beam_width or 0.0) / 2
-        squared = squared * np.interp(offset, collection.beam_offset, collection.beam_pattern) ** 2
-    return float(energy * squared[-2:].mean() / (dwell * (weights * squared[:-2]).sum() / 2))
+        gain = np.interp(offset, collection.beam_offset, collection.beam_pattern)
+    squared, changed = (taper(v) * gain) ** 2, (taper.slope(v) * v * gain) ** 2
+    mean = (shares * squared[:-2]).sum()
+    return _BeamWeights(float(squared[-2:].mean() * 2 / mean), float((shares * changed[:-2]).sum() / mean))

@@ -26,6 +26,12 @@ by less. With P(u) = cos(pi u) / (1 - 4 u^2), the spectrum of the fade's slope a
 
     integral of |F(t) - H(t - d)|^2 dt = T / pi^2 integral of P^2 (1 - cos(pi a u^2 / T^2) cos(2 pi u d / T)) / u^2 du.
 
+A keystone also moves the slopes of a taper, by (t - m) f / fc about its time m. The weights of a range frequency differ
+by dw/dt (t - m) f / fc, and half the mean of its square is lost, over the mean of w^2.
+
+Where the gate has parts over the band (`dwell_gate`), what is left of a shift is what Lagrange's polynomials leave of
+it: exp(-2j pi u d / T) becomes its interpolation through the parts' own shifts, and slopes are followed.
+
 Under a weighting w both sums have the weights w besides, and under an antenna's pattern g the echo has g: the inner
 product along the dwell has (w g)^2, and an end loses by that value there. Means over the band have the square of its
 weighting.
@@ -47,7 +53,8 @@ from blocksar.collection.weighting import FLAT, Taper
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.dwell_gate import FAR, DwellGate, far_fresnel_integral
 from blocksar.focusing.lines import LEAST_STRETCH, Focus, Line
-from blocksar.planning.gates import dwell_ends, end_smear, full_dwells
+from blocksar.planning.dwell_weights import DwellWeights
+from blocksar.planning.gates import dwell_ends, end_smear, full_dwells, gate_parts
 
 BAND_NODES = 4  # of the means over range frequency
 MIGRATION_NODES = 12  # of that over the phase by range migration, under a weighting
@@ -74,10 +81,10 @@ def worst_losses(
     *,
     rate: FloatArray,
     gate: DwellGate | None,
+    parts: int,
     scaled_about: float | None,
     track_phase: float,
-    weights: FloatArray,
-    edge: FloatArray | float,
+    weights: DwellWeights,
     reached: BoolArray | None = None,
     band: Taper = FLAT,
 ) -> Losses:
@@ -95,21 +102,26 @@ def worst_losses(
         Time, s from the epoch, about which a keystone scales time with range frequency; None without one.
     track_phase : float
         Root mean square phase that the noise of the track leaves, rad.
-    weights : (..., n) float
-        The weighting, times the antenna's pattern, at the nodes of the lines.
-    edge : (...) float
-        The same at the ends of a dwell.
+    weights : DwellWeights
+        At the nodes of the lines.
+    parts : int
+        Of the gate over the band; 1 for one gate.
     reached : (n_range, n_yaw) bool, optional
         Which of the targets there are; default: all.
     band : Taper
         Weighting along range frequency.
     """
-    squared = line.weighed(weights**2)
+    squared = line.weighed(weights.nodes**2)
     phase, migration = _along_dwell(squared, spots, geometry, band)
     ends = np.zeros_like(phase)
     if gate is not None:
-        ends = _at_ends(line, spots, rng, yaw, geometry, rate=rate, gate=gate, scaled_about=scaled_about, band=band)
-        ends *= edge**2 * line.weight.sum(axis=-1) / squared.weight.sum(axis=-1)
+        ends = _at_ends(
+            line, spots, rng, yaw, geometry, rate=rate, gate=gate, parts=parts, scaled_about=scaled_about, band=band
+        )
+        ends *= weights.edge**2 * line.weight.sum(axis=-1)
+        if parts == 1:
+            ends += slope_loss(geometry.collection, band) * (line.weight * np.square(weights.change)).sum(axis=-1)
+        ends /= squared.weight.sum(axis=-1)
     lost, full = phase + migration + ends, full_dwells(line, geometry, rng[:, None], yaw)
     total = np.where(full, lost, -1.0)
     if reached is not None:
@@ -147,6 +159,7 @@ def _at_ends(
     *,
     rate: FloatArray,
     gate: DwellGate,
+    parts: int,
     scaled_about: float | None,
     band: Taper,
 ) -> FloatArray:
@@ -171,12 +184,18 @@ def _at_ends(
         displaced = (at + side * gate.length / 2 - placed) / line.stretch[..., end]
         scaled = np.zeros(yaw.shape) if scaled_about is None else moment - geometry.epoch - scaled_about
         if fade:
-            total = faded_energy(left, displaced, scaled * edge_of_band, lit / (2 * fade), band)
+            total = faded_energy(left, displaced, scaled * edge_of_band, lit / (2 * fade), band, parts=parts)
         else:
             total = blurred_energy(left, displaced, scaled * edge_of_band, gate.blur, collection.pulse_interval, band)
         cut = np.abs(moment - collection.time[end]) < collection.pulse_interval
         lost += np.where(cut, 0.0, total)
     return lost / (2 * lit)
+
+
+def slope_loss(collection: Collection, band: Taper) -> float:
+    """Loss by a change of weights whose square is that of the weights, per relative range frequency."""
+    nodes, shares = band_nodes(band, BAND_NODES)
+    return float((shares * nodes**2).sum() * (collection.bandwidth / 2 / collection.carrier) ** 2 / 2)
 
 
 def smear_loss(line: Line, spots: Focus, rate: FloatArray, geometry: Geometry, full: BoolArray) -> float:
@@ -245,19 +264,25 @@ def faded_energy(
     spread: FloatArray,
     duration: FloatArray | float,
     taper: Taper = FLAT,
+    *,
+    parts: int = 1,
 ) -> FloatArray:
     """Mean energy by which ends that fade over a time `duration` and are moved by +-`spread` differ from their gate, s.
 
-    Area, s^2, displacement, s, as in `end_energy`.
+    Area, s^2, displacement, s, as in `end_energy`. The gate has `parts` over the band.
     """
     nodes, weights = solvers.gauss_legendre(FADE_NODES)
     u, du = FADE_REACH * (1 + nodes) / 2, FADE_REACH * weights / 2
     slope = np.pi / 4 * (np.sinc(u + 0.5) + np.sinc(u - 0.5))
     energy = np.zeros(np.broadcast_shapes(area.shape, displaced.shape, spread.shape))
     for node, share in zip(*band_nodes(taper, BAND_NODES), strict=True):
-        moved = ((displaced - node * spread) / duration)[..., None]
-        turned = np.cos(np.pi * u**2 * (area / duration**2)[..., None]) * np.cos(2 * np.pi * u * moved)
-        energy += share * (slope**2 / u**2 * (1 - turned) * du).sum(axis=-1)
+        # The shift that the gate's parts leave, as the factor of the gate's spectrum over that of the ends.
+        left = np.exp(2j * np.pi * u * (displaced / duration)[..., None]) * sum(
+            part * np.exp(2j * np.pi * u * ((at - node) * spread / duration)[..., None])
+            for at, part in zip(gate_parts(parts).nodes, gate_parts(parts).at(node), strict=True)
+        )
+        turned = np.cos(np.pi * u**2 * (area / duration**2)[..., None]) * left.real
+        energy += share * (slope**2 / u**2 * ((1 + np.abs(left) ** 2) / 2 - turned) * du).sum(axis=-1)
     return np.asarray(energy * duration / np.pi**2)
 
 

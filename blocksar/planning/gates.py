@@ -7,7 +7,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.polynomial import chebyshev
+from numpy.polynomial import chebyshev, legendre
 
 from blocksar import solvers
 from blocksar.arrays import BoolArray, FloatArray
@@ -69,6 +69,41 @@ def _gate_length(needed: float, share: float, at_most: int) -> tuple[int, int]:
     return min(((n, round(n * share)) for n in lengths), key=lambda pair: abs(pair[1] / pair[0] / share - 1))
 
 
+class Scaling(NamedTuple):
+    """What a keystone does to times at a range frequency: t -> about + (t - about) factor."""
+
+    about: float = 0.0  # s from the epoch
+    factor: float = 1.0
+
+    def __call__(self, time: FloatArray) -> FloatArray:
+        return time if self.factor == 1 else self.about + (time - self.about) * self.factor
+
+
+NO_SCALING = Scaling()
+
+
+class GateParts(NamedTuple):
+    """Places over the band, -1 .. 1, for which gates are made, and Lagrange's polynomials through them.
+
+    Row k of `series` is the Legendre series of the polynomial that is 1 at node k.
+    """
+
+    nodes: FloatArray
+    series: FloatArray
+
+    def at(self, place: float) -> FloatArray:
+        """The polynomials (n,) at a place."""
+        return np.asarray(legendre.legval(place, self.series.T))
+
+
+@lru_cache
+def gate_parts(n: int) -> GateParts:
+    """Of a gate of n parts, at Gauss-Legendre nodes."""
+    nodes, weights = solvers.gauss_legendre(n)
+    orders = np.arange(n)
+    return GateParts(nodes, weights[:, None] * (orders + 0.5) * legendre.legvander(nodes, n - 1))
+
+
 def plan_gate(
     line: Line,
     spots: Focus,
@@ -84,6 +119,7 @@ def plan_gate(
     degree: tuple[int, int] = GATE_DEGREES,
     fade: int = 0,
     passing: tuple[FloatArray, ...] = (),
+    scaling: Scaling = NO_SCALING,
 ) -> DwellGate | None:
     """The gate that follows the ends of the dwells along Doppler, from the lines (n_range, n_yaw) of targets.
 
@@ -113,10 +149,14 @@ def plan_gate(
     passing : tuple of (n_range, n_yaw) float, optional
         Slow times, s from the epoch, at which the beam's centre passes the targets, by default amid their dwells; and
         with `fade` those at which the edge after the begin ends, and at which that before the end begins.
+    scaling : Scaling
+        Of these times, at the range frequency for which the gate is made.
     """
     weighed = fade > 0 or not taper.uniform
     begins, ends = dwell_ends(line)
     first, last = dwell_ends(lit)
+    cut = first - uncut[0], uncut[1] - last
+    uncut, passing = (scaling(uncut[0]), scaling(uncut[1])), tuple(scaling(each) for each in passing)
     begins = begins - (first - uncut[0]) * line.stretch[..., 0]
     ends = ends + (uncut[1] - last) * line.stretch[..., -1]
     middles, lengths = (begins + ends) / 2, ends - begins
@@ -136,9 +176,7 @@ def plan_gate(
         after, before = (_crossing(line, (first, last), moment) for moment in passing[1:])
         at_begin, at_end = (after - begins) / edges[2], (ends - before) / edges[3]
         shares = float(np.median(at_begin[full])), float(np.median(at_end[full]))
-    begin, end, *halves = _fit_ends(
-        place, spots, np.stack(edges), degree=degree, cut=(first - uncut[0], uncut[1] - last), length=length, fade=fade
-    )
+    begin, end, *halves = _fit_ends(place, spots, np.stack(edges), degree=degree, cut=cut, length=length, fade=fade)
     phases = place.integral(begin), place.integral(end)
     at_middle = place.integral((begin + end) / 2).coefficients(np.array((near + far) / 2))[None]
     common = place.polynomial(at_middle)

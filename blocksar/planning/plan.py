@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import Literal
 
 import numpy as np
@@ -39,12 +39,11 @@ from blocksar.focusing.method import DEFAULT, Method
 from blocksar.focusing.range_gate import RangeGate
 from blocksar.focusing.range_steps import Keystone
 from blocksar.focusing.recovery import Recovery
-from blocksar.focusing.step import stages
 from blocksar.kernels.operations import Blend, Resample, Stretch, Transform
 from blocksar.planning.block import BlockPlan, plan_block
 from blocksar.planning.coefficients import Choice
 from blocksar.planning.division import MAX_BLOCKS, find_division
-from blocksar.planning.edges import plan_fade
+from blocksar.planning.edges import Edges, plan_edges
 from blocksar.planning.memory import MEMORY_SHARE, PROCESS_MEMORY, gating_memory
 from blocksar.planning.recovery import plan_recovery
 from blocksar.planning.refusal import find_refusal
@@ -211,7 +210,7 @@ class Plan:
         transforms = [Transforms("recover", frequency.size, n) for n in self.recovery.program(frequency).transforms]
         transforms += self._gate_transforms()
         for block in self.blocks:
-            for stage in stages(block.steps):
+            for stage in block.stages:
                 transforms += [Transforms(stage.name, stage.program.n_row, n) for n in stage.program.transforms]
         return transforms
 
@@ -254,7 +253,7 @@ class Plan:
 def block_work(block: BlockPlan) -> float:
     """Floating-point operations of the transforms and resamplings of a block's own steps."""
     total = 0.0
-    for step in block.steps:
+    for step in chain.from_iterable(stage.steps for stage in block.stages):
         for operation in step.operations():
             if isinstance(operation, Transform):
                 total += step.n_row * _fft_work(operation.period)
@@ -311,13 +310,13 @@ def plan_collection(
     extent = grid_extent(geometry, region, grid, owned)
     summed = geometry.unsteered() if beam_stays(geometry, region, extent) else geometry
     recovery = plan_recovery(summed, region, method)
-    fade = plan_fade(
+    edges = plan_edges(
         summed, region, fidelity=fidelity, weighting=weighting, band=recovery.band[1] - recovery.band[0],
         keystone=Keystone in steps_of(method),
     )  # fmt: skip
     planner = _Planner(
         geometry=geometry, summed=summed, region=region, recovery=recovery, grid=grid, extent=extent, method=method,
-        fidelity=fidelity, weighting=weighting, fade=fade,
+        fidelity=fidelity, weighting=weighting, edges=edges,
     )  # fmt: skip
     if blocks == "auto":
         first = find_division(planner.plan, workers=workers, parts=None if parts == "auto" else parts)
@@ -380,7 +379,7 @@ class _Planner:
     method: Method
     fidelity: float
     weighting: Weighting
-    fade: int
+    edges: Edges
     planned: dict[tuple[int, int, int], list[BlockPlan]] = field(default_factory=dict)
 
     @property
@@ -406,7 +405,8 @@ class _Planner:
         return Plan(
             geometry=self.geometry, grid=self.grid, region=self.region, recovery=self.recovery, seams=seams,
             parts=n_parts, blocks=tuple(planned), method=self.method, fidelity=self.fidelity,
-            weighting=self.weighting, fade=self.fade, stays=self.stays, refusal=find_refusal(planned, self.method),
+            weighting=self.weighting, fade=self.edges.fade, stays=self.stays,
+            refusal=find_refusal(planned, self.method),
         )  # fmt: skip
 
     def _plan_angle(
@@ -431,8 +431,8 @@ class _Planner:
             sector = Sector(
                 geometry=self.summed if relief is None else self.summed.over(None, relief.smooth),
                 recovery=self.recovery, region=self.region, low=low, high=high, near=nearest, far=farthest,
-                weighting=self.weighting, tap_error=image_tap_error(self.fidelity), fade=self.fade, relief=relief,
-                staying=self.geometry if self.stays else None,
+                weighting=self.weighting, tap_error=image_tap_error(self.fidelity), relief=relief,
+                fade=self.edges.fade, gate_parts=self.edges.parts, staying=self.geometry if self.stays else None,
             )  # fmt: skip
             like = parts[-1].choice if parts else neighbour
             number = part if n_parts > 1 else None

@@ -54,6 +54,7 @@ def predict(
     *,
     rate: FloatArray,
     gate: DwellGate | None,
+    parts: int = 1,
     scaled_about: float | None,
     weights: DwellWeights,
     reached: BoolArray | None = None,
@@ -97,8 +98,8 @@ def predict(
     middle = yaw.size // 2
     track_phase = _track_phase(geometry, rng, yaw)
     lost = worst_losses(
-        line, spots, rng, yaw, geometry, rate=rate, gate=gate, scaled_about=scaled_about, track_phase=track_phase,
-        weights=weights.nodes, edge=weights.edge, reached=reached, band=band,
+        line, spots, rng, yaw, geometry, rate=rate, gate=gate, parts=parts, scaled_about=scaled_about,
+        track_phase=track_phase, weights=weights, reached=reached, band=band,
     )  # fmt: skip
     return Prediction(
         residual_phase=float((residual if reached is None else residual[reached]).max()),

@@ -29,9 +29,10 @@ REFERENCE_ORDER = 8  # of the range series of a block's centre
 class Sector:
     """The ground that a block owns: yaws [low, high), rad, at epoch ranges [near, far), m.
 
-    With the weighting of its image, the error that the interpolation of the focused block may have, and the `fade`.
-    On a terrain the geometry is over the smooth part of it, and `relief` has the rest. Where the beam stays on its
-    ground, the geometry is that of a beam that lights everything, and `staying` has the beam (`planning.staying`).
+    With the weighting of its image, the error that the interpolation of the focused block may have, the `fade`, and the
+    number of the gate's parts over the band. On a terrain the geometry is over the smooth part of it, and `relief` has
+    the rest. Where the beam stays on its ground, the geometry is that of a beam that lights everything, and `staying`
+    has the beam (`planning.staying`).
     """
 
     geometry: Geometry
@@ -45,6 +46,7 @@ class Sector:
     tap_error: float = IMAGE_TAP_ERROR
     relief: Relief | None = None
     fade: int = 0
+    gate_parts: int = 1
     staying: Geometry | None = None
 
     @property
@@ -58,12 +60,18 @@ class Sector:
         return taper_over_dwells(self.lighting.collection, self.weighting)
 
     def weights(
-        self, lit: Line, *, uncut: tuple[FloatArray, FloatArray], epoch_range: FloatArray, yaw: FloatArray
+        self,
+        lit: Line,
+        *,
+        uncut: tuple[FloatArray, FloatArray],
+        epoch_range: FloatArray,
+        yaw: FloatArray,
+        scaled_about: float | None,
     ) -> DwellWeights:
         """Weights of targets over their dwells: see `dwell_weights`."""
         return dwell_weights(
             self.lighting, self.taper, lit, uncut=uncut, epoch_range=epoch_range, yaw=yaw,
-            stays=self.staying is not None,
+            stays=self.staying is not None, scaled_about=scaled_about,
         )  # fmt: skip
 
     def dwells(self, yaw: FloatArray, *, coarsely: bool = False) -> Dwells:

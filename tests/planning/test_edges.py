@@ -14,6 +14,8 @@ from blocksar.collection.beam import at_times, beam_offset, dwell_at, passing_at
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.planning.fidelity import faded_energy
+from blocksar.planning.gates import gate_parts
+from blocksar.planning.plan import Plan, block_work
 
 
 @pytest.mark.parametrize(("area", "displaced"), [(0.0, 1e-4), (2e-7, 0.0), (-6e-7, 2e-4), (5e-6, -1e-3)])
@@ -40,6 +42,51 @@ def test_an_end_that_moves_over_the_band_loses_the_mean() -> None:
     each = [float(faded_energy(none, np.array(node * spread), none, duration)) for node in nodes]
     found = faded_energy(none, none, np.array(spread), duration)
     assert found == pytest.approx(float(weights @ each) / 2, rel=1e-9)
+
+
+@pytest.mark.parametrize("parts", [1, 2, 3])
+def test_parts_of_the_gate_follow_an_end_over_the_band(parts: int) -> None:
+    """Against the sum of faded ends at the parts' places times Lagrange's polynomials, at nodes of the band."""
+    duration, spread, displaced = 1e-3, 3e-4, 5e-5
+    t = np.linspace(-1e-3, 2e-3, 30001)
+
+    def rise(at: np.ndarray) -> np.ndarray:
+        return np.asarray(np.sin(np.pi / 2 * np.clip(at / duration, 0, 1)) ** 2)
+
+    places = gate_parts(parts)
+    nodes, weights = np.polynomial.legendre.leggauss(4)
+    energy = 0.0
+    for node, weight in zip(nodes, weights / 2, strict=True):
+        others = [np.delete(places.nodes, k) for k in range(parts)]
+        shares = [np.prod((node - rest) / (at - rest)) for at, rest in zip(places.nodes, others, strict=True)]
+        np.testing.assert_allclose(places.at(node), shares, atol=1e-12)
+        made = sum(share * rise(t - at * spread) for at, share in zip(places.nodes, shares, strict=True))
+        energy += weight * np.sum(np.abs(made - rise(t - node * spread + displaced)) ** 2) * (t[1] - t[0])
+    found = faded_energy(np.array(0.0), np.array(displaced), np.array(spread), duration, parts=parts)
+    assert found == pytest.approx(energy, rel=0.01)
+
+
+def test_a_wide_band_divides_the_gate(tmp_path: Path) -> None:
+    """At 1.5 % of relative bandwidth the keystone costs more than the fidelity leaves; a narrow one needs one gate."""
+    path, wide = tmp_path / "scene.toml", {"carrier": 10e9, "bandwidth": 150e6, "range_sampling": 180e6}
+
+    def planned(fidelity: float, **changes: float) -> Plan:
+        path.write_text(scene(**SMALL_SCAN | changes))
+        report = blocksar.plan(path, blocks=4, weighting="taylor:4:-35", fidelity=fidelity)
+        plan = report.result
+        assert isinstance(plan, Plan)
+        assert any("in 2 parts over the band" in line for line in report.summary) == (
+            fidelity > 0.999 and bool(changes)
+        )
+        return plan
+
+    divided, whole, narrow = planned(0.999995, **wide), planned(0.999, **wide), planned(0.999995)
+    assert divided.coherence > 0.999995 and divided.fade > 0
+    for one, other, third in zip(divided.blocks, whole.blocks, narrow.blocks, strict=True):
+        assert [len(each.branches) for each in (one, other, third)] == [2, 1, 1]
+        assert block_work(one) > 1.5 * block_work(other)
+        assert one.memory - one.sampling.rows.size * one.sampling.time.size * 16 > other.memory
+        assert one.prediction.dispersion_loss < 1e-6
 
 
 @pytest.mark.parametrize(("weighting", "fidelity", "faded"), [
