@@ -65,7 +65,7 @@ def test_without_a_steered_beam_nothing_is_lost_at_the_ends_of_dwells() -> None:
 
 
 def test_a_weighting_is_planned_and_predicted() -> None:
-    """Ends of dwells lose by the square of their weight; widths and side lobes are those of the taper."""
+    """Ends of dwells lose by the square of their weight, and slopes some; widths and side lobes are the taper's."""
     plain = blocksar.plan("table1", blocks=3).result
     report = blocksar.plan("table1", blocks=3, weighting="taylor:4:-35")
     azimuth = blocksar.plan("table1", blocks=3, weighting_azimuth="taylor:4:-35").result
@@ -73,7 +73,7 @@ def test_a_weighting_is_planned_and_predicted() -> None:
     v = np.linspace(-1, 1, 2001)
     lost = float(share(np.array(1.0))) ** 2 / float(np.mean(share(v) ** 2))
     for before, tapered, block in zip(plain.blocks, azimuth.blocks, report.result.blocks, strict=True):
-        assert tapered.prediction.dispersion_loss == pytest.approx(lost * before.prediction.dispersion_loss, rel=0.02)
+        assert tapered.prediction.dispersion_loss == pytest.approx(lost * before.prediction.dispersion_loss, rel=0.04)
         # The weighting of the band counts its ends less, where the keystone moves the ends of dwells most.
         assert 0.7 < block.prediction.dispersion_loss / tapered.prediction.dispersion_loss < 0.95
         assert block.prediction.pslr == pytest.approx(share.ideal.pslr, abs=0.2)
