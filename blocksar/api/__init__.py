@@ -2,8 +2,8 @@
 preview, demo, compile; and collection and write, for data in memory.
 
 One module for each stage: `sources`, `datasets`, `describing` (with `facts`), `previewing`, `checking`, `autofocusing`
-(with `tracks`), `planning`, `focusing` (with `jobs`), `measuring`, `exporting`, `demonstrating`, `compiling`. They
-share `arguments` and `reports`.
+(with `tracks`), `planning`, `focusing` (with `jobs`), `measuring`, `reporting`, `exporting`, `demonstrating`,
+`compiling`. They share `arguments` and `reports`.
 """
 
 from __future__ import annotations
@@ -20,11 +20,12 @@ if TYPE_CHECKING:
     from blocksar.api.datasets import collection, write
     from blocksar.api.demonstrating import demo
     from blocksar.api.describing import info
-    from blocksar.api.exporting import export, open, report
+    from blocksar.api.exporting import export, open
     from blocksar.api.focusing import focus
     from blocksar.api.measuring import quality
     from blocksar.api.planning import plan
     from blocksar.api.previewing import preview
+    from blocksar.api.reporting import report
     from blocksar.api.reports import Report
     from blocksar.api.shown import PlanReport, RunReport
     from blocksar.api.sources import ingest, ingest_cphd, ingest_gotcha, simulate
@@ -35,7 +36,7 @@ _HOMES = {
     "collection": "datasets", "compile": "compiling", "demo": "demonstrating", "export": "exporting",
     "focus": "focusing", "info": "describing", "ingest": "sources", "ingest_cphd": "sources",
     "ingest_gotcha": "sources", "open": "exporting", "plan": "planning", "preview": "previewing",
-    "quality": "measuring", "report": "exporting", "simulate": "sources", "write": "datasets",
+    "quality": "measuring", "report": "reporting", "simulate": "sources", "write": "datasets",
 }  # fmt: skip
 __all__ = [
     "PlanReport",

@@ -17,7 +17,7 @@ from blocksar.api.parsing import parse_blocks, parse_grid, parse_memory_limit, q
 from blocksar.collection.collection import Collection
 from blocksar.collection.grid import Grid
 from blocksar.errors import InputError
-from blocksar.places import Location
+from blocksar.places import Location, place
 from blocksar.places.place import Place
 
 if TYPE_CHECKING:
@@ -196,6 +196,16 @@ def history_of(source: One) -> stores.PhaseHistory:
         f"source is a {what}; give the path of a phase history, or a dataset, which blocksar.collection builds from "
         "arrays"
     )
+
+
+def channels_of(source: Source) -> tuple[str, ...]:
+    """Names of the channels of phase histories that are paths; none of others."""
+    first = sources_of(source)[0]
+    if not isinstance(first, str | os.PathLike | Place) or _is_scene(first):
+        return ()
+    if not (place(first) / "channel").exists():  # sooner known than by opening the store
+        return ()
+    return history_of(first).channels
 
 
 def is_dataset(source: object) -> bool:

@@ -6,10 +6,10 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from blocksar.api.exporting import report
 from blocksar.api.facts import disk_size
 from blocksar.api.focusing import focus
 from blocksar.api.measuring import measure, targets_of
+from blocksar.api.reporting import report
 from blocksar.api.reports import Report
 from blocksar.api.sources import simulate
 from blocksar.errors import InputError

@@ -1,26 +1,21 @@
-"""open, report, export: use a finished run."""
+"""open, export: use a finished run."""
 
 from __future__ import annotations
 
-from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal
 
 from blocksar import stores
-from blocksar.api.measuring import targets_of
 from blocksar.api.reports import Report, only_stage
-from blocksar.errors import InputError, ProcessingError
-from blocksar.measurement.figures import as_json, measure_target
+from blocksar.errors import InputError
 from blocksar.places import Location, place
-from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
 from blocksar.products import geotiff
 from blocksar.products.options import OPTIONS, check_ending, parse_crop, parse_looks, parse_range
 from blocksar.products.pixels import Content, Scale, checked_limits, pixels_of
 from blocksar.products.sicd import nitf as sicd
 from blocksar.progress import Wanted as Progress
-from blocksar.progress import as_listener
-from blocksar.runs.finished import FinishedRun, finished_record, folder_of
+from blocksar.runs.finished import FinishedRun, finished_record, folder_of, member_line
 from blocksar.runs.record import RECORD
 
 if TYPE_CHECKING:
@@ -57,99 +52,6 @@ def open(run: Location) -> xr.Dataset:
     elif not (folder / "image.zarr").exists():
         return dataset.prepare(stores.open_dataset(folder))
     return dataset.prepare(stores.open_dataset(folder / "image.zarr"))
-
-
-def report(
-    run: Location,
-    *,
-    out: Location | None = None,
-    channel: str | None = None,
-    overwrite: bool = False,
-    progress: Progress | None = None,
-) -> Report:
-    """Write the report page of a finished run: one self-contained HTML file.
-
-    The page shows what RUN/quality.json holds. Without that file, the targets that the run knows are measured first.
-
-    Parameters
-    ----------
-    run : path
-        Folder of a finished run.
-    out : path, optional
-        HTML file to write. Default: RUN/report.html, which is always replaced.
-    channel : str, optional
-        Of a run of several channels or looks, each of which has a page of its own with links to the others. Default:
-        all of them; with `out`, the first.
-    overwrite : bool
-        Replace what stands at `out`. Default: False.
-    progress : object with a method update(stage, done, total), or False, optional
-        Called with the name of the stage (str) and the numbers of finished and of all units (int). A
-        `blocksar.progress.Listener` receives more. Default: bars in a notebook, silence elsewhere; False: silence.
-
-    Returns
-    -------
-    Report
-        `summary` has the verdict; `result` is the path of the page, of several that of the first.
-
-    Raises
-    ------
-    InputError
-        If the run is not finished or cannot be read, a library is not installed, or `out` exists and `overwrite` is
-        False.
-    ProcessingError
-        If the page cannot be written; an earlier page stays.
-    """
-    whole = finished_record(place(run))
-    if whole.channels and channel is None and out is None:
-        pages = {name: report(run, channel=name, progress=progress) for name in whole.channels}
-        lines = [f"{name}: {line}" for name, page in pages.items() for line in page.summary]
-        return Report(summary=lines, result=next(iter(pages.values())).result)
-    folder = folder_of(place(run), channel)
-    target = folder / "report.html" if out is None else place(out)
-    if out is not None and target.exists() and not overwrite:
-        raise InputError(f"{target} exists; choose another name, or have it overwritten (--overwrite)")
-    if isinstance(target, LocalPlace) and target.path.is_dir():
-        raise InputError(f"{target} is a folder; give --out the name of a file")
-    source = FinishedRun.open(folder)
-    try:
-        from blocksar.products.page import page  # optional, and slow to load
-    except ModuleNotFoundError as error:
-        library = str(error.name).partition(".")[0]
-        raise InputError(f"{library} is not installed, which reports need; install blocksar[plots]") from None
-    figures, reason = _read_or_measure(folder, source)
-    history = str(stores.open_dataset(source.image).attrs.get("history", ""))
-    listener = as_listener(progress)
-    linked = whole.channels if out is None else ()
-    siblings = [page.Sibling(name, f"../{name}/report.html", name == folder.name) for name in linked]
-    content, verdict = page.make(
-        source, figures, folder=str(place(run)), siblings=siblings,
-        looks=len(whole.channels) if whole.dimension == "look" else None, history=history, why=reason,
-        progress=only_stage(listener, "report"), drawn=partial(listener.update, "responses"),
-    )  # fmt: skip
-    try:
-        target.write_bytes(content)
-    except (PermissionError, NotADirectoryError, FileExistsError) as error:
-        raise InputError(f"{target} cannot be written ({error.strerror}); choose another --out") from error
-    except OSError as error:
-        raise ProcessingError(f"{target} cannot be written ({error.strerror or error})") from error
-    return Report(summary=["; ".join(verdict), f"wrote {target}"], result=target)
-
-
-def _read_or_measure(folder: Place, source: FinishedRun) -> tuple[dict[str, Any] | None, str]:
-    """Read quality.json, or measure what it would hold; return None and the reason if that fails."""
-    if (folder / "quality.json").exists():
-        return stores.read_json(folder / "quality.json"), ""
-    targets = targets_of(None, source.attrs)
-    try:
-        responses = [
-            measure_target(
-                source.read, source.x, source.y, source.geometry_at(target.x, target.y), target, source.weighting
-            )
-            for target in targets
-        ]
-    except InputError as error:  # the page can still show an image that is too coarse for measurements
-        return None, f"Nothing was measured: {error}."
-    return as_json(responses, source.weighting), ""
 
 
 def export(
@@ -255,7 +157,7 @@ def export(
         lines = _pictures("quicklook").write(
             source, out, limits=limits, colour_map=colour_map, size=size, overwrite=overwrite, progress=callback
         )
-    return Report(summary=[*lines, f"wrote {place(out)}"])
+    return Report(summary=[*member_line(place(run), channel), *lines, f"wrote {place(out)}"])
 
 
 def _opened(run: Place, channel: str | None, crop: Any) -> FinishedRun:

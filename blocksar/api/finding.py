@@ -37,7 +37,8 @@ def _record(run: FinishedRun, point: Bright, number: int) -> dict[str, Any]:
     """The figures of a point, at the peak of its response."""
     geometry = run.geometry_at(point.x, point.y)
     target = Target(f"F{number}", point.x, point.y)
-    first = read_response(run.read, run.x, run.y, geometry, target, run.weighting)
+    read = run.reader_at(point.x, point.y)
+    first = read_response(read, run.x, run.y, geometry, target, run.weighting)
     peak = first.peak if first is not None else (point.x, point.y)
     if not all(map(math.isfinite, peak)):
         peak = (point.x, point.y)
@@ -46,7 +47,7 @@ def _record(run: FinishedRun, point: Bright, number: int) -> dict[str, Any]:
         "name": target.name, "x": target.x, "y": target.y, "power": 10 * math.log10(point.power),
         "prominence": 10 * math.log10(point.prominence),
     }  # fmt: skip
-    response = read_response(run.read, run.x, run.y, geometry, target, run.weighting)
+    response = read_response(read, run.x, run.y, geometry, target, run.weighting)
     if response is not None:
         figures = measure(response)
         names = (

@@ -79,7 +79,7 @@ def _compare_centroid(segment: Segment, inspection: Inspection) -> tuple[Centroi
 
     Returns the difference, and a warning if it is large; None where there is nothing to compare.
     """
-    if segment.plan is None:
+    if segment.plan is None or segment.source.part_of_a_beam:
         return None, None
     region = segment.plan.region
     expected = centroid.expect(
@@ -94,13 +94,15 @@ def _compare_centroid(segment: Segment, inspection: Inspection) -> tuple[Centroi
 def _check_samples(job: Job, segments: Sequence[Segment]) -> tuple[str | None, str]:
     """Compare prominent places with what is said of the samples: a warning, or a sentence that all is well.
 
-    Of several segments of a collection, in the middle one.
+    Of several segments of a collection, in the middle one. Nothing of a look: its samples saw the whole beam.
 
     Raises
     ------
     InputError
         If the samples are constant.
     """
+    if segments[0].source.part_of_a_beam:
+        return None, ""
     try:
         middle = segments[len(segments) // 2]
         findings = check_samples(middle.history, job.grid, threads=machine()[0], thorough=False)

@@ -98,7 +98,7 @@ def _looks_of(source: Source, count: int, grid: GridLike | None) -> Members:
         sign = entering_side(geometry, (points.x0 + points.x1) / 2, (points.y0 + points.y1) / 2)
         part = math.degrees(collection.beam_width) / count
         notes = [f"each look sees {part:.3g} of the beam's {part * count:.3g} degrees, the first in time first"]
-    named = {f"look-{number + 1}": [history.of_look(number, count, sign)] for number in range(count)}
+    named = {stores.look_name(number): [history.of_look(number, count, sign)] for number in range(count)}
     return Members("look", named, tuple(notes))
 
 
@@ -259,4 +259,4 @@ def share_chunk(source: Place, image: Place, part: Written, lead: tuple[slice, .
 def _attributes(member: Place) -> dict[str, Any]:
     """Attributes of a channel's image that hold for all channels."""
     attrs = dict(stores.open_dataset(member / "image.zarr").attrs)
-    return {name: value for name, value in attrs.items() if name not in ("warnings", "run", "channel")}
+    return {name: value for name, value in attrs.items() if name not in ("warnings", "run", "channel", "look")}

@@ -12,6 +12,7 @@ import numpy as np
 
 from blocksar import stores
 from blocksar.api import definitions, finding
+from blocksar.api.look_figures import describe_looks, looks_table
 from blocksar.api.reports import Report, Table
 from blocksar.api.target_files import read_targets
 from blocksar.arrays import ComplexArray
@@ -30,7 +31,7 @@ from blocksar.measurement.table3 import TABLE3
 from blocksar.measurement.targets import Target
 from blocksar.places import Location, place
 from blocksar.places.place import Place
-from blocksar.runs.finished import FinishedRun, folder_of
+from blocksar.runs.finished import FinishedRun, finished_record, folder_of, member_line
 from blocksar.runs.folder import INPUT
 from blocksar.runs.record import RunPlan
 from blocksar.runs.track import TrackCorrection
@@ -94,7 +95,11 @@ def quality(
     ProcessingError
         If quality.json cannot be written.
     """
-    return measure(folder_of(place(run), channel), targets, reference, found=found, area=area)[0]
+    folder = place(run)
+    chosen, record = folder_of(folder, channel), finished_record(folder)
+    looks = [folder_of(folder, name) for name in record.channels] if record.dimension == "look" else []
+    report = measure(chosen, targets, reference, found=found, area=area, looks=looks)[0]
+    return replace(report, summary=[*member_line(folder, channel), *report.summary])
 
 
 def measure(
@@ -104,17 +109,22 @@ def measure(
     *,
     found: int = 0,
     area: Any = None,
+    looks: Sequence[Place] = (),
 ) -> tuple[Report, list[Response]]:
-    """Do what `quality` does; also return the responses of the targets of the paper's Table 3, to be drawn."""
+    """Do what `quality` does; also return the responses of the targets of the paper's Table 3, to be drawn.
+
+    `looks` are the folders of all looks, if the run is one of several.
+    """
     run = FinishedRun.open(folder)
     listed, weighting = targets_of(targets, run.attrs, run), run.weighting
-    responses = [
-        measure_target(run.read, run.x, run.y, run.geometry_at(target.x, target.y), target, weighting)
-        for target in listed
-    ]
+    responses = measure_targets(run, listed)
     result = as_json(responses, weighting)
     others: list[Table] = []
-    lines = [*_weighting_lines(weighting, run.collection.has_pattern), *_count_line(responses)] if responses else []
+    lines = (
+        [*_weighting_lines(weighting, run.collection.has_pattern), *_count_line(responses), *_seam_line(run, responses)]
+        if responses
+        else []
+    )
     if not responses:
         lines.append("the collection names no targets: give --targets FILE to measure some, or --found N to find some")
     if run.track is not None:
@@ -129,12 +139,10 @@ def measure(
         result["noise"] = run.noise.as_json()
         lines.append(run.noise.sentence())
     others += _add_scenery(run, result, lines, found, area)
-    drawn = [
-        response
-        for target in listed
-        if target.name in TABLE3
-        and (response := read_response(run.read, run.x, run.y, run.geometry_at(target.x, target.y), target, weighting))
-    ]
+    if looks:
+        result["looks"] = describe_looks([FinishedRun.open(look) for look in looks], area)
+        others.append(looks_table(result["looks"]))
+    drawn = [response for target in listed if target.name in TABLE3 and (response := read_target(run, target))]
     if reference:
         compared = _compare(run)
         result["reference"] = [
@@ -162,6 +170,22 @@ def measure(
     return report, drawn
 
 
+def read_target(run: FinishedRun, target: Target) -> Response | None:
+    """The response of a target; None if the image does not hold it."""
+    geometry, read = run.geometry_at(target.x, target.y), run.reader_at(target.x, target.y)
+    return read_response(read, run.x, run.y, geometry, target, run.weighting)
+
+
+def measure_targets(run: FinishedRun, targets: Sequence[Target]) -> list[PointResponse]:
+    """Measure targets, in a mosaic each in the pixels of one collection."""
+    return [
+        measure_target(
+            run.reader_at(target.x, target.y), run.x, run.y, run.geometry_at(target.x, target.y), target, run.weighting
+        )
+        for target in targets
+    ]
+
+
 def _add_scenery(run: FinishedRun, result: dict[str, Any], lines: list[str], found: int, area: Any) -> list[Table]:
     """Add points that are found, the floor, and the figures of an area, as far as they are asked for."""
     if area is not None:
@@ -174,6 +198,8 @@ def _add_scenery(run: FinishedRun, result: dict[str, Any], lines: list[str], fou
     if not result["found"]:
         lines.append("no point stands out by 20 dB, 10 widths from its like")
         return []
+    if len(result["found"]) < found:
+        lines.append(f"{len(result['found'])} of {found} points: no other stands out by 20 dB, 10 widths from its like")
     return [finding.found_table(result["found"])]
 
 
@@ -235,6 +261,24 @@ def _weighting_lines(weighting: Weighting, patterned: bool) -> list[str]:
 def _count_line(responses: Sequence[PointResponse]) -> list[str]:
     figures = summary(responses)
     return [f"{figures.measured} of {figures.full_dwell} full-dwell targets measured ({figures.targets} in all)"]
+
+
+def _seam_line(run: FinishedRun, responses: Sequence[PointResponse]) -> list[str]:
+    """How many targets are not measured because another collection's pixels lie in their responses."""
+    if len(run.record.inputs) < 2:
+        return []
+    cut = sum(
+        measure_target(
+            run.read, run.x, run.y, run.geometry_at(r.x, r.y), Target(r.name, r.x, r.y), run.weighting
+        ).covered
+        for r in responses
+        if r.full_dwell and not r.covered
+    )
+    if not cut:
+        return []
+    return [
+        f"{cut} lie within 10 widths of a seam between collections, which see them from different sides: not judged"
+    ]
 
 
 def _summary_table(responses: Sequence[PointResponse]) -> Table:

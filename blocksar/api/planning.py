@@ -13,6 +13,7 @@ from blocksar.api.arguments import (
     GridLike,
     Source,
     blocks_of,
+    channels_of,
     collections_of,
     fidelity_of,
     grid_of,
@@ -164,8 +165,9 @@ def plan(
     here = in_this_process(workers, collections)
     share = resources(0 if here else workers, None, limit)
     assumed = share._replace(workers=0) if here else share
+    of_each = _channels_line(source)
     if method is None:
-        return _plan_backprojection(collections, points, assumed)
+        return _told_first(_plan_backprojection(collections, points, assumed), of_each)
     ground = Ground(terrain=terrain, surface=surface, vertical=vertical)
     heights = None
     if not ground.plane:
@@ -183,10 +185,23 @@ def plan(
         )  # fmt: skip
 
     if not automatic:
-        return _report_segments(plan_segments(plan_by, collections, grid=points, cut=blocks == "auto"), assumed)
+        planned = plan_segments(plan_by, collections, grid=points, cut=blocks == "auto")
+        return _told_first(_report_segments(planned, assumed), of_each)
     if len(collections) > 1:
         raise InputError("processor is auto, but several sources are given: compare processors for one of them")
-    return _report_contenders(choice.contend(lambda method: plan_by(collections[0], grid=points, by=method)), assumed)
+    contenders = choice.contend(lambda method: plan_by(collections[0], grid=points, by=method))
+    return _told_first(_report_contenders(contenders, assumed), of_each)
+
+
+def _channels_line(source: Source) -> list[str]:
+    """That the plan is one of several channels, if it is."""
+    names = channels_of(source)
+    return [f"{len(names)} channels ({', '.join(names)}), one after the other, each as follows"] if names else []
+
+
+def _told_first(report: PlanReport, lines: Sequence[str]) -> PlanReport:
+    """A report with lines before its own."""
+    return replace(report, summary=[*lines, *report.summary])
 
 
 def _report_plan(plan: Plan, assumed: Resources) -> PlanReport:

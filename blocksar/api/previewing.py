@@ -22,7 +22,7 @@ from blocksar.graph.machine import machine
 from blocksar.kernels.phase import Float32Array
 from blocksar.places import Location, place
 from blocksar.products.options import check_ending, parse_range
-from blocksar.products.pictures.overview import Overview, cell_edges
+from blocksar.products.pictures.overview import Overview, cell_edges, range_notes
 from blocksar.products.pixels import checked_limits
 from blocksar.products.writing import replacing
 from blocksar.progress import Wanted as Progress
@@ -105,8 +105,14 @@ def preview(
         with replacing(out, overwrite=overwrite) as part:
             power = coarse.form_preview(_reader(history), planned, threads=count, progress=callback)
             _draw(part, history, geometry, planned, power, limits, colour_map)
+    with np.errstate(divide="ignore"):
+        notes = [] if limits is None else range_notes(10 * np.log10(power), limits)
     return Report(
-        summary=[*_sentences(history, planned, proposed), *([f"wrote {place(out)}"] if out is not None else [])],
+        summary=[
+            *_sentences(history, planned, proposed),
+            *notes,
+            *([f"wrote {place(out)}"] if out is not None else []),
+        ],
         result=_as_dataarray(planned, power),
     )
 

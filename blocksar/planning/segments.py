@@ -120,6 +120,12 @@ def plan_segments(
         except OutsideSwath as error:
             outside.append(error)
             continue
+        except InputError as error:
+            if len(collections) == 1:
+                raise
+            raise InputError(
+                f"collection {number}{f' ({collection.title})' if collection.title else ''}: {error}"
+            ) from None
         segments = _cut(plan, collection, whole, number) if cut and collection.has_axis else []
         planned += segments or [PlannedSegment(collection=number, pulses=None, plan=whole)]
     if not planned:

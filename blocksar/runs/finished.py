@@ -20,6 +20,7 @@ from blocksar.collection.ownership import dwell_margin
 from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError
 from blocksar.measurement.noise import NoiseFigures
+from blocksar.measurement.response import ReadChip
 from blocksar.places.place import Place
 from blocksar.runs.folder import member
 from blocksar.runs.record import RECORD, RunRecord
@@ -63,6 +64,23 @@ def folder_of(folder: Place, channel: str | None) -> Place:
     record = finished_record(folder)
     number = stores.number_of(record.channels, channel, str(folder))
     return member(folder, record.channels[number], record.dimension) if record.channels else folder
+
+
+def member_line(folder: Place, channel: str | None) -> list[str]:
+    """Which channel or look of a run is used, in words; nothing of a run that has none.
+
+    Raises
+    ------
+    InputError
+        As `folder_of`.
+    """
+    record = finished_record(folder)
+    if not record.channels:
+        return []
+    name = record.channels[stores.number_of(record.channels, channel, str(folder))]
+    choice = "" if channel else "; --channel chooses another"
+    kind = "channel " if record.dimension == "channel" else ""
+    return [f"{kind}{name} of {', '.join(record.channels)}{choice}"]
 
 
 class Coverage(NamedTuple):
@@ -185,8 +203,17 @@ class FinishedRun:
         return self.geometry.collection
 
     @property
+    def scene_title(self) -> str:
+        """Title of the collection; of the first of several, with their number."""
+        name = str(self.attrs.get("title") or self.collection.title or "blocksar image")
+        others = len(self.record.inputs) - 1
+        return f"{name} and {others} more" if others > 0 else name
+
+    @property
     def title(self) -> str:
-        return str(self.attrs.get("title") or self.collection.title or "blocksar image")
+        """Title of the collection, and of several channels or looks the name of this one."""
+        member = self.attrs.get("channel") or self.attrs.get("look")
+        return f"{self.scene_title}, {member}" if member else self.scene_title
 
     @property
     def ground_height(self) -> float:
@@ -330,6 +357,25 @@ class FinishedRun:
         for block, number in numbers.items():
             found[blocks == block] = number
         return found
+
+    def reader_at(self, x: float, y: float) -> ReadChip:
+        """Return a function that reads pixels for measurements about a ground point, m.
+
+        In a mosaic of several collections, pixels that come from another one than the point's are NaN: that saw the
+        point from another side, so that the two make no single response.
+        """
+        if len(self.record.inputs) < 2:
+            return self.read
+        column, row = (
+            min(max(round((at - axis[0]) / step), 0), axis.size - 1)
+            for at, axis, step in zip((x, y), (self.x, self.y), self.spacing, strict=True)
+        )
+        own = self.read_input(slice(row, row + 1), slice(column, column + 1))[0, 0]
+
+        def read(rows: slice, columns: slice) -> ComplexArray:
+            return np.where(self.read_input(rows, columns) == own, self.read(rows, columns), np.complex64(np.nan))
+
+        return read
 
     def strips(self, axis: int) -> Iterator[slice]:
         """Divide the image along rows (axis 0) or columns (1) into chunks, or into less where those exceed STRIP."""

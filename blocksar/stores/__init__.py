@@ -16,7 +16,7 @@ A store is a folder or a prefix in an object store: every path may be an `s3://`
 
 from __future__ import annotations
 
-from blocksar.stores.channels import check_channels, number_of, with_channels, without_unseen
+from blocksar.stores.channels import check_channels, look_name, number_of, with_channels, without_unseen
 from blocksar.stores.chunk_files import Array, Region
 from blocksar.stores.copying import (
     ORIGINAL,
@@ -90,6 +90,7 @@ __all__ = [
     "history_of",
     "is_truth",
     "json_checksum",
+    "look_name",
     "number_of",
     "open_dataset",
     "open_phase_history",

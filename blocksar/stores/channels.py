@@ -74,6 +74,11 @@ def text(value: Any) -> str:
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
 
+def look_name(number: int) -> str:
+    """Name of a look; 0 is the first in time."""
+    return f"look-{number + 1}"
+
+
 def number_of(channels: Sequence[str], channel: str | None, label: str) -> int:
     """Which of the channels is meant; the first if none is named.
 

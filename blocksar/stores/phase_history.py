@@ -27,7 +27,7 @@ from blocksar.places.local import LocalPlace
 from blocksar.places.objects import ObjectPlace, os_errors
 from blocksar.places.place import Place
 from blocksar.stores.arrays import metadata_file, open_array, refuse_codecs
-from blocksar.stores.channels import attrs_of_channel, number_of, read_channels
+from blocksar.stores.channels import attrs_of_channel, look_name, number_of, read_channels
 from blocksar.stores.chunk_files import chunk_files_of, refuse_odd_file
 from blocksar.stores.contract import checked, number, read_real
 from blocksar.stores.creation import UNFINISHED
@@ -114,11 +114,16 @@ class PhaseHistory:
 
     def of_look(self, number: int, count: int, sign: float) -> PhaseHistory:
         """The same with a collection that sees one of `count` parts of each dwell, see `collection.sublooks`."""
-        pulses = sublooks.pulses_of(self.collection, number, count)
+        pulses, attrs = sublooks.pulses_of(self.collection, number, count), {**self.attrs, "look": look_name(number)}
         if not self.collection.steered:
-            return replace(self.segment(pulses.start, pulses.stop), look=(number, count, sign))
+            return replace(self.segment(pulses.start, pulses.stop), look=(number, count, sign), attrs=attrs)
         collection = sublooks.narrowed(self.collection, number, count, sign)
-        return replace(self, collection=collection, look=(number, count, sign))
+        return replace(self, collection=collection, look=(number, count, sign), attrs=attrs)
+
+    @property
+    def part_of_a_beam(self) -> bool:
+        """Whether this is a look of a steered beam, whose samples hold what the whole beam saw."""
+        return self.look is not None and self.collection.steered
 
     def opened_again(self) -> PhaseHistory:
         """The same channel and look of the store as it is now.

@@ -18,12 +18,14 @@ from blocksar import stores
 from blocksar.arrays import ComplexArray
 from blocksar.collection.beam import lit_interval
 from blocksar.collection.geometry import Geometry
+from blocksar.collection.grid import Grid
 from blocksar.collection.ownership import dwell_margin
 from blocksar.errors import InputError
 from blocksar.focusing.backprojection import form_image
 from blocksar.graph import stages
 from blocksar.measurement.coherence import coherence
 from blocksar.measurement.targets import Target
+from blocksar.planning.segments import plan_segments
 
 DX, DY = 3.0, 3.0
 YAWS = CENTRE + STEP * np.array([-1.3, -1.0, -0.7, -0.52, -0.48, -0.1, 0.1, 0.48, 0.52, 1.0, 1.3])
@@ -142,15 +144,35 @@ def test_a_change_of_any_collection_is_noticed(run: Path, bursts: list[Path], cl
 
 
 def test_products_know_the_collections(run: Path, bursts: list[Path], tmp_path: Path) -> None:
-    assert sum(target["full_dwell"] for target in blocksar.quality(run).result["targets"]) > 7
+    report = blocksar.quality(run)
+    figures = {target["name"]: target for target in report.result["targets"]}
+    assert sum(target["full_dwell"] for target in figures.values()) > 7
+    image = blocksar.open(run)
+    for target in figures.values():  # where another burst's pixels lie within its response, it is not judged
+        around = image.sel(x=slice(target["x"] - 20, target["x"] + 20), y=slice(target["y"] - 20, target["y"] + 20))
+        assert not target["covered"] or len(np.unique(around.collection.values)) == 1
+        assert target["error_x"] is None or np.hypot(target["error_x"], target["error_y"]) < 0.1
+    assert any("within 10 widths of a seam between collections" in line for line in report.summary)
     two = [Target(f"P{i}", *TARGETS[i]) for i in (3, 4)]
     result = blocksar.quality(run, reference=True, targets=two).result
     assert {chip["place"].split(",")[0] for chip in result["reference"]} == {f"segment {i}" for i in range(3)}
     blocksar.report(run)
     page = (run / "report.html").read_text()
+    assert "<h1>burst 0 and 2 more</h1>" in page
     assert all(f"{i}: {store}, blocks {i} .. {i}" in page for i, store in enumerate(bursts))
     assert " ".join(map(str, bursts)) in page  # the command that repeats the run
     blocksar.export("png", run, tmp_path / "image.png")
+
+
+def test_a_refusal_says_which_collection_it_is_about(bursts: list[Path]) -> None:
+    def refuse(*_: Any, **__: Any) -> Any:
+        raise InputError("PRF is too low")
+
+    collections = [stores.open_phase_history(store).collection for store in bursts]
+    with pytest.raises(InputError, match=r"^collection 0 \(burst 0\): PRF is too low$"):
+        plan_segments(refuse, collections, grid=Grid(*GRID[0], *GRID[1]))
+    with pytest.raises(InputError, match=r"^PRF is too low$"):
+        plan_segments(refuse, collections[:1], grid=Grid(*GRID[0], *GRID[1]))
 
 
 def test_several_collections_are_planned(bursts: list[Path]) -> None:

@@ -5,11 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import matplotlib
+import numpy as np
 import pytest
 from report_page import borrowed, write_scene
 from small_run import Made, make
 
 import blocksar
+from blocksar import stores
 from blocksar.api import jobs
 from blocksar.graph.cluster import open_client
 from blocksar.planning.plan import plan_collection
@@ -26,6 +28,27 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
 @pytest.fixture(scope="session")
 def unplaced(tmp_path_factory: pytest.TempPathFactory) -> Made:
     return make(tmp_path_factory.mktemp("unplaced"), frame=None, size=(60, 50))
+
+
+# What the targets A, B and C of the small run scatter into HH, HV and VV.
+KINDS = {"one bounce": (1, 0, 1), "two bounces": (1, 0, -1), "volume": (0, 0.7, 0)}
+
+
+@pytest.fixture(scope="session")
+def polarised(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of HH, HV and VV: the small run's image, weighted by the part of the scene that a target is in."""
+    folder = tmp_path_factory.mktemp("polarised") / "run"
+    for number, name in enumerate(("HH", "HV", "VV")):
+        made = make(folder / "channels" / name, size=(110, 90), more={"channel": name})
+        east, north = made.x[None, :] > 8, made.y[:, None] > 5
+        one, two, volume = (factors[number] for factors in KINDS.values())
+        weight = np.where(north, np.where(east, two, volume), one)
+        for first in range(0, made.y.size, 64):
+            rows = slice(first, min(first + 64, made.y.size))
+            image = (weight * made.image)[rows].astype(np.complex64)
+            stores.write_region(made.folder / "image.zarr", "image", (rows, slice(0, made.x.size)), image)
+    stores.write_json(folder / "run.json", {"status": "finished", "identity": "0", "channels": ["HH", "HV", "VV"]})
+    return folder
 
 
 @pytest.fixture(scope="session")

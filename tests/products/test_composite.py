@@ -2,42 +2,24 @@
 
 from __future__ import annotations
 
+import base64
+import io
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from matplotlib.image import imread
-from small_run import make
+from report_page import read
+from sicd_files import errors, read_sicd
 from typer.testing import CliRunner
 
 import blocksar
-from blocksar import stores
 from blocksar.cli import commands
 from blocksar.errors import InputError
 from blocksar.places import place
 from blocksar.products.pictures import composite
 from blocksar.runs.finished import FinishedRun
-
-# What the targets A, B and C of the small run scatter into HH, HV and VV.
-KINDS = {"one bounce": (1, 0, 1), "two bounces": (1, 0, -1), "volume": (0, 0.7, 0)}
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run of HH, HV and VV: the small run's image, weighted by the part of the scene that a target is in."""
-    folder = tmp_path_factory.mktemp("composite") / "run"
-    for number, name in enumerate(("HH", "HV", "VV")):
-        made = make(folder / "channels" / name, size=(110, 90))
-        east, north = made.x[None, :] > 8, made.y[:, None] > 5
-        one, two, volume = (factors[number] for factors in KINDS.values())
-        weight = np.where(north, np.where(east, two, volume), one)
-        for first in range(0, made.y.size, 64):
-            rows = slice(first, min(first + 64, made.y.size))
-            image = (weight * made.image)[rows].astype(np.complex64)
-            stores.write_region(made.folder / "image.zarr", "image", (rows, slice(0, made.x.size)), image)
-    stores.write_json(folder / "run.json", {"status": "finished", "identity": "0", "channels": ["HH", "HV", "VV"]})
-    return folder
 
 
 def sources_of(run: Path, names: tuple[str, ...] = ("HH", "HV", "VV")) -> dict[str, FinishedRun]:
@@ -50,8 +32,8 @@ def images_of(sources: dict[str, FinishedRun]) -> Any:
 
 
 @pytest.mark.parametrize("names", [("HH", "HV", "VV"), ("HH", "VH", "VV"), ("HH", "HV", "VH", "VV")])
-def test_colours_are_mean_powers_of_the_pauli_vector(run: Path, names: tuple[str, ...]) -> None:
-    alone = sources_of(run)
+def test_colours_are_mean_powers_of_the_pauli_vector(polarised: Path, names: tuple[str, ...]) -> None:
+    alone = sources_of(polarised)
     sources = {name: alone["HV" if name == "VH" else name] for name in names}
     told: list[tuple[int, int]] = []
     reduced, power = composite.pauli_powers(sources, max_pixels=40, progress=lambda *n: told.append(n))
@@ -71,10 +53,20 @@ def test_colours_are_mean_powers_of_the_pauli_vector(run: Path, names: tuple[str
     assert np.array_equal(np.isnan(reduced.power), np.isnan(power[..., 0]))
 
 
-def test_a_composite_shows_kinds_of_scattering_in_their_colours(run: Path, tmp_path: Path) -> None:
+def test_a_composite_shows_kinds_of_scattering_in_their_colours(polarised: Path, tmp_path: Path) -> None:
     done = CliRunner().invoke(
         commands.app,
-        ["export", "png", str(run), "--out", str(tmp_path / "a.png"), "--composite", "pauli", "--range=-20:0", "-q"],
+        [
+            "export",
+            "png",
+            str(polarised),
+            "--out",
+            str(tmp_path / "a.png"),
+            "--composite",
+            "pauli",
+            "--range=-20:0",
+            "-q",
+        ],
     )
     assert done.exit_code == 0, done.stderr
     said = " ".join(done.stdout.split())
@@ -94,9 +86,9 @@ def test_a_composite_shows_kinds_of_scattering_in_their_colours(run: Path, tmp_p
     assert volume[1] < one[1] < two[1]  # C in the west, and B in the east
 
 
-def test_a_composite_is_cropped_and_needs_its_channels(run: Path, tmp_path: Path) -> None:
+def test_a_composite_is_cropped_and_needs_its_channels(polarised: Path, tmp_path: Path) -> None:
     options: dict[str, Any] = {"composite": "pauli", "crop": "-10:10,-10:10", "size": 400}
-    blocksar.export("png", run, tmp_path / "part.png", **options)
+    blocksar.export("png", polarised, tmp_path / "part.png", **options)
     assert max(imread(tmp_path / "part.png").shape[:2]) == 400
     for more, said in (
         ({"channel": "HH"}, "channel is 'HH', but a composite has"),
@@ -104,12 +96,49 @@ def test_a_composite_is_cropped_and_needs_its_channels(run: Path, tmp_path: Path
         ({"composite": "paul"}, "composite is 'paul'; it must be 'pauli'"),
     ):
         with pytest.raises(InputError, match=said):
-            blocksar.export("png", run, tmp_path / "no.png", **{**options, **more})
+            blocksar.export("png", polarised, tmp_path / "no.png", **{**options, **more})
     with pytest.raises(InputError, match=r"takes the channels HH, VV and HV or VH, and .*HH has none"):
-        blocksar.export("png", run / "channels" / "HH", tmp_path / "no.png", **options)
+        blocksar.export("png", polarised / "channels" / "HH", tmp_path / "no.png", **options)
     with pytest.raises(InputError, match="and RUN has HH, VV; leave it out"):
         composite.pauli_channels(("HH", "VV"), "RUN")
     with pytest.raises(InputError, match="composite is 'pauli', but it is an option of png only"):
-        blocksar.export("geotiff", run, tmp_path / "no.tif", composite="pauli")
+        blocksar.export("geotiff", polarised, tmp_path / "no.tif", composite="pauli")
     assert composite.pauli_channels(("vv", "hh", "vh"), "RUN") == {"HH": "hh", "VH": "vh", "VV": "vv"}
     assert not list(tmp_path.glob("no*"))
+
+
+def test_the_report_pages_have_the_composite(polarised: Path) -> None:
+    """On each channel's page: the colours of the picture, at the picture's place, in the levels that are stated."""
+    blocksar.report(polarised)
+    reduced, power = composite.pauli_powers(sources_of(polarised), max_pixels=800)
+    with np.errstate(divide="ignore"):
+        decibel = 10 * np.log10(power)[::-1]
+    for name in ("HH", "HV", "VV"):
+        page = read(polarised / "channels" / name / "report.html")
+        assert page.text("h1").endswith(f", {name}") and "red |HH \N{MINUS SIGN} VV|" in page.text()
+        (shown,) = (attrs for attrs in page.all("image") if attrs.get("id") == "composite")
+        assert shown["display"] == "none" and any(b.get("id") == "toggle-composite" for b in page.all("button"))
+        assert float(shown["width"]) == pytest.approx(reduced.x_edges[-1] - reduced.x_edges[0])
+        levels = imread(io.BytesIO(base64.b64decode(shown["href"].partition(",")[2])), format="webp")
+        bottom, top = float(shown["data-bottom"]), float(shown["data-top"])
+        assert bottom < float(shown["data-black"]) < float(shown["data-white"]) < top
+        said = bottom + levels[..., :3] / 255 * (top - bottom)
+        covered = levels[..., 3] > 0
+        assert np.array_equal(covered, np.isfinite(power[::-1, :, 0]))
+        assert np.abs(said - decibel.clip(bottom, top))[covered].max() < 0.51 * (top - bottom) / 255
+
+
+def test_exports_say_the_channel(polarised: Path, tmp_path: Path) -> None:
+    for given, wanted in ((None, "HH"), ("hv", "HV")):
+        out = tmp_path / f"{wanted}.nitf"
+        said = blocksar.export("sicd", polarised, out, channel=given).summary
+        assert said[0] == f"channel {wanted} of HH, HV, VV" + ("" if given else "; --channel chooses another")
+        found = read_sicd(out)
+        assert errors(found.checked) == []
+        assert found.load("RadarCollection/TxPolarization") == wanted[0]
+        assert found.load("ImageFormation/TxRcvPolarizationProc") == ":".join(wanted)
+        assert f", {wanted}" in found.load("CollectionInfo/CoreName")
+        image = images_of(sources_of(polarised))[wanted]
+        assert np.sort(np.abs(found.pixels[found.pixels != 0]))[-9:] == pytest.approx(
+            np.sort(np.abs(image[np.isfinite(image)]))[-9:], rel=1e-5
+        )

@@ -18,6 +18,8 @@ import numpy as np
 import pytest
 from report_page import HOSTILE
 
+import blocksar
+
 CHROMIUM = os.environ.get("BLOCKSAR_CHROMIUM") or next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
 )
@@ -31,11 +33,11 @@ class Browser:
     """Opens the page; checks that it reports no errors and requests no other resources."""
 
     def __init__(self, chromium: Any, path: Path) -> None:
-        self._chromium, self.path = chromium, path
+        self.chromium, self.path = chromium, path
 
     @contextmanager
     def open(self, *, width: int = 1440, height: int = 900, **context: Any) -> Iterator[Any]:
-        made = self._chromium.new_context(viewport={"width": width, "height": height}, **context)
+        made = self.chromium.new_context(viewport={"width": width, "height": height}, **context)
         complaints: list[str] = []
         try:
             shown = made.new_page()
@@ -111,6 +113,24 @@ def test_buttons_zoom_pan_and_reset(browser: Browser) -> None:
         assert "Zoom 2.3" in shown.inner_text("#announcement")  # 1.5 * 1.5
         shown.click("#reset")
         assert view(shown) == pytest.approx(first)
+
+
+@in_browser
+def test_the_composite_is_switched_on_and_off(browser: Browser, polarised: Path) -> None:
+    blocksar.report(polarised, channel="VV")
+    with Browser(browser.chromium, polarised / "channels" / "VV" / "report.html").open() as shown:
+        assert not shown.is_visible("#composite") and shown.is_visible("#pixels")
+        black = shown.input_value("#black")
+        shown.click("#toggle-composite")
+        assert shown.is_visible("#composite") and not shown.is_visible("#pixels")
+        shown.wait_for_function(
+            "() => /red .* dB, green .* dB, blue .* dB/.test(document.getElementById('readout').textContent)"
+        )
+        bright = shown.get_attribute("#colours feFuncR", "slope")
+        shown.evaluate("() => { black.value = 5 + +black.value; black.dispatchEvent(new Event('input')); }")
+        assert float(shown.get_attribute("#colours feFuncR", "slope")) > float(bright)
+        shown.click("#toggle-composite")
+        assert not shown.is_visible("#composite") and shown.input_value("#black") == black
 
 
 @in_browser

@@ -77,3 +77,10 @@ def test_a_picture_needs_no_pyproj(made: Made, tmp_path: Path, monkeypatch: pyte
     monkeypatch.setitem(sys.modules, "pyproj", None)
     blocksar.export("png", made.folder, tmp_path / "a.png")
     assert imread(tmp_path / "a.png").std() > 0.1
+
+
+def test_a_range_that_shows_nothing_is_remarked_on(made: Made, tmp_path: Path) -> None:
+    for limits, side in (("20:40", "below"), ("-300:-200", "above"), ("-60:0", None)):
+        said = blocksar.export("png", made.folder, tmp_path / f"{side}.png", range=limits, size=200).summary
+        notes = [line for line in said if line.startswith("note: ")]
+        assert len(notes) == (side is not None) and all(f"lies {side} the range" in line for line in notes)

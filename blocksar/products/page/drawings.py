@@ -11,8 +11,10 @@ from blocksar.errors import InputError
 from blocksar.measurement.figures import PointResponse
 from blocksar.measurement.response import Response, read_response
 from blocksar.measurement.targets import Target
+from blocksar.products.look_spectra import LookSpectra
 from blocksar.products.page.picture import Picture, data_uri
-from blocksar.products.page.words import describe
+from blocksar.products.page.words import describe, number
+from blocksar.products.pictures.looks import plot_looks
 from blocksar.products.pictures.responses import plot_contours, plot_cuts
 from blocksar.products.pictures.track import has_chips, plot_chips, plot_track
 from blocksar.progress.listening import Callback
@@ -42,7 +44,8 @@ def draw_responses(
             target = Target(r.name, r.x, r.y)  # drawings are relative to the peak, so its reflectivity does not matter
             try:
                 x, y, geometry = source.x, source.y, source.geometry_at(r.x, r.y)
-                response = read_response(source.read, x, y, geometry, target, source.weighting)
+                read = source.reader_at(r.x, r.y)
+                response = read_response(read, x, y, geometry, target, source.weighting)
             except InputError:  # the image is too coarse; then nothing was measured either
                 continue
             if response is not None:
@@ -80,3 +83,22 @@ def draw_track(correction: TrackCorrection | None) -> TrackDrawing | None:
             return TrackDrawing(correction.sentences(), drawn, "")
         plot_chips(correction, chips)
         return TrackDrawing(correction.sentences(), drawn, data_uri("png", chips.read_bytes()))
+
+
+class LooksDrawing(NamedTuple):
+    """The spectra of looks as a data URI, with a sentence about them."""
+
+    data: str
+    sentence: str
+
+
+def draw_looks(spectra: LookSpectra | None) -> LooksDrawing | None:
+    """Draw the spectra of a run's looks, if it has looks."""
+    if spectra is None:
+        return None
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "looks.png"
+        plot_looks(spectra, path)
+        drawn = data_uri("png", path.read_bytes())
+    least, most = (100 * float(end(spectra.within)) for end in (min, max))
+    return LooksDrawing(drawn, f"{number(least, 1)} to {number(most, 1)} % of the power of a look lie in its own part.")

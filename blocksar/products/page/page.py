@@ -19,8 +19,10 @@ import jinja2
 
 from blocksar.errors import InputError, printable
 from blocksar.measurement.figures import DEFINITIONS
+from blocksar.products.look_spectra import LookSpectra
 from blocksar.products.page import picture
-from blocksar.products.page.drawings import draw_responses, draw_track
+from blocksar.products.page.composite import Composite, put
+from blocksar.products.page.drawings import draw_looks, draw_responses, draw_track
 from blocksar.products.page.facts import Facts
 from blocksar.products.page.provenance import provenance, repeat_run, settings_rows
 from blocksar.products.page.sentences import memory_sentence, plan_sentence, quality_sentences, subtitle, verdicts
@@ -54,6 +56,8 @@ def make(
     folder: str,
     siblings: Sequence[Sibling] = (),
     looks: int | None = None,
+    spectra: LookSpectra | None = None,
+    composite: Composite | None = None,
     history: str = "",
     why: str = "",
     progress: Callback | None = None,
@@ -72,6 +76,10 @@ def make(
         Pages of all channels or looks, this one among them.
     looks : int, optional
         Number of looks of the whole.
+    spectra : LookSpectra, optional
+        Of the looks of the whole.
+    composite : Composite, optional
+        Of the channels of the whole, to be switched on over the picture.
     history : str
         History of the image, one line per step, the last one first.
     why : str
@@ -109,6 +117,8 @@ def make(
         "warnings": run.warnings,
         "picture": image,
         "outlines": list(picture.outlines(source, run.predicted, image)),
+        "composite": put(composite, image),
+        "looks": draw_looks(spectra),
         "marks": list(picture.marks(run.marked, drawn_names, image)),
         "chips": list(picture.chips(source, run.marked[: picture.MOST_CHIPS], image)),
         "pixel": max(source.spacing),

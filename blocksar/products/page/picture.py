@@ -130,7 +130,7 @@ def draw(source: FinishedRun, *, looks: Literal["max", "mean"], progress: Callba
     x, y = reduced.x_edges, reduced.y_edges
     # Cells at the right and upper ends may reach beyond the image, so the picture takes its sides from the cells.
     return Picture(
-        data=data_uri("webp", grey_levels(decibel, bottom, top)),
+        data=data_uri("webp", lossless(decibel, bottom, top)),
         centre=(float(x[0] + x[-1]) / 2, float(y[0] + y[-1]) / 2),
         width=float(x[-1] - x[0]),
         height=float(y[-1] - y[0]),
@@ -143,12 +143,16 @@ def draw(source: FinishedRun, *, looks: Literal["max", "mean"], progress: Callba
     )
 
 
-def grey_levels(decibel: FloatArray, bottom: float, top: float) -> bytes:
-    """Encode dB (n_y, n_x) as lossless WebP, upper row first: level 0 is `bottom` or less, 255 is `top`."""
-    level = np.nan_to_num((decibel - bottom) / (top - bottom), nan=0.0, neginf=0.0).clip(0, 1)
-    grey: NDArray[np.uint8] = np.round(255 * level).astype(np.uint8)
-    alpha = np.where(np.isnan(decibel), 0, 255).astype(np.uint8)
-    pixels = np.dstack([grey, grey, grey, alpha])[::-1]
+def lossless(decibel: FloatArray, bottom: float, top: float) -> bytes:
+    """Encode dB, grey (n_y, n_x) or in red, green and blue (n_y, n_x, 3), as lossless WebP, upper row first.
+
+    Level 0 is `bottom` or less, 255 is `top`; transparent where not covered, in all colours alike.
+    """
+    colours = decibel[..., None] if decibel.ndim == 2 else decibel
+    level = np.nan_to_num((colours - bottom) / (top - bottom), nan=0.0, neginf=0.0).clip(0, 1)
+    shades: NDArray[np.uint8] = np.broadcast_to(np.round(255 * level), (*colours.shape[:2], 3)).astype(np.uint8)
+    alpha = np.where(np.isnan(colours[..., :1]), 0, 255).astype(np.uint8)
+    pixels = np.concatenate([shades, alpha], axis=-1)[::-1]
     buffer = io.BytesIO()
     imsave(buffer, pixels, format="webp", pil_kwargs={"lossless": True, "quality": 0, "method": 0})
     return buffer.getvalue()
@@ -179,7 +183,7 @@ def chips(source: FinishedRun, targets: Sequence[PointResponse | Target], pictur
         with np.errstate(divide="ignore"):
             decibel = 20 * np.log10(np.abs(source.read(rows, columns)))
         corner = picture.place(float(x[0]) - dx / 2, float(y[-1]) + dy / 2)
-        data = data_uri("webp", grey_levels(decibel, picture.bottom, picture.top))
+        data = data_uri("webp", lossless(decibel, picture.bottom, picture.top))
         yield Chip(data, *corner, f"{x.size * dx:.3f}", f"{y.size * dy:.3f}")
 
 

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from blocksar.arrays import FloatArray
 from blocksar.measurement.bar import BARS, excess, limit, rank, worst_excess
 from blocksar.measurement.figures import PointResponse
 from blocksar.products.page.facts import Facts
@@ -72,11 +73,21 @@ def _in_a_gap(run: Facts, response: PointResponse) -> bool:
     """Whether the image does not cover a target that lies more than EDGE pixels inside its grid."""
     if response.covered or np.isfinite(response.value):
         return False
+    if len(run.record.inputs) > 1:  # a seam between collections, which covers the target's own pixel
+        read = run.source.read_block(*map(_nearest, (response.y, response.x), (run.source.y, run.source.x)))
+        if (read >= 0).all():
+            return False
     places = ((response.x, run.source.x), (response.y, run.source.y))
     return all(
         axis[0] + EDGE * step < value < axis[-1] - EDGE * step
         for (value, axis), step in zip(places, run.source.spacing, strict=True)
     )
+
+
+def _nearest(value: float, axis: FloatArray) -> slice:
+    """The pixel nearest to a coordinate, m."""
+    at = int(np.abs(axis - value).argmin())
+    return slice(at, at + 1)
 
 
 def _verdict_on_memory(run: Facts) -> Verdict:

@@ -10,7 +10,7 @@ cells of the picture and drawn in dB, all three over the same range. Import this
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -21,7 +21,7 @@ from matplotlib.patches import Patch
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.errors import InputError
 from blocksar.places import Location
-from blocksar.products.pictures.overview import NOT_COVERED, Overview, overview, stretch
+from blocksar.products.pictures.overview import NOT_COVERED, Overview, overview, range_notes, stretch
 from blocksar.products.pictures.quicklook import (
     GREY,
     PIXELS,
@@ -49,6 +49,14 @@ GREENS: dict[frozenset[str], Mapping[str, float]] = {
 MINUS, ROOT = "\N{MINUS SIGN}", "\N{SQUARE ROOT}2"
 
 
+def find_pauli(channels: Sequence[str]) -> dict[str, str]:
+    """The channels that a Pauli composite takes, by polarisation; none if HH, VV, or both of HV and VH are missing."""
+    known = {name.upper(): name for name in channels}
+    if not {"HH", "VV"} <= set(known) or not {"HV", "VH"} & set(known):
+        return {}
+    return {name: known[name] for name in ("HH", "HV", "VH", "VV") if name in known}
+
+
 def pauli_channels(channels: tuple[str, ...], label: str) -> dict[str, str]:
     """The channels of a run that a Pauli composite takes, by polarisation.
 
@@ -57,11 +65,10 @@ def pauli_channels(channels: tuple[str, ...], label: str) -> dict[str, str]:
     InputError
         If HH, VV, or both of HV and VH are not among them.
     """
-    known = {name.upper(): name for name in channels}
-    if not {"HH", "VV"} <= set(known) or not {"HV", "VH"} & set(known):
-        have = f"has {', '.join(channels)}" if channels else "has none"
-        raise InputError(f"composite pauli takes the channels HH, VV and HV or VH, and {label} {have}; leave it out")
-    return {name: known[name] for name in ("HH", "HV", "VH", "VV") if name in known}
+    if found := find_pauli(channels):
+        return found
+    have = f"has {', '.join(channels)}" if channels else "has none"
+    raise InputError(f"composite pauli takes the channels HH, VV and HV or VH, and {label} {have}; leave it out")
 
 
 def write(
@@ -98,14 +105,16 @@ def write(
     with replacing(out, overwrite=overwrite) as part:
         reduced, power = pauli_powers(sources, max_pixels=max(PIXELS, size or 0), progress=progress)
         figure, axes = new_figure(reduced, size)
-        arrows, labels = scene_arrows(reduced, source.geometry, source.georeference), _labels(_green(sources))
+        arrows, labels = scene_arrows(reduced, source.geometry, source.georeference), labels_of(sources)
         low, high = draw(axes, reduced, power, arrows=arrows, labels=labels, limits=limits)
-        axes.set_title(f"{source.title}, Pauli composite", fontsize=11)
+        axes.set_title(f"{source.scene_title}, Pauli composite", fontsize=11)
         figure.supxlabel(caption_of(source), fontsize=8, color="#5a6676")
         figure.savefig(part, format="png")
     cell = float(reduced.x_edges[1] - reduced.x_edges[0]), float(reduced.y_edges[1] - reduced.y_edges[0])
     listed = ", ".join(f"{name} {label}" for name, label in zip(("red", "green", "blue"), labels, strict=True))
-    return [f"cells of {cell[0]:.4g} m x {cell[1]:.4g} m; {listed}, each from {low:.1f} to {high:.1f} dB"]
+    with np.errstate(divide="ignore"):
+        notes = range_notes(10 * np.log10(power), (low, high))
+    return [f"cells of {cell[0]:.4g} m x {cell[1]:.4g} m; {listed}, each from {low:.1f} to {high:.1f} dB", *notes]
 
 
 def pauli_powers(
@@ -158,8 +167,9 @@ def draw(
     return low, high
 
 
-def _labels(green: Mapping[str, float]) -> list[str]:
+def labels_of(sources: Mapping[str, FinishedRun]) -> list[str]:
     """What red, green and blue stand for."""
+    green = _green(sources)
     middle = f"|HV + VH|/{ROOT}" if len(green) == 2 else f"{ROOT}|{next(iter(green))}|"
     return [f"|HH {MINUS} VV|/{ROOT}", middle, f"|HH + VV|/{ROOT}"]
 

@@ -12,6 +12,7 @@ from blocksar.arrays import ComplexArray, FloatArray
 
 ReadImage = Callable[[slice, slice], ComplexArray]
 ReadBlock = Callable[[slice, slice], NDArray[np.int16]]
+LEAST_SHOWN = 0.005  # of the cells, whose power should lie within the range in dB
 NOT_COVERED = "#39506b"  # slate blue: cannot be mistaken for dark ground
 
 
@@ -111,3 +112,18 @@ def stretch(power_db: FloatArray) -> tuple[float, float]:
     low, median, high = (float(v) for v in np.percentile(finite, [2, 50, 99.9]))
     high = max(high, median + 12, float(finite.max()) - 20)
     return float(np.clip(low, high - 60, high - 25)), high
+
+
+def range_notes(power_db: FloatArray, limits: tuple[float, float]) -> list[str]:
+    """That a range in dB shows next to nothing of a picture, if so; nothing where no cell has power."""
+    finite = power_db[np.isfinite(power_db)]
+    if not finite.size or ((finite > limits[0]) & (finite < limits[1])).mean() >= LEAST_SHOWN:
+        return []
+    side = (
+        "below" if (finite <= limits[0]).mean() > 0.5 else "above" if (finite >= limits[1]).mean() > 0.5 else "outside"
+    )
+    low, high = stretch(power_db)
+    return [
+        f"note: the image lies {side} the range of {limits[0]:.1f} to {limits[1]:.1f} dB; --range={low:.0f}:{high:.0f} "
+        "would suit it"
+    ]

@@ -28,7 +28,7 @@ from blocksar.collection.georeference import Georeference
 from blocksar.errors import InputError
 from blocksar.places import Location
 from blocksar.products.pictures.figures import DPI, MARK
-from blocksar.products.pictures.overview import NOT_COVERED, Overview, ReadImage, overview, stretch
+from blocksar.products.pictures.overview import NOT_COVERED, Overview, ReadImage, overview, range_notes, stretch
 from blocksar.products.writing import replacing
 from blocksar.progress.listening import Callback
 from blocksar.runs.finished import FinishedRun
@@ -102,7 +102,9 @@ def write(
         )  # fmt: skip
     cell = float(reduced.x_edges[1] - reduced.x_edges[0]), float(reduced.y_edges[1] - reduced.y_edges[0])
     scale = "grey" if colour_map == GREY else colour_map
-    return [f"cells of {cell[0]:.4g} m x {cell[1]:.4g} m, {scale} from {low:.1f} to {high:.1f} dB"]
+    with np.errstate(divide="ignore"):
+        notes = range_notes(10 * np.log10(reduced.power), (low, high))
+    return [f"cells of {cell[0]:.4g} m x {cell[1]:.4g} m, {scale} from {low:.1f} to {high:.1f} dB", *notes]
 
 
 def save(

@@ -313,9 +313,15 @@ def _set_radar(sicd: Any, source: FinishedRun) -> None:
 
 
 def _polarization(source: FinishedRun) -> tuple[str, str]:
-    """Polarization of the transmitter, and of transmitter and receiver, as SICD names them."""
+    """Polarization of the transmitter, and of transmitter and receiver, as SICD names them.
+
+    That of the attribute; else that which a channel's name states, such as HV.
+    """
     match source.attrs.get("polarization"):
         case {"transmit": str(transmit), "receive": str(receive)} if {transmit, receive} <= set(POLARIZATIONS):
+            return transmit, f"{transmit}:{receive}"
+    match tuple(str(source.attrs.get("channel") or "").upper()):
+        case ("H" | "V" as transmit, "H" | "V" as receive):
             return transmit, f"{transmit}:{receive}"
     return "UNKNOWN", "UNKNOWN"
 

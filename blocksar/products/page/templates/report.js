@@ -3,7 +3,8 @@
 (() => {
   const $ = (id) => document.getElementById(id);
   const svg = $("scene"), viewer = $("viewer"), frame = $("frame");
-  const picture = Object.fromEntries(Object.entries(svg.dataset).map(([name, value]) => [name, Number(value)]));
+  const numbers = (data) => Object.fromEntries(Object.entries(data).map(([name, value]) => [name, Number(value)]));
+  const picture = numbers(svg.dataset);
   const places = [...svg.querySelectorAll(".place")];
   const labels = [...svg.querySelectorAll(".label")];
   const marks = [...svg.querySelectorAll(".mark")];
@@ -11,6 +12,14 @@
   // size in CSS pixels of a cell from which chips are shown.
   const MARGIN = 1.02, STEP = 1.5, CLOSEST_PIXELS = 30, CHIP_PIXELS = 6;
   const view = { x: 0, y: 0, scale: 1 };
+  // What is shown: the grey levels of a channel, or the colours of a composite, with the filter that sets their scale.
+  const layer = (image, filter, range) => ({
+    filter, levels: null, colours: image.id === "composite", range,
+    ...Object.fromEntries(["x", "y", "width", "height"].map((name) => [name, Number(image.getAttribute(name))])),
+  });
+  const grey = layer($("pixels"), $("stretch"), picture);
+  const colours = $("composite") && layer($("composite"), $("colours"), numbers($("composite").dataset));
+  let shown = grey;
   let pressed = new Map(), returnTo = null, pointer = null, hintTimer = 0, showsAll = true;
 
   document.documentElement.classList.add("scripted");
@@ -58,7 +67,7 @@
       place.setAttribute("transform", `translate(${place.dataset.x} ${place.dataset.y}) scale(${view.scale})`);
     }
     viewer.classList.toggle("zoomed", !showsAll);
-    if (chips) display("chips", view.scale < picture.cell / CHIP_PIXELS);
+    if (chips) display("chips", shown === grey && view.scale < picture.cell / CHIP_PIXELS);
     $("zoom-out").disabled = $("reset").disabled = showsAll;
     $("zoom-in").disabled = view.scale <= closest() * (1 + 1e-9);
     placeNames();
@@ -142,27 +151,33 @@
 
   // ---------------------------------------------------------------- readout
 
-  let levels = null;
-  const pixels = new Image();
-  pixels.addEventListener("load", () => {
-    const canvas = document.createElement("canvas");
-    [canvas.width, canvas.height] = [pixels.naturalWidth, pixels.naturalHeight];
-    const context = canvas.getContext("2d", { willReadFrequently: true });
-    context.drawImage(pixels, 0, 0);
-    levels = context.getImageData(0, 0, canvas.width, canvas.height);
-    updateReadout();
-  });
-  pixels.src = $("pixels").getAttribute("href");
+  function readLevels(layer, image) {
+    const pixels = new Image();
+    pixels.addEventListener("load", () => {
+      const canvas = document.createElement("canvas");
+      [canvas.width, canvas.height] = [pixels.naturalWidth, pixels.naturalHeight];
+      const context = canvas.getContext("2d", { willReadFrequently: true });
+      context.drawImage(pixels, 0, 0);
+      layer.levels = context.getImageData(0, 0, canvas.width, canvas.height);
+      updateReadout();
+    });
+    pixels.src = image.getAttribute("href");
+  }
+  readLevels(grey, $("pixels"));
+  if (colours) readLevels(colours, $("composite"));
 
   function decibel(x, y) {
+    const { levels, range } = shown;
     if (!levels) return "";
-    const column = Math.floor(((x + picture.width / 2) / picture.width) * levels.width);
-    const row = Math.floor(((y + picture.height / 2) / picture.height) * levels.height);
+    const column = Math.floor(((x - shown.x) / shown.width) * levels.width);
+    const row = Math.floor(((y - shown.y) / shown.height) * levels.height);
     if (column < 0 || row < 0 || column >= levels.width || row >= levels.height) return "outside the image";
     const at = 4 * (row * levels.width + column);
     if (levels.data[at + 3] === 0) return "not covered";
-    const value = picture.bottom + (levels.data[at] / 255) * (picture.top - picture.bottom);
-    return `${levels.data[at] === 0 ? "at most " : ""}${number(value, 1)} dB`;
+    const value = (level) =>
+      `${level === 0 ? "at most " : ""}${number(range.bottom + (level / 255) * (range.top - range.bottom), 1)} dB`;
+    const names = ["red", "green", "blue"];
+    return shown.colours ? names.map((name, k) => `${name} ${value(levels.data[at + k])}`).join(", ") : value(levels.data[at]);
   }
 
   function updateReadout() {
@@ -267,8 +282,9 @@
   const black = $("black"), white = $("white");
 
   function stretch(dark, bright) {
-    const slope = (picture.top - picture.bottom) / (bright - dark), intercept = (picture.bottom - dark) / (bright - dark);
-    for (const channel of $("stretch").querySelectorAll("feFuncR, feFuncG, feFuncB")) {
+    const { top, bottom } = shown.range;
+    const slope = (top - bottom) / (bright - dark), intercept = (bottom - dark) / (bright - dark);
+    for (const channel of shown.filter.querySelectorAll("feFuncR, feFuncG, feFuncB")) {
       channel.setAttribute("slope", slope);
       channel.setAttribute("intercept", intercept);
     }
@@ -280,7 +296,21 @@
   }
   black.addEventListener("input", () => stretch(Math.min(Number(black.value), Number(white.value) - 1), Number(white.value)));
   white.addEventListener("input", () => stretch(Number(black.value), Math.max(Number(white.value), Number(black.value) + 1)));
-  $("grey-reset").addEventListener("click", () => stretch(picture.black, picture.white));
+  $("grey-reset").addEventListener("click", () => stretch(shown.range.black, shown.range.white));
+
+  // ---------------------------------------------------------------- composite
+
+  toggle("toggle-composite", (on) => {
+    shown = on ? colours : grey;
+    display("composite", on);
+    display("pixels", !on);
+    for (const input of [black, white]) {
+      input.min = Math.round(shown.range.bottom - 1);
+      input.max = Math.round(shown.range.top + 1);
+    }
+    stretch(shown.range.black, shown.range.white);
+    show(view.x, view.y, view.scale);
+  });
 
   // ---------------------------------------------------------------- tables
 
@@ -327,7 +357,7 @@
 
   // ---------------------------------------------------------------- start
 
-  stretch(picture.black, picture.white);
+  stretch(shown.range.black, shown.range.white);
   showAll();
   new ResizeObserver(() => (showsAll ? showAll() : show(view.x, view.y, view.scale))).observe(viewer);
 })();

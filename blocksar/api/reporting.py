@@ -1,0 +1,158 @@
+"""report: the page of a finished run, or of each of its channels or looks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from types import ModuleType
+from typing import Any, NamedTuple
+
+from blocksar import stores
+from blocksar.api.measuring import measure_targets, targets_of
+from blocksar.api.reports import Report, only_stage
+from blocksar.errors import InputError, ProcessingError
+from blocksar.measurement.figures import as_json
+from blocksar.places import Location, place
+from blocksar.places.local import LocalPlace
+from blocksar.places.place import Place
+from blocksar.products.look_spectra import measure_looks
+from blocksar.progress import Wanted as Progress
+from blocksar.progress import as_listener
+from blocksar.runs.finished import FinishedRun, finished_record, folder_of
+from blocksar.runs.record import RunRecord
+
+
+def report(
+    run: Location,
+    *,
+    out: Location | None = None,
+    channel: str | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> Report:
+    """Write the report page of a finished run: one self-contained HTML file.
+
+    The page shows what RUN/quality.json holds. Without that file, the targets that the run knows are measured first.
+
+    Parameters
+    ----------
+    run : path
+        Folder of a finished run.
+    out : path, optional
+        HTML file to write. Default: RUN/report.html, which is always replaced.
+    channel : str, optional
+        Of a run of several channels or looks, each of which has a page of its own with links to the others. Default:
+        all of them; with `out`, the first.
+    overwrite : bool
+        Replace what stands at `out`. Default: False.
+    progress : object with a method update(stage, done, total), or False, optional
+        Called with the name of the stage (str) and the numbers of finished and of all units (int). A
+        `blocksar.progress.Listener` receives more. Default: bars in a notebook, silence elsewhere; False: silence.
+
+    Returns
+    -------
+    Report
+        `summary` has the verdict; `result` is the path of the page, of several that of the first.
+
+    Raises
+    ------
+    InputError
+        If the run is not finished or cannot be read, a library is not installed, or `out` exists and `overwrite` is
+        False.
+    ProcessingError
+        If the page cannot be written; an earlier page stays.
+    """
+    folder = place(run)
+    whole = finished_record(folder)
+    linked = whole.channels if out is None else ()
+    names = [channel] if channel is not None or not linked else list(linked)
+    page = _pages()
+    common = _common(folder, whole, progress)
+    lines, first = [], None
+    for name in names:
+        target, said = _write(folder, name, out, linked, common, overwrite, progress, page)
+        lines += [line if len(names) == 1 else f"{name}: {line}" for line in said]
+        first = first or target
+    return Report(summary=lines, result=first)
+
+
+class _Common(NamedTuple):
+    """What the pages of all channels or looks of a run share."""
+
+    composite: Any  # the Pauli composite of channels; None without the polarisations
+    looks: Any  # the spectra of looks; None of other runs
+    n_looks: int | None
+
+
+def _common(folder: Place, whole: RunRecord, progress: Progress | None) -> _Common:
+    """Draw the composite of a run of all polarisations, and measure the spectra of looks."""
+    if not whole.channels:
+        return _Common(None, None, None)
+    if whole.dimension == "look":
+        looks = [FinishedRun.open(folder_of(folder, name)) for name in whole.channels]
+        return _Common(None, measure_looks(looks), len(looks))
+    from blocksar.products.page import composite
+
+    chosen = composite.find_pauli(whole.channels)
+    if not chosen:
+        return _Common(None, None, None)
+    sources = {name: FinishedRun.open(folder_of(folder, channel)) for name, channel in chosen.items()}
+    return _Common(composite.draw(sources, progress=only_stage(progress, "composite")), None, None)
+
+
+def _pages() -> ModuleType:
+    """Import the module of pages: optional, and slow to load."""
+    try:
+        from blocksar.products.page import page
+    except ModuleNotFoundError as error:
+        library = str(error.name).partition(".")[0]
+        raise InputError(f"{library} is not installed, which reports need; install blocksar[plots]") from None
+    return page
+
+
+def _write(
+    run: Place,
+    channel: str | None,
+    out: Location | None,
+    linked: Sequence[str],
+    common: _Common,
+    overwrite: bool,
+    progress: Progress | None,
+    page: Any,
+) -> tuple[Place, list[str]]:
+    """Write one page; return its path and lines for the user."""
+    folder = folder_of(run, channel)
+    target = folder / "report.html" if out is None else place(out)
+    if out is not None and target.exists() and not overwrite:
+        raise InputError(f"{target} exists; choose another name, or have it overwritten (--overwrite)")
+    if isinstance(target, LocalPlace) and target.path.is_dir():
+        raise InputError(f"{target} is a folder; give --out the name of a file")
+    source = FinishedRun.open(folder)
+    figures, reason = _read_or_measure(folder, source)
+    history = str(stores.open_dataset(source.image).attrs.get("history", ""))
+    listener = as_listener(progress)
+    siblings = [page.Sibling(name, f"../{name}/report.html", name == folder.name) for name in linked]
+    content, verdict = page.make(
+        source, figures, folder=str(run), siblings=siblings, looks=common.n_looks, spectra=common.looks,
+        composite=common.composite, history=history, why=reason,
+        progress=only_stage(listener, "report"), drawn=partial(listener.update, "responses"),
+    )  # fmt: skip
+    try:
+        target.write_bytes(content)
+    except (PermissionError, NotADirectoryError, FileExistsError) as error:
+        raise InputError(f"{target} cannot be written ({error.strerror}); choose another --out") from error
+    except OSError as error:
+        raise ProcessingError(f"{target} cannot be written ({error.strerror or error})") from error
+    return target, ["; ".join(verdict), f"wrote {target}"]
+
+
+def _read_or_measure(folder: Place, source: FinishedRun) -> tuple[dict[str, Any] | None, str]:
+    """Read quality.json, or measure what it would hold; return None and the reason if that fails."""
+    if (folder / "quality.json").exists():
+        return stores.read_json(folder / "quality.json"), ""
+    targets = targets_of(None, source.attrs)
+    try:
+        responses = measure_targets(source, targets)
+    except InputError as error:  # the page can still show an image that is too coarse for measurements
+        return None, f"Nothing was measured: {error}."
+    return as_json(responses, source.weighting), ""
