@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from blocksar import stores
 from blocksar.api import facts
+from blocksar.api.arguments import history_of, is_dataset
 from blocksar.api.facts import Rows
 from blocksar.api.reports import Report
 from blocksar.collection.grid import Grid
@@ -21,22 +22,25 @@ from blocksar.runs.record import RECORD, RunRecord
 from blocksar.simulation.scene import Scene
 from blocksar.simulation.shipped import shipped_scenes
 
+if TYPE_CHECKING:
+    import xarray as xr
+
 Following = list[list[str]]  # command lines that come next, as words after `blocksar`
 PARTS = {"spectrum": "the recovered spectrum of a run", "patch": "one block's part of a run's image"}
 MADE = ("quality.json", "report.html", "mosaic.png", "contours.png")  # in a run folder, by other commands
 MOST_READ = 16  # files of the Gotcha set that are read; of more, the first and the last
 
 
-def info(path: Location) -> Report:
-    """Say what a path holds: its size, geometry, band, beam and grid, what was done to it, and what comes next.
+def info(path: Location | xr.Dataset) -> Report:
+    """Say what a path or a dataset holds: its size, geometry, band, beam, grid, what was done to it, what comes next.
 
     Reads metadata only, and writes nothing.
 
     Parameters
     ----------
-    path : path
+    path : path or xarray.Dataset
         Phase history, run folder, image, CPHD file, file or folder of the AFRL Gotcha set, scene file, or the name of a
-        shipped scene.
+        shipped scene; or a dataset that is a phase history or an image.
 
     Returns
     -------
@@ -49,6 +53,8 @@ def info(path: Location) -> Report:
     InputError
         If there is nothing, it is damaged, or it is none of these.
     """
+    if is_dataset(path):
+        return _dataset(path)
     where = place(path)
     if isinstance(where, LocalPlace) and not where.exists() and str(path) in shipped_scenes():
         return _report("shipped scene", str(path), *_scene(str(path)))
@@ -99,7 +105,7 @@ def _report(kind: str, name: str, rows: Rows, following: Following) -> Report:
 
 def _store(where: Place, names: list[str]) -> Report:
     if "signal" in names or "echo" in names:
-        return _report("phase history", str(where), *_phase_history(where))
+        return _phase_history(stores.open_phase_history(where), where)
     if "image" in names:
         return _report("image", str(where), *_image(where))
     if "reference_range" in names:
@@ -117,8 +123,22 @@ def _size(where: Place) -> Rows:
     return [] if size is None else [("on disk", facts.size_text(size))]
 
 
-def _phase_history(where: Place) -> tuple[Rows, Following]:
-    history = stores.open_phase_history(where)
+def _dataset(dataset: Any) -> Report:
+    """A dataset that is a phase history or an image; one as it was opened from a store is what the store is."""
+    if "image" in dataset and {"x", "y"} <= set(dataset.coords):
+        x, y = dataset["x"].values, dataset["y"].values
+        rows = [
+            *facts.general_rows(dataset.attrs), ("grid", _pixels(x, y)),
+            ("in memory", facts.size_text(dataset["image"].nbytes)), *facts.history_rows(dataset.attrs),
+        ]  # fmt: skip
+        return _report("image", f"{dataset.encoding.get('source', 'a dataset')}", rows, [])
+    history = history_of(dataset)
+    stored = not isinstance(history, stores.DatasetHistory)
+    return _phase_history(history, place(history.path) if stored else None)
+
+
+def _phase_history(history: stores.PhaseHistory, where: Place | None) -> Report:
+    """A phase history at a place; None: it is in memory only."""
     pulses, columns = history.shape
     axis = "range frequencies" if history.raw is None else "fast-time samples (a raw echo, not range-compressed)"
     count = max(len(history.channels), 1)
@@ -126,13 +146,14 @@ def _phase_history(where: Place) -> tuple[Rows, Following]:
         *facts.general_rows(history.attrs),
         *([("channels", ", ".join(history.channels))] if history.channels else []),
         ("samples", f"{pulses} pulses x {columns} {axis}, {facts.size_text(8 * pulses * columns * count)} in memory"),
-        *_size(where),
+        *([] if where is None else _size(where)),
         *facts.collection_rows(history.collection),
         *facts.history_rows(history.attrs),
     ]
     needs_grid = not history.collection.steered or history.collection.has_axis
     grid = ["--grid", "x0:x1:dx,y0:y1:dy"] if needs_grid else []
-    return rows, [[command, str(where), *grid] for command in ("check", "plan")]
+    following = [] if where is None else [[command, str(where), *grid] for command in ("check", "plan")]
+    return _report("phase history", str(where or "a dataset"), rows, following)
 
 
 def _image(where: Place) -> tuple[Rows, Following]:

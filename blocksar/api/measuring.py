@@ -134,7 +134,10 @@ def measure(
     if run.attrs.get("scene") == "table1" and responses:
         result["table3"] = {name: row._asdict() for name, row in TABLE3.items()}
         others.append(_table3(responses))
-        lines.append("paper: Table 3 of the angular-division paper; its ISLR follows another, unstated definition")
+        lines.append(
+            "paper: Table 3 of the angular-division paper; its ISLR follows another, unstated definition, and its "
+            "azimuth IRW hardly changes over the scene, as if one factor had turned Doppler into metres"
+        )
     if run.noise is not None:
         result["noise"] = run.noise.as_json()
         lines.append(run.noise.sentence())

@@ -360,8 +360,8 @@ def plan_lines(plan: Plan) -> list[str]:
         f"derotated band {recovery.band[1] - recovery.band[0]:.0f} Hz at PRF {collection.prf:.0f} Hz; recovered "
         f"spectrum {recovery.doppler.size} x {collection.n_range_frequency} ({spectrum / MIB:.0f} MiB), "
         f"{recovery.doppler.extent:.0f} Hz wide",
-        f"image {grid.shape[1]} x {grid.shape[0]} pixels: x {grid.x[0]:g} .. {grid.x[-1]:g} m every {grid.dx:g}, "
-        f"y {grid.y[0]:g} .. {grid.y[-1]:g} m every {grid.dy:g}",
+        f"image {grid.shape[1]} x {grid.shape[0]} pixels: x {grid.x[0]:g} .. {grid.x[-1]:g} m every {grid.dx:g} m, "
+        f"y {grid.y[0]:g} .. {grid.y[-1]:g} m every {grid.dy:g} m",
     ]
     if plan.geometry.terrain is not None:
         low, high = plan.geometry.terrain.limits

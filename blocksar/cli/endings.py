@@ -32,7 +32,19 @@ def complain(message: str, status: int) -> NoReturn:
 
 
 class Commands(TyperGroup):
-    """The group of commands, which turns every error into a message and an exit status."""
+    """The group of commands, which turns every error into a message and an exit status.
+
+    In the help, flags have no type: beside --quiet, `<bool>` would ask for a value.
+    """
+
+    def get_params(self, ctx: Any) -> Any:
+        return _without_types(super().get_params(ctx))
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        command = super().get_command(ctx, cmd_name)
+        if command is not None:
+            _without_types(command.get_params(ctx))
+        return command
 
     def make_context(self, *arguments: Any, **settings: Any) -> Any:
         try:
@@ -52,6 +64,14 @@ class Commands(TyperGroup):
             if error.errno == errno.EPIPE:
                 raise
             _report(error)
+
+
+def _without_types(parameters: Any) -> Any:
+    """The same parameters of a command, the flags among them without their type."""
+    for parameter in parameters:
+        if getattr(parameter, "is_flag", False) and parameter.metavar is None:
+            parameter.metavar = ""
+    return parameters
 
 
 def _report(error: BaseException) -> NoReturn:

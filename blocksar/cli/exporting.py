@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 import typer
 
 from blocksar.cli.display import hint, show
+from blocksar.cli.endings import Commands
 from blocksar.cli.listening import listening
 from blocksar.cli.options import Channel, ColourMap, JsonLog, Overwrite, Quiet, Run
 
@@ -17,6 +18,7 @@ Crop = Annotated[
 
 export = typer.Typer(
     name="export",
+    cls=Commands,
     help="Export the image of a run to a standard file format.\n\n"
     "Example: [bold]blocksar export png run --out image.png[/bold]",
     no_args_is_help=True,
@@ -55,6 +57,7 @@ def export_geotiff(
     content: Annotated[
         Literal["amplitude", "power", "db", "complex", "height", "incidence", "visibility", "gamma"] | None,
         typer.Option(
+            metavar="amplitude, power, db, complex, height, incidence, visibility, gamma",
             help="Pixel values, in float32, or complex64; the last four of images on a terrain.",
             show_default="amplitude; db with --scale",
         ),
@@ -67,7 +70,9 @@ def export_geotiff(
     ] = None,
     scale: Annotated[
         Literal["uint8", "uint16"] | None,
-        typer.Option(help="Store dB as whole numbers, 0 where not covered.", show_default="float32"),
+        typer.Option(
+            metavar="uint8, uint16", help="Store dB as whole numbers, 0 where not covered.", show_default="float32"
+        ),
     ] = None,
     range: Annotated[
         str | None,

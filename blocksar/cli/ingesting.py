@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from blocksar.cli.display import hint, show
+from blocksar.cli.endings import Commands
 from blocksar.cli.listening import listening
 from blocksar.cli.options import JsonLog, Overwrite, Quiet, StoreOut
 
@@ -20,6 +21,7 @@ TimeZero = Annotated[
 
 ingest = typer.Typer(
     name="ingest",
+    cls=Commands,
     help="Convert measured data to a phase history.\n\n"
     "Example: [bold]blocksar ingest cphd collect.cphd --out collect.zarr[/bold]",
     no_args_is_help=True,

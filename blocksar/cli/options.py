@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import fields
 from inspect import Parameter, signature
-from typing import Annotated, Literal, TypedDict, get_args, get_type_hints
+from typing import Annotated, Any, Literal, TypedDict, get_args, get_type_hints
 
 import typer
 
@@ -53,7 +53,8 @@ ProcessorOption = Annotated[Processor, typer.Option(metavar="NAME", help=f"{PROC
 GridOption = Annotated[
     str | None,
     typer.Option(
-        metavar="x0:x1:dx,y0:y1:dy", help="Image points, m; default: the lit sector, spaced by half the resolution."
+        metavar="GRID",
+        help="Image points x0:x1:dx,y0:y1:dy, m; default: the lit sector, spaced by half the resolution.",
     ),
 ]
 TerrainOption = Annotated[
@@ -61,7 +62,7 @@ TerrainOption = Annotated[
     typer.Option(metavar="FILE", help="Heights of the ground: zarr or netCDF in the scene frame, or GeoTIFF."),
 ]
 SurfaceOption = Annotated[
-    Surface, typer.Option(metavar="plane|ellipsoid", help="The ground without --terrain; ellipsoid: WGS 84.")
+    Surface, typer.Option(metavar="NAME", help="The ground without --terrain: plane, or ellipsoid, WGS 84.")
 ]
 VerticalOption = Annotated[
     str | None,
@@ -158,6 +159,11 @@ def parse_settings(
     }
 
 
+def _values(kind: Any) -> str | None:
+    """The values that an option of this type takes, which a help of few columns can fold; None if it is a flag."""
+    return ", ".join(map(str, get_args(kind))) or None
+
+
 def method_options(command: Callable[..., None]) -> Callable[..., None]:
     """Decorate a command to accept every option in METHOD_HELP as a keyword argument.
 
@@ -168,7 +174,10 @@ def method_options(command: Callable[..., None]) -> Callable[..., None]:
         Parameter(
             name,
             Parameter.KEYWORD_ONLY,
-            annotation=Annotated[types[name], typer.Option(help=text, rich_help_panel=ALTERNATIVES)],
+            annotation=Annotated[
+                types[name],
+                typer.Option(help=text, metavar=_values(types[name]), rich_help_panel=ALTERNATIVES),
+            ],
             default=defaults[name],
         )
         for name, text in METHOD_HELP.items()

@@ -207,8 +207,8 @@ class Progress(Listener):
 
         left = self.estimate.left()
         line = Text(f"{clock_time(self.estimate.elapsed)} elapsed", no_wrap=True, overflow="crop")
-        if self._over:
-            return [line]
+        if self._over:  # a command without stages has nothing to show for it
+            return [line] if self.estimate.stages else []
         if left:
             line.append(", ").append(f"about {rough_time(left)} left", style="bold")
         lines: list[RenderableType] = [line]

@@ -83,6 +83,7 @@ def test_focus_passes_every_option(api: Calls) -> None:
     words += (
         " --terrain dem.tif --surface ellipsoid --vertical egm96 --looks 3 --autofocus --control points.json"
         " --grid -10:10:0.5,100:200:1 --workers 3 --threads 2 --memory-limit 2GiB --scheduler tcp://a:1 --overwrite"
+        " --discard"
     )
     assert run(*words.split()).exit_code == 0
     args, kwargs = api.seen["focus"]
@@ -112,6 +113,7 @@ def test_focus_passes_every_option(api: Calls) -> None:
         "memory_limit": 2 * 1024**3,
         "scheduler": "tcp://a:1",
         "overwrite": True,
+        "discard": True,
         "performance_report": None,
         "dry_run": False,
     }

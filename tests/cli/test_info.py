@@ -67,6 +67,19 @@ def test_a_phase_history_is_described_without_reading_samples(table1: Path, monk
     assert following == [["check", str(table1)], ["plan", str(table1)]]
 
 
+def test_a_dataset_is_described_as_its_store_is(store: Path, run: Path) -> None:
+    opened = blocksar.info(stores.open_dataset(store)).result
+    assert opened == blocksar.info(store).result
+    changed = stores.open_dataset(store).assign_attrs(title="mine")
+    kind, facts, following = facts_of(changed)  # type: ignore[arg-type]
+    assert (kind, facts["title"], following) == ("phase history", "mine", []) and "on disk" not in facts
+    assert facts["track"] == opened["facts"]["track"]
+    kind, facts, _ = facts_of(blocksar.open(run))  # type: ignore[arg-type]
+    assert kind == "image" and facts["grid"] == facts_of(run / "image.zarr")[1]["grid"]
+    with pytest.raises(InputError, match="signal"):
+        blocksar.info(blocksar.open(run).drop_vars("image"))
+
+
 def test_an_unsteered_phase_history_needs_a_grid(store: Path) -> None:
     _, facts, following = facts_of(store)
     assert "not steered" in facts["beam"] and "default grid" not in facts
