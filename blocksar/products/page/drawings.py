@@ -1,4 +1,4 @@
-"""Drawings of point responses for the report page: contours and cuts, as data URIs with alternative text."""
+"""Drawings for the report page, as data URIs: point responses, the track's correction, the terrain."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from blocksar.products.look_spectra import LookSpectra
 from blocksar.products.page.picture import Picture, data_uri
 from blocksar.products.page.words import describe, number
 from blocksar.products.pictures.looks import plot_looks
+from blocksar.products.pictures.relief import plot_relief, read_relief
 from blocksar.products.pictures.responses import plot_contours, plot_cuts
 from blocksar.products.pictures.track import has_chips, plot_chips, plot_track
 from blocksar.progress.listening import Callback
@@ -102,3 +103,23 @@ def draw_looks(spectra: LookSpectra | None) -> LooksDrawing | None:
         drawn = data_uri("png", path.read_bytes())
     least, most = (100 * float(end(spectra.within)) for end in (min, max))
     return LooksDrawing(drawn, f"{number(least, 1)} to {number(most, 1)} % of the power of a look lie in its own part.")
+
+
+class ReliefDrawing(NamedTuple):
+    """The terrain under an image: what is said of it, and a picture as a data URI."""
+
+    sentences: list[str]
+    picture: str
+
+
+def draw_relief(source: FinishedRun, marked: Sequence[PointResponse | Target], image: Picture) -> ReliefDrawing | None:
+    """Draw the terrain of a run, if it has one, with the targets."""
+    terrain = source.geometry.terrain
+    if terrain is None:
+        return None
+    relief = read_relief(source, terrain)
+    marks = [(target.name, target.x, target.y) for target in marked if image.holds(target.x, target.y)]
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "relief.png"
+        plot_relief(relief, terrain, marks, path)
+        return ReliefDrawing(relief.sentences(), data_uri("png", path.read_bytes()))

@@ -22,7 +22,7 @@ from blocksar.measurement.figures import DEFINITIONS
 from blocksar.products.look_spectra import LookSpectra
 from blocksar.products.page import picture
 from blocksar.products.page.composite import Composite, put
-from blocksar.products.page.drawings import draw_looks, draw_responses, draw_track
+from blocksar.products.page.drawings import draw_looks, draw_relief, draw_responses, draw_track
 from blocksar.products.page.facts import Facts
 from blocksar.products.page.provenance import provenance, repeat_run, settings_rows
 from blocksar.products.page.sentences import memory_sentence, plan_sentence, quality_sentences, subtitle, verdicts
@@ -131,6 +131,7 @@ def make(
         "reference": reference_table(run),
         "drawings": draw_responses(source, [r for r in run.responses if r.name in drawn_names], image, drawn),
         "track": draw_track(source.track),
+        "relief": draw_relief(source, run.marked, image),
         "stages": stage_table(run),
         "units": unit_table(run),
         "blocks": block_table(run),

@@ -185,6 +185,8 @@ def quality_table(run: Facts, image: Picture) -> Table:
         Column("x", "m"),
         Column("y", "m"),
     ]
+    if run.source.geometry.terrain is not None:
+        columns.append(Column("ground", "z, m"))
     rows = [_quality_row(run, r, image) for r in run.listed]
     rest = len(run.responses) - len(run.listed)
     note = f"The {len(run.listed)} worst; {number(rest, 0)} more are in quality.json." if rest else ""
@@ -220,6 +222,8 @@ def _quality_row(run: Facts, r: PointResponse, image: Picture) -> Row:
         _cell(r.x, 1),
         _cell(r.y, 1),
     ]
+    if (terrain := run.source.geometry.terrain) is not None:
+        cells.append(_cell(float(terrain(np.array(r.x), np.array(r.y))), 1))
     return Row(cells, image.find(r.x, r.y))
 
 

@@ -1,0 +1,65 @@
+"""The terrain on the report page: its picture, its figures, and the heights in the table."""
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+from report_page import read
+from small_run import TARGETS, make
+
+import blocksar
+from blocksar.collection.terrain import Terrain
+from blocksar.places import place
+from blocksar.products.pictures.relief import read_relief
+from blocksar.runs.finished import FinishedRun
+
+
+def ridge() -> Terrain:
+    """A ridge across range, with layover before it and shadow behind it, on a slope of 1 in 50."""
+    x, y = np.meshgrid(np.arange(-60.0, 61.0, 1.5), np.arange(-60.0, 61.0, 1.5))
+    heights = 14 * np.exp(-(((0.6 * x + 0.8 * y + 4) / 6) ** 2)) + 0.02 * x - 5
+    return Terrain(x0=-60.0, dx=1.5, y0=-60.0, dy=1.5, heights=heights)
+
+
+@pytest.mark.usefixtures("quick")
+def test_the_page_shows_the_terrain_and_the_heights_of_targets(tmp_path: Path) -> None:
+    run = make(tmp_path / "run", terrain=ridge(), formed_on_it=True, step=0.35)
+    found = read(blocksar.report(run.folder).result)
+    said = found.text()
+    image = blocksar.open(run.folder)
+    covered = np.isfinite(run.image)
+    z = np.where(covered, image.height.values, np.nan)
+    low, high = (f"{value:.1f}".replace("-", "\N{MINUS SIGN}") for value in (np.nanmin(z), np.nanmax(z)))
+    assert f"between z = {low} m and {high} m" in said
+    shares = [100 * (image.visibility.values == flag)[covered].mean() for flag in (1, 2)]
+    assert (
+        f"{shares[0]:.2g} % of the covered pixels are in layover" in said and f"{shares[1]:.2g} % are in shadow" in said
+    )
+    # The picture has hill shade, layover, shadow and what is not covered.
+    source = next(a["src"] for a in found.all("img") if a["alt"].startswith("Hill shade"))
+    pixels = imread(io.BytesIO(base64.b64decode(source.partition(",")[2])))[..., :3]
+    grey = np.ptp(pixels, axis=2) < 0.02
+    orange = (pixels[..., 0] - pixels[..., 2] > 0.25) & (pixels[..., 1] - pixels[..., 2] > 0.1)
+    blue = (pixels[..., 2] - pixels[..., 0] > 0.25) & ~orange
+    assert all(0.01 < part.mean() < 0.9 for part in (grey, orange, blue))
+    cells = np.array([float(a["data-sort"]) for a in found.all("td") if re.fullmatch(r"-?[\d.e+-]+", a["data-sort"])])
+    for target in TARGETS[:2]:
+        assert np.abs(cells - float(ridge()(np.array(target.x), np.array(target.y)))).min() < 1e-6
+    assert "ground" in said
+
+
+def test_slopes_and_shares_are_those_of_the_terrain(tmp_path: Path) -> None:
+    run, terrain = make(tmp_path / "run", terrain=ridge()), ridge()
+    relief = read_relief(FinishedRun.open(place(run.folder)), terrain)
+    x, y = np.meshgrid(relief.x, relief.y)
+    h = 1e-3
+    slope = np.hypot(terrain(x + h, y) - terrain(x - h, y), terrain(x, y + h) - terrain(x, y - h)) / (2 * h)
+    assert np.tan(relief.steepest) == pytest.approx(
+        np.nanmax(np.where(np.isfinite(relief.height), slope, np.nan)), rel=0.02
+    )
