@@ -260,9 +260,9 @@ def _raise(
         turns = [turns_of(layer.geometry, sector.geometry, rng, yaw) for layer in layers]
         ground = ground.widened(sector.region, float(np.abs(turns).max()))
     by_height = map_relief(relief, layers, surfaces_of, epoch_range=rng, yaw=yaw, degree=degree, turns=turns)
-    *extremes, known = relief.extremes(rng.size, yaw.size)
+    *usual, known = relief.usual(rng.size, yaw.size)
     known = known if known.any() else np.ones_like(known)
-    grounds = [sector.geometry.over(None, NodeHeights(smooth=relief.fine, over=heights)) for heights in extremes]
+    grounds = [sector.geometry.over(None, NodeHeights(smooth=relief.fine, over=heights)) for heights in usual]
     predictions = [
         predict(
             layer.line, layer.spots, rng, yaw, layer.geometry, rate=layer.rate, gate=gate,

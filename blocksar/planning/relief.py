@@ -66,21 +66,28 @@ class Relief:
         """A geometry on the smooth ground, raised by an offset, m."""
         return geometry.over(None, SmoothGround(surface=self.smooth.surface, offset=offset))
 
-    def extremes(self, n_range: int, n_yaw: int) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """Least and greatest height over the finer smooth ground about each end node (n_range, n_yaw), m.
+    def usual(self, n_range: int, n_yaw: int) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Usual heights over the finer smooth ground about each end node (n_range, n_yaw), m: a low one and a high one.
 
-        And whether any is known there.
+        The mean less and plus the mean distance from it. What is lost at the ends of a dwell is in proportion to their
+        displacement, thus to the distance from the smooth ground: the mean of the losses about a node, as a chip of the
+        image shows it, is the loss at these heights. And whether any height is known there.
         """
         u, v, over = self.points
         where = []
         for at, n in ((u, n_range), (v, n_yaw)):
             nodes = solvers.end_nodes(n)
             where.append(np.searchsorted((nodes[1:] + nodes[:-1]) / 2, at))
-        low, high = np.full((n_range, n_yaw), np.inf), np.full((n_range, n_yaw), -np.inf)
-        np.minimum.at(low, tuple(where), over)
-        np.maximum.at(high, tuple(where), over)
-        known = low <= high
-        return np.where(known, low, 0.0), np.where(known, high, 0.0), known
+        cell, count = where[0] * n_yaw + where[1], n_range * n_yaw
+        number = np.bincount(cell, minlength=count)
+
+        def mean(values: FloatArray) -> FloatArray:
+            return np.bincount(cell, weights=values, minlength=count) / np.maximum(number, 1)
+
+        middle = mean(over)
+        away = mean(np.abs(over - middle[cell]))
+        low, high = ((middle + sign * away).reshape(n_range, n_yaw) for sign in (-1, 1))
+        return low, high, (number > 0).reshape(n_range, n_yaw)
 
 
 class Samples(NamedTuple):

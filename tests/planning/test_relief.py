@@ -43,8 +43,14 @@ def test_smooth_parts_follow_what_is_smooth_and_the_rest_stands_over_them() -> N
     fine = samples.z - relief.fine(samples.epoch_range, samples.yaw)
     assert relief.low < coarse.min() and coarse.max() < relief.high
     assert np.ptp(fine) < 0.4 * np.ptp(samples.z) and np.std(fine) < np.std(coarse)
-    low, high, known = relief.extremes(13, 33)
+    low, high, known = relief.usual(13, 33)
     assert known.any() and low[known].min() >= fine.min() - 1e-9 and high[known].max() <= fine.max() + 1e-9
+    u, v = 2 * samples.epoch_range - box["near"] - box["far"], 2 * samples.yaw - box["low"] - box["high"]
+    nodes = np.cos(np.pi * np.arange(13) / 12), np.cos(np.pi * np.arange(33) / 32)
+    about = np.abs(u / (box["far"] - box["near"]) - nodes[0][6]) < np.abs(nodes[0][6] - nodes[0][5]) / 2
+    about &= np.abs(v / (box["high"] - box["low"]) - nodes[1][16]) < np.abs(nodes[1][16] - nodes[1][15]) / 2
+    middle, away = fine[about].mean(), np.abs(fine[about] - fine[about].mean()).mean()
+    assert (low[6, 16], high[6, 16]) == pytest.approx((middle - away, middle + away), abs=0.02)
     empty = find_relief(samples, low=2.0, high=2.1, near=5e4, far=6e4, level=33.0)
     assert empty.smooth(np.array(5.5e4), np.array(2.05)) == pytest.approx(33.0, abs=1e-6)
 
