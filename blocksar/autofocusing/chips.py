@@ -16,6 +16,7 @@ from blocksar.kernels.fourier import fast_length, fft_rows
 from blocksar.kernels.groups import run_groups
 
 POINTS_AT_ONCE = 4  # that a thread takes
+SHORT_GAP = 4  # samples that are missing in a row, and are filled
 PLACE_PADDING = 2.0  # Doppler cells for each sample, between which the brightest is interpolated
 
 
@@ -28,10 +29,13 @@ class ChipPart:
     start : int
         First sample of the collection's `Work.sample_times`.
     values : (n_point, n, n_line) complex64
+    seen : (n,) int
+        Pulses in reach of the low-pass, missing ones not counted.
     """
 
     start: int
     values: ComplexArray
+    seen: IntArray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,6 +55,8 @@ class Chips:
         Unit vectors from the antenna to the point.
     distance : (n_point, n) float
         From the antenna to the point, m.
+    seen : (n_sample,) bool
+        Samples that are not missing.
     """
 
     work: Work
@@ -60,6 +66,7 @@ class Chips:
     count: IntArray
     sight: FloatArray
     distance: FloatArray
+    seen: BoolArray
 
     @property
     def index(self) -> IntArray:
@@ -91,6 +98,11 @@ class Chips:
         """Which samples of the chips there are, (n_point, n)."""
         return np.asarray(np.arange(self.values.shape[2]) < self.count[:, None])
 
+    @property
+    def told(self) -> BoolArray:
+        """Which of them are not missing, (n_point, n)."""
+        return np.asarray(self.lit & self.seen[self.index])
+
     def narrowed(self, factor: int) -> Chips:
         """Chips low-passed to 1 / factor of their Doppler band, and decimated by that."""
         if factor == 1:
@@ -117,7 +129,10 @@ class Chips:
             np.take_along_axis(array, at, axis=1)
             for array, at in ((self.sight, index[..., None]), (self.distance, index))
         )
-        return replace(self, time=time, values=values, first=first, count=count, sight=sight, distance=distance)
+        seen: BoolArray = np.asarray(self.seen[: n_sample * factor].reshape(n_sample, factor).any(axis=1))
+        return replace(
+            self, time=time, values=values, first=first, count=count, sight=sight, distance=distance, seen=seen
+        )
 
     def recentred(self, displacement: FloatArray) -> Chips:
         """The chips about their brightest scatterers: the phase of these' own ranges removed instead of the points'.
@@ -171,7 +186,11 @@ def take_chips(
 
     n = points.x.size
     run_groups(one, [slice(i, min(i + POINTS_AT_ONCE, n)) for i in range(0, n, POINTS_AT_ONCE)], threads)
-    return ChipPart(start=start, values=out)
+    there: BoolArray = np.asarray(~np.isnan(signal).all(axis=1))
+    reached = d * np.arange(start, max(stop, start))[:, None] - ahead + np.arange(taps.size) - pulses.start
+    inside = (reached >= 0) & (reached < there.size)
+    seen = (inside & there[np.clip(reached, 0, there.size - 1)]).sum(axis=1)
+    return ChipPart(start=start, values=out, seen=seen)
 
 
 def join_chips(work: Work, points: Points, parts: Sequence[ChipPart], displacement: FloatArray) -> Chips:
@@ -182,13 +201,18 @@ def join_chips(work: Work, points: Points, parts: Sequence[ChipPart], displaceme
     count = np.maximum(lit_last - lit_first, 0)
     n = fast_length(int(count.max()))
     values = np.zeros((points.x.size, work.settings.lines, n), np.complex64)
+    seen = np.zeros(work.n_sample, bool)
     for part in parts:
         stop = part.start + part.values.shape[1]
+        seen[part.start : stop] |= part.seen > 0
         for i in range(points.x.size):
             low, high = max(part.start, int(lit_first[i])), min(stop, int(lit_last[i]))
             if low < high:
                 into = slice(low - int(lit_first[i]), high - int(lit_first[i]))
                 values[i, :, into] += part.values[i, low - part.start : high - part.start].T
+    for gap in gaps(seen):
+        for i in range(points.x.size):
+            fill(values[i], gap.start - int(lit_first[i]), gap.stop - int(lit_first[i]), int(count[i]))
     at = work.sample_pulses
     pulse = np.arange(float(collection.n_pulse))
     position = np.stack([np.interp(at, pulse, axis) for axis in collection.antenna_position.T], axis=1)
@@ -199,8 +223,23 @@ def join_chips(work: Work, points: Points, parts: Sequence[ChipPart], displaceme
     distance = np.sqrt((sight * sight).sum(axis=2))
     sight /= distance[..., None]
     return Chips(
-        work=work, time=work.sample_times, values=values, first=lit_first, count=count, sight=sight, distance=distance
-    )
+        work=work, time=work.sample_times, values=values, first=lit_first, count=count, sight=sight, distance=distance,
+        seen=seen,
+    )  # fmt: skip
+
+
+def gaps(seen: BoolArray) -> list[slice]:
+    """Short runs of missing samples, between others."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], ~seen, [0]]).astype(int)))
+    return [slice(int(a), int(b)) for a, b in edges.reshape(-1, 2) if b - a <= SHORT_GAP]
+
+
+def fill(lines: ComplexArray, first: int, last: int, count: int) -> None:
+    """Fill the missing samples first <= m < last of lines (n_line, n), in place, by straight lines between others."""
+    if first < 1 or last >= count:
+        return
+    share = ((np.arange(first, last) - (first - 1)) / (last - first + 1)).astype(np.float32)
+    lines[:, first:last] = lines[:, first - 1 : first] * (1 - share) + lines[:, last : last + 1] * share
 
 
 def mean_sight(chips: Chips) -> FloatArray:

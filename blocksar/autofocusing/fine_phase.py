@@ -50,6 +50,9 @@ def sample_phase(chips: Chips, weights: FloatArray) -> FloatArray:
             index.ravel(), values.imag.ravel(), minlength=n
         )
         shared = np.where(total == 0, 0.0, np.angle(total))
+    there = np.flatnonzero(total)
+    if 0 < there.size < n:  # across gaps, straight lines
+        return np.asarray(np.interp(np.arange(n), there, np.unwrap(shared[there])))
     return np.asarray(np.unwrap(shared))
 
 

@@ -21,6 +21,7 @@ from blocksar.kernels.fourier import fft_rows
 # Each half has twice the variance of the whole, and their difference four times that: one half. But both halves share
 # what points do to each other and what splines leave: measured errors are 0.5 to 1.2 of the difference.
 HALVES_TO_WHOLE = 0.75
+UNSETTLED = 0.1  # rad rms by which the last loop may change the phases
 SLOW = 4  # intervals of the finest spline for one of those that follow slow motion
 TURNS = 0.1  # whole turns of the phase that may remain unknown
 PICTURES = 6  # points whose chips are kept for pictures
@@ -70,7 +71,8 @@ def finish(work: Work, points: Points, parts: Sequence[ChipPart], correction: Co
     Raises
     ------
     Refused
-        If the halves differ by more than `Settings.halves`.
+        If the halves differ by more than `Settings.halves`, that is predicted, the loops have not settled, or whole
+        turns of the phase remain unknown.
     """
     chips = join_chips(work, points, parts, correction.previous)
     apart = halves_apart(chips, correction, threads)
@@ -81,16 +83,18 @@ def finish(work: Work, points: Points, parts: Sequence[ChipPart], correction: Co
             f"some {max(turns, 1):.0f} whole turns of it remain unknown; give a collection with a higher PRF, or focus "
             "the phase history as it is"
         )
-    if not (correction.finished and apart <= work.settings.halves):
+    predicted = float(np.hypot(HALVES_TO_WHOLE * apart, correction.fine_error))
+    limit = work.settings.halves
+    if not (correction.finished and apart <= limit and predicted <= limit and last["step"] <= UNSETTLED):
         raise Refused(
             f"the samples do not tell the track's error: two estimates, each from half of {points.x.size} points, "
-            f"differ by {apart:.2g} rad rms, more than the {work.settings.halves:g} rad that are accepted (entropy of "
-            f"the chips {correction.history[0]['entropy_before']:.4g} before, {last['entropy_after']:.4g} after); give "
-            "a --grid with prominent points, or focus the phase history as it is"
+            f"differ by {apart:.2g} rad rms, the error predicted is {predicted:.2g} rad, and the last loop changed the "
+            f"phases by {last['step']:.2g} rad; {limit:g}, {limit:g} and {UNSETTLED:g} are accepted (entropy of the "
+            f"chips {correction.history[0]['entropy_before']:.4g} before, {last['entropy_after']:.4g} after); give a "
+            "--grid with prominent points, or focus the phase history as it is"
         )
     collection = work.geometry.collection
     moved = between_samples(work, correction.displacement, collection.time)
-    predicted = float(np.hypot(HALVES_TO_WHOLE * apart, correction.fine_error))
     before, after, shown = _pictures(chips, correction)
     return Result(
         antenna_position=collection.antenna_position + moved,

@@ -25,8 +25,8 @@ class Information(NamedTuple):
 
 def information(chips: Chips, knots: Knots, weights: FloatArray) -> Information:
     """What chips tell and what not, each chip weighed by one of `weights` (n_point,)."""
-    lit = chips.lit
-    each = np.where(lit, (weights / np.maximum(chips.count, 1))[:, None], 0.0)
+    told = chips.told
+    each = np.where(told, (weights / np.maximum(told.sum(axis=1), 1))[:, None], 0.0)
     first, basis = knots.basis
     size, index = knots.size, chips.index.ravel()
     total = np.zeros((size * size, 9))
@@ -48,15 +48,16 @@ def information(chips: Chips, knots: Knots, weights: FloatArray) -> Information:
 def _flat_parts(chips: Chips, knots: Knots, point: int, each: FloatArray) -> FloatArray:
     """What the coefficients add to a constant and a line over a chip, each of unit norm: (2, size * 3)."""
     n = int(chips.count[point])
-    if n < 2:
+    told = each[:n] > 0
+    if told.sum() < 2:
         return np.zeros((2, knots.size * 3))
-    line = np.arange(n) - (n - 1) / 2
-    parts = (np.ones(n), line / np.sqrt((line * line).mean()))
+    line = np.where(told, np.arange(n) - np.flatnonzero(told).mean(), 0.0)
+    parts = (told.astype(np.float64), line / np.sqrt((line * line).sum() / told.sum()))
     chosen, rows = chips.first[point] + np.arange(n), []
     for part in parts:
         at = np.zeros((chips.time.size, 3))
         at[chosen] = chips.sight[point, :n] * (part * each[:n])[:, None]
-        rows.append(knots.adjoint(at).ravel() / np.sqrt(max(float(each[0]) * n, 1e-300)))
+        rows.append(knots.adjoint(at).ravel() / np.sqrt(each[:n].sum()))
     return np.array(rows)
 
 

@@ -46,7 +46,7 @@ def by_least_squares(chips: Chips, start: FloatArray, before: FloatArray, weight
         phase = point_phases(narrow.corrected(knots.values(coefficients) / wavenumber))
         share = weights * point_shares(rms(phase, narrow), narrow)
         told, _ = information(narrow, knots, share)
-        each = np.where(narrow.lit, (share / np.maximum(narrow.count, 1))[:, None], 0.0)
+        each = np.where(narrow.told, (share / np.maximum(narrow.told.sum(axis=1), 1))[:, None], 0.0)
         slope = knots.adjoint(narrow.spread(each * phase)).ravel() - np.einsum("ij,j->i", prior, coefficients.ravel())
         moved = solve(told + prior, slope)
         coefficients = coefficients + moved.reshape(-1, 3)
@@ -66,24 +66,23 @@ def point_phases(chips: Chips) -> FloatArray:
 
 
 def without_lines(phase: FloatArray, chips: Chips) -> FloatArray:
-    """Phases (n_point, n) less the line through each point's; 0 where it is not lit."""
-    out = np.zeros(phase.shape)
+    """Phases (n_point, n) less the line through each point's; 0 where there are none."""
+    out, told = np.zeros(phase.shape), chips.told
     for i in range(phase.shape[0]):
-        n = int(chips.count[i])
-        if n < LEAST_COUNT:
+        at = np.flatnonzero(told[i])
+        if at.size < LEAST_COUNT:
             continue
-        u = np.arange(n) - (n - 1) / 2
-        flat = phase[i, :n] - phase[i, :n].mean()
-        out[i, :n] = flat - u * (u * flat).sum() / (u * u).sum()
+        u, flat = at - at.mean(), phase[i, at] - phase[i, at].mean()
+        out[i, at] = flat - u * (u * flat).sum() / (u * u).sum()
     return out
 
 
 def rms(phase: FloatArray, chips: Chips) -> FloatArray:
-    """Root mean square (n_point,) of phases (n_point, n) that are 0 where a point is not lit, rad."""
-    return np.asarray(np.sqrt((phase * phase).sum(axis=1) / np.maximum(chips.count, 1)))
+    """Root mean square (n_point,) of phases (n_point, n) that are 0 where there are none, rad."""
+    return np.asarray(np.sqrt((phase * phase).sum(axis=1) / np.maximum(chips.told.sum(axis=1), 1)))
 
 
 def point_shares(errors: FloatArray, chips: Chips) -> FloatArray:
     """Samples over variance (n_point,), rad^-2, of points with phase errors (n_point,), rad; less for outliers."""
-    robust = 1 / (1 + (errors / TOLERANCE) ** 4)
-    return np.asarray(np.where(chips.count < LEAST_COUNT, 0.0, chips.count * robust / (errors**2 + FLOOR**2)))
+    robust, count = 1 / (1 + (errors / TOLERANCE) ** 4), chips.told.sum(axis=1)
+    return np.asarray(np.where(count < LEAST_COUNT, 0.0, count * robust / (errors**2 + FLOOR**2)))

@@ -60,9 +60,11 @@ def test_the_same_bytes_with_more_threads(signal: np.ndarray, result: Result) ->
     assert again.figures == result.figures
 
 
-def test_a_true_track_is_not_harmed() -> None:
+def test_a_true_track_is_not_harmed_though_pulses_are_missing() -> None:
     stated = spotlight()
-    result = found(echoes(stated, np.zeros((stated.n_pulse, 3)), seed=2))
+    signal = echoes(stated, np.zeros((stated.n_pulse, 3)), seed=2).copy()
+    signal[np.random.default_rng(3).uniform(size=stated.n_pulse) < 0.15] = np.nan
+    result = found(signal)
     assert (
         np.sqrt(np.mean(residual_phase(STATED, result.antenna_position - stated.antenna_position, PLACES) ** 2)) < 0.05
     )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-from blocksar.autofocusing.chips import Chips, brightest_places
+from blocksar.autofocusing.chips import Chips, brightest_places, fill, gaps
 from blocksar.autofocusing.correction import Knots, between_samples
 from blocksar.autofocusing.entropy import PADDING, entropies
 from blocksar.autofocusing.estimation import Polish, without_line
@@ -55,6 +55,7 @@ def synthetic_chips(
         count=np.full(points, length, np.int64),
         sight=sight,
         distance=np.full((points, length), 6000.0),
+        seen=np.ones(work.n_sample, bool),
     )  # fmt: skip
 
 
@@ -194,6 +195,19 @@ def test_whole_turns_are_counted(work: Work) -> None:
         assert unknown_turns(chips, walk[:, None] * [0.8, 0.0, -0.6]) == pytest.approx(beyond, rel=0.3, abs=1e-6)
 
 
+def test_short_gaps_are_filled() -> None:
+    seen = np.ones(30, bool)
+    seen[[0, 5, 6, 29]], seen[12:20] = False, False
+    assert [(gap.start, gap.stop) for gap in gaps(seen)] == [(0, 1), (5, 7), (29, 30)]
+    lines = np.tile(np.arange(30) * (1 + 2j), (2, 1)).astype(np.complex64)
+    whole = lines.copy()
+    lines[:, ~seen] = 0
+    for gap in gaps(seen):
+        fill(lines, gap.start, gap.stop, 30)
+    assert lines[:, 5:7] == pytest.approx(whole[:, 5:7])
+    assert not lines[:, [0, 15, 29]].any()  # nothing to either side, or too long
+
+
 def test_minimum_of_a_banana() -> None:
     def rosenbrock(x: np.ndarray) -> tuple[float, np.ndarray]:
         a, b = 1 - x[0], x[1] - x[0] ** 2
@@ -251,7 +265,7 @@ def test_chips_about_their_brightest_scatterers(work: Work) -> None:
         values[0, line] += np.sinc(offset) * np.exp(-1j * work.wavenumber * (true - distance)[0])
     chips = Chips(
         work=work, time=work.sample_times, values=values, first=np.zeros(1, np.int64), count=np.full(1, n, np.int64),
-        sight=(sights[0] / distance[0][:, None])[None], distance=distance,
+        sight=(sights[0] / distance[0][:, None])[None], distance=distance, seen=np.ones(n, bool),
     )  # fmt: skip
     assert brightest_places(chips)[0] == pytest.approx(away, abs=0.2)
     recentred = chips.recentred(np.zeros((n, 3)))
