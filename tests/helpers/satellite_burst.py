@@ -102,7 +102,7 @@ class Burst(NamedTuple):
         track, axis = frame.from_ecef(position), velocity @ frame.axes.T
         corners = np.array([[x, y] for x in (-width / 2, width / 2) for y in (-length / 2, length / 2)])
         ranges = [np.linalg.norm(track - [x, y, float(terrain(x, y))], axis=1) for x, y in corners]
-        reach = np.max(ranges) - np.min(ranges) + 1500.0
+        reach = 1.06 * (np.max(ranges) - np.min(ranges)) + 2500.0
         step = SPEED_OF_LIGHT / (2 * reach)
         n_frequency = int(np.ceil(BANDWIDTH / step))
         collection = Collection(
