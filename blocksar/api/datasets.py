@@ -43,6 +43,7 @@ def collection(
     elevation: ArrayLike | None = None,
     elevation_pattern: ArrayLike | None = None,
     noise_power: float | None = None,
+    side_of_track: str | None = None,
     ground_height: float = 0.0,
     title: str = "",
     targets: Sequence[Target | Mapping[str, Any]] | None = None,
@@ -91,6 +92,9 @@ def collection(
         Two-way amplitude, 1, that is in the signal, over the angle of the line of sight below the horizontal, rad.
     noise_power : float, optional
         Mean squared magnitude of the noise of a sample, the unit of `signal` squared. Default: unknown.
+    side_of_track : {"left", "right"}, optional
+        Where the imaged ground lies, seen along the flight, for the default grid of a beam about `beam_axis`, which
+        lights both sides. Default: where the scene frame's origin is, if the reference range follows it.
     ground_height : float
         Height of the imaged plane in the scene frame, m. Default: 0.
     title : str
@@ -124,7 +128,8 @@ def collection(
     }  # fmt: skip
     attrs: dict[str, Any] = {
         "carrier_frequency": carrier_frequency, "beam_width": beam_width, "ground_height": ground_height,
-        "noise_power": noise_power, "chirp_rate": chirp_rate, "pulse_width": pulse_width, "title": title,
+        "noise_power": noise_power, "side_of_track": side_of_track, "chirp_rate": chirp_rate,
+        "pulse_width": pulse_width, "title": title,
         "Conventions": stores.CONVENTIONS,
     }  # fmt: skip
     if targets is not None:

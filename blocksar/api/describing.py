@@ -150,7 +150,9 @@ def _phase_history(history: stores.PhaseHistory, where: Place | None) -> Report:
         *facts.collection_rows(history.collection),
         *facts.history_rows(history.attrs),
     ]
-    needs_grid = not history.collection.steered or history.collection.has_axis
+    needs_grid = not history.collection.steered
+    if history.collection.has_axis:
+        needs_grid = not any(name == "default grid" for name, _ in rows)
     grid = ["--grid", "x0:x1:dx,y0:y1:dy"] if needs_grid else []
     following = [] if where is None else [[command, str(where), *grid] for command in ("check", "plan")]
     return _report("phase history", str(where or "a dataset"), rows, following)

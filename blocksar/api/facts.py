@@ -121,12 +121,12 @@ def _beam(collection: Collection) -> str:
 def _footprint(geometry: Geometry) -> Rows:
     """What a steered beam lights, and the grid that would cover it; nothing where neither can be said."""
     collection = geometry.collection
-    if not collection.steered or collection.has_axis:
+    if not collection.steered:
         return []
     rows: Rows = []
     with suppress(InputError):
         region = plan_region(geometry, None)
-        low, high = np.degrees(lit_yaw(collection))
+        low, high = np.degrees(region.yaw[[0, -1]] if collection.has_axis else lit_yaw(collection))
         near, far = float(region.near.min()), float(region.far.max())
         rows.append(("footprint", f"yaw {low:.2f} .. {high:.2f} degrees, range {near / 1e3:.3f} .. {far / 1e3:.3f} km"))
         middle = region.yaw.size // 2

@@ -69,6 +69,8 @@ class Collection:
         Two-way amplitude, already in the signal, over the angle of the line of sight below the horizontal, rad.
     noise_power : float or None
         Mean squared magnitude of the noise of a sample of the signal; of a raw echo, of a sample of the echo.
+    side_of_track : {"left", "right"} or None
+        On which side of the track the imaged ground lies, seen along the flight; None: unknown.
 
     Raises
     ------
@@ -94,6 +96,7 @@ class Collection:
     elevation: FloatArray | None = None
     elevation_pattern: FloatArray | None = None
     noise_power: float | None = None
+    side_of_track: str | None = None
 
     def __post_init__(self) -> None:
         given = [name for name in OPTIONAL if getattr(self, name) is not None]
@@ -284,6 +287,8 @@ class Collection:
     def _check_patterns(self) -> None:
         if self.noise_power is not None and not (np.isfinite(self.noise_power) and self.noise_power >= 0):
             raise InputError(f"noise_power must be a finite number of at least 0, got {self.noise_power!r}")
+        if self.side_of_track not in (None, "left", "right"):
+            raise InputError(f"side_of_track is {self.side_of_track!r}; it must be 'left' or 'right', or absent")
         for name, coordinate in PATTERNS.items():
             angle, amplitude = getattr(self, coordinate), getattr(self, name)
             if angle is None and amplitude is None:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from blocksar.arrays import BoolArray, FloatArray
-from blocksar.collection.beam import dwell_at, lit_yaw, wrapped
+from blocksar.collection.beam import dwell_at, has_full_dwell, lit_yaw, wrapped
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid, ground_resolution, outline
@@ -24,6 +24,8 @@ from blocksar.errors import InputError, OutsideSwath
 # yaws at which the first and the last lit one are found; ranges for that, and for the lit ranges of a yaw.
 LEAST_YAWS, MOST_YAWS, YAWS_AT_ONCE, FINE_YAWS = 16, 4096, 16, 257
 FEW_RANGES, LIT_RANGES = 17, 129
+SIDE_ENDS = 0.02  # rad along the flight and against it, where nothing is imaged
+FULL_RANGES, FULL_YAWS = 33, 257  # at which the ground with full dwell is looked for
 MOST_SAMPLES = 1024  # of a terrain, along each axis, that are asked for their range
 MOVE = "move the grid"  # what to do about one outside the swath
 WINDOW_GUARD = 8  # range cells kept free at either end of the range window
@@ -69,19 +71,22 @@ def plan_region(geometry: Geometry, grid: Grid | None) -> Region:
     Raises
     ------
     InputError
-        If there is no grid where the beam is not steered, or has an axis, or the grid lies outside the swath or holds
-        the nadir.
+        If there is no grid where the beam is not steered, or has an axis and the side of the track is unknown, or the
+        grid lies outside the swath or holds the nadir.
     """
     collection = geometry.collection
     if collection.steered and not collection.has_axis:
         low, high = lit_yaw(collection)
         near, far = _window(geometry, np.linspace(low, high, 65), None)
         return Region(yaw=np.linspace(low, high, 65), near=near, far=far)
+    if grid is None and collection.has_axis:
+        ends = _side_yaws(geometry)
+        return _joined([_lit_region(level, "the ground on the side_of_track", *ends) for level in geometry.levels])
     if grid is None:
-        what = "a collection whose beam is not steered lights everything"
-        if collection.has_axis:
-            what = "a beam about the antenna's axis (beam_axis) lights ground on both sides of the track"
-        raise InputError(f"grid is missing: {what}, so give --grid x0:x1:dx,y0:y1:dy for the ground to image")
+        raise InputError(
+            "grid is missing: a collection whose beam is not steered lights everything, so give --grid "
+            "x0:x1:dx,y0:y1:dy for the ground to image"
+        )
     x, y = outline(grid)
     if grid.x0 <= geometry.nadir[0] <= grid.x1 and grid.y0 <= geometry.nadir[1] <= grid.y1:
         raise InputError(
@@ -90,8 +95,9 @@ def plan_region(geometry: Geometry, grid: Grid | None) -> Region:
         )
     yaw = np.unwrap(geometry.yaw(x, y))
     if collection.has_axis:
+        what = f"grid {grid.x0:g}:{grid.x1:g},{grid.y0:g}:{grid.y1:g}"
         ends = float(yaw.min()), float(yaw.max())
-        return _joined([_lit_region(level, grid, *ends) for level in geometry.levels])
+        return _joined([_lit_region(level, what, *ends) for level in geometry.levels])
     rng = geometry.epoch_range(*on_terrain(geometry, grid, x, y))
     pad = 0.01 * np.ptp(yaw)
     nodes = np.linspace(yaw.min() - pad, yaw.max() + pad, 33)
@@ -103,8 +109,38 @@ def plan_region(geometry: Geometry, grid: Grid | None) -> Region:
     return Region(yaw=nodes, near=near, far=far)
 
 
-def _lit_region(geometry: Geometry, grid: Grid, low: float, high: float) -> Region:
-    """All that a beam about its axis lights on the side of the track where the grid lies, at yaws low .. high, rad.
+def _side_yaws(geometry: Geometry) -> tuple[float, float]:
+    """First and last yaw, rad, of the side of the track where the imaged ground of a beam about its axis lies.
+
+    Raises
+    ------
+    InputError
+        If nothing tells.
+    """
+    collection = geometry.collection
+    assert collection.beam_axis is not None
+    ahead, middle = collection.antenna_position[-1] - collection.antenna_position[0], collection.n_pulse // 2
+    side = collection.side_of_track
+    if side is None:
+        sight = np.array([0.0, 0.0, collection.ground_height]) - collection.antenna_position[middle]
+        away = abs(float(np.linalg.norm(sight)) - collection.reference_range[middle])
+        across = float(ahead[0] * sight[1] - ahead[1] * sight[0])
+        if away > collection.range_window / 8 or abs(across) < 1e-3 * float(np.hypot(*ahead[:2])) * abs(sight[2]):
+            raise InputError(
+                "grid is missing: a beam about the antenna's axis (beam_axis) lights ground on both sides of the "
+                "track, and the reference range does not follow the scene's origin, so give --grid x0:x1:dx,y0:y1:dy "
+                "for the ground to image, or the attribute side_of_track"
+            )
+        side = "left" if across > 0 else "right"
+    heading = float(np.arctan2(ahead[1], ahead[0]))
+    first = heading if side == "left" else heading - np.pi
+    return first + SIDE_ENDS, first + np.pi - SIDE_ENDS
+
+
+def _lit_region(geometry: Geometry, what: str, low: float, high: float) -> Region:
+    """All that a beam about its axis lights on the side of the track where yaws low .. high, rad, lie.
+
+    `what` names these in an error.
 
     Ranges are those that are lit at a yaw or at its neighbours: between yaws, all that is lit is then inside.
     """
@@ -129,8 +165,8 @@ def _lit_region(geometry: Geometry, grid: Grid, low: float, high: float) -> Regi
     lit = np.flatnonzero(is_any_lit(inside))
     if lit.size == 0:
         raise OutsideSwath(
-            f"grid {grid.x0:g}:{grid.x1:g},{grid.y0:g}:{grid.y1:g} lies outside the swath: the beam (beam_axis, "
-            "beam_steering, beam_width) lights none of its yaws; move the grid"
+            f"{what} lies outside the swath: the beam (beam_axis, beam_steering, beam_width) lights none of its yaws; "
+            "move the grid"
         )
     yaw = np.linspace(first_unlit(inside[lit[0]], -1.0), first_unlit(inside[lit[-1]], 1.0), FINE_YAWS)
     near, far = _window(geometry, yaw, None)
@@ -292,7 +328,12 @@ def _remedy(geometry: Geometry, grid: Grid) -> str:
 
 
 def default_grid(geometry: Geometry, region: Region) -> Grid:
-    """The bounding box of the lit sector, sampled at about half the resolution at its centre, on round coordinates."""
+    """The bounding box of the lit sector, sampled at about half the resolution at its centre, on round coordinates.
+
+    Under a beam about its axis that of the ground with full dwell.
+    """
+    if geometry.collection.has_axis:
+        return _full_grid(geometry, region)
     yaw = np.concatenate([region.yaw, region.yaw])
     point = geometry.ground_point(np.concatenate([region.near, region.far]), yaw)
     x, y = point[:, 0], point[:, 1]
@@ -307,6 +348,35 @@ def default_grid(geometry: Geometry, region: Region) -> Grid:
     x0, x1, dx = box(x)
     y0, y1, dy = box(y)
     return Grid(x0, x1, dx, y0, y1, dy)
+
+
+def _full_grid(geometry: Geometry, region: Region) -> Grid:
+    """The bounding box of ground in a region with full dwell; where none has, of that with half the longest dwell.
+
+    Within it, since a spotlight lights ground just beyond twice: before and after it leaves the beam.
+    """
+    # Yaws that are even on the ground: those of a long strip crowd towards its ends.
+    fine = np.linspace(region.yaw[0], region.yaw[-1], 8 * FULL_YAWS)
+    middle = geometry.ground_point(np.add(*region.at(fine)) / 2, fine)
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(middle, axis=0), axis=1))])
+    yaw = np.interp(np.linspace(0, way[-1], FULL_YAWS), way, fine)
+    near, far = region.at(yaw)
+    ranges = near + (far - near) * np.linspace(0, 1, FULL_RANGES)[:, None]
+    x, y = geometry.ground_axes(ranges, yaw)
+    first, last = dwell_at(geometry, yaw, ranges)
+    full = has_full_dwell(geometry, x, y) & (last > first)
+    if not full.any():
+        full = last - first >= np.nanmax(last - first) / 2
+    rows, columns = np.nonzero(full)
+    centre = np.argmin(np.hypot(rows - rows.mean(), (columns - columns.mean()) * FULL_RANGES / FULL_YAWS))
+    at = rows[centre], columns[centre]
+    step = _round_step(min(ground_resolution(geometry, float(ranges[at]), float(yaw[at[1]]))) / 2)
+
+    def box(values: FloatArray) -> tuple[float, float, float]:
+        low, high = np.ceil(values.min() / step), np.floor(values.max() / step)
+        return float(low * step), float(max(high, low + 1) * step), step
+
+    return Grid(*box(x[full]), *box(y[full]))
 
 
 def facing_grid(geometry: Geometry) -> Grid:

@@ -24,12 +24,15 @@ NBAR, SIDE_LOBES = 4, -35.0  # of the Taylor illumination: its nearly constant s
 
 
 def axis_beam(
-    beam: BeamTable, time: FloatArray, positions: FloatArray, centre: Callable[[], FloatArray]
-) -> dict[str, FloatArray]:
-    """beam_axis (n, 3) and beam_steering (n,), rad, at slow times (n,), s, and positions (n, 3), m.
+    beam: BeamTable, time: FloatArray, positions: FloatArray, centre: FloatArray
+) -> dict[str, FloatArray | str]:
+    """beam_axis (n, 3) and beam_steering (n,), rad, at slow times (n,), s, and positions (n, 3), m; side_of_track.
 
-    `centre` returns the scene centre (3,), m, at which a spotlight looks.
+    `centre` is the scene centre (3,), m, at which a spotlight looks.
     """
+    middle = time.size // 2
+    ahead, sight = np.gradient(positions, time, axis=0)[middle], centre - positions[middle]
+    side = "left" if ahead[0] * sight[1] > ahead[1] * sight[0] else "right"
     if beam.axis_yaw_deg is None:
         axis = _along(np.gradient(positions, time, axis=0))
     else:
@@ -37,11 +40,11 @@ def axis_beam(
         fixed = [np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), np.sin(pitch)]
         axis = np.tile(np.array(fixed), (time.size, 1))
     if beam.mode == "spotlight" or beam.point is not None:
-        point = centre() if beam.point is None else np.array(beam.point)
+        point = centre if beam.point is None else np.array(beam.point)
         steering = np.arcsin((_along(point - positions) * axis).sum(axis=1))
     else:
         steering = np.deg2rad(beam.squint_deg + (beam.rate_deg or 0.0) * time)
-    return {"beam_axis": axis, "beam_steering": steering}
+    return {"beam_axis": axis, "beam_steering": steering, "side_of_track": side}
 
 
 def _along(directions: FloatArray) -> FloatArray:

@@ -27,7 +27,7 @@ import os
 import tomllib
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field, PrivateAttr, ValidationError
@@ -228,13 +228,13 @@ class Scene(Table):
         return np.asarray(np.deg2rad(start + (stop - start) * np.arange(self.n_pulse) / self.n_pulse))
 
     @cached_property
-    def _antenna(self) -> dict[str, FloatArray]:
+    def _antenna(self) -> dict[str, Any]:
         """The beam about the antenna's axis and the patterns, by the names of `Collection`."""
         if self.beam is None:
             return {}
-        antenna = patterns(self.beam, self.beam_width_deg, lambda: self.centre - self.origin)
+        antenna: dict[str, Any] = patterns(self.beam, self.beam_width_deg, lambda: self.centre - self.origin)
         if self.beam.mode is not None:
-            antenna |= axis_beam(self.beam, self.pulse_times, self._positions, lambda: self.centre)
+            antenna |= axis_beam(self.beam, self.pulse_times, self._positions, self.centre)
         return antenna
 
     @cached_property

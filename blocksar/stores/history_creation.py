@@ -97,6 +97,7 @@ def _collection_attrs(collection: Collection, raw: RawEcho | None, attrs: Mappin
         "beam_width": collection.beam_width,
         "ground_height": collection.ground_height,
         "noise_power": collection.noise_power,
+        "side_of_track": collection.side_of_track,
     }
     if raw is not None:
         own |= {"chirp_rate": raw.chirp_rate, "pulse_width": raw.pulse_width}

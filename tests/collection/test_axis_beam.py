@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,9 +24,9 @@ from blocksar.collection.beam import (
 )
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
-from blocksar.collection.grid import Grid
+from blocksar.collection.grid import Grid, ground_resolution
 from blocksar.collection.lit_sums import lit_total, most_lit_pulses
-from blocksar.collection.region import plan_region
+from blocksar.collection.region import default_grid, plan_region
 from blocksar.collection.weighting import Taper
 from blocksar.errors import InputError
 
@@ -190,10 +191,40 @@ def test_the_region_is_what_the_beam_lights() -> None:
         some = is_lit(geometry, x, y).any(axis=1)
         assert inside[some & held].all(), mode
         assert inside[~some].mean() < 0.3
-    with pytest.raises(InputError, match=r"grid is missing: .*both sides of the track"):
-        plan_region(geometry, None)
     with pytest.raises(InputError, match=r"the beam \(beam_axis, .*lights none of its yaws; move the grid"):
         plan_region(geometry, Grid(8900.0, 9100.0, 2.0, 5000.0, 5100.0, 2.0))
+
+
+@pytest.mark.parametrize(("mode", "side"), [*((mode, "right") for mode in [*MODES, "spotlight"]), ("tops", "left")])
+def test_the_default_grid_is_the_ground_with_full_dwell(mode: str, side: str) -> None:
+    collection = spotlight() if mode == "spotlight" else axis_collection(mode)
+    geometry = Geometry(collection=replace(collection, side_of_track=side))
+    grid = default_grid(geometry, plan_region(geometry, None))
+    at, ahead = (9000.0 if side == "right" else -9000.0), (2450.0 if mode == "squinted" else 0.0)
+    assert grid.x[0] < at < grid.x[-1] and grid.x[0] * grid.x[-1] > 0
+    x, y = np.meshgrid(at + np.linspace(-150, 150, 31), np.linspace(-160, 160, 129) + ahead)
+    full = has_full_dwell(geometry, x, y)
+    room = 0.02 * (grid.y[-1] - grid.y[0]) + 2.5 + 2 * grid.dy
+    assert full.any() and (y[full] > grid.y[0] - room).all() and (y[full] < grid.y[-1] + room).all()
+    if mode != "squinted":  # whose footprint is a slanting strip in its bounding box
+        mesh = np.meshgrid(np.linspace(grid.x[0], grid.x[-1], 41), np.linspace(grid.y[0], grid.y[-1], 41))
+        assert has_full_dwell(geometry, *mesh).mean() > 0.7
+        lit_interval(geometry, *mesh)  # none is lit twice
+    place = float(geometry.epoch_range(at, y[full].mean())), float(geometry.yaw(at, y[full].mean()))
+    finest = min(ground_resolution(geometry, *place))
+    assert 0.3 * finest < grid.dx == grid.dy < 0.75 * finest
+
+
+def test_the_side_of_the_track_has_to_be_known() -> None:
+    collection = axis_collection()
+    with pytest.raises(InputError, match=r"grid is missing: .*both sides of the track.*attribute side_of_track"):
+        plan_region(Geometry(collection=collection), None)
+    with pytest.raises(InputError, match=r"side_of_track is 'port'; it must be 'left' or 'right'"):
+        replace(collection, side_of_track="port")
+    moved = {"antenna_position": collection.antenna_position - [9000.0, 0.0, 0.0]}  # the origin is the scene's centre
+    geometry = Geometry(collection=Collection(**{**collection.as_dict(), **moved}))
+    grid = default_grid(geometry, plan_region(geometry, None))
+    assert grid.x[0] < 0 < grid.x[-1] and grid.x[0] > -1000
 
 
 N = 400
