@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import chain, pairwise
 from typing import Literal
 
@@ -310,18 +310,27 @@ def plan_collection(
     extent = grid_extent(geometry, region, grid, owned)
     summed = geometry.unsteered() if beam_stays(geometry, region, extent) else geometry
     recovery = plan_recovery(summed, region, method)
-    edges = plan_edges(
-        summed, region, fidelity=fidelity, weighting=weighting, band=recovery.band[1] - recovery.band[0],
-        keystone=Keystone in steps_of(method),
+    edges = partial(
+        plan_edges, summed, region, fidelity=fidelity, weighting=weighting,
+        band=recovery.band[1] - recovery.band[0], keystone=Keystone in steps_of(method),
     )  # fmt: skip
     planner = _Planner(
         geometry=geometry, summed=summed, region=region, recovery=recovery, grid=grid, extent=extent, method=method,
-        fidelity=fidelity, weighting=weighting, edges=edges,
+        fidelity=fidelity, weighting=weighting, edges=edges(),
     )  # fmt: skip
-    if blocks == "auto":
-        first = find_division(planner.plan, workers=workers, parts=None if parts == "auto" else parts)
-    else:
-        first = planner.plan(blocks, 1 if parts == "auto" else parts, False)
+
+    def choose(planner: _Planner) -> Plan:
+        if blocks == "auto":
+            return find_division(planner.plan, workers=workers, parts=None if parts == "auto" else parts)
+        return planner.plan(blocks, 1 if parts == "auto" else parts, False)
+
+    first = choose(planner)
+    if _needs_edges(first):
+        planner, whole = replace(planner, edges=edges(needed=True), planned={}), planner
+        again = choose(planner)
+        # By one rule for a number of blocks that is given and one that is found: a resumed run plans the same.
+        found = _needs_edges(whole.plan(again.n_blocks, again.parts, False))
+        first = again if found else planner.plan(first.n_blocks, first.parts, False)
     if memory_limit is None or first.refusal is not None:
         return first
 
@@ -329,6 +338,17 @@ def plan_collection(
         return planner.plan(first.n_blocks, n_parts, False)
 
     return _fewest_parts(divide, first, memory_limit, fixed=parts != "auto")
+
+
+def _needs_edges(plan: Plan) -> bool:
+    """Whether whole dwells under a beam about its axis lose more at their ends than the fidelity allows in all.
+
+    Their ends may move unevenly along Doppler, so that no gate is the best one that `plan_edges` counts with.
+    """
+    collection = plan.geometry.collection
+    if plan.fade or plan.refusal is not None or plan.geometry.terrain is not None or not collection.has_axis:
+        return False
+    return max(block.prediction.dispersion_loss for block in plan.blocks) > 1 - plan.fidelity
 
 
 def _fewest_parts(plan: Callable[[int], Plan], first: Plan, memory_limit: int, *, fixed: bool) -> Plan:
