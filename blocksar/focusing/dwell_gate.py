@@ -107,8 +107,10 @@ class DwellGate:
         since = time + self.length / 2
         if self.taper.fade:
             rises = [
-                half.faded_rise(since, length, taper=self.taper.taper, slope=abs(slope), fade=self.taper.fade)
-                for length in half.lengths
+                half.faded_rise(
+                    since, length, taper=self.taper.taper, slope=abs(slope), fade=self.taper.fade, halfway=halfway
+                )
+                for length, halfway in zip(half.lengths, half.halfway or [None] * len(half.lengths), strict=True)
             ]
         else:
             step = smeared_step(since, slope=abs(slope), blur=self.blur)
@@ -142,11 +144,27 @@ class HalfDwell:
     edge : float
         The share of the half in which its edge fades out, where it does: over it the place in the beam changes by
         1 / fade. It differs from 1 / fade itself where targets pass the beam's edge faster or slower than its centre.
+    halfway : tuple of float
+        With edges that fade out, for each of `lengths` the share of it at which v is 1 / 2; none where v is linear.
     """
 
     length: RowPolynomial
     lengths: tuple[float, ...]
     edge: float = 0.0
+    halfway: tuple[float, ...] = ()
+
+    def place(self, share: FloatArray, fade: int, halfway: FloatArray | float | None) -> FloatArray:
+        """|v| at shares of the half, 0 at its end to 1 in the middle of the dwell."""
+        if not fade:
+            return np.clip(1 - share, 0.0, 1.0)
+        outer = 1 - 1 / fade
+        if halfway is None:
+            return np.interp(share, [0.0, self.edge, 1.0], [1.0, outer, 0.0])
+        # A parabola through the edge, v = 1 / 2 and the middle.
+        inside, edge = np.clip(share, self.edge, 1.0), self.edge
+        parabola = outer * (inside - halfway) * (inside - 1) / ((edge - halfway) * (edge - 1))
+        parabola += 0.5 * (inside - edge) * (inside - 1) / ((halfway - edge) * (halfway - 1))
+        return np.asarray(np.where(share < edge, np.interp(share, [0.0, edge], [1.0, outer]), parabola))
 
     def share(self, rng: FloatArray) -> FloatArray:
         """Power coefficients along Doppler, (n, order + 1), of the place of a length among `lengths`, 0 .. 1."""
@@ -178,7 +196,7 @@ class HalfDwell:
         return np.asarray(total / terms.sum())
 
     def faded_rise(
-        self, time: FloatArray, length: float, *, taper: Taper, slope: float, fade: int
+        self, time: FloatArray, length: float, *, taper: Taper, slope: float, fade: int, halfway: float | None = None
     ) -> NDArray[np.complex128]:
         """The same for a taper that fades to zero over the first 1 / fade of the half, at uniform times.
 
@@ -190,7 +208,10 @@ class HalfDwell:
         before = math.ceil(extra / step)
         size = fast_length((time.size + 2 * before) * finer)
         fine = min(float(time[0]), float(time[-1])) + (np.arange(size) - before * finer) * step / finer
-        v = np.interp(fine, [0.0, self.edge * length, length], [1.0, 1 - 1 / fade, 0.0])
+        if halfway is None:
+            v = np.interp(fine, [0.0, self.edge * length, length], [1.0, 1 - 1 / fade, 0.0])
+        else:
+            v = self.place(fine / length, fade, halfway)
         profile = faded(taper, v, fade) / taper(np.array(0.0)) * np.clip(2 * (fine[-1] - fine) / extra, 0, 1)
         frequency = (np.arange(size) + size // 2) % size - size // 2
         turn = np.exp(-1j * np.pi * slope * (frequency * finer / (size * step)) ** 2)

@@ -28,6 +28,8 @@ class DwellWeights:
         The same at the ends of the dwells.
     patterned : bool
         Whether dwells have other weights than the whole taper: an antenna's pattern, or a part of the taper.
+    alone : (..., n) float
+        The weighting w without the pattern.
     change : (..., n) float
         Of these weights per relative range frequency f / fc, where a keystone scales time; 0 without one.
     """
@@ -36,6 +38,7 @@ class DwellWeights:
     nodes: FloatArray
     edge: FloatArray | float
     patterned: bool
+    alone: FloatArray | float = 1.0
     change: FloatArray | float = 0.0
 
     @property
@@ -89,11 +92,14 @@ def dwell_weights(
         if collection.steered and not stays and scaled_about is not None:
             change = taper.slope(place) * 2 / dwell * (lit.time - scaled_about)
     if not collection.has_pattern:
-        return DwellWeights(taper=taper, nodes=nodes, edge=edge, patterned=stays and not taper.uniform, change=change)
+        patterned = stays and not taper.uniform
+        return DwellWeights(taper=taper, nodes=nodes, edge=edge, patterned=patterned, alone=nodes, change=change)
     gain = at_times(geometry, x, y, time, pattern_gain, z)
     # The outer nodes lie close to the ends: by half a hundredth of the dwell.
     at_ends = np.sqrt((gain[..., 0] ** 2 + gain[..., -1] ** 2) / 2)
-    return DwellWeights(taper=taper, nodes=nodes * gain, edge=edge * at_ends, patterned=True, change=change * gain)
+    return DwellWeights(
+        taper=taper, nodes=nodes * gain, edge=edge * at_ends, patterned=True, alone=nodes, change=change * gain
+    )
 
 
 def taper_over_dwells(collection: Collection, weighting: Weighting) -> Taper:

@@ -122,6 +122,8 @@ def worst_losses(
         if parts == 1:
             ends += slope_loss(geometry.collection, band) * (line.weight * np.square(weights.change)).sum(axis=-1)
         ends /= squared.weight.sum(axis=-1)
+        if geometry.collection.has_axis and gate.taper is not None and not gate.taper.taper.uniform:
+            ends += _by_place(line, spots, gate, weights)
     lost, full = phase + migration + ends, full_dwells(line, geometry, rng[:, None], yaw)
     total = np.where(full, lost, -1.0)
     if reached is not None:
@@ -148,6 +150,24 @@ def _along_dwell(line: Line, spots: Focus, geometry: Geometry, band: Taper) -> t
     phase = 1 - np.abs(turned.sum(axis=-1)) / norm
     both = 1 - np.abs((turned * response).sum(axis=-1)) / norm
     return phase, np.maximum(both - phase, 0.0)
+
+
+def _by_place(line: Line, spots: Focus, gate: DwellGate, weights: DwellWeights) -> FloatArray:
+    """Loss by windows that take a target's place in a beam about its axis as a simple function of time."""
+    assert gate.taper is not None
+    taper, fade = gate.taper.taper, gate.taper.fade
+    made = np.ones(line.time.shape)
+    halves = (gate.taper.begin, gate.begin, 1.0), (gate.taper.end, gate.end, -1.0)
+    for half, phase, side in halves:
+        end = phase.evaluate(spots.range, spots.doppler[..., None])[1] - side * gate.length / 2
+        length = half.length.evaluate(spots.range, spots.doppler[..., None])[0]
+        halfway = np.interp(length, half.lengths, half.halfway) if half.halfway else None
+        share = side * (line.time - end) / length
+        rise = taper(half.place(np.maximum(share, 0.0), fade, halfway)) / float(taper(np.array(0.0)))
+        made *= np.where(share < 1, rise, 1.0)
+    found, wanted = made * weights.nodes / weights.alone, weights.nodes
+    power = (line.weight * wanted**2).sum(axis=-1) * (line.weight * found**2).sum(axis=-1)
+    return 1 - np.abs((line.weight * wanted * found).sum(axis=-1)) / np.sqrt(power)
 
 
 def _at_ends(

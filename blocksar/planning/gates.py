@@ -30,6 +30,8 @@ GATE_DEGREES = 4, 5  # of the ends of dwells in range and in Doppler
 FIT_PRECISION = 0.02  # of the time in which an edge fades out, to which the ends of dwells are fitted
 UNCUT = 1e-4  # of a dwell: by less, the collection does not cut it
 UNKNOWN = 1e-4  # weight in that fit of an end that the collection cuts off: there is nothing to gate where it lies
+LEAST_SPREAD = 1e-3  # of halves' lengths, over which the place in the beam halfway is fitted
+HALFWAY = 0.3, 0.7  # shares of a half where the place in the beam may be half of that at its edge
 LENGTHS, MOST_LENGTHS = {1e-3: 1, 0.04: 2, 0.15: 3}, 4  # windows by the relative spread of the halves' lengths
 
 
@@ -148,7 +150,8 @@ def plan_gate(
         From `planning.edges`: where positive, the edges of dwells fade out.
     passing : tuple of (n_range, n_yaw) float, optional
         Slow times, s from the epoch, at which the beam's centre passes the targets, by default amid their dwells; and
-        with `fade` those at which the edge after the begin ends, and at which that before the end begins.
+        with `fade` those at which the edge after the begin ends, and at which that before the end begins; then, where
+        the place in the beam is not linear in time, those at which it is -1 / 2 and 1 / 2.
     scaling : Scaling
         Of these times, at the range frequency for which the gate is made.
     """
@@ -171,11 +174,10 @@ def plan_gate(
     if weighed:
         middle = _crossing(line, (first, last), passing[0] if passing else (uncut[0] + uncut[1]) / 2)
         edges += [middle - begins, ends - middle]
-    shares = (0.0, 0.0)
-    if fade:  # of the halves' lengths, over which the place in the beam changes by 1 / fade at the dwell's ends
-        after, before = (_crossing(line, (first, last), moment) for moment in passing[1:])
-        at_begin, at_end = (after - begins) / edges[2], (ends - before) / edges[3]
-        shares = float(np.median(at_begin[full])), float(np.median(at_end[full]))
+    shares: list[FloatArray] = []
+    for first_moment, last_moment in zip(passing[1::2], passing[2::2], strict=True) if fade else ():
+        after, before = (_crossing(line, (first, last), moment) for moment in (first_moment, last_moment))
+        shares += [(after - begins) / edges[2], (ends - before) / edges[3]]
     begin, end, *halves = _fit_ends(place, spots, np.stack(edges), degree=degree, cut=cut, length=length, fade=fade)
     phases = place.integral(begin), place.integral(end)
     at_middle = place.integral((begin + end) / 2).coefficients(np.array((near + far) / 2))[None]
@@ -199,7 +201,7 @@ def plan_gate(
         blur=blur,
         length=length,
         time=fourier.centred(0.0, slow.step, size),
-        taper=_plan_taper(taper, fade, [place.polynomial(series) for series in halves], edges[2:], shares),
+        taper=_plan_taper(taper, fade, [place.polynomial(series) for series in halves], edges[2:], shares, full),
     )
 
 
@@ -247,19 +249,38 @@ def _crossing(line: Line, lit: tuple[FloatArray, FloatArray], moment: FloatArray
 
 
 def _plan_taper(
-    taper: Taper, fade: int, lengths: list[RowPolynomial], halves: list[FloatArray], shares: tuple[float, float]
+    taper: Taper,
+    fade: int,
+    lengths: list[RowPolynomial],
+    halves: list[FloatArray],
+    shares: list[FloatArray],
+    full: BoolArray,
 ) -> DwellTaper | None:
     """The taper over dwells whose halves have the lengths of `halves`, each (n_range, n_yaw), and the polynomials.
 
-    `shares` are those of edges that fade out in the halves.
+    `shares` (n_range, n_yaw) are those of edges that fade out in the two halves; then, if known, those at which the
+    place in the beam is half of that at its edge.
     """
     if not halves:
         return None
-    begin, end = (
-        HalfDwell(length=length, lengths=_window_lengths(float(half.min()), float(half.max())), edge=share)
-        for length, half, share in zip(lengths, halves, shares, strict=True)
-    )
-    return DwellTaper(taper=taper, begin=begin, end=end, fade=fade)
+    both = []
+    for i, (length, half) in enumerate(zip(lengths, halves, strict=True)):
+        windows = _window_lengths(float(half.min()), float(half.max()))
+        edge = float(np.median(shares[i][full])) if shares else 0.0
+        halfway = _by_length(shares[2 + i][full], half[full], windows) if len(shares) > 2 else ()
+        both.append(HalfDwell(length=length, lengths=windows, edge=edge, halfway=halfway))
+    return DwellTaper(taper=taper, begin=both[0], end=both[1], fade=fade)
+
+
+def _by_length(shares: FloatArray, lengths: FloatArray, windows: tuple[float, ...]) -> tuple[float, ...]:
+    """Shares (n,) of halves of some lengths (n,), s, fitted linearly over the length, at those of windows."""
+    middle, spread = float(np.median(lengths)), float(np.ptp(lengths))
+    slope, level = 0.0, float(np.median(shares))
+    if spread > LEAST_SPREAD * middle:
+        away = lengths - lengths.mean()
+        slope, level = float((away * shares).sum() / (away * away).sum()), float(shares.mean())
+        middle = float(lengths.mean())
+    return tuple(float(np.clip(level + slope * (length - middle), *HALFWAY)) for length in windows)
 
 
 def _window_lengths(shortest: float, longest: float) -> tuple[float, ...]:

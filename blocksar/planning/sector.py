@@ -87,6 +87,8 @@ class Sector:
         places: tuple[float, ...] = (0.0,) if self.geometry.collection.has_axis and not self.taper.uniform else ()
         if self.fade:
             places = 0.0, 1 / self.fade - 1, 1 - 1 / self.fade
+            if self.geometry.collection.has_axis:  # whose place is not linear in time
+                places += -0.5, 0.5
         return tuple(passing_at(self.geometry, yaw, epoch_range, v) - self.geometry.epoch for v in places)
 
     @property

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from axis_beams import MODES, axis_collection, spotlight, with_patterns
@@ -120,6 +122,20 @@ def test_a_weighted_chain_focuses_as_back_projection_does(mode: str, patterns: b
     assert full.mean() > 0.1 and np.isfinite(image[full]).all()
     assert error < -50
     assert abs(gain - 1) < 1e-3
+
+
+def test_a_beam_that_is_steered_unevenly_is_followed() -> None:
+    """The place of a target in the beam is then no linear function of time in either half of its dwell."""
+    strip = axis_collection("stripmap", n_pulse=900)
+    collection = replace(strip, beam_steering=0.002 * strip.time**2)
+    grid, weighting = grid_of(collection), Weighting.parse("taylor:4:-35")
+    signal, geometry = clutter(collection, grid), Geometry(collection=collection)
+    plan = plan_collection(collection, grid=grid, weighting=weighting, blocks=2, fidelity=0.999995)
+    exact = form_image(lambda p: signal[p], geometry, grid.x, grid.y, threads=2, weighting=weighting)
+    full = has_full_dwell(geometry, *np.meshgrid(grid.x, grid.y))
+    error, gain = relative_error(focus(plan, signal), exact, full)
+    assert error < -44 and abs(gain - 1) < 1e-3  # -35 dB if it is taken as linear
+    assert 1 < 2 * (1 - plan.coherence) / 10 ** (error / 10) < 6  # what is left is predicted, of the worst place
 
 
 @pytest.mark.parametrize("patterns", [False, True])
