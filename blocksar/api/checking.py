@@ -9,12 +9,15 @@ import numpy as np
 from blocksar import stores
 from blocksar.api import definitions
 from blocksar.api.arguments import GridLike, grid_of, history_of
+from blocksar.api.ground import read_ground
 from blocksar.api.measuring import pulse_reader
 from blocksar.api.reports import Report, Table
 from blocksar.arrays import ComplexArray
 from blocksar.chunks import TILE
 from blocksar.collection.grid import Grid
+from blocksar.collection.terrain import Surface, Terrain
 from blocksar.graph.machine import machine
+from blocksar.ingestion.terrain.reading import Ground
 from blocksar.inspection import check as samples_check
 from blocksar.inspection.check import Findings
 from blocksar.places import Location
@@ -23,7 +26,15 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-def check(source: Location | xr.Dataset, *, grid: GridLike | None = None, threads: int | None = None) -> Report:
+def check(
+    source: Location | xr.Dataset,
+    *,
+    grid: GridLike | None = None,
+    terrain: Location | None = None,
+    surface: Surface = "plane",
+    vertical: str | None = None,
+    threads: int | None = None,
+) -> Report:
     """Compare the sharpness of prominent places as given with what it would be if something were said wrongly.
 
     Tried are a conjugated signal, a reversed range axis, pulses or track in the opposite order, x and y swapped, a beam
@@ -36,6 +47,13 @@ def check(source: Location | xr.Dataset, *, grid: GridLike | None = None, thread
     grid : Grid, ((x0, x1, dx), (y0, y1, dy)) or str, optional
         Ground to look at, m in the scene frame; as a text "x0:x1:dx,y0:y1:dy". Default: what the beam lights.
         Needed if the beam is not steered.
+    terrain : path, optional
+        Heights of the ground, as in `focus`. Mountains that are taken for the plane look like an error of the track.
+        Default: the plane z = ground_height.
+    surface : {"plane", "ellipsoid"}
+        The ground without a terrain, as in `focus`. Default: "plane".
+    vertical : str, optional
+        What the terrain's heights are measured from, as in `focus`. Needed where the file does not say so.
     threads : int, optional
         Default: the number of cores.
 
@@ -48,10 +66,13 @@ def check(source: Location | xr.Dataset, *, grid: GridLike | None = None, thread
     Raises
     ------
     InputError
-        If the source is no phase history, its samples are constant, or a grid is missing or lies outside the swath.
+        If the source is no phase history, its samples are constant, a grid is missing or lies outside the swath, or the
+        terrain cannot be taken.
     """
-    history = history_of(source)
-    findings = check_samples(history, grid_of(grid), threads=threads or machine()[0], thorough=True)
+    ground = Ground(terrain=terrain, surface=surface, vertical=vertical)
+    history, points = history_of(source), grid_of(grid)
+    heights = read_ground(ground, history.collection.centred(), points, source)
+    findings = check_samples(history, points, threads=threads or machine()[0], thorough=True, terrain=heights)
     result = {
         "warning": findings.warning(),
         "sharpness": findings.sharpness if findings.speaks else None,
@@ -65,7 +86,9 @@ def check(source: Location | xr.Dataset, *, grid: GridLike | None = None, thread
     )
 
 
-def check_samples(history: stores.PhaseHistory, grid: Grid | None, *, threads: int, thorough: bool) -> Findings:
+def check_samples(
+    history: stores.PhaseHistory, grid: Grid | None, *, threads: int, thorough: bool, terrain: Terrain | None = None
+) -> Findings:
     """Check the samples of a phase history in the middle of its band.
 
     Raises
@@ -77,7 +100,7 @@ def check_samples(history: stores.PhaseHistory, grid: Grid | None, *, threads: i
     pulses, columns = samples_check.part_to_read(collection)
     signal = history.read(pulses, columns) if history.raw is None else _compressed(history, pulses, columns)
     part = samples_check.part_of(collection, pulses, columns)
-    return samples_check.check(signal, part, grid=grid, threads=threads, thorough=thorough)
+    return samples_check.check(signal, part, grid=grid, threads=threads, thorough=thorough, terrain=terrain)
 
 
 def _compressed(history: stores.PhaseHistory, pulses: slice, columns: slice) -> ComplexArray:

@@ -105,7 +105,9 @@ def _check_samples(job: Job, segments: Sequence[Segment]) -> tuple[str | None, s
         return None, ""
     try:
         middle = segments[len(segments) // 2]
-        findings = check_samples(middle.history, job.grid, threads=machine()[0], thorough=False)
+        findings = check_samples(
+            middle.history, job.grid, threads=machine()[0], thorough=False, terrain=middle.geometry.terrain
+        )
     except InputError:
         if not job.exact:
             raise

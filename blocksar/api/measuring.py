@@ -14,6 +14,7 @@ from blocksar import stores
 from blocksar.api import definitions, finding
 from blocksar.api.look_figures import describe_looks, looks_table
 from blocksar.api.reports import Report, Table
+from blocksar.api.shadows import in_shadow
 from blocksar.api.target_files import read_targets
 from blocksar.arrays import ComplexArray
 from blocksar.collection.beam import full_dwell_yaw, has_full_dwell
@@ -118,6 +119,7 @@ def measure(
     run = FinishedRun.open(folder)
     listed, weighting = targets_of(targets, run.attrs, run), run.weighting
     responses = measure_targets(run, listed)
+    dark = [target.name for target, hidden in zip(listed, in_shadow(run, listed), strict=True) if hidden]
     result = as_json(responses, weighting)
     others: list[Table] = []
     lines = (
@@ -127,6 +129,9 @@ def measure(
     )
     if not responses:
         lines.append("the collection names no targets: give --targets FILE to measure some, or --found N to find some")
+    if dark:
+        named = f"{', '.join(dark[:5])}{', ...' if len(dark) > 5 else ''}"
+        lines.append(f"in shadow of the terrain, and not judged: {len(dark)} of {len(listed)} targets ({named})")
     if run.track is not None:
         result["autofocus"] = dict(run.track.figures)
         others.append(_track_table(run.track))
@@ -180,13 +185,15 @@ def read_target(run: FinishedRun, target: Target) -> Response | None:
 
 
 def measure_targets(run: FinishedRun, targets: Sequence[Target]) -> list[PointResponse]:
-    """Measure targets, in a mosaic each in the pixels of one collection."""
-    return [
+    """Measure targets, in a mosaic each in the pixels of one collection; those in shadow of the terrain are not lit."""
+    responses = [
         measure_target(
             run.reader_at(target.x, target.y), run.x, run.y, run.geometry_at(target.x, target.y), target, run.weighting
         )
         for target in targets
     ]
+    hidden = in_shadow(run, targets)
+    return [r._replace(full_dwell=False) if dark else r for r, dark in zip(responses, hidden, strict=True)]
 
 
 def _add_scenery(run: FinishedRun, result: dict[str, Any], lines: list[str], found: int, area: Any) -> list[Table]:

@@ -262,6 +262,9 @@ def check(
     context: typer.Context,
     source: Annotated[str, typer.Argument(metavar="PH.zarr", help="Phase-history store.")],
     grid: GridOption = None,
+    terrain: TerrainOption = None,
+    surface: SurfaceOption = "plane",
+    vertical: VerticalOption = None,
     threads: Threads = None,
     explain: Explain = False,
     quiet: Quiet = False,
@@ -277,7 +280,8 @@ def check(
 
     from blocksar import api
 
-    show(api.check(source, grid=points, threads=threads), context)
+    report = api.check(source, grid=points, terrain=terrain, surface=surface, vertical=vertical, threads=threads)
+    show(report, context)
     hint(context, "plan", source, *given(context, "threads", "explain"))
 
 

@@ -8,9 +8,10 @@ import numpy as np
 
 from blocksar.arrays import ComplexArray
 from blocksar.collection.collection import Collection
-from blocksar.collection.geometry import Geometry
+from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.grid import Grid
 from blocksar.collection.region import plan_region
+from blocksar.collection.terrain import Terrain
 from blocksar.errors import InputError
 from blocksar.inspection.alternatives import Alternative, alternatives, as_given
 from blocksar.inspection.prominent import Line, Lines, Samples
@@ -172,7 +173,15 @@ def _middle(size: int, at_most: int) -> slice:
     return slice((size - width) // 2, (size - width) // 2 + width)
 
 
-def check(signal: ComplexArray, collection: Collection, *, grid: Grid | None, threads: int, thorough: bool) -> Findings:
+def check(
+    signal: ComplexArray,
+    collection: Collection,
+    *,
+    grid: Grid | None,
+    threads: int,
+    thorough: bool,
+    terrain: Terrain | None = None,
+) -> Findings:
     """Compare prominent places as given with the alternatives.
 
     Parameters
@@ -185,6 +194,8 @@ def check(signal: ComplexArray, collection: Collection, *, grid: Grid | None, th
     threads : int
     thorough : bool
         Try all alternatives, even if the places are sharp as given.
+    terrain : Terrain, optional
+        The ground that places stand on; where it has no height, and by default, the plane.
 
     Raises
     ------
@@ -193,7 +204,8 @@ def check(signal: ComplexArray, collection: Collection, *, grid: Grid | None, th
     """
     signal = _cleaned(signal)
     given, samples = as_given(collection), Samples(signal, collection, threads=threads)
-    lines = _lines(collection, samples, grid)
+    ground = _Ground(grid, terrain)
+    lines = ground.lines(collection, samples)
     first = _trial(given, lines)
     n_pulse, remedy, cause, refocused, left = collection.n_pulse, "", "", first.sharpness, 0.0
     if first.places >= FEWEST:
@@ -210,7 +222,7 @@ def check(signal: ComplexArray, collection: Collection, *, grid: Grid | None, th
         tried = alternatives(collection)
         # Under a beam that is not steered a conjugated signal gives a mirrored image, nearly as sharp.
         tried = tried if thorough or doubtful else [] if collection.steered else tried[:1]
-        others = [_tried(other, samples, grid) for other in tried]
+        others = [_tried(other, samples, ground) for other in tried]
         findings = replace(findings, trials=(first, *sorted(others, key=lambda trial: -trial.sharpness)))
     return findings
 
@@ -239,22 +251,31 @@ def _cleaned(signal: ComplexArray) -> ComplexArray:
     return clean
 
 
-def _tried(other: Alternative, given: Samples, grid: Grid | None) -> Trial:
+@dataclass(frozen=True)
+class _Ground:
+    """Where prominent places are looked for."""
+
+    grid: Grid | None
+    terrain: Terrain | None
+
+    def lines(self, collection: Collection, samples: Samples) -> list[Line]:
+        geometry = Geometry(collection=collection)
+        if self.terrain is not None:
+            geometry = over_terrain(collection, self.terrain)
+        source = Lines(samples, geometry)
+        places = source.places(plan_region(geometry, self.grid), PLACES)
+        return [line for line in map(source.line, places) if line is not None]
+
+
+def _tried(other: Alternative, given: Samples, ground: _Ground) -> Trial:
     samples = given
     if other.samples is not None:
         signal = np.ascontiguousarray(other.samples(given.signal))
         samples = Samples(signal, given.collection, threads=given.threads)
     try:
-        return _trial(other, _lines(other.collection, samples, grid))
+        return _trial(other, ground.lines(other.collection, samples))
     except InputError:  # its track does not see the grid, for example
         return Trial(other.name, other.remedy)
-
-
-def _lines(collection: Collection, samples: Samples, grid: Grid | None) -> list[Line]:
-    geometry = Geometry(collection=collection)
-    source = Lines(samples, geometry)
-    places = source.places(plan_region(geometry, grid), PLACES)
-    return [line for line in map(source.line, places) if line is not None]
 
 
 def _trial(alternative: Alternative, lines: list[Line]) -> Trial:

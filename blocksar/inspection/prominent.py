@@ -130,7 +130,7 @@ class Lines:
         accumulate(
             image, outside, profiles, geometry=geometry, x=x, y=y, first=first, last=last, threads=self.samples.threads
         )
-        power = np.where(outside, 0.0, np.abs(image).astype(np.float64) ** 2)
+        power = np.where(outside, 0.0, np.nan_to_num(np.abs(image).astype(np.float64) ** 2))
         typical = float(np.median(power[power > 0])) if (power > 0).any() else 0.0
         places: list[Place] = []
         while typical > 0 and len(places) < EACH:
@@ -169,7 +169,7 @@ class Lines:
 
     def _distance(self, x: FloatArray, y: FloatArray, pulses: slice) -> FloatArray:
         position = self.geometry.collection.antenna_position[pulses]
-        height = self.geometry.collection.ground_height
+        height = np.nan_to_num(self.geometry.height(x, y), nan=self.geometry.collection.ground_height)
         return np.sqrt((position[:, 0] - x) ** 2 + (position[:, 1] - y) ** 2 + (position[:, 2] - height) ** 2)
 
     def _rows(self, place: Place, pulses: slice) -> Complex128Array:

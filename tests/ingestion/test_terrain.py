@@ -138,6 +138,11 @@ def test_what_is_no_terrain_is_refused_with_figures(tmp_path: Path) -> None:
     far = Georeference(latitude=-20.0, longitude=100.0, height=0.0)
     with pytest.raises(InputError, match=r"lies elsewhere|does not reach"):
         read_geotiff(geotiff(tmp_path / "u.tif", "EPSG:32632", plane_of), "ellipsoid", far, X, Y)
+    with pytest.raises(InputError, match=r"spans longitude .* and the image longitude 9.9.* degrees; give one"):
+        near = Georeference(latitude=47.0, longitude=10.0, height=0.0)
+        read_geotiff(geotiff(tmp_path / "g.tif", "EPSG:4326", plane_of), "ellipsoid", near, X, Y)
+    with pytest.raises(InputError, match="does not exist"):
+        read_geotiff(tmp_path / "absent.tif", "ellipsoid", HERE, X, Y)
     uneven = xr.Dataset({"height": (("y", "x"), np.zeros((5, 5)))}, {"x": [0.0, 1, 2, 3, 5], "y": np.arange(5.0)})
     uneven.to_netcdf(tmp_path / "uneven.nc", engine="scipy")
     with pytest.raises(InputError, match="x is not uniform"):

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scenes import PAPERS, write_store
+from scenes import PAPERS, scene, write_store
 from typer.testing import CliRunner
 
 import blocksar
@@ -20,6 +20,8 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.grid import Grid
 from blocksar.errors import InputError
 from blocksar.inspection.check import Findings, check, part_of, part_to_read
+from blocksar.simulation.phase_history import sampler
+from blocksar.simulation.scene import Scene
 
 Part = tuple[ComplexArray, Collection, Grid | None]
 GRID = PAPERS["paper_b"][1]
@@ -207,3 +209,21 @@ def test_a_strip_is_not_called_wrong_by_its_mirror_image(squint: float, tmp_path
     if squint:
         backwards = replace(collection, antenna_position=collection.antenna_position[::-1])
         assert run(signal, backwards, grid, thorough=True).warning() is not None
+
+
+def test_a_mountain_is_no_error_of_the_track_if_its_heights_are_known() -> None:
+    """Places far above the plane have other Doppler rates than it says, as if the track were wrong."""
+    places = ((0, 0), (-500, -300), (500, 300), (-400, 400), (420, -380))
+    rows = "".join(
+        f'[[targets]]\nname = "{k}"\nx = {16105 + x}.0\ny = {19193 + y}.0\n' for k, (x, y) in enumerate(places)
+    )
+    mountain = "[terrain]\nhills = [{x = 16105.0, y = 19193.0, height = 1500.0, width = 3800.0}]\n"
+    text = scene(swath=[28800.0, 31200.0], steering=None, prf=4e3, duration=0.3, bandwidth=30e6, range_sampling=36e6)
+    made = Scene.parse(text + mountain + rows)
+    collection = made.collection()
+    signal = sampler(made, collection)(slice(0, collection.n_pulse))
+    grid = Grid(15305.0, 16905.0, 2.0, 18593.0, 19793.0, 2.0)
+    plane = run(signal, collection.centred(), grid)
+    known = check(signal, collection.centred(), grid=grid, threads=2, thorough=False, terrain=made.terrain)
+    assert plane.warning() is not None and plane.given.sharpness < 0.5
+    assert known.warning() is None and known.given.sharpness > 0.8

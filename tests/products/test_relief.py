@@ -63,3 +63,16 @@ def test_slopes_and_shares_are_those_of_the_terrain(tmp_path: Path) -> None:
     assert np.tan(relief.steepest) == pytest.approx(
         np.nanmax(np.where(np.isfinite(relief.height), slope, np.nan)), rel=0.02
     )
+
+
+def test_targets_in_shadow_are_not_judged(tmp_path: Path) -> None:
+    """Of targets in the scene's quality, one behind the ridge has no echo to be measured."""
+    run = make(tmp_path / "run", terrain=ridge(), formed_on_it=True, step=0.35)
+    flags = blocksar.open(run.folder).visibility
+    row, column = np.argwhere(flags.values == 2)[len(np.argwhere(flags.values == 2)) // 2]
+    dark = {"name": "dark", "x": float(flags.x[column]), "y": float(flags.y[row])}
+    high = {**dark, "name": "mast", "z": 40.0}
+    lit = {"name": "B", "x": TARGETS[1].x, "y": TARGETS[1].y}
+    report = blocksar.quality(run.folder, targets=[dark, high, lit])
+    assert "in shadow of the terrain, and not judged: 1 of 3 targets (dark)" in report.summary
+    assert [target["full_dwell"] for target in report.result["targets"]] == [False, True, True]

@@ -13,7 +13,7 @@ from blocksar.collection.terrain import LEAST, MARGIN, Terrain
 from blocksar.errors import InputError
 from blocksar.ingestion.reading import reading
 from blocksar.ingestion.terrain.datum import datum_of
-from blocksar.ingestion.terrain.frame_grid import MOST_HEIGHTS, check_overlap
+from blocksar.ingestion.terrain.frame_grid import MOST_HEIGHTS
 from blocksar.places import Location, place
 
 if TYPE_CHECKING:
@@ -55,6 +55,8 @@ def read_geotiff(
     from pyproj import CRS
 
     path = place(source)
+    if not path.exists():
+        raise InputError(f"{path} does not exist; {REMEDY}")
     with reading(path, damaged="not a GeoTIFF of heights", remedy=REMEDY), rasterio.open(str(path)) as file:
         if file.crs is None:
             raise InputError(f"{path} has no coordinate reference system; {REMEDY}")
@@ -135,7 +137,8 @@ def _window(
     columns, rows = (np.stack(bounds)[:, axis] for axis in (0, 1))
     low = [int(np.floor(axis.min())) - MARGIN for axis in (columns, rows)]
     high = [int(np.ceil(axis.max())) + MARGIN + 1 for axis in (columns, rows)]
-    check_overlap(f"{label}, in pixels,", (0, file.width), (0, file.height), (low[0], high[0]), (low[1], high[1]))
+    if not (low[0] < file.width and high[0] > 0 and low[1] < file.height and high[1] > 0):
+        raise InputError(f"terrain {label} lies elsewhere: {_extents(file, at)}; give one that covers it")
     column, row = (
         min(max(value, 0), max(size - LEAST, 0)) for value, size in zip(low, (file.width, file.height), strict=True)
     )
@@ -147,6 +150,17 @@ def _window(
     scale, offset = file.scales[0], file.offsets[0]
     filled = np.ma.filled(values, np.nan) * scale + offset
     return Terrain(x0=0.0, dx=1.0, y0=0.0, dy=1.0, heights=np.ascontiguousarray(filled), row=row, column=column)
+
+
+def _extents(file: DatasetReader, image: FloatArray) -> str:
+    """Longitudes and latitudes of a file, and of the image (..., 3), latitude first, degrees."""
+    from rasterio.warp import transform_bounds
+
+    west, south, east, north = transform_bounds(file.crs, "EPSG:4326", *file.bounds)
+    own = (float(limit(image[..., axis])) for axis in (1, 0) for limit in (np.min, np.max))
+    spans = ((west, east, south, north), tuple(own))
+    told = [f"longitude {a:.5g} .. {b:.5g}, latitude {c:.5g} .. {d:.5g} degrees" for a, b, c, d in spans]
+    return f"it spans {told[0]}, and the image {told[1]}"
 
 
 def _sampled(

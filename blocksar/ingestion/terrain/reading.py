@@ -81,7 +81,8 @@ class Ground:
         else:
             terrain = read_geotiff(self.terrain, self.vertical, georeference, x, y)
         if covered(terrain, grid) == 0:
-            raise InputError(f"terrain {self.terrain} has no height under the grid; give one that covers it")
+            where = f"x {x[0]:.6g} .. {x[1]:.6g} m and y {y[0]:.6g} .. {y[1]:.6g} m"
+            raise InputError(f"terrain {self.terrain} has no height under the grid, {where}; give one that covers it")
         return terrain
 
 
