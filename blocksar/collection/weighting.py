@@ -216,12 +216,7 @@ class AxisTaper:
     @classmethod
     def over(cls, taper: Taper, start: float, step: float, n: int) -> AxisTaper | None:
         """The taper over n samples, each of which stands for a step; None if it is uniform."""
-        return None if taper.uniform else cls.spanning(taper, start, step, n)
-
-    @classmethod
-    def spanning(cls, taper: Taper, start: float, step: float, n: int) -> AxisTaper:
-        """The same of any taper."""
-        return cls(taper, start + (n - 1) / 2 * step, n / 2 * step)
+        return None if taper.uniform else cls(taper, start + (n - 1) / 2 * step, n / 2 * step)
 
     def __call__(self, values: FloatArray) -> FloatArray:
         v = (values - self.centre) / self.half

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from blocksar.arrays import ComplexArray, FloatArray
-from blocksar.collection.weighting import Taper
+from blocksar.collection.weighting import AxisTaper, Taper
 from blocksar.focusing.lines import RowPolynomial
 from blocksar.kernels.fourier import Axis, fast_length, fft_rows
 
@@ -72,8 +72,8 @@ class DwellGate:
         Slow time after the gate, about 0, s.
     taper : DwellTaper or None
         None where all of a dwell has equal weights.
-    share : tuple of float
-        Legendre series over the band of the L_k by which range frequencies are multiplied; none for all of the band.
+    share : AxisTaper or None
+        L_k over range frequency, Hz; None for all of the band.
     """
 
     begin: RowPolynomial
@@ -85,7 +85,7 @@ class DwellGate:
     length: float
     time: Axis
     taper: DwellTaper | None = None
-    share: tuple[float, ...] = ()
+    share: AxisTaper | None = None
 
     def begin_window(self, slope: float) -> ComplexArray:
         """G over `time` for the dwell's begin, (time.size,) complex64; it fades out well after the end."""

@@ -23,8 +23,14 @@ class RangeGate(Step):
 
     At each Doppler bin the targets of a sub-block lie in an interval of range, whose centre moves along Doppler with
     their range walk. Range frequency is transformed to delay, delays beyond the gate are dropped, and the rest is
-    transformed back to range frequency, over the same band in coarser steps. All gates of a collection have the same
+    transformed back to range frequency in coarser steps. All gates of a collection have the same
     delays, whole multiples of `gate.step`: a Doppler bin is transformed once for all of them.
+
+    What is cut off in delay smears the spectrum, so that its sharp ends reach beyond the band, by about the inverse of
+    the window's ramps. The gate keeps range frequencies beyond the band, with a weight that falls smoothly to zero. A
+    pixel sums the samples of a pulse at all delays, under a kernel that is the transform of these weights: it falls off
+    fast, and the gate cuts nothing of it, while the sum is that over the band. Without them the kernel would fall off
+    as the inverse of the delay, as side lobes of the band's sharp ends do; -29 dB would be lost at the gate's ends.
 
     Attributes
     ----------
@@ -38,6 +44,8 @@ class RangeGate(Step):
         1 inside, falling to 0 at the ends.
     full, range_frequency : Axis
         Range frequencies before and after the gate, Hz.
+    taper : (range_frequency.size,) float
+        1 in the band, falling to 0 beyond it.
     """
 
     name = "range-gate"
@@ -48,6 +56,7 @@ class RangeGate(Step):
     window: FloatArray
     full: Axis
     range_frequency: Axis
+    taper: FloatArray
 
     @property
     def source(self) -> Axis:
@@ -75,13 +84,14 @@ class RangeGate(Step):
     def _from_delay(self) -> list[Operation]:
         delay = self.gate.step * self.centre
         first = self.centre + round(self.gate.start / self.gate.step)
-        start = self.full.start
+        start, every = self.full.start, np.zeros(self.n_row, np.intp)
         band = np.stack([start * delay, np.full_like(delay, start)], axis=1)
         return [
             Cut(first, self.gate),
             Turn(Phase(band, 0.0, 1.0)),  # range frequency was counted from the start of the band
-            Window(self.window[None].astype(np.complex64), np.zeros(self.n_row, np.intp)),
+            Window(self.window[None].astype(np.complex64), every),
             Transform(self.gate, self.range_frequency, inverse=False),
+            Window(self.taper[None].astype(np.complex64), every),
             Turn(Phase(np.stack([np.zeros_like(delay), -delay], axis=1), 0.0, 1.0)),
         ]
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from blocksar import solvers
 from blocksar.arrays import FloatArray
 from blocksar.budget import AZIMUTH_TAP_ERROR
-from blocksar.collection.weighting import FLAT, AxisTaper
+from blocksar.collection.weighting import AxisTaper
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.lines import Line
 from blocksar.focusing.step import Constants, Step
@@ -175,11 +175,9 @@ class Compression(Step):
 
     def operations(self) -> list[Operation]:
         """Rows of range_frequency.size samples to rows.size ranges, one per time or Doppler: the block's columns."""
-        gate, taper = self.axes.gate, self.taper
-        if gate is not None and gate.share:
-            axis = self.source
-            taper = replace(taper or AxisTaper.spanning(FLAT, axis.start, axis.step, axis.size), level=gate.share)
-        weights = [] if taper is None else [_weigh(taper, self.source, self.n_row)]
+        gate = self.axes.gate
+        share = None if gate is None else gate.share
+        weights = [_weigh(taper, self.source, self.n_row) for taper in (self.taper, share) if taper is not None]
         return [Turn(self.correction()), *weights, self._to_range]
 
     @property

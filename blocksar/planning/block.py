@@ -13,7 +13,7 @@ from blocksar.chunks import DOPPLER_GROUP
 from blocksar.collection.beam import dwell_at
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
-from blocksar.collection.weighting import FLAT, AxisTaper
+from blocksar.collection.weighting import FLAT, AxisTaper, Taper
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.chains import steps_of
 from blocksar.focusing.dwell_gate import DwellGate
@@ -399,6 +399,14 @@ def _range_transform(range_frequency: Axis) -> tuple[int, float]:
     return period, SPEED_OF_LIGHT / (2 * range_frequency.step * period)
 
 
+def _range_scale(collection: Collection, range_frequency: Axis, taper: Taper) -> float:
+    """Sum of the weights over the band, in steps of `range_frequency`, over the length of the range transform."""
+    weights = taper.samples(collection.n_range_frequency)
+    # Those of a sub-block reach beyond the band; those of a whole block are the band's, without a rounding error.
+    n_band = round(collection.range_frequency_step * collection.n_range_frequency / range_frequency.step, 9)
+    return float(n_band / _range_transform(range_frequency)[0] * weights.mean())
+
+
 def _range_taps(range_frequency: Axis, error: float) -> tuple[int, float]:
     """Taps of the interpolation along range, and the occupied fraction of the sampling rate."""
     filled = range_frequency.size / _range_transform(range_frequency)[0]
@@ -451,7 +459,7 @@ def _plan_ground(
         lit=sum_lit(
             sector.lighting, near=sector.near, far=sector.far, yaw=yaw_axis, valid=valid, taper=taper, stays=stays
         ),
-        scale=range_taps[1] * float(sector.weighting.range.samples(collection.n_range_frequency).mean()),
+        scale=_range_scale(collection, sampling.range_frequency, sector.weighting.range),
         range_taps=range_taps,
         doppler_taps=(taps_needed(filled, error=sector.tap_error), filled),
     )

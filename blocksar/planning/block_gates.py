@@ -66,5 +66,6 @@ def plan_over_band(sector: Sector, sampling: Sampling, lines: FineLines, gate: D
     for factor, share in zip(factors.tolist(), places.series, strict=True):
         part = plan_dwell_gate(sector, sampling, lines, Scaling(lines.ends.scaled_about, factor))
         if part is not None:
-            parts.append(replace(part, common=gate.common, time=gate.time, share=tuple(share.tolist())))
+            level = AxisTaper(FLAT, float(middle), half, tuple(share.tolist()))
+            parts.append(replace(part, common=gate.common, time=gate.time, share=level))
     return tuple(parts)

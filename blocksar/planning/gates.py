@@ -23,6 +23,7 @@ from blocksar.kernels.fourier import Axis
 from blocksar.planning.target_lines import middle_line
 
 RANGE_GUARD = 48  # range cells on either side of a sub-block, for side lobes of targets at its ends
+BAND_ROOM = 0.08  # of the band, on either side of it, over which a sub-block's range frequencies fall to zero
 GATE_ROOM = 1.62  # dwells that the sampling in Doppler has room for
 FADE_ROOM = 9.0  # sqrt(e) on either side of a dwell for which it has room where edges fade out, at least
 FULL = 0.999  # of the longest dwell: a full one
@@ -47,11 +48,15 @@ def plan_range_gate(full: Axis, slab: Axis, line: Line, carrier: float) -> Range
     cell = SPEED_OF_LIGHT / (2 * full.extent)
     low = float((spread - np.abs(smear)).min()) - RANGE_GUARD * cell
     high = float((spread + np.abs(smear)).max()) + RANGE_GUARD * cell
-    period = fourier.fast_length(full.size)
+    period = fourier.fast_length((1 + 2 * BAND_ROOM) * full.size)
     step = 1 / (period * full.step)
-    size, n_frequency = _gate_length((high - low) * 2 / SPEED_OF_LIGHT / step, full.size / period, period)
+    size = min(fourier.fast_length((high - low) * 2 / SPEED_OF_LIGHT / step), period)
     middle = round((low + high) / SPEED_OF_LIGHT / step)
     coarse = 1 / (size * step)
+    n_frequency = min(math.floor((1 + 2 * BAND_ROOM) * full.extent / coarse), size)
+    band_middle = full.start + (full.size - 1) / 2 * full.step
+    frequency = Axis(band_middle - (n_frequency - 1) / 2 * coarse, coarse, n_frequency)
+    beyond = np.clip(np.abs(frequency.values - band_middle) / full.extent - 0.5, 0, BAND_ROOM) / BAND_ROOM
     ramp = np.clip((np.minimum(np.arange(size), np.arange(size)[::-1]) + 0.5) / (RANGE_GUARD / 2), 0, 1)
     normalised = np.clip((2 * slab.values - 2 * slab.start - slab.extent) / slab.extent, u.min(), u.max())
     return RangeGate(
@@ -60,15 +65,9 @@ def plan_range_gate(full: Axis, slab: Axis, line: Line, carrier: float) -> Range
         gate=Axis(step * (middle - size // 2), step, size),
         window=np.sin(np.pi / 2 * ramp) ** 2,
         full=full,
-        range_frequency=Axis(full.start - full.step / 2 + coarse / 2, coarse, n_frequency),
+        range_frequency=frequency,
+        taper=np.cos(np.pi / 2 * beyond) ** 2,
     )
-
-
-def _gate_length(needed: float, share: float, at_most: int) -> tuple[int, int]:
-    """A fast length of about `needed` samples, and the number of its frequencies that fits the band best."""
-    lengths = {fourier.fast_length(n) for n in np.linspace(needed, 1.06 * needed + 8, 24)}
-    lengths = {n for n in lengths if n < at_most} or {at_most}
-    return min(((n, round(n * share)) for n in lengths), key=lambda pair: abs(pair[1] / pair[0] / share - 1))
 
 
 class Scaling(NamedTuple):

@@ -84,6 +84,8 @@ class Plan:
         From `planning.staying`: whether all pulses are summed, and those that do not light a pixel taken out.
     refusal : str or None
         Why the geometry cannot be focused, with the figure.
+    searched : bool
+        Whether `auto` chose the division: where it does not keep the fidelity, none that was tried does.
     """
 
     geometry: Geometry
@@ -99,6 +101,7 @@ class Plan:
     fade: int
     stays: bool
     refusal: str | None
+    searched: bool = False
 
     def __repr__(self) -> str:
         return f"<Plan: {self.headline()}>"
@@ -331,6 +334,7 @@ def plan_collection(
         # By one rule for a number of blocks that is given and one that is found: a resumed run plans the same.
         found = _needs_edges(whole.plan(again.n_blocks, again.parts, False))
         first = again if found else planner.plan(first.n_blocks, first.parts, False)
+    first = replace(first, searched=blocks == "auto")
     if memory_limit is None or first.refusal is not None:
         return first
 

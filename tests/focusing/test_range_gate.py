@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from steps import Complex128Array
 
 from blocksar.arrays import FloatArray
 from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.focusing.lines import Line
 from blocksar.focusing.range_gate import RangeGate
 from blocksar.kernels.fourier import Axis
 from blocksar.kernels.rows import Program
+from blocksar.planning.gates import plan_range_gate
 
 
 def gate_of(n: int, kept: int, centre: FloatArray, *, offset: int = 0, start: float = -20e6) -> RangeGate:
@@ -26,6 +30,7 @@ def gate_of(n: int, kept: int, centre: FloatArray, *, offset: int = 0, start: fl
         window=np.sin(np.pi / 2 * np.clip((edge + 0.5) / 12, 0, 1)) ** 2,
         full=full,
         range_frequency=Axis(full.start - full.step / 2 + coarse / 2, coarse, kept),
+        taper=np.ones(kept),
     )
 
 
@@ -37,7 +42,7 @@ def by_sums(gate: RangeGate, signal: Complex128Array) -> Complex128Array:
         delay = gate.gate.step * gate.centre[b] + gate.gate.values
         profile = np.exp(2j * np.pi * np.multiply.outer(delay, gate.full.values)) @ row / period
         back = np.exp(-2j * np.pi * np.multiply.outer(gate.range_frequency.values, delay))
-        found[:, b] = back @ (gate.window * profile)
+        found[:, b] = gate.taper * (back @ (gate.window * profile))
     return found
 
 
@@ -73,6 +78,7 @@ def test_a_range_gate_equals_its_sums(centre: float, start: float) -> None:
     gate = gate_of(200, 60, centre + np.arange(9.0), offset=7, start=start)
     rng = np.random.default_rng(4)
     signal = rng.standard_normal((9, 200)) + 1j * rng.standard_normal((9, 200))
+    gate = replace(gate, taper=rng.uniform(0, 1, 60))
     wanted = by_sums(gate, signal)
     found = gate.apply(np.ascontiguousarray(signal.T, np.complex64), threads=1)
     assert np.abs(found - wanted).max() < 2e-6 * np.abs(wanted).max()
@@ -96,3 +102,29 @@ def test_one_transform_to_delay_serves_several_gates() -> None:
         part = gate.within(7, 20)
         np.testing.assert_allclose(part.from_delay.run(delays[7:20]), shared[7:20], atol=1e-5 * np.abs(alone).max())
         assert part.slab.values.tolist() == gate.slab.values[7:20].tolist()
+
+
+@pytest.mark.parametrize("n", [600, 643])
+def test_pixels_at_the_ends_of_a_gate_lose_nothing(n: int) -> None:
+    """The sum over the band at any place of a sub-block, from echoes at all delays: as from all range frequencies."""
+    full = Axis(-20e6, 40e6 / n, n)
+    cell, slab = SPEED_OF_LIGHT / (2 * full.extent), Axis(-300.0, 25.0, 24)
+    shape = (3, 2, 24)
+    near, far, flat = 150 * cell, 260 * cell, np.ones(shape)
+    ranges = np.array([near, (near + far) / 2, far])[:, None, None] * flat
+    line = Line(time=flat, doppler=slab.values * flat, rate=50 * flat, phase=flat, range=ranges, stretch=flat,
+                weight=flat)  # fmt: skip
+    gate = plan_range_gate(full, slab, line, 10e9)
+    assert gate.range_frequency.size < 0.6 * n
+    rng = np.random.default_rng(3)
+    signal = rng.standard_normal((24, n)) + 1j * rng.standard_normal((24, n))
+    kept = gate.apply(np.ascontiguousarray(signal.T, np.complex64)).T
+
+    def pixels(values: Complex128Array, axis: Axis, at: FloatArray) -> Complex128Array:
+        turns = 2 / SPEED_OF_LIGHT * np.multiply.outer(axis.values, at)
+        return np.asarray(values @ np.exp(2j * np.pi * turns) * axis.step)
+
+    for at in (near + cell * (np.arange(4) + 0.37), far - cell * (np.arange(4) + 0.37), np.linspace(near, far, 9)):
+        wanted = pixels(signal, full, at)
+        error = pixels(kept, gate.range_frequency, at) - wanted
+        assert np.mean(np.abs(error) ** 2) < 10 ** (-6.3) * np.mean(np.abs(wanted) ** 2)
