@@ -23,6 +23,7 @@ from blocksar.api.arguments import (
 )
 from blocksar.api.ground import read_ground
 from blocksar.api.reports import Table
+from blocksar.api.shortfall import describe_shortfall
 from blocksar.api.shown import PlanReport
 from blocksar.budget import FIDELITY
 from blocksar.collection.collection import Collection
@@ -395,7 +396,7 @@ def plan_lines(plan: Plan) -> list[str]:
             f"the noise of the track leaves a phase of {noise:.2g} rad r.m.s. over a dwell; smooth the positions"
         )
     if not plan.faithful:
-        lines.append(_shortfall(plan))
+        lines.append(describe_shortfall(plan))
     return lines
 
 
@@ -451,45 +452,6 @@ def undersampling(plan: Plan) -> str | None:
     return (
         f"the grid's step of {step:g} m undersamples the image, whose resolution is {finest:.3g} m: targets between "
         f"its points are lost, and spectra fold; a step of {finest / 2:.2g} m shows everything"
-    )
-
-
-# What helps where no number of blocks does, by what takes most of the coherence.
-_REMEDIES = {
-    "residual phase": "try --processor auto, or a smaller --grid",
-    "range migration": "try --processor auto, or a smaller --grid",
-    "the ends of the dwell": "taper the dwells, for example with --weighting-azimuth hann",
-    "noise of the track": "smooth the positions",
-}
-
-
-def _shortfall(plan: Plan) -> str:
-    """Which fidelity is not kept, and what would help most."""
-    worst = max(plan.blocks, key=lambda block: block.prediction.excess(plan.fidelity))
-    p = worst.prediction
-    losses = {
-        "residual phase": p.phase_loss, "range migration": p.range_loss, "the ends of the dwell": p.dispersion_loss,
-        "noise of the track": p.track_loss,
-    }  # fmt: skip
-    cause = max(losses, key=losses.__getitem__)
-    if plan.searched:
-        remedy = f"{_REMEDIES[cause]}, or take --processor backprojection, which is exact"
-    elif cause == "noise of the track":
-        remedy = _REMEDIES[cause]
-    else:
-        remedy = "ask for more --blocks, or for --blocks auto"
-    if plan.method.rival:
-        remedy += ", or leave the alternative methods out"
-    figure = f"coherence {p.coherence:.6g}" if 1 - p.coherence > 1 - plan.fidelity else f"side lobes {p.pslr:.2f} dB"
-    if plan.searched:
-        noun = "block" if plan.n_blocks == 1 else "blocks"
-        return (
-            f"fidelity {plan.fidelity:.12g} is not kept by any division that was tried: {plan.n_blocks} {noun} come "
-            f"closest, with {figure} predicted in block {worst.name}, and most is lost by {cause}; {remedy}"
-        )
-    return (
-        f"fidelity {plan.fidelity:.12g} is not kept: block {worst.name} predicts {figure}, and most is lost by "
-        f"{cause}; {remedy}"
     )
 
 

@@ -1,0 +1,43 @@
+"""What is said of a plan that does not keep the fidelity that was asked for."""
+
+from __future__ import annotations
+
+from blocksar.planning.plan import Plan
+
+# What helps where no number of blocks does, by what takes most of the coherence.
+_REMEDIES = {
+    "residual phase": "try --processor auto, or a smaller --grid",
+    "range migration": "try --processor auto, or a smaller --grid",
+    "the ends of the dwell": "taper the dwells, for example with --weighting-azimuth hann",
+    "noise of the track": "smooth the positions",
+}
+
+
+def describe_shortfall(plan: Plan) -> str:
+    """Which fidelity is not kept, and what would help most."""
+    worst = max(plan.blocks, key=lambda block: block.prediction.excess(plan.fidelity))
+    p = worst.prediction
+    losses = {
+        "residual phase": p.phase_loss, "range migration": p.range_loss, "the ends of the dwell": p.dispersion_loss,
+        "noise of the track": p.track_loss,
+    }  # fmt: skip
+    cause = max(losses, key=losses.__getitem__)
+    if plan.searched:
+        remedy = f"{_REMEDIES[cause]}, or take --processor backprojection, which is exact"
+    elif cause == "noise of the track":
+        remedy = _REMEDIES[cause]
+    else:
+        remedy = "ask for more --blocks, or for --blocks auto"
+    if plan.method.rival:
+        remedy += ", or leave the alternative methods out"
+    figure = f"coherence {p.coherence:.6g}" if 1 - p.coherence > 1 - plan.fidelity else f"side lobes {p.pslr:.2f} dB"
+    if plan.searched:
+        noun = "block" if plan.n_blocks == 1 else "blocks"
+        return (
+            f"fidelity {plan.fidelity:.12g} is not kept by any division that was tried: {plan.n_blocks} {noun} come "
+            f"closest, with {figure} predicted in block {worst.name}, and most is lost by {cause}; {remedy}"
+        )
+    return (
+        f"fidelity {plan.fidelity:.12g} is not kept: block {worst.name} predicts {figure}, and most is lost by "
+        f"{cause}; {remedy}"
+    )
