@@ -339,7 +339,7 @@ def plan_collection(
         return first
 
     def divide(n_parts: int) -> Plan:
-        return planner.plan(first.n_blocks, n_parts, False)
+        return replace(planner.plan(first.n_blocks, n_parts, False), searched=first.searched)
 
     return _fewest_parts(divide, first, memory_limit, fixed=parts != "auto")
 
