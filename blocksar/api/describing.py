@@ -18,6 +18,7 @@ from blocksar.errors import InputError
 from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
+from blocksar.runs.folder import member
 from blocksar.runs.record import RECORD, RunRecord
 from blocksar.simulation.scene import Scene
 from blocksar.simulation.shipped import shipped_scenes
@@ -178,9 +179,12 @@ def _run(where: Place) -> Report:
     record = RunRecord.read(where)
     attrs: Mapping[str, Any] = {}
     seen: Rows = []
-    if (where / "collection.zarr").exists():
-        collection, attrs = stores.read_collection(where / "collection.zarr")
-        seen = facts.collection_rows(collection)
+    parts = [where, *(member(where, name, record.dimension) for name in record.channels[:1])]
+    for part in (*parts, *(part / "segments" / "0" for part in parts)):  # of several, the first
+        if (part / "collection.zarr").exists():
+            collection, attrs = stores.read_collection(part / "collection.zarr")
+            seen = facts.collection_rows(collection)
+            break
     made = [name for name in MADE if (where / name).exists()]
     skipped = {"default grid", "footprint"}
     rows = [

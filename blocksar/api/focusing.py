@@ -291,6 +291,8 @@ def _focus(
     found = [next((line for plan in job.plans if (line := undersampling(plan))), None)]
     if request.terrain is not None:
         found.append(coverage_note(request.terrain, job.grid))
+    if min(job.grid.shape) < 2:
+        found.append("quality, report and export take images of at least 2 x 2 pixels; this one opens in Python only")
     notes = [f"note: {line}" for line in found if line]
     worker = "this process" if cluster.is_here(client) else "a worker"
     lines = [*_summary(request.folder, finished, job.memory, worker), *notes]

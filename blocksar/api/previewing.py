@@ -42,6 +42,7 @@ def preview(
     size: int = SIZE,
     range: tuple[float, float] | str | None = None,
     colour_map: str | None = None,
+    channel: str | None = None,
     threads: int | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
@@ -66,6 +67,8 @@ def preview(
         dB at the ends of the colours. Default: by the picture.
     colour_map : str, optional
         By matplotlib's name. Default: "gray".
+    channel : str, optional
+        Of a phase history of several channels. Default: the first.
     threads : int, optional
         Default: the number of cores.
     overwrite : bool
@@ -94,6 +97,8 @@ def preview(
     if out is not None:
         check_ending("png", str(place(out)))
     history = history_of(source)
+    if channel is not None:
+        history = history.of_channel(channel)
     geometry = Geometry(collection=history.collection.centred())
     chosen, proposed = _ground(geometry, grid_of(grid))
     planned = coarse.plan_preview(geometry, chosen, size=size)
@@ -170,7 +175,9 @@ def _sentences(history: stores.PhaseHistory, planned: coarse.Preview, proposed: 
     columns = planned.columns.stop - planned.columns.start
     pulses = len({p for part in planned.apertures for p in np.arange(part.start, part.stop).tolist()})
     across, along = planned.resolution
+    names = history.channels
     return [
+        *([f"channel {names[history.channel]} of {', '.join(names)}"] if names else []),
         f"resolution {across:.3g} m in range and {along:.3g} m in azimuth, in pixels of {planned.grid.dx:.3g} m, from "
         f"{pulses} of {n_pulse} pulses and {columns} of {n_column} range frequencies",
         f"a run takes --grid {grid_text(proposed)}",

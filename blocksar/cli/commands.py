@@ -297,6 +297,7 @@ def preview(
         typer.Option("--range", metavar="LOW:HIGH", help="dB at the ends of the colours.", show_default="by the image"),
     ] = None,
     colour_map: ColourMap = None,
+    channel: Channel = None,
     threads: Threads = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
@@ -314,8 +315,8 @@ def preview(
 
     with listening(context) as progress:
         found = api.preview(
-            source, out=out, grid=points, size=size, range=range, colour_map=colour_map, threads=threads,
-            overwrite=overwrite, progress=progress,
+            source, out=out, grid=points, size=size, range=range, colour_map=colour_map, channel=channel,
+            threads=threads, overwrite=overwrite, progress=progress,
         )  # fmt: skip
     show(found, context)
     hint(context, "plan", source, *(["--grid", grid] if grid else []))

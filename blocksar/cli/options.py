@@ -13,9 +13,7 @@ from blocksar.api.parsing import Axis, parse_blocks, parse_grid, parse_memory_li
 from blocksar.collection.terrain import Surface
 from blocksar.focusing.method import Coefficients, Method, Processor
 
-Channel = Annotated[
-    str | None, typer.Option(metavar="NAME", help="Of a run of several channels.", show_default="the first")
-]
+Channel = Annotated[str | None, typer.Option(metavar="NAME", help="Of several channels.", show_default="the first")]
 ColourMap = Annotated[
     str | None,
     typer.Option(

@@ -22,6 +22,8 @@ FEWEST = 2  # places on which anything can be said
 SIGNIFICANT = 30.0  # times 1 / n: concentration that chance does not give
 SHARPER = 1.02  # times the concentration as given: an alternative that is believed
 MIRRORED = 1.2  # the same under a beam about its axis: flown backwards on a straight line, the image is mirrored
+FOCUSED = 0.5  # median concentration of points: an alternative with less is believed only if its best places gain
+BEST, BEST_SHARPER = 2, 1.25  # number of these, and times the concentration of the best as given
 AS_REFOCUSED = 0.95  # of the concentration after a refocus, that it reaches as well
 CERTAIN = 0.6  # share of the quantiles of its places that are higher
 CLEAR = 0.65  # concentration that only points in focus have: below it, alternatives are tried
@@ -61,6 +63,11 @@ class Trial:
     def sharpness(self) -> float:
         """Median concentration of the places."""
         return float(np.median(self.concentration)) if self.concentration else 0.0
+
+    @property
+    def best(self) -> float:
+        """Mean concentration of the sharpest places."""
+        return float(np.mean(sorted(self.concentration)[-BEST:])) if self.concentration else 0.0
 
 
 @dataclass(frozen=True)
@@ -107,6 +114,8 @@ class Findings:
             return None
         if not self.given.places:
             return best
+        if best.sharpness < FOCUSED and best.best < BEST_SHARPER * self.given.best:
+            return None  # most places are clutter, whose concentration differs by chance
         levels = np.linspace(0.0, 1.0, 13)
         gain = np.quantile(best.concentration, levels) - np.quantile(self.given.concentration, levels)
         return best if np.mean(gain > 0) > CERTAIN else None

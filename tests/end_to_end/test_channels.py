@@ -82,7 +82,8 @@ def test_every_channel_is_measured_shown_and_exported(run: Path, tmp_path: Path)
     assert imread(tmp_path / "hv.png").std() > 0.05 and said[-1].endswith("hv.png")
     with pytest.raises(InputError, match="channel 'VV' is none of"):
         blocksar.export("png", run, tmp_path / "vv.png", channel="VV")
-    assert blocksar.info(run).result["facts"]["channels"] == "HH, HV"
+    facts = blocksar.info(run).result["facts"]
+    assert facts["channels"] == "HH, HV" and facts["title"] == "test" and "track" in facts
     pages = [run / "channels" / name / "report.html" for name in ("HH", "HV")]
     assert Path(str(blocksar.report(run).result)) == pages[0]
     first, second = (page.read_text() for page in pages)
@@ -125,3 +126,29 @@ def test_other_runs_are_not_replaced_unasked(store: Path, run: Path, tmp_path: P
     assert blocksar.open(tmp_path / "run").image.shape[0] == 2
     rehearsed = blocksar.focus(store, tmp_path / "other", dry_run=True, **SETTINGS)
     assert "2 channels (HH, HV)" in rehearsed.summary[0] and not (tmp_path / "other").exists()
+
+
+def test_previews_and_plans_say_the_channels(store: Path) -> None:
+    powers = {}
+    for name in ("HH", "HV"):
+        report = blocksar.preview(store, channel=name, size=60, progress=False)
+        assert report.summary[0] == f"channel {name} of HH, HV"
+        powers[name] = np.nan_to_num(report.result.values)
+    assert not np.array_equal(powers["HH"], powers["HV"])
+    assert blocksar.plan(store, blocks=1).summary[0].startswith("2 channels (HH, HV), one after the other")
+
+
+def test_an_image_of_one_row_opens_and_says_what_it_lacks(store: Path, tmp_path: Path) -> None:
+    history = stores.open_phase_history(store).of_channel("HH")
+    target = history.attrs["targets"][0]
+    x, y = round(target["x"]), round(target["y"])
+    grid = ((x - 20.0, x + 20.0, 1.0), (y, y + 0.5, 1.0))
+    said = blocksar.focus(history, tmp_path / "row", grid=grid, **SETTINGS).summary
+    assert (
+        said[-1]
+        == "note: quality, report and export take images of at least 2 x 2 pixels; this one opens in Python only"
+    )
+    image = blocksar.open(tmp_path / "row").image
+    assert image.shape == (1, 40) and abs(image).max() > 0.5
+    with pytest.raises(InputError, match="has 1 x 40 pixels"):
+        blocksar.export("png", tmp_path / "row", tmp_path / "row.png")

@@ -16,6 +16,7 @@ from blocksar.collection.beam import lit_interval
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.sublooks import entering_side
 from blocksar.errors import InputError
+from blocksar.products.sicd.aperture import find_support
 
 SETTINGS: dict[str, Any] = {"workers": 0}
 CLUTTER = "[clutter]\nscatterers = 500\npower = 1e-3\nseed = 3\n"
@@ -102,3 +103,36 @@ def test_looks_of_an_unsteered_collection_are_parts_of_its_pulses(tmp_path: Path
             blocksar.focus(tmp_path / "ph.zarr", tmp_path / "wrong", looks=count, **SETTINGS)
     with pytest.raises(InputError, match="in a store"):
         blocksar.focus(dataset, tmp_path / "wrong", looks=2, grid=((-30.0, 30.0, 0.5), (-30.0, 30.0, 0.5)))
+
+
+@pytest.mark.slow
+def test_speckle_of_simulated_clutter_is_that_of_theory(tmp_path: Path) -> None:
+    """Equivalent number of looks of cells, within 5 % of what the band, the dwell and the density of scatterers give.
+
+    Power has the covariance |rho|^2 with rho(d) the mean of exp(2j pi K d) over the spatial frequencies K of a pixel;
+    and n Gaussian scatterers in a cell add 2 sum(m^2) / (n sum(h)^2), with h = |rho|^2 and m its mean over a cell.
+    """
+    count, where = 400_000, "range = [29650.0, 30350.0]\nyaw_deg = [49.45, 50.55]\n"
+    clutter = f"[clutter]\nscatterers = {count}\npower = 1\nseed = 3\n{where}"
+    store = write_store(tmp_path, swath=[29_500.0, 30_500.0], more=clutter)
+    geometry = Geometry(collection=stores.open_phase_history(store).collection.centred())
+    near, far, middle = (
+        geometry.ground_point(np.array(r), np.array(np.radians(50.0))) for r in (29650.0, 30350.0, 3e4)
+    )
+    radii = (np.hypot(*point[:2]) for point in (near, far))
+    density = count / (np.radians(1.1) / 2 * abs(np.subtract(*(r**2 for r in radii))))
+    x, y = round(float(middle[0])), round(float(middle[1]))
+    blocksar.focus(store, tmp_path / "run", grid=((x - 150.0, x + 150.0, 1.0), (y - 150.0, y + 150.0, 1.0)), **SETTINGS)
+    frequencies = find_support(geometry, np.array([x, y, 0.0])).frequencies[::17]
+    lag = np.arange(-40, 41)  # pixels of 1 m
+    parts = [np.exp(2j * np.pi * np.outer(lag, k)) for k in frequencies.T]
+    h = np.abs(np.einsum("ik,jk->ij", parts[1], parts[0]) / len(frequencies)) ** 2
+    image = blocksar.open(tmp_path / "run")
+    for looks in ((1, 1), (2, 2), (4, 4), (6, 3)):
+        power = image.sar.multilook(looks).values.astype(float)
+        triangles = [np.maximum(n - np.abs(lag), 0) / n**2 for n in looks]
+        box = [np.ones(n) / n for n in looks]
+        rows = np.apply_along_axis(np.convolve, 0, h, box[0])
+        mean = np.apply_along_axis(np.convolve, 1, rows, box[1])
+        variance = (np.multiply.outer(*triangles) * h).sum() + 2 * (mean**2).sum() / (density * h.sum() ** 2)
+        assert power.mean() ** 2 / power.var() == pytest.approx(1 / variance, rel=0.05), looks

@@ -19,7 +19,7 @@ from blocksar.cli import commands
 from blocksar.collection.collection import Collection
 from blocksar.collection.grid import Grid
 from blocksar.errors import InputError
-from blocksar.inspection.check import Findings, check, part_of, part_to_read
+from blocksar.inspection.check import Findings, Trial, check, part_of, part_to_read
 from blocksar.simulation.phase_history import sampler
 from blocksar.simulation.scene import Scene
 
@@ -227,3 +227,20 @@ def test_a_mountain_is_no_error_of_the_track_if_its_heights_are_known() -> None:
     known = check(signal, collection.centred(), grid=grid, threads=2, thorough=False, terrain=made.terrain)
     assert plane.warning() is not None and plane.given.sharpness < 0.5
     assert known.warning() is None and known.given.sharpness > 0.8
+
+
+@pytest.mark.parametrize(
+    ("given", "other", "believed"),
+    [  # two points amid clutter, seen as they are and by a beam that is off; a dwell that is wrong for most points
+        ((0.04, 0.05, 0.06, 0.06, 0.06, 0.09, 0.69, 0.69), (0.05, 0.05, 0.06, 0.07, 0.16, 0.21, 0.35, 0.35), False),
+        ((0.05, 0.06, 0.07, 0.08, 0.10, 0.50, 0.62, 0.66), (0.05, 0.07, 0.08, 0.09, 0.38, 0.50, 0.66, 0.70), False),
+        ((0.05, 0.06, 0.07, 0.08, 0.10, 0.20, 0.62, 0.66), (0.50, 0.60, 0.65, 0.70, 0.70, 0.71, 0.71, 0.72), True),
+        ((0.02, 0.02, 0.03, 0.03, 0.04, 0.04, 0.05, 0.06), (0.05, 0.07, 0.08, 0.09, 0.10, 0.11, 0.20, 0.25), True),
+    ],
+)
+def test_clutter_that_differs_by_chance_is_not_believed(
+    given: tuple[float, ...], other: tuple[float, ...], believed: bool
+) -> None:
+    trials = Trial("as given", "", given, 100.0), Trial("the beam is off", "move it", other, 100.0)
+    found = Findings(trials, float(np.median(given)), 0.1, "", "")
+    assert (found.better is not None) == believed and (found.warning() is not None) == believed
