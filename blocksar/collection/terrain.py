@@ -22,6 +22,10 @@ MARGIN = 3  # samples that a window keeps beyond the points that it is for
 LEAST = 4  # samples along each axis
 
 
+# First of four samples at each place of an axis, their weights, and whether the place is inside.
+Taps = tuple[IntArray, list[FloatArray], BoolArray]
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Terrain:
     """Heights of the ground on a regular grid of the scene frame.
@@ -105,15 +109,20 @@ class Terrain:
 
     def on_grid(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Heights (n_y, n_x), m, at columns x (n_x,) and rows y (n_y,), m: those of `__call__`, to the bit."""
-        columns, along_x, inside_x = self._taps((x - self.x0) / self.dx, self.column, self.heights.shape[1])
-        rows, along_y, inside_y = self._taps((y - self.y0) / self.dy, self.row, self.heights.shape[0])
+        in_x = self._taps((x - self.x0) / self.dx, self.column, self.heights.shape[1])
+        in_y = self._taps((y - self.y0) / self.dy, self.row, self.heights.shape[0])
+        return self._sum(in_x, in_y)
+
+    def _sum(self, in_x: Taps, in_y: Taps) -> FloatArray:
+        """Weighted sums of the heights by the taps of columns (n_x,) and rows (n_y,): (n_y, n_x)."""
+        (columns, along_x, inside_x), (rows, along_y, inside_y) = in_x, in_y
         first, last = int(rows.min()), int(rows.max()) + 4
         strip = self.heights[first:last]
-        along, part = np.zeros((strip.shape[0], x.size)), np.empty((strip.shape[0], x.size))
+        along, part = np.zeros((strip.shape[0], columns.size)), np.empty((strip.shape[0], columns.size))
         for i in range(4):
             np.multiply(np.take(strip, columns + i, axis=1, out=part, mode="clip"), along_x[i], out=part)
             along += part
-        total, part = np.zeros((y.size, x.size)), np.empty((y.size, x.size))
+        total, part = np.zeros((rows.size, columns.size)), np.empty((rows.size, columns.size))
         for j in range(4):
             np.multiply(np.take(along, rows - first + j, axis=0, out=part, mode="clip"), along_y[j][:, None], out=part)
             total += part
@@ -122,13 +131,14 @@ class Terrain:
         return total
 
     def slopes_on_grid(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Derivatives (n_y, n_x) of the height along x and y, over a fraction of a sample; columns and rows in m."""
-        (left, right), (down, up) = (
-            (np.maximum(at - step / 16, axis[0]), np.minimum(at + step / 16, axis[-1]))
-            for at, step, axis in ((x, self.dx, self.x), (y, self.dy, self.y))
+        """Derivatives (n_y, n_x) of the height along x and y at columns x (n_x,) and rows y (n_y,), m."""
+        at_x, at_y = (x - self.x0) / self.dx, (y - self.y0) / self.dy
+        in_x, in_y = (
+            self._taps(at_x, self.column, self.heights.shape[1]),
+            self._taps(at_y, self.row, self.heights.shape[0]),
         )
-        along_x = (self.on_grid(right, y) - self.on_grid(left, y)) / (right - left)
-        return along_x, (self.on_grid(x, up) - self.on_grid(x, down)) / (up - down)[:, None]
+        up_x, up_y = self._rates(at_x, self.column, in_x), self._rates(at_y, self.row, in_y)
+        return self._sum(up_x, in_y) / self.dx, self._sum(in_x, up_y) / self.dy
 
     def slope(self, x: float, y: float) -> tuple[float, float]:
         """Derivatives of the height along x and y at a point, over a fraction of a sample."""
@@ -152,7 +162,7 @@ class Terrain:
         )  # fmt: skip
 
     @staticmethod
-    def _taps(position: FloatArray, first: int, size: int) -> tuple[IntArray, list[FloatArray], BoolArray]:
+    def _taps(position: FloatArray, first: int, size: int) -> Taps:
         """First of four samples, their weights, and whether the position lies between the second and the third.
 
         Within the outermost interval, where a fourth sample is missing, the weights are those of the parabola through
@@ -174,6 +184,19 @@ class Terrain:
             parabola = [np.zeros_like(v), v * (v - 1) / 2, 1 - v * v, v * (v + 1) / 2]
             weights = [np.where(outer, p, w) for p, w in zip(parabola, weights, strict=True)]
         return start, weights, np.asarray(inside)
+
+    @staticmethod
+    def _rates(position: FloatArray, first: int, taps: Taps) -> Taps:
+        """The taps of the derivative, per sample."""
+        start, _, inside = taps
+        u = np.where(inside, position - (start + first + 1), 0.0)
+        weights = [(-1.5 * u + 2.0) * u - 0.5, (4.5 * u - 5.0) * u, (-4.5 * u + 4.0) * u + 0.5, (1.5 * u - 1.0) * u]
+        for outer, v, k in ((u < 0, u, 0), (u > 1, u - 1, 1)):
+            if outer.any():
+                parabola = [np.zeros_like(u)] * 4
+                parabola[k : k + 3] = [v - 0.5, -2 * v, v + 0.5]
+                weights = [np.where(outer, p, w) for p, w in zip(parabola, weights, strict=True)]
+        return start, weights, inside
 
 
 def _span(low: float, high: float, size: int) -> slice:

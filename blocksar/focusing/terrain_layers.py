@@ -39,6 +39,7 @@ from blocksar.collection.terrain import Terrain
 from blocksar.kernels.occlusion import STEPS, block_extremes, find_visibility
 
 NODES = 257  # yaws, or times, between which the antenna's place at the middle of dwells is interpolated
+NODE_PIXELS = 32  # between which the antenna's place is linear
 BOX_NODES = 65  # places along each side of a box between which these times are, under a beam about its axis
 PLACES_PER_SAMPLE = 4  # of the terrain, along each axis, at which visibility is found; pixels take the nearest
 ROWS = 64  # of pixels whose angles are computed at a time
@@ -267,9 +268,29 @@ def _between(axis: FloatArray, at: FloatArray) -> tuple[NDArray[np.intp], FloatA
 
 
 def _sight(sight: Sight, x: FloatArray, y: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Components of the vectors from pixels to the antenna, m, each (n_y, n_x)."""
-    antenna = sight.antenna(*np.meshgrid(x, y), z)
-    return antenna[..., 0] - x, antenna[..., 1] - y[:, None], antenna[..., 2] - z
+    """Components of the vectors from pixels to the antenna, m, each (n_y, n_x).
+
+    The antenna's place is linear between every NODE_PIXELS-th row and column: over those its way is next to straight.
+    """
+    (rows, to_row), (columns, to_column) = _nodes(y.size), _nodes(x.size)
+    antenna = sight.antenna(*np.meshgrid(x[columns], y[rows]), z[np.ix_(rows, columns)])
+    px, py, pz = (_expand(_expand(part, to_column, 1), to_row, 0) for part in np.moveaxis(antenna, -1, 0))
+    return px - x, py - y[:, None], pz - z
+
+
+def _nodes(n: int) -> tuple[NDArray[np.intp], FloatArray]:
+    """Every NODE_PIXELS-th of n pixels, and the last; and the place (n,) of each pixel between them."""
+    nodes = np.unique(np.append(np.arange(0, n, NODE_PIXELS), n - 1))
+    return nodes, np.interp(np.arange(n), nodes, np.arange(nodes.size))
+
+
+def _expand(values: FloatArray, place: FloatArray, axis: int) -> FloatArray:
+    """Values at places between those along an axis."""
+    before = np.minimum(place.astype(np.intp), max(values.shape[axis] - 2, 0))
+    part = (place - before)[:, None] if axis == 0 else place - before
+    low = np.take(values, before, axis)
+    after = np.minimum(before + 1, values.shape[axis] - 1)
+    return np.asarray(low + part * (np.take(values, after, axis) - low))
 
 
 def _places(axis: FloatArray, part: slice, step: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -57,12 +57,15 @@ class TerrainLayers:
     grid: Grid
     sights: Mapping[int, Sight]
 
-    def write(self, window: Window, owner: NDArray[np.int16]) -> list[Written]:
-        """Write the layers of a chunk of the image; `owner` has the block of each pixel, -1 where not covered."""
+    def write(self, window: Window, owner: NDArray[np.int16], height: FloatArray | None = None) -> list[Written]:
+        """Write the layers of a chunk of the image; `owner` has the block of each pixel, -1 where not covered.
+
+        `height` is from `heights_of`, if that is at hand.
+        """
         if not self.sights:
             return []
         terrain, x, y = local_terrain(self.run, self.grid, window), self.grid.x[window[1]], self.grid.y[window[0]]
-        height = terrain.on_grid(x, y)
+        height = terrain.on_grid(x, y) if height is None else height
         incidence = by_owner(self.sights, owner, lambda sight: incidence_angle(terrain, sight, x, y, height), np.nan)
         seen = by_owner(self.sights, owner, lambda sight: self._visibility(sight, window), UNKNOWN)
         layers = {"height": height, "incidence_angle": incidence, "visibility": seen}

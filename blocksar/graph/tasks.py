@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from blocksar import stores
-from blocksar.arrays import ComplexArray
+from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.chunks import BACKPROJECTION_CHUNK, WRITES_AT_ONCE
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
@@ -275,6 +275,7 @@ def write_patch(
                     grid,
                     noise,
                     layers,
+                    z,
                     merged=cell not in own,
                 )
             )
@@ -309,6 +310,7 @@ def _write_pixels(
     grid: Grid,
     noise: NoiseMap | None,
     layers: TerrainLayers,
+    height: FloatArray | None,
     *,
     merged: bool,
 ) -> list[Written]:
@@ -328,7 +330,7 @@ def _write_pixels(
         written,
         *_write_image(run, window, pixels, owner, of, (patch, part), written.checksum),
         *write_noise(run, window, owner, grid, noises),
-        *layers.write(window, owner),
+        *layers.write(window, owner, height),
     ]
 
 

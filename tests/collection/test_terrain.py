@@ -57,6 +57,20 @@ def test_samples_are_kept_and_a_paraboloid_is_exact_up_to_the_edge() -> None:
     assert slope == pytest.approx((0.1 + 0.04 - 2.4, -0.2 - 0.04 + 1.2), abs=1e-9)
 
 
+def test_slopes_on_a_grid_are_differences_of_heights() -> None:
+    """Also in the outermost intervals, and unknown where heights are."""
+    terrain, h = rough(), 1e-3
+    x, y = np.linspace(-399, 499, 41), np.linspace(1001, 1549, 37)
+    along_x = (terrain.on_grid(x + h, y) - terrain.on_grid(x - h, y)) / (2 * h)
+    along_y = (terrain.on_grid(x, y + h) - terrain.on_grid(x, y - h)) / (2 * h)
+    found = terrain.slopes_on_grid(x, y)
+    assert found[0] == pytest.approx(along_x, abs=1e-3) and np.abs(along_x).max() > 10
+    assert found[1] == pytest.approx(along_y, abs=1e-3)
+    terrain.heights[10, 10] = np.nan
+    for slope in terrain.slopes_on_grid(x, y):
+        np.testing.assert_array_equal(np.isnan(slope), np.isnan(terrain.on_grid(x, y)))
+
+
 def test_grids_and_windows_have_the_same_bits_as_points() -> None:
     terrain = rough()
     x, y = np.linspace(-500, 700, 97), np.linspace(950, 1700, 71)
