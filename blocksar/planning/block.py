@@ -148,7 +148,8 @@ def plan_block(
     line = dwells.lines(nodes[:, None])
     duration = float(line.weight.sum(axis=-1).max())
     everywhere = sector.with_relief(line, lambda part: part.dwells(yaws, coarsely=True).lines(nodes[:, None]))
-    slab = _plan_slab(collection, recovery.doppler, everywhere, margin=tail_margin(duration))
+    margin = tail_margin(duration, stays=sector.staying is not None)
+    slab = _plan_slab(collection, recovery.doppler, everywhere, margin=margin)
     band = Axis(float(collection.range_frequency[0]), collection.range_frequency_step, collection.n_range_frequency)
     range_gate = None if part is None else plan_range_gate(band, slab.doppler, everywhere, collection.carrier)
     motion = plan_motion(

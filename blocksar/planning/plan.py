@@ -312,7 +312,7 @@ def plan_collection(
     grid = grid or default_grid(geometry, region)
     extent = grid_extent(geometry, region, grid, owned)
     summed = geometry.unsteered() if beam_stays(geometry, region, extent) else geometry
-    recovery = plan_recovery(summed, region, method)
+    recovery = plan_recovery(summed, region, method, stays=summed is not geometry)
     edges = partial(
         plan_edges, summed, region, fidelity=fidelity, weighting=weighting,
         band=recovery.band[1] - recovery.band[0], keystone=Keystone in steps_of(method),

@@ -27,8 +27,8 @@ AXIS_NODES = (
 WINDOW_EDGE = 0.05  # of the range window at either end, for which the PRF need not suffice: echoes only pass through
 
 
-def plan_recovery(geometry: Geometry, region: Region, method: Method = DEFAULT) -> Recovery:
-    """Plan unified walk, derotation and padding, and check the PRF.
+def plan_recovery(geometry: Geometry, region: Region, method: Method = DEFAULT, *, stays: bool = False) -> Recovery:
+    """Plan unified walk, derotation and padding, and check the PRF; `stays` is from `planning.staying`.
 
     A method with linear derotation removes one Doppler rate only (paper A, Figure 6 b), and needs a higher PRF.
 
@@ -60,7 +60,7 @@ def plan_recovery(geometry: Geometry, region: Region, method: Method = DEFAULT) 
         walk=walk,
         bulk=_bulk_cycles(geometry, common, origin=origin, walk=walk, region=region),
         derotation=derotation,
-        doppler=_plan_spectrum(geometry, region, line, padded=padded, band_edge=band_edge),
+        doppler=_plan_spectrum(geometry, region, line, padded=padded, band_edge=band_edge, stays=stays),
         band=band,
         common=common,
     )
@@ -92,11 +92,13 @@ def _check_prf(geometry: Geometry, method: Method, spread: float) -> None:
         )
 
 
-def _plan_spectrum(geometry: Geometry, region: Region, line: Line, *, padded: int, band_edge: float) -> Axis:
+def _plan_spectrum(
+    geometry: Geometry, region: Region, line: Line, *, padded: int, band_edge: float, stays: bool
+) -> Axis:
     """Doppler of the recovered spectrum: all that is lit, at all range frequencies, with a margin for tails."""
     low, high = float(line.doppler.min()), float(line.doppler.max())
     dwell = float(np.max(np.subtract(*dwell_at(geometry, region.yaw, (region.near + region.far) / 2)[::-1])))
-    margin = tail_margin(dwell)
+    margin = tail_margin(dwell, stays=stays)
     duration = padded * geometry.collection.pulse_interval
     edge = band_edge * max(abs(low), abs(high))
     size = fourier.fast_length(duration * (high - low + 2 * edge + 2 * margin))
