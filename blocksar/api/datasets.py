@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from blocksar import stores
 from blocksar.api.arguments import is_dataset
+from blocksar.arrays import FloatArray
 from blocksar.collection.georeference import Georeference
 from blocksar.errors import InputError
 from blocksar.measurement.targets import Target
@@ -48,6 +49,7 @@ def collection(
     title: str = "",
     targets: Sequence[Target | Mapping[str, Any]] | None = None,
     georeference: Mapping[str, Any] | None = None,
+    earth_centred: bool = False,
 ) -> xr.Dataset:
     """Build a phase history from arrays, and check it against the contract of its store.
 
@@ -105,6 +107,9 @@ def collection(
     georeference : mapping, optional
         Place of the scene frame on the Earth: {"kind": "ENU", "latitude", "longitude", "height"}, in degrees, and in m
         above WGS 84. Default: unknown.
+    earth_centred : bool
+        `antenna_position` and `beam_axis` are Earth-centred, Earth-fixed (WGS 84), and are carried into the frame of
+        `georeference`. Default: False.
 
     Returns
     -------
@@ -118,6 +123,8 @@ def collection(
     """
     _check_samples(signal, echo, range_frequency, fast_time)
     _check_reference(reference_range)
+    if earth_centred:
+        antenna_position, beam_axis = _into_frame(georeference, antenna_position, beam_axis)
     if np.ndim(reference_range) == 0:
         reference_range = np.broadcast_to(np.asarray(reference_range), np.shape(time)[:1])
     variables = {
@@ -139,6 +146,18 @@ def collection(
     from blocksar.products import dataset  # noqa: F401  (registers the accessor)
 
     return stores.dataset_of(variables, attrs)
+
+
+def _into_frame(georeference: Any, position: ArrayLike, axis: ArrayLike | None) -> tuple[FloatArray, FloatArray | None]:
+    """Earth-centred positions (n, 3), m, and axes (n, 3) in the frame of a georeference."""
+    if georeference is None:
+        raise InputError(
+            "earth_centred = True, but no georeference is given, which says where the scene frame lies; give one"
+        )
+    frame, places = Georeference.from_attribute(georeference), np.asarray(position, np.float64)
+    if places.ndim != 2 or places.shape[1] != 3:
+        raise InputError(f"antenna_position has the shape {places.shape}; give (n_pulse, 3): x, y and z, m")
+    return frame.from_ecef(places), None if axis is None else np.asarray(axis, np.float64) @ frame.axes.T
 
 
 def _check_samples(signal: Any, echo: Any, range_frequency: Any, fast_time: Any) -> None:

@@ -16,6 +16,7 @@ from distributed import Client
 
 import blocksar
 from blocksar import stores
+from blocksar.collection.georeference import Georeference
 from blocksar.errors import InputError
 
 CORNER = ((-10.0, 10.0, 0.5), (-10.0, 10.0, 0.5))
@@ -320,3 +321,21 @@ def test_a_performance_report_needs_a_cluster(dataset: xr.Dataset, tmp_path: Pat
 def test_the_number_of_workers_is_checked(dataset: xr.Dataset, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"workers must be at least 0, got -1"):
         focus(dataset, tmp_path / "run", workers=-1)
+
+
+def test_an_earth_centred_track_is_carried_into_the_frame() -> None:
+    frame = Georeference(latitude=-33.1, longitude=151.2, height=40.0, rotation=20.0)
+    given = arrays()
+    position = np.asarray(given.pop("antenna_position"))
+    # By the formula of the store: origin, and the components along east, north and up.
+    where = frame.as_attribute()
+    turn = np.radians(where["rotation_deg"])
+    x_axis = np.cos(turn) * np.array(where["east"]) + np.sin(turn) * np.array(where["north"])
+    y_axis = np.cos(turn) * np.array(where["north"]) - np.sin(turn) * np.array(where["east"])
+    earth = np.array(where["ecef"]) + position @ np.stack([x_axis, y_axis, np.array(where["up"])])
+    made = blocksar.collection(**given, antenna_position=earth, georeference=where, earth_centred=True)
+    np.testing.assert_allclose(made.antenna_position.values, position, atol=1e-6)
+    with pytest.raises(InputError, match="no georeference is given"):
+        blocksar.collection(**given, antenna_position=earth, earth_centred=True)
+    with pytest.raises(InputError, match=r"has the shape \(3,\)"):
+        blocksar.collection(**given, antenna_position=earth[0], georeference=where, earth_centred=True)
