@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from scenes import scene
 
+from blocksar.api.shortfall import describe_shortfall
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
+from blocksar.collection.weighting import Weighting
 from blocksar.planning.plan import Plan, plan_collection
 from blocksar.planning.relief import find_relief, sample_terrain
 from blocksar.simulation.scene import Scene
@@ -91,3 +93,11 @@ def test_peaks_between_the_borders_extend_the_ranges_of_an_unsteered_scene() -> 
     high = plan_collection(collection, blocks=1, grid=GRID, terrain=hilly(1200.0))
     assert high.region.near.min() < flat.region.near.min() - 50
     assert high.blocks[0].ground.levels == pytest.approx((0.0, 1200.0), abs=5)
+
+
+def test_a_plan_says_that_edges_of_dwells_are_not_back_projected_on_a_terrain() -> None:
+    plan = planned(hilly(1.0), fidelity=0.99999, weighting=Weighting.parse("taylor:4:-35"))
+    told = describe_shortfall(plan)
+    assert plan.fade == 0
+    assert "by the ends of the dwell; edges of dwells are back-projected on the plane only" in told
+    assert f"coherence {plan.coherence:.6g}" in told
