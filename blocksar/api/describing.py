@@ -83,7 +83,7 @@ def info(path: Location | xr.Dataset) -> Report:
 
 def _unknown(where: Place, names: list[str]) -> InputError:
     holds = f" (it holds {', '.join(names[:3])}{' ...' if len(names) > 3 else ''})" if names else ""
-    inside = [name for name in names if name.endswith(".zarr")]
+    inside = [name for name in names if name.endswith(".zarr") or (where / name / RECORD).exists()]
     remedy = f"look at {where / inside[0]}" if inside else (
         "give a phase history, a run folder, an image.zarr, a CPHD file, files of the Gotcha set, or a scene"
     )  # fmt: skip

@@ -38,6 +38,7 @@ def add_findings(job: Job, record: RunRecord, read: Sequence[Recovered], listene
         if not inspections[-1].valid:
             raise InputError(f"{history.variable} in {history.path} holds zeros only; write it again from its source")
         lines = [line for each in inspections for line in sentences.describe(each)]
+        lines += [doubt] if (doubt := sentences.doubted_time(history.collection)) else []
         for segment in segments:
             offset, disagreement = _compare_centroid(segment, by_number[id(segment)].inspection)
             offsets += [offset] if offset else []

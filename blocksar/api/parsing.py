@@ -33,7 +33,9 @@ def parse_grid(text: str) -> tuple[Axis, Axis]:
     """
     axes = text.split(",")
     if len(axes) != 2:
-        raise InputError(f"--grid {quoted(text)} has {len(axes)} axes instead of two; {EXAMPLE}")
+        raise InputError(
+            f"--grid {quoted(text)} has {len(axes)} {'axis' if len(axes) == 1 else 'axes'} instead of two; {EXAMPLE}"
+        )
     x, y = (_parse_axis(name, axis.split(":"), axis) for name, axis in zip("xy", axes, strict=True))
     return x, y
 

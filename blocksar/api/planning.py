@@ -47,6 +47,7 @@ from blocksar.focusing.method import (
 from blocksar.focusing.relief_correction import bend_scale
 from blocksar.graph.machine import Resources, machine, pace, resources
 from blocksar.ingestion.terrain.reading import Ground
+from blocksar.inspection.sentences import doubted_time
 from blocksar.places import Location
 from blocksar.planning import choice, effort
 from blocksar.planning.block import BlockPlan
@@ -388,6 +389,8 @@ def plan_lines(plan: Plan) -> list[str]:
     if (parts := max(len(block.sampling.over_band) for block in plan.blocks)) > 1:
         lines.append(f"dwells are gated in {parts} parts over the band, which are focused one after the other")
     lines.append(_disk_line(plan))
+    if (doubt := doubted_time(plan.geometry.collection)) is not None:
+        lines.append(doubt)
     if (coarse := undersampling(plan)) is not None:
         lines.append(coarse)
     noise = max(block.prediction.track_phase for block in plan.blocks)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -61,6 +62,8 @@ def simulate(
     InputError
         If the scene is wrong, options exclude each other, or `out` exists and `overwrite` is False.
     """
+    if not isinstance(scene, Scene | str | os.PathLike):
+        raise InputError(f"scene is a {type(scene).__name__}; give a file, the name of a shipped scene, or a Scene")
     _, threads, _ = resources(1, threads, None)
     callback = only_stage(progress, "simulate")
     if cphd:

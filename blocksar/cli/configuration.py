@@ -102,7 +102,7 @@ def _shown(value: Any) -> str:
 
 def _problem(error: Any) -> str:
     """What is wrong with a value, without the name of the option."""
-    message = str(error.message).rstrip(".").replace("Value error, ", "")
+    message = str(error.message).rstrip(".").replace("Value error, ", "").replace("Input should be", "must be")
     return message[:1].lower() + message[1:]
 
 

@@ -81,7 +81,9 @@ def _report(error: BaseException) -> NoReturn:
 
 def _report_usage(error: Any) -> NoReturn:
     """Report a wrong command line in one sentence, like any other wrong input."""
-    message = error.format_message().removesuffix(".").replace("Value error, ", "")
+    message = (
+        error.format_message().removesuffix(".").replace("Value error, ", "").replace("Input should be", "must be")
+    )
     if not message:  # no command was given: typer has printed the help
         raise typer.Exit(WRONG_INPUT)
     for problem in getattr(error.__cause__, "errors", list)():  # pydantic's messages lack the value

@@ -148,6 +148,7 @@ class Collection:
                 f"range_frequency is {self.range_frequency[0]:.6g} .. {self.range_frequency[-1]:.6g} Hz with "
                 f"carrier_frequency = {self.carrier:.6g} Hz: it looks absolute; subtract the carrier"
             )
+        self._check_cells()
         if not np.isfinite(self.ground_height):
             raise InputError(f"ground_height must be a finite number of m, got {self.ground_height!r}")
         if np.min(self.antenna_position[:, 2]) <= self.ground_height:
@@ -209,6 +210,15 @@ class Collection:
             raise InputError(
                 f"antenna_position moves at {speed:.6g} m/s, but an aperture needs at least {SPEEDS[0]:g} m/s: correct "
                 "the unit of antenna_position (it looks like km) or of time (it looks like ms)"
+            )
+
+    def _check_cells(self) -> None:
+        cell, distance = SPEED_OF_LIGHT / (2 * self.bandwidth), float(np.median(self.reference_range))
+        if 0 < distance < cell:
+            raise InputError(
+                f"range_frequency is {self.range_frequency[0]:.6g} .. {self.range_frequency[-1]:.6g} Hz, for range "
+                f"cells of {cell:.3g} m at a range of {distance:.6g} m; correct its unit (it looks like MHz), or that "
+                "of reference_range (m)"
             )
 
     def _check_grazing(self) -> None:

@@ -1,12 +1,17 @@
-"""The results of an inspection as sentences for people."""
+"""The results of an inspection as sentences for people, and what makes a collection doubtful."""
 
 from __future__ import annotations
 
+import numpy as np
+
+from blocksar.collection.collection import Collection
 from blocksar.inspection.samples import Inspection
 from blocksar.inspection.scan import STANDS_OUT
 
 MAX_OUTLIERS = 0.01  # of the valid samples and outliers; beyond that the store is damaged
 SATURATED = (1e-3, 0.5)  # share of the components at the extreme value: fewer is chance, more is a coarse quantiser
+
+SLOW, HIGH = 10.0, 1000.0  # m/s, m: what flies higher than this is faster than that
 
 
 def is_saturated(inspection: Inspection) -> bool:
@@ -57,3 +62,19 @@ def describe(inspection: Inspection) -> list[str]:
 
 def _samples(count: int, more: str) -> str:
     return f"{count}{more} {'sample is' if count == 1 else 'samples are'}"
+
+
+def doubted_time(collection: Collection) -> str | None:
+    """A sentence if the platform is too slow for its height, as it is with times in ms; else None.
+
+    An image does not depend on the unit of time if all times have the same; its products do.
+    """
+    way = float(np.linalg.norm(np.diff(collection.antenna_position, axis=0), axis=1).sum())
+    speed = way / float(collection.time[-1] - collection.time[0])
+    height = float(np.median(collection.antenna_position[:, 2])) - collection.ground_height
+    if speed >= SLOW or height < HIGH:
+        return None
+    return (
+        f"antenna_position moves at {speed:.3g} m/s, {height:.5g} m above the ground, which no aircraft does: time "
+        "looks like ms; give it in s"
+    )

@@ -86,6 +86,22 @@ def test_the_sign_of_the_phase_is_doubted() -> None:
     assert blocksar.check(wrong).summary[0].startswith(TABLE["the sign of the phase"].removesuffix(" ..."))
 
 
+def test_frequencies_in_megahertz_are_refused() -> None:
+    with pytest.raises(InputError, match=r"range cells of 1.56e\+06 m at a range of 10018 m; .*it looks like MHz"):
+        blocksar.collection(**changed(range_frequency=lambda f: f / 1e6))
+
+
+def test_times_in_milliseconds_are_doubted(tmp_path: Path) -> None:
+    """All of them: the image would be the same, but not the times of products."""
+    slow = changed(time=lambda t: 1e3 * t)
+    said = "antenna_position moves at 0.15 m/s, 4400 m above the ground, which no aircraft does: time looks like ms"
+    settings: dict[str, Any] = {"grid": "-10:10:1,-10:10:1", "workers": 0}
+    assert any(said in line for line in blocksar.plan(blocksar.collection(**slow), **settings).summary)
+    focused = blocksar.focus(blocksar.collection(**slow), tmp_path / "run", **settings)
+    assert any(said in line for line in focused.result["warnings"])
+    assert not any("looks like ms" in line for line in blocksar.plan(blocksar.collection(**arrays())).summary)
+
+
 def test_the_page_lists_no_other_mistakes() -> None:
     assert set(TABLE) == {*MISTAKES, "the sign of the phase", "`focus` in a script without main guard"}
 
@@ -93,6 +109,7 @@ def test_the_page_lists_no_other_mistakes() -> None:
 @pytest.mark.parametrize(
     ("call", "message"),
     [
+        (lambda _: blocksar.simulate({"radar": 1}, "x.zarr"), r"^scene is a dict; give a file"),
         (blocksar.quality, r"^a path is needed, but a Dataset was given; give a str or a pathlib.Path$"),
         (lambda ds: blocksar.focus(ds, None), r"^a path is needed, but a NoneType was given"),
         (lambda ds: blocksar.write("ph.zarr", "out.zarr"), r"^source is a str; give a dataset"),

@@ -168,14 +168,14 @@ def test_the_calls_match_the_signatures_of_the_api(command: str, api: Calls, mon
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("10", "1 axes"),
+        ("10", "1 axis"),
         ("0:1,0:1:1", "'0:1' for x, which is not three numbers"),
         ("0:1:1,0:b:1", "'0:b:1' for y"),
         ("0:nan:1,0:1:1", "not finite"),
         ("0:1:0,0:1:1", "spacing of 0 m for x"),
         ("0:1:1,5:5:1", "empty: y runs from 5 to 5"),
         ("0:1:1,0:1:1,0:1:1", "3 axes"),
-        ("", "1 axes"),
+        ("", "1 axis"),
     ],
 )
 def test_an_invalid_grid_is_refused_with_the_reason(text: str, message: str) -> None:
@@ -253,7 +253,7 @@ def test_an_invalid_option_runs_nothing(api: Calls) -> None:
     ("words", "sentence"),
     [
         ("plan ph.zarr --processor omega", "invalid value for '--processor': 'omega' is not one of"),
-        ("plan ph.zarr --workers x", "invalid value for '--workers': Input should be a valid integer"),
+        ("plan ph.zarr --workers x", "invalid value for '--workers': must be a valid integer"),
         ("plan ph.zarr --workers -3", "greater than or equal to 0, not '-3'; see blocksar plan --help"),
         ("plan ph.zarr --bloks 3", "no such option: --bloks (Possible options: --blocks, --workers); see"),
         ("plan", "missing argument 'PH.zarr|SCENE.toml'; see blocksar plan --help"),
