@@ -91,7 +91,7 @@ def test_an_error_speaks_of_parameters(dataset: xr.Dataset, tmp_path: Path) -> N
 
 
 def test_a_report_speaks_of_parameters(dataset: xr.Dataset) -> None:
-    report = blocksar.plan(dataset, blocks=1, fidelity=0.99999)
+    report = blocksar.plan(dataset, blocks=1, fidelity=0.9999999)
     assert any("--blocks" in line for line in report.summary)
     assert "--" not in str(report) and "--" not in report._repr_html_()
 
