@@ -101,6 +101,9 @@ class TimePerturbation(_AzimuthStep):
             return line
         return line.multiply_time(*self.phases.evaluate(_mean_range(line), line.time))
 
+    def turns(self, line: Line) -> FloatArray | float:
+        return self.phases.along_range(_mean_range(line), line.time)
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FrequencyPerturbation(_AzimuthStep):
@@ -128,6 +131,9 @@ class FrequencyPerturbation(_AzimuthStep):
 
     def trace(self, line: Line) -> Line:
         return line.multiply_doppler(*self.phases.evaluate(_mean_range(line), line.doppler))
+
+    def turns(self, line: Line) -> FloatArray | float:
+        return self.phases.along_range(_mean_range(line), line.doppler)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -207,6 +213,9 @@ class Deramp(_AzimuthStep):
 
     def trace(self, line: Line) -> Line:
         return line.multiply_time(*self.phases.evaluate(_mean_range(line), line.time))
+
+    def turns(self, line: Line) -> FloatArray | float:
+        return self.phases.along_range(_mean_range(line), line.time)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

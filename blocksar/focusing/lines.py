@@ -17,11 +17,12 @@ approximation.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numpy.polynomial import chebyshev
 
 from blocksar import solvers
 from blocksar.arrays import ComplexArray, FloatArray
@@ -263,6 +264,11 @@ class RowPolynomial:
     def vanishes(self) -> bool:
         """Whether the polynomial is zero everywhere."""
         return not self.series.any()
+
+    def along_range(self, rng: FloatArray, values: FloatArray) -> FloatArray:
+        """Derivative along range, per m, at ranges (...) and values (..., n) along the row."""
+        slope = chebyshev.chebder(self.series, axis=0).astype(np.float64) * (2 / (self.far - self.near))
+        return replace(self, series=slope).evaluate(rng, values)[0]
 
     def variable(self, values: FloatArray) -> FloatArray:
         """z at values along the row."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.kernels import fourier
 from blocksar.kernels.fourier import Axis
@@ -31,6 +32,8 @@ class Sampling:
         Fraction of the extended time that samples fill, and so of the sampling of `doppler`.
     rows : Axis
         Ranges less the range origin, m.
+    range_occupancy : float
+        Fraction of the sampling rate of `rows` that responses fill.
     focused_doppler : Axis
         Doppler of the final transform, Hz.
     gate : DwellGate or None
@@ -47,6 +50,7 @@ class Sampling:
     long_time: Axis
     doppler_occupancy: float
     rows: Axis
+    range_occupancy: float
     focused_doppler: Axis
     gate: DwellGate | None
     over_band: tuple[DwellGate, ...] = ()
@@ -55,6 +59,11 @@ class Sampling:
     def branches(self) -> tuple[Sampling, ...]:
         """The samplings under which a block is compressed in range and focused: its images add up."""
         return tuple(replace(self, gate=gate, over_band=()) for gate in self.over_band) or (self,)
+
+    @property
+    def range_period(self) -> int:
+        """Length of the range transform."""
+        return round(SPEED_OF_LIGHT / (2 * self.range_frequency.step * self.rows.step))
 
     @property
     def image_doppler(self) -> Axis:

@@ -141,6 +141,10 @@ class Step:
         """The time, s from the epoch, about which the step scales time with range frequency; None if it does not."""
         return None
 
+    def turns(self, line: Line) -> FloatArray | float:
+        """By how much the step turns phases from row to row along arriving lines, cycles/m."""
+        return 0.0
+
     @property
     def source(self) -> Axis:
         """Axis of an input row."""

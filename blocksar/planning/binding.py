@@ -15,6 +15,9 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
+import numpy as np
+
+from blocksar.arrays import FloatArray
 from blocksar.collection.weighting import AxisTaper
 from blocksar.focusing.chains import Steps
 from blocksar.focusing.lines import AzimuthPolynomials, Line
@@ -126,6 +129,14 @@ class AzimuthPart:
             if step.fitted == "time":
                 biased = line
         return Traced(biased, before, trace(self.steps[len(before) :], line))
+
+    def turns(self, line: Line) -> FloatArray:
+        """By how much all steps turn phases from row to row, cycles/m, along lines after range compression."""
+        total = np.zeros(line.time.shape)
+        for step in self.steps:
+            total = total + step.turns(line)
+            line = step.trace(line)
+        return total
 
     def weighed(self, in_time: AxisTaper) -> AzimuthPart:
         """The same steps under another taper over the pulses."""

@@ -13,8 +13,7 @@ from blocksar.chunks import DOPPLER_GROUP
 from blocksar.collection.beam import dwell_at
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
-from blocksar.collection.weighting import FLAT, AxisTaper, Taper
-from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.collection.weighting import FLAT, AxisTaper
 from blocksar.focusing.chains import steps_of
 from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.ground_map import YAW_STEPS, GroundMap, by_range, sum_lit, surfaces
@@ -41,12 +40,11 @@ from blocksar.planning.motion import plan_motion
 from blocksar.planning.nodes import common_ranges, nodes_between
 from blocksar.planning.prediction import Prediction, predict
 from blocksar.planning.relief import elevation_ratio, map_relief, trace_layer, turns_of
+from blocksar.planning.row_sampling import plan_rows, range_scale
 from blocksar.planning.sector import Sector
 from blocksar.planning.target_lines import Dwells, tail_margin
 
 TIME_GUARD = 0.1  # dwells kept on either side of the time in which a block's targets are lit
-# Oversampling of a focused block: twelve taps in range and eight in Doppler then err by less than IMAGE_TAP_ERROR.
-RANGE_ROOM = 1.42
 LEAST_ROOM = 1.4  # dwells that slow time has room for, so that the windows of the gate can fade out
 RESAMPLING_ROOM = 1.35  # oversampling of Doppler by padding in time: dense enough to interpolate
 REGION_STEPS, LEAST_STEPS = 64 * YAW_STEPS, 128  # of yaw over the region, in which a block has its share; at least
@@ -184,7 +182,8 @@ def plan_block(
     sampling = _plan_sampling(
         recovery, slab, azimuth, straight if sector.relief is None else range_part.trace(everywhere),
         range_frequency=band if range_gate is None else range_gate.range_frequency, duration=duration,
-        uncut=float((last - first).max()) if collection.steered else 0.0, tap_error=sector.tap_error,
+        uncut=float((last - first).max()) if collection.steered else 0.0, turns=azimuth.turns(compressed),
+        tap_error=sector.tap_error,
         faded=sector.fade > 0,
     )  # fmt: skip
     ends = Ends(
@@ -331,12 +330,14 @@ def _plan_sampling(
     range_frequency: Axis,
     duration: float,
     uncut: float,
+    turns: FloatArray,
     tap_error: float,
     faded: bool = False,
 ) -> Sampling:
     """The axes that hold a block's lines, `straight` after range compression, without a gate.
 
-    `uncut` is the longest dwell that the gate has to hold, s, as if the ends of the collection did not cut it.
+    `uncut` is the longest dwell that the gate has to hold, s, as if the ends of the collection did not cut it; `turns`
+    are those of `AzimuthPart.turns`.
     """
     _, before_deramp, focused = azimuth.trace(straight)
     spots = focus(focused)
@@ -353,7 +354,7 @@ def _plan_sampling(
     long_time = Axis(begin, time.step, n_padded)
     middle = azimuth.polynomials.middle
     reach = 2 * max(time.start + time.extent - middle, middle - time.start)
-    rows = _plan_rows(spots, range_frequency, tap_error)
+    rows, range_occupancy = plan_rows(spots, range_frequency, turns, tap_error)
     return Sampling(
         slab=slab.doppler,
         range_frequency=range_frequency,
@@ -363,6 +364,7 @@ def _plan_sampling(
         long_time=long_time,
         doppler_occupancy=min(reach / (time.step * n_padded), 0.95),
         rows=rows,
+        range_occupancy=range_occupancy,
         focused_doppler=fourier.dual(
             long_time, size=n_padded, centre=float((spots.doppler.min() + spots.doppler.max()) / 2)
         ),
@@ -394,34 +396,6 @@ def _plan_time(recovery: Recovery, slab: Slab, straight: Line, *, bandwidth: flo
     return Axis(recovery.time.start + first * step, step, n_time)
 
 
-def _range_transform(range_frequency: Axis) -> tuple[int, float]:
-    """Length of the range transform, and the spacing of its ranges, m."""
-    period = fourier.fast_length(RANGE_ROOM * range_frequency.size)
-    return period, SPEED_OF_LIGHT / (2 * range_frequency.step * period)
-
-
-def _range_scale(collection: Collection, range_frequency: Axis, taper: Taper) -> float:
-    """Sum of the weights over the band, in steps of `range_frequency`, over the length of the range transform."""
-    weights = taper.samples(collection.n_range_frequency)
-    # Those of a sub-block reach beyond the band; those of a whole block are the band's, without a rounding error.
-    n_band = round(collection.range_frequency_step * collection.n_range_frequency / range_frequency.step, 9)
-    return float(n_band / _range_transform(range_frequency)[0] * weights.mean())
-
-
-def _range_taps(range_frequency: Axis, error: float) -> tuple[int, float]:
-    """Taps of the interpolation along range, and the occupied fraction of the sampling rate."""
-    filled = range_frequency.size / _range_transform(range_frequency)[0]
-    return taps_needed(filled, error=error), filled
-
-
-def _plan_rows(spots: Focus, range_frequency: Axis, tap_error: float) -> Axis:
-    """Ranges, less the origin, at which targets focus, with room for interpolation on either side."""
-    period, step = _range_transform(range_frequency)
-    reach = (_range_taps(range_frequency, tap_error)[0] / 2 + 2) * step
-    nearest, farthest = float(spots.range.min()) - reach, float(spots.range.max()) + reach
-    return Axis(nearest, step, min(int(np.ceil((farthest - nearest) / step)) + 1, period))
-
-
 def _plan_ground(
     sector: Sector, sampling: Sampling, line: Line, spots: Focus, *, epoch_range: FloatArray, yaw: FloatArray
 ) -> GroundMap:
@@ -433,7 +407,6 @@ def _plan_ground(
     )
     yaw_axis = np.linspace(sector.low, sector.high, _yaw_steps(sector))
     near_limit, far_limit = sector.region.at(yaw_axis)
-    range_taps = _range_taps(sampling.range_frequency, sector.tap_error)
     # Of the sampling rate, what a target's response fills along Doppler without its own carrier.
     reach = np.abs(line.time - spots.time[..., None]).max()
     filled = float(min(2.2 * reach * sampling.image_doppler.step, 0.9))
@@ -460,8 +433,8 @@ def _plan_ground(
         lit=sum_lit(
             sector.lighting, near=sector.near, far=sector.far, yaw=yaw_axis, valid=valid, taper=taper, stays=stays
         ),
-        scale=_range_scale(collection, sampling.range_frequency, sector.weighting.range),
-        range_taps=range_taps,
+        scale=range_scale(collection, sampling.range_frequency, sampling.range_period, sector.weighting.range),
+        range_taps=(taps_needed(sampling.range_occupancy, error=sector.tap_error), sampling.range_occupancy),
         doppler_taps=(taps_needed(filled, error=sector.tap_error), filled),
     )
 
@@ -484,6 +457,6 @@ def _plan_memory(range_gate: RangeGate | None, range_part: RangePart, sampling: 
         n_column=(sampling.doppler if range_part.compression.in_doppler else sampling.time).size,
         n_row=sampling.rows.size,
         n_image=sampling.image_doppler.size,
-        length=max(sampling.long_time.size, _range_transform(sampling.range_frequency)[0]),
+        length=max(sampling.long_time.size, sampling.range_period),
         divided=bool(sampling.over_band),
     )
