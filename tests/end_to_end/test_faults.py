@@ -338,7 +338,8 @@ def test_a_run_killed_while_writing_a_patch_is_resumed(
     assert again(run) == set()
 
 
-@pytest.mark.parametrize("name", ["run.lock", pytest.param(".run.json.0123abcd.part", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", ["run.lock", ".run.json.0123abcd.part"])
+@pytest.mark.slow
 def test_a_folder_with_only_a_temporary_file_is_accepted(
     name: str, again: Callable[[Path], set[str]], tmp_path: Path
 ) -> None:

@@ -123,7 +123,7 @@ def test_sicd_metadata_project_targets_onto_their_peaks(exported: tuple[Made, Si
         assert ground == pytest.approx(ecef, abs=0.01)
 
 
-@pytest.mark.parametrize(("steered", "look"), [(False, 0.9), (True, -1.9)])
+@pytest.mark.parametrize(("steered", "look"), [pytest.param(False, 0.9, marks=pytest.mark.slow), (True, -1.9)])
 def test_an_image_on_a_terrain_projects_to_its_heights(*, steered: bool, look: float, tmp_path: Path) -> None:
     """Targets stand where the standard's projection has them, and their pixels project to their x and y."""
     terrain = hilly((0.0, 0.0))
