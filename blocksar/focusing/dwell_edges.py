@@ -20,7 +20,7 @@ do not light a pixel, near the edge of what the beam lights, are back-projected 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -77,7 +77,6 @@ def add_edges(
     threads : int
         The result does not depend on it.
     """
-    collection = geometry.collection
     owned = np.isfinite(image.real) & (lit > 0)
     rows, columns = (np.flatnonzero(owned.any(axis=axis)) for axis in (1, 0))
     if not rows.size:
@@ -86,19 +85,7 @@ def add_edges(
     image, lit, owned = image[part], lit[part], owned[part]
     mesh_x, mesh_y = np.meshgrid(np.asarray(x, np.float64)[part[1]], np.asarray(y, np.float64)[part[0]])
     edges = _edges(geometry, mesh_x, mesh_y, owned, fade)
-    total, weight = np.zeros(image.shape, np.complex64), np.zeros(image.shape, np.float32)
-    outside = np.zeros(image.shape, np.bool_)
-    wanted = np.logical_or(*(lit_pulses(*edge, collection.n_pulse) for edge in edges))
-    for pulses in pulse_blocks(wanted, pulse_block_size(collection)):
-        profiles = range_profiles(
-            read(pulses), collection=collection, pulses=pulses, threads=threads, taper=weighting.range
-        )
-        for first, last in edges:
-            accumulate(
-                total, outside, profiles, geometry=geometry, x=mesh_x, y=mesh_y, first=first, last=last,
-                threads=threads, taper=weighting.azimuth, weight=weight, fade=fade,
-            )  # fmt: skip
-        del profiles  # before the next block is read: otherwise two blocks are in memory
+    total = _sum_edges(read, geometry, mesh_x, mesh_y, edges, weighting, threads=threads, fade=fade)
     image += total / np.where(owned, lit, 1.0).astype(np.float32)
 
 
@@ -136,8 +123,7 @@ def take_unlit(
     threads : int
         The result does not depend on it.
     """
-    collection, taper = geometry.collection, weighting.azimuth
-    n = collection.n_pulse
+    n = geometry.collection.n_pulse
     doubtful = _find_doubtful(geometry, x, y) & np.isfinite(image.real)
     rows, columns = (np.flatnonzero(doubtful.any(axis=axis)) for axis in (1, 0))
     if not rows.size:
@@ -151,26 +137,43 @@ def take_unlit(
     if not cut.any():
         return
     edges = (np.zeros_like(first), first), (last, np.full_like(last, n))
-    unlit, weight = np.zeros(image.shape, np.complex64), np.zeros(image.shape, np.float32)
-    outside = np.zeros(image.shape, np.bool_)
-    wanted = np.logical_or(*(lit_pulses(*edge, n) for edge in edges))
+    unlit = _sum_edges(read, geometry, mesh_x, mesh_y, edges, weighting, threads=threads)
+    at_x, at_y, of_lit = mesh_x[cut], mesh_y[cut], np.zeros((1, int(cut.sum())))
+    add_gains(
+        of_lit, geometry, at_x[None], at_y[None], first=first[cut][None], last=last[cut][None], pulses=slice(0, n),
+        valid=valid, taper=weighting.azimuth,
+    )  # fmt: skip
+    lit, kept = of_lit[0], image[cut] * total(at_x, at_y) - unlit[cut]
+    image[cut] = np.where(lit > 0, kept / np.where(lit > 0, lit, 1.0), complex(np.nan, np.nan))
+
+
+def _sum_edges(
+    read: ReadPulses,
+    geometry: Geometry,
+    x: FloatArray,
+    y: FloatArray,
+    edges: Sequence[tuple[IntArray, IntArray]],
+    weighting: Weighting,
+    *,
+    threads: int,
+    fade: int = 0,
+) -> ComplexArray:
+    """Sum over the pulses from `first` to `last` of both edges of each pixel at x, y (n_y, n_x), m; not divided."""
+    collection = geometry.collection
+    total, weight = np.zeros(x.shape, np.complex64), np.zeros(x.shape, np.float32)
+    outside = np.zeros(x.shape, np.bool_)
+    wanted = np.logical_or(*(lit_pulses(*edge, collection.n_pulse) for edge in edges))
     for pulses in pulse_blocks(wanted, pulse_block_size(collection)):
         profiles = range_profiles(
             read(pulses), collection=collection, pulses=pulses, threads=threads, taper=weighting.range
         )
-        for begin, end in edges:
+        for first, last in edges:
             accumulate(
-                unlit, outside, profiles, geometry=geometry, x=mesh_x, y=mesh_y, first=begin, last=end,
-                threads=threads, taper=taper, weight=weight,
+                total, outside, profiles, geometry=geometry, x=x, y=y, first=first, last=last, threads=threads,
+                taper=weighting.azimuth, weight=weight, fade=fade,
             )  # fmt: skip
         del profiles  # before the next block is read: otherwise two blocks are in memory
-    at_x, at_y, of_lit = mesh_x[cut], mesh_y[cut], np.zeros((1, int(cut.sum())))
-    add_gains(
-        of_lit, geometry, at_x[None], at_y[None], first=first[cut][None], last=last[cut][None], pulses=slice(0, n),
-        valid=valid, taper=taper,
-    )  # fmt: skip
-    lit, kept = of_lit[0], image[cut] * total(at_x, at_y) - unlit[cut]
-    image[cut] = np.where(lit > 0, kept / np.where(lit > 0, lit, 1.0), complex(np.nan, np.nan))
+    return total
 
 
 def _find_doubtful(geometry: Geometry, x: FloatArray, y: FloatArray) -> BoolArray:
