@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import replace
 
 from blocksar.api.checking import check_samples
@@ -17,20 +19,37 @@ from blocksar.progress import Listener
 from blocksar.runs.record import RunRecord
 from blocksar.runs.sources import CentroidError, SampleCounts
 
+Check = tuple[str | None, str]  # of a collection's samples: a warning, or a sentence that all is well
 
-def add_findings(job: Job, record: RunRecord, read: Sequence[Recovered], listener: Listener) -> RunRecord:
-    """Add the findings of the inspections of all segments to the record.
+
+@contextmanager
+def checking(job: Job, *, beside: bool) -> Iterator[Callable[[], list[Check]]]:
+    """Check the samples of all collections, in a thread if `beside`: a function that waits for what was found.
+
+    The function raises an InputError if the samples of a collection are constant.
+    """
+    if not beside:
+        yield lambda: _check_collections(job)
+        return
+    with ThreadPoolExecutor(1) as pool:
+        yield pool.submit(_check_collections, job).result
+
+
+def add_findings(
+    job: Job, record: RunRecord, read: Sequence[Recovered], checked: Callable[[], list[Check]], listener: Listener
+) -> RunRecord:
+    """Add the findings of the inspections of all segments to the record, and those of the checks.
 
     Raises
     ------
     InputError
-        If no sample of a collection is valid.
+        If no sample of a collection is valid, or the samples are constant.
     """
     warnings: list[str] = []
     offsets: list[CentroidError] = []
     checks, missing, impossible = [], 0, 0
     by_number = {id(segment): each for segment, each in zip(job.segments, read, strict=True)}
-    for segments in by_collection(job.segments).values():
+    for number, segments in enumerate(by_collection(job.segments).values()):
         history = segments[0].source
         inspections = _inspections(segments, [by_number[id(segment)] for segment in segments])
         if not inspections[-1].lit.any():
@@ -43,7 +62,7 @@ def add_findings(job: Job, record: RunRecord, read: Sequence[Recovered], listene
             offset, disagreement = _compare_centroid(segment, by_number[id(segment)].inspection)
             offsets += [offset] if offset else []
             lines += [disagreement] if disagreement and disagreement not in lines else []
-        warning, check = _check_samples(job, segments)
+        warning, check = checked()[number]
         lines += [warning] if warning else []
         about = f"{history.path}: " if len(job.request.histories) > 1 else ""
         warnings += [about + line for line in lines]
@@ -92,8 +111,12 @@ def _compare_centroid(segment: Segment, inspection: Inspection) -> tuple[Centroi
     return CentroidError(measured.mean_offset, measured.mean_coherence), centroid.disagreement(inspection, expected)
 
 
-def _check_samples(job: Job, segments: Sequence[Segment]) -> tuple[str | None, str]:
-    """Compare prominent places with what is said of the samples: a warning, or a sentence that all is well.
+def _check_collections(job: Job) -> list[Check]:
+    return [_check_samples(job, segments) for segments in by_collection(job.segments).values()]
+
+
+def _check_samples(job: Job, segments: Sequence[Segment]) -> Check:
+    """Compare prominent places with what is said of the samples.
 
     Of several segments of a collection, in the middle one. Nothing of a look: its samples saw the whole beam.
 

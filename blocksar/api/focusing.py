@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Literal
 
 from blocksar import stores
 from blocksar.api.arguments import GridLike, Source, blocks_of, fidelity_of, grid_of, in_this_process, memory_of
-from blocksar.api.findings import add_findings
+from blocksar.api.findings import Check, add_findings, checking
 from blocksar.api.jobs import Job, Request
 from blocksar.api.joint import focus_members, members_of
 from blocksar.api.planning import undersampling
@@ -328,7 +328,9 @@ def _carry_out(
         if (address := recording.dashboard(client)) is not None:
             listener.dashboard(address)
         with recording.record_performance(client, profile, listener):
-            record = _run_stages(client, job, run, record, listener, input_read)
+            # Beside the first stage: the check takes a few samples, and the stage's tasks run in other processes.
+            checked = stack.enter_context(checking(job, beside=not cluster.is_here(client)))
+            record = _run_stages(client, job, run, record, checked, listener, input_read)
         listener.watch((), NOBODY)
         listener.begin("finish")
     record = replace(
@@ -349,6 +351,7 @@ def _run_stages(
     job: Job,
     run: Run,
     record: RunRecord,
+    checked: Callable[[], list[Check]],
     listener: Listener,
     input_read: Callable[[], None],
 ) -> RunRecord:
@@ -374,7 +377,7 @@ def _run_stages(
         inspected = stages.inspect_samples(client, segments, run, listener)
         read = _joined(compressed, inspected)
         timings["inspect"] = lap()
-        record = add_findings(job, record, read, listener)
+        record = add_findings(job, record, read, checked, listener)
         run.establish(run.image, lambda: _create_image(run, job, record))
         timings["check"] = lap()
         input_read()
@@ -386,7 +389,7 @@ def _run_stages(
         return replace(record, receipts=(*_receipts_of(read), *formed), timings=timings)
     recovered = _joined(compressed, stages.recover(client, segments, run, listener))
     timings["recover"] = lap()
-    record = add_findings(job, record, recovered, listener)
+    record = add_findings(job, record, recovered, checked, listener)
     run.establish(run.image, lambda: _create_image(run, job, record))
     timings["check"] = lap()
     reads_later = any(plan.completed for plan in job.plans)  # the edges of dwells, from the samples

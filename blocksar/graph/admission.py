@@ -22,12 +22,13 @@ POLL = 2.0  # s between two checks of the cluster while no unit finishes
 
 
 def as_completed(
-    client: Client, stage: str, units: Sequence[Unit], per_worker: int, listener: Listener
+    client: Client, stage: str, units: Sequence[Unit], per_worker: int, listener: Listener, *, ahead: bool = False
 ) -> Iterator[tuple[str, Future[Any]]]:
     """Submit units, at most `per_worker` in flight for each worker, and yield each with its future once it has ended.
 
-    The client limits the number in flight, so that no worker holds more data than was planned for it. A result that is
-    lost with its worker is computed again; a unit that the scheduler has forgotten is submitted again.
+    The client limits the number in flight, so that no worker holds more data than was planned for it. With `ahead`, for
+    units of one task, workers of one thread each have one more, which waits for that thread and holds nothing. A result
+    that is lost with its worker is computed again; a unit that the scheduler has forgotten is submitted again.
 
     Raises
     ------
@@ -43,7 +44,8 @@ def as_completed(
     watch = Watch(client, listener)
     try:
         while True:
-            for _ in range(min(per_worker * watch.count_workers() - len(running), len(waiting))):
+            places = watch.count_workers() * (per_worker + (ahead and watch.one_thread_each))
+            for _ in range(min(places - len(running), len(waiting))):
                 unit, start = waiting.popleft()
                 running[start()] = unit
             watch.notify(running)
@@ -80,12 +82,14 @@ class Watch:
         self._client, self._listener = client, listener
         self._last_finished = self._last_worker = time.monotonic()
         self._workers = NOBODY
+        self.one_thread_each = False  # as count_workers found it
 
     def count_workers(self) -> int:
         """Ask the scheduler for the number of workers; return at least 1."""
         workers = self._client.scheduler_info(n_workers=-1)["workers"].values()
         if workers:
             self._last_worker = time.monotonic()
+            self.one_thread_each = all(w["nthreads"] == 1 for w in workers)
             memory, limit = max((w["metrics"].get("memory", 0), w["memory_limit"]) for w in workers)
             self._workers = Workers(len(workers), int(memory), int(limit or 0))
         return max(self._workers.number, 1)

@@ -127,7 +127,7 @@ def _run_read(
         for unit, _ in some
         if segment.history.path != segment.of(run).compressed
     ]
-    receipts = iter(run_units(client, stage, list(chain(*units)), run, listener, reading_input=reading))
+    receipts = iter(run_units(client, stage, list(chain(*units)), run, listener, ahead=True, reading_input=reading))
     groups = [list(islice(receipts, len(some))) for some in units]
     return [Recovered(group, merge_inspections(group)) for group in groups]
 

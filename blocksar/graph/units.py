@@ -35,6 +35,7 @@ def run_units(
     listener: Listener,
     *,
     per_worker: int = 1,
+    ahead: bool = False,
     reading_input: Iterable[str] = (),
 ) -> list[Receipt]:
     """Run the units that have no valid receipt; return the receipts of all units in order.
@@ -43,6 +44,8 @@ def run_units(
     ----------
     per_worker : int
         Units in flight for each worker.
+    ahead : bool
+        One more for each worker of one thread, to follow at once; for units of one task.
     reading_input : iterable of str
         Units that read the input of the run: their InputErrors are raised as such.
 
@@ -75,7 +78,7 @@ def run_units(
     listener.begin(stage, reused=len(receipts))
     listener.update(stage, len(receipts), len(units))
     left = [unit for unit in units if unit[0] not in receipts]
-    for unit, future in as_completed(client, stage, left, per_worker, listener):
+    for unit, future in as_completed(client, stage, left, per_worker, listener, ahead=ahead):
         signed: Receipt = _result(future, stage, unit, reads_input=unit in readers)
         receipts[unit] = replace(signed, damaged=unit in damaged)
         listener.update(stage, len(receipts), len(units))
