@@ -207,6 +207,14 @@ def test_a_plan_loads_neither_dask_nor_scipy_s_transforms_and_functions() -> Non
     assert run.stdout.split() == []
 
 
+def test_focus_loads_only_what_it_uses() -> None:
+    """A run waits for its libraries before it plans."""
+    slow = ("pydantic", "scipy.ndimage", "scipy.special", "matplotlib", "xarray", "rasterio")
+    code = f"import blocksar.api.focusing, sys; print(*(name for name in {slow} if name in sys.modules))"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert run.stdout.split() == []
+
+
 def test_no_room_is_named_as_a_public_function() -> None:
     # Importing it would hide the function; of `collection` the package sees to it that it does not.
     assert set(blocksar.__all__) & set(LAYER) == {"collection"}

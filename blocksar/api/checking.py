@@ -10,7 +10,7 @@ from blocksar import stores
 from blocksar.api import definitions
 from blocksar.api.arguments import GridLike, grid_of, history_of
 from blocksar.api.ground import read_ground
-from blocksar.api.measuring import pulse_reader
+from blocksar.api.pulses import pulse_reader
 from blocksar.api.reports import Report, Table
 from blocksar.arrays import ComplexArray
 from blocksar.chunks import TILE

@@ -8,10 +8,11 @@ from pathlib import Path
 
 from blocksar.api.facts import disk_size
 from blocksar.api.focusing import focus
-from blocksar.api.measuring import measure, targets_of
+from blocksar.api.measuring import measure
 from blocksar.api.reporting import report
 from blocksar.api.reports import Report
 from blocksar.api.sources import simulate
+from blocksar.api.target_files import targets_of
 from blocksar.errors import InputError
 from blocksar.graph import compiling, recording
 from blocksar.measurement.response import Response

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,16 +12,16 @@ import numpy as np
 from blocksar import stores
 from blocksar.api import definitions, finding
 from blocksar.api.look_figures import describe_looks, looks_table
+from blocksar.api.pulses import pulse_reader
 from blocksar.api.reports import Report, Table
 from blocksar.api.shadows import in_shadow
-from blocksar.api.target_files import read_targets
+from blocksar.api.target_files import targets_of
 from blocksar.arrays import ComplexArray
 from blocksar.collection.beam import full_dwell_yaw, has_full_dwell
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError
 from blocksar.focusing.backprojection import form_chips
-from blocksar.focusing.range_compression import RawCompression
 from blocksar.graph.machine import machine
 from blocksar.measurement.bar import rank
 from blocksar.measurement.coherence import ChipComparison, coherence
@@ -36,7 +35,6 @@ from blocksar.runs.finished import FinishedRun, finished_record, folder_of, memb
 from blocksar.runs.folder import INPUT
 from blocksar.runs.record import RunPlan
 from blocksar.runs.track import TrackCorrection
-from blocksar.simulation.scene import Scene
 
 WORST = 10  # targets that are shown of more
 # Names of the figures of a summary, their unit, what a value is multiplied by for it, and decimals.
@@ -211,31 +209,6 @@ def _add_scenery(run: FinishedRun, result: dict[str, Any], lines: list[str], fou
     if len(result["found"]) < found:
         lines.append(f"{len(result['found'])} of {found} points: no other stands out by 20 dB, 10 widths from its like")
     return [finding.found_table(result["found"])]
-
-
-def targets_of(
-    targets: Location | Sequence[Target | Mapping[str, Any]] | None,
-    attrs: Mapping[str, Any],
-    run: FinishedRun | None = None,
-) -> list[Target]:
-    """Read targets from a file; by default, from the attributes of a collection. GeoJSON needs the run.
-
-    Raises
-    ------
-    InputError
-        If the file or the attribute holds no targets.
-    """
-    if targets is None:
-        return [Target.from_record(record) for record in attrs.get("targets") or []]
-    if not isinstance(targets, str | os.PathLike | Place):
-        if not isinstance(targets, Sequence):
-            raise InputError(f"targets is a {type(targets).__name__}; give a file, or a list of targets")
-        listed: Sequence[Any] = targets
-        return [target if isinstance(target, Target) else Target.from_record(target) for target in listed]
-    path = place(targets)
-    if path.name.endswith(".toml"):
-        return [Target(*t) for t in Scene.read(str(path)).point_targets()]
-    return read_targets(path, run)
 
 
 def _response_table(responses: Sequence[PointResponse]) -> Table:
@@ -417,14 +390,6 @@ def _places_of(run: FinishedRun, path: str) -> list[tuple[str, float, float]]:
             for name, x, y in reference_places(geometry, replace(run.record.plan, predicted=tuple(own))):
                 places.append((f"segment {number}, {name}", x, y))
     return places
-
-
-def pulse_reader(history: stores.PhaseHistory) -> Callable[[slice], ComplexArray]:
-    """Return a function that reads a slice of pulses, (pulses, range frequencies); a raw echo is compressed."""
-    if history.raw is None:
-        return lambda pulses: history.read(pulses, slice(None))
-    compression = RawCompression.of_echo(history.raw, history.collection)
-    return lambda pulses: compression.apply(history.read(pulses, slice(None)), pulses=pulses)
 
 
 def reference_places(geometry: Geometry, plan: RunPlan) -> list[tuple[str, float, float]]:

@@ -9,7 +9,7 @@ import numpy as np
 from blocksar import stores
 from blocksar.api.arguments import GridLike, grid_of, history_of
 from blocksar.api.facts import grid_text
-from blocksar.api.measuring import pulse_reader
+from blocksar.api.pulses import pulse_reader
 from blocksar.api.reports import Report, only_stage
 from blocksar.arrays import ComplexArray
 from blocksar.collection.geometry import Geometry

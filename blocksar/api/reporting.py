@@ -8,8 +8,9 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 from blocksar import stores
-from blocksar.api.measuring import measure_targets, targets_of
+from blocksar.api.measuring import measure_targets
 from blocksar.api.reports import Report, only_stage
+from blocksar.api.target_files import targets_of
 from blocksar.errors import InputError, ProcessingError
 from blocksar.measurement.figures import as_json
 from blocksar.places import Location, place

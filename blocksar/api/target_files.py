@@ -5,8 +5,9 @@ from __future__ import annotations
 import csv
 import difflib
 import json
+import os
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from blocksar import stores
 from blocksar.errors import InputError
 from blocksar.measurement.figures import PointResponse
 from blocksar.measurement.targets import Target
+from blocksar.places import Location, place
 from blocksar.places.place import Place
 from blocksar.runs.finished import FinishedRun
 
@@ -23,6 +25,33 @@ GROUND_STEPS = 4  # to the height above the ellipsoid at which a place lies on t
 FORM = '[{"name": "A1", "x": 120.5, "y": -40.0}, ...], x and y in m in the scene frame'
 # Of quality.json, too, which has the targets and more; what is measured is not read.
 KNOWN = {*Target._fields, *PointResponse._fields}
+
+
+def targets_of(
+    targets: Location | Sequence[Target | Mapping[str, Any]] | None,
+    attrs: Mapping[str, Any],
+    run: FinishedRun | None = None,
+) -> list[Target]:
+    """Read targets from a file; by default, from the attributes of a collection. GeoJSON needs the run.
+
+    Raises
+    ------
+    InputError
+        If the file or the attribute holds no targets.
+    """
+    if targets is None:
+        return [Target.from_record(record) for record in attrs.get("targets") or []]
+    if not isinstance(targets, str | os.PathLike | Place):
+        if not isinstance(targets, Sequence):
+            raise InputError(f"targets is a {type(targets).__name__}; give a file, or a list of targets")
+        listed: Sequence[Any] = targets
+        return [target if isinstance(target, Target) else Target.from_record(target) for target in listed]
+    path = place(targets)
+    if path.name.endswith(".toml"):
+        from blocksar.simulation.scene import Scene  # slow to load
+
+        return [Target(*t) for t in Scene.read(str(path)).point_targets()]
+    return read_targets(path, run)
 
 
 def read_targets(path: Place, run: FinishedRun | None = None) -> list[Target]:

@@ -11,7 +11,6 @@ import numpy as np
 
 from blocksar import stores
 from blocksar.api.jobs import Request, grid_numbers, records_of
-from blocksar.api.measuring import targets_of
 from blocksar.autofocusing.anchoring import Control
 from blocksar.autofocusing.finishing import Result
 from blocksar.autofocusing.work import begin
@@ -197,6 +196,8 @@ def control_points(control: Location | Sequence[Target] | None, *, used: bool = 
         return ()
     if not used:
         raise InputError("control is given without autofocus, which alone uses it; give both, or leave it out")
+    from blocksar.api.target_files import targets_of  # with SciPy, slow to load
+
     found = tuple(targets_of(control, {}))
     if not found:
         raise InputError(f"control {control} names no points; give some, or leave it out")
