@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from blocksar.collection.terrain import Terrain
 from blocksar.errors import InputError
 from blocksar.inspection.alternatives import Alternative, alternatives, as_given
 from blocksar.inspection.prominent import Line, Lines, Samples
-from blocksar.inspection.sharpness import blurring_phase, concentration, explain, refocus
+from blocksar.inspection.sharpness import Refocus, blurring_phase, concentration, explain, judged_by_others, refocus
 
 PLACES = 12  # that are compared
 FEWEST = 2  # places on which anything can be said
@@ -28,6 +29,8 @@ AS_REFOCUSED = 0.95  # of the concentration after a refocus, that it reaches as 
 CERTAIN = 0.6  # share of the quantiles of its places that are higher
 CLEAR = 0.65  # concentration that only points in focus have: below it, alternatives are tried
 SHARP = 0.8  # of the concentration after a refocus: below it the track is doubted
+COVERED = 0.5  # of a dwell: with less, other places do not judge a place, and it judges itself if it is CLEAR
+POINTS = 1 / 3  # of the places: as many that become FOCUSED judge the track alone, without those that are clutter
 EXPLAINED = 0.8  # of a phase error: what is named as its cause
 # To be read: a part of the band, and of very many pulses those in the middle. Under a beam that is not steered less
 # depends on the sign and order of the samples.
@@ -70,6 +73,17 @@ class Trial:
         return float(np.mean(sorted(self.concentration)[-BEST:])) if self.concentration else 0.0
 
 
+class Points(NamedTuple):
+    """Median concentrations of the places that judge the track, as points do and clutter does not.
+
+    As given, after a refocus, and refocused by other places alone.
+    """
+
+    given: float
+    refocused: float
+    by_others: float
+
+
 @dataclass(frozen=True)
 class Findings:
     """The result of a check.
@@ -87,6 +101,8 @@ class Findings:
     remedy : str
     sharper : float
         Times the concentration as given, from which an alternative is believed.
+    points : Points or None
+        What judges the track.
     """
 
     trials: tuple[Trial, ...]
@@ -95,6 +111,7 @@ class Findings:
     cause: str
     remedy: str
     sharper: float = SHARPER
+    points: Points | None = None
 
     @property
     def given(self) -> Trial:
@@ -123,12 +140,18 @@ class Findings:
     @property
     def sharpness(self) -> float:
         """Concentration as given over that after a refocus."""
-        return self.given.sharpness / max(self.refocused, 1e-30)
+        given, refocused, _ = self.points or (self.given.sharpness, self.refocused, 0.0)
+        return given / max(refocused, 1e-30)
 
     @property
     def blurred(self) -> bool:
         """Whether a refocus helps so much that the track must be wrong."""
-        return self.speaks and self.better is None and self.sharpness < SHARP
+        return self.speaks and self.better is None and self.sharpness < SHARP and not self.spread
+
+    @property
+    def spread(self) -> bool:
+        """Whether what a refocus gains is each place's own, as of clutter and broad targets."""
+        return self.points is not None and self.sharpness < SHARP and self.points.given > SHARP * self.points.by_others
 
     def warning(self) -> str | None:
         """What is wrong, with figures and the remedy; None if nothing is."""
@@ -152,6 +175,11 @@ class Findings:
             return warning
         if not self.speaks:
             return "no prominent places: nothing can be said of the samples' sign and order, or of errors of the track"
+        if self.spread:
+            return (
+                f"the {self.given.places} most prominent places are clutter or broad targets, as no phase error is "
+                "common to them: nothing can be said of errors of the track"
+            )
         return (
             f"the samples fit what is said of them: {self.given.places} prominent places reach "
             f"{min(self.sharpness, 1):.2f} of the sharpness that a refocus gives them"
@@ -216,15 +244,17 @@ def check(
     ground = _Ground(grid, terrain)
     lines = ground.lines(collection, samples)
     first = _trial(given, lines)
-    n_pulse, remedy, cause, refocused, left = collection.n_pulse, "", "", first.sharpness, 0.0
+    n_pulse, remedy, cause, refocused, left, points = collection.n_pulse, "", "", first.sharpness, 0.0, None
     if first.places >= FEWEST:
         mended = refocus(lines, n_pulse)
+        points = _points(lines, mended, n_pulse)
         refocused, left = float(np.median(mended.concentration)), blurring_phase(lines, mended.phase)
         good = [error for error in explain(lines, mended.phase, collection) if error.explained > EXPLAINED]
         cause = " or ".join(error.text for error in good)
         remedy = good[0].remedy if good else "mend the track from the data (autofocus)"
     findings = Findings(
-        (first,), refocused, left, cause, remedy, sharper=MIRRORED if collection.has_axis else SHARPER
+        (first,), refocused, left, cause, remedy, sharper=MIRRORED if collection.has_axis else SHARPER,
+        points=points,
     )  # fmt: skip
     if thorough or first.places >= FEWEST:
         doubtful = first.sharpness < CLEAR or first.significance < SIGNIFICANT or findings.sharpness < SHARP
@@ -234,6 +264,17 @@ def check(
         others = [_tried(other, samples, ground) for other in tried]
         findings = replace(findings, trials=(first, *sorted(others, key=lambda trial: -trial.sharpness)))
     return findings
+
+
+def _points(lines: list[Line], mended: Refocus, n_pulse: int) -> Points:
+    """What judges the track: places that are points if there are enough, else all."""
+    given, others = np.array([concentration(line.values) for line in lines]), judged_by_others(lines, n_pulse)
+    alone = np.where(mended.concentration >= CLEAR, mended.concentration, given)
+    by_others = np.where(others.covered >= COVERED, others.concentration, alone)
+    points = np.maximum(given, by_others) >= FOCUSED
+    if points.sum() < max(FEWEST, POINTS * len(lines)):
+        points[:] = True
+    return Points(*(float(np.median(values[points])) for values in (given, mended.concentration, by_others)))
 
 
 def _cleaned(signal: ComplexArray) -> ComplexArray:

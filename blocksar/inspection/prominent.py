@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from blocksar.arrays import Complex128Array, ComplexArray, FloatArray
-from blocksar.collection.beam import lit_interval
+from blocksar.collection.beam import beam_offset, lit_interval
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import Region
@@ -26,7 +26,7 @@ APERTURES = 6  # short ones, spread over the collection
 SHORT = 64  # pulses of a short aperture
 LONGER = 6  # times: growth of the aperture from one refinement of a place to the next
 MOST_UPDATES = 1.5e6  # points times pulses of a short aperture's map
-EDGE = 0.42  # of the beam's width: yaws to either side of its middle that are searched
+EDGE = 0.42  # of the beam's width: angles to either side of its middle that are searched
 STANDS_OUT = 50.0  # times the median power: in clutter alone one cell of 1e15 does
 APART = 12  # cells between prominent places of one map
 EACH = 4  # places taken from one map
@@ -130,6 +130,9 @@ class Lines:
         accumulate(
             image, outside, profiles, geometry=geometry, x=x, y=y, first=first, last=last, threads=self.samples.threads
         )
+        if collection.has_axis:  # its edges are no yaws: beyond them lie only ambiguities of what it lights
+            away = beam_offset(geometry, x, y, (pulses.start + pulses.stop) // 2)
+            outside |= ~(np.abs(away) <= EDGE * (collection.beam_width or 0.0))  # NaN where no height is known
         power = np.where(outside, 0.0, np.nan_to_num(np.abs(image).astype(np.float64) ** 2))
         typical = float(np.median(power[power > 0])) if (power > 0).any() else 0.0
         places: list[Place] = []

@@ -32,6 +32,13 @@ class Refocus(NamedTuple):
     phase: FloatArray
 
 
+class Judged(NamedTuple):
+    """Concentration of each line under the phase error of others, and the share of its dwell that they cover."""
+
+    concentration: FloatArray
+    covered: FloatArray
+
+
 def concentration(values: Complex128Array) -> float:
     """Power at the peak of a line's spectrum over the power of the line, 0 .. 1."""
     power = float(np.sum(np.abs(values) ** 2))
@@ -60,6 +67,26 @@ def refocus(lines: Sequence[Line], n_pulse: int) -> Refocus:
         if np.median(left) > np.median(best.concentration):
             best = Refocus(left, phase)
     return best
+
+
+def judged_by_others(lines: Sequence[Line], n_pulse: int) -> Judged:
+    """Refocus every second line by the phase error of those in between, ordered by their dwells.
+
+    An error of the track is common to all lines, so that others show it as well. What a refocus gains by fitting a
+    line's own phase, which clutter's is, they do not.
+    """
+    order = sorted(range(len(lines)), key=lambda i: lines[i].pulses.start)
+    found, covered = np.zeros(len(lines)), np.zeros(len(lines))
+    for others, judged in ((order[0::2], order[1::2]), (order[1::2], order[0::2])):
+        if not judged or not others:
+            continue
+        phase, seen = refocus([lines[i] for i in others], n_pulse).phase, np.zeros(n_pulse, np.bool_)
+        for i in others:
+            seen[lines[i].pulses] = True
+        for i in judged:
+            found[i] = concentration(lines[i].values * np.exp(-1j * phase[lines[i].pulses]))
+            covered[i] = seen[lines[i].pulses].mean()
+    return Judged(found, covered)
 
 
 def _main_lobe(values: Complex128Array, width: float) -> Complex128Array:

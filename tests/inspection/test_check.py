@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from axis_beams import axis_scene
 from scenes import PAPERS, scene, write_store
 from typer.testing import CliRunner
 
@@ -227,6 +228,42 @@ def test_a_mountain_is_no_error_of_the_track_if_its_heights_are_known() -> None:
     known = check(signal, collection.centred(), grid=grid, threads=2, thorough=False, terrain=made.terrain)
     assert plane.warning() is not None and plane.given.sharpness < 0.5
     assert known.warning() is None and known.given.sharpness > 0.8
+
+
+def meadows(seed: int, *, points: bool) -> Part:
+    """Four patches of clutter under a beam about its axis, else nothing, or with a point in each."""
+    rng, rows = np.random.default_rng(seed), ""
+    for k, (x, y) in enumerate(((8510.0, -100.0), (8720.0, -40.0), (8560.0, 30.0), (8750.0, 100.0))):
+        dx, dy, phases = rng.uniform(-40, 40, 120), rng.uniform(-40, 40, 120), rng.uniform(0, 360, 120)
+        rows += "".join(
+            f'[[targets]]\nname = "{k}-{i}"\nx = {x + a:.2f}\ny = {y + b:.2f}\nphase_deg = {phase:.1f}\n'
+            for i, (a, b, phase) in enumerate(zip(dx, dy, phases, strict=True))
+        )
+        if points:
+            rows += f'[[targets]]\nname = "P{k}"\nx = {x}\ny = {y}\namplitude = 60.0\n'
+    beam = 'mode = "tops"\nwidth_deg = 0.6\nrate_deg = 3.0'
+    shape = {"prf": 1200.0, "range_sampling": 48e6, "swath": [9650.0, 10350.0], "time": "duration = 0.8"}
+    made = Scene.parse(axis_scene(beam, more=rows, **shape))
+    collection = made.collection()
+    signal = sampler(made, collection)(slice(0, collection.n_pulse))
+    return signal, collection.centred(), Grid(8400.0, 8840.0, 1.0, -150.0, 150.0, 1.0)
+
+
+def test_clutter_that_fills_no_more_than_patches_is_no_error_of_the_track() -> None:
+    """A refocus fits each line's own phase and gains by that: it is no error that other places would show."""
+    signal, collection, grid = meadows(6, points=False)
+    findings = run(signal, collection, grid)
+    assert findings.sharpness < 0.8  # as if the track were wrong
+    assert not findings.blurred and findings.warning() is None
+    assert "clutter or broad targets" in findings.sentence()
+
+
+def test_an_error_of_the_track_is_found_amid_patches_of_clutter() -> None:
+    signal, collection, grid = meadows(6, points=True)
+    assert run(signal, collection, grid).warning() is None
+    error = 0.02 * np.sin(2 * np.pi * 6.0 * collection.time + 0.3)[:, None] * np.array([0.6, 0.3, 0.74])
+    findings = run(signal, replace(collection, antenna_position=collection.antenna_position + error), grid)
+    assert findings.blurred and "the track is off by a phase of" in (findings.warning() or "")
 
 
 @pytest.mark.parametrize(
