@@ -34,6 +34,7 @@ from blocksar.graph.branches import run_branches
 from blocksar.graph.edges import Edges
 from blocksar.graph.gating import Gated, gate_bins
 from blocksar.graph.layers import sights_of
+from blocksar.graph.reading import compress_pulses, inspect_group, recover_group
 from blocksar.graph.segments import Segment, by_collection
 from blocksar.graph.spectrum import SpectrumChunks
 from blocksar.graph.tasks import (
@@ -41,11 +42,8 @@ from blocksar.graph.tasks import (
     Projected,
     back_project_chunk,
     chunk_window,
-    compress_pulses,
-    inspect_group,
     merge_chunks,
     read_slab,
-    recover_group,
     run_stage,
     write_patch,
 )

@@ -27,15 +27,13 @@ from blocksar.focusing.backprojection import form_image
 from blocksar.focusing.correction import correct
 from blocksar.focusing.ground_map import GroundMap
 from blocksar.focusing.noise import NoiseMap
-from blocksar.focusing.range_compression import RawCompression
-from blocksar.focusing.recovery import Recovery, recover_columns
 from blocksar.focusing.step import Stage
 from blocksar.focusing.terrain_layers import Sight
 from blocksar.graph.edges import Edges, read_valid
 from blocksar.graph.layers import TerrainLayers, heights_of, local_terrain, sights_of, write_noise
 from blocksar.graph.segments import Margins, Merged
 from blocksar.graph.spectrum import SpectrumChunks, Window, chunk_spans, read_ahead
-from blocksar.inspection.samples import Inspection, inspect
+from blocksar.inspection.samples import Inspection
 from blocksar.kernels import buffers
 from blocksar.places.place import Place
 from blocksar.places.posix import resource
@@ -106,68 +104,6 @@ def naming_failures(describe: Callable[..., str]) -> Callable[[Callable[P, R]], 
         return run
 
     return decorate
-
-
-def compress_pulses(
-    run: Run, unit: str, source: stores.PhaseHistory, pulses: tuple[int, int], compression: RawCompression
-) -> Receipt:
-    """Range-compress pulses of a raw echo into the run's own phase history; a pulse with a gap becomes missing."""
-    started = time.perf_counter()
-    echo = source.read(slice(*pulses), slice(None))
-    inspection = inspect(echo, range_frequency=np.zeros(echo.shape[1]), recovery=None, threads=run.threads)
-    signal = compression.apply(echo, pulses=slice(*pulses), threads=run.threads)
-    signal[list(inspection.missing)] = np.nan
-    region = (slice(*pulses), slice(0, signal.shape[1]))
-    part = write(run, run.compressed, "signal", region, signal)
-    receipt = Receipt(unit=unit, stage="range-compress", written=(part,), found=inspection.as_dict())
-    return sign(run, receipt, started)
-
-
-def recover_group(
-    run: Run,
-    unit: str,
-    source: stores.PhaseHistory,
-    columns: tuple[int, int],
-    recovery: Recovery,
-    chunk: tuple[int, int],
-) -> Receipt:
-    """Recover the spectrum of a column group, a chunk's columns at a time; missing and impossible samples are unlit."""
-    started = time.perf_counter()
-    height, width = chunk
-    signal = source.read(slice(None), slice(*columns))
-    frequency = source.collection.carrier + source.collection.range_frequency - recovery.carrier
-    inspection = inspect(
-        signal, range_frequency=frequency[slice(*columns)], recovery=recovery, first_column=columns[0],
-        threads=run.threads,
-    )  # fmt: skip
-    parts = []
-    buffer = buffers.empty((recovery.doppler.size * width,))
-    for first in range(columns[0], columns[1], width):
-        part = slice(first, min(first + width, columns[1]))
-        shape = (recovery.doppler.size, part.stop - part.start)
-        spectrum = recover_columns(
-            signal[:, part.start - columns[0] : part.stop - columns[0]],
-            range_frequency=frequency[part],
-            recovery=recovery,
-            threads=run.threads,
-            out=buffer[: shape[0] * shape[1]].reshape(shape),
-        )
-        # One entry for each chunk, so that a block can check those that it reads.
-        parts += [
-            write(run, run.spectrum, "spectrum", (slice(*bins), part), spectrum[slice(*bins)])
-            for bins in chunk_spans(0, shape[0], height)
-        ]
-    receipt = Receipt(unit=unit, stage="recover", written=tuple(parts), found=inspection.as_dict())
-    return sign(run, receipt, started)
-
-
-def inspect_group(run: Run, unit: str, source: stores.PhaseHistory, columns: tuple[int, int]) -> Receipt:
-    """Inspect a column group without recovery, for back-projection, which reads the samples by pulse."""
-    started = time.perf_counter()
-    signal = source.read(slice(None), slice(*columns))
-    frequency = source.collection.range_frequency[slice(*columns)]
-    inspection = inspect(signal, range_frequency=frequency, recovery=None, first_column=columns[0], threads=run.threads)
-    return sign(run, Receipt(unit=unit, stage="inspect", found=inspection.as_dict()), started)
 
 
 @dataclass

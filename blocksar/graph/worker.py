@@ -10,7 +10,7 @@ import distributed  # noqa: E402, F401
 import numpy as np  # noqa: E402
 
 from blocksar.focusing.dwell_gate import fresnel_integral  # noqa: E402
-from blocksar.graph import tasks  # noqa: E402, F401
+from blocksar.graph import reading, tasks  # noqa: E402, F401
 from blocksar.graph.compiling import compile_kernels  # noqa: E402
 from blocksar.kernels.fourier import fft_rows  # noqa: E402
 

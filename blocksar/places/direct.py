@@ -43,8 +43,9 @@ def _open(path: str, flags: int) -> int:
 
 
 def _without_direct(descriptor: int) -> None:
-    """Go on with the usual transfers, after a file system has refused the direct one that it had promised."""
-    fcntl.fcntl(descriptor, fcntl.F_SETFL, fcntl.fcntl(descriptor, fcntl.F_GETFL) & ~DIRECT)
+    """Go on with the usual transfers, which need no alignment."""
+    if DIRECT:
+        fcntl.fcntl(descriptor, fcntl.F_SETFL, fcntl.fcntl(descriptor, fcntl.F_GETFL) & ~DIRECT)
 
 
 class Writer:
@@ -52,7 +53,7 @@ class Writer:
 
     def __init__(self, descriptor: int, buffer: memoryview) -> None:
         self._descriptor, self._buffer = descriptor, buffer
-        self._filled = self._size = 0
+        self._filled = 0
 
     def write(self, data: memoryview | bytes) -> None:
         """Append bytes.
@@ -68,11 +69,12 @@ class Writer:
             self._buffer[self._filled : self._filled + n] = source[:n]
             self._filled, source = self._filled + n, source[n:]
             if self._filled == BUFFER:
-                self._flush(BUFFER)
+                self._flush(0, BUFFER)
+                self._filled = 0
 
-    def _flush(self, length: int) -> None:
-        """Write the buffer's first `length` bytes, a multiple of ALIGNMENT."""
-        left = self._buffer[:length]
+    def _flush(self, first: int, last: int) -> None:
+        """Write a part of the buffer."""
+        left = self._buffer[first:last]
         while len(left):
             try:
                 left = left[os.write(self._descriptor, left) :]
@@ -81,17 +83,17 @@ class Writer:
                     raise
                 _without_direct(self._descriptor)
                 left = left[os.write(self._descriptor, left) :]
-        self._size, self._filled = self._size + self._filled, 0
 
     def finish(self) -> None:
-        """Write the rest: whole sectors, of which the last is cut."""
-        if self._filled:
-            length = -(-self._filled // ALIGNMENT) * ALIGNMENT
-            size = self._size + self._filled
-            self._buffer[self._filled : length] = bytes(length - self._filled)
-            self._flush(length)
-            if length != self._filled:
-                os.ftruncate(self._descriptor, size)
+        """Write the rest: whole sectors, and what is left of the last one through the page cache.
+
+        To write that sector as a whole and cut the file takes longer: the system reads it again for the cut.
+        """
+        whole = self._filled - self._filled % ALIGNMENT
+        self._flush(0, whole)
+        if whole != self._filled:
+            _without_direct(self._descriptor)
+            self._flush(whole, self._filled)
 
 
 @contextmanager

@@ -1,0 +1,88 @@
+"""The tasks that read the samples of a phase history: compression of raw echoes, recovery, inspection."""
+
+from __future__ import annotations
+
+import time
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+
+import numpy as np
+
+from blocksar import stores
+from blocksar.chunks import WRITES_AT_ONCE
+from blocksar.focusing.range_compression import RawCompression
+from blocksar.focusing.recovery import Recovery, recover_columns
+from blocksar.graph.spectrum import chunk_spans
+from blocksar.graph.tasks import sign
+from blocksar.inspection.samples import inspect
+from blocksar.kernels import buffers
+from blocksar.runs.receipts import Run, write
+from blocksar.runs.record import Receipt, Written
+
+
+def compress_pulses(
+    run: Run, unit: str, source: stores.PhaseHistory, pulses: tuple[int, int], compression: RawCompression
+) -> Receipt:
+    """Range-compress pulses of a raw echo into the run's own phase history; a pulse with a gap becomes missing."""
+    started = time.perf_counter()
+    echo = source.read(slice(*pulses), slice(None))
+    inspection = inspect(echo, range_frequency=np.zeros(echo.shape[1]), recovery=None, threads=run.threads)
+    signal = compression.apply(echo, pulses=slice(*pulses), threads=run.threads)
+    signal[list(inspection.missing)] = np.nan
+    region = (slice(*pulses), slice(0, signal.shape[1]))
+    part = write(run, run.compressed, "signal", region, signal)
+    receipt = Receipt(unit=unit, stage="range-compress", written=(part,), found=inspection.as_dict())
+    return sign(run, receipt, started)
+
+
+def recover_group(
+    run: Run,
+    unit: str,
+    source: stores.PhaseHistory,
+    columns: tuple[int, int],
+    recovery: Recovery,
+    chunk: tuple[int, int],
+) -> Receipt:
+    """Recover the spectrum of a column group, a chunk's columns at a time; missing and impossible samples are unlit.
+
+    Chunks are written by other threads while the next columns are recovered.
+    """
+    started = time.perf_counter()
+    height, width = chunk
+    signal = source.read(slice(None), slice(*columns))
+    frequency = source.collection.carrier + source.collection.range_frequency - recovery.carrier
+    inspection = inspect(
+        signal, range_frequency=frequency[slice(*columns)], recovery=recovery, first_column=columns[0],
+        threads=run.threads,
+    )  # fmt: skip
+    memories = [buffers.empty((recovery.doppler.size * width,)) for _ in range(min(2, -(-signal.shape[1] // width)))]
+    writes: list[list[Future[Written]]] = []
+    with ThreadPoolExecutor(WRITES_AT_ONCE) as pool:
+        for number, first in enumerate(range(columns[0], columns[1], width)):
+            part = slice(first, min(first + width, columns[1]))
+            shape = (recovery.doppler.size, part.stop - part.start)
+            if number >= len(memories):
+                wait(writes[number - len(memories)])
+            spectrum = recover_columns(
+                signal[:, part.start - columns[0] : part.stop - columns[0]],
+                range_frequency=frequency[part],
+                recovery=recovery,
+                threads=run.threads,
+                out=memories[number % len(memories)][: shape[0] * shape[1]].reshape(shape),
+            )
+            # One entry for each chunk, so that a block can check those that it reads.
+            spans = [slice(*bins) for bins in chunk_spans(0, shape[0], height)]
+            writes.append(
+                [pool.submit(write, run, run.spectrum, "spectrum", (bins, part), spectrum[bins]) for bins in spans]
+            )
+    parts = [future.result() for some in writes for future in some]
+    receipt = Receipt(unit=unit, stage="recover", written=tuple(parts), found=inspection.as_dict())
+    return sign(run, receipt, started)
+
+
+def inspect_group(run: Run, unit: str, source: stores.PhaseHistory, columns: tuple[int, int]) -> Receipt:
+    """Inspect a column group without recovery, for back-projection, which reads the samples by pulse."""
+    started = time.perf_counter()
+    signal = source.read(slice(None), slice(*columns))
+    frequency = source.collection.range_frequency[slice(*columns)]
+    inspection = inspect(signal, range_frequency=frequency, recovery=None, first_column=columns[0], threads=run.threads)
+    return sign(run, Receipt(unit=unit, stage="inspect", found=inspection.as_dict()), started)
