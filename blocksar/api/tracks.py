@@ -19,7 +19,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.constants import MIB
 from blocksar.errors import InputError, ProcessingError
-from blocksar.graph import cluster
+from blocksar.graph import cluster, compiling
 from blocksar.graph.machine import Resources
 from blocksar.graph.track_stages import estimate_track
 from blocksar.measurement.targets import Target
@@ -103,6 +103,7 @@ class TrackEstimate:
         if client is not None:
             yield client
             return
+        compiling.compile_missing(compiling.TRACKS)
         cluster.prepare_workers(machine.threads, listener)
         scratch = run_folder.scratch(self.folder)
         with cluster.open_client(**machine._asdict(), scratch=scratch, listener=listener) as own:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from blocksar.autofocusing import range_lines
+from blocksar.autofocusing import range_lines, sights
 from blocksar.autofocusing.correction import between_samples
 from blocksar.autofocusing.selection import Points
 from blocksar.autofocusing.work import Work, low_pass
@@ -86,12 +86,15 @@ class Chips:
 
     def los(self, displacement: FloatArray) -> FloatArray:
         """Displacement (n_sample, 3) along the line of sight of each chip, (n_point, n)."""
-        return np.asarray((self.sight * displacement[self.index]).sum(axis=2))
+        out = np.empty(self.sight.shape[:2])
+        sights.project(self.sight, self.first, displacement, out)
+        return out
 
     def spread(self, values: FloatArray) -> FloatArray:
         """The transpose of `los`: (n_sample, 3) of (n_point, n)."""
-        index, n = self.index.ravel(), self.time.size
-        return np.stack([np.bincount(index, (self.sight[..., a] * values).ravel(), minlength=n) for a in range(3)], 1)
+        out = np.zeros((self.time.size, 3))
+        sights.collect(self.sight, self.first, values, out)
+        return out
 
     @property
     def lit(self) -> BoolArray:
@@ -113,13 +116,7 @@ class Chips:
         count = np.maximum((self.first + self.count) // factor - first, 0)
         n = fast_length(int(count.max()))
         values = np.zeros((*self.values.shape[:2], n), np.complex64)
-        for i in range(first.size):
-            begin = int(first[i]) * factor - ahead - int(self.first[i])
-            padded = np.pad(self.values[i], ((0, 0), (weights.size, weights.size + factor * n)))[
-                :, begin + weights.size :
-            ]
-            for k in range(weights.size):
-                values[i, :, : count[i]] += weights[k] * padded[:, k : k + factor * int(count[i]) : factor]
+        range_lines.decimate(self.values, first * factor - ahead - self.first, count, weights, factor, values)
         n_sample = self.time.size // factor
         middle = np.arange(n_sample) * float(factor) + (factor - 1) / 2
         time = np.interp(middle, np.arange(self.time.size), self.time)

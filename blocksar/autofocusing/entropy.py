@@ -6,7 +6,7 @@ import numpy as np
 
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.kernels.fourier import fast_length, fft_rows
-from blocksar.kernels.groups import run_groups
+from blocksar.kernels.groups import GROUP_BYTES, run_groups
 
 TINY = 1e-30
 PADDING = 2.0  # Doppler cells for each sample: with |Y|^2 sampled so finely, to move a chip costs nothing
@@ -35,20 +35,26 @@ def entropies(values: ComplexArray, phase: FloatArray, threads: int = 1) -> tupl
     length = fast_length(PADDING * n)
     entropy, gradient = np.zeros(n_point), np.zeros((n_point, n))
 
-    def one(i: int) -> None:
-        turned = np.zeros((n_line, length), np.complex64)
-        np.multiply(values[i], np.exp(1j * phase[i]).astype(np.complex64), out=turned[:, :n])
-        image = fft_rows(turned.copy(), inverse=False)
-        power = image.real**2 + image.imag**2
-        total = float(power.sum(dtype=np.float64))
-        if total <= 0:
-            return
-        share = power * np.float32(1 / total)
-        logarithm = np.log(share + np.float32(TINY))
-        entropy[i] = -float((share * logarithm).sum(dtype=np.float64))
-        image *= logarithm + 1
-        back = fft_rows(image, inverse=True)[:, :n]
-        gradient[i] = (turned[:, :n] * np.conj(back)).imag.sum(axis=0, dtype=np.float64) * (2 * length / total)
+    def some(rows: slice) -> None:
+        turned = values[rows] * np.exp(1j * phase[rows]).astype(np.complex64)[:, None]
+        image = np.zeros((turned.shape[0], n_line, length), np.complex64)
+        image[..., :n] = turned
+        image = fft_rows(image.reshape(-1, length), inverse=False).reshape(image.shape)
+        share = image.real**2
+        share += image.imag**2
+        total = share.sum(axis=(1, 2), dtype=np.float64)
+        told = total > 0
+        scale = np.where(told, 1 / np.where(told, total, 1.0), 0.0)
+        share *= scale.astype(np.float32)[:, None, None]
+        logarithm = share + np.float32(TINY)
+        np.log(logarithm, out=logarithm)
+        entropy[rows] = -(share * logarithm).sum(axis=(1, 2), dtype=np.float64)
+        logarithm += 1
+        image *= logarithm
+        back = fft_rows(image.reshape(-1, length), inverse=True).reshape(image.shape)[..., :n]
+        imaginary = turned.imag * back.real - turned.real * back.imag
+        gradient[rows] = imaginary.sum(axis=1, dtype=np.float64) * (2 * length * scale)[:, None]
 
-    run_groups(one, range(n_point), threads)
+    many = max(GROUP_BYTES // (8 * n_line * length), 1)
+    run_groups(some, [slice(i, min(i + many, n_point)) for i in range(0, n_point, many)], threads)
     return entropy, gradient

@@ -73,13 +73,14 @@ def own_phase(rows: ComplexArray, chips: Chips) -> tuple[Complex128Array, FloatA
         if count < 4:
             continue
         row = rows[i, :count].astype(np.complex128)
-        at, slope = np.arange(count) - (count - 1) / 2, 0.0
+        at, slope, flat = np.arange(count) - (count - 1) / 2, 0.0, row
         for _ in range(3):
-            flat = row * np.exp(-1j * slope * at)
             ends = flat[: count // 2].sum(), flat[count - count // 2 :].sum()
             slope += float(np.angle(ends[1] * np.conj(ends[0]))) / (count - count // 2)
-        amplitude = (row * np.exp(-1j * slope * at)).mean()
-        own[i, :count] = amplitude * np.exp(1j * slope * at)
+            line = np.exp(1j * slope * at)
+            flat = row * np.conj(line)
+        amplitude = flat.mean()
+        own[i, :count] = amplitude * line
         noise[i] = max(
             float((np.abs(row) ** 2).mean() - np.abs(amplitude) ** 2), 1e-6 * float((np.abs(row) ** 2).mean())
         )

@@ -60,13 +60,34 @@ class Result:
     figures: dict[str, Any]
 
 
-def finish(work: Work, points: Points, parts: Sequence[ChipPart], correction: Correction, threads: int = 1) -> Result:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HalfEstimate:
+    """What one half of the points tells: splines of a displacement (n_sample, 3), m, added to `Correction.previous`."""
+
+    displacement: FloatArray
+
+
+def estimate_half(
+    work: Work, points: Points, parts: Sequence[ChipPart], correction: Correction, number: int, threads: int = 1
+) -> HalfEstimate:
+    """Estimate from half `number`, 0 or 1, of the points, from the beginning; `parts` are those of the last loop."""
+    chips = join_chips(work, points, parts, correction.previous)
+    half = halves(chips)[number]
+    found = shared_error(chips.some(half), correction.previous, correction.weights[half], threads)
+    return HalfEstimate(displacement=Knots(work=work, n_interval=intervals(work), time=chips.time).smooth(found))
+
+
+def finish(
+    work: Work, points: Points, parts: Sequence[ChipPart], correction: Correction, found: Sequence[HalfEstimate]
+) -> Result:
     """Compare estimates from both halves of the points, and correct the track.
 
     Parameters
     ----------
     parts : sequence of ChipPart
         Of the last loop, from which `correction` came.
+    found : sequence of HalfEstimate
+        Of both halves.
 
     Raises
     ------
@@ -75,7 +96,8 @@ def finish(work: Work, points: Points, parts: Sequence[ChipPart], correction: Co
         turns of the phase remain unknown.
     """
     chips = join_chips(work, points, parts, correction.previous)
-    apart = halves_apart(chips, correction, threads)
+    between = found[0].displacement - found[1].displacement
+    apart = phase_step(chips, work.wavenumber * chips.los(between), correction.weights)
     last = correction.history[-1]
     if (turns := unknown_turns(chips, correction.displacement)) > TURNS:
         raise Refused(
@@ -117,17 +139,6 @@ def finish(work: Work, points: Points, parts: Sequence[ChipPart], correction: Co
             "history": list(correction.history),
         },
     )
-
-
-def halves_apart(chips: Chips, correction: Correction, threads: int = 1) -> float:
-    """Phases by which estimates from disjoint halves of the points differ: rms without mean and line, rad."""
-    work = chips.work
-    knots = Knots(work=work, n_interval=intervals(work), time=chips.time)
-    found = []
-    for half in halves(chips):
-        displacement = shared_error(chips.some(half), correction.previous, correction.weights[half], threads)
-        found.append(knots.smooth(displacement))
-    return phase_step(chips, work.wavenumber * chips.los(found[0] - found[1]), correction.weights)
 
 
 def unknown_turns(chips: Chips, displacement: FloatArray) -> float:

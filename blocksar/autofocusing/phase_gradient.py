@@ -13,10 +13,13 @@ Wahl, Eichel, Ghiglia, Jakowatz, "Phase gradient autofocus", IEEE Trans. AES 30(
 from __future__ import annotations
 
 import numpy as np
+from numba import types
 
 from blocksar.arrays import Complex128Array, ComplexArray, FloatArray, IntArray
 from blocksar.autofocusing.chips import Chips
+from blocksar.autofocusing.sights import INDICES
 from blocksar.kernels.fourier import fft_rows
+from blocksar.kernels.loops import loop
 
 TURNS = 100  # of slopes and gradients, at most
 SETTLED = 1e-4  # rad per sample: slopes that change by less are final
@@ -26,6 +29,8 @@ BLUR = 0.125  # of the band: a point that is blurred is not one bright cell
 NARROWING = 0.6  # of the band of Doppler, from one iteration to the next
 LEAST_BAND = 12  # Doppler cells
 MOST_WEIGHT = 10.0  # of a line whose scatterer stands alone
+PRODUCTS = types.Array(types.complex128, 2, "C", readonly=True)
+FACTORS = types.Array(types.complex128, 1, "C", readonly=True)
 
 
 def centred_rows(
@@ -49,31 +54,32 @@ def centred_rows(
     """
     n = values.shape[1]
     spectrum = fft_rows(values.copy(), inverse=False)
-    power = np.abs(spectrum) ** 2
+    power = spectrum.real**2 + spectrum.imag**2
     width = max(int(BLUR * band), 1) if blur is None else blur
     smooth = np.cumsum(np.concatenate([power[:, -width:], power, power[:, :width]], axis=1), axis=1, dtype=np.float64)
     smooth = smooth[:, 2 * width :] - smooth[:, : -2 * width]
     peak = smooth.argmax(axis=1)
-    away = (np.arange(n) - peak[:, None] + n // 2) % n - n // 2
-    spectrum *= np.exp(-(((away / band) ** 2 * 2) ** 4)).astype(np.float32)  # flat, with soft edges
-    rows = fft_rows(spectrum, inverse=True)
+    away = (np.arange(n) + n // 2) % n - n // 2
+    window = np.exp(-(((away / band) ** 2 * 2) ** 4)).astype(np.float32)  # flat, with soft edges
+    centred = np.take_along_axis(spectrum, (peak[:, None] + np.arange(n)) % n, axis=1) * window
+    rows = fft_rows(centred, inverse=True)
     turn = 2 * np.pi * ((peak + n // 2) % n - n // 2) / n
-    rows = rows * np.exp(-1j * turn[:, None] * np.arange(n)).astype(np.complex64)
     return np.where(np.arange(n) < count[:, None], rows, np.complex64(0)), turn
 
 
 def shared_gradient(
-    products: Complex128Array, part: IntArray, n_part: int, share: FloatArray
+    products: Complex128Array, first: IntArray, n_part: int, share: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Gradient that all rows share, rad per sample.
 
     Parameters
     ----------
     products : (n_row, n) complex
-        conj(z_t) z_(t+1) of each row.
-    part : (n_row, n) int
-        Which part of the collection each product belongs to.
+        conj(z_t) z_(t+1) of each row; 0 where there is none.
+    first : (n_row,) int
+        Part of the collection that the first product of each row belongs to; the others belong to those that follow.
     n_part : int
+        Products beyond the last part do not count.
     share : (n_row,) float
         By which rows count, besides their coherence.
 
@@ -87,19 +93,14 @@ def shared_gradient(
         How much of a row's power follows these, 0 .. 1.
     """
     n_row = products.shape[0]
-    key = (np.arange(n_row)[:, None] * n_part + part).ravel()
-
-    def total(values: FloatArray) -> FloatArray:
-        return np.asarray(np.bincount(key, values.ravel(), minlength=n_row * n_part).reshape(n_row, n_part), np.float64)
-
-    sums = total(products.real) + 1j * total(products.imag)
-    sums /= np.maximum(total(np.abs(products)).sum(axis=1), 1e-300)[:, None]
-    weight, slope = share.copy(), np.zeros(n_row)
+    products = products / np.maximum(np.abs(products).sum(axis=1), 1e-300)[:, None]
+    weight, slope, own = share.copy(), np.zeros(n_row), np.zeros(n_row, np.complex128)
     gradient, coherence = np.zeros(n_part), np.zeros(n_row)
     for turn in range(TURNS):
-        shared = (sums * (weight * np.exp(-1j * slope))[:, None]).sum(axis=0)
+        shared = np.zeros(n_part, np.complex128)
+        add_rows(products, first, weight * np.exp(-1j * slope), shared)
         gradient = np.where(shared == 0, 0.0, np.angle(shared))
-        own = (sums * np.exp(-1j * gradient)).sum(axis=1)
+        sum_along(products, first, np.exp(-1j * gradient), own)
         moved = np.abs(np.angle(own * np.exp(-1j * slope))).max()
         slope, coherence = np.angle(own), np.abs(own)
         if turn > WEIGHED and moved < SETTLED:
@@ -107,6 +108,29 @@ def shared_gradient(
         if turn % 5 == 4 and turn <= WEIGHED:
             weight = share * np.minimum(coherence**2 / np.maximum(1 - coherence**2, 1 / MOST_WEIGHT), MOST_WEIGHT)
     return gradient, slope, coherence
+
+
+@loop(PRODUCTS, INDICES, FACTORS, types.complex128[::1], nogil=True)
+def add_rows(values: Complex128Array, first: IntArray, factors: Complex128Array, out: Complex128Array) -> None:
+    """Add factors[r] values[r, m] to out[first[r] + m], where that is within `out`."""
+    for r in range(values.shape[0]):
+        factor, row, into = factors[r], values[r], out[first[r] :]
+        for m in range(min(row.size, into.size)):
+            into[m] += factor * row[m]
+
+
+@loop(PRODUCTS, INDICES, FACTORS, types.complex128[::1], nogil=True)
+def sum_along(values: Complex128Array, first: IntArray, factors: Complex128Array, out: Complex128Array) -> None:
+    """out[r] = sum_m factors[first[r] + m] values[r, m], where that is within `factors`."""
+    for r in range(values.shape[0]):
+        row, along = values[r], factors[first[r] :]
+        n, even, odd = min(row.size, along.size), 0j, 0j
+        for m in range(0, n - 1, 2):  # two sums, since one would wait for each addition
+            even += along[m] * row[m]
+            odd += along[m + 1] * row[m + 1]
+        if n % 2:
+            even += along[n - 1] * row[n - 1]
+        out[r] = even + odd
 
 
 def line_of_sight(chips: Chips, phase: FloatArray, band: int, weights: FloatArray) -> FloatArray:
@@ -131,7 +155,6 @@ def line_of_sight(chips: Chips, phase: FloatArray, band: int, weights: FloatArra
     energy = (np.abs(rows) ** 2).sum(axis=1, dtype=np.float64).reshape(n_point, n_line)
     share = np.sqrt(weights)[:, None] * energy / np.maximum(energy.sum(axis=1, keepdims=True), 1e-300)
     last = chips.time.size - 1
-    part = np.repeat(np.minimum(chips.index[:, :-1], last - 1), n_line, axis=0)
     products = np.conj(rows[:, :-1]).astype(np.complex128) * rows[:, 1:]
-    gradient, _, _ = shared_gradient(products, part, last, share.ravel())
+    gradient, _, _ = shared_gradient(products, np.repeat(chips.first, n_line), last, share.ravel())
     return np.concatenate([[0.0], np.cumsum(gradient)])

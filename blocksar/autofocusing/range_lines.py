@@ -129,3 +129,23 @@ def take_chips(
                 total *= rotation
                 for m in range(earliest, min(latest, out.shape[1] - 1) + 1):
                     out[i, m, line] += np.float32(low_pass[p + ahead - decimation * m]) * total
+
+
+@loop(
+    *(types.Array(types.complex64, 3, "C", readonly=True), *(types.Array(types.int64, 1, "C", readonly=True),) * 2),
+    *(types.Array(types.float32, 1, "C", readonly=True), types.int64, types.complex64[:, :, ::1]),
+    **COMPILED,
+)
+def decimate(
+    values: ComplexArray, begin: IntArray, count: IntArray, low_pass: Float32Array, factor: int, out: ComplexArray
+) -> None:
+    """out[i, l, m] = sum_k low_pass[k] values[i, l, begin[i] + factor m + k] for m < count[i]; 0 beyond the values."""
+    n = values.shape[2]
+    for i in range(values.shape[0]):
+        for line in range(values.shape[1]):
+            row = values[i, line]
+            for m in range(count[i]):
+                first, total = begin[i] + factor * m, np.complex64(0)
+                for k in range(max(-first, 0), min(low_pass.size, n - first)):
+                    total += low_pass[k] * row[first + k]
+                out[i, line, m] = total

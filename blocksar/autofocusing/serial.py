@@ -8,7 +8,7 @@ from blocksar.arrays import ComplexArray
 from blocksar.autofocusing.chips import take_chips
 from blocksar.autofocusing.correction import Correction
 from blocksar.autofocusing.estimation import estimate
-from blocksar.autofocusing.finishing import Result, finish
+from blocksar.autofocusing.finishing import Result, estimate_half, finish
 from blocksar.autofocusing.selection import find_candidates, select_points
 from blocksar.autofocusing.settings import Settings
 from blocksar.autofocusing.work import begin
@@ -56,4 +56,5 @@ def find_track_error(
         displacement = correction.displacement
         parts = [take_chips(read(block), work, points, displacement, block, threads) for block in work.blocks]
         correction = estimate(work, points, parts, correction, threads)
-    return finish(work, points, parts, correction, threads)
+    found = [estimate_half(work, points, parts, correction, number, threads) for number in (0, 1)]
+    return finish(work, points, parts, correction, found)

@@ -27,11 +27,15 @@ SECONDS = {  # that a core takes to compile the loops of a module, to divide the
     "kernels.occlusion": 1.5,
     "inspection.scan": 2.5,
     "autofocusing.range_lines": 1.2,
+    "autofocusing.forms": 0.5,
+    "autofocusing.sights": 0.9,
+    "autofocusing.phase_gradient": 0.5,
     "focusing.relief_correction": 4.5,
     "focusing.correction": 4.1,
     "focusing.backprojection": 0.8,
     "simulation.scatterers": 1.5,
 }
+TRACKS = ("autofocusing.range_lines", "autofocusing.forms", "autofocusing.sights", "autofocusing.phase_gradient")
 TASKS = ("kernels.phase", "kernels.interpolation", "kernels.levelling", "inspection.scan", "focusing.correction")
 COMPILE = "import sys; from blocksar.graph import compiling; print(compiling.compile_here(sys.argv[1:]))"
 
@@ -39,21 +43,25 @@ COMPILE = "import sys; from blocksar.graph import compiling; print(compiling.com
 def cache_folder() -> Path:
     """The folder that holds numba's cache of the loops: that of NUMBA_CACHE_DIR, or one beside the last module's."""
     folder = os.environ.get("NUMBA_CACHE_DIR")
-    return Path(folder) if folder else _source().parent / "__pycache__"
+    return Path(folder) if folder else _source(LAST).parent / "__pycache__"
 
 
-def _source() -> Path:
-    spec = find_spec(LAST)  # does not load it
+def _source(module: str) -> Path:
+    spec = find_spec(module)  # does not load it
     assert spec is not None and spec.origin is not None
     return Path(spec.origin)
 
 
-def kernels_cached() -> bool:
-    """Tell whether numba's cache has the loops, from the last to be compiled: files younger than its source."""
-    source = _source()
+def kernels_cached(module: str = LAST) -> bool:
+    """Tell whether numba's cache has the loops of a module, by default the last to be compiled.
+
+    That is, files younger than its source.
+    """
+    source = _source(module)
+    folder = cache_folder() if os.environ.get("NUMBA_CACHE_DIR") else source.parent / "__pycache__"
     with suppress(OSError):
         changed = source.stat().st_mtime
-        return any(file.stat().st_mtime > changed for file in cache_folder().rglob(f"{source.stem}.*.nbi"))
+        return any(file.stat().st_mtime > changed for file in folder.rglob(f"{source.stem}.*.nbi"))
     return False
 
 
@@ -64,6 +72,12 @@ def compile_kernels(*, apart: bool = True) -> None:
     `apart`: it has other processes compile them, one for each core.
     """
     compile_modules(TASKS, apart=apart and not kernels_cached())
+
+
+def compile_missing(names: Iterable[str]) -> None:
+    """Compile the loops of those modules that the cache of numba does not have: here, or each worker would."""
+    if missing := [name for name in names if not kernels_cached(f"blocksar.{name}")]:
+        compile_modules(missing, apart=False)
 
 
 def compile_modules(names: Iterable[str], *, apart: bool) -> Tally:

@@ -28,6 +28,7 @@ from blocksar.graph.track_tasks import (
     chips_of_pulses,
     copy_group,
     estimate_error,
+    estimate_from_half,
     finish_estimate,
     keep_points,
     search_pulses,
@@ -86,9 +87,12 @@ def estimate_track(
         correction = estimated[0].files
         if (estimated[0].found or {})["finished"]:
             break
-    arguments = (_files(selected), _files(chips), correction, grid)
-    finished = stage("test", [single_task(client, run, "test", "track", finish_estimate, *arguments)])
-    receipts += finished
+    last = (_files(selected), _files(chips), correction)
+    halves = stage(
+        "halves", [single_task(client, run, "halves", f"half-{n}", estimate_from_half, n, *last, grid) for n in (0, 1)]
+    )
+    finished = stage("test", [single_task(client, run, "test", "track", finish_estimate, *last, _files(halves), grid)])
+    receipts += [*halves, *finished]
     if control is not None:
         known = stage("control", [single_task(client, run, "control", "control", keep_points, control, grid)])
         chips = stage("control-chips", _chips(client, run, source, work, known, correction, "control", grid))

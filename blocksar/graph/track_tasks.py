@@ -18,7 +18,7 @@ from blocksar.autofocusing.anchoring import Control, anchor
 from blocksar.autofocusing.chips import ChipPart, take_chips
 from blocksar.autofocusing.correction import Correction
 from blocksar.autofocusing.estimation import estimate
-from blocksar.autofocusing.finishing import Result, finish
+from blocksar.autofocusing.finishing import HalfEstimate, Result, estimate_half, finish
 from blocksar.autofocusing.selection import Candidates, Points, find_candidates, select_points
 from blocksar.autofocusing.work import Work, begin
 from blocksar.collection.geometry import Geometry
@@ -108,12 +108,23 @@ def estimate_error(run: Run, unit: str, points: Files, chips: Files, correction:
     return sign(run, Receipt(unit=unit, stage="estimate", files=files, found=found), started)
 
 
-def finish_estimate(run: Run, unit: str, points: Files, chips: Files, correction: Files, grid: Grid | None) -> Receipt:
+def estimate_from_half(
+    run: Run, unit: str, number: int, points: Files, chips: Files, correction: Files, grid: Grid | None
+) -> Receipt:
+    """Estimate the correction from half of the points alone."""
+    started, work = time.perf_counter(), work_of(str(run.folder), run.identity, grid)
+    parts, last = kept(run, ChipPart, chips), _correction(run, work, correction)
+    half = estimate_half(work, _points(run, points), parts, last, number, run.threads)
+    return sign(run, Receipt(unit=unit, stage="halves", files=keep(run, f"{unit}.npz", [half])), started)
+
+
+def finish_estimate(
+    run: Run, unit: str, points: Files, chips: Files, correction: Files, halves: Files, grid: Grid | None
+) -> Receipt:
     """Test the estimate by halves of the points, and keep the corrected track."""
     started, work = time.perf_counter(), work_of(str(run.folder), run.identity, grid)
-    result = finish(
-        work, _points(run, points), kept(run, ChipPart, chips), _correction(run, work, correction), run.threads
-    )
+    parts, last = kept(run, ChipPart, chips), _correction(run, work, correction)
+    result = finish(work, _points(run, points), parts, last, kept(run, HalfEstimate, halves))
     return sign(run, Receipt(unit=unit, stage="finish", files=keep(run, f"{unit}.npz", [result])), started)
 
 

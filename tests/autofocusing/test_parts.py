@@ -15,7 +15,7 @@ from blocksar.autofocusing.finishing import unknown_turns
 from blocksar.autofocusing.information import factor, information, solve
 from blocksar.autofocusing.least_squares import by_least_squares, point_phases
 from blocksar.autofocusing.minimising import minimise
-from blocksar.autofocusing.phase_gradient import line_of_sight
+from blocksar.autofocusing.phase_gradient import add_rows, line_of_sight, sum_along
 from blocksar.autofocusing.range_lines import range_profiles, take_chips, take_lines, taps
 from blocksar.autofocusing.work import Work, begin, low_pass
 from blocksar.collection.geometry import Geometry
@@ -92,6 +92,19 @@ def test_chips_are_low_passed_lines() -> None:
             row[0, : lit[i, 0]] = row[0, lit[i, 1] :] = 0
             slow = np.convolve(row[0], weights)[ahead + 2 :: decimation][:21]  # samples lie amid three pulses
             assert np.abs(out[i, :, line] - slow).max() < 1e-5 * np.abs(slow).max()
+
+
+def test_sums_over_rows_that_lie_anywhere_in_the_collection() -> None:
+    rows, first = noise(4, 7).astype(np.complex128), np.array([0, 5, 9, 13])  # the last two end beyond it
+    factors, along = noise(1, 4, seed=1)[0].astype(np.complex128), noise(1, 14, seed=2)[0].astype(np.complex128)
+    placed = np.zeros((4, 20), np.complex128)
+    for row, at, values in zip(placed, first, rows, strict=True):
+        row[at : at + 7] = values
+    summed, own = np.zeros(14, np.complex128), np.zeros(4, np.complex128)
+    add_rows(rows, first, factors, summed)
+    sum_along(rows, first, along, own)
+    assert summed == pytest.approx((factors[:, None] * placed)[:, :14].sum(axis=0))
+    assert own == pytest.approx((along * placed[:, :14]).sum(axis=1))
 
 
 def test_splines_are_b_splines_and_the_adjoint_is_their_transpose(work: Work) -> None:
@@ -250,6 +263,11 @@ def test_narrowed_chips_keep_slow_phases(work: Work) -> None:
     before = np.abs(np.fft.fft(chips.values[5, 3])).max()
     after = np.abs(np.fft.fft(narrow.values[5, 3])).max()
     assert after == pytest.approx(before / 4, rel=0.1)
+    weights = low_pass(4)
+    whole = np.zeros(work.n_sample + weights.size, np.complex64)  # of the collection, with margins
+    whole[chips.first[5] + 12 : chips.first[5] + 12 + 160] = chips.values[5, 3]
+    sums = [weights @ whole[4 * m : 4 * m + weights.size] for m in narrow.first[5] + np.arange(narrow.count[5])]
+    assert narrow.values[5, 3, : narrow.count[5]] == pytest.approx(np.array(sums), abs=1e-5)
 
 
 def test_chips_about_their_brightest_scatterers(work: Work) -> None:
