@@ -151,8 +151,8 @@ def axis_passing(
 ) -> FloatArray:
     """Times at which points x, y, z (n,), m, are at a place in the beam, s: -1 where they enter, 1 where they leave it.
 
-    As `axis_dwell`, as if the collection did not cut dwells; in proportion where offsets turn back, and at most half as
-    far from the middle of the dwell again as in proportion.
+    As `axis_dwell`, as if the collection did not cut dwells; in proportion where offsets turn back. From the nearer end
+    of the dwell, a place is half as far as in proportion to half as far again; near the ends a third to three times.
     """
     points = Points.of(collection, x, y, z)
     first, last = axis_dwell(collection, *points, uncut=True)
@@ -163,8 +163,9 @@ def axis_passing(
     sign = np.where(rising[turning == 0], 1.0, -1.0)
     found = _edge_times(collection, points.some(some), sign, place * _half(collection))
     away = np.full(x.shape, place)
-    spread = (1 - abs(place)) / 2
-    away[some] = np.clip((found - middle[some]) / half[some], place - spread, place + spread)
+    toward, apart = (1.0 if place >= 0 else -1.0), 1 - abs(place)
+    limits = toward * (1 - apart * 1.5 * (1 + place**2)), toward * (1 - apart / (2 + place**2))
+    away[some] = np.clip((found - middle[some]) / half[some], min(limits), max(limits))
     return np.asarray(middle + away * half)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -108,9 +109,9 @@ class DwellGate:
         if self.taper.fade:
             rises = [
                 half.faded_rise(
-                    since, length, taper=self.taper.taper, slope=abs(slope), fade=self.taper.fade, halfway=halfway
+                    since, length, taper=self.taper.taper, slope=abs(slope), fade=self.taper.fade, knots=knots
                 )
-                for length, halfway in zip(half.lengths, half.halfway or [None] * len(half.lengths), strict=True)
+                for length, knots in zip(half.lengths, half.knots or [None] * len(half.lengths), strict=True)
             ]
         else:
             step = smeared_step(since, slope=abs(slope), blur=self.blur)
@@ -120,6 +121,29 @@ class DwellGate:
         if end == "end":  # the weight of the middle counts once
             rises = [rise * float(self.taper.taper(np.array(0.0))) for rise in rises]
         return np.stack([self._faded(rise, slope, time) for rise in rises])
+
+    def halves(
+        self, rng: FloatArray, doppler: FloatArray, time: FloatArray
+    ) -> tuple[tuple[HalfDwell, FloatArray, FloatArray], ...]:
+        """Of a gate with a taper: both halves, the shares of them at which `time` (..., n) lies, and their lengths.
+
+        Targets (...) focus at ranges `rng`, m, and `doppler`, Hz. Shares are 0 at the end and 1 in the middle of the
+        dwell; lengths (..., 1) are in s.
+        """
+        assert self.taper is not None
+        found = []
+        for half, phase, side in ((self.taper.begin, self.begin, 1.0), (self.taper.end, self.end, -1.0)):
+            end = phase.evaluate(rng, doppler[..., None])[1] - side * self.length / 2
+            length = half.length.evaluate(rng, doppler[..., None])[0]
+            found.append((half, np.asarray(side * (time - end) / length), length))
+        return tuple(found)
+
+    def levels(self, rng: FloatArray, doppler: FloatArray, time: FloatArray) -> FloatArray | float:
+        """Factors (..., n) by which the windows raise weights at times of targets, as in `halves`; 1 where none do."""
+        if self.taper is None or not (self.taper.begin.level or self.taper.end.level):
+            return 1.0
+        (begin, since, _), (end, until, _) = self.halves(rng, doppler, time)
+        return np.where(since < 1, begin.levels(since), 1.0) * np.where(until < 1, end.levels(until), 1.0)
 
     def _faded(self, step: NDArray[np.complex128], slope: float, time: FloatArray) -> ComplexArray:
         room = (self.time.extent - self.length) / 2
@@ -144,27 +168,37 @@ class HalfDwell:
     edge : float
         The share of the half in which its edge fades out, where it does: over it the place in the beam changes by
         1 / fade. It differs from 1 / fade itself where targets pass the beam's edge faster or slower than its centre.
-    halfway : tuple of float
-        With edges that fade out, for each of `lengths` the share of it at which v is 1 / 2; none where v is linear.
+    knots : tuple of (float, float)
+        With edges that fade out, for each of `lengths` the shares of it at which the edge is over, and at which v is
+        1 / 2; none where v is linear.
+    level : float
+        By how much weights at the end of the half are raised over those in the middle, linearly in between: steps in
+        Doppler that stretch a line in time by s have changed its amplitude by 1 / sqrt(s), its sum by sqrt(s).
     """
 
     length: RowPolynomial
     lengths: tuple[float, ...]
     edge: float = 0.0
-    halfway: tuple[float, ...] = ()
+    knots: tuple[tuple[float, float], ...] = ()
+    level: float = 0.0
 
-    def place(self, share: FloatArray, fade: int, halfway: FloatArray | float | None) -> FloatArray:
+    def levels(self, share: FloatArray) -> FloatArray:
+        """Factors by which weights are raised at shares of the half."""
+        return np.asarray(1 + self.level * np.clip(1 - share, 0.0, 1.0))
+
+    def place(self, share: FloatArray, fade: int, knots: Sequence[FloatArray | float] | None) -> FloatArray:
         """|v| at shares of the half, 0 at its end to 1 in the middle of the dwell."""
         if not fade:
             return np.clip(1 - share, 0.0, 1.0)
         outer = 1 - 1 / fade
-        if halfway is None:
+        if knots is None:
             return np.interp(share, [0.0, self.edge, 1.0], [1.0, outer, 0.0])
-        # A parabola through the edge, v = 1 / 2 and the middle.
-        inside, edge = np.clip(share, self.edge, 1.0), self.edge
-        parabola = outer * (inside - halfway) * (inside - 1) / ((edge - halfway) * (edge - 1))
-        parabola += 0.5 * (inside - edge) * (inside - 1) / ((halfway - edge) * (halfway - 1))
-        return np.asarray(np.where(share < edge, np.interp(share, [0.0, edge], [1.0, outer]), parabola))
+        # The cubic through the end, where the edge is over, v = 1 / 2 and the middle.
+        (edge, halfway), u = knots, np.clip(share, 0.0, 1.0)
+        cubic = (u - edge) * (u - halfway) * (u - 1) / (-edge * halfway)
+        cubic += outer * u * (u - halfway) * (u - 1) / (edge * (edge - halfway) * (edge - 1))
+        cubic += 0.5 * u * (u - edge) * (u - 1) / (halfway * (halfway - edge) * (halfway - 1))
+        return np.asarray(cubic)
 
     def share(self, rng: FloatArray) -> FloatArray:
         """Power coefficients along Doppler, (n, order + 1), of the place of a length among `lengths`, 0 .. 1."""
@@ -196,7 +230,14 @@ class HalfDwell:
         return np.asarray(total / terms.sum())
 
     def faded_rise(
-        self, time: FloatArray, length: float, *, taper: Taper, slope: float, fade: int, halfway: float | None = None
+        self,
+        time: FloatArray,
+        length: float,
+        *,
+        taper: Taper,
+        slope: float,
+        fade: int,
+        knots: tuple[float, float] | None = None,
     ) -> NDArray[np.complex128]:
         """The same for a taper that fades to zero over the first 1 / fade of the half, at uniform times.
 
@@ -208,11 +249,13 @@ class HalfDwell:
         before = math.ceil(extra / step)
         size = fast_length((time.size + 2 * before) * finer)
         fine = min(float(time[0]), float(time[-1])) + (np.arange(size) - before * finer) * step / finer
-        if halfway is None:
+        if knots is None:
             v = np.interp(fine, [0.0, self.edge * length, length], [1.0, 1 - 1 / fade, 0.0])
         else:
-            v = self.place(fine / length, fade, halfway)
+            v = self.place(fine / length, fade, knots)
         profile = faded(taper, v, fade) / taper(np.array(0.0)) * np.clip(2 * (fine[-1] - fine) / extra, 0, 1)
+        if self.level:
+            profile *= self.levels(fine / length)
         frequency = (np.arange(size) + size // 2) % size - size // 2
         turn = np.exp(-1j * np.pi * slope * (frequency * finer / (size * step)) ** 2)
         spectrum = fft_rows(profile[None].astype(np.complex128), inverse=False)

@@ -32,7 +32,7 @@ from blocksar.kernels.interpolation import taps_needed
 from blocksar.planning.aperture_waves import plan_waves
 from blocksar.planning.apertures import level_aperture, levelled
 from blocksar.planning.binding import AzimuthPart, RangePart, Slab
-from blocksar.planning.block_gates import Ends, FineLines, plan_dwell_gate, plan_over_band
+from blocksar.planning.block_gates import Ends, FineLines, level_spots, plan_dwell_gate, plan_over_band
 from blocksar.planning.coefficients import Choice, choose
 from blocksar.planning.gates import faded_room, full_dwells, plan_range_gate
 from blocksar.planning.memory import block_memory
@@ -210,6 +210,8 @@ def _plan_image(
     gate = plan_dwell_gate(sector, sampling, gated)
     over_band = () if gate is None else plan_over_band(sector, sampling, gated, gate)
     sampling = replace(sampling, gate=gate, over_band=over_band)
+    if gate is not None:
+        lines = level_spots(gate, lines)
     ground = _plan_ground(sector, sampling, lines.line, lines.spots, epoch_range=rng, yaw=yaw)
     if sector.staying is not None and not sector.taper.uniform:
         waves = plan_waves(sector.staying, sector.taper, lines.lit, lines.line, epoch_range=rng, yaw=yaw)

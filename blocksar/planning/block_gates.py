@@ -8,13 +8,15 @@ from typing import NamedTuple
 from blocksar.arrays import BoolArray, FloatArray
 from blocksar.collection.weighting import FLAT, AxisTaper
 from blocksar.focusing.dwell_gate import DwellGate
-from blocksar.focusing.lines import Focus, Line
+from blocksar.focusing.lines import Focus, Line, focus
 from blocksar.focusing.sampling import Sampling
 from blocksar.planning.dwell_weights import DwellWeights
 from blocksar.planning.fidelity import gate_blur
 from blocksar.planning.gates import GATE_DEGREES, NO_SCALING, Scaling, gate_parts, plan_gate
 from blocksar.planning.relief import FINE_DEGREE
 from blocksar.planning.sector import Sector
+
+UNEVEN_SHARE = 0.1  # of the allowed loss, that the stretch of lines may cost before windows make up for it
 
 
 class Ends(NamedTuple):
@@ -51,7 +53,7 @@ def plan_dwell_gate(
         blur=gate_blur(collection, ends.uncut, scaled_about=ends.scaled_about),
         uncut=ends.uncut, full=ends.full, rows=sampling.rows, slow=sampling.long_time, taper=taper,
         degree=FINE_DEGREE if sector.gates_by_height else GATE_DEGREES,
-        fade=sector.fade, passing=ends.passing,
+        fade=sector.fade, passing=ends.passing, uneven=UNEVEN_SHARE * (1 - sector.fidelity),
     )  # fmt: skip
 
 
@@ -69,3 +71,11 @@ def plan_over_band(sector: Sector, sampling: Sampling, lines: FineLines, gate: D
             level = AxisTaper(FLAT, float(middle), half, tuple(share.tolist()))
             parts.append(replace(part, common=gate.common, time=gate.time, share=level))
     return tuple(parts)
+
+
+def level_spots(gate: DwellGate, lines: FineLines) -> FineLines:
+    """The lines with their focus under a gate that makes up for their stretch; unchanged under one that does not."""
+    levels = gate.levels(lines.spots.range, lines.spots.doppler, lines.line.time)
+    if isinstance(levels, float):
+        return lines
+    return lines._replace(spots=focus(lines.weights.weigh(lines.line), levels))

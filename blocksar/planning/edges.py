@@ -60,11 +60,12 @@ def plan_edges(
     weighting: Weighting,
     band: float,
     keystone: bool,
-    needed: bool = False,
+    times: float = 0.0,
 ) -> Edges:
     """Whether edges of dwells are back-projected, and of how many parts the gate is.
 
-    They are where the best gate does not keep the fidelity, or where a plan has shown that they are `needed`.
+    They are where the best gate does not keep the fidelity, or where a plan has shown that they are needed: `times` as
+    long as they are at least (`planning.edge_search`).
 
     `band` is the Doppler band that is lit at a time, Hz. In the time of a dwell the beam passes over all of it: ends of
     dwells move along Doppler by e = dwell / band, and the steps of a chain smear them over a share of sqrt(e).
@@ -82,10 +83,10 @@ def plan_edges(
     dwell = float(np.median((last - first)[ended]))
     moved = dwell / 2 * collection.bandwidth / (2 * collection.carrier) if keystone else 0.0
     fade = 0
-    if needed or edge_loss(collection, weighting, dwell, moved) > 1 - fidelity:
+    if times or edge_loss(collection, weighting, dwell, moved) > 1 - fidelity:
         smeared = math.sqrt(dwell / max(band, 1 / dwell))
         pulses = max(LEAST_PULSES, math.ceil(max(PER_MOVE * moved, PER_SMEAR * smeared) * collection.prf))
-        fade = max(int(dwell * collection.prf / 2 / pulses), LEAST_FADE)
+        fade = max(int(dwell * collection.prf / 2 / (max(times, 1.0) * pulses)), LEAST_FADE)
     return Edges(fade, _plan_parts(collection, weighting, dwell, moved, fade=fade, most=PARTS_SHARE * (1 - fidelity)))
 
 

@@ -145,8 +145,8 @@ def _along_dwell(line: Line, spots: Focus, geometry: Geometry, band: Taper) -> t
     else:
         nodes, shares = band_nodes(band, MIGRATION_NODES)
         response = sum(share * np.cos(np.pi * node * turns) for node, share in zip(nodes, shares, strict=True))
-    norm = np.sqrt(line.weight.sum(axis=-1) * (line.weight * stretch).sum(axis=-1))
-    turned = line.weight * np.sqrt(stretch) * np.exp(2j * np.pi * level)
+    norm = np.sqrt(line.weight.sum(axis=-1) * (line.weight * stretch * np.square(spots.levels)).sum(axis=-1))
+    turned = line.weight * np.sqrt(stretch) * spots.levels * np.exp(2j * np.pi * level)
     phase = 1 - np.abs(turned.sum(axis=-1)) / norm
     both = 1 - np.abs((turned * response).sum(axis=-1)) / norm
     return phase, np.maximum(both - phase, 0.0)
@@ -157,13 +157,9 @@ def _by_place(line: Line, spots: Focus, gate: DwellGate, weights: DwellWeights) 
     assert gate.taper is not None
     taper, fade = gate.taper.taper, gate.taper.fade
     made = np.ones(line.time.shape)
-    halves = (gate.taper.begin, gate.begin, 1.0), (gate.taper.end, gate.end, -1.0)
-    for half, phase, side in halves:
-        end = phase.evaluate(spots.range, spots.doppler[..., None])[1] - side * gate.length / 2
-        length = half.length.evaluate(spots.range, spots.doppler[..., None])[0]
-        halfway = np.interp(length, half.lengths, half.halfway) if half.halfway else None
-        share = side * (line.time - end) / length
-        rise = taper(half.place(np.maximum(share, 0.0), fade, halfway)) / float(taper(np.array(0.0)))
+    for half, share, length in gate.halves(spots.range, spots.doppler, line.time):
+        knots = [np.interp(length, half.lengths, each) for each in zip(*half.knots, strict=True)] or None
+        rise = taper(half.place(np.maximum(share, 0.0), fade, knots)) / float(taper(np.array(0.0)))
         made *= np.where(share < 1, rise, 1.0)
     found, wanted = made * weights.nodes / weights.alone, weights.nodes
     power = (line.weight * wanted**2).sum(axis=-1) * (line.weight * found**2).sum(axis=-1)

@@ -16,7 +16,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import FLAT, Taper
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.dwell_gate import DwellGate, DwellTaper, HalfDwell
-from blocksar.focusing.lines import Focus, Line, RowPolynomial
+from blocksar.focusing.lines import LEAST_STRETCH, Focus, Line, RowPolynomial
 from blocksar.focusing.range_gate import RangeGate
 from blocksar.kernels import fourier
 from blocksar.kernels.fourier import Axis
@@ -32,6 +32,7 @@ FIT_PRECISION = 0.02  # of the time in which an edge fades out, to which the end
 UNCUT = 1e-4  # of a dwell: by less, the collection does not cut it
 UNKNOWN = 1e-4  # weight in that fit of an end that the collection cuts off: there is nothing to gate where it lies
 LEAST_SPREAD = 1e-3  # of halves' lengths, over which the place in the beam halfway is fitted
+EDGES = 1e-4, 0.28  # shares of a half where an edge that fades out may be over
 HALFWAY = 0.3, 0.7  # shares of a half where the place in the beam may be half of that at its edge
 LENGTHS, MOST_LENGTHS = {1e-3: 1, 0.04: 2, 0.15: 3}, 4  # windows by the relative spread of the halves' lengths
 
@@ -121,6 +122,7 @@ def plan_gate(
     fade: int = 0,
     passing: tuple[FloatArray, ...] = (),
     scaling: Scaling = NO_SCALING,
+    uneven: float = np.inf,
 ) -> DwellGate | None:
     """The gate that follows the ends of the dwells along Doppler, from the lines (n_range, n_yaw) of targets.
 
@@ -153,6 +155,8 @@ def plan_gate(
         the place in the beam is not linear in time, those at which it is -1 / 2 and 1 / 2.
     scaling : Scaling
         Of these times, at the range frequency for which the gate is made.
+    uneven : float
+        Loss of coherence by the stretch of lines, above which windows with `fade` make up for it.
     """
     weighed = fade > 0 or not taper.uniform
     begins, ends = dwell_ends(line)
@@ -177,6 +181,7 @@ def plan_gate(
     for first_moment, last_moment in zip(passing[1::2], passing[2::2], strict=True) if fade else ():
         after, before = (_crossing(line, (first, last), moment) for moment in (first_moment, last_moment))
         shares += [(after - begins) / edges[2], (ends - before) / edges[3]]
+    levels = _levels(line, (first, last), passing[0], full, uneven) if fade and passing else (0.0, 0.0)
     begin, end, *halves = _fit_ends(place, spots, np.stack(edges), degree=degree, cut=cut, length=length, fade=fade)
     phases = place.integral(begin), place.integral(end)
     at_middle = place.integral((begin + end) / 2).coefficients(np.array((near + far) / 2))[None]
@@ -200,7 +205,9 @@ def plan_gate(
         blur=blur,
         length=length,
         time=fourier.centred(0.0, slow.step, size),
-        taper=_plan_taper(taper, fade, [place.polynomial(series) for series in halves], edges[2:], shares, full),
+        taper=_plan_taper(
+            taper, fade, [place.polynomial(series) for series in halves], edges[2:], shares, full, levels
+        ),
     )
 
 
@@ -238,13 +245,35 @@ def _crossing(line: Line, lit: tuple[FloatArray, FloatArray], moment: FloatArray
     The moment is (n_yaw,) or (n_range, n_yaw).
     `lit` has the begin and the end of the dwells before all steps, (n_range, n_yaw): beyond them lines go on straight.
     """
-    (first, last), n = lit, line.time.shape[-1]
-    within = np.clip(moment, first, last)
-    u = (2 * within - first - last) / (last - first)
-    series = solvers.product(line.time, solvers.legendre_series(n, n - 1).T)
-    time = np.polynomial.legendre.legval(u, np.moveaxis(series, -1, 0), tensor=False)
+    first, last = lit
+    time = _at_moment(line.time, lit, moment)
     before, after = np.minimum(moment - first, 0.0), np.maximum(moment - last, 0.0)
     return np.asarray(time + before * line.stretch[..., 0] + after * line.stretch[..., -1])
+
+
+def _at_moment(values: FloatArray, lit: tuple[FloatArray, FloatArray], moment: FloatArray) -> FloatArray:
+    """Values (n_range, n_yaw, n) at the nodes of lines, at the `moment` inside their dwells, as in `_crossing`."""
+    (first, last), n = lit, values.shape[-1]
+    u = (2 * np.clip(moment, first, last) - first - last) / (last - first)
+    series = solvers.product(values, solvers.legendre_series(n, n - 1).T)
+    return np.asarray(np.polynomial.legendre.legval(u, np.moveaxis(series, -1, 0), tensor=False))
+
+
+def _levels(
+    line: Line, lit: tuple[FloatArray, FloatArray], middle: FloatArray, full: BoolArray, uneven: float
+) -> tuple[float, float]:
+    """Levels of both halves of dwells that make up for the stretch of lines; 0 where it costs less than `uneven`.
+
+    The sum over a dwell weighs its lines by sqrt(stretch). `middle` is the time when the beam's centre passes.
+    """
+    full = full if full.any() else np.ones_like(full)
+    stretch = np.maximum(line.stretch, LEAST_STRETCH)
+    even = line.weight.sum(axis=-1) * (line.weight * stretch).sum(axis=-1)
+    if np.median((1 - (line.weight * np.sqrt(stretch)).sum(axis=-1) / np.sqrt(even))[full]) < uneven:
+        return 0.0, 0.0
+    amid = _at_moment(stretch, lit, middle)
+    begin, end = (float(np.median(np.sqrt(amid / stretch[..., i])[full])) - 1 for i in (0, -1))
+    return begin, end
 
 
 def _plan_taper(
@@ -254,6 +283,7 @@ def _plan_taper(
     halves: list[FloatArray],
     shares: list[FloatArray],
     full: BoolArray,
+    levels: tuple[float, float],
 ) -> DwellTaper | None:
     """The taper over dwells whose halves have the lengths of `halves`, each (n_range, n_yaw), and the polynomials.
 
@@ -266,12 +296,15 @@ def _plan_taper(
     for i, (length, half) in enumerate(zip(lengths, halves, strict=True)):
         windows = _window_lengths(float(half.min()), float(half.max()))
         edge = float(np.median(shares[i][full])) if shares else 0.0
-        halfway = _by_length(shares[2 + i][full], half[full], windows) if len(shares) > 2 else ()
-        both.append(HalfDwell(length=length, lengths=windows, edge=edge, halfway=halfway))
+        knots: tuple[tuple[float, float], ...] = ()
+        if len(shares) > 2:
+            edges, halfways = (_by_length(each[full], half[full], windows) for each in shares[i::2])
+            knots = tuple(zip(np.clip(edges, *EDGES).tolist(), np.clip(halfways, *HALFWAY).tolist(), strict=True))
+        both.append(HalfDwell(length=length, lengths=windows, edge=edge, knots=knots, level=levels[i]))
     return DwellTaper(taper=taper, begin=both[0], end=both[1], fade=fade)
 
 
-def _by_length(shares: FloatArray, lengths: FloatArray, windows: tuple[float, ...]) -> tuple[float, ...]:
+def _by_length(shares: FloatArray, lengths: FloatArray, windows: tuple[float, ...]) -> FloatArray:
     """Shares (n,) of halves of some lengths (n,), s, fitted linearly over the length, at those of windows."""
     middle, spread = float(np.median(lengths)), float(np.ptp(lengths))
     slope, level = 0.0, float(np.median(shares))
@@ -279,7 +312,7 @@ def _by_length(shares: FloatArray, lengths: FloatArray, windows: tuple[float, ..
         away = lengths - lengths.mean()
         slope, level = float((away * shares).sum() / (away * away).sum()), float(shares.mean())
         middle = float(lengths.mean())
-    return tuple(float(np.clip(level + slope * (length - middle), *HALFWAY)) for length in windows)
+    return level + slope * (np.array(windows) - middle)
 
 
 def _window_lengths(shortest: float, longest: float) -> tuple[float, ...]:

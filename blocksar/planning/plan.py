@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from itertools import chain, pairwise
 from typing import Literal
 
@@ -43,6 +43,7 @@ from blocksar.kernels.operations import Blend, Resample, Stretch, Transform
 from blocksar.planning.block import BlockPlan, plan_block
 from blocksar.planning.coefficients import Choice
 from blocksar.planning.division import MAX_BLOCKS, find_division
+from blocksar.planning.edge_search import find_edges
 from blocksar.planning.edges import Edges, plan_edges
 from blocksar.planning.memory import MEMORY_SHARE, PROCESS_MEMORY, gating_memory
 from blocksar.planning.recovery import plan_recovery
@@ -317,42 +318,28 @@ def plan_collection(
         plan_edges, summed, region, fidelity=fidelity, weighting=weighting,
         band=recovery.band[1] - recovery.band[0], keystone=Keystone in steps_of(method),
     )  # fmt: skip
-    planner = _Planner(
-        geometry=geometry, summed=summed, region=region, recovery=recovery, grid=grid, extent=extent, method=method,
-        fidelity=fidelity, weighting=weighting, edges=edges(),
-    )  # fmt: skip
 
-    def choose(planner: _Planner) -> Plan:
+    @cache
+    def planner(times: float) -> _Planner:
+        return _Planner(
+            geometry=geometry, summed=summed, region=region, recovery=recovery, grid=grid, extent=extent, method=method,
+            fidelity=fidelity, weighting=weighting, edges=edges(times=times),
+        )  # fmt: skip
+
+    def choose(times: float) -> Plan:
         if blocks == "auto":
-            return find_division(planner.plan, workers=workers, parts=None if parts == "auto" else parts)
-        return planner.plan(blocks, 1 if parts == "auto" else parts, False)
+            return find_division(planner(times).plan, workers=workers, parts=None if parts == "auto" else parts)
+        return planner(times).plan(blocks, 1 if parts == "auto" else parts, False)
 
-    first = choose(planner)
-    if _needs_edges(first):
-        planner, whole = replace(planner, edges=edges(needed=True), planned={}), planner
-        again = choose(planner)
-        # By one rule for a number of blocks that is given and one that is found: a resumed run plans the same.
-        found = _needs_edges(whole.plan(again.n_blocks, again.parts, False))
-        first = again if found else planner.plan(first.n_blocks, first.parts, False)
+    times, first = find_edges(lambda times, count, n_parts, probe: planner(times).plan(count, n_parts, probe), choose)
     first = replace(first, searched=blocks == "auto")
     if memory_limit is None or first.refusal is not None:
         return first
 
     def divide(n_parts: int) -> Plan:
-        return replace(planner.plan(first.n_blocks, n_parts, False), searched=first.searched)
+        return replace(planner(times).plan(first.n_blocks, n_parts, False), searched=first.searched)
 
     return _fewest_parts(divide, first, memory_limit, fixed=parts != "auto")
-
-
-def _needs_edges(plan: Plan) -> bool:
-    """Whether whole dwells under a beam about its axis lose more at their ends than the fidelity allows in all.
-
-    Their ends may move unevenly along Doppler, so that no gate is the best one that `plan_edges` counts with.
-    """
-    collection = plan.geometry.collection
-    if plan.fade or plan.refusal is not None or plan.geometry.terrain is not None or not collection.has_axis:
-        return False
-    return max(block.prediction.dispersion_loss for block in plan.blocks) > 1 - plan.fidelity
 
 
 def _fewest_parts(plan: Callable[[int], Plan], first: Plan, memory_limit: int, *, fixed: bool) -> Plan:
@@ -455,8 +442,9 @@ class _Planner:
             sector = Sector(
                 geometry=self.summed if relief is None else self.summed.over(None, relief.smooth),
                 recovery=self.recovery, region=self.region, low=low, high=high, near=nearest, far=farthest,
-                weighting=self.weighting, tap_error=image_tap_error(self.fidelity), relief=relief,
-                fade=self.edges.fade, gate_parts=self.edges.parts, staying=self.geometry if self.stays else None,
+                weighting=self.weighting, fidelity=self.fidelity, tap_error=image_tap_error(self.fidelity),
+                relief=relief, fade=self.edges.fade, gate_parts=self.edges.parts,
+                staying=self.geometry if self.stays else None,
             )  # fmt: skip
             like = parts[-1].choice if parts else neighbour
             number = part if n_parts > 1 else None

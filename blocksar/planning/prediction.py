@@ -64,9 +64,9 @@ def predict(
 
     `rate` is the lines' Doppler rate before the steps in Doppler.
 
-    The ideal side lobes are those of the taper; under an antenna's pattern, or where weights are cut with the dwells of
-    all targets, those of the target with the worst phase, as if it had none. On a terrain `reached` (n_range, n_yaw)
-    tells which of the targets there are.
+    The ideal side lobes are those of the taper; under an antenna's pattern, a taper in a beam about an axis, or where
+    weights are cut with the dwells of all targets, those of the target with the worst phase, as if it had none. On a
+    terrain `reached` (n_range, n_yaw) tells which of the targets there are.
     """
     range_cell = SPEED_OF_LIGHT / (2 * geometry.collection.bandwidth)
     residual = spots.residual
@@ -86,7 +86,8 @@ def predict(
     response = np.abs((weight * np.exp(2j * np.pi * level) * waves).sum(axis=1))
     ideal = np.abs((weight * waves).sum(axis=1))
     ideal_pslr = weights.taper.ideal.pslr
-    if weights.patterned or not (weights.uniform or _has_full_dwell(geometry, rng, yaw, worst)):
+    by_time = geometry.collection.has_axis and not weights.uniform  # the place in the beam is not linear in time
+    if weights.patterned or by_time or not (weights.uniform or _has_full_dwell(geometry, rng, yaw, worst)):
         ideal_pslr = _pslr(ideal)
     slope = np.gradient(spots.doppler, yaw, axis=1)
     dwell = (line.weight * line.stretch).sum(axis=-1)

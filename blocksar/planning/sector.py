@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from blocksar.arrays import FloatArray
-from blocksar.budget import IMAGE_TAP_ERROR
+from blocksar.budget import FIDELITY, IMAGE_TAP_ERROR
 from blocksar.chunks import IMAGE_PIXELS
 from blocksar.collection import range_series
 from blocksar.collection.beam import passing_at
@@ -29,10 +29,10 @@ REFERENCE_ORDER = 8  # of the range series of a block's centre
 class Sector:
     """The ground that a block owns: yaws [low, high), rad, at epoch ranges [near, far), m.
 
-    With the weighting of its image, the error that the interpolation of the focused block may have, the `fade`, and the
-    number of the gate's parts over the band. On a terrain the geometry is over the smooth part of it, and `relief` has
-    the rest. Where the beam stays on its ground, the geometry is that of a beam that lights everything, and `staying`
-    has the beam (`planning.staying`).
+    With the weighting of its image and the fidelity that it keeps, the error that the interpolation of the focused
+    block may have, the `fade`, and the number of the gate's parts over the band. On a terrain the geometry is over the
+    smooth part of it, and `relief` has the rest. Where the beam stays on its ground, the geometry is that of a beam
+    that lights everything, and `staying` has the beam (`planning.staying`).
     """
 
     geometry: Geometry
@@ -43,6 +43,7 @@ class Sector:
     near: float
     far: float
     weighting: Weighting = UNIFORM
+    fidelity: float = FIDELITY
     tap_error: float = IMAGE_TAP_ERROR
     relief: Relief | None = None
     fade: int = 0

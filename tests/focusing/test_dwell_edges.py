@@ -127,20 +127,31 @@ def test_the_inner_interval_has_the_pulses_of_a_narrower_beam(kind: str) -> None
 
 @pytest.mark.parametrize("taper", ["uniform", "taylor:4:-35"])
 @pytest.mark.parametrize("backwards", [False, True])
-def test_a_faded_window_is_the_fresnel_integral_of_its_taper(taper: str, backwards: bool) -> None:
-    """The convolution with exp(1j pi u^2 / e) / sqrt(1j e), by a fine transform; the edge is passed more slowly."""
+@pytest.mark.parametrize("knots", [None, (1.3 / 80, 0.52)])
+def test_a_faded_window_is_the_fresnel_integral_of_its_taper(
+    taper: str, backwards: bool, knots: tuple[float, float] | None
+) -> None:
+    """The convolution with exp(1j pi u^2 / e) / sqrt(1j e), by a fine transform; the edge is passed more slowly.
+
+    With knots, the place in the beam is a cubic through them, and weights rise by 3 % towards the end besides.
+    """
     slope, length, step, n, edge = 2.65e-5, 0.081, 4e-6, 2**18, 1.2 / 80
     t = (np.arange(n) - n // 4) * step
     w, fade = Taper.parse(taper), 80
     v = np.interp(t, [0, edge * length, length], [1, 1 - 1 / fade, 0])
+    if knots is not None:
+        cubic = np.polyfit([0, *knots, 1], [1, 1 - 1 / fade, 0.5, 0], 3)
+        v = np.polyval(cubic, np.clip(t / length, 0, 1))
     rise = w(v) * np.sin(np.pi / 2 * np.clip(fade * (1 - v), 0, 1)) ** 2 / w(np.array(0.0))
+    if knots is not None:
+        rise *= 1 + 0.03 * np.clip(1 - t / length, 0, 1)
     window = rise * np.clip((0.6 - t) / 0.1, 0, 1)
     kernel = np.exp(-1j * np.pi * slope * scipy.fft.fftfreq(n, step) ** 2)
     wanted = scipy.fft.ifft(scipy.fft.fft(window) * kernel)[::50]
     at = t[::50]
     near = (at > -0.02) & (at < 0.12)
     one = RowPolynomial(series=np.ones((1, 1)), near=0.0, far=1.0, centre=0.0, scale=1.0)
-    half = HalfDwell(length=one, lengths=(length,), edge=edge)
+    half = HalfDwell(length=one, lengths=(length,), edge=edge, level=0.03 if knots else 0.0)
     turn = slice(None, None, -1 if backwards else 1)
-    found = half.faded_rise(at[near][turn], length, taper=w, slope=slope, fade=fade)[turn]
+    found = half.faded_rise(at[near][turn], length, taper=w, slope=slope, fade=fade, knots=knots)[turn]
     assert np.abs(found - wanted[near]).max() < 2e-3

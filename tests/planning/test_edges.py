@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ import blocksar
 from blocksar.collection.beam import at_times, beam_offset, dwell_at, passing_at
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
+from blocksar.planning.edge_search import find_edges
 from blocksar.planning.fidelity import faded_energy
 from blocksar.planning.gates import gate_parts
 from blocksar.planning.plan import Plan, block_work
@@ -112,6 +115,62 @@ def test_a_beam_that_is_not_steered_has_no_edges(tmp_path: Path) -> None:
     path.write_text(scene(**SMALL_SCAN | {"steering": None, "dwell": None, "prf": 12e3}))
     grid = ((16040.0, 16180.0, 0.5), (19120.0, 19260.0, 0.5))
     assert blocksar.plan(path, blocks=1, weighting="taylor:4:-35", fidelity=0.999995, grid=grid).result.fade == 0
+
+
+def test_places_near_the_ends_of_a_dwell_are_those_in_a_beam_that_turns_unevenly() -> None:
+    """The edge of a dwell may be much longer than its share of the beam."""
+    strip = axis_collection("stripmap", n_pulse=900)
+    collection = Collection(**{**strip.as_dict(), "beam_steering": 0.0065 * strip.time**2})
+    geometry, rng, yaw, half = Geometry(collection=collection), np.array([[9800.0]]), np.array([4e-4]), 0.005
+    first, last = dwell_at(geometry, yaw, rng, uncut=True)
+    time = passing_at(geometry, yaw, rng, -0.95)
+    assert np.abs(at_times(geometry, *geometry.ground_axes(rng, yaw), time, beam_offset)) / half == pytest.approx(0.95)
+    assert (time - first) / (last - first) > 1.8 * 0.025
+
+
+@dataclass(frozen=True)
+class Faded:
+    """A plan that knows what its edges lose only; of a beam about its axis."""
+
+    times: float
+    n_blocks: int
+    dispersion: float
+    rest: float
+    fidelity: float = 0.999995
+    parts: int = 1
+    refusal: str | None = None
+
+    @property
+    def geometry(self) -> SimpleNamespace:
+        return SimpleNamespace(terrain=None, collection=SimpleNamespace(has_axis=True))
+
+    @property
+    def fade(self) -> int:
+        return int(60 / self.times) if self.times else 0
+
+    @property
+    def coherence(self) -> float:
+        return 1 - self.dispersion - self.rest
+
+    @property
+    def blocks(self) -> list[SimpleNamespace]:
+        return [SimpleNamespace(prediction=SimpleNamespace(dispersion_loss=self.dispersion))]
+
+    def excess(self, *, migration: bool = True) -> float:
+        return (1 - self.coherence) / (1 - self.fidelity)
+
+
+@pytest.mark.parametrize(("whole", "wanted"), [(4e-6, 0.0), (4e-5, 1.0), (8e-5, 2.0), (2e-4, 4.0), (9e-2, 4.0)])
+def test_edges_are_as_long_as_they_have_to_be(whole: float, wanted: float) -> None:
+    """Where whole dwells lose `whole`, and longer edges less; a number of blocks that is given finds the same."""
+
+    def plan(times: float, count: int, parts: int, probe: bool) -> Faded:
+        return Faded(times, count, whole / (10 * times**2) if times else whole, 1e-5 / count**2)
+
+    times, found = find_edges(plan, lambda times: plan(times, 4, 1, False))  # type: ignore[type-var]
+    assert times == found.times == wanted
+    again, given = find_edges(plan, lambda times: plan(times, found.n_blocks, 1, False))  # type: ignore[type-var]
+    assert (again, given) == (times, found)
 
 
 @pytest.mark.parametrize("kind", ["squinted", "sliding spotlight", "scan", "scan back"])
