@@ -4,9 +4,9 @@
                   signal[p, f] exp(+4j pi (fc + f) / c (R_xy(p) - reference_range[p]))
 
 The mean over frequencies is one inverse transform per pulse, the range profile, interpolated at R_xy - reference_range;
-this interpolation is the only approximation, of -69 dB (`spline_error`). Ranges and phases are float64, for every pixel
-and pulse: no far field, no mean velocity. `kernels.projection` evaluates the square root of a range by its series about
-the centre of a tile, where that errs by less than 1e-9 m, or 1e-7 cycles of phase at X band: -120 dB.
+this interpolation is the only approximation, of -69 dB (`profiles.spline_error`). Ranges and phases are float64, for
+every pixel and pulse: no far field, no mean velocity. `kernels.projection` evaluates the square root of a range by its
+series about the centre of a tile, where that errs by less than 1e-9 m, or 1e-7 cycles of phase at X band: -120 dB.
 
 The pulses that light a pixel are an interval (`collection.beam.lit_interval`), so the loop over them needs no test.
 With an antenna pattern g (`collection.beam.pattern_gain`) the sum over lit pulses is divided by that of g instead of
@@ -18,7 +18,6 @@ not, sees the pixel outside the unambiguous window |R_xy - reference_range| <= c
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -32,139 +31,20 @@ from blocksar.collection.weighting import FLAT, UNIFORM, Taper, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing import pattern_sums
 from blocksar.focusing.pattern_sums import add_gains
+from blocksar.focusing.profiles import Profiles, profile_bins, range_profiles
 from blocksar.kernels import projection
-from blocksar.kernels.fourier import Axis, fast_length, fft_rows, unit_phasor
-from blocksar.kernels.groups import GROUP_BYTES, row_groups, run_groups
-from blocksar.kernels.lanes import FIXED_RANGE
+from blocksar.kernels.beam_weights import BeamTaper
+from blocksar.kernels.groups import GROUP_BYTES, run_groups
 from blocksar.kernels.loops import compile_all, compile_for
-from blocksar.kernels.operations import Transform
 from blocksar.kernels.phase import Float32Array
-from blocksar.kernels.projection import BeamTaper, Sights, project
+from blocksar.kernels.projection import Sights, project
 
 ReadPulses = Callable[[slice], ComplexArray]  # (n, n_range_frequency) samples of a slice of pulses
 Tile = tuple[slice, slice]
 
-UPSAMPLING = 6  # bins per range cell: the error of the quadratic spline is then -69 dB, see spline_error
-MARGIN = 2  # bins on either side of the window that the spline may use
 TILE = 128  # pixels per side: enough that the preparation of a tile costs little
 BLOCK_BYTES = 32 * 1024**2  # profiles of a block of pulses: malloc maps larger blocks afresh, page by page
 MIN_PULSE_BLOCK, MAX_PULSE_BLOCK = 16, 512
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Profiles:
-    """Range profiles of a block of pulses, upsampled and ready for the quadratic spline.
-
-    Attributes
-    ----------
-    values : (n, n_bin) complex64
-        Spline coefficients: bin b is at R - reference_range = (b - centre) * spacing. The phase of the middle
-        frequency, exp(4j pi (fc + f_middle) / c (R - reference_range)), is removed: it varies too fast to interpolate.
-    valid : (n,) int or float
-        Number of samples of each pulse that are not NaN; under a weighting in range, the sum of their weights over the
-        mean weight.
-    pulses : slice
-        The pulses of the collection.
-    centre : int
-        Bin of the reference range.
-    spacing : float
-        Spacing of the bins, m.
-    """
-
-    values: ComplexArray
-    valid: IntArray | FloatArray
-    pulses: slice
-    centre: int
-    spacing: float
-
-
-def range_profiles(
-    signal: ComplexArray, *, collection: Collection, pulses: slice, threads: int, taper: Taper = FLAT
-) -> Profiles:
-    """Mean over frequency of signal exp(4j pi (f - f_middle) d / c) on a fine grid of d = R - reference_range.
-
-    The zero-padded samples are divided by the frequency response of the quadratic spline, sinc(f / f_bins)^3. The
-    spline through the transformed bins then has the exact level over the band; spectral images are its only error.
-
-    Parameters
-    ----------
-    signal : (n, n_range_frequency) complex64
-        Not changed. NaN samples count as missing.
-    collection : Collection
-    pulses : slice
-        n pulses of the collection.
-    threads : int
-        The result does not depend on it.
-    taper : Taper
-        Weighting along range frequency.
-
-    Returns
-    -------
-    Profiles
-
-    Raises
-    ------
-    ValueError
-        If the shapes disagree.
-
-    References
-    ----------
-    Unser, "Splines: a perfect fit for signal and image processing", IEEE Signal Processing Magazine 16(6), 1999.
-    """
-    n, period = collection.n_range_frequency, _period(collection)
-    if period // 2 + MARGIN >= FIXED_RANGE:
-        raise ValueError(f"{n} range frequencies make {period} bins; at most {2 * FIXED_RANGE:.0f} can be addressed")
-    if signal.shape != (pulses.stop - pulses.start, n):
-        raise ValueError(f"{signal.shape=} but {pulses=} of {n} range frequencies")
-    step, middle = collection.range_frequency_step, n // 2
-    frequency = Axis(-middle * step, step, n)
-    delay = Axis(-(period // 2) / (period * step), 1 / (period * step), period)
-    before, after = Transform(frequency, delay, inverse=True).phases()
-    lead = unit_phasor(before.cycles(frequency.values)[0]) / np.sinc(frequency.values / (period * step)) ** 3
-    weights = taper.samples(n)
-    weights /= weights.mean()
-    if not taper.uniform:
-        lead *= weights
-    lead = (lead * (period / n)).astype(np.complex64)
-    trail = unit_phasor(after.cycles(delay.values)[0])
-    values = np.empty((signal.shape[0], period + 2 * MARGIN), np.complex64)
-    valid = np.empty(signal.shape[0], np.int64 if taper.uniform else np.float64)
-
-    def work(rows: slice) -> None:
-        missing = np.isnan(signal[rows])
-        if taper.uniform:
-            valid[rows] = n - np.count_nonzero(missing, axis=1)
-        else:
-            valid[rows] = n - np.where(missing, weights, 0.0).sum(axis=1)
-        group = np.zeros((rows.stop - rows.start, period), np.complex64)
-        np.multiply(signal[rows], lead, out=group[:, :n])
-        group[:, :n][missing] = 0
-        group = fft_rows(group, inverse=True)
-        out = values[rows]
-        np.multiply(group, trail, out=out[:, MARGIN:-MARGIN])
-        # The middle frequency is a sample of the axis: without its phase the profile is periodic in the window.
-        out[:, -MARGIN:] = out[:, MARGIN : 2 * MARGIN]
-        out[:, :MARGIN] = out[:, -2 * MARGIN : -MARGIN]
-
-    run_groups(work, row_groups(0, signal.shape[0], period), threads)
-    return Profiles(
-        values=values,
-        valid=valid,
-        pulses=pulses,
-        centre=period // 2 + MARGIN,
-        spacing=collection.range_window / period,
-    )
-
-
-def spline_error(*, upsampling: float) -> float:
-    """Root mean square relative error of the quadratic spline over a band 1 / upsampling of the sampling rate.
-
-    The spline has images of a frequency f (cycles per bin) at f + k, weaker by (sinc(f + k) / sinc(f))^3.
-    """
-    f = np.linspace(-0.5, 0.5, 129) / upsampling
-    k = np.delete(np.arange(-8, 9), 8)
-    images = (np.sinc(f[:, None] + k) / np.sinc(f[:, None])) ** 3
-    return float(np.sqrt(np.mean(np.sum(images**2, axis=1))))
 
 
 def accumulate(
@@ -221,6 +101,7 @@ def accumulate(
     sights = Sights(
         start=pulses.start,
         values=profiles.values,
+        rows=profiles.rows,
         middle=profiles.centre,
         bins_per_metre=1 / profiles.spacing,
         cycles_per_metre=2 * (collection.carrier + middle) / SPEED_OF_LIGHT,
@@ -395,7 +276,7 @@ def form_chips(
 
 def pulse_block_size(collection: Collection) -> int:
     """Pulses in memory at a time, by default."""
-    row = 8 * (_period(collection) + 2 * MARGIN)
+    row = 8 * profile_bins(collection)
     # Whole vectors of pulses: a remainder would be processed one by one.
     pulses = BLOCK_BYTES // row // MIN_PULSE_BLOCK * MIN_PULSE_BLOCK
     return min(max(pulses, MIN_PULSE_BLOCK), MAX_PULSE_BLOCK)
@@ -403,17 +284,12 @@ def pulse_block_size(collection: Collection) -> int:
 
 def image_memory(n_pixels: int, collection: Collection, *, threads: int = 1, pulse_block: int | None = None) -> int:
     """Upper bound of the memory to form an image of n_pixels, bytes, including the result of `read`."""
-    n, bins = collection.n_range_frequency, _period(collection) + 2 * MARGIN
+    n, bins = collection.n_range_frequency, profile_bins(collection)
     pulses = pulse_block or pulse_block_size(collection)
     pixel = 8 * 5 + 4 + 1 + 2  # bytes: x, y, first, last and image; weight; outside and a mask
     pixel += 16 if collection.has_pattern else 0  # sums of gains, and what is divided by
     scratch = 4 * (GROUP_BYTES + 8 * bins) + 16 * 8 * TILE**2
     return n_pixels * pixel + pulses * 8 * (n + bins) + threads * scratch + 16 * 8 * (bins + collection.n_pulse)
-
-
-def _period(collection: Collection) -> int:
-    """Length of the transform to range profiles."""
-    return fast_length(UPSAMPLING * collection.n_range_frequency)
 
 
 def _run_tiles(work: Callable[[Tile], None], shape: tuple[int, ...], threads: int) -> None:

@@ -20,7 +20,8 @@ do not light a pixel, near the edge of what the beam lights, are back-projected 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -28,26 +29,98 @@ from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from blocksar.collection.beam import beam_offset, inner_interval
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
-from blocksar.collection.weighting import Weighting
-from blocksar.focusing.backprojection import (
-    ReadPulses,
-    accumulate,
-    image_memory,
-    lit_pulses,
-    pulse_block_size,
-    pulse_blocks,
-    range_profiles,
-)
+from blocksar.collection.weighting import Taper, Weighting
+from blocksar.constants import MIB
+from blocksar.focusing.backprojection import ReadPulses, accumulate, image_memory, lit_pulses
 from blocksar.focusing.pattern_sums import add_gains
+from blocksar.focusing.profiles import UPSAMPLING, Profiles, profile_axis, profile_bins, range_profiles
 
 CELL = 16  # pixels along a side, that are looked at together
 OFFSET_NODES = 65  # pulses at which a beam that stays is compared with the ground
 OFFSET_ROOM = 1e-3  # of half a beam, by which offsets may differ between them
+EDGE_UPSAMPLING = 3  # bins per range cell of edges that fade, few pulses of many: the spline's error is -51 dB of them
+TOGETHER = 32  # pulses whose profiles are formed together
+KEPT_BYTES = 64 * MIB  # of profiles that are kept: the pulses at both edges of a chunk of the image
+EDGE_STEP = 16  # pixels between those of which the length of an edge is found
+EDGE_ROOM = 2  # pulses by which edges may be longer between them
+
+
+class KeptProfiles:
+    """Range profiles of a collection's pulses, of which those used last are kept: neighbouring pixels need the same.
+
+    Parameters
+    ----------
+    read : callable
+        Returns the samples (n, n_range_frequency) complex64 of a slice of pulses; NaN samples are missing.
+    collection : Collection
+    taper : Taper
+        Weighting along range frequency.
+    upsampling : int
+        Bins per range cell.
+    threads : int
+        The result does not depend on it.
+    """
+
+    def __init__(
+        self, read: ReadPulses, collection: Collection, taper: Taper, *, upsampling: int = UPSAMPLING, threads: int = 1
+    ) -> None:
+        self._read, self._collection, self._taper, self._threads = read, collection, taper, threads
+        self._upsampling = upsampling
+        self._n_kept = kept_pulses(collection, upsampling) // TOGETHER
+        self._values = np.empty((self._n_kept * TOGETHER, profile_bins(collection, upsampling)), np.complex64)
+        self._valid = np.zeros(collection.n_pulse)
+        self._kept: OrderedDict[int, int] = OrderedDict()  # groups of pulses, and where they are, by last use
+
+    def of(self, wanted: BoolArray) -> Iterator[Profiles]:
+        """Profiles of consecutive pulses that hold all that are `wanted` (n_pulse,), as many as are kept at once."""
+        some = np.flatnonzero(wanted)
+        while some.size:
+            first = int(some[0])
+            end = first - first % TOGETHER + self._n_kept * TOGETHER
+            inside = some[some < end]
+            yield self._profiles(slice(first, int(inside[-1]) + 1))
+            some = some[inside.size :]
+
+    def _profiles(self, pulses: slice) -> Profiles:
+        groups = range(pulses.start // TOGETHER, -(-pulses.stop // TOGETHER))
+        for group in groups:
+            if group in self._kept:
+                self._kept.move_to_end(group)
+        for group in groups:
+            if group not in self._kept:
+                self._form(group)
+        numbers = np.arange(pulses.start, pulses.stop)
+        first = np.array([self._kept[group] for group in groups]) * TOGETHER
+        centre, spacing = profile_axis(self._collection, self._upsampling)
+        return Profiles(
+            values=self._values, rows=first[numbers // TOGETHER - groups[0]] + numbers % TOGETHER, pulses=pulses,
+            valid=self._valid[pulses], centre=centre, spacing=spacing,
+        )  # fmt: skip
+
+    def _form(self, group: int) -> None:
+        """Form the profiles of a group of pulses in place of those that were not used for longest."""
+        place = len(self._kept) if len(self._kept) < self._n_kept else self._kept.popitem(last=False)[1]
+        pulses = slice(group * TOGETHER, min((group + 1) * TOGETHER, self._collection.n_pulse))
+        formed = range_profiles(
+            self._read(pulses), collection=self._collection, pulses=pulses, threads=self._threads, taper=self._taper,
+            upsampling=self._upsampling,
+        )  # fmt: skip
+        rows = slice(place * TOGETHER, place * TOGETHER + formed.values.shape[0])
+        self._values[rows], self._valid[pulses] = formed.values, formed.valid
+        self._kept[group] = place
+
+
+def edge_profiles(
+    read: ReadPulses, collection: Collection, weighting: Weighting, *, fade: int, threads: int = 1
+) -> KeptProfiles:
+    """Those that `add_edges` and, where `fade` is 0, `take_unlit` need."""
+    upsampling = EDGE_UPSAMPLING if fade else UPSAMPLING
+    return KeptProfiles(read, collection, weighting.range, upsampling=upsampling, threads=threads)
 
 
 def add_edges(
     image: ComplexArray,
-    read: ReadPulses,
+    profiles: KeptProfiles,
     geometry: Geometry,
     *,
     x: FloatArray,
@@ -63,8 +136,8 @@ def add_edges(
     ----------
     image : (n_y, n_x) complex64
         From the chain, divided by `lit`; NaN where it owns no pixel.
-    read : callable
-        Returns the samples (n, n_range_frequency) complex64 of a slice of pulses; NaN samples are missing.
+    profiles : KeptProfiles
+        From `edge_profiles`.
     geometry : Geometry
         With a steered beam.
     x, y : (n_x,), (n_y,) float
@@ -85,13 +158,13 @@ def add_edges(
     image, lit, owned = image[part], lit[part], owned[part]
     mesh_x, mesh_y = np.meshgrid(np.asarray(x, np.float64)[part[1]], np.asarray(y, np.float64)[part[0]])
     edges = _edges(geometry, mesh_x, mesh_y, owned, fade)
-    total = _sum_edges(read, geometry, mesh_x, mesh_y, edges, weighting, threads=threads, fade=fade)
+    total = _sum_edges(profiles, geometry, mesh_x, mesh_y, edges, weighting, threads=threads, fade=fade)
     image += total / np.where(owned, lit, 1.0).astype(np.float32)
 
 
 def take_unlit(
     image: ComplexArray,
-    read: ReadPulses,
+    profiles: KeptProfiles,
     geometry: Geometry,
     *,
     x: FloatArray,
@@ -109,8 +182,8 @@ def take_unlit(
     ----------
     image : (n_y, n_x) complex64
         From the chain, divided by `total`; NaN where it owns no pixel.
-    read : callable
-        Returns the samples (n, n_range_frequency) complex64 of a slice of pulses; NaN samples are missing.
+    profiles : KeptProfiles
+        From `edge_profiles`.
     geometry : Geometry
         With a beam about its axis.
     x, y : (n_x,), (n_y,) float
@@ -137,7 +210,7 @@ def take_unlit(
     if not cut.any():
         return
     edges = (np.zeros_like(first), first), (last, np.full_like(last, n))
-    unlit = _sum_edges(read, geometry, mesh_x, mesh_y, edges, weighting, threads=threads)
+    unlit = _sum_edges(profiles, geometry, mesh_x, mesh_y, edges, weighting, threads=threads)
     at_x, at_y, of_lit = mesh_x[cut], mesh_y[cut], np.zeros((1, int(cut.sum())))
     add_gains(
         of_lit, geometry, at_x[None], at_y[None], first=first[cut][None], last=last[cut][None], pulses=slice(0, n),
@@ -148,7 +221,7 @@ def take_unlit(
 
 
 def _sum_edges(
-    read: ReadPulses,
+    kept: KeptProfiles,
     geometry: Geometry,
     x: FloatArray,
     y: FloatArray,
@@ -159,20 +232,14 @@ def _sum_edges(
     fade: int = 0,
 ) -> ComplexArray:
     """Sum over the pulses from `first` to `last` of both edges of each pixel at x, y (n_y, n_x), m; not divided."""
-    collection = geometry.collection
     total, weight = np.zeros(x.shape, np.complex64), np.zeros(x.shape, np.float32)
     outside = np.zeros(x.shape, np.bool_)
-    wanted = np.logical_or(*(lit_pulses(*edge, collection.n_pulse) for edge in edges))
-    for pulses in pulse_blocks(wanted, pulse_block_size(collection)):
-        profiles = range_profiles(
-            read(pulses), collection=collection, pulses=pulses, threads=threads, taper=weighting.range
-        )
-        for first, last in edges:
+    for first, last in edges:
+        for profiles in kept.of(lit_pulses(first, last, geometry.collection.n_pulse)):
             accumulate(
                 total, outside, profiles, geometry=geometry, x=x, y=y, first=first, last=last, threads=threads,
                 taper=weighting.azimuth, weight=weight, fade=fade,
             )  # fmt: skip
-        del profiles  # before the next block is read: otherwise two blocks are in memory
     return total
 
 
@@ -200,19 +267,32 @@ def _find_doubtful(geometry: Geometry, x: FloatArray, y: FloatArray) -> BoolArra
     return np.repeat(np.repeat(cells, CELL, axis=0), CELL, axis=1)[: y.size, : x.size]
 
 
+def kept_pulses(collection: Collection, upsampling: int) -> int:
+    """Pulses whose profiles are kept: whole groups of TOGETHER, two at least, and no more than there are."""
+    most = KEPT_BYTES // (8 * profile_bins(collection, upsampling) * TOGETHER)
+    return min(max(most, 2), math.ceil(collection.n_pulse / TOGETHER)) * TOGETHER
+
+
 def edge_memory(n_pixels: int, collection: Collection, *, threads: int = 1) -> int:
     """Upper bound of the memory to add edges to an image of n_pixels, bytes, without the image."""
-    return image_memory(n_pixels, collection, threads=threads) + 8 * 16 * n_pixels  # and what finds lit pulses
+    kept = max(8 * kept_pulses(collection, n) * profile_bins(collection, n) for n in (UPSAMPLING, EDGE_UPSAMPLING))
+    forming = image_memory(n_pixels, collection, threads=threads, pulse_block=TOGETHER)
+    return forming + kept + 8 * 16 * n_pixels  # and what finds lit pulses
 
 
 def _edges(
     geometry: Geometry, x: FloatArray, y: FloatArray, owned: BoolArray, fade: int
 ) -> tuple[tuple[IntArray, IntArray], tuple[IntArray, IntArray]]:
-    """Pulses first <= p < last of the two edges of each pixel's dwell; none for pixels that are not owned."""
+    """Pulses first <= p < last that hold the two edges of each pixel's dwell; none for pixels that are not owned.
+
+    They may hold pulses between the edges, whose weight is 0, but none twice: a dwell that the collection's end cuts
+    short may lie within one edge.
+    """
     first, last = inner_interval(geometry, x, y, 1.0)
-    inner_first, inner_last = inner_interval(geometry, x, y, 1 - 1 / fade)
-    none = inner_first >= inner_last  # a dwell that the collection's end cuts short lies within one edge
-    inner_first, inner_last = np.where(none, last, inner_first), np.where(none, last, inner_last)
-    for pulses in (first, last, inner_first, inner_last):
-        pulses[~owned] = 0
-    return (first, inner_first), (inner_last, last)
+    at = np.ix_(*(np.unique(np.append(np.arange(0, n, EDGE_STEP), n - 1)) for n in x.shape))
+    inner_first, inner_last = inner_interval(geometry, x[at], y[at], 1 - 1 / fade)
+    lengths = np.maximum(inner_first - first[at], last[at] - inner_last)
+    lengths = np.where(inner_first < inner_last, lengths, last[at] - first[at])
+    length, middle = int(lengths.max()) + EDGE_ROOM, (first + last) // 2
+    begin, end = np.minimum(first + length, middle), np.maximum(last - length, middle)
+    return (first, np.where(owned, begin, first)), (np.where(owned, end, last), last)

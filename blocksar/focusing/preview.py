@@ -21,7 +21,8 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid, ground_resolution
 from blocksar.collection.weighting import Taper
-from blocksar.focusing.backprojection import accumulate, range_profiles
+from blocksar.focusing.backprojection import accumulate
+from blocksar.focusing.profiles import range_profiles
 from blocksar.kernels.groups import run_groups
 from blocksar.kernels.phase import Float32Array
 

@@ -10,10 +10,11 @@ from blocksar import stores
 from blocksar.arrays import ComplexArray
 from blocksar.collection.grid import Grid
 from blocksar.collection.weighting import Weighting
-from blocksar.focusing.dwell_edges import add_edges, take_unlit
+from blocksar.focusing.dwell_edges import KeptProfiles, add_edges, edge_profiles, take_unlit
 from blocksar.focusing.ground_map import GroundMap
 from blocksar.graph.spectrum import Window
 from blocksar.inspection.samples import Inspection, mask_outliers
+from blocksar.planning.tiling import image_chunk
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,23 +37,37 @@ class Edges:
     weighting: Weighting
     fade: int
 
-    def add(self, pixels: ComplexArray, ground: GroundMap, window: Window, grid: Grid, *, threads: int) -> None:
-        """Add the edges to a chunk of a patch, or take out what is not lit where the beam stays, in place."""
-        x, y = grid.x[window[1]], grid.y[window[0]]
+    def profiles(self, ground: GroundMap, *, threads: int) -> KeptProfiles:
+        """Range profiles for the chunks of one patch."""
 
         def read(pulses: slice) -> ComplexArray:
             return read_valid(self.source, self.inspection, pulses)
 
+        return edge_profiles(read, ground.geometry.collection, self.weighting, fade=self.fade, threads=threads)
+
+    def add(
+        self, pixels: ComplexArray, kept: KeptProfiles, ground: GroundMap, window: Window, grid: Grid, *, threads: int
+    ) -> None:
+        """Add the edges to a chunk of a patch, or take out what is not lit where the beam stays, in place."""
+        x, y = grid.x[window[1]], grid.y[window[0]]
         if ground.stays:
             take_unlit(
-                pixels, read, ground.geometry, x=x, y=y, total=ground.lit_at, valid=self.inspection.lit,
+                pixels, kept, ground.geometry, x=x, y=y, total=ground.lit_at, valid=self.inspection.lit,
                 weighting=self.weighting, threads=threads,
             )  # fmt: skip
             return
         add_edges(
-            pixels, read, ground.geometry, x=x, y=y, lit=ground.lit_at(*np.meshgrid(x, y)), fade=self.fade,
+            pixels, kept, ground.geometry, x=x, y=y, lit=ground.lit_at(*np.meshgrid(x, y)), fade=self.fade,
             weighting=self.weighting, threads=threads,
         )  # fmt: skip
+
+
+def by_yaw(cells: list[tuple[int, int]], ground: GroundMap, grid: Grid) -> list[tuple[int, int]]:
+    """Chunks of an image in the order of the yaws of their middles: neighbours in it need the same pulses."""
+    side = image_chunk(grid)
+    rows, columns = ((np.array(cells)[:, axis] + 0.5) * side[axis] for axis in (0, 1))
+    yaw = ground.relative_yaw(grid.x[0] + columns * grid.dx, grid.y[0] + rows * grid.dy)
+    return [cells[k] for k in np.argsort(yaw, kind="stable")]
 
 
 def read_valid(source: stores.PhaseHistory, inspection: Inspection, pulses: slice) -> ComplexArray:

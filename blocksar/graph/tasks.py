@@ -29,7 +29,7 @@ from blocksar.focusing.ground_map import GroundMap
 from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.step import Stage
 from blocksar.focusing.terrain_layers import Sight
-from blocksar.graph.edges import Edges, read_valid
+from blocksar.graph.edges import Edges, by_yaw, read_valid
 from blocksar.graph.layers import TerrainLayers, heights_of, local_terrain, sights_of, write_noise
 from blocksar.graph.segments import Margins, Merged
 from blocksar.graph.spectrum import SpectrumChunks, Window, chunk_spans, read_ahead
@@ -189,7 +189,9 @@ def write_patch(
     chunks = [np.empty(side[0] * side[1], np.complex64) for _ in range(WRITES_AT_ONCE + 1)]
     writes: list[Future[list[Written]]] = []
     with ThreadPoolExecutor(WRITES_AT_ONCE) as pool:
-        for number, cell in enumerate(touched_chunks(ground, grid)):
+        cells = touched_chunks(ground, grid)
+        kept = None if edges is None else edges.profiles(ground, threads=run.threads)
+        for number, cell in enumerate(cells if edges is None else by_yaw(cells, ground, grid)):
             if number >= len(chunks):
                 writes[number - len(chunks)].result()
             window = chunk_window(cell, grid)
@@ -198,8 +200,8 @@ def write_patch(
             x, y = grid.x[window[1]], grid.y[window[0]]
             z = None if ground.relief is None else heights_of(run, grid, window)
             pixels = correct(samples.values, ground, x=x, y=y, z=z, threads=run.threads, out=out)
-            if edges is not None:
-                edges.add(pixels, ground, window, grid, threads=run.threads)
+            if edges is not None and kept is not None:
+                edges.add(pixels, kept, ground, window, grid, threads=run.threads)
             writes.append(
                 pool.submit(
                     _write_pixels,

@@ -19,7 +19,8 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import Region
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.focusing.backprojection import Profiles, accumulate, range_profiles
+from blocksar.focusing.backprojection import accumulate
+from blocksar.focusing.profiles import Profiles, range_profiles
 from blocksar.kernels.fourier import fft_rows
 
 APERTURES = 6  # short ones, spread over the collection

@@ -16,14 +16,12 @@ reach beyond the unambiguous window, the loop takes the square root instead. Eit
 1e-16 of R: 1e-10 m at 700 km. Phases are reduced to less than a cycle in fixed point, of 2^-32; sines and cosines, the
 weights of the quadratic spline and sums over pulses are float32.
 
-Under a taper over a steered beam a pulse's weight changes from pixel to pixel. The place v in the beam is a quadratic
-polynomial over a tile, through 3 x 3 places; tiles are divided until it errs by less than PLACE_ERROR. Of pulses that
-only complete a sum whose ends fade out, the weight is multiplied by what the fade takes (`BeamTaper.fade`).
+Under a taper over a steered beam a pulse's weight changes from pixel to pixel (`beam_weights`); tiles are divided until
+the polynomial of the place in the beam is precise.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,6 +30,7 @@ from numba import njit, types
 from numpy.typing import NDArray
 
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from blocksar.kernels.beam_weights import BeamTaper, place_tables
 from blocksar.kernels.lanes import (
     FEW,
     FIXED_POINT,
@@ -54,14 +53,13 @@ from blocksar.kernels.loops import loop
 from blocksar.kernels.phase import Float32Array
 from blocksar.kernels.signatures import COMPILED, REAL_ROW, REAL_ROWS
 from blocksar.kernels.trigonometry import cosine, cosine_and_sine
-from blocksar.solvers import least_squares, product
 
 SERIES_ERROR = 1e-9  # m
 CHUNK = 32  # pulses whose profiles, as far as neighbouring pixels read them, stay in the first-level cache
 SMALL = 4096  # pixels of a tile that is not divided
 NEAREST = 1.0  # m: nearer antennas are left to the square root
-PLACE_ERROR = 1e-5  # of a place in the beam, whose half width is 1
 PULSES = types.int32[::1]
+ORIGINS = types.Array(types.int64, 1, "C", readonly=True)
 WEIGHTS = types.Array(types.float32, 1, "C", readonly=True)
 
 
@@ -73,8 +71,10 @@ class Sights:
     ----------
     start : int
         The first pulse of the block.
-    values : (n, n_bin) complex64
+    values : (n_row, n_bin) complex64
         Spline coefficients of the range profiles.
+    rows : (n,) int
+        The row of each pulse's profile.
     middle : int
         Bin of the reference range.
     bins_per_metre, cycles_per_metre : float
@@ -91,6 +91,7 @@ class Sights:
 
     start: int
     values: ComplexArray
+    rows: IntArray
     middle: int
     bins_per_metre: float
     cycles_per_metre: float
@@ -98,31 +99,6 @@ class Sights:
     reference_range: FloatArray
     half_window: float
     taper: BeamTaper | None = None
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class BeamTaper:
-    """Weights of pulses that change from pixel to pixel: sum_k terms_k cos(pi frequency k v).
-
-    Attributes
-    ----------
-    terms : (n,) float
-    frequency : float
-    valid : (n,) float
-        Fraction of each pulse's samples that are there.
-    place : callable
-        v (n_point, n) of points x, y (n_point,), m, for some pulses of the block: -1 .. 1 where they light them. Last
-        their heights (n_point,) over the ground, m; None: they lie on it.
-    fade : int
-        Where positive, weights are multiplied by cos^2(pi fade (1 - |v|) / 2), which falls from 1 at |v| = 1 to 0 at
-        |v| = 1 - 1 / fade; pulses further inside are not to be summed.
-    """
-
-    terms: FloatArray
-    frequency: float
-    valid: FloatArray
-    place: Callable[[FloatArray, FloatArray, slice, FloatArray | None], FloatArray]
-    fade: int = 0
 
 
 def series_error(reach: FloatArray | float, distance: FloatArray | float) -> FloatArray:
@@ -197,15 +173,18 @@ def project(
             )
         return
     sums, farthest = np.zeros((3, padded), np.float32), np.zeros(padded)
-    terms = np.zeros(0, np.float32) if sights.taper is None else sights.taper.terms.astype(np.float32)
+    terms = np.zeros(0, np.float32) if sights.taper is None else sights.taper.series
     frequency, fade = (0.0, 0) if sights.taper is None else (sights.taper.frequency, sights.taper.fade)
+    if fade:
+        add = add_edges if relief is None else add_edges_on_relief
+    else:
+        add = add_pulses if relief is None else add_pulses_on_relief
     # A sample is loaded as one number of 64 bits: the cost of a gather is per element, not per byte.
-    samples = sights.values[pulses].reshape(-1).view(np.float64)
-    add = add_pulses if relief is None else add_pulses_on_relief
+    samples, origins = sights.values.reshape(-1).view(np.float64), sights.rows[pulses] * n_bin + sights.middle
     add(
-        *sums, farthest, samples, n_bin, sights.middle, *place, *centre, *lit, spans, begin, series, roots,
-        sights.cycles_per_metre, sights.bins_per_metre, sights.half_window, places, terms, frequency / 2, fade / 2,
-        relief,
+        *sums, farthest, samples, origins, *place, *centre, *lit, spans, begin, series, roots,
+        sights.cycles_per_metre, sights.bins_per_metre, sights.half_window, places, terms, frequency / 2,
+        fade / 2 if fade else None, relief,
     )  # fmt: skip
     if sights.taper is not None:
         weight += sums[2, :size].reshape(image.shape)
@@ -213,66 +192,6 @@ def project(
     image.imag += sums[1, :size].reshape(image.shape)
     if not series[:, 0].all():
         outside |= (farthest[:size] > sights.half_window).reshape(image.shape)
-
-
-def place_tables(
-    taper: BeamTaper | None,
-    pulses: slice,
-    low: FloatArray,
-    high: FloatArray,
-    relief: tuple[float, float] | None = None,
-) -> tuple[FloatArray, bool]:
-    """For each pulse the polynomial of the place in the beam over a tile from `low` to `high` (2,), m.
-
-    `relief` is the middle of the heights over it, and how far they reach from there, m.
-
-    Returns
-    -------
-    places : (n, 7) or (n, 11) float
-        Coefficients of 1, dx, dy, dx^2, dx dy and dy^2, from the tile's centre, and the fraction of valid samples; with
-        relief those of dz, dx dz, dy dz and dz^2 besides; without a taper none.
-    precise : bool
-        Whether it errs by less than PLACE_ERROR, where the pulse lights any of the tile.
-    """
-    if taper is None:
-        return np.empty((0, 7)), True
-    if relief is not None:
-        return _places_on_relief(taper, pulses, low, high, relief)
-    at = np.linspace(-1, 1, 5)
-    half = np.maximum((high - low) / 2, 1e-6)
-    u, w = (axis.ravel() for axis in np.meshgrid(at, at))
-    exact = taper.place((low + high)[0] / 2 + half[0] * u, (low + high)[1] / 2 + half[1] * w, pulses, None)
-    grid = exact.reshape(5, 5, -1)[::2, ::2]  # rows along y
-    middle, (left, right), (below, above) = grid[1, 1], grid[1, ::2], grid[::2, 1]
-    mixed = (grid[2, 2] - grid[2, 0] - grid[0, 2] + grid[0, 0]) / 4
-    right, left, above, below = right - middle, middle - left, above - middle, middle - below
-    bends = (right - left) / 2, mixed, (above - below) / 2
-    places = np.stack([middle, (right + left) / 2, (above + below) / 2, *bends], axis=1)
-    fitted = product(places, np.stack([np.ones_like(u), u, w, u * u, u * w, w * w]))
-    near = (np.abs(exact) <= 1).any(axis=0)
-    precise = bool((np.abs(fitted.T - exact)[:, near] < PLACE_ERROR).all())
-    scale = np.array([1.0, half[0], half[1], half[0] ** 2, half[0] * half[1], half[1] ** 2])
-    return np.column_stack([places / scale, taper.valid[pulses]]), precise
-
-
-def _places_on_relief(
-    taper: BeamTaper, pulses: slice, low: FloatArray, high: FloatArray, relief: tuple[float, float]
-) -> tuple[FloatArray, bool]:
-    """`place_tables` with the height as third coordinate: the quadratic polynomial closest to 3 x 3 x 3 places."""
-    half = np.maximum(np.array([*(high - low) / 2, relief[1]]), 1e-6)
-    centre = [*(low + high) / 2, relief[0]]
-    nodes = np.array([axis.ravel() for axis in np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3)])
-    x, y, z = (c + h * u for c, h, u in zip(centre, half, nodes, strict=True))
-    exact = taper.place(x, y, pulses, z)
-    exponents = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (2, 0, 0), (1, 1, 0), (0, 2, 0), (0, 0, 1), (1, 0, 1),
-                          (0, 1, 1), (0, 0, 2)])  # fmt: skip
-    terms = np.prod(nodes.T[:, None, :] ** exponents, axis=-1)
-    places = least_squares(terms.T, exact.T).T
-    near = (np.abs(exact) <= 1).any(axis=0)
-    precise = bool((np.abs(product(terms, places.T) - exact)[:, near] < PLACE_ERROR).all())
-    places = places / np.prod(half**exponents, axis=-1)
-    table = np.column_stack([places[:, :6], taper.valid[pulses], places[:, 6:]])
-    return np.ascontiguousarray(table), precise
 
 
 def _halves(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
@@ -381,14 +300,22 @@ def _weight(v: Any, terms: Any, half_frequency: Any) -> Any:
     return terms[0] + (cos * total - last)
 
 
+@njit(inline="always")
+def _faded(v: Any, terms: Any, half_fade: Any) -> Any:
+    """The same times what the fade takes, from the FADE_DEGREE + 1 power coefficients of both."""
+    half = remainder(smaller((1.0 - larger(v, 0.0 - v)) * half_fade, 0.5))
+    square = half * half
+    high = square * terms[6] + (half * terms[5] + terms[4])
+    return (half * terms[1] + terms[0]) + square * ((half * terms[3] + terms[2]) + square * high)
+
+
 def _add_pulses(
     real: NDArray[np.float32],
     imag: NDArray[np.float32],
     weight: NDArray[np.float32],
     farthest: FloatArray,
     samples: FloatArray,
-    n_bin: int,
-    middle: int,
+    origins: IntArray,
     x: FloatArray,
     y: FloatArray,
     centre_x: float,
@@ -405,7 +332,7 @@ def _add_pulses(
     places: FloatArray,
     terms: NDArray[np.float32],
     half_frequency: float,
-    half_fade: float,
+    half_fade: float | None,
     relief: FloatArray | None,
 ) -> None:
     """Sum the lit pulses, in ascending order, at pixels (n,).
@@ -413,9 +340,11 @@ def _add_pulses(
     With `terms`, each pulse has a weight that depends on the pixel's place in the beam, of which `places` has the
     polynomials and, last, the fraction of valid samples; `weight` rises by their sum.
 
-    `spans` holds the pulses that light any pixel of a group of FEW; tables and samples begin at the pulse `start`.
+    `spans` holds the pulses that light any pixel of a group of FEW; tables begin at the pulse `start`, also `origins`,
+    which has the sample of each profile at its pulse's reference range.
     `farthest` rises to |range - reference_range| where a lit pulse needed the square root. `relief` has the heights of
-    the pixels over the tile's centre; without, the loop is compiled for a plane.
+    the pixels over the tile's centre; without, the loop is compiled for a plane. Without `half_fade` it is for weights
+    that do not fade.
     """
     turns, rights = np.empty(CHUNK * FEW, np.float32), np.empty(CHUNK * FEW, np.float32)
     bins, shares = np.empty(CHUNK * FEW, np.int32), np.empty(CHUNK * FEW, np.float32)
@@ -456,17 +385,15 @@ def _add_pulses(
                 for p in range(low, high):
                     place = places[p - start]
                     v = _place(place, dx, dy) if relief is None else _place_on_relief(place, dx, dy, dz)
-                    part = within(_weight(v, terms, half_frequency), lit, p, unlit)
-                    if half_fade > 0:
-                        taken = cosine(remainder((1.0 - larger(v, 0.0 - v)) * half_fade))
-                        part = part * (np.float32(0.5) + np.float32(0.5) * taken)
+                    part = _weight(v, terms, half_frequency) if half_fade is None else _faded(v, terms, half_fade)
+                    part = within(part, lit, p, unlit)
                     store(shares, (p - low) * FEW, part)
                     share = share + part * np.float32(place[6])
                 store(weight, i, share)
             re, im = load_few(real, i), load_few(imag, i)
             for p in range(low, high):
                 j = (p - low) * FEW
-                a, b = _sample(samples, (p - start) * n_bin + middle, load_few(bins, j), load_few(rights, j))
+                a, b = _sample(samples, origins[p - start], load_few(bins, j), load_few(rights, j))
                 a, b = within(a, lit, p, unlit), within(b, lit, p, unlit)
                 cos, sin = cosine_and_sine(load_few(turns, j))
                 if terms.size > 0:
@@ -477,9 +404,11 @@ def _add_pulses(
 
 
 _TYPES = (
-    types.float32[::1], types.float32[::1], types.float32[::1], types.float64[::1], REAL_ROW, types.int64, types.int64,
+    types.float32[::1], types.float32[::1], types.float32[::1], types.float64[::1], REAL_ROW, ORIGINS,
     REAL_ROW, REAL_ROW, types.float64, types.float64, PULSES, PULSES, types.int64[:, ::1], types.int64,
-    REAL_ROWS, REAL_ROWS, types.float64, types.float64, types.float64, REAL_ROWS, WEIGHTS, types.float64, types.float64,
+    REAL_ROWS, REAL_ROWS, types.float64, types.float64, types.float64, REAL_ROWS, WEIGHTS, types.float64,
 )  # fmt: skip
-add_pulses = loop(*_TYPES, types.none, **COMPILED)(_add_pulses)
-add_pulses_on_relief = loop(*_TYPES, REAL_ROW, **COMPILED)(_add_pulses)
+add_pulses = loop(*_TYPES, types.none, types.none, **COMPILED)(_add_pulses)
+add_pulses_on_relief = loop(*_TYPES, types.none, REAL_ROW, **COMPILED)(_add_pulses)
+add_edges = loop(*_TYPES, types.float64, types.none, **COMPILED)(_add_pulses)
+add_edges_on_relief = loop(*_TYPES, types.float64, REAL_ROW, **COMPILED)(_add_pulses)

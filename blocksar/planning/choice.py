@@ -92,9 +92,10 @@ def _figures(contender: Contender) -> str:
     plan = contender.plan
     assert plan is not None
     worst = contender.worst.prediction
+    allowed = side_lobe_budget(plan.fidelity, worst.ideal_pslr)
     return (
         f"predicted coherence {plan.coherence:.6g} of {plan.fidelity:.6g} in {plan.n_blocks} blocks, side lobes "
-        f"{worst.pslr:.2f} dB, allowed {worst.ideal_pslr:.2f} +- {side_lobe_budget(plan.fidelity):.2g}"
+        f"{worst.pslr:.2f} dB, allowed {worst.ideal_pslr:.2f} +- {allowed:.2g}"
     )
 
 

@@ -42,7 +42,8 @@ class Prediction(NamedTuple):
         Without `migration`, the loss by range migration is left out.
         """
         loss = 1 - self.coherence - (0.0 if migration else self.range_loss)
-        return max(loss / (1 - fidelity), abs(self.pslr - self.ideal_pslr) / side_lobe_budget(fidelity))
+        allowed = side_lobe_budget(fidelity, self.ideal_pslr)
+        return max(loss / (1 - fidelity), abs(self.pslr - self.ideal_pslr) / allowed)
 
 
 def predict(

@@ -20,16 +20,15 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
-from blocksar.focusing import backprojection
+from blocksar.focusing import profiles
 from blocksar.focusing.backprojection import (
     accumulate,
     form_image,
     form_points,
     image_memory,
     pulse_block_size,
-    range_profiles,
-    spline_error,
 )
+from blocksar.focusing.profiles import UPSAMPLING, range_profiles, spline_error
 from blocksar.kernels import projection
 from blocksar.simulation.scatterers import simulate_pulses
 
@@ -259,7 +258,7 @@ def test_the_series_and_the_square_root_agree(range_km: int, monkeypatch: pytest
 
 def test_a_profile_too_long_to_address_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     c = collection(n_frequency=64)
-    monkeypatch.setattr(backprojection, "FIXED_RANGE", 128.0)
+    monkeypatch.setattr(profiles, "FIXED_RANGE", 128.0)
     with pytest.raises(ValueError, match="64 range frequencies make 384 bins; at most 256"):
         range_profiles(noise(c)[:1], collection=c, pulses=slice(0, 1), threads=1)
 
@@ -270,15 +269,15 @@ def test_the_interpolation_error_is_below_60_db() -> None:
     geometry, p = Geometry(collection=c), c.n_pulse // 2
     x, y = around(c, np.linspace(-500, 500, 2000)[None], np.zeros((1, 2000)))
     signal = noise(c)[p : p + 1]
-    profiles = range_profiles(signal, collection=c, pulses=slice(p, p + 1), threads=1)
+    formed = range_profiles(signal, collection=c, pulses=slice(p, p + 1), threads=1)
     image, outside = np.zeros(x.shape, np.complex64), np.zeros(x.shape, np.bool_)
     first, last = np.full(x.shape, p), np.full(x.shape, p + 1)
-    accumulate(image, outside, profiles, geometry=geometry, x=x, y=y, first=first, last=last, threads=1)
+    accumulate(image, outside, formed, geometry=geometry, x=x, y=y, first=first, last=last, threads=1)
     distance = np.linalg.norm(np.stack([x, y, 0 * x], -1)[0] - c.antenna_position[p], axis=1) - c.reference_range[p]
     steering = np.exp(4j * np.pi / SPEED_OF_LIGHT * np.multiply.outer(distance, c.carrier + c.range_frequency))
     expected = steering @ signal[0].astype(np.complex128) / c.n_range_frequency
     error = np.sqrt(np.mean(np.abs(image[0] - expected) ** 2) / np.mean(np.abs(expected) ** 2))
-    predicted = spline_error(upsampling=backprojection.UPSAMPLING)
+    predicted = spline_error(upsampling=UPSAMPLING)
     assert predicted < 1e-3
     assert 0.8 * predicted < error < 1.2 * predicted
 

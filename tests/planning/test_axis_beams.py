@@ -16,7 +16,7 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.weighting import Weighting
 from blocksar.focusing.backprojection import form_image
 from blocksar.focusing.correction import correct
-from blocksar.focusing.dwell_edges import add_edges, take_unlit
+from blocksar.focusing.dwell_edges import add_edges, edge_profiles, take_unlit
 from blocksar.focusing.recovery import recover_columns
 from blocksar.measurement.coherence import coherence
 from blocksar.planning.plan import Plan, plan_collection
@@ -51,15 +51,18 @@ def focus(plan: Plan, signal: ComplexArray) -> ComplexArray:
         for step in block.chain:
             slab = step.apply(slab, threads=2)
         part = correct(np.ascontiguousarray(slab), block.ground, x=grid.x, y=grid.y, threads=2)
+        kept = edge_profiles(
+            lambda pulses: signal[pulses], plan.geometry.collection, plan.weighting, fade=plan.fade, threads=2
+        )
         if plan.stays:
             take_unlit(
-                part, lambda pulses: signal[pulses], plan.geometry, x=grid.x, y=grid.y, total=block.ground.lit_at,
+                part, kept, plan.geometry, x=grid.x, y=grid.y, total=block.ground.lit_at,
                 valid=np.ones(signal.shape[0]), weighting=plan.weighting, threads=2,
             )  # fmt: skip
         if plan.fade:
             lit = block.ground.lit_at(*np.meshgrid(grid.x, grid.y))
             add_edges(
-                part, lambda pulses: signal[pulses], plan.geometry, x=grid.x, y=grid.y, lit=lit, fade=plan.fade,
+                part, kept, plan.geometry, x=grid.x, y=grid.y, lit=lit, fade=plan.fade,
                 weighting=plan.weighting, threads=2,
             )  # fmt: skip
         image[~np.isnan(part)] = part[~np.isnan(part)]

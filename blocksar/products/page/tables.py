@@ -132,7 +132,7 @@ def _plan_row(run: Facts, block: PredictedBlock) -> Row:
         Cell(block.name),
         _cell(block.coherence, 4, off=block.coherence < fidelity),
         _cell(block.residual_phase, 4),
-        _cell(predicted, 2, off=abs(predicted - block.ideal_pslr) > side_lobe_budget(fidelity)),
+        _cell(predicted, 2, off=abs(predicted - block.ideal_pslr) > side_lobe_budget(fidelity, block.ideal_pslr)),
         _cell(pslr and pslr.azimuth_pslr, 2, off=pslr is not None and excess(pslr, "azimuth_pslr") > 1),
         _cell(block.width, 4),
         _cell(

@@ -1,0 +1,163 @@
+"""Range profiles of pulses: what back-projection interpolates at the range of each pixel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from blocksar.arrays import ComplexArray, FloatArray, IntArray
+from blocksar.collection.collection import Collection
+from blocksar.collection.weighting import FLAT, Taper
+from blocksar.kernels.fourier import Axis, fast_length, fft_rows, unit_phasor
+from blocksar.kernels.groups import row_groups, run_groups
+from blocksar.kernels.lanes import FIXED_RANGE
+from blocksar.kernels.operations import Transform
+
+UPSAMPLING = 6  # bins per range cell: the error of the quadratic spline is then -69 dB, see spline_error
+MARGIN = 2  # bins on either side of the window that the spline may use
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Profiles:
+    """Range profiles of some pulses, upsampled and ready for the quadratic spline.
+
+    Attributes
+    ----------
+    values : (n_row, n_bin) complex64
+        Spline coefficients: bin b is at R - reference_range = (b - centre) * spacing. The phase of the middle
+        frequency, exp(4j pi (fc + f_middle) / c (R - reference_range)), is removed: it varies too fast to interpolate.
+    rows : (n,) int
+        The row of each pulse's profile.
+    valid : (n,) int or float
+        Number of samples of each pulse that are not NaN; under a weighting in range, the sum of their weights over the
+        mean weight.
+    pulses : slice
+        The pulses of the collection.
+    centre : int
+        Bin of the reference range.
+    spacing : float
+        Spacing of the bins, m.
+    """
+
+    values: ComplexArray
+    rows: IntArray
+    valid: IntArray | FloatArray
+    pulses: slice
+    centre: int
+    spacing: float
+
+
+def range_profiles(
+    signal: ComplexArray,
+    *,
+    collection: Collection,
+    pulses: slice,
+    threads: int,
+    taper: Taper = FLAT,
+    upsampling: int = UPSAMPLING,
+) -> Profiles:
+    """Mean over frequency of signal exp(4j pi (f - f_middle) d / c) on a fine grid of d = R - reference_range.
+
+    The zero-padded samples are divided by the frequency response of the quadratic spline, sinc(f / f_bins)^3. The
+    spline through the transformed bins then has the exact level over the band; spectral images are its only error.
+
+    Parameters
+    ----------
+    signal : (n, n_range_frequency) complex64
+        Not changed. NaN samples count as missing.
+    collection : Collection
+    pulses : slice
+        n pulses of the collection.
+    threads : int
+        The result does not depend on it.
+    taper : Taper
+        Weighting along range frequency.
+    upsampling : int
+        Bins per range cell.
+
+    Returns
+    -------
+    Profiles
+
+    Raises
+    ------
+    ValueError
+        If the shapes disagree.
+
+    References
+    ----------
+    Unser, "Splines: a perfect fit for signal and image processing", IEEE Signal Processing Magazine 16(6), 1999.
+    """
+    n, period = collection.n_range_frequency, _period(collection, upsampling)
+    if period // 2 + MARGIN >= FIXED_RANGE:
+        raise ValueError(f"{n} range frequencies make {period} bins; at most {2 * FIXED_RANGE:.0f} can be addressed")
+    if signal.shape != (pulses.stop - pulses.start, n):
+        raise ValueError(f"{signal.shape=} but {pulses=} of {n} range frequencies")
+    step, middle = collection.range_frequency_step, n // 2
+    frequency = Axis(-middle * step, step, n)
+    delay = Axis(-(period // 2) / (period * step), 1 / (period * step), period)
+    before, after = Transform(frequency, delay, inverse=True).phases()
+    lead = unit_phasor(before.cycles(frequency.values)[0]) / np.sinc(frequency.values / (period * step)) ** 3
+    weights = taper.samples(n)
+    weights /= weights.mean()
+    if not taper.uniform:
+        lead *= weights
+    lead = (lead * (period / n)).astype(np.complex64)
+    trail = unit_phasor(after.cycles(delay.values)[0])
+    centre, spacing = profile_axis(collection, upsampling)
+    values = np.empty((signal.shape[0], period + 2 * MARGIN), np.complex64)
+    valid = np.empty(signal.shape[0], np.int64 if taper.uniform else np.float64)
+
+    def work(rows: slice) -> None:
+        missing = np.isnan(signal[rows])
+        if taper.uniform:
+            valid[rows] = n - np.count_nonzero(missing, axis=1)
+        else:
+            valid[rows] = n - np.where(missing, weights, 0.0).sum(axis=1)
+        group = np.zeros((rows.stop - rows.start, period), np.complex64)
+        np.multiply(signal[rows], lead, out=group[:, :n])
+        group[:, :n][missing] = 0
+        group = fft_rows(group, inverse=True)
+        out = values[rows]
+        np.multiply(group, trail, out=out[:, MARGIN:-MARGIN])
+        # The middle frequency is a sample of the axis: without its phase the profile is periodic in the window.
+        out[:, -MARGIN:] = out[:, MARGIN : 2 * MARGIN]
+        out[:, :MARGIN] = out[:, -2 * MARGIN : -MARGIN]
+
+    run_groups(work, row_groups(0, signal.shape[0], period), threads)
+    return Profiles(
+        values=values,
+        rows=np.arange(signal.shape[0]),
+        valid=valid,
+        pulses=pulses,
+        centre=centre,
+        spacing=spacing,
+    )
+
+
+def spline_error(*, upsampling: float) -> float:
+    """Root mean square relative error of the quadratic spline over a band 1 / upsampling of the sampling rate.
+
+    The spline has images of a frequency f (cycles per bin) at f + k, weaker by (sinc(f + k) / sinc(f))^3.
+    """
+    f = np.linspace(-0.5, 0.5, 129) / upsampling
+    k = np.delete(np.arange(-8, 9), 8)
+    images = (np.sinc(f[:, None] + k) / np.sinc(f[:, None])) ** 3
+    return float(np.sqrt(np.mean(np.sum(images**2, axis=1))))
+
+
+def profile_bins(collection: Collection, upsampling: int = UPSAMPLING) -> int:
+    """Bins of a profile."""
+    return _period(collection, upsampling) + 2 * MARGIN
+
+
+def profile_axis(collection: Collection, upsampling: int = UPSAMPLING) -> tuple[int, float]:
+    """The bin of the reference range, and the spacing of bins, m."""
+    period = _period(collection, upsampling)
+    return period // 2 + MARGIN, collection.range_window / period
+
+
+def _period(collection: Collection, upsampling: int) -> int:
+    """Length of the transform to range profiles."""
+    return fast_length(upsampling * collection.n_range_frequency)
