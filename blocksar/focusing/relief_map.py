@@ -10,23 +10,27 @@ from blocksar.arrays import FloatArray
 from blocksar.focusing.lines import Focus, Line, focus
 from blocksar.focusing.surfaces import Surface
 
-BEYOND = 1.2  # half extents of its domain from its middle, at which a smooth ground ends: it goes on level
+BEYOND = 1.2  # half extents of its domain from its middle, at which a smooth ground ends
 SHORT = 0.05  # of the fourth moment of the longest dwells: half of their length
 QUANTITIES, GAIN = 6, 3  # range offset, Doppler, phase, gain, time and bend; which of them is the gain
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SmoothGround:
-    """A smooth ground that stands for a block's terrain: height, m, over epoch range and yaw, and an offset, m."""
+    """A smooth ground that stands for a block's terrain: height, m, over epoch range and yaw, and an offset, m.
+
+    It goes on level beyond `ends`, half extents of its domain from its middle.
+    """
 
     surface: Surface
     offset: float = 0.0
+    ends: float = BEYOND
 
     def __call__(self, epoch_range: FloatArray, yaw: FloatArray) -> FloatArray:
         s = self.surface
         held = []
         for values, low, high in ((epoch_range, s.near, s.far), (yaw, s.low, s.high)):
-            middle, half = (low + high) / 2, BEYOND * (high - low) / 2
+            middle, half = (low + high) / 2, self.ends * (high - low) / 2
             held.append(np.clip(values, middle - half, middle + half))
         return s(*held) + self.offset
 

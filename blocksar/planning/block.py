@@ -48,6 +48,7 @@ TIME_GUARD = 0.1  # dwells kept on either side of the time in which a block's ta
 LEAST_ROOM = 1.4  # dwells that slow time has room for, so that the windows of the gate can fade out
 RESAMPLING_ROOM = 1.35  # oversampling of Doppler by padding in time: dense enough to interpolate
 REGION_STEPS, LEAST_STEPS = 64 * YAW_STEPS, 128  # of yaw over the region, in which a block has its share; at least
+GATE_RANGES = 25  # of the lines that a dwell gate on a terrain follows
 STEPS_BY_RANGE = 512  # of yaw, where the sum over lit pulses is a table over range and yaw
 
 
@@ -174,22 +175,15 @@ def plan_block(
     if in_time is not None:
         in_time, fine = level_aperture(fine, in_time)
         azimuth = azimuth.weighed(in_time)
-    first, last = dwell_at(sector.geometry, fine_yaw, fine_range[:, None], uncut=True)
-    uncut = first - sector.geometry.epoch, last - sector.geometry.epoch
     about = range_part.scales_time_about
-    weights = sector.weights(lit, uncut=uncut, epoch_range=fine_range, yaw=fine_yaw, scaled_about=about)
+    ends = _ends(sector, fine, biased.rate, fine_range, fine_yaw, scaled_about=about)
+    weights = sector.weights(lit, uncut=ends.uncut, epoch_range=fine_range, yaw=fine_yaw, scaled_about=about)
     spots = focus(weights.weigh(fine))
     sampling = _plan_sampling(
         recovery, slab, azimuth, straight if sector.relief is None else range_part.trace(everywhere),
         range_frequency=band if range_gate is None else range_gate.range_frequency, duration=duration,
-        uncut=float((last - first).max()) if collection.steered else 0.0, turns=azimuth.turns(compressed),
-        tap_error=sector.tap_error,
-        faded=sector.fade > 0,
-    )  # fmt: skip
-    ends = Ends(
-        rate=biased.rate, uncut=uncut, scaled_about=about,
-        full=full_dwells(fine, sector.geometry, fine_range[:, None], fine_yaw),
-        passing=sector.passing(fine_range[:, None], fine_yaw),
+        uncut=float((ends.uncut[1] - ends.uncut[0]).max()) if collection.steered else 0.0,
+        turns=azimuth.turns(compressed), tap_error=sector.tap_error, faded=sector.fade > 0,
     )  # fmt: skip
     lines = FineLines(lit, fine, spots, fine_range, fine_yaw, weights, ends, in_time)
     sampling, ground, prediction = _plan_image(sector, azimuth, sampling, lines)
@@ -233,16 +227,29 @@ def _trace(sector: Sector, azimuth: AzimuthPart, lines: FineLines) -> tuple[Line
 
 
 def _follow_terrain(sector: Sector, azimuth: AzimuthPart, lines: FineLines) -> FineLines:
-    """The lines of targets on the finer smooth part of a terrain, which the dwell gate follows."""
-    lit, line, rate = _trace(sector.refined(), azimuth, lines)
-    spots = focus(lines.weights.weigh(line))
-    return lines._replace(lit=lit, line=line, spots=spots, ends=lines.ends._replace(rate=rate))
+    """The lines of targets on the finer smooth part of a terrain, which the dwell gate follows, at more ranges."""
+    rng, yaw = nodes_between(sector.near, sector.far, GATE_RANGES), lines.yaw
+    lit, line, rate = _trace(sector.refined(), azimuth, lines._replace(epoch_range=rng))
+    ends = _ends(sector, line, rate, rng, yaw, scaled_about=lines.ends.scaled_about)
+    weights = sector.weights(lit, uncut=ends.uncut, epoch_range=rng, yaw=yaw, scaled_about=ends.scaled_about)
+    return FineLines(lit, line, focus(weights.weigh(line)), rng, yaw, weights, ends, lines.in_time)
+
+
+def _ends(
+    sector: Sector, line: Line, rate: FloatArray, rng: FloatArray, yaw: FloatArray, *, scaled_about: float | None
+) -> Ends:
+    """What the ends of dwells of lines (n_range, n_yaw, n), after all steps, depend on."""
+    first, last = dwell_at(sector.geometry, yaw, rng[:, None], uncut=True)
+    return Ends(
+        rate=rate, uncut=(first - sector.geometry.epoch, last - sector.geometry.epoch), scaled_about=scaled_about,
+        full=full_dwells(line, sector.geometry, rng[:, None], yaw), passing=sector.passing(rng[:, None], yaw),
+    )  # fmt: skip
 
 
 def _raise(
     sector: Sector, azimuth: AzimuthPart, ground: GroundMap, gate: DwellGate | None, lines: FineLines
 ) -> tuple[GroundMap, Prediction]:
-    """The ground map with the terrain's heights, and the worst prediction over them."""
+    """The ground map with the terrain's heights, and the prediction at usual ones."""
     relief, weights, rng, yaw = sector.relief, lines.weights, lines.epoch_range, lines.yaw
     assert relief is not None
     origin, carrier, degree = sector.recovery.origin, sector.geometry.collection.carrier, (9, 16)
@@ -262,18 +269,15 @@ def _raise(
         turns = [turns_of(layer.geometry, sector.geometry, rng, yaw) for layer in layers]
         ground = ground.widened(sector.region, float(np.abs(turns).max()))
     by_height = map_relief(relief, layers, surfaces_of, epoch_range=rng, yaw=yaw, degree=degree, turns=turns)
-    *usual, known = relief.usual(rng.size, yaw.size)
-    known = known if known.any() else np.ones_like(known)
-    grounds = [sector.geometry.over(None, NodeHeights(smooth=relief.fine, over=heights)) for heights in usual]
-    predictions = [
-        predict(
-            layer.line, layer.spots, rng, yaw, layer.geometry, rate=layer.rate, gate=gate,
-            parts=sector.gate_parts, scaled_about=lines.ends.scaled_about, weights=weights, reached=known,
-            band=sector.weighting.range,
-        )
-        for layer in (trace_layer(each, trace, weights.weigh) for each in grounds)
-    ]  # fmt: skip
-    return replace(ground, relief=by_height), min(predictions, key=lambda each: each.coherence)
+    usual, known = relief.usual(rng.size, yaw.size)
+    heights = NodeHeights(smooth=relief.fine, over=usual)
+    layer = trace_layer(sector.geometry.over(None, heights), trace, weights.weigh)
+    prediction = predict(
+        layer.line, layer.spots, rng, yaw, layer.geometry, rate=layer.rate, gate=gate,
+        parts=sector.gate_parts, scaled_about=lines.ends.scaled_about, weights=weights,
+        reached=known if known.any() else np.ones_like(known), band=sector.weighting.range,
+    )  # fmt: skip
+    return replace(ground, relief=by_height), prediction
 
 
 def _pulse_taper(sector: Sector) -> AxisTaper | None:

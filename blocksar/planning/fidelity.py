@@ -32,6 +32,9 @@ by dw/dt (t - m) f / fc, and half the mean of its square is lost, over the mean 
 Where the gate has parts over the band (`dwell_gate`), what is left of a shift is what Lagrange's polynomials leave of
 it: exp(-2j pi u d / T) becomes its interpolation through the parts' own shifts, and slopes are followed.
 
+On a terrain heights displace both ends of a dwell to the same side. What the gate lets in beyond the one is no echo, as
+what has the pixel's Doppler there has left the beam. Only what it cuts off at the other is lost: half of the sum.
+
 Under a weighting w both sums have the weights w besides, and under an antenna's pattern g the echo has g: the inner
 product along the dwell has (w g)^2, and an end loses by that value there. Means over the band have the square of its
 weighting.
@@ -56,6 +59,7 @@ from blocksar.focusing.lines import LEAST_STRETCH, Focus, Line
 from blocksar.planning.dwell_weights import DwellWeights
 from blocksar.planning.gates import dwell_ends, end_smear, full_dwells, gate_parts
 
+ONE_SIDE = 0.5  # of the energy of both ends of a dwell that are displaced to the same side
 BAND_NODES = 4  # of the means over range frequency
 MIGRATION_NODES = 12  # of that over the phase by range migration, under a weighting
 KNOTS = 128  # of the table of the energy of an end, per unit of z
@@ -107,7 +111,7 @@ def worst_losses(
     parts : int
         Of the gate over the band; 1 for one gate.
     reached : (n_range, n_yaw) bool, optional
-        Which of the targets there are; default: all.
+        On a terrain, which of the targets there are; default: all.
     band : Taper
         Weighting along range frequency.
     """
@@ -118,7 +122,7 @@ def worst_losses(
         ends = _at_ends(
             line, spots, rng, yaw, geometry, rate=rate, gate=gate, parts=parts, scaled_about=scaled_about, band=band
         )
-        ends *= weights.edge**2 * line.weight.sum(axis=-1)
+        ends *= weights.edge**2 * line.weight.sum(axis=-1) * (1.0 if reached is None else ONE_SIDE)
         if parts == 1:
             ends += slope_loss(geometry.collection, band) * (line.weight * np.square(weights.change)).sum(axis=-1)
         ends /= squared.weight.sum(axis=-1)

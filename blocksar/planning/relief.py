@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import chebyshev
 
 from blocksar import solvers
-from blocksar.arrays import BoolArray, FloatArray
+from blocksar.arrays import BoolArray, FloatArray, IntArray
 from blocksar.collection.beam import at_times, beam_offset, dwell_at, pattern_gain, wrapped
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
@@ -19,9 +20,11 @@ from blocksar.focusing.relief_map import GAIN, QUANTITIES, ReliefMap, SmoothGrou
 from blocksar.focusing.surfaces import Surface, fit_surface
 
 SMOOTH_DEGREE = 2, 2  # of the smooth ground, along range and yaw, on which coefficients are fitted: no finer is better
-FINE_DEGREE = 8, 8  # of the finer one, which the dwell gate follows
-CELLS = 24, 48  # of a block along range and yaw, whose mean heights these are fitted to
-UNKNOWN_WEIGHT, UNKNOWN_FINE, FIT_DAMPING = 0.3, 0.3, 1e-9  # of cells without heights, held level or smooth
+FINE_DEGREE = 16, 8  # of the finer one, which the dwell gate follows: a block is longer along range
+CELLS, FINE_CELLS = (24, 48), (64, 48)  # of a block along range and yaw, whose mean heights these are fitted to
+UNKNOWN_WEIGHT, FIT_DAMPING = 0.3, 1e-9  # of cells without heights, held level
+FINE_ENDS = 1.0  # half extents from its middle at which the finer one ends: series of high degrees go astray beyond
+BINS, ABOUT = 160, 0.05  # along each side of a block, and half extents of it about a node: those of a chip or two
 MOST_POINTS = 1 << 20  # of a terrain that are looked at
 ROOM = 0.02  # of the relief, that heights may go beyond on either side
 LEAST_RELIEF = 0.5  # m
@@ -66,28 +69,42 @@ class Relief:
         """A geometry on the smooth ground, raised by an offset, m."""
         return geometry.over(None, SmoothGround(surface=self.smooth.surface, offset=offset))
 
-    def usual(self, n_range: int, n_yaw: int) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """Usual heights over the finer smooth ground about each end node (n_range, n_yaw), m: a low one and a high one.
+    def usual(self, n_range: int, n_yaw: int) -> tuple[FloatArray, BoolArray]:
+        """Usual heights over the finer smooth ground about each end node (n_range, n_yaw), m, and whether any is known.
 
-        The mean less and plus the mean distance from it. What is lost at the ends of a dwell is in proportion to their
-        displacement, thus to the distance from the smooth ground: the mean of the losses about a node, as a chip of the
-        image shows it, is the loss at these heights. And whether any height is known there.
+        What is lost at the ends of a dwell is in proportion to their displacement, thus to the distance from the smooth
+        ground: the mean of the losses about a node, as a chip of the image shows it, is the loss at the mean distance.
+        That is of heights that are normally distributed, and has the sign of their mean. About a node are places nearer
+        to it than to others, and those as near as in a chip.
         """
         u, v, over = self.points
-        where = []
-        for at, n in ((u, n_range), (v, n_yaw)):
-            nodes = solvers.end_nodes(n)
-            where.append(np.searchsorted((nodes[1:] + nodes[:-1]) / 2, at))
-        cell, count = where[0] * n_yaw + where[1], n_range * n_yaw
-        number = np.bincount(cell, minlength=count)
+        cell = [np.clip(((at + 1) / 2 * BINS).astype(np.int64), 0, BINS - 1) for at in (u, v)]
+        which = cell[0] * BINS + cell[1]
+        spans = [_bins_about(n) for n in (n_range, n_yaw)]
 
-        def mean(values: FloatArray) -> FloatArray:
-            return np.bincount(cell, weights=values, minlength=count) / np.maximum(number, 1)
+        def total(values: FloatArray | None) -> FloatArray:
+            sums = np.zeros((BINS + 1, BINS + 1))
+            sums[1:, 1:] = np.bincount(which, weights=values, minlength=BINS * BINS).reshape(BINS, BINS)
+            sums = sums.cumsum(axis=0).cumsum(axis=1)
+            (low_u, high_u), (low_v, high_v) = spans
+            rows = sums[high_u] - sums[low_u]
+            return np.asarray(rows[:, high_v] - rows[:, low_v])
 
-        middle = mean(over)
-        away = mean(np.abs(over - middle[cell]))
-        low, high = ((middle + sign * away).reshape(n_range, n_yaw) for sign in (-1, 1))
-        return low, high, (number > 0).reshape(n_range, n_yaw)
+        number = total(None)
+        known = number > 0.5
+        middle, square = (total(values) / np.maximum(number, 1) for values in (over, over**2))
+        spread = np.maximum(square - middle**2, 0.0)
+        return np.copysign(np.sqrt(middle**2 + 2 / np.pi * spread), middle), known
+
+
+def _bins_about(n: int) -> tuple[IntArray, IntArray]:
+    """First and last but one of BINS over -1 .. 1 that are about each of n end nodes, (n,) each."""
+    nodes = solvers.end_nodes(n)
+    between = (nodes[1:] + nodes[:-1]) / 2
+    low = np.minimum(np.append(-1.0, between), nodes - ABOUT)
+    high = np.maximum(np.append(between, 1.0), nodes + ABOUT)
+    low, high = (np.clip(np.rint((at + 1) / 2 * BINS), 0, BINS).astype(np.int64) for at in (low, high))
+    return low, high
 
 
 class Samples(NamedTuple):
@@ -121,15 +138,11 @@ def find_relief(samples: Samples, *, low: float, high: float, near: float, far: 
     u, v = (2 * samples.epoch_range - near - far) / (far - near), 2 * turn / (high - low)
     inside = (np.abs(u) <= 1) & (np.abs(v) <= 1)
     u, v, z = u[inside], v[inside], samples.z[inside]
-    cells = _cell_means(u, v, z, float(z.mean()) if z.size else level)
-
-    def ground(series: FloatArray) -> SmoothGround:
-        return SmoothGround(surface=Surface(series=series, near=near, far=far, low=low, high=high))
-
-    coarse = _fit(cells, SMOOTH_DEGREE, np.full(cells.z.size, cells.mean), UNKNOWN_WEIGHT)
-    smooth = ground(coarse)
-    held = smooth((near + far + cells.u * (far - near)) / 2, (low + high + cells.v * (high - low)) / 2)
-    fine = ground(_fit(cells, FINE_DEGREE, held, UNKNOWN_FINE))
+    level = float(z.mean()) if z.size else level
+    domain = {"near": near, "far": far, "low": low, "high": high}
+    smooth = SmoothGround(surface=Surface(series=_fit(_cell_means(u, v, z, level, CELLS)), **domain))
+    series = _fit_finely(_cell_means(u, v, z, level, FINE_CELLS))
+    fine = SmoothGround(surface=Surface(series=series, **domain), ends=FINE_ENDS)
     at = samples.epoch_range[inside], (low + high) / 2 + turn[inside]
     over = z - smooth(*at) if z.size else np.zeros(1)
     room = ROOM * float(np.ptp(over)) + LEAST_RELIEF
@@ -141,41 +154,93 @@ def find_relief(samples: Samples, *, low: float, high: float, near: float, far: 
 
 
 class _Cells(NamedTuple):
-    """A block's terrain by cells: mean places in -1 .. 1 and heights, where it is known, and its mean."""
+    """A block's terrain by cells (n_range, n_yaw): mean places in -1 .. 1 and heights, where it is known, and its mean.
+
+    Where nothing is known, the middle of the cell, and that mean.
+    """
 
     u: FloatArray
     v: FloatArray
     z: FloatArray
-    known: FloatArray
+    known: BoolArray
     mean: float
 
+    @property
+    def middles(self) -> list[FloatArray]:
+        """Of all cells, u and v."""
+        return [*np.meshgrid(*((2 * np.arange(n) + 1) / n - 1 for n in self.known.shape), indexing="ij")]
 
-def _cell_means(u: FloatArray, v: FloatArray, z: FloatArray, mean: float) -> _Cells:
-    """Means over CELLS of samples at (u, v) in -1 .. 1; the middle of a cell without any."""
-    count = CELLS[0] * CELLS[1]
+
+def _cell_means(u: FloatArray, v: FloatArray, z: FloatArray, mean: float, cells: tuple[int, int]) -> _Cells:
+    """Means over cells of samples at (u, v) in -1 .. 1; the middle of a cell without any."""
     rows, columns = (
-        np.clip(((at + 1) / 2 * n).astype(np.int64), 0, n - 1) for at, n in zip((u, v), CELLS, strict=True)
+        np.clip(((at + 1) / 2 * n).astype(np.int64), 0, n - 1) for at, n in zip((u, v), cells, strict=True)
     )
-    which = rows * CELLS[1] + columns
-    number = np.bincount(which, minlength=count)
-    known = number > 0
-    middles = np.meshgrid(*((2 * np.arange(n) + 1) / n - 1 for n in CELLS), indexing="ij")
-    means = [
-        np.where(known, np.bincount(which, weights=values, minlength=count) / np.maximum(number, 1), otherwise)
-        for values, otherwise in zip((u, v, z), (*(m.ravel() for m in middles), np.full(count, mean)), strict=True)
-    ]
-    return _Cells(means[0], means[1], means[2], known.astype(np.float64), mean)
+    which, count = rows * cells[1] + columns, cells[0] * cells[1]
+    number = np.bincount(which, minlength=count).reshape(cells)
+    level = np.full(cells, mean)
+    empty = _Cells(level, level, level, number > 0, mean)
+    means = (
+        np.where(number > 0, np.bincount(which, weights=values, minlength=count).reshape(cells), otherwise)
+        / np.maximum(number, 1)
+        for values, otherwise in zip((u, v, z), (*empty.middles, empty.z), strict=True)
+    )
+    mean_u, mean_v, mean_z = means
+    return _Cells(mean_u, mean_v, mean_z, number > 0, mean)
 
 
-def _fit(cells: _Cells, degree: tuple[int, int], held: FloatArray, share: float) -> FloatArray:
-    """Tensor Chebyshev series of the heights; cells where they are unknown are held at others, with a small weight."""
-    weights = np.where(cells.known > 0, 1.0, share)
-    basis = chebyshev.chebvander2d(cells.u, cells.v, list(degree)) * weights[:, None]
-    values = (np.where(cells.known > 0, cells.z, held) - cells.mean) * weights
+def _fit(cells: _Cells) -> FloatArray:
+    """Tensor Chebyshev series of the heights; cells where they are unknown are held level, with a small weight."""
+    weights, degree = np.where(cells.known, 1.0, UNKNOWN_WEIGHT).ravel(), SMOOTH_DEGREE
+    basis = chebyshev.chebvander2d(cells.u.ravel(), cells.v.ravel(), list(degree)) * weights[:, None]
+    values = (cells.z.ravel() - cells.mean) * weights
     fitted = solvers.least_squares(np.asarray(basis.T, np.float64), values, damping=FIT_DAMPING * weights.size)
     series = fitted.reshape(degree[0] + 1, degree[1] + 1)
     series[0, 0] += cells.mean
     return np.asarray(series)
+
+
+def _fit_finely(cells: _Cells) -> FloatArray:
+    """Tensor Chebyshev series of the heights at the middles of cells; what is unknown continues what is known."""
+    filled = _continued(cells.z, cells.known)
+    slopes = np.gradient(filled)
+    for at, middle, slope, n in zip((cells.u, cells.v), cells.middles, slopes, cells.known.shape, strict=True):
+        filled = filled - slope * (at - middle) * n / 2
+    along_range, along_yaw = (_fitting(n, degree) for n, degree in zip(cells.known.shape, FINE_DEGREE, strict=True))
+    return solvers.product(solvers.product(along_range, filled), along_yaw.T)
+
+
+def _continued(values: FloatArray, known: BoolArray) -> FloatArray:
+    """The values, and where they are not known the mean of neighbours, outwards from what is known."""
+    values, known = values.copy(), known.copy()
+    while known.any() and not known.all():
+        around, number = np.zeros_like(values), np.zeros_like(values)
+        for axis in (0, 1):
+            for way in (slice(1, None), slice(None, -1)):
+                other = slice(None, -1) if way.start else slice(1, None)
+                into, out = ((way, slice(None)), (other, slice(None))) if axis == 0 else (
+                    (slice(None), way), (slice(None), other)
+                )  # fmt: skip
+                around[into] += np.where(known[out], values[out], 0.0)
+                number[into] += known[out]
+        new = ~known & (number > 0)
+        values[new] = around[new] / number[new]
+        known |= new
+    return values
+
+
+@lru_cache
+def _fitting(n: int, degree: int) -> FloatArray:
+    """The matrix (degree + 1, n) from values at the middles of n cells to a Chebyshev series; read-only.
+
+    Least squares with weights 1 / sqrt(1 - u^2), under which errors at the ends are no larger than amid.
+    """
+    middles = (2 * np.arange(n) + 1) / n - 1
+    weights = (1 - middles**2) ** -0.25
+    terms = np.asarray(chebyshev.chebvander(middles, degree).T, np.float64) * weights
+    matrix = solvers.least_squares(terms, np.diag(weights))
+    matrix.flags.writeable = False
+    return matrix
 
 
 def stacked(lines: Sequence[Line]) -> Line:

@@ -45,14 +45,15 @@ def test_smooth_parts_follow_what_is_smooth_and_the_rest_stands_over_them() -> N
     fine = samples.z - relief.fine(samples.epoch_range, samples.yaw)
     assert relief.low < coarse.min() and coarse.max() < relief.high
     assert np.ptp(fine) < 0.4 * np.ptp(samples.z) and np.std(fine) < np.std(coarse)
-    low, high, known = relief.usual(13, 33)
-    assert known.any() and low[known].min() >= fine.min() - 1e-9 and high[known].max() <= fine.max() + 1e-9
+    heights, known = relief.usual(13, 33)
+    assert known.any() and np.abs(heights[known]).max() <= np.abs(fine).max()
     u, v = 2 * samples.epoch_range - box["near"] - box["far"], 2 * samples.yaw - box["low"] - box["high"]
     nodes = np.cos(np.pi * np.arange(13) / 12), np.cos(np.pi * np.arange(33) / 32)
     about = np.abs(u / (box["far"] - box["near"]) - nodes[0][6]) < np.abs(nodes[0][6] - nodes[0][5]) / 2
     about &= np.abs(v / (box["high"] - box["low"]) - nodes[1][16]) < np.abs(nodes[1][16] - nodes[1][15]) / 2
-    middle, away = fine[about].mean(), np.abs(fine[about] - fine[about].mean()).mean()
-    assert (low[6, 16], high[6, 16]) == pytest.approx((middle - away, middle + away), abs=0.02)
+    middle, spread = fine[about].mean(), fine[about].std()
+    assert abs(heights[6, 16]) == pytest.approx(np.hypot(middle, np.sqrt(2 / np.pi) * spread), abs=0.3)
+    assert np.sign(heights[6, 16]) == np.sign(middle)
     empty = find_relief(samples, low=2.0, high=2.1, near=5e4, far=6e4, level=33.0)
     assert empty.smooth(np.array(5.5e4), np.array(2.05)) == pytest.approx(33.0, abs=1e-6)
 
@@ -86,6 +87,30 @@ def test_relief_costs_coherence_as_predicted_and_bends_grow_with_it() -> None:
             assert all(np.array_equal(a.series, b.series) for a, b in zip(terms, others, strict=True))
 
 
+def test_many_hills_under_all_of_table_1_cost_what_was_measured() -> None:
+    """Hills of +-300 m with slopes of 31 degrees every 1450 m, and clutter on all of them: full size, back-projected.
+
+    In 45 chips of 120 m, at block centres and seams and from near to far range, the coherence of three blocks was
+    0.99889 or more: 0.9994, 0.9994 and 0.9989 within each.
+    """
+    rng, size = np.random.default_rng(4), 20.0
+    x, y = np.arange(10500.0, 22500.0, size), np.arange(13500.0, 25500.0, size)[:, None]
+    heights = np.zeros((y.size, x.size))
+    for middle_x in np.arange(11000.0, 22500.0, 1450.0):
+        for middle_y in np.arange(14000.0, 25500.0, 1450.0):
+            at = middle_x + rng.uniform(-120, 120), middle_y + rng.uniform(-120, 120)
+            height = rng.choice([-1, 1]) * rng.uniform(260, 300)
+            radius = abs(height) * rng.uniform(1.5, 1.8)
+            heights += height * np.exp(-(((x - at[0]) / radius) ** 2)) * np.exp(-(((y - at[1]) / radius) ** 2))
+    terrain = Terrain(x0=float(x[0]), dx=size, y0=float(y[0, 0]), dy=size, heights=heights)
+    collection = Scene.read("table1").collection().centred()
+    plan = plan_collection(
+        collection, blocks=3, grid=Grid(12519.0, 19878.0, 3.0, 15516.0, 22956.0, 3.0), terrain=terrain
+    )
+    for block, measured in zip(plan.blocks, (0.9994, 0.9994, 0.9989), strict=True):
+        assert block.prediction.coherence == pytest.approx(measured, abs=0.001)
+
+
 def test_peaks_between_the_borders_extend_the_ranges_of_an_unsteered_scene() -> None:
     text = scene(swath=[28500.0, 31500.0], steering=None, prf=12e3, duration=0.2)
     collection = Scene.parse(text).collection().centred()
@@ -96,7 +121,7 @@ def test_peaks_between_the_borders_extend_the_ranges_of_an_unsteered_scene() -> 
 
 
 def test_a_plan_says_that_edges_of_dwells_are_not_back_projected_on_a_terrain() -> None:
-    plan = planned(hilly(1.0), fidelity=0.99999, weighting=Weighting.parse("taylor:4:-35"))
+    plan = planned(hilly(1.0), fidelity=0.999999, weighting=Weighting.parse("taylor:4:-35"))
     told = describe_shortfall(plan)
     assert plan.fade == 0
     assert "by the ends of the dwell; edges of dwells are back-projected on the plane only" in told
