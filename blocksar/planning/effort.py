@@ -35,18 +35,18 @@ FINISH = 0.8  # to end the cluster and flush files to the disk
 
 # `blocksar demo` predicts its stages before there is a plan: their seconds on two cores of that machine.
 DEMO = {
-    "simulate": 0.6,
-    "plan": 1.0,
+    "simulate": 0.3,
+    "plan": 0.2,
     "compile": 0.1,
-    "start-workers": 2.5,
-    "recover": 1.4,
-    "focus": 4.4,
-    "mosaic": 0.8,
-    "finish": 1.4,
-    "measure": 2.4,
-    "draw": 8.0,
-    "report": 2.7,
-    "responses": 6.0,
+    "start-workers": 0.9,
+    "recover": 0.7,
+    "focus": 2.5,
+    "mosaic": 0.3,
+    "finish": 0.1,
+    "measure": 3.3,
+    "draw": 6.8,
+    "report": 1.2,
+    "responses": 5.4,
 }
 COMPILE = 9.0  # while no kernel is in numba's cache
 START = 3.0  # s to plan and to start workers
