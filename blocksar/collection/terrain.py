@@ -109,9 +109,18 @@ class Terrain:
 
     def on_grid(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Heights (n_y, n_x), m, at columns x (n_x,) and rows y (n_y,), m: those of `__call__`, to the bit."""
+        return self._sum(*self.taps_of(x, y))
+
+    def taps_of(self, x: FloatArray, y: FloatArray) -> tuple[Taps, Taps]:
+        """The samples and weights whose sums are the heights at columns x (n_x,) and rows y (n_y,), m."""
         in_x = self._taps((x - self.x0) / self.dx, self.column, self.heights.shape[1])
-        in_y = self._taps((y - self.y0) / self.dy, self.row, self.heights.shape[0])
-        return self._sum(in_x, in_y)
+        return in_x, self._taps((y - self.y0) / self.dy, self.row, self.heights.shape[0])
+
+    def rates_of(self, x: FloatArray, y: FloatArray) -> tuple[Taps, Taps]:
+        """Those whose sums are the derivatives: `taps_of` in one direction and these, per sample, in the other."""
+        in_x, in_y = self.taps_of(x, y)
+        up_x = self._rates((x - self.x0) / self.dx, self.column, in_x)
+        return up_x, self._rates((y - self.y0) / self.dy, self.row, in_y)
 
     def _sum(self, in_x: Taps, in_y: Taps) -> FloatArray:
         """Weighted sums of the heights by the taps of columns (n_x,) and rows (n_y,): (n_y, n_x)."""
@@ -132,12 +141,7 @@ class Terrain:
 
     def slopes_on_grid(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Derivatives (n_y, n_x) of the height along x and y at columns x (n_x,) and rows y (n_y,), m."""
-        at_x, at_y = (x - self.x0) / self.dx, (y - self.y0) / self.dy
-        in_x, in_y = (
-            self._taps(at_x, self.column, self.heights.shape[1]),
-            self._taps(at_y, self.row, self.heights.shape[0]),
-        )
-        up_x, up_y = self._rates(at_x, self.column, in_x), self._rates(at_y, self.row, in_y)
+        (in_x, in_y), (up_x, up_y) = self.taps_of(x, y), self.rates_of(x, y)
         return self._sum(up_x, in_y) / self.dx, self._sum(in_x, up_y) / self.dy
 
     def slope(self, x: float, y: float) -> tuple[float, float]:

@@ -194,13 +194,13 @@ def _tiles(ground: GroundMap, x: FloatArray, y: FloatArray, side: tuple[int, int
     half = (ground.high - ground.low) / 2
     slack = np.arcsin(np.minimum(radius / np.maximum(distance, radius), 1.0))
 
-    def between(near: float, far: float, margin: float) -> FloatArray:
+    def between(near: float, far: float, margin: float, least: FloatArray, greatest: FloatArray) -> FloatArray:
         near, far = max(ground.near, near) - margin * radius, min(ground.far, far) + margin * radius
-        return (np.abs(turn) <= half + margin * slack) & (rng >= near) & (nearest <= far)
+        return (np.abs(turn) <= half + margin * slack) & (greatest >= near) & (least <= far)
 
-    touched = between(float(ground.near_limit.min()), float(ground.far_limit.max()), 1.0)
+    touched = between(float(ground.near_limit.min()), float(ground.far_limit.max()), 1.0, nearest, rng)
     # Twice the radius inside, so that rounding cannot matter.
-    all_owned = between(float(ground.near_limit.max()), float(ground.far_limit.min()), -2.0)
+    all_owned = between(float(ground.near_limit.max()), float(ground.far_limit.min()), -2.0, rng, nearest)
     return np.column_stack([corners, all_owned])[touched]
 
 

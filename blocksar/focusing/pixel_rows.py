@@ -215,12 +215,11 @@ def sum_windows_bent(  # type: ignore[no-untyped-def]
     flat, stride, at, range_taps, range_step, range_width, range_row, range_part, real_taps, imag_taps, doppler_step,
     doppler_row, doppler_part, carriers, carrier, real, imag,
 ):  # fmt: skip
-    """`sum_windows` with complex taps along Doppler: real and imaginary parts are summed apart."""
+    """`sum_windows` with complex taps along Doppler."""
     for k in range(at.size):
         if at[k] < 0:
             continue
         re, im = spread_few(np.float32(0.0)), spread_few(np.float32(0.0))
-        bent_re, bent_im = spread_few(np.float32(0.0)), spread_few(np.float32(0.0))
         for m in range(0, doppler_step, FEW):
             column = spread_few(np.float32(0.0))
             for p in range(0, range_width, RANGE_UNIT):
@@ -231,6 +230,5 @@ def sum_windows_bent(  # type: ignore[no-untyped-def]
             cos, sin = load_few(carriers, phasor), load_few(carriers, phasor + doppler_step)
             straight = column * taps_between(real_taps, taps, doppler_step, doppler_part[k])
             bent = column * taps_between(imag_taps, taps, doppler_step, doppler_part[k])
-            re, im = re + straight * cos, im + straight * sin
-            bent_re, bent_im = bent_re + bent * cos, bent_im + bent * sin
-        real[k], imag[k] = total(re) - total(bent_im), total(im) + total(bent_re)
+            re, im = re + straight * cos - bent * sin, im + straight * sin + bent * cos
+        real[k], imag[k] = total(re), total(im)

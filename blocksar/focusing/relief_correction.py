@@ -1,7 +1,8 @@
 """Geometric correction on a terrain: a focused block to calibrated pixels that lie at their own heights.
 
-As on the plane (`correction`), positions and phases are polynomials over a tile of pixels, here in x, y and the height:
-of degree 5, 5 and 2. The range from the antenna, whose multiple is the carrier's phase, is computed for each pixel.
+As on the plane (`correction`), positions and phases are polynomials over a tile of pixels, here in x, y and the
+height: of degree 3, 3 and 2. The range from the antenna, whose multiple is the carrier's phase, is computed for each
+pixel; what is left is smooth.
 
 A block is fitted on the smooth part of its terrain. A target far above or below it keeps a phase that is quadratic over
 its dwell: the bend. It changes as slowly over the ground as the height does, so that the interpolation along Doppler,
@@ -14,18 +15,15 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 
-from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.ground_map import GroundMap
 from blocksar.focusing.pixel_rows import (
     N_PHASE,
-    TILE_DEGREE,
-    along_row,
     amplitude_of,
     divide_by_sums,
-    evaluate_row,
     find_limits,
     left_of,
     phasors_of,
@@ -36,15 +34,17 @@ from blocksar.focusing.pixel_rows import (
 from blocksar.kernels import interpolation
 from blocksar.kernels.groups import run_groups
 from blocksar.kernels.lanes import FEW
-from blocksar.kernels.loops import compile_for
+from blocksar.kernels.loops import compile_for, loop
 from blocksar.kernels.phase import Float32Array
-from blocksar.kernels.signatures import COMPILED, KEPT, PART, UNCHECKED
+from blocksar.kernels.signatures import COMPILED, KEPT, PART, REAL_ROWS, UNCHECKED
 from blocksar.solvers import least_squares, product
 
-HEIGHT_DEGREE = 2  # of a tile's polynomials
+DEGREE = 3  # of a tile's polynomials in x and y
+HEIGHT_DEGREE = 2  # and in the height
 QUANTITIES = 7  # row, Doppler, phase, 1 / gain, yaw, dwell time, bend
 N_BEND = 96  # steps between the most negative bend and the most positive one
 LEAST_BEND = 1e-3  # cycles at the dwell's ends: less is left
+INDEX_ROWS = types.Array(types.int64, 2, "C", readonly=True)
 LEVEL = 1e-3  # m: half the relief of a tile at least
 
 
@@ -124,8 +124,8 @@ def nodes_of(degree: int) -> tuple[FloatArray, FloatArray]:
 def tile_polynomials(
     ground: GroundMap, x: FloatArray, y: FloatArray, z: FloatArray, tiles: FloatArray, tile: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Coefficients (n_tile, 6, 3 * 7 * 6) in tile coordinates, and middle and half of the heights (n_tile, 2), m."""
-    nodes, to_power = nodes_of(TILE_DEGREE)
+    """Coefficients (n_tile, 4, 3 * 7 * 4) in tile coordinates, and middle and half of the heights (n_tile, 2), m."""
+    nodes, to_power = nodes_of(DEGREE)
     levels, to_level = nodes_of(HEIGHT_DEGREE)
     dx = x[1] - x[0] if x.size > 1 else 1.0
     dy = y[1] - y[0] if y.size > 1 else 1.0
@@ -133,18 +133,30 @@ def tile_polynomials(
     px = x[0] + dx * (tiles[:, 1, None, None] + half * (1 + nodes[None, None, :]))
     py = y[0] + dy * (tiles[:, 0, None, None] + half * (1 + nodes[None, :, None]))
     spans = np.empty((tiles.shape[0], 2))
-    for number, (row, column) in enumerate(tiles[:, :2].astype(np.int64)):
-        part = z[row : row + tile, column : column + tile]
-        known = part[np.isfinite(part)]
-        low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
-        spans[number] = (low + high) / 2, max((high - low) / 2, LEVEL)
+    _find_spans(np.ascontiguousarray(z), np.ascontiguousarray(tiles[:, :2], np.int64), tile, spans)
     # (n_tile, height, y, x)
     pz = spans[:, 0, None, None, None] + spans[:, 1, None, None, None] * levels[None, :, None, None]
     px, py, pz = np.broadcast_arrays(px[:, None], py[:, None], pz)
     values = np.stack(locate_on_relief(ground, px, py, pz), axis=1)  # (n_tile, quantity, height, y, x)
-    in_height = np.einsum("kh,tqhyx->tkqyx", to_level, values)
+    terms = [to_level[:, h, None, None, None] * values[:, None, :, h] for h in range(levels.size)]
+    in_height = np.add.reduce(terms)
     coefficients = np.moveaxis(product(product(to_power, in_height), to_power.T), 3, 1)
     return np.ascontiguousarray(coefficients).reshape(tiles.shape[0], nodes.size, -1), spans
+
+
+@loop(REAL_ROWS, INDEX_ROWS, types.int64, types.float64[:, ::1], nogil=True)
+def _find_spans(z: FloatArray, tiles: IntArray, tile: int, spans: FloatArray) -> None:
+    """Middle and half of the known heights of each tile, m; the half is at least LEVEL."""
+    for t in range(tiles.shape[0]):
+        low, high = np.inf, -np.inf
+        for i in range(tiles[t, 0], min(tiles[t, 0] + tile, z.shape[0])):
+            for j in range(tiles[t, 1], min(tiles[t, 1] + tile, z.shape[1])):
+                # Comparisons with NaN are false.
+                low = z[i, j] if z[i, j] < low else low
+                high = z[i, j] if z[i, j] > high else high
+        if low > high:
+            low = high = 0.0
+        spans[t, 0], spans[t, 1] = (low + high) / 2, max((high - low) / 2, LEVEL)
 
 
 def resample_on_relief(
@@ -211,16 +223,44 @@ def _sector(  # type: ignore[no-untyped-def]
     return n_inside > 0
 
 
-@njit(**PART, **COMPILED, **UNCHECKED)
-def _combine(by_height, span, z, row, first, n, w, values) -> None:  # type: ignore[no-untyped-def]
-    """values[q] = sum_k by_height[k, q] w^k, with w the pixels' heights in the tile's span; NaN heights become 0."""
+@njit(nogil=True, **PART)
+def _ranges(x, first, n, y, z, row, frame, rng, owned):  # type: ignore[no-untyped-def]
+    """Write the epoch ranges of n pixels from x[first] on, and NaN to `owned` where the height is unknown.
+
+    For tiles that the block owns as a whole.
+    """
+    px, py, pz = frame[2], frame[3], frame[4]
     for k in range(n):
-        at = (z[row, first + k] - span[0]) / span[1]
+        xx, dz = x[first + k], z[row, first + k] - pz
+        r = np.sqrt((xx - px) ** 2 + (y - py) ** 2 + dz * dz)
+        rng[k] = r
+        owned[k] = np.nan if np.isnan(r) else owned[k]
+
+
+@njit(**PART, **COMPILED, **UNCHECKED)
+def _evaluate(c, t, v, across, spans, z, row, first, n, w, values) -> None:  # type: ignore[no-untyped-def]
+    """All quantities of the pixels of a row of tile t, at one v and all u; w has their heights in the tile's span.
+
+    NaN heights become the middle one.
+    """
+    middle, per_half = spans[t, 0], 1 / spans[t, 1]
+    for k in range(n):
+        at = (z[row, first + k] - middle) * per_half
         w[k] = 0.0 if np.isnan(at) else at
+    side = DEGREE + 1
+    cubics = np.empty(3 * side)
     for q in range(QUANTITIES):
-        level, slope, curve = by_height[q], by_height[QUANTITIES + q], by_height[2 * QUANTITIES + q]
+        for h in range(HEIGHT_DEGREE + 1):
+            for p in range(side):
+                m = (h * QUANTITIES + q) * side + p
+                cubics[h * side + p] = c[t, 0, m] + v * (c[t, 1, m] + v * (c[t, 2, m] + v * c[t, 3, m]))
+        a0, a1, a2, a3 = cubics[0], cubics[1], cubics[2], cubics[3]
+        b0, b1, b2, b3 = cubics[4], cubics[5], cubics[6], cubics[7]
+        c0, c1, c2, c3 = cubics[8], cubics[9], cubics[10], cubics[11]
         for k in range(w.size):
-            values[q, k] = level[k] + w[k] * (slope[k] + w[k] * curve[k])
+            u = across[k]
+            level, slope = a0 + u * (a1 + u * (a2 + u * a3)), b0 + u * (b1 + u * (b2 + u * b3))
+            values[q, k] = level + w[k] * (slope + w[k] * (c0 + u * (c1 + u * (c2 + u * c3))))
 
 
 @njit(**KEPT, **COMPILED)
@@ -236,8 +276,7 @@ def _resample(  # type: ignore[no-untyped-def]
     carriers, by_yaw = carrier_table.reshape(-1), weight[0]
     carrier_cycles, per_row, origin = scales
     per_bend, middle_bend, n_bend = bends
-    across, along = np.arange(tile) / max((tile - 1) / 2, 0.5) - 1.0, np.empty(coefficients.shape[2])
-    by_height, values = np.empty((3 * QUANTITIES, tile)), np.zeros((QUANTITIES, tile))
+    across, values = np.arange(tile) / max((tile - 1) / 2, 0.5) - 1.0, np.zeros((QUANTITIES, tile))
     row, doppler, cycles, loss, turn, middle, bend = (
         values[0], values[1], values[2], values[3], values[4], values[5], values[6],
     )  # fmt: skip
@@ -248,21 +287,22 @@ def _resample(  # type: ignore[no-untyped-def]
     range_part, doppler_part, own, own_real, own_imag = parts[0], parts[1], parts[2], parts[3], parts[4]
     amplitude, real, imag = parts[5], parts[6], parts[7]
     for t in range(tiles.shape[0]):
-        i0, j0 = tiles[t, 0], tiles[t, 1]
+        i0, j0, every = tiles[t, 0], tiles[t, 1], tiles[t, 2] != 0
         n = min(tile, out.shape[1] - j0)
         for i in range(i0, min(i0 + tile, out.shape[0])):
             for k in range(tile):
                 owned[k] = 1.0 if k < n else np.nan
-            if not _sector(x, j0, n, y[i], z, i, rays, frame, rng, owned):
+            if every:
+                _ranges(x, j0, n, y[i], z, i, frame, rng, owned)
+            elif not _sector(x, j0, n, y[i], z, i, rays, frame, rng, owned):
                 continue
-            along_row(coefficients, t, across[i - i0], along)
-            evaluate_row(along, across, by_height)
-            _combine(by_height, spans[t], z, i, j0, n, w, values)
+            _evaluate(coefficients, t, across[i - i0], across, spans, z, i, j0, n, w, values)
             for k in range(n):
                 away = 0.0 if np.isnan(rng[k]) else rng[k] - origin
                 row[k] += away * per_row
                 cycles[k] += away * carrier_cycles
-            find_limits(turn, yaw_start, yaw_step, near_limit, far_limit, rng, owned)
+            if not every:
+                find_limits(turn, yaw_start, yaw_step, near_limit, far_limit, rng, owned)
             if weight.shape[0] == 1:
                 amplitude_of(turn, yaw_start, 1 / yaw_step, by_yaw, loss, owned, amplitude)
             else:
@@ -292,7 +332,7 @@ def compile_kernels() -> None:
     floats.flags.writeable = False
     table = np.zeros((2, 2), np.float32)
     compile_for(
-        _resample, floats, np.zeros((1, 1), np.complex64), np.zeros((0, 3), np.int64), np.zeros((0, 6, 126)),
+        _resample, floats, np.zeros((1, 1), np.complex64), np.zeros((0, 3), np.int64), np.zeros((0, DEGREE + 1, 84)),
         np.zeros((0, 2)), line, line, line[None], 1, table, table, table, table, (2, 2), (2, 2), (1, 1), np.zeros(4),
         np.zeros(7), (0.0, 0.0, 0.0), (0.0, 0, 1), 0.0, 1.0, line, line, line[None],
     )  # fmt: skip

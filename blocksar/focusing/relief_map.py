@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from blocksar.arrays import FloatArray
 from blocksar.focusing.lines import Focus, Line, focus
-from blocksar.focusing.surfaces import Surface
+from blocksar.focusing.surfaces import Surface, sum_layers
 
 BEYOND = 1.2  # half extents of its domain from its middle, at which a smooth ground ends
 SHORT = 0.05  # of the fourth moment of the longest dwells: half of their length
@@ -60,8 +61,8 @@ class ReliefMap:
         Least and greatest z, m.
     layers : tuple of tuples of Surface
         For range offset, Doppler, phase, gain and time as in `GroundMap`, and the bend: the terms of a Chebyshev series
-        in the height over the smooth ground, each a surface. The bend is the phase that the line has, quadratic in time
-        from the middle of its dwell, cycles/s^2.
+        in the height over the smooth ground, each a surface; all have one domain and one shape. The bend is the phase
+        that the line has, quadratic in time from the middle of its dwell, cycles/s^2.
     most_bend : float
         Largest magnitude of the bend, cycles/s^2.
     turns : tuple of Surface
@@ -84,15 +85,19 @@ class ReliefMap:
         Last the turn; 0 where there is none.
         """
         w = (2 * (z - self.smooth(epoch_range, yaw)) - self.low - self.high) / (self.high - self.low)
-        values = []
-        for terms in (*self.layers, self.turns):
-            before, chebyshev = np.zeros_like(w), np.ones_like(w)
-            total = np.zeros_like(w)
-            for k, term in enumerate(terms):
-                total += chebyshev * term(epoch_range, yaw)
-                before, chebyshev = chebyshev, (w if k == 0 else 2 * w * chebyshev - before)
-            values.append(total)
-        return values
+        first, series = self.layers[0][0], self._series
+        u = (2 * epoch_range - first.near - first.far) / (first.far - first.near)
+        v = (2 * yaw - first.low - first.high) / (first.high - first.low)
+        values = np.empty((series.shape[0], w.size))
+        sum_layers(series, u.ravel(), v.ravel(), w.ravel(), values)
+        known = [row.reshape(w.shape) for row in values]
+        return known if self.turns else [*known, np.zeros_like(w)]
+
+    @cached_property
+    def _series(self) -> FloatArray:
+        """All series (n_quantity, n_term, ..), which have the same domain."""
+        every = (*self.layers, *([self.turns] if self.turns else []))
+        return np.array([[term.series for term in terms] for terms in every])
 
 
 def straighten(line: Line) -> tuple[Line, FloatArray, Focus]:

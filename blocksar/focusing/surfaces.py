@@ -12,6 +12,8 @@ from blocksar.arrays import FloatArray
 from blocksar.kernels.loops import loop
 from blocksar.kernels.signatures import COMPILED, PART, REAL_ROW, REAL_ROWS
 
+SERIES = types.Array(types.float64, 4, "C", readonly=True)
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Surface:
@@ -63,6 +65,39 @@ def sum_series(series: FloatArray, u: FloatArray, v: FloatArray, values: FloatAr
                 total[k] += inner[k] * tv[j, k]
         for k in range(n):
             values[first + k] = total[k]
+
+
+@loop(SERIES, REAL_ROW, REAL_ROW, REAL_ROW, types.float64[:, ::1], **COMPILED)
+def sum_layers(series: FloatArray, u: FloatArray, v: FloatArray, w: FloatArray, values: FloatArray) -> None:
+    """values[q, k] = sum_hij series[q, h, i, j] T_h(w[k]) T_i(u[k]) T_j(v[k]), a strip of points at a time."""
+    strip = 64
+    n_layer, n_u, n_v = max(series.shape[1], 2), max(series.shape[2], 2), max(series.shape[3], 2)
+    tw, tu, tv = np.empty((n_layer, strip)), np.empty((n_u, strip)), np.empty((n_v, strip))
+    total, part, inner = np.empty(strip), np.empty(strip), np.empty(strip)
+    for first in range(0, u.size, strip):
+        n = min(strip, u.size - first)
+        _chebyshev(u[first : first + n], tu)
+        _chebyshev(v[first : first + n], tv)
+        _chebyshev(w[first : first + n], tw)
+        for q in range(series.shape[0]):
+            for k in range(strip):
+                total[k] = 0.0
+            for h in range(series.shape[1]):
+                for k in range(strip):
+                    part[k] = 0.0
+                for i in range(series.shape[2]):
+                    for k in range(strip):
+                        inner[k] = 0.0
+                    for j in range(series.shape[3]):
+                        c = series[q, h, i, j]
+                        for k in range(strip):
+                            inner[k] += c * tv[j, k]
+                    for k in range(strip):
+                        part[k] += inner[k] * tu[i, k]
+                for k in range(strip):
+                    total[k] += part[k] * tw[h, k]
+            for k in range(n):
+                values[q, first + k] = total[k]
 
 
 @njit(**PART, **COMPILED)

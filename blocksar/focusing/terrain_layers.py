@@ -31,12 +31,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from blocksar.arrays import FloatArray
+from blocksar.arrays import FloatArray, IntArray
 from blocksar.collection.beam import aperture, dwell, dwell_at, lit_yaw, turned_near
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
-from blocksar.collection.terrain import Terrain
+from blocksar.collection.terrain import Taps, Terrain
 from blocksar.kernels.occlusion import STEPS, block_extremes, find_visibility
+from blocksar.kernels.terrain_rows import find_incidence, sum_taps
 
 NODES = 257  # yaws, or times, between which the antenna's place at the middle of dwells is interpolated
 NODE_PIXELS = 32  # between which the antenna's place is linear
@@ -157,16 +158,30 @@ class Sight:
         return np.stack([np.interp(at, self.along, column) for column in values.T], axis=-1)
 
 
+def heights_on_grid(terrain: Terrain, x: FloatArray, y: FloatArray) -> FloatArray:
+    """`Terrain.on_grid`, to the bit, by a compiled loop."""
+    in_x, in_y = terrain.taps_of(x, y)
+    z = np.empty((y.size, x.size))
+    sum_taps(*_sums(terrain, in_x, in_y), z)
+    z[~in_y[2]] = np.nan
+    z[:, ~in_x[2]] = np.nan
+    return z
+
+
 def incidence_angle(terrain: Terrain, sight: Sight, x: FloatArray, y: FloatArray, z: FloatArray) -> NDArray[np.float32]:
     """Local incidence angles (n_y, n_x), rad, at columns x (n_x,) and rows y (n_y,) with heights z (n_y, n_x), m."""
+    (in_x, in_y), (up_x, up_y) = terrain.taps_of(x, y), terrain.rates_of(x, y)
+    strip, columns, along_x, rows, along_y = _sums(terrain, in_x, in_y)
+    (nodes_y, to_y), (nodes_x, to_x) = _nodes(y.size), _nodes(x.size)
+    antenna = sight.antenna(*np.meshgrid(x[nodes_x], y[nodes_y]), z[np.ix_(nodes_y, nodes_x)])
+    places = [(before, place - before) for place, before in ((at, at.astype(np.int64)) for at in (to_x, to_y))]
+    # One more node, for the pixel at the last one.
+    antenna = np.pad(np.moveaxis(antenna, -1, 0), ((0, 0), (0, 1), (0, 1)), mode="edge")
     angle = np.empty(z.shape, np.float32)
-    for first in range(0, y.size, ROWS):
-        rows = slice(first, first + ROWS)
-        along_x, along_y = terrain.slopes_on_grid(x, y[rows])
-        ux, uy, uz = _sight(sight, x, y[rows], z[rows])
-        cosine = uz - ux * along_x - uy * along_y
-        cosine /= np.sqrt((1 + along_x**2 + along_y**2) * (ux * ux + uy * uy + uz * uz))
-        angle[rows] = np.arccos(np.clip(cosine, -1.0, 1.0))
+    find_incidence(
+        strip, columns, along_x, np.stack(up_x[1]) / terrain.dx, rows, along_y, np.stack(up_y[1]) / terrain.dy,
+        np.array(x), np.array(y), np.ascontiguousarray(z), np.ascontiguousarray(antenna), *places[0], *places[1], angle,
+    )  # fmt: skip
     return angle
 
 
@@ -244,19 +259,30 @@ def visibility(terrain: Terrain, sight: Sight, grid: Grid, window: tuple[slice, 
         (x - terrain.x0) / terrain.dx - terrain.column, (y - terrain.y0) / terrain.dy - terrain.row,
         antenna, np.ascontiguousarray(sight.across(x, y, z)), min(terrain.dx, terrain.dy) / STEPS, found,
     )  # fmt: skip
-    return found.reshape(rows.size, columns.size)[at_row][:, at_column]
+    return found.reshape(rows.size, columns.size)[:, at_column][at_row]
+
+
+def _sums(terrain: Terrain, in_x: Taps, in_y: Taps) -> tuple[FloatArray, IntArray, FloatArray, IntArray, FloatArray]:
+    """The arguments of `sum_taps`: the rows of samples that the taps need, and the taps."""
+    (columns, along_x, _), (rows, along_y, _) = in_x, in_y
+    first, last = int(rows.min()), int(rows.max()) + 4
+    return np.array(terrain.heights[first:last]), columns, np.stack(along_x), rows - first, np.stack(along_y)
 
 
 def by_owner(
     sights: Mapping[int, Sight], owner: NDArray[np.int16], values: Callable[[Sight], NDArray[Any]], missing: float
 ) -> NDArray[Any]:
     """Values of pixels, each as seen from the block that `owner` says it comes from; `missing` where not covered."""
-    present = {int(block): sights[int(block)] for block in np.unique(owner) if block >= 0}
     layer: NDArray[Any] | None = None
-    for sight in {id(sight): sight for sight in present.values()}.values():
-        found = values(sight)
-        layer = np.full(owner.shape, missing, found.dtype) if layer is None else layer
-        np.copyto(layer, found, where=np.isin(owner, [block for block, of in present.items() if of is sight]))
+    different = {id(sight): sight for sight in sights.values()}
+    for sight in different.values():
+        own = owner >= 0
+        if len(different) > 1:
+            own &= np.isin(owner, [block for block, of in sights.items() if of is sight])
+        if own.any():
+            found = values(sight)
+            layer = np.full(owner.shape, missing, found.dtype) if layer is None else layer
+            np.copyto(layer, found, where=own)
     return np.full(owner.shape, missing) if layer is None else layer
 
 

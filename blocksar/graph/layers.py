@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +14,26 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.focusing.noise import NoiseMap
-from blocksar.focusing.terrain_layers import Sight, box_of, by_owner, incidence_angle, reach, visibility
+from blocksar.focusing.terrain_layers import (
+    Sight,
+    box_of,
+    by_owner,
+    heights_on_grid,
+    incidence_angle,
+    reach,
+    visibility,
+)
 from blocksar.graph.spectrum import Window
 from blocksar.kernels.occlusion import UNKNOWN
 from blocksar.runs.receipts import Run, write
 from blocksar.runs.record import Written
+
+
+class Ground(NamedTuple):
+    """The part of a terrain that an output chunk's layers need, and the heights of the chunk's pixels (n_y, n_x), m."""
+
+    terrain: Terrain
+    height: FloatArray
 
 
 def local_terrain(run: Run, grid: Grid, window: Window) -> Terrain:
@@ -27,24 +42,18 @@ def local_terrain(run: Run, grid: Grid, window: Window) -> Terrain:
     return stores.read_terrain(run.terrain, (float(x[0]), float(x[-1])), (float(y[0]), float(y[-1])))
 
 
-def heights_of(run: Run, grid: Grid, window: Window) -> FloatArray:
-    """The heights of some rows and columns of the image, m."""
-    return local_terrain(run, grid, window).on_grid(grid.x[window[1]], grid.y[window[0]])
-
-
 def sights_of(run: Run, grid: Grid, geometries: Sequence[tuple[int, Geometry]]) -> dict[int, Sight]:
     """The antenna of numbered geometries as an image on the run's terrain sees it."""
     if not geometries:
         return {}
-    limits = stores.terrain_limits(run.terrain)
+    limits = stores.StoredTerrain(run.terrain).limits
     return {number: Sight.of(geometry, box_of(grid.x, grid.y), limits) for number, geometry in geometries}
 
 
-@dataclass(frozen=True, eq=False)
 class TerrainLayers:
     """Height, local incidence angle and visibility of a run's pixels.
 
-    Attributes
+    Parameters
     ----------
     run : Run
     grid : Grid
@@ -53,30 +62,38 @@ class TerrainLayers:
         written.
     """
 
-    run: Run
-    grid: Grid
-    sights: Mapping[int, Sight]
+    def __init__(self, run: Run, grid: Grid, sights: Mapping[int, Sight]) -> None:
+        self._run, self._grid, self._sights = run, grid, sights
+        self._stored = stores.StoredTerrain(run.terrain) if sights else None
 
-    def write(self, window: Window, owner: NDArray[np.int16], height: FloatArray | None = None) -> list[Written]:
-        """Write the layers of a chunk of the image; `owner` has the block of each pixel, -1 where not covered.
+    def ground(self, window: Window) -> Ground | None:
+        """The ground of some rows and columns of the image, as far as shadow and layover reach; None on the plane.
 
-        `height` is from `heights_of`, if that is at hand.
+        It is not for several threads at once.
         """
-        if not self.sights:
+        if self._stored is None:
+            return None
+        y, x = self._grid.y[window[0]], self._grid.x[window[1]]
+        boxes = [box_of(x, y)]
+        for sight in {id(sight): sight for sight in self._sights.values()}.values():
+            boxes.append(reach(sight, x, y, self._stored.limits))
+        (x0, x1, y0, y1) = (np.array(boxes)[:, axis, end] for axis in (0, 1) for end in (0, 1))
+        terrain = self._stored.read((float(x0.min()), float(x1.max())), (float(y0.min()), float(y1.max())))
+        return Ground(terrain, heights_on_grid(terrain, x, y))
+
+    def write(self, window: Window, owner: NDArray[np.int16], ground: Ground | None) -> list[Written]:
+        """Write the layers of a chunk of the image, whose `ground` is known.
+
+        `owner` has the block of each pixel, -1 where not covered.
+        """
+        if ground is None:
             return []
-        terrain, x, y = local_terrain(self.run, self.grid, window), self.grid.x[window[1]], self.grid.y[window[0]]
-        height = terrain.on_grid(x, y) if height is None else height
-        incidence = by_owner(self.sights, owner, lambda sight: incidence_angle(terrain, sight, x, y, height), np.nan)
-        seen = by_owner(self.sights, owner, lambda sight: self._visibility(sight, window), UNKNOWN)
+        (terrain, height), x, y = ground, self._grid.x[window[1]], self._grid.y[window[0]]
+        incidence = by_owner(self._sights, owner, lambda sight: incidence_angle(terrain, sight, x, y, height), np.nan)
+        seen = by_owner(self._sights, owner, lambda sight: visibility(terrain, sight, self._grid, window), UNKNOWN)
         layers = {"height": height, "incidence_angle": incidence, "visibility": seen}
         types = {name: variable.dtype for name, variable in stores.ON_TERRAIN.items()}
-        return [write(self.run, self.run.image, name, window, layers[name].astype(types[name])) for name in layers]
-
-    def _visibility(self, sight: Sight, window: Window) -> NDArray[np.uint8]:
-        """Visibility of a window, with the terrain as far as shadow and layover reach there."""
-        limits = stores.terrain_limits(self.run.terrain)
-        box = reach(sight, self.grid.x[window[1]], self.grid.y[window[0]], limits)
-        return visibility(stores.read_terrain(self.run.terrain, *box), sight, self.grid, window)
+        return [write(self._run, self._run.image, name, window, layers[name].astype(types[name])) for name in layers]
 
 
 def write_noise(

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from blocksar import stores
-from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.arrays import ComplexArray
 from blocksar.chunks import BACKPROJECTION_CHUNK, WRITES_AT_ONCE
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
@@ -30,7 +30,7 @@ from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.step import Stage
 from blocksar.focusing.terrain_layers import Sight
 from blocksar.graph.edges import Edges, by_yaw, read_valid
-from blocksar.graph.layers import TerrainLayers, heights_of, local_terrain, sights_of, write_noise
+from blocksar.graph.layers import Ground, TerrainLayers, local_terrain, sights_of, write_noise
 from blocksar.graph.segments import Margins, Merged
 from blocksar.graph.spectrum import SpectrumChunks, Window, chunk_spans, read_ahead
 from blocksar.inspection.samples import Inspection
@@ -198,7 +198,8 @@ def write_patch(
             shape = (window[0].stop - window[0].start, window[1].stop - window[1].start)
             out = chunks[number % len(chunks)][: shape[0] * shape[1]].reshape(shape)
             x, y = grid.x[window[1]], grid.y[window[0]]
-            z = None if ground.relief is None else heights_of(run, grid, window)
+            beneath = layers.ground(window)
+            z = None if beneath is None else beneath.height
             pixels = correct(samples.values, ground, x=x, y=y, z=z, threads=run.threads, out=out)
             if edges is not None and kept is not None:
                 edges.add(pixels, kept, ground, window, grid, threads=run.threads)
@@ -213,7 +214,7 @@ def write_patch(
                     grid,
                     noise,
                     layers,
-                    z,
+                    beneath,
                     merged=cell not in own,
                 )
             )
@@ -248,7 +249,7 @@ def _write_pixels(
     grid: Grid,
     noise: NoiseMap | None,
     layers: TerrainLayers,
-    height: FloatArray | None,
+    beneath: Ground | None,
     *,
     merged: bool,
 ) -> list[Written]:
@@ -268,7 +269,7 @@ def _write_pixels(
         written,
         *_write_image(run, window, pixels, owner, of, (patch, part), written.checksum),
         *write_noise(run, window, owner, grid, noises),
-        *layers.write(window, owner, height),
+        *layers.write(window, owner, beneath),
     ]
 
 
@@ -321,8 +322,10 @@ def merge_chunks(
     """
     started = time.perf_counter()
     parts: list[Written] = []
+    every = [part for patches in cells.values() for part in patches]
+    layers = TerrainLayers(run, grid, {part.block: sights[part.segment] for part in every} if sights else {})
     for cell, patches in cells.items():
-        parts += _merge(run, cell, patches, grid, margins[cell], noises or {}, sights or {})
+        parts += _merge(run, cell, patches, grid, margins[cell], noises or {}, layers)
     return sign(run, Receipt(unit=unit, stage="mosaic", written=tuple(parts)), started)
 
 
@@ -333,7 +336,7 @@ def _merge(
     grid: Grid,
     margins: Margins,
     noises: Mapping[int, NoiseMap],
-    sights: Mapping[int, Sight],
+    layers: TerrainLayers,
 ) -> list[Written]:
     """Write the image of one output chunk, its layers, and the block that each pixel comes from."""
     window = chunk_window(cell, grid)
@@ -351,11 +354,10 @@ def _merge(
     source = None if alone is None else (run.patch(alone.name), _shifted(window, alone.origin))
     collections = {part.block: part.collection for part in parts if part.collection is not None}
     of_blocks = {part.block: noises[part.segment] for part in parts if noises}
-    seen = {part.block: sights[part.segment] for part in parts if sights}
     return [
         *_write_image(run, window, image, owner, collections, source, parts[0].checksum),
         *write_noise(run, window, owner, grid, of_blocks),
-        *TerrainLayers(run, grid, seen).write(window, owner),
+        *layers.write(window, owner, layers.ground(window)),
     ]
 
 
@@ -404,12 +406,13 @@ def back_project_chunk(
     if (owner >= 0).any():
         collections = {source.number: source.collection for source in sources if source.collection is not None}
         noises = {source.number: source.noise for source in sources if source.noise is not None}
-        sights = sights_of(run, grid, [(source.number, source.geometry) for source in sources if on_terrain])
+        seen = [(source.number, source.geometry) for source in sources if on_terrain]
+        layers = TerrainLayers(run, grid, sights_of(run, grid, seen))
         parts = [
             write(run, run.image, "image", window, image),
             *_write_owner(run, window, owner, collections),
             *write_noise(run, window, owner, grid, noises),
-            *TerrainLayers(run, grid, sights).write(window, owner),
+            *layers.write(window, owner, layers.ground(window)),
         ]
     return sign(run, Receipt(unit=unit, stage="backprojection", written=tuple(parts)), started)
 

@@ -9,7 +9,7 @@ antenna at the height H over it, at the horizontal distances d from it and D acr
 
 The last two curves are the circle of the point's range in the plane across the track. The terrain is bilinear between
 its samples here, and so is the point's own height. Blocks of samples that lie wholly on the other side of a curve are
-passed in one step.
+passed in one step, and so is the way on which the terrain, nowhere steeper than it is, cannot reach the curve.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ VISIBLE, LAYOVER, SHADOW, UNKNOWN = 0, 1, 2, 255
 BLOCK = 16  # samples a side
 STEPS = 2  # of a march, to a sample of the terrain
 TOLERANCE = 1e-6  # m: less than this above or below a curve is rounding
+MOST_STEPS = 1 << 30  # of a march, passed at once
 _SHADOW, _NEAR, _FAR = 0, 1, 2
 OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 
@@ -36,11 +37,34 @@ def block_extremes(heights: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Lowest and highest height of each block of cells between samples (n_y, n_x), m; inf and -inf if none is known."""
     shape = [-(-(n - 1) // BLOCK) for n in heights.shape]
     low, high = np.full(shape, np.inf), np.full(shape, -np.inf)
-    below, above = np.where(np.isnan(heights), np.inf, heights), np.where(np.isnan(heights), -np.inf, heights)
-    for i, j in np.ndindex(*shape):
-        part = (slice(i * BLOCK, (i + 1) * BLOCK + 1), slice(j * BLOCK, (j + 1) * BLOCK + 1))
-        low[i, j], high[i, j] = below[part].min(), above[part].max()
+    _find_extremes(np.ascontiguousarray(heights, np.float64), low, high)
     return low, high
+
+
+@loop(REAL_ROWS, types.float64[:, ::1], types.float64[:, ::1], **OPTIONS)
+def _find_extremes(heights: FloatArray, low: FloatArray, high: FloatArray) -> None:
+    for i in range(low.shape[0]):
+        for j in range(low.shape[1]):
+            for row in range(i * BLOCK, min((i + 1) * BLOCK + 1, heights.shape[0])):
+                for column in range(j * BLOCK, min((j + 1) * BLOCK + 1, heights.shape[1])):
+                    value = heights[row, column]
+                    # Comparisons with NaN are false.
+                    low[i, j] = value if value < low[i, j] else low[i, j]
+                    high[i, j] = value if value > high[i, j] else high[i, j]
+
+
+@njit(**PART, **OPTIONS)
+def _steepest(heights: FloatArray, spacing: FloatArray) -> float:
+    """An upper bound of the slope of the bilinear terrain in any direction; inf if a height is unknown."""
+    most = 0.0
+    for i in range(heights.shape[0] - 1):
+        for j in range(heights.shape[1] - 1):
+            a, b, c, d = heights[i, j], heights[i, j + 1], heights[i + 1, j], heights[i + 1, j + 1]
+            along_x, along_y = max(abs(b - a), abs(d - c)) / spacing[0], max(abs(c - a), abs(d - b)) / spacing[1]
+            if np.isnan(a + b + c + d):
+                return np.inf
+            most = max(most, along_x * along_x + along_y * along_y)
+    return np.sqrt(most)
 
 
 @njit(**PART, **OPTIONS)
@@ -70,9 +94,18 @@ def _leave(at: float, pace: float) -> float:
 def _crosses(
     heights: FloatArray, low: FloatArray, high: FloatArray, limits: tuple[float, float], column: float, row: float,
     along_column: float, along_row: float, step: float, kind: int, z: float, above: float, distance: float,
+    steepest: float,
 ) -> bool:  # fmt: skip
     """Whether the terrain crosses a curve on a march; `along_*` are samples a metre, `above` and `distance` H and d."""
     square = distance * distance + above * above
+    # What the terrain nears the curve by, at most, per metre of the way: curves are least steep where they begin, but
+    # the near one where it ends.
+    gain = steepest - distance / above if kind == _FAR else steepest - above / distance
+    if kind == _NEAR:
+        down = z + above - limits[0]
+        gain = steepest - np.sqrt(max(square - down * down, 0.0)) / down
+    if gain <= 0:
+        return False
     n = 1
     while True:
         s = n * step
@@ -97,9 +130,10 @@ def _crosses(
             n = max(n + 1, int(np.ceil((s + way) / step)))
             continue
         ground = _height(heights, at_column, at_row)
-        if ground < curve - TOLERANCE if kind == _NEAR else ground > curve + TOLERANCE:
+        clearance = ground - curve if kind == _NEAR else curve - ground
+        if clearance < -TOLERANCE:
             return True
-        n += 1
+        n += max(int(min(clearance / gain / step, MOST_STEPS)), 1) if clearance > 0 else 1
 
 
 @njit(**PART, **OPTIONS)
@@ -115,13 +149,13 @@ def _limits(low: FloatArray, high: FloatArray) -> tuple[float, float]:
 @njit(**PART, **OPTIONS)
 def _hidden(
     heights: FloatArray, low: FloatArray, high: FloatArray, limits: tuple[float, float], spacing: FloatArray,
-    column: float, row: float, z: float, sight: FloatArray, step: float,
+    column: float, row: float, z: float, sight: tuple[float, float, float], step: float, steepest: float,
 ) -> bool:  # fmt: skip
     """Whether the terrain crosses the ray from a point at the height z to the antenna."""
     distance = np.sqrt(sight[0] * sight[0] + sight[1] * sight[1])
     return distance > 0 and _crosses(
         heights, low, high, limits, column, row, sight[0] / distance / spacing[0], sight[1] / distance / spacing[1],
-        step, _SHADOW, z, sight[2] - z, distance,
+        step, _SHADOW, z, sight[2] - z, distance, steepest,
     )  # fmt: skip
 
 
@@ -148,7 +182,10 @@ def find_shadow(
     limits = _limits(low, high)
     for k in range(column.size):
         z = max(_height(heights, column[k], row[k]), height[k])
-        found[k] = _hidden(heights, low, high, limits, spacing, column[k], row[k], z, sight[k], step)
+        found[k] = _hidden(
+            heights, low, high, limits, spacing, column[k], row[k], z,
+            (sight[k, 0], sight[k, 1], sight[k, 2]), step, np.inf,
+        )  # fmt: skip
 
 
 @loop(
@@ -180,7 +217,7 @@ def find_visibility(
     found : (n,) uint8
         Written.
     """
-    limits = _limits(low, high)
+    limits, steepest = _limits(low, high), _steepest(heights, spacing)
     for k in range(column.size):
         z = _height(heights, column[k], row[k])
         if np.isnan(z):
@@ -188,7 +225,8 @@ def find_visibility(
             continue
         found[k] = VISIBLE
         above = sight[k, 2] - z
-        if _hidden(heights, low, high, limits, spacing, column[k], row[k], z, sight[k], step):
+        ray = sight[k, 0], sight[k, 1], sight[k, 2]
+        if _hidden(heights, low, high, limits, spacing, column[k], row[k], z, ray, step, steepest):
             found[k] = SHADOW
             continue
         side = sight[k, 0] * across[k, 0] + sight[k, 1] * across[k, 1]
@@ -198,7 +236,7 @@ def find_visibility(
             turn = 1.0 if kind == _NEAR else -1.0
             if _crosses(
                 heights, low, high, limits, column[k], row[k], turn * along_column, turn * along_row, step, kind, z,
-                above, abs(side),
+                above, abs(side), steepest,
             ):  # fmt: skip
                 found[k] = LAYOVER
                 break

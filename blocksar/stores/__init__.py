@@ -49,7 +49,7 @@ from blocksar.stores.schema import (
     TRUTH,
     Variable,
 )
-from blocksar.stores.terrain import read_terrain, terrain_fingerprint, terrain_limits, write_terrain
+from blocksar.stores.terrain import StoredTerrain, read_terrain, terrain_fingerprint, write_terrain
 from blocksar.stores.truth import is_truth, write_truth
 
 __all__ = [
@@ -73,6 +73,7 @@ __all__ = [
     "DatasetHistory",
     "PhaseHistory",
     "Region",
+    "StoredTerrain",
     "Variable",
     "check_channels",
     "checksum",
@@ -103,7 +104,6 @@ __all__ = [
     "same_files",
     "share_region",
     "terrain_fingerprint",
-    "terrain_limits",
     "with_channels",
     "without_unseen",
     "write_collection",

@@ -6,8 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from blocksar.arrays import FloatArray
 from blocksar.chunks import IMAGE_CHUNK
 from blocksar.collection.terrain import Terrain
+from blocksar.constants import MIB
 from blocksar.errors import InputError
 from blocksar.places.place import Place
 from blocksar.stores.creation import create
@@ -15,6 +17,7 @@ from blocksar.stores.records import checksum, checksum_bytes, read_json
 from blocksar.stores.regions import read_region, write_region
 from blocksar.stores.schema import CONVENTIONS, TERRAIN
 
+KEPT_BYTES = 16 * MIB  # of heights that are kept between windows, at most
 LIMITS = "limits"  # attribute: lowest and highest height, m
 NUMBERS = ("x0", "dx", "y0", "dy", "row", "column")  # attributes that make a window's arithmetic that of the whole
 
@@ -37,6 +40,64 @@ def write_terrain(place: Place, terrain: Terrain) -> None:
     )  # fmt: skip
 
 
+class StoredTerrain:
+    """A stored terrain, read by windows; the chunks of the last window are kept for those beside it.
+
+    Parameters
+    ----------
+    place : Place
+
+    Attributes
+    ----------
+    limits : (float, float)
+        Lowest and highest height, m.
+
+    Raises
+    ------
+    InputError
+        If the store is damaged.
+    """
+
+    def __init__(self, place: Place) -> None:
+        self._place = place
+        try:
+            attributes = read_json(place / "zarr.json")["attributes"]
+            shape = tuple(read_json(place / "height" / "zarr.json")["shape"])
+            empty = np.broadcast_to(np.float64(np.nan), shape)
+            self._known = Terrain(**{name: attributes[name] for name in NUMBERS}, heights=empty)
+            low, high = (float(limit) for limit in attributes[LIMITS])
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(f"{place} is damaged ({error}); focus again with --overwrite") from error
+        self.limits = low, high
+        self._kept: tuple[slice, slice, FloatArray] | None = None
+
+    def read(self, x: tuple[float, float] | None = None, y: tuple[float, float] | None = None) -> Terrain:
+        """The part that a box needs, x and y from .. to, m; all of it without a box."""
+        shape = self._known.heights.shape
+        columns, rows = (slice(0, shape[1]), slice(0, shape[0])) if x is None or y is None else self._known.span(x, y)
+        return replace(self._known, heights=self._heights(rows, columns), row=self._known.row + rows.start,
+                       column=self._known.column + columns.start)  # fmt: skip
+
+    def _heights(self, rows: slice, columns: slice) -> FloatArray:
+        if self._kept is not None:
+            of_rows, of_columns, heights = self._kept
+            if _within(rows, of_rows) and _within(columns, of_columns):
+                first, left = rows.start - of_rows.start, columns.start - of_columns.start
+                return heights[first : first + rows.stop - rows.start, left : left + columns.stop - columns.start]
+        whole = tuple(
+            slice(part.start - part.start % IMAGE_CHUNK, min(-(-part.stop // IMAGE_CHUNK) * IMAGE_CHUNK, n))
+            for part, n in zip((rows, columns), self._known.heights.shape, strict=True)
+        )
+        if 8 * np.prod([part.stop - part.start for part in whole]) > KEPT_BYTES:
+            return read_region(self._place, "height", (rows, columns))
+        self._kept = whole[0], whole[1], read_region(self._place, "height", whole)
+        return self._heights(rows, columns)
+
+
+def _within(part: slice, whole: slice) -> bool:
+    return bool(whole.start <= part.start and part.stop <= whole.stop)
+
+
 def read_terrain(place: Place, x: tuple[float, float] | None = None, y: tuple[float, float] | None = None) -> Terrain:
     """The part of a stored terrain that a box needs, x and y from .. to, m; all of it without a box.
 
@@ -45,28 +106,4 @@ def read_terrain(place: Place, x: tuple[float, float] | None = None, y: tuple[fl
     InputError
         If the store is damaged.
     """
-    try:
-        attributes = read_json(place / "zarr.json")["attributes"]
-        shape = tuple(read_json(place / "height" / "zarr.json")["shape"])
-        empty = np.broadcast_to(np.float64(np.nan), shape)
-        known = Terrain(**{name: attributes[name] for name in NUMBERS}, heights=empty)
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{place} is damaged ({error}); focus again with --overwrite") from error
-    columns, rows = (slice(0, shape[1]), slice(0, shape[0])) if x is None or y is None else known.span(x, y)
-    heights = read_region(place, "height", (rows, columns))
-    return replace(known, heights=heights, row=known.row + rows.start, column=known.column + columns.start)
-
-
-def terrain_limits(place: Place) -> tuple[float, float]:
-    """Lowest and highest height of a stored terrain, m.
-
-    Raises
-    ------
-    InputError
-        If the store is damaged.
-    """
-    try:
-        low, high = (float(limit) for limit in read_json(place / "zarr.json")["attributes"][LIMITS])
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{place} is damaged ({error}); focus again with --overwrite") from error
-    return low, high
+    return StoredTerrain(place).read(x, y)

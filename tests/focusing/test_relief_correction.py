@@ -12,6 +12,7 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.focusing.correction import correct
 from blocksar.focusing.lines import Line
+from blocksar.focusing.relief_correction import DEGREE, QUANTITIES, locate_on_relief, tile_polynomials
 from blocksar.focusing.relief_map import straighten
 from blocksar.kernels.interpolation import bent_taps, interpolation_taps
 from blocksar.planning.plan import plan_collection
@@ -98,6 +99,33 @@ def test_on_a_level_terrain_pixels_are_those_of_the_plane() -> None:
     assert error < 1e-3  # white noise lies beyond the band too, where the taps of the two are free to differ
     again = correct(block, raised, x=grid.x, y=grid.y, z=z, threads=2)
     np.testing.assert_array_equal(again, found)
+
+
+@pytest.mark.parametrize("swath", [[29800.0, 30200.0], [28000.0, 32000.0]])
+def test_polynomials_of_a_tile_are_what_they_stand_for(swath: list[float]) -> None:
+    """To 1e-4 of a row, a Doppler sample and a cycle, on slopes of 30 degrees."""
+    text = SCENE.replace("[29800.0, 30200.0]", str(swath))
+    collection = Scene.parse(text).collection().centred()
+    x, y = 16050.0 + np.arange(128), 19150.0 + np.arange(128)
+    along = np.arange(15000.0, 20200.0, 25.0)
+    heights = 150 * np.sin(along / 260)[:, None] * np.sin(along / 260 + 1)
+    terrain = Terrain(x0=15000.0, dx=25.0, y0=15000.0, dy=25.0, heights=heights)
+    grid = Grid(x[0] - 400, x[-1] + 400, 1.0, y[0] - 400, y[-1] + 400, 1.0)
+    ground = plan_collection(collection, blocks=3, grid=grid, terrain=terrain).blocks[0].ground
+    z = terrain.on_grid(x, y)
+    tiles = np.array([[0.0, 0.0, 0.0]])
+    coefficients, spans = tile_polynomials(ground, x, y, z, tiles, 128)
+    rows, columns = np.random.default_rng(2).integers(0, 128, (2, 300))
+    u, v, w = columns / 63.5 - 1, rows / 63.5 - 1, (z[rows, columns] - spans[0, 0]) / spans[0, 1]
+    assert np.abs(w).max() <= 1 + 1e-12
+    assert np.ptp(z) > 60
+    powers = coefficients.reshape(DEGREE + 1, 3, QUANTITIES, DEGREE + 1)  # of v, w, quantity, u
+    found = np.einsum(
+        "bhqa,nb,nh,na->qn", powers, *(np.vander(t, n, increasing=True) for t, n in ((v, 4), (w, 3), (u, 4)))
+    )
+    exact = np.stack(locate_on_relief(ground, x[columns], y[rows], z[rows, columns]))
+    error = np.abs(found - exact).max(axis=1)
+    assert (error[:3] < 1e-4).all() and (error[3:] < 1e-6).all()
 
 
 def test_ranges_on_a_terrain_are_those_of_its_points(small_collection: object) -> None:

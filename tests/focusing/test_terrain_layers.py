@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import slow_twins
@@ -9,7 +11,15 @@ import slow_twins
 from blocksar.arrays import FloatArray
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
-from blocksar.focusing.terrain_layers import Sight, by_owner, gamma_factor, incidence_angle, reach, visibility
+from blocksar.focusing.terrain_layers import (
+    Sight,
+    by_owner,
+    gamma_factor,
+    heights_on_grid,
+    incidence_angle,
+    reach,
+    visibility,
+)
 
 VISIBLE, LAYOVER, SHADOW = 0, 1, 2
 GRID = Grid(-1000.0, 1000.0, 4.0, -1000.0, 1000.0, 4.0)
@@ -135,6 +145,43 @@ def test_incidence_and_area_are_those_of_small_facets(name: str) -> None:
                 expected = (slant / cosine) / (level_slant / level_cosine)
                 assert factor[row, column] == pytest.approx(expected, rel=5e-3)
     assert np.isfinite(factor).mean() > 0.8
+
+
+def test_compiled_heights_and_angles_are_those_of_the_terrain() -> None:
+    terrain, sight = hills(), SIGHTS["squinted"]
+    terrain.heights[60, 70] = np.nan
+    # Partly outside, and across the unknown sample.
+    x, y = np.linspace(-1700.0, 300.0, 133), np.linspace(-1700.0, -100.0, 71)
+    z = heights_on_grid(terrain, x, y)
+    np.testing.assert_array_equal(z, terrain.on_grid(x, y))
+    assert 0.01 < np.isnan(z).mean() < 0.5
+    for part in (slice(None), slice(40, 41)):  # a single row has a single node
+        found = incidence_angle(terrain, sight, x, y[part], z[part])
+        along_x, along_y = terrain.slopes_on_grid(x, y[part])
+        normal = np.stack([-along_x, -along_y, np.ones_like(along_x)])
+        ray = sight.position[0][:, None, None] - np.stack([*np.meshgrid(x, y[part]), z[part]])
+        length = np.linalg.norm(normal, axis=0) * np.linalg.norm(ray, axis=0)
+        assert found == pytest.approx(np.arccos((normal * ray).sum(axis=0) / length), abs=1e-6, nan_ok=True)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.3, 0.8, 1.5, 2.4])  # rad
+def test_angles_of_level_ground_are_those_to_the_antenna(angle: float) -> None:
+    antenna = 1e4 * np.array([-np.sin(angle), 0.0, np.cos(angle)])  # below the ground beyond pi / 2
+    sight = Sight(np.zeros(2), np.zeros(1), antenna[None], np.array([[0.0, 100.0, 0.0]]))
+    found = incidence_angle(Terrain.flat(0.0, (-9.0, 9.0), (-9.0, 9.0)), sight, *np.zeros((2, 1)), np.zeros((1, 1)))
+    assert found[0, 0] == pytest.approx(angle, abs=3e-7)
+
+
+def test_a_march_passes_no_place_that_crosses_its_curve() -> None:
+    """An unknown sample far away forbids long steps: the terrain beyond could be of any slope."""
+    coarse, window = Grid(-1000.0, 1000.0, 16.0, -1000.0, 1000.0, 16.0), (slice(0, 126), slice(0, 126))
+    for steep in (0.3, 1.0, 1.8):
+        terrain = replace(hills(), heights=steep * hills().heights)
+        for sight in SIGHTS.values():
+            found = visibility(terrain, sight, coarse, window)
+            terrain.heights[0, 0] = np.nan
+            np.testing.assert_array_equal(visibility(terrain, sight, coarse, window), found)
+            terrain.heights[0, 0] = terrain.heights[0, 1]
 
 
 def test_slopes_along_range_broadside_change_power_by_the_ratio_of_tangents() -> None:

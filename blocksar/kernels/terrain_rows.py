@@ -1,0 +1,132 @@
+"""Heights and local incidence angles of rows of pixels on a terrain, compiled.
+
+A height is a weighted sum over 4 x 4 samples of the terrain, by taps along x and along y. The sums along x are made
+once for every row of samples; those along y run over all pixels of a row.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit, types
+from numpy.polynomial import chebyshev
+from numpy.typing import NDArray
+
+from blocksar.arrays import FloatArray, IntArray
+from blocksar.kernels.loops import loop
+from blocksar.kernels.signatures import COMPILED, PART, REAL_ROW, REAL_ROWS, UNCHECKED
+
+INDICES = types.Array(types.int64, 1, "C", readonly=True)
+PLANES = types.Array(types.float64, 3, "C", readonly=True)
+EXACT: dict[str, Any] = {"nogil": True, "error_model": "numpy"}  # no operations are contracted
+_ARC_DEGREE = 8  # 1e-8 rad
+_ARC = tuple(
+    np.float32(c)
+    for c in chebyshev.Chebyshev.interpolate(
+        lambda c: np.where(c < 1, np.arccos(c) / np.sqrt(np.maximum(1 - c, 1e-300)), np.sqrt(2)), _ARC_DEGREE, [0, 1]
+    )
+    .convert(kind=np.polynomial.Polynomial, domain=[-1, 1], window=[-1, 1])
+    .coef
+)
+_A0, _A1, _A2, _A3, _A4, _A5, _A6, _A7, _A8 = _ARC
+_PI = np.float32(np.pi)
+
+
+@njit(**PART, **EXACT)
+def _along(strip: FloatArray, columns: IntArray, taps: FloatArray, out: FloatArray) -> None:
+    """out[i, k] = sum_j strip[i, columns[k] + j] taps[j, k], in the order of j."""
+    for i in range(strip.shape[0]):
+        for k in range(columns.size):
+            c = columns[k]
+            total = strip[i, c] * taps[0, k] + strip[i, c + 1] * taps[1, k]
+            out[i, k] = (total + strip[i, c + 2] * taps[2, k]) + strip[i, c + 3] * taps[3, k]
+
+
+@loop(REAL_ROWS, INDICES, REAL_ROWS, INDICES, REAL_ROWS, types.float64[:, ::1], **EXACT)
+def sum_taps(
+    strip: FloatArray, columns: IntArray, along_x: FloatArray, rows: IntArray, along_y: FloatArray, out: FloatArray
+) -> None:
+    """out[i, k] = sum_jl strip[rows[i] + l, columns[k] + j] along_x[j, k] along_y[l, i].
+
+    Parameters
+    ----------
+    strip : (n_row, n_column) float
+    columns : (n_x,) int
+    along_x : (4, n_x) float
+    rows : (n_y,) int
+    along_y : (4, n_y) float
+    out : (n_y, n_x) float
+        Written.
+    """
+    along = np.empty((strip.shape[0], columns.size))
+    _along(strip, columns, along_x, along)
+    for i in range(rows.size):
+        r = rows[i]
+        a, b, c, d = along_y[0, i], along_y[1, i], along_y[2, i], along_y[3, i]
+        for k in range(columns.size):
+            out[i, k] = ((along[r, k] * a + along[r + 1, k] * b) + along[r + 2, k] * c) + along[r + 3, k] * d
+
+
+@njit(**PART, **COMPILED)
+def _arc_cosine(cosine: float) -> Any:
+    """Arc cosine, rad, in float32; that of +-1 beyond."""
+    size = abs(cosine)
+    left = 1.0 - size
+    root = np.float32(np.sqrt(left if not left < 0.0 else 0.0))  # not NaN's
+    c = np.float32(size)
+    inner = _A4 + c * (_A5 + c * (_A6 + c * (_A7 + c * _A8)))
+    angle = root * (_A0 + c * (_A1 + c * (_A2 + c * (_A3 + c * inner))))
+    return angle if cosine >= 0.0 else _PI - angle
+
+
+@loop(
+    REAL_ROWS, INDICES, REAL_ROWS, REAL_ROWS, INDICES, REAL_ROWS, REAL_ROWS, REAL_ROW, REAL_ROW, REAL_ROWS, PLANES,
+    INDICES, REAL_ROW, INDICES, REAL_ROW, types.float32[:, ::1], **COMPILED, **UNCHECKED,
+)  # fmt: skip
+def find_incidence(
+    strip: FloatArray, columns: IntArray, along_x: FloatArray, rate_x: FloatArray, rows: IntArray, along_y: FloatArray,
+    rate_y: FloatArray, x: FloatArray, y: FloatArray, z: FloatArray, antenna: FloatArray, node_x: IntArray,
+    part_x: FloatArray, node_y: IntArray, part_y: FloatArray, out: NDArray[np.float32],
+) -> None:  # fmt: skip
+    """Find the angle between the terrain's upward normal and the line of sight at every pixel.
+
+    Parameters
+    ----------
+    strip, columns, along_x, rows, along_y
+        As in `sum_taps`.
+    rate_x, rate_y : (4, n_x) and (4, n_y) float
+        Taps of the derivatives, 1/m.
+    x, y : (n_x,) and (n_y,) float
+        m
+    z : (n_y, n_x) float
+        m
+    antenna : (3, m_y, m_x) float
+        x, y and z of the antenna as nodes see it, m; at least two by two nodes, bilinear in between.
+    node_x, part_x : (n_x,)
+        The node before each column, and the part of the way to the next; `node_y` and `part_y` those of rows.
+    out : (n_y, n_x) float32
+        Written: rad; NaN where the height is.
+    """
+    n = columns.size
+    along, rate = np.empty((strip.shape[0], n)), np.empty((strip.shape[0], n))
+    _along(strip, columns, along_x, along)
+    _along(strip, columns, rate_x, rate)
+    nodes, place = np.empty((3, antenna.shape[2])), np.empty((3, n))
+    for i in range(rows.size):
+        r, m, v = rows[i], node_y[i], part_y[i]
+        for q in range(3):
+            for k in range(nodes.shape[1]):
+                nodes[q, k] = antenna[q, m, k] + v * (antenna[q, m + 1, k] - antenna[q, m, k])
+            for k in range(n):
+                j = node_x[k]
+                place[q, k] = nodes[q, j] + part_x[k] * (nodes[q, j + 1] - nodes[q, j])
+        a, b, c, d = along_y[0, i], along_y[1, i], along_y[2, i], along_y[3, i]
+        e, f, g, h = rate_y[0, i], rate_y[1, i], rate_y[2, i], rate_y[3, i]
+        for k in range(n):
+            slope_x = rate[r, k] * a + rate[r + 1, k] * b + rate[r + 2, k] * c + rate[r + 3, k] * d
+            slope_y = along[r, k] * e + along[r + 1, k] * f + along[r + 2, k] * g + along[r + 3, k] * h
+            ux, uy, uz = place[0, k] - x[k], place[1, k] - y[i], place[2, k] - z[i, k]
+            normal = 1.0 + slope_x * slope_x + slope_y * slope_y
+            cosine = uz - ux * slope_x - uy * slope_y
+            out[i, k] = _arc_cosine(cosine / np.sqrt(normal * (ux * ux + uy * uy + uz * uz)))
