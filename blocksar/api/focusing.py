@@ -368,9 +368,9 @@ def _run_stages(
     for segment in job.segments:
         own = segment.of(run)
         run.establish(own.described, partial(_write_collection, own, segment))
-    terrain = job.request.terrain
-    if terrain is not None:
-        run.establish(run.terrain, lambda: stores.write_terrain(run.terrain, terrain))
+    for heights, path in ((job.request.terrain, run.terrain), (job.request.surroundings, run.surroundings)):
+        if heights is not None:
+            run.establish(path, partial(stores.write_terrain, path, heights))
     timings: dict[str, float] = {}
     segments, compressed = stages.compress_raw(client, job.segments, run, listener)
     if job.exact:

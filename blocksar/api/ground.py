@@ -35,10 +35,13 @@ def read_ground(
     if ground.plane:
         return None
     attrs = source if isinstance(source, dict) else _attributes(source)
-    georeference = None
-    if attrs.get("georeference") is not None:
-        georeference = Georeference.from_attribute(attrs["georeference"])
-    return ground.read(georeference, collection.ground_height, image_grid(collection, grid))
+    return ground.read(georeference_in(attrs), collection.ground_height, image_grid(collection, grid))
+
+
+def georeference_in(attrs: Mapping[str, Any]) -> Georeference | None:
+    """The georeference among the attributes of a phase history."""
+    found = attrs.get("georeference")
+    return None if found is None else Georeference.from_attribute(found)
 
 
 def _attributes(source: One) -> Mapping[str, Any]:
@@ -62,15 +65,15 @@ def geometry_over(collection: Collection, terrain: Terrain | None) -> Geometry:
     return Geometry(collection=collection) if terrain is None else over_terrain(collection, terrain)
 
 
-def ground_settings(ground: Ground, terrain: Terrain | None) -> dict[str, Any]:
+def ground_settings(ground: Ground, terrain: Terrain | None, surroundings: Terrain | None) -> dict[str, Any]:
     """The ground in the settings of a run: its source, and a fingerprint of its heights."""
-    named = ground.terrain
+    named, heights = ground.terrain, [each for each in (terrain, surroundings) if each is not None]
     path = None if named is None else str(named) if isinstance(named, Place) else os.path.abspath(named)
     return {
         "surface": ground.surface,
         "terrain": path,
         "vertical": ground.vertical,
-        "heights": None if terrain is None else stores.terrain_fingerprint(terrain),
+        "heights": "-".join(map(stores.terrain_fingerprint, heights)) or None,
     }
 
 

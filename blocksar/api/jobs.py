@@ -9,7 +9,8 @@ from typing import Any, Literal
 
 from blocksar import stores
 from blocksar.api.arguments import One, Source, check_one_frame, history_of, sources_of
-from blocksar.api.ground import PLANE, check_ground, geometry_over, ground_settings, read_ground
+from blocksar.api.ground import PLANE, check_ground, geometry_over, georeference_in, ground_settings, read_ground
+from blocksar.api.surroundings import read_surroundings
 from blocksar.arrays import FloatArray
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
@@ -68,6 +69,8 @@ class Request:
         What the user says of the ground.
     terrain : Terrain or None
         The ground itself, under the grid; None for the plane.
+    surroundings : Terrain or None
+        The ground as far as it hides or overlies places of the grid; None if that is under it.
     overwrite : bool
         Whether to replace a run of other settings or another input.
     discard : bool
@@ -90,6 +93,7 @@ class Request:
     discard: bool = False
     ground: Ground = PLANE
     terrain: Terrain | None = None
+    surroundings: Terrain | None = None
     autofocus: bool = False
     control: Sequence[Target] = ()
 
@@ -127,7 +131,7 @@ class Request:
                 run_folder.refuse_overlap(place(history.path), folder)
         centred = [history.collection.centred() for history in histories]
         check_ground(centred, grid, any_grid=method is None or not ground.plane)
-        terrain = None
+        terrain, around = None, None
         if not ground.plane:
             under = grid or joint_grid([Geometry(collection=collection) for collection in centred])
             read = [
@@ -135,10 +139,12 @@ class Request:
                 for each, history in zip(centred, histories, strict=True)
             ]
             terrain = read[0]
+            if terrain is not None:
+                around = read_surroundings(ground, terrain, centred, under, georeference_in(histories[0].attrs))
         return cls(
             histories=histories, folder=folder, method=method, blocks=blocks, fidelity=fidelity, weighting=weighting,
             grid=grid, fingerprints=tuple(fingerprint for _, fingerprint in opened), overwrite=overwrite,
-            discard=discard, ground=ground, terrain=terrain, autofocus=autofocus, control=control,
+            discard=discard, ground=ground, terrain=terrain, surroundings=around, autofocus=autofocus, control=control,
         )  # fmt: skip
 
     @property
@@ -162,7 +168,7 @@ class Request:
             "weighting_range": self.weighting.range.text,
             "weighting_azimuth": self.weighting.azimuth.text,
             "grid": None if self.grid is None else list(grid_numbers(self.grid)),
-            **ground_settings(self.ground, self.terrain),
+            **ground_settings(self.ground, self.terrain, self.surroundings),
             # Not in runs without them, also those of earlier versions.
             **({"autofocus": True} if self.autofocus else {}),
             **({"control": records_of(self.control)} if self.control else {}),

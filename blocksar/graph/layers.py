@@ -30,10 +30,15 @@ from blocksar.runs.record import Written
 
 
 class Ground(NamedTuple):
-    """The part of a terrain that an output chunk's layers need, and the heights of the chunk's pixels (n_y, n_x), m."""
+    """What an output chunk's layers need of the terrain.
+
+    The terrain about the chunk, the heights of the chunk's pixels (n_y, n_x), m, and the terrain that may hide or
+    overlie them, also from outside the image.
+    """
 
     terrain: Terrain
     height: FloatArray
+    around: Terrain
 
 
 def local_terrain(run: Run, grid: Grid, window: Window) -> Terrain:
@@ -64,22 +69,25 @@ class TerrainLayers:
 
     def __init__(self, run: Run, grid: Grid, sights: Mapping[int, Sight]) -> None:
         self._run, self._grid, self._sights = run, grid, sights
-        self._stored = stores.StoredTerrain(run.terrain) if sights else None
+        self._stored = self._around = stores.StoredTerrain(run.terrain) if sights else None
+        if sights and (run.surroundings / "zarr.json").exists():
+            self._around = stores.StoredTerrain(run.surroundings)
 
     def ground(self, window: Window) -> Ground | None:
         """The ground of some rows and columns of the image, as far as shadow and layover reach; None on the plane.
 
         It is not for several threads at once.
         """
-        if self._stored is None:
+        if self._stored is None or self._around is None:
             return None
         y, x = self._grid.y[window[0]], self._grid.x[window[1]]
         boxes = [box_of(x, y)]
         for sight in {id(sight): sight for sight in self._sights.values()}.values():
-            boxes.append(reach(sight, x, y, self._stored.limits))
+            boxes.append(reach(sight, x, y, self._around.limits))
         (x0, x1, y0, y1) = (np.array(boxes)[:, axis, end] for axis in (0, 1) for end in (0, 1))
-        terrain = self._stored.read((float(x0.min()), float(x1.max())), (float(y0.min()), float(y1.max())))
-        return Ground(terrain, heights_on_grid(terrain, x, y))
+        around = self._around.read((float(x0.min()), float(x1.max())), (float(y0.min()), float(y1.max())))
+        terrain = around if self._around is self._stored else self._stored.read(*boxes[0])
+        return Ground(terrain, heights_on_grid(terrain, x, y), around)
 
     def write(self, window: Window, owner: NDArray[np.int16], ground: Ground | None) -> list[Written]:
         """Write the layers of a chunk of the image, whose `ground` is known.
@@ -88,9 +96,9 @@ class TerrainLayers:
         """
         if ground is None:
             return []
-        (terrain, height), x, y = ground, self._grid.x[window[1]], self._grid.y[window[0]]
+        (terrain, height, around), x, y = ground, self._grid.x[window[1]], self._grid.y[window[0]]
         incidence = by_owner(self._sights, owner, lambda sight: incidence_angle(terrain, sight, x, y, height), np.nan)
-        seen = by_owner(self._sights, owner, lambda sight: visibility(terrain, sight, self._grid, window), UNKNOWN)
+        seen = by_owner(self._sights, owner, lambda sight: visibility(around, sight, self._grid, window), UNKNOWN)
         layers = {"height": height, "incidence_angle": incidence, "visibility": seen}
         types = {name: variable.dtype for name, variable in stores.ON_TERRAIN.items()}
         return [write(self._run, self._run.image, name, window, layers[name].astype(types[name])) for name in layers]

@@ -37,6 +37,7 @@ OWN = (
     "channels",
     "looks",
     "terrain.zarr",
+    "surroundings.zarr",
     "patches",
     "receipts",
     "scratch",

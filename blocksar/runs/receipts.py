@@ -76,6 +76,11 @@ class Run:
         """The height of the ground; not there where that is a plane."""
         return self.folder / "terrain.zarr"
 
+    @property
+    def surroundings(self) -> Place:
+        """The height of the ground as far as it hides or overlies pixels; not there where that is under the image."""
+        return self.folder / "surroundings.zarr"
+
     def gated(self, block: str) -> Place:
         return self.folder / "gated" / f"spectrum-{block}.zarr"
 

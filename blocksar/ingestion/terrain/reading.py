@@ -68,22 +68,34 @@ class Ground:
         if self.plane:
             return None
         x, y = (float(grid.x[0]), float(grid.x[-1])), (float(grid.y[0]), float(grid.y[-1]))
-        if self.terrain is not None and not self.geotiff:
-            terrain = read_frame_grid(self.terrain, x, y)
+        if self.terrain is not None and (georeference is not None or not self.geotiff):
+            terrain = self.read_box(georeference, x, y)
         elif georeference is None:
             what = "surface = ellipsoid" if self.terrain is None else f"terrain {self.terrain}"
             raise InputError(
                 f"{what} needs to know where on the Earth the scene lies; put the attribute georeference into the "
                 "phase history"
             )
-        elif self.terrain is None:
-            terrain = ellipsoid(georeference, ground_height, x, y)
         else:
-            terrain = read_geotiff(self.terrain, self.vertical, georeference, x, y)
+            terrain = ellipsoid(georeference, ground_height, x, y)
         if covered(terrain, grid) == 0:
             where = f"x {x[0]:.6g} .. {x[1]:.6g} m and y {y[0]:.6g} .. {y[1]:.6g} m"
             raise InputError(f"terrain {self.terrain} has no height under the grid, {where}; give one that covers it")
         return terrain
+
+    def read_box(self, georeference: Georeference | None, x: tuple[float, float], y: tuple[float, float]) -> Terrain:
+        """The part of the file about a box, x and y from .. to, m; a GeoTIFF needs the georeference.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be read, or lies elsewhere.
+        """
+        assert self.terrain is not None
+        if not self.geotiff:
+            return read_frame_grid(self.terrain, x, y)
+        assert georeference is not None
+        return read_geotiff(self.terrain, self.vertical, georeference, x, y)
 
 
 def covered(terrain: Terrain, grid: Grid) -> float:
