@@ -50,7 +50,11 @@ class Made:
         collection, total = self.collection, 0.0 + 0j
         away = point[:2] - Geometry(collection=collection).nadir
         lit = np.ones(collection.n_pulse, bool)
-        if collection.beam_width is not None:
+        if collection.beam_axis is not None and collection.beam_steering is not None:
+            sight = point - collection.antenna_position
+            sine = (sight * collection.beam_axis).sum(axis=1) / np.linalg.norm(sight, axis=1)
+            lit = np.abs(np.arcsin(sine) - collection.beam_steering) <= (collection.beam_width or 0.0) / 2
+        elif collection.beam_width is not None:
             off = np.arctan2(away[1], away[0]) - collection.beam_azimuth
             lit = np.abs(np.angle(np.exp(1j * off))) <= collection.beam_width / 2
         track, frequency = collection.antenna_position[lit], collection.carrier + collection.range_frequency
@@ -75,6 +79,16 @@ def hilly(centre: tuple[float, float]) -> Terrain:
     return Terrain(x0=centre[0] - 60, dx=2.0, y0=centre[1] - 60, dy=2.0, heights=heights)
 
 
+def axis_beam(track: Any, centre: Any, time: Any) -> dict[str, Any]:
+    """A beam about an axis along the velocity, raised by 0.1, that passes the centre at t = 0.5 s."""
+    axis = np.gradient(track, time, axis=0)
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    axis += [0.0, 0.0, 0.1]
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    sight = (centre - track) / np.linalg.norm(centre - track, axis=1, keepdims=True)
+    return {"beam_axis": axis, "beam_steering": np.arcsin((sight * axis).sum(axis=1)) + 0.012 * (time - 0.5)}
+
+
 def upsampled_peak(chip: Any, factor: int = 16) -> Any:
     steps = [np.angle((chip[1:] * chip[:-1].conj()).sum()), np.angle((chip[:, 1:] * chip[:, :-1].conj()).sum())]
     for axis, step in enumerate(steps):
@@ -93,6 +107,7 @@ def make(
     *,
     look: float = 0.9,
     steered: bool = False,
+    about_axis: bool = False,
     frame: Georeference | None = DAYTON,
     centre: tuple[float, float] = (0.0, 0.0),
     size: tuple[int, int] = (150, 130),
@@ -107,7 +122,8 @@ def make(
     """Make a finished run over targets about `centre`; no coverage in a south-west corner and some northern rows.
 
     With `noise_power` the run says what noise its image has; there is none in it. With a terrain it has the layers of
-    one, but the image is that of the plane, unless it is `formed_on_it`.
+    one, but the image is that of the plane, unless it is `formed_on_it`. The beam turns with a yaw where it is `steered`,
+    and `about_axis` about an axis that is not level.
     """
     n = 160
     time = (np.arange(n) - n // 2) / 60.0 + 0.5
@@ -125,8 +141,9 @@ def make(
         reference_range=np.linalg.norm(track - [*centre, 0.0], axis=1),
         antenna_position=track,
         beam_azimuth=middle + 0.012 * (time - 0.5) if steered else np.full(n, np.nan),
-        beam_width=0.02 if steered else None,
+        beam_width=0.02 if steered or about_axis else None,
         noise_power=noise_power,
+        **(axis_beam(track, np.array([*centre, 0.0]), time) if about_axis else {}),
         title="small scene, é",
     ).centred()
     geometry = Geometry(collection=collection)

@@ -27,12 +27,15 @@ CENTRE = {
 }  # 10 km from the origin, heights move places by centimetres
 
 
-@pytest.fixture(scope="module", params=["DAYTON", "SYDNEY"])
+@pytest.fixture(scope="module", params=["DAYTON", "SYDNEY", "AXIS"])
 def run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Made, Georeference, str]:
     """A run on hills, its frame, and a map for it."""
-    frame, crs = {"DAYTON": (DAYTON, "EPSG:32616"), "SYDNEY": (SYDNEY, "EPSG:4326")}[request.param]
-    centre, folder = CENTRE[request.param], tmp_path_factory.mktemp("run")
-    made = make(folder, frame=frame, centre=centre, terrain=hilly(centre), formed_on_it=True, steered=frame is DAYTON)
+    frame, crs = (SYDNEY, "EPSG:4326") if request.param == "SYDNEY" else (DAYTON, "EPSG:32616")
+    centre, folder = CENTRE["DAYTON" if frame is DAYTON else "SYDNEY"], tmp_path_factory.mktemp("run")
+    made = make(
+        folder, frame=frame, centre=centre, terrain=hilly(centre), formed_on_it=True,
+        steered=request.param == "DAYTON", about_axis=request.param == "AXIS",
+    )  # fmt: skip
     return made, frame, crs
 
 

@@ -123,11 +123,15 @@ def test_sicd_metadata_project_targets_onto_their_peaks(exported: tuple[Made, Si
         assert ground == pytest.approx(ecef, abs=0.01)
 
 
-@pytest.mark.parametrize(("steered", "look"), [pytest.param(False, 0.9, marks=pytest.mark.slow), (True, -1.9)])
-def test_an_image_on_a_terrain_projects_to_its_heights(*, steered: bool, look: float, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("beam", "look"), [pytest.param("none", 0.9, marks=pytest.mark.slow), ("steered", -1.9), ("about_axis", 0.9)]
+)
+def test_an_image_on_a_terrain_projects_to_its_heights(beam: str, look: float, tmp_path: Path) -> None:
     """Targets stand where the standard's projection has them, and their pixels project to their x and y."""
     terrain = hilly((0.0, 0.0))
-    run = make(tmp_path, look=look, steered=steered, terrain=terrain, formed_on_it=True, hole=False)
+    steered = beam != "none"
+    turning = {beam: True} if steered else {}
+    run = make(tmp_path, look=look, terrain=terrain, formed_on_it=True, hole=False, **turning)
     report = blocksar.export("sicd", run.folder, tmp_path / "image.nitf")
     assert "laid on the plane z = " in report.summary[0]
     found = read_sicd(tmp_path / "image.nitf")
