@@ -28,8 +28,6 @@ def describe_shortfall(plan: Plan) -> str:
         remedy = _REMEDIES[cause]
     else:
         remedy = "ask for more --blocks, or for --blocks auto"
-    if cause == "the ends of the dwell" and plan.geometry.terrain is not None:
-        remedy = f"edges of dwells are back-projected on the plane only, not on a terrain: {remedy}"
     if plan.method.rival:
         remedy += ", or leave the alternative methods out"
     figure = f"coherence {p.coherence:.6g}" if 1 - p.coherence > 1 - plan.fidelity else f"side lobes {p.pslr:.2f} dB"

@@ -128,7 +128,9 @@ def lit_interval(geometry: Geometry, x: FloatArray, y: FloatArray) -> tuple[IntA
     return first.reshape(yaw.shape), last.reshape(yaw.shape)
 
 
-def inner_interval(geometry: Geometry, x: FloatArray, y: FloatArray, share: float) -> tuple[IntArray, IntArray]:
+def inner_interval(
+    geometry: Geometry, x: FloatArray, y: FloatArray, share: float, z: Height | None = None
+) -> tuple[IntArray, IntArray]:
     """The pulses first <= p < last with |offset| <= share beam_width / 2; equal where none has.
 
     With a share of 1 those of `lit_interval`, but points that are lit twice are not refused.
@@ -141,10 +143,12 @@ def inner_interval(geometry: Geometry, x: FloatArray, y: FloatArray, share: floa
         m, scene frame; of one shape.
     share : float
         0 .. 1.
+    z : (...) float, optional
+        m; by default that of the ground.
     """
     narrow = replace(geometry.collection, beam_width=share * (geometry.collection.beam_width or 0.0))
     if narrow.has_axis:
-        first, last, _ = axis_spans(narrow, *_raveled(x, y, _height(geometry, x, y, None)))
+        first, last, _ = axis_spans(narrow, *_raveled(x, y, _height(geometry, x, y, z)))
     else:
         first, last = yaw_interval(narrow, np.asarray(geometry.yaw(*_raveled(x, y, 0.0)[:2])), tolerance=0.0)
     return first.reshape(np.shape(x)), last.reshape(np.shape(x))

@@ -22,6 +22,7 @@ from __future__ import annotations
 import math
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
+from typing import TypeVar
 
 import numpy as np
 
@@ -34,6 +35,8 @@ from blocksar.constants import MIB
 from blocksar.focusing.backprojection import ReadPulses, accumulate, image_memory, lit_pulses
 from blocksar.focusing.pattern_sums import add_gains
 from blocksar.focusing.profiles import UPSAMPLING, Profiles, profile_axis, profile_bins, range_profiles
+
+Cells = TypeVar("Cells", BoolArray, FloatArray)
 
 CELL = 16  # pixels along a side, that are looked at together
 OFFSET_NODES = 65  # pulses at which a beam that stays is compared with the ground
@@ -128,6 +131,7 @@ def add_edges(
     lit: FloatArray,
     fade: int,
     weighting: Weighting,
+    height: FloatArray | None = None,
     threads: int = 1,
 ) -> None:
     """Add to an image, in place, the part of each dwell that the chain's gate fades out.
@@ -147,6 +151,8 @@ def add_edges(
     fade : int
         n, positive.
     weighting : Weighting
+    height : (n_y, n_x) float, optional
+        z of the pixels, m; NaN where it is unknown, and the image as well. None: they lie on the plane.
     threads : int
         The result does not depend on it.
     """
@@ -157,8 +163,9 @@ def add_edges(
     part = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
     image, lit, owned = image[part], lit[part], owned[part]
     mesh_x, mesh_y = np.meshgrid(np.asarray(x, np.float64)[part[1]], np.asarray(y, np.float64)[part[0]])
-    edges = _edges(geometry, mesh_x, mesh_y, owned, fade)
-    total = _sum_edges(profiles, geometry, mesh_x, mesh_y, edges, weighting, threads=threads, fade=fade)
+    z = None if height is None else np.where(owned, height[part], geometry.collection.ground_height)
+    edges = _edges(geometry, mesh_x, mesh_y, z, owned, fade)
+    total = _sum_edges(profiles, geometry, mesh_x, mesh_y, edges, weighting, z=z, threads=threads, fade=fade)
     image += total / np.where(owned, lit, 1.0).astype(np.float32)
 
 
@@ -172,6 +179,7 @@ def take_unlit(
     total: Callable[[FloatArray, FloatArray], FloatArray],
     valid: FloatArray,
     weighting: Weighting,
+    height: FloatArray | None = None,
     threads: int = 1,
 ) -> None:
     """Take out of an image, in place, the pulses that do not light each pixel, under a beam that stays on its ground.
@@ -193,28 +201,34 @@ def take_unlit(
     valid : (n_pulse,) float
         The fraction of each pulse's samples that is there.
     weighting : Weighting
+    height : (n_y, n_x) float, optional
+        As in `add_edges`.
     threads : int
         The result does not depend on it.
     """
     n = geometry.collection.n_pulse
-    doubtful = _find_doubtful(geometry, x, y) & np.isfinite(image.real)
+    z = None if height is None else np.where(np.isfinite(height), height, geometry.collection.ground_height)
+    doubtful = _find_doubtful(geometry, x, y, z) & np.isfinite(image.real)
     rows, columns = (np.flatnonzero(doubtful.any(axis=axis)) for axis in (1, 0))
     if not rows.size:
         return
     part = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
     image, doubtful = image[part], doubtful[part]
     mesh_x, mesh_y = np.meshgrid(np.asarray(x, np.float64)[part[1]], np.asarray(y, np.float64)[part[0]])
+    z = None if z is None else z[part]
     first, last = np.zeros(image.shape, np.int64), np.full(image.shape, n, np.int64)
-    first[doubtful], last[doubtful] = inner_interval(geometry, mesh_x[doubtful], mesh_y[doubtful], 1.0)
+    some = mesh_x[doubtful], mesh_y[doubtful], 1.0, None if z is None else z[doubtful]
+    first[doubtful], last[doubtful] = inner_interval(geometry, *some)
     cut = (first > 0) | (last < n)
     if not cut.any():
         return
     edges = (np.zeros_like(first), first), (last, np.full_like(last, n))
-    unlit = _sum_edges(profiles, geometry, mesh_x, mesh_y, edges, weighting, threads=threads)
+    unlit = _sum_edges(profiles, geometry, mesh_x, mesh_y, edges, weighting, z=z, threads=threads)
     at_x, at_y, of_lit = mesh_x[cut], mesh_y[cut], np.zeros((1, int(cut.sum())))
+    over = None if z is None else (z[cut] - geometry.collection.ground_height)[None]
     add_gains(
-        of_lit, geometry, at_x[None], at_y[None], first=first[cut][None], last=last[cut][None], pulses=slice(0, n),
-        valid=valid, taper=weighting.azimuth,
+        of_lit, geometry, at_x[None], at_y[None], over, first=first[cut][None], last=last[cut][None],
+        pulses=slice(0, n), valid=valid, taper=weighting.azimuth,
     )  # fmt: skip
     lit, kept = of_lit[0], image[cut] * total(at_x, at_y) - unlit[cut]
     image[cut] = np.where(lit > 0, kept / np.where(lit > 0, lit, 1.0), complex(np.nan, np.nan))
@@ -229,21 +243,23 @@ def _sum_edges(
     weighting: Weighting,
     *,
     threads: int,
+    z: FloatArray | None = None,
     fade: int = 0,
 ) -> ComplexArray:
-    """Sum over the pulses from `first` to `last` of both edges of each pixel at x, y (n_y, n_x), m; not divided."""
+    """Sum over the pulses from `first` to `last` of both edges of each pixel at x, y, z (n_y, n_x), m; not divided."""
+    height = None if z is None else z - geometry.collection.ground_height
     total, weight = np.zeros(x.shape, np.complex64), np.zeros(x.shape, np.float32)
     outside = np.zeros(x.shape, np.bool_)
     for first, last in edges:
         for profiles in kept.of(lit_pulses(first, last, geometry.collection.n_pulse)):
             accumulate(
                 total, outside, profiles, geometry=geometry, x=x, y=y, first=first, last=last, threads=threads,
-                taper=weighting.azimuth, weight=weight, fade=fade,
+                taper=weighting.azimuth, weight=weight, height=height, fade=fade,
             )  # fmt: skip
     return total
 
 
-def _find_doubtful(geometry: Geometry, x: FloatArray, y: FloatArray) -> BoolArray:
+def _find_doubtful(geometry: Geometry, x: FloatArray, y: FloatArray, z: FloatArray | None) -> BoolArray:
     """Which pixels (n_y, n_x) some pulse may not light, under a beam about its axis.
 
     Whole cells of pixels are lit all the time where their middle lies so far inside the beam that none can leave it: a
@@ -257,14 +273,23 @@ def _find_doubtful(geometry: Geometry, x: FloatArray, y: FloatArray) -> BoolArra
         middles.append((firsts + lasts) / 2)
         reach = math.hypot(reach, float((lasts - firsts).max()) / 2)
     mesh_x, mesh_y = np.meshgrid(*middles)
+    level: FloatArray | float = collection.ground_height
+    if z is not None:
+        level = z[np.ix_(*(np.minimum(np.arange(0, n, CELL) + CELL // 2, n - 1) for n in z.shape))]
+        reach = math.hypot(reach, float(np.abs(z - _over_cells(level, z.shape)).max()))
     farthest, nearest = np.zeros(mesh_x.shape), math.inf
     for pulse in np.unique(np.linspace(0, collection.n_pulse - 1, OFFSET_NODES).round().astype(np.int64)).tolist():
-        np.maximum(farthest, np.abs(beam_offset(geometry, mesh_x, mesh_y, pulse)), out=farthest)
-        px, py, pz = collection.antenna_position[pulse] - (0.0, 0.0, collection.ground_height)
-        nearest = min(nearest, math.sqrt(float(((mesh_x - px) ** 2 + (mesh_y - py) ** 2).min() + pz**2)))
+        np.maximum(farthest, np.abs(beam_offset(geometry, mesh_x, mesh_y, pulse, level)), out=farthest)
+        px, py, pz = collection.antenna_position[pulse]
+        nearest = min(nearest, math.sqrt(float(((mesh_x - px) ** 2 + (mesh_y - py) ** 2 + (level - pz) ** 2).min())))
     half, moves = (collection.beam_width or 0.0) / 2, reach / max(nearest - reach, reach)
     cells = farthest >= half * (1 - OFFSET_ROOM) - moves
-    return np.repeat(np.repeat(cells, CELL, axis=0), CELL, axis=1)[: y.size, : x.size]
+    return _over_cells(cells, (y.size, x.size))
+
+
+def _over_cells(values: Cells, shape: tuple[int, ...]) -> Cells:
+    """Values of cells at each of their pixels, (n_y, n_x)."""
+    return np.repeat(np.repeat(values, CELL, axis=0), CELL, axis=1)[: shape[0], : shape[1]]
 
 
 def kept_pulses(collection: Collection, upsampling: int) -> int:
@@ -281,16 +306,16 @@ def edge_memory(n_pixels: int, collection: Collection, *, threads: int = 1) -> i
 
 
 def _edges(
-    geometry: Geometry, x: FloatArray, y: FloatArray, owned: BoolArray, fade: int
+    geometry: Geometry, x: FloatArray, y: FloatArray, z: FloatArray | None, owned: BoolArray, fade: int
 ) -> tuple[tuple[IntArray, IntArray], tuple[IntArray, IntArray]]:
     """Pulses first <= p < last that hold the two edges of each pixel's dwell; none for pixels that are not owned.
 
     They may hold pulses between the edges, whose weight is 0, but none twice: a dwell that the collection's end cuts
     short may lie within one edge.
     """
-    first, last = inner_interval(geometry, x, y, 1.0)
+    first, last = inner_interval(geometry, x, y, 1.0, z)
     at = np.ix_(*(np.unique(np.append(np.arange(0, n, EDGE_STEP), n - 1)) for n in x.shape))
-    inner_first, inner_last = inner_interval(geometry, x[at], y[at], 1 - 1 / fade)
+    inner_first, inner_last = inner_interval(geometry, x[at], y[at], 1 - 1 / fade, None if z is None else z[at])
     lengths = np.maximum(inner_first - first[at], last[at] - inner_last)
     lengths = np.where(inner_first < inner_last, lengths, last[at] - first[at])
     length, middle = int(lengths.max()) + EDGE_ROOM, (first + last) // 2

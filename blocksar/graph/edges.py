@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from blocksar import stores
-from blocksar.arrays import ComplexArray
+from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.collection.grid import Grid
 from blocksar.collection.weighting import Weighting
 from blocksar.focusing.dwell_edges import KeptProfiles, add_edges, edge_profiles, take_unlit
@@ -46,19 +46,30 @@ class Edges:
         return edge_profiles(read, ground.geometry.collection, self.weighting, fade=self.fade, threads=threads)
 
     def add(
-        self, pixels: ComplexArray, kept: KeptProfiles, ground: GroundMap, window: Window, grid: Grid, *, threads: int
+        self,
+        pixels: ComplexArray,
+        kept: KeptProfiles,
+        ground: GroundMap,
+        window: Window,
+        grid: Grid,
+        *,
+        height: FloatArray | None,
+        threads: int,
     ) -> None:
-        """Add the edges to a chunk of a patch, or take out what is not lit where the beam stays, in place."""
+        """Add the edges to a chunk of a patch, or take out what is not lit where the beam stays, in place.
+
+        `height` (n_y, n_x) has its pixels' z, m, on a terrain.
+        """
         x, y = grid.x[window[1]], grid.y[window[0]]
         if ground.stays:
             take_unlit(
                 pixels, kept, ground.geometry, x=x, y=y, total=ground.lit_at, valid=self.inspection.lit,
-                weighting=self.weighting, threads=threads,
+                weighting=self.weighting, height=height, threads=threads,
             )  # fmt: skip
             return
         add_edges(
             pixels, kept, ground.geometry, x=x, y=y, lit=ground.lit_at(*np.meshgrid(x, y)), fade=self.fade,
-            weighting=self.weighting, threads=threads,
+            weighting=self.weighting, height=height, threads=threads,
         )  # fmt: skip
 
 

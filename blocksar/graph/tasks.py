@@ -202,7 +202,7 @@ def write_patch(
             z = None if beneath is None else beneath.height
             pixels = correct(samples.values, ground, x=x, y=y, z=z, threads=run.threads, out=out)
             if edges is not None and kept is not None:
-                edges.add(pixels, kept, ground, window, grid, threads=run.threads)
+                edges.add(pixels, kept, ground, window, grid, height=z, threads=run.threads)
             writes.append(
                 pool.submit(
                     _write_pixels,

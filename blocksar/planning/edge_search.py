@@ -86,7 +86,7 @@ def _times(plan: Dwelling, times: float) -> float:
     Whole dwells under a beam about its axis need edges where their ends lose more than the fidelity allows in all:
     these may move unevenly along Doppler, so that no gate is the best one that `plan_edges` counts with.
     """
-    if plan.refusal is not None or plan.geometry.terrain is not None:
+    if plan.refusal is not None:
         return times
     lost, allowed = max(block.prediction.dispersion_loss for block in plan.blocks), 1 - plan.fidelity
     if not plan.fade:

@@ -71,7 +71,7 @@ def plan_edges(
     dwells move along Doppler by e = dwell / band, and the steps of a chain smear them over a share of sqrt(e).
     """
     collection = geometry.collection
-    if not beam_moves(collection) or geometry.terrain is not None:  # edges are summed on the plane
+    if not beam_moves(collection):
         return Edges()
     yaw = np.linspace(region.yaw[0], region.yaw[-1], PLACES)
     near, far = region.at(yaw)

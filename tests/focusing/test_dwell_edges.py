@@ -112,6 +112,34 @@ def test_what_is_not_lit_is_taken_out(weighting: str) -> None:
     assert np.linalg.norm(error) < 6e-3 * np.linalg.norm((mean * weights)[known])
 
 
+@pytest.mark.parametrize("kind", ["scan", "axis", "spotlight"])
+def test_edges_of_pixels_at_their_heights_are_those_on_planes_of_these_heights(kind: str) -> None:
+    collection = spotlight(beam_width=0.0045) if kind == "spotlight" else small(kind)
+    signal, tapers = noise(collection), Weighting.parse("taylor:4:-35")
+    fade = 0 if kind == "spotlight" else FADE
+    x, y = 9000.0 + np.arange(4) * 45, np.array([-22.3, -21.5, 22.1])
+    z = np.random.default_rng(5).uniform(-40, 90, (y.size, x.size))
+
+    def completed(ground: Collection, x: np.ndarray, y: np.ndarray, height: np.ndarray | None) -> ComplexArray:
+        image = np.full((y.size, x.size), 2 + 1j, np.complex64)
+        kept = edge_profiles(lambda pulses: signal[pulses], ground, tapers, fade=fade)
+        where = {"x": x, "y": y, "height": height, "weighting": tapers}
+        if fade:
+            add_edges(image, kept, Geometry(collection=ground), lit=np.full(image.shape, 4.0), fade=fade, **where)
+        else:
+            valid, total = np.ones(ground.n_pulse), np.full_like
+            take_unlit(image, kept, Geometry(collection=ground), total=lambda a, _: total(a, 9.0), valid=valid, **where)
+        return image
+
+    found = completed(collection, x, y, z)
+    for i, j in np.ndindex(z.shape):
+        level = Collection(**{**collection.as_dict(), "ground_height": float(z[i, j])})
+        alone = completed(level, x[j : j + 1], y[i : i + 1], None)[0, 0]
+        assert found[i, j] == pytest.approx(alone, abs=1e-3, nan_ok=True)
+    assert np.nanmax(np.abs(found - completed(collection, x, y, None))) > 0.01
+    assert np.nanstd(found) > 0.01
+
+
 @pytest.mark.parametrize("kind", ["scan", "scan back", "axis"])
 def test_the_inner_interval_has_the_pulses_of_a_narrower_beam(kind: str) -> None:
     collection = small(kind)
