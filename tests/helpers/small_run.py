@@ -122,8 +122,8 @@ def make(
     """Make a finished run over targets about `centre`; no coverage in a south-west corner and some northern rows.
 
     With `noise_power` the run says what noise its image has; there is none in it. With a terrain it has the layers of
-    one, but the image is that of the plane, unless it is `formed_on_it`. The beam turns with a yaw where it is `steered`,
-    and `about_axis` about an axis that is not level.
+    one, but the image is that of the plane, unless it is `formed_on_it`. The beam turns with a yaw where it is
+    `steered`, and `about_axis` about an axis that is not level.
     """
     n = 160
     time = (np.arange(n) - n // 2) / 60.0 + 0.5
