@@ -9,6 +9,7 @@ from itertools import chain
 import numpy as np
 
 from blocksar.arrays import FloatArray
+from blocksar.budget import IMAGE_TAP_ERROR
 from blocksar.chunks import DOPPLER_GROUP
 from blocksar.collection.beam import dwell_at
 from blocksar.collection.collection import Collection
@@ -34,7 +35,8 @@ from blocksar.planning.apertures import level_aperture, levelled
 from blocksar.planning.binding import AzimuthPart, RangePart, Slab
 from blocksar.planning.block_gates import Ends, FineLines, level_spots, plan_dwell_gate, plan_over_band
 from blocksar.planning.coefficients import Choice, choose
-from blocksar.planning.gates import faded_room, full_dwells, plan_range_gate
+from blocksar.planning.dwell_weights import beam_moves
+from blocksar.planning.gates import GUARD, faded_room, full_dwells, plan_range_gate, smear_room
 from blocksar.planning.memory import block_memory
 from blocksar.planning.motion import plan_motion
 from blocksar.planning.nodes import common_ranges, nodes_between
@@ -184,6 +186,7 @@ def plan_block(
         range_frequency=band if range_gate is None else range_gate.range_frequency, duration=duration,
         uncut=float((ends.uncut[1] - ends.uncut[0]).max()) if collection.steered else 0.0,
         turns=azimuth.turns(compressed), tap_error=sector.tap_error, faded=sector.fade > 0,
+        gated=beam_moves(collection),
     )  # fmt: skip
     lines = FineLines(lit, fine, spots, fine_range, fine_yaw, weights, ends, in_time)
     sampling, ground, prediction = _plan_image(sector, azimuth, sampling, lines)
@@ -339,17 +342,20 @@ def _plan_sampling(
     turns: FloatArray,
     tap_error: float,
     faded: bool = False,
+    gated: bool = True,
 ) -> Sampling:
     """The axes that hold a block's lines, `straight` after range compression, without a gate.
 
     `uncut` is the longest dwell that the gate has to hold, s, as if the ends of the collection did not cut it; `turns`
-    are those of `AzimuthPart.turns`.
+    are those of `AzimuthPart.turns`. What is not to be `gated` is summed to the end of its smear.
     """
-    _, before_deramp, focused = azimuth.trace(straight)
+    biased, before_deramp, focused = azimuth.trace(straight)
     spots = focus(focused)
     bands = _doppler_bands(slab, before_deramp)
     time = _plan_time(recovery, slab, straight, bandwidth=max(bands) - min(bands), duration=duration)
-    guard = 0.05 * duration
+    guard = GUARD * duration
+    if not gated:
+        guard += smear_room(focused, biased.rate) * (IMAGE_TAP_ERROR / tap_error) ** (2 / 3)
     begin = min(float(focused.time.min()) - guard, time.start)
     end = max(float(focused.time.max()) + guard, time.start + time.extent)
     room = RESAMPLING_ROOM if azimuth.range_part.freedom.resampling else 1.0

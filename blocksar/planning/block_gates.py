@@ -10,7 +10,7 @@ from blocksar.collection.weighting import FLAT, AxisTaper
 from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.lines import Focus, Line, focus
 from blocksar.focusing.sampling import Sampling
-from blocksar.planning.dwell_weights import DwellWeights
+from blocksar.planning.dwell_weights import DwellWeights, beam_moves
 from blocksar.planning.fidelity import gate_blur
 from blocksar.planning.gates import GATE_DEGREES, NO_SCALING, Scaling, gate_parts, plan_gate
 from blocksar.planning.relief import FINE_DEGREE
@@ -45,13 +45,18 @@ class FineLines(NamedTuple):
 def plan_dwell_gate(
     sector: Sector, sampling: Sampling, lines: FineLines, scaling: Scaling = NO_SCALING
 ) -> DwellGate | None:
-    """The dwell gate, for a range frequency at which a keystone scales time."""
+    """The dwell gate, for a range frequency at which a keystone scales time; none where all is lit all the time.
+
+    Nothing lies beyond the ends of the collection: without a gate the sum over time is that over the pulses, however
+    the steps in Doppler smear those ends.
+    """
     collection, ends = sector.geometry.collection, lines.ends
-    taper = sector.taper if collection.steered else FLAT
+    if not beam_moves(collection):
+        return None
     return plan_gate(
         lines.line, lines.spots, ends.rate, lit=lines.lit, scaling=scaling,
         blur=gate_blur(collection, ends.uncut, scaled_about=ends.scaled_about),
-        uncut=ends.uncut, full=ends.full, rows=sampling.rows, slow=sampling.long_time, taper=taper,
+        uncut=ends.uncut, full=ends.full, rows=sampling.rows, slow=sampling.long_time, taper=sector.taper,
         degree=FINE_DEGREE if sector.gates_by_height else GATE_DEGREES,
         fade=sector.fade, passing=ends.passing, uneven=UNEVEN_SHARE * (1 - sector.fidelity),
     )  # fmt: skip

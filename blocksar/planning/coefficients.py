@@ -13,9 +13,10 @@ from blocksar.focusing.lines import AzimuthPolynomials, Line, focus
 from blocksar.focusing.method import Method
 from blocksar.planning import closed_form, fitting
 from blocksar.planning.binding import AzimuthPart, RangePart
+from blocksar.planning.dwell_weights import beam_moves
 from blocksar.planning.fidelity import smear_loss
 from blocksar.planning.fitting import Candidate
-from blocksar.planning.gates import full_dwells
+from blocksar.planning.gates import full_dwells, smear_room
 
 GOOD_LOSS = 4e-4  # of coherence, at the ends of the dwell: below this a cheaper chain is preferred to a better one
 ENOUGH_COST = 1.2  # of a kind of chain: no other is tried
@@ -143,7 +144,10 @@ def _cost(
     spots = focus(traced)
     lost = smear_loss(traced, spots, biased.rate, geometry, full) if geometry.collection.steered else 0.0
     fault = max(float(spots.residual.max()) / fitting.GOOD_RESIDUAL, lost / GOOD_LOSS, 1.0)
-    growth = max(np.ptp(traced.time) / np.ptp(line.time), 1.0) * max(np.ptp(biased.doppler) / np.ptp(line.doppler), 1.0)
+    room = 0.0 if beam_moves(geometry.collection) else 2 * smear_room(traced, biased.rate)
+    growth = max((np.ptp(traced.time) + room) / np.ptp(line.time), 1.0) * max(
+        np.ptp(biased.doppler) / np.ptp(line.doppler), 1.0
+    )
     return float(fault * growth)
 
 
