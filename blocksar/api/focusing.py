@@ -241,7 +241,7 @@ def focus(
             return _report_finished(request.folder, record, discard=discard, claimed=True)
         if here:
             connected = cluster.open_here(listener)
-        with track_corrected(request, machine, connected, listener) as (corrected, said):
+        with track_corrected(request, machine, connected, listener) as (corrected, said, connected):
             report = _focus(corrected, record, machine, connected, listener, profile)
         return replace(report, summary=[*said, *report.summary])
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -94,7 +94,9 @@ class TrackEstimate:
                 )
         work = begin(Geometry(collection=collection.centred()), self.grid)
         pulses = max(block.stop - block.start for block in (*work.blocks, *work.apertures))
-        needed = max(track_memory(collection, pulses, machine.threads), compression_memory(collection, raw))
+        needed = max(
+            track_memory(collection, pulses, work.chip_bytes(len(self.control))), compression_memory(collection, raw)
+        )
         return checked_memory("autofocus", needed, machine.memory_limit)
 
     @contextmanager
@@ -208,10 +210,11 @@ def control_points(control: Location | Sequence[Target] | None, *, used: bool = 
 @contextmanager
 def track_corrected(
     request: Request, machine: Resources, client: Client | None, listener: Listener
-) -> Iterator[tuple[Request, list[str]]]:
-    """Correct the track of a run's input if asked to, in a folder of the run; yield the request, and sentences.
+) -> Iterator[tuple[Request, list[str], Client | None]]:
+    """Correct the track of a run's input if asked to, in a folder of the run: the request, sentences and a client.
 
-    The folder stays until the run is finished, for runs that are resumed; an InputError removes it.
+    The client is that of the local cluster which the correction started, if it needed one: the run goes on with it. The
+    folder stays until the run is finished, for runs that are resumed; an InputError removes it.
 
     Raises
     ------
@@ -221,34 +224,43 @@ def track_corrected(
         If processing fails.
     """
     if not request.autofocus:
-        yield request, []
+        yield request, [], client
         return
     folder = request.folder / run_folder.TRACK
-    corrected: list[stores.PhaseHistory] = []
-    said: list[str] = []
     try:
-        for number, (history, fingerprint) in enumerate(zip(request.histories, request.fingerprints, strict=True)):
-            # All channels have the track that the first one tells.
-            estimate = TrackEstimate(
-                history=history.of_channel(None).pinned() if history.channels and history.channel else history,
-                folder=folder if len(request.histories) == 1 else folder / f"{number}",
-                fingerprint=fingerprint,
-                grid=request.grid,
-                control=request.control,
-            )
-            memory = estimate.checked_memory(machine)
-            try:
-                with estimate.connected(machine, client, listener) as connected:
-                    receipts, result = estimate.carry_out(connected, machine.threads, listener)
-            except ProcessingError as error:
-                raise ProcessingError(
-                    f"{error}; what was finished stays, the same command goes on from there"
-                ) from error
-            made = estimate.corrected(result)
-            attrs = {**history.attrs, ATTRIBUTE: made.attrs[ATTRIBUTE]}
-            corrected.append(replace(history, collection=made.collection, attrs=attrs))
-            said += estimate.summary(receipts, made.attrs[ATTRIBUTE], memory)
-        yield replace(request, histories=tuple(corrected)), said
+        with ExitStack() as stack:
+            corrected: list[stores.PhaseHistory] = []
+            said: list[str] = []
+            for estimate in _estimates(request, folder):
+                memory = estimate.checked_memory(machine)
+                try:
+                    client = stack.enter_context(estimate.connected(machine, client, listener))
+                    receipts, result = estimate.carry_out(client, machine.threads, listener)
+                except ProcessingError as error:
+                    raise ProcessingError(
+                        f"{error}; what was finished stays, the same command goes on from there"
+                    ) from error
+                made = estimate.corrected(result)
+                history = request.histories[len(corrected)]
+                attrs = {**history.attrs, ATTRIBUTE: made.attrs[ATTRIBUTE]}
+                corrected.append(replace(history, collection=made.collection, attrs=attrs))
+                said += estimate.summary(receipts, made.attrs[ATTRIBUTE], memory)
+            yield replace(request, histories=tuple(corrected)), said, client
     except InputError:
         folder.remove()
         raise
+
+
+def _estimates(request: Request, folder: Place) -> list[TrackEstimate]:
+    """What each phase history of a run needs for its track. All channels have the track that the first one tells."""
+    alone = len(request.histories) == 1
+    return [
+        TrackEstimate(
+            history=history.of_channel(None).pinned() if history.channels and history.channel else history,
+            folder=folder if alone else folder / f"{number}",
+            fingerprint=fingerprint,
+            grid=request.grid,
+            control=request.control,
+        )
+        for number, (history, fingerprint) in enumerate(zip(request.histories, request.fingerprints, strict=True))
+    ]

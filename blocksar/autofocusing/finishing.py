@@ -161,10 +161,14 @@ def _uncertainty(chips: Chips, correction: Correction, predicted: float) -> Floa
     far = work.settings.displacement * work.wavenumber
     precision = told * (knots.size / max(predicted, 1e-3) ** 2) + np.eye(told.shape[0]) / far**2
     root = factor(precision).reshape(knots.size, 3, -1)
+    first, basis = knots.basis
     out = np.zeros((chips.time.size, 3))
     for axis in range(3):
-        out[:, axis] = np.sqrt((knots.values(root[:, axis]) ** 2).sum(axis=1)) / work.wavenumber
-    return out
+        covariance = np.einsum("ij,kj->ik", root[:, axis], root[:, axis])
+        for k in range(4):
+            for m in range(4):
+                out[:, axis] += basis[:, k] * basis[:, m] * covariance[first + k, first + m]
+    return np.asarray(np.sqrt(out) / work.wavenumber)
 
 
 def _pictures(chips: Chips, correction: Correction) -> tuple[FloatArray, FloatArray, list[int]]:

@@ -107,6 +107,11 @@ class Work:
         """Samples of a chip over the whole collection."""
         return self.geometry.collection.n_pulse // self.decimation
 
+    def chip_bytes(self, least_points: int = 0) -> int:
+        """Bytes of the chips of as many points as may be kept, or of more."""
+        samples = -(-min(self.dwell, self.geometry.collection.n_pulse) // self.decimation)
+        return 8 * max(self.settings.points, least_points) * self.settings.lines * samples
+
     @cached_property
     def sample_pulses(self) -> FloatArray:
         """Centres of the chips' samples (n_sample,), in pulses."""

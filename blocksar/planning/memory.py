@@ -27,7 +27,8 @@ from blocksar.planning.tiling import image_chunk, inspection_width
 MEMORY_SHARE = 0.8  # fraction of a worker's limit that a plan may fill
 PROCESS_MEMORY = 288 * MIB  # a worker's interpreter and libraries, without samples
 PROFILES = 3 * 2  # bytes of range profiles and their copies, for each of the samples, which are zero-padded twofold
-TRACK_MEMORY = 96 * MIB  # chips of all points, and the information in them
+TRACK_MEMORY = 48 * MIB  # forms of splines, and what is read and written
+CHIP_COPIES = 8  # of the chips of all points while the track's error is estimated
 
 
 def checked_back_projection_memory(collection: Collection, grid: Grid, threads: int, memory_limit: int) -> int:
@@ -67,10 +68,11 @@ def compression_memory(collection: Collection, raw: RawEcho | None) -> int:
     return PROCESS_MEMORY + pulses + COMPRESSED_ROWS * (8 * echo + 5 * 16 * band)
 
 
-def track_memory(collection: Collection, n_pulse: int, threads: int) -> int:
-    """Peak memory of a worker that looks for points in `n_pulse` pulses, or takes chips of them, bytes."""
+def track_memory(collection: Collection, n_pulse: int, chips: int) -> int:
+    """Peak memory of a worker that takes chips from `n_pulse` pulses, or estimates from all chips, of so many bytes."""
     samples = 8 * n_pulse * collection.n_range_frequency
-    return PROCESS_MEMORY + TRACK_MEMORY + (2 + PROFILES) * samples  # as an array, and as chunks read
+    # As an array, and as chunks read.
+    return PROCESS_MEMORY + TRACK_MEMORY + max((2 + PROFILES) * samples, CHIP_COPIES * chips)
 
 
 def back_projection_memory(collection: Collection, grid: Grid, *, threads: int) -> int:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-from blocksar.autofocusing.chips import Chips, brightest_places, fill, gaps
+from blocksar.autofocusing.chips import Chips, brightest_places, fill, gaps, join_chips
 from blocksar.autofocusing.correction import Knots, between_samples
 from blocksar.autofocusing.entropy import PADDING, entropies
 from blocksar.autofocusing.estimation import Polish, without_line
@@ -17,6 +17,7 @@ from blocksar.autofocusing.least_squares import by_least_squares, point_phases
 from blocksar.autofocusing.minimising import minimise
 from blocksar.autofocusing.phase_gradient import add_rows, line_of_sight, sum_along
 from blocksar.autofocusing.range_lines import range_profiles, take_chips, take_lines, taps
+from blocksar.autofocusing.selection import Points
 from blocksar.autofocusing.work import Work, begin, low_pass
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
@@ -92,6 +93,16 @@ def test_chips_are_low_passed_lines() -> None:
             row[0, : lit[i, 0]] = row[0, lit[i, 1] :] = 0
             slow = np.convolve(row[0], weights)[ahead + 2 :: decimation][:21]  # samples lie amid three pulses
             assert np.abs(out[i, :, line] - slow).max() < 1e-5 * np.abs(slow).max()
+
+
+def test_chips_are_no_larger_than_planned(work: Work) -> None:
+    count = work.settings.points
+    points = Points(
+        x=np.full(count, 6000.0), y=np.zeros(count), first=np.zeros(count, np.int64),
+        last=np.full(count, work.geometry.collection.n_pulse, np.int64),
+    )  # fmt: skip
+    chips = join_chips(work, points, [], np.zeros((work.n_sample, 3)))
+    assert 0.9 * chips.values.nbytes < work.chip_bytes() <= chips.values.nbytes
 
 
 def test_sums_over_rows_that_lie_anywhere_in_the_collection() -> None:

@@ -8,6 +8,8 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,6 +21,7 @@ from distributed import Client
 import blocksar
 from blocksar import stores
 from blocksar.errors import InputError
+from blocksar.graph import cluster
 
 
 class Corrected(NamedTuple):
@@ -147,10 +150,22 @@ def test_samples_that_do_not_tell_are_refused_and_nothing_is_left(case: str, cli
     assert sorted(path.name for path in tmp_path.iterdir()) == before
 
 
-def test_focus_with_autofocus_is_the_two_in_one(corrected: Corrected, client: Client, tmp_path: Path) -> None:
-    settings: dict[str, Any] = {"grid": wrong_tracks.GRID, "client": client, "processor": "backprojection"}
+def test_focus_with_autofocus_is_the_two_in_one(
+    corrected: Corrected, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started = []
+
+    @contextmanager
+    def start_cluster(**settings: Any) -> Iterator[Client]:
+        started.append(settings["workers"])
+        yield client
+
+    monkeypatch.setattr(cluster, "open_client", start_cluster)
+    monkeypatch.setattr(cluster, "prepare_workers", lambda *_: None)
+    settings: dict[str, Any] = {"grid": wrong_tracks.GRID, "workers": 1, "processor": "backprojection"}
     anchored = {**settings, "control": corrected.control}
     both = blocksar.focus(corrected.source, tmp_path / "both", autofocus=True, **anchored)
+    assert started == [1]
     assert both.summary[0].startswith("track corrected by up to")
     blocksar.focus(corrected.store, tmp_path / "second", **settings)
     image, second = (np.array(blocksar.open(tmp_path / name)["image"]) for name in ("both", "second"))
