@@ -2,7 +2,8 @@
 
 Pixels turn with the carrier, 4 pi fc / c R, by many turns from one to the next. Before they are interpolated, the phase
 of the carrier at the middle of the dwell is taken off each, with R of its own place and height; the phase at the new
-place is put back afterwards. What is left is band-limited.
+place is put back afterwards. What is left is band-limited. That middle is of one place for all of a part of the image;
+where dwells move on so fast that other places of it are left beyond the band of the interpolation, it is divided.
 """
 
 from __future__ import annotations
@@ -15,8 +16,12 @@ from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT, TURN
 from blocksar.kernels.sampling import HALF_TAPS, sample_places
-from blocksar.products.sicd.aperture import centre_time
+from blocksar.products.sicd.aperture import centre_time, find_support, lines_of_sight
 from blocksar.runs.finished import FinishedRun
+
+BAND = 0.39  # cycles a sample, that the interpolation passes
+ROOM = 0.02  # cycles a sample, beyond a band that is wider than that
+LEAST_PIXELS = 16  # a side of a part that is divided
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +55,10 @@ class GroundImage:
         seen = self.covered(x, y)
         if not seen.any():
             return out
+        if (halves := self._halves(x, y, seen)) is not None:
+            for half in halves:
+                out[half] = self.at(x[half], y[half], carried_to=None if carried_to is None else carried_to[half])
+            return out
         row, column = self._indices(x[seen], y[seen])
         rows, columns = _around(row, self.source.y.size), _around(column, self.source.x.size)
         middle = float(x[seen].mean()), float(y[seen].mean())
@@ -64,6 +73,32 @@ class GroundImage:
         else:
             out[seen] = found * _phasor(carrier.turns_at(carried_to[seen]))
         return out
+
+    def _halves(self, x: FloatArray, y: FloatArray, seen: BoolArray) -> tuple[BoolArray, BoolArray] | None:
+        """Two halves of places, masks (...), if the carrier of their middle leaves some beyond the band; else None."""
+        spacing, low, high = np.array(self.source.spacing), [], []
+        for axis in (x[seen], y[seen]):
+            low.append(float(axis.min()))
+            high.append(float(axis.max()))
+        pixels = (np.array(high) - low) / spacing
+        if pixels.max() < LEAST_PIXELS:
+            return None
+        middle = float(x[seen].mean()), float(y[seen].mean())
+        geometry = self.source.geometry_at(*middle)
+        time = _Carrier.about(geometry, *middle).time
+        worst, wanted = 0.0, BAND
+        for corner in ((low[0], low[1]), (high[0], low[1]), (low[0], high[1]), (high[0], high[1])):
+            point = _on_ground(geometry, *corner)
+            support = find_support(geometry, point).frequencies
+            at = np.array([time, centre_time(geometry, point)])
+            carriers = 2 * geometry.collection.carrier / SPEED_OF_LIGHT * lines_of_sight(geometry, point, at)[:, :2]
+            used, own = (float(np.abs((support - carrier) * spacing).max()) for carrier in carriers)
+            worst, wanted = max(worst, used), max(wanted, own + ROOM)
+        if worst <= wanted:
+            return None
+        longer = int(np.argmax(pixels))
+        first = np.asarray((x, y)[longer] < (low[longer] + high[longer]) / 2)
+        return first, ~first
 
     def _indices(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Fractional row and column of places, m."""
@@ -82,7 +117,7 @@ class _Carrier:
     @classmethod
     def about(cls, geometry: Geometry, x: float, y: float) -> _Carrier:
         """That of the middle of the dwell of a place, where it vanishes, m."""
-        point = np.nan_to_num(geometry.on_ground(np.array(x), np.array(y)), nan=geometry.collection.ground_height)
+        point = _on_ground(geometry, x, y)
         time = centre_time(geometry, point)
         return cls(geometry, time, float(geometry.range_history(point, np.array(time))[0]))
 
@@ -94,6 +129,11 @@ class _Carrier:
         """The same of points (..., 3), m."""
         distance = self.geometry.range_history(points, np.array(self.time))[0]
         return 2 * self.geometry.collection.carrier / SPEED_OF_LIGHT * (distance - self.origin)
+
+
+def _on_ground(geometry: Geometry, x: float, y: float) -> FloatArray:
+    """The ground point (3,) at x, y, m; at the mean height where its own is not known."""
+    return np.nan_to_num(geometry.on_ground(np.array(x), np.array(y)), nan=geometry.collection.ground_height)
 
 
 def _phasor(turns: FloatArray) -> ComplexArray:

@@ -79,14 +79,14 @@ def hilly(centre: tuple[float, float]) -> Terrain:
     return Terrain(x0=centre[0] - 60, dx=2.0, y0=centre[1] - 60, dy=2.0, heights=heights)
 
 
-def axis_beam(track: Any, centre: Any, time: Any) -> dict[str, Any]:
+def axis_beam(track: Any, centre: Any, time: Any, rate: float) -> dict[str, Any]:
     """A beam about an axis along the velocity, raised by 0.1, that passes the centre at t = 0.5 s."""
     axis = np.gradient(track, time, axis=0)
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
     axis += [0.0, 0.0, 0.1]
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
     sight = (centre - track) / np.linalg.norm(centre - track, axis=1, keepdims=True)
-    return {"beam_axis": axis, "beam_steering": np.arcsin((sight * axis).sum(axis=1)) + 0.012 * (time - 0.5)}
+    return {"beam_axis": axis, "beam_steering": np.arcsin((sight * axis).sum(axis=1)) + rate * (time - 0.5)}
 
 
 def upsampled_peak(chip: Any, factor: int = 16) -> Any:
@@ -108,6 +108,7 @@ def make(
     look: float = 0.9,
     steered: bool = False,
     about_axis: bool = False,
+    beam: tuple[float, float] = (0.02, 0.012),
     frame: Georeference | None = DAYTON,
     centre: tuple[float, float] = (0.0, 0.0),
     size: tuple[int, int] = (150, 130),
@@ -123,7 +124,7 @@ def make(
 
     With `noise_power` the run says what noise its image has; there is none in it. With a terrain it has the layers of
     one, but the image is that of the plane, unless it is `formed_on_it`. The beam turns with a yaw where it is
-    `steered`, and `about_axis` about an axis that is not level.
+    `steered`, and `about_axis` about an axis that is not level; `beam` has its width, rad, and its rate, rad/s.
     """
     n = 160
     time = (np.arange(n) - n // 2) / 60.0 + 0.5
@@ -140,10 +141,10 @@ def make(
         range_frequency=frequency,
         reference_range=np.linalg.norm(track - [*centre, 0.0], axis=1),
         antenna_position=track,
-        beam_azimuth=middle + 0.012 * (time - 0.5) if steered else np.full(n, np.nan),
-        beam_width=0.02 if steered or about_axis else None,
+        beam_azimuth=middle + beam[1] * (time - 0.5) if steered else np.full(n, np.nan),
+        beam_width=beam[0] if steered or about_axis else None,
         noise_power=noise_power,
-        **(axis_beam(track, np.array([*centre, 0.0]), time) if about_axis else {}),
+        **(axis_beam(track, np.array([*centre, 0.0]), time, beam[1]) if about_axis else {}),
         title="small scene, é",
     ).centred()
     geometry = Geometry(collection=collection)

@@ -90,6 +90,28 @@ def test_each_pixel_is_the_image_at_its_own_place_of_the_ground(
     assert max(error) < (8e-3 if made.collection.steered else 2e-3)
 
 
+def test_pixels_far_from_the_middle_of_a_part_have_their_own_dwells(tmp_path: Path) -> None:
+    """A beam that hardly moves over the ground, and pixels as large as the resolution allows."""
+    terrain, crs = hilly((0.0, 0.0)), "EPSG:32616"
+    made = make(
+        tmp_path, terrain=terrain, formed_on_it=True, about_axis=True, beam=(0.006, 0.004), step=0.82, size=(100, 90),
+        hole=False,
+    )  # fmt: skip
+    blocksar.export("geotiff", made.folder, tmp_path / "map.tif", content="complex", crs=crs)
+    with rasterio.open(tmp_path / "map.tif") as file:
+        pixels, transform = file.read(1), file.transform
+    to_map, error, strongest = Transformer.from_crs("EPSG:4326", crs, always_xy=True), [], []
+    for target in TARGETS:
+        x, y = target.x, target.y
+        latitude, longitude, _ = DAYTON.to_geodetic(np.array([x, y, float(terrain(np.array(x), np.array(y)))]))
+        column, row = (int(at) for at in ~transform @ to_map.transform(longitude, latitude))
+        for i, j in ((row, column), (row + 1, column), (row, column - 1), (row - 1, column + 1)):
+            point = ground_at(DAYTON, terrain, crs, *(transform @ (j + 0.5, i + 0.5)))
+            error.append(abs(pixels[i, j] - made.exact_value(terrain, point)))
+            strongest.append(abs(pixels[i, j]))
+    assert max(strongest) > 0.8 and max(error) < 0.025  # a pulse of 90 more or less
+
+
 def test_detected_pixels_and_layers_follow_the_complex_ones(
     run: tuple[Made, Georeference, str], tmp_path: Path
 ) -> None:
