@@ -14,7 +14,8 @@ little. The second one has a few pulses at either end, and is exact. The number 
 
 Under a beam that stays on its ground, as in a spotlight, most of it is lit by all pulses, and dwells end at no smooth
 function of range and Doppler that a gate could follow. Chains then sum all pulses (`planning.staying`), and those that
-do not light a pixel, near the edge of what the beam lights, are back-projected and taken out again (`take_unlit`).
+do not light a pixel, near the edge of what the beam lights, are back-projected and taken out again (`take_unlit`); or
+those that do, where they are fewer.
 """
 
 from __future__ import annotations
@@ -184,7 +185,8 @@ def take_unlit(
 ) -> None:
     """Take out of an image, in place, the pulses that do not light each pixel, under a beam that stays on its ground.
 
-    A chain sums all pulses then. Pixels that all of them light stay as they are, those that none does become NaN.
+    A chain sums all pulses then. Pixels that all of them light stay as they are, those that none does become NaN. Those
+    that less than half of them light are back-projected from these.
 
     Parameters
     ----------
@@ -222,15 +224,16 @@ def take_unlit(
     cut = (first > 0) | (last < n)
     if not cut.any():
         return
-    edges = (np.zeros_like(first), first), (last, np.full_like(last, n))
-    unlit = _sum_edges(profiles, geometry, mesh_x, mesh_y, edges, weighting, z=z, threads=threads)
+    few = 2 * (last - first) < n  # summed by themselves: fewer pulses, and not a small rest of a large sum
+    edges = (np.where(few, first, 0), np.where(few, last, first)), (np.where(few, n, last), np.full_like(last, n))
+    summed = _sum_edges(profiles, geometry, mesh_x, mesh_y, edges, weighting, z=z, threads=threads)
     at_x, at_y, of_lit = mesh_x[cut], mesh_y[cut], np.zeros((1, int(cut.sum())))
     over = None if z is None else (z[cut] - geometry.collection.ground_height)[None]
     add_gains(
         of_lit, geometry, at_x[None], at_y[None], over, first=first[cut][None], last=last[cut][None],
         pulses=slice(0, n), valid=valid, taper=weighting.azimuth,
     )  # fmt: skip
-    lit, kept = of_lit[0], image[cut] * total(at_x, at_y) - unlit[cut]
+    lit, kept = of_lit[0], np.where(few[cut], summed[cut], image[cut] * total(at_x, at_y) - summed[cut])
     image[cut] = np.where(lit > 0, kept / np.where(lit > 0, lit, 1.0), complex(np.nan, np.nan))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from blocksar.arrays import FloatArray
 from blocksar.budget import IMAGE_TAP_ERROR
 from blocksar.chunks import DOPPLER_GROUP
-from blocksar.collection.beam import dwell_at
+from blocksar.collection.beam import aperture, dwell_at
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import FLAT, AxisTaper
@@ -48,6 +48,8 @@ from blocksar.planning.target_lines import Dwells, tail_margin
 
 TIME_GUARD = 0.1  # dwells kept on either side of the time in which a block's targets are lit
 LEAST_ROOM = 1.4  # dwells that slow time has room for, so that the windows of the gate can fade out
+SLOW_ROOM = 1.25  # oversampling of slow time
+IMAGE_ROOM = 1.05  # of the image along Doppler, for the taps of the targets at its ends
 RESAMPLING_ROOM = 1.35  # oversampling of Doppler by padding in time: dense enough to interpolate
 REGION_STEPS, LEAST_STEPS = 64 * YAW_STEPS, 128  # of yaw over the region, in which a block has its share; at least
 GATE_RANGES = 25  # of the lines that a dwell gate on a terrain follows
@@ -186,7 +188,7 @@ def plan_block(
         range_frequency=band if range_gate is None else range_gate.range_frequency, duration=duration,
         uncut=float((ends.uncut[1] - ends.uncut[0]).max()) if collection.steered else 0.0,
         turns=azimuth.turns(compressed), tap_error=sector.tap_error, faded=sector.fade > 0,
-        gated=beam_moves(collection),
+        gated=beam_moves(collection), overhang=_overhang(sector, ends) if sector.keeps_rims else 0.0,
     )  # fmt: skip
     lines = FineLines(lit, fine, spots, fine_range, fine_yaw, weights, ends, in_time)
     sampling, ground, prediction = _plan_image(sector, azimuth, sampling, lines)
@@ -343,16 +345,19 @@ def _plan_sampling(
     tap_error: float,
     faded: bool = False,
     gated: bool = True,
+    overhang: float = 0.0,
 ) -> Sampling:
     """The axes that hold a block's lines, `straight` after range compression, without a gate.
 
-    `uncut` is the longest dwell that the gate has to hold, s, as if the ends of the collection did not cut it; `turns`
-    are those of `AzimuthPart.turns`. What is not to be `gated` is summed to the end of its smear.
+    `uncut` is the longest dwell that the gate has to hold, s, as if the ends of the collection did not cut it, and
+    `overhang` the most by which they cut one; `turns` are those of `AzimuthPart.turns`. What is not to be `gated` is
+    summed to the end of its smear.
     """
     biased, before_deramp, focused = azimuth.trace(straight)
     spots = focus(focused)
     bands = _doppler_bands(slab, before_deramp)
-    time = _plan_time(recovery, slab, straight, bandwidth=max(bands) - min(bands), duration=duration)
+    bandwidth = max(max(bands) - min(bands), IMAGE_ROOM * float(np.ptp(spots.doppler)) / SLOW_ROOM)
+    time = _plan_time(recovery, slab, straight, bandwidth=bandwidth, duration=duration)
     guard = GUARD * duration
     if not gated:
         guard += smear_room(focused, biased.rate) * (IMAGE_TAP_ERROR / tap_error) ** (2 / 3)
@@ -362,6 +367,8 @@ def _plan_sampling(
     held = LEAST_ROOM * uncut
     if faded:
         held = max(held, faded_room(uncut, float(np.ptp(spots.time) / max(np.ptp(spots.doppler), 1e-9))))
+    if overhang:  # gates stay open beyond the collection: steps in Doppler wrap no noise from its other end to there
+        held = max(held, time.extent + overhang)
     n_padded = fourier.fast_length(max((end - begin) / time.step, room * time.size, held / time.step))
     long_time = Axis(begin, time.step, n_padded)
     middle = azimuth.polynomials.middle
@@ -384,6 +391,14 @@ def _plan_sampling(
     )
 
 
+def _overhang(sector: Sector, ends: Ends) -> float:
+    """The most by which the ends of the collection cut dwells, s."""
+    (start, end), epoch = aperture(sector.geometry.collection), sector.geometry.epoch
+    first, last = ends.uncut
+    cut = max(float((start - epoch - first).max()), float((last + epoch - end).max()))
+    return min(max(cut, 0.0), float((last - first).max()))
+
+
 def _doppler_bands(slab: Slab, before_deramp: list[Line]) -> list[float]:
     """Ends of the Doppler bands that a block occupies before its deramp, Hz, from its lines after each step."""
     start = slab.doppler.start - slab.walk
@@ -396,7 +411,7 @@ def _doppler_bands(slab: Slab, before_deramp: list[Line]) -> list[float]:
 def _plan_time(recovery: Recovery, slab: Slab, straight: Line, *, bandwidth: float, duration: float) -> Axis:
     """Slow time in which a block's targets are lit, sampled for a Doppler band of `bandwidth` Hz."""
     span = recovery.time.extent
-    full = fourier.fast_length(1.25 * span * max(bandwidth, slab.doppler.extent))
+    full = fourier.fast_length(SLOW_ROOM * span * max(bandwidth, slab.doppler.extent))
     step = span / full
     # Ends of dwells ring beyond. The keystone moves them by up to band_edge times their time from the epoch.
     latest = float(np.abs(straight.time).max())

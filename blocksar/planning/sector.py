@@ -99,6 +99,15 @@ class Sector:
         return edge_memory(IMAGE_PIXELS, self.lighting.collection) if summed else 0
 
     @property
+    def keeps_rims(self) -> bool:
+        """Whether chains have room in time for dwells that the collection cuts, so that no noise wraps into them.
+
+        Under a beam about its axis cut dwells are a large part of an image; otherwise where edges are back-projected.
+        """
+        collection = self.geometry.collection
+        return collection.steered and (collection.has_axis or self.fade > 0)
+
+    @property
     def gates_by_height(self) -> bool:
         """Whether the dwell of a target depends on its height besides its range and Doppler.
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from axis_beams import MODES, axis_collection, spotlight, with_patterns
+from strips import DISTANCE, strip_collection
 
 from blocksar.arrays import BoolArray, ComplexArray
 from blocksar.collection.beam import has_full_dwell, lit_interval
@@ -91,6 +92,32 @@ def test_a_chain_focuses_as_back_projection_does(mode: str) -> None:
     assert abs(coherence(np.where(some, image, np.nan), exact).coherence) > 0.995
     # What is predicted of dwells of a few hundred pulses is too little, under any beam: their grid is coarse.
     assert -1.5e-3 < plan.coherence - abs(whole.coherence) < 3e-4
+
+
+@pytest.mark.parametrize("mode", ["stripmap", "sliding spotlight"])
+def test_dwells_that_the_collection_cuts_have_no_noise_but_their_own(mode: str) -> None:
+    """White noise, of which chains hold what no target has: steps in Doppler move it, but to no other dwell."""
+    collection, weighting = axis_collection(mode, n_pulse=900), Weighting.parse("taylor:4:-35")
+    geometry, grid = Geometry(collection=collection), Grid(8970.0, 9030.0, 6.0, -340.0, 340.0, 4.0)
+    rng = np.random.default_rng(3)
+    noise = rng.standard_normal((900, 96, 2)).astype(np.float32).view(np.complex64)[..., 0]
+    plan = plan_collection(collection, grid=grid, weighting=weighting)
+    image = focus(plan, noise)
+    exact = form_image(lambda p: noise[p], geometry, grid.x, grid.y, threads=2, weighting=weighting)
+    first, last = lit_interval(geometry, *np.meshgrid(grid.x, grid.y))
+    lit = last - first
+    some = (lit > 30) & (lit < 150)
+    assert plan.fade == 0 and some.sum() > 60
+    assert np.isfinite(image[lit > 2]).all()
+    assert relative_error(image, exact, some)[0] < -15  # more than 0 dB where it wraps
+
+
+def test_a_strip_is_imaged_to_the_ends_of_the_lit_ground() -> None:
+    """Its targets focus at Dopplers of a wider band than the beam has at a time."""
+    collection = strip_collection(1.0, curve=0.0)
+    grid = Grid(DISTANCE - 10.0, DISTANCE + 10.0, 5.0, -112.0, 112.0, 2.0)
+    plan = plan_collection(collection, grid=grid, blocks=1)
+    assert np.isfinite(focus(plan, np.ones((collection.n_pulse, collection.n_range_frequency), np.complex64))).all()
 
 
 def relative_error(found: ComplexArray, wanted: ComplexArray, where: BoolArray) -> tuple[float, complex]:
