@@ -21,6 +21,7 @@ from blocksar.focusing.dwell_edges import add_edges, edge_profiles, take_unlit
 from blocksar.focusing.recovery import recover_columns
 from blocksar.measurement.coherence import coherence
 from blocksar.planning.plan import Plan, plan_collection
+from blocksar.simulation.antenna import named_pattern
 from blocksar.simulation.scatterers import simulate_pulses
 
 STEP_X, STEP_Y = 1.5, 0.9  # m
@@ -206,6 +207,20 @@ def test_a_unit_target_under_patterns_peaks_at_one(kind: str) -> None:
         signal = simulate_pulses(collection, np.array([x]), np.array([y]), np.ones(1))
         assert 0.3 < np.abs(signal).max() < 0.97
         assert abs(focus(plan, signal)[row, column] - 1) < 0.012
+
+
+@pytest.mark.parametrize("mode", ["stripmap", "sliding spotlight", "tops"])
+def test_unit_targets_under_a_sinc2_pattern_are_one_over_the_swath(mode: str) -> None:
+    """Over its inner nine tenths; at the edges of the beam half of the amplitude is lost."""
+    offset, pattern = named_pattern("sinc2", 0.01)
+    collection = axis_collection(mode, n_pulse=900, beam_offset=offset, beam_pattern=pattern)
+    grid = Grid(8880.0, 9120.0, STEP_X, -27.0, 27.0, STEP_Y)
+    columns, rows = np.array([8, 41, 80, 119, 152]), np.array([30, 10, 50, 20, 40])
+    x, y = grid.x[columns], grid.y[rows]
+    assert x[0] < 8880 + 0.05 * 240 + STEP_X and x[-1] > 9120 - 0.05 * 240 - STEP_X
+    image = focus(plan_collection(collection, grid=grid), simulate_pulses(collection, x, y, np.ones(5)))
+    assert np.abs(np.abs(image[rows, columns]) - 1).max() < 0.01
+    assert np.abs(np.angle(image[rows, columns])).max() < 0.01
 
 
 @pytest.mark.parametrize(("patterns", "text"), [(False, "uniform"), (True, "taylor:4:-35")])
