@@ -17,6 +17,7 @@ from blocksar.kernels.groups import run_groups
 
 POINTS_AT_ONCE = 4  # that a thread takes
 SHORT_GAP = 4  # samples that are missing in a row, and are filled
+NEAR = 0.5  # of the speeds that a narrowed chip keeps: scatterers that move so fast count a quarter
 PLACE_PADDING = 2.0  # Doppler cells for each sample, between which the brightest is interpolated
 
 
@@ -248,7 +249,8 @@ def mean_sight(chips: Chips) -> FloatArray:
 def brightest_places(chips: Chips) -> FloatArray:
     """Where the brightest scatterer of each chip lies from its point on the ground, (n_point, 2), m.
 
-    Its line tells the range, and its Doppler the range rate. 0 where they tell no place within the chip.
+    Its line tells the range, and its Doppler the range rate. 0 where they tell no place within the chip. What lies near
+    counts more: the points of a regular pattern are to be different ones.
     """
     work, (n_point, n_line, n) = chips.work, chips.values.shape
     interval = float(chips.time[-1] - chips.time[0]) / (chips.time.size - 1)
@@ -258,7 +260,7 @@ def brightest_places(chips: Chips) -> FloatArray:
     for i in range(n_point):
         padded = np.zeros((n_line, length), np.complex64)
         padded[:, :n] = chips.values[i]
-        power = np.abs(fft_rows(padded, inverse=False)) ** 2
+        power = np.abs(fft_rows(padded, inverse=False)) ** 2 * _nearness(work, length, interval)
         line, cell = np.unravel_index(int(power.argmax()), power.shape)
         beside = _vertex(power[max(line - 1, 0) : line + 2, cell])
         finer = _vertex(power[line, [cell - 1, cell, (cell + 1) % length]])
@@ -274,6 +276,13 @@ def brightest_places(chips: Chips) -> FloatArray:
             if np.isfinite(moved).all() and abs((moved * sight).sum()) < reach:
                 away[i] = moved
     return away
+
+
+def _nearness(work: Work, length: int, interval: float) -> FloatArray:
+    """By how much power counts in each Doppler cell (length,) of samples at an interval, s."""
+    cell = (np.arange(length) + length // 2) % length - length // 2
+    speed = cell * (2 * np.pi / (length * interval * work.wavenumber))
+    return np.asarray(1 / (1 + (speed / (NEAR * work.settings.narrow_speed)) ** 2) ** 2)
 
 
 def _vertex(values: FloatArray) -> float:

@@ -13,19 +13,22 @@ from blocksar.arrays import FloatArray, IntArray
 from blocksar.autofocusing.chips import ChipPart, Chips, join_chips, mean_sight
 from blocksar.autofocusing.correction import Correction, Knots, intervals, narrowing
 from blocksar.autofocusing.entropy import entropies
-from blocksar.autofocusing.fine_phase import believed, sample_phase
+from blocksar.autofocusing.fine_phase import believed, is_pattern, shared_samples, standing_alone
 from blocksar.autofocusing.information import bending, factor, information
 from blocksar.autofocusing.least_squares import by_least_squares
 from blocksar.autofocusing.minimising import minimise
 from blocksar.autofocusing.phase_gradient import LEAST_BAND, NARROWING, line_of_sight
 from blocksar.autofocusing.robust import own_errors, point_weights
 from blocksar.autofocusing.selection import Points
+from blocksar.autofocusing.spectral_drift import phase_of_drift
 from blocksar.autofocusing.work import Work
 
 GRADIENTS = 8  # iterations of the phase gradient
 WIDEST_BAND = 0.45  # of a chip's Doppler cells to either side, in the first of them
+DRIFT_BAND = 0.06  # likewise where it starts from the drift of spectra
 LEVELS = 3  # splines, each with twice the intervals of the one before
 ITERATIONS = 40  # of the polish, for each of them
+BY_FAR = 0.3  # nats a chip
 GAIN = 1e-5  # nats a chip: two steps of the polish that gain less are the last
 SHARPNESS = 4.0  # nats by which a chip's entropy rises for 1 rad^2 of phase error, about
 FIRST_STEP = 0.1  # of the polish, in units in which the cost bends by 1
@@ -46,27 +49,28 @@ class Polish:
     knots : Knots
         At the chips' times.
     weights : (n_point,) float
+    start : (size, 3) float
+        Coefficients, rad, of the displacement that is polished. The whole is tethered: what chips hardly tell, as a
+        constant and a line, stays small.
     threads : int
     """
 
     chips: Chips
     knots: Knots
     weights: FloatArray
+    start: FloatArray
     threads: int = 1
 
     @cached_property
     def prior(self) -> FloatArray:
-        """Cost of what the polish adds, nats per rad^2 of coefficients, as a quadratic form (size * 3, size * 3).
+        """Cost of what the polish adds, nats per rad^2 of coefficients, as a quadratic form (size * 3, size * 3)."""
+        rough = self.chips.work.settings.roughness * self.chips.work.wavenumber * self.knots.step**2
+        return np.asarray(self.chips.work.settings.prior * bending(self.knots.size) / rough**2)
 
-        Nothing for a constant and a line of each axis: chips hardly tell them, and must not be moved in vain.
-        """
-        settings, wavenumber, size = self.chips.work.settings, self.chips.work.wavenumber, self.knots.size
-        rough = settings.roughness * wavenumber * self.knots.step**2
-        line = np.linspace(-1, 1, size)
-        flat = np.stack([np.full(size, 1 / np.sqrt(size)), line / np.sqrt((line * line).sum())])
-        inner = np.eye(size) - np.einsum("ri,rj->ij", flat, flat)
-        far = np.einsum("ij,ab->iajb", inner, np.eye(3)).reshape(3 * size, 3 * size) / size
-        return np.asarray(settings.prior * (bending(size) / rough**2 + far / self._far**2))
+    @property
+    def tether(self) -> float:
+        """Cost of the whole displacement, nats per rad^2 of a coefficient."""
+        return self.chips.work.settings.prior / self._far**2 / self.knots.size
 
     @property
     def _far(self) -> float:
@@ -77,8 +81,7 @@ class Polish:
     def units(self) -> FloatArray:
         """Coefficients, rad, of each unit of the argument, (size * 3, size * 3)."""
         told, flat = information(self.chips, self.knots, self.weights / self.weights.sum())
-        loose = self.chips.work.settings.prior / self._far**2 / self.knots.size * np.eye(told.shape[0])
-        return factor(2 * (SHARPNESS * told + ANCHOR * flat + self.prior + loose))
+        return factor(2 * (SHARPNESS * told + ANCHOR * flat + self.prior + self.tether * np.eye(told.shape[0])))
 
     def coefficients(self, argument: FloatArray) -> FloatArray:
         """Coefficients (size, 3), rad, at an argument (size * 3,)."""
@@ -91,17 +94,26 @@ class Polish:
         entropy, gradient = entropies(self.chips.values, phase, self.threads)
         share = self.weights / self.weights.sum()
         slope = self.knots.adjoint(-self.chips.spread(gradient * share[:, None])).ravel()
+        whole = (self.start + coefficients).ravel()
         bent = np.einsum("ij,j->i", self.prior, coefficients.ravel())
-        value = float((share * entropy).sum() + (coefficients.ravel() * bent).sum())
-        return value, np.asarray(np.einsum("ij,i->j", self.units, slope + 2 * bent))
+        cost = float((coefficients.ravel() * bent).sum() + self.tether * (whole * whole).sum())
+        slope += 2 * (bent + self.tether * whole)
+        return float((share * entropy).sum()) + cost, np.asarray(np.einsum("ij,i->j", self.units, slope))
 
 
-def by_phase_gradient(chips: Chips, weights: FloatArray) -> FloatArray:
-    """Displacement along the mean line of sight (n_sample, 3), m, by phase gradient alone."""
+def by_phase_gradient(chips: Chips, weights: FloatArray, drift: bool = False) -> FloatArray:
+    """Displacement along the mean line of sight (n_sample, 3), m, by phase gradient alone.
+
+    With `drift`, it starts from that of the drift of spectra, and with a band as wide as these tell it.
+    """
     narrow = chips.narrowed(chips.work.coarse)
     mean = mean_sight(narrow)
     displacement = np.zeros(mean.shape)
     band = int(WIDEST_BAND * narrow.values.shape[2])
+    if drift:
+        phase = without_line(phase_of_drift(narrow, weights))
+        displacement = mean * (phase / narrow.work.wavenumber)[:, None]
+        band = int(DRIFT_BAND * narrow.values.shape[2])
     for _ in range(GRADIENTS):
         phase = narrow.work.wavenumber * narrow.los(displacement)
         shared = without_line(line_of_sight(narrow, phase, band, weights))
@@ -117,8 +129,13 @@ def without_line(values: FloatArray) -> FloatArray:
     return np.asarray(flat - u * (u * flat).sum() / (u * u).sum())
 
 
-def by_entropy(chips: Chips, start: FloatArray, weights: FloatArray, threads: int = 1) -> FloatArray:
-    """Polish a displacement (n_sample, 3), m, by minimum entropy with splines of ever more intervals."""
+def by_entropy(
+    chips: Chips, start: FloatArray, before: FloatArray, weights: FloatArray, threads: int = 1
+) -> FloatArray:
+    """Polish a displacement (n_sample, 3), m, by minimum entropy with splines of ever more intervals.
+
+    Chips were taken with `before` (n_sample, 3), to which it is added.
+    """
     work, finest = chips.work, intervals(chips.work)
     narrow = chips.corrected(start).narrowed(narrowing(work, finest))
     displacement = start
@@ -126,7 +143,8 @@ def by_entropy(chips: Chips, start: FloatArray, weights: FloatArray, threads: in
         count = max(finest >> level, 4)
         wide = Knots(work=work, n_interval=count, time=chips.time)
         knots = Knots(work=work, n_interval=count, time=narrow.time)
-        polish = Polish(chips=narrow, knots=knots, weights=weights, threads=threads)
+        whole = wide.fit(before + displacement) * work.wavenumber
+        polish = Polish(chips=narrow, knots=knots, weights=weights, start=whole, threads=threads)
         found = minimise(polish.cost, np.zeros(knots.size * 3), iterations=ITERATIONS, gain=GAIN, first_step=FIRST_STEP)
         moved = polish.coefficients(found.at) / work.wavenumber
         narrow = narrow.corrected(knots.values(moved))
@@ -154,11 +172,15 @@ def refined(
     sight = mean_sight(chips)
     smooth = knots.smooth(before + displacement)
     sharp = chips.corrected(smooth - before)  # without fine parts that are believed already: halves must not share them
-    estimates = []
-    for half in halves(chips):
-        phase = sample_phase(sharp.some(half), weights[half])
-        estimates.append(phase - knots.smooth(phase[:, None])[:, 0])
-    fine = believed(*estimates)
+
+    def estimates(weights: FloatArray) -> list[FloatArray]:
+        each = [shared_samples(sharp.some(half), weights[half]) for half in halves(chips)]
+        return [shared - knots.smooth(shared) for shared in each]
+
+    found = estimates(weights)
+    if is_pattern(found[0][:, 1], found[1][:, 1]):
+        found = estimates(np.where(standing_alone(chips.corrected(displacement)), weights, 0.0))
+    fine = believed(found[0][:, 0], found[1][:, 0])
     # Across the mean line of sight errors are alike, but splines alone tell them.
     unseen = float(np.sqrt((fine.phase**2).mean())) * spread_of_sights(chips)
     beyond = 0.0 if work.decimation == 1 else fine.beyond
@@ -178,11 +200,27 @@ def halves(chips: Chips) -> tuple[IntArray, IntArray]:
     return order[0::2], order[1::2]
 
 
+def coarse_error(chips: Chips, weights: FloatArray, threads: int = 1, corrected: bool = False) -> FloatArray:
+    """Displacement (n_sample, 3), m, from the drift of spectra, or by the phase gradient alone.
+
+    The drift follows smooth errors only. In a regular pattern of points, phases that are much too rough make chips as
+    sharp as the true ones, and deceive the phase gradient: it is taken alone where it is sharper by far, as with a
+    random walk of the position. If chips are `corrected` already, none at all comes before both.
+    """
+
+    def cost(displacement: FloatArray) -> float:
+        return _entropy(chips.corrected(displacement), weights, threads)
+
+    found = [by_phase_gradient(chips, weights, drift=True), by_phase_gradient(chips, weights)]
+    best = np.zeros_like(found[0]) if corrected else found[0]
+    return min(best, *found, key=lambda displacement: cost(displacement) + (0.0 if displacement is best else BY_FAR))
+
+
 def shared_error(chips: Chips, before: FloatArray, weights: FloatArray, threads: int = 1) -> FloatArray:
     """Displacement (n_sample, 3), m, that sharpens chips which were taken with that of `before` (n_sample, 3)."""
-    found = by_phase_gradient(chips, weights)
+    found = coarse_error(chips, weights, threads)
     chips = chips.recentred(found)
-    found = by_entropy(chips, found, weights, threads)
+    found = by_entropy(chips, found, before, weights, threads)
     for _ in range(2):
         found = by_least_squares(chips, found, before, weights)
     return found
@@ -195,11 +233,9 @@ def estimate(
     before = correction.displacement
     chips = join_chips(work, points, parts, before)
     weights = correction.weights if correction.weights.size else np.ones(points.x.size)
-    found = by_phase_gradient(chips, weights)
-    if _entropy(chips.corrected(found), weights, threads) > _entropy(chips, weights, threads):
-        found = np.zeros_like(found)  # the chips are sharper than what the phase gradient can do
+    found = coarse_error(chips, weights, threads, corrected=len(correction.history) > 0)
     chips = chips.recentred(found)
-    found = by_least_squares(chips, by_entropy(chips, found, weights, threads), before, weights)
+    found = by_least_squares(chips, by_entropy(chips, found, before, weights, threads), before, weights)
     found, fine_error = refined(chips, found, before, weights)
     corrected = chips.corrected(found)
     step = phase_step(chips, work.wavenumber * chips.los(found), weights)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from blocksar.arrays import Complex128Array, ComplexArray, FloatArray
+from blocksar.arrays import BoolArray, Complex128Array, ComplexArray, FloatArray
 from blocksar.autofocusing.chips import Chips
 from blocksar.autofocusing.phase_gradient import centred_rows
 from blocksar.kernels.fourier import fft_rows
@@ -22,6 +22,8 @@ BANDS = 8  # of frequencies, at most
 OFF_END = 3  # from the last band: the one from which power beyond is told, not dimmed by the chips' low-pass
 LEAST_BINS = 8  # of a band
 WHOLE = 8  # times the Doppler cells: a band that cuts nothing
+ALONE = 0.5  # of the power of its line: a point with less does not stand alone
+PATTERN = 0.15  # correlation of amplitudes
 DOUBT = 3.0  # standard deviations of the halves' common power in noise that are not believed
 
 
@@ -36,11 +38,14 @@ class FinePhase(NamedTuple):
     beyond: float
 
 
-def sample_phase(chips: Chips, weights: FloatArray) -> FloatArray:
-    """Phase (n_sample,) that the points share in each sample, rad; slow parts of it are arbitrary."""
+def shared_samples(chips: Chips, weights: FloatArray) -> FloatArray:
+    """Phase, rad, and relative amplitude that the points share in each sample, (n_sample, 2).
+
+    Slow parts of the phase are arbitrary.
+    """
     rows = strongest_rows(chips)
     index, n = chips.index, chips.time.size
-    shared = np.zeros(n)
+    shared, amplitude = np.zeros(n), np.ones(n)
     for _ in range(TURNS):
         turned = rows * np.exp(-1j * shared[index])
         own, noise = own_phase(turned, chips)
@@ -50,10 +55,33 @@ def sample_phase(chips: Chips, weights: FloatArray) -> FloatArray:
             index.ravel(), values.imag.ravel(), minlength=n
         )
         shared = np.where(total == 0, 0.0, np.angle(total))
+        expected = np.bincount(index.ravel(), np.abs(share * own).ravel(), minlength=n)
+        amplitude = np.abs(total) / np.maximum(expected, 1e-300)
     there = np.flatnonzero(total)
-    if 0 < there.size < n:  # across gaps, straight lines
-        return np.asarray(np.interp(np.arange(n), there, np.unwrap(shared[there])))
-    return np.asarray(np.unwrap(shared))
+    if not there.size:
+        return np.stack([np.zeros(n), np.ones(n)], axis=1)
+    at = np.arange(n)  # across gaps, straight lines
+    return np.stack([np.interp(at, there, np.unwrap(shared[there])), np.interp(at, there, amplitude[there])], axis=1)
+
+
+def is_pattern(first: FloatArray, second: FloatArray) -> bool:
+    """Whether amplitudes (n,) of two halves of the points change together.
+
+    Then the points of a regular pattern add the same to each other in all lines, phases as well as amplitudes: what the
+    halves have in common is no error of the track, which changes phases alone.
+    """
+    a, b = first - first.mean(), second - second.mean()
+    return float((a * b).mean()) > PATTERN * float(np.sqrt((a * a).mean() * (b * b).mean()))
+
+
+def standing_alone(chips: Chips) -> BoolArray:
+    """Which points (n_point,) have most of the power of their strongest lines.
+
+    The others share these with more points.
+    """
+    own, noise = own_phase(strongest_rows(chips), chips)
+    power = (np.abs(own) ** 2).max(axis=1)
+    return np.asarray(power > ALONE * (power + noise))
 
 
 def strongest_rows(chips: Chips) -> ComplexArray:

@@ -39,16 +39,18 @@ def by_least_squares(chips: Chips, start: FloatArray, before: FloatArray, weight
     rough = float(np.hypot(settings.roughness * wavenumber * knots.step**2, seen))
     far = settings.displacement * wavenumber
     prior = knots.size * bending(knots.size) / rough**2 + np.eye(3 * knots.size) / far**2
-    believed, _ = information(narrow, knots, weights / weights.sum())
-    prior += knots.size / ENTROPY_ERROR**2 * believed
+    believed = knots.size / ENTROPY_ERROR**2 * information(narrow, knots, weights / weights.sum()).told
+    whole = wide.fit(before + start) * wavenumber
     coefficients = np.zeros((knots.size, 3))
     for _ in range(TURNS):
         phase = point_phases(narrow.corrected(knots.values(coefficients) / wavenumber))
         share = weights * point_shares(rms(phase, narrow), narrow)
         told, _ = information(narrow, knots, share)
         each = np.where(narrow.told, (share / np.maximum(narrow.told.sum(axis=1), 1))[:, None], 0.0)
-        slope = knots.adjoint(narrow.spread(each * phase)).ravel() - np.einsum("ij,j->i", prior, coefficients.ravel())
-        moved = solve(told + prior, slope)
+        slope = knots.adjoint(narrow.spread(each * phase)).ravel()
+        slope -= np.einsum("ij,j->i", prior, (whole + coefficients).ravel())
+        slope -= np.einsum("ij,j->i", believed, coefficients.ravel())
+        moved = solve(told + believed + prior, slope)
         coefficients = coefficients + moved.reshape(-1, 3)
     return np.asarray(start + wide.values(coefficients) / wavenumber)
 

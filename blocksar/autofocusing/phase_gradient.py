@@ -133,6 +133,13 @@ def sum_along(values: Complex128Array, first: IntArray, factors: Complex128Array
         out[r] = even + odd
 
 
+def strongest_lines(chips: Chips) -> ComplexArray:
+    """The range lines of each chip with the most power, (n_point, LINES, n); a copy."""
+    power = (np.abs(chips.values) ** 2).sum(axis=2, dtype=np.float64)
+    strongest = np.argsort(-power, axis=1, kind="stable")[:, :LINES]
+    return np.take_along_axis(chips.values, strongest[..., None], axis=1)
+
+
 def line_of_sight(chips: Chips, phase: FloatArray, band: int, weights: FloatArray) -> FloatArray:
     """Phase (n_sample,), rad, that the chips share, by one phase gradient; its mean line over time is arbitrary.
 
@@ -145,9 +152,7 @@ def line_of_sight(chips: Chips, phase: FloatArray, band: int, weights: FloatArra
         Doppler cells to either side of a line's brightest one.
     weights : (n_point,) float
     """
-    power = (np.abs(chips.values) ** 2).sum(axis=2, dtype=np.float64)
-    strongest = np.argsort(-power, axis=1, kind="stable")[:, :LINES]
-    turned = np.take_along_axis(chips.values, strongest[..., None], axis=1)
+    turned = strongest_lines(chips)
     turned *= np.exp(-1j * phase).astype(np.complex64)[:, None]
     n_point, n_line, n = turned.shape
     rows, _ = centred_rows(turned.reshape(-1, n), np.repeat(chips.count, n_line), band)

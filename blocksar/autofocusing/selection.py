@@ -26,7 +26,7 @@ CELLS = (6, 8)  # parts of a coarse image along range and Doppler; its brightest
 SIDELOBES = 1e-4  # of the brightest sample's power: what may be a sidelobe of it does not stand out
 YAWS = 65  # at which the beam's edges are looked for
 NEAR = 2.5  # range cells, and Doppler cells of a short aperture, within which candidates are the same point
-APART = 0.5  # of a chip's width: points closer than this share what they tell
+APART = 0.5  # of the width of a chip, narrowed in Doppler: points closer than this share what they tell
 REGIONS = (4, 8)  # parts of the scene in range and yaw
 CAP = 2.0  # times the even share: points of one part, at most
 
@@ -253,7 +253,7 @@ def _spread(score: FloatArray, epoch: FloatArray, yaw: FloatArray, work: Work, c
     cap = math.ceil(CAP * settings.points / (REGIONS[0] * REGIONS[1]))
     wide = APART * settings.lines * settings.line_spacing * work.cell
     seconds = work.short * work.geometry.collection.pulse_interval
-    across = APART * settings.speed * work.wavenumber / np.pi * seconds * cell_yaw
+    across = APART * settings.narrow_speed * work.wavenumber / np.pi * seconds * cell_yaw
     kept: list[int] = []
     count = np.zeros(REGIONS[0] * REGIONS[1], int)
     for i in np.argsort(-score, kind="stable"):

@@ -11,8 +11,10 @@ from blocksar.autofocusing.finishing import Result
 from blocksar.autofocusing.selection import Refused
 from blocksar.autofocusing.serial import find_track_error
 from blocksar.autofocusing.settings import Settings
+from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.errors import InputError
+from blocksar.simulation.scatterers import simulate_pulses
 from tests.helpers.samples import noise
 from tests.helpers.track_errors import CENTRE, GRID, SIZE, echoes, error, residual_phase, spotlight
 
@@ -68,6 +70,22 @@ def test_a_true_track_is_not_harmed_though_pulses_are_missing() -> None:
     assert (
         np.sqrt(np.mean(residual_phase(STATED, result.antenna_position - stated.antenna_position, PLACES) ** 2)) < 0.05
     )
+
+
+def test_a_regular_matrix_of_equal_points() -> None:
+    """All lines hold many points alike: the phase gradient alone is deceived, and no point stands alone."""
+    stated = spotlight()
+    wrong = error(stated.time)
+    x, y = (a.ravel() for a in np.meshgrid(CENTRE[0] + np.linspace(-60, 60, 9), np.linspace(-60, 60, 9)))
+    true = Collection(**{**stated.as_dict(), "antenna_position": stated.antenna_position + wrong})
+    result = found(simulate_pulses(true, x, y, np.ones(x.size, complex)))
+    left = result.antenna_position - true.antenna_position
+    assert np.sqrt(np.mean(residual_phase(STATED, left, PLACES) ** 2)) < 0.05
+    # Constant and line, which the samples do not tell, are not invented.
+    u = np.linspace(-1, 1, stated.n_pulse)
+    for values in result.antenna_position.T - stated.antenna_position.T:
+        assert abs(values.mean()) < 2e-3
+        assert abs((u * values).sum() / (u * u).sum()) < 4e-3
 
 
 def test_noise_is_refused() -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import product
+
 import numpy as np
 import pytest
 from scipy.interpolate import BSpline
@@ -10,7 +13,7 @@ from blocksar.autofocusing.chips import Chips, brightest_places, fill, gaps, joi
 from blocksar.autofocusing.correction import Knots, between_samples
 from blocksar.autofocusing.entropy import PADDING, entropies
 from blocksar.autofocusing.estimation import Polish, without_line
-from blocksar.autofocusing.fine_phase import believed
+from blocksar.autofocusing.fine_phase import believed, is_pattern
 from blocksar.autofocusing.finishing import unknown_turns
 from blocksar.autofocusing.information import factor, information, solve
 from blocksar.autofocusing.least_squares import by_least_squares, point_phases
@@ -18,6 +21,7 @@ from blocksar.autofocusing.minimising import minimise
 from blocksar.autofocusing.phase_gradient import add_rows, line_of_sight, sum_along
 from blocksar.autofocusing.range_lines import range_profiles, take_chips, take_lines, taps
 from blocksar.autofocusing.selection import Points
+from blocksar.autofocusing.spectral_drift import STEP, phase_of_drift, smooth_path
 from blocksar.autofocusing.work import Work, begin, low_pass
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
@@ -158,7 +162,8 @@ def test_entropy_and_its_gradient() -> None:
 def test_gradient_of_the_polish(work: Work) -> None:
     chips = synthetic_chips(work, np.zeros(work.n_sample), length=64)
     knots = Knots(work=work, n_interval=8, time=chips.time)
-    polish = Polish(chips=chips, knots=knots, weights=np.linspace(0.5, 1, 12))
+    start = np.linspace(-3, 5, knots.size * 3).reshape(-1, 3)
+    polish = Polish(chips=chips, knots=knots, weights=np.linspace(0.5, 1, 12), start=start)
     random = np.random.default_rng(5)
     at, way = random.standard_normal((2, 33))
     at, way = 0.3 * at, way / np.linalg.norm(way)
@@ -253,6 +258,34 @@ def test_phase_gradient_stitches_dwells(work: Work) -> None:
     left = without_line(total - phase)
     assert np.std(without_line(phase)) > 2
     assert np.std(left) < 0.15
+
+
+def test_the_smoothest_path_is_the_best_of_all() -> None:
+    fit = np.random.default_rng(6).uniform(0, 1, (4, 6))
+    scale = np.sqrt((fit * fit).mean())
+
+    def score(path: tuple[int, ...]) -> float:
+        steps = (np.diff(path) + 3) % 6 - 3  # periodic
+        return float(fit[np.arange(4), path].sum() / scale - ((steps / STEP) ** 2).sum())
+
+    best = max(product(range(6), repeat=4), key=score)
+    assert smooth_path(fit).tolist() == list(best)
+
+
+def test_drift_of_equal_points_at_equal_distances(work: Work) -> None:
+    n = work.n_sample
+    phase = 12 * np.cos(2 * np.pi * np.arange(n) / n)
+    chips = synthetic_chips(work, phase, length=n, points=12, level=0.02)
+    at = np.arange(n)
+    comb = sum(np.exp(2j * np.pi * 0.1 * k * at + 0.4j * k * k) for k in range(-3, 4)).astype(np.complex64)
+    found = phase_of_drift(replace(chips, values=chips.values * comb), np.ones(12))
+    assert without_line(found - phase).std() < 0.7  # of 8
+
+
+def test_a_pattern_changes_amplitudes_alike() -> None:
+    a, b, common = np.random.default_rng(7).standard_normal((3, 400))
+    assert not is_pattern(a, b)
+    assert is_pattern(a + common, b + common)
 
 
 def test_halves_are_believed_where_they_agree() -> None:
