@@ -421,7 +421,8 @@ def collection_from(
     time = read("time")
     beam_azimuth = read("beam_azimuth") if present("beam_azimuth") else np.full(time.shape, np.nan)
     beam_width = number(attrs, "beam_width", "rad", None)
-    if beam_width is not None and np.isnan(beam_width) and np.isnan(beam_azimuth).all():
+    unsteered = np.isnan(beam_azimuth).all() and not present("beam_axis")
+    if beam_width is not None and np.isnan(beam_width) and unsteered:
         beam_width = None
     carrier = number(attrs, "carrier_frequency", "Hz")
     ground_height = number(attrs, "ground_height", "m", 0.0)

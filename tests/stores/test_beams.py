@@ -85,3 +85,10 @@ def test_a_pattern_in_degrees_is_refused(tmp_path: Path) -> None:
     zarr.open_group(path, mode="r+")["beam_offset"].attrs["units"] = "degrees"
     with pytest.raises(InputError, match="beam_offset is in 'degrees', but must be in rad"):
         stores.open_phase_history(path)
+
+
+def test_a_width_that_is_not_a_number_is_named_as_it_is(tmp_path: Path) -> None:
+    path = write(tmp_path / "phase_history.zarr", axis_collection("tops"))
+    zarr.open_group(path, mode="r+").attrs["beam_width"] = float("nan")
+    with pytest.raises(InputError, match=r"beam_width must lie between 0 and pi rad .* got nan$"):
+        stores.open_phase_history(path)
