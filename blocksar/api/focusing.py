@@ -316,10 +316,11 @@ def _carry_out(
         run.folder.sweep()
         record.write(run.folder)
         job = job.with_stored_input()
-        if job.exact or any(plan.completed for plan in job.plans):
-            compiling.compile_modules(["focusing.backprojection"], apart=False)  # here, or each worker would
-        elif job.request.terrain is not None:
-            compiling.compile_modules(["focusing.relief_correction"], apart=False)
+        projected = job.exact or any(plan.completed for plan in job.plans)
+        on_terrain = job.request.terrain is not None
+        compiling.compile_missing(
+            [*(["focusing.backprojection"] if projected else []), *(compiling.TERRAIN if on_terrain else [])]
+        )
         if client is None:
             scratch = run_folder.scratch(run.folder)
             client = stack.enter_context(

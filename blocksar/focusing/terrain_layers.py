@@ -36,7 +36,7 @@ from blocksar.collection.beam import aperture, dwell, dwell_at, lit_yaw, turned_
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Taps, Terrain
-from blocksar.kernels.occlusion import STEPS, block_extremes, find_visibility
+from blocksar.kernels.occlusion import STEPS, VISIBLE, block_extremes, find_visibility, steepest_slope
 from blocksar.kernels.terrain_rows import find_incidence, sum_taps
 
 NODES = 257  # yaws, or times, between which the antenna's place at the middle of dwells is interpolated
@@ -247,6 +247,9 @@ def visibility(terrain: Terrain, sight: Sight, grid: Grid, window: tuple[slice, 
     window : (slice, slice)
         Rows and columns of the grid.
     """
+    x, y = grid.x[window[1]], grid.y[window[0]]
+    if _is_open(terrain, sight, x, y):
+        return np.full((y.size, x.size), VISIBLE, np.uint8)
     rows, at_row = _places(grid.y, window[0], terrain.dy)
     columns, at_column = _places(grid.x, window[1], terrain.dx)
     x, y = (part.ravel() for part in np.meshgrid(grid.x[columns], grid.y[rows]))
@@ -260,6 +263,28 @@ def visibility(terrain: Terrain, sight: Sight, grid: Grid, window: tuple[slice, 
         antenna, np.ascontiguousarray(sight.across(x, y, z)), min(terrain.dx, terrain.dy) / STEPS, found,
     )  # fmt: skip
     return found.reshape(rows.size, columns.size)[:, at_column][at_row]
+
+
+def _is_open(terrain: Terrain, sight: Sight, x: FloatArray, y: FloatArray) -> bool:
+    """Whether no curve of `kernels.occlusion` can cross the terrain: nowhere is it as steep as any of them.
+
+    The slopes of curves are taken at a few places of the window, with room for what they change in between.
+    """
+    heights = np.ascontiguousarray(terrain.heights, np.float64)
+    inside = terrain.x[0] <= x[0] and x[-1] <= terrain.x[-1] and terrain.y[0] <= y[0] and y[-1] <= terrain.y[-1]
+    slope = float(steepest_slope(heights, np.array([terrain.dx, terrain.dy])))
+    if not inside or not np.isfinite(slope):
+        return False
+    px, py = np.meshgrid(np.linspace(x[0], x[-1], EDGE_NODES), np.linspace(y[0], y[-1], EDGE_NODES))
+    z = None if sight.middles is None else terrain(px, py)
+    antenna, across = sight.antenna(px, py, z), sight.across(px, py, z)
+    gap = np.stack([antenna[..., 0] - px, antenna[..., 1] - py], axis=-1)
+    side, away = np.abs((gap * across).sum(axis=-1)), np.linalg.norm(gap, axis=-1)
+    least, most = antenna[..., 2] - terrain.limits[1], antenna[..., 2] - terrain.limits[0]
+    if least.min() <= 0:
+        return False
+    ray, near = least / away, np.sqrt(np.maximum(side**2 + least**2 - most**2, 0.0)) / most  # less steep than far
+    return all(slope < 0.99 * (part.min() - np.ptp(part) / 2) for part in (ray, near))
 
 
 def _sums(terrain: Terrain, in_x: Taps, in_y: Taps) -> tuple[FloatArray, IntArray, FloatArray, IntArray, FloatArray]:
@@ -281,6 +306,8 @@ def by_owner(
             own &= np.isin(owner, [block for block, of in sights.items() if of is sight])
         if own.any():
             found = values(sight)
+            if own.all():
+                return found
             layer = np.full(owner.shape, missing, found.dtype) if layer is None else layer
             np.copyto(layer, found, where=own)
     return np.full(owner.shape, missing) if layer is None else layer

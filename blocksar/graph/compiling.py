@@ -25,6 +25,7 @@ SECONDS = {  # that a core takes to compile the loops of a module, to divide the
     "kernels.interpolation": 2.8,
     "kernels.levelling": 3.7,
     "kernels.occlusion": 1.5,
+    "kernels.terrain_rows": 1.5,
     "inspection.scan": 2.5,
     "autofocusing.range_lines": 1.2,
     "autofocusing.forms": 0.5,
@@ -37,6 +38,7 @@ SECONDS = {  # that a core takes to compile the loops of a module, to divide the
 }
 TRACKS = ("autofocusing.range_lines", "autofocusing.forms", "autofocusing.sights", "autofocusing.phase_gradient")
 TASKS = ("kernels.phase", "kernels.interpolation", "kernels.levelling", "inspection.scan", "focusing.correction")
+TERRAIN = ("kernels.occlusion", "kernels.terrain_rows", "focusing.relief_correction")
 COMPILE = "import sys; from blocksar.graph import compiling; print(compiling.compile_here(sys.argv[1:]))"
 
 

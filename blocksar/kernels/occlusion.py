@@ -55,7 +55,6 @@ def _find_extremes(heights: FloatArray, low: FloatArray, high: FloatArray) -> No
 
 @njit(**PART, **OPTIONS)
 def _steepest(heights: FloatArray, spacing: FloatArray) -> float:
-    """An upper bound of the slope of the bilinear terrain in any direction; inf if a height is unknown."""
     most = 0.0
     for i in range(heights.shape[0] - 1):
         for j in range(heights.shape[1] - 1):
@@ -65,6 +64,12 @@ def _steepest(heights: FloatArray, spacing: FloatArray) -> float:
                 return np.inf
             most = max(most, along_x * along_x + along_y * along_y)
     return np.sqrt(most)
+
+
+@loop(REAL_ROWS, REAL_ROW, **OPTIONS)
+def steepest_slope(heights: FloatArray, spacing: FloatArray) -> float:
+    """An upper bound of the slope of the bilinear terrain (n_y, n_x) in any direction; inf if a height is unknown."""
+    return _steepest(heights, spacing)
 
 
 @njit(**PART, **OPTIONS)

@@ -37,7 +37,7 @@ from blocksar.planning.block_gates import Ends, FineLines, level_spots, plan_dwe
 from blocksar.planning.coefficients import Choice, choose
 from blocksar.planning.dwell_weights import beam_moves
 from blocksar.planning.gates import GUARD, faded_room, full_dwells, plan_range_gate, smear_room
-from blocksar.planning.memory import block_memory
+from blocksar.planning.memory import RELIEF_MEMORY, block_memory
 from blocksar.planning.motion import plan_motion
 from blocksar.planning.nodes import common_ranges, nodes_between
 from blocksar.planning.prediction import Prediction, predict
@@ -196,7 +196,8 @@ def plan_block(
         index=index, part=part, low=sector.low, high=sector.high, first_bin=slab.first_bin, n_bin=slab.doppler.size,
         chain=azimuth.sampled(sampling) if range_gate is None else (range_gate, *azimuth.sampled(sampling)),
         sampling=sampling, ground=ground, prediction=prediction, choice=choice,
-        memory=_plan_memory(range_gate, range_part, sampling) + sector.edge_memory,
+        memory=_plan_memory(range_gate, range_part, sampling) + sector.edge_memory
+        + (0 if sector.relief is None else RELIEF_MEMORY),
     )  # fmt: skip
 
 

@@ -28,6 +28,7 @@ RECOVER = 4.8e-8  # per written sample of the spectrum
 STEPS = 1.3e-10  # per operation of the blocks' transforms and resamplings, as Plan.work counts them
 EDGES = 1e-6  # per written pixel of a patch's chunks whose edges of dwells are back-projected
 CORRECT = 3.6e-8  # per written pixel of a patch's chunks
+ON_TERRAIN = 3.0e-8  # more on a terrain: heights, their part of the correction, and the layers beside the image
 MERGE = 1.13e-8  # per merged pixel of a patch's chunk
 INSPECT = 2e-8  # per sample
 BACK_PROJECT = 5e-9  # per lit pulse and pixel: 2e-9 for the sum, the rest for range profiles of a chunk's pulses
@@ -58,6 +59,7 @@ def of_plan(plan: Plan, *, echo_samples: int = 0) -> Work:
     """Work of focusing by a plan; `echo_samples` is the total if the phase history is a raw echo, otherwise 0."""
     collection, side = plan.geometry.collection, image_chunk(plan.grid)
     written = CORRECT + (EDGES if plan.completed else 0.0)
+    written += 0.0 if plan.geometry.terrain is None else ON_TERRAIN
     columns = np.diff([*range(0, collection.n_range_frequency, plan.column_group), collection.n_range_frequency])
     chunks = [touched_chunks(block.ground, plan.grid) for block in plan.blocks]
     patches = Counter(chunk for touched in chunks for chunk in touched)  # by chunk of the mosaic

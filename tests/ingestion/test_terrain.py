@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +50,24 @@ def test_a_grid_of_the_frame_is_read_by_a_window(name: str, tmp_path: Path) -> N
     assert terrain.heights == pytest.approx(bumps(terrain.x, terrain.y[:, None]), abs=1e-6)
     other = read_frame_grid(frame_file(tmp_path / f"turned-{name}", order=("x", "y"), down=True), X, Y)
     assert np.abs(other.on_grid(x, y) - terrain.on_grid(x, y)).max() < 1e-9
+
+
+def test_plain_numbers_are_read_without_xarray_and_encoded_ones_as_what_they_stand_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = frame_file(tmp_path / "plain.zarr")
+    encoding = {"height": {"dtype": "int16", "scale_factor": 0.05, "_FillValue": -9999}}
+    xr.open_zarr(whole, consolidated=False).to_zarr(
+        tmp_path / "encoded.zarr", zarr_format=3, consolidated=False, encoding=encoding
+    )
+    encoded = read_frame_grid(tmp_path / "encoded.zarr", X, Y)
+    monkeypatch.setitem(sys.modules, "xarray", None)  # so that its import fails
+    plain = read_frame_grid(whole, X, Y)
+    assert plain.heights == pytest.approx(bumps(plain.x, plain.y[:, None]), abs=1e-9)
+    assert (plain.row, plain.column) == (encoded.row, encoded.column)
+    assert encoded.heights == pytest.approx(plain.heights, abs=0.03)
+    with pytest.raises(InputError, match="lies elsewhere"):
+        read_frame_grid(whole, (90e3, 91e3), Y)
 
 
 def geotiff(

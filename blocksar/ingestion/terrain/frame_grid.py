@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
+
 import numpy as np
 
+from blocksar import stores
 from blocksar.arrays import FloatArray
 from blocksar.collection.terrain import LEAST, Terrain
 from blocksar.errors import InputError
 from blocksar.ingestion.reading import reading
 from blocksar.places import Location, place
+from blocksar.places.place import Place
 from blocksar.stores.schema import UNITS
 
 UNIFORM = 1e-4  # of a step: by so much positions may be off a uniform axis
+ENCODED = {"scale_factor", "add_offset", "missing_value"}  # attributes of numbers that stand for others
+NANS = ("NaN", "AAAAAAAA+H8=", "AADAfw==")  # as an attribute of a store, also as xarray writes it
 MOST_HEIGHTS = 1 << 27  # of a window: 1 GiB
 REMEDY = "give zarr or netCDF with height (y, x) in m, and x and y in m of the scene frame"
 
@@ -24,39 +31,83 @@ def read_frame_grid(source: Location, x: tuple[float, float], y: tuple[float, fl
     InputError
         If the file cannot be read, has other variables, dimensions or units, uneven axes, or lies elsewhere.
     """
-    import xarray as xr
-
     path = place(source)
     with reading(path, damaged="not a file of heights", remedy=REMEDY):
-        stored = path.zarr_path()
-        with xr.open_zarr(stored, consolidated=False) if path.names() else xr.open_dataset(str(path)) as dataset:
-            if "height" not in dataset or set(dataset["height"].dims) != {"y", "x"}:
-                raise InputError(f"{path} has no height (y, x); {REMEDY}")
-            height = dataset["height"].transpose("y", "x")
-            axes = {axis: _axis(height, axis) for axis in ("x", "y")}
-            for variable in (height, dataset["x"], dataset["y"]):
-                if (unit := str(variable.attrs.get("units", "m")).lower()) not in UNITS["m"]:
-                    raise InputError(f"{variable.name} in {path} is in {unit}; {REMEDY}")
-            if any(step < 0 for _, step, _ in axes.values()):
-                height = height.isel({axis: slice(None, None, -1) for axis, (_, step, _) in axes.items() if step < 0})
-            (x0, dx, n_x), (y0, dy, n_y) = (_ascending(*axes[axis]) for axis in ("x", "y"))
-            if n_x < LEAST or n_y < LEAST:
-                raise InputError(f"{path} has {n_y} x {n_x} heights (y, x); give at least {LEAST} x {LEAST}")
-            check_overlap(path, (x0, x0 + dx * (n_x - 1)), (y0, y0 + dy * (n_y - 1)), x, y)
-            # The axes alone tell which part is needed.
-            empty = np.broadcast_to(np.float64(np.nan), (n_y, n_x))
-            columns, rows = Terrain(x0=x0, dx=dx, y0=y0, dy=dy, heights=empty).span(x, y)
-            if (rows.stop - rows.start) * (columns.stop - columns.start) > MOST_HEIGHTS:
-                raise InputError(f"{path} has more than {MOST_HEIGHTS} heights within the image; give a coarser one")
-            values = np.ascontiguousarray(height.isel(y=rows, x=columns).values, np.float64)
-    return Terrain(x0=x0, dx=dx, y0=y0, dy=dy, heights=values, row=rows.start, column=columns.start)
+        terrain = _read_plain(path, x, y)
+        return _read_any(path, x, y) if terrain is None else terrain
+
+
+def _read_plain(path: Place, x: tuple[float, float], y: tuple[float, float]) -> Terrain | None:
+    """Read a zarr store whose numbers are the heights as they are, without loading xarray; None for any other."""
+    if "zarr.json" not in path.names():
+        return None
+    axes = {}
+    for name, dims in (("height", ["y", "x"]), ("x", ["x"]), ("y", ["y"])):
+        try:
+            metadata = stores.read_json(path / name / "zarr.json")
+            attributes = metadata["attributes"]
+            plain = metadata["dimension_names"] == dims and metadata["data_type"] in ("float32", "float64")
+            plain &= not ENCODED & set(attributes) and attributes.get("_FillValue", NANS[0]) in NANS
+            plain &= str(attributes.get("units", "m")).lower() in UNITS["m"]
+        except (InputError, KeyError, TypeError, AttributeError):
+            return None
+        if not plain:
+            return None
+        if name != "height":
+            axes[name] = _uniform(np.asarray(stores.read_region(path, name, (slice(None),)), np.float64), name)
+    if any(step < 0 for _, step, _ in axes.values()):
+        return None
+    terrain = _window_of(path, axes, x, y)
+    columns, rows = terrain.span(x, y)
+    values = np.ascontiguousarray(stores.read_region(path, "height", (rows, columns)), np.float64)
+    return replace(terrain, heights=values, row=rows.start, column=columns.start)
+
+
+def _read_any(path: Place, x: tuple[float, float], y: tuple[float, float]) -> Terrain:
+    """Read zarr or netCDF with any encoding, order of axes, and direction."""
+    import xarray as xr
+
+    opened = xr.open_zarr(path.zarr_path(), consolidated=False) if path.names() else xr.open_dataset(str(path))
+    with opened as dataset:
+        if "height" not in dataset or set(dataset["height"].dims) != {"y", "x"}:
+            raise InputError(f"{path} has no height (y, x); {REMEDY}")
+        height = dataset["height"].transpose("y", "x")
+        axes = {axis: _axis(height, axis) for axis in ("x", "y")}
+        for variable in (height, dataset["x"], dataset["y"]):
+            if (unit := str(variable.attrs.get("units", "m")).lower()) not in UNITS["m"]:
+                raise InputError(f"{variable.name} in {path} is in {unit}; {REMEDY}")
+        if any(step < 0 for _, step, _ in axes.values()):
+            height = height.isel({axis: slice(None, None, -1) for axis, (_, step, _) in axes.items() if step < 0})
+        terrain = _window_of(path, {axis: _ascending(*axes[axis]) for axis in axes}, x, y)
+        columns, rows = terrain.span(x, y)
+        values = np.ascontiguousarray(height.isel(y=rows, x=columns).values, np.float64)
+    return replace(terrain, heights=values, row=rows.start, column=columns.start)
+
+
+def _window_of(
+    path: Place, axes: Mapping[str, tuple[float, float, int]], x: tuple[float, float], y: tuple[float, float]
+) -> Terrain:
+    """A whole terrain with these ascending axes and no heights, if the part that a box needs can be read."""
+    (x0, dx, n_x), (y0, dy, n_y) = axes["x"], axes["y"]
+    if n_x < LEAST or n_y < LEAST:
+        raise InputError(f"{path} has {n_y} x {n_x} heights (y, x); give at least {LEAST} x {LEAST}")
+    check_overlap(path, (x0, x0 + dx * (n_x - 1)), (y0, y0 + dy * (n_y - 1)), x, y)
+    terrain = Terrain(x0=x0, dx=dx, y0=y0, dy=dy, heights=np.broadcast_to(np.float64(np.nan), (n_y, n_x)))
+    columns, rows = terrain.span(x, y)
+    if (rows.stop - rows.start) * (columns.stop - columns.start) > MOST_HEIGHTS:
+        raise InputError(f"{path} has more than {MOST_HEIGHTS} heights within the image; give a coarser one")
+    return terrain
 
 
 def _axis(height, axis: str) -> tuple[float, float, int]:  # type: ignore[no-untyped-def]
     """Start, step (m; of either sign) and size of a uniform axis."""
     if axis not in height.coords:
         raise InputError(f"height has no coordinate {axis}; {REMEDY}")
-    values: FloatArray = np.asarray(height[axis].values, np.float64)
+    return _uniform(np.asarray(height[axis].values, np.float64), axis)
+
+
+def _uniform(values: FloatArray, axis: str) -> tuple[float, float, int]:
+    """Start, step (m; of either sign) and size of positions, if they are uniform."""
     if values.size < LEAST or not np.isfinite(values).all():
         raise InputError(f"{axis} has {values.size} positions, or some that are not finite; give at least {LEAST}")
     step = float(values[-1] - values[0]) / (values.size - 1)
