@@ -36,7 +36,7 @@ from blocksar.planning.binding import AzimuthPart, RangePart, Slab
 from blocksar.planning.block_gates import Ends, FineLines, level_spots, plan_dwell_gate, plan_over_band
 from blocksar.planning.coefficients import Choice, choose
 from blocksar.planning.dwell_weights import beam_moves
-from blocksar.planning.gates import GUARD, faded_room, full_dwells, plan_range_gate, smear_room
+from blocksar.planning.gates import GUARD, band_moves, faded_room, full_dwells, plan_range_gate, smear_room
 from blocksar.planning.memory import RELIEF_MEMORY, block_memory
 from blocksar.planning.motion import plan_motion
 from blocksar.planning.nodes import common_ranges, nodes_between
@@ -180,7 +180,8 @@ def plan_block(
         in_time, fine = level_aperture(fine, in_time)
         azimuth = azimuth.weighed(in_time)
     about = range_part.scales_time_about
-    ends = _ends(sector, fine, biased.rate, fine_range, fine_yaw, scaled_about=about)
+    moves = band_moves(biased, biased.rate) if range_part.compression.in_doppler else None
+    ends = _ends(sector, fine, biased.rate, fine_range, fine_yaw, scaled_about=about)._replace(moves=moves)
     weights = sector.weights(lit, uncut=ends.uncut, epoch_range=fine_range, yaw=fine_yaw, scaled_about=about)
     spots = focus(weights.weigh(fine))
     sampling = _plan_sampling(
@@ -220,7 +221,7 @@ def _plan_image(
         return sampling, *_raise(sector, azimuth, ground, gate, lines)
     prediction = predict(
         lines.line, lines.spots, rng, yaw, sector.geometry, rate=ends.rate, gate=gate, parts=sector.gate_parts,
-        scaled_about=ends.scaled_about, weights=weights, band=sector.weighting.range,
+        scaled_about=ends.scaled_about, moves=ends.moves, weights=weights, band=sector.weighting.range,
     )  # fmt: skip
     return sampling, ground, prediction
 
@@ -247,7 +248,8 @@ def _ends(
     """What the ends of dwells of lines (n_range, n_yaw, n), after all steps, depend on."""
     first, last = dwell_at(sector.geometry, yaw, rng[:, None], uncut=True)
     return Ends(
-        rate=rate, uncut=(first - sector.geometry.epoch, last - sector.geometry.epoch), scaled_about=scaled_about,
+        rate=rate, uncut=(first - sector.geometry.epoch, last - sector.geometry.epoch),
+        scaled_about=scaled_about, moves=None,
         full=full_dwells(line, sector.geometry, rng[:, None], yaw), passing=sector.passing(rng[:, None], yaw),
     )  # fmt: skip
 
@@ -280,7 +282,7 @@ def _raise(
     layer = trace_layer(sector.geometry.over(None, heights), trace, weights.weigh)
     prediction = predict(
         layer.line, layer.spots, rng, yaw, layer.geometry, rate=layer.rate, gate=gate,
-        parts=sector.gate_parts, scaled_about=lines.ends.scaled_about, weights=weights,
+        parts=sector.gate_parts, scaled_about=lines.ends.scaled_about, moves=lines.ends.moves, weights=weights,
         reached=known if known.any() else np.ones_like(known), band=sector.weighting.range,
     )  # fmt: skip
     return replace(ground, relief=by_height), prediction

@@ -25,6 +25,7 @@ class Ends(NamedTuple):
     rate: FloatArray  # of the lines before the steps in Doppler, Hz/s
     uncut: tuple[FloatArray, FloatArray]  # (n_yaw,) or (n_range, n_yaw), s from the epoch, as if nothing cut them
     scaled_about: float | None  # time about which a keystone scales time, s
+    moves: FloatArray | None  # from `band_moves`, (n_range, n_yaw, 2); None with a keystone
     full: BoolArray  # (n_range, n_yaw), from `full_dwells`
     passing: tuple[FloatArray, ...]  # (n_range, n_yaw) each, from `Sector.passing`
 

@@ -57,7 +57,7 @@ from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.dwell_gate import FAR, DwellGate, far_fresnel_integral
 from blocksar.focusing.lines import LEAST_STRETCH, Focus, Line
 from blocksar.planning.dwell_weights import DwellWeights
-from blocksar.planning.gates import dwell_ends, end_smear, full_dwells, gate_parts
+from blocksar.planning.gates import dwell_ends, end_smear, gate_parts
 
 ONE_SIDE = 0.5  # of the energy of both ends of a dwell that are displaced to the same side
 BAND_NODES = 4  # of the means over range frequency
@@ -87,8 +87,10 @@ def worst_losses(
     gate: DwellGate | None,
     parts: int,
     scaled_about: float | None,
+    moves: FloatArray | None = None,
     track_phase: float,
     weights: DwellWeights,
+    full: BoolArray,
     reached: BoolArray | None = None,
     band: Taper = FLAT,
 ) -> Losses:
@@ -104,12 +106,16 @@ def worst_losses(
         The lines' Doppler rate before the steps in Doppler, Hz/s.
     scaled_about : float or None
         Time, s from the epoch, about which a keystone scales time with range frequency; None without one.
+    moves : (n_range, n_yaw, 2) float, optional
+        From `gates.band_moves`, without one.
     track_phase : float
         Root mean square phase that the noise of the track leaves, rad.
     weights : DwellWeights
         At the nodes of the lines.
     parts : int
         Of the gate over the band; 1 for one gate.
+    full : (n_range, n_yaw) bool
+        From `full_dwells`.
     reached : (n_range, n_yaw) bool, optional
         On a terrain, which of the targets there are; default: all.
     band : Taper
@@ -120,7 +126,17 @@ def worst_losses(
     ends = np.zeros_like(phase)
     if gate is not None:
         ends = _at_ends(
-            line, spots, rng, yaw, geometry, rate=rate, gate=gate, parts=parts, scaled_about=scaled_about, band=band
+            line,
+            spots,
+            rng,
+            yaw,
+            geometry,
+            rate=rate,
+            gate=gate,
+            parts=parts,
+            scaled_about=scaled_about,
+            moves=moves,
+            band=band,
         )
         ends *= weights.edge**2 * line.weight.sum(axis=-1) * (1.0 if reached is None else ONE_SIDE)
         if parts == 1:
@@ -128,7 +144,7 @@ def worst_losses(
         ends /= squared.weight.sum(axis=-1)
         if geometry.collection.has_axis and gate.taper is not None and not gate.taper.taper.uniform:
             ends += _by_place(line, spots, gate, weights)
-    lost, full = phase + migration + ends, full_dwells(line, geometry, rng[:, None], yaw)
+    lost = phase + migration + ends
     total = np.where(full, lost, -1.0)
     if reached is not None:
         total = np.where(full & reached if (full & reached).any() else reached, lost, -1.0)
@@ -181,6 +197,7 @@ def _at_ends(
     gate: DwellGate,
     parts: int,
     scaled_about: float | None,
+    moves: FloatArray | None,
     band: Taper,
 ) -> FloatArray:
     """Loss by ends of the dwell that are smeared or displaced; none at an end that the collection's end cuts."""
@@ -199,11 +216,13 @@ def _at_ends(
         strict=True,
     ):
         side = -1 if end == 0 else 1
-        _, at, moves = (v[..., 0] for v in phase.evaluate(spots.range, spots.doppler[..., None]))
-        left = smear[..., end] - (slope.coefficients(spots.range)[..., 0] - moves)
+        _, at, pace = (v[..., 0] for v in phase.evaluate(spots.range, spots.doppler[..., None]))
+        left = smear[..., end] - (slope.coefficients(spots.range)[..., 0] - pace)
         displaced = (at + side * gate.length / 2 - placed) / line.stretch[..., end]
         scaled = np.zeros(yaw.shape) if scaled_about is None else moment - geometry.epoch - scaled_about
         if fade:
+            # Not counted for whole dwells: at a block's borders they lose up to 3 dB more than their smear alone says.
+            scaled = scaled if moves is None else moves[..., end]
             total = faded_energy(left, displaced, scaled * edge_of_band, lit / (2 * fade), band, parts=parts)
         else:
             total = blurred_energy(left, displaced, scaled * edge_of_band, gate.blur, collection.pulse_interval, band)

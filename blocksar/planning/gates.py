@@ -335,6 +335,16 @@ def _to_powers(most: int) -> FloatArray:
     return powers
 
 
+def band_moves(line: Line, rate: FloatArray) -> FloatArray:
+    """Time (..., 2) by which relative range frequency moves begins and ends of dwells without a keystone, s.
+
+    A line has the Doppler (1 + f / fc) fd at a range frequency f, so that in the Doppler domain its ends lie there.
+    """
+    ends = rate[..., [0, -1]]
+    passed = np.abs(ends) > 1e-6 * np.abs(ends).max()
+    return np.where(passed, line.doppler[..., [0, -1]] / np.where(passed, ends, 1.0), 0.0)
+
+
 def full_dwells(line: Line, geometry: Geometry, epoch_range: FloatArray, yaw: FloatArray) -> BoolArray:
     """Which lines (..., n) of targets at epoch ranges (m) and yaws (rad), broadcast, are lit over a full dwell.
 

@@ -57,6 +57,7 @@ def predict(
     gate: DwellGate | None,
     parts: int = 1,
     scaled_about: float | None,
+    moves: FloatArray | None = None,
     weights: DwellWeights,
     reached: BoolArray | None = None,
     band: Taper = FLAT,
@@ -72,8 +73,8 @@ def predict(
     range_cell = SPEED_OF_LIGHT / (2 * geometry.collection.bandwidth)
     residual = spots.residual
     # Cut dwells have other side lobes under weights: of those with full dwell, where there are any.
-    full = None if weights.uniform else full_dwells(line, geometry, rng[:, None], yaw)
-    judged = residual if full is None else np.where(full, residual, -1.0)
+    full = full_dwells(line, geometry, rng[:, None], yaw)
+    judged = residual if weights.uniform else np.where(full, residual, -1.0)
     if reached is not None:
         judged = np.where(reached, judged, -1.0)
     worst = np.unravel_index(int(np.argmax(judged)), residual.shape)
@@ -101,7 +102,7 @@ def predict(
     track_phase = _track_phase(geometry, rng, yaw)
     lost = worst_losses(
         line, spots, rng, yaw, geometry, rate=rate, gate=gate, parts=parts, scaled_about=scaled_about,
-        track_phase=track_phase, weights=weights, reached=reached, band=band,
+        moves=moves, track_phase=track_phase, weights=weights, full=full, reached=reached, band=band,
     )  # fmt: skip
     return Prediction(
         residual_phase=float((residual if reached is None else residual[reached]).max()),

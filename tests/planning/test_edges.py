@@ -194,3 +194,14 @@ def test_points_pass_places_in_the_beam(kind: str) -> None:
         np.testing.assert_allclose(found[inside], abs(place), atol=1e-6)
     for place, end in ((-1.0, first), (1.0, last)):
         np.testing.assert_allclose(passing_at(geometry, yaw, rng, place), np.broadcast_to(end, times.shape), atol=1e-9)
+
+
+def test_ends_move_over_the_band_without_a_keystone(tmp_path: Path) -> None:
+    """Most at the borders of wide blocks: -38 to -41 dB were measured there with three blocks over 10.5 degrees."""
+    path, weighting = tmp_path / "scene.toml", "taylor:4:-35"
+    path.write_text(scene(steering=(44.75, 55.25), duration=0.4, swath=[29700.0, 30300.0]))
+    asked = {"weighting": weighting, "fidelity": 0.999995, "processor": "high-order-phase"}
+    few, many = (blocksar.plan(path, blocks=n, **asked).result for n in (3, 12))  # type: ignore[arg-type]
+    assert few.fade > 0
+    assert 10 * np.log10(2 * (1 - few.coherence)) == pytest.approx(-41, abs=2)
+    assert max(b.prediction.dispersion_loss for b in many.blocks[1:-1]) < few.blocks[1].prediction.dispersion_loss / 4
