@@ -65,7 +65,7 @@ def plan_edges(
     """Whether edges of dwells are back-projected, and of how many parts the gate is.
 
     They are where the best gate does not keep the fidelity, or where a plan has shown that they are needed: `times` as
-    long as they are at least (`planning.edge_search`).
+    long as they are at least (`planning.edge_search`). Under a beam about its axis on a terrain the plan alone tells.
 
     `band` is the Doppler band that is lit at a time, Hz. In the time of a dwell the beam passes over all of it: ends of
     dwells move along Doppler by e = dwell / band, and the steps of a chain smear them over a share of sqrt(e).
@@ -82,8 +82,8 @@ def plan_edges(
         return Edges()
     dwell = float(np.median((last - first)[ended]))
     moved = dwell / 2 * collection.bandwidth / (2 * collection.carrier) if keystone else 0.0
-    fade = 0
-    if times or edge_loss(collection, weighting, dwell, moved) > 1 - fidelity:
+    fade, planned_first = 0, collection.has_axis and geometry.terrain is not None
+    if times or (not planned_first and edge_loss(collection, weighting, dwell, moved) > 1 - fidelity):
         smeared = math.sqrt(dwell / max(band, 1 / dwell))
         pulses = max(LEAST_PULSES, math.ceil(max(PER_MOVE * moved, PER_SMEAR * smeared) * collection.prf))
         fade = max(int(dwell * collection.prf / 2 / (max(times, 1.0) * pulses)), LEAST_FADE)
