@@ -13,6 +13,7 @@ from blocksar import stores
 from blocksar.api import definitions, finding
 from blocksar.api.look_figures import describe_looks, looks_table
 from blocksar.api.pulses import pulse_reader
+from blocksar.api.raised import raised_line, seen_places
 from blocksar.api.reports import Report, Table
 from blocksar.api.shadows import in_shadow
 from blocksar.api.target_files import targets_of
@@ -124,7 +125,7 @@ def measure(
         [*_weighting_lines(weighting, run.collection.has_pattern), *_count_line(responses), *_seam_line(run, responses)]
         if responses
         else []
-    )
+    ) + raised_line(listed, seen_places(run, listed))
     if not responses:
         lines.append("the collection names no targets: give --targets FILE to measure some, or --found N to find some")
     if dark:
@@ -183,12 +184,15 @@ def read_target(run: FinishedRun, target: Target) -> Response | None:
 
 
 def measure_targets(run: FinishedRun, targets: Sequence[Target]) -> list[PointResponse]:
-    """Measure targets, in a mosaic each in the pixels of one collection; those in shadow of the terrain are not lit."""
+    """Measure targets, in a mosaic each in the pixels of one collection; those in shadow of the terrain are not lit.
+
+    Those off the ground are measured where it has their range and Doppler.
+    """
     responses = [
         measure_target(
             run.reader_at(target.x, target.y), run.x, run.y, run.geometry_at(target.x, target.y), target, run.weighting
         )
-        for target in targets
+        for target in seen_places(run, targets)
     ]
     hidden = in_shadow(run, targets)
     return [r._replace(full_dwell=False) if dark else r for r, dark in zip(responses, hidden, strict=True)]

@@ -6,12 +6,14 @@ import base64
 import io
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from matplotlib.image import imread
 from report_page import read
-from small_run import TARGETS, make
+from scipy.optimize import fsolve
+from small_run import TARGETS, hilly, make
 
 import blocksar
 from blocksar.collection.terrain import Terrain
@@ -76,3 +78,32 @@ def test_targets_in_shadow_are_not_judged(tmp_path: Path) -> None:
     report = blocksar.quality(run.folder, targets=[dark, high, lit])
     assert "in shadow of the terrain, and not judged: 1 of 3 targets (dark)" in report.summary
     assert [target["full_dwell"] for target in report.result["targets"]] == [False, True, True]
+
+
+def test_targets_off_the_ground_are_measured_where_they_appear(tmp_path: Path) -> None:
+    """A mast with the range and Doppler of a target: found by brute force on the circle of both."""
+    terrain = hilly((0.0, 0.0))
+    run = make(tmp_path, terrain=terrain, formed_on_it=True, hole=False)
+    target, track = TARGETS[1], run.collection.antenna_position
+    middle = run.collection.n_pulse // 2
+    antenna, velocity = (track[middle - 1] + track[middle]) / 2, track[middle] - track[middle - 1]
+    ground = np.array([target.x, target.y, float(terrain(np.array(target.x), np.array(target.y)))])
+    top = brute(antenna, velocity, ground, ground[2] + 15.0)
+    assert np.hypot(*(top - ground)[:2]) > 8
+    mast = {"name": "mast", "x": top[0], "y": top[1], "z": top[2]}
+    report = blocksar.quality(run.folder, targets=[mast, {"name": "B", "x": target.x, "y": target.y}])
+    assert any("off the ground, and measured where" in line and "1 of 2 targets" in line for line in report.summary)
+    one, other = report.result["targets"]
+    assert [one["x"], one["y"]] == pytest.approx([target.x, target.y], abs=0.02)
+    assert one["value"] == pytest.approx(other["value"], abs=0.01)
+
+
+def brute(antenna: Any, velocity: Any, point: Any, z: float) -> Any:
+    """The place at a height of the range and Doppler of a point, near it."""
+
+    def left(xy: Any) -> Any:
+        sights = [np.array([*xy, z]) - antenna, point - antenna]
+        ranges = [np.linalg.norm(sight) for sight in sights]
+        return [ranges[0] - ranges[1], *((sights[0] / ranges[0] - sights[1] / ranges[1])[None] @ velocity * 1e4)]
+
+    return np.array([*fsolve(left, point[:2]), z])
