@@ -264,8 +264,13 @@ def _entropy(chips: Chips, weights: FloatArray, threads: int) -> float:
 
 
 def phase_step(chips: Chips, phase: FloatArray, weights: FloatArray) -> float:
-    """Phases (n_point, n) that defocus, rad rms over chips: less what a constant and a shift on the ground explain."""
-    total = 0.0
+    """Phases (n_point, n) that defocus, rad rms over chips."""
+    return float(np.sqrt((weights * defocus(chips, phase) ** 2).sum() / weights.sum()))
+
+
+def defocus(chips: Chips, phase: FloatArray) -> FloatArray:
+    """Phases (n_point, n), rms (n_point,) of each chip: less what a constant and a shift on the ground explain."""
+    out = np.zeros(phase.shape[0])
     for i in range(phase.shape[0]):
         count = int(chips.count[i])
         if count < 4:
@@ -275,5 +280,5 @@ def phase_step(chips: Chips, phase: FloatArray, weights: FloatArray) -> float:
         rest = phase[i, :count].copy()
         for term in solvers.orthogonal_basis(terms)[0]:
             rest -= term * (term * rest).sum()
-        total += weights[i] * float((rest * rest).mean())
-    return float(np.sqrt(total / weights.sum()))
+        out[i] = np.sqrt((rest * rest).mean())
+    return out

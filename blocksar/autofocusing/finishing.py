@@ -12,7 +12,8 @@ import numpy as np
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.autofocusing.chips import ChipPart, Chips, join_chips, mean_sight
 from blocksar.autofocusing.correction import Correction, Knots, between_samples, intervals
-from blocksar.autofocusing.estimation import halves, phase_step, shared_error
+from blocksar.autofocusing.estimation import defocus, halves, phase_step, shared_error, without_line
+from blocksar.autofocusing.fine_phase import shared_samples
 from blocksar.autofocusing.information import factor, information
 from blocksar.autofocusing.selection import Points, Refused
 from blocksar.autofocusing.work import Work
@@ -21,6 +22,9 @@ from blocksar.kernels.fourier import fft_rows
 # Each half has twice the variance of the whole, and their difference four times that: one half. But both halves share
 # what points do to each other and what splines leave: measured errors are 0.5 to 1.2 of the difference.
 HALVES_TO_WHOLE = 0.75
+# What points of a pattern, or of measured ground, do to each other is alike in both halves: in amplitude, where it is
+# seen, as in phase. Averaging over points that lie elsewhere leaves a third of it, as measured.
+AMPLITUDE_TO_PHASE = 0.3
 UNSETTLED = 0.1  # rad rms by which the last loop may change the phases
 SLOW = 4  # intervals of the finest spline for one of those that follow slow motion
 TURNS = 0.1  # whole turns of the phase that may remain unknown
@@ -105,7 +109,10 @@ def finish(
             f"some {max(turns, 1):.0f} whole turns of it remain unknown; give a collection with a higher PRF, or focus "
             "the phase history as it is"
         )
-    predicted = float(np.hypot(HALVES_TO_WHOLE * apart, correction.fine_error))
+    # Of chips as most are: those at the very ends of a collection would count for all.
+    usual = float(np.median(defocus(chips, work.wavenumber * chips.los(between))))
+    parts_of_error = (HALVES_TO_WHOLE * usual, AMPLITUDE_TO_PHASE * amplitude_in_common(chips, correction))
+    predicted = float(np.sqrt(sum(part**2 for part in parts_of_error) + correction.fine_error**2))
     limit = work.settings.halves
     if not (correction.finished and apart <= limit and predicted <= limit and last["step"] <= UNSETTLED):
         raise Refused(
@@ -139,6 +146,17 @@ def finish(
             "history": list(correction.history),
         },
     )
+
+
+def amplitude_in_common(chips: Chips, correction: Correction) -> float:
+    """Relative amplitude, rms, that both halves of the points share over time, as slow as splines follow."""
+    knots = Knots(work=chips.work, n_interval=intervals(chips.work), time=chips.time)
+    moved = correction.displacement - correction.previous
+    sharp, found = chips.recentred(moved).corrected(moved), []
+    for half in halves(chips):
+        amplitude = shared_samples(sharp.some(half), correction.weights[half])[:, 1]
+        found.append(without_line(knots.smooth(amplitude[:, None])[:, 0] / float(amplitude.mean())))
+    return float(np.sqrt(max(float((found[0] * found[1]).mean()), 0.0)))
 
 
 def unknown_turns(chips: Chips, displacement: FloatArray) -> float:
