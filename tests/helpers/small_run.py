@@ -184,7 +184,10 @@ def make(
 
     if terrain is not None:
         stores.write_terrain(blocksar.places.place(folder) / "terrain.zarr", terrain)  # type: ignore[attr-defined]
-        grid, sight = Grid(x[0], x[-1], step, y[0], y[-1], step), Sight.of(geometry, box_of(x, y), terrain.limits)
+        grid, sight = (
+            Grid(x[0], x[-1] + step / 2, step, y[0], y[-1] + step / 2, step),
+            Sight.of(geometry, box_of(x, y), terrain.limits),
+        )
         height = terrain.on_grid(x, y)
         variables["height"] = height.astype(np.float32)
         variables["incidence_angle"] = incidence_angle(terrain, sight, x, y, height)
