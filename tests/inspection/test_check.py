@@ -187,7 +187,7 @@ def test_a_spotlight_collection_needs_a_grid(spotlight_store: Path) -> None:
         blocksar.check(spotlight_store)
 
 
-@pytest.mark.parametrize("squint", [0.0, 12.0])
+@pytest.mark.parametrize("squint", [0.0, pytest.param(12.0, marks=pytest.mark.slow)])
 def test_a_strip_is_not_called_wrong_by_its_mirror_image(squint: float, tmp_path: Path) -> None:
     """A beam about its axis on a straight track: flown backwards, the scene is mirrored, and as sharp at broadside."""
     rng = np.random.default_rng(2)

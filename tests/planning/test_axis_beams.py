@@ -133,7 +133,7 @@ def relative_error(found: ComplexArray, wanted: ComplexArray, where: BoolArray) 
 @pytest.mark.parametrize(("mode", "patterns", "blocks"), [
     ("stripmap", False, 2),
     ("stripmap", True, 2),
-    ("squinted", False, 8),
+    pytest.param("squinted", False, 8, marks=pytest.mark.slow),
     ("sliding spotlight", True, 2),
     ("tops", True, 2),
 ])  # fmt: skip
@@ -259,6 +259,7 @@ def test_a_beam_that_stays_on_little_of_what_it_lights_is_left_to_back_projectio
     assert "--processor backprojection" in plan.refusal
 
 
+@pytest.mark.slow
 def test_plans_are_the_same_each_time() -> None:
     collection = axis_collection("squinted")
     one, other = (plan_collection(collection, grid=grid_of(collection)) for _ in range(2))
