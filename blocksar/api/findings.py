@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import cache, partial
 
 from blocksar.api.checking import check_samples
 from blocksar.api.jobs import Job
@@ -25,10 +26,11 @@ Check = tuple[str | None, str]  # of a collection's samples: a warning, or a sen
 def checking(job: Job, *, beside: bool) -> Iterator[Callable[[], list[Check]]]:
     """Check the samples of all collections, in a thread if `beside`: a function that waits for what was found.
 
-    The function raises an InputError if the samples of a collection are constant.
+    Otherwise they are checked when that function is called first. It raises an InputError if the samples of a
+    collection are constant.
     """
     if not beside:
-        yield lambda: _check_collections(job)
+        yield cache(partial(_check_collections, job))
         return
     with ThreadPoolExecutor(1) as pool:
         yield pool.submit(_check_collections, job).result
