@@ -38,7 +38,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 import typer
 from distributed import Client, LocalCluster, Worker
@@ -73,7 +73,7 @@ def connect(scheduler: str, ca: Path | None, cert: Path | None, key: Path | None
 
 def print_workers(client: Client) -> None:
     """Print one line per worker."""
-    workers = client.scheduler_info(n_workers=-1)["workers"]
+    workers = client.sync(cast(Any, client.scheduler).identity, n_workers=-1)["workers"]
     if not workers:
         raise blocksar.InputError("the scheduler has no worker; start one: dask worker ADDRESS --nthreads 1")
     for address, worker in workers.items():

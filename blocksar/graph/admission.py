@@ -6,6 +6,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
+from contextlib import suppress
 from typing import Any
 
 from distributed import Client, Future, wait
@@ -75,6 +76,19 @@ def _release(client: Client, future: Future[Any]) -> None:
         time.sleep(0.01)
 
 
+def workers_of(client: Client) -> dict[str, dict[str, Any]]:
+    """Ask the scheduler for what it knows of its workers, by address.
+
+    `Client.scheduler_info` may answer without any worker: the client keeps the last answer to either of two questions,
+    and asks every other second for the state of the cluster alone. None, too, if the scheduler is gone.
+    """
+    if client.status == "running" and client.scheduler is not None:
+        with suppress(OSError):
+            identity: dict[str, dict[str, Any]] = client.sync(client.scheduler.identity, n_workers=-1)
+            return identity["workers"]
+    return {}
+
+
 class Watch:
     """Waits for futures, and fails if the cluster makes no progress."""
 
@@ -86,7 +100,7 @@ class Watch:
 
     def count_workers(self) -> int:
         """Ask the scheduler for the number of workers; return at least 1."""
-        workers = self._client.scheduler_info(n_workers=-1)["workers"].values()
+        workers = workers_of(self._client).values()
         if workers:
             self._last_worker = time.monotonic()
             self.one_thread_each = all(w["nthreads"] == 1 for w in workers)

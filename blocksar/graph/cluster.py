@@ -26,7 +26,7 @@ import distributed.utils
 from distributed import Client, LocalCluster
 
 from blocksar.errors import InputError, ProcessingError
-from blocksar.graph.admission import NO_WORKER
+from blocksar.graph.admission import NO_WORKER, workers_of
 from blocksar.graph.compiling import compile_kernels, kernels_cached
 from blocksar.graph.forking import start_fork_server, worker_environment
 from blocksar.graph.here import Here
@@ -54,7 +54,7 @@ def cluster_size(client: Client) -> tuple[int, int]:
     """
     with suppress(TimeoutError):
         client.wait_for_workers(1, timeout=CONNECT)  # the only one may be restarting
-    workers = client.scheduler_info(n_workers=-1)["workers"]
+    workers = workers_of(client)
     if not workers:
         raise InputError("the dask scheduler has no worker; start some")
     return len(workers), min(int(w["memory_limit"]) or machine()[1] for w in workers.values())

@@ -175,7 +175,7 @@ def wait_for_workers(client: Client, jobs: int, patience: float) -> None:
     """
     with suppress(TimeoutError):
         client.wait_for_workers(jobs, timeout=patience)
-    running = len(client.scheduler_info(n_workers=-1)["workers"])
+    running = len(client.nthreads())
     if not running:
         raise ProcessingError(
             f"none of {jobs} jobs started within {patience:.0f} s: see squeue for the reason; try again later"

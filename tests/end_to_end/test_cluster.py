@@ -47,6 +47,16 @@ LOOPBACK = {"127.0.0.1", "::1"}
 PATIENCE = 200  # s; compiling is slow on a busy machine
 
 
+def test_workers_are_counted_while_the_client_asks_for_something_else(
+    client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    forget = property(lambda _: {"workers": {}}, lambda _, answer: None)  # a later answer came
+    monkeypatch.setattr(Client, "_scheduler_identity", forget, raising=False)
+    assert not client.scheduler_info(n_workers=-1)["workers"]
+    assert admission.workers_of(client).keys() == client.nthreads().keys()
+    assert cluster.cluster_size(client) == (2, 3 * 2**30)
+
+
 def test_units_lost_by_the_scheduler_are_started_again(client: Client) -> None:
     """A worker may die with a result that has not been fetched yet."""
     started: list[str] = []

@@ -243,7 +243,7 @@ def test_a_killed_worker_does_not_change_the_result(
     for seed in seeds:
         rng = random.Random(f"{stage} {seed}")
         victim = rng.choice(tasks)
-        until(lambda: len(client.scheduler_info(n_workers=-1)["workers"]) == 2, "both workers")
+        until(lambda: len(client.nthreads()) == 2, "both workers")
         assassin.arm(victim, rng.random() * 0.8 * assassin.seconds[victim])
         blocksar.focus(source, tmp_path / f"{seed}", client=client, **SETTINGS)
         until(lambda: not any(isinstance(t, threading.Timer) for t in threading.enumerate()), "the murder")

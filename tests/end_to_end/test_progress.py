@@ -196,7 +196,7 @@ def test_a_listener_follows_a_run_that_fails_and_is_resumed(store: Path, client:
     going_on = Heard(fail=False)
     blocksar.focus(store, tmp_path / "run", progress=going_on, **settings)
     assert "<html" in page.read_text() and not going_on.notes
-    assert going_on.workers == len(client.scheduler_info(n_workers=-1)["workers"])
+    assert going_on.workers == len(client.nthreads())
     assert going_on.begun["recover"] == failing.totals["recover"] == 4
     assert 1 <= going_on.begun["focus"] < 3 and going_on.totals["check-recover"] == 4
     # The predicted units equal the completed units.

@@ -352,8 +352,10 @@ def test_unsuitable_workers_are_reported_by_address(modules: dict[str, ModuleTyp
         cluster.check_folder(SimpleNamespace(run=elsewhere), tmp_path)
     with pytest.raises(blocksar.InputError, match=r"^tcp://w:3 does not share"):  # writes elsewhere
         cluster.check_folder(SimpleNamespace(run=lambda mark, on_error: {"tcp://w:3": "w3"}), tmp_path)
+    scheduler = SimpleNamespace(identity=lambda n_workers: {"workers": {}})
+    nobody = SimpleNamespace(scheduler=scheduler, sync=lambda function, **settings: function(**settings))
     with pytest.raises(blocksar.InputError, match="has no worker"):
-        cluster.print_workers(SimpleNamespace(scheduler_info=lambda n_workers: {"workers": {}}))
+        cluster.print_workers(nobody)
     assert not list(tmp_path.iterdir())
 
 

@@ -117,7 +117,7 @@ def _read_direct(path: Path, most: int) -> int:
 
 def on_every_worker(client: Client, task: Any, *arguments: Any) -> list[Seconds]:
     """Run task(*arguments, index, n_workers) on all workers at the same time; their results."""
-    addresses = sorted(client.scheduler_info(n_workers=-1)["workers"])
+    addresses = sorted(client.nthreads())
     futures = [
         client.submit(task, *arguments, index, len(addresses), workers=[address], pure=False)
         for index, address in enumerate(addresses)
