@@ -180,11 +180,13 @@ def refined(
     found = estimates(weights)
     if is_pattern(found[0][:, 1], found[1][:, 1]):
         found = estimates(np.where(standing_alone(chips.corrected(displacement)), weights, 0.0))
-    fine = believed(found[0][:, 0], found[1][:, 0])
+    fine = believed(found[0], found[1])
     # Across the mean line of sight errors are alike, but splines alone tell them.
     unseen = float(np.sqrt((fine.phase**2).mean())) * spread_of_sights(chips)
     beyond = 0.0 if work.decimation == 1 else fine.beyond
-    error = float(np.sqrt(fine.error**2 + unseen**2 + beyond**2))
+    # Of chips as most are: where few points are lit, at the ends of a collection, halves differ most.
+    doubt = float(np.median(defocus(chips, fine.doubt[chips.index])))
+    error = float(np.sqrt(doubt**2 + unseen**2 + beyond**2))
     return smooth + sight * (fine.phase / wavenumber)[:, None] - before, error
 
 

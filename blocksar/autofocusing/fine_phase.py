@@ -3,7 +3,9 @@
 Once the chips are sharp, each sample's phase can be read off the points themselves: the angle of the sum of their
 strongest lines, each turned back by its own phase. That is noise, unless the track really has so fine an error, as a
 random walk of the position has. What two halves of the points have in common tells how much of it to believe: each
-band of frequencies is weighed as a Wiener filter would.
+band of frequencies is weighed as a Wiener filter would. In regular patterns other scatterers add the same to the lines
+of many points. That changes amplitudes as much as phases, and an error of the track changes phases alone: what the
+amplitudes of both halves have in common is taken off.
 """
 
 from __future__ import annotations
@@ -24,17 +26,28 @@ LEAST_BINS = 8  # of a band
 WHOLE = 8  # times the Doppler cells: a band that cuts nothing
 ALONE = 0.5  # of the power of its line: a point with less does not stand alone
 PATTERN = 0.15  # correlation of amplitudes
-DOUBT = 3.0  # standard deviations of the halves' common power in noise that are not believed
+DOUBT = 3.0  # standard deviations of the halves' common power that are not believed
+INTERFERENCE = (
+    2.0  # times the common power of amplitudes: angles of weak sums turn further than their amplitudes change
+)
 
 
 class FinePhase(NamedTuple):
-    """A phase (n_sample,), rad; the error that is expected of it, and what it has beyond its samples, rad rms.
+    """A phase that is believed.
 
-    The latter as of a random walk, whose power falls with the square of frequency: it goes on beyond the samples' rate.
+    Attributes
+    ----------
+    phase : (n_sample,) float
+        rad.
+    doubt : (n_sample,) float
+        Of the power of the error that is expected, rad.
+    beyond : float
+        What the phase has beyond its samples, rad rms, as of a random walk, whose power falls with the square of
+        frequency: it goes on beyond the samples' rate.
     """
 
     phase: FloatArray
-    error: float
+    doubt: FloatArray
     beyond: float
 
 
@@ -116,27 +129,33 @@ def own_phase(rows: ComplexArray, chips: Chips) -> tuple[Complex128Array, FloatA
 
 
 def believed(first: FloatArray, second: FloatArray) -> FinePhase:
-    """What two independent estimates (n,), rad, of a phase have in common, by a Wiener filter.
+    """What two independent estimates (n, 2) of a phase, rad, and of a relative amplitude have in common.
 
-    Of a signal S and noise N in each, the mean of both has the power S + N / 2, and the product of one with the other
-    tells S. Where S does not stand out of the product's own noise, nothing is believed. The error that is left where
-    something is believed is S (N / 2) / (S + N / 2).
+    By a Wiener filter: of a signal S and noise N in each, the mean of both has the power S + N / 2, and half of their
+    difference N / 2. That tells S, less what amplitudes have in common. Where it does not stand out of the noise,
+    nothing is believed. The error that is left where something is believed is S (N / 2) / (S + N / 2); in the bands
+    beyond, where nothing is, it is S itself, since a random walk goes on.
     """
-    n = first.size
-    spectra = fft_rows(np.stack([first, second]).astype(np.complex128), inverse=False)
-    common = (spectra[0] * np.conj(spectra[1])).real
-    mean = np.abs(spectra.sum(axis=0) / 2) ** 2
+    n = first.shape[0]
+    rows = np.stack([first[:, 0], second[:, 0], first[:, 1] - first[:, 1].mean(), second[:, 1] - second[:, 1].mean()])
+    spectra = fft_rows(rows.astype(np.complex128), inverse=False)
+    middle, apart = (spectra[0] + spectra[1]) / 2, (spectra[0] - spectra[1]) / 2
+    mean, differ = np.abs(middle) ** 2, np.abs(apart) ** 2
+    shared = (spectra[2] * np.conj(spectra[3])).real
     half = n // 2 + 1
-    gain, error, beyond = np.zeros(n), 0.0, 0.0
+    gain, lost, beyond = np.zeros(n), np.zeros(n), 0.0
     bands = np.array_split(np.arange(half), max(min(BANDS, half // LEAST_BINS), 1))
     for number, band in enumerate(bands):
-        signal, power = float(common[band].mean()), float(mean[band].mean())
-        noise = max(power - signal, 0.0)
-        share = signal / power if power > 0 and signal > DOUBT * noise * np.sqrt(2 / band.size) else 0.0
-        share = min(max(share, 0.0), 1.0)
+        power, noise = float(mean[band].mean()), float(differ[band].mean())
+        signal = power - noise - INTERFERENCE * max(float(shared[band].mean()), 0.0)
+        # Lines of a spectrum, as regular patterns have, count for few: with each frequency's own noise.
+        chance = float(np.sqrt(2 * (mean[band] * differ[band]).mean() / band.size))
+        share = min(signal / power, 1.0) if signal > DOUBT * chance and signal > 0 else 0.0
         gain[band], gain[-band] = share, share
-        error += band.size * share * noise
+        if share == 0.0 and signal > 0.0 < gain.max():
+            lost[band], lost[-band] = signal / power, signal / power
         if number == max(len(bands) - OFF_END, 0):
             beyond = share * power * float(band.mean()) ** 2 / half
-    phase = fft_rows((spectra.sum(axis=0, keepdims=True) / 2 * gain), inverse=True)[0].real
-    return FinePhase(np.asarray(phase), float(np.sqrt(2 * error) / n), float(np.sqrt(2 * beyond) / n))
+    kept = np.stack([gain * middle, np.sqrt(gain) * apart + np.sqrt(lost) * middle])
+    phase, doubt = fft_rows(kept, inverse=True).real
+    return FinePhase(np.asarray(phase), np.asarray(doubt), float(np.sqrt(2 * beyond) / n))

@@ -19,15 +19,16 @@ from blocksar.autofocusing.selection import Points, Refused
 from blocksar.autofocusing.work import Work
 from blocksar.kernels.fourier import fft_rows
 
-# Each half has twice the variance of the whole, and their difference four times that: one half. But both halves share
-# what points do to each other and what splines leave: measured errors are 0.5 to 1.2 of the difference.
-HALVES_TO_WHOLE = 0.75
+# Each half has twice the variance of the whole, and their difference four times that: one half. What splines do not
+# follow is alike in both: measured errors are a little larger.
+HALVES_TO_WHOLE = 0.6
 # What points of a pattern, or of measured ground, do to each other is alike in both halves: in amplitude, where it is
 # seen, as in phase. Averaging over points that lie elsewhere leaves a third of it, as measured.
 AMPLITUDE_TO_PHASE = 0.3
 UNSETTLED = 0.1  # rad rms by which the last loop may change the phases
 SLOW = 4  # intervals of the finest spline for one of those that follow slow motion
 TURNS = 0.1  # whole turns of the phase that may remain unknown
+LEAST_COUNT = 8  # samples of a chip that counts
 PICTURES = 6  # points whose chips are kept for pictures
 
 
@@ -149,14 +150,22 @@ def finish(
 
 
 def amplitude_in_common(chips: Chips, correction: Correction) -> float:
-    """Relative amplitude, rms, that both halves of the points share over time, as slow as splines follow."""
+    """Relative amplitude, rms, that both halves of the points share over the dwell of a chip, of the median chip.
+
+    As slow as splines follow, without a line over the dwell.
+    """
     knots = Knots(work=chips.work, n_interval=intervals(chips.work), time=chips.time)
     moved = correction.displacement - correction.previous
     sharp, found = chips.recentred(moved).corrected(moved), []
     for half in halves(chips):
         amplitude = shared_samples(sharp.some(half), correction.weights[half])[:, 1]
-        found.append(without_line(knots.smooth(amplitude[:, None])[:, 0] / float(amplitude.mean())))
-    return float(np.sqrt(max(float((found[0] * found[1]).mean()), 0.0)))
+        found.append(knots.smooth(amplitude[:, None])[:, 0] / float(amplitude[chips.index[chips.lit]].mean()))
+    shared = []
+    for i in np.flatnonzero(chips.count >= LEAST_COUNT):
+        dwell = slice(int(chips.first[i]), int(chips.first[i] + chips.count[i]))
+        first, second = (without_line(amplitude[dwell]) for amplitude in found)
+        shared.append(float((first * second).mean()))
+    return float(np.sqrt(max(float(np.median(shared)), 0.0)))
 
 
 def unknown_turns(chips: Chips, displacement: FloatArray) -> float:

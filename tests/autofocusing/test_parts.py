@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
+from blocksar.arrays import FloatArray
 from blocksar.autofocusing.chips import Chips, brightest_places, fill, gaps, join_chips
 from blocksar.autofocusing.correction import Knots, between_samples
 from blocksar.autofocusing.entropy import PADDING, entropies
@@ -293,10 +294,28 @@ def test_halves_are_believed_where_they_agree() -> None:
     noise_a, noise_b = random.standard_normal((2, 600))
     common = np.cumsum(random.standard_normal(600))
     common -= common.mean()
-    assert np.std(believed(noise_a, noise_b).phase) < 0.2
-    found = believed(common + noise_a, common + noise_b)
+
+    def halves(shared: FloatArray, level: float) -> list[FloatArray]:
+        """Phase and relative amplitude of each, (600, 2)."""
+        return [np.stack([shared + own, 1 + level * own[::-1]], axis=1) for own in (noise_a, noise_b)]
+
+    assert np.std(believed(*halves(np.zeros(600), 1.0)).phase) < 0.2
+    found = believed(*halves(common, 1.0))
     assert np.std(found.phase - common) < 0.7  # less than the mean of both has
-    assert np.std(found.phase - common) == pytest.approx(found.error, rel=0.4)
+    assert np.std(found.phase - common) == pytest.approx(np.std(found.doubt), rel=0.4)
+
+
+def test_what_scatterers_add_to_all_points_is_not_believed() -> None:
+    """It changes amplitudes as much as phases; an error of the track changes phases alone."""
+    random = np.random.default_rng(8)
+    real, imaginary, error = 0.1 * random.standard_normal((3, 600))
+    noise = 0.03 * random.standard_normal((2, 600, 2))
+    disturbed = [np.stack([imaginary, 1 + real], axis=1) + own for own in noise]
+    assert np.std(believed(*disturbed).phase) < 0.02
+    mixed = [np.stack([2 * error + imaginary, 1 + real], axis=1) + own for own in noise]
+    true = [np.stack([2 * error, np.ones(600)], axis=1) + own for own in noise]
+    assert np.std(believed(*true).phase - 2 * error) < 0.03
+    assert np.std(believed(*mixed).phase - 2 * error) < 0.12  # hardly more than is disturbed
 
 
 def test_narrowed_chips_keep_slow_phases(work: Work) -> None:
