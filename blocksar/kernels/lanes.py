@@ -19,6 +19,7 @@ FEW = 16  # lanes of `load_few`, for loops with so many values in use that LANES
 WEIGHED_ROWS = 12  # rows that `weigh_rows` sums: the taps along range of most windows
 
 _numba: Any = extending  # only partly annotated; Any, or every argument would need a type ignore
+_tuple: Any = types.UniTuple  # carries no types either
 
 
 class Lanes(types.Type):
@@ -41,8 +42,9 @@ def _vector(manager: Any, lanes: Any) -> Any:
     return _numba.models.PrimitiveModel(manager, lanes, ir.VectorType(element, lanes.count))
 
 
-def _indices(values: Any) -> Any:
-    return ir.Constant(ir.VectorType(ir.IntType(32), len(values)), list(values))
+def _indices(places: Any) -> Any:
+    values = list(places)
+    return ir.Constant(ir.VectorType(ir.IntType(32), len(values)), values)
 
 
 @_numba.lower_cast(types.Float, Lanes)
@@ -330,30 +332,44 @@ def whole(typing_context: Any, number: Any) -> Any:
 
 
 @_numba.intrinsic
-def gather(typing_context: Any, array: Any, origin: Any, index: Any) -> Any:
-    """array[origin + index] of float64, for int32 lanes of indices. The array's ends are not checked.
+def load_triples(typing_context: Any, array: Any, origin: Any, indices: Any, first: Any) -> Any:
+    """array[m - 1], array[m] and array[m + 1] of float64, for FEW places m = origin + indices[first], ...
 
-    Complex64 samples are loaded by viewing them as float64: the cost is per element. (Viewed as integers, LLVM takes
-    them apart by longer instructions.)
+    Complex64 samples are loaded by viewing them as float64. The elements m - 2 to m + 1 of each place are loaded as one
+    vector and the vectors transposed, since gathers take twice the time. The array's ends are not checked.
     """
-    lanes = Lanes(array.dtype, index.count)
+    lanes = Lanes(array.dtype, FEW)
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        number, element, vector = ir.IntType(32), ir.DoubleType(), context.get_value_type(lanes)
-        first = _address(context, builder, element, signature.args[0], *values[:2])
-        every = _repeat(builder, first, index.count)
-        mask = ir.Constant(ir.VectorType(ir.IntType(1), index.count), [1] * index.count)
-        kind = ir.FunctionType(vector, [every.type, number, mask.type, vector])
-        name = f"llvm.masked.gather.v{index.count}f64.v{index.count}p0"
-        addresses = builder.gep(every, [values[2]], source_etype=element)
-        arguments = [addresses, ir.Constant(number, 8), mask, ir.Constant(vector, ir.Undefined)]
-        return builder.call(builder.module.declare_intrinsic(name, fnty=kind), arguments)
+        number, four = values[1].type, ir.VectorType(ir.DoubleType(), 4).as_pointer()
+        start = builder.sub(values[1], ir.Constant(number, 2))
+        data = _address(context, builder, ir.DoubleType(), signature.args[0], values[0], start)
+        places = context.make_array(signature.args[2])(context, builder, values[2]).data
+        rows = []
+        for lane in range(FEW):
+            index = builder.load(builder.gep(places, [builder.add(values[3], ir.Constant(number, lane))]))
+            address = builder.gep(data, [builder.sext(index, number)])
+            rows.append(builder.load(builder.bitcast(address, four), align=8))
+        eights = [_last_columns(builder, rows[lane : lane + 8]) for lane in range(0, FEW, 8)]
+        joined = [builder.shuffle_vector(*halves, _indices(range(FEW))) for halves in zip(*eights, strict=True)]
+        return context.make_tuple(builder, signature.return_type, joined)
 
-    return lanes(array, types.intp, index), generate
+    return _tuple(lanes, 3)(array, types.intp, indices, types.intp), generate
+
+
+def _last_columns(builder: Any, rows: Any) -> Any:
+    """The last three columns of eight rows of four elements: each shuffle within or of quarters of a register."""
+    pairs = [builder.shuffle_vector(rows[i], rows[i + 2], _indices(range(8))) for i in (0, 1, 4, 5)]
+    even, odd = (
+        [builder.shuffle_vector(*two, _indices(k + i for k in range(part, 8, 2) for i in (0, 8))) for two in halves]
+        for part, halves in ((0, (pairs[:2], pairs[2:])), (1, (pairs[:2], pairs[2:])))
+    )
+    low, high = [0, 1, 4, 5, 8, 9, 12, 13], [2, 3, 6, 7, 10, 11, 14, 15]
+    return [builder.shuffle_vector(*two, _indices(taken)) for two, taken in ((odd, low), (even, high), (odd, high))]
 
 
 def _part(half: int) -> Any:
-    """Make the intrinsic that returns the real (0) or imaginary (1) parts of lanes from `gather`."""
+    """Make the intrinsic that returns the real (0) or imaginary (1) parts of lanes from `load_triples`."""
 
     def part(typing_context: Any, samples: Any) -> Any:
         lanes = Lanes(types.float32, samples.count)

@@ -37,13 +37,14 @@ from blocksar.kernels.lanes import (
     FIXED_RANGE,
     from_half,
     from_whole,
-    gather,
     imag_part,
     larger,
     load_few,
+    load_triples,
     real_part,
     remainder,
     smaller,
+    spread_few,
     square_root,
     store,
     whole,
@@ -154,7 +155,7 @@ def project(
     pulses = slice(begin - sights.start, end - sights.start)
     low, high = place.min(axis=1), place.max(axis=1)
     centre = (low + high) / 2
-    reach, middle, relief = float(np.hypot(*(high - low)) / 2), 0.0, None
+    reach, middle, relief = float(np.hypot(*(high - low)) / 2), 0.0, np.empty(0)
     if height is not None:
         relief = np.empty(padded)
         relief[:size].reshape(x.shape)[...] = height
@@ -163,7 +164,7 @@ def project(
         relief -= middle
         reach = float(np.hypot(reach, relief.max()))
     series, roots = pulse_tables(sights, pulses, centre, reach=reach, height=middle)
-    over = None if relief is None else (middle, float(relief.max()))
+    over = None if height is None else (middle, float(relief.max()))
     places, precise = place_tables(sights.taper, pulses, low, high, over)
     if (size > SMALL and not series[:, 0].all()) or (size > 1 and not precise):
         for part in _halves(x.shape):
@@ -175,16 +176,12 @@ def project(
     sums, farthest = np.zeros((3, padded), np.float32), np.zeros(padded)
     terms = np.zeros(0, np.float32) if sights.taper is None else sights.taper.series
     frequency, fade = (0.0, 0) if sights.taper is None else (sights.taper.frequency, sights.taper.fade)
-    if fade:
-        add = add_edges if relief is None else add_edges_on_relief
-    else:
-        add = add_pulses if relief is None else add_pulses_on_relief
-    # A sample is loaded as one number of 64 bits: the cost of a gather is per element, not per byte.
+    # A sample is loaded as one number of 64 bits, so that vectors of samples are transposed whole.
     samples, origins = sights.values.reshape(-1).view(np.float64), sights.rows[pulses] * n_bin + sights.middle
-    add(
+    add_pulses(
         *sums, farthest, samples, origins, *place, *centre, *lit, spans, begin, series, roots,
         sights.cycles_per_metre, sights.bins_per_metre, sights.half_window, places, terms, frequency / 2,
-        fade / 2 if fade else None, relief,
+        fade / 2, relief,
     )  # fmt: skip
     if sights.taper is not None:
         weight += sums[2, :size].reshape(image.shape)
@@ -228,64 +225,47 @@ def pulse_tables(
 
 
 @njit(inline="always")
-def _by_series(term: Any, dx: Any, dy: Any, square: Any, bins_per_cycle: Any) -> Any:
-    """Phase, in cycles about a whole number, and position in the profile, in bins and fixed point."""
-    return _from_root(term, term[1] * dx + (term[2] * dy + term[3] * square), bins_per_cycle)
+def _by_series(series: Any, k: Any, slope: Any, dx: Any, dy: Any, bins_per_cycle: Any) -> Any:
+    """Phase, in cycles about a whole number, and position in the profile, in bins and fixed point.
 
-
-@njit(inline="always")
-def _by_series_on_relief(term: Any, dx: Any, dy: Any, dz: Any, square: Any, bins_per_cycle: Any) -> Any:
-    """The same for pixels at heights dz over the centre's; `square` has dz^2."""
-    return _from_root(term, term[1] * dx + (term[2] * dy + (term[7] * dz + term[3] * square)), bins_per_cycle)
-
-
-@njit(inline="always")
-def _from_root(term: Any, z: Any, bins_per_cycle: Any) -> Any:
-    """The same from z, in cycles."""
-    q = term[4] * z
+    `slope` is the part of z that does not depend on dx and dy to the first order.
+    """
+    z = series[k, 1] * dx + (series[k, 2] * dy + slope)
+    q = series[k, 4] * z
     away = z + z * (q * (((14.0 * q - 5.0) * q + 2.0) * q - 1.0))
-    return from_whole(away + term[5]), away * bins_per_cycle + term[6]
+    return from_whole(away + series[k, 5]), away * bins_per_cycle + series[k, 6]
 
 
 @njit(inline="always")
-def _by_root(root: Any, dx: Any, dy: Any) -> Any:
-    """Range - reference_range."""
-    x, y = dx + root[0], dy + root[1]
-    return square_root(x * x + (y * y + root[2])) - root[3]
+def _by_root(roots: Any, k: Any, dx: Any, dy: Any, up: Any) -> Any:
+    """Range - reference_range; `up` is the square of the height difference."""
+    x, y = dx + roots[k, 0], dy + roots[k, 1]
+    return square_root(x * x + (y * y + up)) - roots[k, 3]
 
 
 @njit(inline="always")
-def _by_root_on_relief(root: Any, dx: Any, dy: Any, dz: Any) -> Any:
-    """The same for pixels at heights dz over the centre's."""
-    x, y, z = dx + root[0], dy + root[1], dz + root[4]
-    return square_root(x * x + (y * y + z * z)) - root[3]
-
-
-@njit(inline="always")
-def _sample(samples: Any, k: Any, nearest: Any, right: Any) -> Any:
-    """Real and imaginary part of the quadratic spline at `right` bins from the middle of the nearest one."""
+def _sample(triples: Any, right: Any) -> Any:
+    """Real and imaginary part of the quadratic spline at `right` bins from the middle one of three."""
     half, eighth, three_quarters = np.float32(0.5), np.float32(0.125), np.float32(0.75)
     odd, square = half * right, right * right
     even = half * square + eighth
     before, at, after = even - odd, three_quarters - square, even + odd
-    a, b, c = gather(samples, k - 1, nearest), gather(samples, k, nearest), gather(samples, k + 1, nearest)
+    a, b, c = triples
     real = before * real_part(a) + at * real_part(b) + after * real_part(c)
     return real, before * imag_part(a) + at * imag_part(b) + after * imag_part(c)
 
 
 @njit(inline="always")
-def _place(place: Any, dx: Any, dy: Any) -> Any:
-    """v in the beam, limited to -1 .. 1."""
-    v = place[0] + (place[1] * dx + place[2] * dy) + (place[3] * dx + place[4] * dy) * dx + place[5] * dy * dy
-    return smaller(larger(v, -1.0), 1.0)
+def _place(places: Any, k: Any, dx: Any, dy: Any) -> Any:
+    """v in the beam."""
+    bend = places[k, 3] * dx + places[k, 4] * dy
+    return places[k, 0] + (places[k, 1] * dx + places[k, 2] * dy) + bend * dx + places[k, 5] * dy * dy
 
 
 @njit(inline="always")
-def _place_on_relief(place: Any, dx: Any, dy: Any, dz: Any) -> Any:
-    """The same for pixels at heights dz over the centre's."""
-    v = place[0] + (place[1] * dx + place[2] * dy) + (place[3] * dx + place[4] * dy) * dx + place[5] * dy * dy
-    v = v + (place[7] + place[8] * dx + place[9] * dy + place[10] * dz) * dz
-    return smaller(larger(v, -1.0), 1.0)
+def _rise(places: Any, k: Any, dx: Any, dy: Any, dz: Any) -> Any:
+    """What heights dz over the centre's add to it."""
+    return (places[k, 7] + places[k, 8] * dx + places[k, 9] * dy + places[k, 10] * dz) * dz
 
 
 @njit(inline="always")
@@ -309,7 +289,13 @@ def _faded(v: Any, terms: Any, half_fade: Any) -> Any:
     return (half * terms[1] + terms[0]) + square * ((half * terms[3] + terms[2]) + square * high)
 
 
-def _add_pulses(
+@loop(
+    types.float32[::1], types.float32[::1], types.float32[::1], types.float64[::1], REAL_ROW, ORIGINS,
+    REAL_ROW, REAL_ROW, types.float64, types.float64, PULSES, PULSES, types.int64[:, ::1], types.int64,
+    REAL_ROWS, REAL_ROWS, types.float64, types.float64, types.float64, REAL_ROWS, WEIGHTS, types.float64,
+    types.float64, REAL_ROW, **COMPILED,
+)  # fmt: skip
+def add_pulses(
     real: NDArray[np.float32],
     imag: NDArray[np.float32],
     weight: NDArray[np.float32],
@@ -332,8 +318,8 @@ def _add_pulses(
     places: FloatArray,
     terms: NDArray[np.float32],
     half_frequency: float,
-    half_fade: float | None,
-    relief: FloatArray | None,
+    half_fade: float,
+    relief: FloatArray,
 ) -> None:
     """Sum the lit pulses, in ascending order, at pixels (n,).
 
@@ -343,35 +329,34 @@ def _add_pulses(
     `spans` holds the pulses that light any pixel of a group of FEW; tables begin at the pulse `start`, also `origins`,
     which has the sample of each profile at its pulse's reference range.
     `farthest` rises to |range - reference_range| where a lit pulse needed the square root. `relief` has the heights of
-    the pixels over the tile's centre; without, the loop is compiled for a plane. Without `half_fade` it is for weights
-    that do not fade.
+    the pixels over the tile's centre; it is empty on a plane. Weights fade where `half_fade` is positive.
     """
     turns, rights = np.empty(CHUNK * FEW, np.float32), np.empty(CHUNK * FEW, np.float32)
     bins, shares = np.empty(CHUNK * FEW, np.int32), np.empty(CHUNK * FEW, np.float32)
+    hilly, weighted = relief.size > 0, terms.size > 0
     for begin in range(start, start + series.shape[0], CHUNK):
         for group in range(spans.shape[0]):
             i = group * FEW
             dx, dy = load_few(x, i) - centre_x, load_few(y, i) - centre_y
+            dz = dx
             square, lit, unlit = dx * dx + dy * dy, load_few(first, i), load_few(last, i)
-            if relief is not None:
+            if hilly:
                 dz = load_few(relief, i)
                 square = square + dz * dz
             low, high = max(spans[group, 0], begin), min(spans[group, 1], begin + CHUNK)
             # Two loops, since the way from a pulse to its samples is long: the CPU then looks ahead over more pulses.
             for p in range(low, high):
-                j, term = (p - low) * FEW, series[p - start]
-                if term[0] > 0:
-                    if relief is None:
-                        cycles, position = _by_series(term, dx, dy, square, bins_per_metre / cycles_per_metre)
-                    else:
-                        cycles, position = _by_series_on_relief(
-                            term, dx, dy, dz, square, bins_per_metre / cycles_per_metre
-                        )
+                j, k = (p - low) * FEW, p - start
+                if series[k, 0] > 0:
+                    slope = series[k, 3] * square
+                    if hilly:
+                        slope = series[k, 7] * dz + slope
+                    cycles, position = _by_series(series, k, slope, dx, dy, bins_per_metre / cycles_per_metre)
                 else:
-                    if relief is None:
-                        away = _by_root(roots[p - start], dx, dy)
-                    else:
-                        away = _by_root_on_relief(roots[p - start], dx, dy, dz)
+                    up = spread_few(roots[k, 2])
+                    if hilly:
+                        up = (dz + roots[k, 4]) * (dz + roots[k, 4])
+                    away = _by_root(roots, k, dx, dy, up)
                     reached = within(larger(away, 0.0 - away), lit, p, unlit)
                     store(farthest, i, larger(reached, load_few(farthest, i)))
                     cycles = remainder(away * cycles_per_metre)
@@ -380,35 +365,27 @@ def _add_pulses(
                 store(turns, j, cycles)
                 store(bins, j, whole(position))
                 store(rights, j, from_half(position))
-            if terms.size > 0:
+            if weighted:
                 share = load_few(weight, i)
                 for p in range(low, high):
-                    place = places[p - start]
-                    v = _place(place, dx, dy) if relief is None else _place_on_relief(place, dx, dy, dz)
-                    part = _weight(v, terms, half_frequency) if half_fade is None else _faded(v, terms, half_fade)
+                    k = p - start
+                    v = _place(places, k, dx, dy)
+                    if hilly:
+                        v = v + _rise(places, k, dx, dy, dz)
+                    v = smaller(larger(v, -1.0), 1.0)
+                    part = _faded(v, terms, half_fade) if half_fade > 0 else _weight(v, terms, half_frequency)
                     part = within(part, lit, p, unlit)
                     store(shares, (p - low) * FEW, part)
-                    share = share + part * np.float32(place[6])
+                    share = share + part * np.float32(places[k, 6])
                 store(weight, i, share)
             re, im = load_few(real, i), load_few(imag, i)
             for p in range(low, high):
                 j = (p - low) * FEW
-                a, b = _sample(samples, origins[p - start], load_few(bins, j), load_few(rights, j))
+                a, b = _sample(load_triples(samples, origins[p - start], bins, j), load_few(rights, j))
                 a, b = within(a, lit, p, unlit), within(b, lit, p, unlit)
                 cos, sin = cosine_and_sine(load_few(turns, j))
-                if terms.size > 0:
+                if weighted:
                     cos, sin = cos * load_few(shares, j), sin * load_few(shares, j)
                 re, im = re + a * cos - b * sin, im + a * sin + b * cos
             store(real, i, re)
             store(imag, i, im)
-
-
-_TYPES = (
-    types.float32[::1], types.float32[::1], types.float32[::1], types.float64[::1], REAL_ROW, ORIGINS,
-    REAL_ROW, REAL_ROW, types.float64, types.float64, PULSES, PULSES, types.int64[:, ::1], types.int64,
-    REAL_ROWS, REAL_ROWS, types.float64, types.float64, types.float64, REAL_ROWS, WEIGHTS, types.float64,
-)  # fmt: skip
-add_pulses = loop(*_TYPES, types.none, types.none, **COMPILED)(_add_pulses)
-add_pulses_on_relief = loop(*_TYPES, types.none, REAL_ROW, **COMPILED)(_add_pulses)
-add_edges = loop(*_TYPES, types.float64, types.none, **COMPILED)(_add_pulses)
-add_edges_on_relief = loop(*_TYPES, types.float64, REAL_ROW, **COMPILED)(_add_pulses)

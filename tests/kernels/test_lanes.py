@@ -20,10 +20,11 @@ def fixed(values: Any, nearest: Any, middle: Any, below: Any) -> None:
 
 
 @njit
-def gathered(samples: Any, origin: Any, index: Any, real: Any, imag: Any) -> None:
-    found = lanes.gather(samples, origin, load_few(index, 0))
-    store(real, 0, lanes.real_part(found))
-    store(imag, 0, lanes.imag_part(found))
+def triples(samples: Any, origin: Any, index: Any, real: Any, imag: Any) -> None:
+    found = lanes.load_triples(samples, origin, index, FEW)
+    for k in range(3):
+        store(real[k], 0, lanes.real_part(found[k]))
+        store(imag[k], 0, lanes.imag_part(found[k]))
 
 
 @njit
@@ -50,13 +51,15 @@ def test_fixed_point_splits_numbers_of_either_sign() -> None:
         assert np.abs(away - np.rint(away)).max() < 1e-7
 
 
-def test_samples_are_gathered_on_both_sides_of_the_origin() -> None:
+def test_three_samples_are_loaded_about_each_of_many_places() -> None:
     rng = np.random.default_rng(1)
     samples = rng.standard_normal(200, np.float32).view(np.complex64)
-    index = rng.integers(-50, 50, FEW).astype(np.int32)
-    real, imag = np.empty((2, FEW), np.float32)
-    gathered(samples.view(np.float64), 50, index, real, imag)
-    np.testing.assert_array_equal(real + 1j * imag, samples[50 + index])
+    index = rng.integers(-48, 48, 2 * FEW).astype(np.int32)
+    index[FEW : FEW + 2] = -48, 48  # the first and the last that the four elements of each place allow
+    real, imag = np.empty((2, 3, FEW), np.float32)
+    triples(samples.view(np.float64), 50, index, real, imag)
+    expected = samples[50 + index[FEW:] + np.array([[-1], [0], [1]])]
+    np.testing.assert_array_equal(real + 1j * imag, expected)
 
 
 def test_choices_are_made_lane_by_lane() -> None:
