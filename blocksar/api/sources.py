@@ -42,8 +42,8 @@ def simulate(
     cphd : bool
         Write a CPHD 1.1.0 file instead of a store. Default: False.
     origin : (latitude, longitude, height), optional
-        Place of the scene centre in a CPHD file: degrees, and m above the WGS 84 ellipsoid. Default:
-        (39.78, -84.1, 300.0).
+        Place of the scene centre in a CPHD file: degrees, and m above the WGS 84 ellipsoid. Default: that of the
+        scene's georeference, or (39.78, -84.1, 300.0).
     threads : int, optional
         Threads that compute pulses. Default: the number of cores.
     overwrite : bool
@@ -71,10 +71,7 @@ def simulate(
             raise InputError("raw is given together with cphd, but CPHD files hold compressed pulses; leave out one")
         from blocksar.simulation import cphd as cphd_files  # optional libraries
 
-        return cphd_files.simulate(
-            scene, out, origin=origin or cphd_files.ORIGIN, threads=threads, overwrite=overwrite,
-            progress=callback,
-        )  # fmt: skip
+        return cphd_files.simulate(scene, out, origin=origin, threads=threads, overwrite=overwrite, progress=callback)
     if origin is not None:
         raise InputError(f"origin is {origin}, but only CPHD files have one; leave it out")
     return phase_history.simulate(scene, out, raw=raw, threads=threads, overwrite=overwrite, progress=callback)

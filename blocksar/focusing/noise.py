@@ -6,7 +6,8 @@ gives a pixel
     noise_equivalent = N sum (w W)^2 / (sum w W g)^2 = N (sum w^2 / (sum w g)^2) (sum W^2 / (sum W)^2)
 
 over its lit valid pulses and all range frequencies, whichever processor computes it. Both sums over pulses are smooth
-over the ground, apart from bends where dwells begin to be cut: they are computed at every NODE_PIXELS-th pixel.
+over the ground, apart from bends where dwells begin to be cut: they are computed at every NODE_PIXELS-th pixel. On a
+terrain they lie at their heights, which count under a beam about its axis and in elevation patterns.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from blocksar.arrays import FloatArray, IntArray
+from blocksar.collection.axis_beam import Height
 from blocksar.collection.beam import aperture, dwell, pattern_gain, pulse_weights
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.lit_sums import GAIN_PARTS
@@ -35,8 +37,10 @@ class PulseSums(NamedTuple):
     gains: FloatArray
 
 
-def pulse_sums(geometry: Geometry, x: FloatArray, y: FloatArray, valid: FloatArray, weighting: Weighting) -> PulseSums:
-    """The sums at ground points x, y (...), m.
+def pulse_sums(
+    geometry: Geometry, x: FloatArray, y: FloatArray, valid: FloatArray, weighting: Weighting, z: Height | None = None
+) -> PulseSums:
+    """The sums at points x, y (...), m, of the ground, or at heights z, m.
 
     Dwells begin and end between pulses here, so that the sums are continuous. A point beyond the beam has a dwell of
     negative length, so that the sums go through 0 where the light ends, without a bend.
@@ -47,7 +51,7 @@ def pulse_sums(geometry: Geometry, x: FloatArray, y: FloatArray, valid: FloatArr
         Fraction of each pulse's samples that are valid.
     """
     collection, taper = geometry.collection, weighting.azimuth
-    ends = dwell(geometry, x, y)
+    ends = dwell(geometry, x, y, z=z)
     never = ~(np.isfinite(ends[0]) & np.isfinite(ends[1]))
     start, _ = aperture(collection)
     low, high = (np.where(never, 0.0, (end - start) * collection.prf) for end in ends)
@@ -65,9 +69,9 @@ def pulse_sums(geometry: Geometry, x: FloatArray, y: FloatArray, valid: FloatArr
         first, last = (low + (high - low) * (part + k) / GAIN_PARTS for k in (0, 1))
         count = counted(last) - counted(first)
         middle: IntArray = np.clip((first + last) / 2, 0, n - 1).astype(np.int64)
-        weight = pulse_weights(geometry, x, y, middle, taper)
+        weight = pulse_weights(geometry, x, y, middle, taper, z)
         squares += count * weight**2
-        gains += count * weight * pattern_gain(geometry, x, y, middle)
+        gains += count * weight * pattern_gain(geometry, x, y, middle, z)
     return PulseSums(squares, gains)
 
 
@@ -107,13 +111,15 @@ class NoiseMap:
         sample = collection.noise_power * float((weights**2 * spectrum).sum() / weights.sum() ** 2)
         return cls(geometry=geometry, weighting=weighting, valid=valid, sample=sample)
 
-    def over(self, x: FloatArray, y: FloatArray) -> Float32Array:
+    def over(self, x: FloatArray, y: FloatArray, height: FloatArray | None = None) -> Float32Array:
         """Mean squared magnitude of the noise at pixels of columns x (n_x,) and rows y (n_y,), m: (n_y, n_x).
 
-        NaN where no pulse lights a pixel.
+        NaN where no pulse lights a pixel. On a terrain, `height` (n_y, n_x) has z of the pixels, m; NaN where unknown.
         """
-        columns, rows = _nodes(x.size), _nodes(y.size)
-        sums = pulse_sums(self.geometry, *np.meshgrid(x[columns], y[rows]), self.valid, self.weighting)
+        collection, columns, rows = self.geometry.collection, _nodes(x.size), _nodes(y.size)
+        counts = collection.has_axis or collection.elevation_pattern is not None
+        z = _at_nodes(height, rows, columns) if counts and height is not None else None
+        sums = pulse_sums(self.geometry, *np.meshgrid(x[columns], y[rows]), self.valid, self.weighting, z)
         squares, gains = (_refine(_refine(part, rows, y.size).T, columns, x.size).T for part in sums)
         lit = (squares > 0) & (gains > 0)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -126,6 +132,19 @@ class NoiseMap:
 def _nodes(n: int) -> IntArray:
     """Indices of every NODE_PIXELS-th of n pixels, and of the last."""
     return np.unique(np.append(np.arange(0, n, NODE_PIXELS), n - 1))
+
+
+def _at_nodes(height: FloatArray, rows: IntArray, columns: IntArray) -> FloatArray | None:
+    """Heights of pixels (n_y, n_x), m, at nodes; interpolated where unknown, None where no pixel's is known."""
+    if not np.isfinite(height).any():
+        return None
+    z = height[np.ix_(rows, columns)]
+    for lines in (z, z.T):
+        for line in lines:
+            unknown = ~np.isfinite(line)
+            if unknown.any() and not unknown.all():
+                line[unknown] = np.interp(np.flatnonzero(unknown), np.flatnonzero(~unknown), line[~unknown])
+    return z if np.isfinite(z).all() else np.full(z.shape, np.nanmean(height))
 
 
 def _refine(values: FloatArray, nodes: IntArray, n: int) -> FloatArray:

@@ -105,13 +105,18 @@ class TerrainLayers:
 
 
 def write_noise(
-    run: Run, window: Window, owner: NDArray[np.int16], grid: Grid, noises: Mapping[int, NoiseMap]
+    run: Run,
+    window: Window,
+    owner: NDArray[np.int16],
+    grid: Grid,
+    noises: Mapping[int, NoiseMap],
+    ground: Ground | None,
 ) -> list[Written]:
     """Write the noise of a chunk of the image where it is covered, by that of blocks; nothing if it is not known."""
     if not noises:
         return []
-    values = np.full(owner.shape, np.nan, np.float32)
+    values, height = np.full(owner.shape, np.nan, np.float32), None if ground is None else ground.height
     for noise in {id(noise): noise for noise in noises.values()}.values():
         own = np.isin(owner, [block for block, of in noises.items() if of is noise])
-        np.copyto(values, noise.over(grid.x[window[1]], grid.y[window[0]]), where=own)
+        np.copyto(values, noise.over(grid.x[window[1]], grid.y[window[0]], height), where=own)
     return [write(run, run.image, "noise_equivalent", window, values)]

@@ -268,7 +268,7 @@ def _write_pixels(
     return [
         written,
         *_write_image(run, window, pixels, owner, of, (patch, part), written.checksum),
-        *write_noise(run, window, owner, grid, noises),
+        *write_noise(run, window, owner, grid, noises, beneath),
         *layers.write(window, owner, beneath),
     ]
 
@@ -354,10 +354,11 @@ def _merge(
     source = None if alone is None else (run.patch(alone.name), _shifted(window, alone.origin))
     collections = {part.block: part.collection for part in parts if part.collection is not None}
     of_blocks = {part.block: noises[part.segment] for part in parts if noises}
+    ground = layers.ground(window)
     return [
         *_write_image(run, window, image, owner, collections, source, parts[0].checksum),
-        *write_noise(run, window, owner, grid, of_blocks),
-        *layers.write(window, owner, layers.ground(window)),
+        *write_noise(run, window, owner, grid, of_blocks, ground),
+        *layers.write(window, owner, ground),
     ]
 
 
@@ -408,11 +409,12 @@ def back_project_chunk(
         noises = {source.number: source.noise for source in sources if source.noise is not None}
         seen = [(source.number, source.geometry) for source in sources if on_terrain]
         layers = TerrainLayers(run, grid, sights_of(run, grid, seen))
+        ground = layers.ground(window)
         parts = [
             write(run, run.image, "image", window, image),
             *_write_owner(run, window, owner, collections),
-            *write_noise(run, window, owner, grid, noises),
-            *layers.write(window, owner, layers.ground(window)),
+            *write_noise(run, window, owner, grid, noises, ground),
+            *layers.write(window, owner, ground),
         ]
     return sign(run, Receipt(unit=unit, stage="backprojection", written=tuple(parts)), started)
 

@@ -328,7 +328,10 @@ def plan_collection(
 
     def choose(times: float) -> Plan:
         if blocks == "auto":
-            return find_division(planner(times).plan, workers=workers, parts=None if parts == "auto" else parts)
+            return find_division(
+                planner(times).plan, workers=workers, parts=None if parts == "auto" else parts,
+                scattered=terrain is not None,
+            )  # fmt: skip
         return planner(times).plan(blocks, 1 if parts == "auto" else parts, False)
 
     times, first = find_edges(lambda times, count, n_parts, probe: planner(times).plan(count, n_parts, probe), choose)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -44,6 +45,7 @@ ANTENNA = {f"{side}Antenna": {  # per-vector parameters of a beam about the ante
 } for side in ("Tx", "Rcv")}  # fmt: skip
 OVERSAMPLING = 1.2  # ratio of the window to the lit ranges, as the standard asks
 ORIGIN = (39.78, -84.1, 300.0)  # default latitude and longitude in degrees, and height in m
+MOST_AWAY = 1e-3  # m of a scene centre from the origin of its georeference
 START = "2000-01-01T00:00:00.000000Z"  # time of a simulated collection
 
 
@@ -51,26 +53,28 @@ def simulate(
     scene: Scene | str | os.PathLike[str],
     out: Location,
     *,
-    origin: tuple[float, float, float] = ORIGIN,
+    origin: tuple[float, float, float] | None = None,
     threads: int = 1,
     overwrite: bool = False,
     progress: Callback | None = None,
 ) -> Path:
     """Simulate a scene into a CPHD 1.1.0 file, chunk of pulses by chunk: FX domain, SGN -1, CF8.
 
-    The scene centre becomes IARP and SRP. The axes x and y point east and north there; the ground is the horizontal
-    plane through it. Signals are referenced to the SRP, whatever the scene file states; the frequencies are spaced so
-    that the lit ranges fill 1 / 1.2 of the window, as the standard asks. A lost pulse has SIGNAL = 0. A steered
-    beam is described by the polynomials of centre of dwell and dwell time, over the sector that is lit for a whole
-    dwell; a beam about the antenna's axis also by that antenna: frame and boresight of each vector, and its pattern.
+    The scene centre becomes IARP and SRP. The axes x and y point east and north there, or as the scene's georeference
+    turns them; the ground is the horizontal plane through it. Signals are referenced to the SRP, whatever the scene
+    file states; the frequencies are spaced so that the lit ranges fill 1 / 1.2 of the window, as the standard asks. A
+    lost pulse has SIGNAL = 0. A steered beam is described by the polynomials of centre of dwell and dwell time, over
+    the sector that is lit for a whole dwell; a beam about the antenna's axis also by that antenna: frame and boresight
+    of each vector, and its pattern.
 
     Parameters
     ----------
     scene : Scene, or path of a scene file, or name of a shipped scene
     out : path
         The file to write.
-    origin : (latitude, longitude, height)
-        Position of the scene centre: degrees, and m above the WGS 84 ellipsoid.
+    origin : (latitude, longitude, height), optional
+        Position of the scene centre: degrees, and m above the WGS 84 ellipsoid. Default: that of the scene's
+        georeference, or `ORIGIN`.
     threads : int
         Number of threads; the samples do not depend on it.
     overwrite : bool
@@ -86,11 +90,6 @@ def simulate(
     sarkit = library()
     if threads < 1:
         raise InputError(f"threads = {threads}: must be at least 1")
-    latitude, longitude, height = origin
-    if not (abs(latitude) <= 89.9 and abs(longitude) <= 180 and abs(height) < 1e5):
-        raise InputError(
-            f"origin is {origin}: give a latitude within 89.9 degrees, a longitude within 180, and a height in m"
-        )
     where = _free_file(out, overwrite=overwrite)
     scene = scene if isinstance(scene, Scene) else Scene.read(os.fspath(scene))
     if scene.channels:
@@ -99,8 +98,8 @@ def simulate(
             "or simulate a store"
         )
     scene = _about_centre(scene)
+    frame = _frame(scene, origin)
     collection, toa = _oversampled(scene)
-    frame = Georeference(latitude=latitude, longitude=longitude, height=height)
     vectors, tree = _metadata(sarkit, scene, collection, frame, toa)
     samples = sampler(scene, collection, threads=threads)
     try:
@@ -116,7 +115,8 @@ def simulate(
                 file.write(block.astype(">c8").data)
                 if progress is not None:
                     progress(pulses.stop, collection.n_pulse)
-            write_truth(scene, where, scene.centre)
+            unturned = replace(frame, rotation=0.0)  # as a store has it that is ingested
+            write_truth(scene, where, lambda p: unturned.from_ecef(frame.to_ecef(p - scene.centre)))
     except OSError as error:
         raise InputError(
             f"{where} cannot be written ({error.strerror or error}); choose another place, or make room or permission"
@@ -142,6 +142,32 @@ def _free_file(out: Location, *, overwrite: bool) -> Path:
                 f"{path} exists and is no CPHD file, so it is not overwritten; remove it, or choose another name"
             )
     return path
+
+
+def _frame(scene: Scene, origin: tuple[float, float, float] | None) -> Georeference:
+    """Return where the scene centre lies on the Earth, and the scene's axes.
+
+    Raises
+    ------
+    InputError
+        If the origin is wrong, or the scene has a georeference and its centre is not the origin of that.
+    """
+    if scene.georeference is None:
+        latitude, longitude, height = origin or ORIGIN
+        if not (abs(latitude) <= 89.9 and abs(longitude) <= 180 and abs(height) < 1e5):
+            raise InputError(
+                f"origin is {origin}: give a latitude within 89.9 degrees, a longitude within 180, and a height in m"
+            )
+        return Georeference(latitude=latitude, longitude=longitude, height=height)
+    if origin is not None:
+        raise InputError(f"origin is {origin}, but the scene has a [georeference]; leave one of them out")
+    if (away := float(np.hypot(*scene.centre[:2]))) > MOST_AWAY:
+        raise InputError(
+            f"the scene centre lies {away:.6g} m from the origin of its [georeference], but is the reference point of "
+            "a CPHD file; give an Earth-centred track without scene.centre_yaw_deg and scene.centre_range, leave "
+            "[georeference] out, or simulate a store"
+        )
+    return replace(scene.georeference, height=scene.georeference.height + scene.area.ground_height)
 
 
 def _about_centre(scene: Scene) -> Scene:

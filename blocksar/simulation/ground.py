@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, ValidationInfo, model_validator
 
 from blocksar.arrays import FloatArray
+from blocksar.collection.georeference import Georeference
 from blocksar.collection.terrain import MARGIN, Terrain
 from blocksar.errors import InputError
-from blocksar.ingestion.terrain.frame_grid import read_frame_grid
+from blocksar.ingestion.terrain.earth import ellipsoid
+from blocksar.ingestion.terrain.reading import Ground
 from blocksar.simulation.fields import Positive, Table
 
 SAMPLES = 40  # of a hill's width, by default
@@ -31,27 +33,57 @@ class HillTable(Table):
 class TerrainTable(Table):
     """The height of the ground: a file of heights, or hills."""
 
-    file: str | None = Field(None, description="zarr or netCDF with height (y, x), m; relative to the scene file")
+    file: str | None = Field(
+        None, description="zarr or netCDF with height (y, x), m, or a GeoTIFF; relative to the scene file"
+    )
+    vertical: str | None = Field(None, description="vertical datum of a GeoTIFF: egm96, egm2008 or ellipsoid")
     hills: Annotated[tuple[HillTable, ...], Field(strict=False)] = Field((), description="hills")
     spacing: Positive | None = Field(
         None, description="spacing of the samples that hills are given by, m; default: a 40th of the least width"
     )
+    surface: Literal["plane", "ellipsoid"] = Field(
+        "plane", description="what hills stand on: the ground plane, or WGS 84 at its height"
+    )
 
     @model_validator(mode="after")
     def _check(self, info: ValidationInfo) -> Self:
-        if (self.file is None) == (not self.hills):
-            raise ValueError(f"{'both' if self.hills else 'neither'} given: give either file or hills")
+        if self.file is None and not self.hills and self.surface == "plane":
+            raise ValueError("neither given: give either file or hills, or surface = 'ellipsoid'")
         if self.file is not None:
+            if self.hills:
+                raise ValueError("both given: give either file or hills")
             folder = (info.context or {}).get("folder")
             path = Path(self.file) if folder is None else Path(folder) / self.file
             if not os.path.lexists(path):
-                raise ValueError(f"file = {self.file!r}: must be a zarr store or a netCDF file")
+                raise ValueError(f"file = {self.file!r}: must be a zarr store, a netCDF file or a GeoTIFF")
             object.__setattr__(self, "file", str(path))
+        try:
+            self.asked  # noqa: B018 - checks that its settings go together
+        except InputError as error:
+            raise ValueError(str(error).replace("leave --vertical out", "leave vertical out")) from None
         return self
 
+    @property
+    def asked(self) -> Ground:
+        """What is said of the ground beneath hills."""
+        return Ground(terrain=self.file, surface=self.surface, vertical=self.vertical)
 
-def terrain_of(table: TerrainTable, plane: float, points_x: FloatArray, points_y: FloatArray) -> Terrain:
-    """The ground over the box of points, m; hills stand on the plane z = `plane`.
+    @property
+    def needs_earth(self) -> str:
+        """What of it needs to know where on the Earth the frame lies; empty if nothing does."""
+        if self.surface == "ellipsoid":
+            return "terrain.surface = 'ellipsoid'"
+        return f"terrain.file = {self.file!r}" if self.file is not None and self.asked.geotiff else ""
+
+
+def terrain_of(
+    table: TerrainTable,
+    plane: float,
+    points_x: FloatArray,
+    points_y: FloatArray,
+    georeference: Georeference | None = None,
+) -> Terrain:
+    """The ground over the box of points, m; hills stand on the plane z = `plane`, or on WGS 84 at that height.
 
     Raises
     ------
@@ -60,7 +92,7 @@ def terrain_of(table: TerrainTable, plane: float, points_x: FloatArray, points_y
     """
     x, y = ((float(axis.min()), float(axis.max())) for axis in (points_x, points_y))
     if table.file is not None:
-        terrain = read_frame_grid(table.file, x, y)
+        terrain = table.asked.read_box(georeference, x, y)
         corners = terrain(np.array(x)[:, None], np.array(y))
         if not np.isfinite(corners).all() or not np.isfinite(terrain.heights).all():
             raise InputError(
@@ -68,6 +100,9 @@ def terrain_of(table: TerrainTable, plane: float, points_x: FloatArray, points_y
                 f"y {y[0]:.6g} .. {y[1]:.6g} m, where the scene reaches"
             )
         return terrain
+    if not table.hills:
+        assert georeference is not None  # checked when read
+        return ellipsoid(georeference, plane, x, y)
     step = table.spacing or min(hill.width for hill in table.hills) / SAMPLES
     sizes = [int(np.ceil((high - low) / step)) + 2 * MARGIN + 2 for low, high in (x, y)]
     if sizes[0] * sizes[1] > MOST_SAMPLES:
@@ -78,6 +113,10 @@ def terrain_of(table: TerrainTable, plane: float, points_x: FloatArray, points_y
     x0, y0 = (np.floor(low / step - MARGIN) * step for low in (x[0], y[0]))
     along_x, along_y = x0 + step * np.arange(sizes[0]), y0 + step * np.arange(sizes[1])
     heights = np.full((sizes[1], sizes[0]), plane)
+    if table.surface == "ellipsoid":
+        assert georeference is not None
+        around = [(float(axis[0]), float(axis[-1])) for axis in (along_x, along_y)]
+        heights = ellipsoid(georeference, plane, *around).on_grid(along_x, along_y)
     for hill in table.hills:
         rate = 4 * np.log(2) / hill.width**2
         profiles = (np.exp(-rate * (axis - at) ** 2) for axis, at in ((along_x, hill.x), (along_y, hill.y)))

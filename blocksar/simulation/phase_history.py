@@ -159,10 +159,12 @@ def truth_place(out: Location) -> Place:
     return place(str(place(out)).removesuffix(".zarr").removesuffix(".cphd") + ".truth.zarr")
 
 
-def write_truth(scene: Scene, out: Location, origin: FloatArray | None = None) -> None:
+def write_truth(
+    scene: Scene, out: Location, carried: Callable[[FloatArray], FloatArray] = lambda positions: positions
+) -> None:
     """Write the track as flown beside a phase history, or remove that of an earlier one where the track has no error.
 
-    `origin` (3,), m, is where the frame of the phase history begins in that of the scene, if it is another.
+    `carried` turns positions (n, 3), m, into those in the frame of the phase history, if that is not the scene's.
 
     Raises
     ------
@@ -175,7 +177,7 @@ def write_truth(scene: Scene, out: Location, origin: FloatArray | None = None) -
             truth.remove()
         return
     flown = as_flown(scene, scene.collection()).antenna_position
-    stores.write_truth(truth, scene.pulse_times, flown if origin is None else flown - origin)
+    stores.write_truth(truth, scene.pulse_times, carried(flown))
 
 
 def _echo_axes(scene: Scene) -> RawEcho:
@@ -239,6 +241,8 @@ def _attributes(scene: Scene) -> dict[str, Any]:
     attrs: dict[str, Any] = {"scene": scene.name, "noise": scene.noise.power if scene.noise else 0.0}
     if scene.area.frame:
         attrs["frame"] = scene.area.frame
+    if scene.georeference is not None:
+        attrs["georeference"] = scene.georeference.as_attribute()
     tables = (scene.clutter, scene.reflectivity, scene.noise, scene.dropped)
     named = zip(("clutter", "reflectivity", "noise", "dropped"), tables, strict=True)
     attrs["seed"] = {name: table.seed for name, table in named if table is not None and table.seed is not None}

@@ -5,14 +5,15 @@ about a wrong file lists every wrong field with its value and the remedy.
 
     title = "..."
     [radar]         carrier, bandwidth, range_sampling, prf, pulse_width (raw echo only)
-    [track]         position, velocity, acceleration, jerk | coefficients | samples | file
+    [georeference]  latitude, longitude, height, rotation_deg
+    [track]         position, velocity, acceleration, jerk | coefficients | samples | states | file; earth_centred
     [[track.wobble]]  amplitude, frequency, phase_deg; [track.error] offset, velocity, drift, oscillation, ...
     [time]          duration | pulses; start
     [beam]          start_deg, stop_deg, dwell | width_deg          (omit if not steered)
                     | mode, width_deg, axis_yaw_deg, axis_pitch_deg, squint_deg, rate_deg, point
                     pattern, elevation_pattern, elevation_width_deg
     [scene]         swath, centre_yaw_deg, centre_range, ground_height, reference_range
-    [terrain]       file | hills = [{x, y, height, width}, ..]; spacing
+    [terrain]       file, vertical | hills = [{x, y, height, width}, ..]; spacing, surface
     [[targets]]     name, x + y | range + yaw_deg | ground_range_offset + cross_range_offset; z; amplitude, phase_deg
     [matrix]        rows, columns, spacing | extent, names
     [clutter]       scatterers, seed, range + yaw_deg | x + y, power
@@ -25,12 +26,13 @@ from __future__ import annotations
 
 import os
 import tomllib
+from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from pydantic import Field, PrivateAttr, ValidationError
+from pydantic import PrivateAttr, ValidationError
 
 from blocksar.arrays import FloatArray, IntArray
 from blocksar.collection.beam import beam_offset, in_beam, lit_yaw
@@ -40,50 +42,21 @@ from blocksar.collection.terrain import Terrain
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.simulation.antenna import axis_beam, lit_yaws, patterns
-from blocksar.simulation.channels import problems as channel_problems
-from blocksar.simulation.fields import Table
-from blocksar.simulation.ground import TerrainTable, terrain_of
+from blocksar.simulation.ground import terrain_of
 from blocksar.simulation.lengths import next_smooth_even
 from blocksar.simulation.messages import describe_error, impossible_values, message_of
 from blocksar.simulation.reflectors import PointTarget, Scatterers, draw_field, read_map
+from blocksar.simulation.scene_tables import SceneTables
 from blocksar.simulation.shipped import shipped_scenes, shipped_text
-from blocksar.simulation.tables import (
-    MAX_PULSES,
-    AreaTable,
-    BeamTable,
-    ClutterTable,
-    DroppedTable,
-    MatrixTable,
-    NoiseTable,
-    RadarTable,
-    ReflectivityTable,
-    TargetTable,
-    TimeTable,
-    TrackTable,
-)
 
 RANGE_GUARD = 1.05  # ratio of the range window to what lit targets need
 MAX_FAST_TIME_SAMPLES = 1 << 20
 CHECKED_PULSES = 257  # number of pulses at which ranges of lit targets are evaluated
 
 
-class Scene(Table):
+class Scene(SceneTables):
     """A checked scene file; `Scene.read` reads one, and `Scene.parse` its text."""
 
-    title: str = Field("", description="one line about the scene")
-    radar: RadarTable = Field(description="the table of the radar")
-    track: TrackTable = Field(description="the table of the platform's track")
-    time: TimeTable = Field(description="the table of the pulses' time")
-    beam: BeamTable | None = Field(None, description="the table of the steered beam")
-    area: AreaTable = Field(alias="scene", description="the table of swath and centre")
-    channels: Annotated[tuple[str, ...], Field(strict=False)] = Field((), description="names, such as HH and HV")
-    targets: Annotated[tuple[TargetTable, ...], Field(strict=False)] = Field((), description="point targets")
-    ground: TerrainTable | None = Field(None, alias="terrain", description="the table of the ground's height")
-    matrix: MatrixTable | None = Field(None, description="a matrix of point targets")
-    clutter: ClutterTable | None = Field(None, description="a random field")
-    reflectivity: ReflectivityTable | None = Field(None, description="a reflectivity map")
-    noise: NoiseTable | None = Field(None, description="receiver noise")
-    dropped: DroppedTable | None = Field(None, description="lost pulses")
     _name: str = PrivateAttr("")
 
     @classmethod
@@ -141,7 +114,8 @@ class Scene(Table):
         except ValidationError as error:
             raise InputError(describe_error(error, data, label, cls)) from None
         scene._name = name
-        scene._check_whole(label)
+        if problems := list(scene.problems()) or list(scene._range_problems()):
+            raise InputError(message_of(label, problems))
         return scene
 
     @property
@@ -149,57 +123,29 @@ class Scene(Table):
         """The name of the scene file without its suffix, or of the shipped scene."""
         return self._name
 
-    def _check_whole(self, label: str) -> None:
-        """Check the tables against each other; raise an InputError that lists all problems."""
-        problems = list(channel_problems(self))
-        if (self.beam is None or self.beam.mode is not None) and self.area.centre_yaw_deg is None:
-            kind = "without [beam]" if self.beam is None else "with beam.mode"
-            problems.append(f"scene.centre_yaw_deg is missing: a scene {kind} needs it")
-        clutter = self.clutter
-        if self.beam is None and clutter is not None and clutter.x is None and clutter.yaw_deg is None:
-            problems.append("clutter.yaw_deg is missing: without [beam], give range + yaw_deg, or a box x + y")
-        if not 8 <= (n := self.n_pulse) <= MAX_PULSES:
-            problems.append(f"time.duration = {self.time.duration:g}: gives {n} pulses; must give 8 to {MAX_PULSES}")
-        if self.beam is not None and not 0 < self.beam_width_deg < 180:
-            problems.append(
-                f"beam.dwell = {self.beam.dwell}: gives a beam {self.beam_width_deg:.4g} degrees wide; "
-                "must give less than 180"
-            )
-        if self.dropped is not None:
-            lost = [*self.dropped.pulses, *(i for pair in self.dropped.ranges for i in pair)]
-            wrong = sorted({i for i in lost if not 0 <= i < n})
-            if wrong:
-                problems.append(f"dropped = {wrong[:5]}: must be indices of the {n} pulses, 0 to {n - 1}")
-        names = [target.name for target in self.targets] + (self.matrix.labels() if self.matrix else [])
-        repeated = sorted({name for name in names if names.count(name) > 1}) if len(names) <= 2000 else []
-        if repeated:
-            problems.append(f"targets = {repeated[:5]}: names must differ from target to target")
-        if not problems:
-            problems.extend(self._check_ranges())
-        if problems:
-            raise InputError(message_of(label, problems))
-
-    def _check_ranges(self) -> list[str]:
-        """List slant ranges that do not reach the ground."""
+    def _range_problems(self) -> Iterator[str]:
+        """List slant ranges that do not reach the ground, and a swath that an Earth-centred track does not see."""
         try:
-            height = self.origin[2] - self.area.ground_height
+            origin = self.origin
         except InputError as error:
-            return [str(error)]
-        fields = {"scene.swath": self.area.swath[0], "scene.centre_range": self.area.centre_range}
+            why = "; track.earth_centred = true, so that states are in m, above the place that [georeference] names"
+            yield f"{error}{why if self.track.earth_centred else ''}"
+            return
+        height, swath = origin[2] - self.area.ground_height, self.area.swath
+        if self.track.earth_centred:
+            away = float(np.sqrt(origin[0] ** 2 + origin[1] ** 2 + height**2))
+            if self.about_origin and not swath[0] <= away <= swath[1]:
+                yield (
+                    f"scene.swath = [{swath[0]:g}, {swath[1]:g}]: must contain the slant range of the scene centre at "
+                    f"t = 0, the frame's origin, {away:.8g} m"
+                )
+        fields = {"scene.swath": swath[0], "scene.centre_range": self.area.centre_range}
         fields |= {f"targets[{i}].range": target.range for i, target in enumerate(self.targets)}
         if self.clutter is not None and self.clutter.range is not None:
             fields["clutter.range"] = self.clutter.range[0]
-        return [
-            f"{field} = {value:g}: must exceed the height above ground at t = 0, {height:.6g} m"
-            for field, value in fields.items()
-            if value is not None and value <= height
-        ]
-
-    @property
-    def n_pulse(self) -> int:
-        if self.time.pulses is not None:
-            return self.time.pulses
-        return round((self.time.duration or 0.0) * self.radar.prf)
+        for field, value in fields.items():
+            if value is not None and value <= height:
+                yield f"{field} = {value:g}: must exceed the height above ground at t = 0, {height:.6g} m"
 
     @cached_property
     def pulse_times(self) -> FloatArray:
@@ -208,16 +154,6 @@ class Scene(Table):
         if self.time.start is None:
             return np.asarray((index - self.n_pulse // 2) / self.radar.prf)
         return np.asarray(self.time.start + index / self.radar.prf)
-
-    @property
-    def beam_width_deg(self) -> float:
-        beam = self.beam
-        if beam is None:
-            return 360.0
-        if beam.width_deg is not None:
-            return beam.width_deg
-        rate = abs((beam.stop_deg or 0.0) - (beam.start_deg or 0.0)) * self.radar.prf / self.n_pulse
-        return rate * (beam.dwell or 0.0)
 
     @cached_property
     def beam_azimuth(self) -> FloatArray:
@@ -239,7 +175,7 @@ class Scene(Table):
 
     @cached_property
     def _positions(self) -> FloatArray:
-        return self.track.positions(self.pulse_times)
+        return self.track.positions(self.pulse_times, self.georeference)
 
     def _collection(
         self, range_frequency: FloatArray, reference_range: FloatArray, noise_power: float | None = None
@@ -283,6 +219,8 @@ class Scene(Table):
         """Yaw of the scene centre, rad."""
         if self.area.centre_yaw_deg is not None:
             return float(np.deg2rad(self.area.centre_yaw_deg))
+        if self.about_origin:
+            return float(np.arctan2(-self.origin[1], -self.origin[0]))
         assert self.beam is not None and self.beam.start_deg is not None  # checked when read
         assert self.beam.stop_deg is not None
         return float(np.deg2rad((self.beam.start_deg + self.beam.stop_deg) / 2))
@@ -296,6 +234,8 @@ class Scene(Table):
     @cached_property
     def centre(self) -> FloatArray:
         """The scene centre, (3,) m."""
+        if self.about_origin:
+            return np.array([0.0, 0.0, self.area.ground_height])
         near, far = self.area.swath
         x, y = self.ground_point(self.area.centre_range or (near + far) / 2, self.centre_yaw)
         return np.array([float(x), float(y), self.area.ground_height])
@@ -350,7 +290,7 @@ class Scene(Table):
         """The height of the ground, over all that may be lit; None for the plane."""
         if self.ground is None:
             return None
-        return terrain_of(self.ground, self.area.ground_height, *self._outline())
+        return terrain_of(self.ground, self.area.ground_height, *self._outline(), self.georeference)
 
     def scatterers(self) -> Scatterers:
         """Return the scatterers of the random field and of the reflectivity map together (possibly none)."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -11,6 +12,7 @@ import numpy as np
 from pydantic import BaseModel, Field, ValidationInfo, model_validator
 
 from blocksar.arrays import FloatArray
+from blocksar.collection.georeference import Georeference
 from blocksar.errors import InputError
 from blocksar.simulation.fields import Pair, Positive, Seed, Table, Vector
 from blocksar.simulation.track_error import ErrorTable, WobbleTable
@@ -20,6 +22,8 @@ MAX_PULSES = 1 << 22
 # TOML has lists only: tuples are read from lists, while their elements stay strict.
 IndexPair = Annotated[tuple[int, int], Field(strict=False)]
 Sample = Annotated[tuple[float, float, float, float], Field(strict=False)]
+State = Annotated[tuple[float, float, float, float, float, float, float], Field(strict=False)]
+STATE_ERROR = 0.02  # of the speed, by which velocities may differ from what positions tell
 
 Rows = Annotated[tuple[Pair, ...], Field(strict=False, min_length=2)]
 Pattern = Literal["sinc2", "gaussian", "taylor"] | Rows
@@ -76,7 +80,15 @@ class TrackTable(Table):
     samples: Annotated[tuple[Sample, ...], Field(strict=False, min_length=4)] | None = Field(
         None, description="rows [t, x, y, z] in s and m, at least 4, t ascending"
     )
-    file: str | None = Field(None, description="CSV file of rows t, x, y, z in s and m; relative to the scene file")
+    states: Annotated[tuple[State, ...], Field(strict=False, min_length=2)] | None = Field(
+        None, description="rows [t, x, y, z, vx, vy, vz] in s, m and m/s, at least 2, t ascending"
+    )
+    file: str | None = Field(
+        None, description="CSV file of rows t, x, y, z (, vx, vy, vz) in s, m and m/s; relative to the scene file"
+    )
+    earth_centred: bool = Field(
+        False, description="whether the track is Earth-centred, Earth-fixed (WGS 84); needs [georeference]"
+    )
     wobble: Annotated[tuple[WobbleTable, ...], Field(strict=False)] = Field(
         (), description="oscillations that are added to the track, and known: the phase history has the sum"
     )
@@ -87,7 +99,7 @@ class TrackTable(Table):
     @model_validator(mode="before")
     @classmethod
     def _read_file(cls, data: Any, info: ValidationInfo) -> Any:
-        if not isinstance(data, dict) or not isinstance(data.get("file"), str) or "samples" in data:
+        if not isinstance(data, dict) or not isinstance(data.get("file"), str) or data.keys() & {"samples", "states"}:
             return data
         path = _beside(data["file"], info)
         try:
@@ -95,51 +107,61 @@ class TrackTable(Table):
                 table = np.loadtxt(path, delimiter=",", ndmin=2, comments="#", skiprows=_header_lines(path))
         except (OSError, ValueError) as error:
             raise ValueError(f"file = {data['file']!r}: must be a readable CSV of t, x, y, z ({error})") from None
-        return {**data, "samples": table.tolist()}
+        return {**data, "states" if table.shape[1] == 7 else "samples": table.tolist()}
 
     @model_validator(mode="after")
     def _check(self) -> Self:
         taylor = _present(self, "position", "velocity", "acceleration", "jerk")
-        ways = [*(["position, velocity"] if taylor else []), *_present(self, "coefficients", "samples")]
+        ways = [*(["position, velocity"] if taylor else []), *_present(self, "coefficients", "samples", "states")]
         _require(
             len(ways) == 1,
             f"{' and '.join(ways) or 'nothing'} given: give one of position + velocity (+ acceleration, jerk), "
-            "coefficients, samples or file",
+            "coefficients, samples, states or file",
         )
         if taylor:
             missing = [name for name in ("position", "velocity") if name not in taylor]
             _require(not missing, f"{', '.join(missing)} missing: a track needs position and velocity")
-        if self.samples is not None:
+        for name in ("samples", "states"):
+            rows = getattr(self, name) or ()
             _require(
-                all(later[0] > earlier[0] for earlier, later in zip(self.samples, self.samples[1:], strict=False)),
-                "samples: t must ascend from row to row",
+                all(later[0] > earlier[0] for earlier, later in pairwise(rows)),
+                f"{name}: t must ascend from row to row",
             )
+        if self.states is not None:
+            _check_states(np.array(self.states))
         return self
 
-    def positions(self, time: FloatArray) -> FloatArray:
-        """Return the antenna phase centre (n, 3), m, at slow times (n,), s.
+    def positions(self, time: FloatArray, georeference: Georeference | None = None) -> FloatArray:
+        """Return the antenna phase centre (n, 3) in the scene frame, m, at slow times (n,), s.
 
-        It is a polynomial, or a cubic spline of samples, and the oscillations.
+        It is a polynomial, or a cubic spline of samples or (Hermite's) of states, carried into the frame of the
+        georeference if it is Earth-centred, and the oscillations.
 
         Raises
         ------
         InputError
             If the samples do not cover `time`.
         """
-        return sum((wobble.positions(time) for wobble in self.wobble), self._smooth(time))
+        smooth = self._smooth(time)
+        if self.earth_centred:
+            assert georeference is not None  # checked when read
+            smooth = georeference.from_ecef(smooth)
+        return sum((wobble.positions(time) for wobble in self.wobble), smooth)
 
     def _smooth(self, time: FloatArray) -> FloatArray:
-        if self.samples is not None:
-            from scipy.interpolate import CubicSpline  # slow to import, and only sampled tracks need it
+        if (given := self.samples or self.states) is not None:
+            from scipy.interpolate import CubicHermiteSpline, CubicSpline  # slow to import, and only these need it
 
-            rows = np.array(self.samples)
+            rows, name = np.array(given), "samples" if self.samples else "states"
             tolerance = 1e-9 * (rows[-1, 0] - rows[0, 0])
             if time[0] < rows[0, 0] - tolerance or time[-1] > rows[-1, 0] + tolerance:
                 raise InputError(
-                    f"track.samples run from t = {rows[0, 0]:g} to {rows[-1, 0]:g} s, but the pulses from "
-                    f"{time[0]:g} to {time[-1]:g} s: give samples for all of that time"
+                    f"track.{name} run from t = {rows[0, 0]:g} to {rows[-1, 0]:g} s, but the pulses from "
+                    f"{time[0]:g} to {time[-1]:g} s: give {name} for all of that time"
                 )
-            return np.asarray(CubicSpline(rows[:, 0], rows[:, 1:])(time), dtype=np.float64)
+            if self.samples:
+                return np.asarray(CubicSpline(rows[:, 0], rows[:, 1:])(time), dtype=np.float64)
+            return np.asarray(CubicHermiteSpline(rows[:, 0], rows[:, 1:4], rows[:, 4:])(time), dtype=np.float64)
         if self.coefficients is not None:
             coefficients = np.array(self.coefficients)
         else:
@@ -424,6 +446,19 @@ class DroppedTable(Table):
         for first, last in self.ranges:
             _require(first <= last, f"ranges = [{first}, {last}]: must be [first, last] with first <= last")
         return self
+
+
+def _check_states(rows: FloatArray) -> None:
+    """Raise a ValueError if velocities are not those of the positions: in other units, or in axes that do not turn."""
+    mean = np.diff(rows[:, 1:4], axis=0) / np.diff(rows[:, 0])[:, None]
+    apart = np.sqrt((((rows[1:, 4:] + rows[:-1, 4:]) / 2 - mean) ** 2).sum(axis=1))
+    speed = np.sqrt((mean**2).sum(axis=1))
+    worst = int((apart / np.maximum(speed, 1e-9)).argmax())
+    _require(
+        bool(apart[worst] <= STATE_ERROR * speed[worst]),
+        f"states[{worst}]: the velocity differs by {apart[worst]:.4g} m/s from that of the positions, "
+        f"{speed[worst]:.6g} m/s: must be in m/s, and in the axes of the positions (Earth-fixed, if earth_centred)",
+    )
 
 
 def _beside(file: str, info: ValidationInfo) -> Path:

@@ -15,7 +15,7 @@ from scenes import write_store
 
 import blocksar
 from blocksar import stores
-from blocksar.collection.beam import is_lit
+from blocksar.collection.beam import is_lit, pattern_gain
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.terrain import Terrain
 from blocksar.errors import FolderError, InputError
@@ -52,6 +52,19 @@ def check_layers(image: Any, store: Path, ground: Terrain) -> None:
         normal, sight = np.array([-slope[0], -slope[1], 1.0]), antenna - [x, y, float(ground(np.array(x), np.array(y)))]
         cosine = normal @ sight / np.linalg.norm(normal) / np.linalg.norm(sight)
         assert float(image.incidence_angle[row, column]) == pytest.approx(np.arccos(cosine), abs=2e-4)
+
+
+def check_noise(run: Any, exact: Any, store: Path, ground: Terrain) -> None:
+    """Check noise_equivalent of some pixels against the sums over the pulses that light them, at their heights."""
+    collection = stores.open_phase_history(store).collection
+    geometry, n = Geometry(collection=collection).over(ground), collection.n_range_frequency
+    x, y = (axis.ravel() for axis in np.meshgrid(exact.x.values[3::9], exact.y.values[:40:8]))
+    lit, gain = is_lit(geometry, x, y), pattern_gain(geometry, x[:, None], y[:, None], slice(None))
+    wanted = NOISE / n * lit.sum(axis=1) / (lit * gain).sum(axis=1) ** 2
+    for image, off in ((run, 0.005), (exact, 0.06)):  # linear over 16 pixels: a bend where dwells begin to be cut
+        rows, columns = (np.rint((at - axis[0]) / (axis[1] - axis[0])).astype(int)
+                         for at, axis in ((y, image.y.values), (x, image.x.values)))  # fmt: skip
+        np.testing.assert_allclose(image.noise_equivalent.values[rows, columns], wanted, rtol=off)
 
 
 @pytest.fixture(scope="module")
@@ -191,6 +204,7 @@ squint_deg = 20.0
 pattern = "gaussian"
 elevation_pattern = "gaussian"
 elevation_width_deg = 4.0"""
+NOISE = 1e-6  # mean squared magnitude, of each sample
 
 
 def test_clutter_on_hills_under_a_beam_about_its_axis_is_that_of_back_projection(
@@ -199,6 +213,7 @@ def test_clutter_on_hills_under_a_beam_about_its_axis_is_that_of_back_projection
     """Squinted TOPS: at a yaw, 100 m of height move a dwell by a fifth of its length. Full dwells, and cut ones."""
     hills = "[terrain]\nhills = [{x = 7960.0, y = 3650.0, height = 200.0, width = 480.0}]\n"
     more = hills + "[clutter]\nscatterers = 5000\nseed = 3\nx = [7750.0, 8150.0]\ny = [3540.0, 3900.0]\n"
+    more += f"[noise]\npower = {NOISE}\nseed = 1\n"
     (tmp_path / "scene.toml").write_text(axis_scene(BEAM, more=more, **AXIS))
     store = Path(blocksar.simulate(tmp_path / "scene.toml", tmp_path / "phase_history.zarr"))
     ground = Scene.read(tmp_path / "scene.toml").terrain
@@ -223,6 +238,7 @@ def test_clutter_on_hills_under_a_beam_about_its_axis_is_that_of_back_projection
     assert abs(cut.coherence) >= 0.93  # as on the plane
     assert cut.gain == pytest.approx(1.0, abs=0.08)
     check_layers(run.isel(y=slice(0, 200)), store, ground)
+    check_noise(run, exact, store, ground)
 
 
 def test_a_ground_that_cannot_be_taken_is_refused_before_anything_is_written(store: Path, tmp_path: Path) -> None:

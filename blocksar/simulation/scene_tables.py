@@ -1,0 +1,107 @@
+"""The tables of a scene file together, and checks of one against another."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Annotated
+
+from pydantic import Field
+
+from blocksar.collection.georeference import Georeference
+from blocksar.simulation.channels import problems as channel_problems
+from blocksar.simulation.earth import GeoreferenceTable
+from blocksar.simulation.fields import Table
+from blocksar.simulation.ground import TerrainTable
+from blocksar.simulation.tables import (
+    MAX_PULSES,
+    AreaTable,
+    BeamTable,
+    ClutterTable,
+    DroppedTable,
+    MatrixTable,
+    NoiseTable,
+    RadarTable,
+    ReflectivityTable,
+    TargetTable,
+    TimeTable,
+    TrackTable,
+)
+
+
+class SceneTables(Table):
+    """What a scene file states."""
+
+    title: str = Field("", description="one line about the scene")
+    radar: RadarTable = Field(description="the table of the radar")
+    track: TrackTable = Field(description="the table of the platform's track")
+    place: GeoreferenceTable | None = Field(None, alias="georeference", description="where the frame lies on the Earth")
+    time: TimeTable = Field(description="the table of the pulses' time")
+    beam: BeamTable | None = Field(None, description="the table of the steered beam")
+    area: AreaTable = Field(alias="scene", description="the table of swath and centre")
+    channels: Annotated[tuple[str, ...], Field(strict=False)] = Field((), description="names, such as HH and HV")
+    targets: Annotated[tuple[TargetTable, ...], Field(strict=False)] = Field((), description="point targets")
+    ground: TerrainTable | None = Field(None, alias="terrain", description="the table of the ground's height")
+    matrix: MatrixTable | None = Field(None, description="a matrix of point targets")
+    clutter: ClutterTable | None = Field(None, description="a random field")
+    reflectivity: ReflectivityTable | None = Field(None, description="a reflectivity map")
+    noise: NoiseTable | None = Field(None, description="receiver noise")
+    dropped: DroppedTable | None = Field(None, description="lost pulses")
+
+    @property
+    def n_pulse(self) -> int:
+        if self.time.pulses is not None:
+            return self.time.pulses
+        return round((self.time.duration or 0.0) * self.radar.prf)
+
+    @property
+    def beam_width_deg(self) -> float:
+        beam = self.beam
+        if beam is None:
+            return 360.0
+        if beam.width_deg is not None:
+            return beam.width_deg
+        rate = abs((beam.stop_deg or 0.0) - (beam.start_deg or 0.0)) * self.radar.prf / self.n_pulse
+        return rate * (beam.dwell or 0.0)
+
+    @property
+    def georeference(self) -> Georeference | None:
+        """Where the frame lies on the Earth, if that is stated."""
+        return None if self.place is None else self.place.frame
+
+    @property
+    def about_origin(self) -> bool:
+        """Whether the scene centre is the frame's origin, on the ground: that of an Earth-centred track by default."""
+        by_yaw = self.beam is not None and self.beam.mode is None
+        stated = self.area.centre_yaw_deg is not None or self.area.centre_range is not None
+        return self.track.earth_centred and not by_yaw and not stated
+
+    def problems(self) -> Iterator[str]:
+        """List what does not go together, each as `field = value: remedy`."""
+        yield from channel_problems(self)
+        if self.track.earth_centred and self.place is None:
+            yield "georeference is missing: track.earth_centred = true needs it; add latitude, longitude and height"
+        if (self.beam is None or self.beam.mode is not None) and self.area.centre_yaw_deg is None:
+            kind = "without [beam]" if self.beam is None else "with beam.mode"
+            if self.area.centre_range is not None or not self.track.earth_centred:
+                yield f"scene.centre_yaw_deg is missing: a scene {kind} needs it"
+        if self.ground is not None and self.place is None and (why := self.ground.needs_earth):
+            yield f"georeference is missing: {why} needs it; add latitude, longitude and height"
+        clutter = self.clutter
+        if self.beam is None and clutter is not None and clutter.x is None and clutter.yaw_deg is None:
+            yield "clutter.yaw_deg is missing: without [beam], give range + yaw_deg, or a box x + y"
+        if not 8 <= (n := self.n_pulse) <= MAX_PULSES:
+            yield f"time.duration = {self.time.duration:g}: gives {n} pulses; must give 8 to {MAX_PULSES}"
+        if self.beam is not None and not 0 < self.beam_width_deg < 180:
+            yield (
+                f"beam.dwell = {self.beam.dwell}: gives a beam {self.beam_width_deg:.4g} degrees wide; "
+                "must give less than 180"
+            )
+        if self.dropped is not None:
+            lost = [*self.dropped.pulses, *(i for pair in self.dropped.ranges for i in pair)]
+            wrong = sorted({i for i in lost if not 0 <= i < n})
+            if wrong:
+                yield f"dropped = {wrong[:5]}: must be indices of the {n} pulses, 0 to {n - 1}"
+        names = [target.name for target in self.targets] + (self.matrix.labels() if self.matrix else [])
+        repeated = sorted({name for name in names if names.count(name) > 1}) if len(names) <= 2000 else []
+        if repeated:
+            yield f"targets = {repeated[:5]}: names must differ from target to target"
