@@ -130,12 +130,16 @@ def add_edges(
     x: FloatArray,
     y: FloatArray,
     lit: FloatArray,
+    valid: FloatArray,
     fade: int,
     weighting: Weighting,
     height: FloatArray | None = None,
     threads: int = 1,
 ) -> None:
     """Add to an image, in place, the part of each dwell that the chain's gate fades out.
+
+    With its edges a dwell has whole pulses. Where all have equal weights it is divided by their number, as `lit` may
+    count parts of pulses.
 
     Parameters
     ----------
@@ -149,6 +153,8 @@ def add_edges(
         m, scene frame.
     lit : (n_y, n_x) float
         Sum of the weights w, times the antenna's pattern, over each pixel's lit valid pulses: the image's denominator.
+    valid : (n_pulse,) float
+        The fraction of each pulse's samples that is there.
     fade : int
         n, positive.
     weighting : Weighting
@@ -167,6 +173,12 @@ def add_edges(
     z = None if height is None else np.where(owned, height[part], geometry.collection.ground_height)
     edges = _edges(geometry, mesh_x, mesh_y, z, owned, fade)
     total = _sum_edges(profiles, geometry, mesh_x, mesh_y, edges, weighting, z=z, threads=threads, fade=fade)
+    if weighting.azimuth.uniform and not geometry.collection.has_pattern:
+        before, ((first, _), (_, last)) = np.concatenate([[0.0], np.cumsum(valid)]), edges
+        whole = before[last] - before[first]
+        whole = np.where(whole > 0, whole, lit)
+        image *= np.where(owned, lit / np.where(owned, whole, 1.0), 1.0).astype(np.float32)
+        lit = whole
     image += total / np.where(owned, lit, 1.0).astype(np.float32)
 
 

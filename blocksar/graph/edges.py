@@ -68,8 +68,8 @@ class Edges:
             )  # fmt: skip
             return
         add_edges(
-            pixels, kept, ground.geometry, x=x, y=y, lit=ground.lit_at(*np.meshgrid(x, y)), fade=self.fade,
-            weighting=self.weighting, height=height, threads=threads,
+            pixels, kept, ground.geometry, x=x, y=y, lit=ground.lit_at(*np.meshgrid(x, y)), valid=self.inspection.lit,
+            fade=self.fade, weighting=self.weighting, height=height, threads=threads,
         )  # fmt: skip
 
 

@@ -23,6 +23,7 @@ from blocksar.planning.relief import Relief, stacked
 from blocksar.planning.target_lines import Dwells, find_dwells
 
 REFERENCE_ORDER = 8  # of the range series of a block's centre
+HALFWAY_FADE = 4  # from which on edges that fade out leave room for a place halfway between them and the middle
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -88,7 +89,7 @@ class Sector:
         places: tuple[float, ...] = (0.0,) if self.geometry.collection.has_axis and not self.taper.uniform else ()
         if self.fade:
             places = 0.0, 1 / self.fade - 1, 1 - 1 / self.fade
-            if self.geometry.collection.has_axis:  # whose place is not linear in time
+            if self.geometry.collection.has_axis and self.fade >= HALFWAY_FADE:  # whose place is not linear in time
                 places += -0.5, 0.5
         return tuple(passing_at(self.geometry, yaw, epoch_range, v) - self.geometry.epoch for v in places)
 

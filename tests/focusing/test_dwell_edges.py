@@ -41,7 +41,10 @@ def small(kind: str) -> Collection:
 @pytest.mark.parametrize("weighting", ["uniform", "taylor:4:-35"])
 @pytest.mark.parametrize("kind", ["scan", "scan back", "axis"])
 def test_edges_are_the_sum_over_their_pulses(kind: str, weighting: str) -> None:
-    """Against the double loop, whose mean is multiplied by the sum of weights; pixels that are not owned stay."""
+    """Against the double loop, whose mean is multiplied by the sum of weights; pixels that are not owned stay.
+
+    Equal weights are divided by their number, not by the parts of pulses that the chain counts.
+    """
     collection = small(kind)
     geometry, signal, tapers = Geometry(collection=collection), noise(collection), Weighting.parse(weighting)
     mesh = np.meshgrid(X, Y)
@@ -54,17 +57,22 @@ def test_edges_are_the_sum_over_their_pulses(kind: str, weighting: str) -> None:
                           "elevation_pattern": None})  # fmt: skip
     mean = back_projection(plain, signal, *mesh, in_range=tapers.range, in_azimuth=taken)
     half, total = (collection.beam_width or 0.0) / 2, np.zeros(mesh[0].shape)
+    denominator = np.full(total.shape, 40.0)
+    divisor, valid = denominator.copy(), np.ones(collection.n_pulse)
+    valid[200:203] = 0
     for pixel in np.ndindex(total.shape):
         x, y = mesh[0][pixel], mesh[1][pixel]
         there = [p for p in range(collection.n_pulse) if lit(collection, p, x, y) and not 200 <= p < 203]
         total[pixel] = sum(float(taken(np.array(offset(collection, p, x, y) / half))) for p in there)
+        if weighting == "uniform" and kind != "axis":  # whose pattern weighs
+            divisor[pixel] = len(there)
     image = np.full(total.shape, 2 + 1j, np.complex64)
     image[0, 0] = np.nan
     before = image.copy()
-    denominator = np.full(total.shape, 40.0)
     kept = edge_profiles(lambda pulses: signal[pulses], collection, tapers, fade=FADE, threads=2)
-    add_edges(image, kept, geometry, x=X, y=Y, lit=denominator, fade=FADE, weighting=tapers, threads=2)
-    added, wanted = (image - before).ravel()[1:], (mean * total / denominator).ravel()[1:]
+    add_edges(image, kept, geometry, x=X, y=Y, lit=denominator, valid=valid, fade=FADE, weighting=tapers, threads=2)
+    before *= (denominator / divisor).astype(np.float32)
+    added, wanted = (image - before).ravel()[1:], (mean * total / divisor).ravel()[1:]
     assert np.isnan(image[0, 0]) and np.abs(wanted).min() > 0
     allowed = 1.6 * spline_error(upsampling=EDGE_UPSAMPLING)
     assert np.linalg.norm(added - wanted) < allowed * np.linalg.norm(wanted)
@@ -128,10 +136,11 @@ def test_edges_of_pixels_at_their_heights_are_those_on_planes_of_these_heights(k
         image = np.full((y.size, x.size), 2 + 1j, np.complex64)
         kept = edge_profiles(lambda pulses: signal[pulses], ground, tapers, fade=fade)
         where = {"x": x, "y": y, "height": height, "weighting": tapers}
+        valid, total = np.ones(ground.n_pulse), np.full_like
         if fade:
-            add_edges(image, kept, Geometry(collection=ground), lit=np.full(image.shape, 4.0), fade=fade, **where)
+            lit = np.full(image.shape, 4.0)
+            add_edges(image, kept, Geometry(collection=ground), lit=lit, valid=valid, fade=fade, **where)
         else:
-            valid, total = np.ones(ground.n_pulse), np.full_like
             take_unlit(image, kept, Geometry(collection=ground), total=lambda a, _: total(a, 9.0), valid=valid, **where)
         return image
 
