@@ -24,6 +24,7 @@ from blocksar.errors import InputError
 from blocksar.kernels import loops as kernel_loops
 from blocksar.kernels import phase
 from blocksar.kernels.loops import Loop, dispatchers
+from blocksar.places.shared_work import locked
 
 
 def loops() -> Iterator[tuple[str, Dispatcher]]:
@@ -73,11 +74,51 @@ def test_the_second_compilation_finds_all_loops_in_the_cache() -> None:
 def test_loops_are_loaded_without_all_that_numba_can_compile() -> None:
     """Its import takes longer than a plan; `numba.np.linalg` stands for it."""
     blocksar.compile()
-    load = "from blocksar.graph import compiling as c; t = c.compile_modules(c.SECONDS, apart=False)"
+    load = "from blocksar.graph import compiling as c; t = c.compile_modules(c.LOOPS)"
     code = f"import sys; {load}; print(t.loaded, t.compiled, 'numba.np.linalg' in sys.modules)"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded, compiled, imported = run.stdout.split()
     assert int(loaded) > 15 and (compiled, imported) == ("0", "False")
+
+
+def test_two_processes_compile_no_loop_twice(tmp_path: Path) -> None:
+    """Both begin with an empty cache: whichever is first, the other loads what it finds or waits for it."""
+    names = ["autofocusing.forms"]
+    code = f"from blocksar.graph.compiling import compile_modules as c; t = c({names}); print(t.loaded, t.compiled)"
+    started = [
+        subprocess.Popen(
+            [sys.executable, "-c", code],
+            stdout=subprocess.PIPE,
+            text=True,
+            env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)},
+        )
+        for _ in range(2)
+    ]
+    printed = [process.communicate()[0].split() for process in started]
+    (first, compiled), (second, others) = ((int(a), int(b)) for a, b in printed)
+    assert first == second == compiled + others > 1
+
+
+def test_a_loop_that_another_process_compiles_is_passed_over(tmp_path: Path) -> None:
+    """Locks belong to processes, so another one holds it."""
+    hold = (
+        "from blocksar.places.shared_work import locked\n"
+        f"with locked({str(tmp_path)!r}, 'taken', wait=True): print('held', flush=True); input()"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", hold], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as other:
+        assert other.stdout is not None and other.stdout.readline() == "held\n"
+        with (
+            pytest.raises(BlockingIOError, match="another process does taken"),
+            locked(str(tmp_path), "taken", wait=False),
+        ):
+            pass
+        with locked(str(tmp_path), "free", wait=False):
+            pass
+        other.communicate("\n")
+    with locked(str(tmp_path), "taken", wait=False):
+        pass
 
 
 @pytest.fixture

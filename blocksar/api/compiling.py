@@ -6,7 +6,7 @@ import os
 import time
 
 from blocksar.api.reports import Report, only_stage
-from blocksar.graph.compiling import SECONDS, compile_modules
+from blocksar.graph.compiling import LOOPS, compile_modules
 from blocksar.progress import Wanted as Progress
 
 
@@ -35,7 +35,7 @@ def compile(*, progress: Progress | None = None) -> Report:
     """
     update, started = only_stage(progress, "compile"), time.perf_counter()
     update(0, 1)
-    count, compiled, folder = compile_modules(SECONDS, apart=True)
+    count, compiled, folder = compile_modules(LOOPS, apart=True)
     update(1, 1)
     chosen = os.environ.get("NUMBA_CACHE_DIR", "")
     folder = chosen if chosen and folder.startswith(chosen) else folder

@@ -319,7 +319,7 @@ def _carry_out(
         projected = job.exact or any(plan.completed for plan in job.plans)
         on_terrain = job.request.terrain is not None
         compiling.compile_missing(
-            [*(["focusing.backprojection"] if projected else []), *(compiling.TERRAIN if on_terrain else [])]
+            [*(compiling.PROJECTION if projected else []), *(compiling.TERRAIN if on_terrain else [])]
         )
         if client is None:
             scratch = run_folder.scratch(run.folder)

@@ -21,7 +21,6 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from blocksar.collection.beam import beam_offset, lit_interval
@@ -29,13 +28,10 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import FLAT, UNIFORM, Taper, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.focusing import pattern_sums
 from blocksar.focusing.pattern_sums import add_gains
 from blocksar.focusing.profiles import Profiles, profile_bins, range_profiles
-from blocksar.kernels import projection
 from blocksar.kernels.beam_weights import BeamTaper
 from blocksar.kernels.groups import GROUP_BYTES, run_groups
-from blocksar.kernels.loops import compile_all, compile_for
 from blocksar.kernels.phase import Float32Array
 from blocksar.kernels.projection import Sights, project
 
@@ -330,6 +326,16 @@ def _add_gains(
     _run_tiles(work, gains.shape, threads)
 
 
+def _normalise(
+    image: ComplexArray, outside: BoolArray, first: IntArray, last: IntArray, valid_before: IntArray, n_frequency: int
+) -> None:
+    """Turn sums into means in place: divide by the lit pulses, each weighted by its fraction of valid samples."""
+    count = valid_before[last] - valid_before[first]
+    missing = outside | (count == 0)
+    image *= (n_frequency / np.where(missing, 1, count)).astype(np.float32)
+    image[missing] = complex(np.nan, np.nan)
+
+
 def _normalise_weighted(image: ComplexArray, outside: BoolArray, weight: Float32Array) -> None:
     """Turn sums into weighted means in place: divide by the lit pulses' sum of weights, times the pattern's gain."""
     missing = outside | (weight <= 0)
@@ -352,25 +358,3 @@ def pulse_blocks(lit: BoolArray, pulse_block: int) -> list[slice]:
         if inside.size:
             blocks.append(slice(int(inside[0]), int(inside[-1]) + 1))
     return blocks
-
-
-@njit(cache=True, nogil=True)
-def _normalise(
-    image: ComplexArray, outside: BoolArray, first: IntArray, last: IntArray, valid_before: IntArray, n_frequency: int
-) -> None:
-    """Turn sums into means in place: divide by the lit pulses, each weighted by its fraction of valid samples."""
-    for row in range(image.shape[0]):
-        for column in range(image.shape[1]):
-            count = valid_before[last[row, column]] - valid_before[first[row, column]]
-            if outside[row, column] or count == 0:
-                image[row, column] = complex(np.nan, np.nan)
-            else:
-                image[row, column] *= np.float32(n_frequency / count)
-
-
-def compile_kernels() -> None:
-    """Compile the loops of back-projection, or load them from numba's cache."""
-    compile_all(projection)
-    compile_all(pattern_sums)
-    index = np.zeros((1, 1), np.int64)
-    compile_for(_normalise, np.zeros((1, 1), np.complex64), np.zeros((1, 1), np.bool_), index, index, index[0], 1)

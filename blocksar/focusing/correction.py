@@ -13,7 +13,7 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
+from numba import types
 
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.focusing.aperture_waves import sum_waves
@@ -35,13 +35,12 @@ from blocksar.focusing.pixel_rows import (
     turn_windows,
 )
 from blocksar.focusing.relief_correction import bent_taps_of, resample_on_relief
-from blocksar.focusing.surfaces import sum_series
 from blocksar.kernels import interpolation
 from blocksar.kernels.groups import run_groups
 from blocksar.kernels.lanes import FEW
-from blocksar.kernels.loops import compile_for
+from blocksar.kernels.loops import loop
 from blocksar.kernels.phase import Float32Array
-from blocksar.kernels.signatures import COMPILED, KEPT
+from blocksar.kernels.signatures import COMPILED, FLOATS_IN, PAIR, POWERS, REAL_ROW, REAL_ROWS, SAMPLES_OUT, TILES
 from blocksar.solvers import least_squares, product
 
 TILE_PIXELS = 128
@@ -122,11 +121,8 @@ def correct(
     weight = _weight(ground)
     if ground.lit.ndim > 1:
         tiles[:, 2] = 0  # so that the range of every pixel is at hand
-    # Arrays sent to a worker are read-only, for which the loop would be compiled again: copy the small ones, and make
-    # the block read-only always.
-    x, y, near_limit, far_limit = (np.array(values) for values in (x, y, ground.near_limit, ground.far_limit))
+    x, y, near_limit, far_limit = (np.ascontiguousarray(v) for v in (x, y, ground.near_limit, ground.far_limit))
     floats = _with_room(block, *widths).view(np.float32)
-    floats.flags.writeable = False
 
     def resample(group: slice) -> None:
         _resample(
@@ -268,7 +264,10 @@ def _with_room(block: ComplexArray, n_row: int, n_doppler: int) -> ComplexArray:
     return np.pad(block, lacking) if np.any(lacking) else np.ascontiguousarray(block)
 
 
-@njit(**KEPT, **COMPILED)
+@loop(
+    FLOATS_IN, SAMPLES_OUT, TILES, POWERS, REAL_ROW, REAL_ROW, types.int64, *[FLOATS_IN] * 3, *[PAIR] * 3, REAL_ROW,
+    REAL_ROW, types.float64, types.float64, REAL_ROW, REAL_ROW, REAL_ROWS, **COMPILED,
+)  # fmt: skip
 def _resample(  # type: ignore[no-untyped-def]
     floats, out, tiles, coefficients, x, y, tile, range_table, doppler_table, carrier_table, n_taps, widths, sizes,
     rays, frame, yaw_start, yaw_step, near_limit, far_limit, weight,
@@ -319,16 +318,3 @@ def _resample(  # type: ignore[no-untyped-def]
                 if at[k] >= 0:
                     c, s = amplitude[k] * own_real[k], amplitude[k] * own_imag[k]
                     out[i, j0 + k] = complex(real[k] * c - imag[k] * s, real[k] * s + imag[k] * c)
-
-
-def compile_kernels() -> None:
-    """Compile this module's loops, or load them from numba's cache, for the types of minimal arrays."""
-    sum_series.compile()
-    line = np.zeros(2)
-    floats = np.zeros((1, 2), np.float32)
-    floats.flags.writeable = False
-    tiles, table = np.zeros((0, 3), np.int64), np.zeros((2, 2), np.float32)
-    compile_for(
-        _resample, floats, np.zeros((1, 1), np.complex64), tiles, np.zeros((0, 6, 36)), line, line, 1, table, table,
-        table, (2, 2), (2, 2), (1, 1), np.zeros(4), np.zeros(7), 0.0, 1.0, line, line, line[None],
-    )  # fmt: skip

@@ -34,9 +34,21 @@ from blocksar.focusing.pixel_rows import (
 from blocksar.kernels import interpolation
 from blocksar.kernels.groups import run_groups
 from blocksar.kernels.lanes import FEW
-from blocksar.kernels.loops import compile_for, loop
+from blocksar.kernels.loops import loop
 from blocksar.kernels.phase import Float32Array
-from blocksar.kernels.signatures import COMPILED, KEPT, PART, REAL_ROWS, UNCHECKED
+from blocksar.kernels.signatures import (
+    COMPILED,
+    FLOATS_IN,
+    PAIR,
+    PART,
+    POWERS,
+    REAL_ROW,
+    REAL_ROWS,
+    SAMPLES_OUT,
+    TILES,
+    TUPLE,
+    UNCHECKED,
+)
 from blocksar.solvers import least_squares, product
 
 DEGREE = 3  # of a tile's polynomials in x and y
@@ -263,7 +275,12 @@ def _evaluate(c, t, v, across, spans, z, row, first, n, w, values) -> None:  # t
             values[q, k] = level + w[k] * (slope + w[k] * (c0 + u * (c1 + u * (c2 + u * c3))))
 
 
-@njit(**KEPT, **COMPILED)
+@loop(
+    FLOATS_IN, SAMPLES_OUT, TILES, POWERS, REAL_ROWS, REAL_ROW, REAL_ROW, REAL_ROWS, types.int64, *[FLOATS_IN] * 4,
+    *[PAIR] * 3, REAL_ROW, REAL_ROW, TUPLE((types.float64,) * 3),
+    TUPLE((types.float64, types.int64, types.int64)), types.float64, types.float64, REAL_ROW,
+    REAL_ROW, REAL_ROWS, **COMPILED,
+)  # fmt: skip
 def _resample(  # type: ignore[no-untyped-def]
     floats, out, tiles, coefficients, spans, x, y, z, tile, range_table, real_table, imag_table, carrier_table, n_taps,
     widths, sizes, rays, frame, scales, bends, yaw_start, yaw_step, near_limit, far_limit, weight,
@@ -324,15 +341,3 @@ def _resample(  # type: ignore[no-untyped-def]
                 if at[k] >= 0:
                     c, s = amplitude[k] * own_real[k], amplitude[k] * own_imag[k]
                     out[i, j0 + k] = complex(real[k] * c - imag[k] * s, real[k] * s + imag[k] * c)
-
-
-def compile_kernels() -> None:
-    """Compile this module's loop, or load it from numba's cache, for the types of minimal arrays."""
-    line, floats = np.zeros(2), np.zeros((1, 2), np.float32)
-    floats.flags.writeable = False
-    table = np.zeros((2, 2), np.float32)
-    compile_for(
-        _resample, floats, np.zeros((1, 1), np.complex64), np.zeros((0, 3), np.int64), np.zeros((0, DEGREE + 1, 84)),
-        np.zeros((0, 2)), line, line, line[None], 1, table, table, table, table, (2, 2), (2, 2), (1, 1), np.zeros(4),
-        np.zeros(7), (0.0, 0.0, 0.0), (0.0, 0, 1), 0.0, 1.0, line, line, line[None],
-    )  # fmt: skip

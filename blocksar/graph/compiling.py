@@ -1,12 +1,17 @@
-"""Compilation of the loops that tasks run: once for each installation, in one process."""
+"""Compilation of the loops that tasks run: once for each installation, by a process a core.
+
+A loop is named by its module, or by its module and its own name, `focusing.surfaces:sum_series`. Processes divide the
+loops among them as they go: each compiles those that no other is compiling (`kernels.loops.compile_as`).
+"""
 
 from __future__ import annotations
 
 import os
 import subprocess
 import sys
-from collections.abc import Iterable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -14,143 +19,119 @@ from typing import TYPE_CHECKING
 
 from blocksar.garbage import uncollected
 from blocksar.graph.machine import machine
-from blocksar.places.posix import fcntl
 
 if TYPE_CHECKING:
-    from blocksar.kernels.loops import Tally
+    from blocksar.kernels.loops import Loop, Tally
 
-LAST = "blocksar.focusing.correction"  # its loops are compiled last
-SECONDS = {  # that a core takes to compile the loops of a module, to divide them among processes
-    "kernels.phase": 2.1,
-    "kernels.interpolation": 2.8,
-    "kernels.levelling": 3.7,
-    "kernels.occlusion": 1.5,
-    "kernels.terrain_rows": 1.5,
-    "inspection.scan": 2.5,
-    "autofocusing.range_lines": 1.2,
-    "autofocusing.forms": 0.5,
-    "autofocusing.sights": 0.9,
-    "autofocusing.phase_gradient": 0.5,
-    "focusing.relief_correction": 4.5,
-    "focusing.correction": 4.1,
-    "focusing.backprojection": 0.8,
-    "simulation.scatterers": 1.5,
-}
+# Those that take longest come first, so that processes end together.
+TASKS = (
+    "focusing.correction", "kernels.levelling", "kernels.interpolation", "inspection.scan", "kernels.phase",
+    "focusing.surfaces:sum_series",
+)  # fmt: skip
+TERRAIN = (
+    "focusing.relief_correction", "kernels.occlusion", "kernels.terrain_rows", "focusing.surfaces:sum_layers",
+)  # fmt: skip
+PROJECTION = ("kernels.projection", "focusing.pattern_sums")
 TRACKS = ("autofocusing.range_lines", "autofocusing.forms", "autofocusing.sights", "autofocusing.phase_gradient")
-TASKS = ("kernels.phase", "kernels.interpolation", "kernels.levelling", "inspection.scan", "focusing.correction")
-TERRAIN = ("kernels.occlusion", "kernels.terrain_rows", "focusing.relief_correction")
-COMPILE = "import sys; from blocksar.graph import compiling; print(compiling.compile_here(sys.argv[1:]))"
+LOOPS = (*TERRAIN[:1], *TASKS, *PROJECTION, *TERRAIN[1:], "simulation.scatterers", *TRACKS, "kernels.sampling")
+HELP = "import sys; from blocksar.graph import compiling; print(compiling.help_to_compile(sys.argv[1:]))"
 
 
-def cache_folder() -> Path:
-    """The folder that holds numba's cache of the loops: that of NUMBA_CACHE_DIR, or one beside the last module's."""
-    folder = os.environ.get("NUMBA_CACHE_DIR")
-    return Path(folder) if folder else _source(LAST).parent / "__pycache__"
+def missing(names: Iterable[str]) -> list[str]:
+    """Those of the loops that numba's cache does not have, by its files: none of them is younger than the source."""
+    chosen = os.environ.get("NUMBA_CACHE_DIR")
+    found: dict[Path, list[Path]] = {}
+    lacking = []
+    for name in names:
+        module, _, loop = name.partition(":")
+        spec = find_spec(f"blocksar.{module}")  # does not load it
+        assert spec is not None and spec.origin is not None
+        source = Path(spec.origin)
+        folder = Path(chosen) if chosen else source.parent / "__pycache__"
+        if folder not in found:
+            found[folder] = list(folder.rglob("*.nbi"))
+        begin, changed = f"{source.stem}.{loop}", source.stat().st_mtime
+        if not any(_is_younger(file, changed) for file in found[folder] if file.name.startswith(begin)):
+            lacking.append(name)
+    return lacking
 
 
-def _source(module: str) -> Path:
-    spec = find_spec(module)  # does not load it
-    assert spec is not None and spec.origin is not None
-    return Path(spec.origin)
-
-
-def kernels_cached(module: str = LAST) -> bool:
-    """Tell whether numba's cache has the loops of a module, by default the last to be compiled.
-
-    That is, files younger than its source.
-    """
-    source = _source(module)
-    folder = cache_folder() if os.environ.get("NUMBA_CACHE_DIR") else source.parent / "__pycache__"
+def _is_younger(file: Path, changed: float) -> bool:
     with suppress(OSError):
-        changed = source.stat().st_mtime
-        return any(file.stat().st_mtime > changed for file in folder.rglob(f"{source.stem}.*.nbi"))
+        return file.stat().st_mtime > changed
     return False
+
+
+def kernels_cached() -> bool:
+    """Tell whether numba's cache has the loops that planning and the tasks of all chains of steps run."""
+    return not missing(TASKS)
 
 
 def compile_kernels(*, apart: bool = True) -> None:
     """Compile the loops that planning and the tasks of all chains of steps run, or load them from numba's cache.
 
-    Of several processes of one machine that begin at the same time one compiles, and the others load what it compiled.
-    `apart`: it has other processes compile them, one for each core.
+    `apart`: other processes help to compile them, so that there is one for each core.
     """
-    compile_modules(TASKS, apart=apart and not kernels_cached())
+    compile_modules(TASKS, apart=apart)
 
 
 def compile_missing(names: Iterable[str]) -> None:
-    """Compile the loops of those modules that the cache of numba does not have: here, or each worker would."""
-    if missing := [name for name in names if not kernels_cached(f"blocksar.{name}")]:
-        compile_modules(missing, apart=False)
+    """Compile the loops that the cache of numba does not have: by a process a core, or each worker would have to."""
+    if lacking := missing(names):
+        compile_modules(lacking, apart=True)
 
 
-def compile_modules(names: Iterable[str], *, apart: bool) -> Tally:
-    """Compile the loops of modules of this package, or load them from numba's cache; `apart`: by a process a core.
+def compile_modules(names: Sequence[str], *, apart: bool = False) -> Tally:
+    """Compile these loops, or load them from numba's cache; `apart`: other processes help, so that a core has one.
 
-    Returns the loops of this process, and how many of them it and the others had to compile.
+    Returns the loops of this process, and how many of them it and its helpers had to compile.
     """
     from blocksar.kernels.loops import tally
 
-    with alone(), uncollected():
-        compiled = _compile_apart(names) if apart else 0
-        for name in names:
-            _compile(name)
+    helpers = _start_helpers(names) if apart and (lacking := missing(names)) and len(lacking) > 1 else []
+    try:
+        with uncollected():
+            for loop in _compile_free(names):
+                loop.compile()
+        printed = [helper.communicate()[0].strip() for helper in helpers]
+    finally:
+        for helper in helpers:
+            helper.kill()
     loaded = tally("blocksar")
-    return loaded._replace(compiled=loaded.compiled + compiled)
+    return loaded._replace(compiled=loaded.compiled + sum(int(count) for count in printed if count.isdigit()))
 
 
-def compile_here(names: Iterable[str]) -> int:
-    """Compile modules without a lock, which the process that started this one holds; the number of compiled loops."""
+def help_to_compile(names: Iterable[str]) -> int:
+    """Compile those of the loops that no other process is compiling; the number of loops that this one compiled."""
     from blocksar.kernels.loops import tally
 
     with uncollected():
-        for name in names:
-            _compile(name)
+        _compile_free(names)
     return tally("blocksar").compiled
 
 
-def _compile(name: str) -> None:
-    from blocksar.kernels.loops import compile_all
-
-    module = import_module(f"blocksar.{name}")
-    compile_all(module)
-    if hasattr(module, "compile_kernels"):
-        module.compile_kernels()
+def _compile_free(names: Iterable[str]) -> list[Loop]:
+    """Compile, or load, those of the loops that no other process is compiling; the others are returned."""
+    return [loop for name in names for loop in _loops(name) if not loop.compile(wait=False)]
 
 
-def _compile_apart(names: Iterable[str]) -> int:
-    """Let as many processes as there are cores compile, this one included, which also does what another fails to do.
+def _loops(name: str) -> list[Loop]:
+    """The loops of this name."""
+    from blocksar.kernels.loops import loops_of
 
-    Returns the number of loops that the others compiled.
+    module, _, only = name.partition(":")
+    return [loop for loop in loops_of(import_module(f"blocksar.{module}")) if only in ("", loop.__name__)]
+
+
+def _start_helpers(names: Sequence[str]) -> list[subprocess.Popen[str]]:
+    """Let so many processes compile these loops that there is one for each core, this one included.
+
+    This one compiles what they fail to do.
     """
-    groups: list[list[str]] = [[] for _ in range(max(machine()[0], 1))]
-    for name in sorted(names, key=SECONDS.__getitem__, reverse=True):
-        min(groups, key=lambda group: sum(SECONDS[other] for other in group)).append(name)
     paths = [str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])]
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths)}
-    processes = [
-        subprocess.Popen(
-            [sys.executable, "-c", COMPILE, *group], env=environment,
-            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
-        )
-        for group in filter(None, groups[1:])
-    ]  # fmt: skip
-    try:
-        for name in groups[0]:
-            _compile(name)
-        printed = [process.communicate()[0].strip() for process in processes]
-        return sum(int(count) for count in printed if count.isdigit())
-    finally:
-        for process in processes:
-            process.kill()
-
-
-@contextmanager
-def alone() -> Iterator[None]:
-    """Keep other processes of this machine from compiling into the same cache; where files cannot be locked, do not."""
-    with ExitStack() as stack:
-        with suppress(OSError):
-            folder = cache_folder()
-            folder.mkdir(parents=True, exist_ok=True)
-            descriptor = os.open(folder / "blocksar.lock", os.O_CREAT | os.O_RDWR, 0o644)
-            stack.callback(os.close, descriptor)
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
-        yield
+    start = partial(
+        subprocess.Popen, [sys.executable, "-c", HELP, *names],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(paths)},
+        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
+    )  # fmt: skip
+    return [start() for _ in range(min(machine()[0], len(names)) - 1)]

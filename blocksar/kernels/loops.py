@@ -8,16 +8,19 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from functools import partial
 from threading import Lock
 from types import ModuleType
 from typing import Any, NamedTuple
 
-from numba import njit, typeof
+from numba import njit
+from numba.core.caching import NullCache
 from numba.core.dispatcher import Dispatcher  # type: ignore[attr-defined, unused-ignore]
 from numba.core.runtime.nrt import rtsys
 
 from blocksar.errors import InputError
+from blocksar.places.shared_work import locked
 
 
 class Loop:
@@ -47,13 +50,16 @@ class Loop:
         self.__name__, self.__module__, self.__doc__ = function.__name__, function.__module__, function.__doc__
         self._arguments, self._ready, self._lock = tuple(arguments), False, Lock()
 
-    def compile(self) -> None:
-        """Compile, or load from numba's cache, unless that is done."""
+    def compile(self, *, wait: bool = True) -> bool:
+        """Compile, or load from numba's cache, unless that is done.
+
+        While another process compiles the loop, wait for it, or do not and return False.
+        """
         with self._lock:
-            if not self._ready:
-                compile_as(self.dispatcher, self._arguments)
+            if not self._ready and compile_as(self.dispatcher, self._arguments, wait=wait):
                 self.dispatcher.disable_compile()
                 self._ready = True
+            return self._ready
 
     def __call__(self, *arguments: Any) -> Any:
         if not self._ready:
@@ -61,26 +67,41 @@ class Loop:
         return self.dispatcher(*arguments)
 
 
-def compile_as(dispatcher: Any, arguments: Sequence[Any]) -> None:
+def compile_as(dispatcher: Any, arguments: Sequence[Any], *, wait: bool = True) -> bool:
     """Compile for arguments of these numba types, or load from numba's cache.
+
+    Of all processes that share a cache one compiles, and the others wait for it and load; without `wait` they return
+    False.
 
     Before numba looks into its cache, it imports all that it can compile, which takes longer than to load a loop. Only
     a compilation needs that; a loaded loop needs numba's runtime.
     """
     cache = dispatcher._cache
     rtsys.initialize(dispatcher.targetctx)
-    cache.load_overload = partial(_load, cache)
-    try:
-        dispatcher.compile(tuple(arguments))
-    finally:
-        del cache.load_overload
+    with ExitStack() as held:
+        cache.load_overload = partial(_load, cache, held, wait)
+        try:
+            dispatcher.compile(tuple(arguments))
+        except BlockingIOError:
+            return False
+        finally:
+            del cache.load_overload
+    return True
 
 
-def _load(cache: Any, signature: Any, context: Any) -> Any:
-    """What numba's cache holds for a signature, else None. The dispatcher that calls this holds numba's lock."""
+def _load(cache: Any, held: ExitStack, wait: bool, signature: Any, context: Any) -> Any:
+    """What numba's cache holds for a signature, else None. The dispatcher that calls this holds numba's lock.
+
+    Before None is returned, other processes are kept from compiling, until `held` ends.
+    """
     context.refresh = lambda: None
     try:
-        return type(cache).load_overload(cache, signature, context)
+        found = type(cache).load_overload(cache, signature, context)
+        if found is None and not isinstance(cache, NullCache):
+            # One index of the cache serves all signatures of a function.
+            held.enter_context(locked(cache.cache_path, cache._py_func.__qualname__, wait=wait))
+            found = type(cache).load_overload(cache, signature, context)
+        return found
     finally:
         del context.refresh
 
@@ -93,17 +114,9 @@ def loop(*arguments: Any, **options: Any) -> Callable[[Callable[..., Any]], Loop
     return lambda function: Loop(function, arguments, {"cache": True, "no_cfunc_wrapper": True, **options})
 
 
-def compile_for(dispatcher: Any, *arguments: Any) -> None:
-    """Compile for the types of these values, or load from numba's cache."""
-    types = [typeof(argument) for argument in arguments]  # type: ignore[no-untyped-call, unused-ignore]
-    compile_as(dispatcher, types)
-
-
-def compile_all(module: ModuleType) -> None:
-    """Compile the loops of a module, or load them from numba's cache."""
-    for found in vars(module).values():
-        if isinstance(found, Loop) and found.__module__ == module.__name__:
-            found.compile()
+def loops_of(module: ModuleType) -> list[Loop]:
+    """The loops of a module, in the order of their definition."""
+    return [found for found in vars(module).values() if isinstance(found, Loop) and found.__module__ == module.__name__]
 
 
 class Tally(NamedTuple):

@@ -16,9 +16,13 @@ SAMPLES_IN = types.Array(types.complex64, 2, "C", readonly=True)
 SAMPLES_OUT = types.complex64[:, ::1]
 REAL_ROW = types.Array(types.float64, 1, "C", readonly=True)
 REAL_ROWS = types.Array(types.float64, 2, "C", readonly=True)
+FLOATS_IN = types.Array(types.float32, 2, "C", readonly=True)
+TILES = types.Array(types.int64, 2, "C", readonly=True)
+POWERS = types.Array(types.float64, 3, "C", readonly=True)  # of the polynomials of tiles
+TUPLE: Any = types.Tuple  # carries no types
+PAIR = TUPLE((types.int64,) * 2)
 COMPILED: dict[str, Any] = {"nogil": True, "fastmath": {"contract", "nsz"}}
 # Of a function that compiled loops call, and Python does not: no entry points for Python and C, each of which would be
 # compiled with a copy of the function.
 PART: dict[str, Any] = {"forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-KEPT: dict[str, Any] = {"cache": True, "no_cfunc_wrapper": True}  # of a function that Python calls
 UNCHECKED: dict[str, Any] = {"error_model": "numpy"}  # divisions by zero give infinity, without a test of each

@@ -18,6 +18,7 @@ from blocksar.errors import InputError
 from blocksar.planning.plan import plan_collection
 
 COMMAND = (sys.executable, "-m", "blocksar")
+PLAIN = "from blocksar.graph.compiling import compile_kernels; compile_kernels()"  # as `focus` does before its workers
 BLOCKS = (200, 1000)  # of the plans that are timed beside `auto`
 SCALED = Scale(4, 4)
 
@@ -56,9 +57,14 @@ def shell_seconds(store: Path, folder: Path, case: Case, *, workers: int, repeat
 
 
 def compilation() -> dict[str, float]:
-    """Seconds of `blocksar compile` with an empty cache, and with a full one."""
+    """Seconds to compile what a plain run needs, and of `blocksar compile` with an empty cache and with a full one."""
+    seconds = {}
     with tempfile.TemporaryDirectory() as cache:
-        return {name: _timed((*COMMAND, "compile"), NUMBA_CACHE_DIR=cache) for name in ("empty cache", "full cache")}
+        seconds["plain run"] = _timed((sys.executable, "-c", PLAIN), NUMBA_CACHE_DIR=cache)
+    with tempfile.TemporaryDirectory() as cache:
+        for name in ("empty cache", "full cache"):
+            seconds[name] = _timed((*COMMAND, "compile"), NUMBA_CACHE_DIR=cache)
+    return seconds
 
 
 def _timed(command: Sequence[str], **environment: str) -> float:
