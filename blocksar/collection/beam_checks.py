@@ -7,6 +7,8 @@ import numpy as np
 from blocksar.arrays import FloatArray
 from blocksar.errors import InputError
 
+MOST_GAIN = 1e12  # of a pattern's peak, and one over the least
+
 UNIT = 1e-6  # by which the length of a unit vector may be off
 COVERED = 1e-9  # rad by which a pattern may fall short of the beam's edge
 
@@ -64,7 +66,8 @@ def check_pattern(name: str, coordinate: str, angle: FloatArray, amplitude: Floa
     Raises
     ------
     InputError
-        If shapes disagree, values are not finite, angles do not ascend, or amplitudes are negative or zero throughout.
+        If shapes disagree, values are not finite, angles do not ascend, or amplitudes are negative, zero throughout or
+        of an absurd size.
     """
     if angle.ndim != 1 or angle.size < 2 or amplitude.shape != angle.shape:
         raise InputError(
@@ -80,6 +83,11 @@ def check_pattern(name: str, coordinate: str, angle: FloatArray, amplitude: Floa
         raise InputError(
             f"{name} runs from {amplitude.min():.6g} to {amplitude.max():.6g}, but is an amplitude: at least 0, and "
             "above 0 somewhere; put the phase into the samples"
+        )
+    if not 1 / MOST_GAIN <= amplitude.max() <= MOST_GAIN:
+        raise InputError(
+            f"{name} is {amplitude.max():.6g} at most, which no antenna's amplitude is; give it relative to its "
+            "largest value, and divide the samples by that"
         )
 
 

@@ -6,6 +6,7 @@ validated on construction, so that they need not check it again.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -357,6 +358,11 @@ class Collection:
     def has_pattern(self) -> bool:
         """Whether the signal has an antenna pattern in it that is known."""
         return self.beam_pattern is not None or self.elevation_pattern is not None
+
+    @property
+    def peak_gain(self) -> float:
+        """The largest two-way amplitude of the antenna's patterns; 1 without one."""
+        return math.prod(float(p.max()) for p in (self.beam_pattern, self.elevation_pattern) if p is not None)
 
     @cached_property
     def pulse_interval(self) -> float:

@@ -115,7 +115,7 @@ def correct(
     # The sides of the two seam rays decide on ownership: the neighbouring block computes the same products from the
     # same numbers, so every pixel has exactly one owner.
     rays = np.array([np.cos(ground.low), np.sin(ground.low), np.cos(ground.high), np.sin(ground.high)])
-    frame = np.array([nx, ny, px, py, height2, ground.near, ground.far])
+    frame = np.array([nx, ny, px, py, height2, ground.near, ground.far, ground.least_lit])
     yaw_start = float(ground.yaw_axis[0] - ground.middle_yaw)
     yaw_step = float(ground.yaw_axis[1] - ground.yaw_axis[0])
     weight = _weight(ground)
@@ -302,7 +302,9 @@ def _resample(  # type: ignore[no-untyped-def]
             if weight.shape[0] == 1:
                 amplitude_of(turn, yaw_start, 1 / yaw_step, by_yaw, loss, owned, amplitude)
             else:
-                divide_by_sums(turn, yaw_start, 1 / yaw_step, weight, frame[5], frame[6], rng, loss, owned, amplitude)
+                divide_by_sums(
+                    turn, yaw_start, 1 / yaw_step, weight, frame[5], frame[6], rng, frame[7], loss, owned, amplitude
+                )
             place_windows(row, n_taps[0], widths[0], sizes[0], n_row, first_row, range_row, range_part)
             place_windows(doppler, n_taps[1], widths[1], sizes[1], n_doppler, first_doppler, doppler_row, doppler_part)
             turn_windows(doppler, cycles, middle, first_doppler, carrier, own)

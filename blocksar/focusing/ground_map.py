@@ -19,6 +19,7 @@ from blocksar.focusing.surfaces import Surface, fit_surface
 from blocksar.kernels.fourier import Axis
 
 LIT_RANGES = 33  # of the sum over lit pulses, where that depends on range
+LEAST_LIT = 0.3  # pulses at the peak of the pattern: with a smaller sum a pixel counts as not lit
 YAW_STEPS = 4096  # of the range window's limits and the number of lit pulses along yaw
 
 
@@ -123,6 +124,11 @@ class GroundMap:
         if self.relief is None:
             return self.geometry.collection.ground_height, self.geometry.collection.ground_height
         return self.relief.lowest, self.relief.highest
+
+    @property
+    def least_lit(self) -> float:
+        """The sum over lit pulses below which a pixel is not lit."""
+        return LEAST_LIT * self.geometry.collection.peak_gain
 
     @property
     def middle_yaw(self) -> float:

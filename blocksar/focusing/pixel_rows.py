@@ -18,7 +18,6 @@ from blocksar.kernels.trigonometry import cosine, sine
 
 N_CARRIER = 1024  # carriers along Doppler that are told apart, in steps of 1 / N_CARRIER cycles per sample
 N_PHASE = 64  # intervals of a sample in a table of taps; between them taps are interpolated, to 1e-4
-LEAST_LIT = 0.3  # pulses, times the gain of the pattern: with fewer a pixel counts as not lit
 RANGE_UNIT = WEIGHED_ROWS
 TILE_DEGREE = 5
 
@@ -89,11 +88,11 @@ def amplitude_of(
 @njit(**PART, **COMPILED)
 def divide_by_sums(
     turn: FloatArray, start: float, per_step: float, total: FloatArray, near: float, far: float, rng: FloatArray,
-    loss: FloatArray, owned: FloatArray, amplitude: Float32Array,
+    least: float, loss: FloatArray, owned: FloatArray, amplitude: Float32Array,
 ) -> None:  # fmt: skip
     """The same factor from sums over lit pulses, `total`, linear between ranges from near to far and between yaws.
 
-    NaN where the sum is small.
+    NaN where the sum is less than `least`.
     """
     n_range, n_yaw = total.shape
     for k in range(owned.size):
@@ -106,7 +105,7 @@ def divide_by_sums(
         p, q = row - i, place - j
         here = (1 - q) * total[i, j] + q * total[i, j + 1]
         value = (1 - p) * here + p * ((1 - q) * total[i + 1, j] + q * total[i + 1, j + 1])
-        amplitude[k] = owned[k] * loss[k] / value if value >= LEAST_LIT else np.nan
+        amplitude[k] = owned[k] * loss[k] / value if value >= least else np.nan
 
 
 @njit(**PART, **COMPILED)

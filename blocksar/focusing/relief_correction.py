@@ -194,7 +194,7 @@ def resample_on_relief(
     geometry = ground.geometry
     coefficients, spans = tile_polynomials(ground, x, y, z, tiles, tile)
     rays = np.array([np.cos(ground.low), np.sin(ground.low), np.cos(ground.high), np.sin(ground.high)])
-    frame = np.array([*geometry.nadir, *geometry.epoch_position, ground.near, ground.far])
+    frame = np.array([*geometry.nadir, *geometry.epoch_position, ground.near, ground.far, ground.least_lit])
     carrier = -2 * geometry.collection.carrier / SPEED_OF_LIGHT
     yaw_start = float(ground.yaw_axis[0] - ground.middle_yaw)
     yaw_step = float(ground.yaw_axis[1] - ground.yaw_axis[0])
@@ -323,7 +323,9 @@ def _resample(  # type: ignore[no-untyped-def]
             if weight.shape[0] == 1:
                 amplitude_of(turn, yaw_start, 1 / yaw_step, by_yaw, loss, owned, amplitude)
             else:
-                divide_by_sums(turn, yaw_start, 1 / yaw_step, weight, frame[5], frame[6], rng, loss, owned, amplitude)
+                divide_by_sums(
+                    turn, yaw_start, 1 / yaw_step, weight, frame[5], frame[6], rng, frame[7], loss, owned, amplitude
+                )
             place_windows(row, n_taps[0], widths[0], sizes[0], n_row, first_row, range_row, range_part)
             place_windows(doppler, n_taps[1], widths[1], sizes[1], n_doppler, first_doppler, doppler_row, doppler_part)
             turn_windows(doppler, cycles, middle, first_doppler, carrier, own)

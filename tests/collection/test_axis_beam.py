@@ -245,6 +245,9 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
         {"beam_axis": np.repeat([[0, 1.0, 0], [0, -1.0, 0]], N // 2, axis=0)}, "beam_axis jumps by 2 rad at pulse 200"
     ),
     "pattern without angles": ({"beam_pattern": np.ones(3)}, "beam_pattern is given without beam_offset"),
+    "absurd pattern": (
+        {"elevation": np.array([0.1, 1.2]), "elevation_pattern": np.full(2, 1e-300)}, "is 1e-300 at most, which no"
+    ),
     "angles without pattern": ({"elevation": np.ones(3)}, "elevation is given without elevation_pattern"),
     "narrow pattern": (
         {"beam_offset": np.array([-0.001, 0.001]), "beam_pattern": np.ones(2)},

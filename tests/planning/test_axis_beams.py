@@ -137,6 +137,17 @@ def test_dwells_of_few_pulses_are_focused_as_predicted() -> None:
     assert target == pytest.approx(1.0, abs=3e-3)
 
 
+def test_a_pattern_may_have_any_peak() -> None:
+    """A two-way amplitude that is not relative to its largest value: 1e-3 left no pixel covered."""
+    collection = replace(strip_collection(0.5, prf=320.0, curve=0.0), beam_width=0.02)
+    grid = Grid(DISTANCE - 10.0, DISTANCE + 10.0, 5.0, -4.0, 4.0, 1.0)
+    signal, images = clutter(collection, grid), []
+    for peak in (1.0, 1e-6):
+        pattern = {"elevation": np.array([0.2, 0.6]), "elevation_pattern": np.array([0.7, 1.0]) * peak}
+        images.append(focus(plan_collection(replace(collection, **pattern), grid=grid, blocks=1), signal))
+    np.testing.assert_allclose(images[1], images[0] * 1e6, rtol=1e-4)
+
+
 def relative_error(found: ComplexArray, wanted: ComplexArray, where: BoolArray) -> tuple[float, complex]:
     """Error power after one common complex gain, dB, and that gain."""
     both = where & np.isfinite(found) & np.isfinite(wanted)
