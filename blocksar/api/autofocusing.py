@@ -15,6 +15,7 @@ from blocksar import stores
 from blocksar.api.arguments import GridLike, grid_of, history_of, memory_of
 from blocksar.api.reports import Report
 from blocksar.api.tracks import TrackEstimate, control_points
+from blocksar.autofocusing.finishing import Result
 from blocksar.errors import InputError, ProcessingError
 from blocksar.graph import cluster
 from blocksar.graph.machine import resources
@@ -25,6 +26,7 @@ from blocksar.places.place import Place
 from blocksar.progress import Listener, as_listener
 from blocksar.progress import Wanted as Progress
 from blocksar.runs import folder as run_folder
+from blocksar.runs.receipts import Run
 from blocksar.runs.record import Receipt
 from blocksar.runs.track import ATTRIBUTE
 from blocksar.version import __version__
@@ -123,14 +125,16 @@ def autofocus(
         clock = time.perf_counter()
         try:
             with estimate.connected(machine, connected, listener) as client_:
-                receipts, attribute = _write(estimate, target, client_, machine.threads, listener, overwrite=overwrite)
+                receipts, result = estimate.carry_out(client_, machine, listener, local=connected is None)
+                run = estimate.run(machine.threads)
+                copied, attribute = _write(estimate, result, run, target, client_, listener, overwrite=overwrite)
         except InputError:
             estimate.folder.remove()
             raise
         except ProcessingError as error:
             raise ProcessingError(f"{error}; what was finished stays, the same command goes on from there") from error
         estimate.folder.remove()
-        summary = estimate.summary(receipts, attribute, memory)
+        summary = estimate.summary([*receipts, *copied], attribute, memory)
         return Report(
             summary=[*summary, f"{target} is finished in {time.perf_counter() - clock:.1f} s"], result=attribute
         )
@@ -154,12 +158,18 @@ def _finished(target: Place, estimate: TrackEstimate) -> dict[str, Any] | None:
 
 
 def _write(
-    estimate: TrackEstimate, target: Place, client: Client, threads: int, listener: Listener, *, overwrite: bool
+    estimate: TrackEstimate,
+    result: Result,
+    run: Run,
+    target: Place,
+    client: Client,
+    listener: Listener,
+    *,
+    overwrite: bool,
 ) -> tuple[Sequence[Receipt], dict[str, Any]]:
-    """Estimate the track, and write the store, in a folder that this process has claimed."""
-    receipts, result = estimate.carry_out(client, threads, listener)
+    """Write the store with its track corrected, in a folder that this process has claimed; receipts and attribute."""
     source, made = estimate.stored(), estimate.folder / "store.zarr"
-    receipts = [*receipts, *copy_store(client, source.path, made, estimate.run(threads), listener)]
+    receipts = copy_store(client, source.path, made, run, listener)
     listener.begin("finish")
     attribute = estimate.attribute(result)
     line = stores.history_line(f"track corrected by blocksar {__version__}", source.attrs.get("history"))

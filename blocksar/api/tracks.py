@@ -111,8 +111,12 @@ class TrackEstimate:
         with cluster.open_client(**machine._asdict(), scratch=scratch, listener=listener) as own:
             yield own
 
-    def carry_out(self, client: Client, threads: int, listener: Listener) -> tuple[list[Receipt], Result]:
+    def carry_out(
+        self, client: Client, machine: Resources, listener: Listener, *, local: bool
+    ) -> tuple[list[Receipt], Result]:
         """Estimate the track in the folder, or go on with an estimate there.
+
+        With a `local` cluster of its own, a task that runs alone has the threads of all workers.
 
         Raises
         ------
@@ -130,7 +134,8 @@ class TrackEstimate:
                 phase=np.angle([t.reflectivity for t in self.control]),
             )
         )
-        return estimate_track(client, self.stored(), self.run(threads), self.grid, control, listener)
+        run, threads = self.run(machine.threads), machine.threads * (machine.workers if local else 1)
+        return estimate_track(client, self.stored(), run, self.grid, control, listener, threads)
 
     def stored(self) -> stores.PhaseHistory:
         """The phase history in a store: samples in memory are written into the folder, once.
@@ -226,7 +231,7 @@ def track_corrected(
     if not request.autofocus:
         yield request, [], client
         return
-    folder = request.folder / run_folder.TRACK
+    folder, local = request.folder / run_folder.TRACK, client is None
     try:
         with ExitStack() as stack:
             corrected: list[stores.PhaseHistory] = []
@@ -235,7 +240,7 @@ def track_corrected(
                 memory = estimate.checked_memory(machine)
                 try:
                     client = stack.enter_context(estimate.connected(machine, client, listener))
-                    receipts, result = estimate.carry_out(client, machine.threads, listener)
+                    receipts, result = estimate.carry_out(client, machine, listener, local=local)
                 except ProcessingError as error:
                     raise ProcessingError(
                         f"{error}; what was finished stays, the same command goes on from there"

@@ -29,6 +29,9 @@ class Correction:
         Of the points in the next loop; empty before the first.
     fine_error : float
         Error expected of what is too fine for the splines, rad rms.
+    rough : bool
+        In some loop the phase gradient alone was sharper by far than from the drift of spectra. If not, later loops
+        start from what is corrected, and halves of the points from the drift.
     history : tuple of dict
         Figures of each loop.
     finished : bool
@@ -39,6 +42,7 @@ class Correction:
     previous: FloatArray
     weights: FloatArray
     fine_error: float = 0.0
+    rough: bool = False
     history: tuple[dict[str, Any], ...] = field(default=())
     finished: bool = False
 

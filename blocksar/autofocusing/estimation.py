@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,11 +18,12 @@ from blocksar.autofocusing.fine_phase import believed, is_pattern, shared_sample
 from blocksar.autofocusing.information import bending, factor, information
 from blocksar.autofocusing.least_squares import by_least_squares
 from blocksar.autofocusing.minimising import minimise
-from blocksar.autofocusing.phase_gradient import LEAST_BAND, NARROWING, line_of_sight
+from blocksar.autofocusing.phase_gradient import LEAST_BAND, NARROWING, line_of_sight, strongest_lines
 from blocksar.autofocusing.robust import own_errors, point_weights
 from blocksar.autofocusing.selection import Points
 from blocksar.autofocusing.spectral_drift import phase_of_drift
 from blocksar.autofocusing.work import Work
+from blocksar.kernels.groups import run_groups
 
 GRADIENTS = 8  # iterations of the phase gradient
 WIDEST_BAND = 0.45  # of a chip's Doppler cells to either side, in the first of them
@@ -33,6 +35,13 @@ GAIN = 1e-5  # nats a chip: two steps of the polish that gain less are the last
 SHARPNESS = 4.0  # nats by which a chip's entropy rises for 1 rad^2 of phase error, about
 FIRST_STEP = 0.1  # of the polish, in units in which the cost bends by 1
 ANCHOR = 1e-2  # nats per rad^2 that moves points, in the units alone: between Doppler cells entropy is not smooth
+
+
+class Coarse(NamedTuple):
+    """A first displacement (n_sample, 3), m, and whether it is `rough`: the phase gradient alone was sharper by far."""
+
+    displacement: FloatArray
+    rough: bool
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -107,6 +116,7 @@ def by_phase_gradient(chips: Chips, weights: FloatArray, drift: bool = False) ->
     With `drift`, it starts from that of the drift of spectra, and with a band as wide as these tell it.
     """
     narrow = chips.narrowed(chips.work.coarse)
+    narrow = replace(narrow, values=strongest_lines(narrow))
     mean = mean_sight(narrow)
     displacement = np.zeros(mean.shape)
     band = int(WIDEST_BAND * narrow.values.shape[2])
@@ -202,8 +212,8 @@ def halves(chips: Chips) -> tuple[IntArray, IntArray]:
     return order[0::2], order[1::2]
 
 
-def coarse_error(chips: Chips, weights: FloatArray, threads: int = 1, corrected: bool = False) -> FloatArray:
-    """Displacement (n_sample, 3), m, from the drift of spectra, or by the phase gradient alone.
+def coarse_error(chips: Chips, weights: FloatArray, threads: int = 1, corrected: bool = False) -> Coarse:
+    """Displacement from the drift of spectra, or by the phase gradient alone.
 
     The drift follows smooth errors only. In a regular pattern of points, phases that are much too rough make chips as
     sharp as the true ones, and deceive the phase gradient: it is taken alone where it is sharper by far, as with a
@@ -213,14 +223,27 @@ def coarse_error(chips: Chips, weights: FloatArray, threads: int = 1, corrected:
     def cost(displacement: FloatArray) -> float:
         return _entropy(chips.corrected(displacement), weights, threads)
 
-    found = [by_phase_gradient(chips, weights, drift=True), by_phase_gradient(chips, weights)]
-    best = np.zeros_like(found[0]) if corrected else found[0]
-    return min(best, *found, key=lambda displacement: cost(displacement) + (0.0 if displacement is best else BY_FAR))
+    found = [np.zeros(0)] * 2
+
+    def one(number: int) -> None:
+        found[number] = by_phase_gradient(chips, weights, drift=number == 0)
+
+    run_groups(one, (0, 1), threads)
+    usual = np.zeros_like(found[0]) if corrected else found[0]
+    best = min(usual, *found, key=lambda displacement: cost(displacement) + (0.0 if displacement is usual else BY_FAR))
+    return Coarse(best, rough=best is found[1])
 
 
-def shared_error(chips: Chips, before: FloatArray, weights: FloatArray, threads: int = 1) -> FloatArray:
-    """Displacement (n_sample, 3), m, that sharpens chips which were taken with that of `before` (n_sample, 3)."""
-    found = coarse_error(chips, weights, threads)
+def shared_error(
+    chips: Chips, before: FloatArray, weights: FloatArray, threads: int = 1, *, rough: bool = True
+) -> FloatArray:
+    """Displacement (n_sample, 3), m, that sharpens chips which were taken with that of `before` (n_sample, 3).
+
+    The phase gradient is not tried alone where the error is not `rough`.
+    """
+    found = (
+        coarse_error(chips, weights, threads).displacement if rough else by_phase_gradient(chips, weights, drift=True)
+    )
     chips = chips.recentred(found)
     found = by_entropy(chips, found, before, weights, threads)
     for _ in range(2):
@@ -235,7 +258,11 @@ def estimate(
     before = correction.displacement
     chips = join_chips(work, points, parts, before)
     weights = correction.weights if correction.weights.size else np.ones(points.x.size)
-    found = coarse_error(chips, weights, threads, corrected=len(correction.history) > 0)
+    first = not correction.history
+    coarse = Coarse(np.zeros_like(before), rough=False)
+    if first or correction.rough:
+        coarse = coarse_error(chips, weights, threads, corrected=not first)
+    found = coarse.displacement
     chips = chips.recentred(found)
     found = by_least_squares(chips, by_entropy(chips, found, before, weights, threads), before, weights)
     found, fine_error = refined(chips, found, before, weights)
@@ -253,6 +280,7 @@ def estimate(
         previous=before,
         weights=point_weights(own_errors(corrected)),
         fine_error=fine_error,
+        rough=correction.rough or coarse.rough,
         history=(*correction.history, figures),
         finished=step < work.settings.step or done >= work.settings.loops,
     )

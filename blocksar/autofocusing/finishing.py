@@ -78,7 +78,9 @@ def estimate_half(
     """Estimate from half `number`, 0 or 1, of the points, from the beginning; `parts` are those of the last loop."""
     chips = join_chips(work, points, parts, correction.previous)
     half = halves(chips)[number]
-    found = shared_error(chips.some(half), correction.previous, correction.weights[half], threads)
+    found = shared_error(
+        chips.some(half), correction.previous, correction.weights[half], threads, rough=correction.rough
+    )
     return HalfEstimate(displacement=Knots(work=work, n_interval=intervals(work), time=chips.time).smooth(found))
 
 

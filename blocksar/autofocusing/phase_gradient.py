@@ -19,6 +19,7 @@ from blocksar.arrays import Complex128Array, ComplexArray, FloatArray, IntArray
 from blocksar.autofocusing.chips import Chips
 from blocksar.autofocusing.sights import INDICES
 from blocksar.kernels.fourier import fft_rows
+from blocksar.kernels.groups import row_groups
 from blocksar.kernels.loops import loop
 
 TURNS = 100  # of slopes and gradients, at most
@@ -75,7 +76,7 @@ def shared_gradient(
     Parameters
     ----------
     products : (n_row, n) complex
-        conj(z_t) z_(t+1) of each row; 0 where there is none.
+        conj(z_t) z_(t+1) of each row, over the sum of their magnitudes; 0 where there is none.
     first : (n_row,) int
         Part of the collection that the first product of each row belongs to; the others belong to those that follow.
     n_part : int
@@ -93,7 +94,6 @@ def shared_gradient(
         How much of a row's power follows these, 0 .. 1.
     """
     n_row = products.shape[0]
-    products = products / np.maximum(np.abs(products).sum(axis=1), 1e-300)[:, None]
     weight, slope, own = share.copy(), np.zeros(n_row), np.zeros(n_row, np.complex128)
     gradient, coherence = np.zeros(n_part), np.zeros(n_row)
     for turn in range(TURNS):
@@ -146,20 +146,25 @@ def line_of_sight(chips: Chips, phase: FloatArray, band: int, weights: FloatArra
     Parameters
     ----------
     chips : Chips
+        With their strongest lines.
     phase : (n_point, n) float
         Removed from the chips first, rad.
     band : int
         Doppler cells to either side of a line's brightest one.
     weights : (n_point,) float
     """
-    turned = strongest_lines(chips)
-    turned *= np.exp(-1j * phase).astype(np.complex64)[:, None]
-    n_point, n_line, n = turned.shape
-    rows, _ = centred_rows(turned.reshape(-1, n), np.repeat(chips.count, n_line), band)
+    n_point, n_line, n = chips.values.shape
+    energy, products = np.zeros(n_point * n_line), np.zeros((n_point * n_line, n - 1), np.complex128)
+    for some in row_groups(0, n_point, n_line * n):
+        turned = chips.values[some] * np.exp(-1j * phase[some]).astype(np.complex64)[:, None]
+        rows, _ = centred_rows(turned.reshape(-1, n), np.repeat(chips.count[some], n_line), band)
+        into = slice(some.start * n_line, some.stop * n_line)
+        energy[into] = (np.abs(rows) ** 2).sum(axis=1, dtype=np.float64)
+        steps = np.conj(rows[:, :-1]).astype(np.complex128) * rows[:, 1:]
+        products[into] = steps / np.maximum(np.abs(steps).sum(axis=1), 1e-300)[:, None]
     # Chips count alike, and their lines by their power.
-    energy = (np.abs(rows) ** 2).sum(axis=1, dtype=np.float64).reshape(n_point, n_line)
+    energy = energy.reshape(n_point, n_line)
     share = np.sqrt(weights)[:, None] * energy / np.maximum(energy.sum(axis=1, keepdims=True), 1e-300)
     last = chips.time.size - 1
-    products = np.conj(rows[:, :-1]).astype(np.complex128) * rows[:, 1:]
     gradient, _, _ = shared_gradient(products, np.repeat(chips.first, n_line), last, share.ravel())
     return np.concatenate([[0.0], np.cumsum(gradient)])

@@ -7,13 +7,13 @@ errors of many radians between windows matter, which stop the phase gradient. Th
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from blocksar.arrays import Complex128Array, ComplexArray, FloatArray, IntArray
 from blocksar.autofocusing.chips import Chips
-from blocksar.autofocusing.phase_gradient import strongest_lines
 from blocksar.kernels.fourier import fast_length, fft_rows
 
 PADDING = 4.0  # cells of a spectrum for each sample of its window
@@ -26,16 +26,16 @@ REACH = 8  # cells from window to window, at most
 class Spectra(NamedTuple):
     """Amplitude spectra of chips over short windows, transformed along Doppler.
 
-    values : (n_pair, n_cell) complex
-        Of a point and a window that it is lit over, ordered by points.
-    point, window : (n_pair,) int
+    values : sequence of (n, n_cell) complex64
+        Of each point, one for each window that it is lit over.
+    window : sequence of (n,) int
+        These windows' numbers.
     middle : (n_window,) float
         Samples of the collection at which windows lie.
     """
 
-    values: ComplexArray
-    point: IntArray
-    window: IntArray
+    values: Sequence[ComplexArray]
+    window: Sequence[IntArray]
     middle: FloatArray
 
 
@@ -48,22 +48,22 @@ def phase_of_drift(chips: Chips, weights: FloatArray) -> FloatArray:
 
     Parameters
     ----------
+    chips : Chips
+        With their strongest lines.
     weights : (n_point,) float
     """
     spectra = short_spectra(chips, weights)
-    n_window, n_cell = spectra.middle.size, spectra.values.shape[1]
-    if np.unique(spectra.window).size < 2:
+    counts = np.bincount(np.concatenate([*spectra.window, np.zeros(0, np.int64)]), minlength=spectra.middle.size)
+    there = np.flatnonzero(counts)
+    if there.size < 2:
         return np.zeros(chips.time.size)
+    n_window, n_cell = counts.size, spectra.values[0].shape[1]
     frequency = (np.arange(n_cell) + n_cell // 2) % n_cell - n_cell // 2
     shift = np.zeros(n_window)
     for _ in range(TURNS):
-        turned = spectra.values * np.exp(2j * np.pi / n_cell * shift[spectra.window][:, None] * frequency)
-        others = np.repeat(*_sums(turned, spectra.point), axis=0) - turned
-        order = np.argsort(spectra.window, kind="stable")
-        product, counts = _sums((spectra.values * np.conj(others))[order], spectra.window[order])
+        product = products_with_others(spectra, np.exp(2j * np.pi / n_cell * shift[:, None] * frequency))[there]
         product[:, 0] = 0
-        there = np.unique(spectra.window)
-        fit = fft_rows(product, inverse=True).real / counts[:, None]
+        fit = fft_rows(product, inverse=True).real / counts[there, None]
         found = np.interp(np.arange(n_window), there, _beside(fit, smooth_path(fit)))
         found -= found.mean()
         moved, shift = float(np.abs(found - shift).max()), found
@@ -74,14 +74,14 @@ def phase_of_drift(chips: Chips, weights: FloatArray) -> FloatArray:
 
 
 def short_spectra(chips: Chips, weights: FloatArray) -> Spectra:
-    """Spectra of the strongest lines over windows that overlap by a half; chips count by `weights` (n_point,)."""
+    """Spectra of chips over windows that overlap by a half; chips count by `weights` (n_point,)."""
     work = chips.work
     samples = max(work.geometry.collection.n_pulse // chips.time.size, 1)
     size = max(work.short // samples, 8)
     starts = np.arange(0, max(chips.time.size - size, 0) + 1, size // 2)
-    lines, n_cell = strongest_lines(chips), fast_length(PADDING * size)
+    lines, n_cell = chips.values, fast_length(PADDING * size)
     taper = np.hanning(size + 2)[1:-1].astype(np.float32)
-    values, point, window = [], [], []
+    values, window = [], []
     for i in range(lines.shape[0]):
         lit = np.flatnonzero((starts >= chips.first[i]) & (starts + size <= chips.first[i] + chips.count[i]))
         if lit.size < 2:
@@ -92,22 +92,21 @@ def short_spectra(chips: Chips, weights: FloatArray) -> Spectra:
         power = np.abs(fft_rows(padded, inverse=False)).reshape(-1, lit.size, n_cell) ** 2
         amplitude = np.sqrt(power.sum(axis=0))  # of powers, a few bright windows would tell all
         amplitude *= np.sqrt(weights[i]) / max(float(amplitude.sum(dtype=np.float64)) / lit.size, 1e-30)
-        values.append(amplitude)
-        point += [i] * lit.size
-        window += lit.tolist()
-    joined = np.concatenate(values) if values else np.zeros((0, n_cell))
-    return Spectra(
-        values=fft_rows(joined.astype(np.complex64), inverse=False),
-        point=np.array(point, np.int64),
-        window=np.array(window, np.int64),
-        middle=np.asarray(starts + (size - 1) / 2, np.float64),
-    )
+        values.append(fft_rows(amplitude.astype(np.complex64), inverse=False))
+        window.append(lit)
+    return Spectra(values, window, np.asarray(starts + (size - 1) / 2, np.float64))
 
 
-def _sums(values: ComplexArray | Complex128Array, group: IntArray) -> tuple[Complex128Array, IntArray]:
-    """Sums of rows (n, m) with equal numbers `group` (n,), ascending, and how many there are of each."""
-    _, first, counts = np.unique(group, return_index=True, return_counts=True)
-    return np.add.reduceat(values.astype(np.complex128), first, axis=0), counts
+def products_with_others(spectra: Spectra, turns: Complex128Array) -> Complex128Array:
+    """Each window's spectra times those of their points' other windows, conjugate; summed over points.
+
+    Both are (n_window, n_cell); `turns` shift the windows' spectra.
+    """
+    product = np.zeros(turns.shape, np.complex128)
+    for values, window in zip(spectra.values, spectra.window, strict=True):
+        turned = values * turns[window]
+        product[window] += values * np.conj(turned.sum(axis=0) - turned)
+    return product
 
 
 def smooth_path(fit: FloatArray) -> IntArray:
@@ -118,15 +117,15 @@ def smooth_path(fit: FloatArray) -> IntArray:
     n, m = fit.shape
     scale = max(float(np.sqrt((fit * fit).mean())), 1e-300)
     reach = np.arange(-REACH, REACH + 1)
-    total, back = fit[0] / scale, np.zeros((n, m), np.int64)
+    before, cost = (np.arange(m) - reach[:, None]) % m, (reach[:, None] / STEP) ** 2
+    total = fit / scale
     for k in range(1, n):
-        ways = np.stack([np.roll(total, step) - (step / STEP) ** 2 for step in reach])
-        back[k] = ways.argmax(axis=0)
-        total = ways.max(axis=0) + fit[k] / scale
+        total[k] += (total[k - 1, before] - cost).max(axis=0)
     path = np.zeros(n, np.int64)
-    path[-1] = total.argmax()
+    path[-1] = total[-1].argmax()
     for k in range(n - 1, 0, -1):
-        path[k - 1] = (path[k] - reach[back[k, path[k]]]) % m
+        ways = before[:, path[k]]
+        path[k - 1] = ways[(total[k - 1, ways] - cost[:, 0]).argmax()]
     return path
 
 

@@ -53,7 +53,7 @@ def autofocus(
     if scheduler is None:
         from blocksar.graph.starting import start_early
 
-        start_early(source, out, workers=workers, threads=threads)
+        start_early([source], out, workers=workers, threads=threads)
 
     with listening(context) as progress:
         report = api.autofocus(

@@ -7,6 +7,7 @@ where it was.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -52,10 +53,11 @@ def estimate_track(
     grid: Grid | None,
     control: Control | None,
     listener: Listener,
+    threads: int,
 ) -> tuple[list[Receipt], Result]:
     """Estimate the error of a phase history's track; return the receipts and the corrected track.
 
-    Control points, if there are some, anchor what the samples alone do not tell.
+    Control points, if there are some, anchor what the samples alone do not tell. A task that runs alone has `threads`.
 
     Raises
     ------
@@ -73,6 +75,7 @@ def estimate_track(
     searched = stage("search", _search(client, run, source, work, grid))
     selected = stage("select", [single_task(client, run, "select", "points", select, _files(searched), grid)])
     receipts += [*searched, *selected]
+    alone = replace(run, threads=threads)
     correction: Files = {}
     for loop in range(1, work.settings.loops + 1):
         chips = stage(f"chips-{loop}", _chips(client, run, source, work, selected, correction, str(loop), grid))
@@ -81,7 +84,7 @@ def estimate_track(
         arguments = (_files(selected), _files(chips), correction, grid)
         estimated = stage(
             f"estimate-{loop}",
-            [single_task(client, run, "estimate", f"correction-{loop}", estimate_error, *arguments)],
+            [single_task(client, alone, "estimate", f"correction-{loop}", estimate_error, *arguments)],
         )
         receipts += [*chips, *estimated]
         correction = estimated[0].files

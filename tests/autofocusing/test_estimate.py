@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from blocksar.autofocusing import estimation
+from blocksar.autofocusing.estimation import coarse_error
 from blocksar.autofocusing.finishing import Result
 from blocksar.autofocusing.selection import Refused
 from blocksar.autofocusing.serial import find_track_error
@@ -56,8 +58,17 @@ def test_what_is_known_of_it(result: Result) -> None:
     assert (result.chips_before.max(axis=(1, 2)) < 0.9).all()
 
 
-def test_the_same_bytes_with_more_threads(signal: np.ndarray, result: Result) -> None:
+def test_the_same_bytes_with_more_threads(signal: np.ndarray, result: Result, monkeypatch: pytest.MonkeyPatch) -> None:
+    searches: list[Any] = []
+
+    def counted(*arguments: Any, **options: Any) -> Any:
+        searches.append(options)
+        return coarse_error(*arguments, **options)
+
+    monkeypatch.setattr(estimation, "coarse_error", counted)
     again = found(signal, threads=2)
+    assert result.figures["loops"] > 1
+    assert len(searches) == 1  # the error is smooth: later loops and the halves need no other
     assert again.antenna_position.tobytes() == result.antenna_position.tobytes()
     assert again.figures == result.figures
 

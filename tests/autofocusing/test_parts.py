@@ -13,16 +13,16 @@ from blocksar.arrays import FloatArray
 from blocksar.autofocusing.chips import Chips, brightest_places, fill, gaps, join_chips
 from blocksar.autofocusing.correction import Knots, between_samples
 from blocksar.autofocusing.entropy import PADDING, entropies
-from blocksar.autofocusing.estimation import Polish, without_line
+from blocksar.autofocusing.estimation import Polish, coarse_error, without_line
 from blocksar.autofocusing.fine_phase import believed, is_pattern
 from blocksar.autofocusing.finishing import unknown_turns
 from blocksar.autofocusing.information import factor, information, solve
 from blocksar.autofocusing.least_squares import by_least_squares, point_phases
 from blocksar.autofocusing.minimising import minimise
-from blocksar.autofocusing.phase_gradient import add_rows, line_of_sight, sum_along
+from blocksar.autofocusing.phase_gradient import add_rows, line_of_sight, strongest_lines, sum_along
 from blocksar.autofocusing.range_lines import range_profiles, take_chips, take_lines, taps
 from blocksar.autofocusing.selection import Points
-from blocksar.autofocusing.spectral_drift import STEP, phase_of_drift, smooth_path
+from blocksar.autofocusing.spectral_drift import STEP, Spectra, phase_of_drift, products_with_others, smooth_path
 from blocksar.autofocusing.work import Work, begin, low_pass
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import SPEED_OF_LIGHT
@@ -252,6 +252,7 @@ def test_phase_gradient_stitches_dwells(work: Work) -> None:
     u = np.linspace(-1, 1, work.n_sample)
     phase = 6 * u**2 + 2 * np.sin(9 * u)
     chips = synthetic_chips(work, phase)
+    chips = replace(chips, values=strongest_lines(chips))
     total = np.zeros(work.n_sample)
     for band in (60, 30, 15):
         index = np.minimum(chips.first[:, None] + np.arange(160), work.n_sample - 1)
@@ -273,13 +274,40 @@ def test_the_smoothest_path_is_the_best_of_all() -> None:
     assert smooth_path(fit).tolist() == list(best)
 
 
+def test_products_of_spectra_with_those_of_other_windows() -> None:
+    values, turns = noise(9, 8, seed=1), np.exp(2j * np.pi * np.random.default_rng(2).uniform(size=(5, 8)))
+    window = [np.array(numbers) for numbers in ((0, 1, 3), (1, 2), (0, 1, 2, 3))]  # none has the last
+    points = [values[:3], values[3:5], values[5:]]
+    found = products_with_others(Spectra(points, window, np.arange(5.0)), turns)
+    slow = np.zeros((5, 8), complex)
+    for own, numbers in zip(points, window, strict=True):
+        for i, j in product(range(numbers.size), repeat=2):
+            if i != j:
+                slow[numbers[i]] += own[i] * np.conj(own[j] * turns[numbers[j]])
+    assert found == pytest.approx(slow, abs=1e-6)
+
+
+@pytest.mark.parametrize("rough", [False, True])
+def test_the_drift_serves_smooth_errors_and_the_phase_gradient_random_walks(work: Work, rough: bool) -> None:
+    n = work.n_sample
+    phase = 12 * np.cos(2 * np.pi * np.arange(n) / n)
+    if rough:
+        phase = np.cumsum(0.5 * np.random.default_rng(4).standard_normal(n))
+    chips = synthetic_chips(work, phase, length=n, level=0.02)
+    found = coarse_error(chips, np.ones(12))
+    assert found.rough == rough
+    left = work.wavenumber * chips.los(found.displacement)[0] - phase
+    assert without_line(left).std() < 0.2
+
+
 def test_drift_of_equal_points_at_equal_distances(work: Work) -> None:
     n = work.n_sample
     phase = 12 * np.cos(2 * np.pi * np.arange(n) / n)
     chips = synthetic_chips(work, phase, length=n, points=12, level=0.02)
     at = np.arange(n)
     comb = sum(np.exp(2j * np.pi * 0.1 * k * at + 0.4j * k * k) for k in range(-3, 4)).astype(np.complex64)
-    found = phase_of_drift(replace(chips, values=chips.values * comb), np.ones(12))
+    chips = replace(chips, values=chips.values * comb)
+    found = phase_of_drift(replace(chips, values=strongest_lines(chips)), np.ones(12))
     assert without_line(found - phase).std() < 0.7  # of 8
 
 

@@ -8,6 +8,7 @@ import resource
 import signal
 import subprocess
 import sys
+from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
 import pytest
@@ -18,6 +19,7 @@ import blocksar
 from blocksar.api import parsing
 from blocksar.cli import commands, display, endings
 from blocksar.errors import InputError, ProcessingError
+from blocksar.graph import starting
 from blocksar.progress import PLAIN_STEPS, Progress
 
 COMMANDS = {
@@ -71,6 +73,19 @@ def api(monkeypatch: pytest.MonkeyPatch) -> Calls:
 
 def run(*words: str) -> Result:
     return CliRunner().invoke(commands.app, words, prog_name="blocksar")
+
+
+@pytest.mark.parametrize("command", ["focus", "autofocus"])
+def test_workers_begin_to_start_with_the_command(
+    command: str, api: Calls, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun: list[int] = []
+    monkeypatch.setattr(starting, "kernels_cached", lambda: True)
+    monkeypatch.setattr(starting, "start_fork_server", begun.append)
+    run(command, str(tmp_path), "--out", str(tmp_path / "out"), "--threads", "3")
+    assert begun == [3]
+    run(command, str(tmp_path / "none"), "--out", str(tmp_path / "out"))
+    assert begun == [3]
 
 
 # Arguments
