@@ -23,6 +23,8 @@ from blocksar.places.place import Place
 if TYPE_CHECKING:
     import xarray as xr
 
+    from blocksar.simulation.scene import Scene
+
 One: TypeAlias = "Location | xr.Dataset | stores.PhaseHistory"
 Source: TypeAlias = "One | Sequence[One]"
 SMALL = 1 << 24  # samples, 128 MiB: for less, a cluster takes longer to start than it saves
@@ -98,14 +100,20 @@ def blocks_of(blocks: int | str) -> int | Literal["auto"]:
 
 def collection_of(source: One) -> Collection:
     """Return the collection of a scene (a TOML file or the name of a shipped one) or of a phase history, centred."""
+    scene = scene_of(source)
+    return (history_of(source).collection if scene is None else scene.collection()).centred()
+
+
+def scene_of(source: One) -> Scene | None:
+    """Return the scene that a source is (a TOML file or the name of a shipped one); None if it is none."""
     text = str(source) if isinstance(source, str | Path) else ""
     if text.endswith(".toml") or (text and not Path(text).exists()):
         from blocksar.simulation.scene import Scene
         from blocksar.simulation.shipped import shipped_scenes
 
         if text.endswith(".toml") or text in shipped_scenes():
-            return Scene.read(text).collection().centred()
-    return history_of(source).collection.centred()
+            return Scene.read(text)
+    return None
 
 
 def sources_of(source: Source) -> list[One]:

@@ -276,8 +276,10 @@ def _scene(source: str | Path) -> tuple[Rows, Following]:
         ("dropped pulses", scene.dropped),
     ) if table is not None]  # fmt: skip
     size = 8 * collection.n_pulse * collection.n_range_frequency
+    place = scene.georeference
     rows = [
         ("title", scene.title),
+        *([] if place is None else facts.general_rows({"georeference": place.as_attribute()})),
         ("holds", ", ".join(holds) or "nothing"),
         ("samples", f"{collection.n_pulse} pulses x {collection.n_range_frequency} range frequencies, "
                     f"{facts.size_text(size)}"),

@@ -7,14 +7,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from blocksar import stores
-from blocksar.api.arguments import One, history_of
+from blocksar.api.arguments import One, history_of, scene_of
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
 from blocksar.collection.region import default_grid, plan_region
 from blocksar.collection.terrain import Terrain
-from blocksar.errors import InputError
 from blocksar.ingestion.terrain.reading import Ground
 from blocksar.places.place import Place
 from blocksar.planning.segments import joint_grid
@@ -45,11 +44,11 @@ def georeference_in(attrs: Mapping[str, Any]) -> Georeference | None:
 
 
 def _attributes(source: One) -> Mapping[str, Any]:
-    """The attributes of a phase history; a scene has none."""
-    try:
-        return history_of(source).attrs
-    except InputError:
-        return {}
+    """The attributes of a phase history; of a scene, its georeference."""
+    scene = scene_of(source)
+    if scene is not None:
+        return {} if scene.georeference is None else {"georeference": scene.georeference.as_attribute()}
+    return history_of(source).attrs
 
 
 def image_grid(collection: Collection, grid: Grid | None) -> Grid:

@@ -46,7 +46,7 @@ from blocksar.focusing.method import (
 )
 from blocksar.focusing.relief_correction import bend_scale
 from blocksar.graph.machine import Resources, machine, pace, resources
-from blocksar.ingestion.terrain.reading import Ground
+from blocksar.ingestion.terrain.reading import Ground, coverage_note
 from blocksar.inspection.sentences import doubted_time
 from blocksar.places import Location
 from blocksar.planning import choice, effort
@@ -168,13 +168,15 @@ def plan(
     share = resources(0 if here else workers, None, limit)
     assumed = share._replace(workers=0) if here else share
     of_each = _channels_line(source)
-    if method is None:
-        return _told_first(_plan_backprojection(collections, points, assumed), of_each)
     ground = Ground(terrain=terrain, surface=surface, vertical=vertical)
     heights = None
     if not ground.plane:
         points = points or joint_grid([Geometry(collection=each) for each in collections])
         heights = read_ground(ground, collections[0], points, sources_of(source)[0])
+        if heights is not None and (gaps := coverage_note(heights, points)) is not None:
+            of_each.append(gaps)
+    if method is None:
+        return _told_first(_plan_backprojection(collections, points, assumed), of_each)
 
     def plan_by(
         collection: Collection, *, grid: Grid | None, like: Divided | None = None, owned: Owned | None = None,

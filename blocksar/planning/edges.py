@@ -65,7 +65,9 @@ def plan_edges(
     """Whether edges of dwells are back-projected, and of how many parts the gate is.
 
     They are where the best gate does not keep the fidelity, or where a plan has shown that they are needed: `times` as
-    long as they are at least (`planning.edge_search`). Under a beam about its axis on a terrain the plan alone tells.
+    long as they are at least (`planning.edge_search`). Under a beam about its axis on a terrain the plan alone tells:
+    what the best gate loses is mostly that back-projection ends dwells at whole pulses, which in a satellite's burst
+    moves the peaks of back-projection itself by 0.06 m rms, three times as far as whole dwells of a chain do.
 
     `band` is the Doppler band that is lit at a time, Hz. In the time of a dwell the beam passes over all of it: ends of
     dwells move along Doppler by e = dwell / band, and the steps of a chain smear them over a share of sqrt(e).

@@ -250,3 +250,15 @@ def test_a_ground_that_cannot_be_taken_is_refused_before_anything_is_written(sto
         with pytest.raises(InputError, match=message):
             blocksar.focus(store, tmp_path / "run", **settings, **ground)
     assert not (tmp_path / "run").exists()
+    with pytest.raises(InputError, match="does not exist"):
+        blocksar.plan(store, **settings, terrain=tmp_path / "absent.nc")
+
+
+def test_a_plan_tells_what_the_terrain_does_not_cover(store: Path, terrain: Path) -> None:
+    ground = stores.read_terrain(place(terrain))
+    ground.heights[:, ground.x > MIDDLE[0]] = np.nan
+    stores.write_terrain(place(terrain), ground)
+    settings: Any
+    for settings in ({"processor": "backprojection"}, {"blocks": 2}):
+        report = blocksar.plan(store, grid=grid_about(240.0, 5.0), terrain=terrain, **settings)
+        assert report.summary[0].startswith("the terrain has no height at 5")

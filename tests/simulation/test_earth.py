@@ -147,13 +147,13 @@ TARGET = '[[targets]]\nname = "T"\nx = 60.0\ny = -30.0\n[terrain]\nsurface = "el
 
 def test_an_image_of_a_scene_on_the_ellipsoid_has_its_target_in_place(tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_text(orbit_scene(more=TARGET))
+    box = ((-80.0, 200.0, 2.0), (-230.0, 170.0, 5.0))
+    foreseen = blocksar.plan(tmp_path / "scene.toml", blocks=1, surface="ellipsoid", grid=box)
+    assert any(line.startswith("terrain: z = -0.0") for line in foreseen.summary)
     blocksar.simulate(tmp_path / "scene.toml", tmp_path / "ph.zarr")
     history = stores.open_phase_history(tmp_path / "ph.zarr")
     assert Georeference.from_attribute(history.attrs["georeference"]) == scene_frame()
-    blocksar.focus(
-        tmp_path / "ph.zarr", tmp_path / "run", grid=((-80.0, 200.0, 2.0), (-230.0, 170.0, 5.0)), blocks=1,
-        surface="ellipsoid", workers=0,
-    )  # fmt: skip
+    blocksar.focus(tmp_path / "ph.zarr", tmp_path / "run", grid=box, blocks=1, surface="ellipsoid", workers=0)
     (target,) = blocksar.quality(tmp_path / "run").result["targets"]
     assert np.hypot(target["error_x"], target["error_y"]) < 0.05
     assert complex(*target["value"]) == pytest.approx(1.0, abs=0.01)
