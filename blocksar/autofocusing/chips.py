@@ -226,10 +226,15 @@ def join_chips(work: Work, points: Points, parts: Sequence[ChipPart], displaceme
     )  # fmt: skip
 
 
-def gaps(seen: BoolArray) -> list[slice]:
-    """Short runs of missing samples, between others."""
+def missing_runs(seen: BoolArray) -> list[slice]:
+    """Runs of samples that are missing."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], ~seen, [0]]).astype(int)))
-    return [slice(int(a), int(b)) for a, b in edges.reshape(-1, 2) if b - a <= SHORT_GAP]
+    return [slice(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+
+
+def gaps(seen: BoolArray) -> list[slice]:
+    """Short ones of them, which are filled."""
+    return [run for run in missing_runs(seen) if run.stop - run.start <= SHORT_GAP]
 
 
 def fill(lines: ComplexArray, first: int, last: int, count: int) -> None:
@@ -262,8 +267,8 @@ def brightest_places(chips: Chips) -> FloatArray:
         padded[:, :n] = chips.values[i]
         power = np.abs(fft_rows(padded, inverse=False)) ** 2 * _nearness(work, length, interval)
         line, cell = np.unravel_index(int(power.argmax()), power.shape)
-        beside = _vertex(power[max(line - 1, 0) : line + 2, cell])
-        finer = _vertex(power[line, [cell - 1, cell, (cell + 1) % length]])
+        beside = vertex(power[max(line - 1, 0) : line + 2, cell])
+        finer = vertex(power[line, [cell - 1, cell, (cell + 1) % length]])
         rate = 2 * np.pi * ((cell + finer + length / 2) % length - length / 2) / (length * interval)
         offset = (line + beside - n_line // 2) * work.settings.line_spacing * work.cell
         middle = min(max(int(chips.count[i]) // 2, 1), n - 2)
@@ -285,7 +290,7 @@ def _nearness(work: Work, length: int, interval: float) -> FloatArray:
     return np.asarray(1 / (1 + (speed / (NEAR * work.settings.narrow_speed)) ** 2) ** 2)
 
 
-def _vertex(values: FloatArray) -> float:
+def vertex(values: FloatArray) -> float:
     """Where a parabola through three values is highest, from the middle one, in steps; 0 for fewer values."""
     if values.size < 3:
         return 0.0

@@ -11,6 +11,7 @@ import numpy as np
 
 from blocksar import solvers
 from blocksar.arrays import FloatArray, IntArray
+from blocksar.autofocusing.bridging import bridged, refuse_gaps, stitched
 from blocksar.autofocusing.chips import ChipPart, Chips, join_chips, mean_sight
 from blocksar.autofocusing.correction import Correction, Knots, intervals, narrowing
 from blocksar.autofocusing.entropy import entropies
@@ -245,18 +246,25 @@ def shared_error(
         coarse_error(chips, weights, threads).displacement if rough else by_phase_gradient(chips, weights, drift=True)
     )
     chips = chips.recentred(found)
-    found = by_entropy(chips, found, before, weights, threads)
+    found = stitched(chips, by_entropy(chips, found, before, weights, threads), weights)
     for _ in range(2):
         found = by_least_squares(chips, found, before, weights)
-    return found
+    return bridged(chips, found, before)
 
 
 def estimate(
     work: Work, points: Points, parts: Sequence[ChipPart], correction: Correction, threads: int = 1
 ) -> Correction:
-    """One loop: what the chips tell, added to the correction with which they were taken."""
+    """One loop: what the chips tell, added to the correction with which they were taken.
+
+    Raises
+    ------
+    Refused
+        If pulses are missing over so long a gap that the error cannot be followed.
+    """
     before = correction.displacement
     chips = join_chips(work, points, parts, before)
+    refuse_gaps(chips)
     weights = correction.weights if correction.weights.size else np.ones(points.x.size)
     first = not correction.history
     coarse = Coarse(np.zeros_like(before), rough=False)
@@ -264,8 +272,9 @@ def estimate(
         coarse = coarse_error(chips, weights, threads, corrected=not first)
     found = coarse.displacement
     chips = chips.recentred(found)
-    found = by_least_squares(chips, by_entropy(chips, found, before, weights, threads), before, weights)
-    found, fine_error = refined(chips, found, before, weights)
+    found = stitched(chips, by_entropy(chips, found, before, weights, threads), weights)
+    found = by_least_squares(chips, found, before, weights)
+    found, fine_error = refined(chips, bridged(chips, found, before), before, weights)
     corrected = chips.corrected(found)
     step = phase_step(chips, work.wavenumber * chips.los(found), weights)
     done = len(correction.history) + 1
@@ -300,14 +309,14 @@ def phase_step(chips: Chips, phase: FloatArray, weights: FloatArray) -> float:
 
 def defocus(chips: Chips, phase: FloatArray) -> FloatArray:
     """Phases (n_point, n), rms (n_point,) of each chip: less what a constant and a shift on the ground explain."""
-    out = np.zeros(phase.shape[0])
+    out, told = np.zeros(phase.shape[0]), chips.told
     for i in range(phase.shape[0]):
-        count = int(chips.count[i])
-        if count < 4:
+        at = np.flatnonzero(told[i])
+        if at.size < 4:
             continue
-        sight = chips.sight[i, :count, :2].T
-        terms = np.concatenate([np.ones((1, count)), sight - sight.mean(axis=1, keepdims=True)])
-        rest = phase[i, :count].copy()
+        sight = chips.sight[i, at, :2].T
+        terms = np.concatenate([np.ones((1, at.size)), sight - sight.mean(axis=1, keepdims=True)])
+        rest = phase[i, at]
         for term in solvers.orthogonal_basis(terms)[0]:
             rest -= term * (term * rest).sum()
         out[i] = np.sqrt((rest * rest).mean())

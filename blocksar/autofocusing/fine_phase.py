@@ -63,7 +63,7 @@ def shared_samples(chips: Chips, weights: FloatArray) -> FloatArray:
         turned = rows * np.exp(-1j * shared[index])
         own, noise = own_phase(turned, chips)
         share = (weights / np.maximum(noise, 1e-300))[:, None] * np.conj(own)
-        values = np.where(chips.lit, rows * share, 0)
+        values = np.where(chips.told, rows * share, 0)
         total = np.bincount(index.ravel(), values.real.ravel(), minlength=n) + 1j * np.bincount(
             index.ravel(), values.imag.ravel(), minlength=n
         )
@@ -109,22 +109,23 @@ def own_phase(rows: ComplexArray, chips: Chips) -> tuple[Complex128Array, FloatA
     """Each row's amplitude with its own phase and Doppler (n_point, n), and its power besides, (n_point,)."""
     n_point, n = rows.shape
     own, noise = np.zeros((n_point, n), np.complex128), np.ones(n_point)
+    told = chips.told
     for i in range(n_point):
-        count = int(chips.count[i])
-        if count < 4:
+        count, there = int(chips.count[i]), np.flatnonzero(told[i])
+        samples = there.size
+        early, late = there[there < count // 2], there[there >= count - count // 2]
+        if min(early.size, late.size) < 2:
             continue
         row = rows[i, :count].astype(np.complex128)
         at, slope, flat = np.arange(count) - (count - 1) / 2, 0.0, row
         for _ in range(3):
             ends = flat[: count // 2].sum(), flat[count - count // 2 :].sum()
-            slope += float(np.angle(ends[1] * np.conj(ends[0]))) / (count - count // 2)
+            slope += float(np.angle(ends[1] * np.conj(ends[0])) / (late.mean() - early.mean()))
             line = np.exp(1j * slope * at)
             flat = row * np.conj(line)
-        amplitude = flat.mean()
+        amplitude, power = flat.sum() / samples, float((np.abs(row) ** 2).sum()) / samples
         own[i, :count] = amplitude * line
-        noise[i] = max(
-            float((np.abs(row) ** 2).mean() - np.abs(amplitude) ** 2), 1e-6 * float((np.abs(row) ** 2).mean())
-        )
+        noise[i] = max(power - float(np.abs(amplitude) ** 2), 1e-6 * power)
     return own, noise
 
 

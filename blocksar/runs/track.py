@@ -23,6 +23,13 @@ COLUMNS = 97  # Doppler samples of a chip that are kept, about the brightest
 SHOWN = 129  # times of the track's error, at most
 
 
+UNTOLD = (
+    "not told by the samples: a constant and a line over time of the error along the line of sight; they do not blur, "
+    "but shift and turn the image and ramp its phase, so that after the best shift alone it differs from that of the "
+    "true track; control points tell them"
+)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrackCorrection:
     """What was done to a track.
@@ -120,6 +127,7 @@ class TrackCorrection:
             f"{f['entropy_before']:.3f} before and {f['entropy_after']:.3f} after",
             f"phase error left over a dwell: {f['predicted_error']:.3f} rad r.m.s. predicted; two estimates from "
             f"disjoint halves of the points differ by {f['halves_apart']:.3f} rad",
+            *([] if f.get("control") else [UNTOLD]),
         ]
 
 

@@ -117,3 +117,20 @@ def test_a_collection_too_short() -> None:
         find_track_error(
             lambda pulses: np.zeros((0, 0), np.complex64), Geometry(collection=spotlight(n_pulse=40)), GRID
         )
+
+
+def test_a_gap_of_the_collection_is_bridged() -> None:
+    """Whole turns of the phase after the gap are not told, and do not matter."""
+    stated = spotlight()
+    wrong, gap = error(stated.time), slice(200, 226)
+    signal = echoes(stated, wrong, seed=4).copy()
+    signal[gap] = np.nan
+    result = found(signal)
+    left = result.antenna_position - stated.antenna_position - wrong
+    sight = CENTRE - stated.antenna_position
+    sight /= np.linalg.norm(sight, axis=1, keepdims=True)
+    turn = np.where(np.arange(stated.n_pulse) < gap.stop, 0.0, stated.wavelength / 2)[:, None] * sight
+    there = np.setdiff1d(np.arange(stated.n_pulse), np.arange(stated.n_pulse)[gap])
+    rest = [residual_phase(STATED, left - turns * turn, PLACES, there) for turns in (-1, 0, 1)]
+    assert min(np.sqrt(np.mean(phase**2)) for phase in rest) < 0.05
+    assert result.figures["predicted_error"] < 0.05

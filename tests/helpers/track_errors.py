@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
@@ -54,16 +54,22 @@ def echoes(stated: Collection, displacement: FloatArray, *, points: int = 120, s
     return signal
 
 
-def residual_phase(geometry: Geometry, wrong: FloatArray, places: FloatArray) -> FloatArray:
-    """Phase that a wrong position (n_pulse, 3), m, leaves at places (n, 2): rms less a constant and the best shift."""
+def residual_phase(
+    geometry: Geometry, wrong: FloatArray, places: FloatArray, pulses: IntArray | None = None
+) -> FloatArray:
+    """Phase that a wrong position (n_pulse, 3), m, leaves at places (n, 2): rms less a constant and the best shift.
+
+    Of all pulses, or of some.
+    """
     collection = geometry.collection
+    at = np.arange(collection.n_pulse) if pulses is None else pulses
     wavenumber = 4 * np.pi / collection.wavelength
     left = []
     for x, y in places:
-        sight = np.array([x, y, collection.ground_height]) - collection.antenna_position
+        sight = np.array([x, y, collection.ground_height]) - collection.antenna_position[at]
         sight /= np.linalg.norm(sight, axis=1, keepdims=True)
-        terms = np.stack([np.ones(collection.n_pulse), sight[:, 0], sight[:, 1]], axis=1)
+        terms = np.stack([np.ones(at.size), sight[:, 0], sight[:, 1]], axis=1)
         basis, _ = np.linalg.qr(terms)
-        phase = wavenumber * (sight * wrong).sum(axis=1)
+        phase = wavenumber * (sight * wrong[at]).sum(axis=1)
         left.append(np.sqrt(np.mean((phase - basis @ (basis.T @ phase)) ** 2)))
     return np.array(left)

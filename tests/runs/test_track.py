@@ -38,7 +38,8 @@ def test_a_correction_is_read_as_it_was_written() -> None:
         assert getattr(read, name) == pytest.approx(getattr(made, name), abs=1e-7)
     assert np.array_equal(read.before, made.before) and np.array_equal(read.after, made.after)
     assert made.after.max() == 255 and made.before.max() == round(255 * (1 - 10 / DEPTH))
-    first, second = read.sentences()
+    first, second, third = read.sentences()
+    assert third.startswith("not told by the samples")
     assert first.startswith("track corrected by up to 100 mm") and "from 42 points in 2 loops" in first
     assert "6.500 before and 4.250 after" in first and "0.030 rad r.m.s. predicted" in second
 

@@ -1,0 +1,126 @@
+"""Gaps of the collection: what the samples do not tell of the displacement while pulses are missing.
+
+The points tell the phase on either side of a gap. How both sides fit is seen in their power, up to whole turns: no
+pulse saw the displacement in between. The turns are those of the smoothest motion, and so is what lies between.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from blocksar import solvers
+from blocksar.arrays import BoolArray, FloatArray
+from blocksar.autofocusing.chips import SHORT_GAP, Chips, mean_sight, missing_runs, vertex
+from blocksar.autofocusing.fine_phase import strongest_rows
+from blocksar.autofocusing.selection import Refused
+from blocksar.kernels.fourier import fast_length, fft_rows
+
+LONGEST = 0.22  # of the collection: over longer gaps, errors across the line of sight are not told well enough
+DEGREE = 3  # of the polynomial through both sides of a gap
+LEAST_SIDE = 16  # samples of either side, at least
+TRIALS = 8  # phases within half a turn, with which both sides of a gap are put together
+PADDING = 4.0  # Doppler cells for each sample, in which points are brightest
+SLOPE = 8  # samples from which the slope at either end of a gap is taken
+
+
+def long_gaps(chips: Chips) -> list[slice]:
+    """Samples that are missing in a row, too many to be filled, with some on either side."""
+    return [
+        gap
+        for gap in missing_runs(chips.seen)
+        if gap.stop - gap.start > SHORT_GAP and gap.start >= SLOPE and gap.stop <= chips.time.size - SLOPE
+    ]
+
+
+def refuse_gaps(chips: Chips) -> None:
+    """Refuse gaps that are too long.
+
+    Raises
+    ------
+    Refused
+        If one has more than LONGEST of the collection.
+    """
+    for gap in long_gaps(chips):
+        if (share := (gap.stop - gap.start) / chips.time.size) > LONGEST:
+            raise Refused(
+                f"signal is NaN over {share:.0%} of the collection in a row, and the track's error cannot be followed "
+                f"over a gap of more than {LONGEST:.0%}; give the part before it, or the part after it"
+            )
+
+
+def stitched(chips: Chips, displacement: FloatArray, weights: FloatArray) -> FloatArray:
+    """A displacement (n_sample, 3), m, moved along the mean line of sight after each gap, so that points are brightest.
+
+    Within half a turn of the phase. Entropy does not tell: a gap gives all points sidelobes, however both sides fit.
+    """
+    sight, out = mean_sight(chips), displacement
+    for gap in long_gaps(chips):
+        phase = jump(chips.corrected(out), gap.stop, weights) / chips.work.wavenumber
+        out = out + np.where(np.arange(chips.time.size) < gap.stop, 0.0, phase)[:, None] * sight
+    return out
+
+
+def jump(chips: Chips, stop: int, weights: FloatArray) -> float:
+    """Phase, rad, by which the samples of all points from `stop` on are ahead of those before, within half a turn.
+
+    With it taken out, the mean power of the brightest Doppler cells is highest.
+    """
+    rows = strongest_rows(chips)
+    n, later = rows.shape[1], chips.index >= stop
+    spectra = []
+    for part in (np.where(later, 0, rows), np.where(later, rows, 0)):
+        padded = np.zeros((rows.shape[0], fast_length(PADDING * n)), np.complex64)
+        padded[:, :n] = part
+        spectra.append(fft_rows(padded, inverse=False))
+    share = weights / np.maximum((np.abs(rows) ** 2).sum(axis=1, dtype=np.float64), 1e-300)
+    turns = np.arange(-TRIALS, TRIALS) / (2 * TRIALS)
+    power = np.zeros(turns.size)
+    for k, turn in enumerate(turns):
+        whole = spectra[0] + spectra[1] * np.complex64(np.exp(-2j * np.pi * turn))
+        power[k] = (share * (whole.real**2 + whole.imag**2).max(axis=1)).sum()
+    best = int(power.argmax())
+    beside = vertex(power[[best - 1, best, (best + 1) % turns.size]])
+    return float(2 * np.pi * (turns[best] + beside / turns.size))
+
+
+def bridged(chips: Chips, displacement: FloatArray, before: FloatArray) -> FloatArray:
+    """A displacement (n_sample, 3), m, so that with `before` (n_sample, 3) its gaps are bridged; the same without gaps.
+
+    After each gap it is moved along the mean line of sight by half wavelengths, which turn phases by whole turns that
+    no chip sees: those that make it smooth by itself, so that loops add no turns to what is smooth already.
+    """
+    sight, out = mean_sight(chips), displacement
+    for gap in long_gaps(chips):
+        phase = chips.work.wavenumber * (out * sight).sum(axis=1)
+        turns = whole_turns(phase, gap, chips.seen & (sight != 0).any(axis=1))
+        later = sight[gap.stop :] * (2 * np.pi * turns / chips.work.wavenumber)
+        out = np.concatenate([out[: gap.stop], out[gap.stop :] - later])
+        out[gap] = between(out + before, gap) - before[gap]
+    return out
+
+
+def whole_turns(phase: FloatArray, gap: slice, seen: BoolArray) -> int:
+    """Turns by which a phase (n,), rad, is ahead after a gap, by a polynomial through what is `seen` of both sides."""
+    side = max(gap.stop - gap.start, LEAST_SIDE)
+    low, high = max(gap.start - side, 0), min(gap.stop + side, phase.size)
+    at = low + np.flatnonzero(seen[low:high])
+    after = (at >= gap.stop).astype(np.float64)
+    if min(after.sum(), at.size - after.sum()) < SLOPE:
+        return 0
+    u = (2 * at - (low + high)) / (high - low)
+    terms = np.concatenate([u[None] ** np.arange(DEGREE + 1)[:, None], after[None]])
+    return round(float(solvers.least_squares(terms, phase[at])[-1]) / (2 * np.pi))
+
+
+def between(displacement: FloatArray, gap: slice) -> FloatArray:
+    """Displacements (n, 3) in a gap of a displacement (n_sample, 3): cubics with the value and slope of either side."""
+    n, u = gap.stop - gap.start + 1, np.arange(SLOPE) - (SLOPE - 1) / 2
+    sides = (displacement[gap.start - SLOPE : gap.start], displacement[gap.stop : gap.stop + SLOPE])
+    slopes = [(u[:, None] * side).sum(axis=0) / (u * u).sum() for side in sides]
+    means = [side.mean(axis=0) for side in sides]
+    first, last = means[0] + slopes[0] * u[-1], means[1] + slopes[1] * u[0]
+    s = (np.arange(1, n) / n)[:, None]
+    return np.asarray(
+        (1 + 2 * s) * (1 - s) ** 2 * first + s**2 * (3 - 2 * s) * last
+        + n * s * (1 - s) * ((1 - s) * slopes[0] - s * slopes[1])
+    )  # fmt: skip
