@@ -43,6 +43,7 @@ class DwellGate:
     A step in Doppler that delays by D(f) turns a sharp end after it into a smeared one before it. The smear is again
     that of a Fresnel integral, with D' in place of e', and adds to it: with e' + D' instead of e' the dwell has sharp
     ends at the time when the target was lit, as in back-projection, for the targets with a D' amid those of the block.
+    In the time after a step that stretches lines by s, its smear is s D'; ends that fade out are made with that.
 
     The keystone scales time by 1 + f / fc, so a dwell does not end at the same time for all range frequencies. The
     window that differs least from steps at times spread evenly over +-`blur` is their mean: it loses a third less than

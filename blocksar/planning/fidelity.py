@@ -204,9 +204,9 @@ def _at_ends(
     collection = geometry.collection
     lit = line.weight.sum(axis=-1)
     lost = np.zeros(lit.shape)
-    smear = end_smear(line, rate)
     edge_of_band = collection.bandwidth / 2 / collection.carrier
     fade = 0 if gate.taper is None else gate.taper.fade
+    smear = end_smear(line, rate, faded=fade > 0)
     for end, placed, moment, phase, slope in zip(
         (0, -1),
         dwell_ends(line),
@@ -223,7 +223,8 @@ def _at_ends(
         if fade:
             # Not counted for whole dwells: at a block's borders they lose up to 3 dB more than their smear alone says.
             scaled = scaled if moves is None else moves[..., end]
-            total = faded_energy(left, displaced, scaled * edge_of_band, lit / (2 * fade), band, parts=parts)
+            area = left / line.stretch[..., end] ** 2
+            total = faded_energy(area, displaced, scaled * edge_of_band, lit / (2 * fade), band, parts=parts)
         else:
             total = blurred_energy(left, displaced, scaled * edge_of_band, gate.blur, collection.pulse_interval, band)
         cut = np.abs(moment - collection.time[end]) < collection.pulse_interval

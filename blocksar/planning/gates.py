@@ -174,7 +174,7 @@ def plan_gate(
     near, far = rows.start, rows.start + rows.extent
     scale = max(float(np.ptp(spots.doppler) / 2), 1e-6)
     place = _RowPlace(near, far, centre=float((doppler.min() + doppler.max()) / 2), scale=scale)
-    length, smear = float(lengths.mean()), end_smear(line, rate)
+    length, smear = float(lengths.mean()), end_smear(line, rate, faded=fade > 0)
     edges = [begins + length / 2, ends - length / 2]
     if weighed:
         middle = _crossing(line, (first, last), passing[0] if passing else (uncut[0] + uncut[1]) / 2)
@@ -368,14 +368,17 @@ def dwell_ends(line: Line) -> tuple[FloatArray, FloatArray]:
     return begins, line.time[..., -1] + outside * line.stretch[..., -1]
 
 
-def end_smear(line: Line, rate: FloatArray) -> FloatArray:
+def end_smear(line: Line, rate: FloatArray, *, faded: bool = False) -> FloatArray:
     """Slope D' (..., 2) of the delay that the steps in Doppler give the begin and the end of dwells, s/Hz.
 
     `rate` is the lines' Doppler rate before these steps. Where it vanishes, so does the smear: no Doppler is passed.
+
+    The area of the smear is D' times the stretch of the line, since the end is smeared in the time after the steps.
+    Windows of ends that are `faded` are made with that. Those of whole dwells, where it changes little, are not.
     """
     ends, rate = line.stretch[..., [0, -1]], rate[..., [0, -1]]
     passed = np.abs(rate) > 1e-6 * np.abs(rate).max()
-    return np.where(passed, (1 - ends) / np.where(passed, rate, 1.0), 0.0)
+    return np.where(passed, (1 - ends) / np.where(passed, rate, 1.0), 0.0) * (ends if faded else 1.0)
 
 
 def smear_room(line: Line, rate: FloatArray) -> float:

@@ -15,9 +15,10 @@ import blocksar
 from blocksar.collection.beam import at_times, beam_offset, dwell_at, passing_at
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
+from blocksar.focusing.lines import Line
 from blocksar.planning.edge_search import find_edges
 from blocksar.planning.fidelity import faded_energy
-from blocksar.planning.gates import gate_parts
+from blocksar.planning.gates import end_smear, gate_parts
 from blocksar.planning.plan import Plan, block_work
 
 
@@ -37,6 +38,32 @@ def test_the_energy_of_a_faded_end_is_that_of_its_integral(area: float, displace
     totals = [np.sum(np.abs(smeared - rise(t - d))[near] ** 2) * step for d in (displaced, -displaced)]
     found = faded_energy(np.array(area), np.array(displaced), np.array(0.0), duration)
     assert found == pytest.approx(np.mean(totals), rel=0.01)
+
+
+@pytest.mark.parametrize("stretch", [0.93, 1.08])
+def test_a_step_in_doppler_smears_a_faded_end_in_the_time_after_it(stretch: float) -> None:
+    """A chirp with a faded begin, delayed in Doppler and deramped, by fine transforms; without the stretch it fails."""
+    step, n, rate, duration = 4e-6, 2**16, 1e5, 1e-3
+    t, curvature = (np.arange(n) - n // 2) * step, (1 - stretch) / rate
+
+    def rise(at: np.ndarray) -> np.ndarray:
+        fall = np.cos(np.pi / 2 * np.clip((at - 0.02) / 0.03, 0, 1)) ** 2
+        return np.asarray(np.sin(np.pi / 2 * np.clip((at + 0.02) / duration, 0, 1)) ** 2 * fall)
+
+    def turned(y: np.ndarray, area: float) -> np.ndarray:
+        return np.asarray(np.fft.ifft(np.fft.fft(y) * np.exp(1j * np.pi * area * np.fft.fftfreq(n, step) ** 2)))
+
+    one = np.ones(1)
+    line = Line(time=-0.02 * one, doppler=0 * one, rate=rate * one, phase=0 * one, range=0 * one, stretch=one, weight=one)
+    after = line.multiply_doppler(0 * one, 0 * one, curvature * one)
+    assert after.stretch == pytest.approx(stretch)
+    delayed = turned(rise(t) * np.exp(1j * np.pi * rate * t**2), curvature)
+    found = delayed * np.exp(-1j * np.pi * rate / stretch * t**2) * np.sqrt(stretch)
+    errors = []
+    for faded in (True, False):
+        (area,) = end_smear(after, line.rate, faded=faded)[:1]
+        errors.append(np.abs(found - turned(rise(t / stretch), area))[np.abs(t + 0.02) < 0.01].max())
+    assert errors[0] < 1e-6 < 0.01 < errors[1]
 
 
 def test_an_end_that_moves_over_the_band_loses_the_mean() -> None:
