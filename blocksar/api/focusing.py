@@ -318,9 +318,9 @@ def _carry_out(
         job = job.with_stored_input()
         projected = job.exact or any(plan.completed for plan in job.plans)
         on_terrain = job.request.terrain is not None
-        compiling.compile_missing(
-            [*(compiling.PROJECTION if projected else []), *(compiling.TERRAIN if on_terrain else [])]
-        )
+        blends = any(plan.blends for plan in job.plans)
+        optional = (compiling.PROJECTION, projected), (compiling.TERRAIN, on_terrain), (compiling.WEIGHTS, blends)
+        compiling.compile_missing(name for names, used in optional if used for name in names)
         if client is None:
             scratch = run_folder.scratch(run.folder)
             client = stack.enter_context(

@@ -32,8 +32,11 @@ TERRAIN = (
     "focusing.relief_correction", "kernels.occlusion", "kernels.terrain_rows", "focusing.surfaces:sum_layers",
 )  # fmt: skip
 PROJECTION = ("kernels.projection", "focusing.pattern_sums")
+WEIGHTS = ("kernels.blending",)
 TRACKS = ("autofocusing.range_lines", "autofocusing.forms", "autofocusing.sights", "autofocusing.phase_gradient")
-LOOPS = (*TERRAIN[:1], *TASKS, *PROJECTION, *TERRAIN[1:], "simulation.scatterers", *TRACKS, "kernels.sampling")
+LOOPS = (
+    *TERRAIN[:1], *TASKS, *PROJECTION, *TERRAIN[1:], "simulation.scatterers", *WEIGHTS, *TRACKS, "kernels.sampling",
+)  # fmt: skip
 HELP = "import sys; from blocksar.graph import compiling; print(compiling.help_to_compile(sys.argv[1:]))"
 
 

@@ -17,7 +17,7 @@ from typing import Literal, Protocol
 import numpy as np
 
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
-from blocksar.kernels import buffers, interpolation, phase
+from blocksar.kernels import blending, buffers, interpolation, phase
 from blocksar.kernels.fourier import Axis, fft_rows
 from blocksar.kernels.groups import row_groups, run_groups
 from blocksar.kernels.operations import Blend, Cut, Operation, Resample, ScaledTurn, Stretch, Transform, Turn, Window
@@ -25,7 +25,6 @@ from blocksar.kernels.phase import Float32Array, Phase
 
 Layout = Literal["rows", "columns"]
 ALIKE = 0.005  # shares of a blend in the rows of a group: the image errs by -60 dB where windows differ by a sixth
-BEYOND = (-0.5, 1.5)  # shares of a blend: beyond the lines that it was fitted to, a polynomial runs away
 
 
 class Program:
@@ -223,34 +222,26 @@ class _BlendPass:
         target = blend.transform.target
         z = (target.values - blend.centre) / blend.scale
         share = _shares(blend.share[rows], z)
-        total: ComplexArray | None = None
-        for k, weight in enumerate(_lagrange(np.clip(share, *BEYOND), blend.count)):
-            part = group if k == blend.count - 1 else group.copy()
-            phase.multiply_windows(part, np.ascontiguousarray(blend.values[:, k]), which)
-            part = fft_rows(part, inverse=blend.transform.inverse)[:, : target.size]
-            part *= weight
-            total = part if total is None else np.add(total, part, out=total)
-        assert total is not None
-        return total
+        total = group
+        for k in range(blend.count):
+            part = group if k == blend.count - 1 else np.empty_like(group)
+            blending.window_rows(group, blend.values, which, k, part)
+            part = fft_rows(part, inverse=blend.transform.inverse)
+            total = part if k == 0 else total
+            if blend.count > 1:
+                blending.blend_rows(part, share, k, blend.count, total)
+        return total[:, : target.size]
 
 
-def _shares(coefficients: FloatArray, z: FloatArray) -> FloatArray:
-    """Polynomials of rows at z (n,): those of their mean, (n,), where they are alike, else (n_row, n)."""
-    polyval = np.polynomial.polynomial.polyval
-    apart = np.clip(polyval(z, coefficients[[0, -1]].T), *BEYOND)
-    if np.abs(apart[1] - apart[0]).max() <= ALIKE:
-        return np.asarray(polyval(z, coefficients.mean(axis=0)))
-    return np.asarray(polyval(z, coefficients.T))
-
-
-def _lagrange(share: FloatArray, count: int) -> list[Float32Array]:
-    """Lagrange's polynomials through 0, 1 / (count - 1), .. 1 at the shares (..., n)."""
-    nodes = np.arange(count) / max(count - 1, 1)
-    terms = []
-    for node in nodes:
-        others = nodes[nodes != node]
-        terms.append(((share[..., None] - others) / (node - others)).prod(axis=-1).astype(np.float32))
-    return terms
+def _shares(coefficients: FloatArray, z: FloatArray) -> Float32Array:
+    """Polynomials of rows at z (n,): those of their mean, (1, n), where they are alike, else (n_row, n)."""
+    out = np.empty((2, z.size), np.float32)
+    blending.evaluate_shares(np.ascontiguousarray(coefficients[[0, -1]]), z, out)
+    if np.abs(out[1] - out[0]).max() <= ALIKE:
+        coefficients = coefficients.mean(axis=0, keepdims=True)
+    out = np.empty((coefficients.shape[0], z.size), np.float32)
+    blending.evaluate_shares(np.ascontiguousarray(coefficients), z, out)
+    return out
 
 
 @dataclass(frozen=True, eq=False)

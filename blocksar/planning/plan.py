@@ -200,6 +200,12 @@ class Plan:
         return self.fade > 0 or self.stays
 
     @property
+    def blends(self) -> bool:
+        """Whether windows for dwells of several lengths are blended."""
+        gates = [block.sampling.gate for block in self.blocks]
+        return any(gate is not None and gate.taper is not None for gate in gates)
+
+    @property
     def edge_pulses(self) -> int:
         """Pulses at either end of a dwell that are back-projected; 0 where none are."""
         gates = [block.sampling.gate for block in self.blocks]
