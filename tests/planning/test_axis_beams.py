@@ -14,7 +14,9 @@ from blocksar.collection.beam import has_full_dwell, lit_interval
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
+from blocksar.collection.region import plan_region
 from blocksar.collection.weighting import Weighting
+from blocksar.errors import PrfTooLow
 from blocksar.focusing.backprojection import form_image
 from blocksar.focusing.correction import correct
 from blocksar.focusing.dwell_edges import add_edges, edge_profiles, take_unlit
@@ -22,6 +24,7 @@ from blocksar.focusing.recovery import recover_columns
 from blocksar.measurement.coherence import coherence
 from blocksar.planning.edges import LEAST_FADE
 from blocksar.planning.plan import Plan, plan_collection
+from blocksar.planning.recovery import plan_recovery
 from blocksar.simulation.antenna import named_pattern
 from blocksar.simulation.scatterers import simulate_pulses
 
@@ -294,3 +297,37 @@ def test_plans_are_the_same_each_time() -> None:
         np.testing.assert_array_equal(a.ground.lit, b.ground.lit)
         np.testing.assert_array_equal(a.ground.phase.series, b.ground.phase.series)
         assert a.ground.lit.ndim == 2
+
+
+@pytest.mark.parametrize("mode", ["spotlight", "sliding spotlight", "tops"])
+def test_the_prf_that_is_asked_for_is_that_of_the_ground_which_the_beam_lights_at_a_time(mode: str) -> None:
+    """Against Doppler from velocities and lines of sight; a turning beam passes over five times as much in all.
+
+    Where the beam stays, pulses are summed on all of its ground, a tenth more than one of them lights.
+    """
+
+    def collection_of(n_pulse: int) -> Collection:
+        return spotlight(n_pulse=n_pulse) if mode == "spotlight" else axis_collection(mode, n_pulse=n_pulse)
+
+    collection = collection_of(400)
+    geometry, grid = Geometry(collection=collection), Grid(8900.0, 9100.0, 4.0, -60.0, 60.0, 4.0)
+    region = plan_region(geometry, grid)
+    near, far = region.at(region.yaw)
+    ground = np.concatenate([geometry.ground_point(near + share * (far - near), region.yaw) for share in (0.1, 0.5, 0.9)])
+    velocity = np.gradient(collection.antenna_position, collection.time, axis=0)
+    assert collection.beam_axis is not None and collection.beam_steering is not None and collection.beam_width
+    needed = 0.0
+    for pulse in range(0, collection.n_pulse, 20):
+        sight = ground - collection.antenna_position[pulse]
+        sight /= np.linalg.norm(sight, axis=1, keepdims=True)
+        off = np.arcsin(sight @ collection.beam_axis[pulse]) - collection.beam_steering[pulse]
+        doppler = 2 / collection.wavelength * (sight @ velocity[pulse])[np.abs(off) <= collection.beam_width / 2]
+        needed = max(needed, float(np.ptp(doppler)))
+    stays = mode == "spotlight"
+    summed = geometry.unsteered() if stays else geometry
+    low, high = plan_recovery(summed, region, stays=stays).band
+    assert needed <= high - low <= 1.12 * needed
+    few = Geometry(collection=collection_of(int(0.9 * needed * 1.25)))
+    with pytest.raises(PrfTooLow) as refusal:
+        plan_recovery(few.unsteered() if stays else few, plan_region(few, grid), stays=stays)
+    assert needed <= refusal.value.needed <= 1.12 * needed + 20
