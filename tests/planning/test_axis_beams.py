@@ -313,7 +313,9 @@ def test_the_prf_that_is_asked_for_is_that_of_the_ground_which_the_beam_lights_a
     geometry, grid = Geometry(collection=collection), Grid(8900.0, 9100.0, 4.0, -60.0, 60.0, 4.0)
     region = plan_region(geometry, grid)
     near, far = region.at(region.yaw)
-    ground = np.concatenate([geometry.ground_point(near + share * (far - near), region.yaw) for share in (0.1, 0.5, 0.9)])
+    ground = np.concatenate(
+        [geometry.ground_point(near + share * (far - near), region.yaw) for share in (0.1, 0.5, 0.9)]
+    )
     velocity = np.gradient(collection.antenna_position, collection.time, axis=0)
     assert collection.beam_axis is not None and collection.beam_steering is not None and collection.beam_width
     needed = 0.0
