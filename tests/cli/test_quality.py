@@ -59,7 +59,7 @@ def test_few_targets_are_all_shown(run: Path) -> None:
             "feature 1 is no point",
         ),
         ('{"type": "Feature", "geometry": {"type": "Point", "coordinates": [39, 139]}}', "give longitude first"),
-        ('[{"name": "A", "x": 1, "y": 2},\n]', "is not JSON at line 2; give [{"),
+        ('[{"name": "A", "x": 1, "y": 2},\n;]', "is not JSON at line 2; give [{"),
         ("", "is not JSON at line 1; give"),
         ('[{"name": "A", "x": 1, "Y": 2}]', "target 1 has the unknown key 'Y'; did you mean y?"),
         ('[{"name": "A", "x": 1, "y": 2, "sigma": 1}]', "has the unknown key 'sigma'; known are name, x, y"),

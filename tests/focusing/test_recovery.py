@@ -314,7 +314,7 @@ def test_compression_keeps_only_a_few_pulses_in_double_precision() -> None:
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak - found.nbytes <= COMPRESSED_ROWS * (2 * 8 * n_time + 5 * 16 * n_band)
-    np.testing.assert_array_equal(found[50:51], compression.apply(echo[50:51], pulses=slice(50, 51)))
+    np.testing.assert_array_equal(found[48:52], compression.apply(echo[48:52], pulses=slice(48, 52)))  # of an FFT
 
 
 def test_the_padding_leaves_room_on_both_sides_of_the_pulses() -> None:
