@@ -21,7 +21,7 @@ from blocksar.api.arguments import GridLike, Source, blocks_of, fidelity_of, gri
 from blocksar.api.findings import Check, add_findings, checking
 from blocksar.api.jobs import Job, Request
 from blocksar.api.joint import focus_members, members_of
-from blocksar.api.planning import undersampling
+from blocksar.api.planning import short_dwells, undersampling
 from blocksar.api.rehearsing import rehearse
 from blocksar.api.shown import RunReport
 from blocksar.api.tracks import control_points, track_corrected
@@ -288,7 +288,9 @@ def _focus(
         finished = _carry_out(job, run, record, client, listener, profile, resumed=earlier is not None)
     except ProcessingError as error:
         raise ProcessingError(f"{error}; what was finished stays, the same command goes on from there") from error
-    found = [next((line for plan in job.plans if (line := undersampling(plan))), None)]
+    found = [
+        next((line for plan in job.plans if (line := doubt(plan))), None) for doubt in (undersampling, short_dwells)
+    ]
     if request.terrain is not None:
         found.append(coverage_note(request.terrain, job.grid))
     if min(job.grid.shape) < 2:

@@ -9,6 +9,7 @@ import pytest
 from axis_beams import MODES, axis_collection, spotlight, with_patterns
 from strips import DISTANCE, strip_collection
 
+from blocksar.api.planning import short_dwells
 from blocksar.arrays import BoolArray, ComplexArray
 from blocksar.collection.beam import has_full_dwell, lit_interval
 from blocksar.collection.collection import Collection
@@ -138,6 +139,9 @@ def test_dwells_of_few_pulses_are_focused_as_predicted() -> None:
     x, y = grid.x[20:21], grid.y[40:41]
     target = focus(plan, simulate_pulses(collection, x, y, np.ones(1), threads=1))[40, 20]
     assert target == pytest.approx(1.0, abs=3e-3)
+    assert short_dwells(plan) is None
+    narrow = plan_collection(replace(collection, beam_width=0.003), grid=grid, blocks=1)
+    assert (short_dwells(narrow) or "").startswith("5 pulses light a target at most, of 256")
 
 
 def test_a_pattern_may_have_any_peak() -> None:
