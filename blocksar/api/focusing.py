@@ -417,7 +417,7 @@ def _run_stages(
                     own.discard(own.gated(block.name), some)
     merged = stages.mosaic(client, segments, run, focused, noises, listener)
     timings["mosaic"] = lap()
-    every = (*_receipts_of(recovered), *chain(*gated), *focused, *merged)
+    every = (*_receipts_of(recovered), *chain(*gated), *focused.patches, *merged)
     return replace(record, receipts=every, timings=timings)
 
 

@@ -116,9 +116,9 @@ class Terrain:
         in_x = self._taps((x - self.x0) / self.dx, self.column, self.heights.shape[1])
         return in_x, self._taps((y - self.y0) / self.dy, self.row, self.heights.shape[0])
 
-    def rates_of(self, x: FloatArray, y: FloatArray) -> tuple[Taps, Taps]:
-        """Those whose sums are the derivatives: `taps_of` in one direction and these, per sample, in the other."""
-        in_x, in_y = self.taps_of(x, y)
+    def rates_of(self, x: FloatArray, y: FloatArray, taps: tuple[Taps, Taps]) -> tuple[Taps, Taps]:
+        """Those whose sums are the derivatives: `taps`, per `taps_of`, in one direction, and these in the other."""
+        in_x, in_y = taps
         up_x = self._rates((x - self.x0) / self.dx, self.column, in_x)
         return up_x, self._rates((y - self.y0) / self.dy, self.row, in_y)
 
@@ -141,7 +141,8 @@ class Terrain:
 
     def slopes_on_grid(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Derivatives (n_y, n_x) of the height along x and y at columns x (n_x,) and rows y (n_y,), m."""
-        (in_x, in_y), (up_x, up_y) = self.taps_of(x, y), self.rates_of(x, y)
+        in_x, in_y = self.taps_of(x, y)
+        up_x, up_y = self.rates_of(x, y, (in_x, in_y))
         return self._sum(up_x, in_y) / self.dx, self._sum(in_x, up_y) / self.dy
 
     def slope(self, x: float, y: float) -> tuple[float, float]:

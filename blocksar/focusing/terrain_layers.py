@@ -170,17 +170,18 @@ def heights_on_grid(terrain: Terrain, x: FloatArray, y: FloatArray) -> FloatArra
 
 def incidence_angle(terrain: Terrain, sight: Sight, x: FloatArray, y: FloatArray, z: FloatArray) -> NDArray[np.float32]:
     """Local incidence angles (n_y, n_x), rad, at columns x (n_x,) and rows y (n_y,) with heights z (n_y, n_x), m."""
-    (in_x, in_y), (up_x, up_y) = terrain.taps_of(x, y), terrain.rates_of(x, y)
+    in_x, in_y = terrain.taps_of(x, y)
+    up_x, up_y = terrain.rates_of(x, y, (in_x, in_y))
     strip, columns, along_x, rows, along_y = _sums(terrain, in_x, in_y)
     (nodes_y, to_y), (nodes_x, to_x) = _nodes(y.size), _nodes(x.size)
     antenna = sight.antenna(*np.meshgrid(x[nodes_x], y[nodes_y]), z[np.ix_(nodes_y, nodes_x)])
-    places = [(before, place - before) for place, before in ((at, at.astype(np.int64)) for at in (to_x, to_y))]
-    # One more node, for the pixel at the last one.
-    antenna = np.pad(np.moveaxis(antenna, -1, 0), ((0, 0), (0, 1), (0, 1)), mode="edge")
+    # One more row of nodes, for the pixels at the last one.
+    antenna = np.pad(np.moveaxis(antenna, -1, 0), ((0, 0), (0, 1), (0, 0)), mode="edge")
+    before = to_y.astype(np.int64)
     angle = np.empty(z.shape, np.float32)
     find_incidence(
         strip, columns, along_x, np.stack(up_x[1]) / terrain.dx, rows, along_y, np.stack(up_y[1]) / terrain.dy,
-        np.array(x), np.array(y), np.ascontiguousarray(z), np.ascontiguousarray(antenna), *places[0], *places[1], angle,
+        np.array(x), np.array(y), np.ascontiguousarray(z), _expand(antenna, to_x, -1), before, to_y - before, angle,
     )  # fmt: skip
     return angle
 
@@ -343,7 +344,7 @@ def _expand(values: FloatArray, place: FloatArray, axis: int) -> FloatArray:
     part = (place - before)[:, None] if axis == 0 else place - before
     low = np.take(values, before, axis)
     after = np.minimum(before + 1, values.shape[axis] - 1)
-    return np.asarray(low + part * (np.take(values, after, axis) - low))
+    return np.ascontiguousarray(low + part * (np.take(values, after, axis) - low))
 
 
 def _places(axis: FloatArray, part: slice, step: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

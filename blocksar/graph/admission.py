@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import CancelledError
 from contextlib import suppress
 from typing import Any
@@ -23,7 +23,7 @@ POLL = 2.0  # s between two checks of the cluster while no unit finishes
 
 
 def as_completed(
-    client: Client, stage: str, units: Sequence[Unit], per_worker: int, listener: Listener, *, ahead: bool = False
+    client: Client, stage: str, units: Iterable[Unit], per_worker: int, listener: Listener, *, ahead: bool = False
 ) -> Iterator[tuple[str, Future[Any]]]:
     """Submit units, at most `per_worker` in flight for each worker, and yield each with its future once it has ended.
 
@@ -36,19 +36,19 @@ def as_completed(
     ProcessingError
         If the scheduler is gone, no worker is left, or no unit finishes any more.
     """
+    waiting = units if isinstance(units, deque) else deque(units)
     if isinstance(client, Here):
-        yield from client.as_completed(units, listener)
+        yield from client.as_completed(waiting, listener)
         return
-    waiting = deque(units)
-    starts = dict(units)
+    starts: dict[str, Callable[[], Future[Any]]] = {}
     running: dict[Future[Any], str] = {}
     watch = Watch(client, listener)
     try:
         while True:
             places = watch.count_workers() * (per_worker + (ahead and watch.one_thread_each))
             for _ in range(min(places - len(running), len(waiting))):
-                unit, start = waiting.popleft()
-                running[start()] = unit
+                unit, starts[unit] = waiting.popleft()
+                running[starts[unit]()] = unit
             watch.notify(running)
             if not running:
                 return

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from blocksar.progress import NOBODY, Listener
@@ -36,9 +37,10 @@ class Here:
             return Done(key, error=error)
 
     def as_completed(
-        self, units: Sequence[tuple[str, Callable[[], Any]]], listener: Listener
+        self, units: deque[tuple[str, Callable[[], Any]]], listener: Listener
     ) -> Iterator[tuple[str, Any]]:
-        """Run units one after another, and yield each with what it has left."""
-        for unit, start in units:
+        """Take units one after another, run them, and yield each with what it has left."""
+        while units:
+            unit, start = units.popleft()
             listener.watch([unit], NOBODY)
             yield unit, start()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,18 +29,6 @@ from blocksar.runs.receipts import Run, write
 from blocksar.runs.record import Written
 
 
-class Ground(NamedTuple):
-    """What an output chunk's layers need of the terrain.
-
-    The terrain about the chunk, the heights of the chunk's pixels (n_y, n_x), m, and the terrain that may hide or
-    overlie them, also from outside the image.
-    """
-
-    terrain: Terrain
-    height: FloatArray
-    around: Terrain
-
-
 def local_terrain(run: Run, grid: Grid, window: Window) -> Terrain:
     """The part of the run's terrain that some rows and columns of the image need."""
     y, x = grid.y[window[0]], grid.x[window[1]]
@@ -55,31 +43,59 @@ def sights_of(run: Run, grid: Grid, geometries: Sequence[tuple[int, Geometry]]) 
     return {number: Sight.of(geometry, box_of(grid.x, grid.y), limits) for number, geometry in geometries}
 
 
+class GroundHeights:
+    """Heights of a run's pixels, by windows; it is not for several threads at once.
+
+    Parameters
+    ----------
+    run : Run
+    grid : Grid
+    on_terrain : bool
+        False: the image lies on the plane, and nothing is read.
+    """
+
+    def __init__(self, run: Run, grid: Grid, *, on_terrain: bool) -> None:
+        self._grid, self._stored = grid, stores.StoredTerrain(run.terrain) if on_terrain else None
+
+    def over(self, window: Window) -> FloatArray | None:
+        """Heights (n_y, n_x), m, of some rows and columns of the image; None on the plane."""
+        if self._stored is None:
+            return None
+        y, x = self._grid.y[window[0]], self._grid.x[window[1]]
+        return heights_on_grid(self._stored.read(*box_of(x, y)), x, y)
+
+
 class TerrainLayers:
-    """Height, local incidence angle and visibility of a run's pixels.
+    """Height, local incidence angle and visibility of a run's pixels; not for several threads at once.
 
     Parameters
     ----------
     run : Run
     grid : Grid
     sights : dict
-        The antenna as seen from the pixels of each block. Without any the image lies on the plane, and nothing is
-        written.
+        The antenna as seen from the pixels of each block. Without any the image lies on the plane, and there are no
+        layers.
+
+    Attributes
+    ----------
+    heights : GroundHeights
     """
 
     def __init__(self, run: Run, grid: Grid, sights: Mapping[int, Sight]) -> None:
-        self._run, self._grid, self._sights = run, grid, sights
+        self._grid, self._sights = grid, sights
+        self.heights = GroundHeights(run, grid, on_terrain=bool(sights))
         self._stored = self._around = stores.StoredTerrain(run.terrain) if sights else None
         if sights and (run.surroundings / "zarr.json").exists():
             self._around = stores.StoredTerrain(run.surroundings)
 
-    def ground(self, window: Window) -> Ground | None:
-        """The ground of some rows and columns of the image, as far as shadow and layover reach; None on the plane.
+    def over(self, window: Window, owner: NDArray[np.int16]) -> dict[str, NDArray[Any]]:
+        """The layers of some rows and columns of the image, by name.
 
-        It is not for several threads at once.
+        `owner` has the block of each pixel, -1 where not covered. Shadow and layover reach as far as the terrain about
+        the image is known.
         """
         if self._stored is None or self._around is None:
-            return None
+            return {}
         y, x = self._grid.y[window[0]], self._grid.x[window[1]]
         boxes = [box_of(x, y)]
         for sight in {id(sight): sight for sight in self._sights.values()}.values():
@@ -87,21 +103,16 @@ class TerrainLayers:
         (x0, x1, y0, y1) = (np.array(boxes)[:, axis, end] for axis in (0, 1) for end in (0, 1))
         around = self._around.read((float(x0.min()), float(x1.max())), (float(y0.min()), float(y1.max())))
         terrain = around if self._around is self._stored else self._stored.read(*boxes[0])
-        return Ground(terrain, heights_on_grid(terrain, x, y), around)
-
-    def write(self, window: Window, owner: NDArray[np.int16], ground: Ground | None) -> list[Written]:
-        """Write the layers of a chunk of the image, whose `ground` is known.
-
-        `owner` has the block of each pixel, -1 where not covered.
-        """
-        if ground is None:
-            return []
-        (terrain, height, around), x, y = ground, self._grid.x[window[1]], self._grid.y[window[0]]
+        height = heights_on_grid(terrain, x, y)
         incidence = by_owner(self._sights, owner, lambda sight: incidence_angle(terrain, sight, x, y, height), np.nan)
         seen = by_owner(self._sights, owner, lambda sight: visibility(around, sight, self._grid, window), UNKNOWN)
         layers = {"height": height, "incidence_angle": incidence, "visibility": seen}
-        types = {name: variable.dtype for name, variable in stores.ON_TERRAIN.items()}
-        return [write(self._run, self._run.image, name, window, layers[name].astype(types[name])) for name in layers]
+        return {name: layers[name].astype(of.dtype, copy=False) for name, of in stores.ON_TERRAIN.items()}
+
+
+def write_layers(run: Run, window: Window, layers: Mapping[str, NDArray[Any]]) -> list[Written]:
+    """Write layers of a chunk of the image, given by name."""
+    return [write(run, run.image, name, window, values) for name, values in layers.items()]
 
 
 def write_noise(
@@ -110,12 +121,15 @@ def write_noise(
     owner: NDArray[np.int16],
     grid: Grid,
     noises: Mapping[int, NoiseMap],
-    ground: Ground | None,
+    height: FloatArray | None,
 ) -> list[Written]:
-    """Write the noise of a chunk of the image where it is covered, by that of blocks; nothing if it is not known."""
+    """Write the noise of a chunk of the image where it is covered, by that of blocks; nothing if it is not known.
+
+    `height` (n_y, n_x) has z of the pixels, m, on a terrain.
+    """
     if not noises:
         return []
-    values, height = np.full(owner.shape, np.nan, np.float32), None if ground is None else ground.height
+    values = np.full(owner.shape, np.nan, np.float32)
     for noise in {id(noise): noise for noise in noises.values()}.values():
         own = np.isin(owner, [block for block, of in noises.items() if of is noise])
         np.copyto(values, noise.over(grid.x[window[1]], grid.y[window[0]], height), where=own)

@@ -33,7 +33,7 @@ from blocksar.graph.admission import Unit
 from blocksar.graph.branches import run_branches
 from blocksar.graph.edges import Edges
 from blocksar.graph.gating import Gated, gate_bins
-from blocksar.graph.layers import sights_of
+from blocksar.graph.layer_units import LayerUnits
 from blocksar.graph.reading import compress_pulses, inspect_group, recover_group
 from blocksar.graph.segments import Segment, by_collection
 from blocksar.graph.spectrum import SpectrumChunks
@@ -47,7 +47,7 @@ from blocksar.graph.tasks import (
     run_stage,
     write_patch,
 )
-from blocksar.graph.units import run_units, single_task, spans
+from blocksar.graph.units import Spare, run_units, single_task, spans
 from blocksar.inspection.samples import Inspection, merge
 from blocksar.inspection.sentences import refusal
 from blocksar.places.place import Place
@@ -64,6 +64,13 @@ class Recovered(NamedTuple):
 
     receipts: list[Receipt]
     inspection: Inspection
+
+
+class Focused(NamedTuple):
+    """Receipts of the patches, and by unit those of layers that were added before all blocks were done."""
+
+    patches: list[Receipt]
+    layers: dict[str, Receipt]
 
 
 def recover(client: Client, segments: Sequence[Segment], run: Run, listener: Listener) -> list[Recovered]:
@@ -198,11 +205,13 @@ def focus_blocks(
     inspections: Sequence[Inspection],
     noises: Sequence[NoiseMap | None],
     listener: Listener,
-) -> list[Receipt]:
+) -> Focused:
     """Focus every block, from its segment's spectrum to patches/<block>, by a chain of tasks of its own.
 
     For every segment, the receipts of recovery and of the range gates have the checksums of spectra, and the inspection
     the valid fraction of each pulse. Its samples are read again where the edges of dwells are back-projected.
+
+    While the last blocks are focused, workers without a block begin with the layers of those that are done.
     """
     # Create all patches here, before the first task: a late task of a lost worker must not empty a store that another
     # task has written to.
@@ -230,7 +239,9 @@ def focus_blocks(
                 partial(_submit_chain, client, plan, own, slab, lit, noise, block, alone, -position, edges),
             )
         )
-    return run_units(client, "focus", units, run, listener)
+    layers = LayerUnits(client, segments, run)
+    spare = Spare(layers.after)
+    return Focused(run_units(client, "focus", units, run, listener, spare=spare), spare.receipts)
 
 
 def _create_patch(run: Run, block: BlockPlan, grid: Grid) -> None:
@@ -276,19 +287,20 @@ def mosaic(
     client: Client,
     segments: Sequence[Segment],
     run: Run,
-    patches: Sequence[Receipt],
+    focused: Focused,
     noises: Sequence[NoiseMap | None],
     listener: Listener,
 ) -> list[Receipt]:
     """Merge the patches into image.zarr, by output chunk, where several blocks may own pixels.
 
-    Chunks that only one block touches are there already; chunks that no block covers are not written.
+    Chunks that only one block touches are there already, on a terrain without their layers, which are added here.
+    Chunks that no block covers are not written.
     """
     grid = segments[0].planned.grid
     side = image_chunk(grid)
     cells: dict[tuple[int, int], list[PatchChunk]] = {}
     blocks = [(segment, block) for segment in segments for block in segment.planned.blocks]
-    for (segment, block), receipt in zip(blocks, patches, strict=True):
+    for (segment, block), receipt in zip(blocks, focused.patches, strict=True):
         assert receipt.origin is not None
         first_y, first_x = receipt.origin
         patch = run.name_of(run.patch(block.name))
@@ -304,9 +316,7 @@ def mosaic(
             )
             cells.setdefault(cell, []).append(chunk)
     known = {segment.number or 0: noise for segment, noise in zip(segments, noises, strict=True) if noise is not None}
-    on_terrain = segments[0].planned.geometry.terrain is not None
-    seen = [(segment.number or 0, segment.planned.geometry) for segment in segments if on_terrain]
-    sights = sights_of(run, grid, seen)
+    layers = LayerUnits(client, segments, run)
     ordered = sorted(cells)
     units = []
     for first, end in spans(len(ordered), MOSAIC_CHUNKS):
@@ -314,9 +324,11 @@ def mosaic(
         margins = {cell: _margins(segments, cell, grid, parts) for cell, parts in group.items()}
         row, column = ordered[first]
         unit = f"chunk-{row}-{column}"
-        task = merge_chunks, group, grid, margins, known, sights
+        task = merge_chunks, group, grid, margins, known, layers.sights
         units.append(single_task(client, run, "mosaic", unit, *task))
-    return run_units(client, "mosaic", units, run, listener, per_worker=2)
+    for receipt in focused.patches:
+        units += [unit for unit in layers.after(receipt.unit, receipt) if unit[0] not in focused.layers]
+    return [*focused.layers.values(), *run_units(client, "mosaic", units, run, listener, per_worker=2)]
 
 
 def _margins(

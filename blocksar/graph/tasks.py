@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from blocksar import stores
-from blocksar.arrays import ComplexArray
+from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.chunks import BACKPROJECTION_CHUNK, WRITES_AT_ONCE
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
@@ -30,7 +30,7 @@ from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.step import Stage
 from blocksar.focusing.terrain_layers import Sight
 from blocksar.graph.edges import Edges, by_yaw, read_valid
-from blocksar.graph.layers import Ground, TerrainLayers, local_terrain, sights_of, write_noise
+from blocksar.graph.layers import GroundHeights, TerrainLayers, local_terrain, sights_of, write_layers, write_noise
 from blocksar.graph.segments import Margins, Merged
 from blocksar.graph.spectrum import SpectrumChunks, Window, chunk_spans, read_ahead
 from blocksar.inspection.samples import Inspection
@@ -177,14 +177,13 @@ def write_patch(
     """Correct a focused block geometrically, and write its patch in chunks of the image's grid.
 
     With `edges`, the edges of dwells are added. `own` has the chunks, by row and column, that no other block touches:
-    they become the image's as they are, with their noise where that is known. Chunks are written by other threads while
-    the next ones are computed.
+    they become the image's as they are, with their noise where that is known, and the layers of a terrain are added
+    later. Chunks are written by other threads while the next ones are computed.
     """
     started = time.perf_counter()
     first_y, first_x, _, _ = patch_window(ground, grid)
     side = image_chunk(grid)
-    seen = [] if ground.relief is None else [(block.index, ground.geometry)]
-    layers = TerrainLayers(run, grid, sights_of(run, grid, seen))
+    heights = GroundHeights(run, grid, on_terrain=ground.relief is not None)
     assert samples.values is not None
     chunks = [np.empty(side[0] * side[1], np.complex64) for _ in range(WRITES_AT_ONCE + 1)]
     writes: list[Future[list[Written]]] = []
@@ -198,25 +197,13 @@ def write_patch(
             shape = (window[0].stop - window[0].start, window[1].stop - window[1].start)
             out = chunks[number % len(chunks)][: shape[0] * shape[1]].reshape(shape)
             x, y = grid.x[window[1]], grid.y[window[0]]
-            beneath = layers.ground(window)
-            z = None if beneath is None else beneath.height
+            z = heights.over(window)
             pixels = correct(samples.values, ground, x=x, y=y, z=z, threads=run.threads, out=out)
             if edges is not None and kept is not None:
                 edges.add(pixels, kept, ground, window, grid, height=z, threads=run.threads)
+            origin, merged = (first_y, first_x), cell not in own
             writes.append(
-                pool.submit(
-                    _write_pixels,
-                    run,
-                    block,
-                    pixels,
-                    window,
-                    (first_y, first_x),
-                    grid,
-                    noise,
-                    layers,
-                    beneath,
-                    merged=cell not in own,
-                )
+                pool.submit(_write_pixels, run, block, pixels, window, origin, grid, noise, z, merged=merged)
             )
     seconds = samples.seconds | {"geometric-correction": time.perf_counter() - started}
     # The receipt covers the whole block: the tasks before this one have no receipts.
@@ -248,8 +235,7 @@ def _write_pixels(
     origin: tuple[int, int],
     grid: Grid,
     noise: NoiseMap | None,
-    layers: TerrainLayers,
-    beneath: Ground | None,
+    height: FloatArray | None,
     *,
     merged: bool,
 ) -> list[Written]:
@@ -268,8 +254,7 @@ def _write_pixels(
     return [
         written,
         *_write_image(run, window, pixels, owner, of, (patch, part), written.checksum),
-        *write_noise(run, window, owner, grid, noises, beneath),
-        *layers.write(window, owner, beneath),
+        *write_noise(run, window, owner, grid, noises, height),
     ]
 
 
@@ -354,11 +339,10 @@ def _merge(
     source = None if alone is None else (run.patch(alone.name), _shifted(window, alone.origin))
     collections = {part.block: part.collection for part in parts if part.collection is not None}
     of_blocks = {part.block: noises[part.segment] for part in parts if noises}
-    ground = layers.ground(window)
     return [
         *_write_image(run, window, image, owner, collections, source, parts[0].checksum),
-        *write_noise(run, window, owner, grid, of_blocks, ground),
-        *layers.write(window, owner, ground),
+        *write_noise(run, window, owner, grid, of_blocks, layers.heights.over(window) if of_blocks else None),
+        *write_layers(run, window, layers.over(window, owner)),
     ]
 
 
@@ -378,6 +362,28 @@ def _lay(run: Run, window: Window, parts: Sequence[PatchChunk]) -> tuple[Complex
             np.copyto(image, patch, where=covered)
     assert image is not None
     return image, owner
+
+
+@naming_failures(lambda run, unit, *_: f"layers of {unit}")
+def add_layers(
+    run: Run, unit: str, cells: Sequence[tuple[int, int]], grid: Grid, sights: Mapping[int, Sight]
+) -> Receipt:
+    """Write the layers of output chunks on a terrain, given by row and column, whose image and owners are written.
+
+    Chunks are written by other threads while the next ones are computed.
+    """
+    started = time.perf_counter()
+    layers = TerrainLayers(run, grid, sights)
+    writes: list[Future[list[Written]]] = []
+    with ThreadPoolExecutor(WRITES_AT_ONCE) as pool:
+        for number, cell in enumerate(cells):
+            if number > WRITES_AT_ONCE:
+                writes[number - WRITES_AT_ONCE - 1].result()
+            window = chunk_window(cell, grid)
+            owner = stores.read_region(run.image, "block", window, cached=False)
+            writes.append(pool.submit(write_layers, run, window, layers.over(window, owner)))
+    written = tuple(part for future in writes for part in future.result())
+    return sign(run, Receipt(unit=unit, stage="mosaic", written=written), started)
 
 
 def back_project_chunk(
@@ -409,12 +415,11 @@ def back_project_chunk(
         noises = {source.number: source.noise for source in sources if source.noise is not None}
         seen = [(source.number, source.geometry) for source in sources if on_terrain]
         layers = TerrainLayers(run, grid, sights_of(run, grid, seen))
-        ground = layers.ground(window)
         parts = [
             write(run, run.image, "image", window, image),
             *_write_owner(run, window, owner, collections),
-            *write_noise(run, window, owner, grid, noises, ground),
-            *layers.write(window, owner, ground),
+            *write_noise(run, window, owner, grid, noises, layers.heights.over(window) if noises else None),
+            *write_layers(run, window, layers.over(window, owner)),
         ]
     return sign(run, Receipt(unit=unit, stage="backprojection", written=tuple(parts)), started)
 

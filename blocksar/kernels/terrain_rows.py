@@ -82,12 +82,12 @@ def _arc_cosine(cosine: float) -> Any:
 
 @loop(
     REAL_ROWS, INDICES, REAL_ROWS, REAL_ROWS, INDICES, REAL_ROWS, REAL_ROWS, REAL_ROW, REAL_ROW, REAL_ROWS, PLANES,
-    INDICES, REAL_ROW, INDICES, REAL_ROW, types.float32[:, ::1], **COMPILED, **UNCHECKED,
+    INDICES, REAL_ROW, types.float32[:, ::1], **COMPILED, **UNCHECKED,
 )  # fmt: skip
 def find_incidence(
     strip: FloatArray, columns: IntArray, along_x: FloatArray, rate_x: FloatArray, rows: IntArray, along_y: FloatArray,
-    rate_y: FloatArray, x: FloatArray, y: FloatArray, z: FloatArray, antenna: FloatArray, node_x: IntArray,
-    part_x: FloatArray, node_y: IntArray, part_y: FloatArray, out: NDArray[np.float32],
+    rate_y: FloatArray, x: FloatArray, y: FloatArray, z: FloatArray, antenna: FloatArray, node: IntArray,
+    part: FloatArray, out: NDArray[np.float32],
 ) -> None:  # fmt: skip
     """Find the angle between the terrain's upward normal and the line of sight at every pixel.
 
@@ -101,10 +101,10 @@ def find_incidence(
         m
     z : (n_y, n_x) float
         m
-    antenna : (3, m_y, m_x) float
-        x, y and z of the antenna as nodes see it, m; at least two by two nodes, bilinear in between.
-    node_x, part_x : (n_x,)
-        The node before each column, and the part of the way to the next; `node_y` and `part_y` those of rows.
+    antenna : (3, m, n_x) float
+        x, y and z of the antenna as the columns of m rows see it, m; at least two rows, linear in between.
+    node, part : (n_y,)
+        Which of the m rows is before each row, and the part of the way to the next.
     out : (n_y, n_x) float32
         Written: rad; NaN where the height is.
     """
@@ -112,21 +112,16 @@ def find_incidence(
     along, rate = np.empty((strip.shape[0], n)), np.empty((strip.shape[0], n))
     _along(strip, columns, along_x, along)
     _along(strip, columns, rate_x, rate)
-    nodes, place = np.empty((3, antenna.shape[2])), np.empty((3, n))
     for i in range(rows.size):
-        r, m, v = rows[i], node_y[i], part_y[i]
-        for q in range(3):
-            for k in range(nodes.shape[1]):
-                nodes[q, k] = antenna[q, m, k] + v * (antenna[q, m + 1, k] - antenna[q, m, k])
-            for k in range(n):
-                j = node_x[k]
-                place[q, k] = nodes[q, j] + part_x[k] * (nodes[q, j + 1] - nodes[q, j])
+        r, m, v = rows[i], node[i], part[i]
         a, b, c, d = along_y[0, i], along_y[1, i], along_y[2, i], along_y[3, i]
         e, f, g, h = rate_y[0, i], rate_y[1, i], rate_y[2, i], rate_y[3, i]
         for k in range(n):
             slope_x = rate[r, k] * a + rate[r + 1, k] * b + rate[r + 2, k] * c + rate[r + 3, k] * d
             slope_y = along[r, k] * e + along[r + 1, k] * f + along[r + 2, k] * g + along[r + 3, k] * h
-            ux, uy, uz = place[0, k] - x[k], place[1, k] - y[i], place[2, k] - z[i, k]
+            ux = antenna[0, m, k] + v * (antenna[0, m + 1, k] - antenna[0, m, k]) - x[k]
+            uy = antenna[1, m, k] + v * (antenna[1, m + 1, k] - antenna[1, m, k]) - y[i]
+            uz = antenna[2, m, k] + v * (antenna[2, m + 1, k] - antenna[2, m, k]) - z[i, k]
             normal = 1.0 + slope_x * slope_x + slope_y * slope_y
             cosine = uz - ux * slope_x - uy * slope_y
             out[i, k] = _arc_cosine(cosine / np.sqrt(normal * (ux * ux + uy * uy + uz * uz)))

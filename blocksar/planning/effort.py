@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from blocksar.chunks import MOSAIC_CHUNKS, TILE
+from blocksar.chunks import LAYER_CHUNKS, MOSAIC_CHUNKS, TILE
 from blocksar.collection.beam import dwell
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
@@ -28,7 +28,8 @@ RECOVER = 4.8e-8  # per written sample of the spectrum
 STEPS = 1.3e-10  # per operation of the blocks' transforms and resamplings, as Plan.work counts them
 EDGES = 1e-6  # per written pixel of a patch's chunks whose edges of dwells are back-projected
 CORRECT = 3.6e-8  # per written pixel of a patch's chunks
-ON_TERRAIN = 3.0e-8  # more on a terrain: heights, their part of the correction, and the layers beside the image
+ON_TERRAIN = 1.5e-8  # more on a terrain: heights, and their part of the correction
+LAYERS = 1.2e-8  # per pixel of a chunk whose layers are added, on a terrain
 MERGE = 1.13e-8  # per merged pixel of a patch's chunk
 INSPECT = 2e-8  # per sample
 BACK_PROJECT = 5e-9  # per lit pulse and pixel: 2e-9 for the sum, the rest for range profiles of a chunk's pulses
@@ -64,6 +65,7 @@ def of_plan(plan: Plan, *, echo_samples: int = 0) -> Work:
     chunks = [touched_chunks(block.ground, plan.grid) for block in plan.blocks]
     patches = Counter(chunk for touched in chunks for chunk in touched)  # by chunk of the mosaic
     merged = [patches[chunk] for chunk in sorted(patches) if patches[chunk] > 1]
+    alone = [] if plan.geometry.terrain is None else [sum(patches[chunk] == 1 for chunk in each) for each in chunks]
     stages = {
         "recover": (RECOVER * plan.recovery.doppler.size * columns).tolist(),
         **_gating(plan),
@@ -74,6 +76,11 @@ def of_plan(plan: Plan, *, echo_samples: int = 0) -> Work:
         "mosaic": [
             MERGE * sum(merged[first : first + MOSAIC_CHUNKS]) * side[0] * side[1]
             for first in range(0, len(merged), MOSAIC_CHUNKS)
+        ]
+        + [
+            LAYERS * min(count - first, LAYER_CHUNKS) * side[0] * side[1]
+            for count in alone
+            for first in range(0, count, LAYER_CHUNKS)
         ],
     }
     return _by_pulse_group(collection.n_pulse, echo_samples) | stages | {"finish": [FINISH]}

@@ -1,0 +1,55 @@
+"""The units of work that add the layers of a terrain to chunks of an image that one block covers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from distributed import Client
+
+from blocksar.chunks import LAYER_CHUNKS
+from blocksar.graph.admission import Unit
+from blocksar.graph.layers import sights_of
+from blocksar.graph.segments import Segment
+from blocksar.graph.tasks import add_layers
+from blocksar.graph.units import single_task, spans
+from blocksar.planning.tiling import image_chunk
+from blocksar.runs.receipts import Run
+from blocksar.runs.record import Receipt, block_unit
+
+
+class LayerUnits:
+    """Units for the chunks that blocks have written to the image; none on the plane.
+
+    Attributes
+    ----------
+    sights : dict of Sight
+        The antenna as pixels see it, by number of the segment; empty on the plane.
+    """
+
+    def __init__(self, client: Client, segments: Sequence[Segment], run: Run) -> None:
+        self._client, self._run, self._grid = client, run, segments[0].planned.grid
+        on_terrain = segments[0].planned.geometry.terrain is not None
+        seen = [(segment.number or 0, segment.planned.geometry) for segment in segments if on_terrain]
+        self.sights = sights_of(run, self._grid, seen)
+        self._blocks = {
+            block_unit(block.name): (block.index, segment.number or 0)
+            for segment in segments
+            for block in segment.planned.blocks
+        }
+
+    def after(self, unit: str, receipt: Receipt) -> list[Unit]:
+        """The units that can begin once a block is done, given by its unit and its receipt."""
+        if not self.sights:
+            return []
+        (index, segment), side = self._blocks[unit], image_chunk(self._grid)
+        cells = [
+            (part.region[0][0] // side[0], part.region[1][0] // side[1])
+            for part in receipt.written
+            if part.store == self._run.name_of(self._run.image) and part.variable == "block"
+        ]
+        units = []
+        for first, end in spans(len(cells), LAYER_CHUNKS):
+            name, sights = "layers-{}-{}".format(*cells[first]), {index: self.sights[segment]}
+            task = add_layers, cells[first:end], self._grid, sights
+            units.append(single_task(self._client, self._run, "layers", name, *task))
+        return units
