@@ -202,9 +202,7 @@ def write_patch(
             if edges is not None and kept is not None:
                 edges.add(pixels, kept, ground, window, grid, height=z, threads=run.threads)
             origin, merged = (first_y, first_x), cell not in own
-            writes.append(
-                pool.submit(_write_pixels, run, block, pixels, window, origin, grid, noise, z, merged=merged)
-            )
+            writes.append(pool.submit(_write_pixels, run, block, pixels, window, origin, grid, noise, z, merged=merged))
     seconds = samples.seconds | {"geometric-correction": time.perf_counter() - started}
     # The receipt covers the whole block: the tasks before this one have no receipts.
     receipt = Receipt(
