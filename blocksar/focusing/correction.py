@@ -19,6 +19,7 @@ from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.focusing.aperture_waves import sum_waves
 from blocksar.focusing.ground_map import GroundMap
 from blocksar.focusing.pixel_rows import (
+    DOPPLER_UNIT,
     N_CARRIER,
     N_PHASE,
     RANGE_UNIT,
@@ -46,7 +47,6 @@ from blocksar.solvers import least_squares, product
 TILE_PIXELS = 128
 TILE_EXTENT = 150.0  # m: the largest tile over which its polynomials hold to a millicycle
 TILE_GROUP = 16  # tiles per call of the compiled loop
-DOPPLER_UNIT = FEW // 2  # Doppler samples of a vector register
 
 
 def touched(ground: GroundMap, *, x: FloatArray, y: FloatArray, side: tuple[int, int]) -> IntArray:
@@ -142,7 +142,7 @@ def _correct_on_relief(
 ) -> None:  # fmt: skip
     """Write the owned pixels to `out`, by a ground map with relief."""
     doppler_taps, most_bend = bent_taps_of(ground)
-    widths = -(-ground.range_taps[0] // RANGE_UNIT) * RANGE_UNIT, doppler_taps.real.shape[1] // 2
+    widths = -(-ground.range_taps[0] // RANGE_UNIT) * RANGE_UNIT, doppler_taps.width[0]
     floats = _with_room(block, *widths).view(np.float32)
     floats.flags.writeable = False
     near_limit, far_limit = np.array(ground.near_limit), np.array(ground.far_limit)

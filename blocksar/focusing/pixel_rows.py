@@ -19,6 +19,7 @@ from blocksar.kernels.trigonometry import cosine, sine
 N_CARRIER = 1024  # carriers along Doppler that are told apart, in steps of 1 / N_CARRIER cycles per sample
 N_PHASE = 64  # intervals of a sample in a table of taps; between them taps are interpolated, to 1e-4
 RANGE_UNIT = WEIGHED_ROWS
+DOPPLER_UNIT = FEW // 2  # Doppler samples of a vector register
 TILE_DEGREE = 5
 
 # The compiled loops. Rows of pixels lie in arrays as long as a tile's side, allocated once per call: for a view made in
@@ -211,23 +212,22 @@ def sum_windows(  # type: ignore[no-untyped-def]
 
 @njit(**PART, **COMPILED)
 def sum_windows_bent(  # type: ignore[no-untyped-def]
-    flat, stride, at, range_taps, range_step, range_width, range_row, range_part, real_taps, imag_taps, doppler_step,
-    doppler_row, doppler_part, carriers, carrier, real, imag,
+    flat, stride, at, range_taps, range_step, range_width, range_row, range_part, real_taps, imag_taps, tap_at,
+    tap_step, doppler_part, carriers, carrier_step, carrier, real, imag,
 ):  # fmt: skip
-    """`sum_windows` with complex taps along Doppler."""
+    """`sum_windows` with complex taps along Doppler: for each pixel a row of `tap_step` entries from `tap_at` on."""
     for k in range(at.size):
         if at[k] < 0:
             continue
         re, im = spread_few(np.float32(0.0)), spread_few(np.float32(0.0))
-        for m in range(0, doppler_step, FEW):
+        for m in range(0, tap_step[k], FEW):
             column = spread_few(np.float32(0.0))
             for p in range(0, range_width, RANGE_UNIT):
                 weights = taps_between(range_taps, range_row[k] * range_step + p, range_step, range_part[k])
                 column = column + weigh_rows(flat, at[k] + p * stride + m, stride, weights)
-            taps = doppler_row[k] * doppler_step + m
-            phasor = 2 * carrier[k] * doppler_step + m
-            cos, sin = load_few(carriers, phasor), load_few(carriers, phasor + doppler_step)
-            straight = column * taps_between(real_taps, taps, doppler_step, doppler_part[k])
-            bent = column * taps_between(imag_taps, taps, doppler_step, doppler_part[k])
+            taps, phasor = tap_at[k] + m, 2 * carrier[k] * carrier_step + m
+            cos, sin = load_few(carriers, phasor), load_few(carriers, phasor + carrier_step)
+            straight = column * taps_between(real_taps, taps, tap_step[k], doppler_part[k])
+            bent = column * taps_between(imag_taps, taps, tap_step[k], doppler_part[k])
             re, im = re + straight * cos - bent * sin, im + straight * sin + bent * cos
         real[k], imag[k] = total(re), total(im)

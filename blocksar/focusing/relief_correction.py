@@ -21,6 +21,7 @@ from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.ground_map import GroundMap
 from blocksar.focusing.pixel_rows import (
+    DOPPLER_UNIT,
     N_PHASE,
     amplitude_of,
     divide_by_sums,
@@ -33,7 +34,7 @@ from blocksar.focusing.pixel_rows import (
 )
 from blocksar.kernels import interpolation
 from blocksar.kernels.groups import run_groups
-from blocksar.kernels.lanes import FEW
+from blocksar.kernels.interpolation import bent_errors
 from blocksar.kernels.loops import loop
 from blocksar.kernels.phase import Float32Array
 from blocksar.kernels.signatures import (
@@ -56,17 +57,29 @@ HEIGHT_DEGREE = 2  # and in the height
 QUANTITIES = 7  # row, Doppler, phase, 1 / gain, yaw, dwell time, bend
 N_BEND = 96  # steps between the most negative bend and the most positive one
 LEAST_BEND = 1e-3  # cycles at the dwell's ends: less is left
+SLIGHT = 1.3  # bends are slight where the taps of an unbent response err by no more than so many times their own error
+FLOAT_ROW, TRIPLE = types.Array(types.float32, 1, "C", readonly=True), TUPLE((types.int64,) * 3)
 INDEX_ROWS = types.Array(types.int64, 2, "C", readonly=True)
 LEVEL = 1e-3  # m: half the relief of a tile at least
 
 
 class BentTaps(NamedTuple):
-    """Taps along Doppler by bend: real and imaginary parts, (n_bend * 2 (N_PHASE + 1), 2 width), each entry twice."""
+    """Taps along Doppler by bend, and fewer of them for slight bends, which spread a response less.
+
+    Attributes
+    ----------
+    real, imag : (n,) float32
+        Rows of 2 width[0] entries, each tap twice, 2 (N_PHASE + 1) for each of n_bend[0] bends; behind them those of
+        2 width[1] entries for the n_bend[1] bends in their middle.
+    n_tap, width, n_bend : (int, int)
+        Of all bends, and of slight ones: taps, samples that are summed, and number of bends.
+    """
 
     real: Float32Array
     imag: Float32Array
-    n_tap: int
-    n_bend: int
+    n_tap: tuple[int, int]
+    width: tuple[int, int]
+    n_bend: tuple[int, int]
 
 
 def bend_scale(ground: GroundMap) -> float:
@@ -82,21 +95,34 @@ def bent_taps_of(ground: GroundMap) -> tuple[BentTaps, float]:
     most = 0.0 if most < LEAST_BEND else most
     # A bend spreads a response over 4 q / occupancy samples on either side.
     reach = int(np.ceil(4 * most / max(occupancy, 0.05)))
-    return _bent_taps(min(n_tap + 2 * reach, 32), occupancy, most), most
+    return _bent_taps((min(n_tap + 2 * reach, 32), n_tap), occupancy, most), most
 
 
 @lru_cache(maxsize=8)
-def _bent_taps(n_tap: int, occupancy: float, most: float) -> BentTaps:
+def _bent_taps(n_tap: tuple[int, int], occupancy: float, most: float) -> BentTaps:
     bends = np.linspace(-most, most, N_BEND + 1) if most else np.zeros(1)
-    unit = FEW // 2
-    room = -n_tap % unit
-    parts = []
+    width = -(-n_tap[0] // DOPPLER_UNIT) * DOPPLER_UNIT, -(-n_tap[1] // DOPPLER_UNIT) * DOPPLER_UNIT
+    slight = bends[:0]
+    if width[1] < width[0]:
+        error = bent_errors(n_tap[1], bends, occupancy=occupancy)
+        slight = bends[error <= SLIGHT * error.min()]
+    tables = [_table(n, occupancy, some) for n, some in zip(n_tap, (bends, slight), strict=True)]
+    real, imag = (np.concatenate(parts) for parts in zip(*tables, strict=True))
+    return BentTaps(real, imag, n_tap, width, (bends.size, slight.size))
+
+
+def _table(n_tap: int, occupancy: float, bends: FloatArray) -> list[Float32Array]:
+    """Real and imaginary taps of some bends, each tap twice, row by row.
+
+    Rows are padded with zeros to whole units: behind the taps, and in the second half of a bend's rows in front, for
+    windows at the block's end.
+    """
+    room, parts = -n_tap % DOPPLER_UNIT, []
     for taps in interpolation.bent_taps(n_tap, bends, occupancy=occupancy, n_phase=N_PHASE):
         early = np.pad(taps, ((0, 0), (0, 0), (0, room)))
         late = np.pad(taps, ((0, 0), (0, 0), (room, 0)))
-        both = np.concatenate([early, late], axis=1)
-        parts.append(np.repeat(both.reshape(-1, both.shape[2]), 2, axis=1))
-    return BentTaps(parts[0], parts[1], n_tap, bends.size)
+        parts.append(np.repeat(np.concatenate([early, late], axis=1).ravel(), 2))
+    return parts
 
 
 def locate_on_relief(ground: GroundMap, x: FloatArray, y: FloatArray, z: FloatArray) -> tuple[FloatArray, ...]:
@@ -199,16 +225,16 @@ def resample_on_relief(
     yaw_start = float(ground.yaw_axis[0] - ground.middle_yaw)
     yaw_step = float(ground.yaw_axis[1] - ground.yaw_axis[0])
     table, n_range, range_width = range_taps
-    per_bend = (doppler_taps.n_bend - 1) / (2 * most_bend) if most_bend else 0.0
+    per_bend = (doppler_taps.n_bend[0] - 1) / (2 * most_bend) if most_bend else 0.0
     # Contiguous copies: a loop is compiled for each layout of its arrays.
     z, weight = np.ascontiguousarray(z), np.ascontiguousarray(weight)
 
     def work(part: slice) -> None:
         _resample(
             block, out, tiles[part], coefficients[part], spans[part], x, y, z, tile, table, doppler_taps.real,
-            doppler_taps.imag, carriers, (n_range, doppler_taps.n_tap), (range_width, doppler_taps.real.shape[1] // 2),
+            doppler_taps.imag, carriers, (n_range, *doppler_taps.n_tap), (range_width, *doppler_taps.width),
             (ground.rows.size, ground.doppler.size), rays, frame, (carrier, 1 / ground.rows.step, ground.origin),
-            (per_bend, doppler_taps.n_bend // 2, doppler_taps.n_bend), yaw_start, yaw_step, *limits, weight,
+            (per_bend, *doppler_taps.n_bend), yaw_start, yaw_step, *limits, weight,
         )  # fmt: skip
 
     run_groups(work, [slice(i, i + group) for i in range(0, tiles.shape[0], group)], threads)
@@ -276,23 +302,24 @@ def _evaluate(c, t, v, across, spans, z, row, first, n, w, values) -> None:  # t
 
 
 @loop(
-    FLOATS_IN, SAMPLES_OUT, TILES, POWERS, REAL_ROWS, REAL_ROW, REAL_ROW, REAL_ROWS, types.int64, *[FLOATS_IN] * 4,
-    *[PAIR] * 3, REAL_ROW, REAL_ROW, TUPLE((types.float64,) * 3),
-    TUPLE((types.float64, types.int64, types.int64)), types.float64, types.float64, REAL_ROW,
-    REAL_ROW, REAL_ROWS, **COMPILED,
+    FLOATS_IN, SAMPLES_OUT, TILES, POWERS, REAL_ROWS, REAL_ROW, REAL_ROW, REAL_ROWS, types.int64, FLOATS_IN, FLOAT_ROW,
+    FLOAT_ROW, FLOATS_IN, TRIPLE, TRIPLE, PAIR, REAL_ROW, REAL_ROW, TUPLE((types.float64,) * 3),
+    TUPLE((types.float64, types.int64, types.int64)), types.float64, types.float64, REAL_ROW, REAL_ROW, REAL_ROWS,
+    **COMPILED,
 )  # fmt: skip
 def _resample(  # type: ignore[no-untyped-def]
-    floats, out, tiles, coefficients, spans, x, y, z, tile, range_table, real_table, imag_table, carrier_table, n_taps,
+    floats, out, tiles, coefficients, spans, x, y, z, tile, range_table, real_taps, imag_taps, carrier_table, n_taps,
     widths, sizes, rays, frame, scales, bends, yaw_start, yaw_step, near_limit, far_limit, weight,
 ):  # fmt: skip
     """Write the owned pixels of some tiles to `out`, row by row."""
     n_row, n_doppler = floats.shape[0], floats.shape[1] // 2
     flat, stride = floats.reshape(-1), floats.shape[1]
     range_taps, range_step = range_table.reshape(-1), range_table.shape[1]
-    real_taps, imag_taps, doppler_step = real_table.reshape(-1), imag_table.reshape(-1), real_table.shape[1]
     carriers, by_yaw = carrier_table.reshape(-1), weight[0]
     carrier_cycles, per_row, origin = scales
-    per_bend, middle_bend, n_bend = bends
+    per_bend, n_bend, n_slight = bends
+    per_phase, first_slight = 2 * (N_PHASE + 1), (n_bend - n_slight) // 2
+    slight_rows = n_bend * per_phase * 2 * widths[1]
     across, values = np.arange(tile) / max((tile - 1) / 2, 0.5) - 1.0, np.zeros((QUANTITIES, tile))
     row, doppler, cycles, loss, turn, middle, bend = (
         values[0], values[1], values[2], values[3], values[4], values[5], values[6],
@@ -300,6 +327,8 @@ def _resample(  # type: ignore[no-untyped-def]
     rng, owned, w = np.zeros(tile), np.empty(tile), np.zeros(tile)
     first_row, range_row, at = np.empty(tile, np.int64), np.empty(tile, np.int64), np.empty(tile, np.int64)
     first_doppler, doppler_row, carrier = np.empty(tile, np.int64), np.empty(tile, np.int64), np.empty(tile, np.int64)
+    first_narrow, narrow_row = np.zeros(tile, np.int64), np.zeros(tile, np.int64)
+    tap_at, tap_step = np.empty(tile, np.int64), np.empty(tile, np.int64)
     parts = np.empty((8, tile), np.float32)
     range_part, doppler_part, own, own_real, own_imag = parts[0], parts[1], parts[2], parts[3], parts[4]
     amplitude, real, imag = parts[5], parts[6], parts[7]
@@ -328,16 +357,26 @@ def _resample(  # type: ignore[no-untyped-def]
                 )
             place_windows(row, n_taps[0], widths[0], sizes[0], n_row, first_row, range_row, range_part)
             place_windows(doppler, n_taps[1], widths[1], sizes[1], n_doppler, first_doppler, doppler_row, doppler_part)
-            turn_windows(doppler, cycles, middle, first_doppler, carrier, own)
-            phasors_of(own, own_real, own_imag)
+            if n_slight > 0:  # the same fractions between samples
+                place_windows(
+                    doppler, n_taps[2], widths[2], sizes[1], n_doppler, first_narrow, narrow_row, doppler_part
+                )
             for k in range(tile):
-                which = min(max(int(np.rint(bend[k] * per_bend)) + middle_bend, 0), n_bend - 1)
-                doppler_row[k] += which * 2 * (N_PHASE + 1)
+                which = min(max(int(np.rint(bend[k] * per_bend)) + n_bend // 2, 0), n_bend - 1)
+                slight = which - first_slight
+                if 0 <= slight < n_slight and first_doppler[k] >= 0:
+                    first_doppler[k], tap_step[k] = first_narrow[k], 2 * widths[2]
+                    tap_at[k] = slight_rows + (slight * per_phase + narrow_row[k]) * tap_step[k]
+                else:
+                    tap_step[k] = 2 * widths[1]
+                    tap_at[k] = (which * per_phase + doppler_row[k]) * tap_step[k]
                 outside = np.isnan(amplitude[k]) or first_row[k] < 0 or first_doppler[k] < 0
                 at[k] = -1 if outside else first_row[k] * floats.shape[1] + 2 * first_doppler[k]
+            turn_windows(doppler, cycles, middle, first_doppler, carrier, own)
+            phasors_of(own, own_real, own_imag)
             sum_windows_bent(
                 flat, stride, at, range_taps, range_step, widths[0], range_row, range_part, real_taps, imag_taps,
-                doppler_step, doppler_row, doppler_part, carriers, carrier, real, imag,
+                tap_at, tap_step, doppler_part, carriers, 2 * widths[1], carrier, real, imag,
             )  # fmt: skip
             for k in range(n):
                 if at[k] >= 0:

@@ -81,6 +81,17 @@ def bent_taps(n_tap: int, bends: FloatArray, *, occupancy: float, n_phase: int) 
     return tuple(np.ascontiguousarray(part, dtype=np.float32) for part in solved)  # type: ignore[return-value]
 
 
+def bent_errors(n_tap: int, bends: FloatArray, *, occupancy: float) -> FloatArray:
+    """Root mean square errors (n,) of `bent_taps` over the occupied band, at the worst fraction, 1/2."""
+    real, imag = (part[:, 1].astype(np.float64) for part in bent_taps(n_tap, bends, occupancy=occupancy, n_phase=2))
+    k = np.arange(n_tap) - (n_tap // 2 - 1)
+    f = np.linspace(-occupancy / 2, occupancy / 2, 129)
+    turns = np.exp(-2j * np.pi * f[:, None] * (k - 0.5))
+    responses = (turns * (real + 1j * imag)[:, None, :]).sum(axis=2)
+    wanted = np.exp(-2j * np.pi * np.asarray(bends)[:, None] * (2 * f / occupancy) ** 2)
+    return np.asarray(np.sqrt(np.mean(np.abs(responses - wanted) ** 2, axis=1)))
+
+
 def interpolation_error(n_tap: int, occupancy: float) -> float:
     """Root mean square relative error of `interpolation_taps` over the occupied band, at the worst fraction, 1/2."""
     taps = interpolation_taps(n_tap, occupancy=occupancy, n_phase=2)[1].astype(np.float64)

@@ -7,14 +7,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from blocksar.arrays import FloatArray
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.focusing.correction import correct
+from blocksar.focusing.ground_map import GroundMap
 from blocksar.focusing.lines import Line
-from blocksar.focusing.relief_correction import DEGREE, QUANTITIES, locate_on_relief, tile_polynomials
+from blocksar.focusing.relief_correction import (
+    DEGREE,
+    QUANTITIES,
+    bend_scale,
+    bent_taps_of,
+    locate_on_relief,
+    tile_polynomials,
+)
 from blocksar.focusing.relief_map import straighten
-from blocksar.kernels.interpolation import bent_taps, interpolation_taps
+from blocksar.kernels.interpolation import bent_errors, bent_taps, interpolation_error, interpolation_taps
 from blocksar.planning.plan import plan_collection
 from blocksar.simulation.scene import Scene
 
@@ -36,6 +45,19 @@ def test_bent_taps_interpolate_and_take_the_bend_out(bend: float) -> None:
         straight = interpolation_taps(N_TAP, occupancy=OCCUPANCY, n_phase=PHASES)
         assert np.abs(real[0] - straight).max() < 1e-5
         assert np.abs(imag).max() < 1e-6
+
+
+def test_errors_of_bent_taps_are_those_over_the_band() -> None:
+    bends = np.array([0.0, 0.1, 0.3])
+    errors = bent_errors(8, bends, occupancy=OCCUPANCY)
+    assert errors[0] == pytest.approx(interpolation_error(8, OCCUPANCY), rel=1e-2)
+    real, imag = bent_taps(8, bends, occupancy=OCCUPANCY, n_phase=2)
+    f = np.linspace(-OCCUPANCY / 2, OCCUPANCY / 2, 1001)
+    for bend, taps, error in zip(bends, real[:, 1] + 1j * imag[:, 1], errors, strict=True):
+        response = sum(tap * np.exp(-2j * np.pi * f * (k - 3.5)) for k, tap in enumerate(taps))
+        wanted = np.exp(-2j * np.pi * bend * (2 * f / OCCUPANCY) ** 2)
+        assert error == pytest.approx(np.sqrt(np.mean(np.abs(response - wanted) ** 2)), rel=0.1)
+    assert (np.diff(errors) > 0).all()
 
 
 def test_the_bend_of_a_line_is_its_quadratic_phase() -> None:
@@ -101,9 +123,8 @@ def test_on_a_level_terrain_pixels_are_those_of_the_plane() -> None:
     np.testing.assert_array_equal(again, found)
 
 
-@pytest.mark.parametrize("swath", [[29800.0, 30200.0], [28000.0, 32000.0]])
-def test_polynomials_of_a_tile_are_what_they_stand_for(swath: list[float]) -> None:
-    """To 1e-4 of a row, a Doppler sample and a cycle, on slopes of 30 degrees."""
+def on_hills(swath: list[float]) -> tuple[GroundMap, Terrain, FloatArray, FloatArray]:
+    """A block on slopes of 30 degrees, its terrain, and the x and y of some of its pixels."""
     text = SCENE.replace("[29800.0, 30200.0]", str(swath))
     collection = Scene.parse(text).collection().centred()
     x, y = 16050.0 + np.arange(128), 19150.0 + np.arange(128)
@@ -111,7 +132,33 @@ def test_polynomials_of_a_tile_are_what_they_stand_for(swath: list[float]) -> No
     heights = 150 * np.sin(along / 260)[:, None] * np.sin(along / 260 + 1)
     terrain = Terrain(x0=15000.0, dx=25.0, y0=15000.0, dy=25.0, heights=heights)
     grid = Grid(x[0] - 400, x[-1] + 400, 1.0, y[0] - 400, y[-1] + 400, 1.0)
-    ground = plan_collection(collection, blocks=3, grid=grid, terrain=terrain).blocks[0].ground
+    return plan_collection(collection, blocks=3, grid=grid, terrain=terrain).blocks[0].ground, terrain, x, y
+
+
+def test_slight_bends_take_fewer_taps() -> None:
+    """Noise in the band of these pixels' responses, by 8 taps where they suffice, and by 14 or more."""
+    ground, terrain, x, y = on_hills([29800.0, 30200.0])
+    z, occupancy, most = terrain.on_grid(x, y), 0.55, 0.3
+    assert ground.relief is not None
+    few = replace(ground, doppler_taps=(8, occupancy))
+    few = replace(few, relief=replace(ground.relief, most_bend=most / bend_scale(few)))
+    taps, many = bent_taps_of(few)[0], replace(few, doppler_taps=(14, occupancy))
+    assert taps.width == (16, 8) and 1 < taps.n_bend[1] < taps.n_bend[0] / 2
+    *_, middle, bend = locate_on_relief(few, *np.meshgrid(x, y), z)
+    assert (np.abs(bend) < taps.n_bend[1] / taps.n_bend[0] * most).all()
+    n = ground.doppler.size
+    band = np.abs((np.arange(n) / n - middle.mean() + 0.5) % 1 - 0.5) < 0.45 * occupancy
+    noise = np.random.default_rng(7).standard_normal((ground.rows.size, 2 * n)).view(np.complex128) * band
+    block = np.fft.ifft(noise, axis=1).astype(np.complex64)
+    found, exact = (correct(block, each, x=x, y=y, z=z) for each in (few, many))
+    np.testing.assert_array_equal(np.isnan(found), np.isnan(exact))
+    assert 0 < np.nanmean(np.abs(found - exact) ** 2) < 1e-6 * np.nanmean(np.abs(exact) ** 2)
+
+
+@pytest.mark.parametrize("swath", [[29800.0, 30200.0], [28000.0, 32000.0]])
+def test_polynomials_of_a_tile_are_what_they_stand_for(swath: list[float]) -> None:
+    """To 1e-4 of a row, a Doppler sample and a cycle, on slopes of 30 degrees."""
+    ground, terrain, x, y = on_hills(swath)
     z = terrain.on_grid(x, y)
     tiles = np.array([[0.0, 0.0, 0.0]])
     coefficients, spans = tile_polynomials(ground, x, y, z, tiles, 128)
