@@ -5,7 +5,7 @@ from __future__ import annotations
 from blocksar.constants import MIB
 
 MOSAIC_CHUNKS = 4  # output chunks merged by a task: a single one takes no longer than the scheduler's reply
-LAYER_CHUNKS = 8  # output chunks whose layers are added by a task
+LAYER_CHUNKS = 16  # output chunks whose layers are added by a task
 BACKPROJECTION_CHUNK = 512  # pixels on a side that are back-projected in one pass over the pulses
 DOPPLER_GROUP = 512  # Doppler bins gated in range at a time, and in a chunk of the result; at most
 COLUMN_CHUNK = 256  # range frequencies in a chunk of the spectrum; fewer if there are many Doppler bins
