@@ -21,6 +21,7 @@ FINE = 12  # the fewest blocks are found to one in as many
 MOST_REFERENCES = 8  # range sub-blocks of a block, for the sake of migration
 USEFUL = 0.9  # excess that a division in range may leave, to be tried again
 MIGRATION_SHARE = 0.7  # of the allowed loss that migration may take when a block is divided in range
+FALL = 0.97  # factor by which the excess has to fall: three numbers in a row that do not reach it end the search
 ALIKE = 1.03  # times the least excess: among divisions within that, the one with the fewest blocks is taken
 # The same on a terrain: each division is predicted at other places of it, so that predictions scatter by this factor
 # (excess 1.5 .. 3.0 from 1 to 10 blocks of hills of 60 m every 450 m under Table 1, without a trend).
@@ -56,13 +57,13 @@ def find_division(
     parts : int or None
         Number of range sub-blocks; None to take as many as migration needs.
     scattered : bool
-        Whether predictions scatter from division to division, as on a terrain: if none keeps the fidelity, more blocks
-        are then taken only for a gain beyond that scatter.
+        Whether predictions scatter from division to division, as on a terrain: more blocks are then a gain only beyond
+        that scatter.
     """
     plan = cache(plan)
     tried: list[tuple[float, int, int]] = []
     failed, count, n_parts, stale = 0, min(max(workers, 1), MAX_BLOCKS), parts or 1, 0
-    divisible = parts is None
+    divisible, fall = parts is None, 1 / SCATTER if scattered else FALL
     while True:
         division = plan(count, n_parts, True)
         if division.excess() <= 1.0:
@@ -72,12 +73,13 @@ def find_division(
             return _fewest_between(plan, failed, count, n_parts)
         if find_folding(division.blocks) is not None:
             return plan(count, n_parts, False)
-        stale = stale + 1 if tried and excess > 0.97 * min(tried)[0] else 0
+        stale = stale + 1 if tried and excess > fall * min(tried)[0] else 0
         tried.append((excess, count, n_parts))
         if stale == 3 or count == MAX_BLOCKS:
             least, n, m = min(tried)
-            # A probe looks at fewer places of a terrain than the whole plan.
-            most = SCATTER * plan(n, m, False).excess() if scattered else ALIKE * least
+            most = (SCATTER if scattered else ALIKE) * least
+            if scattered and tried[0][0] > most:  # a probe looks at fewer places of a terrain than the whole plan
+                most = SCATTER * plan(n, m, False).excess()
             return plan(*min((n, m) for e, n, m in tried if e <= most), False)
         failed = count
         count = min(math.ceil(count * max(min(excess, MOST_GROWTH) ** GROWTH, LEAST_GROWTH)), MAX_BLOCKS)
