@@ -301,6 +301,25 @@ def _evaluate(c, t, v, across, spans, z, row, first, n, w, values) -> None:  # t
             values[q, k] = level + w[k] * (slope + w[k] * (c0 + u * (c1 + u * (c2 + u * c3))))
 
 
+@njit(**PART, **COMPILED)
+def _choose_taps(  # type: ignore[no-untyped-def]
+    bend, bends, widths, first_narrow, narrow_row, doppler_row, first_doppler, tap_at, tap_step
+):
+    """Write where the row of taps of each pixel begins and its length, and for slight bends the first sample."""
+    per_bend, n_bend, n_slight = bends
+    per_phase, first_slight = 2 * (N_PHASE + 1), (n_bend - n_slight) // 2
+    slight_rows = n_bend * per_phase * 2 * widths[1]
+    for k in range(bend.size):
+        which = min(max(int(np.rint(bend[k] * per_bend)) + n_bend // 2, 0), n_bend - 1)
+        slight = which - first_slight
+        if 0 <= slight < n_slight and first_doppler[k] >= 0:
+            first_doppler[k], tap_step[k] = first_narrow[k], 2 * widths[2]
+            tap_at[k] = slight_rows + (slight * per_phase + narrow_row[k]) * tap_step[k]
+        else:
+            tap_step[k] = 2 * widths[1]
+            tap_at[k] = (which * per_phase + doppler_row[k]) * tap_step[k]
+
+
 @loop(
     FLOATS_IN, SAMPLES_OUT, TILES, POWERS, REAL_ROWS, REAL_ROW, REAL_ROW, REAL_ROWS, types.int64, FLOATS_IN, FLOAT_ROW,
     FLOAT_ROW, FLOATS_IN, TRIPLE, TRIPLE, PAIR, REAL_ROW, REAL_ROW, TUPLE((types.float64,) * 3),
@@ -317,9 +336,6 @@ def _resample(  # type: ignore[no-untyped-def]
     range_taps, range_step = range_table.reshape(-1), range_table.shape[1]
     carriers, by_yaw = carrier_table.reshape(-1), weight[0]
     carrier_cycles, per_row, origin = scales
-    per_bend, n_bend, n_slight = bends
-    per_phase, first_slight = 2 * (N_PHASE + 1), (n_bend - n_slight) // 2
-    slight_rows = n_bend * per_phase * 2 * widths[1]
     across, values = np.arange(tile) / max((tile - 1) / 2, 0.5) - 1.0, np.zeros((QUANTITIES, tile))
     row, doppler, cycles, loss, turn, middle, bend = (
         values[0], values[1], values[2], values[3], values[4], values[5], values[6],
@@ -357,19 +373,12 @@ def _resample(  # type: ignore[no-untyped-def]
                 )
             place_windows(row, n_taps[0], widths[0], sizes[0], n_row, first_row, range_row, range_part)
             place_windows(doppler, n_taps[1], widths[1], sizes[1], n_doppler, first_doppler, doppler_row, doppler_part)
-            if n_slight > 0:  # the same fractions between samples
+            if bends[2] > 0:  # the same fractions between samples
                 place_windows(
                     doppler, n_taps[2], widths[2], sizes[1], n_doppler, first_narrow, narrow_row, doppler_part
                 )
+            _choose_taps(bend, bends, widths, first_narrow, narrow_row, doppler_row, first_doppler, tap_at, tap_step)
             for k in range(tile):
-                which = min(max(int(np.rint(bend[k] * per_bend)) + n_bend // 2, 0), n_bend - 1)
-                slight = which - first_slight
-                if 0 <= slight < n_slight and first_doppler[k] >= 0:
-                    first_doppler[k], tap_step[k] = first_narrow[k], 2 * widths[2]
-                    tap_at[k] = slight_rows + (slight * per_phase + narrow_row[k]) * tap_step[k]
-                else:
-                    tap_step[k] = 2 * widths[1]
-                    tap_at[k] = (which * per_phase + doppler_row[k]) * tap_step[k]
                 outside = np.isnan(amplitude[k]) or first_row[k] < 0 or first_doppler[k] < 0
                 at[k] = -1 if outside else first_row[k] * floats.shape[1] + 2 * first_doppler[k]
             turn_windows(doppler, cycles, middle, first_doppler, carrier, own)
