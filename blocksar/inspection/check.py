@@ -237,7 +237,7 @@ def check(
     Raises
     ------
     InputError
-        If the samples are constant, the beam is not steered and there is no grid, or the grid lies outside the swath.
+        If the beam is not steered and there is no grid, or the grid lies outside the swath.
     """
     signal = _cleaned(signal)
     given, samples = as_given(collection), Samples(signal, collection, threads=threads)
@@ -278,22 +278,11 @@ def _points(lines: list[Line], mended: Refocus, n_pulse: int) -> Points:
 
 
 def _cleaned(signal: ComplexArray) -> ComplexArray:
-    """The samples over their median modulus, zero where they are missing or spikes.
-
-    Raises
-    ------
-    InputError
-        If all of them have the same value.
-    """
+    """The samples over their median modulus, zero where they are missing or spikes."""
     modulus = np.abs(signal).astype(np.float64)
     valid = np.isfinite(modulus) & (modulus > 0)
     if not valid.any():
         return np.zeros_like(signal)
-    if signal.size > 1 and (signal == signal.flat[0]).all():
-        raise InputError(
-            f"signal is constant: all samples that were looked at are {complex(signal.flat[0]):.6g}, which no echo is; "
-            "write the store again from its source"
-        )
     median = float(np.median(modulus[valid]))
     valid &= modulus < SPIKE * median
     clean = np.zeros(signal.shape, np.complex64)

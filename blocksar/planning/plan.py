@@ -410,7 +410,7 @@ class _Planner:
         """Plan all blocks that the grid touches; a probe plans only the outermost ones and the one in the middle."""
         seams = block_seams(self.geometry, self.region, count)
         touched = [i for i in range(count) if seams[i + 1] > self.extent.low and seams[i] <= self.extent.high]
-        if probe:
+        if probe and touched:
             touched = sorted({touched[0], touched[len(touched) // 2], touched[-1]})
         planned: list[BlockPlan] = []
         for index in touched:
