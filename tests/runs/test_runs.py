@@ -126,7 +126,7 @@ def test_task_keys_name_step_and_block(
     assert len(set(keys)) == len(keys)
     # The receipt of a block covers all its tasks.
     receipt = next(r for r in report.result["receipts"] if r["unit"] == "block-1")
-    assert receipt["seconds"] == pytest.approx(sum(receipt["steps"].values()), rel=0.05)
+    assert receipt["seconds"] >= 0.999 * sum(receipt["steps"].values())
 
 
 def test_a_memory_limit_too_small_for_a_raw_echo_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
