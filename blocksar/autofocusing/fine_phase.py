@@ -27,9 +27,8 @@ WHOLE = 8  # times the Doppler cells: a band that cuts nothing
 ALONE = 0.5  # of the power of its line: a point with less does not stand alone
 PATTERN = 0.15  # correlation of amplitudes
 DOUBT = 3.0  # standard deviations of the halves' common power that are not believed
-INTERFERENCE = (
-    2.0  # times the common power of amplitudes: angles of weak sums turn further than their amplitudes change
-)
+# Times the common power of amplitudes that is taken off: angles of weak sums turn further than their amplitudes change.
+INTERFERENCE = 2.0
 
 
 class FinePhase(NamedTuple):
