@@ -463,14 +463,19 @@ def undersampling(plan: Plan) -> str | None:
 
 def short_dwells(plan: Plan) -> str | None:
     """A sentence if no point of the grid is lit by enough pulses, else None."""
-    grid, collection = plan.grid, plan.geometry.collection
-    x, y = (axis[:: max(axis.size // LOOKED_AT, 1)] for axis in (grid.x, grid.y))
-    lit = most_lit_pulses(plan.geometry, *np.meshgrid(x, y))
-    if lit >= SHORT_DWELL or collection.n_pulse < SHORT_DWELL:
+    n_pulse, lit = plan.geometry.collection.n_pulse, _lit_pulses(plan.geometry, plan.grid)
+    if lit >= SHORT_DWELL or n_pulse < SHORT_DWELL:
         return None
     return (
-        f"{lit} pulses light a target at most, of {collection.n_pulse}, and predictions hold from {SHORT_DWELL} pulses "
+        f"{lit} pulses light a target at most, of {n_pulse}, and predictions hold from {SHORT_DWELL} pulses "
         "on; is beam_width in rad, and what says where the beam points?"
+    )
+
+
+def _lit_pulses(geometry: Geometry, grid: Grid) -> int:
+    """The largest number of pulses that light any point of a grid."""
+    return most_lit_pulses(
+        geometry, *np.meshgrid(*(axis[:: max(axis.size // LOOKED_AT, 1)] for axis in (grid.x, grid.y)))
     )
 
 
@@ -478,8 +483,7 @@ def _plan_backprojection(collections: Sequence[Collection], grid: Grid | None, a
     geometries = [Geometry(collection=collection) for collection in collections]
     grid = grid or joint_grid(geometries)
     pixels = grid.shape[0] * grid.shape[1]
-    some = np.meshgrid(*(axis[:: max(axis.size // LOOKED_AT, 1)] for axis in (grid.x, grid.y)))
-    lit = sum(most_lit_pulses(geometry, *some) for geometry in geometries)
+    lit = sum(_lit_pulses(geometry, grid) for geometry in geometries)
     memory = max(
         checked_back_projection_memory(collection, grid, assumed.threads, assumed.memory_limit)
         for collection in collections

@@ -67,10 +67,11 @@ class Recovered(NamedTuple):
 
 
 class Focused(NamedTuple):
-    """Receipts of the patches, and by unit those of layers that were added before all blocks were done."""
+    """Receipts of the patches; the units of a terrain's layers, and by unit the receipts of those done so far."""
 
     patches: list[Receipt]
-    layers: dict[str, Receipt]
+    layers: LayerUnits
+    added: dict[str, Receipt]
 
 
 def recover(client: Client, segments: Sequence[Segment], run: Run, listener: Listener) -> list[Recovered]:
@@ -241,7 +242,8 @@ def focus_blocks(
         )
     layers = LayerUnits(client, segments, run)
     spare = Spare(layers.after)
-    return Focused(run_units(client, "focus", units, run, listener, spare=spare), spare.receipts)
+    patches = run_units(client, "focus", units, run, listener, spare=spare)
+    return Focused(patches, layers, spare.receipts)
 
 
 def _create_patch(run: Run, block: BlockPlan, grid: Grid) -> None:
@@ -316,7 +318,6 @@ def mosaic(
             )
             cells.setdefault(cell, []).append(chunk)
     known = {segment.number or 0: noise for segment, noise in zip(segments, noises, strict=True) if noise is not None}
-    layers = LayerUnits(client, segments, run)
     ordered = sorted(cells)
     units = []
     for first, end in spans(len(ordered), MOSAIC_CHUNKS):
@@ -324,11 +325,11 @@ def mosaic(
         margins = {cell: _margins(segments, cell, grid, parts) for cell, parts in group.items()}
         row, column = ordered[first]
         unit = f"chunk-{row}-{column}"
-        task = merge_chunks, group, grid, margins, known, layers.sights
+        task = merge_chunks, group, grid, margins, known, focused.layers.sights
         units.append(single_task(client, run, "mosaic", unit, *task))
     for receipt in focused.patches:
-        units += [unit for unit in layers.after(receipt.unit, receipt) if unit[0] not in focused.layers]
-    return [*focused.layers.values(), *run_units(client, "mosaic", units, run, listener, per_worker=2)]
+        units += [unit for unit in focused.layers.after(receipt.unit, receipt) if unit[0] not in focused.added]
+    return [*focused.added.values(), *run_units(client, "mosaic", units, run, listener, per_worker=2)]
 
 
 def _margins(
