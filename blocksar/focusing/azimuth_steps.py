@@ -243,8 +243,7 @@ class DopplerTransform(_AzimuthStep):
         end: list[Operation]
         if gate.taper is None:
             back = Transform(gate.time, axes.image_doppler, inverse=False)
-            begin = [_windows(gate.begin_window, gate.begin_slope, axes.rows), back]
-            end = [_windows(gate.end_window, gate.end_slope, axes.rows), back]
+            begin, end = [_windows(gate, "begin", axes), back], [_windows(gate, "end", axes), back]
         else:
             begin, end = [_blend(gate, "begin", axes)], [_blend(gate, "end", axes)]
         return [
@@ -269,15 +268,12 @@ def _turn(phases: RowPolynomial, rows: Axis, *, sign: float = 1.0) -> Turn:
     return Turn(Phase(sign * phases.coefficients(rows.values), phases.centre, phases.scale))
 
 
-def _windows(window: Callable[[float], ComplexArray], slope: RowPolynomial, rows: Axis) -> Window:
-    """The window of each range row.
-
-    The slope changes by a tenth over a swath: a window for every range would cost more than the transforms.
-    """
-    slopes, which = _window_slopes(slope, rows)
+def _windows(gate: DwellGate, end: Literal["begin", "end"], axes: Sampling) -> Window:
+    """The window of one end for each range row."""
+    slopes, which = _window_slopes(gate, end, axes.rows)
 
     def windows() -> ComplexArray:
-        return np.stack([window(float(each)) for each in slopes])
+        return np.stack([gate.window(float(each), end) for each in slopes])
 
     return Window(windows, which)
 
@@ -285,8 +281,8 @@ def _windows(window: Callable[[float], ComplexArray], slope: RowPolynomial, rows
 def _blend(gate: DwellGate, end: Literal["begin", "end"], axes: Sampling) -> Blend:
     """The windows of one end under a taper, and the transform to Doppler, along which its lengths are blended."""
     assert gate.taper is not None
-    half, slope = (gate.taper.begin, gate.begin_slope) if end == "begin" else (gate.taper.end, gate.end_slope)
-    slopes, which = _window_slopes(slope, axes.rows)
+    half = gate.taper.begin if end == "begin" else gate.taper.end
+    slopes, which = _window_slopes(gate, end, axes.rows)
 
     def windows() -> ComplexArray:
         return np.stack([gate.tapered_windows(float(each), end) for each in slopes])
@@ -296,14 +292,18 @@ def _blend(gate: DwellGate, end: Literal["begin", "end"], axes: Sampling) -> Ble
         windows=windows,
         count=len(half.lengths),
         which=which,
-        share=half.share(axes.rows.values),
+        share=half.blending(axes.rows.values),
         centre=half.length.centre,
         scale=half.length.scale,
     )
 
 
-def _window_slopes(slope: RowPolynomial, rows: Axis) -> tuple[FloatArray, IntArray]:
-    """The slopes for which windows are made, and which of them each range row takes."""
+def _window_slopes(gate: DwellGate, end: Literal["begin", "end"], rows: Axis) -> tuple[FloatArray, IntArray]:
+    """The slopes for which windows of one end are made, and which of them each range row takes.
+
+    The slope changes by a tenth over a swath: a window for every range would cost more than the transforms.
+    """
+    slope = gate.begin_slope if end == "begin" else gate.end_slope
     slopes = slope.coefficients(rows.values)[:, 0]
     window_slopes = np.linspace(slopes.min(), slopes.max(), GATE_WINDOWS)
     return window_slopes, np.abs(window_slopes - slopes[:, None]).argmin(axis=1)

@@ -9,10 +9,10 @@ gc.disable()  # imports create many objects and no garbage
 import distributed  # noqa: E402, F401
 import numpy as np  # noqa: E402
 
-from blocksar.focusing.dwell_gate import fresnel_integral  # noqa: E402
 from blocksar.graph import reading, tasks  # noqa: E402, F401
 from blocksar.graph.compiling import compile_kernels  # noqa: E402
 from blocksar.kernels.fourier import fft_rows  # noqa: E402
+from blocksar.kernels.fresnel import fresnel_integral  # noqa: E402
 
 compile_kernels(apart=False)
 fft_rows(np.zeros((1, 2), np.complex64), inverse=False)  # imports, on the first call

@@ -54,8 +54,9 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import FLAT, Taper
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.focusing.dwell_gate import FAR, DwellGate, far_fresnel_integral
+from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.lines import LEAST_STRETCH, Focus, Line
+from blocksar.kernels.fresnel import FAR, far_fresnel_integral
 from blocksar.planning.dwell_weights import DwellWeights
 from blocksar.planning.gates import dwell_ends, end_smear, gate_parts
 

@@ -15,7 +15,8 @@ from blocksar.collection.beam import dwell_at
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import FLAT, Taper
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.focusing.dwell_gate import DwellGate, DwellTaper, HalfDwell
+from blocksar.focusing.dwell_gate import DwellGate
+from blocksar.focusing.dwell_taper import DwellTaper, HalfDwell
 from blocksar.focusing.lines import LEAST_STRETCH, Focus, Line, RowPolynomial
 from blocksar.focusing.range_gate import RangeGate
 from blocksar.kernels import fourier

@@ -14,7 +14,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import Taper, Weighting
 from blocksar.focusing.dwell_edges import EDGE_UPSAMPLING, add_edges, edge_profiles, take_unlit
-from blocksar.focusing.dwell_gate import HalfDwell, faded
+from blocksar.focusing.dwell_taper import HalfDwell, faded_rise, faded_taper
 from blocksar.focusing.lines import RowPolynomial
 from blocksar.focusing.profiles import spline_error
 
@@ -51,7 +51,7 @@ def test_edges_are_the_sum_over_their_pulses(kind: str, weighting: str) -> None:
 
     def taken(v: np.ndarray) -> np.ndarray:
         v = np.asarray(v, np.float64)
-        return tapers.azimuth(v) - faded(tapers.azimuth, v, FADE)
+        return tapers.azimuth(v) - faded_taper(tapers.azimuth, v, FADE)
 
     plain = Collection(**{**collection.as_dict(), "beam_offset": None, "beam_pattern": None, "elevation": None,
                           "elevation_pattern": None})  # fmt: skip
@@ -195,5 +195,5 @@ def test_a_faded_window_is_the_fresnel_integral_of_its_taper(
     one = RowPolynomial(series=np.ones((1, 1)), near=0.0, far=1.0, centre=0.0, scale=1.0)
     half = HalfDwell(length=one, lengths=(length,), edge=edge, level=0.03 if knots else 0.0)
     turn = slice(None, None, -1 if backwards else 1)
-    found = half.faded_rise(at[near][turn], length, taper=w, slope=slope, fade=fade, knots=knots)[turn]
+    found = faded_rise(w, half, at[near][turn], length, knots, slope=slope, fade=fade)[turn]
     assert np.abs(found - wanted[near]).max() < 2e-3

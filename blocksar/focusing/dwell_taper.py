@@ -1,0 +1,172 @@
+"""The weighting over dwells, and the windows in time that give it to them.
+
+After the steps in Doppler, dwells differ in length from target to target, and the beam's centre need not pass amid
+their ends. So a dwell is divided there, at its middle, into two halves. A window rises over one half, from its end to
+the middle, and stays at the middle's weight beyond. There are windows for a few lengths of each half: the image of a
+target is blended from those by its own length.
+
+Along a half, the *share* is 0 at the end of the dwell and 1 in its middle, and v is the place in the beam, 0 in its
+centre to 1 at its edge. A weighting is a function of v. Windows are made for times *since* the end of a dwell, s.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from blocksar.arrays import FloatArray
+from blocksar.collection.weighting import Taper
+from blocksar.focusing.lines import RowPolynomial
+from blocksar.kernels.fourier import fast_length, fft_rows
+from blocksar.kernels.fresnel import smeared_step
+
+FADE_SAMPLES = 16  # at least, of the grid on which a faded window is made, over its fade
+SMEARS = 12.0  # sqrt(e) beyond which the smear of a faded window is small
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HalfDwell:
+    """The half of the dwells from one end to the middle.
+
+    Attributes
+    ----------
+    length : RowPolynomial
+        Along Doppler, s.
+    lengths : tuple of float
+        Those for which windows are made, equally spaced, s.
+    edge : float
+        The share of the half in which its edge fades out, where it does: over it the place in the beam changes by
+        1 / fade. It differs from 1 / fade itself where targets pass the beam's edge faster or slower than its centre.
+    knots : tuple of (float, float)
+        With edges that fade out, for each of `lengths` the shares of it at which the edge is over, and at which v is
+        1 / 2; none where v is linear.
+    level : float
+        By how much weights at the end of the half are raised over those in the middle, linearly in between: steps in
+        Doppler that stretch a line in time by s have changed its amplitude by 1 / sqrt(s), its sum by sqrt(s).
+    """
+
+    length: RowPolynomial
+    lengths: tuple[float, ...]
+    edge: float = 0.0
+    knots: tuple[tuple[float, float], ...] = ()
+    level: float = 0.0
+
+    def levels(self, share: FloatArray) -> FloatArray:
+        """Factors by which weights are raised at shares of the half."""
+        return np.asarray(1 + self.level * np.clip(1 - share, 0.0, 1.0))
+
+    def place(
+        self, since: FloatArray, fade: int, knots: Sequence[FloatArray | float] | None, *, length: float = 1.0
+    ) -> FloatArray:
+        """Places v at times since the end of a half of some length, s; without a length at shares of the half.
+
+        Linear over the half; where its edge fades out, linear over the edge and over the rest, or by `knots` a cubic.
+        """
+        if not fade:
+            return np.clip(1 - since / length, 0.0, 1.0)
+        outer = 1 - 1 / fade
+        if knots is None:
+            return np.interp(since, [0.0, self.edge * length, length], [1.0, outer, 0.0])
+        # The cubic through the end, where the edge is over, v = 1 / 2 and the middle.
+        (edge, halfway), u = knots, np.clip(since / length, 0.0, 1.0)
+        cubic = (u - edge) * (u - halfway) * (u - 1) / (-edge * halfway)
+        cubic += outer * u * (u - halfway) * (u - 1) / (edge * (edge - halfway) * (edge - 1))
+        cubic += 0.5 * u * (u - edge) * (u - 1) / (halfway * (halfway - edge) * (halfway - 1))
+        return np.asarray(cubic)
+
+    def blending(self, rng: FloatArray) -> FloatArray:
+        """Power coefficients along Doppler, (n, order + 1), of the place of a length among `lengths`, 0 .. 1."""
+        coefficients = self.length.coefficients(rng)
+        coefficients[:, 0] -= self.lengths[0]
+        return coefficients / max(self.lengths[-1] - self.lengths[0], 1e-12)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DwellTaper:
+    """The weighting over dwells, and the halves into which their middles divide them.
+
+    With a positive `fade`, weights fade to zero over the last 1 / fade of each half (`dwell_edges`).
+    """
+
+    taper: Taper
+    begin: HalfDwell
+    end: HalfDwell
+    fade: int = 0
+
+    def rises(self, half: HalfDwell, since: FloatArray, *, slope: float, blur: float) -> list[NDArray[np.complex128]]:
+        """Windows over one of the halves, one for each of its lengths, (n,) each, relative to the middle's weight.
+
+        They are convolved with the Fresnel kernel of the area `slope` > 0, s/Hz (`dwell_gate`), as steps by `blur` are.
+        """
+        if self.fade:
+            knots = half.knots or [None] * len(half.lengths)
+            return [
+                faded_rise(self.taper, half, since, length, each, slope=slope, fade=self.fade)
+                for length, each in zip(half.lengths, knots, strict=True)
+            ]
+        step = smeared_step(since, slope=slope, blur=blur)
+        return [stepped_rise(self.taper, since, length, step, slope=slope) for length in half.lengths]
+
+
+def stepped_rise(
+    taper: Taper, since: FloatArray, length: float, step: NDArray[np.complex128], *, slope: float
+) -> NDArray[np.complex128]:
+    """A taper's first half over `length`, then 1, at times since the end: (n,).
+
+    `step` is the smeared step there, F. The taper begins by a step, of its weight at the end, and a ramp, which under
+    the Fresnel integral of the slope e becomes t F(t) + (1j e / 2 pi) F'(t). The rest is smooth, so that each of its
+    cosines, of rate k, is only multiplied by exp(-1j k^2 e / 4 pi).
+    """
+    terms, frequency = taper.series
+    turns = np.pi * frequency * np.arange(terms.size)
+    edge, pace = (terms * np.cos(turns)).sum(), (terms * turns * np.sin(turns)).sum() / length
+    turned = terms * np.exp(-0.25j / np.pi * slope * (turns / length) ** 2)
+    inside = (since > 0) & (since < length)
+    rest = np.where(since > 0, terms.sum() - edge - pace * since, 0.0).astype(np.complex128)
+    rest[inside] = (turned[:, None] * np.cos(np.outer(turns, since[inside] / length - 1))).sum(axis=0)
+    rest[inside] -= edge + pace * since[inside]
+    total = edge * step + rest
+    if abs(pace) * length > 1e-9 * terms.sum():  # without blur, or the two terms would not cancel far from the end
+        ramp = since * smeared_step(since, slope=slope, blur=0.0)
+        total += pace * (ramp + np.sqrt(1j * slope) / (2 * np.pi) * np.exp(1j * np.pi / slope * since**2))
+    return np.asarray(total / terms.sum())
+
+
+def faded_rise(
+    taper: Taper,
+    half: HalfDwell,
+    since: FloatArray,
+    length: float,
+    knots: tuple[float, float] | None,
+    *,
+    slope: float,
+    fade: int,
+) -> NDArray[np.complex128]:
+    """The same for a taper that fades to zero over the first 1 / fade of a half, at uniform times (n,).
+
+    Convolved with the Fresnel kernel by a transform on a finer grid: a fade as narrow as this one is no short sum of
+    cosines. The grid goes on at both ends, where what the transform wraps around can fade out.
+    """
+    step, beyond = abs(float(since[1] - since[0])), max(length / 2, SMEARS * math.sqrt(slope))
+    finer = math.ceil(step * fade / length * FADE_SAMPLES)
+    before = math.ceil(beyond / step)
+    size = fast_length((since.size + 2 * before) * finer)
+    fine = min(float(since[0]), float(since[-1])) + (np.arange(size) - before * finer) * step / finer
+    profile = faded_taper(taper, half.place(fine, fade, knots, length=length), fade) / taper(np.array(0.0))
+    profile = profile * np.clip(2 * (fine[-1] - fine) / beyond, 0, 1)
+    if half.level:
+        profile *= half.levels(fine / length)
+    frequency = (np.arange(size) + size // 2) % size - size // 2
+    kernel = np.exp(-1j * np.pi * slope * (frequency * finer / (size * step)) ** 2)
+    spectrum = fft_rows(profile[None].astype(np.complex128), inverse=False)
+    window = fft_rows(spectrum * kernel, inverse=True)[0, before * finer :: finer][: since.size]
+    return window if since[1] > since[0] else window[::-1]
+
+
+def faded_taper(taper: Taper, v: FloatArray, fade: int) -> FloatArray:
+    """The taper at places v in the beam, -1 .. 1, times sin^2(pi fade (1 - |v|) / 2) for 1 - |v| < 1 / fade."""
+    return taper(v) * np.sin(np.pi / 2 * np.clip(fade * (1 - np.abs(v)), 0, 1)) ** 2
