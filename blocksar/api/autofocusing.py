@@ -13,13 +13,16 @@ from typing import TYPE_CHECKING, Any
 
 from blocksar import stores
 from blocksar.api.arguments import GridLike, grid_of, history_of, memory_of
+from blocksar.api.ground import read_ground
 from blocksar.api.reports import Report
 from blocksar.api.tracks import TrackEstimate, control_points
 from blocksar.autofocusing.finishing import Result
+from blocksar.collection.terrain import Surface
 from blocksar.errors import InputError, ProcessingError
 from blocksar.graph import cluster
 from blocksar.graph.machine import resources
 from blocksar.graph.track_stages import copy_store
+from blocksar.ingestion.terrain.reading import Ground
 from blocksar.measurement.targets import Target
 from blocksar.places import Location, place
 from blocksar.places.place import Place
@@ -41,6 +44,9 @@ def autofocus(
     out: Location,
     *,
     grid: GridLike | None = None,
+    terrain: Location | None = None,
+    surface: Surface = "plane",
+    vertical: str | None = None,
     control: Location | Sequence[Target] | None = None,
     workers: int | None = None,
     threads: int | None = None,
@@ -64,6 +70,12 @@ def autofocus(
     grid : Grid or ((x0, x1, dx), (y0, y1, dy)), optional
         Ground in which points are looked for, m in the scene frame. Default: the lit sector. Needed if the beam is not
         steered.
+    terrain : path, optional
+        Heights of the ground on which the points stand, as `focus` takes them. Default: the plane z = ground_height.
+    surface : {"plane", "ellipsoid"}
+        "ellipsoid": WGS 84 at ground_height, which needs a georeference. Default: "plane".
+    vertical : str, optional
+        What a GeoTIFF's heights are measured from, as `focus` takes it.
     control : path or sequence of Target, optional
         Points at known places, as `quality` takes targets: they anchor place and phase, which the samples alone do not
         tell. Default: none, and the track is moved by nothing that the samples do not tell.
@@ -100,9 +112,11 @@ def autofocus(
     history = history_of(source).pinned()
     if not isinstance(history, stores.DatasetHistory):
         _refuse_overlap(history.path, target)
+    ground, within = Ground(terrain=terrain, surface=surface, vertical=vertical), grid_of(grid)
     estimate = TrackEstimate(
-        history=history, folder=place(f"{target}.autofocus"), fingerprint=history.fingerprint(), grid=grid_of(grid),
-        control=control_points(control),
+        history=history, folder=place(f"{target}.autofocus"), fingerprint=history.fingerprint(), grid=within,
+        control=control_points(control), ground=ground,
+        terrain=read_ground(ground, history.collection.centred(), within, dict(history.attrs)),
     )  # fmt: skip
     if (attribute := _finished(target, estimate)) is not None:
         estimate.folder.remove()

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from blocksar import stores
+from blocksar.api.ground import PLANE, geometry_over, ground_settings
 from blocksar.api.jobs import Request, grid_numbers, records_of
 from blocksar.autofocusing.anchoring import Control
 from blocksar.autofocusing.finishing import Result
@@ -17,11 +18,13 @@ from blocksar.autofocusing.work import begin
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
+from blocksar.collection.terrain import Terrain
 from blocksar.constants import MIB
 from blocksar.errors import InputError, ProcessingError
 from blocksar.graph import cluster, compiling
 from blocksar.graph.machine import Resources
 from blocksar.graph.track_stages import estimate_track
+from blocksar.ingestion.terrain.reading import Ground
 from blocksar.measurement.targets import Target
 from blocksar.places import Location
 from blocksar.places.place import Place
@@ -36,7 +39,7 @@ from blocksar.version import __version__
 if TYPE_CHECKING:
     from distributed import Client
 
-FORMAT = 1  # of the folder of an estimate
+FORMAT = 2  # of the folder of an estimate
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,6 +58,10 @@ class TrackEstimate:
         Ground in which points are looked for; None: the lit sector.
     control : sequence of Target
         Points at known places, which anchor the track.
+    ground : Ground
+        What the user says of the ground.
+    terrain : Terrain or None
+        The ground itself, on which points stand; None for the plane.
     """
 
     history: stores.PhaseHistory
@@ -62,11 +69,18 @@ class TrackEstimate:
     fingerprint: str
     grid: Grid | None
     control: Sequence[Target] = ()
+    ground: Ground = PLANE
+    terrain: Terrain | None = None
 
     @property
     def settings(self) -> dict[str, Any]:
         grid = None if self.grid is None else list(grid_numbers(self.grid))
-        return {"grid": grid, "control": records_of(self.control) or None}
+        uneven = {} if self.terrain is None else ground_settings(self.ground, self.terrain, None)
+        return {"grid": grid, "control": records_of(self.control) or None, **uneven}
+
+    @property
+    def geometry(self) -> Geometry:
+        return geometry_over(self.history.collection.centred(), self.terrain)
 
     @property
     def identity(self) -> str:
@@ -86,13 +100,7 @@ class TrackEstimate:
             If the limit does not hold it, or the collection cannot serve.
         """
         collection, raw = self.history.collection, self.history.raw
-        for point in self.control:
-            if point.z not in (None, collection.ground_height):
-                raise InputError(
-                    f"control point {point.name} has z = {point.z:g} m, but all are taken at the ground_height of "
-                    f"{collection.ground_height:g} m; give points on that plane"
-                )
-        work = begin(Geometry(collection=collection.centred()), self.grid)
+        work = begin(self.geometry, self.grid)
         pulses = max(block.stop - block.start for block in (*work.blocks, *work.apertures))
         needed = max(
             track_memory(collection, pulses, work.chip_bytes(len(self.control))), compression_memory(collection, raw)
@@ -124,18 +132,20 @@ class TrackEstimate:
             If the samples do not tell of the track's error.
         """
         self._begin()
-        control = (
-            None
-            if not self.control
-            else Control(
-                names=tuple(t.name for t in self.control),
-                x=np.array([t.x for t in self.control]),
-                y=np.array([t.y for t in self.control]),
-                phase=np.angle([t.reflectivity for t in self.control]),
-            )
-        )
+        control = self._control() if self.control else None
         run, threads = self.run(machine.threads), machine.threads * (machine.workers if local else 1)
-        return estimate_track(client, self.stored(), run, self.grid, control, listener, threads)
+        return estimate_track(client, self.stored(), run, self.grid, control, listener, threads, self.terrain)
+
+    def _control(self) -> Control:
+        """The control points; those without a height of their own stand on the ground."""
+        x, y = (np.array([getattr(point, axis) for point in self.control]) for axis in "xy")
+        z = np.array([np.nan if point.z is None else point.z for point in self.control])
+        z = np.where(np.isnan(z), self.geometry.height(x, y), z)
+        for point, height in zip(self.control, z, strict=True):
+            if np.isnan(height):
+                raise InputError(f"control point {point.name} has no z, and the terrain has no height there; give one")
+        phase = np.angle([point.reflectivity for point in self.control])
+        return Control(names=tuple(point.name for point in self.control), x=x, y=y, z=z, phase=phase)
 
     def stored(self) -> stores.PhaseHistory:
         """The phase history in a store: samples in memory are written into the folder, once.
@@ -266,6 +276,8 @@ def _estimates(request: Request, folder: Place) -> list[TrackEstimate]:
             fingerprint=fingerprint,
             grid=request.grid,
             control=request.control,
+            ground=request.ground,
+            terrain=request.terrain,
         )
         for number, (history, fingerprint) in enumerate(zip(request.histories, request.fingerprints, strict=True))
     ]

@@ -43,7 +43,7 @@ class Control:
     Attributes
     ----------
     names : tuple of str
-    x, y : (n,) float
+    x, y, z : (n,) float
         m, scene frame.
     phase : (n,) float
         Of the reflectivity, rad.
@@ -52,6 +52,7 @@ class Control:
     names: tuple[str, ...]
     x: FloatArray
     y: FloatArray
+    z: FloatArray
     phase: FloatArray
 
     def points(self, work: Work) -> Points:
@@ -66,7 +67,7 @@ class Control:
         for name, a, b in zip(self.names, first, last, strict=True):
             if b - a < 2 * work.decimation:
                 raise InputError(f"control point {name} is not lit; leave it out, or correct its place")
-        return Points(x=self.x, y=self.y, first=first, last=last)
+        return Points(x=self.x, y=self.y, z=self.z, first=first, last=last)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -171,7 +171,7 @@ def take_chips(
     stop = min((pulses.stop - 1 + ahead) // d + 1, work.n_sample)
     out = np.zeros((points.x.size, max(stop - start, 0), settings.lines), np.complex64)
     lit = np.stack([np.clip(p - pulses.start, 0, pulses.stop - pulses.start) for p in (points.first, points.last)], 1)
-    place = np.stack([points.x, points.y, np.full(points.x.size, collection.ground_height)], axis=1)
+    place = np.stack([points.x, points.y, points.z], axis=1)
 
     def one(rows: slice) -> None:
         sight = place[rows, None] - position
@@ -216,7 +216,7 @@ def join_chips(work: Work, points: Points, parts: Sequence[ChipPart], displaceme
     position = np.stack([np.interp(at, pulse, axis) for axis in collection.antenna_position.T], axis=1)
     position += displacement
     index = np.minimum(lit_first[:, None] + np.arange(n), work.n_sample - 1)
-    place = np.stack([points.x, points.y, np.full(points.x.size, collection.ground_height)], axis=1)
+    place = np.stack([points.x, points.y, points.z], axis=1)
     sight = place[:, None] - position[index]
     distance = np.sqrt((sight * sight).sum(axis=2))
     sight /= distance[..., None]

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.autofocusing.range_lines import range_profiles, take_lines, taps
 from blocksar.autofocusing.work import Work
 from blocksar.collection.beam import is_lit, lit_interval
+from blocksar.collection.geometry import Geometry
 from blocksar.errors import InputError
 from blocksar.kernels.fourier import fft_rows
 from blocksar.kernels.groups import row_groups, run_groups
@@ -24,6 +26,8 @@ RANGE_STEP = 0.75  # range cells between lines
 DOPPLER_SHARE = 0.8  # of the PRF that lines about one yaw may fill
 CELLS = (6, 8)  # parts of a coarse image along range and Doppler; its brightest sample in each may become a point
 SIDELOBES = 1e-4  # of the brightest sample's power: what may be a sidelobe of it does not stand out
+STEPS = 3  # of Newton's method, from the plane to a place on it
+UNEVEN_STEPS = 12  # to one on a terrain, whose slopes change
 YAWS = 65  # at which the beam's edges are looked for
 NEAR = 2.5  # range cells, and Doppler cells of a short aperture, within which candidates are the same point
 APART = 0.5  # of the width of a chip, narrowed in Doppler: points closer than this share what they tell
@@ -38,7 +42,7 @@ class Candidates:
     Attributes
     ----------
     x, y : (n,) float
-        m, scene frame.
+        m, scene frame; of points on the ground.
     prominence : (n,) float
         Power over the median of its surroundings.
     """
@@ -54,7 +58,7 @@ class Points:
 
     Attributes
     ----------
-    x, y : (n,) float
+    x, y, z : (n,) float
         m, scene frame.
     first, last : (n,) int
         Pulses that light them: first <= p < last.
@@ -62,6 +66,7 @@ class Points:
 
     x: FloatArray
     y: FloatArray
+    z: FloatArray
     first: IntArray
     last: IntArray
 
@@ -88,7 +93,7 @@ def find_candidates(signal: ComplexArray, work: Work, pulses: slice, threads: in
     low, high = yaws
     near, far = work.region.limits(low, high)
     ranges = np.arange(near, far, RANGE_STEP * work.cell)
-    ends = work.geometry.ground_point(np.full(2, (near + far) / 2), np.array([low, high]))
+    ends = work.plane.ground_point(np.full(2, (near + far) / 2), np.array([low, high]))
     doppler = [_seen(work, ends[:, 0], ends[:, 1], at)[1] for at in (pulses.start, pulses.stop - 1)]
     span = float(max(np.ptp(d) for d in doppler)) / 2 / np.pi
     seconds = (pulses.stop - pulses.start) * collection.pulse_interval
@@ -99,7 +104,7 @@ def find_candidates(signal: ComplexArray, work: Work, pulses: slice, threads: in
     found = []
     for k in range(count):
         yaw = (edges[k] + edges[k + 1]) / 2
-        ground = work.geometry.ground_point(ranges, np.full(ranges.size, yaw))
+        ground = work.plane.ground_point(ranges, np.full(ranges.size, yaw))
         power = _coarse_image(work, pulses, profiles.values, profiles.spacing, ground, threads)
         found.append(_brightest(work, pulses, power, ground, span / count))
     return Candidates(**{name: np.concatenate([getattr(c, name) for c in found]) for name in ("x", "y", "prominence")})
@@ -109,24 +114,29 @@ def _lit_yaws(work: Work, pulses: slice) -> tuple[float, float] | None:
     """First and last yaw of the region that the middle one of some pulses lights, rad."""
     yaw = np.linspace(work.region.yaw[0], work.region.yaw[-1], YAWS * 8 if work.geometry.collection.steered else 2)
     near, far = work.region.at(yaw)
-    x, y = work.geometry.ground_axes(np.stack([near, (near + far) / 2, far]), yaw)
+    x, y = work.plane.ground_axes(np.stack([near, (near + far) / 2, far]), yaw)
     middle = (pulses.start + pulses.stop) // 2
-    lit = np.flatnonzero(is_lit(work.geometry, x, y, slice(middle, middle + 1))[..., 0].any(axis=0))
+    lit = np.flatnonzero(is_lit(work.plane, x, y, slice(middle, middle + 1))[..., 0].any(axis=0))
     return (float(yaw[lit[0]]), float(yaw[lit[-1]])) if lit.size > 1 else None
 
 
-def _seen(work: Work, x: FloatArray, y: FloatArray, pulse: int) -> tuple[FloatArray, FloatArray]:
-    """Range of points (n,) at a pulse, m, and the phase rate of that, rad/s."""
+def _seen(
+    work: Work, x: FloatArray, y: FloatArray, pulse: int, ground: Geometry | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Range of points (n,) at a pulse, m, and the phase rate of that, rad/s; on the plane, or on another ground."""
     collection = work.geometry.collection
     pulse = min(max(pulse, 1), collection.n_pulse - 2)
-    distance = [_distance(work, x, y, slice(p, p + 1))[:, 0] for p in (pulse - 1, pulse, pulse + 1)]
+    height = None if ground is None else ground.height(x, y)
+    distance = [_distance(work, x, y, slice(p, p + 1), height)[:, 0] for p in (pulse - 1, pulse, pulse + 1)]
     return distance[1], work.wavenumber * (distance[2] - distance[0]) / (2 * collection.pulse_interval)
 
 
-def _distance(work: Work, x: FloatArray, y: FloatArray, pulses: slice) -> FloatArray:
-    """Range (n, n_pulse) of points (n,), m."""
+def _distance(
+    work: Work, x: FloatArray, y: FloatArray, pulses: slice, height: FloatArray | float | None = None
+) -> FloatArray:
+    """Range (n, n_pulse) of points (n,), m; at z = ground_height, or at other heights."""
     position = work.geometry.collection.antenna_position[pulses]
-    height = work.geometry.collection.ground_height
+    height = np.asarray(work.geometry.collection.ground_height if height is None else height)[..., None]
     return np.asarray(
         np.sqrt(
             (position[:, 0] - x[:, None]) ** 2 + (position[:, 1] - y[:, None]) ** 2 + (position[:, 2] - height) ** 2
@@ -178,20 +188,24 @@ def _brightest(work: Work, pulses: slice, power: FloatArray, ground: FloatArray,
 
 
 def _located(work: Work, pulses: slice, ground: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Points at the range of points `ground` (n, 3), with a phase rate (n,) less than theirs by `rate`, rad/s."""
+    """Points at the range of points `ground` (n, 3), with a phase rate (n,) less than theirs by `rate`, rad/s.
+
+    On a terrain they stand on it, and are NaN where it has none such.
+    """
     middle = (pulses.start + pulses.stop) // 2
     wanted, there = _seen(work, ground[:, 0], ground[:, 1], middle)
     x, y, goal = ground[:, 0].copy(), ground[:, 1].copy(), there - rate
-    for _ in range(3):
-        distance, turned = _seen(work, x, y, middle)
-        (rx, tx), (ry, ty) = (
-            (near[0] - distance, near[1] - turned)
-            for near in (_seen(work, x + 1, y, middle), _seen(work, x, y + 1, middle))
-        )
+    uneven = work.geometry.terrain is not None
+    seen = partial(_seen, work, pulse=middle, ground=work.geometry if uneven else None)
+    for _ in range(UNEVEN_STEPS if uneven else STEPS):
+        distance, turned = seen(x, y)
+        (rx, tx), (ry, ty) = ((near[0] - distance, near[1] - turned) for near in (seen(x + 1, y), seen(x, y + 1)))
         determinant = rx * ty - ry * tx
         with np.errstate(divide="ignore", invalid="ignore"):
             off, turn = wanted - distance, goal - turned
             x, y = x + (off * ty - turn * ry) / determinant, y + (turn * rx - off * tx) / determinant
+    if uneven:
+        x = np.where(np.abs(wanted - seen(x, y)[0]) < work.cell, x, np.nan)  # steep slopes: not found
     return x, y
 
 
@@ -212,7 +226,8 @@ def select_points(candidates: Sequence[Candidates], work: Work) -> Points:
         )
     index = np.array(kept)
     first, last = lit_interval(work.geometry, x[index], y[index])
-    return Points(x=x[index], y=y[index], first=first, last=last)
+    z = np.broadcast_to(work.geometry.height(x[index], y[index]), index.shape).copy()
+    return Points(x=x[index], y=y[index], z=z, first=first, last=last)
 
 
 def _kept(x: FloatArray, y: FloatArray, prominence: FloatArray, work: Work) -> list[int]:
@@ -238,7 +253,7 @@ def _yaw_cell(work: Work) -> float:
     """Yaw of a Doppler cell of a short aperture, rad."""
     yaw = np.array([-5e-5, 5e-5]) + (work.region.yaw[0] + work.region.yaw[-1]) / 2
     near, far = work.region.at(yaw)
-    x, y = work.geometry.ground_axes((near + far) / 2, yaw)
+    x, y = work.plane.ground_axes((near + far) / 2, yaw)
     rate = _seen(work, x, y, work.geometry.collection.n_pulse // 2)[1]
     per_yaw = abs(float(rate[1] - rate[0])) / 1e-4 / (2 * np.pi)
     return work.geometry.collection.prf / work.short / max(per_yaw, 1e-12)

@@ -34,7 +34,7 @@ class Work:
     Attributes
     ----------
     geometry : Geometry
-        With the track as stated.
+        With the track as stated. On a terrain points stand on it; they are looked for on the plane z = ground_height.
     region : Region
         In which points are looked for.
     settings : Settings
@@ -52,6 +52,11 @@ class Work:
         return float(4 * np.pi * (collection.carrier + middle) / SPEED_OF_LIGHT)
 
     @cached_property
+    def plane(self) -> Geometry:
+        """The geometry without its terrain."""
+        return self.geometry.over(None)
+
+    @cached_property
     def cell(self) -> float:
         """Range cell, m."""
         return SPEED_OF_LIGHT / (2 * self.geometry.collection.bandwidth)
@@ -61,9 +66,9 @@ class Work:
         """Pulses that light a point, at most."""
         yaw = np.linspace(self.region.yaw[0], self.region.yaw[-1], 33)
         near, far = self.region.at(yaw)
-        x, y = self.geometry.ground_axes((near + far) / 2, yaw)
+        x, y = self.plane.ground_axes((near + far) / 2, yaw)
         lit = np.isfinite(x)
-        return max(min(most_lit_pulses(self.geometry, x[lit], y[lit]), self.geometry.collection.n_pulse), 1)
+        return max(min(most_lit_pulses(self.plane, x[lit], y[lit]), self.geometry.collection.n_pulse), 1)
 
     @cached_property
     def short(self) -> int:
@@ -145,4 +150,4 @@ def begin(geometry: Geometry, grid: Grid | None = None, settings: Settings | Non
     n = geometry.collection.n_pulse
     if n < LEAST_PULSES:
         raise InputError(f"time has {n} pulses, but the track's error cannot be told from fewer than {LEAST_PULSES}")
-    return Work(geometry=geometry, region=plan_region(geometry, grid), settings=settings or Settings())
+    return Work(geometry=geometry, region=plan_region(geometry.over(None), grid), settings=settings or Settings())

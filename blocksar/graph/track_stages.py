@@ -19,6 +19,7 @@ from blocksar.autofocusing.finishing import Result
 from blocksar.autofocusing.work import Work
 from blocksar.chunks import COPY_BYTES
 from blocksar.collection.grid import Grid
+from blocksar.collection.terrain import Terrain
 from blocksar.errors import InputError
 from blocksar.graph.admission import Unit
 from blocksar.graph.kept import Files, kept
@@ -54,10 +55,12 @@ def estimate_track(
     control: Control | None,
     listener: Listener,
     threads: int,
+    terrain: Terrain | None = None,
 ) -> tuple[list[Receipt], Result]:
     """Estimate the error of a phase history's track; return the receipts and the corrected track.
 
     Control points, if there are some, anchor what the samples alone do not tell. A task that runs alone has `threads`.
+    Points stand on the terrain, by default on the plane z = ground_height.
 
     Raises
     ------
@@ -66,6 +69,8 @@ def estimate_track(
     """
     collection, store = source.collection, run.folder / "collection.zarr"
     run.establish(store, lambda: stores.write_collection(store, collection))
+    if terrain is not None:
+        run.establish(run.terrain, partial(stores.write_terrain, run.terrain, terrain))
     work = work_of(str(run.folder), run.identity, grid)
     (segment,), (receipts,) = compress_raw(
         client, [Segment(source=source, geometry=work.geometry, plan=None)], run, listener

@@ -21,7 +21,7 @@ from blocksar.autofocusing.estimation import estimate
 from blocksar.autofocusing.finishing import HalfEstimate, Result, estimate_half, finish
 from blocksar.autofocusing.selection import Candidates, Points, find_candidates, select_points
 from blocksar.autofocusing.work import Work, begin
-from blocksar.collection.geometry import Geometry
+from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.grid import Grid
 from blocksar.errors import InputError, ProcessingError
 from blocksar.graph.kept import Files, keep, kept
@@ -36,12 +36,16 @@ Span = tuple[int, int]
 
 @lru_cache(maxsize=2)
 def work_of(folder: str, identity: str, grid: Grid | None) -> Work:
-    """What the stages need besides samples, from the collection in a folder; the same in every process.
+    """What the stages need besides samples, from the collection and the terrain in a folder; the same in every process.
 
     A process keeps those of its last two estimates; `identity` tells them apart.
     """
-    collection, _ = stores.read_collection(place(folder) / "collection.zarr")
-    return begin(Geometry(collection=collection.centred()), grid)
+    run = Run(folder=place(folder), identity=identity, threads=1)
+    stored, _ = stores.read_collection(run.folder / "collection.zarr")
+    collection = stored.centred()
+    if not run.terrain.exists():
+        return begin(Geometry(collection=collection), grid)
+    return begin(over_terrain(collection, stores.read_terrain(run.terrain)), grid)
 
 
 def _samples(run: Run, source: stores.PhaseHistory, pulses: slice) -> ComplexArray:

@@ -29,7 +29,9 @@ def anchored(offset: list[float], velocity: list[float], count: int = 4) -> tupl
     signal = simulate_pulses(true, PLACES[:, 0], PLACES[:, 1], np.exp(1j * PHASES))
     wrong = true.antenna_position + np.array(offset) + true.time[:, None] * np.array(velocity)
     work = begin(Geometry(collection=Collection(**{**true.as_dict(), "antenna_position": wrong}).centred()), GRID)
-    control = Control(names=tuple("ABCD"[:count]), x=PLACES[:count, 0], y=PLACES[:count, 1], phase=PHASES[:count])
+    control = Control(
+        names=tuple("ABCD"[:count]), x=PLACES[:count, 0], y=PLACES[:count, 1], z=np.zeros(count), phase=PHASES[:count]
+    )
     nothing, points = Correction.none(work), control.points(work)
     parts = [take_chips(signal[pulses], work, points, nothing.displacement, pulses) for pulses in work.blocks]
     time = work.sample_times
@@ -76,7 +78,7 @@ def test_a_point_that_is_not_there_is_named() -> None:
     true = Scene.parse(wrong_tracks.SCENE).collection()
     work = begin(Geometry(collection=true.centred()), GRID)
     noise = np.random.default_rng(1).standard_normal((true.n_pulse, 2 * true.n_range_frequency)).view(np.complex128)
-    control = Control(names=("A",), x=np.zeros(1), y=np.zeros(1), phase=np.zeros(1))
+    control = Control(names=("A",), x=np.zeros(1), y=np.zeros(1), z=np.zeros(1), phase=np.zeros(1))
     nothing, points = Correction.none(work), control.points(work)
     signal = noise.astype(np.complex64)
     parts = [take_chips(signal[pulses], work, points, nothing.displacement, pulses) for pulses in work.blocks]

@@ -21,13 +21,15 @@ from blocksar.autofocusing.least_squares import by_least_squares, point_phases
 from blocksar.autofocusing.minimising import minimise
 from blocksar.autofocusing.phase_gradient import add_rows, line_of_sight, strongest_lines, sum_along
 from blocksar.autofocusing.range_lines import range_profiles, take_chips, take_lines, taps
-from blocksar.autofocusing.selection import Points
+from blocksar.autofocusing.selection import Points, find_candidates
 from blocksar.autofocusing.spectral_drift import STEP, Spectra, phase_of_drift, products_with_others, smooth_path
 from blocksar.autofocusing.work import Work, begin, low_pass
 from blocksar.collection.geometry import Geometry
+from blocksar.collection.terrain import Terrain
 from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.simulation.scatterers import field, phase_history
 from tests.helpers.samples import noise
-from tests.helpers.track_errors import GRID, spotlight
+from tests.helpers.track_errors import CENTRE, GRID, spotlight
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +105,7 @@ def test_chips_are_low_passed_lines() -> None:
 def test_chips_are_no_larger_than_planned(work: Work) -> None:
     count = work.settings.points
     points = Points(
-        x=np.full(count, 6000.0), y=np.zeros(count), first=np.zeros(count, np.int64),
+        x=np.full(count, 6000.0), y=np.zeros(count), z=np.zeros(count), first=np.zeros(count, np.int64),
         last=np.full(count, work.geometry.collection.n_pulse, np.int64),
     )  # fmt: skip
     chips = join_chips(work, points, [], np.zeros((work.n_sample, 3)))
@@ -380,3 +382,28 @@ def test_chips_about_their_brightest_scatterers(work: Work) -> None:
     recentred = chips.recentred(np.zeros((n, 3)))
     left = np.unwrap(np.angle(recentred.values[0, 4]))
     assert np.ptp(without_line(left)) < 0.05 < np.ptp(without_line(np.unwrap(np.angle(values[0, 4]))))
+
+
+def test_points_are_found_on_the_terrain_where_they_stand() -> None:
+    """A point on a slope, 30 m above the plane, that the plane's candidates place some 60 m off."""
+    collection, (x, y) = spotlight(), (CENTRE[0] + 10.0, -15.0)
+    tilted = Terrain(
+        x0=CENTRE[0] - 200, dx=20.0, y0=-200.0, dy=20.0,
+        heights=30 + 0.2 * (np.arange(-200, 201, 20.0) - 10.0) + 0.1 * (np.arange(-200, 201, 20.0)[:, None] + 15.0),
+    )  # fmt: skip
+    assert tilted(np.array(x), np.array(y)) == pytest.approx(30)
+    signal = phase_history(
+        field(collection, *(np.array([value]) for value in (x, y, 1.0 + 0j, 30.0))), pulses=slice(0, collection.n_pulse)
+    )
+    places, part = [], slice(240, 280)
+    for terrain in (None, tilted):
+        work = begin(Geometry(collection=collection, terrain=terrain), GRID)
+        found = find_candidates(signal[part], work, part)
+        brightest = int(found.prominence.argmax())
+        place = np.array([found.x[brightest], found.y[brightest]])
+        places.append(np.append(place, float(work.geometry.height(*place))))
+    on_plane, on_terrain = (np.linalg.norm(place - collection.antenna_position[259:262], axis=1) for place in places)
+    assert on_terrain == pytest.approx(on_plane, abs=1e-3)  # the same range and range rate
+    true = np.array([x, y, 30.0])
+    cell = collection.wavelength * on_plane[1] / (2 * 120 * 40 / 400)  # of the short aperture, m
+    assert np.linalg.norm(places[1] - true) < cell < np.linalg.norm(places[0] - true) / 3

@@ -20,8 +20,11 @@ from distributed import Client
 
 import blocksar
 from blocksar import stores
+from blocksar.collection.terrain import Terrain
 from blocksar.errors import InputError
 from blocksar.graph import cluster
+from blocksar.measurement.targets import Target
+from blocksar.places import place
 
 
 class Corrected(NamedTuple):
@@ -180,6 +183,26 @@ def test_focus_with_autofocus_is_the_two_in_one(
         blocksar.focus(corrected.source, tmp_path / "both", **settings)
     with pytest.raises(InputError, match="control is given without autofocus"):
         blocksar.focus(corrected.source, tmp_path / "other", **anchored)
+
+
+HILL = "[terrain]\nhills = [{x = 0.0, y = 0.0, height = 30.0, width = 40.0}]\n"
+
+
+def test_points_stand_on_the_terrain(client: Client, tmp_path: Path) -> None:
+    source, out, terrain = (
+        wrong_tracks.make(tmp_path, wrong_tracks.targets() + HILL),
+        tmp_path / "c.zarr",
+        tmp_path / "t",
+    )
+    at = np.arange(-100, 101, 4.0)
+    hill = Terrain(x0=-100.0, dx=4.0, y0=-100.0, dy=4.0, heights=30 * np.exp(-(at**2 + at[:, None] ** 2) / 2 / 40**2))
+    stores.write_terrain(place(terrain), hill)
+    high = [Target(name="H", x=x, y=0.0) for x in (0.0, 300.0)]
+    with pytest.raises(InputError, match="control point H has no z, and the terrain has no height there"):
+        blocksar.autofocus(source, out, grid=wrong_tracks.GRID, terrain=terrain, control=high, client=client)
+    report = blocksar.autofocus(source, out, grid=wrong_tracks.GRID, terrain=terrain, client=client)
+    assert report.result["settings"]["terrain"] == str(terrain) and report.result["settings"]["heights"]
+    assert wrong_tracks.residual_phase(out, source) < 0.1
 
 
 @pytest.mark.slow
