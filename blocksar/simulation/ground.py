@@ -13,9 +13,11 @@ from blocksar.arrays import FloatArray
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.terrain import MARGIN, Terrain
 from blocksar.errors import InputError
+from blocksar.ingestion.terrain.around import Box, read_around
 from blocksar.ingestion.terrain.earth import ellipsoid
 from blocksar.ingestion.terrain.reading import Ground
 from blocksar.simulation.fields import Positive, Table
+from blocksar.simulation.shadow import reach_of_shadow
 
 SAMPLES = 40  # of a hill's width, by default
 MOST_SAMPLES = 1 << 26  # of the ground: 512 MiB
@@ -103,6 +105,36 @@ def terrain_of(
     if not table.hills:
         assert georeference is not None  # checked when read
         return ellipsoid(georeference, plane, x, y)
+    return _hills_over(table, plane, (x, y), georeference)
+
+
+def hiding_terrain(
+    table: TerrainTable,
+    plane: float,
+    terrain: Terrain,
+    own: Box,
+    track: FloatArray,
+    georeference: Georeference | None = None,
+) -> Terrain:
+    """The ground as far as it hides places of a box, with `terrain`, from places of the antenna (n, 3), m.
+
+    Of a file, as much as it has.
+    """
+    if table.file is None and not table.hills:
+        return terrain
+
+    def read(box: Box) -> Terrain:
+        if table.file is not None:
+            return table.asked.read_box(georeference, *box)
+        return _hills_over(table, plane, box, georeference)
+
+    around = read_around(terrain, own, lambda limits: reach_of_shadow(track, *own, limits), read)
+    return terrain if around is None else around
+
+
+def _hills_over(table: TerrainTable, plane: float, box: Box, georeference: Georeference | None) -> Terrain:
+    """Samples of hills over a box."""
+    x, y = box
     step = table.spacing or min(hill.width for hill in table.hills) / SAMPLES
     sizes = [int(np.ceil((high - low) / step)) + 2 * MARGIN + 2 for low, high in (x, y)]
     if sizes[0] * sizes[1] > MOST_SAMPLES:

@@ -193,17 +193,17 @@ def _echo_axes(scene: Scene) -> RawEcho:
 
 def _scatterers(scene: Scene, collection: Collection, threads: int) -> list[tuple[Field, bool]]:
     """Return point targets, and field with map, each with whether its raw echo is evaluated exactly."""
-    points, many, terrain = scene.point_targets(), scene.scatterers(), scene.terrain
+    points, many, terrain, hiding = scene.point_targets(), scene.scatterers(), scene.terrain, scene.hiding_terrain
     parts = []
     if points:
         _, x, y, sigma, z = (np.array(column) for column in zip(*points, strict=True))
         raised = None
         if any(height is not None for height in z):
             raised = np.array([collection.ground_height if height is None else height for height in z])
-        parts.append((field(collection, x, y, sigma, raised, terrain=terrain, threads=threads), True))
+        parts.append((field(collection, x, y, sigma, raised, terrain=hiding, threads=threads), True))
     if many.x.size:
         ground = None if terrain is None else terrain(many.x, many.y)
-        seen = field(collection, many.x, many.y, many.reflectivity, ground, terrain=terrain, threads=threads)
+        seen = field(collection, many.x, many.y, many.reflectivity, ground, terrain=hiding, threads=threads)
         parts.append((seen, False))
     return parts
 

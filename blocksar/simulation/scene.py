@@ -42,7 +42,7 @@ from blocksar.collection.terrain import Terrain
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 from blocksar.simulation.antenna import axis_beam, lit_yaws, patterns
-from blocksar.simulation.ground import terrain_of
+from blocksar.simulation.ground import hiding_terrain, terrain_of
 from blocksar.simulation.lengths import next_smooth_even
 from blocksar.simulation.messages import describe_error, impossible_values, message_of
 from blocksar.simulation.reflectors import PointTarget, Scatterers, draw_field, read_map
@@ -291,6 +291,16 @@ class Scene(SceneTables):
         if self.ground is None:
             return None
         return terrain_of(self.ground, self.area.ground_height, *self._outline(), self.georeference)
+
+    @cached_property
+    def hiding_terrain(self) -> Terrain | None:
+        """The ground as far as it hides anything that may be lit, where its file has it; None for the plane."""
+        if self.ground is None or self.terrain is None:
+            return None
+        x, y = ((float(axis.min()), float(axis.max())) for axis in self._outline())
+        return hiding_terrain(
+            self.ground, self.area.ground_height, self.terrain, (x, y), self._positions, self.georeference
+        )
 
     def scatterers(self) -> Scatterers:
         """Return the scatterers of the random field and of the reflectivity map together (possibly none)."""

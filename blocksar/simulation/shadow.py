@@ -6,7 +6,7 @@ each dwell only, so close to each other that in between a ray moves over the ter
 scatterer is hidden from one of them and not from the next, the pulse at which that changes is found by bisection. So
 each pulse is right, but for a scatterer that appears and disappears again within such an interval.
 
-The terrain hides only where it is known: that is over all that the scene lights.
+The terrain hides where it is known: a scene asks for it as far towards the antenna as `reach_of_shadow` says.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.terrain import Terrain
 from blocksar.constants import TURN
+from blocksar.ingestion.terrain.around import Box
 from blocksar.kernels.occlusion import STEPS, block_extremes, find_shadow
 
 RAYS = 1 << 18  # that are followed at a time
@@ -76,6 +77,27 @@ def cast_shadow(
         parts = list(pool.map(lambda group: _changes(rays, group, first[group], last[group], nodes), groups))
     hidden, index, pulse = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     return Shadow(hidden, index, pulse) if hidden.any() or index.size else None
+
+
+def reach_of_shadow(
+    track: FloatArray, x: tuple[float, float], y: tuple[float, float], limits: tuple[float, float]
+) -> Box:
+    """The box of the terrain that rays from a box of the ground to the antenna pass below its highest place, m.
+
+    Parameters
+    ----------
+    track : (n, 3) float
+        Places of the antenna, m.
+    x, y : (float, float)
+        The box of the ground, from .. to, m.
+    limits : (float, float)
+        Lowest and highest height of the whole terrain, m.
+    """
+    above = np.maximum(track[:, 2] - limits[0], 1.0)
+    share = np.minimum((limits[1] - limits[0]) / above, 1.0)[:, None]  # of the way to below the antenna
+    ends = [at + share * (track[:, axis, None] - at) for axis, at in ((0, np.array(x)), (1, np.array(y)))]
+    low, high = ([float(pick(end)) for end in ends] for pick in (np.min, np.max))
+    return (min(x[0], low[0]), max(x[1], high[0])), (min(y[0], low[1]), max(y[1], high[1]))
 
 
 def _rays(collection: Collection, terrain: Terrain, x: FloatArray, y: FloatArray, z: FloatArray) -> Rays:

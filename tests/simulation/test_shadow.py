@@ -10,8 +10,10 @@ import pytest
 import slow_twins
 from echoes import SCENE
 
+from blocksar import stores
 from blocksar.collection.collection import Collection
 from blocksar.collection.terrain import Terrain
+from blocksar.places import place
 from blocksar.simulation import cphd
 from blocksar.simulation.phase_history import sampler
 from blocksar.simulation.scatterers import field, phase_history
@@ -110,3 +112,22 @@ y = 6700.0
             assert np.abs(reader.read_signal("1")).max() == pytest.approx(peak, abs=1e-3)
     flat = cast_shadow(collection, Terrain.flat(12.0, (5000.0, 7000.0), (6000.0, 8000.0)), *np.full((3, 1), 6500.0))
     assert flat is None
+
+
+def test_a_mountain_before_the_scene_hides_its_targets(tmp_path: Path) -> None:
+    """It stands between the antenna and all that is lit; from hills, and from a file."""
+    hill = "hills = [{x = 3870.0, y = 4534.0, height = HEIGHT, width = 400.0}]\nspacing = 40.0\n"
+    target = '[[targets]]\nname = "A"\nx = 6180.0\ny = 7190.0\n'
+
+    def echo(terrain: str) -> float:
+        scene = Scene.parse(f"{SCENE}[terrain]\n{terrain}{target}")
+        assert scene.terrain is not None and np.ptp(scene.terrain.heights) < 1e-3
+        return float(np.abs(sampler(scene, scene.collection())(slice(0, 151))).max())
+
+    assert echo(hill.replace("HEIGHT", "1500.0")) == 0.0
+    assert echo(hill.replace("HEIGHT", "900.0")) == pytest.approx(1.0, abs=1e-3)  # the ray passes 1150 m high
+    x, y = 40.0 * np.arange(60, 210), 40.0 * np.arange(90, 230)
+    away = (x - 3870) ** 2 + (y[:, None] - 4534) ** 2
+    ground = Terrain(x0=x[0], dx=40.0, y0=y[0], dy=40.0, heights=12 + 1500 * np.exp(-away / 240**2))
+    stores.write_terrain(place(tmp_path / "ground.zarr"), ground)
+    assert echo(f'file = "{tmp_path}/ground.zarr"\n') == 0.0
