@@ -57,6 +57,11 @@ class Grid:
         return self.y.size, self.x.size
 
 
+def spacing(axis: FloatArray) -> float:
+    """Step of a uniform axis (n,), m; 0 for one pixel, which extends nowhere."""
+    return float(axis[1] - axis[0]) if axis.size > 1 else 0.0
+
+
 def outline(grid: Grid) -> tuple[FloatArray, FloatArray]:
     """x, y (260,), m, of points along the border of the grid, 65 a side."""
     t = np.linspace(0, 1, 65)

@@ -99,9 +99,10 @@ def plan_region(geometry: Geometry, grid: Grid | None) -> Region:
         ends = float(yaw.min()), float(yaw.max())
         return _joined([_lit_region(level, what, *ends) for level in geometry.levels])
     rng = geometry.epoch_range(*on_terrain(geometry, grid, x, y))
-    pad = 0.01 * np.ptp(yaw)
-    nodes = np.linspace(yaw.min() - pad, yaw.max() + pad, 33)
     slack = float(np.hypot(grid.dx, grid.dy))  # keeps the farthest pixel off the region's edge
+    span, pixel = float(np.ptp(yaw)), slack / float(np.hypot(x - geometry.nadir[0], y - geometry.nadir[1]).min())
+    pad = 0.01 * span if span > pixel else pixel  # a line of pixels along a ray spans no yaw
+    nodes = np.linspace(yaw.min() - pad, yaw.max() + pad, 33)
     try:
         near, far = _window(geometry, nodes, (float(rng.min()) - slack, float(rng.max()) + slack))
     except OutsideSwath as error:

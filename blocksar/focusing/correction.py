@@ -16,6 +16,7 @@ import numpy as np
 from numba import types
 
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
+from blocksar.collection.grid import spacing
 from blocksar.focusing.aperture_waves import sum_waves
 from blocksar.focusing.ground_map import GroundMap
 from blocksar.focusing.pixel_rows import (
@@ -164,7 +165,9 @@ def _weight(ground: GroundMap) -> FloatArray:
 
 def _tile_side(ground: GroundMap, x: FloatArray, y: FloatArray) -> int:
     """Pixels along a tile's side."""
-    step = max(abs(x[1] - x[0]) if x.size > 1 else 0.0, abs(y[1] - y[0]) if y.size > 1 else 0.0, 1e-6)
+    step = max(abs(spacing(x)), abs(spacing(y)))
+    if step == 0:
+        return 1
     # Tiles overlap the block's edges; a surface must not be evaluated far beyond its domain.
     narrow = ground.geometry.ground_point(
         np.array(max(ground.near, float(ground.near_limit.min()))), np.array(ground.middle_yaw)
@@ -203,9 +206,7 @@ def _tiles(ground: GroundMap, x: FloatArray, y: FloatArray, side: tuple[int, int
 def _tile_polynomials(ground: GroundMap, x: FloatArray, y: FloatArray, tiles: FloatArray, tile: int) -> FloatArray:
     """(n_tile, degree + 1, 6 (degree + 1)) power coefficients in tile coordinates (y, x) in [-1, 1]."""
     nodes, to_power = _tile_nodes()
-    dx = x[1] - x[0] if x.size > 1 else 1.0
-    dy = y[1] - y[0] if y.size > 1 else 1.0
-    half = (tile - 1) / 2
+    dx, dy, half = spacing(x), spacing(y), (tile - 1) / 2
     px = x[0] + dx * (tiles[:, 1, None, None] + half * (1 + nodes[None, None, :]))
     py = y[0] + dy * (tiles[:, 0, None, None] + half * (1 + nodes[None, :, None]))
     px, py = np.broadcast_arrays(px, py)

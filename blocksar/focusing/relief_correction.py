@@ -18,6 +18,7 @@ import numpy as np
 from numba import njit, types
 
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
+from blocksar.collection.grid import spacing
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.ground_map import GroundMap
 from blocksar.focusing.pixel_rows import (
@@ -165,9 +166,7 @@ def tile_polynomials(
     """Coefficients (n_tile, 4, 3 * 7 * 4) in tile coordinates, and middle and half of the heights (n_tile, 2), m."""
     nodes, to_power = nodes_of(DEGREE)
     levels, to_level = nodes_of(HEIGHT_DEGREE)
-    dx = x[1] - x[0] if x.size > 1 else 1.0
-    dy = y[1] - y[0] if y.size > 1 else 1.0
-    half = (tile - 1) / 2
+    dx, dy, half = spacing(x), spacing(y), (tile - 1) / 2
     px = x[0] + dx * (tiles[:, 1, None, None] + half * (1 + nodes[None, None, :]))
     py = y[0] + dy * (tiles[:, 0, None, None] + half * (1 + nodes[None, :, None]))
     spans = np.empty((tiles.shape[0], 2))

@@ -38,3 +38,13 @@ def test_ranges_that_leave_the_window_while_they_are_lit_are_told_from_ranges_ou
     assert (region.far > region.near).all()
     with pytest.raises(InputError, match="no range stays in"):
         plan_region(Geometry(collection=replace(collection, reference_range=following + 500)), GRID)
+
+
+@pytest.mark.parametrize("n", [1, 100])
+def test_pixels_on_one_ray_have_a_region(small_collection: Collection, n: int) -> None:
+    """They span no yaw; seams lie between yaws."""
+    collection, grid = passing(small_collection), Grid(0.0, 1.0, 1.0, 8e3, 8e3 + n, 1.0)
+    following = np.linalg.norm(collection.antenna_position - np.array([0.0, 8.05e3, 0.0]), axis=1)
+    geometry = Geometry(collection=replace(collection, reference_range=following))
+    region = plan_region(geometry, grid)
+    assert region.yaw[0] < np.pi / 2 - 0.5 / 8e3 and np.pi / 2 + 0.5 / 8e3 < region.yaw[-1] < np.pi / 2 + 2 / 8e3

@@ -102,6 +102,18 @@ def test_every_pixel_is_the_value_of_the_block_where_it_focuses(step: float, yaw
     assert np.abs(error).max() < 4 * np.sqrt(2) * IMAGE_TAP_ERROR
 
 
+@pytest.mark.parametrize("shape", [(1, 1), (1, 40), (40, 1)])
+def test_single_rows_and_columns_are_corrected_at_their_own_places(shape: tuple[int, int]) -> None:
+    """As the last chunk of an image of 513 pixels has one: a pixel has no neighbour that tells its extent."""
+    case = case_of()
+    ground = case.plan.ground
+    x, y = around(case, 30e3, ground.middle_yaw, step=0.2, shape=shape)
+    block, value = known_block(ground, x[0], y[0])
+    image = correct(block, ground, x=x, y=y)
+    error = (image - slowly(ground, value, x, y)) * LEVEL
+    assert np.abs(error).max() < 4 * np.sqrt(2) * IMAGE_TAP_ERROR
+
+
 def weigh(positions: FloatArray, taps: tuple[int, float], n: int) -> tuple[FloatArray, FloatArray]:
     """First sample and weights (n_position, n_tap) of each window; first is -1 where it leaves the n samples."""
     table = interpolation.interpolation_taps(taps[0], occupancy=taps[1], n_phase=N_PHASE).astype(np.float64)

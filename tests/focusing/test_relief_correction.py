@@ -173,6 +173,8 @@ def test_polynomials_of_a_tile_are_what_they_stand_for(swath: list[float]) -> No
     exact = np.stack(locate_on_relief(ground, x[columns], y[rows], z[rows, columns]))
     error = np.abs(found - exact).max(axis=1)
     assert (error[:3] < 1e-4).all() and (error[3:] < 1e-6).all()
+    alone, _ = tile_polynomials(ground, x[:1], y, z[:, :1], tiles, 128)  # a single column extends nowhere
+    assert np.abs(alone.reshape(powers.shape)[..., 1:]).max() < 1e-6
 
 
 def test_ranges_on_a_terrain_are_those_of_its_points(small_collection: object) -> None:
