@@ -25,6 +25,7 @@ MAX_YAW = 100.0  # rad: likewise where any is larger
 GRAZING = 2e-3  # rad: least angle at which the ground is seen, about a tenth of a degree
 SPEEDS = (0.1, 20e3)  # m/s: of platforms, from one that hovers to a satellite on a high orbit
 SPIKE = 1.0  # m: a single pulse that deviates more than this from its neighbours is corrupt
+BENT = 5.0  # times the usual change of steps from pulse to pulse: what a bent track may deviate by at its ends and turns
 JUMP = 50.0  # times the median step between pulses: a larger step is a gap between two passes
 PATTERNS = {"beam_pattern": "beam_offset", "elevation_pattern": "elevation"}  # and their angles
 OPTIONAL = ("beam_axis", "beam_steering", *PATTERNS, *PATTERNS.values())  # arrays that may be None
@@ -185,7 +186,8 @@ class Collection:
         median = np.maximum(np.minimum(before, after), np.minimum(np.maximum(before, after), values))
         off = np.abs(values - median).max(axis=1)
         where = int(off.argmax())
-        if off[where] > max(SPIKE, 50 * float(np.quantile(off, 0.9))):
+        bend = float(np.median(np.abs(np.diff(values, 2, axis=0)).max(axis=1)))
+        if off[where] > max(SPIKE, 50 * float(np.quantile(off, 0.9)), BENT * bend):
             raise InputError(
                 f"{name} leaves its neighbours by {off[where]:.6g} m at pulse {where} alone; correct it there, and "
                 "write the pulse's samples as NaN if they are in doubt"
