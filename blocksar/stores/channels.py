@@ -27,7 +27,7 @@ REMEDY = "give each a short name of letters, digits, _, + and -, such as HH"
 def with_channels(schema: Mapping[str, Variable], *names: str, dimension: str = "channel") -> dict[str, Variable]:
     """The schema with a leading dimension, of channels or looks, for some variables, and its coordinate."""
     more = {name: replace(schema[name], dims=(dimension, *schema[name].dims)) for name in names}
-    return {**schema, **more, dimension: Variable((dimension,), "T", "", NAMED[dimension])}
+    return {**schema, **more, dimension: Variable((dimension,), "T", "1", NAMED[dimension])}
 
 
 def check_channels(names: Sequence[str]) -> tuple[str, ...]:

@@ -267,11 +267,13 @@ def test_an_error_of_the_track_is_found_amid_patches_of_clutter() -> None:
 
 @pytest.mark.parametrize(
     ("given", "other", "believed"),
-    [  # two points amid clutter, seen as they are and by a beam that is off; a dwell that is wrong for most points
+    [  # two points amid clutter, seen as they are and by a beam that is off; a dwell that is wrong for most points; the
+        # same two points of a spotlight with a conjugated signal, whose image is mirrored
         ((0.04, 0.05, 0.06, 0.06, 0.06, 0.09, 0.69, 0.69), (0.05, 0.05, 0.06, 0.07, 0.16, 0.21, 0.35, 0.35), False),
         ((0.05, 0.06, 0.07, 0.08, 0.10, 0.50, 0.62, 0.66), (0.05, 0.07, 0.08, 0.09, 0.38, 0.50, 0.66, 0.70), False),
         ((0.05, 0.06, 0.07, 0.08, 0.10, 0.20, 0.62, 0.66), (0.50, 0.60, 0.65, 0.70, 0.70, 0.71, 0.71, 0.72), True),
         ((0.02, 0.02, 0.03, 0.03, 0.04, 0.04, 0.05, 0.06), (0.05, 0.07, 0.08, 0.09, 0.10, 0.11, 0.20, 0.25), True),
+        ((*[0.82] * 6, *[0.99] * 6), (*[0.819] * 4, 0.91, 0.91, *[0.998] * 6), False),
     ],
 )
 def test_clutter_that_differs_by_chance_is_not_believed(

@@ -49,6 +49,8 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_channel_reads_like_a_store_of_its_own(store: Path, tmp_path: Path) -> None:
     history = stores.open_phase_history(store)
     assert history.channels == ("HH", "HV") and history.channel == 0
+    variables = stores.open_dataset(store).variables.values()
+    assert all({"units", "long_name"} <= set(variable.attrs) for variable in variables)
     alone = Scene.parse(
         text("").replace("scattering = {HV = [0.5, 90.0]}", "").replace("amplitude = 2.0", "amplitude = 0")
     )
