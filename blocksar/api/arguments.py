@@ -107,7 +107,7 @@ def collection_of(source: One) -> Collection:
 def scene_of(source: One) -> Scene | None:
     """Return the scene that a source is (a TOML file or the name of a shipped one); None if it is none."""
     text = str(source) if isinstance(source, str | Path) else ""
-    if text.endswith(".toml") or (text and not Path(text).exists()):
+    if text.endswith(".toml") or (text and not os.path.exists(text)):
         from blocksar.simulation.scene import Scene
         from blocksar.simulation.shipped import shipped_scenes
 
@@ -175,7 +175,7 @@ def collections_of(source: Source) -> list[Collection]:
 def _is_scene(source: One) -> bool:
     """Whether a source is a scene: a TOML file or the name of a shipped one."""
     text = str(source) if isinstance(source, str | Path) else ""
-    return text.endswith(".toml") or bool(text and not Path(text).exists())
+    return text.endswith(".toml") or bool(text and not os.path.exists(text))
 
 
 def history_of(source: One) -> stores.PhaseHistory:

@@ -25,7 +25,7 @@ def mistaken(source: Location) -> str | None:
 
 def _told(where: LocalPlace, text: str) -> str | None:
     path = where.path
-    if not path.exists():
+    if not os.path.exists(path):
         return _missing(path, text)
     if path.is_file():
         return _file(path, text)
@@ -38,12 +38,14 @@ def _told(where: LocalPlace, text: str) -> str | None:
 
 
 def _missing(path: Path, text: str) -> str | None:
-    """A shipped scene that is given for its phase history, or the nearest name to one that does not exist."""
+    """A shipped scene given for its phase history, a link that leads nowhere, or the nearest name to a missing one."""
     if text in shipped_scenes():
         return (
             f"{text} is a shipped scene, not a phase history; write one first: blocksar simulate {text} --out "
             f"{text}.zarr"
         )
+    if path.is_symlink():
+        return f"{path} is a symbolic link to {os.readlink(path)}, which does not exist; correct the link"
     names = os.listdir(path.parent) if path.parent.is_dir() else []
     close = difflib.get_close_matches(path.name, [*names, *shipped_scenes()], n=1, cutoff=0.75)
     return f"{path} does not exist; did you mean {close[0]}?" if close else None

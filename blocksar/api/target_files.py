@@ -17,6 +17,7 @@ from blocksar.errors import InputError
 from blocksar.measurement.figures import PointResponse
 from blocksar.measurement.targets import Target
 from blocksar.places import Location, place
+from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
 from blocksar.runs.finished import FinishedRun
 
@@ -86,11 +87,13 @@ def read_targets(path: Place, run: FinishedRun | None = None) -> list[Target]:
 
 
 def _records(path: Place) -> Any:
+    if isinstance(path, LocalPlace) and path.exists() and not path.path.is_file():
+        raise InputError(f"{path} is no regular file; give {FORM}")
     try:
         return stores.read_json(path)
     except InputError as error:
         cause = error.__cause__
-        odd = isinstance(cause, InputError)  # no regular file: reading it could never end
+        odd = isinstance(cause, InputError)  # too large for a list of targets
         if odd or not isinstance(cause, ValueError | RecursionError):
             raise
         text = path.read_bytes()[:4096].decode("utf-8", errors="replace")

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
-from pathlib import Path
 
 from blocksar.graph.compiling import kernels_cached
 from blocksar.graph.forking import start_fork_server
@@ -16,6 +16,6 @@ def start_early(sources: Sequence[str], out: str, *, workers: int | None, thread
     It will not if one of the sources does not exist, or if the run folder may hold a finished run; nor before loops
     are compiled.
     """
-    there = all(Path(source).exists() for source in sources)
-    if workers != 0 and there and not Path(out).exists() and kernels_cached():
+    there = all(os.path.exists(source) for source in sources)
+    if workers != 0 and there and not os.path.exists(out) and kernels_cached():
         start_fork_server(resources(workers, threads, None).threads)

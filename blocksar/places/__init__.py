@@ -29,7 +29,7 @@ def place(path: Location) -> Place:
     Raises
     ------
     InputError
-        If a URL names no bucket, or obstore, which reads it, is not installed.
+        If a URL is not of an object store or names no bucket, or obstore, which reads it, is not installed.
     """
     if isinstance(path, Place):
         return path
@@ -42,6 +42,8 @@ def place(path: Location) -> Place:
     if "\0" in text:
         raise InputError(f"{text} is not a valid name: it contains a zero byte; remove that")
     if (url := re.fullmatch(r"s3://([^/]*)/*(.*?)/*", text, re.DOTALL)) is None:
+        if re.match(r"[A-Za-z][A-Za-z0-9+.-]*://", text):
+            raise InputError(f"{text} is a URL that blocksar does not read; give a path, or s3://bucket/name")
         return LocalPlace(Path(os.path.abspath(text)))
     bucket, key = url.groups()
     if not bucket:

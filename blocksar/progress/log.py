@@ -22,7 +22,7 @@ class Log:
     Raises
     ------
     InputError
-        If the file cannot be written.
+        If the file cannot be written, or holds something else than a log.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -34,7 +34,16 @@ class Log:
             why = error.strerror if isinstance(error, OSError) else error
             raise InputError(f"--json-log {str(path)!r} cannot be written ({why}); give another file") from None
         self._regular = stat.S_ISREG(os.fstat(self._file).st_mode)
+        if self._regular and not self._is_log():
+            os.close(self._file)
+            raise InputError(f"--json-log {str(path)!r} holds something else than a log; give another file")
         self._broken = self._regular and self._cut_short()
+
+    def _is_log(self) -> bool:
+        """Tell whether the file is empty or begins as JSON objects do: lines would spoil a scene or a picture."""
+        with suppress(OSError), open(self.path, "rb") as file:
+            return file.read(2) in (b"", b"{", b'{"')
+        return True
 
     def _cut_short(self) -> bool:
         """Tell whether the last line is incomplete, as after a loss of power."""

@@ -25,6 +25,7 @@ from blocksar.places.place import Place
 from blocksar.runs.folder import member
 from blocksar.runs.record import RECORD, RunRecord
 from blocksar.runs.track import ATTRIBUTE, TrackCorrection
+from blocksar.stores.faults import unreachable
 
 Int16Array = np.ndarray[tuple[int, ...], np.dtype[np.int16]]
 NOISE_POINTS = 64  # a side, at which the noise of an image is read for its figures
@@ -40,7 +41,11 @@ def finished_record(folder: Place) -> RunRecord:
     InputError
         If there is no run, or it is not finished, or its record is damaged.
     """
-    if not (folder / RECORD).exists():
+    try:
+        there = (folder / RECORD).exists()
+    except OSError as error:
+        raise unreachable(folder, error) from error
+    if not there:
         raise InputError(f"{folder} holds no run.json; give the folder that `blocksar focus --out` left")
     record = RunRecord.read(folder)
     if not record.finished:

@@ -42,6 +42,17 @@ MISTAKES = {
         "holds no run.json; give the folder that `blocksar focus --out` left",
     ),
     "a misspelt path": ("plan ph.zar", "ph.zar does not exist; did you mean ph.zarr?"),
+    "a path that is too long": (f"plan {'ph' * 200}.zarr", "File name too long"),
+    "a link that leads nowhere": ("plan linked.zarr", "is a symbolic link to gone.zarr, which does not exist; correct"),
+    "a URL": (
+        "focus ph.zarr --out gs://bucket/run",
+        "gs://bucket/run is a URL that blocksar does not read; giv",
+    ),
+    "a log that is the scene": (
+        "simulate scene.toml --out new.zarr --json-log scene.toml",
+        "--json-log 'scene.toml' holds something else than a log; give another file",
+    ),
+    "a phase history for targets": ("quality run --targets ph.zarr", "ph.zarr is no regular file; give [{"),
     "a misspelt scene": ("plan tabel1", "tabel1 does not exist; did you mean table1?"),
     "no grid for a beam that is not steered": (
         "focus ph.zarr --out new",
@@ -70,6 +81,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     small_run.make(folder / "run")
     (folder / "collect.cphd").write_bytes(b"CPHD/1.1.0\n")
     (folder / "az001_HH.mat").write_bytes(b"MATLAB 5.0 MAT-file")
+    (folder / "linked.zarr").symlink_to("gone.zarr")
     (folder / "notes").mkdir()
     (folder / "notes" / "todo.txt").write_text("look at the data")
     return folder
@@ -79,11 +91,11 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_mistake_gets_one_sentence_with_its_remedy(mistake: str, desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     line, sentence = MISTAKES[mistake]
     monkeypatch.chdir(desk)
-    before = sorted(desk.rglob("*"))
+    before, scene = sorted(desk.rglob("*")), (desk / "scene.toml").read_bytes()
     done = CliRunner().invoke(commands.app, line.split(), prog_name="blocksar")
     assert (done.exit_code, done.stdout, done.stderr.count("\n")) == (2, "", 1), done.output
     assert done.stderr.startswith("blocksar: ") and sentence in done.stderr
-    assert sorted(desk.rglob("*")) == before
+    assert sorted(desk.rglob("*")) == before and (desk / "scene.toml").read_bytes() == scene
 
 
 @pytest.mark.parametrize(

@@ -39,6 +39,7 @@ from blocksar.places import objects, place
 from blocksar.places.local import LocalPlace
 from blocksar.places.objects import ObjectPlace
 from blocksar.places.place import Place
+from blocksar.runs.finished import finished_record
 from blocksar.stores import regions
 
 ALL = (slice(None), slice(None))
@@ -611,6 +612,7 @@ def test_missing_credentials_are_reported(there: Place, unreached: str, monkeypa
         monkeypatch.delenv(name)
     monkeypatch.setenv("AWS_METADATA_ENDPOINT", unreached)  # credentials of the machine itself, which has none
     refused(lambda: stores.open_phase_history(there), InputError, r"no credentials.*AWS_ACCESS_KEY_ID")
+    refused(lambda: finished_record(there), InputError, r"no credentials.*AWS_ACCESS_KEY_ID")
 
 
 def test_a_damaged_chunk_is_named(small_collection: Collection, there: Place) -> None:
