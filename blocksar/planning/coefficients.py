@@ -13,10 +13,10 @@ from blocksar.focusing.lines import AzimuthPolynomials, Line, focus
 from blocksar.focusing.method import Method
 from blocksar.planning import closed_form, fitting
 from blocksar.planning.binding import AzimuthPart, RangePart
+from blocksar.planning.dwell_ends import full_dwells, smear_room
 from blocksar.planning.dwell_weights import beam_moves
 from blocksar.planning.fidelity import smear_loss
 from blocksar.planning.fitting import Candidate
-from blocksar.planning.gates import full_dwells, smear_room
 
 GOOD_LOSS = 4e-4  # of coherence, at the ends of the dwell: below this a cheaper chain is preferred to a better one
 ENOUGH_COST = 1.2  # of a kind of chain: no other is tried

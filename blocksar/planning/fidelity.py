@@ -57,8 +57,9 @@ from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.lines import LEAST_STRETCH, Focus, Line
 from blocksar.kernels.fresnel import FAR, far_fresnel_integral
+from blocksar.planning.band_parts import gate_parts
+from blocksar.planning.dwell_ends import dwell_ends, end_smear
 from blocksar.planning.dwell_weights import DwellWeights
-from blocksar.planning.gates import dwell_ends, end_smear, gate_parts
 
 ONE_SIDE = 0.5  # of the energy of both ends of a dwell that are displaced to the same side
 BAND_NODES = 4  # of the means over range frequency
@@ -108,7 +109,7 @@ def worst_losses(
     scaled_about : float or None
         Time, s from the epoch, about which a keystone scales time with range frequency; None without one.
     moves : (n_range, n_yaw, 2) float, optional
-        From `gates.band_moves`, without one.
+        From `dwell_ends.band_moves`, without one.
     track_phase : float
         Root mean square phase that the noise of the track leaves, rad.
     weights : DwellWeights

@@ -14,9 +14,9 @@ from blocksar.collection.weighting import FLAT, Taper
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.dwell_gate import DwellGate
 from blocksar.focusing.lines import LEAST_STRETCH, Focus, Line
+from blocksar.planning.dwell_ends import full_dwells
 from blocksar.planning.dwell_weights import DwellWeights
 from blocksar.planning.fidelity import worst_losses
-from blocksar.planning.gates import full_dwells
 
 
 class Prediction(NamedTuple):

@@ -16,7 +16,7 @@ from blocksar.collection.beam import at_times, beam_offset, dwell_at, pattern_ga
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.focusing.lines import Focus, Line
-from blocksar.focusing.relief_map import GAIN, QUANTITIES, ReliefMap, SmoothGround, straighten
+from blocksar.focusing.relief_map import GAIN, QUANTITIES, ReliefMap, SmoothGround
 from blocksar.focusing.surfaces import Surface, fit_surface
 
 SMOOTH_DEGREE = 2, 2  # of the smooth ground, along range and yaw, on which coefficients are fitted: no finer is better
@@ -301,15 +301,6 @@ class Layer(NamedTuple):
     spots: Focus
     rate: FloatArray  # Doppler rate before the steps in Doppler, Hz/s
     pattern: FloatArray | None = None  # from `elevation_ratio`, where there is a pattern in elevation
-
-
-def trace_layer(
-    geometry: Geometry, trace: Callable[[Geometry], tuple[Line, FloatArray]], weigh: Callable[[Line], Line]
-) -> Layer:
-    """Trace targets on a ground; `trace` has their lines and rate, `weigh` gives lines the weights of their dwells."""
-    line, rate = trace(geometry)
-    straight, bend, spots = straighten(weigh(line))
-    return Layer(geometry, replace(straight, weight=line.weight), bend, spots, rate)
 
 
 def map_relief(

@@ -18,6 +18,7 @@ from blocksar.collection.weighting import UNIFORM, Taper, Weighting
 from blocksar.focusing.dwell_edges import edge_memory
 from blocksar.focusing.lines import Line
 from blocksar.focusing.recovery import Recovery
+from blocksar.planning.dwell_ends import Passing
 from blocksar.planning.dwell_weights import DwellWeights, dwell_weights, taper_over_dwells
 from blocksar.planning.relief import Relief, stacked
 from blocksar.planning.target_lines import Dwells, find_dwells
@@ -84,14 +85,18 @@ class Sector:
             coarsely=coarsely,
         )  # fmt: skip
 
-    def passing(self, epoch_range: FloatArray, yaw: FloatArray) -> tuple[FloatArray, ...]:
-        """Times, s from the epoch, at which targets pass the beam's centre and leave and enter edges that fade out."""
-        places: tuple[float, ...] = (0.0,) if self.geometry.collection.has_axis and not self.taper.uniform else ()
-        if self.fade:
-            places = 0.0, 1 / self.fade - 1, 1 - 1 / self.fade
-            if self.geometry.collection.has_axis and self.fade >= HALFWAY_FADE:  # whose place is not linear in time
-                places += -0.5, 0.5
-        return tuple(passing_at(self.geometry, yaw, epoch_range, v) - self.geometry.epoch for v in places)
+    def passing(self, epoch_range: FloatArray, yaw: FloatArray) -> Passing:
+        """When the beam passes targets: what a weighting over dwells, and edges that fade out, need to know of it."""
+
+        def at(v: float) -> FloatArray:
+            return np.asarray(passing_at(self.geometry, yaw, epoch_range, v) - self.geometry.epoch)
+
+        has_axis = self.geometry.collection.has_axis
+        if not self.fade:
+            return Passing(centre=at(0.0) if has_axis and not self.taper.uniform else None)
+        edge = 1 - 1 / self.fade
+        by_halves = has_axis and self.fade >= HALFWAY_FADE  # the place in the beam is not linear in time
+        return Passing(at(0.0), (at(-edge), at(edge)), (at(-0.5), at(0.5)) if by_halves else None)
 
     @property
     def edge_memory(self) -> int:

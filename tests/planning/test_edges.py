@@ -16,9 +16,10 @@ from blocksar.collection.beam import at_times, beam_offset, dwell_at, passing_at
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.focusing.lines import Line
+from blocksar.planning.band_parts import gate_parts
+from blocksar.planning.dwell_ends import end_smear
 from blocksar.planning.edge_search import find_edges
 from blocksar.planning.fidelity import faded_energy
-from blocksar.planning.gates import end_smear, gate_parts
 from blocksar.planning.plan import Plan, block_work
 
 

@@ -1,0 +1,125 @@
+"""The map from the ground to a focused block, by where the lines of targets focus; on a terrain also by height."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from blocksar.arrays import BoolArray
+from blocksar.collection.geometry import Geometry
+from blocksar.focusing.ground_map import YAW_STEPS, GroundMap, by_range, sum_lit, surfaces
+from blocksar.focusing.lines import Focus
+from blocksar.focusing.relief_map import NodeHeights, straighten
+from blocksar.focusing.sampling import Sampling
+from blocksar.focusing.surfaces import Surface
+from blocksar.kernels.interpolation import taps_needed
+from blocksar.planning.aperture_waves import plan_waves
+from blocksar.planning.binding import AzimuthPart
+from blocksar.planning.block_lines import FineLines, retrace
+from blocksar.planning.relief import Layer, elevation_ratio, map_relief, turns_of
+from blocksar.planning.row_sampling import range_scale
+from blocksar.planning.sector import Sector
+
+SURFACE_DEGREE = 9, 16  # of what the map knows, along range and yaw
+REGION_STEPS, LEAST_STEPS = 64 * YAW_STEPS, 128  # of yaw over the region, in which a block has its share; at least
+STEPS_BY_RANGE = 512  # of yaw, where the sum over lit pulses is a table over range and yaw
+
+
+def plan_ground(sector: Sector, azimuth: AzimuthPart, sampling: Sampling, lines: FineLines) -> GroundMap:
+    """The map of a block with its sampling; lines (n_range, n_yaw) are through the whole chain."""
+    ground = _on_smooth_ground(sector, sampling, lines)
+    if sector.staying is not None and not sector.taper.uniform:
+        waves = plan_waves(
+            sector.staying, sector.taper, lines.lit, lines.line, epoch_range=lines.epoch_range, yaw=lines.yaw
+        )
+        ground = replace(ground, waves=waves)
+    return ground if sector.relief is None else _raise(sector, azimuth, ground, lines)
+
+
+def _on_smooth_ground(sector: Sector, sampling: Sampling, lines: FineLines) -> GroundMap:
+    collection = sector.geometry.collection
+    taper, valid, stays = sector.taper, np.ones(collection.n_pulse), sector.staying is not None
+    offset, doppler_focus, phase, gain, dwell_time = _surfaces(sector, lines, lines.spots)
+    yaw_axis = np.linspace(sector.low, sector.high, _yaw_steps(sector))
+    near_limit, far_limit = sector.region.at(yaw_axis)
+    # Of the sampling rate, what a target's response fills along Doppler without its own carrier.
+    reach = np.abs(lines.line.time - lines.spots.time[..., None]).max()
+    filled = float(min(2.2 * reach * sampling.image_doppler.step, 0.9))
+    return GroundMap(
+        geometry=sector.lighting,
+        low=sector.low,
+        high=sector.high,
+        near=sector.near,
+        far=sector.far,
+        origin=sector.recovery.origin,
+        rows=sampling.rows,
+        doppler=sampling.image_doppler,
+        range_offset=offset,
+        doppler_focus=doppler_focus,
+        phase=phase,
+        gain=gain,
+        time=dwell_time,
+        common=None if sampling.gate is None else sampling.gate.common,
+        yaw_axis=yaw_axis,
+        near_limit=near_limit,
+        far_limit=far_limit,
+        taper=taper,
+        stays=stays,
+        lit=sum_lit(
+            sector.lighting, near=sector.near, far=sector.far, yaw=yaw_axis, valid=valid, taper=taper, stays=stays
+        ),
+        scale=range_scale(collection, sampling.range_frequency, sampling.range_period, sector.weighting.range),
+        range_taps=(taps_needed(sampling.range_occupancy, error=sector.tap_error), sampling.range_occupancy),
+        doppler_taps=(taps_needed(filled, error=sector.tap_error), filled),
+    )
+
+
+def _surfaces(sector: Sector, lines: FineLines, spots: Focus) -> tuple[Surface, ...]:
+    """What the map knows of a focus, over range and yaw."""
+    return surfaces(
+        spots, epoch_range=lines.epoch_range, yaw=lines.yaw, origin=sector.recovery.origin,
+        carrier=sector.geometry.collection.carrier, degree=SURFACE_DEGREE,
+    )  # fmt: skip
+
+
+def _yaw_steps(sector: Sector) -> int:
+    """Yaws at which a block knows its limits: its share of the region's, so that many narrow blocks are small."""
+    step = float(np.ptp(sector.region.yaw)) / REGION_STEPS
+    share = (sector.high - sector.low) / step if step > 0 else math.inf
+    return math.ceil(min(max(share, LEAST_STEPS), STEPS_BY_RANGE if by_range(sector.lighting) else YAW_STEPS))
+
+
+def _raise(sector: Sector, azimuth: AzimuthPart, ground: GroundMap, lines: FineLines) -> GroundMap:
+    """The map with the terrain's heights, from lines over the smooth ground at several heights."""
+    relief, rng, yaw = sector.relief, lines.epoch_range, lines.yaw
+    assert relief is not None
+    layers = [_layer(sector, azimuth, lines, sector.over(offset).geometry) for offset in relief.offsets.tolist()]
+    if sector.geometry.collection.elevation_pattern is not None:
+        of_smooth = sector.geometry, rng, yaw
+        layers = [layer._replace(pattern=elevation_ratio(layer.geometry, *of_smooth)) for layer in layers]
+    turns = []
+    if sector.geometry.collection.has_axis:
+        turns = [turns_of(layer.geometry, sector.geometry, rng, yaw) for layer in layers]
+        ground = ground.widened(sector.region, float(np.abs(turns).max()))
+    by_height = map_relief(
+        relief, layers, lambda spots: _surfaces(sector, lines, spots), epoch_range=rng, yaw=yaw, degree=SURFACE_DEGREE,
+        turns=turns,
+    )  # fmt: skip
+    return replace(ground, relief=by_height)
+
+
+def usual_layer(sector: Sector, azimuth: AzimuthPart, lines: FineLines) -> tuple[Layer, BoolArray]:
+    """Lines of targets at usual heights of a terrain, and which (n_range, n_yaw) of them there are."""
+    assert sector.relief is not None
+    usual, known = sector.relief.usual(lines.epoch_range.size, lines.yaw.size)
+    geometry = sector.geometry.over(None, NodeHeights(smooth=sector.relief.fine, over=usual))
+    return _layer(sector, azimuth, lines, geometry), known if known.any() else np.ones_like(known)
+
+
+def _layer(sector: Sector, azimuth: AzimuthPart, lines: FineLines, geometry: Geometry) -> Layer:
+    """The lines of targets on another ground, straightened, with the weights of their dwells."""
+    line, rate = retrace(replace(sector, geometry=geometry), azimuth, lines)
+    straight, bend, spots = straighten(lines.weights.weigh(line))
+    return Layer(geometry, replace(straight, weight=line.weight), bend, spots, rate)

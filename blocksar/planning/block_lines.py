@@ -1,0 +1,138 @@
+"""Lines of targets on the ground of a block: coarse ones to plan its chain by, and fine ones through the whole chain.
+
+Coarse lines go as far as range compression. They tell the block's part of the spectrum, the coefficients of its steps
+and how its samples are spaced. Fine lines tell the dwell gate, where each target focuses and how sharp it becomes.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from blocksar.arrays import FloatArray
+from blocksar.collection.beam import dwell_at
+from blocksar.collection.weighting import AxisTaper
+from blocksar.focusing.dwell_gate import DwellGate
+from blocksar.focusing.lines import Focus, Line, focus
+from blocksar.planning.apertures import level_aperture, levelled
+from blocksar.planning.binding import AzimuthPart
+from blocksar.planning.dwell_ends import DwellEnds, band_moves, full_dwells
+from blocksar.planning.dwell_weights import DwellWeights
+from blocksar.planning.nodes import nodes_between
+from blocksar.planning.sector import Sector
+from blocksar.planning.target_lines import Dwells
+
+COARSE_NODES = 9, 15  # along range and yaw
+FINE_NODES = 13, 33
+GATE_RANGES = 25  # of the lines that a dwell gate on a terrain follows
+
+
+class CoarseLines(NamedTuple):
+    """Lines (n_range, n_yaw) in the recovered signal."""
+
+    line: Line
+    everywhere: Line  # on a terrain also those of the lowest and of the highest targets
+    nodes: FloatArray  # (n_range,) epoch ranges, m
+    dwells: Dwells  # at yaws (n_yaw,)
+
+    @classmethod
+    def of(cls, sector: Sector) -> CoarseLines:
+        """Those of the targets of a sector."""
+        n_range, n_yaw = COARSE_NODES
+        nodes, yaw = nodes_between(sector.near, sector.far, n_range), np.linspace(sector.low, sector.high, n_yaw)
+        dwells = sector.dwells(yaw, coarsely=True)
+        line = dwells.lines(nodes[:, None])
+        everywhere = sector.with_relief(line, lambda part: part.dwells(yaw, coarsely=True).lines(nodes[:, None]))
+        return cls(line, everywhere, nodes, dwells)
+
+    @property
+    def duration(self) -> float:
+        """The longest dwell, s."""
+        return float(self.line.weight.sum(axis=-1).max())
+
+
+class FineLines(NamedTuple):
+    """Lines (n_range, n_yaw) through the whole chain."""
+
+    lit: Line  # before all steps
+    compressed: Line  # after range compression
+    line: Line  # after all steps
+    spots: Focus
+    epoch_range: FloatArray  # (n_range,) m
+    yaw: FloatArray  # (n_yaw,) rad
+    weights: DwellWeights
+    ends: DwellEnds
+    in_time: AxisTaper | None  # over the pulses of a beam that is not steered
+
+    def levelled_by(self, gate: DwellGate) -> FineLines:
+        """The lines with their focus under a gate that makes up for their stretch; as they are under any other."""
+        levels = gate.levels(self.spots.range, self.spots.doppler, self.line.time)
+        if isinstance(levels, float):
+            return self
+        return self._replace(spots=focus(self.weights.weigh(self.line), levels))
+
+
+class _Traced(NamedTuple):
+    """Lines of targets along a chain."""
+
+    lit: Line  # before all steps
+    compressed: Line  # after range compression
+    biased: Line  # before the transform to Doppler
+    line: Line  # after all steps
+
+
+def _trace(sector: Sector, azimuth: AzimuthPart, epoch_range: FloatArray, yaw: FloatArray) -> _Traced:
+    lit = sector.dwells(yaw).lines(epoch_range[:, None])
+    compressed = azimuth.range_part.trace(lit)
+    biased, _, line = azimuth.trace(compressed)
+    return _Traced(lit, compressed, biased, line)
+
+
+def trace_finely(sector: Sector, azimuth: AzimuthPart) -> tuple[AzimuthPart, FineLines]:
+    """The fine lines of a sector, and the steps; without steering under the taper that levels the aperture."""
+    n_range, n_yaw = FINE_NODES
+    rng, yaw = nodes_between(sector.near, sector.far, n_range), nodes_between(sector.low, sector.high, n_yaw)
+    traced = _trace(sector, azimuth, rng, yaw)
+    in_time = azimuth.range_part.constants.in_time
+    if in_time is not None:
+        in_time, line = level_aperture(traced.line, in_time)
+        azimuth, traced = azimuth.weighed(in_time), traced._replace(line=line)
+    return azimuth, _with_ends(sector, azimuth, traced, rng, yaw, in_time)
+
+
+def follow_terrain(sector: Sector, azimuth: AzimuthPart, lines: FineLines) -> FineLines:
+    """The lines of targets on the finer smooth part of a terrain, which the dwell gate follows, at more ranges."""
+    rng, yaw = nodes_between(sector.near, sector.far, GATE_RANGES), lines.yaw
+    traced = _levelled(_trace(sector.refined(), azimuth, rng, yaw), lines.in_time)
+    return _with_ends(sector, azimuth, traced, rng, yaw, lines.in_time)
+
+
+def retrace(sector: Sector, azimuth: AzimuthPart, lines: FineLines) -> tuple[Line, FloatArray]:
+    """Lines after all steps of the targets at the same ranges and yaws of another ground, and `DwellEnds.rate`."""
+    traced = _levelled(_trace(sector, azimuth, lines.epoch_range, lines.yaw), lines.in_time)
+    return traced.line, traced.biased.rate
+
+
+def _levelled(traced: _Traced, in_time: AxisTaper | None) -> _Traced:
+    return traced if in_time is None else traced._replace(line=levelled(traced.line, in_time))
+
+
+def _with_ends(
+    sector: Sector, azimuth: AzimuthPart, traced: _Traced, rng: FloatArray, yaw: FloatArray, in_time: AxisTaper | None
+) -> FineLines:
+    """Traced lines with the ends and weights of their dwells, and their focus."""
+    geometry, about = sector.geometry, azimuth.range_part.scales_time_about
+    first, last = dwell_at(geometry, yaw, rng[:, None], uncut=True)
+    in_doppler = azimuth.range_part.compression.in_doppler
+    ends = DwellEnds(
+        rate=traced.biased.rate,
+        uncut=(first - geometry.epoch, last - geometry.epoch),
+        scaled_about=about,
+        moves=band_moves(traced.biased, traced.biased.rate) if in_doppler else None,
+        full=full_dwells(traced.line, geometry, rng[:, None], yaw),
+        passing=sector.passing(rng[:, None], yaw),
+    )
+    weights = sector.weights(traced.lit, uncut=ends.uncut, epoch_range=rng, yaw=yaw, scaled_about=about)
+    spots = focus(weights.weigh(traced.line))
+    return FineLines(traced.lit, traced.compressed, traced.line, spots, rng, yaw, weights, ends, in_time)

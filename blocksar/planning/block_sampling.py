@@ -1,0 +1,144 @@
+"""The axes of a block's samples along its chain: dense and long enough for the lines of its targets."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from blocksar.budget import IMAGE_TAP_ERROR
+from blocksar.collection.beam import aperture
+from blocksar.collection.collection import Collection
+from blocksar.focusing.lines import Line, focus
+from blocksar.focusing.recovery import Recovery
+from blocksar.focusing.sampling import Sampling
+from blocksar.kernels import fourier
+from blocksar.kernels.fourier import Axis
+from blocksar.planning.binding import AzimuthPart, Slab
+from blocksar.planning.block_lines import FineLines
+from blocksar.planning.dwell_ends import GUARD, DwellEnds, smear_room
+from blocksar.planning.dwell_gate import faded_room
+from blocksar.planning.dwell_weights import beam_moves
+from blocksar.planning.row_sampling import plan_rows
+from blocksar.planning.sector import Sector
+
+TIME_GUARD = 0.1  # dwells kept on either side of the time in which a block's targets are lit
+LEAST_ROOM = 1.4  # dwells that slow time has room for, so that the windows of the gate can fade out
+SLOW_ROOM = 1.25  # oversampling of slow time
+IMAGE_ROOM = 1.05  # of the image along Doppler, for the taps of the targets at its ends
+RESAMPLING_ROOM = 1.35  # oversampling of Doppler by padding in time: dense enough to interpolate
+
+
+def plan_slab(collection: Collection, spectrum: Axis, line: Line, *, margin: float) -> Slab:
+    """The Doppler bins that hold lines at all range frequencies, with a margin (Hz) on either side."""
+    band_edge = float(np.abs(collection.range_frequency).max() / collection.carrier)
+    band = np.outer([1 - band_edge, 1 + band_edge], [line.doppler.min(), line.doppler.max()])
+    first_bin = max(int(np.floor(spectrum.position(np.array(band.min() - margin)))), 0)
+    last_bin = min(int(np.ceil(spectrum.position(np.array(band.max() + margin)))) + 1, spectrum.size)
+    walk = float((line.doppler.min() + line.doppler.max()) / 2)
+    return Slab(first_bin, spectrum.part(first_bin, last_bin - first_bin), walk, margin, band_edge)
+
+
+def plan_sampling(
+    sector: Sector,
+    slab: Slab,
+    azimuth: AzimuthPart,
+    straight: Line,
+    lines: FineLines,
+    *,
+    range_frequency: Axis,
+    duration: float,
+) -> Sampling:
+    """The axes that hold a block's lines, without a gate.
+
+    Parameters
+    ----------
+    straight : Line
+        Coarse lines after range compression.
+    lines : FineLines
+        What is asked of the time after the gate, and of the rows.
+    range_frequency : Axis
+        Of the block's samples.
+    duration : float
+        The longest dwell, s.
+    """
+    biased, before_deramp, focused = azimuth.trace(straight)
+    spots = focus(focused)
+    bands = _doppler_bands(slab, before_deramp)
+    bandwidth = max(max(bands) - min(bands), IMAGE_ROOM * float(np.ptp(spots.doppler)) / SLOW_ROOM)
+    time = _plan_time(sector.recovery, slab, straight, bandwidth=bandwidth, duration=duration)
+
+    # Slow time before the final transform: the lines and what is smeared beyond them, room for resampling and windows.
+    guard = GUARD * duration
+    if not beam_moves(sector.geometry.collection):  # no gate: all is summed, to the end of the smear
+        guard += smear_room(focused, biased.rate) * (IMAGE_TAP_ERROR / sector.tap_error) ** (2 / 3)
+    begin = min(float(focused.time.min()) - guard, time.start)
+    end = max(float(focused.time.max()) + guard, time.start + time.extent)
+    resampled = RESAMPLING_ROOM if azimuth.range_part.freedom.resampling else 1.0
+    slope = float(np.ptp(spots.time) / max(np.ptp(spots.doppler), 1e-9))
+    held = _held_time(sector, lines.ends, time, slope=slope)
+    n_padded = fourier.fast_length(max((end - begin) / time.step, resampled * time.size, held / time.step))
+    long_time = Axis(begin, time.step, n_padded)
+
+    middle = azimuth.polynomials.middle
+    reach = 2 * max(time.start + time.extent - middle, middle - time.start)
+    rows, range_occupancy = plan_rows(spots, range_frequency, azimuth.turns(lines.compressed), sector.tap_error)
+    return Sampling(
+        slab=slab.doppler,
+        range_frequency=range_frequency,
+        time=time,
+        time_occupancy=min(time.step * slab.doppler.extent, 0.95),
+        doppler=fourier.dual(time, size=n_padded, centre=(min(bands) + max(bands)) / 2),
+        long_time=long_time,
+        doppler_occupancy=min(reach / (time.step * n_padded), 0.95),
+        rows=rows,
+        range_occupancy=range_occupancy,
+        focused_doppler=fourier.dual(
+            long_time, size=n_padded, centre=float((spots.doppler.min() + spots.doppler.max()) / 2)
+        ),
+        gate=None,
+    )
+
+
+def _doppler_bands(slab: Slab, before_deramp: list[Line]) -> list[float]:
+    """Ends of the Doppler bands that a block occupies before its deramp, Hz, from its lines after each step."""
+    start = slab.doppler.start - slab.walk
+    bands = [start, slab.doppler.start + slab.doppler.extent - slab.walk]
+    for line in before_deramp:
+        bands += [float(line.doppler.min()) - slab.margin, float(line.doppler.max()) + slab.margin]
+    return bands
+
+
+def _plan_time(recovery: Recovery, slab: Slab, straight: Line, *, bandwidth: float, duration: float) -> Axis:
+    """Slow time in which a block's targets are lit, sampled for a Doppler band of `bandwidth` Hz."""
+    span = recovery.time.extent
+    full = fourier.fast_length(SLOW_ROOM * span * max(bandwidth, slab.doppler.extent))
+    step = span / full
+    # Ends of dwells ring beyond. The keystone moves them by up to band_edge times their time from the epoch.
+    latest = float(np.abs(straight.time).max())
+    room = TIME_GUARD * duration + latest * slab.band_edge
+    first = max(math.floor((float(straight.time.min()) - room - recovery.time.start) / step), 0)
+    last = min(math.ceil((float(straight.time.max()) + room - recovery.time.start) / step), full)
+    # An odd number of cache lines per row, so that the columns of a block do not share cache sets.
+    n_time = min(math.ceil((last - first - 8) / 16) * 16 + 8, full - first)
+    return Axis(recovery.time.start + first * step, step, n_time)
+
+
+def _held_time(sector: Sector, ends: DwellEnds, time: Axis, *, slope: float) -> float:
+    """The time that the dwell gate has to hold, s; dwells move by `slope` along Doppler, s/Hz."""
+    uncut = ends.longest if sector.geometry.collection.steered else 0.0
+    held = LEAST_ROOM * uncut
+    if sector.fade:
+        held = max(held, faded_room(uncut, slope))
+    if sector.keeps_rims and (overhang := _overhang(sector, ends)):
+        # Gates stay open beyond the collection: steps in Doppler wrap no noise from its other end to there.
+        held = max(held, time.extent + overhang)
+    return held
+
+
+def _overhang(sector: Sector, ends: DwellEnds) -> float:
+    """The most by which the ends of the collection cut dwells, s."""
+    (start, end), epoch = aperture(sector.geometry.collection), sector.geometry.epoch
+    first, last = ends.uncut
+    cut = max(float((start - epoch - first).max()), float((last + epoch - end).max()))
+    return min(max(cut, 0.0), float((last - first).max()))
