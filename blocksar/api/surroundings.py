@@ -43,4 +43,4 @@ def read_surroundings(
         low, high = boxes[..., 0].min(axis=0), boxes[..., 1].max(axis=0)
         return (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
 
-    return read_around(terrain, own, needed, lambda box: ground.read_box(georeference, *box))
+    return read_around(terrain, own, needed, lambda box: ground.read_box(georeference, *box, refine=False))

@@ -40,6 +40,8 @@ class Terrain:
         z in the scene frame, m; NaN where unknown.
     row, column : int
         Of the first sample, counted in the whole terrain: not 0 in a window of it.
+    refined : int
+        Samples to one of what the terrain was made of, along each axis, see `thinned`.
 
     Raises
     ------
@@ -54,6 +56,7 @@ class Terrain:
     heights: FloatArray
     row: int = 0
     column: int = 0
+    refined: int = 1
 
     def __post_init__(self) -> None:
         if not (self.dx > 0 and self.dy > 0 and np.isfinite([self.x0, self.dx, self.y0, self.dy]).all()):
@@ -152,6 +155,15 @@ class Terrain:
         along_y = self(np.array([x, x]), np.array([y - hy, y + hy]))
         return float(along_x[1] - along_x[0]) / (2 * hx), float(along_y[1] - along_y[0]) / (2 * hy)
 
+    def thinned(self) -> Terrain:
+        """Every `refined`-th sample, for what marches over them: finer ones know no more of the ground."""
+        n = self.refined
+        row, column = -self.row % n, -self.column % n
+        return replace(
+            self, dx=self.dx * n, dy=self.dy * n, heights=self.heights[row::n, column::n], row=(self.row + row) // n,
+            column=(self.column + column) // n, refined=1,
+        )  # fmt: skip
+
     def window(self, x: tuple[float, float], y: tuple[float, float]) -> Terrain:
         """The part that heights in a box need, x and y from .. to, m; the nearest edge of it where that is outside."""
         columns, rows = self.span(x, y)
@@ -162,8 +174,9 @@ class Terrain:
         """Columns and rows of `window`, in this terrain's samples."""
         return (
             _span((x[0] - self.x0) / self.dx - self.column, (x[1] - self.x0) / self.dx - self.column,
-                  self.heights.shape[1]),
-            _span((y[0] - self.y0) / self.dy - self.row, (y[1] - self.y0) / self.dy - self.row, self.heights.shape[0]),
+                  self.heights.shape[1], MARGIN * self.refined),
+            _span((y[0] - self.y0) / self.dy - self.row, (y[1] - self.y0) / self.dy - self.row, self.heights.shape[0],
+                  MARGIN * self.refined),
         )  # fmt: skip
 
     @staticmethod
@@ -204,8 +217,8 @@ class Terrain:
         return start, weights, inside
 
 
-def _span(low: float, high: float, size: int) -> slice:
+def _span(low: float, high: float, size: int, margin: int) -> slice:
     """Samples from before `low` to behind `high`, at least LEAST of `size`."""
-    first = int(np.clip(np.floor(low) - MARGIN, 0, size - LEAST))
-    last = int(np.clip(np.ceil(high) + MARGIN + 1, first + LEAST, size))
+    first = int(np.clip(np.floor(low) - margin, 0, size - LEAST))
+    last = int(np.clip(np.ceil(high) + margin + 1, first + LEAST, size))
     return slice(first, last)

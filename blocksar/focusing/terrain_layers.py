@@ -248,7 +248,7 @@ def visibility(terrain: Terrain, sight: Sight, grid: Grid, window: tuple[slice, 
     window : (slice, slice)
         Rows and columns of the grid.
     """
-    x, y = grid.x[window[1]], grid.y[window[0]]
+    terrain, x, y = terrain.thinned(), grid.x[window[1]], grid.y[window[0]]
     if _is_open(terrain, sight, x, y):
         return np.full((y.size, x.size), VISIBLE, np.uint8)
     rows, at_row = _places(grid.y, window[0], terrain.dy)

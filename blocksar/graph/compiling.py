@@ -36,6 +36,7 @@ WEIGHTS = ("kernels.blending",)
 TRACKS = ("autofocusing.range_lines", "autofocusing.forms", "autofocusing.sights", "autofocusing.phase_gradient")
 LOOPS = (
     *TERRAIN[:1], *TASKS, *PROJECTION, *TERRAIN[1:], "simulation.scatterers", *WEIGHTS, *TRACKS, "kernels.sampling",
+    "kernels.posts",
 )  # fmt: skip
 HELP = "import sys; from blocksar.graph import compiling; print(compiling.help_to_compile(sys.argv[1:]))"
 

@@ -125,7 +125,7 @@ def hiding_terrain(
 
     def read(box: Box) -> Terrain:
         if table.file is not None:
-            return table.asked.read_box(georeference, *box)
+            return table.asked.read_box(georeference, *box, refine=False)
         return _hills_over(table, plane, box, georeference)
 
     around = read_around(terrain, own, lambda limits: reach_of_shadow(track, *own, limits), read)

@@ -68,6 +68,7 @@ def cast_shadow(
     threads : int
         Number of threads; the result does not depend on it.
     """
+    terrain = terrain.thinned()
     rays = _rays(collection, terrain, x, y, z)
     first, last = _tested(collection, x, y)
     nodes = int((last - first).max()) // _pulses_between(collection, terrain) + 2

@@ -21,6 +21,8 @@ KEPT_BYTES = 16 * MIB  # of heights that are kept between windows, at most
 LIMITS = "limits"  # attribute: lowest and highest height, m
 NUMBERS = ("x0", "dx", "y0", "dy", "row", "column")  # attributes that make a window's arithmetic that of the whole
 
+REFINED = "refined"  # attribute; left out by earlier versions
+
 
 def terrain_fingerprint(terrain: Terrain) -> str:
     """A checksum of the heights and of where they lie."""
@@ -34,7 +36,7 @@ def write_terrain(place: Place, terrain: Terrain) -> None:
     create(
         place, TERRAIN, sizes={}, coords={"x": terrain.x, "y": terrain.y}, overwrite=True,
         attrs={"title": "height of the ground", "Conventions": CONVENTIONS}
-        | {name: getattr(terrain, name) for name in NUMBERS} | {LIMITS: list(terrain.limits)},
+        | {name: getattr(terrain, name) for name in (*NUMBERS, REFINED)} | {LIMITS: list(terrain.limits)},
         chunks={"y": IMAGE_CHUNK, "x": IMAGE_CHUNK},
         fill=lambda store: write_region(store, "height", whole, terrain.heights),
     )  # fmt: skip
@@ -64,7 +66,8 @@ class StoredTerrain:
             attributes = read_json(place / "zarr.json")["attributes"]
             shape = tuple(read_json(place / "height" / "zarr.json")["shape"])
             empty = np.broadcast_to(np.float64(np.nan), shape)
-            self._known = Terrain(**{name: attributes[name] for name in NUMBERS}, heights=empty)
+            numbers = {name: attributes[name] for name in NUMBERS} | {REFINED: attributes.get(REFINED, 1)}
+            self._known = Terrain(**numbers, heights=empty)
             low, high = (float(limit) for limit in attributes[LIMITS])
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"{place} is damaged ({error}); focus again with --overwrite") from error

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -84,6 +86,18 @@ def test_grids_and_windows_have_the_same_bits_as_points() -> None:
         again = window.window(*box)
         np.testing.assert_array_equal(again(x[columns], y[rows][:, None]), expected[rows, columns])
     assert terrain.window((0.0, 10.0), (1200.0, 1210.0)).heights.size < 100
+
+
+def test_windows_of_a_refined_terrain_are_thinned_to_the_same_samples() -> None:
+    fine = replace(rough(), refined=2)
+    whole = fine.thinned()
+    assert (whole.dx, whole.refined, whole.heights.shape) == (60.0, 1, (12, 16))
+    for x, y in (((-200.0, -100.0), (1200.0, 1300.0)), ((111.0, 112.0), (1333.0, 1334.0)), ((0.0, 300.0), (1e3, 2e3))):
+        part = fine.window(x, y).thinned()
+        assert part.x[0] <= x[0] - 30 and part.x[-1] >= x[1] + 30
+        rows, columns = (slice(at, at + n) for at, n in zip((part.row, part.column), part.heights.shape, strict=True))
+        assert np.array_equal(part.heights, whole.heights[rows, columns])
+        assert np.array_equal(part.x, whole.x[columns]) and np.array_equal(part.y, whole.y[rows])
 
 
 def test_holes_spread_no_further_than_the_taps() -> None:

@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 import rasterio
 import xarray as xr
+from pyproj import Transformer
 
 from blocksar.arrays import FloatArray
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.errors import InputError
+from blocksar.ingestion.terrain import resampling
 from blocksar.ingestion.terrain.earth import ellipsoid, read_geotiff
 from blocksar.ingestion.terrain.frame_grid import read_frame_grid
 from blocksar.ingestion.terrain.reading import Ground, coverage_note
@@ -74,8 +76,6 @@ def geotiff(
     path: Path, crs: str, heights: Any, *, nodata: float | None = None, origin: float = 600.0, **tags: Any
 ) -> Path:
     """Heights over the ellipsoid, of the frame's place, as a GeoTIFF of the CRS."""
-    from pyproj import Transformer
-
     to_map = Transformer.from_crs("EPSG:4326", crs, always_xy=True)
     corners = HERE.to_geodetic(np.array([[a, b, 0.0] for a in (-6000, 6000) for b in (-6000, 6000)]))
     east, north = to_map.transform(corners[:, 1], corners[:, 0])
@@ -104,8 +104,43 @@ def test_points_on_a_geotiff_s_ground_lie_at_its_heights(crs: str, tmp_path: Pat
     terrain = read_geotiff(geotiff(tmp_path / "dem.tif", crs, plane_of), "ellipsoid", HERE, X, Y)
     x, y = np.meshgrid(np.linspace(*X, 30), np.linspace(*Y, 30))
     lat, lon, height = np.moveaxis(HERE.to_geodetic(np.stack([x, y, terrain(x, y)], axis=-1)), -1, 0)
-    assert height == pytest.approx(plane_of(lon, lat), abs=0.02)  # cubic convolution of waves of 1.6 km at 30 m
+    assert height == pytest.approx(plane_of(lon, lat), abs=2e-3)  # waves of 1.6 km at 30 m, again every 15 m
     assert np.ptp(terrain(x, y)) > 300
+    assert terrain.refined == 2
+    # As dense as the file, for what it hides: the same posts.
+    coarse = read_geotiff(tmp_path / "dem.tif", "ellipsoid", HERE, X, Y, refine=False)
+    assert coarse.refined == 1
+    np.testing.assert_allclose(coarse.heights, terrain.thinned().heights, rtol=0, atol=1e-9)
+
+
+def test_a_map_that_breaks_is_followed_place_by_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As one does where longitudes jump; elsewhere it is smooth, and cubic between nodes."""
+    path = geotiff(tmp_path / "dem.tif", "EPSG:3035", plane_of)
+    smooth = read_geotiff(path, "ellipsoid", HERE, X, Y)
+    monkeypatch.setattr(resampling, "BENT", 0.0)
+    exact = read_geotiff(path, "ellipsoid", HERE, X, Y)
+    np.testing.assert_allclose(smooth.heights, exact.heights, rtol=0, atol=1e-6)
+
+
+def test_a_hole_of_a_geotiff_takes_posts_beside_it_only(tmp_path: Path) -> None:
+    """A sample is unknown if one of the four pixels about it is; a height, if one of its 4 x 4 samples is."""
+    path = geotiff(tmp_path / "dem.tif", "EPSG:32632", plane_of, nodata=-1.0)
+    with rasterio.open(path, "r+") as file:
+        values = file.read(1)
+        values[190:196, 190:196] = values[230, 170] = -1.0
+        file.write(values, 1)
+        transform = file.transform
+    terrain = read_geotiff(path, "ellipsoid", HERE, X, Y)
+    x, y = np.meshgrid(terrain.x, terrain.y)
+    lat, lon, _ = np.moveaxis(HERE.to_geodetic(np.stack([x, y, np.full(x.shape, 300.0)], axis=-1)), -1, 0)
+    column, row = ~transform @ Transformer.from_crs("EPSG:4326", "EPSG:32632", always_xy=True).transform(lon, lat)
+    i, j = (np.floor(at - 0.5).astype(int) for at in (row, column))
+    unknown = (values[i, j] == -1) | (values[i + 1, j] == -1) | (values[i, j + 1] == -1) | (values[i + 1, j + 1] == -1)
+    assert unknown.sum() > 200
+    assert (np.isnan(terrain.heights) != unknown).sum() <= 2  # heights move places by millimetres
+    at = np.arange(X[0], X[1], 5.0), np.arange(Y[0], Y[1], 5.0)
+    lost = float(np.isnan(terrain.on_grid(*at)).sum()) * 25 / (transform.a * -transform.e)
+    assert 37 < lost < 37 + 70  # pixels: 81 and 16 at most, along the file's own axes
 
 
 def test_heights_over_a_geoid_need_its_grid(tmp_path: Path) -> None:

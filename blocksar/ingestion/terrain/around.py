@@ -29,6 +29,7 @@ def read_around(
     read : callable
         The terrain over a box, or what there is of it.
     """
+    terrain = terrain.thinned()
     low, high = terrain.limits
     around = read(_within(needed((low, high + HIGHER)), own, terrain))
     for _ in range(2):  # with heights as they are there

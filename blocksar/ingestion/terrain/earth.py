@@ -14,19 +14,16 @@ from blocksar.errors import InputError
 from blocksar.ingestion.reading import reading
 from blocksar.ingestion.terrain.datum import datum_of
 from blocksar.ingestion.terrain.frame_grid import MOST_HEIGHTS
+from blocksar.ingestion.terrain.resampling import STEPS, lattice, resample
 from blocksar.places import Location, place
 
 if TYPE_CHECKING:
     from pyproj import CRS
     from rasterio.io import DatasetReader
 
-STEPS = 4  # of the iteration for z: each leaves the square of the angle between z and the vertical
 ELLIPSOID_SAMPLES = 64  # along each axis: cubic convolution is exact for a paraboloid
-STRIP = 1 << 20  # heights that are computed at a time
 METRES = ("", "m", "metre", "metres", "meter", "meters")
 REMEDY = "give a GeoTIFF of heights with its coordinate reference system"
-
-Heights = Callable[[FloatArray, FloatArray], FloatArray]  # over the ellipsoid, of longitude and latitude, degrees: m
 
 
 def ellipsoid(
@@ -35,13 +32,19 @@ def ellipsoid(
     """The surface at the height of the frame's plane z = ground_height over WGS 84, at a box."""
     over = georeference.height + ground_height
     step = max(x[1] - x[0], y[1] - y[0]) / ELLIPSOID_SAMPLES
-    return _sampled(georeference, lambda lon, lat: np.full(np.shape(lon), over), step, x, y, start=ground_height)
+    (x0, n_x), (y0, n_y) = (lattice(box, step) for box in (x, y))
+    mesh_x, mesh_y = np.meshgrid(x0 + step * np.arange(n_x), y0 + step * np.arange(n_y))
+    z = np.full((n_y, n_x), ground_height)
+    for _ in range(STEPS):
+        z = z + over - _geodetic(georeference, mesh_x, mesh_y, z)[..., 2]
+    return Terrain(x0=x0, dx=step, y0=y0, dy=step, heights=z)
 
 
 def read_geotiff(
-    source: Location, vertical: str | None, georeference: Georeference, x: tuple[float, float], y: tuple[float, float]
-) -> Terrain:
-    """Read the heights of a GeoTIFF, about as densely as it has them, on a grid of the frame over a box.
+    source: Location, vertical: str | None, georeference: Georeference, x: tuple[float, float], y: tuple[float, float],
+    *, refine: bool = True,
+) -> Terrain:  # fmt: skip
+    """Read the heights of a GeoTIFF on a grid of the frame over a box; `refine` as in `resample`.
 
     Raises
     ------
@@ -66,12 +69,14 @@ def read_geotiff(
         undulation = datum_of(crs, vertical, str(path)).undulation()
         to_pixel = _pixels_of(file, crs)
         step = _spacing(georeference, to_pixel, x, y)
-        heights = _window(file, georeference, to_pixel, x, y, margin=MARGIN * step, label=str(path))
+        posts = _window(file, georeference, to_pixel, x, y, margin=MARGIN * step, label=str(path))
 
-        def over_ellipsoid(longitude: FloatArray, latitude: FloatArray) -> FloatArray:
-            return heights(*to_pixel(longitude, latitude)) + undulation(longitude, latitude)
+    def to_file(x: FloatArray, y: FloatArray, z: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        latitude, longitude, height = np.moveaxis(_geodetic(georeference, x, y, z), -1, 0)
+        column, row = to_pixel(longitude, latitude)
+        return row - posts.row, column - posts.column, height - undulation(longitude, latitude)
 
-        return _sampled(georeference, over_ellipsoid, step, x, y, start=0.0)
+    return resample(posts.heights, to_file, step, (x, y), refine=refine)
 
 
 def _pixels_of(file: DatasetReader, crs: CRS) -> Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
@@ -161,27 +166,3 @@ def _extents(file: DatasetReader, image: FloatArray) -> str:
     spans = ((west, east, south, north), tuple(own))
     told = [f"longitude {a:.5g} .. {b:.5g}, latitude {c:.5g} .. {d:.5g} degrees" for a, b, c, d in spans]
     return f"it spans {told[0]}, and the image {told[1]}"
-
-
-def _sampled(
-    georeference: Georeference, heights: Heights, step: float, x: tuple[float, float], y: tuple[float, float], *,
-    start: float,
-) -> Terrain:  # fmt: skip
-    """Heights over the ellipsoid as z on a grid of the frame that reaches MARGIN steps beyond a box.
-
-    z is such that the point's own height over the ellipsoid is the one that is given at its longitude and latitude.
-    """
-    x0, y0 = (np.floor(low / step - MARGIN) * step for low in (x[0], y[0]))
-    n_x, n_y = (int(np.ceil((high - low) / step)) + MARGIN + 1 for low, high in ((x0, x[1]), (y0, y[1])))
-    if n_x * n_y > MOST_HEIGHTS:
-        raise InputError(f"terrain: {n_y} x {n_x} heights within the image are too many; give a coarser file")
-    along = x0 + step * np.arange(n_x)
-    z = np.full((n_y, n_x), start)
-    for first in range(0, n_y, max(STRIP // n_x, 1)):
-        rows = slice(first, min(first + max(STRIP // n_x, 1), n_y))
-        mesh_x, mesh_y = np.meshgrid(along, y0 + step * np.arange(rows.start, rows.stop))
-        for _ in range(STEPS):
-            known = np.where(np.isfinite(z[rows]), z[rows], start)
-            at = _geodetic(georeference, mesh_x, mesh_y, known)
-            z[rows] = known + heights(at[..., 1], at[..., 0]) - at[..., 2]
-    return Terrain(x0=float(x0), dx=float(step), y0=float(y0), dy=float(step), heights=z)

@@ -83,8 +83,12 @@ class Ground:
             raise InputError(f"terrain {self.terrain} has no height under the grid, {where}; give one that covers it")
         return terrain
 
-    def read_box(self, georeference: Georeference | None, x: tuple[float, float], y: tuple[float, float]) -> Terrain:
+    def read_box(
+        self, georeference: Georeference | None, x: tuple[float, float], y: tuple[float, float], *, refine: bool = True
+    ) -> Terrain:
         """The part of the file about a box, x and y from .. to, m; a GeoTIFF needs the georeference.
+
+        Without `refine` a GeoTIFF's heights are as dense as in the file: enough for what they hide.
 
         Raises
         ------
@@ -95,7 +99,7 @@ class Ground:
         if not self.geotiff:
             return read_frame_grid(self.terrain, x, y)
         assert georeference is not None
-        return read_geotiff(self.terrain, self.vertical, georeference, x, y)
+        return read_geotiff(self.terrain, self.vertical, georeference, x, y, refine=refine)
 
 
 def covered(terrain: Terrain, grid: Grid) -> float:
