@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from blocksar.arrays import ComplexArray
-from blocksar.chunks import WRITES_AT_ONCE
 from blocksar.focusing.range_gate import RangeGate
 from blocksar.graph.spectrum import SpectrumChunks, chunk_spans
 from blocksar.graph.tasks import naming_failures, sign
+from blocksar.graph.writing import WritesBehind
 from blocksar.kernels import buffers
 from blocksar.kernels.rows import Program
 from blocksar.runs.receipts import Run, write
@@ -64,31 +63,26 @@ def gate_bins(
     """
     started = time.perf_counter()
     values = spectrum.read((slice(*bins), slice(0, spectrum.shape[1])))
-    reading, waiting = time.perf_counter() - started, 0.0
+    reading = time.perf_counter() - started
     transform, group = targets[0].gate.to_delay, targets[0].chunk[0]
     to_delay = Program([transform], source=transform.source, n_row=group)
     delays = buffers.empty((group, transform.period))
-    writes: list[Future[list[Written]]] = []
-    with ThreadPoolExecutor(WRITES_AT_ONCE) as pool:
+    with WritesBehind() as behind:
         for first, last in chunk_spans(*bins, group):
             touched = [target for target in targets if target.common(first, last)[1] > target.common(first, last)[0]]
             if touched:
                 to_delay.run(values[first - bins[0] : last - bins[0]], out=delays, threads=run.threads)
             for target in touched:
-                if len(writes) > WRITES_AT_ONCE:
-                    began = time.perf_counter()
-                    writes[-1 - WRITES_AT_ONCE].result()
-                    waiting += time.perf_counter() - began
+                behind.turn()
                 rows = _gate(target, delays, (first, last), threads=run.threads)
-                writes.append(pool.submit(_write_rows, run, target, rows, first))
+                behind.submit(_write_rows, run, target, rows, first)
         computed = time.perf_counter()
-    written = tuple(part for future in writes for part in future.result())
     steps = {
         "read-spectrum": reading,
-        RangeGate.name: computed - started - reading - waiting,
-        "write-gated": time.perf_counter() - computed + waiting,
+        RangeGate.name: computed - started - reading - behind.waited,
+        "write-gated": time.perf_counter() - computed + behind.waited,
     }
-    return sign(run, Receipt(unit=unit, stage="gate", written=written, steps=steps), started)
+    return sign(run, Receipt(unit=unit, stage="gate", written=behind.written, steps=steps), started)
 
 
 def _gate(target: Gated, delays: ComplexArray, bins: tuple[int, int], *, threads: int) -> ComplexArray:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import time
-from concurrent.futures import Future, ThreadPoolExecutor, wait
 
 import numpy as np
 
 from blocksar import stores
-from blocksar.chunks import WRITES_AT_ONCE
+from blocksar.arrays import ComplexArray
 from blocksar.focusing.range_compression import RawCompression
 from blocksar.focusing.recovery import Recovery, recover_columns
-from blocksar.graph.spectrum import chunk_spans
+from blocksar.graph.spectrum import Window, chunk_spans
 from blocksar.graph.tasks import sign
+from blocksar.graph.writing import WritesBehind
 from blocksar.inspection.samples import inspect
 from blocksar.kernels import buffers
 from blocksar.runs.receipts import Run, write
@@ -55,28 +55,27 @@ def recover_group(
         threads=run.threads,
     )  # fmt: skip
     memories = [buffers.empty((recovery.doppler.size * width,)) for _ in range(min(2, -(-signal.shape[1] // width)))]
-    writes: list[list[Future[Written]]] = []
-    with ThreadPoolExecutor(WRITES_AT_ONCE) as pool:
-        for number, first in enumerate(range(columns[0], columns[1], width)):
-            part = slice(first, min(first + width, columns[1]))
+    with WritesBehind(len(memories)) as behind:
+        for first in range(columns[0], columns[1], width):
+            memory, part = memories[behind.turn()], slice(first, min(first + width, columns[1]))
             shape = (recovery.doppler.size, part.stop - part.start)
-            if number >= len(memories):
-                wait(writes[number - len(memories)])
             spectrum = recover_columns(
                 signal[:, part.start - columns[0] : part.stop - columns[0]],
                 range_frequency=frequency[part],
                 recovery=recovery,
                 threads=run.threads,
-                out=memories[number % len(memories)][: shape[0] * shape[1]].reshape(shape),
+                out=memory[: shape[0] * shape[1]].reshape(shape),
             )
             # One entry for each chunk, so that a block can check those that it reads.
-            spans = [slice(*bins) for bins in chunk_spans(0, shape[0], height)]
-            writes.append(
-                [pool.submit(write, run, run.spectrum, "spectrum", (bins, part), spectrum[bins]) for bins in spans]
-            )
-    parts = [future.result() for some in writes for future in some]
-    receipt = Receipt(unit=unit, stage="recover", written=tuple(parts), found=inspection.as_dict())
+            for bins in chunk_spans(0, shape[0], height):
+                behind.submit(_write_bins, run, (slice(*bins), part), spectrum[slice(*bins)])
+    receipt = Receipt(unit=unit, stage="recover", written=behind.written, found=inspection.as_dict())
     return sign(run, receipt, started)
+
+
+def _write_bins(run: Run, region: Window, values: ComplexArray) -> list[Written]:
+    """Write a chunk of the spectrum."""
+    return [write(run, run.spectrum, "spectrum", region, values)]
 
 
 def inspect_group(run: Run, unit: str, source: stores.PhaseHistory, columns: tuple[int, int]) -> Receipt:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import wraps
@@ -33,6 +32,7 @@ from blocksar.graph.edges import Edges, by_yaw, read_valid
 from blocksar.graph.layers import GroundHeights, TerrainLayers, local_terrain, sights_of, write_layers, write_noise
 from blocksar.graph.segments import Margins, Merged
 from blocksar.graph.spectrum import SpectrumChunks, Window, chunk_spans, read_ahead
+from blocksar.graph.writing import WritesBehind
 from blocksar.inspection.samples import Inspection
 from blocksar.kernels import buffers
 from blocksar.places.place import Place
@@ -186,27 +186,24 @@ def write_patch(
     heights = GroundHeights(run, grid, on_terrain=ground.relief is not None)
     assert samples.values is not None
     chunks = [np.empty(side[0] * side[1], np.complex64) for _ in range(WRITES_AT_ONCE + 1)]
-    writes: list[Future[list[Written]]] = []
-    with ThreadPoolExecutor(WRITES_AT_ONCE) as pool:
+    with WritesBehind(len(chunks)) as behind:
         cells = touched_chunks(ground, grid)
         kept = None if edges is None else edges.profiles(ground, threads=run.threads)
-        for number, cell in enumerate(cells if edges is None else by_yaw(cells, ground, grid)):
-            if number >= len(chunks):
-                writes[number - len(chunks)].result()
-            window = chunk_window(cell, grid)
+        for cell in cells if edges is None else by_yaw(cells, ground, grid):
+            chunk, window = chunks[behind.turn()], chunk_window(cell, grid)
             shape = (window[0].stop - window[0].start, window[1].stop - window[1].start)
-            out = chunks[number % len(chunks)][: shape[0] * shape[1]].reshape(shape)
+            out = chunk[: shape[0] * shape[1]].reshape(shape)
             x, y = grid.x[window[1]], grid.y[window[0]]
             z = heights.over(window)
             pixels = correct(samples.values, ground, x=x, y=y, z=z, threads=run.threads, out=out)
             if edges is not None and kept is not None:
                 edges.add(pixels, kept, ground, window, grid, height=z, threads=run.threads)
             origin, merged = (first_y, first_x), cell not in own
-            writes.append(pool.submit(_write_pixels, run, block, pixels, window, origin, grid, noise, z, merged=merged))
+            behind.submit(_write_pixels, run, block, pixels, window, origin, grid, noise, z, merged=merged)
     seconds = samples.seconds | {"geometric-correction": time.perf_counter() - started}
     # The receipt covers the whole block: the tasks before this one have no receipts.
     receipt = Receipt(
-        unit=unit, stage="focus", written=tuple(part for future in writes for part in future.result()),
+        unit=unit, stage="focus", written=behind.written,
         origin=(int(first_y), int(first_x)), steps=seconds,
     )  # fmt: skip
     return sign(run, receipt, started - sum(samples.seconds.values()))
@@ -372,16 +369,13 @@ def add_layers(
     """
     started = time.perf_counter()
     layers = TerrainLayers(run, grid, sights)
-    writes: list[Future[list[Written]]] = []
-    with ThreadPoolExecutor(WRITES_AT_ONCE) as pool:
-        for number, cell in enumerate(cells):
-            if number > WRITES_AT_ONCE:
-                writes[number - WRITES_AT_ONCE - 1].result()
+    with WritesBehind() as behind:
+        for cell in cells:
+            behind.turn()
             window = chunk_window(cell, grid)
             owner = stores.read_region(run.image, "block", window, cached=False)
-            writes.append(pool.submit(write_layers, run, window, layers.over(window, owner)))
-    written = tuple(part for future in writes for part in future.result())
-    return sign(run, Receipt(unit=unit, stage="mosaic", written=written), started)
+            behind.submit(write_layers, run, window, layers.over(window, owner))
+    return sign(run, Receipt(unit=unit, stage="mosaic", written=behind.written), started)
 
 
 def back_project_chunk(
