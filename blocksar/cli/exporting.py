@@ -9,7 +9,7 @@ import typer
 from blocksar.cli.display import hint, show
 from blocksar.cli.endings import Commands
 from blocksar.cli.listening import listening
-from blocksar.cli.options import Channel, ColourMap, JsonLog, Overwrite, Quiet, Run
+from blocksar.cli.options import Channel, ColourMap, ColourRange, JsonLog, Overwrite, Quiet, Run, ScaleRange
 
 Crop = Annotated[
     str | None,
@@ -74,10 +74,7 @@ def export_geotiff(
             metavar="uint8, uint16", help="Store dB as whole numbers, 0 where not covered.", show_default="float32"
         ),
     ] = None,
-    range: Annotated[
-        str | None,
-        typer.Option("--range", metavar="LOW:HIGH", help="dB at the ends of --scale.", show_default="by the image"),
-    ] = None,
+    range: ScaleRange = None,
     crop: Crop = None,
     crs: Annotated[
         str | None,
@@ -114,10 +111,7 @@ def export_png(
     context: typer.Context,
     run: Run,
     out: Annotated[str, typer.Option(metavar="FILE", help="PNG to write.")],
-    range: Annotated[
-        str | None,
-        typer.Option("--range", metavar="LOW:HIGH", help="dB at the ends of the colours.", show_default="by the image"),
-    ] = None,
+    range: ColourRange = None,
     colour_map: ColourMap = None,
     size: Annotated[
         int | None,

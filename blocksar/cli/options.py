@@ -20,6 +20,15 @@ ColourMap = Annotated[
         "--colour-map", "--color-map", metavar="NAME", help="One of matplotlib's colour maps.", show_default="gray"
     ),
 ]
+
+
+def _decibels(of: str) -> Any:
+    """The option --range of what decibels are mapped to."""
+    return typer.Option("--range", metavar="LOW:HIGH", help=f"dB at the ends of {of}.", show_default="by the image")
+
+
+ColourRange = Annotated[str | None, _decibels("the colours")]
+ScaleRange = Annotated[str | None, _decibels("--scale")]
 Run = Annotated[str, typer.Argument(metavar="RUN", help="Folder of a finished run.")]
 StoreOut = Annotated[str, typer.Option(metavar="STORE", help="Phase-history store to write.")]
 ALTERNATIVES = "Alternative methods, for comparison"  # title of a panel in the help

@@ -1,0 +1,73 @@
+"""The commands about a finished run: `quality` and `report`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from blocksar.cli.display import hint, show
+from blocksar.cli.listening import listening
+from blocksar.cli.options import Channel, Everything, Explain, JsonLog, Overwrite, Quiet, Run
+
+
+def quality(
+    context: typer.Context,
+    run: Run,
+    targets: Annotated[
+        str | None,
+        typer.Option(metavar="FILE", help="JSON, CSV or GeoJSON file of targets; default: those of the phase history."),
+    ] = None,
+    reference: Annotated[
+        bool, typer.Option("--reference", help="Also compare image chips with exact back-projection.")
+    ] = False,
+    found: Annotated[
+        int,
+        typer.Option(metavar="N", help="Also find and measure the N brightest isolated points, and the noise floor."),
+    ] = 0,
+    area: Annotated[
+        str | None, typer.Option(metavar="x0:x1,y0:y1", help="Also measure the equivalent looks of this part, m.")
+    ] = None,
+    channel: Channel = None,
+    everything: Everything = False,
+    explain: Explain = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure side-lobe ratios, widths, position and calibration of every target.
+
+    Prints the worst cases and the ten worst targets, and writes all to RUN/quality.json.
+
+    Example: [bold]blocksar quality run --reference[/bold]
+    """
+    from blocksar import api
+
+    report = api.quality(run, targets=targets, reference=reference, found=found, area=area, channel=channel)
+    show(report, context)
+    hint(context, "report", run)
+
+
+def report(
+    context: typer.Context,
+    run: Run,
+    out: Annotated[
+        str | None, typer.Option(metavar="FILE", help="HTML file to write; default: RUN/report.html.")
+    ] = None,
+    channel: Channel = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    json_log: JsonLog = None,
+) -> None:
+    """Write an HTML page about a run, which opens in any browser without a network.
+
+    Shows the image with zoom, block borders and targets; plan and measurements
+    side by side; target responses; times; provenance.
+
+    Example: [bold]blocksar report run[/bold]
+    """
+    from blocksar import api
+
+    with listening(context) as progress:
+        page = api.report(run, out=out, channel=channel, overwrite=overwrite, progress=progress)
+    show(page)
+    hint(context, "export", "png", run, "--out", f"{Path(run).name}.png")
