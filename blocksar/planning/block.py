@@ -198,6 +198,7 @@ def _plan_azimuth(
         epoch_range=epoch_range,
         yaws=dwells.yaw,
         shift=-2 / sector.geometry.collection.wavelength * recovery.walk + range_part.constants.walk,
+        fidelity=sector.fidelity,
         neighbour=neighbour,
     )
     return AzimuthPart.bind(range_part, polynomials, straight), choice

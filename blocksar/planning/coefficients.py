@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -18,10 +19,23 @@ from blocksar.planning.dwell_weights import beam_moves
 from blocksar.planning.fidelity import smear_loss
 from blocksar.planning.fitting import Candidate
 
+GOOD_RESIDUAL = 0.02  # rad: the most that is good; see `good_residual`
+RESIDUAL_SHARE = 0.5  # of the allowed loss that residual phase may take before a better chain is preferred
 GOOD_LOSS = 4e-4  # of coherence, at the ends of the dwell: below this a cheaper chain is preferred to a better one
 ENOUGH_COST = 1.2  # of a kind of chain: no other is tried
 KEPT = 1.5  # times the promised cost: what a fit at all ranges may cost to be taken without a look at others
 FINER = (1.4, 1.2, 1.1, 1.05)  # factors by which the spread of the best bias is varied, one after the other
+
+
+def good_residual(fidelity: float) -> float:
+    """The residual phase below which a cheaper chain is preferred to a better one, rad.
+
+    A phase like the Legendre polynomial of order n that peaks at p has the mean square p^2 / (2 n + 1), and half of
+    that is lost. With n = 3, which a cheaper chain leaves, RESIDUAL_SHARE of the allowed loss is
+
+        p = sqrt(14 RESIDUAL_SHARE (1 - fidelity)).
+    """
+    return min(GOOD_RESIDUAL, math.sqrt(14 * RESIDUAL_SHARE * (1 - fidelity)))
 
 
 class Choice(NamedTuple):
@@ -41,6 +55,7 @@ def choose(
     epoch_range: FloatArray,
     yaws: FloatArray,
     shift: float,
+    fidelity: float,
     neighbour: Choice | None,
 ) -> tuple[AzimuthPolynomials, Choice]:
     """Coefficients by the method: in closed form, or of the cheapest fitted chain whose lines end level and unfolded.
@@ -60,6 +75,8 @@ def choose(
         rad.
     shift : float
         Doppler that recovery and the range part remove from every line, Hz.
+    fidelity : float
+        Coherence that is asked for: the higher, the less residual phase is good.
     neighbour : Choice or None
         What a neighbour chose, to be taken if it serves here too.
     """
@@ -70,23 +87,24 @@ def choose(
             in_doppler=range_part.compression.in_doppler, range_model=method.range_model,
         )  # fmt: skip
         return polynomials, Choice(Candidate(0.0, False), 0.0)
-    full = full_dwells(line, geometry, epoch_range, yaws)
+    full, good = full_dwells(line, geometry, epoch_range, yaws), good_residual(fidelity)
     if neighbour is not None:
         polynomials = fitting.fit(line, ranges=ranges, candidate=neighbour.candidate, freedom=freedom, wavelength=lam)
-        cost = _cost(polynomials, line, range_part, geometry, full)
+        cost = _cost(polynomials, line, range_part, geometry, full, good)
         if cost <= KEPT * neighbour.cost:
             return polynomials, neighbour
-    return _find_cheapest(line, range_part, geometry, ranges=ranges, full=full)
+    return _find_cheapest(line, range_part, geometry, ranges=ranges, full=full, good=good)
 
 
 def _find_cheapest(
-    line: Line, range_part: RangePart, geometry: Geometry, *, ranges: FloatArray, full: BoolArray
+    line: Line, range_part: RangePart, geometry: Geometry, *, ranges: FloatArray, full: BoolArray, good: float
 ) -> tuple[AzimuthPolynomials, Choice]:
     """The kind of chain with the least cost, fitted. All kinds are tried roughly, at three ranges.
 
     Under a steered beam the bias of the best kind is then varied: what the ends lose has a sharp minimum where the
     delays of the steps in Doppler vary least over the block. A kind whose fit at all ranges does not keep what it
-    promised is passed over. Where all of these fold lines, those are fitted that the rough trial did not reach.
+    promised is passed over. Where that leaves none, or none that is nearly as cheap as the one that ended the rough
+    trial, those are tried that it did not reach.
     """
     wavelength, freedom = geometry.collection.wavelength, range_part.freedom
     rows = np.array([0, ranges.size // 2, ranges.size - 1])
@@ -105,7 +123,7 @@ def _find_cheapest(
             polynomials = fitting.fit(
                 subset, ranges=ranges[rows], candidate=candidate, freedom=freedom, wavelength=wavelength, roughly=True
             )
-            costs[candidate] = _cost(polynomials, subset, range_part, geometry, full[rows])
+            costs[candidate] = _cost(polynomials, subset, range_part, geometry, full[rows], good)
             if costs[candidate] < ENOUGH_COST:
                 break
         return min(costs.values())
@@ -118,22 +136,35 @@ def _find_cheapest(
 
     def keeps(candidate: Candidate, promised: float) -> bool:
         polynomials = fit(candidate)
-        cost = _cost(polynomials, line, range_part, geometry, full)
+        cost = _cost(polynomials, line, range_part, geometry, full, good)
         fitted.append((polynomials, Choice(candidate, cost)))
         return cost <= KEPT * promised
 
-    for candidate in sorted(costs, key=costs.__getitem__):
-        if fitted and costs[candidate] >= min(choice.cost for _, choice in fitted):
-            break
-        if keeps(candidate, costs[candidate]):
-            break
-    if all(choice.cost == np.inf for _, choice in fitted):
-        any(keeps(kind, ENOUGH_COST) for kind in kinds if kind not in costs)
+    def settle() -> None:
+        done = {choice.candidate for _, choice in fitted}
+        for candidate in sorted((each for each in costs if each not in done), key=costs.__getitem__):
+            if fitted and costs[candidate] >= min(choice.cost for _, choice in fitted):
+                break
+            if keeps(candidate, costs[candidate]):
+                break
+
+    settle()
+    unseen, least = [kind for kind in kinds if kind not in costs], min(choice.cost for _, choice in fitted)
+    if least == np.inf:
+        any(keeps(kind, ENOUGH_COST) for kind in unseen)
+    elif unseen and least > KEPT * ENOUGH_COST:
+        cheapest(unseen)
+        settle()
     return min(fitted, key=lambda fit: fit[1].cost)
 
 
 def _cost(
-    polynomials: AzimuthPolynomials, line: Line, range_part: RangePart, geometry: Geometry, full: BoolArray
+    polynomials: AzimuthPolynomials,
+    line: Line,
+    range_part: RangePart,
+    geometry: Geometry,
+    full: BoolArray,
+    good: float,
 ) -> float:
     """Phase error or loss of coherence above the good ones, times the growth in samples; infinite if lines fold."""
     azimuth = AzimuthPart.bind(range_part, polynomials, line)
@@ -143,7 +174,7 @@ def _cost(
         return np.inf
     spots = focus(traced)
     lost = smear_loss(traced, spots, biased.rate, geometry, full) if geometry.collection.steered else 0.0
-    fault = max(float(spots.residual.max()) / fitting.GOOD_RESIDUAL, lost / GOOD_LOSS, 1.0)
+    fault = max(float(spots.residual.max()) / good, lost / GOOD_LOSS, 1.0)
     room = 0.0 if beam_moves(geometry.collection) else 2 * smear_room(traced, biased.rate)
     growth = max((np.ptp(traced.time) + room) / np.ptp(line.time), 1.0) * max(
         np.ptp(biased.doppler) / np.ptp(line.doppler), 1.0

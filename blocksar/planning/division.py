@@ -11,6 +11,7 @@ from collections.abc import Callable
 from functools import cache
 from typing import Protocol, TypeVar
 
+from blocksar.errors import InputError
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.refusal import find_folding
 
@@ -23,6 +24,9 @@ USEFUL = 0.9  # excess that a division in range may leave, to be tried again
 MIGRATION_SHARE = 0.7  # of the allowed loss that migration may take when a block is divided in range
 FALL = 0.97  # factor by which the excess has to fall: three numbers in a row that do not reach it end the search
 ALIKE = 1.03  # times the least excess: among divisions within that, the one with the fewest blocks is taken
+MOST_DIVIDED = 2 * MAX_BLOCKS  # that `auto` tries where blocks and range sub-blocks have to reduce migration together
+MOST_TRIES = 3  # of these
+RESERVE, MORE = 1.03, 1.1  # of blocks, over those that the two parts of migration ask for; and from try to try
 # The same on a terrain: each division is predicted at other places of it, so that predictions scatter by this factor
 # (excess 1.5 .. 3.0 from 1 to 10 blocks of hills of 60 m every 450 m under Table 1, without a trend).
 SCATTER = 1.5
@@ -41,7 +45,12 @@ P = TypeVar("P", bound=Planned)
 
 
 def find_division(
-    plan: Callable[[int, int, bool], P], *, workers: int, parts: int | None, scattered: bool = False
+    plan: Callable[[int, int, bool], P],
+    *,
+    workers: int,
+    parts: int | None,
+    scattered: bool = False,
+    jointly: bool = False,
 ) -> P:
     """The plan with the fewest blocks that keep the fidelity, at least one a worker; without one, the closest.
 
@@ -59,6 +68,8 @@ def find_division(
     scattered : bool
         Whether predictions scatter from division to division, as on a terrain: more blocks are then a gain only beyond
         that scatter.
+    jointly : bool
+        Whether to try more blocks, of range sub-blocks, where neither keep the fidelity by themselves.
     """
     plan = cache(plan)
     tried: list[tuple[float, int, int]] = []
@@ -78,6 +89,8 @@ def find_division(
         if stale == 3 or count == MAX_BLOCKS:
             least, n, m = min(tried)
             most = (SCATTER if scattered else ALIKE) * least
+            if jointly and parts is None and (joint := _divide_jointly(plan, least)) is not None:
+                return joint
             if scattered and tried[0][0] > most:  # a probe looks at fewer places of a terrain than the whole plan
                 most = SCATTER * plan(n, m, False).excess()
             return plan(*min((n, m) for e, n, m in tried if e <= most), False)
@@ -91,6 +104,44 @@ def find_division(
             by_angle = _worth(excess, plan(count, n_parts, True).excess(), count / failed)
             if more > n_parts and _worth(excess, divided, more / n_parts) > by_angle:
                 failed, count, n_parts = failed - 1, failed, more
+
+
+def _divide_jointly(plan: Callable[[int, int, bool], P], least: float) -> P | None:
+    """The plan with the fewest sub-blocks in all that keep the fidelity; None where these cannot, or gain too little.
+
+    The parts of migration from angle and from range are those that probes of the most blocks tell, whole and divided;
+    `least` is the least excess of other divisions.
+    """
+    try:
+        whole, divided = plan(MOST_DIVIDED, 1, True), plan(MOST_DIVIDED, MOST_REFERENCES, True)
+    except InputError:  # so narrow that no block holds a point of the grid
+        return None
+    rest = max(whole.excess(migration=False), divided.excess(migration=False))
+    if rest >= 1.0:
+        return None
+    left, least_left = (math.sqrt(max(each.excess() - each.excess(migration=False), 0.0)) for each in (whole, divided))
+    by_range = min(max((left - least_left) / (1 - 1 / MOST_REFERENCES), 0.0), left)
+    by_angle, room = MOST_DIVIDED * (left - by_range), math.sqrt(1 - rest)
+    needed = [
+        (math.ceil(RESERVE * by_angle / (room - by_range / n_parts)), n_parts)
+        for n_parts in range(1, MOST_REFERENCES + 1)
+        if by_range < room * n_parts
+    ]
+    needed = [(max(n, 1), n_parts) for n, n_parts in needed if n <= MOST_DIVIDED]
+    if not needed:
+        return None
+    count, n_parts = min(needed, key=lambda each: (each[0] * each[1], each))
+    tried: list[tuple[float, int, int]] = []
+    while len(tried) < MOST_TRIES and count <= MOST_DIVIDED:
+        division = plan(count, n_parts, True)
+        if division.excess() <= 1.0:
+            division = plan(count, n_parts, False)
+            if division.excess() <= 1.0:
+                return division
+        tried.append((division.excess(), count, n_parts))
+        count = math.ceil(MORE * count)
+    excess, count, n_parts = min(tried)
+    return plan(count, n_parts, False) if excess < USEFUL * least else None
 
 
 def _worth(before: float, after: float, growth: float) -> float:

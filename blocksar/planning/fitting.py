@@ -27,7 +27,6 @@ DOPPLER_ORDERS = (2, 3, 4, 5)
 RESAMPLING_ORDERS = (2, 3, 4)
 DERAMP_ORDERS = (2, 3, 4)
 SERIES_DEGREE = 6  # of the series of each coefficient in range
-GOOD_RESIDUAL = 0.02  # rad: below this a cheaper chain is preferred to a better one
 # A fit stops when a step lowers the cost by less than the fraction ENOUGH, or after MOST_STEPS steps. Order 2 in
 # Doppler and the deramp nearly cancel, which makes a long valley; its beginning suffices to choose a kind of chain.
 ENOUGH, MOST_STEPS = 1e-7, 200

@@ -336,7 +336,7 @@ def plan_collection(
         if blocks == "auto":
             return find_division(
                 planner(times).plan, workers=workers, parts=None if parts == "auto" else parts,
-                scattered=terrain is not None,
+                scattered=terrain is not None, jointly=terrain is None and not collection.has_axis,
             )  # fmt: skip
         return planner(times).plan(blocks, 1 if parts == "auto" else parts, False)
 

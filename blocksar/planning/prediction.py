@@ -8,7 +8,7 @@ import numpy as np
 
 from blocksar.arrays import BoolArray, FloatArray
 from blocksar.budget import side_lobe_budget
-from blocksar.collection.beam import centre_yaw, dwell_at, has_full_dwell
+from blocksar.collection.beam import centre_yaw, dwell_at
 from blocksar.collection.geometry import TRACK_ACCURACY, Geometry
 from blocksar.collection.weighting import FLAT, Taper
 from blocksar.constants import SPEED_OF_LIGHT
@@ -34,7 +34,7 @@ class Prediction(NamedTuple):
     range_loss: float
     dispersion_loss: float
     track_loss: float
-    ideal_pslr: float  # dB, that of the weighting
+    ideal_pslr: float  # dB, in exact back-projection
 
     def excess(self, fidelity: float, *, migration: bool = True) -> float:
         """Loss of coherence and change of the side lobes over what `fidelity` allows: the worse of the two.
@@ -66,9 +66,11 @@ def predict(
 
     `rate` is the lines' Doppler rate before the steps in Doppler.
 
-    The ideal side lobes are those of the taper; under an antenna's pattern, a taper in a beam about an axis, or where
-    weights are cut with the dwells of all targets, those of the target with the worst phase, as if it had none. On a
-    terrain `reached` (n_range, n_yaw) tells which of the targets there are.
+    The ideal side lobes are those that exact back-projection gives the target with the worst phase. Level lines make
+    time after all steps a linear function of the direction in which a target is seen, so that they are those of its
+    weights at these times. They differ from the taper's where a beam does not turn evenly, an antenna has a pattern, or
+    dwells are cut: on the curved track of `paper_b` by 0.5 dB under a taper. On a terrain `reached` (n_range, n_yaw)
+    tells which of the targets there are.
     """
     range_cell = SPEED_OF_LIGHT / (2 * geometry.collection.bandwidth)
     residual = spots.residual
@@ -78,19 +80,16 @@ def predict(
     if reached is not None:
         judged = np.where(reached, judged, -1.0)
     worst = np.unravel_index(int(np.argmax(judged)), residual.shape)
-    weight = (weights.weigh(line).weight * np.sqrt(np.maximum(line.stretch, LEAST_STRETCH)))[worst]
+    weight = weights.weigh(line).weight[worst]
+    made = weight * (np.sqrt(np.maximum(line.stretch, LEAST_STRETCH)) * spots.levels)[worst]
     time = line.time[worst] - spots.time[worst]
     level = line.phase[worst] - spots.doppler[worst] * line.time[worst]
     spread = float(np.ptp(time))
     offsets = np.linspace(-4, 4, 401) / max(spread, 1e-9)
     # The ends of the dwell lie slightly outside the outermost nodes. The quadrature over the nodes is still exact.
     waves = np.exp(-2j * np.pi * offsets[:, None] * time)
-    response = np.abs((weight * np.exp(2j * np.pi * level) * waves).sum(axis=1))
+    response = np.abs((made * np.exp(2j * np.pi * level) * waves).sum(axis=1))
     ideal = np.abs((weight * waves).sum(axis=1))
-    ideal_pslr = weights.taper.ideal.pslr
-    by_time = geometry.collection.has_axis and not weights.uniform  # the place in the beam is not linear in time
-    if weights.patterned or by_time or not (weights.uniform or _has_full_dwell(geometry, rng, yaw, worst)):
-        ideal_pslr = _pslr(ideal)
     slope = np.gradient(spots.doppler, yaw, axis=1)
     dwell = (line.weight * line.stretch).sum(axis=-1)
     width = weights.taper.ideal.width
@@ -117,14 +116,8 @@ def predict(
         range_loss=lost.range,
         dispersion_loss=lost.dispersion,
         track_loss=lost.track,
-        ideal_pslr=ideal_pslr,
+        ideal_pslr=_pslr(ideal),
     )
-
-
-def _has_full_dwell(geometry: Geometry, rng: FloatArray, yaw: FloatArray, which: tuple[np.intp, ...]) -> bool:
-    """Whether the target at rng[which[0]] and yaw[which[1]] has a full dwell."""
-    at = rng[which[0]], yaw[which[1]]
-    return bool(has_full_dwell(geometry, *geometry.ground_axes(*at), geometry.level(*at)))
 
 
 def _track_phase(geometry: Geometry, rng: FloatArray, yaw: FloatArray) -> float:

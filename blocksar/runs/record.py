@@ -206,7 +206,7 @@ class PredictedBlock:
     residual_phase, quadratic_phase : float
         Largest phase error over the dwell, and its quadratic part at the edge of the dwell, rad.
     pslr, ideal_pslr : float
-        In azimuth, dB; and that of the weighting.
+        In azimuth, dB; and that of exact back-projection.
     width : float
         In azimuth, relative to the limit set by the dwell.
     migration : float

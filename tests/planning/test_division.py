@@ -6,10 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
+import numpy as np
 import pytest
 
 from blocksar.planning.block import BlockPlan
-from blocksar.planning.division import MAX_BLOCKS, MOST_REFERENCES, find_division
+from blocksar.planning.division import MAX_BLOCKS, MOST_DIVIDED, MOST_REFERENCES, find_division
 
 
 @dataclass(frozen=True)
@@ -27,7 +28,12 @@ class Division:
 
 
 def divide(
-    migration: Callable[[int, int], float], rest: Callable[[int], float], *, workers: int = 2, parts: int | None = None
+    migration: Callable[[int, int], float],
+    rest: Callable[[int], float],
+    *,
+    workers: int = 2,
+    parts: int | None = None,
+    jointly: bool = False,
 ) -> tuple[tuple[int, int], int]:
     """Blocks and sub-blocks that are taken, and how many divisions were planned as a whole."""
     whole = set()
@@ -38,7 +44,7 @@ def divide(
             whole.add((count, n_parts))
         return Division(count, n_parts, migration(count, n_parts), rest(count))
 
-    division = find_division(plan, workers=workers, parts=parts)
+    division = find_division(plan, workers=workers, parts=parts, jointly=jointly)
     return (division.count, division.parts), len(whole)
 
 
@@ -101,3 +107,35 @@ def test_migration_that_varies_with_angle_takes_blocks() -> None:
 
 def test_sub_blocks_that_were_asked_for_stay() -> None:
     assert divide(lambda count, parts: 3.0 / count / parts**2, nothing, parts=3)[0] == (2, 3)
+
+
+@pytest.mark.parametrize(("by_angle", "by_range"), [(28.5, 1.3), (25.0, 2.0), (30.0, 0.5)])
+def test_blocks_and_sub_blocks_reduce_migration_together_where_neither_does_alone(
+    by_angle: float, by_range: float
+) -> None:
+    """Close to the fewest sub-blocks in all, by looking at every division."""
+
+    def migration(count: int, parts: int) -> float:
+        return (by_angle / count + by_range / parts) ** 2
+
+    rest = 0.2
+    assert migration(MAX_BLOCKS, 1) > 1
+    count, parts = np.mgrid[1 : MOST_DIVIDED + 1, 1 : MOST_REFERENCES + 1]
+    fewest = int((count * parts)[(by_angle / count + by_range / parts) ** 2 + rest <= 1].min())
+    taken, whole = divide(migration, lambda count: rest, jointly=True)
+    assert migration(*taken) + rest <= 1
+    assert fewest <= taken[0] * taken[1] <= 1.15 * fewest
+    assert whole == 1
+    assert divide(migration, lambda count: rest, jointly=True, parts=1)[0] == divide(migration, lambda count: rest)[0]
+
+
+@pytest.mark.parametrize("rest", [0.2, 1.2])
+def test_no_division_jointly_where_none_keeps_the_fidelity(rest: float) -> None:
+    """Sub-blocks that are too many, or another cause that costs too much: the closest of few blocks is taken."""
+
+    def migration(count: int, parts: int) -> float:
+        return (60 / count + 30 / parts) ** 2 if rest < 1 else (28.5 / count + 1.3 / parts) ** 2
+
+    taken, whole = divide(migration, lambda count: rest, jointly=True)
+    assert taken == divide(migration, lambda count: rest)[0]
+    assert taken[0] <= MAX_BLOCKS and whole == 1

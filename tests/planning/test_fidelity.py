@@ -78,6 +78,33 @@ def test_a_fidelity_that_no_division_keeps_is_told_with_what_is_reached(tmp_path
     assert "--blocks" not in told and "--processor" in told
 
 
+def test_side_lobes_are_judged_by_those_of_back_projection() -> None:
+    """On a curved track a target is not seen at evenly spaced angles: the sum over all pulses has other side lobes."""
+    processor, grid = PAPERS["paper_b"]
+    plan = blocksar.plan("paper_b", processor=processor, blocks=7, grid=grid, weighting="taylor:4:-35").result
+    collection, geometry, block = plan.geometry.collection, plan.geometry, plan.blocks[3]
+    taper, time = Taper.parse("taylor:4:-35"), collection.time
+    weights = taper(2 * (time - time.mean()) / (np.ptp(time) + collection.pulse_interval))
+    rng, yaw = (block.ground.near + block.ground.far) / 2, (block.low + block.high) / 2
+    point, beside = (geometry.ground_point(np.array(rng), np.array(yaw + turn)) for turn in (0.0, 1e-6))
+    away = [np.linalg.norm(collection.antenna_position - place, axis=1) for place in (point, beside)]
+    turns = 2 / collection.wavelength * (away[1] - away[0]) / 1e-6  # cycles/rad
+    offsets = np.linspace(-4, 4, 801) / np.ptp(turns)
+    response = np.abs((weights * np.exp(2j * np.pi * np.outer(offsets, turns - turns.mean()))).sum(axis=1))
+    lobes = response[1:-1][(response[1:-1] > response[:-2]) & (response[1:-1] > response[2:])]
+    side = 20 * np.log10(np.sort(lobes)[-2] / lobes.max())
+    assert side > taper.ideal.pslr + 0.4
+    assert block.prediction.ideal_pslr == pytest.approx(side, abs=0.05)
+    assert block.prediction.pslr == pytest.approx(side, abs=0.25)
+
+
+def test_a_high_fidelity_leaves_less_residual_phase() -> None:
+    """The outermost blocks of `table1` too, where the first kind of chain that is tried folds lines at some ranges."""
+    sharp = blocksar.plan("table1", blocks=7, weighting="taylor:4:-35", fidelity=0.999995).result
+    assert sharp.faithful
+    assert max(block.prediction.phase_loss for block in sharp.blocks) < 0.2 * (1 - sharp.fidelity)
+
+
 def test_a_weighting_is_planned_and_predicted() -> None:
     """Ends of dwells lose by the square of their weight, and slopes some; widths and side lobes are the taper's."""
     plain = blocksar.plan("table1", blocks=3).result
@@ -91,7 +118,7 @@ def test_a_weighting_is_planned_and_predicted() -> None:
         # The weighting of the band counts its ends less, where the keystone moves the ends of dwells most.
         assert 0.7 < block.prediction.dispersion_loss / tapered.prediction.dispersion_loss < 0.95
         assert block.prediction.pslr == pytest.approx(share.ideal.pslr, abs=0.2)
-        assert block.prediction.ideal_pslr == share.ideal.pslr
+        assert block.prediction.ideal_pslr == pytest.approx(share.ideal.pslr, abs=0.02)
         widened = block.prediction.resolution / before.prediction.resolution
         assert widened == pytest.approx(share.ideal.width / 0.885893, rel=1e-3)
     assert any("ideal side lobes -35.17 dB in range" in line for line in report.summary)
