@@ -14,6 +14,7 @@ import numpy as np
 
 from blocksar import stores
 from blocksar.api.parsing import parse_blocks, parse_grid, parse_memory_limit, quoted, read_grid
+from blocksar.budget import FIDELITY, LEAST_FIDELITY
 from blocksar.collection.collection import Collection
 from blocksar.collection.grid import Grid
 from blocksar.errors import InputError
@@ -71,15 +72,19 @@ def in_this_process(workers: int | None, collections: Sequence[Collection]) -> b
 
 
 def fidelity_of(fidelity: Any) -> float:
-    """Return a fidelity as a number; whether it can be asked for, the plan says.
+    """Return a fidelity as a number.
 
     Raises
     ------
     InputError
-        If it is none.
+        If it is none, or cannot be asked for.
     """
     if isinstance(fidelity, bool) or not isinstance(fidelity, int | float | np.number):
-        raise InputError(f"fidelity is {quoted(fidelity)}; give a number below 1, such as 0.999")
+        raise InputError(f"fidelity is {quoted(fidelity)}; give a number below 1, such as {FIDELITY:g}")
+    if not LEAST_FIDELITY <= fidelity < 1:
+        raise InputError(
+            f"fidelity = {fidelity:g}: ask for a coherence from {LEAST_FIDELITY:g} to below 1, such as {FIDELITY:g}"
+        )
     return float(fidelity)
 
 

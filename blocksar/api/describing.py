@@ -197,6 +197,8 @@ def _run(where: Place) -> Report:
     if not record.finished:
         source = record.input.path or "PH.zarr"
         return _report("unfinished run", str(where), rows, [["focus", source, "--out", str(where)]])
+    if record.plan.grid is not None and min(Grid(*record.plan.grid).shape) < 2:
+        return _report("run", str(where), rows, [])  # of a single row or column, which nothing measures
     following = [[command, str(where)] for command, name in
                  (("quality", "quality.json"), ("report", "report.html")) if name not in made]  # fmt: skip
     return _report("run", str(where), rows, [*following, ["export", "png", str(where), "--out", f"{where.name}.png"]])

@@ -54,7 +54,9 @@ def _record(run: FinishedRun, point: Bright, number: int) -> dict[str, Any]:
             f"{axis}_{figure}" for axis in ("range", "azimuth") for figure in ("pslr", "islr", "irw", "irw_theory")
         )
         record |= {name: _finite(getattr(figures, name)) for name in names}
-        record |= {"power": _decibels(abs(figures.value) ** 2), "full_dwell": bool(figures.full_dwell)}
+        record["full_dwell"] = bool(figures.full_dwell)
+        if (power := _decibels(abs(figures.value) ** 2)) is not None:  # the image may end before the peak's place
+            record["power"] = power
     record["ambiguities"] = _ambiguities(run, target, 10 ** (record["power"] / 10))
     return record
 

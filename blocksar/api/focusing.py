@@ -293,12 +293,12 @@ def _focus(
     ]
     if request.terrain is not None:
         found.append(coverage_note(request.terrain, job.grid))
-    if min(job.grid.shape) < 2:
+    if not (measurable := min(job.grid.shape) > 1):
         found.append("quality, report and export take images of at least 2 x 2 pixels; this one opens in Python only")
     notes = [f"note: {line}" for line in found if line]
     worker = "this process" if cluster.is_here(client) else "a worker"
     lines = [*_summary(request.folder, finished, job.memory, worker), *notes]
-    return RunReport(summary=lines, result=finished.as_json(), folder=request.folder)
+    return RunReport(summary=lines, result=finished.as_json(), folder=request.folder, measurable=measurable)
 
 
 def _carry_out(

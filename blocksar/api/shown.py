@@ -74,9 +74,12 @@ class RunReport(Report):
     ----------
     folder : Place or None
         The run folder.
+    measurable : bool
+        Whether `quality`, `report` and `export` take the image: not a single row or column.
     """
 
     folder: Place | None = None
+    measurable: bool = True
 
     def __fspath__(self) -> str:
         """The run folder: a report stands for it wherever a run is asked for."""

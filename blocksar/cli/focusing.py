@@ -195,7 +195,7 @@ def focus(
     show(report)
     if dry_run:
         hint(context, "focus", *source, "--out", out, *given(context, "out", "dry_run"))
-    else:
+    elif report.measurable:
         hint(context, "quality", out)
 
 

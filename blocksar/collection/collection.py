@@ -27,6 +27,7 @@ SPEEDS = (0.1, 20e3)  # m/s: of platforms, from one that hovers to a satellite o
 SPIKE = 1.0  # m: a single pulse that deviates more than this from its neighbours is corrupt
 BENT = 5.0  # times the usual change of steps from pulse to pulse: a bent track deviates by less at its ends and turns
 JUMP = 50.0  # times the median step between pulses: a larger step is a gap between two passes
+NOISE_POWERS = 1e-30, 1e30  # that single-precision images can have, besides none
 PATTERNS = {"beam_pattern": "beam_offset", "elevation_pattern": "elevation"}  # and their angles
 OPTIONAL = ("beam_axis", "beam_steering", *PATTERNS, *PATTERNS.values())  # arrays that may be None
 
@@ -298,8 +299,9 @@ class Collection:
         check_axis_beam(self.beam_axis, self.beam_steering, self.beam_width)
 
     def _check_patterns(self) -> None:
-        if self.noise_power is not None and not (np.isfinite(self.noise_power) and self.noise_power >= 0):
-            raise InputError(f"noise_power must be a finite number of at least 0, got {self.noise_power!r}")
+        least, most = NOISE_POWERS
+        if self.noise_power is not None and not (self.noise_power == 0 or least <= self.noise_power <= most):
+            raise InputError(f"noise_power must be 0 or between {least:g} and {most:g}, got {self.noise_power!r}")
         if self.side_of_track not in (None, "left", "right"):
             raise InputError(f"side_of_track is {self.side_of_track!r}; it must be 'left' or 'right', or absent")
         for name, coordinate in PATTERNS.items():

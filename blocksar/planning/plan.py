@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from blocksar.arrays import FloatArray
-from blocksar.budget import FIDELITY, LEAST_FIDELITY, image_tap_error
+from blocksar.budget import FIDELITY, image_tap_error
 from blocksar.chunks import (
     CHUNK_SAMPLES,
     COLUMN_CHUNK,
@@ -305,13 +305,8 @@ def plan_collection(
     Raises
     ------
     InputError
-        If the PRF is too low, the grid is empty or outside the swath, the fidelity is none, or no number of sub-blocks
-        fits the memory.
+        If the PRF is too low, the grid is empty or outside the swath, or no number of sub-blocks fits the memory.
     """
-    if not LEAST_FIDELITY <= fidelity < 1:
-        raise InputError(
-            f"fidelity = {fidelity:g}: ask for a coherence from {LEAST_FIDELITY:g} to below 1, such as {FIDELITY:g}"
-        )
     if blocks != "auto" and not 1 <= blocks <= MOST_BLOCKS:
         raise InputError(f"blocks = {blocks}: ask for 1 to {MOST_BLOCKS}, or for 'auto'")
     geometry = Geometry(collection=collection) if terrain is None else over_terrain(collection, terrain)

@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import BaseModel, Field, ValidationInfo, model_validator
 
 from blocksar.arrays import FloatArray
+from blocksar.collection.collection import NOISE_POWERS
 from blocksar.collection.georeference import Georeference
 from blocksar.errors import InputError
 from blocksar.simulation.fields import Pair, Positive, Seed, Table, Vector
@@ -426,7 +427,9 @@ class NoiseTable(Table):
     and (lit pulses x range frequencies) / power in the image.
     """
 
-    power: float = Field(ge=0, description="mean |noise|^2 per sample, relative to a target of unit amplitude")
+    power: float = Field(
+        ge=0, le=NOISE_POWERS[1], description="mean |noise|^2 per sample, relative to a target of unit amplitude"
+    )
     seed: Seed = Field(description="seed of the random numbers")
 
 

@@ -68,6 +68,7 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "half a byte": ({"memory_limit": 0.5}, r'^memory_limit is 0\.5; give a whole number of bytes, or a text'),
     "a list of memory": ({"memory_limit": [1]}, r"^memory_limit is \[1\]; give"),
     "a fidelity in words": ({"fidelity": "high"}, r"^fidelity is 'high'; give a number below 1, such as 0\.999$"),
+    "a fidelity above 1": ({"fidelity": 1.5}, r"^fidelity = 1\.5: ask for a coherence from 0\.5 to below 1, such as"),
     "workers in words": ({"workers": "2"}, r"^workers is '2'; give a whole number of at least 0"),
 }  # fmt: skip
 

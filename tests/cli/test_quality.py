@@ -137,6 +137,13 @@ def test_targets_are_found_without_being_named(tmp_path: Path) -> None:
     assert {"found", "area", "floor"} <= json.loads((folder / "quality.json").read_text()).keys()
 
 
+def test_points_at_the_edge_of_a_narrow_image_are_found(tmp_path: Path) -> None:
+    """Their cuts leave the image; their power is that of the brightest pixel."""
+    folder = small_run.make(tmp_path / "run", hole=False, size=(60, 3)).folder
+    found = blocksar.quality(folder, targets=[], found=2).result["found"]
+    assert all(np.isfinite(point["power"]) for point in found)
+
+
 @pytest.mark.parametrize(("options", "sentence"), [
     ({"found": -1}, "found = -1: ask for 1 to 1000 points"),
     ({"area": "0:1"}, "give the ends of x and of y in metres"),

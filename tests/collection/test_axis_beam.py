@@ -268,7 +268,8 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "pattern of another length": (
         {"beam_offset": np.array([-0.1, 0.1]), "beam_pattern": np.ones(3)}, r"shape \(3,\) and beam_offset has \(2,\)"
     ),
-    "noise": ({"noise_power": -1.0}, "noise_power must be a finite number of at least 0"),
+    "noise": ({"noise_power": -1.0}, "noise_power must be 0 or between 1e-30 and 1e"),
+    "loud noise": ({"noise_power": 1e300}, "noise_power must be 0 or between 1e-30 and 1e"),
 }  # fmt: skip
 
 

@@ -143,9 +143,11 @@ def test_an_image_of_one_row_opens_and_says_what_it_lacks(store: Path, tmp_path:
     target = history.attrs["targets"][0]
     x, y = round(target["x"]), round(target["y"])
     grid = ((x - 20.0, x + 20.0, 1.0), (y, y + 0.5, 1.0))
-    said = blocksar.focus(history, tmp_path / "row", grid=grid, **SETTINGS).summary
+    report = blocksar.focus(history, tmp_path / "row", grid=grid, **SETTINGS)
+    assert not report.measurable
+    assert blocksar.info(tmp_path / "row").result["next"] == []
     assert (
-        said[-1]
+        report.summary[-1]
         == "note: quality, report and export take images of at least 2 x 2 pixels; this one opens in Python only"
     )
     image = blocksar.open(tmp_path / "row").image
