@@ -105,6 +105,11 @@ class Recovery:
     common: CommonRange = NO_COMMON_RANGE
 
     @property
+    def crowd(self) -> float:
+        """Share of the PRF that the echoes of all that is lit fill."""
+        return min((self.band[1] - self.band[0]) * self.pulses.step, 1.0)
+
+    @property
     def time(self) -> Axis:
         """Slow time of the recovered signal from the epoch, s: the padded aperture in as many samples as Doppler bins.
 

@@ -32,6 +32,10 @@ class DwellWeights:
         The weighting w without the pattern.
     change : (..., n) float
         Of these weights per relative range frequency f / fc, where a keystone scales time; 0 without one.
+    pulse : (...) float
+        The square of what a whole pulse counts at the ends, at the pixel's own Doppler. A pulse holds the echoes of all
+        that is lit, whatever the pattern has at the pixel: (w g)^2 with the mean of g^2 over the dwell, times the share
+        of the PRF over which these echoes spread. It matters where that is above `edge` squared; 0 without a pattern.
     """
 
     taper: Taper
@@ -40,6 +44,7 @@ class DwellWeights:
     patterned: bool
     alone: FloatArray | float = 1.0
     change: FloatArray | float = 0.0
+    pulse: FloatArray | float = 0.0
 
     @property
     def uniform(self) -> bool:
@@ -60,6 +65,7 @@ def dwell_weights(
     yaw: FloatArray,
     stays: bool = False,
     scaled_about: float | None = None,
+    crowd: float = 0.0,
 ) -> DwellWeights:
     """The weights of targets at epoch ranges (n_range,), m, and yaws (n_yaw,), rad.
 
@@ -74,6 +80,8 @@ def dwell_weights(
         From `planning.staying`: each target then has a part of the taper of its own.
     scaled_about : float or None
         Time, s from the epoch, about which a keystone scales time with range frequency; None without one.
+    crowd : float
+        Share of the PRF that the echoes of all that is lit at a time fill.
     """
     collection = geometry.collection
     at = epoch_range[:, None], yaw
@@ -97,9 +105,11 @@ def dwell_weights(
     gain = at_times(geometry, x, y, time, pattern_gain, z)
     # The outer nodes lie close to the ends: by half a hundredth of the dwell.
     at_ends = np.sqrt((gain[..., 0] ** 2 + gain[..., -1] ** 2) / 2)
+    mean = (lit.weight * gain**2).sum(axis=-1) / lit.weight.sum(axis=-1)
     return DwellWeights(
-        taper=taper, nodes=nodes * gain, edge=edge * at_ends, patterned=True, alone=nodes, change=change * gain
-    )
+        taper=taper, nodes=nodes * gain, edge=edge * at_ends, patterned=True, alone=nodes, change=change * gain,
+        pulse=edge**2 * mean * crowd,
+    )  # fmt: skip
 
 
 def taper_over_dwells(collection: Collection, weighting: Weighting) -> Taper:

@@ -25,7 +25,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import Region
 from blocksar.collection.weighting import Weighting
 from blocksar.planning.dwell_weights import beam_moves, taper_over_dwells
-from blocksar.planning.fidelity import blurred_energy, faded_energy, slope_loss
+from blocksar.planning.fidelity import blurred_energy, faded_energy, slope_loss, whole_pulse_energy
 
 LEAST_PULSES = 8  # over which an end fades: with fewer its spectrum reaches the Doppler of other targets
 PER_MOVE = 6.0  # the time in which an end fades, at least: over that by which it moves at the edge of the band
@@ -85,7 +85,7 @@ def plan_edges(
     dwell = float(np.median((last - first)[ended]))
     moved = dwell / 2 * collection.bandwidth / (2 * collection.carrier) if keystone else 0.0
     fade, planned_first = 0, collection.has_axis and geometry.terrain is not None
-    if times or (not planned_first and edge_loss(collection, weighting, dwell, moved) > 1 - fidelity):
+    if times or (not planned_first and edge_loss(collection, weighting, dwell, moved, band) > 1 - fidelity):
         smeared = math.sqrt(dwell / max(band, 1 / dwell))
         pulses = max(LEAST_PULSES, math.ceil(max(PER_MOVE * moved, PER_SMEAR * smeared) * collection.prf))
         fade = max(int(dwell * collection.prf / 2 / (max(times, 1.0) * pulses)), LEAST_FADE)
@@ -109,12 +109,17 @@ def _plan_parts(
     return MOST_PARTS
 
 
-def edge_loss(collection: Collection, weighting: Weighting, dwell: float, moved: float) -> float:
-    """Loss of coherence at the ends of a dwell (s) that move over the band by +-`moved`, s, under the best gate."""
+def edge_loss(collection: Collection, weighting: Weighting, dwell: float, moved: float, band: float) -> float:
+    """Loss of coherence at the ends of a dwell (s) that move over the band by +-`moved`, s, under the best gate.
+
+    `band` is that of `plan_edges`.
+    """
     interval, none = collection.pulse_interval, np.zeros(1)
     blur = math.hypot(moved, interval / 2)
     energy = float(blurred_energy(none, none, np.array([moved]), blur, interval, weighting.range)[0])
-    return energy * _beam_weights(collection, weighting).ends / dwell
+    weights = _beam_weights(collection, weighting)
+    beyond = max(weights.pulse * min(band * interval, 1.0) - weights.ends, 0.0)
+    return (energy * weights.ends + whole_pulse_energy(interval) * beyond) / dwell
 
 
 class _BeamWeights(NamedTuple):
@@ -122,6 +127,7 @@ class _BeamWeights(NamedTuple):
 
     ends: float  # (w g)^2 at the ends
     change: float  # mean of (v dw/dv g)^2
+    pulse: float  # w^2 at the ends times the mean of g^2, if a pulse's echoes filled the PRF
 
 
 def _beam_weights(collection: Collection, weighting: Weighting) -> _BeamWeights:
@@ -132,5 +138,8 @@ def _beam_weights(collection: Collection, weighting: Weighting) -> _BeamWeights:
         offset = v * (collection.beam_width or 0.0) / 2
         gain = np.interp(offset, collection.beam_offset, collection.beam_pattern)
     squared, changed = (taper(v) * gain) ** 2, (taper.slope(v) * v * gain) ** 2
-    mean = (shares * squared[:-2]).sum()
-    return _BeamWeights(float(squared[-2:].mean() * 2 / mean), float((shares * changed[:-2]).sum() / mean))
+    mean, lit = (shares * squared[:-2]).sum(), (shares * gain[:-2] ** 2).sum()
+    return _BeamWeights(
+        ends=float(squared[-2:].mean() * 2 / mean), change=float((shares * changed[:-2]).sum() / mean),
+        pulse=float(taper(np.array(1.0))) ** 2 * float(lit / mean),
+    )  # fmt: skip

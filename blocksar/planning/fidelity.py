@@ -37,7 +37,8 @@ what has the pixel's Doppler there has left the beam. Only what it cuts off at t
 
 Under a weighting w both sums have the weights w besides, and under an antenna's pattern g the echo has g: the inner
 product along the dwell has (w g)^2, and an end loses by that value there. Means over the band have the square of its
-weighting.
+weighting. But a pulse more or less has a spectrum as wide as the PRF: at the pixel's Doppler it brings the echoes of
+all that is lit, which have the mean of g^2 over the beam, spread over the PRF (`DwellWeights.pulse`).
 """
 
 from __future__ import annotations
@@ -141,6 +142,9 @@ def worst_losses(
             band=band,
         )
         ends *= weights.edge**2 * line.weight.sum(axis=-1) * (1.0 if reached is None else ONE_SIDE)
+        if gate.taper is None or not gate.taper.fade:
+            beyond = np.maximum(weights.pulse - np.square(weights.edge), 0.0)
+            ends += whole_pulse_energy(geometry.collection.pulse_interval) * beyond
         if parts == 1:
             ends += slope_loss(geometry.collection, band) * (line.weight * np.square(weights.change)).sum(axis=-1)
         ends /= squared.weight.sum(axis=-1)
@@ -298,6 +302,12 @@ def blurred_energy(
     apart = np.hypot(displaced - band * spread - gate * blur, pulse_interval / np.sqrt(12))
     total = np.einsum("i,j,ij...->...", 2 * shares, weights, end_energy(area, apart)) / 4
     return np.maximum(total - blur / 3, 0.0)
+
+
+def whole_pulse_energy(pulse_interval: float) -> float:
+    """Mean energy by which an end at a whole pulse differs from one at any time, s."""
+    none = np.zeros(1)
+    return float(blurred_energy(none, none, none, pulse_interval / 2, pulse_interval)[0])
 
 
 def faded_energy(

@@ -74,7 +74,7 @@ class Sector:
         """Weights of targets over their dwells: see `dwell_weights`."""
         return dwell_weights(
             self.lighting, self.taper, lit, uncut=uncut, epoch_range=epoch_range, yaw=yaw,
-            stays=self.staying is not None, scaled_about=scaled_about,
+            stays=self.staying is not None, scaled_about=scaled_about, crowd=self.recovery.crowd,
         )  # fmt: skip
 
     def dwells(self, yaw: FloatArray, *, coarsely: bool = False) -> Dwells:
