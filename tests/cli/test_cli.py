@@ -34,6 +34,7 @@ COMMANDS = {
     "compile": ["compile"],
 }
 REPORT = SimpleNamespace(
+    measurable=True,
     details=[],
     definitions=(),
     summary=["three blocks"],
