@@ -13,7 +13,7 @@ import typer
 from blocksar.api.parsing import parse_memory_limit
 from blocksar.cli.autofocusing import autofocus
 from blocksar.cli.display import hint, show
-from blocksar.cli.endings import Commands, catch_signals
+from blocksar.cli.endings import Commands, catch_signals, open_streams
 from blocksar.cli.exporting import export
 from blocksar.cli.focusing import focus, plan
 from blocksar.cli.ingesting import ingest
@@ -115,6 +115,7 @@ app.command("compile")(compile_loops)
 
 def main() -> None:
     """Run the command line: the entry point of `blocksar`."""
+    open_streams()
     catch_signals()
     collect_seldom()
     app(prog_name="blocksar")

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import errno
+import io
 import os
 import signal
+import sys
 import threading
 from types import FrameType
 from typing import Any, NoReturn
@@ -107,6 +109,19 @@ def ending(error: BaseException) -> tuple[int, str]:
             return TERMINATED, _stop_message(TERMINATED)
         case _:  # a defect: a traceback follows
             return FAILED, f"{type(error).__name__}: {error}"
+
+
+def open_streams() -> None:
+    """Let stdout and stderr take any text: closed ones go nowhere, and characters that an encoding lacks become "?".
+
+    An unfinished table, or a traceback after hours of work, would be worth less.
+    """
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:  # closed by the caller, as with >&-
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
+        elif isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
+            stream.reconfigure(errors="replace")
 
 
 def catch_signals() -> None:

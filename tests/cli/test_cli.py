@@ -362,6 +362,18 @@ def test_a_process_that_hangs_after_a_signal_is_ended(again: bool) -> None:
 # Output
 
 
+def test_closed_streams_and_missing_characters_end_no_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    narrow = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
+    monkeypatch.setattr(sys, "stdout", narrow)
+    monkeypatch.setattr(sys, "stderr", None)  # as Python has it after 2>&-
+    endings.open_streams()
+    with sys.stderr:
+        print("nowhere", file=sys.stderr)
+        print("k\u00f6ln.zarr")
+    narrow.flush()
+    assert narrow.buffer.getvalue() == b"k?ln.zarr\n"
+
+
 def test_tables_and_summary_are_printed(api: Calls) -> None:
     output = run("quality", "run").stdout
     assert "width [m]" in output and "[bold]1.90" in output  # nothing is interpreted as markup
