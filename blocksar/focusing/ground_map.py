@@ -86,6 +86,8 @@ class GroundMap:
         n_range_frequency / period of the range transform, times the mean weight over range frequency.
     range_taps, doppler_taps : (int, float)
         Taps of the interpolation, and the occupied fraction of the sampling rate.
+    tap_error : float
+        What the taps may err by, from `budget.image_tap_error`.
     relief : ReliefMap or None
         The same with the height as third coordinate, which a terrain needs in place of the five surfaces.
     waves : ApertureWaves or None
@@ -115,6 +117,7 @@ class GroundMap:
     scale: float
     range_taps: tuple[int, float]
     doppler_taps: tuple[int, float]
+    tap_error: float
     relief: ReliefMap | None = None
     waves: ApertureWaves | None = None
 

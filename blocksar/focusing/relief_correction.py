@@ -58,7 +58,6 @@ HEIGHT_DEGREE = 2  # and in the height
 QUANTITIES = 7  # row, Doppler, phase, 1 / gain, yaw, dwell time, bend
 N_BEND = 96  # steps between the most negative bend and the most positive one
 LEAST_BEND = 1e-3  # cycles at the dwell's ends: less is left
-SLIGHT = 1.3  # bends are slight where the taps of an unbent response err by no more than so many times their own error
 FLOAT_ROW, TRIPLE = types.Array(types.float32, 1, "C", readonly=True), TUPLE((types.int64,) * 3)
 INDEX_ROWS = types.Array(types.int64, 2, "C", readonly=True)
 LEVEL = 1e-3  # m: half the relief of a tile at least
@@ -96,17 +95,18 @@ def bent_taps_of(ground: GroundMap) -> tuple[BentTaps, float]:
     most = 0.0 if most < LEAST_BEND else most
     # A bend spreads a response over 4 q / occupancy samples on either side.
     reach = int(np.ceil(4 * most / max(occupancy, 0.05)))
-    return _bent_taps((min(n_tap + 2 * reach, 32), n_tap), occupancy, most), most
+    return _bent_taps((min(n_tap + 2 * reach, 32), n_tap), occupancy, most, ground.tap_error), most
 
 
 @lru_cache(maxsize=8)
-def _bent_taps(n_tap: tuple[int, int], occupancy: float, most: float) -> BentTaps:
+def _bent_taps(n_tap: tuple[int, int], occupancy: float, most: float, allowed: float) -> BentTaps:
+    """The taps of bends up to `most`: slight ones are those that the fewer taps serve with the `allowed` error."""
     bends = np.linspace(-most, most, N_BEND + 1) if most else np.zeros(1)
     width = -(-n_tap[0] // DOPPLER_UNIT) * DOPPLER_UNIT, -(-n_tap[1] // DOPPLER_UNIT) * DOPPLER_UNIT
     slight = bends[:0]
     if width[1] < width[0]:
         error = bent_errors(n_tap[1], bends, occupancy=occupancy)
-        slight = bends[error <= SLIGHT * error.min()]
+        slight = bends[error <= max(allowed, error.min())]
     tables = [_table(n, occupancy, some) for n, some in zip(n_tap, (bends, slight), strict=True)]
     real, imag = (np.concatenate(parts) for parts in zip(*tables, strict=True))
     return BentTaps(real, imag, n_tap, width, (bends.size, slight.size))

@@ -37,7 +37,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Taps, Terrain
 from blocksar.kernels.occlusion import STEPS, VISIBLE, block_extremes, find_visibility, steepest_slope
-from blocksar.kernels.terrain_rows import find_incidence, sum_taps
+from blocksar.kernels.terrain_rows import find_surface, sum_taps
 
 NODES = 257  # yaws, or times, between which the antenna's place at the middle of dwells is interpolated
 NODE_PIXELS = 32  # between which the antenna's place is linear
@@ -168,22 +168,28 @@ def heights_on_grid(terrain: Terrain, x: FloatArray, y: FloatArray) -> FloatArra
     return z
 
 
-def incidence_angle(terrain: Terrain, sight: Sight, x: FloatArray, y: FloatArray, z: FloatArray) -> NDArray[np.float32]:
-    """Local incidence angles (n_y, n_x), rad, at columns x (n_x,) and rows y (n_y,) with heights z (n_y, n_x), m."""
+def heights_and_angles(
+    terrain: Terrain, sight: Sight, x: FloatArray, y: FloatArray
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Heights, m, and local incidence angles, rad, (n_y, n_x) at columns x (n_x,) and rows y (n_y,), m."""
     in_x, in_y = terrain.taps_of(x, y)
     up_x, up_y = terrain.rates_of(x, y, (in_x, in_y))
     strip, columns, along_x, rows, along_y = _sums(terrain, in_x, in_y)
     (nodes_y, to_y), (nodes_x, to_x) = _nodes(y.size), _nodes(x.size)
-    antenna = sight.antenna(*np.meshgrid(x[nodes_x], y[nodes_y]), z[np.ix_(nodes_y, nodes_x)])
+    at_x, at_y = x[nodes_x], y[nodes_y]
+    antenna = sight.antenna(*np.meshgrid(at_x, at_y), None if sight.middles is None else terrain.on_grid(at_x, at_y))
     # One more row of nodes, for the pixels at the last one.
-    antenna = np.pad(np.moveaxis(antenna, -1, 0), ((0, 0), (0, 1), (0, 0)), mode="edge")
+    antenna = np.concatenate([antenna, antenna[-1:]]).transpose(2, 0, 1)
     before = to_y.astype(np.int64)
-    angle = np.empty(z.shape, np.float32)
-    find_incidence(
-        strip, columns, along_x, np.stack(up_x[1]) / terrain.dx, rows, along_y, np.stack(up_y[1]) / terrain.dy,
-        np.array(x), np.array(y), np.ascontiguousarray(z), _expand(antenna, to_x, -1), before, to_y - before, angle,
+    height, angle = np.empty((2, y.size, x.size), np.float32)
+    find_surface(
+        strip, columns, along_x, np.array(up_x[1]) / terrain.dx, rows, along_y, np.array(up_y[1]) / terrain.dy,
+        np.array(x), np.array(y), _expand(antenna, to_x, -1), before, to_y - before, height, angle,
     )  # fmt: skip
-    return angle
+    if not (in_x[2].all() and in_y[2].all()):
+        for layer in (height, angle):
+            layer[~in_y[2]] = layer[:, ~in_x[2]] = np.nan
+    return height, angle
 
 
 def gamma_factor(terrain: Terrain, sight: Sight, x: FloatArray, y: FloatArray) -> NDArray[np.float32]:
@@ -292,13 +298,18 @@ def _sums(terrain: Terrain, in_x: Taps, in_y: Taps) -> tuple[FloatArray, IntArra
     """The arguments of `sum_taps`: the rows of samples that the taps need, and the taps."""
     (columns, along_x, _), (rows, along_y, _) = in_x, in_y
     first, last = int(rows.min()), int(rows.max()) + 4
-    return np.array(terrain.heights[first:last]), columns, np.stack(along_x), rows - first, np.stack(along_y)
+    return np.array(terrain.heights[first:last]), columns, np.array(along_x), rows - first, np.array(along_y)
 
 
 def by_owner(
-    sights: Mapping[int, Sight], owner: NDArray[np.int16], values: Callable[[Sight], NDArray[Any]], missing: float
+    sights: Mapping[int, Sight], owner: NDArray[np.int16] | int, values: Callable[[Sight], NDArray[Any]], missing: float
 ) -> NDArray[Any]:
-    """Values of pixels, each as seen from the block that `owner` says it comes from; `missing` where not covered."""
+    """Values of pixels, each as seen from the block that `owner` says it comes from; `missing` where not covered.
+
+    `owner` may be the one block that all pixels come from.
+    """
+    if isinstance(owner, int):
+        return values(sights[owner])
     layer: NDArray[Any] | None = None
     different = {id(sight): sight for sight in sights.values()}
     for sight in different.values():

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
+import numpy as np
 from distributed import Client
 
+from blocksar import stores
 from blocksar.chunks import LAYER_CHUNKS
 from blocksar.graph.admission import Unit
 from blocksar.graph.layers import sights_of
@@ -14,7 +17,7 @@ from blocksar.graph.tasks import add_layers
 from blocksar.graph.units import single_task, spans
 from blocksar.planning.tiling import image_chunk
 from blocksar.runs.receipts import Run
-from blocksar.runs.record import Receipt, block_unit
+from blocksar.runs.record import Receipt, Written, block_unit
 
 
 class LayerUnits:
@@ -43,13 +46,23 @@ class LayerUnits:
             return []
         (index, segment), side = self._blocks[unit], image_chunk(self._grid)
         cells = [
-            (part.region[0][0] // side[0], part.region[1][0] // side[1])
+            ((part.region[0][0] // side[0], part.region[1][0] // side[1]), index if _is_all(part, index) else None)
             for part in receipt.written
             if part.store == self._run.name_of(self._run.image) and part.variable == "block"
         ]
         units = []
         for first, end in spans(len(cells), LAYER_CHUNKS):
-            name, sights = "layers-{}-{}".format(*cells[first]), {index: self.sights[segment]}
-            task = add_layers, cells[first:end], self._grid, sights
+            name, sights = "layers-{}-{}".format(*cells[first][0]), {index: self.sights[segment]}
+            task = add_layers, dict(cells[first:end]), self._grid, sights
             units.append(single_task(self._client, self._run, "layers", name, *task))
         return units
+
+
+def _is_all(owners: Written, block: int) -> bool:
+    """Whether all pixels of a chunk come from a block, as the checksum of its owners tells."""
+    return owners.checksum == _checksum_of_all(tuple(end - first for first, end in owners.region), block)
+
+
+@lru_cache(maxsize=64)
+def _checksum_of_all(shape: tuple[int, ...], block: int) -> str:
+    return stores.checksum(np.full(shape, block, np.int16))

@@ -18,8 +18,8 @@ from blocksar.focusing.terrain_layers import (
     Sight,
     box_of,
     by_owner,
+    heights_and_angles,
     heights_on_grid,
-    incidence_angle,
     reach,
     visibility,
 )
@@ -88,23 +88,24 @@ class TerrainLayers:
         if sights and (run.surroundings / "zarr.json").exists():
             self._around = stores.StoredTerrain(run.surroundings)
 
-    def over(self, window: Window, owner: NDArray[np.int16]) -> dict[str, NDArray[Any]]:
+    def over(self, window: Window, owner: NDArray[np.int16] | int) -> dict[str, NDArray[Any]]:
         """The layers of some rows and columns of the image, by name.
 
-        `owner` has the block of each pixel, -1 where not covered. Shadow and layover reach as far as the terrain about
-        the image is known.
+        `owner` has the block of each pixel, -1 where not covered, or is the block of all of them. Shadow and layover
+        reach as far as the terrain about the image is known.
         """
         if self._stored is None or self._around is None:
             return {}
         y, x = self._grid.y[window[0]], self._grid.x[window[1]]
-        boxes = [box_of(x, y)]
-        for sight in {id(sight): sight for sight in self._sights.values()}.values():
+        boxes, seen_by = [box_of(x, y)], {id(sight): sight for sight in self._sights.values()}
+        for sight in seen_by.values():
             boxes.append(reach(sight, x, y, self._around.limits))
         (x0, x1, y0, y1) = (np.array(boxes)[:, axis, end] for axis in (0, 1) for end in (0, 1))
         around = self._around.read((float(x0.min()), float(x1.max())), (float(y0.min()), float(y1.max())))
         terrain = around if self._around is self._stored else self._stored.read(*boxes[0])
-        height = heights_on_grid(terrain, x, y)
-        incidence = by_owner(self._sights, owner, lambda sight: incidence_angle(terrain, sight, x, y, height), np.nan)
+        surfaces = {number: heights_and_angles(terrain, sight, x, y) for number, sight in seen_by.items()}
+        height = next(iter(surfaces.values()))[0]
+        incidence = by_owner(self._sights, owner, lambda sight: surfaces[id(sight)][1], np.nan)
         seen = by_owner(self._sights, owner, lambda sight: visibility(around, sight, self._grid, window), UNKNOWN)
         layers = {"height": height, "incidence_angle": incidence, "visibility": seen}
         return {name: layers[name].astype(of.dtype, copy=False) for name, of in stores.ON_TERRAIN.items()}

@@ -361,19 +361,20 @@ def _lay(run: Run, window: Window, parts: Sequence[PatchChunk]) -> tuple[Complex
 
 @naming_failures(lambda run, unit, *_: f"layers of {unit}")
 def add_layers(
-    run: Run, unit: str, cells: Sequence[tuple[int, int]], grid: Grid, sights: Mapping[int, Sight]
+    run: Run, unit: str, cells: Mapping[tuple[int, int], int | None], grid: Grid, sights: Mapping[int, Sight]
 ) -> Receipt:
     """Write the layers of output chunks on a terrain, given by row and column, whose image and owners are written.
 
-    Chunks are written by other threads while the next ones are computed.
+    `cells` has the block that all pixels of a chunk come from, or None where the owners are read. Chunks are written by
+    other threads while the next ones are computed.
     """
     started = time.perf_counter()
     layers = TerrainLayers(run, grid, sights)
     with WritesBehind() as behind:
-        for cell in cells:
+        for cell, block in cells.items():
             behind.turn()
             window = chunk_window(cell, grid)
-            owner = stores.read_region(run.image, "block", window, cached=False)
+            owner = stores.read_region(run.image, "block", window, cached=False) if block is None else block
             behind.submit(write_layers, run, window, layers.over(window, owner))
     return sign(run, Receipt(unit=unit, stage="mosaic", written=behind.written), started)
 

@@ -19,7 +19,9 @@ from blocksar.kernels.signatures import COMPILED, PART, REAL_ROW, REAL_ROWS, UNC
 
 INDICES = types.Array(types.int64, 1, "C", readonly=True)
 PLANES = types.Array(types.float64, 3, "C", readonly=True)
-EXACT: dict[str, Any] = {"nogil": True, "error_model": "numpy"}  # no operations are contracted
+# No operations are contracted. Said of every function: numba hands the options of a caller to what it calls, and keeps
+# what it compiled so for other callers.
+EXACT: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": False}
 _ARC_DEGREE = 8  # 1e-8 rad
 _ARC = tuple(
     np.float32(c)
@@ -43,6 +45,13 @@ def _along(strip: FloatArray, columns: IntArray, taps: FloatArray, out: FloatArr
             out[i, k] = (total + strip[i, c + 2] * taps[2, k]) + strip[i, c + 3] * taps[3, k]
 
 
+@njit(**PART, **EXACT)
+def _height_row(along: FloatArray, r: int, a: float, b: float, c: float, d: float, out: FloatArray) -> None:
+    """out[k] = a along[r, k] + .. + d along[r + 3, k], in this order."""
+    for k in range(out.size):
+        out[k] = ((along[r, k] * a + along[r + 1, k] * b) + along[r + 2, k] * c) + along[r + 3, k] * d
+
+
 @loop(REAL_ROWS, INDICES, REAL_ROWS, INDICES, REAL_ROWS, types.float64[:, ::1], **EXACT)
 def sum_taps(
     strip: FloatArray, columns: IntArray, along_x: FloatArray, rows: IntArray, along_y: FloatArray, out: FloatArray
@@ -62,10 +71,7 @@ def sum_taps(
     along = np.empty((strip.shape[0], columns.size))
     _along(strip, columns, along_x, along)
     for i in range(rows.size):
-        r = rows[i]
-        a, b, c, d = along_y[0, i], along_y[1, i], along_y[2, i], along_y[3, i]
-        for k in range(columns.size):
-            out[i, k] = ((along[r, k] * a + along[r + 1, k] * b) + along[r + 2, k] * c) + along[r + 3, k] * d
+        _height_row(along, rows[i], along_y[0, i], along_y[1, i], along_y[2, i], along_y[3, i], out[i])
 
 
 @njit(**PART, **COMPILED)
@@ -81,47 +87,47 @@ def _arc_cosine(cosine: float) -> Any:
 
 
 @loop(
-    REAL_ROWS, INDICES, REAL_ROWS, REAL_ROWS, INDICES, REAL_ROWS, REAL_ROWS, REAL_ROW, REAL_ROW, REAL_ROWS, PLANES,
-    INDICES, REAL_ROW, types.float32[:, ::1], **COMPILED, **UNCHECKED,
+    REAL_ROWS, INDICES, REAL_ROWS, REAL_ROWS, INDICES, REAL_ROWS, REAL_ROWS, REAL_ROW, REAL_ROW, PLANES, INDICES,
+    REAL_ROW, types.float32[:, ::1], types.float32[:, ::1], **COMPILED, **UNCHECKED,
 )  # fmt: skip
-def find_incidence(
+def find_surface(
     strip: FloatArray, columns: IntArray, along_x: FloatArray, rate_x: FloatArray, rows: IntArray, along_y: FloatArray,
-    rate_y: FloatArray, x: FloatArray, y: FloatArray, z: FloatArray, antenna: FloatArray, node: IntArray,
-    part: FloatArray, out: NDArray[np.float32],
+    rate_y: FloatArray, x: FloatArray, y: FloatArray, antenna: FloatArray, node: IntArray, part: FloatArray,
+    height: NDArray[np.float32], angle: NDArray[np.float32],
 ) -> None:  # fmt: skip
-    """Find the angle between the terrain's upward normal and the line of sight at every pixel.
+    """Find the height of every pixel, and the angle between the terrain's upward normal and the line of sight there.
 
     Parameters
     ----------
     strip, columns, along_x, rows, along_y
-        As in `sum_taps`.
+        As in `sum_taps`, whose heights these are, to the bit.
     rate_x, rate_y : (4, n_x) and (4, n_y) float
         Taps of the derivatives, 1/m.
     x, y : (n_x,) and (n_y,) float
-        m
-    z : (n_y, n_x) float
         m
     antenna : (3, m, n_x) float
         x, y and z of the antenna as the columns of m rows see it, m; at least two rows, linear in between.
     node, part : (n_y,)
         Which of the m rows is before each row, and the part of the way to the next.
-    out : (n_y, n_x) float32
-        Written: rad; NaN where the height is.
+    height, angle : (n_y, n_x) float32
+        Written: m and rad; NaN where a sample is.
     """
     n = columns.size
-    along, rate = np.empty((strip.shape[0], n)), np.empty((strip.shape[0], n))
+    along, rate, z = np.empty((strip.shape[0], n)), np.empty((strip.shape[0], n)), np.empty(n)
     _along(strip, columns, along_x, along)
     _along(strip, columns, rate_x, rate)
     for i in range(rows.size):
         r, m, v = rows[i], node[i], part[i]
         a, b, c, d = along_y[0, i], along_y[1, i], along_y[2, i], along_y[3, i]
         e, f, g, h = rate_y[0, i], rate_y[1, i], rate_y[2, i], rate_y[3, i]
+        _height_row(along, r, a, b, c, d, z)
         for k in range(n):
+            height[i, k] = z[k]
             slope_x = rate[r, k] * a + rate[r + 1, k] * b + rate[r + 2, k] * c + rate[r + 3, k] * d
             slope_y = along[r, k] * e + along[r + 1, k] * f + along[r + 2, k] * g + along[r + 3, k] * h
             ux = antenna[0, m, k] + v * (antenna[0, m + 1, k] - antenna[0, m, k]) - x[k]
             uy = antenna[1, m, k] + v * (antenna[1, m + 1, k] - antenna[1, m, k]) - y[i]
-            uz = antenna[2, m, k] + v * (antenna[2, m + 1, k] - antenna[2, m, k]) - z[i, k]
+            uz = antenna[2, m, k] + v * (antenna[2, m + 1, k] - antenna[2, m, k]) - z[k]
             normal = 1.0 + slope_x * slope_x + slope_y * slope_y
             cosine = uz - ux * slope_x - uy * slope_y
-            out[i, k] = _arc_cosine(cosine / np.sqrt(normal * (ux * ux + uy * uy + uz * uz)))
+            angle[i, k] = _arc_cosine(cosine / np.sqrt(normal * (ux * ux + uy * uy + uz * uz)))

@@ -73,6 +73,7 @@ def _on_smooth_ground(sector: Sector, sampling: Sampling, lines: FineLines) -> G
         scale=range_scale(collection, sampling.range_frequency, sampling.range_period, sector.weighting.range),
         range_taps=(taps_needed(sampling.range_occupancy, error=sector.tap_error), sampling.range_occupancy),
         doppler_taps=(taps_needed(filled, error=sector.tap_error), filled),
+        tap_error=sector.tap_error,
     )
 
 

@@ -15,8 +15,8 @@ from blocksar.focusing.terrain_layers import (
     Sight,
     by_owner,
     gamma_factor,
+    heights_and_angles,
     heights_on_grid,
-    incidence_angle,
     reach,
     visibility,
 )
@@ -108,7 +108,7 @@ def test_incidence_and_area_are_those_of_small_facets(name: str) -> None:
     terrain, sight = hills(), SIGHTS[name]
     x, y = GRID.x[3::50], GRID.y[7::50]
     z = terrain.on_grid(x, y)
-    angle = incidence_angle(terrain, sight, x, y, z)
+    _, angle = heights_and_angles(terrain, sight, x, y)
     factor = gamma_factor(terrain, sight, x, y)
     antenna, velocity, h = sight.position[0], sight.velocity[0], 0.01
 
@@ -156,7 +156,8 @@ def test_compiled_heights_and_angles_are_those_of_the_terrain() -> None:
     np.testing.assert_array_equal(z, terrain.on_grid(x, y))
     assert 0.01 < np.isnan(z).mean() < 0.5
     for part in (slice(None), slice(40, 41)):  # a single row has a single node
-        found = incidence_angle(terrain, sight, x, y[part], z[part])
+        height, found = heights_and_angles(terrain, sight, x, y[part])
+        np.testing.assert_array_equal(height, z[part].astype(np.float32))
         along_x, along_y = terrain.slopes_on_grid(x, y[part])
         normal = np.stack([-along_x, -along_y, np.ones_like(along_x)])
         ray = sight.position[0][:, None, None] - np.stack([*np.meshgrid(x, y[part]), z[part]])
@@ -168,7 +169,7 @@ def test_compiled_heights_and_angles_are_those_of_the_terrain() -> None:
 def test_angles_of_level_ground_are_those_to_the_antenna(angle: float) -> None:
     antenna = 1e4 * np.array([-np.sin(angle), 0.0, np.cos(angle)])  # below the ground beyond pi / 2
     sight = Sight(np.zeros(2), np.zeros(1), antenna[None], np.array([[0.0, 100.0, 0.0]]))
-    found = incidence_angle(Terrain.flat(0.0, (-9.0, 9.0), (-9.0, 9.0)), sight, *np.zeros((2, 1)), np.zeros((1, 1)))
+    _, found = heights_and_angles(Terrain.flat(0.0, (-9.0, 9.0), (-9.0, 9.0)), sight, *np.zeros((2, 1)))
     assert found[0, 0] == pytest.approx(angle, abs=3e-7)
 
 
@@ -190,7 +191,7 @@ def test_slopes_along_range_broadside_change_power_by_the_ratio_of_tangents() ->
     at = np.array([0.0, 100.0]), np.array([100.0])
     z = terrain.on_grid(*at)
     sight = SIGHTS["broadside"]
-    angle = incidence_angle(terrain, sight, *at, z)
+    _, angle = heights_and_angles(terrain, sight, *at)
     level = np.arctan2(np.abs(at[0] - sight.position[0, 0]), sight.position[0, 2] - z)
     assert angle == pytest.approx(level - np.arctan(0.2), abs=1e-6)
     assert gamma_factor(terrain, sight, *at) == pytest.approx(np.tan(angle) / np.tan(level), rel=1e-6)
@@ -202,5 +203,8 @@ def test_pixels_are_seen_from_the_block_that_they_come_from() -> None:
     values = {id(one): np.array([[1.0, 2], [3, 4]]), id(other): np.array([[5.0, 6], [7, 8]])}
     layer = by_owner({0: one, 1: other, 2: other}, owner, lambda sight: values[id(sight)], np.nan)
     np.testing.assert_array_equal(layer, [[1.0, 6.0], [7.0, np.nan]])
+    np.testing.assert_array_equal(
+        by_owner({0: one, 1: other}, 1, lambda sight: values[id(sight)], np.nan), [[5, 6], [7, 8]]
+    )
     empty = by_owner({0: one}, np.full((2, 2), -1, np.int16), lambda sight: values[id(sight)], 255)
     assert (empty == 255).all()
