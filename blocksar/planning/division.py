@@ -22,7 +22,7 @@ FINE = 12  # the fewest blocks are found to one in as many
 MOST_REFERENCES = 8  # range sub-blocks of a block, for the sake of migration
 USEFUL = 0.9  # excess that a division in range may leave, to be tried again
 MIGRATION_SHARE = 0.7  # of the allowed loss that migration may take when a block is divided in range
-FALL = 0.97  # factor by which the excess has to fall: three numbers in a row that do not reach it end the search
+FALL, PATIENCE = 0.97, 3  # factor by which the excess has to fall, and so many numbers without it end the search
 ALIKE = 1.03  # times the least excess: among divisions within that, the one with the fewest blocks is taken
 MOST_DIVIDED = 2 * MAX_BLOCKS  # that `auto` tries where blocks and range sub-blocks have to reduce migration together
 MOST_TRIES = 3  # of these
@@ -55,7 +55,7 @@ def find_division(
     """The plan with the fewest blocks that keep the fidelity, at least one a worker; without one, the closest.
 
     Numbers grow with the excess; once one serves, those in between are tried by bisection. Probes of the outermost
-    blocks and the middle one decide while plans are far from the fidelity. The search ends without success if three
+    blocks and the middle one decide while plans are far from the fidelity. The search ends without success if PATIENCE
     numbers in a row have gained nothing, since margins do not shrink with the blocks.
 
     Parameters
@@ -67,7 +67,7 @@ def find_division(
         Number of range sub-blocks; None to take as many as migration needs.
     scattered : bool
         Whether predictions scatter from division to division, as on a terrain: more blocks are then a gain only beyond
-        that scatter.
+        that scatter. Then the search does not begin where a probe of the last of PATIENCE numbers gains nothing.
     jointly : bool
         Whether to try more blocks, of range sub-blocks, where neither keep the fidelity by themselves.
     """
@@ -86,7 +86,7 @@ def find_division(
             return plan(count, n_parts, False)
         stale = stale + 1 if tried and excess > fall * min(tried)[0] else 0
         tried.append((excess, count, n_parts))
-        if stale == 3 or count == MAX_BLOCKS:
+        if stale == PATIENCE or count == MAX_BLOCKS:
             least, n, m = min(tried)
             most = (SCATTER if scattered else ALIKE) * least
             if jointly and parts is None and (joint := _divide_jointly(plan, least)) is not None:
@@ -94,9 +94,14 @@ def find_division(
             if scattered and tried[0][0] > most:  # a probe looks at fewer places of a terrain than the whole plan
                 most = SCATTER * plan(n, m, False).excess()
             return plan(*min((n, m) for e, n, m in tried if e <= most), False)
-        failed = count
-        count = min(math.ceil(count * max(min(excess, MOST_GROWTH) ** GROWTH, LEAST_GROWTH)), MAX_BLOCKS)
-        if divisible and rest < excess / 2:  # migration costs the most: by angle or by range?
+        failed, growth = count, max(min(excess, MOST_GROWTH) ** GROWTH, LEAST_GROWTH)
+        by_migration = divisible and rest < excess / 2
+        if scattered and len(tried) == 1 and not by_migration:
+            far = min(math.ceil(count * growth**PATIENCE), MAX_BLOCKS)
+            if plan(far, n_parts, True).excess() > fall * excess:
+                return plan(count, n_parts, False)
+        count = min(math.ceil(count * growth), MAX_BLOCKS)
+        if by_migration:  # it costs the most: by angle or by range?
             more = math.ceil(n_parts * max(math.sqrt((excess - rest) / MIGRATION_SHARE), 1.1))
             more = min(more, MOST_REFERENCES)
             divided = plan(failed, more, True).excess()

@@ -110,7 +110,7 @@ class Fake(ModuleType):
         progress.update("recover", 1, 4)
         if self.error is not None:
             raise self.error
-        return SimpleNamespace(summary=[], table=list)
+        return SimpleNamespace(summary=[], table=list, measurable=True)
 
 
 @pytest.fixture
