@@ -30,6 +30,7 @@ GRADIENTS = 8  # iterations of the phase gradient
 WIDEST_BAND = 0.45  # of a chip's Doppler cells to either side, in the first of them
 DRIFT_BAND = 0.06  # likewise where it starts from the drift of spectra
 LEVELS = 3  # splines, each with twice the intervals of the one before
+LEAST_LOOPS = 2  # least squares of the first still hold on to what the polish found
 ITERATIONS = 40  # of the polish, for each of them
 BY_FAR = 0.3  # nats a chip
 GAIN = 1e-5  # nats a chip: two steps of the polish that gain less are the last
@@ -291,7 +292,7 @@ def estimate(
         fine_error=fine_error,
         rough=correction.rough or coarse.rough,
         history=(*correction.history, figures),
-        finished=step < work.settings.step or done >= work.settings.loops,
+        finished=(done >= LEAST_LOOPS and step < work.settings.step) or done >= work.settings.loops,
     )
 
 

@@ -23,6 +23,7 @@ TURNS = 4  # of points' own phases and the shared one
 BANDS = 8  # of frequencies, at most
 OFF_END = 3  # from the last band: the one from which power beyond is told, not dimmed by the chips' low-pass
 LEAST_BINS = 8  # of a band
+NEAR_CELLS = np.arange(-2.0, 2.1, 0.25)  # Doppler cells from the brightest of a row in which its own line is looked for
 WHOLE = 8  # times the Doppler cells: a band that cuts nothing
 ALONE = 0.5  # of the power of its line: a point with less does not stand alone
 PATTERN = 0.15  # correlation of amplitudes
@@ -116,7 +117,11 @@ def own_phase(rows: ComplexArray, chips: Chips) -> tuple[Complex128Array, FloatA
         if min(early.size, late.size) < 2:
             continue
         row = rows[i, :count].astype(np.complex128)
-        at, slope, flat = np.arange(count) - (count - 1) / 2, 0.0, row
+        at, slope = np.arange(count) - (count - 1) / 2, 0.0
+        if samples < count:  # a gap has sidelobes in which the next lines would stay
+            slopes = 2 * np.pi / count * NEAR_CELLS
+            slope = float(slopes[np.abs((row * np.exp(-1j * slopes[:, None] * at)).sum(axis=1)).argmax()])
+        flat = row * np.exp(-1j * slope * at)
         for _ in range(3):
             ends = flat[: count // 2].sum(), flat[count - count // 2 :].sum()
             slope += float(np.angle(ends[1] * np.conj(ends[0])) / (late.mean() - early.mean()))

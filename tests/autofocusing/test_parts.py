@@ -11,11 +11,11 @@ from scipy.interpolate import BSpline
 
 from blocksar.arrays import FloatArray
 from blocksar.autofocusing.chips import Chips, brightest_places, fill, gaps, join_chips
-from blocksar.autofocusing.correction import Knots, between_samples
+from blocksar.autofocusing.correction import Correction, Knots, between_samples, intervals
 from blocksar.autofocusing.entropy import PADDING, entropies
 from blocksar.autofocusing.estimation import Polish, coarse_error, without_line
-from blocksar.autofocusing.fine_phase import believed, is_pattern
-from blocksar.autofocusing.finishing import unknown_turns
+from blocksar.autofocusing.fine_phase import believed, is_pattern, own_phase
+from blocksar.autofocusing.finishing import HalfEstimate, far_from_gaps, unfollowed, unknown_turns
 from blocksar.autofocusing.information import factor, information, solve
 from blocksar.autofocusing.least_squares import by_least_squares, point_phases
 from blocksar.autofocusing.minimising import minimise
@@ -225,6 +225,43 @@ def test_whole_turns_are_counted(work: Work) -> None:
         walk = np.cumsum(size * steps) / work.wavenumber
         beyond = work.n_sample * np.mean(np.abs(random.normal(0, size, 100000)) > np.pi)
         assert unknown_turns(chips, walk[:, None] * [0.8, 0.0, -0.6]) == pytest.approx(beyond, rel=0.3, abs=1e-6)
+
+
+def test_what_splines_do_not_follow_is_told_by_what_both_halves_share(work: Work) -> None:
+    """Of a random walk of the velocity they share the finest octave, of a smooth error and of their noise nothing."""
+    chips, random = synthetic_chips(work, np.zeros(work.n_sample)), np.random.default_rng(5)
+    knots = Knots(work=work, n_interval=intervals(work), time=work.sample_times)
+    walk, sight = random.standard_normal(work.n_sample).cumsum().cumsum(), np.array([0.8, 0.0, -0.6])
+    for error in (4e-5 * walk, 0.02 * np.cos(9 * np.linspace(-1, 1, work.n_sample))):  # m
+        halves = [
+            HalfEstimate(displacement=error[:, None] * sight + 1e-5 * random.standard_normal((work.n_sample, 3)))
+            for _ in range(2)
+        ]
+        beyond = work.wavenumber * np.std(error - knots.smooth(error[:, None])[:, 0])
+        assert (beyond > 5e-3) == (error[0] != error[-1])
+        assert unfollowed(chips, Correction.none(work), halves) == pytest.approx(beyond, rel=0.5, abs=2e-3)
+
+
+def test_a_points_own_phase_is_found_across_a_gap(work: Work) -> None:
+    """The sidelobes of a gap are as bright, about, and the next lines by angles would stay in them."""
+    chips = synthetic_chips(work, np.zeros(work.n_sample), level=0.01)
+    seen = chips.seen.copy()
+    lines = np.exp(1j * np.array([-1.3, -0.7, 0.2, 1.4])[:, None] * 2 * np.pi / 160 * np.arange(160))
+    some = chips.some(np.array([5, 5, 5, 5]))
+    seen[some.first[0] + 56 : some.first[0] + 104] = False
+    some = replace(some, seen=seen)
+    rows = np.where(some.told, lines, 0).astype(np.complex64)
+    own, noise = own_phase(rows, some)
+    assert np.abs(own - lines)[some.told].max() < 1e-3
+    assert noise.max() < 1e-3
+
+
+def test_amplitudes_at_long_gaps_do_not_count(work: Work) -> None:
+    chips = synthetic_chips(work, np.zeros(work.n_sample))
+    seen = np.ones(work.n_sample, bool)
+    seen[[20, 21]], seen[100:110] = False, False
+    far = far_from_gaps(replace(chips, seen=seen))
+    assert np.flatnonzero(~far).tolist() == list(range(93, 117))
 
 
 def test_short_gaps_are_filled() -> None:
