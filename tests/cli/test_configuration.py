@@ -72,7 +72,7 @@ def seen(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[tuple[tuple[An
     def record(*words: Any, **settings: Any) -> Any:
         settings.pop("progress", None)
         calls.append((words, settings))
-        return SimpleNamespace(details=[], definitions=(), summary=[], table=list, refusal=None)
+        return SimpleNamespace(details=[], definitions=(), summary=[], table=list, refusal=None, measurable=True)
 
     api = ModuleType("blocksar.api")
     api.focus = api.plan = record  # type: ignore[attr-defined]
