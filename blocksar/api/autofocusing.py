@@ -91,8 +91,7 @@ def autofocus(
     overwrite : bool
         Replace what stands at `out`. Default: False.
     progress : object with a method update(stage, done, total), or False, optional
-        Called with the name of the stage (str) and the numbers of finished and of all units (int). A
-        `blocksar.progress.Listener` receives more. Default: bars in a notebook, silence elsewhere; False: silence.
+        As in `focus`.
     client : distributed.Client, optional
         Client of a running cluster, used instead of a local cluster.
 

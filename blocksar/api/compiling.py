@@ -20,8 +20,7 @@ def compile(*, progress: Progress | None = None) -> Report:
     Parameters
     ----------
     progress : object with a method update(stage, done, total), or False, optional
-        Called with the name of the stage (str) and the numbers of finished and of all units (int). A
-        `blocksar.progress.Listener` receives more. Default: bars in a notebook, silence elsewhere; False: silence.
+        As in `focus`.
 
     Returns
     -------

@@ -54,8 +54,7 @@ def demo(
     overwrite : bool
         Simulate and focus anew. Default: False.
     progress : object with a method update(stage, done, total), or False, optional
-        Called with the name of the stage (str) and the numbers of finished and of all units (int). A
-        `blocksar.progress.Listener` receives more. Default: bars in a notebook, silence elsewhere; False: silence.
+        As in `focus`.
     performance_report : path, optional
         HTML file for dask's performance report, also written if the run fails. Default: none.
 

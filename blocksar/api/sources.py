@@ -49,8 +49,7 @@ def simulate(
     overwrite : bool
         Replace what stands at `out`. Default: False.
     progress : object with a method update(stage, done, total), or False, optional
-        Called with the name of the stage (str) and the numbers of finished and of all units (int). A
-        `blocksar.progress.Listener` receives more. Default: bars in a notebook, silence elsewhere; False: silence.
+        As in `focus`.
 
     Returns
     -------
@@ -142,8 +141,7 @@ def ingest_cphd(
     overwrite : bool
         Replace what stands at `out`. Default: False.
     progress : object with a method update(stage, done, total), or False, optional
-        Called with the name of the stage (str) and the numbers of finished and of all units (int). A
-        `blocksar.progress.Listener` receives more. Default: bars in a notebook, silence elsewhere; False: silence.
+        As in `focus`.
 
     Returns
     -------
@@ -190,8 +188,7 @@ def ingest_gotcha(
     overwrite : bool
         Replace what stands at `out`. Default: False.
     progress : object with a method update(stage, done, total), or False, optional
-        Called with the name of the stage (str) and the numbers of finished and of all units (int). A
-        `blocksar.progress.Listener` receives more. Default: bars in a notebook, silence elsewhere; False: silence.
+        As in `focus`.
 
     Returns
     -------
