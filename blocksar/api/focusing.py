@@ -21,7 +21,7 @@ from blocksar.api.arguments import GridLike, Source, blocks_of, fidelity_of, gri
 from blocksar.api.findings import Check, add_findings, checking
 from blocksar.api.jobs import Job, Request
 from blocksar.api.joint import focus_members, members_of
-from blocksar.api.planning import short_dwells, undersampling
+from blocksar.api.plan_lines import short_dwells, undersampling
 from blocksar.api.rehearsing import rehearse
 from blocksar.api.shown import RunReport
 from blocksar.api.tracks import control_points, track_corrected

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from blocksar.api.facts import size_text
 from blocksar.api.jobs import Job, Request
-from blocksar.api.planning import block_table, plan_details, plan_lines, time_line, workforce
+from blocksar.api.plan_lines import plan_lines, time_line, workforce
+from blocksar.api.plan_tables import block_table, plan_details
 from blocksar.api.shown import RunReport
 from blocksar.graph.machine import Resources
 from blocksar.places.local import LocalPlace

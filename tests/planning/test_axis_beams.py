@@ -9,7 +9,7 @@ import pytest
 from axis_beams import MODES, axis_collection, spotlight, with_patterns
 from strips import DISTANCE, strip_collection
 
-from blocksar.api.planning import short_dwells
+from blocksar.api.plan_lines import short_dwells
 from blocksar.arrays import BoolArray, ComplexArray
 from blocksar.collection.beam import has_full_dwell, lit_interval
 from blocksar.collection.collection import Collection

@@ -13,7 +13,7 @@ from quality_bar import planned
 from scenes import scene
 
 import blocksar
-from blocksar.api import planning as api_planning
+from blocksar.api import plan_lines
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import plan_region
@@ -92,7 +92,7 @@ def test_of_many_blocks_the_ten_worst_are_shown_and_all_are_at_hand() -> None:
 
 def test_a_plan_says_how_long_a_run_takes_and_all_else_repeats(monkeypatch: pytest.MonkeyPatch) -> None:
     def summary(pace: float) -> list[str]:
-        monkeypatch.setattr(api_planning, "pace", lambda: pace)
+        monkeypatch.setattr(plan_lines, "pace", lambda: pace)
         return blocksar.plan("table1", blocks=3, workers=1).summary
 
     first, second = summary(1.0), summary(100.0)

@@ -1,0 +1,145 @@
+"""What there is to say of a plan beside its tables, a sentence a line."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from blocksar.api.plan_tables import digits
+from blocksar.api.shortfall import describe_shortfall
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.grid import Grid, ground_resolution
+from blocksar.collection.lit_sums import most_lit_pulses
+from blocksar.constants import MIB, SINC_WIDTH
+from blocksar.graph.machine import Resources, machine, pace
+from blocksar.inspection.sentences import doubted_time
+from blocksar.planning import effort
+from blocksar.planning.disk import run_bytes
+from blocksar.planning.plan import Plan
+from blocksar.progress import Work
+
+TRACK_TOLD = 0.01  # rad: noise of the track that leaves less is not mentioned
+LOOKED_AT = 64  # points along a side of a grid at which lit pulses are counted
+SHORT_DWELL = 12  # pulses, below which a coherence of up to 0.002 less than is predicted was measured
+
+
+def plan_lines(plan: Plan) -> list[str]:
+    """What there is to say of a plan besides its tables."""
+    recovery, collection, grid = plan.recovery, plan.geometry.collection, plan.grid
+    spectrum = recovery.doppler.size * collection.n_range_frequency * 8
+    divided = f" of {plan.parts} range sub-blocks each" if plan.parts > 1 else ""
+    lines = [
+        f"{plan.n_blocks} blocks{divided}, {plan.method.coefficients} coefficients; "
+        f"track: {plan.geometry.track}, misfit {plan.geometry.track.max_misfit:.2g} m",
+        f"derotated band {recovery.band[1] - recovery.band[0]:.0f} Hz at PRF {collection.prf:.0f} Hz; recovered "
+        f"spectrum {recovery.doppler.size} x {collection.n_range_frequency} ({spectrum / MIB:.0f} MiB), "
+        f"{recovery.doppler.extent:.0f} Hz wide",
+        f"image {grid.shape[1]} x {grid.shape[0]} pixels: x {grid.x[0]:g} .. {grid.x[-1]:g} m every {grid.dx:g} m, "
+        f"y {grid.y[0]:g} .. {grid.y[-1]:g} m every {grid.dy:g} m",
+    ]
+    if plan.geometry.terrain is not None:
+        low, high = plan.geometry.terrain.limits
+        lines.append(f"terrain: z = {low:.5g} .. {high:.5g} m; blocks are fitted on its smooth part")
+    lines.append(
+        f"predicted coherence with exact back-projection: at least {digits(plan.coherence)} for targets with full dwell"
+    )
+    if not plan.weighting.uniform:
+        azimuth = plan.weighting.azimuth.ideal.pslr
+        if plan.stays:  # each target has a part of the taper
+            azimuth = max(block.prediction.ideal_pslr for block in plan.blocks)
+        lines.append(
+            f"weighting {plan.weighting.text}: ideal side lobes {plan.weighting.range.ideal.pslr:.2f} dB in range, "
+            f"{azimuth:.2f} dB in azimuth"
+        )
+    if plan.stays:
+        lines.append(
+            "the beam stays on its ground: all pulses are summed, and those that do not light a pixel taken out"
+        )
+    if plan.edge_pulses:
+        lines.append(f"the edges of dwells, some {plan.edge_pulses} pulses at either end, are back-projected")
+    if (parts := max(len(block.sampling.over_band) for block in plan.blocks)) > 1:
+        lines.append(f"dwells are gated in {parts} parts over the band, which are focused one after the other")
+    lines.append(_disk_line(plan))
+    if (doubt := doubted_time(plan.geometry.collection)) is not None:
+        lines.append(doubt)
+    lines += [line for doubt in (undersampling, short_dwells) if (line := doubt(plan)) is not None]
+    noise = max(block.prediction.track_phase for block in plan.blocks)
+    if noise > TRACK_TOLD:
+        lines.append(
+            f"the noise of the track leaves a phase of {noise:.2g} rad r.m.s. over a dwell; smooth the positions"
+        )
+    if not plan.faithful:
+        lines.append(describe_shortfall(plan))
+    return lines
+
+
+def _disk_line(plan: Plan) -> str:
+    """Room that a run needs; a raw echo's range compression is not counted, since a plan knows no samples."""
+    stores = run_bytes(plan)
+    parts = ", ".join(f"{name} {size / MIB:.0f}" for name, size in stores.items())
+    return f"a run writes about {sum(stores.values()) / MIB:.0f} MiB ({parts})"
+
+
+def time_line(work: Work, assumed: Resources) -> str:
+    """How long a run would take on this machine, by stage; the only part of a plan that is measured."""
+    workers = min(assumed.workers, machine()[0])  # more than there are cores gain nothing
+    seconds = effort.seconds_of(work, workers=workers, threads=assumed.threads, pace=pace())
+    if not assumed.workers:
+        del seconds["start"]
+    stages = ", ".join(f"{name} {time_text(value)}" for name, value in seconds.items())
+    return (
+        f"a run takes about {time_text(sum(seconds.values()))} on this machine {workforce(assumed)} "
+        f"({stages}), more where others use it, the disk is slow, or loops are not compiled"
+    )
+
+
+def workforce(assumed: Resources) -> str:
+    """Who does the work, in words."""
+    count = assumed.workers
+    return f"with {count} worker{'s' if count > 1 else ''}" if count else "in one process"
+
+
+def time_text(seconds: float) -> str:
+    """A predicted time with as many digits as it deserves.
+
+    Examples
+    --------
+    >>> time_text(0.04), time_text(13.3), time_text(250), time_text(9000)
+    ('1 s', '13 s', '4 min', '2.5 h')
+    """
+    if seconds < 100:
+        return f"{max(round(seconds), 1)} s"
+    return f"{round(seconds / 60)} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
+
+
+def undersampling(plan: Plan) -> str | None:
+    """A sentence if the grid is coarser than the resolution of any block, else None."""
+    step = max(plan.grid.dx, plan.grid.dy)
+    widths = [
+        min(ground_resolution(plan.geometry, (b.ground.near + b.ground.far) / 2, (b.low + b.high) / 2))
+        for b in plan.blocks
+    ]
+    finest = min(widths)
+    if step <= finest / SINC_WIDTH:
+        return None
+    return (
+        f"the grid's step of {step:g} m undersamples the image, whose resolution is {finest:.3g} m: targets between "
+        f"its points are lost, and spectra fold; a step of {finest / 2:.2g} m shows everything"
+    )
+
+
+def short_dwells(plan: Plan) -> str | None:
+    """A sentence if no point of the grid is lit by enough pulses, else None."""
+    n_pulse, lit = plan.geometry.collection.n_pulse, lit_pulses(plan.geometry, plan.grid)
+    if lit >= SHORT_DWELL or n_pulse < SHORT_DWELL:
+        return None
+    return (
+        f"{lit} pulses light a target at most, of {n_pulse}, and predictions hold from {SHORT_DWELL} pulses "
+        "on; is beam_width in rad, and what says where the beam points?"
+    )
+
+
+def lit_pulses(geometry: Geometry, grid: Grid) -> int:
+    """The largest number of pulses that light any point of a grid."""
+    return most_lit_pulses(
+        geometry, *np.meshgrid(*(axis[:: max(axis.size // LOOKED_AT, 1)] for axis in (grid.x, grid.y)))
+    )

@@ -1,0 +1,123 @@
+"""The tables of a plan: its blocks, what their coherence is made of, and processors side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from blocksar.api.reports import Table
+from blocksar.constants import MIB
+from blocksar.focusing.relief_correction import bend_scale
+from blocksar.planning.block import BlockPlan
+from blocksar.planning.choice import Contender
+from blocksar.planning.plan import Plan
+from blocksar.planning.prediction import Prediction
+
+FEW_BLOCKS, WORST = 12, 10  # most blocks that are all shown, and how many are of more
+BLOCK_HEADER = (
+    "block", "yaw (deg)", "range (km)", "Doppler bins", "padded", "bias (m/s2)", "residual phase (rad)",
+    "quadratic (rad)", "PSLR (dB)", "width / limit", "azimuth width (m)", "migration (cells)", "memory (MiB)",
+)  # fmt: skip
+FINE = 0.9999  # coherence from which on it is shown with six decimals
+
+
+def block_table(plans: Sequence[Plan]) -> Table:
+    """The figures that decide, of all blocks, or of the ten that are predicted to lose most."""
+    blocks = [block for plan in plans for block in plan.blocks]
+    few, divided = len(blocks) <= FEW_BLOCKS, any(plan.parts > 1 for plan in plans)
+    worst = sorted(blocks, key=lambda block: block.prediction.coherence)[:WORST]
+    header = [
+        "block" if few else f"worst {WORST} of {len(blocks)}", "yaw (deg)", *(["range (km)"] if divided else []),
+        "coherence", *([] if divided else ["residual phase (rad)", "PSLR (dB)"]), "width / limit", "memory (MiB)",
+    ]  # fmt: skip
+    rows = []
+    for block in blocks:
+        if few or block in worst:
+            own, p = dict(zip(BLOCK_HEADER, _block_row(block), strict=True)), block.prediction
+            rows.append([block.name, *(own.get(name, digits(p.coherence)) for name in header[1:])])
+    return header, rows
+
+
+def plan_details(plans: Sequence[Plan]) -> list[Table]:
+    """All figures of all blocks, and what their coherence is made of."""
+    relief = [] if plans[0].geometry.terrain is None else [_relief_table(plans)]
+    return [_all_blocks(plans), _coherence_table(plans), *relief]
+
+
+def _relief_table(plans: Sequence[Plan]) -> Table:
+    """The terrain of each block, and what it does to the phase of targets far above or below its smooth part."""
+    header = ("block", "z (m)", "over the smooth ground (m)", "bend taken out (rad)", "predicted coherence")
+    rows = []
+    for block in (block for plan in plans for block in plan.blocks):
+        relief = block.ground.relief
+        assert relief is not None
+        heights = f"{relief.lowest:.1f} .. {relief.highest:.1f}", f"{relief.low:.1f} .. {relief.high:.1f}"
+        bend = 2 * np.pi * relief.most_bend * bend_scale(block.ground)
+        rows.append([block.name, *heights, f"{bend:.2f}", digits(block.prediction.coherence)])
+    return header, rows
+
+
+def _all_blocks(plans: Sequence[Plan]) -> Table:
+    return BLOCK_HEADER, [_block_row(block) for plan in plans for block in plan.blocks]
+
+
+def _coherence_table(plans: Sequence[Plan]) -> Table:
+    header = (
+        "block", "predicted coherence", "lost by residual phase", "by range migration", "at the ends of the dwell",
+        "by noise of the track",
+    )  # fmt: skip
+    return header, [_coherence_row(block.name, block.prediction) for plan in plans for block in plan.blocks]
+
+
+def _coherence_row(name: str, p: Prediction) -> list[str]:
+    losses = (p.phase_loss, p.range_loss, p.dispersion_loss, p.track_loss)
+    places = 4 if p.coherence < FINE else 6
+    return [name, digits(p.coherence), *(f"{loss:.{places}f}" for loss in losses)]
+
+
+def _block_row(block: BlockPlan) -> list[str]:
+    low, high = np.degrees([block.low, block.high])
+    p = block.prediction
+    return [
+        block.name,
+        f"{low:.3f} .. {high:.3f}",
+        f"{block.ground.near / 1e3:.3f} .. {block.ground.far / 1e3:.3f}",
+        f"{block.first_bin} .. {block.first_bin + block.n_bin}",
+        str(block.ground.doppler.size),
+        f"{block.choice.candidate.bias:.1f}",
+        f"{p.residual_phase:.4f}",
+        f"{p.quadratic_phase:.4f}",
+        f"{p.pslr:.2f}",
+        f"{p.width:.3f}",
+        f"{p.resolution:.3f}",
+        f"{p.migration:.3f}",
+        f"{block.memory / MIB:.0f}",
+    ]
+
+
+def contender_table(contenders: Sequence[Contender]) -> Table:
+    """All processors side by side; work is over the least."""
+    least = min(c.plan.work() for c in contenders if c.plan is not None)
+    header = (
+        "processor", "blocks", "residual phase (rad)", "quadratic (rad)", "PSLR (dB)", "width / limit",
+        "migration (cells)", "coherence", "work", "memory (MiB)", "keeps the fidelity",
+    )  # fmt: skip
+    return header, [_contender_row(c, least) for c in contenders]
+
+
+def _contender_row(contender: Contender, least: float) -> list[str]:
+    plan = contender.plan
+    if plan is None:
+        return [contender.processor, *["-"] * 9, "no"]
+    p = contender.worst.prediction
+    return [
+        contender.processor, str(plan.n_blocks), f"{p.residual_phase:.4f}", f"{p.quadratic_phase:.4f}", f"{p.pslr:.2f}",
+        f"{p.width:.3f}", f"{p.migration:.3f}", digits(plan.coherence), f"{plan.work() / least:.2f}",
+        f"{plan.memory / MIB:.0f}", "yes" if contender.serves else "no",
+    ]  # fmt: skip
+
+
+def digits(coherence: float) -> str:
+    """A coherence with four decimals, or six where four would show none of its loss."""
+    return f"{coherence:.{4 if coherence < FINE else 6}f}"
