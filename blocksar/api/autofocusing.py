@@ -75,7 +75,7 @@ def autofocus(
     surface : {"plane", "ellipsoid"}
         "ellipsoid": WGS 84 at ground_height, which needs a georeference. Default: "plane".
     vertical : str, optional
-        What a GeoTIFF's heights are measured from, as `focus` takes it.
+        What a GeoTIFF's heights are measured from, as in `focus`. Needed where the file does not say so.
     control : path or sequence of Target, optional
         Points at known places, as `quality` takes targets: they anchor place and phase, which the samples alone do not
         tell. Default: none, and the track is moved by nothing that the samples do not tell.
@@ -91,7 +91,7 @@ def autofocus(
     overwrite : bool
         Replace what stands at `out`. Default: False.
     progress : object with a method update(stage, done, total), or False, optional
-        As in `focus`.
+        As in `focus`. Default: bars in a notebook, silence elsewhere.
     client : distributed.Client, optional
         Client of a running cluster, used instead of a local cluster.
 

@@ -20,7 +20,7 @@ def compile(*, progress: Progress | None = None) -> Report:
     Parameters
     ----------
     progress : object with a method update(stage, done, total), or False, optional
-        As in `focus`.
+        As in `focus`. Default: bars in a notebook, silence elsewhere.
 
     Returns
     -------

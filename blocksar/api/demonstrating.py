@@ -54,7 +54,7 @@ def demo(
     overwrite : bool
         Simulate and focus anew. Default: False.
     progress : object with a method update(stage, done, total), or False, optional
-        As in `focus`.
+        As in `focus`. Default: bars in a notebook, silence elsewhere.
     performance_report : path, optional
         HTML file for dask's performance report, also written if the run fails. Default: none.
 

@@ -47,7 +47,7 @@ def report(
     overwrite : bool
         Replace what stands at `out`. Default: False.
     progress : object with a method update(stage, done, total), or False, optional
-        As in `focus`.
+        As in `focus`. Default: bars in a notebook, silence elsewhere.
 
     Returns
     -------

@@ -49,7 +49,7 @@ def simulate(
     overwrite : bool
         Replace what stands at `out`. Default: False.
     progress : object with a method update(stage, done, total), or False, optional
-        As in `focus`.
+        As in `focus`. Default: bars in a notebook, silence elsewhere.
 
     Returns
     -------
@@ -141,7 +141,7 @@ def ingest_cphd(
     overwrite : bool
         Replace what stands at `out`. Default: False.
     progress : object with a method update(stage, done, total), or False, optional
-        As in `focus`.
+        As in `focus`. Default: bars in a notebook, silence elsewhere.
 
     Returns
     -------
@@ -188,7 +188,7 @@ def ingest_gotcha(
     overwrite : bool
         Replace what stands at `out`. Default: False.
     progress : object with a method update(stage, done, total), or False, optional
-        As in `focus`.
+        As in `focus`. Default: bars in a notebook, silence elsewhere.
 
     Returns
     -------
