@@ -56,7 +56,7 @@ def checked_memory(what: str, memory: int, memory_limit: int) -> int:
     if memory > MEMORY_SHARE * memory_limit:
         raise InputError(
             f"memory limit {memory_limit / MIB:.0f} MiB a worker is too low: {what} needs about "
-            f"{math.ceil(memory / MEMORY_SHARE / MIB)} MiB; raise --memory-limit"
+            f"{math.ceil(memory / MEMORY_SHARE / MIB)} MiB; raise --memory-limit, or take fewer workers"
         )
     return memory
 

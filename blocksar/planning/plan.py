@@ -353,7 +353,8 @@ def _fewest_parts(plan: Callable[[int], Plan], first: Plan, memory_limit: int, *
     if room <= least:
         raise InputError(
             f"memory limit {memory_limit / MIB:.0f} MiB a worker is too low: recovery needs about "
-            f"{math.ceil(least / MEMORY_SHARE / MIB)} MiB, however blocks are divided; raise --memory-limit"
+            f"{math.ceil(least / MEMORY_SHARE / MIB)} MiB, however blocks are divided; raise --memory-limit, "
+            "or take fewer workers"
         )
     needed = [divided.memory]
     while divided.memory > room:

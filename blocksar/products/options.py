@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
+from collections.abc import Iterable
 from typing import Any
 
 from blocksar.errors import InputError, printable
@@ -49,7 +50,7 @@ def parse_looks(looks: Any) -> tuple[int, int]:
     (4, 2)
     """
     if not isinstance(looks, str):
-        return tuple(looks)
+        return tuple(looks) if isinstance(looks, Iterable) else (looks,)
     match = re.fullmatch(r"\s*0*([1-9]\d{0,5})\s*[x,]\s*0*([1-9]\d{0,5})\s*", looks, re.IGNORECASE)
     if match is None:
         raise InputError(

@@ -230,6 +230,15 @@ def test_a_file_reads_back_as_it_was_written(base: Base) -> None:
     assert "ingested by blocksar from small.cphd" in attrs["history"]
 
 
+def test_vectors_that_the_xml_does_not_count_are_told(base: Base, tmp_path: Path) -> None:
+    assert not any("more such vectors" in line for line in ingested(shutil.copy(base.path, tmp_path / "whole.cphd"))[2])
+    content = base.path.read_bytes()
+    count = parts_of(base.path).samples.shape[0]
+    short = f"<NumVectors>{count - 40:0{len(str(count))}d}</NumVectors>".encode()
+    (tmp_path / "short.cphd").write_bytes(content.replace(f"<NumVectors>{count}</NumVectors>".encode(), short))
+    assert any("room for 40 more such vectors" in line for line in ingested(tmp_path / "short.cphd")[2])
+
+
 def test_attributes_that_products_need_are_kept(base: Base, tmp_path: Path) -> None:
     parts = parts_of(base.path)
     for path, text in {

@@ -62,6 +62,7 @@ class CphdFile:
     dtype: np.dtype[Any]  # of a sample, big endian
     shape: tuple[int, int]  # vectors, samples
     first_byte: int  # of the channel's signal array
+    unnamed: int  # bytes of the signal block behind the last signal array of all channels
     vectors: NDArray[Any]  # per-vector parameters
 
     @cached_property
@@ -155,8 +156,21 @@ def open_file(file: BinaryIO, path: Path, channel: str | None, *, any_channel: b
         path=path, version=version, tree=tree, channel=identifier, dtype=dtype, shape=(n_vector, n_sample),
         domain=_one_of(root, "Global/DomainType", ("FX", "TOA")),
         sign=int(_one_of(root, "Global/SGN", ("+1", "-1", "1"))), first_byte=first,
+        unnamed=len(blocks["SIGNAL"]) - _signal_bytes(root, dtype.itemsize, length),
         vectors=vectors.astype(vectors.dtype.newbyteorder("=")),
     )  # fmt: skip
+
+
+def _signal_bytes(root: Any, item: int, length: int) -> int:
+    """Bytes from the start of the signal block to the end of the last signal array of all channels."""
+    ends = []
+    for channel in root.findall("{*}Data/{*}Channel"):
+        n_vector, n_sample = (
+            _integer(channel, "NumVectors", 0, MAX_VECTORS),
+            _integer(channel, "NumSamples", 0, MAX_SAMPLES),
+        )
+        ends.append(_integer(channel, "SignalArrayByteOffset", 0, length) + n_vector * n_sample * item)
+    return max(ends)
 
 
 def _header(file: BinaryIO) -> tuple[str, dict[str, str]]:
@@ -231,7 +245,9 @@ def _choose_channel(root: Any, channel: str | None, *, any_channel: bool) -> str
         if channel not in names:
             raise InputError(f"channel {channel!r} is not in it; it has {known}")
         return channel
-    if not names or (len(names) != 1 and not any_channel):
+    if not names:
+        raise InputError("its XML has no Data/Channel, so that no signal array is known; get the file again")
+    if len(names) != 1 and not any_channel:
         raise InputError(f"it has {len(names)} channels; give --channel, one of {known}, or all")
     return names[0]
 

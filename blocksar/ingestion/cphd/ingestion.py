@@ -304,6 +304,11 @@ def _describe(
             messages.append("delays transformed to frequencies by an exact Fourier sum")
         case _:
             messages.append("samples are taken as they are")
+    if (more := file.unnamed // (file.shape[1] * file.dtype.itemsize)) > 0:
+        messages.append(
+            f"the signal block has room for {more} more such vectors behind its last array: if it is not padding, "
+            "NumVectors in the XML is too small, and they are left out"
+        )
     if np.ptp(pulses.reference_point, axis=0).max() > 0:
         moved = np.linalg.norm(np.ptp(pulses.reference_point, axis=0))
         messages.append(f"the SRP moves by {moved:.6g} m: reference_range follows it from pulse to pulse")
