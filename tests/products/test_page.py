@@ -303,9 +303,9 @@ def test_the_command_repeats_the_run(settings: dict[str, Any], monkeypatch: pyte
         record["grid"] = [*record["grid"][0], *record["grid"][1]]
     seen: dict[str, Any] = {}
 
-    def focus(source: str, out: str, **options: Any) -> api.Report:
+    def focus(source: str, out: str, **options: Any) -> api.RunReport:
         seen.update(options, source=source, out=out)
-        return api.Report()
+        return api.RunReport()
 
     monkeypatch.setattr(api, "focus", focus)
     words = shlex.split(provenance.repeat_command(record, ["/in put/ph.zarr"], "/out $1"))
