@@ -73,7 +73,9 @@ class Georeference:
         for name, (low, high) in limits.items():
             value = getattr(self, name)
             if not low <= value <= high:
-                raise InputError(f"georeference: {name} is {float(value)!r}, which is not in {low:g} .. {high:g}; {REMEDY}")
+                raise InputError(
+                    f"georeference: {name} is {float(value)!r}, which is not in {low:g} .. {high:g}; {REMEDY}"
+                )
 
     @classmethod
     def from_attribute(cls, attribute: Any) -> Georeference:

@@ -13,7 +13,7 @@ from numba import njit
 from blocksar.arrays import FloatArray, IntArray
 from blocksar.kernels.lanes import FEW, WEIGHED_ROWS, load_few, spread_few, total, weigh_rows
 from blocksar.kernels.phase import Float32Array
-from blocksar.kernels.signatures import COMPILED, PART, UNCHECKED
+from blocksar.kernels.signatures import COMPILED, PART, UNCHECKED, UNCONTRACTED
 from blocksar.kernels.trigonometry import cosine, sine
 
 N_CARRIER = 1024  # carriers along Doppler that are told apart, in steps of 1 / N_CARRIER cycles per sample
@@ -27,7 +27,7 @@ TILE_DEGREE = 5
 # out negative ones, for which it would load element by element.
 
 
-@njit(nogil=True, **PART)
+@njit(**PART, **UNCONTRACTED)
 def left_of(ray_x: float, ray_y: float, x: float, y: float) -> bool:
     """Whether a point is on a ray or to its left.
 
@@ -37,7 +37,7 @@ def left_of(ray_x: float, ray_y: float, x: float, y: float) -> bool:
     return ray_x * y >= ray_y * x
 
 
-@njit(nogil=True, **PART)
+@njit(**PART, **UNCONTRACTED)
 def find_sector(
     x: FloatArray, first: int, n: int, y: float, rays: FloatArray, frame: FloatArray, rng: FloatArray, owned: FloatArray
 ) -> bool:

@@ -50,6 +50,7 @@ from blocksar.kernels.signatures import (
     TILES,
     TUPLE,
     UNCHECKED,
+    UNCONTRACTED,
 )
 from blocksar.solvers import least_squares, product
 
@@ -239,7 +240,7 @@ def resample_on_relief(
     run_groups(work, [slice(i, i + group) for i in range(0, tiles.shape[0], group)], threads)
 
 
-@njit(nogil=True, **PART)
+@njit(**PART, **UNCONTRACTED)
 def _sector(  # type: ignore[no-untyped-def]
     x, first, n, y, z, row, rays, frame, rng, owned,
 ):  # fmt: skip
@@ -260,7 +261,7 @@ def _sector(  # type: ignore[no-untyped-def]
     return n_inside > 0
 
 
-@njit(nogil=True, **PART)
+@njit(**PART, **UNCONTRACTED)
 def _ranges(x, first, n, y, z, row, frame, rng, owned):  # type: ignore[no-untyped-def]
     """Write the epoch ranges of n pixels from x[first] on, and NaN to `owned` where the height is unknown.
 

@@ -22,6 +22,9 @@ POWERS = types.Array(types.float64, 3, "C", readonly=True)  # of the polynomials
 TUPLE: Any = types.Tuple  # carries no types
 PAIR = TUPLE((types.int64,) * 2)
 COMPILED: dict[str, Any] = {"nogil": True, "fastmath": {"contract", "nsz"}}
+# No operations are contracted. Said of every such function: numba hands the options of a caller to what it calls, and
+# keeps what it compiled so for other callers.
+UNCONTRACTED: dict[str, Any] = {"nogil": True, "fastmath": False}
 # Of a function that compiled loops call, and Python does not: no entry points for Python and C, each of which would be
 # compiled with a copy of the function.
 PART: dict[str, Any] = {"forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}

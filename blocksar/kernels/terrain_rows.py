@@ -15,13 +15,11 @@ from numpy.typing import NDArray
 
 from blocksar.arrays import FloatArray, IntArray
 from blocksar.kernels.loops import loop
-from blocksar.kernels.signatures import COMPILED, PART, REAL_ROW, REAL_ROWS, UNCHECKED
+from blocksar.kernels.signatures import COMPILED, PART, REAL_ROW, REAL_ROWS, UNCHECKED, UNCONTRACTED
 
 INDICES = types.Array(types.int64, 1, "C", readonly=True)
 PLANES = types.Array(types.float64, 3, "C", readonly=True)
-# No operations are contracted. Said of every function: numba hands the options of a caller to what it calls, and keeps
-# what it compiled so for other callers.
-EXACT: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": False}
+EXACT: dict[str, Any] = {**UNCONTRACTED, **UNCHECKED}
 _ARC_DEGREE = 8  # 1e-8 rad
 _ARC = tuple(
     np.float32(c)
