@@ -91,7 +91,12 @@ def tolerance(bench: Bench, store: Path) -> float:
     return ROUNDING + 2 * (pulses.sum() + lit) / LIT + (0.02 if axes else 0.0)
 
 
-@pytest.mark.parametrize("damage", [truncated, overwritten, flipped, grown])
+SLOW = pytest.mark.slow
+
+
+@pytest.mark.parametrize(
+    "damage", [truncated, flipped, pytest.param(overwritten, marks=SLOW), pytest.param(grown, marks=SLOW)]
+)
 def test_damaged_bytes(damage: Any, bench: Bench) -> None:
     def case(name: str, attempt: int) -> None:
         store = bench.copy()

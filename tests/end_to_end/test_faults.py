@@ -759,7 +759,7 @@ LIKE_OTHERS = {
     "half of a spectrum chunk", "bit of a patch chunk that the image shares from the start", "half of a patch chunk",
     "patch's group", "patch's axis", "half of a chunk of owners", "owners of one block gone",
     "half a receipt of columns", "half a receipt of the mosaic", "empty receipt", "spectrum's array", "image's array",
-    "image's axis", "collection's axis",
+    "image's axis", "collection's axis", "image gone", "patch gone", "half a receipt of a block",
 }  # fmt: skip
 
 

@@ -191,7 +191,9 @@ def failures(path: Path) -> list[str]:
 # ---------------------------------------------------------------- from a scene and back
 
 
-@pytest.mark.parametrize("patterns", ["", PATTERNS], ids=["rectangular", "patterns"])
+@pytest.mark.parametrize(
+    "patterns", [pytest.param("", id="rectangular", marks=pytest.mark.slow), pytest.param(PATTERNS, id="patterns")]
+)
 @pytest.mark.parametrize("name", BEAMS)
 def test_a_beam_survives_the_way_through_a_file(name: str, patterns: str, tmp_path: Path) -> None:
     beam, yaw = BEAMS[name]
