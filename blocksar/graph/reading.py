@@ -10,7 +10,7 @@ from blocksar import stores
 from blocksar.arrays import ComplexArray
 from blocksar.focusing.range_compression import RawCompression
 from blocksar.focusing.recovery import Recovery, recover_columns
-from blocksar.graph.spectrum import Window, chunk_spans
+from blocksar.graph.spectrum import Window, chunk_spans, stays_cached
 from blocksar.graph.tasks import sign
 from blocksar.graph.writing import WritesBehind
 from blocksar.inspection.samples import inspect
@@ -54,6 +54,7 @@ def recover_group(
         signal, range_frequency=frequency[slice(*columns)], recovery=recovery, first_column=columns[0],
         threads=run.threads,
     )  # fmt: skip
+    cached = stays_cached((recovery.doppler.size, source.collection.n_range_frequency))
     memories = [buffers.empty((recovery.doppler.size * width,)) for _ in range(min(2, -(-signal.shape[1] // width)))]
     with WritesBehind(len(memories)) as behind:
         for first in range(columns[0], columns[1], width):
@@ -68,14 +69,14 @@ def recover_group(
             )
             # One entry for each chunk, so that a block can check those that it reads.
             for bins in chunk_spans(0, shape[0], height):
-                behind.submit(_write_bins, run, (slice(*bins), part), spectrum[slice(*bins)])
+                behind.submit(_write_bins, run, (slice(*bins), part), spectrum[slice(*bins)], cached=cached)
     receipt = Receipt(unit=unit, stage="recover", written=behind.written, found=inspection.as_dict())
     return sign(run, receipt, started)
 
 
-def _write_bins(run: Run, region: Window, values: ComplexArray) -> list[Written]:
+def _write_bins(run: Run, region: Window, values: ComplexArray, *, cached: bool) -> list[Written]:
     """Write a chunk of the spectrum."""
-    return [write(run, run.spectrum, "spectrum", region, values)]
+    return [write(run, run.spectrum, "spectrum", region, values, cached=cached)]
 
 
 def inspect_group(run: Run, unit: str, source: stores.PhaseHistory, columns: tuple[int, int]) -> Receipt:

@@ -7,16 +7,24 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from math import prod
 
 from blocksar import stores
 from blocksar.arrays import ComplexArray
 from blocksar.chunks import SPECTRUM_BYTES
 from blocksar.errors import ProcessingError
+from blocksar.graph.machine import machine
 from blocksar.kernels import buffers
 from blocksar.places.place import Place
 from blocksar.runs.record import Written
 
 Window = tuple[slice, slice]  # rows and columns
+CACHED_SHARE = 1 / 8  # of the memory that a recovered spectrum may take of the page cache
+
+
+def stays_cached(shape: tuple[int, int]) -> bool:
+    """Tell whether a recovered spectrum goes through the page cache of this machine, which it takes little of."""
+    return 8 * prod(shape) <= CACHED_SHARE * machine()[1]
 
 
 def chunk_spans(first: int, last: int, size: int) -> Iterator[tuple[int, int]]:
@@ -38,6 +46,8 @@ class SpectrumChunks:
         Doppler bins and range frequencies of the spectrum, and of a chunk.
     checksums : mapping
         By first row and first column.
+    recovered : bool
+        Written by recovery, which may leave it in the page cache; not by the range gates.
     """
 
     store: Place
@@ -45,14 +55,16 @@ class SpectrumChunks:
     shape: tuple[int, int]
     chunk: tuple[int, int]
     checksums: Mapping[tuple[int, int], str]
+    recovered: bool = False
 
     @classmethod
     def of(
         cls, store: Place, written: Sequence[Written], *, first_bin: int = 0, shape: tuple[int, int],
-        chunk: tuple[int, int],
+        chunk: tuple[int, int], recovered: bool = False,
     ) -> SpectrumChunks:  # fmt: skip
         """All chunks, from what receipts say was written to the store."""
-        return cls(store, first_bin, shape, chunk, {(p.region[0][0], p.region[1][0]): p.checksum for p in written})
+        checksums = {(part.region[0][0], part.region[1][0]): part.checksum for part in written}
+        return cls(store, first_bin, shape, chunk, checksums, recovered)
 
     def within(self, first_bin: int, last_bin: int) -> SpectrumChunks:
         """Those with some of the bins first_bin .. last_bin - 1."""
@@ -85,7 +97,8 @@ class SpectrumChunks:
         """Read whole chunks, and compare their checksums."""
         # Not memory of malloc, which would keep parts of it: their size is close to the threshold for that.
         values = buffers.empty((rows[1] - rows[0], columns[1] - columns[0]))
-        stores.read_region(self.store, "spectrum", (slice(*rows), slice(*columns)), values, cached=False)
+        cached = self.recovered and stays_cached(self.shape)
+        stores.read_region(self.store, "spectrum", (slice(*rows), slice(*columns)), values, cached=cached)
         for a, b in chunk_spans(*rows, self.chunk[0]):
             for c, d in chunk_spans(*columns, self.chunk[1]):
                 chunk = values[a - rows[0] : b - rows[0], c - columns[0] : d - columns[0]]

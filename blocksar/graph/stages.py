@@ -186,7 +186,7 @@ def _written(run: Run, store: Place, receipts: Sequence[Receipt]) -> list[Writte
 def _whole_spectrum(plan: Plan, run: Run, receipts: Sequence[Receipt]) -> SpectrumChunks:
     shape = plan.recovery.doppler.size, plan.geometry.collection.n_range_frequency
     written = _written(run, run.spectrum, receipts)
-    return SpectrumChunks.of(run.spectrum, written, shape=shape, chunk=plan.spectrum_chunk)
+    return SpectrumChunks.of(run.spectrum, written, shape=shape, chunk=plan.spectrum_chunk, recovered=True)
 
 
 def _gated_spectrum(plan: Plan, run: Run, block: BlockPlan, receipts: Sequence[Receipt]) -> SpectrumChunks:

@@ -3,6 +3,9 @@
 A run writes each sample once and reads it at most once more. Copies in the page cache would fill the machine's memory,
 take a third of all processor time where memory comes from a hypervisor, and all wait to be flushed when the run ends.
 Direct transfers need aligned memory, so samples pass through a small aligned buffer, one for each thread.
+
+Files that are read again soon, and that take little of the memory, may stay in the page cache: they are read while the
+disk still writes them.
 """
 
 from __future__ import annotations
@@ -32,8 +35,10 @@ class _Buffers(threading.local):
 _buffers = _Buffers()
 
 
-def _open(path: str, flags: int) -> int:
-    """Open a file for direct transfers, or the usual ones where the file system has none."""
+def _open(path: str, flags: int, *, cached: bool = False) -> int:
+    """Open a file for direct transfers, or the usual ones if `cached` or where the file system has no others."""
+    if cached:
+        return os.open(path, flags | os.O_CLOEXEC, 0o666)
     try:
         return os.open(path, flags | DIRECT | os.O_CLOEXEC, 0o666)
     except OSError as error:
@@ -96,20 +101,32 @@ class Writer:
             self._flush(whole, self._filled)
 
 
+def _begin_to_flush(descriptor: int) -> None:
+    """Let the system begin to write a file's part of the page cache to the disk, which it would put off for long.
+
+    Linux does so on the advice that the cache is not needed: it drops only what is on the disk already.
+    """
+    if hasattr(os, "posix_fadvise"):
+        with suppress(OSError):
+            os.posix_fadvise(descriptor, 0, 0, os.POSIX_FADV_DONTNEED)
+
+
 @contextmanager
-def writing(path: str) -> Iterator[Writer]:
-    """Create a file, to be written by one thread at once.
+def writing(path: str, *, cached: bool = False) -> Iterator[Writer]:
+    """Create a file, to be written by one thread at once; through the page cache if `cached`.
 
     Raises
     ------
     OSError
         If it cannot be created or written.
     """
-    descriptor = _open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+    descriptor = _open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, cached=cached)
     try:
         writer = Writer(descriptor, _buffers.view)
         yield writer
         writer.finish()
+        if cached:
+            _begin_to_flush(descriptor)
     finally:
         os.close(descriptor)
 

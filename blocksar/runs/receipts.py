@@ -185,8 +185,10 @@ class Run:
         return "-".join(["store", *([] if inner and folder in ("patches", "gated") else [folder]), *inner])
 
 
-def write(run: Run, store: Place, variable: str, region: tuple[slice, ...], values: Array) -> Written:
-    """Write a region of whole chunks, and return its entry for the receipt.
+def write(
+    run: Run, store: Place, variable: str, region: tuple[slice, ...], values: Array, *, cached: bool = False
+) -> Written:
+    """Write a region of whole chunks, through the page cache if `cached`; return its entry for the receipt.
 
     Raises
     ------
@@ -196,6 +198,6 @@ def write(run: Run, store: Place, variable: str, region: tuple[slice, ...], valu
     # A shared cluster may still run tasks of a process that was killed, whose run has been overwritten since.
     if run.identity.encode() not in (run.folder / RECORD).read_bytes():
         raise ProcessingError(f"{run.folder} has been taken by another run")
-    stores.write_region(store, variable, region, values)
+    stores.write_region(store, variable, region, values, cached=cached)
     span = tuple((part.start, part.stop) for part in region)
     return Written(run.name_of(store), variable, span, stores.checksum(values))

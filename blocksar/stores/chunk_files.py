@@ -134,8 +134,8 @@ class ChunkFiles:
                 seen(os.path.relpath(file, self.folder), version)
         return values
 
-    def write(self, region: Region, values: Array) -> None:
-        """Write a region of whole chunks, each atomically.
+    def write(self, region: Region, values: Array, *, cached: bool = False) -> None:
+        """Write a region of whole chunks, each atomically; through the page cache if `cached`.
 
         Raises
         ------
@@ -146,7 +146,7 @@ class ChunkFiles:
         slab = self._slab()
         for file, _, outside in self._parts(spans):
             os.makedirs(os.path.dirname(file), exist_ok=True)
-            with replacing_file(file) as part, direct.writing(part) as stream:
+            with replacing_file(file) as part, direct.writing(part, cached=cached) as stream:
                 self._write_chunk(stream, values[outside], slab)
 
     def link(self, region: Region, source: ChunkFiles, source_region: Region) -> None:

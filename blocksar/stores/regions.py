@@ -27,7 +27,7 @@ FILES_AT_ONCE = 2  # chunks in flight per process: zarr's default of 10 is up to
 zarr.config.set({"async.concurrency": FILES_AT_ONCE})
 
 
-def write_region(path: Location, name: str, region: Sequence[slice], values: Array) -> None:
+def write_region(path: Location, name: str, region: Sequence[slice], values: Array, *, cached: bool = False) -> None:
     """Write whole chunks of one variable, without locks: no other task writes them, and a retry may write them again.
 
     Parameters
@@ -40,6 +40,8 @@ def write_region(path: Location, name: str, region: Sequence[slice], values: Arr
         One per dimension, from the start of a chunk to the end of a chunk or of the array.
     values : array
         In the region's shape; cast to the variable's dtype (complex128 to complex64, never complex to real).
+    cached : bool
+        True: through the page cache, for files that are read again soon.
 
     Raises
     ------
@@ -70,7 +72,7 @@ def write_region(path: Location, name: str, region: Sequence[slice], values: Arr
     try:
         whole = tuple(slice(start, stop) for start, stop, _ in bounds)
         if isinstance(array, ChunkFiles):
-            array.write(whole, values)
+            array.write(whole, values, cached=cached)
         elif isinstance(place, LocalPlace):
             array[whole] = values
         else:

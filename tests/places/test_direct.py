@@ -40,10 +40,11 @@ def file_system(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch)
     return str(request.param)
 
 
+@pytest.mark.parametrize("cached", [False, True])
 @pytest.mark.parametrize("size", SIZES)
-def test_a_file_holds_what_was_written(size: int, file_system: str, tmp_path: Path) -> None:
+def test_a_file_holds_what_was_written(size: int, cached: bool, file_system: str, tmp_path: Path) -> None:
     data = some_bytes(size)
-    with direct.writing(str(tmp_path / "file")) as file:
+    with direct.writing(str(tmp_path / "file"), cached=cached) as file:
         for first in range(0, size, 700_001):  # parts of no round length
             file.write(memoryview(data)[first : first + 700_001])
     assert (tmp_path / "file").read_bytes() == data
