@@ -30,6 +30,7 @@ FORMS = "uniform, taylor:NBAR:SLL (such as taylor:4:-35), hamming, hann, or kais
 MOST_NBAR = 12
 LEAST_LEVEL, MOST_LEVEL = -80.0, -15.0  # dB, of Taylor's side lobes
 MOST_BETA = 12.0
+KAISER_BEYOND = 0.1  # of v, over which it falls on beyond its ends, with the slope that it has there
 KAISER_TERMS = 16  # of its series of cosines, which has the period 4
 CUT_WIDTHS = 10.0  # widths on either side of the peak within which side lobes count
 NODES = 160  # of the quadrature over v: exact far beyond that many widths
@@ -124,15 +125,19 @@ class Taper:
         return _series(self)
 
     def __call__(self, v: FloatArray) -> FloatArray:
-        """w(v) (...), by its definition for |v| <= 1, and as smooth beyond."""
+        """w(v) (...), by its definition for |v| <= 1, and smooth and positive beyond."""
         if self.name == "kaiser":
             beta, away = self.parameters[0], 1 - np.square(v)
             within = np.i0(beta * np.sqrt(np.maximum(away, 0.0))) / np.i0(beta)
-            return np.asarray(np.where(away >= 0, within, _sum(*self.series, np.asarray(v, np.float64))))
+            # Its series of cosines grows without limit there, into weights that cancel for targets that are not lit.
+            beyond = np.exp(-(beta**2) / 2 * np.clip(np.abs(v) - 1, 0.0, KAISER_BEYOND)) / np.i0(beta)
+            return np.asarray(np.where(away >= 0, within, beyond))
         return _sum(*self.series, np.asarray(v, np.float64))
 
     def slope(self, v: FloatArray) -> FloatArray:
-        """dw/dv (...) at v."""
+        """dw/dv (...) at v; that of "kaiser" beyond its ends as at them."""
+        if self.name == "kaiser":
+            v = np.clip(v, -1.0, 1.0)
         terms, frequency = self.series
         turns = np.pi * frequency * np.arange(terms.size)
         return np.asarray(-(terms * turns * np.sin(np.multiply.outer(v, turns))).sum(axis=-1))

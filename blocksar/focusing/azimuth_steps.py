@@ -27,6 +27,8 @@ from blocksar.solvers import through_nodes
 
 GATE_WINDOWS = 17  # windows of the dwell gate over the slopes of a swath
 INVERSE_ORDER = 9  # of the polynomial that inverts a Doppler resampling: to a thousandth of a bin, and far below
+PACE_PLACES = 129  # along a row at which the pace of a Doppler resampling is looked at
+LEAST_PACE, MOST_PACE = 0.51, 1.96  # samples per sample; `resample_rows` has 1/2 and 2
 NEWTON_STEPS = 6  # of the inverse of a Doppler resampling
 
 
@@ -186,6 +188,15 @@ class DopplerResampling(_AzimuthStep):
             offset, slope, _ = self.shift.evaluate(ranges, f)
             f -= (f + offset - target) / (1.0 + slope)
         return through_nodes(doppler.position(f).T).T
+
+    @property
+    def even(self) -> bool:
+        """Whether positions advance, all along the row, by as many samples per sample as can be interpolated."""
+        order = np.arange(1, INVERSE_ORDER + 1)
+        u = np.linspace(-1, 1, PACE_PLACES)
+        powers = order * u[:, None] ** (order - 1) * 2 / self.axes.doppler.size
+        pace = (self.positions()[:, None, 1:] * powers).sum(axis=-1)
+        return bool((pace >= LEAST_PACE).all() and (pace <= MOST_PACE).all())
 
     def trace(self, line: Line) -> Line:
         return line.resample_doppler(*self.shift.evaluate(_mean_range(line), line.doppler), middle=self.middle)

@@ -76,7 +76,7 @@ class Edges:
 def by_yaw(cells: list[tuple[int, int]], ground: GroundMap, grid: Grid) -> list[tuple[int, int]]:
     """Chunks of an image in the order of the yaws of their middles: neighbours in it need the same pulses."""
     side = image_chunk(grid)
-    rows, columns = ((np.array(cells)[:, axis] + 0.5) * side[axis] for axis in (0, 1))
+    rows, columns = ((np.array(cells).reshape(-1, 2)[:, axis] + 0.5) * side[axis] for axis in (0, 1))
     yaw = ground.relative_yaw(grid.x[0] + columns * grid.dx, grid.y[0] + rows * grid.dy)
     return [cells[k] for k in np.argsort(yaw, kind="stable")]
 

@@ -7,6 +7,7 @@ from itertools import chain
 
 from blocksar.chunks import DOPPLER_GROUP
 from blocksar.collection.weighting import FLAT, AxisTaper
+from blocksar.focusing.azimuth_steps import DopplerResampling
 from blocksar.focusing.chains import steps_of
 from blocksar.focusing.ground_map import GroundMap
 from blocksar.focusing.lines import Line
@@ -22,6 +23,7 @@ from blocksar.planning.block_lines import CoarseLines, FineLines, follow_terrain
 from blocksar.planning.block_sampling import plan_sampling, plan_slab
 from blocksar.planning.coefficients import Choice, choose
 from blocksar.planning.dwell_gate import plan_dwell_gate, plan_over_band
+from blocksar.planning.fitting import RESAMPLING_ORDERS
 from blocksar.planning.memory import RELIEF_MEMORY, block_memory
 from blocksar.planning.motion import plan_motion
 from blocksar.planning.nodes import common_ranges
@@ -100,6 +102,11 @@ class BlockPlan:
         return [stages([step.sampled(sampling) for step in rest]) for sampling in self.sampling.branches]
 
     @property
+    def even(self) -> bool:
+        """Whether a Doppler resampling, if there is one, can be applied to all of the block's Doppler bins."""
+        return all(step.even for step in self.chain if isinstance(step, DopplerResampling))
+
+    @property
     def name(self) -> str:
         return str(self.index) if self.part is None else f"{self.index}.{self.part}"
 
@@ -118,7 +125,21 @@ def plan_block(
         Number of the range sub-block; None for a whole block.
     neighbour : Choice or None
         The kind of chain of the sub-block before, taken if it serves here too; None to choose it.
+
+    A Doppler resampling is fitted on the lines of the block, and applied to all Doppler bins: of a narrow block these
+    reach many times as far, where its highest orders may fold Doppler. It then has fewer of them.
     """
+    for resampling in range(len(RESAMPLING_ORDERS), -1, -1):
+        block = _plan_block(sector, method, index=index, part=part, neighbour=neighbour, resampling=resampling)
+        if block.even or method.coefficients == "closed-form":
+            break
+    return block
+
+
+def _plan_block(
+    sector: Sector, method: Method, *, index: int, part: int | None, neighbour: Choice | None, resampling: int
+) -> BlockPlan:
+    """`plan_block` with a Doppler resampling of at most so many orders."""
     collection = sector.geometry.collection
     band = Axis(float(collection.range_frequency[0]), collection.range_frequency_step, collection.n_range_frequency)
 
@@ -130,7 +151,9 @@ def plan_block(
     constants = _constants(sector, slab, band, coarse.line)
     range_part = RangePart.bind(steps_of(method, measured=constants.motion is not None), constants, coarse.line)
     straight = range_part.trace(coarse.line)
-    azimuth, choice = _plan_azimuth(sector, range_part, method, straight, coarse, neighbour=neighbour)
+    azimuth, choice = _plan_azimuth(
+        sector, range_part, method, straight, coarse, neighbour=neighbour, resampling=resampling
+    )
 
     # Fine lines, through the whole chain: the sampling, the gate, the ground map and the prediction.
     azimuth, lines = trace_finely(sector, azimuth)
@@ -182,6 +205,7 @@ def _plan_azimuth(
     coarse: CoarseLines,
     *,
     neighbour: Choice | None,
+    resampling: int,
 ) -> tuple[AzimuthPart, Choice]:
     """The steps after range compression, with coefficients for targets that share an apparent range."""
     recovery, dwells = sector.recovery, coarse.dwells
@@ -200,6 +224,7 @@ def _plan_azimuth(
         shift=-2 / sector.geometry.collection.wavelength * recovery.walk + range_part.constants.walk,
         fidelity=sector.fidelity,
         neighbour=neighbour,
+        resampling=resampling,
     )
     return AzimuthPart.bind(range_part, polynomials, straight), choice
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ from blocksar.planning.binding import AzimuthPart, RangePart
 from blocksar.planning.dwell_ends import full_dwells, smear_room
 from blocksar.planning.dwell_weights import beam_moves
 from blocksar.planning.fidelity import smear_loss
-from blocksar.planning.fitting import Candidate
+from blocksar.planning.fitting import RESAMPLING_ORDERS, Candidate
 
 GOOD_RESIDUAL = 0.02  # rad: the most that is good; see `good_residual`
 RESIDUAL_SHARE = 0.5  # of the allowed loss that residual phase may take before a better chain is preferred
@@ -57,6 +58,7 @@ def choose(
     shift: float,
     fidelity: float,
     neighbour: Choice | None,
+    resampling: int = len(RESAMPLING_ORDERS),
 ) -> tuple[AzimuthPolynomials, Choice]:
     """Coefficients by the method: in closed form, or of the cheapest fitted chain whose lines end level and unfolded.
 
@@ -79,6 +81,8 @@ def choose(
         Coherence that is asked for: the higher, the less residual phase is good.
     neighbour : Choice or None
         What a neighbour chose, to be taken if it serves here too.
+    resampling : int
+        The most orders of a Doppler resampling.
     """
     lam, freedom = geometry.collection.wavelength, range_part.freedom
     if method.coefficients == "closed-form":
@@ -88,16 +92,23 @@ def choose(
         )  # fmt: skip
         return polynomials, Choice(Candidate(0.0, False), 0.0)
     full, good = full_dwells(line, geometry, epoch_range, yaws), good_residual(fidelity)
-    if neighbour is not None:
+    if neighbour is not None and neighbour.candidate.resampling <= resampling:
         polynomials = fitting.fit(line, ranges=ranges, candidate=neighbour.candidate, freedom=freedom, wavelength=lam)
         cost = _cost(polynomials, line, range_part, geometry, full, good)
         if cost <= KEPT * neighbour.cost:
             return polynomials, neighbour
-    return _find_cheapest(line, range_part, geometry, ranges=ranges, full=full, good=good)
+    return _find_cheapest(line, range_part, geometry, ranges=ranges, full=full, good=good, resampling=resampling)
 
 
 def _find_cheapest(
-    line: Line, range_part: RangePart, geometry: Geometry, *, ranges: FloatArray, full: BoolArray, good: float
+    line: Line,
+    range_part: RangePart,
+    geometry: Geometry,
+    *,
+    ranges: FloatArray,
+    full: BoolArray,
+    good: float,
+    resampling: int,
 ) -> tuple[AzimuthPolynomials, Choice]:
     """The kind of chain with the least cost, fitted. All kinds are tried roughly, at three ranges.
 
@@ -113,7 +124,10 @@ def _find_cheapest(
     def fit(candidate: Candidate) -> AzimuthPolynomials:
         return fitting.fit(line, ranges=ranges, candidate=candidate, freedom=freedom, wavelength=wavelength)
 
-    kinds = fitting.candidates(line, wavelength=wavelength, freedom=freedom)
+    kinds = [
+        replace(kind, resampling=resampling)
+        for kind in fitting.candidates(line, wavelength=wavelength, freedom=freedom)
+    ]
     if len(kinds) == 1:
         return fit(kinds[0]), Choice(kinds[0], np.inf)
     costs: dict[Candidate, float] = {}

@@ -13,7 +13,7 @@ deramp of orders 2 to 4.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -48,10 +48,11 @@ class Freedom(NamedTuple):
 
 @dataclass(frozen=True)
 class Candidate:
-    """A kind of chain to try: a bias chirp (m/s^2), and whether to perturb in time."""
+    """A kind of chain to try: a bias chirp (m/s^2), whether to perturb in time, and orders of a Doppler resampling."""
 
     bias: float
     perturb_time: bool
+    resampling: int = len(RESAMPLING_ORDERS)
 
 
 def candidates(line: Line, *, wavelength: float, freedom: Freedom) -> list[Candidate]:
@@ -78,7 +79,7 @@ def with_spread(line: Line, candidate: Candidate, *, wavelength: float, factors:
     if not candidate.perturb_time:
         return []
     acceleration = _acceleration(line, wavelength)
-    return [Candidate(k * (acceleration + candidate.bias) - acceleration, True) for k in factors]
+    return [replace(candidate, bias=k * (acceleration + candidate.bias) - acceleration) for k in factors]
 
 
 def _acceleration(line: Line, wavelength: float) -> float:
@@ -164,7 +165,7 @@ class _Unknowns(NamedTuple):
         return cls(
             TIME_ORDERS if candidate.perturb_time else (),
             DOPPLER_ORDERS if freedom.doppler else (),
-            RESAMPLING_ORDERS if freedom.resampling else (),
+            RESAMPLING_ORDERS[: candidate.resampling] if freedom.resampling else (),
             DERAMP_ORDERS,
         )
 

@@ -15,7 +15,8 @@ from blocksar.planning.staying import MOST_DWELL, longest_stay
 
 def find_refusal(blocks: Sequence[BlockPlan], method: Method) -> str | None:
     """The reason why a plan cannot be carried out, or None. Rivals may blur: they are built to show it."""
-    return _find_lingering(blocks) or find_folding(blocks) or (None if method.rival else _find_blur(blocks))
+    blur = None if method.rival else _find_blur(blocks)
+    return _find_lingering(blocks) or find_folding(blocks) or _find_uneven(blocks) or blur
 
 
 def _find_lingering(blocks: Sequence[BlockPlan]) -> str | None:
@@ -58,6 +59,17 @@ def find_folding(blocks: Sequence[BlockPlan]) -> str | None:
             f"{_describe_block(block)}: {change}, after its last step, as acceleration cancels the Doppler rate; use "
             "--processor angular-division, which may add a bias chirp, or backprojection"
         )
+    return None
+
+
+def _find_uneven(blocks: Sequence[BlockPlan]) -> str | None:
+    """The reason why a Doppler resampling cannot be applied, or None: that of a closed form has all of its orders."""
+    for block in blocks:
+        if not block.even:
+            return (
+                f"{_describe_block(block)} would resample Doppler by more than a factor of two beyond its targets; use "
+                "--coefficients fitted, --processor angular-division, or backprojection"
+            )
     return None
 
 

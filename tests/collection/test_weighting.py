@@ -84,6 +84,17 @@ def test_a_taper_for_one_axis_takes_precedence() -> None:
     assert Weighting.parse() == UNIFORM and UNIFORM.uniform and not both.uniform
 
 
+def test_kaiser_falls_on_beyond_its_ends() -> None:
+    """Places of targets that are not lit: its series of cosines grows to 1e20 there, or turns negative."""
+    for taper in (Taper("kaiser", (2.5,)), Taper("kaiser", (12.0,))):
+        v = np.linspace(1.0, 3.0, 201)
+        assert (taper(v) > 0).all() and (np.diff(taper(v)) <= 0).all()
+        np.testing.assert_allclose(taper(1 + v * 1e-9), taper(np.array(1.0)), rtol=1e-5)
+        np.testing.assert_array_equal(taper(-v), taper(v))
+        np.testing.assert_allclose(np.diff(taper(np.array([1.0, 1.0 + 1e-6]))) / 1e-6, taper.slope(v[:1]), rtol=1e-3)
+        np.testing.assert_array_equal(taper.slope(v), taper.slope(v[:1]).repeat(v.size))
+
+
 @pytest.mark.parametrize("text", ["uniform", "taylor:4:-35", "kaiser:6"])
 @pytest.mark.parametrize("change", [{}, {"steering_deg": -26.23, "yaw_deg": 179.5}, {"steering_deg": None}])
 def test_the_sum_of_weights_is_that_of_all_lit_pulses(text: str, change: dict[str, Any]) -> None:
