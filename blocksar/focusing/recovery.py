@@ -105,11 +105,6 @@ class Recovery:
     common: CommonRange = NO_COMMON_RANGE
 
     @property
-    def crowd(self) -> float:
-        """Share of the PRF that the echoes of all that is lit fill."""
-        return min((self.band[1] - self.band[0]) * self.pulses.step, 1.0)
-
-    @property
     def time(self) -> Axis:
         """Slow time of the recovered signal from the epoch, s: the padded aperture in as many samples as Doppler bins.
 
@@ -125,6 +120,12 @@ class Recovery:
         half = self.pulses.extent / 2
         # The guard holds no signal: clipping only keeps the series from growing there.
         return np.asarray(chebyshev.chebval(np.clip((time - middle) / half, -1.02, 1.02), self.derotation))
+
+    def derotation_rate(self, time: FloatArray) -> FloatArray:
+        """Doppler that the derotation removes at slow times from the epoch, Hz on the carrier."""
+        middle = self.pulses.start + self.pulses.step * (self.pulses.size - 1) / 2
+        half = self.pulses.extent / 2
+        return np.asarray(chebyshev.chebval((time - middle) / half, chebyshev.chebder(self.derotation)) / half)
 
     def program(self, range_frequency: FloatArray) -> Program:
         """Recovery of range frequencies (n,), Hz: rows of pulses to rows of Doppler bins, one per frequency."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from blocksar import solvers
 from blocksar.arrays import FloatArray
 from blocksar.collection.beam import STILL, at_times, beam_offset, pattern_gain
 from blocksar.collection.collection import Collection
@@ -32,10 +33,10 @@ class DwellWeights:
         The weighting w without the pattern.
     change : (..., n) float
         Of these weights per relative range frequency f / fc, where a keystone scales time; 0 without one.
-    pulse : (...) float
-        The square of what a whole pulse counts at the ends, at the pixel's own Doppler. A pulse holds the echoes of all
-        that is lit, whatever the pattern has at the pixel: (w g)^2 with the mean of g^2 over the dwell, times the share
-        of the PRF over which these echoes spread. It matters where that is above `edge` squared; 0 without a pattern.
+    pattern : (..., n) float or None
+        The antenna's pattern g at the nodes of lines.
+    lit_band : (...) float
+        Band of Doppler that is lit at a time where the target is, Hz.
     """
 
     taper: Taper
@@ -44,11 +45,27 @@ class DwellWeights:
     patterned: bool
     alone: FloatArray | float = 1.0
     change: FloatArray | float = 0.0
-    pulse: FloatArray | float = 0.0
+    pattern: FloatArray | None = None
+    lit_band: FloatArray | float = 1.0
 
     @property
     def uniform(self) -> bool:
         return self.taper.uniform and not self.patterned
+
+    @property
+    def end(self) -> float:
+        """The weighting w at the ends of whole dwells, without the pattern."""
+        return float(self.taper(np.array(1.0)))
+
+    def gains(self, side: int) -> FloatArray | None:
+        """Legendre series (..., n) of g^2 over the dwell, from its begin (side -1) or from its end; None without one.
+
+        The beam passes a target as all that is lit at one of its ends lies in it.
+        """
+        if self.pattern is None:
+            return None
+        n = self.pattern.shape[-1]
+        return solvers.product(self.pattern[..., ::-side] ** 2, solvers.legendre_series(n, n - 1).T)
 
     def weigh(self, line: Line) -> Line:
         """The lines with these weights; as they are where all weights are 1."""
@@ -65,7 +82,7 @@ def dwell_weights(
     yaw: FloatArray,
     stays: bool = False,
     scaled_about: float | None = None,
-    crowd: float = 0.0,
+    lit_band: FloatArray | float = 1.0,
 ) -> DwellWeights:
     """The weights of targets at epoch ranges (n_range,), m, and yaws (n_yaw,), rad.
 
@@ -80,8 +97,8 @@ def dwell_weights(
         From `planning.staying`: each target then has a part of the taper of its own.
     scaled_about : float or None
         Time, s from the epoch, about which a keystone scales time with range frequency; None without one.
-    crowd : float
-        Share of the PRF that the echoes of all that is lit at a time fill.
+    lit_band : (n_range, n_yaw) float
+        Band of Doppler that is lit at a time where the targets are, Hz.
     """
     collection = geometry.collection
     at = epoch_range[:, None], yaw
@@ -101,14 +118,15 @@ def dwell_weights(
             change = taper.slope(place) * 2 / dwell * (lit.time - scaled_about)
     if not collection.has_pattern:
         patterned = stays and not taper.uniform
-        return DwellWeights(taper=taper, nodes=nodes, edge=edge, patterned=patterned, alone=nodes, change=change)
+        return DwellWeights(
+            taper=taper, nodes=nodes, edge=edge, patterned=patterned, alone=nodes, change=change, lit_band=lit_band
+        )
     gain = at_times(geometry, x, y, time, pattern_gain, z)
     # The outer nodes lie close to the ends: by half a hundredth of the dwell.
     at_ends = np.sqrt((gain[..., 0] ** 2 + gain[..., -1] ** 2) / 2)
-    mean = (lit.weight * gain**2).sum(axis=-1) / lit.weight.sum(axis=-1)
     return DwellWeights(
         taper=taper, nodes=nodes * gain, edge=edge * at_ends, patterned=True, alone=nodes, change=change * gain,
-        pulse=edge**2 * mean * crowd,
+        pattern=gain, lit_band=lit_band,
     )  # fmt: skip
 
 

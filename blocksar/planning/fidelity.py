@@ -19,7 +19,8 @@ one displaced by d, the weights differ by the energy
     h = (z (C(z) + S(z)) + (cos(pi z^2 / 2) - sin(pi z^2 / 2)) / pi) / sqrt(2),
 
 from |F - H|^2 integrated at d = 0 in frequency, sqrt(a / 2) / pi, and d/dd = 2 Re F(d) - 1. Half of it, over the dwell,
-is lost at each end.
+would be lost at each end if every pulse held all Dopplers: whether edges are needed is found by it. A plan predicts
+what is lost in the echoes that are there (`lit_ends`), times CHIPS, by which single chips lose more than their mean.
 
 Where the edges of dwells are back-projected (`focusing.dwell_edges`), the chain's ends fade over a time T, and differ
 by less. With P(u) = cos(pi u) / (1 - 4 u^2), the spectrum of the fade's slope at u = f T,
@@ -36,9 +37,8 @@ On a terrain heights displace both ends of a dwell to the same side. What the ga
 what has the pixel's Doppler there has left the beam. Only what it cuts off at the other is lost: half of the sum.
 
 Under a weighting w both sums have the weights w besides, and under an antenna's pattern g the echo has g: the inner
-product along the dwell has (w g)^2, and an end loses by that value there. Means over the band have the square of its
-weighting. But a pulse more or less has a spectrum as wide as the PRF: at the pixel's Doppler it brings the echoes of
-all that is lit, which have the mean of g^2 over the beam, spread over the PRF (`DwellWeights.pulse`).
+product along the dwell has (w g)^2, and an end that fades loses by that value there; at a whole one, the pattern counts
+for each echo where this is in the beam. Means over the band have the square of its weighting.
 """
 
 from __future__ import annotations
@@ -61,10 +61,12 @@ from blocksar.kernels.fresnel import FAR, far_fresnel_integral
 from blocksar.planning.band_parts import gate_parts
 from blocksar.planning.dwell_ends import dwell_ends, end_smear
 from blocksar.planning.dwell_weights import DwellWeights
+from blocksar.planning.lit_ends import lit_energy
 
 ONE_SIDE = 0.5  # of the energy of both ends of a dwell that are displaced to the same side
 BAND_NODES = 4  # of the means over range frequency
 MIGRATION_NODES = 12  # of that over the phase by range migration, under a weighting
+CHIPS = 1.25  # what the worst chips of an image lose at whole ends, over the mean: 1.1 to 1.6 measured
 KNOTS = 128  # of the table of the energy of an end, per unit of z
 FADE_NODES, FADE_REACH = 48, 2.5  # of the integral over u, and where it ends: P^2 / u^2 is 1e-5 there
 KNOT_NODES = 6  # of the integrals from one of them to the next
@@ -139,12 +141,15 @@ def worst_losses(
             parts=parts,
             scaled_about=scaled_about,
             moves=moves,
+            weights=weights,
+            by_lit=_by_what_is_lit(gate, weights, reached),
             band=band,
         )
-        ends *= weights.edge**2 * line.weight.sum(axis=-1) * (1.0 if reached is None else ONE_SIDE)
-        if gate.taper is None or not gate.taper.fade:
-            beyond = np.maximum(weights.pulse - np.square(weights.edge), 0.0)
-            ends += whole_pulse_energy(geometry.collection.pulse_interval) * beyond
+        ends *= line.weight.sum(axis=-1)
+        if gate.taper is not None and gate.taper.fade:
+            ends *= weights.edge**2
+        if reached is not None and not _by_what_is_lit(gate, weights, reached):
+            ends *= ONE_SIDE
         if parts == 1:
             ends += slope_loss(geometry.collection, band) * (line.weight * np.square(weights.change)).sum(axis=-1)
         ends /= squared.weight.sum(axis=-1)
@@ -178,6 +183,12 @@ def _along_dwell(line: Line, spots: Focus, geometry: Geometry, band: Taper) -> t
     return phase, np.maximum(both - phase, 0.0)
 
 
+def _by_what_is_lit(gate: DwellGate, weights: DwellWeights, reached: BoolArray | None) -> bool:
+    """Whether whole ends are counted in what is lit there; heights without a pattern displace both to one side."""
+    whole = gate.taper is None or not gate.taper.fade
+    return whole and (reached is None or weights.pattern is not None)
+
+
 def _by_place(line: Line, spots: Focus, gate: DwellGate, weights: DwellWeights) -> FloatArray:
     """Loss by windows that take a target's place in a beam about its axis as a simple function of time."""
     assert gate.taper is not None
@@ -204,9 +215,14 @@ def _at_ends(
     parts: int,
     scaled_about: float | None,
     moves: FloatArray | None,
+    weights: DwellWeights,
+    by_lit: bool,
     band: Taper,
 ) -> FloatArray:
-    """Loss by ends of the dwell that are smeared or displaced; none at an end that the collection's end cuts."""
+    """Loss by ends of the dwell that are smeared or displaced; none at an end that the collection's end cuts.
+
+    That of faded ends is yet to be weighed by their weight.
+    """
     collection = geometry.collection
     lit = line.weight.sum(axis=-1)
     lost = np.zeros(lit.shape)
@@ -231,8 +247,15 @@ def _at_ends(
             scaled = scaled if moves is None else moves[..., end]
             area = left / line.stretch[..., end] ** 2
             total = faded_energy(area, displaced, scaled * edge_of_band, lit / (2 * fade), band, parts=parts)
+        elif by_lit:
+            total = lit_energy(
+                left, displaced, scaled * edge_of_band, blur=gate.blur, pulse_interval=collection.pulse_interval,
+                lit_band=weights.lit_band, band=band_nodes(band, BAND_NODES), gain=weights.gains(side),
+            )  # fmt: skip
+            total *= CHIPS * weights.end**2
         else:
             total = blurred_energy(left, displaced, scaled * edge_of_band, gate.blur, collection.pulse_interval, band)
+            total *= np.square(weights.edge)
         cut = np.abs(moment - collection.time[end]) < collection.pulse_interval
         lost += np.where(cut, 0.0, total)
     return lost / (2 * lit)

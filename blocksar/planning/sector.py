@@ -74,8 +74,21 @@ class Sector:
         """Weights of targets over their dwells: see `dwell_weights`."""
         return dwell_weights(
             self.lighting, self.taper, lit, uncut=uncut, epoch_range=epoch_range, yaw=yaw,
-            stays=self.staying is not None, scaled_about=scaled_about, crowd=self.recovery.crowd,
+            stays=self.staying is not None, scaled_about=scaled_about,
+            lit_band=self._lit_band(lit, uncut),
         )  # fmt: skip
+
+    def _lit_band(self, lit: Line, uncut: tuple[FloatArray, FloatArray]) -> FloatArray:
+        """Band of Doppler that is lit at a time at targets (...), Hz.
+
+        After derotation the beam keeps its Doppler, and a target passes through all of it in its dwell.
+        """
+        recovery = self.recovery
+        passed = lit.doppler[..., [0, -1]] - recovery.derotation_rate(lit.time[..., [0, -1]])
+        over = lit.time[..., -1] - lit.time[..., 0]
+        dwell = np.maximum(uncut[1] - uncut[0], recovery.pulses.step)
+        band = np.abs(passed[..., 1] - passed[..., 0]) * dwell / np.maximum(over, 1e-12)
+        return np.clip(band, 1 / dwell, 1 / recovery.pulses.step)
 
     def dwells(self, yaw: FloatArray, *, coarsely: bool = False) -> Dwells:
         """Dwells of targets at yaws (...), rad, for their lines in the recovered signal."""
