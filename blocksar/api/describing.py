@@ -13,6 +13,7 @@ from blocksar.api import facts
 from blocksar.api.arguments import history_of, is_dataset
 from blocksar.api.facts import Rows
 from blocksar.api.reports import Report
+from blocksar.api.shown import is_measurable
 from blocksar.collection.grid import Grid
 from blocksar.errors import InputError
 from blocksar.places import Location, place
@@ -197,7 +198,7 @@ def _run(where: Place) -> Report:
     if not record.finished:
         source = record.input.path or "PH.zarr"
         return _report("unfinished run", str(where), rows, [["focus", source, "--out", str(where)]])
-    if record.plan.grid is not None and min(Grid(*record.plan.grid).shape) < 2:
+    if not is_measurable(record):
         return _report("run", str(where), rows, [])  # of a single row or column, which nothing measures
     following = [[command, str(where)] for command, name in
                  (("quality", "quality.json"), ("report", "report.html")) if name not in made]  # fmt: skip

@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Literal
 from blocksar.api.arguments import GridLike, Source, blocks_of, fidelity_of, grid_of, in_this_process, memory_of
 from blocksar.api.jobs import Job, Request
 from blocksar.api.joint import focus_members, members_of
-from blocksar.api.plan_lines import short_dwells, undersampling
+from blocksar.api.plan_lines import outside_window, short_dwells, undersampling
 from blocksar.api.rehearsing import rehearse
 from blocksar.api.run_stages import carry_out
-from blocksar.api.shown import RunReport
+from blocksar.api.shown import RunReport, is_measurable
 from blocksar.api.tracks import control_points, track_corrected
 from blocksar.budget import FIDELITY
 from blocksar.collection.terrain import Surface
@@ -256,6 +256,7 @@ def _report_finished(folder: Place, record: RunRecord, *, discard: bool, claimed
         summary=[f"{folder} is finished already with these settings and this input: nothing to do"],
         result=record.as_json(),
         folder=folder,
+        measurable=is_measurable(record),
     )
 
 
@@ -283,9 +284,10 @@ def _focus(
     found = [
         next((line for plan in job.plans if (line := doubt(plan))), None) for doubt in (undersampling, short_dwells)
     ]
+    found += outside_window(job.plans) if job.plans else []
     if request.terrain is not None:
         found.append(coverage_note(request.terrain, job.grid))
-    if not (measurable := min(job.grid.shape) > 1):
+    if not (measurable := is_measurable(finished)):
         found.append("quality, report and export take images of at least 2 x 2 pixels; this one opens in Python only")
     notes = [f"note: {line}" for line in found if line]
     worker = "this process" if cluster.is_here(client) else "a worker"

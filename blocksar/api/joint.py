@@ -20,7 +20,7 @@ import numpy as np
 from blocksar import stores
 from blocksar.api.arguments import GridLike, Source, grid_of, history_of, sources_of
 from blocksar.api.ground import image_grid
-from blocksar.api.shown import RunReport
+from blocksar.api.shown import RunReport, is_measurable
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.sublooks import checked_count, entering_side
 from blocksar.errors import FolderError, InputError
@@ -155,13 +155,14 @@ def focus_members(focus: Focus, members: Members, arguments: Mapping[str, Any]) 
         if earlier is not None and earlier.identity == _identity(records):
             run_folder.check_finished(folder, earlier)
             done = f"{folder} is finished already with these settings and this input: nothing to do"
-            return RunReport(summary=[done], result=earlier.as_json(), folder=folder)
+            return RunReport(summary=[done], result=earlier.as_json(), folder=folder, measurable=is_measurable(earlier))
         source = str(members.histories[names[0]][0].path)
         record = _join(folder, members.dimension, source, folders, records)
         run_folder.finish(folder, record)
     lines = [f"{name}: {line}" for name, report in reports.items() for line in report.summary]
     whole = f"{folder / 'image.zarr'} has the images of {len(names)} {kinds} ({', '.join(names)})"
-    return RunReport(summary=[*lines, *members.notes, whole], result=record.as_json(), folder=folder)
+    summary = [*lines, *members.notes, whole]
+    return RunReport(summary=summary, result=record.as_json(), folder=folder, measurable=is_measurable(record))
 
 
 def _earlier(folder: Place, dimension: str, *, overwrite: bool) -> RunRecord | None:

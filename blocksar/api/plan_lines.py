@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 
 from blocksar.api.plan_tables import digits
@@ -9,6 +11,7 @@ from blocksar.api.shortfall import describe_shortfall
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid, ground_resolution
 from blocksar.collection.lit_sums import most_lit_pulses
+from blocksar.collection.region import default_grid, share_outside
 from blocksar.constants import MIB, SINC_WIDTH
 from blocksar.graph.machine import Resources, machine, pace
 from blocksar.inspection.sentences import doubted_time
@@ -85,10 +88,9 @@ def time_line(work: Work, assumed: Resources) -> str:
     seconds = effort.seconds_of(work, workers=workers, threads=assumed.threads, pace=pace())
     if not assumed.workers:
         del seconds["start"]
-    stages = ", ".join(f"{name} {time_text(value)}" for name, value in seconds.items())
     return (
         f"a run takes about {time_text(sum(seconds.values()))} on this machine {workforce(assumed)} "
-        f"({stages}), more where others use it, the disk is slow, or loops are not compiled"
+        f"({_shares(seconds)}), more where others use it, the disk is slow, or loops are not compiled"
     )
 
 
@@ -96,6 +98,23 @@ def workforce(assumed: Resources) -> str:
     """Who does the work, in words."""
     count = assumed.workers
     return f"with {count} worker{'s' if count > 1 else ''}" if count else "in one process"
+
+
+def _shares(seconds: Mapping[str, float]) -> str:
+    """Parts of a time in the unit of their sum as `time_text` tells it, which they add up to.
+
+    Examples
+    --------
+    >>> _shares({"start": 1.9, "recover": 0.6, "focus": 0.7, "mosaic": 0.1})
+    'start 2 s, recover 0 s, focus 1 s, mosaic 0 s'
+    """
+    total = sum(seconds.values())
+    step, unit = (1, "s") if total < 100 else (60, "min") if total < 6000 else (360, "h")
+    parts = {name: int(value / step) for name, value in seconds.items()}
+    left = max(round(total / step), 1) - sum(parts.values())
+    for name in sorted(seconds, key=lambda each: parts[each] - seconds[each] / step)[:left]:  # most cut off first
+        parts[name] += 1
+    return ", ".join(f"{name} {f'{count / 10:.1f}' if unit == 'h' else count} {unit}" for name, count in parts.items())
 
 
 def time_text(seconds: float) -> str:
@@ -136,6 +155,23 @@ def short_dwells(plan: Plan) -> str | None:
         f"{lit} pulses light a target at most, of {n_pulse}, and predictions hold from {SHORT_DWELL} pulses "
         "on; is beam_width in rad, and what says where the beam points?"
     )
+
+
+def outside_window(plans: Sequence[Plan]) -> list[str]:
+    """A sentence if a part of a grid that was asked for lies outside the range windows of all plans, else none."""
+    grid = plans[0].grid
+    if any(plan.geometry.collection.has_axis for plan in plans):
+        return []  # the ranges of its region are those that are lit
+    if all(plan.geometry.collection.steered and grid == default_grid(plan.geometry, plan.region) for plan in plans):
+        return []  # the corners of the box about a lit sector
+    share = share_outside([(plan.geometry, plan.region) for plan in plans], grid)
+    if share == 0:
+        return []
+    window = max(plan.geometry.collection.range_window for plan in plans)
+    return [
+        f"{100 * share:.2g} % of the grid's pixels lie outside the range window ({window:.5g} m about the reference "
+        "range) and stay NaN; move the grid, or give a smaller one"
+    ]
 
 
 def lit_pulses(geometry: Geometry, grid: Grid) -> int:

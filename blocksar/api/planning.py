@@ -20,7 +20,7 @@ from blocksar.api.arguments import (
     sources_of,
 )
 from blocksar.api.ground import read_ground
-from blocksar.api.plan_lines import lit_pulses, plan_lines, time_line, workforce
+from blocksar.api.plan_lines import lit_pulses, outside_window, plan_lines, time_line, workforce
 from blocksar.api.plan_tables import block_table, contender_table, plan_details
 from blocksar.api.shown import PlanReport
 from blocksar.budget import FIDELITY
@@ -197,7 +197,7 @@ def _report_plan(plan: Plan, assumed: Resources) -> PlanReport:
         tables=[block_table([plan])],
         details=plan_details([plan]),
         definitions=definitions.PLAN,
-        summary=[*plan_lines(plan), time_line(effort.of_plan(plan), assumed)],
+        summary=[*plan_lines(plan), *outside_window([plan]), time_line(effort.of_plan(plan), assumed)],
         refusal=plan.refusal,
         result=plan,
         geometry=plan.geometry,
@@ -215,6 +215,7 @@ def _report_segments(segments: Sequence[PlannedSegment], assumed: Resources) -> 
         blocks = f"blocks {segment.first_block} .. {segment.first_block + segment.plan.n_blocks - 1}"
         lines.append(f"segment {number} (collection {segment.collection}{pulses}, {blocks}):")
         lines += [f"  {line}" for line in plan_lines(segment.plan)]
+    lines += outside_window(plans)
     lines.append(time_line(effort.together([effort.of_plan(plan) for plan in plans]), assumed))
     return PlanReport(
         tables=[block_table(plans)],

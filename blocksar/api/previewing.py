@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from blocksar import stores
 from blocksar.api.arguments import GridLike, grid_of, history_of
 from blocksar.api.facts import grid_text
+from blocksar.api.parsing import quoted
 from blocksar.api.pulses import pulse_reader
 from blocksar.api.reports import Report, only_stage
 from blocksar.arrays import ComplexArray
@@ -90,8 +91,9 @@ def preview(
     ProcessingError
         If the file cannot be written.
     """
-    if isinstance(size, bool) or not 50 <= size <= LARGEST:
-        raise InputError(f"size = {size!r}: give 50 to {LARGEST} pixels along the longer side of the picture")
+    pixels: Any = size  # whatever it was given as
+    if isinstance(pixels, bool) or not isinstance(pixels, int | np.integer) or not 50 <= pixels <= LARGEST:
+        raise InputError(f"size = {quoted(size)}: give 50 to {LARGEST} pixels along the longer side of the picture")
     limits = None if range is None else checked_limits(parse_range(range))
     if out is not None:
         check_ending("png", str(place(out)))

@@ -13,6 +13,7 @@ from blocksar.errors import InputError
 from blocksar.places.place import Place
 from blocksar.planning.disk import run_bytes
 from blocksar.planning.plan import Plan
+from blocksar.runs.record import RunRecord
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -64,6 +65,11 @@ class PlanReport(Report):
         if isinstance(plan, Grid):
             return draw_plan(self.geometry, plan, axes=ax)
         return draw_plan(self.geometry, plan.grid, blocks=plan.blocks, region=plan.region, axes=ax)
+
+
+def is_measurable(record: RunRecord) -> bool:
+    """Whether the image of a run is more than a single row or column of pixels."""
+    return record.plan.grid is None or min(Grid(*record.plan.grid).shape) > 1
 
 
 @dataclass(frozen=True, repr=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -98,7 +99,7 @@ OF_PLAN = ("everything", "explain")  # its options that `focus` has not
 def _hint_after_plan(context: typer.Context, sources: list[str], proposal: Any) -> None:
     """Simulate a scene, or focus phase histories with the same options."""
     for source in sources:
-        shipped = "://" not in source and not Path(source).exists()
+        shipped = "://" not in source and not os.path.exists(source)
         if shipped or source.endswith(".toml"):
             hint(context, "simulate", source, "--out", f"{Path(source).stem}.zarr")
             return

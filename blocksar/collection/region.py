@@ -28,6 +28,7 @@ SIDE_ENDS = 0.02  # rad along the flight and against it, where nothing is imaged
 FULL_RANGES, FULL_YAWS = 33, 257  # at which the ground with full dwell is looked for
 MOST_SAMPLES = 1024  # of a terrain, along each axis, that are asked for their range
 MOVE = "move the grid"  # what to do about one outside the swath
+LOOKED_AT = 256  # points along a side of a grid, of which those outside the window are counted
 WINDOW_GUARD = 8  # range cells kept free at either end of the range window
 
 
@@ -279,11 +280,8 @@ def grid_extent(geometry: Geometry, region: Region, grid: Grid, owned: Owned | N
     inside_y = np.linspace(grid.y[0], grid.y[-1], 65)
     mesh_x, mesh_y = (m.ravel() for m in np.meshgrid(inside_x, inside_y))
     x, y = on_terrain(geometry, grid, np.concatenate([x, mesh_x]), np.concatenate([y, mesh_y]))
-    middle = (region.yaw[0] + region.yaw[-1]) / 2
-    yaw = middle + wrapped(geometry.yaw(x, y) - middle)
-    rng = geometry.epoch_range(x, y)
-    near, far = region.at(yaw)
-    covered = (yaw >= region.yaw[0]) & (yaw <= region.yaw[-1]) & (rng >= near) & (rng <= far)
+    yaw, rng, within_yaw, within_range = _placed(geometry, region, x, y)
+    covered = within_yaw & within_range
     if owned is not None:
         covered &= owned(x, y)
     step = np.hypot((grid.x[-1] - grid.x[0]) / 64, (grid.y[-1] - grid.y[0]) / 64)
@@ -302,6 +300,32 @@ def grid_extent(geometry: Geometry, region: Region, grid: Grid, owned: Owned | N
         near=float(rng[covered].min() - step),
         far=float(rng[covered].max() + step),
     )
+
+
+def share_outside(lit: Sequence[tuple[Geometry, Region]], grid: Grid) -> float:
+    """Share of a grid's points at lit yaws whose ranges lie outside the range window, of every collection in `lit`.
+
+    From every n-th row and column; points without a height count as within.
+    """
+    axes = (axis[:: math.ceil(axis.size / LOOKED_AT)] for axis in (grid.x, grid.y))
+    x, y = (mesh.ravel() for mesh in np.meshgrid(*axes))
+    any_yaw, held = np.zeros(x.size, bool), np.zeros(x.size, bool)
+    for geometry, region in lit:
+        _, rng, within_yaw, within_range = _placed(geometry, region, x, y)
+        any_yaw |= within_yaw
+        held |= within_yaw & within_range | ~np.isfinite(rng)
+    return float((any_yaw & ~held).mean())
+
+
+def _placed(
+    geometry: Geometry, region: Region, x: FloatArray, y: FloatArray
+) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray]:
+    """Yaw, rad, and epoch range, m, of points (n,), m, and whether a region holds the yaw, and the range there."""
+    middle = (region.yaw[0] + region.yaw[-1]) / 2
+    yaw = middle + wrapped(geometry.yaw(x, y) - middle)
+    rng = geometry.epoch_range(x, y)
+    near, far = region.at(yaw)
+    return yaw, rng, (yaw >= region.yaw[0]) & (yaw <= region.yaw[-1]), (rng >= near) & (rng <= far)
 
 
 def on_terrain(geometry: Geometry, grid: Grid, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import shorten
 
 from blocksar.collection.collection import Collection
 from blocksar.errors import InputError, ProcessingError, printable
@@ -40,5 +41,5 @@ def reading(path: Place, *, damaged: str, remedy: str) -> Iterator[None]:
     except (MemoryError, ProcessingError):
         raise
     except Exception as error:
-        cause = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+        cause = shorten(f"{type(error).__name__}: {error}", 200, placeholder=" ...")
         raise InputError(f"{path} is {damaged} ({printable(cause)}); {remedy}") from error

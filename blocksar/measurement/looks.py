@@ -58,7 +58,8 @@ def checked_looks(looks: Sequence[Any], shape: tuple[int, int]) -> tuple[int, in
     InputError
         If they are no two whole numbers above zero, or the image has no two cells along an axis.
     """
-    if len(looks) != 2 or not all(isinstance(n, int | np.integer) and n >= 1 for n in looks):
+    whole = all(isinstance(n, int | np.integer) and not isinstance(n, bool) and n >= 1 for n in looks)
+    if len(looks) != 2 or not whole:
         raise InputError(f"looks = {looks!r}: give two whole numbers above zero, pixels along y and x, such as (4, 2)")
     for name, n, side in zip("yx", shape, looks, strict=True):
         if n < 2 * side:

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 GRID_MAPPING = "spatial_ref"  # the name that rioxarray looks up first
 UNEVEN = 1e-3  # of the mean spacing, that the distance of neighbouring pixels may differ from it
+MOST_SAMPLES = 1 << 20  # of a cut
 PIECE = 32  # length in pixels of a piece of a cut; each is interpolated with a carrier of its own
 Span = tuple[float | None, float | None]
 _ENDS = (-np.inf, np.inf)  # in place of ends that are None
@@ -303,8 +304,14 @@ class SarAccessor:
         Raises
         ------
         InputError
-            If the point lies outside the image, `azimuth` is not finite, or `length` or `samples` give no line.
+            If a value is no number, the point lies outside the image, `azimuth` is not finite, or `length` or `samples`
+            give no line.
         """
+        x, y, length = _number("x", x), _number("y", y), _number("length", length)
+        azimuth = None if azimuth is None else _number("azimuth", azimuth)
+        count: Any = samples  # whatever it was given as
+        if isinstance(count, bool) or not isinstance(count, int | np.integer) or count > MOST_SAMPLES:
+            raise InputError(f"samples is {samples!r:.80}; give a whole number of points, at most {MOST_SAMPLES}")
         if not 0 < length < np.inf or samples < 2:
             raise InputError(f"a cut of {length:g} m in {samples} samples is no line; give more than 0 m and 1 sample")
         if azimuth is not None and not np.isfinite(azimuth):
@@ -342,6 +349,13 @@ class SarAccessor:
         image = self._image
         descending = [name for name in "xy" if image[name].size > 1 and image[name].values[0] > image[name].values[-1]]
         return image.isel({name: slice(None, None, -1) for name in descending})
+
+
+def _number(name: str, value: Any) -> float:
+    """A parameter as a number."""
+    with suppress(TypeError, ValueError, OverflowError):
+        return float(value)
+    raise InputError(f"{name} is {value!r:.80}; give a number")
 
 
 def _history_facts(collection: Collection) -> list[tuple[str, str]]:

@@ -10,6 +10,8 @@ from heapq import heapreplace
 
 from blocksar.progress.listening import Work
 
+LEAST_WORK = 0.5  # s predicted, from which units tell the pace of other stages
+
 
 def finishing_times(costs: Sequence[float], workers: int) -> list[float]:
     """Return when units finish, ascending, if they start in order, each as soon as a worker is free.
@@ -221,7 +223,12 @@ class Estimate:
         return bool(self.stages) and all(stage.finished for stage in self.stages.values())
 
     def _pace(self) -> float | None:
-        """Return the actual seconds per predicted second so far."""
+        """Return the actual seconds per predicted second so far.
+
+        Little work takes mostly what is not predicted, such as the start of its tasks: what it lacks of LEAST_WORK is
+        taken at the predicted pace.
+        """
         parts = [stage.measured() for stage in self.stages.values() if stage.costs is not None]
         seconds, predicted = (sum(part) for part in zip(*parts, strict=True)) if parts else (0.0, 0.0)
-        return seconds / predicted if predicted else None
+        unknown = max(LEAST_WORK - predicted, 0.0)
+        return (seconds + unknown) / (predicted + unknown) if predicted else None

@@ -15,6 +15,8 @@ from typing import Any
 
 from blocksar.errors import InputError
 
+METADATA = ("zarr.json", ".zgroup", ".zarray")  # one of which each folder of a zarr store has
+
 
 class Log:
     """Appends JSON objects (RFC 8259) to a file, one per line. A full disk costs lines, but does not stop the run.
@@ -28,6 +30,8 @@ class Log:
     def __init__(self, path: str | Path) -> None:
         self.path = path
         self.trouble: str | None = None  # the first failure to write, if any
+        if (store := _store_about(path)) is not None:
+            raise InputError(f"--json-log {str(path)!r} lies in the store {str(store)!r}; give a file outside it")
         try:
             self._file = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
         except (OSError, ValueError) as error:
@@ -73,6 +77,14 @@ class Log:
     def close(self) -> None:
         with suppress(OSError):
             os.close(self._file)
+
+
+def _store_about(path: str | Path) -> Path | None:
+    """The zarr store that a path lies in; None if it lies in none. A log would be a stranger among its chunks."""
+    with suppress(OSError, ValueError):
+        folders = Path(os.path.realpath(path)).parents
+        return next((each for each in folders if any((each / name).exists() for name in METADATA)), None)
+    return None
 
 
 def _valid(value: Any) -> Any:

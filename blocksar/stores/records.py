@@ -81,6 +81,8 @@ def read_json(path: Location) -> Any:
         if isinstance(place, LocalPlace):
             refuse_odd_file(place.path)
         return json.loads(place.read_bytes())
+    except InputError:
+        raise
     except FileNotFoundError:
         raise InputError(f"{path} does not exist; check the path") from None
     except OSError as error:

@@ -52,6 +52,10 @@ MISTAKES = {
         "simulate scene.toml --out new.zarr --json-log scene.toml",
         "--json-log 'scene.toml' holds something else than a log; give another file",
     ),
+    "a log in the phase history": (
+        "preview ph.zarr --out new.png --json-log ph.zarr/time/log.jsonl",
+        "lies in the store '",
+    ),
     "a phase history for targets": ("quality run --targets ph.zarr", "ph.zarr is no regular file; give [{"),
     "a misspelt scene": ("plan tabel1", "tabel1 does not exist; did you mean table1?"),
     "no grid for a beam that is not steered": (

@@ -10,7 +10,8 @@ import pytest
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
-from blocksar.collection.region import plan_region
+from blocksar.collection.region import WINDOW_GUARD, plan_region, share_outside
+from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 
 GRID = Grid(7e3, 7.1e3, 1.0, 8e3, 8.1e3, 1.0)
@@ -48,3 +49,20 @@ def test_pixels_on_one_ray_have_a_region(small_collection: Collection, n: int) -
     geometry = Geometry(collection=replace(collection, reference_range=following))
     region = plan_region(geometry, grid)
     assert region.yaw[0] < np.pi / 2 - 0.5 / 8e3 and np.pi / 2 + 0.5 / 8e3 < region.yaw[-1] < np.pi / 2 + 2 / 8e3
+
+
+def test_pixels_whose_ranges_leave_the_window_are_counted(small_collection: Collection) -> None:
+    """Against the ranges of every pixel to every tenth antenna position."""
+    collection, grid = passing(small_collection), Grid(6.8e3, 7.4e3, 5.0, 7.9e3, 8.4e3, 5.0)
+    centre = np.array([7.05e3, 8.05e3, 0.0])
+    following = np.linalg.norm(collection.antenna_position - centre, axis=1)
+    collection = replace(collection, reference_range=following)
+    geometry = Geometry(collection=collection)
+    x, y = np.meshgrid(grid.x, grid.y)
+    points = np.stack([x, y, np.zeros(x.shape)], axis=-1).reshape(-1, 1, 3)
+    away = np.linalg.norm(points - collection.antenna_position[::10], axis=-1) - following[::10]
+    half = collection.range_window / 2 - WINDOW_GUARD * SPEED_OF_LIGHT / (2 * collection.bandwidth)
+    outside = float((np.abs(away).max(axis=1) > half).mean())
+    assert 0.2 < outside < 0.8
+    assert share_outside([(geometry, plan_region(geometry, grid))], grid) == pytest.approx(outside, abs=0.01)
+    assert share_outside([(geometry, plan_region(geometry, GRID))], GRID) == 0

@@ -145,6 +145,7 @@ def test_an_image_of_one_row_opens_and_says_what_it_lacks(store: Path, tmp_path:
     grid = ((x - 20.0, x + 20.0, 1.0), (y, y + 0.5, 1.0))
     report = blocksar.focus(history, tmp_path / "row", grid=grid, **SETTINGS)
     assert not report.measurable
+    assert not blocksar.focus(history, tmp_path / "row", grid=grid, **SETTINGS).measurable  # it is finished already
     assert blocksar.info(tmp_path / "row").result["next"] == []
     assert (
         report.summary[-1]

@@ -59,7 +59,7 @@ def test_zero_is_dark_and_not_missing() -> None:
     assert decibels(np.array([1.0, 0.0, 100.0], np.float32)).tolist() == pytest.approx([0.0, -300.0, 20.0], abs=1e-4)
 
 
-@pytest.mark.parametrize("looks", [(0, 1), (2,), (1.5, 2), (60, 1), (1, 60)])
+@pytest.mark.parametrize("looks", [(0, 1), (2,), (1.5, 2), (True, 2), ("a", 2), (60, 1), (1, 60)])
 def test_wrong_looks_are_refused(looks: Any) -> None:
     with pytest.raises(InputError, match="looks"):
         checked_looks(looks, (100, 100))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from distributed import Client
 from quality_bar import planned
-from scenes import scene
+from scenes import UNSTEERED_SCENE, scene
 
 import blocksar
 from blocksar.api import plan_lines
@@ -196,3 +196,11 @@ def test_range_gates_share_their_delays_and_divide_the_spectrum_into_whole_chunk
     assert [each.count for each in made[1:]] == [block.n_bin for block in plan.blocks]
     whole = plan_collection(Scene.parse(scene()).collection().centred(), blocks=2)
     assert whole.gating_memory == 0 and not whole.gate_spans() and "gated" not in run_bytes(whole)
+
+
+def test_a_part_of_the_grid_beyond_the_range_window_is_told(tmp_path: Path) -> None:
+    (tmp_path / "scene.toml").write_text(UNSTEERED_SCENE)
+    inside, beyond = ((5840.0, 5880.0, 1.0), (2120.0, 2160.0, 1.0)), ((5600.0, 6100.0, 1.0), (2120.0, 2160.0, 1.0))
+    told = [" ".join(blocksar.plan(tmp_path / "scene.toml", grid=grid).summary) for grid in (inside, beyond)]
+    assert "range window" not in told[0]
+    assert "% of the grid's pixels lie outside the range window (" in told[1]

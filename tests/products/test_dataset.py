@@ -112,10 +112,16 @@ def test_a_span_that_is_not_two_numbers_is_refused(span: Any, made: Made) -> Non
         collection.sar.crop(x=(0.0, 1.0))
 
 
-@pytest.mark.parametrize("wrong", [{"length": np.inf}, {"azimuth": np.nan}, {"azimuth": np.inf}])
-def test_a_cut_with_non_finite_parameters_is_refused(wrong: Any, made: Made) -> None:
-    with blocksar.open(made.folder) as opened, pytest.raises(InputError, match=r"is no line|azimuth is"):
-        opened.sar.cut(0.0, 0.0, **wrong)
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"length": np.inf}, {"azimuth": np.nan}, {"azimuth": np.inf}, {"x": "a"}, {"y": None}, {"azimuth": "east"},
+        {"length": [1, 2]}, {"samples": "many"}, {"samples": 10.5}, {"samples": 10**12},
+    ],
+)  # fmt: skip
+def test_a_cut_with_wrong_parameters_is_refused(wrong: Any, made: Made) -> None:
+    with blocksar.open(made.folder) as opened, pytest.raises(InputError, match=rf"is no line|{next(iter(wrong))} is"):
+        opened.sar.cut(**{"x": 0.0, "y": 0.0, **wrong})
 
 
 @pytest.mark.filterwarnings("error")

@@ -139,6 +139,19 @@ def test_the_announced_work_is_divided_among_a_different_number_of_units() -> No
     assert estimate.left() == pytest.approx(12.0 / 11 * 6)  # two workers, six rounds
 
 
+def test_little_work_does_not_tell_the_pace_of_much() -> None:
+    """A small run: starting its tasks takes all of the time, and then the end was foretold in half a minute."""
+    clock = Clock()
+    estimate = Estimate(clock)
+    estimate.expect({"recover": [0.001] * 4, "focus": [0.01], "finish": [0.8]}, 1)
+    for stage, count in (("recover", 4), ("focus", 1)):
+        for done in range(count + 1):
+            estimate.update(stage, done, count)
+            clock.now += 0.1
+    left = estimate.left()
+    assert left is not None and left < 1.5
+
+
 def test_cancelled_stages_are_removed() -> None:
     estimate = Estimate(Clock())
     estimate.expect({"focus": [1.0], "draw": [1.0]}, 1)

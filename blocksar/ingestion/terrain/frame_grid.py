@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,6 +16,9 @@ from blocksar.ingestion.reading import reading
 from blocksar.places import Location, place
 from blocksar.places.place import Place
 from blocksar.stores.schema import UNITS
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 UNIFORM = 1e-4  # of a step: by so much positions may be off a uniform axis
 ENCODED = {"scale_factor", "add_offset", "missing_value"}  # attributes of numbers that stand for others
@@ -65,10 +69,7 @@ def _read_plain(path: Place, x: tuple[float, float], y: tuple[float, float]) -> 
 
 def _read_any(path: Place, x: tuple[float, float], y: tuple[float, float]) -> Terrain:
     """Read zarr or netCDF with any encoding, order of axes, and direction."""
-    import xarray as xr
-
-    opened = xr.open_zarr(path.zarr_path(), consolidated=False) if path.names() else xr.open_dataset(str(path))
-    with opened as dataset:
+    with _opened(path) as dataset:
         if "height" not in dataset or set(dataset["height"].dims) != {"y", "x"}:
             raise InputError(f"{path} has no height (y, x); {REMEDY}")
         height = dataset["height"].transpose("y", "x")
@@ -82,6 +83,22 @@ def _read_any(path: Place, x: tuple[float, float], y: tuple[float, float]) -> Te
         columns, rows = terrain.span(x, y)
         values = np.ascontiguousarray(height.isel(y=rows, x=columns).values, np.float64)
     return replace(terrain, heights=values, row=rows.start, column=columns.start)
+
+
+def _opened(path: Place) -> xr.Dataset:
+    """Open zarr, or netCDF of any kind that an installed library reads."""
+    import xarray as xr  # slow to load
+
+    if path.names():
+        return xr.open_zarr(path.zarr_path(), consolidated=False)
+    try:
+        return xr.open_dataset(str(path))
+    except ValueError as error:
+        if "backend" not in str(error):
+            raise
+        raise InputError(
+            f"{path} is no netCDF file that an installed library reads (netCDF 4 needs h5netcdf or netCDF4); {REMEDY}"
+        ) from error
 
 
 def _window_of(
