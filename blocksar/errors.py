@@ -6,6 +6,7 @@ import re
 from typing import Any
 
 FLAGS = ("overwrite", "reference", "dry-run", "raw", "cphd")  # options without a value
+LONG_WORD, SHORT = re.compile(r"\S{300,}"), 60  # in a message, of which as many characters at either end are shown
 OPTION = re.compile(r"(?<![^\s(\[\"'`>])--([a-z]+(?:-[a-z]+)*)")
 
 
@@ -33,7 +34,7 @@ class InputError(ValueError):
     """The user's input is wrong: one sentence with the field, the value and the remedy (exit status 2)."""
 
     def __init__(self, message: str) -> None:
-        super().__init__(printable(message))
+        super().__init__(LONG_WORD.sub(lambda word: f"{word[0][:SHORT]}...{word[0][-SHORT:]}", printable(message)))
 
 
 class PrfTooLow(InputError):

@@ -150,7 +150,9 @@ def export(
     if kind == "sicd":
         lines = sicd.write(source, out, overwrite=overwrite, progress=callback)
     elif kind == "geotiff":
-        pixels = pixels_of(source, content=content, looks=parse_looks(looks or (1, 1)), scale=scale, limits=limits)
+        pixels = pixels_of(
+            source, content=content, looks=parse_looks((1, 1) if looks is None else looks), scale=scale, limits=limits
+        )
         lines = geotiff.write(pixels, out, crs=crs, overwrite=overwrite, progress=callback)
     else:
         lines = _pictures("quicklook").write(

@@ -23,6 +23,10 @@ FEWEST = 2  # places on which anything can be said
 SIGNIFICANT = 30.0  # times 1 / n: concentration that chance does not give
 SHARPER = 1.02  # times the concentration as given: an alternative that is believed
 MIRRORED = 1.2  # the same under a beam about its axis: flown backwards on a straight line, the image is mirrored
+# Under a beam that is not steered, conjugated, reversed or swapped data give a mirrored image, nearly as sharp.
+# Places with more than this share of the concentration after a refocus are blurred by nothing, and differ from others
+# by chance.
+SETTLED = 0.98
 FOCUSED = 0.5  # median concentration of points: an alternative with less is believed only if its best places gain
 BEST, BEST_SHARPER = 2, 1.25  # number of these, and times the concentration of the best as given
 AS_REFOCUSED = 0.95  # of the concentration after a refocus, that it reaches as well
@@ -103,6 +107,8 @@ class Findings:
         Times the concentration as given, from which an alternative is believed.
     points : Points or None
         What judges the track.
+    steered : bool
+        Whether the beam is.
     """
 
     trials: tuple[Trial, ...]
@@ -112,6 +118,7 @@ class Findings:
     remedy: str
     sharper: float = SHARPER
     points: Points | None = None
+    steered: bool = True
 
     @property
     def given(self) -> Trial:
@@ -131,6 +138,8 @@ class Findings:
             return None
         if not self.given.places:
             return best
+        if not self.steered and self.given.sharpness > max(FOCUSED, SETTLED * self.refocused):
+            return None
         if best.sharpness < FOCUSED and best.best < BEST_SHARPER * self.given.best:
             return None  # most places are clutter, whose concentration differs by chance
         gain = np.subtract.outer(best.concentration, self.given.concentration)
@@ -253,7 +262,7 @@ def check(
         remedy = good[0].remedy if good else "mend the track from the data (autofocus)"
     findings = Findings(
         (first,), refocused, left, cause, remedy, sharper=MIRRORED if collection.has_axis else SHARPER,
-        points=points,
+        points=points, steered=collection.steered,
     )  # fmt: skip
     if thorough or first.places >= FEWEST:
         doubtful = first.sharpness < CLEAR or first.significance < SIGNIFICANT or findings.sharpness < SHARP

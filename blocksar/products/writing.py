@@ -6,6 +6,7 @@ and no process holds the whole image.
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -33,9 +34,9 @@ def replacing(out: Location, *, overwrite: bool) -> Iterator[str]:
         raise InputError(
             f"{target} is no local path, and products are written only to local paths; copy the file there afterwards"
         )
-    if target.path.is_dir():
+    if os.path.isdir(target.path):
         raise InputError(f"{target} is a folder; give --out the name of a file")
-    if target.exists() and not target.path.is_file():
+    if target.exists() and not os.path.isfile(target.path):
         raise InputError(f"{target} is no regular file, and is not replaced; choose another name")
     if target.exists() and not overwrite:
         raise InputError(f"{target} exists; choose another name, or have it overwritten (--overwrite)")
@@ -53,4 +54,6 @@ def replacing(out: Location, *, overwrite: bool) -> Iterator[str]:
     except (PermissionError, NotADirectoryError, FileExistsError) as error:
         raise InputError(f"{target} cannot be written ({error.strerror}); choose another name") from error
     except OSError as error:
+        if error.errno == errno.ENAMETOOLONG:
+            raise InputError(f"{target} cannot be written ({error.strerror}); choose a shorter name") from error
         raise ProcessingError(f"{target} cannot be written ({error.strerror or error})") from error

@@ -183,7 +183,7 @@ def test_what_is_no_terrain_is_refused_with_figures(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="is in feet"):
         read_frame_grid(frame_file(tmp_path / "feet.nc", units="feet"), X, Y)
     (tmp_path / "text.nc").write_text("no heights")
-    with pytest.raises(InputError, match="is no netCDF file that an installed library reads .* give zarr or netCDF"):
+    with pytest.raises(InputError, match=r"is no netCDF file that an installed library reads .* give zarr or netCDF"):
         read_frame_grid(tmp_path / "text.nc", X, Y)
     with pytest.raises(InputError, match="does not exist"):
         read_frame_grid(tmp_path / "absent.nc", X, Y)

@@ -282,3 +282,13 @@ def test_clutter_that_differs_by_chance_is_not_believed(
     trials = Trial("as given", "", given, 100.0), Trial("the beam is off", "move it", other, 100.0)
     found = Findings(trials, float(np.median(given)), 0.1, "", "")
     assert (found.better is not None) == believed and (found.warning() is not None) == believed
+
+
+@pytest.mark.parametrize(
+    ("steered", "refocused", "believed"), [(True, 0.65, True), (False, 0.65, False), (False, 0.7, True)]
+)
+def test_a_mirrored_image_is_believed_only_if_a_refocus_gains(steered: bool, refocused: float, believed: bool) -> None:
+    """True samples of a measured spotlight had 0.65, a refocus gained nothing, and with x and y swapped it was 0.83."""
+    trials = Trial("as given", "", (0.65,) * 12, 100.0), Trial("x and y are swapped", "swap them", (0.83,) * 12, 100.0)
+    found = Findings(trials, refocused, 0.1, "", "", steered=steered)
+    assert (found.warning() is not None) == believed

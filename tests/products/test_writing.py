@@ -163,6 +163,10 @@ def test_export_of_an_image_of_one_row_is_refused(tmp_path: Path) -> None:
 def test_invalid_sources_are_refused(made: Made, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"holds no run\.json"):
         blocksar.export("png", tmp_path, tmp_path / "a.png")
+    with pytest.raises(InputError, match=r"\.\.\.a{56}\.png cannot be written .* choose a shorter name$"):
+        blocksar.export("png", made.folder, f"{'a' * 5000}.png")
+    with pytest.raises(InputError, match="looks = ''"):
+        blocksar.export("geotiff", made.folder, tmp_path / "a.tif", looks="")
     with pytest.raises(InputError, match="kind is 'jpeg'"):
         blocksar.export("jpeg", made.folder, tmp_path / "a.jpeg")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="option of geotiff only"):
