@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -60,7 +60,8 @@ def carry_out(
         with recording.record_performance(client, profile, listener):
             # Beside the first stage: the check takes a few samples, and the stage's tasks run in other processes.
             checked = stack.enter_context(checking(job, beside=not cluster.is_here(client)))
-            record = _run_stages(client, job, run, record, checked, listener, input_read)
+            course = _Course(client=client, job=job, run=run, checked=checked, listener=listener, input_read=input_read)
+            record = _run_stages(course, record)
         listener.watch((), NOBODY)
         listener.begin("finish")
     record = replace(
@@ -76,76 +77,101 @@ def carry_out(
     return record
 
 
-def _run_stages(
-    client: Client,
-    job: Job,
-    run: Run,
-    record: RunRecord,
-    checked: Callable[[], list[Check]],
-    listener: Listener,
-    input_read: Callable[[], None],
-) -> RunRecord:
-    """Carry out all stages; return the record with their receipts and durations, and the findings in the samples.
+@dataclass(frozen=True, kw_only=True)
+class _Course:
+    """What the stages of a run share: where they run, for which job, who listens, and how long they have taken."""
 
-    Calls `input_read` once all of the input has been read and accepted.
-    """
-    clock = [time.perf_counter()]
+    client: Client
+    job: Job
+    run: Run
+    checked: Callable[[], list[Check]]  # the findings in the samples, once they are known
+    listener: Listener
+    input_read: Callable[[], None]  # to be called once all of the input has been read and accepted
+    timings: dict[str, float] = field(default_factory=dict)  # s, of each stage
+    started: list[float] = field(default_factory=lambda: [time.perf_counter()])
 
-    def lap() -> float:
-        clock.append(time.perf_counter())
-        return clock[-1] - clock[-2]
+    def end(self, stage: str) -> None:
+        """Note how long a stage has taken since the end of the one before."""
+        self.started.append(time.perf_counter())
+        self.timings[stage] = self.started[-1] - self.started[-2]
 
+    def accept(self, record: RunRecord, read: Sequence[Recovered]) -> RunRecord:
+        """Add what was found in the samples to the record, and create the image without pixels."""
+        record = add_findings(self.job, record, read, self.checked, self.listener)
+        self.run.establish(self.run.image, lambda: _create_image(self.run, self.job, record))
+        self.end("check")
+        return record
+
+
+def _run_stages(course: _Course, record: RunRecord) -> RunRecord:
+    """Carry out all stages; return the record with their receipts and durations, and the findings in the samples."""
+    job, run = course.job, course.run
     for segment in job.segments:
         own = segment.of(run)
         run.establish(own.described, partial(_write_collection, own, segment))
     for heights, path in ((job.request.terrain, run.terrain), (job.request.surroundings, run.surroundings)):
         if heights is not None:
             run.establish(path, partial(stores.write_terrain, path, heights))
-    timings: dict[str, float] = {}
-    segments, compressed = stages.compress_raw(client, job.segments, run, listener)
-    if job.exact:
-        inspected = stages.inspect_samples(client, segments, run, listener)
-        read = _joined(compressed, inspected)
-        timings["inspect"] = lap()
-        record = add_findings(job, record, read, checked, listener)
-        run.establish(run.image, lambda: _create_image(run, job, record))
-        timings["check"] = lap()
-        input_read()
-        weighting = job.request.weighting
-        noises = job.noises([each.inspection.lit for each in read])
-        inspections = [inspection for _, inspection in read]
-        formed = stages.back_project(client, segments, job.grid, inspections, weighting, noises, run, listener)
-        timings["backprojection"] = lap()
-        return replace(record, receipts=(*_receipts_of(read), *formed), timings=timings)
+    segments, compressed = stages.compress_raw(course.client, job.segments, run, course.listener)
+    form_image = _back_project if job.exact else _focus_blocks
+    record, receipts = form_image(course, record, segments, compressed)
+    return replace(record, receipts=receipts, timings=course.timings)
+
+
+def _back_project(
+    course: _Course, record: RunRecord, segments: Sequence[Segment], compressed: Sequence[Sequence[Receipt]]
+) -> tuple[RunRecord, tuple[Receipt, ...]]:
+    """Form the image by exact back-projection, straight from the samples."""
+    client, job, run, listener = course.client, course.job, course.run, course.listener
+    read = _joined(compressed, stages.inspect_samples(client, segments, run, listener))
+    course.end("inspect")
+    record = course.accept(record, read)
+    course.input_read()
+    inspections = [each.inspection for each in read]
+    noises = job.noises([inspection.lit for inspection in inspections])
+    formed = stages.back_project(
+        client, segments, job.grid, inspections, job.request.weighting, noises, run, listener
+    )  # fmt: skip
+    course.end("backprojection")
+    return record, (*_receipts_of(read), *formed)
+
+
+def _focus_blocks(
+    course: _Course, record: RunRecord, segments: Sequence[Segment], compressed: Sequence[Sequence[Receipt]]
+) -> tuple[RunRecord, tuple[Receipt, ...]]:
+    """Form the image by a chain: recover the spectrum, focus its blocks, lay them side by side."""
+    client, job, run, listener = course.client, course.job, course.run, course.listener
     recovered = _joined(compressed, stages.recover(client, segments, run, listener))
-    timings["recover"] = lap()
-    record = add_findings(job, record, recovered, checked, listener)
-    run.establish(run.image, lambda: _create_image(run, job, record))
-    timings["check"] = lap()
+    course.end("recover")
+    record = course.accept(record, recovered)
     reads_later = any(plan.completed for plan in job.plans)  # the edges of dwells, from the samples
     if not reads_later:
-        input_read()
+        course.input_read()
     gated = stages.gate_ranges(client, segments, run, recovered, listener)
     if any(gated):
-        timings["gate"] = lap()
+        course.end("gate")
     receipts = [(*each.receipts, *some) for each, some in zip(recovered, gated, strict=True)]
     inspections = [each.inspection for each in recovered]
     noises = job.noises([inspection.lit for inspection in inspections])
     focused = stages.focus_blocks(client, segments, run, receipts, inspections, noises, listener)
-    timings["focus"] = lap()
+    course.end("focus")
     if reads_later:
-        input_read()
+        course.input_read()
     if job.request.discard:
-        for segment, some in zip(segments, receipts, strict=True):
-            own = segment.of(run)
-            own.discard(own.spectrum, some)
-            for block in segment.planned.blocks:
-                if block.range_gate is not None:
-                    own.discard(own.gated(block.name), some)
+        _discard_spectra(run, segments, receipts)
     merged = stages.mosaic(client, segments, run, focused, noises, listener)
-    timings["mosaic"] = lap()
-    every = (*_receipts_of(recovered), *chain(*gated), *focused.patches, *merged)
-    return replace(record, receipts=every, timings=timings)
+    course.end("mosaic")
+    return record, (*_receipts_of(recovered), *chain(*gated), *focused.patches, *merged)
+
+
+def _discard_spectra(run: Run, segments: Sequence[Segment], receipts: Sequence[Sequence[Receipt]]) -> None:
+    """Remove the spectra of the whole scene, and what range gates kept of them."""
+    for segment, some in zip(segments, receipts, strict=True):
+        own = segment.of(run)
+        own.discard(own.spectrum, some)
+        for block in segment.planned.blocks:
+            if block.range_gate is not None:
+                own.discard(own.gated(block.name), some)
 
 
 def _write_collection(run: Run, segment: Segment) -> None:
