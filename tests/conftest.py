@@ -17,7 +17,18 @@ from blocksar.collection.collection import Collection
 from blocksar.graph.cluster import open_client
 
 # Files that take longest, first: two processes that share the files then end at about the same time.
-FIRST = ("end_to_end", "workflows", "bad_input", "deploy")
+FIRST = (
+    "end_to_end",
+    "bad_input",
+    "workflows",
+    "inspection",
+    "runs",
+    "stores",
+    "products",
+    "deploy",
+    "ingestion",
+    "planning",
+)
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -43,7 +43,8 @@ def scene(folder: Path, mode: str) -> Path:
     return path
 
 
-@pytest.mark.parametrize("mode", ["spotlight", "tops"])
+# planning/test_axis_beams.py compares the sums of spotlights with back-projection.
+@pytest.mark.parametrize("mode", [pytest.param("spotlight", marks=pytest.mark.slow), "tops"])
 def test_a_run_is_sharp_and_coherent_with_back_projection(mode: str, client: Client, tmp_path: Path) -> None:
     store = blocksar.simulate(scene(tmp_path, mode), tmp_path / "phase_history.zarr")
     report = blocksar.focus(store, tmp_path / "run", grid=GRID, client=client)

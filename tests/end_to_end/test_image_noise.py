@@ -31,7 +31,7 @@ SCENES = {
 
 @pytest.mark.parametrize(("name", "processor", "weighting"), [
     pytest.param("table1", "angular-division", "uniform", marks=pytest.mark.slow),
-    ("table1", "angular-division", "taylor:4:-35"),
+    pytest.param("table1", "angular-division", "taylor:4:-35", marks=pytest.mark.slow),  # as "tops"
     ("tops", "angular-division", "taylor:4:-35"),
     pytest.param("tops", "keystone-resampling", "uniform", marks=pytest.mark.slow),
     ("sliding", "backprojection", "taylor:4:-35"),

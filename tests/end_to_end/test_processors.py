@@ -37,7 +37,7 @@ class Ground(NamedTuple):
 
 # Of papers B and C the whole of the azimuth and half of the range: test_papers.py has the papers' own scenes in full.
 GROUNDS = {
-    "table1": Ground(scene(steering=(44.75, 55.25), duration=0.4, swath=[29500.0, 30500.0]), None, 4.0, 0.995, 3),
+    "table1": Ground(scene(steering=(44.75, 55.25), duration=0.4, swath=[29700.0, 30300.0]), None, 4.0, 0.995, 3),
     "scan reversed": Ground(
         scene(steering=(55.25, 44.75), duration=0.4, swath=[29500.0, 30500.0]), None, 4.0, 0.995, 3
     ),

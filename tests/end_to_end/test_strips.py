@@ -57,30 +57,28 @@ def against_back_projection(run: Path, store: Path, rows: slice) -> tuple[float,
     return abs(coherence(found, exact).coherence), float(np.ptp([part.phase for part in parts]))
 
 
-def test_segments_have_no_seam(
+def test_segments_of_a_resumed_run_have_no_seam(
     store: Path, cut: None, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupted(*_: Any) -> Any:
         raise KeyboardInterrupt
 
-    whole, again = tmp_path / "whole", tmp_path / "again"
-    blocksar.focus(store, whole, grid=GRID, client=client)
-    image = blocksar.open(whole)
+    run = tmp_path / "run"
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(stages, "mosaic", interrupted)
+        blocksar.focus(store, run, grid=GRID, client=client)
+    report = blocksar.focus(store, run, grid=GRID, client=client)
+    assert "went on from an unfinished run" in report.summary[0]
+    image = blocksar.open(run)
     assert "collection" not in image
     assert np.isfinite(image.image.values.real).all()
     block = image.block.values
     assert (block[:80] < 4).all() and (block[-80:] >= 4).all()  # the seam lies in the middle of the strip
-    measured, jump = against_back_projection(whole, store, slice(None))
+    measured, jump = against_back_projection(run, store, slice(None))
     assert measured > 0.999 and jump < 0.02
-    record = json.loads((whole / "run.json").read_text())
+    record = json.loads((run / "run.json").read_text())
     assert [tuple(segment["pulses"]) for segment in record["segments"]] == list(SPANS)
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(stages, "mosaic", interrupted)
-        blocksar.focus(store, again, grid=GRID, client=client)
-    report = blocksar.focus(store, again, grid=GRID, client=client)
-    assert "went on from an unfinished run" in report.summary[0]
-    assert stores.checksum(blocksar.open(again).image.values) == stores.checksum(image.image.values)
-    chips = blocksar.quality(whole, reference=True).result["reference"]
+    chips = blocksar.quality(run, reference=True).result["reference"]
     assert min(chip["coherence"] for chip in chips if chip["full_dwell"]) > 0.999
 
 

@@ -207,6 +207,7 @@ elevation_width_deg = 4.0"""
 NOISE = 1e-6  # mean squared magnitude, of each sample
 
 
+@pytest.mark.slow  # test_burst_on_the_earth.py has such a beam over hills
 def test_clutter_on_hills_under_a_beam_about_its_axis_is_that_of_back_projection(
     tmp_path: Path, client: Client
 ) -> None:

@@ -53,7 +53,7 @@ def write(folder: Path, name: str, *, targets: bool) -> tuple[Path, Any]:
     return Path(blocksar.simulate(folder / "scene.toml", folder / "ph.zarr")), grid
 
 
-@pytest.mark.parametrize("name", ["steered", "scan reversed", "unsteered"])
+@pytest.mark.parametrize("name", ["steered", pytest.param("scan reversed", marks=pytest.mark.slow), "unsteered"])
 def test_weighted_targets_have_the_ideal_response(name: str, client: Client, tmp_path: Path) -> None:
     store, grid = write(tmp_path, name, targets=True)
     blocksar.focus(store, tmp_path / "run", blocks=2, grid=grid, weighting=TAYLOR.text, client=client)
@@ -76,7 +76,7 @@ def test_weighted_targets_have_the_ideal_response(name: str, client: Client, tmp
 
 @pytest.mark.parametrize(("name", "azimuth", "least"), [
     ("steered", "taylor:4:-35", 50.0),
-    ("steered", "hann", 51.0),
+    pytest.param("steered", "hann", 51.0, marks=pytest.mark.slow),  # as "taylor:4:-35"
     pytest.param("scan reversed", "hamming", 50.0, marks=pytest.mark.slow),  # "wide band" and "steered" cover it
     ("a patch that the beam lights all at once", "taylor:4:-35", 50.0),
     ("unsteered", "taylor:4:-35", 57.0),

@@ -24,7 +24,7 @@ from typing import Any
 
 from scenes import write_store
 
-GRID = ((15620.0, 16600.0, 0.1), (18680.0, 19720.0, 140.0))  # m: chunks in one row, three tasks of the mosaic
+GRID = ((15620.0, 16600.0, 0.1), (18680.0, 19720.0, 390.0))  # m: chunks in one row, three tasks of the mosaic
 SETTINGS: dict[str, Any] = {"blocks": 3, "coefficients": "closed-form", "grid": GRID}  # planning takes almost no time
 STAGES = ("recover", "focus", "mosaic")
 SCENE: dict[str, Any] = {  # 400 pulses of 1777 range frequencies: four column groups, three blocks

@@ -1082,7 +1082,7 @@ def test_flipped_bytes_of_header_xml_and_vectors(base: Base, tmp_path: Path) -> 
     rng = np.random.default_rng(6)
     path, out = tmp_path / "flipped.cphd", tmp_path / "flipped.zarr"
     told = 0
-    for trial in range(150):
+    for trial in range(75):
         first, stop = ends[trial % 3], ends[trial % 3 + 1]
         changed = bytearray(data)
         for place in rng.integers(first, stop, 1 + trial % 3):
@@ -1098,7 +1098,7 @@ def test_flipped_bytes_of_header_xml_and_vectors(base: Base, tmp_path: Path) -> 
         else:
             stores.open_phase_history(out)
             shutil.rmtree(out)
-    assert told > 40
+    assert told > 20
 
 
 def test_truncations(base: Base, tmp_path: Path) -> None:

@@ -70,7 +70,7 @@ def run(signal: ComplexArray, collection: Collection, grid: Grid | None, *, thor
 
 
 @pytest.mark.parametrize("kind", ["steered", "spotlight"])
-@pytest.mark.parametrize("thorough", [False, True])
+@pytest.mark.parametrize("thorough", [pytest.param(False, marks=pytest.mark.slow), True])  # more trials
 def test_right_samples_pass(kind: str, thorough: bool, request: pytest.FixtureRequest) -> None:
     findings = run(*request.getfixturevalue(kind), thorough=thorough)
     assert findings.speaks

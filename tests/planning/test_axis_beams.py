@@ -76,7 +76,10 @@ def focus(plan: Plan, signal: ComplexArray) -> ComplexArray:
     return image
 
 
-@pytest.mark.parametrize("mode", MODES)
+# The sliding spotlight is focused with weights below.
+@pytest.mark.parametrize(
+    "mode", [pytest.param(m, marks=pytest.mark.slow) if m == "sliding spotlight" else m for m in MODES]
+)
 def test_a_chain_focuses_as_back_projection_does(mode: str) -> None:
     collection = axis_collection(mode, n_pulse=900)
     grid = grid_of(collection)
@@ -165,7 +168,7 @@ def relative_error(found: ComplexArray, wanted: ComplexArray, where: BoolArray) 
 
 
 @pytest.mark.parametrize(("mode", "patterns", "blocks"), [
-    ("stripmap", False, 2),
+    pytest.param("stripmap", False, 2, marks=pytest.mark.slow),
     ("stripmap", True, 2),
     pytest.param("squinted", False, 8, marks=pytest.mark.slow),
     ("sliding spotlight", True, 2),
