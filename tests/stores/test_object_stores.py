@@ -224,7 +224,7 @@ def test_a_phase_history_can_be_pickled_for_other_processes(
     assert run.stdout.strip() == stores.checksum(noise((256, 128))[3:200, :70])
 
 
-@pytest.mark.parametrize("name", ["-a b'", "50%", "%41", "a#b", "a?b=c&d", "é+", "a::b:c"])
+@pytest.mark.parametrize("name", ["a b", "50%", "%41", "a#b", "a?b=c&d", "é", "a::b", "a+b", "-a", "'", "a:b"])
 def test_unusual_names_are_used_as_given(name: str, there: Place, tmp_path: Path, small_collection: Collection) -> None:
     for where in (there / name / "ph.zarr", LocalPlace(tmp_path) / name / "ph.zarr"):
         again = str(where)
