@@ -49,24 +49,52 @@ def refuse_gaps(chips: Chips) -> None:
 
 
 def stitched(chips: Chips, displacement: FloatArray, weights: FloatArray) -> FloatArray:
-    """A displacement (n_sample, 3), m, moved along the mean line of sight after each gap, so that points are brightest.
+    """A displacement (n_sample, 3), m, moved along the line of sight after each gap, so that points are brightest.
 
     Within half a turn of the phase. Entropy does not tell: a gap gives all points sidelobes, however both sides fit.
     """
-    sight, out = mean_sight(chips), displacement
+    out = displacement
     for gap in long_gaps(chips):
-        phase = jump(chips.corrected(out), gap.stop, weights) / chips.work.wavenumber
-        out = out + np.where(np.arange(chips.time.size) < gap.stop, 0.0, phase)[:, None] * sight
+        phase = jump(chips.corrected(out), gap, weights) / chips.work.wavenumber
+        out = out + np.where(np.arange(chips.time.size) < gap.stop, 0.0, phase)[:, None] * sight_across(chips, gap)
     return out
 
 
-def jump(chips: Chips, stop: int, weights: FloatArray) -> float:
-    """Phase, rad, by which the samples of all points from `stop` on are ahead of those before, within half a turn.
+def straddling(chips: Chips, gap: slice) -> BoolArray:
+    """Which points (n_point,) are seen on either side of a gap."""
+    told, later = chips.told, chips.index >= gap.stop
+    return np.asarray(np.minimum((told & later).sum(axis=1), (told & ~later).sum(axis=1)) >= SLOPE)
 
-    With it taken out, the mean power of the brightest Doppler cells is highest.
+
+def sight_across(chips: Chips, gap: slice) -> FloatArray:
+    """Unit vectors (n_sample, 3) to one place: amid the points on either side of a gap, or to that next to its middle.
+
+    Displacements of one length along them are a constant and nearly a line to each point. Along the mean line of sight
+    of a beam that turns otherwise than the points', they would bend the phases, the more the longer they are.
     """
+    collection = chips.work.geometry.collection
+    position = np.stack(
+        [np.interp(chips.time, collection.time, axis) for axis in collection.antenna_position.T], axis=1
+    )
+    near = straddling(chips, gap)
+    if not near.any():
+        near[np.abs(chips.first + chips.count / 2 - (gap.start + gap.stop) / 2).argmin()] = True
+    place = chips.sight[near, 0] * chips.distance[near, :1] + position[chips.index[near, 0]]
+    vector = place.mean(axis=0) - position
+    return np.asarray(vector / np.sqrt((vector * vector).sum(axis=1, keepdims=True)))
+
+
+def jump(chips: Chips, gap: slice, weights: FloatArray) -> float:
+    """Phase, rad, by which the samples of all points after a gap are ahead of those before, within half a turn.
+
+    With it taken out, the mean power of the brightest Doppler cells is highest. 0 where no point is seen on both sides.
+    """
+    both = straddling(chips, gap)
+    if not (weights[both] > 0).any():
+        return 0.0
+    chips, weights = chips.some(np.flatnonzero(both)), weights[both]
     rows = strongest_rows(chips)
-    n, later = rows.shape[1], chips.index >= stop
+    n, later = rows.shape[1], chips.index >= gap.stop
     spectra = []
     for part in (np.where(later, 0, rows), np.where(later, rows, 0)):
         padded = np.zeros((rows.shape[0], fast_length(PADDING * n)), np.complex64)
@@ -86,13 +114,14 @@ def jump(chips: Chips, stop: int, weights: FloatArray) -> float:
 def bridged(chips: Chips, displacement: FloatArray, before: FloatArray) -> FloatArray:
     """A displacement (n_sample, 3), m, so that with `before` (n_sample, 3) its gaps are bridged; the same without gaps.
 
-    After each gap it is moved along the mean line of sight by half wavelengths, which turn phases by whole turns that
-    no chip sees: those that make it smooth by itself, so that loops add no turns to what is smooth already.
+    After each gap it is moved along the line of sight by half wavelengths, which turn phases by whole turns that no
+    chip sees: those that make it smooth by itself, so that loops add no turns to what is smooth already.
     """
-    sight, out = mean_sight(chips), displacement
+    lit, out = (mean_sight(chips) != 0).any(axis=1), displacement
     for gap in long_gaps(chips):
+        sight = sight_across(chips, gap)
         phase = chips.work.wavenumber * (out * sight).sum(axis=1)
-        turns = whole_turns(phase, gap, chips.seen & (sight != 0).any(axis=1))
+        turns = whole_turns(phase, gap, chips.seen & lit)
         later = sight[gap.stop :] * (2 * np.pi * turns / chips.work.wavenumber)
         out = np.concatenate([out[: gap.stop], out[gap.stop :] - later])
         out[gap] = between(out + before, gap) - before[gap]

@@ -9,12 +9,15 @@ from typing import Any
 
 import numpy as np
 
+from blocksar import solvers
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray
+from blocksar.autofocusing.bridging import long_gaps, straddling
 from blocksar.autofocusing.chips import SHORT_GAP, ChipPart, Chips, join_chips, mean_sight, missing_runs
 from blocksar.autofocusing.correction import Correction, Knots, between_samples, intervals
 from blocksar.autofocusing.estimation import defocus, halves, phase_step, shared_error, without_line
 from blocksar.autofocusing.fine_phase import shared_samples
 from blocksar.autofocusing.information import factor, information
+from blocksar.autofocusing.least_squares import point_phases
 from blocksar.autofocusing.selection import Points, Refused
 from blocksar.autofocusing.work import FILTER_LENGTH, Work
 from blocksar.kernels.fourier import fft_rows
@@ -161,7 +164,33 @@ def predicted_error(chips: Chips, correction: Correction, found: Sequence[HalfEs
     # The last two loops are two estimates, too; half of what they differ by is how far each is from their mean.
     unsettled = 0.5 * last["step"] if last["step"] > settings.step else 0.0
     patterns = AMPLITUDE_TO_PHASE * amplitude_in_common(chips, correction)
-    return float(np.sqrt(sum(part**2 for part in (HALVES_TO_WHOLE * usual, beyond, unsettled, patterns))))
+    across = told_across_gaps(chips, correction)
+    return float(np.sqrt(sum(part**2 for part in (HALVES_TO_WHOLE * usual, beyond, unsettled, patterns, across))))
+
+
+def told_across_gaps(chips: Chips, correction: Correction) -> float:
+    """Error of how both sides of gaps fit, rad rms over all chips, of which few see both sides; 0 without gaps.
+
+    These few alone tell by how much the phase, and its slope, differ from one side to the other; and both halves hold
+    on to what the whole has found. By the standard error of the mean of either in the phases that they have left.
+    """
+    moved, error = correction.displacement - correction.previous, 0.0
+    for gap in long_gaps(chips):
+        both = np.flatnonzero(straddling(chips, gap) & (correction.weights > 0))
+        if both.size < 2:
+            continue
+        some, weights = chips.some(both), correction.weights[both] / correction.weights[both].sum()
+        phase = point_phases(some.recentred(moved).corrected(moved))
+        left = np.zeros((both.size, 2))
+        for i, told in enumerate(some.told):
+            at = np.flatnonzero(told)
+            u, after = np.linspace(-1, 1, told.size)[at], (some.index[i, at] >= gap.stop).astype(np.float64)
+            terms = solvers.orthogonal_basis(np.stack([np.ones(at.size), u, after, after * u]))[0]
+            left[i] = (terms[2:] * phase[i, at]).sum(axis=1) / np.sqrt(at.size)
+        mean = (weights[:, None] * left).sum(axis=0)
+        spread = ((weights[:, None] * (left - mean)) ** 2).sum(axis=0) * both.size / (both.size - 1)
+        error += float(spread.sum()) * both.size / chips.first.size
+    return float(np.sqrt(error))
 
 
 def amplitude_in_common(chips: Chips, correction: Correction) -> float:

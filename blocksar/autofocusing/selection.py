@@ -35,6 +35,9 @@ REGIONS = (4, 8)  # parts of the scene in range and yaw
 CAP = 2.0  # times the even share: points of one part, at most
 
 
+Places = tuple[FloatArray, FloatArray, FloatArray]  # x, y and prominence of `Candidates`
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Candidates:
     """Bright places that one short aperture sees.
@@ -45,11 +48,14 @@ class Candidates:
         m, scene frame; of points on the ground.
     prominence : (n,) float
         Power over the median of its surroundings.
+    middle : (1,) or (0,) float
+        Pulse in the middle of the aperture; none where all its samples are missing.
     """
 
     x: FloatArray
     y: FloatArray
     prominence: FloatArray
+    middle: FloatArray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,9 +93,10 @@ def find_candidates(signal: ComplexArray, work: Work, pulses: slice, threads: in
         One of `work.apertures`.
     """
     collection = work.geometry.collection
+    middle = np.full(0 if np.isnan(signal).all() else 1, (pulses.start + pulses.stop) / 2)
     yaws = _lit_yaws(work, pulses)
     if yaws is None:
-        return Candidates(x=np.empty(0), y=np.empty(0), prominence=np.empty(0))
+        return Candidates(x=np.empty(0), y=np.empty(0), prominence=np.empty(0), middle=middle)
     low, high = yaws
     near, far = work.region.limits(low, high)
     ranges = np.arange(near, far, RANGE_STEP * work.cell)
@@ -107,7 +114,8 @@ def find_candidates(signal: ComplexArray, work: Work, pulses: slice, threads: in
         ground = work.plane.ground_point(ranges, np.full(ranges.size, yaw))
         power = _coarse_image(work, pulses, profiles.values, profiles.spacing, ground, threads)
         found.append(_brightest(work, pulses, power, ground, span / count))
-    return Candidates(**{name: np.concatenate([getattr(c, name) for c in found]) for name in ("x", "y", "prominence")})
+    x, y, prominence = (np.concatenate(values) for values in zip(*found, strict=True))
+    return Candidates(x=x, y=y, prominence=prominence, middle=middle)
 
 
 def _lit_yaws(work: Work, pulses: slice) -> tuple[float, float] | None:
@@ -163,7 +171,7 @@ def _coarse_image(
     return power
 
 
-def _brightest(work: Work, pulses: slice, power: FloatArray, ground: FloatArray, span: float) -> Candidates:
+def _brightest(work: Work, pulses: slice, power: FloatArray, ground: FloatArray, span: float) -> Places:
     """The brightest sample in each part of a coarse image whose Doppler spans +- span / 2, Hz."""
     n = power.shape[1]
     step = work.geometry.collection.prf / n
@@ -184,7 +192,7 @@ def _brightest(work: Work, pulses: slice, power: FloatArray, ground: FloatArray,
     index = np.array(rows, np.int64)
     x, y = _located(work, pulses, ground[index], np.array(columns) * step * 2 * np.pi)
     good = np.isfinite(x)
-    return Candidates(x=x[good], y=y[good], prominence=np.array(prominence)[good])
+    return x[good], y[good], np.array(prominence)[good]
 
 
 def _located(work: Work, pulses: slice, ground: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -218,7 +226,8 @@ def select_points(candidates: Sequence[Candidates], work: Work) -> Points:
         If there are fewer than `Settings.least_points`.
     """
     x, y, prominence = (np.concatenate([getattr(c, name) for c in candidates]) for name in ("x", "y", "prominence"))
-    kept = _kept(x, y, prominence, work) if x.size else []
+    middles = np.concatenate([c.middle for c in candidates])
+    kept = _kept(x, y, prominence, middles, work) if x.size else []
     if len(kept) < work.settings.least_points:
         raise Refused(
             f"{len(kept)} points stand out in the scene, but the track's error is told from at least "
@@ -230,12 +239,15 @@ def select_points(candidates: Sequence[Candidates], work: Work) -> Points:
     return Points(x=x[index], y=y[index], z=z, first=first, last=last)
 
 
-def _kept(x: FloatArray, y: FloatArray, prominence: FloatArray, work: Work) -> list[int]:
-    """Indices of the candidates that are kept: those that are the same point count for its score."""
+def _kept(x: FloatArray, y: FloatArray, prominence: FloatArray, middles: FloatArray, work: Work) -> list[int]:
+    """Indices of the candidates that are kept: those that are the same point count for its score.
+
+    The score is a mean over the short apertures that light the point; those in a gap, not among `middles`, see nothing.
+    """
     epoch, yaw = work.geometry.epoch_range(x, y), work.geometry.yaw(x, y)
     cell_range, cell_yaw = work.cell, _yaw_cell(work)
     first, last = lit_interval(work.geometry, x, y)
-    centres = np.array([(part.start + part.stop) / 2 for part in work.apertures])
+    centres = np.sort(middles)
     seen_by = np.searchsorted(centres, last) - np.searchsorted(centres, first)
     order = np.argsort(-prominence, kind="stable")
     taken, score = np.zeros(x.size, bool), np.zeros(x.size)

@@ -21,6 +21,7 @@ from blocksar.autofocusing.least_squares import by_least_squares, point_phases
 from blocksar.autofocusing.minimising import minimise
 from blocksar.autofocusing.phase_gradient import add_rows, line_of_sight, strongest_lines, sum_along
 from blocksar.autofocusing.range_lines import range_profiles, take_chips, take_lines, taps
+from blocksar.autofocusing.robust import own_errors
 from blocksar.autofocusing.selection import Points, find_candidates
 from blocksar.autofocusing.spectral_drift import STEP, Spectra, phase_of_drift, products_with_others, smooth_path
 from blocksar.autofocusing.work import Work, begin, low_pass
@@ -254,6 +255,23 @@ def test_a_points_own_phase_is_found_across_a_gap(work: Work) -> None:
     own, noise = own_phase(rows, some)
     assert np.abs(own - lines)[some.told].max() < 1e-3
     assert noise.max() < 1e-3
+
+
+def test_a_point_does_not_move_because_its_dwell_has_a_gap(work: Work) -> None:
+    chips = synthetic_chips(work, np.zeros(work.n_sample), points=6, length=480)
+    seen = ~((np.arange(work.n_sample) >= 150) & (np.arange(work.n_sample) < 330))
+    still = chips.values * seen[chips.index][:, None]
+    assert own_errors(replace(chips, values=still, seen=seen)).max() < 0.15  # 0.6 and more with turns miscounted
+    moving = still * np.exp(0.5j * np.sin(np.arange(480) / 30)).astype(np.complex64)
+    assert own_errors(replace(chips, values=moving, seen=seen)).min() > 0.2
+
+
+def test_apertures_in_a_gap_see_nothing(work: Work) -> None:
+    n = work.geometry.collection.n_pulse
+    samples = np.zeros((n // 4, work.geometry.collection.n_range_frequency), np.complex64)
+    assert find_candidates(samples, work, slice(0, n // 4)).middle.tolist() == [n / 8]
+    samples[:] = np.nan
+    assert find_candidates(samples, work, slice(0, n // 4)).middle.size == 0
 
 
 def test_amplitudes_at_long_gaps_do_not_count(work: Work) -> None:
