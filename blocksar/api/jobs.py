@@ -404,7 +404,7 @@ class Job:
             if segment.plan is None:
                 works.append(effort.of_backprojection(segment.geometry, self.grid, echo_samples=echo))
             else:
-                works.append(effort.of_plan(segment.plan, echo_samples=echo))
+                works.append(effort.of_plan(segment.plan, echo_samples=echo, workers=self.machine.workers))
         return effort.together(works)
 
     def _run_segments(self) -> tuple[RunSegment, ...]:

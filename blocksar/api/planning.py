@@ -197,7 +197,11 @@ def _report_plan(plan: Plan, assumed: Resources) -> PlanReport:
         tables=[block_table([plan])],
         details=plan_details([plan]),
         definitions=definitions.PLAN,
-        summary=[*plan_lines(plan), *outside_window([plan]), time_line(effort.of_plan(plan), assumed)],
+        summary=[
+            *plan_lines(plan),
+            *outside_window([plan]),
+            time_line(effort.of_plan(plan, workers=assumed.workers), assumed),
+        ],  # fmt: skip
         refusal=plan.refusal,
         result=plan,
         geometry=plan.geometry,
@@ -216,7 +220,7 @@ def _report_segments(segments: Sequence[PlannedSegment], assumed: Resources) -> 
         lines.append(f"segment {number} (collection {segment.collection}{pulses}, {blocks}):")
         lines += [f"  {line}" for line in plan_lines(segment.plan)]
     lines += outside_window(plans)
-    lines.append(time_line(effort.together([effort.of_plan(plan) for plan in plans]), assumed))
+    lines.append(time_line(effort.together([effort.of_plan(plan, workers=assumed.workers) for plan in plans]), assumed))
     return PlanReport(
         tables=[block_table(plans)],
         details=plan_details(plans),

@@ -153,7 +153,9 @@ def _focus_blocks(
     receipts = [(*each.receipts, *some) for each, some in zip(recovered, gated, strict=True)]
     inspections = [each.inspection for each in recovered]
     noises = job.noises([inspection.lit for inspection in inspections])
-    focused = stages.focus_blocks(client, segments, run, receipts, inspections, noises, listener)
+    focused = stages.focus_blocks(
+        client, segments, run, receipts, inspections, noises, listener, workers=job.machine.workers
+    )
     course.end("focus")
     if reads_later:
         course.input_read()

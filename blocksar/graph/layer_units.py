@@ -1,4 +1,7 @@
-"""The units of work that add the layers of a terrain to chunks of an image that one block covers."""
+"""The units of work that add the layers of a terrain to chunks of an image that one block covers.
+
+The blocks of a full round add theirs themselves, chunk by chunk, while the disk waits for their pixels.
+"""
 
 from __future__ import annotations
 
@@ -44,11 +47,12 @@ class LayerUnits:
         """The units that can begin once a block is done, given by its unit and its receipt."""
         if not self.sights:
             return []
-        (index, segment), side = self._blocks[unit], image_chunk(self._grid)
+        (index, segment), side, image = self._blocks[unit], image_chunk(self._grid), self._run.name_of(self._run.image)
+        added = {part.region for part in receipt.written if part.store == image and part.variable in stores.ON_TERRAIN}
         cells = [
             ((part.region[0][0] // side[0], part.region[1][0] // side[1]), index if _is_all(part, index) else None)
             for part in receipt.written
-            if part.store == self._run.name_of(self._run.image) and part.variable == "block"
+            if part.store == image and part.variable == "block" and part.region not in added
         ]
         units = []
         for first, end in spans(len(cells), LAYER_CHUNKS):

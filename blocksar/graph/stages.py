@@ -29,6 +29,7 @@ from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.ground_map import sum_lit
 from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.range_compression import RawCompression
+from blocksar.focusing.terrain_layers import Sight
 from blocksar.graph.admission import Unit
 from blocksar.graph.branches import run_branches
 from blocksar.graph.edges import Edges
@@ -52,6 +53,7 @@ from blocksar.inspection.samples import Inspection, merge
 from blocksar.inspection.sentences import refusal
 from blocksar.places.place import Place
 from blocksar.planning.block import BlockPlan
+from blocksar.planning.effort import blocks_add_layers
 from blocksar.planning.plan import Plan
 from blocksar.planning.tiling import image_chunk, inspection_width, patch_window, touched_chunks
 from blocksar.progress import Listener
@@ -206,13 +208,16 @@ def focus_blocks(
     inspections: Sequence[Inspection],
     noises: Sequence[NoiseMap | None],
     listener: Listener,
+    *,
+    workers: int,
 ) -> Focused:
     """Focus every block, from its segment's spectrum to patches/<block>, by a chain of tasks of its own.
 
     For every segment, the receipts of recovery and of the range gates have the checksums of spectra, and the inspection
     the valid fraction of each pulse. Its samples are read again where the edges of dwells are back-projected.
 
-    While the last blocks are focused, workers without a block begin with the layers of those that are done.
+    The layers of a terrain are added by the blocks themselves if these keep all of so many `workers` busy to the end.
+    Otherwise workers without a block begin with the layers of blocks that are done.
     """
     # Create all patches here, before the first task: a late task of a lost worker must not empty a store that another
     # task has written to.
@@ -225,6 +230,8 @@ def focus_blocks(
         id(segment): (_whole_spectrum(segment.planned, segment.of(run), some), some, inspection, noise)
         for segment, some, inspection, noise in zip(segments, receipts, inspections, noises, strict=True)
     }
+    layers = LayerUnits(client, segments, run)
+    within = blocks_add_layers(len(blocks), workers)
     units: list[Unit] = []
     for position, ((segment, block), cells) in enumerate(zip(blocks, chunks, strict=True)):
         plan, own = segment.planned, segment.of(run)
@@ -234,13 +241,13 @@ def focus_blocks(
         if plan.completed:
             edges = Edges(segment.history, inspection, plan.weighting, plan.fade)
         slab = spectrum if block.range_gate is None else _gated_spectrum(plan, own, block, some)
+        sight = layers.sights.get(segment.number or 0) if within else None
         units.append(
             (
                 block_unit(block.name),
-                partial(_submit_chain, client, plan, own, slab, lit, noise, block, alone, -position, edges),
+                partial(_submit_chain, client, plan, own, slab, lit, noise, block, alone, -position, edges, sight),
             )
         )
-    layers = LayerUnits(client, segments, run)
     spare = Spare(layers.after)
     patches = run_units(client, "focus", units, run, listener, spare=spare)
     return Focused(patches, layers, spare.receipts)
@@ -258,7 +265,7 @@ def _create_patch(run: Run, block: BlockPlan, grid: Grid) -> None:
 
 def _submit_chain(
     client: Client, plan: Plan, run: Run, spectrum: SpectrumChunks, lit: FloatArray, noise: NoiseMap | None,
-    block: BlockPlan, own: frozenset[tuple[int, int]], priority: int, edges: Edges | None,
+    block: BlockPlan, own: frozenset[tuple[int, int]], priority: int, edges: Edges | None, sight: Sight | None,
 ) -> Future[Any]:  # fmt: skip
     """Submit the tasks of a block; return the future of the last one.
 
@@ -282,7 +289,7 @@ def _submit_chain(
         for stage in branches[0]:
             node = submit(run_stage, run, block, stage, node, key=f"{stage.name}-{tail}")
     key = f"geometric-correction-{tail}"
-    return submit(write_patch, run, unit, block, node, ground, plan.grid, own, noise, edges, key=key)
+    return submit(write_patch, run, unit, block, node, ground, plan.grid, own, noise, edges, sight, key=key)
 
 
 def mosaic(
@@ -295,7 +302,7 @@ def mosaic(
 ) -> list[Receipt]:
     """Merge the patches into image.zarr, by output chunk, where several blocks may own pixels.
 
-    Chunks that only one block touches are there already, on a terrain without their layers, which are added here.
+    Chunks that only one block touches are there already; on a terrain their layers, if they lack, are added here.
     Chunks that no block covers are not written.
     """
     grid = segments[0].planned.grid

@@ -173,17 +173,19 @@ def write_patch(
     own: frozenset[tuple[int, int]],
     noise: NoiseMap | None = None,
     edges: Edges | None = None,
+    sight: Sight | None = None,
 ) -> Receipt:
     """Correct a focused block geometrically, and write its patch in chunks of the image's grid.
 
     With `edges`, the edges of dwells are added. `own` has the chunks, by row and column, that no other block touches:
-    they become the image's as they are, with their noise where that is known, and the layers of a terrain are added
-    later. Chunks are written by other threads while the next ones are computed.
+    they become the image's as they are, with their noise where that is known. On a terrain they get their layers
+    here if `sight` is given, otherwise later. Chunks are written by other threads while the next ones are computed.
     """
     started = time.perf_counter()
     first_y, first_x, _, _ = patch_window(ground, grid)
     side = image_chunk(grid)
-    heights = GroundHeights(run, grid, on_terrain=ground.relief is not None)
+    layers = TerrainLayers(run, grid, {} if sight is None else {block.index: sight})
+    heights = layers.heights if sight is not None else GroundHeights(run, grid, on_terrain=ground.relief is not None)
     assert samples.values is not None
     chunks = [np.empty(side[0] * side[1], np.complex64) for _ in range(WRITES_AT_ONCE + 1)]
     with WritesBehind(len(chunks)) as behind:
@@ -200,6 +202,8 @@ def write_patch(
                 edges.add(pixels, kept, ground, window, grid, height=z, threads=run.threads)
             origin, merged = (first_y, first_x), cell not in own
             behind.submit(_write_pixels, run, block, pixels, window, origin, grid, noise, z, merged=merged)
+            if sight is not None and not merged and (owner := _owner(pixels, block.index)) is not None:
+                behind.submit(write_layers, run, window, layers.over(window, owner))
     seconds = samples.seconds | {"geometric-correction": time.perf_counter() - started}
     # The receipt covers the whole block: the tasks before this one have no receipts.
     receipt = Receipt(
@@ -207,6 +211,14 @@ def write_patch(
         origin=(int(first_y), int(first_x)), steps=seconds,
     )  # fmt: skip
     return sign(run, receipt, started - sum(samples.seconds.values()))
+
+
+def _owner(pixels: ComplexArray, block: int) -> NDArray[np.int16] | int | None:
+    """The block that each pixel comes from, as layers take it; None if none is covered."""
+    covered = np.isfinite(pixels.real)
+    if covered.all():
+        return block
+    return np.where(covered, np.int16(block), np.int16(-1)) if covered.any() else None
 
 
 def chunk_window(cell: tuple[int, int], grid: Grid) -> Window:

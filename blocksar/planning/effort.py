@@ -56,7 +56,16 @@ THREAD_GAIN = 0.5  # of a further thread of a worker, over the first; an estimat
 FOCUS: Work = dict.fromkeys(("plan", "compile", "start-workers", "recover", "focus", "mosaic", "finish"), ())
 
 
-def of_plan(plan: Plan, *, echo_samples: int = 0) -> Work:
+def blocks_add_layers(blocks: int, workers: int) -> bool:
+    """Whether blocks add the layers of a terrain to their chunks: if they keep all workers busy in every round.
+
+    Layers take the disk as long as pixels do, and it waits while pixels are computed. Workers that have no block in the
+    last round take the layers of the others meanwhile.
+    """
+    return blocks % max(workers, 1) == 0
+
+
+def of_plan(plan: Plan, *, echo_samples: int = 0, workers: int = 1) -> Work:
     """Work of focusing by a plan; `echo_samples` is the total if the phase history is a raw echo, otherwise 0."""
     collection, side = plan.geometry.collection, image_chunk(plan.grid)
     written = CORRECT + (EDGES if plan.completed else 0.0)
@@ -66,6 +75,8 @@ def of_plan(plan: Plan, *, echo_samples: int = 0) -> Work:
     patches = Counter(chunk for touched in chunks for chunk in touched)  # by chunk of the mosaic
     merged = [patches[chunk] for chunk in sorted(patches) if patches[chunk] > 1]
     alone = [] if plan.geometry.terrain is None else [sum(patches[chunk] == 1 for chunk in each) for each in chunks]
+    if blocks_add_layers(len(plan.blocks), workers):
+        written, alone = written + (LAYERS if alone else 0.0), []
     stages = {
         "recover": (RECOVER * plan.recovery.doppler.size * columns).tolist(),
         **_gating(plan),
