@@ -185,13 +185,18 @@ def tile_polynomials(
 @loop(REAL_ROWS, INDEX_ROWS, types.int64, types.float64[:, ::1], nogil=True)
 def _find_spans(z: FloatArray, tiles: IntArray, tile: int, spans: FloatArray) -> None:
     """Middle and half of the known heights of each tile, m; the half is at least LEVEL."""
+    lows, highs = np.empty(tile), np.empty(tile)
     for t in range(tiles.shape[0]):
-        low, high = np.inf, -np.inf
+        j0 = tiles[t, 1]
+        n = min(tile, z.shape[1] - j0)
+        lows[:], highs[:] = np.inf, -np.inf
         for i in range(tiles[t, 0], min(tiles[t, 0] + tile, z.shape[0])):
-            for j in range(tiles[t, 1], min(tiles[t, 1] + tile, z.shape[1])):
+            for k in range(n):  # by columns, so that many go at once
+                at = z[i, j0 + k]
                 # Comparisons with NaN are false.
-                low = z[i, j] if z[i, j] < low else low
-                high = z[i, j] if z[i, j] > high else high
+                lows[k] = at if at < lows[k] else lows[k]
+                highs[k] = at if at > highs[k] else highs[k]
+        low, high = lows.min(), highs.max()
         if low > high:
             low = high = 0.0
         spans[t, 0], spans[t, 1] = (low + high) / 2, max((high - low) / 2, LEVEL)
@@ -276,7 +281,7 @@ def _ranges(x, first, n, y, z, row, frame, rng, owned):  # type: ignore[no-untyp
 
 
 @njit(**PART, **COMPILED, **UNCHECKED)
-def _evaluate(c, t, v, across, spans, z, row, first, n, w, values) -> None:  # type: ignore[no-untyped-def]
+def _evaluate(c, t, v, across, spans, z, row, first, n, w, cubics, values) -> None:  # type: ignore[no-untyped-def]
     """All quantities of the pixels of a row of tile t, at one v and all u; w has their heights in the tile's span.
 
     NaN heights become the middle one.
@@ -285,16 +290,14 @@ def _evaluate(c, t, v, across, spans, z, row, first, n, w, values) -> None:  # t
     for k in range(n):
         at = (z[row, first + k] - middle) * per_half
         w[k] = 0.0 if np.isnan(at) else at
+    for m in range(cubics.size):
+        cubics[m] = c[t, 0, m] + v * (c[t, 1, m] + v * (c[t, 2, m] + v * c[t, 3, m]))
     side = DEGREE + 1
-    cubics = np.empty(3 * side)
     for q in range(QUANTITIES):
-        for h in range(HEIGHT_DEGREE + 1):
-            for p in range(side):
-                m = (h * QUANTITIES + q) * side + p
-                cubics[h * side + p] = c[t, 0, m] + v * (c[t, 1, m] + v * (c[t, 2, m] + v * c[t, 3, m]))
-        a0, a1, a2, a3 = cubics[0], cubics[1], cubics[2], cubics[3]
-        b0, b1, b2, b3 = cubics[4], cubics[5], cubics[6], cubics[7]
-        c0, c1, c2, c3 = cubics[8], cubics[9], cubics[10], cubics[11]
+        a, b, d = q * side, (QUANTITIES + q) * side, (2 * QUANTITIES + q) * side
+        a0, a1, a2, a3 = cubics[a], cubics[a + 1], cubics[a + 2], cubics[a + 3]
+        b0, b1, b2, b3 = cubics[b], cubics[b + 1], cubics[b + 2], cubics[b + 3]
+        c0, c1, c2, c3 = cubics[d], cubics[d + 1], cubics[d + 2], cubics[d + 3]
         for k in range(w.size):
             u = across[k]
             level, slope = a0 + u * (a1 + u * (a2 + u * a3)), b0 + u * (b1 + u * (b2 + u * b3))
@@ -340,7 +343,7 @@ def _resample(  # type: ignore[no-untyped-def]
     row, doppler, cycles, loss, turn, middle, bend = (
         values[0], values[1], values[2], values[3], values[4], values[5], values[6],
     )  # fmt: skip
-    rng, owned, w = np.zeros(tile), np.empty(tile), np.zeros(tile)
+    rng, owned, w, cubics = np.zeros(tile), np.empty(tile), np.zeros(tile), np.empty(coefficients.shape[2])
     first_row, range_row, at = np.empty(tile, np.int64), np.empty(tile, np.int64), np.empty(tile, np.int64)
     first_doppler, doppler_row, carrier = np.empty(tile, np.int64), np.empty(tile, np.int64), np.empty(tile, np.int64)
     first_narrow, narrow_row = np.zeros(tile, np.int64), np.zeros(tile, np.int64)
@@ -358,7 +361,7 @@ def _resample(  # type: ignore[no-untyped-def]
                 _ranges(x, j0, n, y[i], z, i, frame, rng, owned)
             elif not _sector(x, j0, n, y[i], z, i, rays, frame, rng, owned):
                 continue
-            _evaluate(coefficients, t, across[i - i0], across, spans, z, i, j0, n, w, values)
+            _evaluate(coefficients, t, across[i - i0], across, spans, z, i, j0, n, w, cubics, values)
             for k in range(n):
                 away = 0.0 if np.isnan(rng[k]) else rng[k] - origin
                 row[k] += away * per_row

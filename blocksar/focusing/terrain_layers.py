@@ -170,8 +170,11 @@ def heights_on_grid(terrain: Terrain, x: FloatArray, y: FloatArray) -> FloatArra
 
 def heights_and_angles(
     terrain: Terrain, sight: Sight, x: FloatArray, y: FloatArray
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Heights, m, and local incidence angles, rad, (n_y, n_x) at columns x (n_x,) and rows y (n_y,), m."""
+) -> tuple[FloatArray, NDArray[np.float32]]:
+    """Heights, m, to the bit those of `heights_on_grid`, and local incidence angles, rad, (n_y, n_x).
+
+    At columns x (n_x,) and rows y (n_y,), m.
+    """
     in_x, in_y = terrain.taps_of(x, y)
     up_x, up_y = terrain.rates_of(x, y, (in_x, in_y))
     strip, columns, along_x, rows, along_y = _sums(terrain, in_x, in_y)
@@ -181,7 +184,7 @@ def heights_and_angles(
     # One more row of nodes, for the pixels at the last one.
     antenna = np.concatenate([antenna, antenna[-1:]]).transpose(2, 0, 1)
     before = to_y.astype(np.int64)
-    height, angle = np.empty((2, y.size, x.size), np.float32)
+    height, angle = np.empty((y.size, x.size)), np.empty((y.size, x.size), np.float32)
     find_surface(
         strip, columns, along_x, np.array(up_x[1]) / terrain.dx, rows, along_y, np.array(up_y[1]) / terrain.dy,
         np.array(x), np.array(y), _expand(antenna, to_x, -1), before, to_y - before, height, angle,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +65,14 @@ class GroundHeights:
         return heights_on_grid(self._stored.read(*box_of(x, y)), x, y)
 
 
+class _Surfaces(NamedTuple):
+    """Heights of a window's pixels, m, incidence angles by sight, rad, and the terrain within its reach."""
+
+    height: FloatArray
+    angles: Mapping[int, NDArray[np.float32]]
+    around: Terrain
+
+
 class TerrainLayers:
     """Height, local incidence angle and visibility of a run's pixels; not for several threads at once.
 
@@ -84,6 +92,7 @@ class TerrainLayers:
     def __init__(self, run: Run, grid: Grid, sights: Mapping[int, Sight]) -> None:
         self._grid, self._sights = grid, sights
         self.heights = GroundHeights(run, grid, on_terrain=bool(sights))
+        self._found: tuple[Window, _Surfaces] | None = None
         self._stored = self._around = stores.StoredTerrain(run.terrain) if sights else None
         if sights and (run.surroundings / "zarr.json").exists():
             self._around = stores.StoredTerrain(run.surroundings)
@@ -94,8 +103,23 @@ class TerrainLayers:
         `owner` has the block of each pixel, -1 where not covered, or is the block of all of them. Shadow and layover
         reach as far as the terrain about the image is known.
         """
-        if self._stored is None or self._around is None:
+        if self._stored is None:
             return {}
+        if self._found is None or self._found[0] != window:
+            self._found = window, self._surfaces(window)
+        height, angles, around = self._found[1]
+        incidence = by_owner(self._sights, owner, lambda sight: angles[id(sight)], np.nan)
+        seen = by_owner(self._sights, owner, lambda sight: visibility(around, sight, self._grid, window), UNKNOWN)
+        layers = {"height": height, "incidence_angle": incidence, "visibility": seen}
+        return {name: layers[name].astype(of.dtype, copy=False) for name, of in stores.ON_TERRAIN.items()}
+
+    def heights_of_covered(self, window: Window) -> FloatArray:
+        """Heights (n_y, n_x), m, of a window whose layers are asked for next: what both need is found once."""
+        self._found = window, self._surfaces(window)
+        return self._found[1].height
+
+    def _surfaces(self, window: Window) -> _Surfaces:
+        assert self._stored is not None and self._around is not None
         y, x = self._grid.y[window[0]], self._grid.x[window[1]]
         boxes, seen_by = [box_of(x, y)], {id(sight): sight for sight in self._sights.values()}
         for sight in seen_by.values():
@@ -103,12 +127,9 @@ class TerrainLayers:
         (x0, x1, y0, y1) = (np.array(boxes)[:, axis, end] for axis in (0, 1) for end in (0, 1))
         around = self._around.read((float(x0.min()), float(x1.max())), (float(y0.min()), float(y1.max())))
         terrain = around if self._around is self._stored else self._stored.read(*boxes[0])
-        surfaces = {number: heights_and_angles(terrain, sight, x, y) for number, sight in seen_by.items()}
-        height = next(iter(surfaces.values()))[0]
-        incidence = by_owner(self._sights, owner, lambda sight: surfaces[id(sight)][1], np.nan)
-        seen = by_owner(self._sights, owner, lambda sight: visibility(around, sight, self._grid, window), UNKNOWN)
-        layers = {"height": height, "incidence_angle": incidence, "visibility": seen}
-        return {name: layers[name].astype(of.dtype, copy=False) for name, of in stores.ON_TERRAIN.items()}
+        found = {number: heights_and_angles(terrain, sight, x, y) for number, sight in seen_by.items()}
+        height = next(iter(found.values()))[0]
+        return _Surfaces(height, {number: angle for number, (_, angle) in found.items()}, around)
 
 
 def write_layers(run: Run, window: Window, layers: Mapping[str, NDArray[Any]]) -> list[Written]:

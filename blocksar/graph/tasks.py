@@ -185,7 +185,7 @@ def write_patch(
     first_y, first_x, _, _ = patch_window(ground, grid)
     side = image_chunk(grid)
     layers = TerrainLayers(run, grid, {} if sight is None else {block.index: sight})
-    heights = layers.heights if sight is not None else GroundHeights(run, grid, on_terrain=ground.relief is not None)
+    heights = GroundHeights(run, grid, on_terrain=ground.relief is not None)
     assert samples.values is not None
     chunks = [np.empty(side[0] * side[1], np.complex64) for _ in range(WRITES_AT_ONCE + 1)]
     with WritesBehind(len(chunks)) as behind:
@@ -196,11 +196,12 @@ def write_patch(
             shape = (window[0].stop - window[0].start, window[1].stop - window[1].start)
             out = chunk[: shape[0] * shape[1]].reshape(shape)
             x, y = grid.x[window[1]], grid.y[window[0]]
-            z = heights.over(window)
+            merged = cell not in own
+            z = heights.over(window) if sight is None or merged else layers.heights_of_covered(window)
             pixels = correct(samples.values, ground, x=x, y=y, z=z, threads=run.threads, out=out)
             if edges is not None and kept is not None:
                 edges.add(pixels, kept, ground, window, grid, height=z, threads=run.threads)
-            origin, merged = (first_y, first_x), cell not in own
+            origin = (first_y, first_x)
             behind.submit(_write_pixels, run, block, pixels, window, origin, grid, noise, z, merged=merged)
             if sight is not None and not merged and (owner := _owner(pixels, block.index)) is not None:
                 behind.submit(write_layers, run, window, layers.over(window, owner))

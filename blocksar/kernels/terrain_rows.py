@@ -86,12 +86,12 @@ def _arc_cosine(cosine: float) -> Any:
 
 @loop(
     REAL_ROWS, INDICES, REAL_ROWS, REAL_ROWS, INDICES, REAL_ROWS, REAL_ROWS, REAL_ROW, REAL_ROW, PLANES, INDICES,
-    REAL_ROW, types.float32[:, ::1], types.float32[:, ::1], **COMPILED, **UNCHECKED,
+    REAL_ROW, types.float64[:, ::1], types.float32[:, ::1], **COMPILED, **UNCHECKED,
 )  # fmt: skip
 def find_surface(
     strip: FloatArray, columns: IntArray, along_x: FloatArray, rate_x: FloatArray, rows: IntArray, along_y: FloatArray,
     rate_y: FloatArray, x: FloatArray, y: FloatArray, antenna: FloatArray, node: IntArray, part: FloatArray,
-    height: NDArray[np.float32], angle: NDArray[np.float32],
+    height: FloatArray, angle: NDArray[np.float32],
 ) -> None:  # fmt: skip
     """Find the height of every pixel, and the angle between the terrain's upward normal and the line of sight there.
 
@@ -107,20 +107,20 @@ def find_surface(
         x, y and z of the antenna as the columns of m rows see it, m; at least two rows, linear in between.
     node, part : (n_y,)
         Which of the m rows is before each row, and the part of the way to the next.
-    height, angle : (n_y, n_x) float32
+    height, angle : (n_y, n_x) float64 and float32
         Written: m and rad; NaN where a sample is.
     """
     n = columns.size
-    along, rate, z = np.empty((strip.shape[0], n)), np.empty((strip.shape[0], n)), np.empty(n)
+    along, rate = np.empty((strip.shape[0], n)), np.empty((strip.shape[0], n))
     _along(strip, columns, along_x, along)
     _along(strip, columns, rate_x, rate)
     for i in range(rows.size):
         r, m, v = rows[i], node[i], part[i]
         a, b, c, d = along_y[0, i], along_y[1, i], along_y[2, i], along_y[3, i]
         e, f, g, h = rate_y[0, i], rate_y[1, i], rate_y[2, i], rate_y[3, i]
+        z = height[i]
         _height_row(along, r, a, b, c, d, z)
         for k in range(n):
-            height[i, k] = z[k]
             slope_x = rate[r, k] * a + rate[r + 1, k] * b + rate[r + 2, k] * c + rate[r + 3, k] * d
             slope_y = along[r, k] * e + along[r + 1, k] * f + along[r + 2, k] * g + along[r + 3, k] * h
             ux = antenna[0, m, k] + v * (antenna[0, m + 1, k] - antenna[0, m, k]) - x[k]
