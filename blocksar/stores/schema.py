@@ -93,8 +93,7 @@ NOISE = {
 }  # fmt: skip
 # Of images on a terrain.
 ON_TERRAIN = {
-    # Known at all pixels, and no smaller if compressed: that would take as long as to find it.
-    "height": Variable(("y", "x"), "float32", "m", "height of the ground, scene-frame z"),
+    "height": Variable(("y", "x"), "float32", "m", "height of the ground, scene-frame z", compressed=True),
     "incidence_angle": Variable(
         ("y", "x"), "float32", "rad", "local incidence angle, between the ground's normal and the line of sight at the "
         "middle of the dwell; NaN where not covered", compressed=True,

@@ -1008,3 +1008,22 @@ def test_a_compressed_chunk_that_declares_too_much_is_refused_before_it_is_decod
     chunk.write_bytes(header + frame[5 + (1 - (frame[4] >> 5 & 1)) + width :])
     with pytest.raises(InputError, match=r"has a chunk of 1125899906842624 bytes instead of 2097152"):
         stores.read_region(tmp_path / "s", "image", region)
+
+
+def test_heights_that_do_not_compress_are_framed_at_once_and_a_flipped_bit_of_them_is_noticed(tmp_path: Path) -> None:
+    axes = {"x": np.arange(600.0), "y": np.arange(300.0)}
+    schema = {**stores.IMAGE, **stores.ON_TERRAIN}
+    stores.create(tmp_path / "s", schema, sizes={}, coords=axes, attrs={}, chunks={"x": 512, "y": 300})
+    height = (300 * np.hypot(*np.meshgrid(axes["x"] - 333.3, axes["y"] + 77.7))).astype(np.float32)
+    height[:, 512:] = 7.0  # compresses
+    stores.write_region(tmp_path / "s", "height", (slice(0, 300), slice(0, 600)), height)
+    np.testing.assert_array_equal(zarr.open_group(tmp_path / "s", mode="r")["height"][...], height)
+    np.testing.assert_array_equal(stores.read_region(tmp_path / "s", "height", (slice(0, 300), slice(0, 600))), height)
+    dense, level = (tmp_path / "s" / "height" / "c" / "0" / name for name in "01")
+    assert dense.stat().st_size == 4 * 300 * 512 + 9 + 3 * 5 + 4 and level.stat().st_size < 10_000
+    frame = bytearray(dense.read_bytes())
+    assert height[:, :512].tobytes()[:1000] in frame  # as it is
+    frame[5000] ^= 1
+    dense.write_bytes(frame)
+    with pytest.raises(InputError, match="that chunk is damaged"):
+        stores.read_region(tmp_path / "s", "height", (slice(0, 300), slice(0, 600)))
