@@ -201,7 +201,7 @@ def _report_plan(plan: Plan, assumed: Resources) -> PlanReport:
             *plan_lines(plan),
             *outside_window([plan]),
             time_line(effort.of_plan(plan, workers=assumed.workers), assumed),
-        ],  # fmt: skip
+        ],
         refusal=plan.refusal,
         result=plan,
         geometry=plan.geometry,
