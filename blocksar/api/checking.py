@@ -16,7 +16,7 @@ from blocksar.arrays import ComplexArray
 from blocksar.chunks import TILE
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Surface, Terrain
-from blocksar.graph.machine import machine
+from blocksar.graph.machine import resources
 from blocksar.ingestion.terrain.reading import Ground
 from blocksar.inspection import check as samples_check
 from blocksar.inspection.check import Findings
@@ -70,9 +70,10 @@ def check(
         terrain cannot be taken.
     """
     ground = Ground(terrain=terrain, surface=surface, vertical=vertical)
+    count = resources(1, threads, None).threads
     history, points = history_of(source), grid_of(grid)
     heights = read_ground(ground, history.collection.centred(), points, source)
-    findings = check_samples(history, points, threads=threads or machine()[0], thorough=True, terrain=heights)
+    findings = check_samples(history, points, threads=count, thorough=True, terrain=heights)
     result = {
         "warning": findings.warning(),
         "sharpness": findings.sharpness if findings.speaks else None,

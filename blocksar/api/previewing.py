@@ -19,7 +19,7 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.region import default_grid, facing_grid, plan_region
 from blocksar.errors import InputError
 from blocksar.focusing import preview as coarse
-from blocksar.graph.machine import machine
+from blocksar.graph.machine import resources
 from blocksar.kernels.phase import Float32Array
 from blocksar.places import Location, place
 from blocksar.products.options import check_ending, parse_range
@@ -94,6 +94,7 @@ def preview(
     pixels: Any = size  # whatever it was given as
     if isinstance(pixels, bool) or not isinstance(pixels, int | np.integer) or not 50 <= pixels <= LARGEST:
         raise InputError(f"size = {quoted(size)}: give 50 to {LARGEST} pixels along the longer side of the picture")
+    count = resources(1, threads, None).threads
     limits = None if range is None else checked_limits(parse_range(range))
     if out is not None:
         check_ending("png", str(place(out)))
@@ -103,7 +104,6 @@ def preview(
     geometry = Geometry(collection=history.collection.centred())
     chosen, proposed = _ground(geometry, grid_of(grid))
     planned = coarse.plan_preview(geometry, chosen, size=size)
-    count = threads or machine()[0]
     callback = only_stage(progress, "preview")
     if out is None:
         power = coarse.form_preview(_reader(history), planned, threads=count, progress=callback)

@@ -9,6 +9,7 @@ collection: dwells, gates, prediction, weighting. The sum of the looks, each tim
 from __future__ import annotations
 
 from dataclasses import replace
+from numbers import Integral
 
 import numpy as np
 
@@ -63,7 +64,7 @@ def checked_count(count: int, collection: Collection) -> int:
     InputError
         If it is none, or leaves too few pulses.
     """
-    if isinstance(count, bool) or not 2 <= count <= MOST:
+    if not isinstance(count, Integral) or isinstance(count, bool) or not 2 <= count <= MOST:
         raise InputError(f"looks = {count!r}: give 2 to {MOST} looks, or leave it out")
     if collection.n_pulse < count * LEAST_PULSES:
         raise InputError(

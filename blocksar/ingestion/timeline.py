@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from datetime import UTC, datetime
+from numbers import Real
 from typing import Any
 
 from blocksar.errors import InputError
+
+LONGEST = 1e9  # s from the start of a collection to slow time 0: some 30 years
 
 
 def stated_times(start: str | None, zero: float | None) -> dict[str, Any]:
@@ -22,7 +24,7 @@ def stated_times(start: str | None, zero: float | None) -> dict[str, Any]:
     Raises
     ------
     InputError
-        If the start is no date with a time, or the seconds are not finite.
+        If the start is no date with a time, or the seconds are no number, or more than LONGEST.
 
     Examples
     --------
@@ -31,6 +33,7 @@ def stated_times(start: str | None, zero: float | None) -> dict[str, Any]:
     """
     times: dict[str, Any] = {}
     if start is not None:
+        start = str(start)
         try:
             if not ("T" in start or " " in start.strip()):
                 raise ValueError
@@ -43,7 +46,9 @@ def stated_times(start: str | None, zero: float | None) -> dict[str, Any]:
             ) from None
         times["collection_start"] = f"{moment:%Y-%m-%dT%H:%M:%S.%f}Z"
     if zero is not None:
-        if not math.isfinite(zero):
-            raise InputError(f"time-zero is {zero} s; give the seconds from collection-start to slow time 0")
+        if not isinstance(zero, Real) or not abs(zero) <= LONGEST:
+            raise InputError(
+                f"time-zero is {zero!r} s; give the seconds from collection-start to slow time 0, at most {LONGEST:g}"
+            )
         times["time_zero"] = float(zero)
     return times

@@ -29,7 +29,7 @@ class Prediction(NamedTuple):
     migration: float  # range resolution cells over the dwell
     resolution: float  # azimuth, m
     track_phase: float  # rad, root mean square: what the noise of the track leaves
-    coherence: float  # with exact back-projection: 1 less the four losses of the target that loses most
+    coherence: float  # with exact back-projection: 1 less the four losses of the target that loses most, or 0
     phase_loss: float
     range_loss: float
     dispersion_loss: float
@@ -41,7 +41,7 @@ class Prediction(NamedTuple):
 
         Without `migration`, the loss by range migration is left out.
         """
-        loss = 1 - self.coherence - (0.0 if migration else self.range_loss)
+        loss = self.phase_loss + self.dispersion_loss + self.track_loss + (self.range_loss if migration else 0.0)
         allowed = side_lobe_budget(fidelity, self.ideal_pslr)
         return max(loss / (1 - fidelity), abs(self.pslr - self.ideal_pslr) / allowed)
 
@@ -111,7 +111,7 @@ def predict(
         migration=float(spots.migration.max() / range_cell),
         resolution=float(widths[rng.size // 2, middle] * ground[rng.size // 2]),
         track_phase=track_phase,
-        coherence=1 - sum(lost),
+        coherence=max(1 - sum(lost), 0.0),
         phase_loss=lost.phase,
         range_loss=lost.range,
         dispersion_loss=lost.dispersion,

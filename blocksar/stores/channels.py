@@ -92,9 +92,11 @@ def number_of(channels: Sequence[str], channel: str | None, label: str) -> int:
     if not channels:
         raise InputError(f"channel is {channel!r}, but {label} has a single one without a name; leave it out")
     known = [name.casefold() for name in channels]
-    if channel.casefold() not in known:
-        raise InputError(f"channel {printable(channel)[:40]!r} is none of {label}, which has {', '.join(channels)}")
-    return known.index(channel.casefold())
+    if str(channel).casefold() not in known:
+        raise InputError(
+            f"channel {printable(str(channel))[:40]!r} is none of {label}, which has {', '.join(channels)}"
+        )
+    return known.index(str(channel).casefold())
 
 
 def attrs_of_channel(attrs: Mapping[str, Any], channels: Sequence[str], number: int) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,8 @@ from blocksar.api.arguments import blocks_of, grid_of, memory_of
 from blocksar.cli import commands
 from blocksar.collection.grid import Grid
 from blocksar.errors import InputError, in_python
+from blocksar.ingestion.timeline import stated_times
+from blocksar.products.pictures.quicklook import checked_colour_map, checked_size
 
 
 @pytest.fixture(scope="module")
@@ -80,6 +83,25 @@ def test_values_of_the_wrong_kind_are_refused(case: str, dataset: xr.Dataset, tm
         with pytest.raises(InputError, match=message):
             call(dataset, **settings)
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda source: blocksar.check(source, threads="two"), "^threads is 'two'; give a whole number"),
+        (lambda source: blocksar.preview(source, threads=1.5), "^threads is 1.5; give a whole number"),
+        (lambda _: checked_colour_map(3), "^colour map 3 is none that matplotlib knows; did you mean"),
+        (lambda _: checked_size("large"), "^size = 'large': give 200 to"),
+        (lambda _: stated_times(3, None), "^collection-start '3' is not a date"),
+        (lambda _: stated_times(None, 1e300), "^time-zero is 1e.300 s; give the seconds"),
+        (lambda _: stated_times(None, "noon"), "^time-zero is 'noon' s; give the seconds"),
+    ],
+)
+def test_other_values_of_the_wrong_kind_are_refused(
+    call: Callable[[xr.Dataset], Any], message: str, dataset: xr.Dataset
+) -> None:
+    with pytest.raises(InputError, match=message):
+        call(dataset)
 
 
 def test_an_error_speaks_of_parameters(dataset: xr.Dataset, tmp_path: Path) -> None:

@@ -48,7 +48,7 @@ def cases(first: int) -> range:
 def unfinished(bench: Bench) -> Path:
     """A run that was interrupted before its mosaic."""
 
-    def interrupted(*_: Any) -> Any:
+    def interrupted(*_: Any, **__: Any) -> Any:
         raise KeyboardInterrupt
 
     with pytest.MonkeyPatch.context() as patch, contextlib.suppress(KeyboardInterrupt):

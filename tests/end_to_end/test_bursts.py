@@ -113,7 +113,7 @@ def test_a_collection_is_focused_as_by_itself(run: Path, bursts: list[Path], cli
 def test_an_interrupted_run_resumes_to_the_same_bytes(
     run: Path, bursts: list[Path], client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def interrupted(*_: Any) -> Any:
+    def interrupted(*_: Any, **__: Any) -> Any:
         raise KeyboardInterrupt
 
     for stage in ("focus_blocks", "mosaic"):

@@ -60,7 +60,7 @@ def against_back_projection(run: Path, store: Path, rows: slice) -> tuple[float,
 def test_segments_of_a_resumed_run_have_no_seam(
     store: Path, cut: None, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def interrupted(*_: Any) -> Any:
+    def interrupted(*_: Any, **__: Any) -> Any:
         raise KeyboardInterrupt
 
     run = tmp_path / "run"

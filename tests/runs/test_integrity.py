@@ -65,10 +65,10 @@ def before(monkeypatch: pytest.MonkeyPatch, stage: str, act: Callable[[], None],
     """Act before a stage, and after it."""
     real = getattr(stages, stage)
 
-    def sabotaged(*args: Any) -> Any:
+    def sabotaged(*args: Any, **keywords: Any) -> Any:
         act()
         try:
-            return real(*args)
+            return real(*args, **keywords)
         finally:
             after()
 
@@ -183,7 +183,7 @@ def test_a_chunk_of_a_patch_that_is_lost_is_noticed(
 def interrupted(original: Path, client: Client, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of the original that was interrupted before its mosaic."""
 
-    def interrupt(*_: Any) -> Any:
+    def interrupt(*_: Any, **__: Any) -> Any:
         raise KeyboardInterrupt
 
     run = tmp_path_factory.mktemp("interrupted") / "run"

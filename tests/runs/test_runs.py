@@ -62,7 +62,7 @@ def test_a_finished_run_is_not_computed_again(store: Path, client: Client, tmp_p
 def test_an_interrupted_run_resumes(
     stage: str, store: Path, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def interrupted(*_: Any) -> Any:
+    def interrupted(*_: Any, **__: Any) -> Any:
         raise KeyboardInterrupt
 
     settings: dict[str, Any] = {"blocks": 3, "grid": coarse_grid(store), "client": client}
@@ -93,9 +93,9 @@ def test_a_failed_task_is_named_in_the_error(
 ) -> None:
     real = stages.focus_blocks
 
-    def sabotaged(*args: Any) -> Any:
+    def sabotaged(*args: Any, **keywords: Any) -> Any:
         shutil.rmtree(tmp_path / "run" / "spectrum.zarr")
-        return real(*args)
+        return real(*args, **keywords)
 
     monkeypatch.setattr(stages, "focus_blocks", sabotaged)
     with pytest.raises(ProcessingError, match=r"read-slab\+residual-walk\+keystone of block 1 failed: .*spectrum"):

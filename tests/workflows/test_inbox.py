@@ -271,7 +271,7 @@ def test_changed_options_do_not_reprocess_finished_collections(post: Post) -> No
 def test_an_interrupted_collection_is_resumed(
     post: Post, image: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def interrupted(*_: Any) -> Any:
+    def interrupted(*_: Any, **__: Any) -> Any:
         raise KeyboardInterrupt
 
     post.deliver("a", "b")
@@ -292,7 +292,7 @@ def test_an_interrupted_collection_is_resumed(
 def test_an_outdated_unfinished_run_is_restarted(
     change: str, post: Post, image: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def interrupted(*_: Any) -> Any:
+    def interrupted(*_: Any, **__: Any) -> Any:
         raise KeyboardInterrupt
 
     post.deliver("a")

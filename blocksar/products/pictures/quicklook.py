@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Sequence
+from numbers import Integral
 from typing import NamedTuple
 
 import numpy as np
@@ -135,7 +136,7 @@ def checked_size(size: int | None) -> int | None:
     InputError
         If they are too few or too many.
     """
-    if size is not None and not SMALLEST <= size <= LARGEST:
+    if size is not None and not (isinstance(size, Integral) and SMALLEST <= size <= LARGEST):
         raise InputError(f"size = {size!r}: give {SMALLEST} to {LARGEST} pixels along the longer side of the picture")
     return size
 
@@ -150,7 +151,7 @@ def checked_colour_map(name: str | None) -> str:
     """
     if name is None or name in colormaps:
         return name or GREY
-    near = difflib.get_close_matches(name, colormaps, n=1)
+    near = difflib.get_close_matches(str(name), colormaps, n=1)
     raise InputError(
         f"colour map {name!r} is none that matplotlib knows; did you mean {near[0] if near else 'viridis'!r}?"
     )
