@@ -8,9 +8,10 @@ from blocksar.planning.plan import Plan
 _REMEDIES = {
     "residual phase": "try --processor auto, or a smaller --grid",
     "range migration": "try --processor auto, or a smaller --grid",
-    "the ends of the dwell": "taper the dwells, for example with --weighting-azimuth hann",
+    "the ends of the dwell": "try --processor auto",
     "noise of the track": "smooth the positions",
 }
+_TAPER = ", or taper the dwells, for example with --weighting-azimuth hann"  # where they have none
 
 
 def describe_shortfall(plan: Plan) -> str:
@@ -23,7 +24,8 @@ def describe_shortfall(plan: Plan) -> str:
     }  # fmt: skip
     cause = max(losses, key=losses.__getitem__)
     if plan.searched:
-        remedy = f"{_REMEDIES[cause]}, or take --processor backprojection, which is exact"
+        taper = _TAPER if cause == "the ends of the dwell" and plan.weighting.azimuth.uniform else ""
+        remedy = f"{_REMEDIES[cause]}{taper}, or take --processor backprojection, which is exact"
     elif cause == "noise of the track":
         remedy = _REMEDIES[cause]
     else:

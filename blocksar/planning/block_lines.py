@@ -133,6 +133,7 @@ def _with_ends(
         full=full_dwells(traced.line, geometry, rng[:, None], yaw),
         passing=sector.passing(rng[:, None], yaw),
     )
-    weights = sector.weights(traced.lit, uncut=ends.uncut, epoch_range=rng, yaw=yaw, scaled_about=about)
+    moves = ends.moves if about is None else traced.lit.time - about
+    weights = sector.weights(traced.lit, uncut=ends.uncut, epoch_range=rng, yaw=yaw, moves=moves)
     spots = focus(weights.weigh(traced.line))
     return FineLines(traced.lit, traced.compressed, traced.line, spots, rng, yaw, weights, ends, in_time)

@@ -43,7 +43,7 @@ class DwellEnds(NamedTuple):
     rate: FloatArray  # of the lines before the steps in Doppler, Hz/s
     uncut: Moments  # (n_yaw,) or (n_range, n_yaw), s from the epoch, as if the collection did not cut the dwells
     scaled_about: float | None  # time about which a keystone scales time, s
-    moves: FloatArray | None  # from `band_moves`, (n_range, n_yaw, 2); None with a keystone
+    moves: FloatArray | None  # from `band_moves`, (n_range, n_yaw, n); None with a keystone
     full: BoolArray  # (n_range, n_yaw), from `full_dwells`
     passing: Passing  # from `Sector.passing`
 
@@ -112,13 +112,14 @@ def full_dwells(line: Line, geometry: Geometry, epoch_range: FloatArray, yaw: Fl
 
 
 def band_moves(line: Line, rate: FloatArray) -> FloatArray:
-    """Time (..., 2) by which relative range frequency moves begins and ends of dwells without a keystone, s.
+    """Time (..., n) by which relative range frequency moves lines without a keystone, s.
 
-    A line has the Doppler (1 + f / fc) fd at a range frequency f, so that in the Doppler domain its ends lie there.
+    A line has the Doppler (1 + f / fc) fd at a range frequency f. Range compression in the Doppler domain makes a
+    Doppler arrive when it does at the carrier, and so a pulse's echo by f / fc fd / rate later than at the carrier:
+    ends of dwells and slopes of a taper move as by a keystone, and farther where the Doppler rate is small.
     """
-    ends = rate[..., [0, -1]]
-    passed = np.abs(ends) > 1e-6 * np.abs(ends).max()
-    return np.where(passed, line.doppler[..., [0, -1]] / np.where(passed, ends, 1.0), 0.0)
+    passed = np.abs(rate) > 1e-6 * np.abs(rate).max()
+    return np.where(passed, line.doppler / np.where(passed, rate, 1.0), 0.0)
 
 
 def end_smear(line: Line, rate: FloatArray, *, faded: bool = False) -> FloatArray:

@@ -32,7 +32,7 @@ class DwellWeights:
     alone : (..., n) float
         The weighting w without the pattern.
     change : (..., n) float
-        Of these weights per relative range frequency f / fc, where a keystone scales time; 0 without one.
+        Of these weights per relative range frequency f / fc, which moves echoes in time.
     pattern : (..., n) float or None
         The antenna's pattern g at the nodes of lines.
     lit_band : (...) float
@@ -81,7 +81,7 @@ def dwell_weights(
     epoch_range: FloatArray,
     yaw: FloatArray,
     stays: bool = False,
-    scaled_about: float | None = None,
+    moves: FloatArray | None = None,
     lit_band: FloatArray | float = 1.0,
 ) -> DwellWeights:
     """The weights of targets at epoch ranges (n_range,), m, and yaws (n_yaw,), rad.
@@ -95,8 +95,8 @@ def dwell_weights(
         place in a beam that is described by its yaw, or not steered, is taken as linear in between.
     stays : bool
         From `planning.staying`: each target then has a part of the taper of its own.
-    scaled_about : float or None
-        Time, s from the epoch, about which a keystone scales time with range frequency; None without one.
+    moves : (n_range, n_yaw, n) float, optional
+        Time, s, by which relative range frequency moves the echoes at the nodes of the lines.
     lit_band : (n_range, n_yaw) float
         Band of Doppler that is lit at a time where the targets are, Hz.
     """
@@ -114,8 +114,8 @@ def dwell_weights(
         else:
             place = (2 * lit.time - (uncut[0] + uncut[1])[..., None]) / dwell
         nodes = taper(place)
-        if collection.steered and not stays and scaled_about is not None:
-            change = taper.slope(place) * 2 / dwell * (lit.time - scaled_about)
+        if collection.steered and not stays and moves is not None:
+            change = taper.slope(place) * 2 / dwell * moves
     if not collection.has_pattern:
         patterned = stays and not taper.uniform
         return DwellWeights(

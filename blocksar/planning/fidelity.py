@@ -27,8 +27,9 @@ by less. With P(u) = cos(pi u) / (1 - 4 u^2), the spectrum of the fade's slope a
 
     integral of |F(t) - H(t - d)|^2 dt = T / pi^2 integral of P^2 (1 - cos(pi a u^2 / T^2) cos(2 pi u d / T)) / u^2 du.
 
-A keystone also moves the slopes of a taper, by (t - m) f / fc about its time m. The weights of a range frequency differ
-by dw/dt (t - m) f / fc, and half the mean of its square is lost, over the mean of w^2.
+A keystone also moves the slopes of a taper, by (t - m) f / fc about its time m, and a chain without one by fd f / (fc
+rate) (`band_moves`). The weights of a range frequency differ by dw/dt times that, and half the mean of its square is
+lost, over the mean of w^2.
 
 Where the gate has parts over the band (`dwell_gate`), what is left of a shift is what Lagrange's polynomials leave of
 it: exp(-2j pi u d / T) becomes its interpolation through the parts' own shifts, and slopes are followed.
@@ -111,7 +112,7 @@ def worst_losses(
         The lines' Doppler rate before the steps in Doppler, Hz/s.
     scaled_about : float or None
         Time, s from the epoch, about which a keystone scales time with range frequency; None without one.
-    moves : (n_range, n_yaw, 2) float, optional
+    moves : (n_range, n_yaw, n) float, optional
         From `dwell_ends.band_moves`, without one.
     track_phase : float
         Root mean square phase that the noise of the track leaves, rad.
@@ -242,9 +243,8 @@ def _at_ends(
         left = smear[..., end] - (slope.coefficients(spots.range)[..., 0] - pace)
         displaced = (at + side * gate.length / 2 - placed) / line.stretch[..., end]
         scaled = np.zeros(yaw.shape) if scaled_about is None else moment - geometry.epoch - scaled_about
+        scaled = scaled if moves is None else moves[..., end]
         if fade:
-            # Not counted for whole dwells: at a block's borders they lose up to 3 dB more than their smear alone says.
-            scaled = scaled if moves is None else moves[..., end]
             area = left / line.stretch[..., end] ** 2
             total = faded_energy(area, displaced, scaled * edge_of_band, lit / (2 * fade), band, parts=parts)
         elif by_lit:

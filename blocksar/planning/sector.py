@@ -69,12 +69,12 @@ class Sector:
         uncut: tuple[FloatArray, FloatArray],
         epoch_range: FloatArray,
         yaw: FloatArray,
-        scaled_about: float | None,
+        moves: FloatArray | None,
     ) -> DwellWeights:
         """Weights of targets over their dwells: see `dwell_weights`."""
         return dwell_weights(
             self.lighting, self.taper, lit, uncut=uncut, epoch_range=epoch_range, yaw=yaw,
-            stays=self.staying is not None, scaled_about=scaled_about,
+            stays=self.staying is not None, moves=moves,
             lit_band=self._lit_band(lit, uncut),
         )  # fmt: skip
 
