@@ -12,20 +12,13 @@ import numpy as np
 from blocksar import stores
 from blocksar.api import definitions, finding
 from blocksar.api.look_figures import describe_looks, looks_table
-from blocksar.api.pulses import pulse_reader
 from blocksar.api.raised import raised_line, seen_places
+from blocksar.api.reference_chips import compare_with_exact
 from blocksar.api.reports import Report, Table
 from blocksar.api.shadows import in_shadow
 from blocksar.api.target_files import targets_of
-from blocksar.arrays import ComplexArray
-from blocksar.collection.beam import full_dwell_yaw, has_full_dwell
-from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import Weighting
-from blocksar.errors import InputError
-from blocksar.focusing.backprojection import form_chips
-from blocksar.graph.machine import machine
 from blocksar.measurement.bar import rank
-from blocksar.measurement.coherence import ChipComparison, coherence
 from blocksar.measurement.figures import PointResponse, as_json, measure_target, summary
 from blocksar.measurement.response import Response, read_response
 from blocksar.measurement.table3 import TABLE3
@@ -33,8 +26,6 @@ from blocksar.measurement.targets import Target
 from blocksar.places import Location, place
 from blocksar.places.place import Place
 from blocksar.runs.finished import FinishedRun, finished_record, folder_of, member_line
-from blocksar.runs.folder import INPUT
-from blocksar.runs.record import RunPlan
 from blocksar.runs.track import TrackCorrection
 
 WORST = 10  # targets that are shown of more
@@ -46,8 +37,6 @@ NAMES = {
     "error_x": ("position error in x (mm)", 1e3, 1), "error_y": ("position error in y (mm)", 1e3, 1),
     "amplitude": ("|value|", 1, 4), "phase": ("phase (rad)", 1, 4),
 }  # fmt: skip
-FULL_DWELL_YAWS = 257  # at which full dwells are looked for under a beam about its axis
-RANGES_COMPARED = (("near", 0.1), ("middle", 0.5), ("far", 0.9))  # name, share of the swath
 
 
 def quality(
@@ -151,21 +140,9 @@ def measure(
         others.append(looks_table(result["looks"]))
     drawn = [response for target in listed if target.name in TABLE3 and (response := read_target(run, target))]
     if reference:
-        compared = _compare(run)
-        result["reference"] = [
-            {
-                "place": name, "x": x, "y": y, "full_dwell": bool(has_full_dwell(run.geometry_at(x, y), x, y)),
-                "coherence": abs(c.coherence), "gain": c.gain, "phase": c.phase,
-            }
-            for name, x, y, c in compared
-        ]  # fmt: skip
-        others.append(_reference_table(result["reference"]))
-        lines.append("reference: exact back-projection of the same samples; chips of 64 x 64 pixels")
-        predicted = min((block.coherence for block in run.record.plan.predicted), default=math.nan)
-        full = [chip["coherence"] for chip in result["reference"] if chip["full_dwell"]]
-        if full and not math.isnan(predicted):
-            result["least_coherence"] = {"measured": min(full), "predicted": predicted}
-            lines.append(f"least coherence at full dwells: {min(full):.4f} measured, {predicted:.4f} predicted")
+        table, said = compare_with_exact(run, result)
+        others.append(table)
+        lines += said
     stores.write_json(folder / "quality.json", result)
     worst, full = ([_summary_table(responses), _worst_table(responses)], [_response_table(responses)])
     if not responses:
@@ -326,122 +303,3 @@ def _track_table(track: TrackCorrection) -> Table:
         figures = (error[0], error[middle], error[-1], np.sqrt(np.mean(error * error)), spread.max())
         rows.append([name, *(f"{value:.2f}" for value in figures)])
     return header, rows
-
-
-Compared = list[tuple[str, float, float, ChipComparison]]
-
-
-def _compare(run: FinishedRun) -> Compared:
-    """Compare chips of the image with exact back-projection of the run's input.
-
-    Of chips around a place with full dwell, those pixels are compared that have it too.
-
-    Raises
-    ------
-    InputError
-        If the input is unknown or gone, or the plan of the run is unknown.
-    """
-    if not run.record.inputs:
-        raise InputError(f"run.json of {run.folder} does not name the input (input.path); focus again with --overwrite")
-    compared: Compared = []
-    own = run.folder / INPUT  # goes with the folder, where that is moved
-    for path in run.record.inputs:
-        moved = own / place(path).name if place(path).name != INPUT else own
-        within = f"/{INPUT}" in path and moved.exists()
-        history = stores.open_phase_history(moved if within else path)
-        history = history.of_channel(run.attrs.get("channel") if history.channels else None)
-        geometry = Geometry(collection=history.collection.centred()) if run.segments else run.geometry
-        chips = _chips(run, path, geometry)
-        read, axes = pulse_reader(history), [(run.x[columns], run.y[rows]) for *_, rows, columns in chips]
-        exact = form_chips(read, geometry, axes, threads=machine()[0], weighting=run.weighting)
-        for (name, x, y, chip, *_), one in zip(chips, exact, strict=True):
-            compared.append((name, x, y, coherence(chip, one)))
-    return compared
-
-
-def _chips(
-    run: FinishedRun, path: str, geometry: Geometry
-) -> list[tuple[str, float, float, ComplexArray, slice, slice]]:
-    """Name, x and y (m), pixels, rows and columns of the chips to compare; pixels of other collections are NaN.
-
-    `geometry` is that of the whole collection at `path`.
-    """
-    half, chips = 32, []
-    for name, x, y in _places_of(run, path):
-        column, row = (round((at - axis[0]) / (axis[1] - axis[0])) for at, axis in ((x, run.x), (y, run.y)))
-        rows, columns = slice(max(row - half, 0), row + half), slice(max(column - half, 0), column + half)
-        if row < 0 or column < 0 or run.y[rows].size < half or run.x[columns].size < half:
-            continue
-        chip = run.read(rows, columns)
-        if len(run.record.inputs) > 1:
-            chip = np.where(run.read_input(rows, columns) == run.record.inputs.index(path), chip, np.nan)
-        if np.isfinite(chip.real).mean() < 0.5:
-            continue
-        if has_full_dwell(geometry, x, y):  # its neighbours may be lit for a few pulses only
-            chip = np.where(has_full_dwell(geometry, run.x[columns], run.y[rows, None]), chip, np.nan)
-        chips.append((name, float(x), float(y), chip, rows, columns))
-    return chips
-
-
-def _places_of(run: FinishedRun, path: str) -> list[tuple[str, float, float]]:
-    """`reference_places` of the segments of the collection at `path`."""
-    if not run.segments:
-        return reference_places(run.geometry, run.record.plan)
-    places = []
-    for number, (geometry, segment) in enumerate(zip(run.segments, run.record.segments, strict=True)):
-        if segment.path == path:
-            own = [block for block in run.record.plan.predicted if run.segment_of(block.block) == number]
-            for name, x, y in reference_places(geometry, replace(run.record.plan, predicted=tuple(own))):
-                places.append((f"segment {number}, {name}", x, y))
-    return places
-
-
-def reference_places(geometry: Geometry, plan: RunPlan) -> list[tuple[str, float, float]]:
-    """Return name, x and y (m) of block centres, seams, near and far range, and the last yaws of full dwell.
-
-    Raises
-    ------
-    InputError
-        If neither blocks nor grid are known.
-    """
-    predicted = plan.predicted
-    if not predicted:
-        if plan.grid is None:
-            raise InputError("run.json does not hold the grid (plan.grid); focus again with --overwrite")
-        x0, x1, _, y0, y1, _ = plan.grid
-        return [("image centre", (x0 + x1) / 2, (y0 + y1) / 2)]
-    collection = geometry.collection
-    low, high = predicted[0].yaw[0], predicted[-1].yaw[1]
-    if collection.has_axis:
-        middle = (predicted[0].range[0] + predicted[-1].range[1]) / 2
-        tried = np.linspace(low, high, FULL_DWELL_YAWS)
-        full = tried[has_full_dwell(geometry, *geometry.ground_axes(np.array(middle), tried))]
-        low, high = (float(full[0]), float(full[-1])) if full.size > 1 else (low, high)
-    elif collection.steered:
-        first, last = full_dwell_yaw(collection)
-        low, high = (max(low, first), min(high, last)) if first < last else (low, high)
-    blocks = {b.block: b.yaw for b in predicted}
-    yaws = [(f"block {index} centre", float(np.clip(sum(yaw) / 2, low, high))) for index, yaw in blocks.items()]
-    yaws += [(f"seam {index}|{index + 1}", yaw[1]) for index, yaw in list(blocks.items())[:-1]]
-    inset = 0.01 * (high - low)
-    yaws += [("first full dwell", low + inset), ("last full dwell", high - inset)]
-    parts = [[b.range for b in predicted if b.block == index] for index in blocks]
-    near, far = max(ranges[0][0] for ranges in parts), min(ranges[-1][1] for ranges in parts)
-    ranges = [(f"{where} range", near + share * (far - near)) for where, share in RANGES_COMPARED]
-    places = [(f"{name}, {where}", yaw, rng) for name, yaw in yaws for where, rng in ranges]
-    for (name, yaw), of_block in zip(yaws, parts, strict=False):  # blocks come first
-        inner = [b[1] for b in of_block[:-1]]
-        places += [(f"{name}, range seam {k}|{k + 1}", yaw, rng) for k, rng in enumerate(inner) if near < rng < far]
-    points = [geometry.ground_point(np.array(rng), np.array(yaw)) for _, yaw, rng in places]
-    return [(name, float(p[0]), float(p[1])) for (name, _, _), p in zip(places, points, strict=True)]
-
-
-def _reference_table(chips: list[dict[str, Any]]) -> Table:
-    header = ("place", "x (m)", "y (m)", "full dwell", "coherence", "gain", "phase (rad)")
-    return header, [
-        [
-            c["place"], f"{c['x']:.0f}", f"{c['y']:.0f}", "yes" if c["full_dwell"] else "no",
-            f"{c['coherence']:.5f}", f"{c['gain']:.4f}", f"{c['phase']:.4f}",
-        ]
-        for c in chips
-    ]  # fmt: skip

@@ -13,13 +13,14 @@ class ChipComparison(NamedTuple):
     """Comparison of an image chip a with a reference chip b over the pixels present in both.
 
     coherence = <a, b> / (|a| |b|), complex; gain = |<a, b>| / <b, b>; phase of a relative to b, rad; number of
-    pixels used.
+    pixels used; power = <b, b> / pixels.
     """
 
     coherence: complex
     gain: float
     phase: float
     pixels: int
+    power: float
 
 
 def coherence(a: ComplexArray, b: ComplexArray) -> ChipComparison:
@@ -40,6 +41,7 @@ def coherence(a: ComplexArray, b: ComplexArray) -> ChipComparison:
     energy_a, energy_b = float(np.vdot(first, first).real), float(np.vdot(second, second).real)
     if energy_a == 0 or energy_b == 0:
         nan = float("nan")
-        return ChipComparison(complex(nan, nan), nan, nan, int(both.sum()))
+        return ChipComparison(complex(nan, nan), nan, nan, int(both.sum()), energy_b / max(int(both.sum()), 1))
     normalised = inner / float(np.sqrt(energy_a) * np.sqrt(energy_b))
-    return ChipComparison(normalised, abs(inner) / energy_b, float(np.angle(inner)), int(both.sum()))
+    pixels = int(both.sum())
+    return ChipComparison(normalised, abs(inner) / energy_b, float(np.angle(inner)), pixels, energy_b / pixels)

@@ -1,0 +1,30 @@
+"""Which chips are judged beside exact back-projection."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from blocksar.api.reference_chips import DARK, full_dwell_coherence
+from blocksar.measurement.coherence import coherence
+
+
+def chip(decibel: float, value: float, *, full: bool = True) -> dict[str, Any]:
+    return {"power": 10 ** (decibel / 10), "coherence": value, "full_dwell": full}
+
+
+def test_dark_chips_are_told_apart() -> None:
+    """They hold side lobes of other places, of which a prediction says nothing."""
+    chips = [chip(0, 0.9998, full=False), chip(-1, 0.9995), chip(1 - DARK, 0.999), chip(-1 - DARK, 0.6)]
+    assert full_dwell_coherence(chips) == ([0.9995, 0.999], [0.6])
+    assert full_dwell_coherence([chip(-200, math.nan), chip(0, 0.9)]) == ([0.9], [])
+    assert full_dwell_coherence([]) == ([], [])
+
+
+def test_the_power_of_a_chip_is_that_of_the_reference() -> None:
+    exact = np.array([[1 + 1j, 2.0, np.nan]], np.complex64)
+    assert coherence(2 * exact, exact).power == pytest.approx(3.0)
+    assert coherence(np.zeros_like(exact), exact).power == pytest.approx(3.0)
