@@ -216,9 +216,13 @@ def by_range(geometry: Geometry) -> bool:
 
 
 def surfaces(
-    focus: Focus, *, epoch_range: FloatArray, yaw: FloatArray, origin: float, carrier: float, degree: tuple[int, int]
-) -> tuple[Surface, Surface, Surface, Surface, Surface]:
-    """Range offset, Doppler, phase, gain and time over (epoch range, yaw) from traced and focused lines."""
+    focus: Focus, *, time: FloatArray, epoch_range: FloatArray, yaw: FloatArray, origin: float, carrier: float,
+    degree: tuple[int, int],
+) -> tuple[Surface, Surface, Surface, Surface, Surface]:  # fmt: skip
+    """Range offset, Doppler, phase, gain and time over (epoch range, yaw) from traced and focused lines.
+
+    `time` (n_range, n_yaw), s, is that about which responses are interpolated along Doppler.
+    """
     offset = (epoch_range - origin)[:, None]
     carrier_cycles = -2 * carrier / SPEED_OF_LIGHT * offset
     grid = {"epoch_range": epoch_range, "yaw": yaw, "degree": degree}
@@ -227,5 +231,5 @@ def surfaces(
         fit_surface(focus.doppler, **grid),  # type: ignore[arg-type]
         fit_surface(focus.phase - carrier_cycles, **grid),  # type: ignore[arg-type]
         fit_surface(focus.gain, **grid),  # type: ignore[arg-type]
-        fit_surface(focus.time, **grid),  # type: ignore[arg-type]
+        fit_surface(time, **grid),  # type: ignore[arg-type]
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -100,13 +101,13 @@ class ReliefMap:
         return np.array([[term.series for term in terms] for terms in every])
 
 
-def straighten(line: Line) -> tuple[Line, FloatArray, Focus]:
+def straighten(line: Line, about: Callable[[Focus], FloatArray]) -> tuple[Line, FloatArray, Focus]:
     """Lines without the phase that is quadratic in time, (...) cycles/s^2, and their focus.
 
-    The interpolation along Doppler takes this phase out.
+    The interpolation along Doppler takes this phase out; it is `about` the time (...), s, about which it interpolates.
     """
     spots = focus(line)
-    offset = line.time - spots.time[..., None]
+    offset = line.time - about(spots)[..., None]
     weight = line.weight * np.sqrt(np.maximum(line.stretch, 1e-3))
     total = weight.sum(axis=-1)
 

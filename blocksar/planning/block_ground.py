@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from blocksar.arrays import BoolArray
+from blocksar.arrays import BoolArray, FloatArray
 from blocksar.collection.geometry import Geometry
 from blocksar.focusing.ground_map import YAW_STEPS, GroundMap, by_range, sum_lit, surfaces
 from blocksar.focusing.lines import Focus
@@ -45,7 +45,7 @@ def _on_smooth_ground(sector: Sector, sampling: Sampling, lines: FineLines) -> G
     yaw_axis = np.linspace(sector.low, sector.high, _yaw_steps(sector))
     near_limit, far_limit = sector.region.at(yaw_axis)
     # Of the sampling rate, what a target's response fills along Doppler without its own carrier.
-    reach = np.abs(lines.line.time - lines.spots.time[..., None]).max()
+    reach = np.abs(lines.line.time - _carrier_time(sector, lines, lines.spots)[..., None]).max()
     filled = float(min(2.2 * reach * sampling.image_doppler.step, 0.9))
     return GroundMap(
         geometry=sector.lighting,
@@ -80,9 +80,20 @@ def _on_smooth_ground(sector: Sector, sampling: Sampling, lines: FineLines) -> G
 def _surfaces(sector: Sector, lines: FineLines, spots: Focus) -> tuple[Surface, ...]:
     """What the map knows of a focus, over range and yaw."""
     return surfaces(
-        spots, epoch_range=lines.epoch_range, yaw=lines.yaw, origin=sector.recovery.origin,
-        carrier=sector.geometry.collection.carrier, degree=SURFACE_DEGREE,
+        spots, time=_carrier_time(sector, lines, spots), epoch_range=lines.epoch_range, yaw=lines.yaw,
+        origin=sector.recovery.origin, carrier=sector.geometry.collection.carrier, degree=SURFACE_DEGREE,
     )  # fmt: skip
+
+
+def _carrier_time(sector: Sector, lines: FineLines, spots: Focus) -> FloatArray:
+    """Time (n_range, n_yaw), s, about which a target's response is interpolated along Doppler: the middle of its dwell.
+
+    Where all pulses are summed their weights can tilt, up to ten to one at the rim of a beam. Their mean would leave
+    the first or the last of them beyond what the taps pass.
+    """
+    if sector.staying is None or lines.weights.uniform:
+        return spots.time
+    return np.asarray((spots.line.time[..., 0] + spots.line.time[..., -1]) / 2)
 
 
 def _yaw_steps(sector: Sector) -> int:
@@ -122,5 +133,5 @@ def usual_layer(sector: Sector, azimuth: AzimuthPart, lines: FineLines) -> tuple
 def _layer(sector: Sector, azimuth: AzimuthPart, lines: FineLines, geometry: Geometry) -> Layer:
     """The lines of targets on another ground, straightened, with the weights of their dwells."""
     line, rate = retrace(replace(sector, geometry=geometry), azimuth, lines)
-    straight, bend, spots = straighten(lines.weights.weigh(line))
+    straight, bend, spots = straighten(lines.weights.weigh(line), lambda spots: _carrier_time(sector, lines, spots))
     return Layer(geometry, replace(straight, weight=line.weight), bend, spots, rate)

@@ -68,7 +68,7 @@ def test_the_bend_of_a_line_is_its_quadratic_phase() -> None:
         time=time, doppler=100 + 2 * bend * offset, rate=2 * bend * flat, phase=0.25 + 100 * time + bend * offset**2,
         range=0 * flat, stretch=flat, weight=flat,
     )  # fmt: skip
-    straight, found, spots = straighten(line)
+    straight, found, spots = straighten(line, lambda spots: spots.time)
     assert found == pytest.approx(bend[:, 0], rel=1e-9)
     assert spots.doppler == pytest.approx(100.0, abs=1e-9)
     assert spots.residual.max() < 1e-9
