@@ -6,8 +6,8 @@ image.zarr and run.json. Units of work leave receipts in receipts/ during the ru
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import ExitStack, nullcontext
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import replace
 from inspect import signature
 from pathlib import Path
@@ -37,7 +37,7 @@ from blocksar.progress import Listener, as_listener
 from blocksar.progress import Wanted as Progress
 from blocksar.runs import folder as run_folder
 from blocksar.runs.receipts import Run
-from blocksar.runs.record import Receipt, RunRecord
+from blocksar.runs.record import RECORD, Receipt, RunRecord
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -270,17 +270,16 @@ def _focus(
 ) -> RunReport:
     """Plan and carry out a run in a folder that this process has claimed."""
     listener.update("plan", 0, 1)
-    if client is None:
-        cluster.prepare_workers(machine.threads, listener)
-    job = Job.of(request, earlier, machine)
-    listener.expect(job.predict_effort(), machine.workers)
-    listener.update("plan", 1, 1)
-    record = job.record()
-    run = Run(folder=request.folder, identity=record.identity, threads=machine.threads)
-    try:
-        finished = carry_out(job, run, record, client, listener, profile, resumed=earlier is not None)
-    except ProcessingError as error:
-        raise ProcessingError(f"{error}; what was finished stays, the same command goes on from there") from error
+    with _start_workers(request, earlier, machine, listener) if client is None else nullcontext(client) as workers:
+        job = Job.of(request, earlier, machine)
+        listener.expect(job.predict_effort(), machine.workers)
+        listener.update("plan", 1, 1)
+        record = job.record()
+        run = Run(folder=request.folder, identity=record.identity, threads=machine.threads)
+        try:
+            finished = carry_out(job, run, record, workers, listener, profile, resumed=earlier is not None)
+        except ProcessingError as error:
+            raise ProcessingError(f"{error}; what was finished stays, the same command goes on from there") from error
     found = [
         next((line for plan in job.plans if (line := doubt(plan))), None) for doubt in (undersampling, short_dwells)
     ]
@@ -293,6 +292,26 @@ def _focus(
     worker = "this process" if cluster.is_here(client) else "a worker"
     lines = [*_summary(request.folder, finished, job.memory, worker), *notes]
     return RunReport(summary=lines, result=finished.as_json(), folder=request.folder, measurable=measurable)
+
+
+@contextmanager
+def _start_workers(
+    request: Request, earlier: RunRecord | None, machine: Resources, listener: Listener
+) -> Iterator[cluster.Starting | None]:
+    """Start a local cluster while a run is planned; None where the run will move what lies in its folder.
+
+    Its temporary files lie there.
+    """
+    if earlier is None and (request.folder / RECORD).exists():
+        cluster.prepare_workers(machine.threads, listener)
+        yield None
+        return
+    try:
+        scratch = run_folder.scratch(request.folder)
+        with cluster.Starting(**machine._asdict(), scratch=scratch, listener=listener) as starting:
+            yield starting
+    finally:
+        (request.folder / run_folder.SCRATCH).remove()
 
 
 def _summary(folder: Place, record: RunRecord, planned: int, worker: str) -> list[str]:

@@ -32,13 +32,16 @@ def carry_out(
     job: Job,
     run: Run,
     record: RunRecord,
-    client: Client | None,
+    client: Client | cluster.Starting | None,
     listener: Listener,
     profile: Path | None,
     *,
     resumed: bool,
 ) -> RunRecord:
-    """Carry out a run and return its final record. Without a client, a local cluster is started."""
+    """Carry out a run and return its final record, by a client, or a local cluster: one that is starting, or its own.
+
+    The local cluster has ended when the record is written.
+    """
     started = time.perf_counter()
     with ExitStack() as stack:
         input_read = (lambda: None) if resumed else stack.enter_context(run_folder.begin(run.folder))
@@ -52,9 +55,9 @@ def carry_out(
         compiling.compile_missing(name for names, used in optional if used for name in names)
         if client is None:
             scratch = run_folder.scratch(run.folder)
-            client = stack.enter_context(
-                cluster.open_client(**job.machine._asdict(), scratch=scratch, listener=listener)
-            )
+            client = cluster.Starting(**job.machine._asdict(), scratch=scratch, listener=listener)
+        if isinstance(client, cluster.Starting):
+            client = stack.enter_context(client).client()
         if (address := recording.dashboard(client)) is not None:
             listener.dashboard(address)
         with recording.record_performance(client, profile, listener):

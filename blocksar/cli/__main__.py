@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from blocksar.cli.commands import main
+from blocksar.cli import main
 
 main()

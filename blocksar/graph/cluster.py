@@ -17,6 +17,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, cast
@@ -127,17 +128,69 @@ def open_client(
     if client is not None:
         yield client
         return
-    with ExitStack() as stack:
-        stack.enter_context(dask.config.set(SETTINGS))
-        stack.enter_context(_silence_dask())
-        if scheduler is not None:
-            connected = stack.enter_context(_connect(scheduler))
-            _check_versions(connected, scheduler)
-            yield connected
-            return
+    if scheduler is None:
+        with Starting(workers, threads, memory_limit, scratch=scratch, listener=listener or Listener()) as starting:
+            yield starting.client()
+        return
+    with dask.config.set(SETTINGS), _silence_dask(), _connect(scheduler) as connected:
+        _check_versions(connected, scheduler)
+        yield connected
+
+
+class Starting:
+    """A local cluster that starts while the caller does something else. It ends with the block of its context.
+
+    Parameters
+    ----------
+    workers, threads, memory_limit, scratch, listener
+        As in `open_client`.
+
+    Raises
+    ------
+    InputError
+        If the caller is a script that its workers would run again, or processes cannot share locks.
+    """
+
+    def __init__(
+        self, workers: int, threads: int, memory_limit: int | None, *, scratch: str | None, listener: Listener
+    ) -> None:
+        _refuse_unguarded_script()
+        _check_locks()
+        self._workers, self._listener = workers, listener
+        self._stack, self._pool = ExitStack(), ThreadPoolExecutor(1)
+        prepare_workers(threads, listener)
+        # Signals are received by the main thread: none interrupts the start.
+        self._opened = self._pool.submit(self._open, workers, threads, memory_limit, scratch)
+
+    def _open(self, workers: int, threads: int, memory_limit: int | None, scratch: str | None) -> Client:
+        enter = self._stack.enter_context
+        enter(dask.config.set(SETTINGS))
+        enter(_silence_dask())
         if scratch is None:
-            scratch = stack.enter_context(tempfile.TemporaryDirectory(prefix="blocksar-", ignore_cleanup_errors=True))
-        yield stack.enter_context(_local_cluster(workers, threads, memory_limit, scratch, listener or Listener()))
+            scratch = enter(tempfile.TemporaryDirectory(prefix="blocksar-", ignore_cleanup_errors=True))
+        return enter(_local_cluster(workers, threads, memory_limit, scratch))
+
+    def client(self) -> Client:
+        """Wait for the workers; the client of the cluster.
+
+        Raises
+        ------
+        ProcessingError
+            If the workers do not start.
+        """
+        _compile_once(self._listener)
+        self._listener.update("start-workers", 0, self._workers)
+        client = self._stack.enter_context(self._opened.result())
+        self._listener.update("start-workers", self._workers, self._workers)
+        return client
+
+    def __enter__(self) -> Starting:
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        """Wait for the end of the start, and end the cluster; a second call does nothing."""
+        self._pool.shutdown()
+        self._stack.__exit__(*error)
 
 
 @contextmanager
@@ -181,46 +234,36 @@ def _version() -> str:
 
 
 @contextmanager
-def _local_cluster(
-    workers: int, threads: int, memory_limit: int | None, scratch: str, listener: Listener
-) -> Iterator[Client]:
-    """Start a local cluster and open its client; both end with the block.
+def _local_cluster(workers: int, threads: int, memory_limit: int | None, scratch: str) -> Iterator[Client]:
+    """Start a local cluster and open its client, which is not the current one; both end with the block.
 
     Raises
     ------
-    InputError
-        If the caller is a script that its workers would run again, or processes cannot share locks.
     ProcessingError
         If the workers do not start.
     """
-    _refuse_unguarded_script()
-    _check_locks()
-    _compile_once(listener)
-    listener.update("start-workers", 0, workers)
     with ExitStack() as stack:
         stack.enter_context(dask.config.set(_local_settings(threads, scratch)))
-        start_fork_server(threads)
-        with _defer_signals():  # an interrupted start would leave a cluster that cannot be closed
-            cluster = LocalCluster(
-                n_workers=0,
-                threads_per_worker=1,
-                processes=True,
-                memory_limit=memory_limit or "auto",
-                host="127.0.0.1",
-                dashboard_address="127.0.0.1:0",  # any free port, loopback only; needs bokeh to show more than metrics
-                scheduler_kwargs={"dashboard": False},  # `serve_dashboard` makes one on demand
-                silence_logs=logging.CRITICAL,
-            )
-            stack.enter_context(cluster)
-            serve_dashboard(cluster)
-            cluster.scale(workers)
-            client = stack.enter_context(Client(cluster))
+        cluster = LocalCluster(
+            n_workers=0,
+            threads_per_worker=1,
+            processes=True,
+            memory_limit=memory_limit or "auto",
+            host="127.0.0.1",
+            dashboard_address="127.0.0.1:0",  # any free port, loopback only; needs bokeh to show more than metrics
+            scheduler_kwargs={"dashboard": False},  # `serve_dashboard` makes one on demand
+            silence_logs=logging.CRITICAL,
+        )
+        stack.enter_context(cluster)
+        serve_dashboard(cluster)
+        cluster.scale(workers)
+        client = Client(cluster)
+        stack.callback(client.close)
         try:
             client.wait_for_workers(workers, timeout=NO_WORKER)
         except TimeoutError:
             raise ProcessingError(f"the workers did not start within {NO_WORKER:.0f} s") from None
         stack.enter_context(_replacing_hung_workers(cluster))
-        listener.update("start-workers", workers, workers)
         try:
             yield client
         except BaseException:
@@ -323,26 +366,6 @@ def _local_settings(threads: int, scratch: str) -> dict[str, Any]:
         "distributed.nanny.environ": dict(os.environ),
         PRE_SPAWN: worker_environment(threads),
     }
-
-
-@contextmanager
-def _defer_signals() -> Iterator[None]:
-    """Defer Ctrl-C and SIGTERM to the end of the block."""
-    if threading.current_thread() is not threading.main_thread():  # only the main thread receives signals
-        yield
-        return
-    received: list[int] = []
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    handlers = {number: handler for number, handler in before.items() if callable(handler)}
-    for number in handlers:
-        signal.signal(number, lambda number, _: received.append(number))
-    try:
-        yield
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
-    if received:
-        signal.raise_signal(received[0])
 
 
 def _kill_workers(cluster: LocalCluster) -> None:

@@ -11,8 +11,6 @@ from pathlib import Path
 from time import perf_counter
 from typing import NamedTuple
 
-import numpy as np
-
 from blocksar.errors import InputError
 from blocksar.places.posix import resource
 
@@ -40,6 +38,8 @@ def pace() -> float:
 
     A few phases are multiplied, as focusing does; the best of some trials, since others may be using the machine.
     """
+    import numpy as np  # slow to import, and cores are counted before anything else
+
     phase = np.linspace(0.0, 1e3, PACE_SAMPLES)
     samples = np.ones(PACE_SAMPLES, np.complex64)
     seconds = []

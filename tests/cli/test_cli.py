@@ -89,6 +89,33 @@ def test_workers_begin_to_start_with_the_command(
     assert begun == [3]
 
 
+@pytest.mark.parametrize(
+    ("words", "threads"),
+    [
+        ("SOURCE --out NEW --threads 3", [3]),
+        ("--out=NEW --workers=1 --threads=2 SOURCE", [2]),
+        ("SOURCE --threads 3", []),
+        ("SOURCE --out SOURCE --threads 3", []),
+        ("nothing --out NEW --threads 3", []),
+        ("SOURCE --out NEW --threads 0", []),
+        ("SOURCE --out NEW --threads x", []),
+        ("SOURCE --out NEW --threads 3 --workers 0", []),
+        ("SOURCE --out NEW --threads 3 --scheduler=tcp://a:1", []),
+        ("SOURCE --out NEW --threads 3 --config a.toml", []),
+        ("SOURCE --out NEW --threads 3 --dry-run", []),
+    ],
+)
+def test_workers_begin_to_start_before_the_command_line_is_imported(
+    words: str, threads: list[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun: list[int] = []
+    monkeypatch.setattr(starting, "kernels_cached", lambda: True)
+    monkeypatch.setattr(starting, "start_fork_server", begun.append)
+    source, new = str(tmp_path), str(tmp_path / "new")
+    starting.start_at_once(words.replace("SOURCE", source).replace("NEW", new).split())
+    assert begun == threads
+
+
 # Arguments
 
 

@@ -8,8 +8,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -158,12 +156,17 @@ def test_focus_with_autofocus_is_the_two_in_one(
 ) -> None:
     started = []
 
-    @contextmanager
-    def start_cluster(**settings: Any) -> Iterator[Client]:
-        started.append(settings["workers"])
-        yield client
+    class Started(cluster.Starting):
+        def __init__(self, workers: int, *_: Any, **__: Any) -> None:
+            started.append(workers)
 
-    monkeypatch.setattr(cluster, "open_client", start_cluster)
+        def client(self) -> Client:
+            return client
+
+        def __exit__(self, *_: Any) -> None:
+            pass
+
+    monkeypatch.setattr(cluster, "Starting", Started)
     monkeypatch.setattr(cluster, "prepare_workers", lambda *_: None)
     settings: dict[str, Any] = {"grid": wrong_tracks.GRID, "workers": 1, "processor": "backprojection"}
     anchored = {**settings, "control": corrected.control}

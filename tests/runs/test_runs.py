@@ -137,6 +137,7 @@ def test_a_memory_limit_too_small_for_a_raw_echo_is_refused(tmp_path: Path, monk
     monkeypatch.setattr(jobs, "compression_memory", lambda *_: 40 * needed)
     with pytest.raises(InputError, match=r"memory limit 2048 MiB a worker is too low: range compression needs about"):
         blocksar.focus(raw, tmp_path / "run", blocks=1, grid=GRID, workers=1, memory_limit=2 * 2**30)
+    assert not (tmp_path / "run").exists()  # the cluster that was starting meanwhile has left nothing
     assert not (tmp_path / "run").exists()
 
 
