@@ -23,7 +23,8 @@ TURNS = 4  # of points' own phases and the shared one
 BANDS = 8  # of frequencies, at most
 OFF_END = 3  # from the last band: the one from which power beyond is told, not dimmed by the chips' low-pass
 LEAST_BINS = 8  # of a band
-NEAR_CELLS = np.arange(-2.0, 2.1, 0.25)  # Doppler cells from the brightest of a row in which its own line is looked for
+NEAR_CELLS = np.arange(-64, 65) / 16  # Doppler cells from the brightest of a row in which its own line is looked for
+PARTS = 128  # of a row, whose sums tell it: within one, lines so near to each other are alike
 WHOLE = 8  # times the Doppler cells: a band that cuts nothing
 ALONE = 0.5  # of the power of its line: a point with less does not stand alone
 PATTERN = 0.15  # correlation of amplitudes
@@ -112,18 +113,20 @@ def own_phase(rows: ComplexArray, chips: Chips) -> tuple[Complex128Array, FloatA
     told = chips.told
     for i in range(n_point):
         count, there = int(chips.count[i]), np.flatnonzero(told[i])
-        samples = there.size
-        early, late = there[there < count // 2], there[there >= count - count // 2]
-        if min(early.size, late.size) < 2:
+        samples, half = there.size, there.size // 2
+        if half < 2:
             continue
+        early, late = there[:half], there[samples - half :]
         row = rows[i, :count].astype(np.complex128)
         at, slope = np.arange(count) - (count - 1) / 2, 0.0
         if samples < count:  # a gap has sidelobes in which the next lines would stay
             slopes = 2 * np.pi / count * NEAR_CELLS
-            slope = float(slopes[np.abs((row * np.exp(-1j * slopes[:, None] * at)).sum(axis=1)).argmax()])
+            parts = np.arange(0, count, -(-count // PARTS))
+            sums, middles = np.add.reduceat(row, parts), np.add.reduceat(at, parts) / np.diff(parts, append=count)
+            slope = float(slopes[np.abs((sums * np.exp(-1j * slopes[:, None] * middles)).sum(axis=1)).argmax()])
         flat = row * np.exp(-1j * slope * at)
         for _ in range(3):
-            ends = flat[: count // 2].sum(), flat[count - count // 2 :].sum()
+            ends = flat[early].sum(), flat[late].sum()
             slope += float(np.angle(ends[1] * np.conj(ends[0])) / (late.mean() - early.mean()))
             line = np.exp(1j * slope * at)
             flat = row * np.conj(line)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from blocksar.arrays import FloatArray
 from blocksar.autofocusing import forms, sights
-from blocksar.autofocusing.chips import Chips
+from blocksar.autofocusing.chips import Chips, missing_runs
 from blocksar.autofocusing.correction import Knots
 
 
@@ -34,6 +35,24 @@ def information(chips: Chips, knots: Knots, weights: FloatArray) -> Information:
     sights.flat_parts(chips.sight, chips.first, each, *knots.basis, rows)
     forms.add_squares(rows, flat)
     return Information(form - flat, flat)
+
+
+def told_within_sides(chips: Chips, knots: Knots, weights: FloatArray) -> FloatArray:
+    """`Information.told` of what chips tell on each side of a gap, and not of how both sides fit.
+
+    A constant and a line over the samples of each side are taken off. Without gaps it is all that chips tell.
+    """
+    sides = missing_runs(~chips.seen)
+    if len(sides) < 2:
+        return information(chips, knots, weights).told
+    told = np.zeros((3 * knots.size, 3 * knots.size))
+    for side in sides:
+        within = np.zeros(chips.seen.size, bool)
+        within[side] = True
+        some = replace(chips, seen=within)
+        share = some.told.sum(axis=1) / np.maximum(chips.told.sum(axis=1), 1)
+        told += information(some, knots, weights * share).told
+    return told
 
 
 def bending(size: int) -> FloatArray:

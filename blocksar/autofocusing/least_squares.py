@@ -14,7 +14,7 @@ from blocksar.arrays import FloatArray
 from blocksar.autofocusing.chips import Chips, mean_sight
 from blocksar.autofocusing.correction import Knots, intervals, narrowing
 from blocksar.autofocusing.fine_phase import own_phase, strongest_rows
-from blocksar.autofocusing.information import bending, information, solve
+from blocksar.autofocusing.information import bending, information, solve, told_within_sides
 
 TURNS = 4  # of phases and splines
 LEAST_COUNT = 8  # samples of a point that counts
@@ -29,6 +29,7 @@ def by_least_squares(chips: Chips, start: FloatArray, before: FloatArray, weight
     Minimises sum_i w_i sum_t (phase_it - k u_it . e(t) - line_i)^2 + the prior of e by Gauss-Newton steps, with
     w_i = weights_i / variance_i. The prior: displacements of `Settings.displacement`, and accelerations of
     `Settings.roughness` and of what is seen along the line of sight already, since errors are alike in all directions.
+    And `start` itself, as far as entropy tells it: not how both sides of a gap fit.
     """
     work, wavenumber, settings = chips.work, chips.work.wavenumber, chips.work.settings
     count = intervals(work)
@@ -39,7 +40,7 @@ def by_least_squares(chips: Chips, start: FloatArray, before: FloatArray, weight
     rough = float(np.hypot(settings.roughness * wavenumber * knots.step**2, seen))
     far = settings.displacement * wavenumber
     prior = knots.size * bending(knots.size) / rough**2 + np.eye(3 * knots.size) / far**2
-    believed = knots.size / ENTROPY_ERROR**2 * information(narrow, knots, weights / weights.sum()).told
+    believed = knots.size / ENTROPY_ERROR**2 * told_within_sides(narrow, knots, weights / weights.sum())
     whole = wide.fit(before + start) * wavenumber
     coefficients = np.zeros((knots.size, 3))
     for _ in range(TURNS):
