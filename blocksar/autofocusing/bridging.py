@@ -6,6 +6,8 @@ pulse saw the displacement in between. The turns are those of the smoothest moti
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from blocksar import solvers
@@ -19,7 +21,9 @@ LONGEST = 0.22  # of the collection: over longer gaps, errors across the line of
 DEGREE = 3  # of the polynomial through both sides of a gap
 LEAST_SIDE = 16  # samples of either side, at least
 TRIALS = 8  # phases within half a turn, with which both sides of a gap are put together
+STEEPEST = 12  # slopes likewise, in steps of a Doppler cell
 PADDING = 4.0  # Doppler cells for each sample, in which points are brightest
+NEAR_CELLS = 8  # on either side of the brightest, in whole ones of the dwell
 SLOPE = 8  # samples from which the slope at either end of a gap is taken
 
 
@@ -55,8 +59,9 @@ def stitched(chips: Chips, displacement: FloatArray, weights: FloatArray) -> Flo
     """
     out = displacement
     for gap in long_gaps(chips):
-        phase = jump(chips.corrected(out), gap, weights) / chips.work.wavenumber
-        out = out + np.where(np.arange(chips.time.size) < gap.stop, 0.0, phase)[:, None] * sight_across(chips, gap)
+        ahead, since = jump(chips.corrected(out), gap, weights), np.arange(chips.time.size) - gap.stop
+        phase = np.where(since < 0, 0.0, ahead.phase + ahead.slope * since)
+        out = out + (phase / chips.work.wavenumber)[:, None] * sight_across(chips, gap)
     return out
 
 
@@ -84,31 +89,49 @@ def sight_across(chips: Chips, gap: slice) -> FloatArray:
     return np.asarray(vector / np.sqrt((vector * vector).sum(axis=1, keepdims=True)))
 
 
-def jump(chips: Chips, gap: slice, weights: FloatArray) -> float:
-    """Phase, rad, by which the samples of all points after a gap are ahead of those before, within half a turn.
+class Jump(NamedTuple):
+    """By how much the samples of all points after a gap are ahead of those before.
 
-    With it taken out, the mean power of the brightest Doppler cells is highest. 0 where no point is seen on both sides.
+    phase : float
+        At the first sample after the gap, rad, within half a turn.
+    slope : float
+        rad per sample.
+    """
+
+    phase: float
+    slope: float
+
+
+def jump(chips: Chips, gap: slice, weights: FloatArray) -> Jump:
+    """The jump over a gap; with it taken out, the mean power of the brightest Doppler cells is highest.
+
+    0 where no point is seen on both sides.
     """
     both = straddling(chips, gap)
     if not (weights[both] > 0).any():
-        return 0.0
+        return Jump(0.0, 0.0)
     chips, weights = chips.some(np.flatnonzero(both)), weights[both]
     rows = strongest_rows(chips)
     n, later = rows.shape[1], chips.index >= gap.stop
+    length = fast_length(PADDING * n)
     spectra = []
     for part in (np.where(later, 0, rows), np.where(later, rows, 0)):
-        padded = np.zeros((rows.shape[0], fast_length(PADDING * n)), np.complex64)
+        padded = np.zeros((rows.shape[0], length), np.complex64)
         padded[:, :n] = part
         spectra.append(fft_rows(padded, inverse=False))
     share = weights / np.maximum((np.abs(rows) ** 2).sum(axis=1, dtype=np.float64), 1e-300)
-    turns = np.arange(-TRIALS, TRIALS) / (2 * TRIALS)
-    power = np.zeros(turns.size)
-    for k, turn in enumerate(turns):
-        whole = spectra[0] + spectra[1] * np.complex64(np.exp(-2j * np.pi * turn))
-        power[k] = (share * (whole.real**2 + whole.imag**2).max(axis=1)).sum()
-    best = int(power.argmax())
-    beside = vertex(power[[best - 1, best, (best + 1) % turns.size]])
-    return float(2 * np.pi * (turns[best] + beside / turns.size))
+    near = np.arange(-round(NEAR_CELLS * PADDING), round(NEAR_CELLS * PADDING) + 1)
+    steps, turns = np.arange(-STEEPEST, STEEPEST + 1), np.arange(-TRIALS, TRIALS) / (2 * TRIALS)
+    origin = (gap.stop - chips.first)[:, None]
+    power = np.zeros((steps.size, turns.size))
+    for i, step in enumerate(steps):
+        moved = spectra[1][:, (near + step) % length] * np.exp(2j * np.pi * (step * origin % length) / length)
+        for k, turn in enumerate(turns):
+            whole = spectra[0][:, near % length] + moved * np.exp(-2j * np.pi * turn)
+            power[i, k] = (share * (whole.real**2 + whole.imag**2).max(axis=1)).sum()
+    step, best = np.unravel_index(int(power.argmax()), power.shape)
+    beside = vertex(power[step, [best - 1, best, (best + 1) % turns.size]])
+    return Jump(2 * np.pi * (float(turns[best]) + beside / turns.size), 2 * np.pi * float(steps[step]) / length)
 
 
 def bridged(chips: Chips, displacement: FloatArray, before: FloatArray) -> FloatArray:

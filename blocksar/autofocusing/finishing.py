@@ -17,7 +17,7 @@ from blocksar.autofocusing.correction import Correction, Knots, between_samples,
 from blocksar.autofocusing.estimation import defocus, halves, phase_step, shared_error, without_line
 from blocksar.autofocusing.fine_phase import shared_samples
 from blocksar.autofocusing.information import factor, information
-from blocksar.autofocusing.least_squares import point_phases
+from blocksar.autofocusing.least_squares import point_phases, point_shares, rms
 from blocksar.autofocusing.selection import Points, Refused
 from blocksar.autofocusing.work import FILTER_LENGTH, Work
 from blocksar.kernels.fourier import fft_rows
@@ -179,8 +179,10 @@ def told_across_gaps(chips: Chips, correction: Correction) -> float:
         both = np.flatnonzero(straddling(chips, gap) & (correction.weights > 0))
         if both.size < 2:
             continue
-        some, weights = chips.some(both), correction.weights[both] / correction.weights[both].sum()
+        some = chips.some(both)
         phase = point_phases(some.recentred(moved).corrected(moved))
+        weights = correction.weights[both] * point_shares(rms(phase, some), some)  # as in least squares
+        weights /= weights.sum()
         left = np.zeros((both.size, 2))
         for i, told in enumerate(some.told):
             at = np.flatnonzero(told)

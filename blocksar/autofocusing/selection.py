@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 
@@ -33,6 +34,8 @@ NEAR = 2.5  # range cells, and Doppler cells of a short aperture, within which c
 APART = 0.5  # of the width of a chip, narrowed in Doppler: points closer than this share what they tell
 REGIONS = (4, 8)  # parts of the scene in range and yaw
 CAP = 2.0  # times the even share: points of one part, at most
+ACROSS = 12  # points that see both sides of a gap, if there are so many: they alone tell how these fit
+BESIDE = 1 / 16  # of a dwell: that they see on either side, at least
 
 
 Places = tuple[FloatArray, FloatArray, FloatArray]  # x, y and prominence of `Candidates`
@@ -50,12 +53,15 @@ class Candidates:
         Power over the median of its surroundings.
     middle : (1,) or (0,) float
         Pulse in the middle of the aperture; none where all its samples are missing.
+    seen : (2,) or (0,) int
+        Pulses of the aperture that have samples: first <= p < last.
     """
 
     x: FloatArray
     y: FloatArray
     prominence: FloatArray
     middle: FloatArray
+    seen: IntArray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -93,10 +99,12 @@ def find_candidates(signal: ComplexArray, work: Work, pulses: slice, threads: in
         One of `work.apertures`.
     """
     collection = work.geometry.collection
-    middle = np.full(0 if np.isnan(signal).all() else 1, (pulses.start + pulses.stop) / 2)
+    there = np.flatnonzero(~np.isnan(signal).all(axis=1))
+    middle = np.full(min(there.size, 1), (pulses.start + pulses.stop) / 2)
+    seen = pulses.start + (there[[0, -1]] + np.array([0, 1]) if there.size else there)
     yaws = _lit_yaws(work, pulses)
     if yaws is None:
-        return Candidates(x=np.empty(0), y=np.empty(0), prominence=np.empty(0), middle=middle)
+        return Candidates(x=np.empty(0), y=np.empty(0), prominence=np.empty(0), middle=middle, seen=seen)
     low, high = yaws
     near, far = work.region.limits(low, high)
     ranges = np.arange(near, far, RANGE_STEP * work.cell)
@@ -115,7 +123,7 @@ def find_candidates(signal: ComplexArray, work: Work, pulses: slice, threads: in
         power = _coarse_image(work, pulses, profiles.values, profiles.spacing, ground, threads)
         found.append(_brightest(work, pulses, power, ground, span / count))
     x, y, prominence = (np.concatenate(values) for values in zip(*found, strict=True))
-    return Candidates(x=x, y=y, prominence=prominence, middle=middle)
+    return Candidates(x=x, y=y, prominence=prominence, middle=middle, seen=seen)
 
 
 def _lit_yaws(work: Work, pulses: slice) -> tuple[float, float] | None:
@@ -220,6 +228,11 @@ def _located(work: Work, pulses: slice, ground: FloatArray, rate: FloatArray) ->
 def select_points(candidates: Sequence[Candidates], work: Work) -> Points:
     """Keep the points that stand out in most of the short apertures that see them, spread over the scene.
 
+    Parameters
+    ----------
+    candidates : sequence of Candidates
+        Of `work.apertures`, in their order.
+
     Raises
     ------
     Refused
@@ -227,7 +240,8 @@ def select_points(candidates: Sequence[Candidates], work: Work) -> Points:
     """
     x, y, prominence = (np.concatenate([getattr(c, name) for c in candidates]) for name in ("x", "y", "prominence"))
     middles = np.concatenate([c.middle for c in candidates])
-    kept = _kept(x, y, prominence, middles, work) if x.size else []
+    gaps = gaps_between([c.seen for c in candidates], work)
+    kept = best_points(x, y, prominence, middles, gaps, work) if x.size else []
     if len(kept) < work.settings.least_points:
         raise Refused(
             f"{len(kept)} points stand out in the scene, but the track's error is told from at least "
@@ -239,7 +253,20 @@ def select_points(candidates: Sequence[Candidates], work: Work) -> Points:
     return Points(x=x[index], y=y[index], z=z, first=first, last=last)
 
 
-def _kept(x: FloatArray, y: FloatArray, prominence: FloatArray, middles: FloatArray, work: Work) -> list[int]:
+def gaps_between(seen: Sequence[IntArray], work: Work) -> list[slice]:
+    """Pulses that are missing in a row, as `Candidates.seen` of the short apertures tell, with some on either side."""
+    missing = np.zeros(work.geometry.collection.n_pulse, bool)
+    for aperture, pulses in zip(work.apertures, seen, strict=True):
+        missing[aperture] = True
+        missing[slice(*pulses) if pulses.size else slice(0)] = False
+    there = [(int(first), int(last)) for first, last in sorted(tuple(p) for p in seen if p.size)]
+    between = [slice(a[1], b[0]) for a, b in pairwise(there)]
+    return [gap for gap in between if missing[gap].any()]
+
+
+def best_points(
+    x: FloatArray, y: FloatArray, prominence: FloatArray, middles: FloatArray, gaps: Sequence[slice], work: Work
+) -> list[int]:
     """Indices of the candidates that are kept: those that are the same point count for its score.
 
     The score is a mean over the short apertures that light the point; those in a gap, not among `middles`, see nothing.
@@ -257,8 +284,14 @@ def _kept(x: FloatArray, y: FloatArray, prominence: FloatArray, middles: FloatAr
         same = (np.abs(epoch - epoch[i]) < NEAR * cell_range) & (np.abs(yaw - yaw[i]) < NEAR * cell_yaw) & ~taken
         taken |= same
         score[i] = np.log(np.maximum(prominence[same], 1)).sum() / max(int(seen_by[i]), 1)
-    lit = last - first >= work.dwell // 4
-    return _spread(np.where(lit, score, 0.0), epoch, yaw, work, cell_yaw)
+    score = np.where(last - first >= work.dwell // 4, score, 0.0)
+    kept = _spread(score, epoch, yaw, work, cell_yaw)
+    for gap in gaps:
+        both = np.minimum(gap.start - first, last - gap.stop) >= BESIDE * work.dwell
+        if both[kept].sum() < ACROSS:
+            across = _spread(np.where(both, score, 0.0), epoch, yaw, work, cell_yaw)[:ACROSS]
+            kept = _spread(score, epoch, yaw, work, cell_yaw, across)
+    return kept
 
 
 def _yaw_cell(work: Work) -> float:
@@ -271,8 +304,13 @@ def _yaw_cell(work: Work) -> float:
     return work.geometry.collection.prf / work.short / max(per_yaw, 1e-12)
 
 
-def _spread(score: FloatArray, epoch: FloatArray, yaw: FloatArray, work: Work, cell_yaw: float) -> list[int]:
-    """Indices of the best points, apart from each other, with a cap on those of one part of the scene."""
+def _spread(
+    score: FloatArray, epoch: FloatArray, yaw: FloatArray, work: Work, cell_yaw: float, before: Sequence[int] = ()
+) -> list[int]:
+    """Indices of the best points, apart from each other, with a cap on those of one part of the scene.
+
+    Those `before` come first.
+    """
     settings = work.settings
     part_range = (REGIONS[0] * (epoch - epoch.min()) / max(float(np.ptp(epoch)), 1e-9)).astype(int)
     part_yaw = (REGIONS[1] * (yaw - yaw.min()) / max(float(np.ptp(yaw)), 1e-9)).astype(int)
@@ -281,8 +319,8 @@ def _spread(score: FloatArray, epoch: FloatArray, yaw: FloatArray, work: Work, c
     wide = APART * settings.lines * settings.line_spacing * work.cell
     seconds = work.short * work.geometry.collection.pulse_interval
     across = APART * settings.narrow_speed * work.wavenumber / np.pi * seconds * cell_yaw
-    kept: list[int] = []
-    count = np.zeros(REGIONS[0] * REGIONS[1], int)
+    kept = list(before)
+    count = np.bincount(part[kept], minlength=REGIONS[0] * REGIONS[1])
     for i in np.argsort(-score, kind="stable"):
         if score[i] <= 0 or len(kept) == settings.points:
             break

@@ -8,12 +8,27 @@ import numpy as np
 import pytest
 
 from blocksar.arrays import FloatArray
-from blocksar.autofocusing.bridging import between, bridged, jump, sight_across, stitched, straddling, whole_turns
+from blocksar.autofocusing import selection
+from blocksar.autofocusing.bridging import (
+    PADDING,
+    between,
+    bridged,
+    jump,
+    sight_across,
+    stitched,
+    straddling,
+    whole_turns,
+)
 from blocksar.autofocusing.chips import Chips, mean_sight
-from blocksar.autofocusing.correction import Correction
+from blocksar.autofocusing.correction import Correction, Knots
+from blocksar.autofocusing.fine_phase import own_phase, strongest_rows
 from blocksar.autofocusing.finishing import told_across_gaps
+from blocksar.autofocusing.information import information, told_within_sides
+from blocksar.autofocusing.least_squares import point_phases
+from blocksar.autofocusing.selection import best_points, find_candidates, gaps_between
 from blocksar.autofocusing.work import Work, begin
 from blocksar.collection.geometry import Geometry
+from blocksar.kernels.fourier import fast_length
 from tests.helpers.samples import noise
 from tests.helpers.track_errors import CENTRE, GRID, spotlight
 
@@ -49,27 +64,87 @@ def smooth(n: int) -> FloatArray:
     return 3 * u**3 - 2 * u**2 + u
 
 
-@pytest.mark.parametrize("ahead", [-3.0, -0.7, 0.0, 1.234, 3.0])
-def test_the_jump_over_a_gap_is_that_of_the_brightest_points(work: Work, ahead: float) -> None:
-    after = np.arange(work.n_sample) >= GAP.stop
-    found = jump(chips_of(work, ahead * after), GAP, np.ones(POINTS))
-    assert abs(np.angle(np.exp(1j * (found - ahead)))) < 0.05
+@pytest.mark.parametrize(("ahead", "steps"), [(-3.0, 0), (-0.7, 3), (0.0, 0), (1.234, -7), (3.0, 1)])
+def test_the_jump_over_a_gap_is_that_of_the_brightest_points(work: Work, ahead: float, steps: int) -> None:
+    since = np.arange(work.n_sample) - GAP.stop
+    slope = 2 * np.pi * steps / fast_length(PADDING * work.n_sample)
+    chips = chips_of(work, np.where(since < 0, 0.0, ahead + slope * since))
+    chips = replace(chips, count=np.where(np.arange(POINTS) < 9, GAP.stop + 60, work.n_sample))
+    found = jump(replace(chips, values=chips.values * chips.lit[:, None]), GAP, np.ones(POINTS))
+    assert abs(np.angle(np.exp(1j * (found.phase - ahead)))) < 0.1
+    assert found.slope == pytest.approx(slope, abs=1e-12)
 
 
 def test_both_sides_are_stitched(work: Work) -> None:
-    after = np.arange(work.n_sample) >= GAP.stop
-    chips = chips_of(work, 2.0 * after)
+    since = np.arange(work.n_sample) - GAP.stop
+    phase = np.where(since < 0, 0.0, 2.0 + 2 * np.pi * 2 / fast_length(PADDING * work.n_sample) * since)
+    chips = chips_of(work, phase)
     moved = stitched(chips, np.zeros((work.n_sample, 3)), np.ones(POINTS))
-    phase = work.wavenumber * (moved * mean_sight(chips)).sum(axis=1)
-    assert phase == pytest.approx(2.0 * after, abs=0.05)
+    assert work.wavenumber * (moved * mean_sight(chips)).sum(axis=1) == pytest.approx(phase, abs=0.05)
 
 
 def test_points_on_one_side_alone_tell_no_jump(work: Work) -> None:
     chips = chips_of(work, 2.0 * (np.arange(work.n_sample) >= GAP.stop))
     chips = replace(chips, count=np.where(np.arange(POINTS) < 3, work.n_sample, GAP.stop + 5))
     assert straddling(chips, GAP).tolist() == [True] * 3 + [False] * (POINTS - 3)
-    assert jump(chips, GAP, np.ones(POINTS)) == pytest.approx(2.0, abs=0.1)
-    assert jump(chips, GAP, (np.arange(POINTS) >= 3).astype(np.float64)) == 0.0
+    assert jump(chips, GAP, np.ones(POINTS)).phase == pytest.approx(2.0, abs=0.1)
+    assert jump(chips, GAP, (np.arange(POINTS) >= 3).astype(np.float64)) == (0.0, 0.0)
+
+
+def test_points_on_one_side_alone_have_a_phase_of_their_own(work: Work) -> None:
+    wave = 0.2 * np.sin(np.arange(work.n_sample) / 9)
+    chips = chips_of(work, wave)
+    for lit in (chips.index >= GAP.stop, chips.index < GAP.start, chips.index < GAP.stop + 3):
+        some = replace(chips, values=chips.values * lit[:, None], seen=chips.seen & lit[0])
+        there = some.told[0]
+        own, noise = own_phase(strongest_rows(some), some)
+        assert (np.abs(own[:, there]) > 0.5).all() and noise.max() < 0.2
+        found = point_phases(some)[:, there].mean(axis=0)
+        flat = wave[there] - np.polyval(np.polyfit(np.flatnonzero(there), wave[there], 1), np.flatnonzero(there))
+        assert np.abs(found - flat).max() < 0.15
+
+
+def test_how_both_sides_fit_is_not_told_within_sides(work: Work) -> None:
+    chips, at = chips_of(work, np.zeros(work.n_sample)), np.arange(work.n_sample)
+    knots, weights = Knots(work=work, n_interval=64, time=chips.time), np.ones(POINTS)
+
+    def told(phase: FloatArray, form: FloatArray) -> float:
+        """Mean square of a phase (n_sample,) along the sight that a form tells, rad^2."""
+        c = knots.fit(phase[:, None] * chips.sight[0]).ravel()
+        return float(c @ form @ c) / POINTS
+
+    across = np.where(at < (GAP.start + GAP.stop) // 2, 0.0, 1 + 0.01 * (at - GAP.stop))
+    within, whole = told_within_sides(chips, knots, weights), information(chips, knots, weights).told
+    assert told(across, whole) > 0.05 > 50 * told(across, within)
+    wave = np.sin(at / 30.0)
+    parts = [(wave[p] - np.polyval(np.polyfit(at[p], wave[p], 1), at[p])) for p in (at < GAP.start, at >= GAP.stop)]
+    assert told(wave, within) == pytest.approx(np.mean(np.concatenate(parts) ** 2), rel=0.01)
+    full = replace(chips, seen=np.ones(work.n_sample, bool))
+    assert (told_within_sides(full, knots, weights) == information(full, knots, weights).told).all()
+
+
+def test_gaps_are_seen_by_the_short_apertures(work: Work) -> None:
+    samples = np.ones((work.geometry.collection.n_pulse, work.geometry.collection.n_range_frequency), np.complex64)
+    samples[150:290] = np.nan
+    seen = [find_candidates(samples[part], work, part).seen for part in work.apertures]
+    after = next(part.start for part in work.apertures if part.stop > 290)
+    assert gaps_between(seen, work) == [slice(150, max(after, 290))]
+    samples[:] = 1
+    assert not gaps_between([find_candidates(samples[part], work, part).seen for part in work.apertures], work)
+
+
+def test_points_that_see_both_sides_of_a_gap_are_kept(work: Work, monkeypatch: pytest.MonkeyPatch) -> None:
+    random, n, n_pulse = np.random.default_rng(4), 300, work.geometry.collection.n_pulse
+    x, y = CENTRE[0] + random.uniform(-65, 65, n), random.uniform(-65, 65, n)
+    weak = np.arange(n) >= 200  # these alone see both sides
+    monkeypatch.setattr(selection, "lit_interval", lambda *_: (np.where(weak, 100, 0), np.where(weak, n_pulse, 200)))
+    middles = np.array([50.0, 150.0, 350.0, 450.0])
+    kept = {
+        len(gaps): best_points(x, y, np.where(weak, 5.0, 500.0), middles, gaps, work)
+        for gaps in ([], [slice(200, 240)])
+    }
+    assert weak[kept[0]].sum() < weak[kept[1]].sum() == selection.ACROSS
+    assert len(set(kept[1])) == len(kept[1]) == len(kept[0])
 
 
 def test_error_across_a_gap_is_told_by_what_is_left_of_the_points_that_see_both_sides(work: Work) -> None:
