@@ -9,31 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from blocksar import solvers
-from blocksar.arrays import BoolArray, ComplexArray, FloatArray
-from blocksar.autofocusing.bridging import long_gaps, straddling
-from blocksar.autofocusing.chips import SHORT_GAP, ChipPart, Chips, join_chips, mean_sight, missing_runs
+from blocksar.arrays import ComplexArray, FloatArray
+from blocksar.autofocusing.chips import ChipPart, Chips, join_chips, mean_sight
 from blocksar.autofocusing.correction import Correction, Knots, between_samples, intervals
-from blocksar.autofocusing.estimation import defocus, halves, phase_step, shared_error, without_line
-from blocksar.autofocusing.fine_phase import shared_samples
+from blocksar.autofocusing.estimation import halves, phase_step, shared_error
 from blocksar.autofocusing.information import factor, information
-from blocksar.autofocusing.least_squares import point_phases, point_shares, rms
+from blocksar.autofocusing.prediction import predicted_error
 from blocksar.autofocusing.selection import Points, Refused
-from blocksar.autofocusing.work import FILTER_LENGTH, Work
+from blocksar.autofocusing.work import Work
 from blocksar.kernels.fourier import fft_rows
 
-HALVES_TO_WHOLE = 0.5  # each half has twice the variance of the whole, and their difference four times that
-# A random walk of the velocity, as navigation has it, has a displacement whose power falls with the fourth power of
-# frequency: of f/2 .. f it is 2^3 - 1 times that beyond f.
-OCTAVE_TO_BEYOND = 7.0
-# What points of a pattern, or of measured ground, do to each other is alike in both halves, in phase as in amplitude,
-# where it is seen: alike, if what is added to a point has any phase; in amplitude alone, if its neighbours lie
-# symmetrically. A fifth in phase serves patterns of 6 x 6 to 14 x 14 points, clutter and measured ground.
-AMPLITUDE_TO_PHASE = 0.2
 UNSETTLED = 0.1  # rad rms by which the last loop may change the phases
 SLOW = 4  # intervals of the finest spline for one of those that follow slow motion
 TURNS = 0.1  # whole turns of the phase that may remain unknown
-LEAST_COUNT = 8  # samples of a chip that counts
 PICTURES = 6  # points whose chips are kept for pictures
 
 
@@ -117,7 +105,7 @@ def finish(
             f"some {max(turns, 1):.0f} whole turns of it remain unknown; give a collection with a higher PRF, or focus "
             "the phase history as it is"
         )
-    predicted = predicted_error(chips, correction, found)
+    predicted = predicted_error(chips, points, correction, [one.displacement for one in found])
     limit = work.settings.halves
     if not (correction.finished and apart <= limit and predicted <= limit and last["step"] <= UNSETTLED):
         raise Refused(
@@ -151,89 +139,6 @@ def finish(
             "history": list(correction.history),
         },
     )
-
-
-def predicted_error(chips: Chips, correction: Correction, found: Sequence[HalfEstimate]) -> float:
-    """Phase error over a dwell that is expected to be left, rad rms, by what both halves of the points tell."""
-    settings, last = chips.work.settings, correction.history[-1]
-    between = found[0].displacement - found[1].displacement
-    each = defocus(chips, chips.work.wavenumber * chips.los(between))
-    # Of chips as most are: those at the very ends of a collection would count for all. Beside a gap they are to count.
-    usual = float(np.median(each) if far_from_gaps(chips).all() else each.mean())
-    beyond = correction.fine_error or unfollowed(chips, correction, found)
-    # The last two loops are two estimates, too; half of what they differ by is how far each is from their mean.
-    unsettled = 0.5 * last["step"] if last["step"] > settings.step else 0.0
-    patterns = AMPLITUDE_TO_PHASE * amplitude_in_common(chips, correction)
-    across = told_across_gaps(chips, correction)
-    return float(np.sqrt(sum(part**2 for part in (HALVES_TO_WHOLE * usual, beyond, unsettled, patterns, across))))
-
-
-def told_across_gaps(chips: Chips, correction: Correction) -> float:
-    """Error of how both sides of gaps fit, rad rms over all chips, of which few see both sides; 0 without gaps.
-
-    These few alone tell by how much the phase, and its slope, differ from one side to the other; and both halves hold
-    on to what the whole has found. By the standard error of the mean of either in the phases that they have left.
-    """
-    moved, error = correction.displacement - correction.previous, 0.0
-    for gap in long_gaps(chips):
-        both = np.flatnonzero(straddling(chips, gap) & (correction.weights > 0))
-        if both.size < 2:
-            continue
-        some = chips.some(both)
-        phase = point_phases(some.recentred(moved).corrected(moved))
-        weights = correction.weights[both] * point_shares(rms(phase, some), some)  # as in least squares
-        weights /= weights.sum()
-        left = np.zeros((both.size, 2))
-        for i, told in enumerate(some.told):
-            at = np.flatnonzero(told)
-            u, after = np.linspace(-1, 1, told.size)[at], (some.index[i, at] >= gap.stop).astype(np.float64)
-            terms = solvers.orthogonal_basis(np.stack([np.ones(at.size), u, after, after * u]))[0]
-            left[i] = (terms[2:] * phase[i, at]).sum(axis=1) / np.sqrt(at.size)
-        mean = (weights[:, None] * left).sum(axis=0)
-        spread = ((weights[:, None] * (left - mean)) ** 2).sum(axis=0) * both.size / (both.size - 1)
-        error += float(spread.sum()) * both.size / chips.first.size
-    return float(np.sqrt(error))
-
-
-def amplitude_in_common(chips: Chips, correction: Correction) -> float:
-    """Relative amplitude, rms, that the points share over the dwell of a chip, of the median chip.
-
-    As slow as splines follow, without a line over the dwell.
-    """
-    knots = Knots(work=chips.work, n_interval=intervals(chips.work), time=chips.time)
-    moved, steady = correction.displacement - correction.previous, far_from_gaps(chips)
-    amplitude = shared_samples(chips.recentred(moved).corrected(moved), correction.weights)[:, 1]
-    amplitude[~steady] = amplitude[steady].mean()
-    slow = knots.smooth(amplitude[:, None])[:, 0] / float(amplitude[chips.index[chips.lit]].mean())
-    shared = []
-    for first, count in zip(chips.first, chips.count, strict=True):
-        dwell = slice(int(first), int(first + count))
-        if steady[dwell].sum() >= LEAST_COUNT:
-            shared.append(float((without_line(slow[dwell][steady[dwell]]) ** 2).mean()))
-    return float(np.sqrt(np.median(shared)))
-
-
-def far_from_gaps(chips: Chips) -> BoolArray:
-    """Which samples (n_sample,) lie outside the long gaps, and the low-pass of which does not reach into one."""
-    far = np.ones(chips.seen.size, bool)
-    for run in missing_runs(chips.seen):
-        if run.stop - run.start > SHORT_GAP:
-            far[max(run.start - FILTER_LENGTH, 0) : run.stop + FILTER_LENGTH] = False
-    return far
-
-
-def unfollowed(chips: Chips, correction: Correction, found: Sequence[HalfEstimate]) -> float:
-    """Error too fine for the splines, rad rms, of the median chip: what is left if nothing so fine is believed.
-
-    From what both halves share of the finest octave that splines follow.
-    """
-    finest, octaves = intervals(chips.work), []
-    fine, coarse = (Knots(work=chips.work, n_interval=n, time=chips.time) for n in (finest, finest // 2))
-    for half in found:
-        smooth = fine.smooth(correction.previous + half.displacement)
-        octaves.append(chips.work.wavenumber * chips.los(smooth - coarse.smooth(smooth)))
-    shared = np.where(chips.told, octaves[0] * octaves[1], 0.0).sum(axis=1) / np.maximum(chips.told.sum(axis=1), 1)
-    return float(np.sqrt(max(float(np.median(shared[chips.count >= LEAST_COUNT])), 0.0) / OCTAVE_TO_BEYOND))
 
 
 def unknown_turns(chips: Chips, displacement: FloatArray) -> float:

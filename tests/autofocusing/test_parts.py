@@ -15,11 +15,12 @@ from blocksar.autofocusing.correction import Correction, Knots, between_samples,
 from blocksar.autofocusing.entropy import PADDING, entropies
 from blocksar.autofocusing.estimation import Polish, coarse_error, without_line
 from blocksar.autofocusing.fine_phase import believed, is_pattern, own_phase
-from blocksar.autofocusing.finishing import HalfEstimate, far_from_gaps, unfollowed, unknown_turns
+from blocksar.autofocusing.finishing import unknown_turns
 from blocksar.autofocusing.information import factor, information, solve
 from blocksar.autofocusing.least_squares import by_least_squares, point_phases
 from blocksar.autofocusing.minimising import minimise
 from blocksar.autofocusing.phase_gradient import add_rows, line_of_sight, strongest_lines, sum_along
+from blocksar.autofocusing.prediction import alike_nearby, bends, far_from_gaps, unfollowed
 from blocksar.autofocusing.range_lines import range_profiles, take_chips, take_lines, taps
 from blocksar.autofocusing.robust import own_errors
 from blocksar.autofocusing.selection import Points, find_candidates
@@ -234,13 +235,29 @@ def test_what_splines_do_not_follow_is_told_by_what_both_halves_share(work: Work
     knots = Knots(work=work, n_interval=intervals(work), time=work.sample_times)
     walk, sight = random.standard_normal(work.n_sample).cumsum().cumsum(), np.array([0.8, 0.0, -0.6])
     for error in (4e-5 * walk, 0.02 * np.cos(9 * np.linspace(-1, 1, work.n_sample))):  # m
-        halves = [
-            HalfEstimate(displacement=error[:, None] * sight + 1e-5 * random.standard_normal((work.n_sample, 3)))
-            for _ in range(2)
-        ]
+        halves = [error[:, None] * sight + 1e-5 * random.standard_normal((work.n_sample, 3)) for _ in range(2)]
         beyond = work.wavenumber * np.std(error - knots.smooth(error[:, None])[:, 0])
         assert (beyond > 5e-3) == (error[0] != error[-1])
         assert unfollowed(chips, Correction.none(work), halves) == pytest.approx(beyond, rel=0.5, abs=2e-3)
+
+
+def test_what_points_nearby_have_alike_is_told(work: Work) -> None:
+    """Bends alike on each of four hills are told with the root of their number; those of each point alone are not."""
+    chips = synthetic_chips(work, np.zeros(work.n_sample), points=16, length=work.n_sample, level=0.0)
+    hill, random = np.arange(16) // 4, np.random.default_rng(7)
+    x, y = 1000.0 * hill + random.uniform(-50, 50, 16), random.uniform(-50, 50, 16)
+    points = Points(x=x, y=y, z=0 * x, first=chips.first, last=chips.first + chips.count)
+    u = np.linspace(-1, 1, work.n_sample)
+    parabola = (u * u - np.mean(u * u)) / np.std(u * u)  # of 1 rad rms
+
+    def told(bend: np.ndarray) -> float:
+        turn = np.exp(1j * bend[:, None] * parabola[: chips.values.shape[2]]).astype(np.complex64)
+        bent = replace(chips, values=chips.values * turn[:, None])
+        assert bends(point_phases(bent), bent) == pytest.approx(bend, abs=0.01)
+        return alike_nearby(bent, points, replace(Correction.none(work), weights=np.ones(16)))
+
+    assert told(np.array([0.1, -0.1, 0.1, -0.1])[hill]) == pytest.approx(0.1 * np.sqrt(3 / 16), rel=0.02)
+    assert told(0.1 * (-1.0) ** np.arange(16)) == 0.0
 
 
 def test_a_points_own_phase_is_found_across_a_gap(work: Work) -> None:
