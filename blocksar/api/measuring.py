@@ -11,6 +11,7 @@ import numpy as np
 
 from blocksar import stores
 from blocksar.api import definitions, finding
+from blocksar.api.aligning import alignment_line, alignment_table, compare_with
 from blocksar.api.look_figures import describe_looks, looks_table
 from blocksar.api.raised import raised_line, seen_places
 from blocksar.api.reference_chips import compare_with_exact
@@ -44,6 +45,7 @@ def quality(
     *,
     targets: Location | Sequence[Target | Mapping[str, Any]] | None = None,
     reference: bool = False,
+    against: Location | None = None,
     found: int = 0,
     area: str | tuple[tuple[float, float], tuple[float, float]] | None = None,
     channel: str | None = None,
@@ -61,6 +63,9 @@ def quality(
     reference : bool
         Also back-project chips of 64 x 64 pixels at the blocks' centres, seams and swath ends from the run's input, and
         compare. Default: False.
+    against : path, optional
+        Folder of another finished run on the same grid, as of another track: also compare chips of both images as they
+        are, after the best shift, and after a shift and a ramp of the phase. Default: none.
     found : int
         Also find and measure this many of the brightest isolated points, with the places of their azimuth ambiguities,
         and the noise floor. Default: 0.
@@ -87,7 +92,8 @@ def quality(
     folder = place(run)
     chosen, record = folder_of(folder, channel), finished_record(folder)
     looks = [folder_of(folder, name) for name in record.channels] if record.dimension == "look" else []
-    report = measure(chosen, targets, reference, found=found, area=area, looks=looks)[0]
+    other = None if against is None else folder_of(place(against), channel)
+    report = measure(chosen, targets, reference, found=found, area=area, looks=looks, against=other)[0]
     return replace(report, summary=[*member_line(folder, channel), *report.summary])
 
 
@@ -99,10 +105,11 @@ def measure(
     found: int = 0,
     area: Any = None,
     looks: Sequence[Place] = (),
+    against: Place | None = None,
 ) -> tuple[Report, list[Response]]:
     """Do what `quality` does; also return the responses of the targets of the paper's Table 3, to be drawn.
 
-    `looks` are the folders of all looks, if the run is one of several.
+    `looks` are the folders of all looks, if the run is one of several; `against` is that of another run.
     """
     run = FinishedRun.open(folder)
     listed, weighting = targets_of(targets, run.attrs, run), run.weighting
@@ -143,6 +150,11 @@ def measure(
         table, said = compare_with_exact(run, result)
         others.append(table)
         lines += said
+    if against is not None:
+        other = FinishedRun.open(against)
+        result["against"] = compare_with(run, other)
+        others.append(alignment_table(result["against"]))
+        lines.append(alignment_line(result["against"], other))
     stores.write_json(folder / "quality.json", result)
     worst, full = ([_summary_table(responses), _worst_table(responses)], [_response_table(responses)])
     if not responses:

@@ -22,6 +22,10 @@ def quality(
     reference: Annotated[
         bool, typer.Option("--reference", help="Also compare image chips with exact back-projection.")
     ] = False,
+    against: Annotated[
+        str | None,
+        typer.Option(metavar="RUN", help="Also compare chips with those of this run, aligned by shift and phase ramp."),
+    ] = None,
     found: Annotated[
         int,
         typer.Option(metavar="N", help="Also find and measure the N brightest isolated points, and the noise floor."),
@@ -42,7 +46,9 @@ def quality(
     """
     from blocksar import api
 
-    report = api.quality(run, targets=targets, reference=reference, found=found, area=area, channel=channel)
+    report = api.quality(
+        run, targets=targets, reference=reference, against=against, found=found, area=area, channel=channel
+    )
     show(report, context)
     hint(context, "report", run)
 

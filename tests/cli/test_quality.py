@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 import small_run
+import zarr
 
 import blocksar
 from blocksar.errors import InputError
@@ -42,6 +44,29 @@ def test_the_ten_worst_targets_come_first_and_all_are_at_hand(run: Path) -> None
 def test_few_targets_are_all_shown(run: Path) -> None:
     _, (header, rows) = blocksar.quality(run).tables
     assert header[0] == "target" and [row[0] for row in rows] == ["A", "B", "C", "D"]
+
+
+def test_images_are_compared_but_for_shift_and_ramp(run: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other"
+    shutil.copytree(run, other)
+    group = zarr.open_group(other / "image.zarr")
+    image = group["image"]
+    assert isinstance(image, zarr.Array)
+    ramp = np.exp(-0.05j * np.arange(image.shape[0]))[:, None]
+    image[...] = np.roll(np.asarray(image[...]), 3, axis=1) * ramp
+    report = blocksar.quality(run, against=other)
+    x, y = (np.asarray(blocksar.open(run)[name]) for name in ("x", "y"))
+    for chip in report.result["against"]:
+        assert chip["ramped"] > 0.9 and chip["shifted"] < chip["ramped"] - 0.002 and chip["as_is"] < 0.8
+        assert chip["shift"] == pytest.approx([-3 * (x[1] - x[0]), 0.0], abs=0.05 * (x[1] - x[0]))
+        assert chip["ramp"] == pytest.approx([0.0, 0.05 / (y[1] - y[0])], abs=0.01 / (y[1] - y[0]))
+    assert any(line.startswith(f"coherence with {other}, least and median of ") for line in report.summary)
+    assert len(report.tables[-1][1]) == len(report.result["against"])
+    assert blocksar.quality(run, against=run).result["against"][0]["as_is"] == pytest.approx(1.0, abs=1e-6)
+    assert "against" not in blocksar.quality(run).result
+    group["x"][:] = x + 1  # type: ignore[index]
+    with pytest.raises(InputError, match="has another x than"):
+        blocksar.quality(run, against=other)
 
 
 # ---------------------------------------------------------------- files of targets
