@@ -56,8 +56,12 @@ def test_images_are_compared_but_for_shift_and_ramp(run: Path, tmp_path: Path) -
     image[...] = np.roll(np.asarray(image[...]), 3, axis=1) * ramp
     report = blocksar.quality(run, against=other)
     x, y = (np.asarray(blocksar.open(run)[name]) for name in ("x", "y"))
-    for chip in report.result["against"]:
-        assert chip["ramped"] > 0.9 and chip["shifted"] < chip["ramped"] - 0.002 and chip["as_is"] < 0.8
+    chips = report.result["against"]
+    assert all(chip["as_is"] <= chip["shifted"] + 1e-9 <= chip["ramped"] + 2e-9 for chip in chips)
+    told = [chip for chip in chips if chip["ramped"] > 0.95]  # one has but a side lobe, at its end
+    assert len(told) == len(chips) - 1
+    for chip in told:
+        assert chip["as_is"] < 0.5 and chip["shifted"] < chip["ramped"] - 0.005
         assert chip["shift"] == pytest.approx([-3 * (x[1] - x[0]), 0.0], abs=0.05 * (x[1] - x[0]))
         assert chip["ramp"] == pytest.approx([0.0, 0.05 / (y[1] - y[0])], abs=0.01 / (y[1] - y[0]))
     assert any(line.startswith(f"coherence with {other}, least and median of ") for line in report.summary)
