@@ -52,7 +52,7 @@ from blocksar.kernels.signatures import (
     UNCHECKED,
     UNCONTRACTED,
 )
-from blocksar.solvers import least_squares, product
+from blocksar.solvers import least_squares
 
 DEGREE = 3  # of a tile's polynomials in x and y
 HEIGHT_DEGREE = 2  # and in the height
@@ -60,6 +60,7 @@ QUANTITIES = 7  # row, Doppler, phase, 1 / gain, yaw, dwell time, bend
 N_BEND = 96  # steps between the most negative bend and the most positive one
 LEAST_BEND = 1e-3  # cycles at the dwell's ends: less is left
 FLOAT_ROW, TRIPLE = types.Array(types.float32, 1, "C", readonly=True), TUPLE((types.int64,) * 3)
+NODE_VALUES = types.Array(types.float64, 5, "C", readonly=True)
 INDEX_ROWS = types.Array(types.int64, 2, "C", readonly=True)
 LEVEL = 1e-3  # m: half the relief of a tile at least
 
@@ -130,6 +131,7 @@ def _table(n_tap: int, occupancy: float, bends: FloatArray) -> list[Float32Array
 def locate_on_relief(ground: GroundMap, x: FloatArray, y: FloatArray, z: FloatArray) -> tuple[FloatArray, ...]:
     """Row and Doppler index, phase (cycles), 1 / gain, relative yaw, dwell time and bend of points (...), m.
 
+    x and y may lack the first axis of z: these points lie above each other.
     The yaw is that of the point of the smooth ground with the same range and place in the beam. The row is without
     (range - origin) / step, the phase without the carrier's. The dwell time is in cycles per Doppler sample, the bend
     in cycles at the dwell's ends.
@@ -137,7 +139,6 @@ def locate_on_relief(ground: GroundMap, x: FloatArray, y: FloatArray, z: FloatAr
     assert ground.relief is not None
     geometry = ground.geometry
     epoch_range, turn = geometry.epoch_range(x, y, z), ground.relative_yaw(x, y)
-    turn = np.broadcast_to(turn, epoch_range.shape)
     offset, doppler, cycles, gain, time, bend, beyond = ground.relief(epoch_range, ground.middle_yaw + turn, z)
     if ground.common is not None:
         common, rate, _ = ground.common.evaluate(epoch_range - ground.origin + offset, doppler[..., None])
@@ -147,7 +148,7 @@ def locate_on_relief(ground: GroundMap, x: FloatArray, y: FloatArray, z: FloatAr
         ground.doppler.position(doppler),
         cycles,
         1 / gain,
-        turn + beyond if ground.relief.turns else turn,
+        turn + beyond if ground.relief.turns else np.broadcast_to(turn, epoch_range.shape),
         time * ground.doppler.step,
         bend * bend_scale(ground),
     )
@@ -172,14 +173,43 @@ def tile_polynomials(
     py = y[0] + dy * (tiles[:, 0, None, None] + half * (1 + nodes[None, :, None]))
     spans = np.empty((tiles.shape[0], 2))
     _find_spans(np.ascontiguousarray(z), np.ascontiguousarray(tiles[:, :2], np.int64), tile, spans)
-    # (n_tile, height, y, x)
-    pz = spans[:, 0, None, None, None] + spans[:, 1, None, None, None] * levels[None, :, None, None]
-    px, py, pz = np.broadcast_arrays(px[:, None], py[:, None], pz)
-    values = np.stack(locate_on_relief(ground, px, py, pz), axis=1)  # (n_tile, quantity, height, y, x)
-    terms = [to_level[:, h, None, None, None] * values[:, None, :, h] for h in range(levels.size)]
-    in_height = np.add.reduce(terms)
-    coefficients = np.moveaxis(product(product(to_power, in_height), to_power.T), 3, 1)
-    return np.ascontiguousarray(coefficients).reshape(tiles.shape[0], nodes.size, -1), spans
+    pz = spans[:, 0, None, None] + spans[:, 1, None, None] * levels[:, None, None, None]  # (height, n_tile, 1, 1)
+    values = np.stack(locate_on_relief(ground, px, py, pz))  # (quantity, height, n_tile, y, x)
+    coefficients = np.empty((tiles.shape[0], nodes.size, levels.size * QUANTITIES * nodes.size))
+    _to_powers(values, to_level, to_power, coefficients)
+    return coefficients, spans
+
+
+@loop(NODE_VALUES, REAL_ROWS, REAL_ROWS, types.float64[:, :, ::1], **COMPILED)
+def _to_powers(values: FloatArray, to_level: FloatArray, to_power: FloatArray, coefficients: FloatArray) -> None:
+    """Power coefficients from values (quantity, height, n_tile, y, x) at nodes, by the matrices of `nodes_of`.
+
+    Those of tile t are written to coefficients[t, b, (h * QUANTITIES + q) * (DEGREE + 1) + a], of the powers b of y, h
+    of the height and a of x.
+    """
+    n, n_level = to_power.shape[0], to_level.shape[0]
+    level, along = np.empty((n, n)), np.empty((n, n))
+    for t in range(values.shape[2]):
+        for h in range(n_level):
+            for q in range(QUANTITIES):
+                for i in range(n):
+                    for j in range(n):
+                        total = 0.0
+                        for m in range(n_level):
+                            total += to_level[h, m] * values[q, m, t, i, j]
+                        level[i, j] = total
+                for i in range(n):
+                    for a in range(n):
+                        total = 0.0
+                        for j in range(n):
+                            total += to_power[a, j] * level[i, j]
+                        along[i, a] = total
+                for b in range(n):
+                    for a in range(n):
+                        total = 0.0
+                        for i in range(n):
+                            total += to_power[b, i] * along[i, a]
+                        coefficients[t, b, (h * QUANTITIES + q) * n + a] = total
 
 
 @loop(REAL_ROWS, INDEX_ROWS, types.int64, types.float64[:, ::1], nogil=True)
@@ -192,7 +222,7 @@ def _find_spans(z: FloatArray, tiles: IntArray, tile: int, spans: FloatArray) ->
         lows[:], highs[:] = np.inf, -np.inf
         for i in range(tiles[t, 0], min(tiles[t, 0] + tile, z.shape[0])):
             for k in range(n):  # by columns, so that many go at once
-                at = z[i, j0 + k]
+                at = z[np.uint64(i), np.uint64(j0) + np.uint64(k)]
                 # Comparisons with NaN are false.
                 lows[k] = at if at < lows[k] else lows[k]
                 highs[k] = at if at > highs[k] else highs[k]
@@ -258,7 +288,7 @@ def _sector(  # type: ignore[no-untyped-def]
     nx, ny, px, py, pz, near, far = frame[0], frame[1], frame[2], frame[3], frame[4], frame[5], frame[6]
     n_inside = 0
     for k in range(n):
-        xx, dz = x[first + k], z[row, first + k] - pz
+        xx, dz = x[np.uint64(first) + np.uint64(k)], z[row, np.uint64(first) + np.uint64(k)] - pz
         r = np.sqrt((xx - px) ** 2 + (y - py) ** 2 + dz * dz)
         between = left_of(rays[0], rays[1], xx - nx, y - ny) and not left_of(rays[2], rays[3], xx - nx, y - ny)
         inside = between and r >= near and r < far
@@ -276,7 +306,7 @@ def _ranges(x, first, n, y, z, row, frame, rng, owned):  # type: ignore[no-untyp
     """
     px, py, pz = frame[2], frame[3], frame[4]
     for k in range(n):
-        xx, dz = x[first + k], z[row, first + k] - pz
+        xx, dz = x[np.uint64(first) + np.uint64(k)], z[row, np.uint64(first) + np.uint64(k)] - pz
         r = np.sqrt((xx - px) ** 2 + (y - py) ** 2 + dz * dz)
         rng[k] = r
         owned[k] = np.nan if np.isnan(r) else owned[k]
@@ -290,7 +320,7 @@ def _evaluate(c, t, v, across, spans, z, row, first, n, w, cubics, values) -> No
     """
     middle, per_half = spans[t, 0], 1 / spans[t, 1]
     for k in range(n):
-        at = (z[row, first + k] - middle) * per_half
+        at = (z[row, np.uint64(first) + np.uint64(k)] - middle) * per_half
         w[k] = 0.0 if np.isnan(at) else at
     for m in range(cubics.size):
         cubics[m] = c[t, 0, m] + v * (c[t, 1, m] + v * (c[t, 2, m] + v * c[t, 3, m]))

@@ -81,16 +81,18 @@ class ReliefMap:
     turns: tuple[Surface, ...] = ()
 
     def __call__(self, epoch_range: FloatArray, yaw: FloatArray, z: FloatArray) -> list[FloatArray]:
-        """The quantities of points at epoch ranges (m), yaws (rad) and heights z (m), all of one shape.
+        """The quantities of points at epoch ranges (m), yaws (rad) and heights z (m), all of the ranges' shape.
 
-        Last the turn; 0 where there is none.
+        Points that differ in the first axis only may share a yaw, whose shape then lacks this axis. Last the turn; 0
+        where there is none.
         """
         w = (2 * (z - self.smooth(epoch_range, yaw)) - self.low - self.high) / (self.high - self.low)
         first, series = self.layers[0][0], self._series
         u = (2 * epoch_range - first.near - first.far) / (first.far - first.near)
         v = (2 * yaw - first.low - first.high) / (first.high - first.low)
-        values = np.empty((series.shape[0], w.size))
-        sum_layers(series, u.ravel(), v.ravel(), w.ravel(), values)
+        n_level = w.shape[0] if v.ndim < w.ndim else 1
+        values = np.empty((series.shape[0], n_level, v.size))
+        sum_layers(series, u.reshape(n_level, -1), v.ravel(), w.reshape(n_level, -1), values)
         known = [row.reshape(w.shape) for row in values]
         return known if self.turns else [*known, np.zeros_like(w)]
 

@@ -67,37 +67,59 @@ def sum_series(series: FloatArray, u: FloatArray, v: FloatArray, values: FloatAr
             values[first + k] = total[k]
 
 
-@loop(SERIES, REAL_ROW, REAL_ROW, REAL_ROW, types.float64[:, ::1], **COMPILED)
+@loop(SERIES, REAL_ROWS, REAL_ROW, REAL_ROWS, types.float64[:, :, ::1], **COMPILED)
 def sum_layers(series: FloatArray, u: FloatArray, v: FloatArray, w: FloatArray, values: FloatArray) -> None:
-    """values[q, k] = sum_hij series[q, h, i, j] T_h(w[k]) T_i(u[k]) T_j(v[k]), a strip of points at a time."""
-    strip = 64
+    """values[q, l, k] = sum_hij series[q, h, i, j] T_h(w[l, k]) T_i(u[l, k]) T_j(v[k]), a strip of points at a time."""
+    strip, n_level = 64, u.shape[0]
     n_layer, n_u, n_v = max(series.shape[1], 2), max(series.shape[2], 2), max(series.shape[3], 2)
-    tw, tu, tv = np.empty((n_layer, strip)), np.empty((n_u, strip)), np.empty((n_v, strip))
-    total, part, inner = np.empty(strip), np.empty(strip), np.empty(strip)
-    for first in range(0, u.size, strip):
-        n = min(strip, u.size - first)
-        _chebyshev(u[first : first + n], tu)
+    tw, tu = np.empty((n_level, n_layer, strip)), np.empty((n_level, n_u, strip))
+    tv, inner = np.empty((n_v, strip)), np.empty(strip)
+    total, part = np.empty((n_level, strip)), np.empty((n_level, strip))
+    for first in range(0, v.size, strip):
+        n = min(strip, v.size - first)
         _chebyshev(v[first : first + n], tv)
-        _chebyshev(w[first : first + n], tw)
+        for level in range(n_level):
+            _chebyshev(u[level, first : first + n], tu[level])
+            _chebyshev(w[level, first : first + n], tw[level])
         for q in range(series.shape[0]):
-            for k in range(strip):
-                total[k] = 0.0
+            _clear(total)
             for h in range(series.shape[1]):
-                for k in range(strip):
-                    part[k] = 0.0
+                _clear(part)
                 for i in range(series.shape[2]):
-                    for k in range(strip):
-                        inner[k] = 0.0
-                    for j in range(series.shape[3]):
-                        c = series[q, h, i, j]
+                    _sum_terms(series, q, h, i, tv, inner)
+                    for level in range(n_level):
                         for k in range(strip):
-                            inner[k] += c * tv[j, k]
+                            part[level, k] += inner[k] * tu[level, i, k]
+                for level in range(n_level):
                     for k in range(strip):
-                        part[k] += inner[k] * tu[i, k]
-                for k in range(strip):
-                    total[k] += part[k] * tw[h, k]
-            for k in range(n):
-                values[q, first + k] = total[k]
+                        total[level, k] += part[level, k] * tw[level, h, k]
+            for level in range(n_level):
+                for k in range(n):
+                    values[q, level, first + k] = total[level, k]
+
+
+@njit(**PART, **COMPILED)
+def _clear(rows: FloatArray) -> None:
+    for i in range(rows.shape[0]):
+        for k in range(rows.shape[1]):
+            rows[i, k] = 0.0
+
+
+@njit(**PART, **COMPILED)
+def _sum_terms(series: FloatArray, q: int, h: int, i: int, tv: FloatArray, inner: FloatArray) -> None:
+    """inner[k] = sum_j series[q, h, i, j] tv[j, k], in this order; four terms at a time, which stay in registers."""
+    n_term = series.shape[3]
+    for k in range(inner.size):
+        inner[k] = 0.0
+    whole = n_term - n_term % 4
+    for j in range(0, whole, 4):
+        a, b, c, d = series[q, h, i, j], series[q, h, i, j + 1], series[q, h, i, j + 2], series[q, h, i, j + 3]
+        for k in range(inner.size):
+            inner[k] = (((inner[k] + a * tv[j, k]) + b * tv[j + 1, k]) + c * tv[j + 2, k]) + d * tv[j + 3, k]
+    for j in range(whole, n_term):
+        a = series[q, h, i, j]
+        for k in range(inner.size):
+            inner[k] += a * tv[j, k]
 
 
 @njit(**PART, **COMPILED)
