@@ -279,8 +279,8 @@ def grid_extent(geometry: Geometry, region: Region, grid: Grid, owned: Owned | N
     inside_x = np.linspace(grid.x[0], grid.x[-1], 65)
     inside_y = np.linspace(grid.y[0], grid.y[-1], 65)
     mesh_x, mesh_y = (m.ravel() for m in np.meshgrid(inside_x, inside_y))
-    x, y = on_terrain(geometry, grid, np.concatenate([x, mesh_x]), np.concatenate([y, mesh_y]))
-    yaw, rng, within_yaw, within_range = _placed(geometry, region, x, y)
+    x, y, z = on_terrain(geometry, grid, np.concatenate([x, mesh_x]), np.concatenate([y, mesh_y]))
+    yaw, rng, within_yaw, within_range = _placed(geometry, region, x, y, z)
     covered = within_yaw & within_range
     if owned is not None:
         covered &= owned(x, y)
@@ -318,29 +318,38 @@ def share_outside(lit: Sequence[tuple[Geometry, Region]], grid: Grid) -> float:
 
 
 def _placed(
-    geometry: Geometry, region: Region, x: FloatArray, y: FloatArray
+    geometry: Geometry, region: Region, x: FloatArray, y: FloatArray, z: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray]:
-    """Yaw, rad, and epoch range, m, of points (n,), m, and whether a region holds the yaw, and the range there."""
+    """Yaw, rad, and epoch range, m, of points (n,), m, and whether a region holds the yaw, and the range there.
+
+    On the ground, unless z is given.
+    """
     middle = (region.yaw[0] + region.yaw[-1]) / 2
     yaw = middle + wrapped(geometry.yaw(x, y) - middle)
-    rng = geometry.epoch_range(x, y)
+    rng = geometry.epoch_range(x, y, z)
     near, far = region.at(yaw)
     return yaw, rng, (yaw >= region.yaw[0]) & (yaw <= region.yaw[-1]), (rng >= near) & (rng <= far)
 
 
-def on_terrain(geometry: Geometry, grid: Grid, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Points (n,), m, of a grid; on a terrain those with heights, and its own samples in the grid, for its peaks."""
+def on_terrain(
+    geometry: Geometry, grid: Grid, x: FloatArray, y: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+    """Points (n,), m, of a grid; on a terrain those with heights, and its own samples in the grid, for its peaks.
+
+    Last their heights, m; None on the plane.
+    """
     terrain = geometry.terrain
     if terrain is None:
-        return x, y
+        return x, y, None
     axes = []
     for axis, low, high in ((terrain.x, grid.x[0], grid.x[-1]), (terrain.y, grid.y[0], grid.y[-1])):
         inside = axis[(axis >= low) & (axis <= high)]
         axes.append(inside[:: max(math.ceil(inside.size / MOST_SAMPLES), 1)])
     mesh_x, mesh_y = (mesh.ravel() for mesh in np.meshgrid(*axes))
-    x, y = np.concatenate([x, mesh_x]), np.concatenate([y, mesh_y])
-    known = np.isfinite(geometry.height(x, y))
-    return x[known], y[known]
+    samples = terrain.on_grid(*axes).ravel() if mesh_x.size else np.empty(0)
+    x, y, z = np.concatenate([x, mesh_x]), np.concatenate([y, mesh_y]), np.concatenate([terrain(x, y), samples])
+    known = np.isfinite(z)
+    return x[known], y[known], z[known]
 
 
 def _remedy(geometry: Geometry, grid: Grid) -> str:

@@ -51,6 +51,7 @@ def find_division(
     parts: int | None,
     scattered: bool = False,
     jointly: bool = False,
+    exceeds: Callable[[int, int, float], bool] | None = None,
 ) -> P:
     """The plan with the fewest blocks that keep the fidelity, at least one a worker; without one, the closest.
 
@@ -70,8 +71,11 @@ def find_division(
         that scatter. Then the search does not begin where a probe of the last of PATIENCE numbers gains nothing.
     jointly : bool
         Whether to try more blocks, of range sub-blocks, where neither keep the fidelity by themselves.
+    exceeds : callable, optional
+        Whether the excess of a probe is above a limit, by fewer blocks where these tell.
     """
     plan = cache(plan)
+    exceeds = exceeds or (lambda count, n_parts, limit: plan(count, n_parts, True).excess() > limit)
     tried: list[tuple[float, int, int]] = []
     failed, count, n_parts, stale = 0, min(max(workers, 1), MAX_BLOCKS), parts or 1, 0
     divisible, fall = parts is None, 1 / SCATTER if scattered else FALL
@@ -98,7 +102,7 @@ def find_division(
         by_migration = divisible and rest < excess / 2
         if scattered and len(tried) == 1 and not by_migration:
             far = min(math.ceil(count * growth**PATIENCE), MAX_BLOCKS)
-            if plan(far, n_parts, True).excess() > fall * excess:
+            if exceeds(far, n_parts, fall * excess):
                 return plan(count, n_parts, False)
         count = min(math.ceil(count * growth), MAX_BLOCKS)
         if by_migration:  # it costs the most: by angle or by range?

@@ -332,6 +332,7 @@ def plan_collection(
             return find_division(
                 planner(times).plan, workers=workers, parts=None if parts == "auto" else parts,
                 scattered=terrain is not None, jointly=terrain is None and not collection.has_axis,
+                exceeds=planner(times).exceeds,
             )  # fmt: skip
         return planner(times).plan(blocks, 1 if parts == "auto" else parts, False)
 
@@ -404,18 +405,12 @@ class _Planner:
 
     def plan(self, count: int, n_parts: int, probe: bool) -> Plan:
         """Plan all blocks that the grid touches; a probe plans only the outermost ones and the one in the middle."""
-        seams = block_seams(self.geometry, self.region, count)
-        touched = [i for i in range(count) if seams[i + 1] > self.extent.low and seams[i] <= self.extent.high]
-        if probe and touched:
-            touched = sorted({touched[0], touched[len(touched) // 2], touched[-1]})
+        seams, touched = self._touched(count, probe)
         planned: list[BlockPlan] = []
         for index in touched:
-            key = count, n_parts, index
-            if key not in self.planned:
-                # Narrow blocks are of one kind: each takes what the one before it chose, if that serves.
-                like = planned[-1].choice if planned and count > MAX_BLOCKS else None
-                self.planned[key] = self._plan_angle(index, float(seams[index]), float(seams[index + 1]), n_parts, like)
-            planned += self.planned[key]
+            # Narrow blocks are of one kind: each takes what the one before it chose, if that serves.
+            like = planned[-1].choice if planned and count > MAX_BLOCKS else None
+            planned += self._plan_index(seams, index, n_parts, like)
         if not planned:
             raise InputError(f"none of {count} blocks holds a point of the grid; give it a finer step, or move it")
         return Plan(
@@ -424,6 +419,33 @@ class _Planner:
             weighting=self.weighting, fade=self.edges.fade, stays=self.stays,
             refusal=find_refusal(planned, self.method),
         )  # fmt: skip
+
+    def exceeds(self, count: int, n_parts: int, limit: float) -> bool:
+        """Whether a block of a probe exceeds the fidelity by more than a limit; none is planned after the first one.
+
+        It begins with the block in the middle, which has the most ground.
+        """
+        seams, touched = self._touched(count, probe=True)
+        middle = len(touched) // 2
+        touched = touched[middle : middle + 1] + touched[:middle] + touched[middle + 1 :]
+        planned = chain.from_iterable(self._plan_index(seams, index, n_parts, None) for index in touched)
+        return any(block.prediction.excess(self.fidelity) > limit for block in planned)
+
+    def _touched(self, count: int, probe: bool) -> tuple[FloatArray, list[int]]:
+        """The seams of so many blocks, rad, and the indices of those that the grid touches, for a probe of some."""
+        seams = block_seams(self.geometry, self.region, count)
+        touched = [i for i in range(count) if seams[i + 1] > self.extent.low and seams[i] <= self.extent.high]
+        if probe and touched:
+            touched = sorted({touched[0], touched[len(touched) // 2], touched[-1]})
+        return seams, touched
+
+    def _plan_index(self, seams: FloatArray, index: int, n_parts: int, neighbour: Choice | None) -> list[BlockPlan]:
+        """The range sub-blocks of one of the blocks between seams, which is planned once."""
+        key = seams.size - 1, n_parts, index
+        if key not in self.planned:
+            low, high = float(seams[index]), float(seams[index + 1])
+            self.planned[key] = self._plan_angle(index, low, high, n_parts, neighbour)
+        return self.planned[key]
 
     def _plan_angle(
         self, index: int, low: float, high: float, n_parts: int, neighbour: Choice | None
