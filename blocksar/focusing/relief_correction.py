@@ -338,21 +338,30 @@ def _evaluate(c, t, v, across, spans, z, row, first, n, w, cubics, values) -> No
 
 @njit(**PART, **COMPILED)
 def _choose_taps(  # type: ignore[no-untyped-def]
-    bend, bends, widths, first_narrow, narrow_row, doppler_row, first_doppler, tap_at, tap_step
+    bend, doppler, bends, n_taps, widths, room, doppler_row, first_doppler, tap_at, tap_step
 ):
-    """Write where the row of taps of each pixel begins and its length, and for slight bends the first sample."""
+    """Write where the row of taps of each pixel begins and its length, and for slight bends the first sample.
+
+    Fewer taps have the same fractions between samples, and their window is within that of all taps.
+    """
     per_bend, n_bend, n_slight = bends
     per_phase, first_slight = 2 * (N_PHASE + 1), (n_bend - n_slight) // 2
-    slight_rows = n_bend * per_phase * 2 * widths[1]
+    all_step, few_step = 2 * widths[1], 2 * widths[2]
+    slight_rows = n_bend * per_phase * all_step
     for k in range(bend.size):
         which = min(max(int(np.rint(bend[k] * per_bend)) + n_bend // 2, 0), n_bend - 1)
-        slight = which - first_slight
-        if 0 <= slight < n_slight and first_doppler[k] >= 0:
-            first_doppler[k], tap_step[k] = first_narrow[k], 2 * widths[2]
-            tap_at[k] = slight_rows + (slight * per_phase + narrow_row[k]) * tap_step[k]
-        else:
-            tap_step[k] = 2 * widths[1]
-            tap_at[k] = (which * per_phase + doppler_row[k]) * tap_step[k]
+        slight, phase = which - first_slight, doppler_row[k]
+        start = int(np.floor(doppler[k])) - (n_taps[2] // 2 - 1)
+        late = start + widths[2] > room
+        early_phase = phase - (N_PHASE + 1) if phase > N_PHASE else phase
+        few_phase = early_phase + (N_PHASE + 1 if late else 0)
+        few = (slight >= 0) & (slight < n_slight) & (first_doppler[k] >= 0)
+        tap_step[k] = few_step if few else all_step
+        tap_at[k] = slight_rows + (slight * per_phase + few_phase) * few_step if few else (
+            which * per_phase + phase
+        ) * all_step  # fmt: skip
+        first_few = start - (widths[2] - n_taps[2]) if late else start
+        first_doppler[k] = first_few if few else first_doppler[k]
 
 
 @loop(
@@ -378,7 +387,6 @@ def _resample(  # type: ignore[no-untyped-def]
     rng, owned, w, cubics = np.zeros(tile), np.empty(tile), np.zeros(tile), np.empty(coefficients.shape[2])
     first_row, range_row, at = np.empty(tile, np.int64), np.empty(tile, np.int64), np.empty(tile, np.int64)
     first_doppler, doppler_row, carrier = np.empty(tile, np.int64), np.empty(tile, np.int64), np.empty(tile, np.int64)
-    first_narrow, narrow_row = np.zeros(tile, np.int64), np.zeros(tile, np.int64)
     tap_at, tap_step = np.empty(tile, np.int64), np.empty(tile, np.int64)
     parts = np.empty((8, tile), np.float32)
     range_part, doppler_part, own, own_real, own_imag = parts[0], parts[1], parts[2], parts[3], parts[4]
@@ -408,11 +416,7 @@ def _resample(  # type: ignore[no-untyped-def]
                 )
             place_windows(row, n_taps[0], widths[0], sizes[0], n_row, first_row, range_row, range_part)
             place_windows(doppler, n_taps[1], widths[1], sizes[1], n_doppler, first_doppler, doppler_row, doppler_part)
-            if bends[2] > 0:  # the same fractions between samples
-                place_windows(
-                    doppler, n_taps[2], widths[2], sizes[1], n_doppler, first_narrow, narrow_row, doppler_part
-                )
-            _choose_taps(bend, bends, widths, first_narrow, narrow_row, doppler_row, first_doppler, tap_at, tap_step)
+            _choose_taps(bend, doppler, bends, n_taps, widths, n_doppler, doppler_row, first_doppler, tap_at, tap_step)
             for k in range(tile):
                 outside = np.isnan(amplitude[k]) or first_row[k] < 0 or first_doppler[k] < 0
                 at[k] = -1 if outside else first_row[k] * floats.shape[1] + 2 * first_doppler[k]

@@ -26,7 +26,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,27 +136,35 @@ class Sight:
 
     def antenna(self, x: FloatArray, y: FloatArray, z: FloatArray | None = None) -> FloatArray:
         """Positions (..., 3), m, at the middle of the dwells of points x, y, z (...), m; without z at a mean height."""
-        return self._at(self.position, x, y, z)
+        return self._at(self.position, self._middle(x, y, z))
 
-    def across(self, x: FloatArray, y: FloatArray, z: FloatArray | None = None) -> FloatArray:
-        """Horizontal unit vectors (..., 2) across the track at the middle of the dwells of these points."""
-        velocity = self._at(self.velocity, x, y, z)
+    def antenna_and_across(
+        self, x: FloatArray, y: FloatArray, z: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """These, and horizontal unit vectors (..., 2) across the track at the same time."""
+        middle = self._middle(x, y, z)
+        velocity = self._at(self.velocity, middle)
         normal = np.stack([-velocity[..., 1], velocity[..., 0]], axis=-1)
-        return normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), np.finfo(float).tiny)
+        length = np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), np.finfo(float).tiny)
+        return self._at(self.position, middle), normal / length
 
     def velocity_at(self, x: FloatArray, y: FloatArray, z: FloatArray | None = None) -> FloatArray:
         """Velocities (..., 3), m/s, at the middle of the dwells of these points."""
-        return self._at(self.velocity, x, y, z)
+        return self._at(self.velocity, self._middle(x, y, z))
 
-    def _at(self, values: FloatArray, x: FloatArray, y: FloatArray, z: FloatArray | None) -> FloatArray:
+    def _middle(self, x: FloatArray, y: FloatArray, z: FloatArray | None) -> FloatArray:
+        """Where `along` the middles of the dwells of these points are."""
         if self.along.size == 1:
-            return np.broadcast_to(values[0], (*np.shape(x), 3))
+            return np.broadcast_to(self.along[0], np.shape(x))
         if self.middles is not None:
-            at = self.middles.at(x, y, z)
-        else:
-            middle = float(self.along[0] + self.along[-1]) / 2
-            at = turned_near(np.arctan2(y - self.nadir[1], x - self.nadir[0]), middle)
-        return np.stack([np.interp(at, self.along, column) for column in values.T], axis=-1)
+            return self.middles.at(x, y, z)
+        middle = float(self.along[0] + self.along[-1]) / 2
+        return turned_near(np.arctan2(y - self.nadir[1], x - self.nadir[0]), middle)
+
+    def _at(self, values: FloatArray, middle: FloatArray) -> FloatArray:
+        if self.along.size == 1:
+            return np.broadcast_to(values[0], (*middle.shape, 3))
+        return np.stack([np.interp(middle, self.along, column) for column in values.T], axis=-1)
 
 
 def heights_on_grid(terrain: Terrain, x: FloatArray, y: FloatArray) -> FloatArray:
@@ -223,12 +232,9 @@ def reach(sight: Sight, x: FloatArray, y: FloatArray, limits: tuple[float, float
     limits : (float, float)
         Lowest and highest height of the whole terrain, m.
     """
-    px, py = np.meshgrid(np.linspace(x[0], x[-1], EDGE_NODES), np.linspace(y[0], y[-1], EDGE_NODES))
-    antenna, across, relief = sight.antenna(px, py), sight.across(px, py), limits[1] - limits[0]
-    gap = np.stack([antenna[..., 0] - px, antenna[..., 1] - py], axis=-1)
-    away, above = np.linalg.norm(gap, axis=-1), np.maximum(antenna[..., 2] - limits[1], 1.0)
+    px, py, antenna, across, gap, side, away = _outlook(sight, box_of(x, y))
+    relief, above = limits[1] - limits[0], np.maximum(antenna[..., 2] - limits[1], 1.0)
     shadow = np.minimum(relief * away / above, away)
-    side = (gap * across).sum(axis=-1)
     flat, top = np.abs(side), np.maximum(antenna[..., 2] - limits[0], 1.0)
     # The circle of a range about the antenna, by heights that differ by all of the relief.
     nearer = flat - np.sqrt(np.maximum(flat**2 - 2 * above * relief - relief**2, 0.0))
@@ -242,6 +248,34 @@ def reach(sight: Sight, x: FloatArray, y: FloatArray, limits: tuple[float, float
         ends.append((px + way * direction[..., 0], py + way * direction[..., 1]))
     all_x, all_y = (np.concatenate([np.ravel(end[axis]) for end in ends]) for axis in (0, 1))
     return (float(all_x.min()), float(all_x.max())), (float(all_y.min()), float(all_y.max()))
+
+
+class _Outlook(NamedTuple):
+    """Places (...), m, the antenna and the horizontal unit vector across its track as they see it, and the way to it.
+
+    The horizontal way `gap` to the antenna is `side` across the track, and `away` long, m.
+    """
+
+    x: FloatArray
+    y: FloatArray
+    antenna: FloatArray
+    across: FloatArray
+    gap: FloatArray
+    side: FloatArray
+    away: FloatArray
+
+
+def _look(sight: Sight, x: FloatArray, y: FloatArray, z: FloatArray | None) -> _Outlook:
+    antenna, across = sight.antenna_and_across(x, y, z)
+    gap = np.stack([antenna[..., 0] - x, antenna[..., 1] - y], axis=-1)
+    return _Outlook(x, y, antenna, across, gap, (gap * across).sum(axis=-1), np.linalg.norm(gap, axis=-1))
+
+
+@lru_cache(maxsize=4)
+def _outlook(sight: Sight, box: Box) -> _Outlook:
+    """That of a few places of a box, at a mean height; asked for once for the reach of a window and once for its view."""
+    (x0, x1), (y0, y1) = box
+    return _look(sight, *np.meshgrid(np.linspace(x0, x1, EDGE_NODES), np.linspace(y0, y1, EDGE_NODES)), None)
 
 
 def visibility(terrain: Terrain, sight: Sight, grid: Grid, window: tuple[slice, slice]) -> NDArray[np.uint8]:
@@ -264,13 +298,14 @@ def visibility(terrain: Terrain, sight: Sight, grid: Grid, window: tuple[slice, 
     columns, at_column = _places(grid.x, window[1], terrain.dx)
     x, y = (part.ravel() for part in np.meshgrid(grid.x[columns], grid.y[rows]))
     z = None if sight.middles is None else terrain(x, y)
-    antenna = sight.antenna(x, y, z) - np.stack([x, y, np.zeros(x.size)], axis=-1)
+    antenna, across = sight.antenna_and_across(x, y, z)
+    antenna = antenna - np.stack([x, y, np.zeros(x.size)], axis=-1)
     heights = np.ascontiguousarray(terrain.heights, np.float64)
     found = np.empty(x.size, np.uint8)
     find_visibility(
         heights, *block_extremes(heights), np.array([terrain.dx, terrain.dy]),
         (x - terrain.x0) / terrain.dx - terrain.column, (y - terrain.y0) / terrain.dy - terrain.row,
-        antenna, np.ascontiguousarray(sight.across(x, y, z)), min(terrain.dx, terrain.dy) / STEPS, found,
+        antenna, np.ascontiguousarray(across), min(terrain.dx, terrain.dy) / STEPS, found,
     )  # fmt: skip
     return found.reshape(rows.size, columns.size)[:, at_column][at_row]
 
@@ -285,11 +320,10 @@ def _is_open(terrain: Terrain, sight: Sight, x: FloatArray, y: FloatArray) -> bo
     slope = float(steepest_slope(heights, np.array([terrain.dx, terrain.dy])))
     if not inside or not np.isfinite(slope):
         return False
-    px, py = np.meshgrid(np.linspace(x[0], x[-1], EDGE_NODES), np.linspace(y[0], y[-1], EDGE_NODES))
-    z = None if sight.middles is None else terrain(px, py)
-    antenna, across = sight.antenna(px, py, z), sight.across(px, py, z)
-    gap = np.stack([antenna[..., 0] - px, antenna[..., 1] - py], axis=-1)
-    side, away = np.abs((gap * across).sum(axis=-1)), np.linalg.norm(gap, axis=-1)
+    outlook = _outlook(sight, box_of(x, y))
+    if sight.middles is not None:
+        outlook = _look(sight, outlook.x, outlook.y, terrain(outlook.x, outlook.y))
+    antenna, side, away = outlook.antenna, np.abs(outlook.side), outlook.away
     least, most = antenna[..., 2] - terrain.limits[1], antenna[..., 2] - terrain.limits[0]
     if least.min() <= 0:
         return False
