@@ -273,7 +273,7 @@ def _look(sight: Sight, x: FloatArray, y: FloatArray, z: FloatArray | None) -> _
 
 @lru_cache(maxsize=4)
 def _outlook(sight: Sight, box: Box) -> _Outlook:
-    """That of a few places of a box, at a mean height; asked for once for the reach of a window and once for its view."""
+    """That of a few places of a box, at a mean height; the reach of a window and its view both ask for it."""
     (x0, x1), (y0, y1) = box
     return _look(sight, *np.meshgrid(np.linspace(x0, x1, EDGE_NODES), np.linspace(y0, y1, EDGE_NODES)), None)
 

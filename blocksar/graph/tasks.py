@@ -201,9 +201,11 @@ def write_patch(
             pixels = correct(samples.values, ground, x=x, y=y, z=z, threads=run.threads, out=out)
             if edges is not None and kept is not None:
                 edges.add(pixels, kept, ground, window, grid, height=z, threads=run.threads)
+            if (owner := _owner(pixels, block.index)) is None:
+                continue
             origin = (first_y, first_x)
-            behind.submit(_write_pixels, run, block, pixels, window, origin, grid, noise, z, merged=merged)
-            if sight is not None and not merged and (owner := _owner(pixels, block.index)) is not None:
+            behind.submit(_write_pixels, run, block, pixels, owner, window, origin, grid, noise, z, merged=merged)
+            if sight is not None and not merged:
                 behind.submit(write_layers, run, window, layers.over(window, owner))
     seconds = samples.seconds | {"geometric-correction": time.perf_counter() - started}
     # The receipt covers the whole block: the tasks before this one have no receipts.
@@ -239,6 +241,7 @@ def _write_pixels(
     run: Run,
     block: BlockPlan,
     pixels: ComplexArray,
+    owner: NDArray[np.int16] | int,
     window: Window,
     origin: tuple[int, int],
     grid: Grid,
@@ -247,16 +250,14 @@ def _write_pixels(
     *,
     merged: bool,
 ) -> list[Written]:
-    """Write a chunk of a patch, and of the image unless the mosaic merges it; nothing if no pixel is covered."""
-    covered = np.isfinite(pixels.real)
-    if not covered.any():
-        return []
+    """Write a chunk of a patch, and of the image unless the mosaic merges it; `owner` as `_owner` has it."""
     patch = run.patch(block.name)
     part = _shifted(window, origin)
     written = write(run, patch, "image", part, pixels)
     if merged:
         return [written]
-    owner = np.where(covered, np.int16(block.index), np.int16(-1))
+    if isinstance(owner, int):
+        owner = np.full(pixels.shape, owner, np.int16)
     of = {} if run.collection is None else {block.index: run.collection}
     noises = {} if noise is None else {block.index: noise}
     return [
