@@ -26,10 +26,18 @@ DIRECT = getattr(os, "O_DIRECT", 0)  # Linux's
 
 
 class _Buffers(threading.local):
-    """The aligned buffer of each thread; memory maps begin at a page."""
+    """The aligned buffer of each thread; memory maps begin at a page.
+
+    In one huge page, where the system has them: a transfer of hundreds of scattered pages is split into several
+    requests to the disk, and takes half as long again.
+    """
 
     def __init__(self) -> None:
-        self.view = memoryview(mmap.mmap(-1, BUFFER, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS))
+        buffer = mmap.mmap(-1, BUFFER, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+        if hasattr(mmap, "MADV_HUGEPAGE"):
+            with suppress(OSError):
+                buffer.madvise(mmap.MADV_HUGEPAGE)
+        self.view = memoryview(buffer)
 
 
 _buffers = _Buffers()

@@ -14,7 +14,7 @@ from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
 from blocksar.focusing.method import Method
 from blocksar.planning.block import BlockPlan, plan_block
-from blocksar.planning.plan import Plan, _Planner, plan_collection
+from blocksar.planning.plan import Plan, plan_collection
 from blocksar.planning.relief import find_relief, sample_terrain
 from blocksar.planning.sector import Sector
 from blocksar.simulation.scene import Scene
@@ -92,22 +92,17 @@ def test_relief_costs_coherence_as_predicted_and_bends_grow_with_it() -> None:
 
 
 def test_a_search_plans_no_more_blocks_than_show_that_others_gain_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of a probe that is asked for whether it exceeds a limit; the same division is taken as by whole probes."""
+    """Of the three blocks of a probe of many, the one in the middle shows it."""
     planned_blocks: list[float] = []
 
     def counted(sector: Sector, method: Method, **rest: Any) -> BlockPlan:
         planned_blocks.append(sector.low)
         return plan_block(sector, method, **rest)
 
-    def whole(planner: _Planner, count: int, n_parts: int, limit: float) -> bool:
-        return planner.plan(count, n_parts, True).excess() > limit
-
     monkeypatch.setattr("blocksar.planning.plan.plan_block", counted)
-    quick = planned(hilly(1000.0), blocks="auto", workers=2)
-    few = len(planned_blocks)
-    monkeypatch.setattr(_Planner, "exceeds", whole)
-    slow = planned(hilly(1000.0), blocks="auto", workers=2)
-    assert quick.n_blocks == slow.n_blocks < few < len(planned_blocks) - few
+    plan = planned(hilly(1000.0), blocks="auto", workers=2)
+    assert plan.excess() > 1.0 and plan.n_blocks == 2
+    assert len(planned_blocks) == plan.n_blocks + 1
 
 
 def test_many_hills_under_all_of_table_1_cost_what_was_measured() -> None:
