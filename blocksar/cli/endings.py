@@ -61,6 +61,11 @@ class Commands(TyperGroup):
             _report_usage(error)
         except (InputError, ProcessingError, UnsupportedSystem, KeyboardInterrupt, Terminated) as error:
             _report(error)
+        except RuntimeError as error:
+            # Up to Python 3.11 a class whose making is interrupted, while it is imported, wraps what was raised.
+            if isinstance(error.__cause__, KeyboardInterrupt | Terminated):
+                _report(error.__cause__)
+            raise
         except OSError as error:
             # A closed pipe (`blocksar plan ... | head`) is not an error: typer ends quietly.
             if error.errno == errno.EPIPE:

@@ -272,6 +272,17 @@ def test_an_error_gives_one_message_and_an_exit_status(
     assert result.stdout == ""
 
 
+def test_a_signal_that_a_class_in_the_making_wraps_is_a_signal(api: Calls) -> None:
+    """Python 3.11 raises a RuntimeError from what interrupts `__set_name__`, as an import may."""
+    api.answer = RuntimeError("Error calling __set_name__ on 'cached_property' instance")
+    api.answer.__cause__ = endings.Terminated(143)
+    result = run(*COMMANDS["plan"])
+    assert result.exit_code == 143
+    assert result.stderr.startswith("blocksar: terminated;")
+    api.answer = RuntimeError("ours")
+    assert isinstance(run(*COMMANDS["plan"]).exception, RuntimeError)
+
+
 def test_an_internal_error_keeps_its_traceback(api: Calls) -> None:
     api.answer = ZeroDivisionError("ours")
     assert isinstance(run(*COMMANDS["plan"]).exception, ZeroDivisionError)
