@@ -22,9 +22,9 @@ import numpy as np
 
 from blocksar.arrays import BoolArray, FloatArray, IntArray
 from blocksar.collection.collection import Collection
-from blocksar.errors import InputError
 
 NODES = 32  # parts of the collection at whose ends offsets are compared, to see whether they turn back
+TOGETHER = 4096  # points whose offsets there are computed at a time: they stay in the cache
 SCANNED = 1 << 22  # offsets computed at a time where every pulse is looked at
 REACH = 64  # the part of the collection, 1 / REACH, whose slope continues an offset beyond the collection's ends
 LEAST_SLOPE = 1e-12  # rad/s
@@ -53,14 +53,6 @@ class Points(NamedTuple):
         return axis_offset(collection, self.x[:, None], self.y[:, None], pulses, z)
 
 
-class Spans(NamedTuple):
-    """Pulses first <= p < last that light each of some points (n,), equal where none does; and whether it is twice."""
-
-    first: IntArray
-    last: IntArray
-    twice: BoolArray
-
-
 def axis_offset(
     collection: Collection, x: FloatArray, y: FloatArray, pulses: slice | IntArray | int, z: Height | None = None
 ) -> FloatArray:
@@ -73,47 +65,46 @@ def axis_offset(
     return np.asarray(np.arcsin(np.clip(sine, -1.0, 1.0)) - collection.beam_steering[pulses])
 
 
-def axis_spans(collection: Collection, x: FloatArray, y: FloatArray, z: Height | None = None) -> Spans:
-    """The lit pulses of points x, y, z (n,), m: exactly those with |offset| <= beam_width / 2.
+def axis_passes(
+    collection: Collection, x: FloatArray, y: FloatArray, z: Height | None = None
+) -> tuple[IntArray, IntArray]:
+    """Pulses first <= p < last that light points x, y, z (n,), m: exactly those with |offset| <= beam_width / 2.
 
-    Where a point is lit twice, from the first lit pulse to the last.
+    Several passes where the beam turns back, leaves a point and comes to it again: (n_pass, n), in the order of time.
+    Those that a point lacks are empty, at the end of the one before; so a point that is never lit has 0 and 0.
     """
     n, points = collection.n_pulse, Points.of(collection, x, y, z)
     turning, rising = _turning(collection, points)
-    first, last = np.zeros(x.size, np.int64), np.zeros(x.size, np.int64)
-    twice = np.zeros(x.size, np.bool_)
+    passes = [(np.zeros(x.size, np.int64), np.zeros(x.size, np.int64)) for _ in range(2)]
     once = np.flatnonzero(turning >= 0)
     if once.size:
         at, sign = points.some(once), np.where(rising[once], 1.0, -1.0)
         middle = np.where(turning[once] > 0, turning[once], n)
         before = _passage(collection, at, np.zeros_like(middle), middle, sign)
         after = _passage(collection, at, middle, np.full_like(middle, n), -sign)
-        none_before, none_after = before[0] == before[1], after[0] == after[1]
-        first[once] = np.where(none_before, after[0], before[0])
-        last[once] = np.where(none_after, before[1], after[1])
-        twice[once] = ~none_before & ~none_after & (before[1] != after[0])
+        joined = (before[0] == before[1]) | (after[0] == after[1]) | (before[1] == after[0])
+        first = np.where(before[0] == before[1], after[0], before[0])
+        last = np.where(after[0] == after[1], before[1], after[1])
+        passes[0][0][once], passes[0][1][once] = first, np.where(joined, last, before[1])
+        passes[1][0][once], passes[1][1][once] = np.where(joined, 0, after)
     often = np.flatnonzero(turning < 0)
     rows = max(SCANNED // n, 1)
     for some in np.split(often, range(rows, often.size, rows)):
-        lit = np.abs(points.some(some).offsets(collection, slice(None))) <= _half(collection)
-        any_ = lit.any(axis=1)
-        first[some] = np.where(any_, lit.argmax(axis=1), 0)
-        last[some] = np.where(any_, n - lit[:, ::-1].argmax(axis=1), 0)
-        twice[some] = lit.sum(axis=1) < last[some] - first[some]
-    never = first >= last
-    first[never], last[never] = 0, 0
-    return Spans(first, last, twice)
-
-
-def refuse_twice(collection: Collection, x: FloatArray, y: FloatArray, twice: BoolArray) -> None:
-    """Raise an InputError if any of some points (n,) is lit twice."""
-    if twice.any():
-        where = int(twice.argmax())
-        raise InputError(
-            f"beam_steering turns so that {np.count_nonzero(twice)} points, such as x = {x[where]:.6g}, y = "
-            f"{y[where]:.6g} m, are lit twice in {collection.n_pulse} pulses; cut the collection, or image a smaller "
-            "grid"
-        )
+        lit = np.zeros((some.size, n + 2), np.bool_)
+        lit[:, 1:-1] = np.abs(points.some(some).offsets(collection, slice(None))) <= _half(collection)
+        changes = lit[:, 1:] != lit[:, :-1]
+        for number in range(int(changes.sum(axis=1).max(initial=0)) // 2):
+            if number == len(passes):
+                passes.append((np.zeros(x.size, np.int64), np.zeros(x.size, np.int64)))
+            for of_pass in passes[number]:
+                of_pass[some] = changes.argmax(axis=1)
+                changes[np.arange(some.size), of_pass[some]] = False
+    while len(passes) > 1 and (passes[-1][0] >= passes[-1][1]).all():
+        passes.pop()
+    firsts, lasts = (np.stack([of_pass[end] for of_pass in passes]) for end in (0, 1))
+    empty = firsts >= lasts
+    lasts = np.maximum.accumulate(np.where(empty, 0, lasts))
+    return np.where(empty, lasts, firsts), lasts
 
 
 def axis_dwell(
@@ -137,10 +128,11 @@ def axis_dwell(
     first, last = (_edge_times(collection, points, sign, level) for level in (-_half(collection), _half(collection)))
     bent = np.flatnonzero(turning != 0)
     if bent.size:
-        spans = axis_spans(collection, *points.some(bent))
-        lit, at_turn = spans.last > spans.first, time[np.maximum(turning[bent], 0)]
-        first[bent] = np.where(lit, time[spans.first] - half_pulse, at_turn)
-        last[bent] = np.where(lit, time[spans.last - 1] + half_pulse, at_turn)
+        passes = axis_passes(collection, *points.some(bent))
+        begin, end = passes[0][0], passes[1][-1]
+        lit, at_turn = end > begin, time[np.maximum(turning[bent], 0)]
+        first[bent] = np.where(lit, time[np.minimum(begin, collection.n_pulse - 1)] - half_pulse, at_turn)
+        last[bent] = np.where(lit, time[end - 1] + half_pulse, at_turn)
     if uncut:
         return first, last
     return np.maximum(first, time[0] - half_pulse), np.minimum(last, time[-1] + half_pulse)
@@ -179,7 +171,8 @@ def _turning(collection: Collection, points: Points) -> tuple[IntArray, BoolArra
     The pulse is 0 where it never turns, -1 where it does so more than once.
     """
     nodes = np.unique(np.linspace(0, collection.n_pulse - 1, NODES + 1).round().astype(np.int64))
-    rising = np.diff(points.offsets(collection, nodes)) > 0
+    groups = np.split(np.arange(points.x.size), range(TOGETHER, points.x.size, TOGETHER))
+    rising = np.concatenate([np.diff(points.some(group).offsets(collection, nodes)) > 0 for group in groups])
     changes = rising[:, 1:] != rising[:, :-1]
     count, where = changes.sum(axis=1), changes.argmax(axis=1)
     turning = np.where(count > 1, -1, 0).astype(np.int64)

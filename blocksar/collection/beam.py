@@ -6,8 +6,8 @@ the point's angle about the platform's nadir at t = 0. A beam about the antenna'
 the very edge are lit. A collection whose beam is not steered lights every point with every pulse.
 
 `in_beam` is the first rule for plain angles; compiled loops wrap it by `numba.njit(inline="always")`. Callers that have
-positions ask `is_lit`, `lit_interval` and `dwell`; `is_lit` and `lit_interval` compare without tolerance. Callers that
-work in the polar frame ask `yaw_interval`, `dwell_at` and `lit_sums`, which allow for the rounding of computed yaws
+positions ask `is_lit`, `lit_passes` and `dwell`; `is_lit` and `lit_passes` compare without tolerance. Callers that work
+in the polar frame ask `yaw_interval`, `dwell_at` and `lit_sums`, which allow for the rounding of computed yaws
 (`EDGE`). `pulse_weights` are the weights over a dwell, `pattern_gain` is the antenna's pattern.
 Points x, y lie on the ground, or at heights z, m, which count under a beam about its axis and in elevation patterns.
 """
@@ -21,7 +21,7 @@ from typing import TypeVar
 import numpy as np
 
 from blocksar.arrays import BoolArray, FloatArray, IntArray
-from blocksar.collection.axis_beam import Height, axis_dwell, axis_offset, axis_passing, axis_spans, refuse_twice
+from blocksar.collection.axis_beam import Height, axis_dwell, axis_offset, axis_passes, axis_passing
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import Taper
@@ -86,33 +86,35 @@ def is_lit(
     return in_beam(geometry.yaw(x, y)[..., None], *beam_at(geometry.collection, pulses))
 
 
-def lit_interval(geometry: Geometry, x: FloatArray, y: FloatArray) -> tuple[IntArray, IntArray]:
-    """The pulses first <= p < last that light each ground point: exactly those of `is_lit`.
+def lit_passes(geometry: Geometry, x: FloatArray, y: FloatArray, z: Height | None = None) -> tuple[IntArray, IntArray]:
+    """The pulses first <= p < last that light each point: exactly those of `is_lit`.
 
-    A point's lit pulses are an interval.
+    A point's lit pulses are an interval, but for a beam about its axis that turns back, leaves the point and comes to
+    it again: it passes such a point several times.
 
     Parameters
     ----------
     geometry : Geometry
     x, y : (...) float
         m, scene frame; of one shape.
+    z : (...) float, optional
+        m; by default that of the ground.
 
     Returns
     -------
-    first, last : (...) int
-        Both 0 where a point is never lit.
+    first, last : (n_pass, ...) int
+        In the order of time. Passes that a point lacks are empty, at the end of the one before; both are 0 where a
+        point is never lit.
 
     Raises
     ------
     InputError
-        If the beam scans so far round that a point could be lit twice, or turns back so that one is.
+        If a beam that is described by its yaw scans all round.
     """
-    collection = geometry.collection
+    collection, shape = geometry.collection, np.shape(x)
     if collection.has_axis:
-        points = _raveled(x, y, _height(geometry, x, y, None))
-        spans = axis_spans(collection, *points)
-        refuse_twice(collection, *points[:2], spans.twice)
-        return spans.first.reshape(np.shape(x)), spans.last.reshape(np.shape(x))
+        passes = axis_passes(collection, *_raveled(x, y, _height(geometry, x, y, z)))
+        return passes[0].reshape(-1, *shape), passes[1].reshape(-1, *shape)
     yaw = np.asarray(geometry.yaw(np.asarray(x, np.float64), np.asarray(y, np.float64)))
     if collection.beam_width is not None:
         beam, width = collection.beam_azimuth, collection.beam_width
@@ -125,15 +127,23 @@ def lit_interval(geometry: Geometry, x: FloatArray, y: FloatArray) -> tuple[IntA
     first, last = yaw_interval(collection, yaw.ravel(), tolerance=0.0)
     never = first == last
     first[never], last[never] = 0, 0
-    return first.reshape(yaw.shape), last.reshape(yaw.shape)
+    return first.reshape(1, *shape), last.reshape(1, *shape)
+
+
+def lit_interval(geometry: Geometry, x: FloatArray, y: FloatArray) -> tuple[IntArray, IntArray]:
+    """The longest of `lit_passes` of each point: first, last (...); both 0 where it is never lit."""
+    passes = np.stack(lit_passes(geometry, x, y))
+    longest = (passes[1] - passes[0]).argmax(axis=0)
+    first, last = np.take_along_axis(passes, longest[None, None], axis=1)[:, 0]
+    return first, last
 
 
 def inner_interval(
     geometry: Geometry, x: FloatArray, y: FloatArray, share: float, z: Height | None = None
 ) -> tuple[IntArray, IntArray]:
-    """The pulses first <= p < last with |offset| <= share beam_width / 2; equal where none has.
+    """The pulses first <= p < last between whose ends |offset| <= share beam_width / 2; equal where none has.
 
-    With a share of 1 those of `lit_interval`, but points that are lit twice are not refused.
+    With a share of 1, from the first of `lit_passes` to the last.
 
     Parameters
     ----------
@@ -148,7 +158,8 @@ def inner_interval(
     """
     narrow = replace(geometry.collection, beam_width=share * (geometry.collection.beam_width or 0.0))
     if narrow.has_axis:
-        first, last, _ = axis_spans(narrow, *_raveled(x, y, _height(geometry, x, y, z)))
+        passes = axis_passes(narrow, *_raveled(x, y, _height(geometry, x, y, z)))
+        first, last = passes[0][0], passes[1][-1]
     else:
         first, last = yaw_interval(narrow, np.asarray(geometry.yaw(*_raveled(x, y, 0.0)[:2])), tolerance=0.0)
     return first.reshape(np.shape(x)), last.reshape(np.shape(x))
@@ -396,7 +407,8 @@ def has_full_dwell(
 ) -> BoolArray:
     """Whether the whole beam sweeps over targets at x, y (...), m, to within one pulse; true if it is not steered.
 
-    Where the beam stands still: whether it lights them. About its axis: also where it lights them all the time.
+    Where the beam stands still: whether it lights them. About its axis: also where it lights them all the time. Targets
+    that it leaves and comes to again have none.
     """
     collection = geometry.collection
     if collection.has_axis:
@@ -404,7 +416,12 @@ def has_full_dwell(
         x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
         first, last = _axis_dwell(geometry, x, y, _height(geometry, x, y, z), uncut=True)
         whole = (first >= start - collection.pulse_interval) & (last <= end + collection.pulse_interval)
-        return np.asarray((whole & (last > first)) | ((first <= start) & (last >= end)))
+        full = np.asarray((whole & (last > first)) | ((first <= start) & (last >= end)))
+        if full.any():
+            some = (axis[full] for axis in np.broadcast_arrays(x, y, _height(geometry, x, y, z)))
+            passes = lit_passes(geometry, *some)
+            full[full] = np.count_nonzero(passes[1] > passes[0], axis=0) < 2
+        return full
     yaw = geometry.yaw(np.asarray(x), np.asarray(y))
     if collection.beam_width is None:
         return np.ones(yaw.shape, bool)

@@ -8,7 +8,8 @@ this interpolation is the only approximation, of -69 dB (`profiles.spline_error`
 every pixel and pulse: no far field, no mean velocity. `kernels.projection` evaluates the square root of a range by its
 series about the centre of a tile, where that errs by less than 1e-9 m, or 1e-7 cycles of phase at X band: -120 dB.
 
-The pulses that light a pixel are an interval (`collection.beam.lit_interval`), so the loop over them needs no test.
+The pulses that light a pixel are an interval, so the loop over them needs no test; or a few intervals, which are summed
+one after the other (`collection.beam.lit_passes`).
 With an antenna pattern g (`collection.beam.pattern_gain`) the sum over lit pulses is divided by that of g instead of
 their number, and under a weighting w by that of w g, so that a target of reflectivity 1 still has the value 1. NaN
 samples are excluded from the mean. The image is NaN where no valid sample is lit, and where a lit pulse, missing or
@@ -23,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from blocksar.collection.beam import beam_offset, lit_interval
+from blocksar.collection.beam import beam_offset, lit_passes
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import FLAT, UNIFORM, Taper, Weighting
@@ -37,6 +38,7 @@ from blocksar.kernels.projection import Sights, project
 
 ReadPulses = Callable[[slice], ComplexArray]  # (n, n_range_frequency) samples of a slice of pulses
 Tile = tuple[slice, slice]
+Pass = tuple[Tile, IntArray, IntArray]  # pixels, and the pulses first <= p < last that light them
 
 TILE = 128  # pixels per side: enough that the preparation of a tile costs little
 BLOCK_BYTES = 32 * 1024**2  # profiles of a block of pulses: malloc maps larger blocks afresh, page by page
@@ -71,7 +73,7 @@ def accumulate(
     x, y : (n_row, n_column) float
         m, scene frame.
     first, last : (n_row, n_column) int
-        Lit pulses, from `lit_interval`.
+        Lit pulses: one of `lit_passes`.
     threads : int
         The result does not depend on it: one thread sums each pixel, in a fixed order.
     taper : Taper
@@ -175,7 +177,7 @@ def form_points(
     ValueError
         If x and y are not finite or differ in shape, or `read` returns a wrong shape.
     InputError
-        From `lit_interval`.
+        From `lit_passes`.
     """
     collection = geometry.collection
     if np.shape(x) != np.shape(y):
@@ -185,7 +187,7 @@ def form_points(
     x, y = (np.ascontiguousarray(axis, np.float64).reshape(rows) for axis in (x, y))
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         raise ValueError("x and y must be finite")
-    first, last = _lit_intervals(geometry, x, y, threads)
+    passes = _lit_passes(geometry, x, y, threads)
     image, outside = np.zeros(x.shape, np.complex64), np.zeros(x.shape, np.bool_)
     height = _relief(geometry, x, y, outside)
     in_range, over_beam, over_pulses = weighting.range, weighting.azimuth, None
@@ -195,30 +197,36 @@ def form_points(
     # Sums of integers are exact: without a weighting nothing is rounded.
     valid: Any = np.zeros(collection.n_pulse, np.int64 if weighting.uniform else np.float64)
     gains = np.zeros(x.shape if collection.has_pattern else 0)
-    wanted = lit_pulses(first, last, collection.n_pulse)
+    wanted = np.any([lit_pulses(first, last, collection.n_pulse) for _, first, last in passes], axis=0)
     for pulses in pulse_blocks(wanted, pulse_block or pulse_block_size(collection)):
         profiles = range_profiles(read(pulses), collection=collection, pulses=pulses, threads=threads, taper=in_range)
         valid[pulses] = profiles.valid
         if over_pulses is not None:
             valid[pulses] = profiles.valid * over_pulses[pulses]
             np.multiply(profiles.values, over_pulses[pulses, None], out=profiles.values)
-        accumulate(
-            image, outside, profiles, geometry=geometry, x=x, y=y, first=first, last=last, threads=threads,
-            taper=over_beam, weight=weight, height=height,
-        )  # fmt: skip
+        for part, first, last in passes:
+            accumulate(
+                image[part], outside[part], profiles, geometry=geometry, x=x[part], y=y[part], first=first, last=last,
+                threads=threads, taper=over_beam, weight=None if weight is None else weight[part],
+                height=None if height is None else height[part],
+            )  # fmt: skip
         del profiles  # before the next block is read: otherwise two blocks are in memory
         if collection.has_pattern:
-            _add_gains(
-                gains, geometry, x, y, height, first=first, last=last, pulses=pulses, valid=valid, taper=over_beam,
-                threads=threads,
-            )  # fmt: skip
+            for part, first, last in passes:
+                _add_gains(
+                    gains[part], geometry, x[part], y[part], None if height is None else height[part], first=first,
+                    last=last, pulses=pulses, valid=valid, taper=over_beam, threads=threads,
+                )  # fmt: skip
     if collection.has_pattern:
         _normalise_weighted(image, outside, (gains / collection.n_range_frequency).astype(np.float32))
     elif weight is not None:
         _normalise_weighted(image, outside, weight)
     else:
         before = np.concatenate(([0], np.cumsum(valid)))
-        _normalise(image, outside, first, last, before, collection.n_range_frequency)
+        count = np.zeros(x.shape, before.dtype)
+        for part, first, last in passes:
+            count[part] += before[last] - before[first]
+        _normalise(image, outside, count, collection.n_range_frequency)
     return image.reshape(shape)
 
 
@@ -300,15 +308,18 @@ def _run_tiles(work: Callable[[Tile], None], shape: tuple[int, ...], threads: in
     run_groups(work, tiles, threads)
 
 
-def _lit_intervals(geometry: Geometry, x: FloatArray, y: FloatArray, threads: int) -> tuple[IntArray, IntArray]:
-    """`lit_interval` tile by tile, so that its temporary arrays stay small."""
+def _lit_passes(geometry: Geometry, x: FloatArray, y: FloatArray, threads: int) -> list[Pass]:
+    """`lit_passes` tile by tile, so that temporary arrays stay small: the first of the image, further ones of tiles."""
     first, last = np.empty(x.shape, np.int64), np.empty(x.shape, np.int64)
+    further: list[Pass] = []
 
     def work(tile: Tile) -> None:
-        first[tile], last[tile] = lit_interval(geometry, x[tile], y[tile])
+        firsts, lasts = lit_passes(geometry, x[tile], y[tile])
+        first[tile], last[tile] = firsts[0], lasts[0]
+        further.extend((tile, *ends) for ends in zip(firsts[1:], lasts[1:], strict=True))
 
     _run_tiles(work, x.shape, threads)
-    return first, last
+    return [((slice(None), slice(None)), first, last), *further]
 
 
 def _add_gains(
@@ -326,11 +337,8 @@ def _add_gains(
     _run_tiles(work, gains.shape, threads)
 
 
-def _normalise(
-    image: ComplexArray, outside: BoolArray, first: IntArray, last: IntArray, valid_before: IntArray, n_frequency: int
-) -> None:
-    """Turn sums into means in place: divide by the lit pulses, each weighted by its fraction of valid samples."""
-    count = valid_before[last] - valid_before[first]
+def _normalise(image: ComplexArray, outside: BoolArray, count: IntArray | FloatArray, n_frequency: int) -> None:
+    """Turn sums into means in place: divide by the number (or weights) of the valid samples of lit pulses."""
     missing = outside | (count == 0)
     image *= (n_frequency / np.where(missing, 1, count)).astype(np.float32)
     image[missing] = complex(np.nan, np.nan)

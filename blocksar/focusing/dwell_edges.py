@@ -28,7 +28,7 @@ from typing import TypeVar
 import numpy as np
 
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from blocksar.collection.beam import beam_offset, inner_interval
+from blocksar.collection.beam import beam_offset, inner_interval, lit_passes
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import Taper, Weighting
@@ -230,21 +230,27 @@ def take_unlit(
     image, doubtful = image[part], doubtful[part]
     mesh_x, mesh_y = np.meshgrid(np.asarray(x, np.float64)[part[1]], np.asarray(y, np.float64)[part[0]])
     z = None if z is None else z[part]
-    first, last = np.zeros(image.shape, np.int64), np.full(image.shape, n, np.int64)
-    some = mesh_x[doubtful], mesh_y[doubtful], 1.0, None if z is None else z[doubtful]
-    first[doubtful], last[doubtful] = inner_interval(geometry, *some)
-    cut = (first > 0) | (last < n)
+    some = lit_passes(geometry, mesh_x[doubtful], mesh_y[doubtful], None if z is None else z[doubtful])
+    first, last = np.zeros((len(some[0]), *image.shape), np.int64), np.full((len(some[0]), *image.shape), n, np.int64)
+    first[1:] = n
+    first[:, doubtful], last[:, doubtful] = some
+    number = (last - first).sum(axis=0)  # of lit pulses
+    cut = number < n
     if not cut.any():
         return
-    few = 2 * (last - first) < n  # summed by themselves: fewer pulses, and not a small rest of a large sum
-    edges = (np.where(few, first, 0), np.where(few, last, first)), (np.where(few, n, last), np.full_like(last, n))
+    few = 2 * number < n  # summed by themselves: fewer pulses, and not a small rest of a large sum
+    end = np.full((1, *image.shape), n)
+    own = np.append(first, end, axis=0), np.append(last, end, axis=0)
+    others = np.append(0 * end, last, axis=0), np.append(first, end, axis=0)  # before, between and after the passes
+    edges = list(zip(*(np.where(few, *ends) for ends in zip(own, others, strict=True)), strict=True))
     summed = _sum_edges(profiles, geometry, mesh_x, mesh_y, edges, weighting, z=z, threads=threads)
     at_x, at_y, of_lit = mesh_x[cut], mesh_y[cut], np.zeros((1, int(cut.sum())))
     over = None if z is None else (z[cut] - geometry.collection.ground_height)[None]
-    add_gains(
-        of_lit, geometry, at_x[None], at_y[None], over, first=first[cut][None], last=last[cut][None],
-        pulses=slice(0, n), valid=valid, taper=weighting.azimuth,
-    )  # fmt: skip
+    for begin, end in zip(first, last, strict=True):
+        add_gains(
+            of_lit, geometry, at_x[None], at_y[None], over, first=begin[cut][None], last=end[cut][None],
+            pulses=slice(0, n), valid=valid, taper=weighting.azimuth,
+        )  # fmt: skip
     lit, kept = of_lit[0], np.where(few[cut], summed[cut], image[cut] * total(at_x, at_y) - summed[cut])
     image[cut] = np.where(lit > 0, kept / np.where(lit > 0, lit, 1.0), complex(np.nan, np.nan))
 
@@ -261,7 +267,7 @@ def _sum_edges(
     z: FloatArray | None = None,
     fade: int = 0,
 ) -> ComplexArray:
-    """Sum over the pulses from `first` to `last` of both edges of each pixel at x, y, z (n_y, n_x), m; not divided."""
+    """Sum over the pulses from `first` to `last` of all edges of each pixel at x, y, z (n_y, n_x), m; not divided."""
     height = None if z is None else z - geometry.collection.ground_height
     total, weight = np.zeros(x.shape, np.complex64), np.zeros(x.shape, np.float32)
     outside = np.zeros(x.shape, np.bool_)
