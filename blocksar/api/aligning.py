@@ -71,13 +71,19 @@ def _places(run: FinishedRun) -> Iterator[tuple[slice, slice]]:
             yield rows, columns
 
 
-def alignment_line(chips: list[dict[str, Any]], other: FinishedRun) -> str:
-    """Least and median coherence, as it is and aligned."""
+def alignment_lines(chips: list[dict[str, Any]], run: FinishedRun, other: FinishedRun) -> list[str]:
+    """Least and median coherence, as it is and aligned; and that weights differ, if they do."""
     texts = []
     for name, words in FIGURES:
         values = [chip[name] for chip in chips]
         texts.append(f"{min(values):.4f} and {np.median(values):.4f} {words}")
-    return f"coherence with {other.folder}, least and median of {len(chips)} chips: {', '.join(texts)}"
+    lines = [f"coherence with {other.folder}, least and median of {len(chips)} chips: {', '.join(texts)}"]
+    if run.weighting != other.weighting:
+        lines.append(
+            f"weights differ, {run.weighting.text} here and {other.weighting.text} in {other.folder}: that alone takes "
+            "coherence below 1"
+        )
+    return lines
 
 
 def alignment_table(chips: list[dict[str, Any]]) -> Table:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Literal
 from blocksar.api.arguments import GridLike, Source, blocks_of, fidelity_of, grid_of, in_this_process, memory_of
 from blocksar.api.jobs import Job, Request
 from blocksar.api.joint import focus_members, members_of
-from blocksar.api.plan_lines import outside_window, short_dwells, undersampling
+from blocksar.api.plan_lines import outside_window, short_dwells, undersampling, wobbling_beam
 from blocksar.api.rehearsing import rehearse
 from blocksar.api.run_stages import carry_out
 from blocksar.api.shown import RunReport, is_measurable
@@ -281,7 +281,8 @@ def _focus(
         except ProcessingError as error:
             raise ProcessingError(f"{error}; what was finished stays, the same command goes on from there") from error
     found = [
-        next((line for plan in job.plans if (line := doubt(plan))), None) for doubt in (undersampling, short_dwells)
+        next((line for plan in job.plans if (line := doubt(plan))), None)
+        for doubt in (undersampling, short_dwells, wobbling_beam)
     ]
     found += outside_window(job.plans) if job.plans else []
     if request.terrain is not None:

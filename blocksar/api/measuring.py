@@ -11,7 +11,7 @@ import numpy as np
 
 from blocksar import stores
 from blocksar.api import definitions, finding
-from blocksar.api.aligning import alignment_line, alignment_table, compare_with
+from blocksar.api.aligning import alignment_lines, alignment_table, compare_with
 from blocksar.api.look_figures import describe_looks, looks_table
 from blocksar.api.raised import raised_line, seen_places
 from blocksar.api.reference_chips import compare_with_exact
@@ -154,7 +154,7 @@ def measure(
         other = FinishedRun.open(against)
         result["against"] = compare_with(run, other)
         others.append(alignment_table(result["against"]))
-        lines.append(alignment_line(result["against"], other))
+        lines += alignment_lines(result["against"], run, other)
     stores.write_json(folder / "quality.json", result)
     worst, full = ([_summary_table(responses), _worst_table(responses)], [_response_table(responses)])
     if not responses:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,7 @@ OF_WORKERS = ("focus", "autofocus")  # the commands that may start workers
 
 def main() -> None:
     """Run the command line: the entry point of `blocksar`. What workers import is imported beside what it needs."""
+    _check_environment()
     if sys.argv[1:2] and sys.argv[1] in OF_WORKERS:
         with suppress(UnsupportedSystem):  # the command says so
             from blocksar.graph.starting import start_at_once
@@ -26,6 +28,19 @@ def main() -> None:
     with uncollected():
         from blocksar.cli import commands
     commands.main()
+
+
+def _check_environment() -> None:
+    """End with a sentence where numba would refuse to be imported."""
+    threads = os.environ.get("NUMBA_NUM_THREADS", "")
+    with suppress(ValueError):  # numba takes no notice of other texts
+        if int(threads) < 1:
+            print(
+                f"blocksar: NUMBA_NUM_THREADS = {threads} in the environment must be at least 1; unset it, or give the "
+                "number of cores",
+                file=sys.stderr,
+            )
+            raise SystemExit(2)
 
 
 def __getattr__(name: str) -> Any:

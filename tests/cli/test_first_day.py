@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -119,3 +122,13 @@ def test_a_damaged_phase_history_keeps_its_own_message(desk: Path, tmp_path: Pat
     shutil.rmtree(damaged / "time")
     with pytest.raises(blocksar.InputError, match="time"):
         blocksar.plan(damaged)
+
+
+def test_no_threads_in_the_environment(tmp_path: Path) -> None:
+    environment = {**os.environ, "NUMBA_NUM_THREADS": "0"}
+    ended = subprocess.run(
+        [sys.executable, "-m", "blocksar", "demo", "--out", "run"], cwd=tmp_path, env=environment, capture_output=True,
+        text=True, check=False,
+    )  # fmt: skip
+    assert ended.returncode == 2 and ended.stderr.startswith("blocksar: NUMBA_NUM_THREADS = 0 in the environment must")
+    assert ended.stderr.count("\n") == 1 and not list(tmp_path.iterdir())

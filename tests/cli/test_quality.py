@@ -66,6 +66,11 @@ def test_images_are_compared_but_for_shift_and_ramp(run: Path, tmp_path: Path) -
         assert chip["ramp"] == pytest.approx([0.0, 0.05 / (y[1] - y[0])], abs=0.01 / (y[1] - y[0]))
     assert any(line.startswith(f"coherence with {other}, least and median of ") for line in report.summary)
     assert len(report.tables[-1][1]) == len(report.result["against"])
+    assert not any(line.startswith("weights differ") for line in report.summary)
+    record = json.loads((other / "run.json").read_text())
+    (other / "run.json").write_text(json.dumps(record | {"settings": record["settings"] | {"weighting_range": "hann"}}))
+    summary = blocksar.quality(run, against=other).summary
+    assert any(line.startswith("weights differ, uniform here and hann ") for line in summary)
     assert blocksar.quality(run, against=run).result["against"][0]["as_is"] == pytest.approx(1.0, abs=1e-6)
     assert "against" not in blocksar.quality(run).result
     group["x"][:] = x + 1  # type: ignore[index]

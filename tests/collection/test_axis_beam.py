@@ -18,8 +18,10 @@ from blocksar.collection.beam import (
     dwell,
     dwell_at,
     has_full_dwell,
+    inner_interval,
     is_lit,
     lit_interval,
+    lit_passes,
     pattern_gain,
 )
 from blocksar.collection.collection import Collection
@@ -135,13 +137,24 @@ def test_the_beam_s_centre_is_in_the_middle_of_the_beam() -> None:
         assert np.abs(off).max() < 0.1 * (collection.beam_width or 0)
 
 
-def test_points_that_are_lit_twice_are_refused() -> None:
+@pytest.mark.parametrize("turns", [0.7, 1.0, 3.5])
+def test_a_beam_may_pass_points_several_times(turns: float) -> None:
+    """All their lit pulses are in the passes, the longest pass is the interval, and none of them has its full dwell."""
     n = 400
-    geometry = Geometry(collection=axis_collection(beam_steering=0.03 * np.cos(np.linspace(0, 2 * np.pi, n))))
-    with pytest.raises(InputError, match=r"beam_steering turns so that \d+ points, .* lit twice .* cut the collection"):
-        lit_interval(geometry, np.full(9, 9000.0), np.linspace(-200, 200, 9))
-    first, last = lit_interval(geometry, np.array([9000.0]), np.array([5000.0]))
-    assert first == last == 0
+    collection = axis_collection(beam_steering=0.03 * np.cos(np.linspace(0, 2 * np.pi * turns, n)))
+    geometry = Geometry(collection=collection)
+    x, y = np.full((3, 20), 9000.0) + np.arange(3)[:, None] * 90, np.tile(np.linspace(-420, 420, 20), (3, 1))
+    expected = slow_mask(collection, x.ravel(), y.ravel()).reshape(3, 20, n)
+    first, last = lit_passes(geometry, x, y)
+    number, pulse = np.count_nonzero(last > first, axis=0), np.arange(n)
+    assert number.max() == len(first) == {0.7: 2, 1.0: 2, 3.5: 7}[turns] and number.min() == 0
+    inside = (pulse >= first[..., None]) & (pulse < last[..., None])
+    np.testing.assert_array_equal(inside.sum(axis=0), expected)
+    assert (first[1:] >= last[:-1]).all() and (last[:, number == 0] == 0).all()
+    begin, end = lit_interval(geometry, x, y)
+    np.testing.assert_array_equal(end - begin, (last - first).max(axis=0))
+    assert not has_full_dwell(geometry, x, y)[number > 1].any()
+    np.testing.assert_array_equal(inner_interval(geometry, x, y, 1.0), (first[0], last[-1]))
 
 
 @pytest.mark.parametrize("text", ["uniform", "taylor:4:-35"])

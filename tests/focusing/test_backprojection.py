@@ -14,7 +14,7 @@ from numba import njit
 from slow_twins import back_projection
 
 from blocksar.arrays import ComplexArray, FloatArray
-from blocksar.collection.beam import lit_interval
+from blocksar.collection.beam import lit_interval, lit_passes
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import Weighting
@@ -424,6 +424,22 @@ def test_the_inner_loop_is_vectorised() -> None:
 
 
 AXIS_BEAMS = pytest.mark.parametrize("mode", ["stripmap", "squinted", "tops"])
+
+
+@pytest.mark.parametrize("weighting", ["uniform", "taylor:4:-35"])
+@pytest.mark.parametrize("patterns", [False, True])
+def test_points_that_are_lit_several_times_equal_the_double_loop(patterns: bool, weighting: str) -> None:
+    c = axis_collection(beam_steering=0.03 * np.cos(np.linspace(0, 7 * np.pi, 400)))
+    c = with_patterns(c) if patterns else c
+    x, y = np.meshgrid(9000.0 + np.arange(3) * 40, np.linspace(-300, 300, 13))
+    assert len(lit_passes(Geometry(collection=c), x, y)[0]) == 7
+    signal, tapers = noise(c), Weighting.parse(weighting)
+    image = form_points(lambda p: signal[p], Geometry(collection=c), x, y, threads=2, pulse_block=64, weighting=tapers)
+    expected = back_projection(c, signal, x, y, in_range=tapers.range, in_azimuth=tapers.azimuth)
+    np.testing.assert_array_equal(np.isnan(image), np.isnan(expected))
+    known = np.isfinite(expected)
+    assert known.mean() > 0.7
+    assert np.linalg.norm((image - expected)[known]) < 2e-3 * np.linalg.norm(expected[known])
 
 
 @AXIS_BEAMS

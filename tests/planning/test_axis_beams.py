@@ -9,7 +9,7 @@ import pytest
 from axis_beams import MODES, axis_collection, spotlight, with_patterns
 from strips import DISTANCE, strip_collection
 
-from blocksar.api.plan_lines import short_dwells
+from blocksar.api.plan_lines import short_dwells, wobbling_beam
 from blocksar.arrays import BoolArray, ComplexArray
 from blocksar.collection.beam import has_full_dwell, lit_interval
 from blocksar.collection.collection import Collection
@@ -294,6 +294,15 @@ def test_a_beam_that_stays_on_little_of_what_it_lights_is_left_to_back_projectio
     assert plan.refusal is not None
     assert "so that the beam would stay on it for" in plan.refusal and "passes over more" in plan.refusal
     assert "--processor backprojection" in plan.refusal
+
+
+@pytest.mark.parametrize(("size", "told"), [(0.0, None), (4e-5, None), (1e-4, "0.0036 deg on average, 0.63 %")])
+def test_a_beam_that_wobbles_is_told(size: float, told: str | None) -> None:
+    """At 10 Hz by 1 % of its width: 0.9979 was measured where 0.9998 is predicted."""
+    plain = axis_collection(n_pulse=900)
+    collection = axis_collection(n_pulse=900, beam_steering=size * np.sin(2 * np.pi * 9.6 * plain.time))
+    line = wobbling_beam(plan_collection(collection, grid=grid_of(plain), blocks=1))
+    assert line is None if told is None else told in (line or "")
 
 
 @pytest.mark.slow
