@@ -170,8 +170,8 @@ def wobbling_beam(plan: Plan) -> str | None:
     collection = plan.geometry.collection
     if not collection.steered or collection.beam_width is None or plan.stays:
         return None
-    middle = [np.array([(axis[0] + axis[-1]) / 2]) for axis in (plan.grid.x, plan.grid.y)]
-    offset = np.unwrap(beam_offset(plan.geometry, *middle, np.arange(collection.n_pulse)).ravel())
+    x, y = (np.array([(axis[0] + axis[-1]) / 2]) for axis in (plan.grid.x, plan.grid.y))
+    offset = np.unwrap(beam_offset(plan.geometry, x, y, np.arange(collection.n_pulse)).ravel())
     n = lit_pulses(plan.geometry, plan.grid)
     if not WOBBLE_ORDER + 1 < n <= offset.size:
         return None
@@ -184,8 +184,8 @@ def wobbling_beam(plan: Plan) -> str | None:
         return None
     return (
         f"the beam wobbles by {np.rad2deg(wobble):.2g} deg on average, {100 * share:.2g} % of its width, about a "
-        f"smooth turn over a dwell: predictions do not count it, and some {share:.1g} of coherence may be lost; compare "
-        "with `blocksar quality --reference`, or use --processor backprojection"
+        f"smooth turn over a dwell: predictions do not count it, and some {share:.1g} of coherence may be lost; "
+        "compare with `blocksar quality --reference`, or use --processor backprojection"
     )
 
 
