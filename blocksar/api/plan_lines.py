@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from blocksar.api.plan_tables import digits
 from blocksar.api.shortfall import describe_shortfall
-from blocksar.collection.beam import beam_offset
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid, ground_resolution
 from blocksar.collection.lit_sums import most_lit_pulses
@@ -23,9 +23,6 @@ from blocksar.progress import Work
 
 TRACK_TOLD = 0.01  # rad: noise of the track that leaves less is not mentioned
 LOOKED_AT = 64  # points along a side of a grid at which lit pulses are counted
-WOBBLE_TOLD = 0.003  # of the beam's width: less cost less than 2e-4 of coherence
-WOBBLE_ORDER = 3  # of the polynomial that the beam follows over a dwell
-WOBBLE_DWELLS = 33  # at which it is looked
 SHORT_DWELL = 12  # pulses, below which a coherence of up to 0.002 less than is predicted was measured
 
 
@@ -162,30 +159,14 @@ def short_dwells(plan: Plan) -> str | None:
 
 
 def wobbling_beam(plan: Plan) -> str | None:
-    """A sentence if a beam departs from a smooth turn over a dwell, which its gate does not follow, else None.
-
-    Where the beam stays on its ground no gate is needed. A share e of the beam's width by which it is off on average
-    changes 2 e of the pulses that a dwell has, and coherence by e if nothing of that is back-projected.
-    """
-    collection = plan.geometry.collection
-    if not collection.steered or collection.beam_width is None or plan.stays:
-        return None
-    x, y = (np.array([(axis[0] + axis[-1]) / 2]) for axis in (plan.grid.x, plan.grid.y))
-    offset = np.unwrap(beam_offset(plan.geometry, x, y, np.arange(collection.n_pulse)).ravel())
-    n = lit_pulses(plan.geometry, plan.grid)
-    if not WOBBLE_ORDER + 1 < n <= offset.size:
-        return None
-    first = np.linspace(0, offset.size - n, WOBBLE_DWELLS).round().astype(np.int64)
-    dwells = offset[first[:, None] + np.arange(n)]
-    basis = np.linalg.qr(np.vander(np.linspace(-1, 1, n), WOBBLE_ORDER + 1))[0]
-    wobble = float(np.abs(dwells - dwells @ basis @ basis.T).mean(axis=1).max())
-    share = wobble / collection.beam_width
-    if share <= WOBBLE_TOLD:
+    """A sentence if dwells are gated by a steadier beam than there is, else None."""
+    gated, width = plan.gated, plan.geometry.collection.beam_width
+    if not gated.wobbles or width is None:
         return None
     return (
-        f"the beam wobbles by {np.rad2deg(wobble):.2g} deg on average, {100 * share:.2g} % of its width, about a "
-        f"smooth turn over a dwell: predictions do not count it, and some {share:.1g} of coherence may be lost; "
-        "compare with `blocksar quality --reference`, or use --processor backprojection"
+        f"the beam wobbles by {np.rad2deg(gated.away):.2g} deg on average, {100 * gated.away / width:.2g} % of its "
+        f"width: dwells are gated by a steadier beam, and some {math.ceil(gated.pulses)} pulses of a dwell "
+        "back-projected besides"
     )
 
 

@@ -66,45 +66,120 @@ def axis_offset(
 
 
 def axis_passes(
-    collection: Collection, x: FloatArray, y: FloatArray, z: Height | None = None
+    collection: Collection, x: FloatArray, y: FloatArray, z: Height | None = None, *, width: float | None = None
 ) -> tuple[IntArray, IntArray]:
     """Pulses first <= p < last that light points x, y, z (n,), m: exactly those with |offset| <= beam_width / 2.
 
-    Several passes where the beam turns back, leaves a point and comes to it again: (n_pass, n), in the order of time.
-    Those that a point lacks are empty, at the end of the one before; so a point that is never lit has 0 and 0.
+    Or half of another `width`, rad. Several passes where the beam turns back or wobbles, leaves a point and comes to it
+    again: (n_pass, n), in the order of time. Those that a point lacks are empty, at the end of the one before; so a
+    point that is never lit has 0 and 0.
     """
-    n, points = collection.n_pulse, Points.of(collection, x, y, z)
+    points, half = Points.of(collection, x, y, z), (collection.beam_width or 0.0) / 2 if width is None else width / 2
+    steady, apart = collection.steady
+    if steady is collection:
+        return _in_order(_steady_passes(collection, points, half))
+    # What the steady beam lights by more than the two lie apart is lit, and outside of that nothing is.
+    low, high = (_in_order(_steady_passes(steady, points, level)) for level in (max(half - apart, 0.0), half + apart))
+    passes = _Passes(x.size)
+    once = np.flatnonzero((high[0][1:] >= high[1][1:]).all(axis=0) & (low[0][1:] >= low[1][1:]).all(axis=0))
+    doubtful = np.maximum(low[0][0] - high[0][0], high[1][0] - low[1][0])[once]
+    by_length = once[np.argsort(doubtful, kind="stable")]
+    for group in np.split(by_length, range(TOGETHER, once.size, TOGETHER)):
+        longest = max(int(np.maximum(low[0][0] - high[0][0], high[1][0] - low[1][0])[group].max(initial=0)), 1)
+        rows = max(SCANNED // (2 * longest), 1)
+        for some in np.split(group, range(rows, group.size, rows)):
+            ends = (each[0][some] for each in (*high, *low))
+            passes.add(some, *_look_near_ends(collection, points.some(some), half, *ends))
+    often = np.ones(x.size, np.bool_)
+    often[once] = False
+    _scan(collection, points, half, np.flatnonzero(often), passes)
+    return _in_order(passes)
+
+
+class _Passes:
+    """Passes of n points that are found one after the other."""
+
+    def __init__(self, n: int) -> None:
+        self.ends = [(np.zeros(n, np.int64), np.zeros(n, np.int64))]
+
+    def __getitem__(self, number: int) -> tuple[IntArray, IntArray]:
+        while number >= len(self.ends):
+            self.ends.append((np.zeros_like(self.ends[0][0]), np.zeros_like(self.ends[0][0])))
+        return self.ends[number]
+
+    def add(self, some: IntArray, lit: BoolArray, pulses: IntArray) -> None:
+        """Those of some points (n,), lit from each of pulses (n, m) to the next, or not."""
+        none = np.zeros((some.size, 1), np.bool_)
+        changes = np.concatenate([none, lit], axis=1) != np.concatenate([lit, none], axis=1)
+        at, rows = np.concatenate([pulses, pulses[:, -1:] + 1], axis=1), np.arange(some.size)
+        for number in range(int(changes.sum(axis=1).max(initial=0)) // 2):
+            for of_pass in self[number]:
+                change = changes.argmax(axis=1)
+                of_pass[some] = np.where(changes[rows, change], at[rows, change], 0)
+                changes[rows, change] = False
+
+
+def _in_order(passes: _Passes) -> tuple[IntArray, IntArray]:
+    """Ends (n_pass, n) of passes: those that a point lacks at the end of the one before."""
+    found = list(passes.ends)
+    while len(found) > 1 and (found[-1][0] >= found[-1][1]).all():
+        found.pop()
+    firsts, lasts = (np.stack([of_pass[end] for of_pass in found]) for end in (0, 1))
+    empty = firsts >= lasts
+    lasts = np.maximum.accumulate(np.where(empty, 0, lasts))
+    return np.where(empty, lasts, firsts), lasts
+
+
+def _steady_passes(collection: Collection, points: Points, half: float) -> _Passes:
+    """Passes of points of which |offset| <= half, rad, where offsets rise and fall but few times."""
+    n, passes = collection.n_pulse, _Passes(points.x.size)
     turning, rising = _turning(collection, points)
-    passes = [(np.zeros(x.size, np.int64), np.zeros(x.size, np.int64)) for _ in range(2)]
     once = np.flatnonzero(turning >= 0)
     if once.size:
         at, sign = points.some(once), np.where(rising[once], 1.0, -1.0)
         middle = np.where(turning[once] > 0, turning[once], n)
-        before = _passage(collection, at, np.zeros_like(middle), middle, sign)
-        after = _passage(collection, at, middle, np.full_like(middle, n), -sign)
+        before = _passage(collection, at, half, np.zeros_like(middle), middle, sign)
+        after = _passage(collection, at, half, middle, np.full_like(middle, n), -sign)
         joined = (before[0] == before[1]) | (after[0] == after[1]) | (before[1] == after[0])
         first = np.where(before[0] == before[1], after[0], before[0])
         last = np.where(after[0] == after[1], before[1], after[1])
         passes[0][0][once], passes[0][1][once] = first, np.where(joined, last, before[1])
         passes[1][0][once], passes[1][1][once] = np.where(joined, 0, after)
-    often = np.flatnonzero(turning < 0)
+    _scan(collection, points, half, np.flatnonzero(turning < 0), passes)
+    return passes
+
+
+def _scan(collection: Collection, points: Points, half: float, some: IntArray, passes: _Passes) -> None:
+    """Look at every pulse of some of the points."""
+    n = collection.n_pulse
     rows = max(SCANNED // n, 1)
-    for some in np.split(often, range(rows, often.size, rows)):
-        lit = np.zeros((some.size, n + 2), np.bool_)
-        lit[:, 1:-1] = np.abs(points.some(some).offsets(collection, slice(None))) <= _half(collection)
-        changes = lit[:, 1:] != lit[:, :-1]
-        for number in range(int(changes.sum(axis=1).max(initial=0)) // 2):
-            if number == len(passes):
-                passes.append((np.zeros(x.size, np.int64), np.zeros(x.size, np.int64)))
-            for of_pass in passes[number]:
-                of_pass[some] = changes.argmax(axis=1)
-                changes[np.arange(some.size), of_pass[some]] = False
-    while len(passes) > 1 and (passes[-1][0] >= passes[-1][1]).all():
-        passes.pop()
-    firsts, lasts = (np.stack([of_pass[end] for of_pass in passes]) for end in (0, 1))
-    empty = firsts >= lasts
-    lasts = np.maximum.accumulate(np.where(empty, 0, lasts))
-    return np.where(empty, lasts, firsts), lasts
+    for few in np.split(some, range(rows, some.size, rows)):
+        lit = np.abs(points.some(few).offsets(collection, slice(None))) <= half
+        passes.add(few, lit, np.broadcast_to(np.arange(n), lit.shape))
+
+
+def _look_near_ends(
+    collection: Collection, points: Points, half: float, first: IntArray, last: IntArray, low: IntArray, high: IntArray
+) -> tuple[BoolArray, IntArray]:
+    """Whether points (n,) are lit from each of pulses (n, m) to the next, both, looking at some of them only.
+
+    Points are lit at low <= p < high, and nowhere but at first <= p < last; where low == high, perhaps nowhere.
+    """
+    sure = low < high
+    low, high = np.where(sure, low, last), np.where(sure, high, last)
+    before, after = int((low - first).max(initial=0)), int((last - high).max(initial=0))
+    begin = low[:, None] + np.arange(-before, 0)
+    end = high[:, None] + np.arange(after + 1)
+    looked = np.concatenate([begin, end], axis=1)
+    at = np.clip(looked, 0, collection.n_pulse - 1)
+    z = points.z[:, None] if isinstance(points.z, np.ndarray) else points.z
+    lit = np.abs(axis_offset(collection, points.x[:, None], points.y[:, None], at, z)) <= half
+    lit &= (first[:, None] <= looked) & (looked < last[:, None])
+    inside = sure | (lit[:, before - 1] if before else False)  # where nothing is sure, as at the last pulse looked at
+    return (
+        np.concatenate([lit[:, :before], inside[:, None], lit[:, before:]], axis=1),
+        np.concatenate([begin, low[:, None], end], axis=1),
+    )
 
 
 def axis_dwell(
@@ -112,10 +187,12 @@ def axis_dwell(
 ) -> tuple[FloatArray, FloatArray]:
     """Times at which points x, y, z (n,), m, enter and leave the beam, s, as a continuous function of time.
 
-    Between pulses, offsets are interpolated linearly; beyond the ends of the collection they go on with their slope
-    there. Without `uncut`, times are limited to the collection; the first is not before the last where a point is
-    never lit. Where offsets turn back, times are those of pulses. NaN where x, y or z is.
+    Of the steady beam where it wobbles. Between pulses, offsets are interpolated linearly; beyond the ends of the
+    collection they go on with their slope there. Without `uncut`, times are limited to the collection; the first is not
+    before the last where a point is never lit. Where offsets turn back, times are those of pulses. NaN where x, y or z
+    is.
     """
+    collection = collection.steady[0]
     points = Points.of(collection, x, y, z)
     known = np.isfinite(x) & np.isfinite(y) & np.isfinite(points.z)
     if not known.all():
@@ -146,6 +223,7 @@ def axis_passing(
     As `axis_dwell`, as if the collection did not cut dwells; in proportion where offsets turn back. From the nearer end
     of the dwell, a place is half as far as in proportion to half as far again; near the ends a third to three times.
     """
+    collection = collection.steady[0]
     points = Points.of(collection, x, y, z)
     first, last = axis_dwell(collection, *points, uncut=True)
     middle, half = (first + last) / 2, (last - first) / 2
@@ -215,12 +293,12 @@ def _first_pulse(
 def _passage(
     collection: Collection,
     points: Points,
+    half: float,
     low: IntArray,
     high: IntArray,
     sign: FloatArray,
 ) -> tuple[IntArray, IntArray]:
-    """The lit pulses among low <= p < high, over which sign offset rises."""
-    half = _half(collection)
+    """The pulses with |offset| <= half among low <= p < high, over which sign offset rises."""
     first = _first_pulse(collection, points, low, high, sign, -half, beyond=False)
     return first, _first_pulse(collection, points, first, high, sign, half, beyond=True)
 

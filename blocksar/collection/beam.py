@@ -156,11 +156,13 @@ def inner_interval(
     z : (...) float, optional
         m; by default that of the ground.
     """
-    narrow = replace(geometry.collection, beam_width=share * (geometry.collection.beam_width or 0.0))
-    if narrow.has_axis:
-        passes = axis_passes(narrow, *_raveled(x, y, _height(geometry, x, y, z)))
+    collection = geometry.collection
+    width = share * (collection.beam_width or 0.0)
+    if collection.has_axis:
+        passes = axis_passes(collection, *_raveled(x, y, _height(geometry, x, y, z)), width=width)
         first, last = passes[0][0], passes[1][-1]
     else:
+        narrow = replace(collection, beam_width=width)
         first, last = yaw_interval(narrow, np.asarray(geometry.yaw(*_raveled(x, y, 0.0)[:2])), tolerance=0.0)
     return first.reshape(np.shape(x)), last.reshape(np.shape(x))
 
@@ -419,7 +421,7 @@ def has_full_dwell(
         full = np.asarray((whole & (last > first)) | ((first <= start) & (last >= end)))
         if full.any():
             some = (axis[full] for axis in np.broadcast_arrays(x, y, _height(geometry, x, y, z)))
-            passes = lit_passes(geometry, *some)
+            passes = lit_passes(geometry.lit_by(collection.steady[0]), *some)
             full[full] = np.count_nonzero(passes[1] > passes[0], axis=0) < 2
         return full
     yaw = geometry.yaw(np.asarray(x), np.asarray(y))

@@ -15,6 +15,7 @@ import numpy as np
 
 from blocksar.arrays import FloatArray, check_axis
 from blocksar.collection.beam_checks import check_axis_beam, check_cover, check_pattern
+from blocksar.collection.spline import smoothed
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
 
@@ -27,6 +28,9 @@ SPEEDS = (0.1, 20e3)  # m/s: of platforms, from one that hovers to a satellite o
 SPIKE = 1.0  # m: a single pulse that deviates more than this from its neighbours is corrupt
 BENT = 5.0  # times the usual change of steps from pulse to pulse: a bent track deviates by less at its ends and turns
 JUMP = 50.0  # times the median step between pulses: a larger step is a gap between two passes
+LEAST_PULSES = 4  # in an interval of a spline that a smooth beam follows
+STEADY_PARTS = 16  # intervals of the spline that tells whether a beam wobbles
+WOBBLES = 1e-4  # of its width, by which a beam departs from that on average
 NOISE_POWERS = 1e-30, 1e30  # that single-precision images can have, besides none
 PATTERNS = {"beam_pattern": "beam_offset", "elevation_pattern": "elevation"}  # and their angles
 OPTIONAL = ("beam_axis", "beam_steering", *PATTERNS, *PATTERNS.values())  # arrays that may be None
@@ -413,6 +417,38 @@ class Collection:
         cut = {name: value[first:last] for name in by_pulse if (value := getattr(self, name)) is not None}
         time = self.time[first:last] - self.time[first + (last - first) // 2]
         return Collection(**{**self.as_dict(), **cut, "time": time})
+
+    def steadied(self, n_interval: int) -> Collection:
+        """The same collection under a steered beam that follows cubic splines of so many intervals; 0: straight lines.
+
+        Itself where its pulses are too few for that, or a yaw would turn back or stand still.
+        """
+        if n_interval * LEAST_PULSES > self.n_pulse:
+            return self
+        if self.beam_axis is not None and self.beam_steering is not None:
+            axis = smoothed(self.time, self.beam_axis, n_interval)
+            axis /= np.sqrt((axis * axis).sum(axis=1, keepdims=True))
+            steering = smoothed(self.time, self.beam_steering[:, None], n_interval)[:, 0]
+            return Collection(**{**self.as_dict(), "beam_axis": axis, "beam_steering": steering})
+        azimuth = smoothed(self.time, self.beam_azimuth[:, None], n_interval)[:, 0]
+        steps = np.diff(azimuth)
+        if not ((steps > 0).all() or (steps < 0).all()):
+            return self
+        return Collection(**{**self.as_dict(), "beam_azimuth": azimuth})
+
+    @cached_property
+    def steady(self) -> tuple[Collection, float]:
+        """For a beam about its axis, one that is smooth over a part 1 / STEADY_PARTS of the collection, rad.
+
+        And the largest angle by which they lie apart, rad; itself and 0 where that is next to nothing.
+        """
+        assert self.beam_axis is not None and self.beam_steering is not None and self.beam_width is not None
+        steady = self.steadied(STEADY_PARTS)
+        assert steady.beam_axis is not None and steady.beam_steering is not None
+        turned = np.sqrt(((self.beam_axis - steady.beam_axis) ** 2).sum(axis=1))
+        leaning = np.maximum(np.abs(self.beam_steering), np.abs(steady.beam_steering)).max() + self.beam_width / 2
+        apart = np.abs(self.beam_steering - steady.beam_steering) + 1.1 * turned / max(float(np.cos(leaning)), 1e-3)
+        return (steady, float(apart.max())) if apart.mean() > WOBBLES * self.beam_width else (self, 0.0)
 
     def unsteered(self) -> Collection:
         """The same collection under a beam that lights everything all the time."""

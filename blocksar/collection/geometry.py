@@ -223,6 +223,10 @@ class Geometry:
         collection = self.collection.unsteered()
         return self._keeping_track(Geometry(collection=collection, terrain=self.terrain, smooth=self.smooth))
 
+    def lit_by(self, collection: Collection) -> Geometry:
+        """The same under the beam of another collection; what is known of its track is kept."""
+        return self._keeping_track(Geometry(collection=collection, terrain=self.terrain, smooth=self.smooth))
+
     def _keeping_track(self, other: Geometry) -> Geometry:
         kept = ("track", "epoch", "nadir", "epoch_position", "track_powers")
         other.__dict__.update({name: self.__dict__[name] for name in kept if name in self.__dict__})

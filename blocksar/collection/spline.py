@@ -50,6 +50,14 @@ def fit_spline(at: FloatArray, values: FloatArray, n_interval: int) -> Spline:
     return Spline(start=start, step=step, coefficients=solve_normal(first, weights, values, n_interval + 3))
 
 
+def smoothed(at: FloatArray, values: FloatArray, n_interval: int) -> FloatArray:
+    """The least-squares spline of values (m, n) at these places; with no interval the straight line."""
+    if n_interval:
+        return fit_spline(at, values, n_interval)(at)
+    away = (at - at.mean())[:, None]
+    return np.asarray(values.mean(axis=0) + away * ((away * values).sum(axis=0) / (away * away).sum()))
+
+
 def solve_normal(first: IntArray, weights: FloatArray, values: FloatArray, size: int) -> FloatArray:
     """Least-squares coefficients (size, n) for values (m, n) at places whose `basis` is first (m,), weights (m, 4)."""
     bands = np.zeros((4, size))  # bands[d, i] = gram[i, i + d]

@@ -12,6 +12,9 @@ chain's dwell gate makes the first sum, whose ends fade out: s is smooth over se
 little. The second one has a few pulses at either end, and is exact. The number n = `fade` is planned
 (`planning.edges`); without it chains sum whole dwells.
 
+Under a beam that wobbles, the chain's gate follows a steadier one. Pulses of the true dwell that its dwell lacks are
+added besides, and those that it has too many are taken out, both back-projected.
+
 Under a beam that stays on its ground, as in a spotlight, most of it is lit by all pulses, and dwells end at no smooth
 function of range and Doppler that a gate could follow. Chains then sum all pulses (`planning.staying`), and those that
 do not light a pixel, near the edge of what the beam lights, are back-projected and taken out again (`take_unlit`); or
@@ -45,6 +48,7 @@ OFFSET_ROOM = 1e-3  # of half a beam, by which offsets may differ between them
 EDGE_UPSAMPLING = 3  # bins per range cell of edges that fade, few pulses of many: the spline's error is -51 dB of them
 TOGETHER = 32  # pulses whose profiles are formed together
 KEPT_BYTES = 64 * MIB  # of profiles that are kept: the pulses at both edges of a chunk of the image
+BAND = 128  # rows of pixels together whose dwells are compared with those of a wobbling beam
 EDGE_STEP = 16  # pixels between those of which the length of an edge is found
 EDGE_ROOM = 2  # pulses by which edges may be longer between them
 
@@ -135,6 +139,7 @@ def add_edges(
     weighting: Weighting,
     height: FloatArray | None = None,
     threads: int = 1,
+    wobbling: Geometry | None = None,
 ) -> None:
     """Add to an image, in place, the part of each dwell that the chain's gate fades out.
 
@@ -162,6 +167,8 @@ def add_edges(
         z of the pixels, m; NaN where it is unknown, and the image as well. None: they lie on the plane.
     threads : int
         The result does not depend on it.
+    wobbling : Geometry, optional
+        With the true beam, where that of `geometry` is a steadier one (`planning.steadiness`).
     """
     owned = np.isfinite(image.real) & (lit > 0)
     rows, columns = (np.flatnonzero(owned.any(axis=axis)) for axis in (1, 0))
@@ -173,13 +180,57 @@ def add_edges(
     z = None if height is None else np.where(owned, height[part], geometry.collection.ground_height)
     edges = _edges(geometry, mesh_x, mesh_y, z, owned, fade)
     total = _sum_edges(profiles, geometry, mesh_x, mesh_y, edges, weighting, z=z, threads=threads, fade=fade)
+    (first, _), (_, last) = edges
+    before = np.concatenate([[0.0], np.cumsum(valid)])
+    whole = before[last] - before[first]
+    if wobbling is not None:
+        for band in (slice(k, k + BAND) for k in range(0, owned.shape[0], BAND)):
+            of_rows = _departures(
+                profiles, geometry, wobbling, mesh_x[band], mesh_y[band], None if z is None else z[band], owned[band],
+                weighting, gated=(first[band], last[band]), before=before, threads=threads,
+            )  # fmt: skip
+            total[band] += of_rows[0]
+            whole[band] += of_rows[1]
     if weighting.azimuth.uniform and not geometry.collection.has_pattern:
-        before, ((first, _), (_, last)) = np.concatenate([[0.0], np.cumsum(valid)]), edges
-        whole = before[last] - before[first]
-        whole = np.where(whole > 0, whole, lit)
+        whole = np.where(whole > 0, whole, np.inf)
         image *= np.where(owned, lit / np.where(owned, whole, 1.0), 1.0).astype(np.float32)
         lit = whole
     image += total / np.where(owned, lit, 1.0).astype(np.float32)
+    image[owned & (whole <= 0)] = complex(np.nan, np.nan)
+
+
+def _departures(
+    profiles: KeptProfiles, geometry: Geometry, wobbling: Geometry, x: FloatArray, y: FloatArray, z: FloatArray | None,
+    owned: BoolArray, weighting: Weighting, *, gated: tuple[IntArray, IntArray], before: FloatArray, threads: int,
+) -> tuple[ComplexArray, FloatArray]:  # fmt: skip
+    """Sum over the pulses that light pixels but are not `gated`, less those the other way round; and their number.
+
+    `before` (n_pulse + 1,) has the number of valid pulses before each.
+    """
+    passes = lit_passes(wobbling, x, y, z)
+    total, number = np.zeros(x.shape, np.complex64), np.zeros(x.shape)
+    first, last = gated
+    for sign, lighting, found in ((1, wobbling, _beyond(*passes, first, last)), (-1, geometry, _gaps(*passes, *gated))):
+        for begin, end in found:
+            stop = np.where(owned, np.maximum(begin, end), begin)
+            some = [(begin, stop)]
+            total += sign * _sum_edges(profiles, lighting, x, y, some, weighting, z=z, threads=threads)
+            number += sign * (before[stop] - before[begin])
+    return total, number
+
+
+def _beyond(firsts: IntArray, lasts: IntArray, first: IntArray, last: IntArray) -> Iterator[tuple[IntArray, IntArray]]:
+    """Begins and ends of what passes (n_pass, ...) have before a first pulse, and from a last one on."""
+    for begin, end in zip(firsts, lasts, strict=True):
+        yield begin, np.minimum(end, first)
+        yield np.minimum(np.maximum(begin, last), end), end
+
+
+def _gaps(firsts: IntArray, lasts: IntArray, first: IntArray, last: IntArray) -> Iterator[tuple[IntArray, IntArray]]:
+    """Begins and ends of what lies from a first pulse up to a last one, and in none of the passes (n_pass, ...)."""
+    for number in range(len(firsts) + 1):
+        begin = first if number == 0 else np.clip(lasts[number - 1], first, last)
+        yield begin, last if number == len(firsts) else np.minimum(firsts[number], last)
 
 
 def take_unlit(

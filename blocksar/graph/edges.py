@@ -14,6 +14,7 @@ from blocksar.focusing.dwell_edges import KeptProfiles, add_edges, edge_profiles
 from blocksar.focusing.ground_map import GroundMap
 from blocksar.graph.spectrum import Window
 from blocksar.inspection.samples import Inspection, mask_outliers
+from blocksar.planning.steadiness import Gated
 from blocksar.planning.tiling import image_chunk
 
 
@@ -30,12 +31,15 @@ class Edges:
     weighting : Weighting
     fade : int
         From the plan; without effect where the beam stays.
+    gated : Gated
+        The beam that dwell gates follow.
     """
 
     source: stores.PhaseHistory
     inspection: Inspection
     weighting: Weighting
     fade: int
+    gated: Gated
 
     def profiles(self, ground: GroundMap, *, threads: int) -> KeptProfiles:
         """Range profiles for the chunks of one patch."""
@@ -68,8 +72,9 @@ class Edges:
             )  # fmt: skip
             return
         add_edges(
-            pixels, kept, ground.geometry, x=x, y=y, lit=ground.lit_at(*np.meshgrid(x, y)), valid=self.inspection.lit,
-            fade=self.fade, weighting=self.weighting, height=height, threads=threads,
+            pixels, kept, self.gated.over(ground.geometry), x=x, y=y, lit=ground.lit_at(*np.meshgrid(x, y)),
+            valid=self.inspection.lit, fade=self.fade, weighting=self.weighting, height=height, threads=threads,
+            wobbling=ground.geometry if self.gated.wobbles else None,
         )  # fmt: skip
 
 

@@ -239,7 +239,7 @@ def focus_blocks(
         spectrum, some, inspection, noise = of_segment[id(segment)]
         lit, edges = inspection.lit, None
         if plan.completed:
-            edges = Edges(segment.history, inspection, plan.weighting, plan.fade)
+            edges = Edges(segment.history, inspection, plan.weighting, plan.fade, plan.gated)
         slab = spectrum if block.range_gate is None else _gated_spectrum(plan, own, block, some)
         sight = layers.sights.get(segment.number or 0) if within else None
         units.append(

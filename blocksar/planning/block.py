@@ -243,11 +243,12 @@ def _predict(sector: Sector, azimuth: AzimuthPart, sampling: Sampling, lines: Fi
     if sector.relief is not None:
         layer, reached = usual_layer(sector, azimuth, lines)
         geometry, line, spots, rate = layer.geometry, layer.line, layer.spots, layer.rate
-    return predict(
+    predicted = predict(
         line, spots, lines.epoch_range, lines.yaw, geometry, rate=rate, gate=sampling.gate, parts=sector.gate_parts,
         scaled_about=lines.ends.scaled_about, moves=lines.ends.moves, weights=lines.weights, reached=reached,
         band=sector.weighting.range,
     )  # fmt: skip
+    return predicted.less(sector.taper_loss)
 
 
 def _plan_memory(sector: Sector, range_gate: RangeGate | None, range_part: RangePart, sampling: Sampling) -> int:

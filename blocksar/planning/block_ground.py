@@ -48,7 +48,7 @@ def _on_smooth_ground(sector: Sector, sampling: Sampling, lines: FineLines) -> G
     reach = np.abs(lines.line.time - _carrier_time(sector, lines, lines.spots)[..., None]).max()
     filled = float(min(2.2 * reach * sampling.image_doppler.step, 0.9))
     return GroundMap(
-        geometry=sector.lighting,
+        geometry=sector.lit,
         low=sector.low,
         high=sector.high,
         near=sector.near,
@@ -67,9 +67,7 @@ def _on_smooth_ground(sector: Sector, sampling: Sampling, lines: FineLines) -> G
         far_limit=far_limit,
         taper=taper,
         stays=stays,
-        lit=sum_lit(
-            sector.lighting, near=sector.near, far=sector.far, yaw=yaw_axis, valid=valid, taper=taper, stays=stays
-        ),
+        lit=sum_lit(sector.lit, near=sector.near, far=sector.far, yaw=yaw_axis, valid=valid, taper=taper, stays=stays),
         scale=range_scale(collection, sampling.range_frequency, sampling.range_period, sector.weighting.range),
         range_taps=(taps_needed(sampling.range_occupancy, error=sector.tap_error), sampling.range_occupancy),
         doppler_taps=(taps_needed(filled, error=sector.tap_error), filled),

@@ -18,8 +18,9 @@ from blocksar.chunks import LAYER_CHUNKS, MOSAIC_CHUNKS, TILE
 from blocksar.collection.beam import dwell
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
-from blocksar.planning.plan import Plan, block_work
+from blocksar.planning.plan import Plan
 from blocksar.planning.tiling import image_chunk, inspection_width, touched_chunks
+from blocksar.planning.work import block_work
 from blocksar.progress import Work
 from blocksar.progress.estimate import finishing_times
 
@@ -68,7 +69,7 @@ def blocks_add_layers(blocks: int, workers: int) -> bool:
 def of_plan(plan: Plan, *, echo_samples: int = 0, workers: int = 1) -> Work:
     """Work of focusing by a plan; `echo_samples` is the total if the phase history is a raw echo, otherwise 0."""
     collection, side = plan.geometry.collection, image_chunk(plan.grid)
-    written = CORRECT + (EDGES if plan.completed else 0.0)
+    written = CORRECT + (EDGES if plan.completed else 0.0) + BACK_PROJECT * plan.gated.pulses
     written += 0.0 if plan.geometry.terrain is None else ON_TERRAIN
     columns = np.diff([*range(0, collection.n_range_frequency, plan.column_group), collection.n_range_frequency])
     chunks = [touched_chunks(block.ground, plan.grid) for block in plan.blocks]

@@ -39,7 +39,6 @@ from blocksar.focusing.method import DEFAULT, Method
 from blocksar.focusing.range_gate import RangeGate
 from blocksar.focusing.range_steps import Keystone
 from blocksar.focusing.recovery import Recovery
-from blocksar.kernels.operations import Blend, Resample, Stretch, Transform
 from blocksar.planning.block import BlockPlan, plan_block
 from blocksar.planning.coefficients import Choice
 from blocksar.planning.division import MAX_BLOCKS, find_division
@@ -51,18 +50,11 @@ from blocksar.planning.refusal import find_refusal
 from blocksar.planning.relief import Relief, Samples, find_relief, sample_terrain
 from blocksar.planning.sector import Sector
 from blocksar.planning.staying import beam_stays
+from blocksar.planning.steadiness import PROBED, Gated, first_that, gated_beams
+from blocksar.planning.work import Transforms, block_work, fft_work
 
 MOST_BLOCKS = 1000  # that a caller may ask for
 MAX_PARTS = 64  # range sub-blocks of a block
-
-
-@dataclass(frozen=True)
-class Transforms:
-    """FFTs of one length in a stage."""
-
-    stage: str
-    count: int
-    length: int
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -83,6 +75,8 @@ class Plan:
         From `planning.edges`: where positive, the edges of dwells are back-projected.
     stays : bool
         From `planning.staying`: whether all pulses are summed, and those that do not light a pixel taken out.
+    gated : Gated
+        From `planning.steadiness`: the beam that dwell gates follow.
     refusal : str or None
         Why the geometry cannot be focused, with the figure.
     searched : bool
@@ -101,6 +95,7 @@ class Plan:
     weighting: Weighting
     fade: int
     stays: bool
+    gated: Gated
     refusal: str | None
     searched: bool = False
 
@@ -244,7 +239,7 @@ class Plan:
 
     def gate_work(self) -> float:
         """Floating-point operations of the range gates' transforms."""
-        return sum(each.count * _fft_work(each.length) for each in self._gate_transforms())
+        return sum(each.count * fft_work(each.length) for each in self._gate_transforms())
 
     def work(self) -> float:
         """Floating-point operations of all transforms and resamplings of the blocks."""
@@ -258,24 +253,6 @@ class Plan:
     def faithful(self) -> bool:
         """Whether all blocks keep the fidelity, and side lobes as close to the ideal ones as it asks for."""
         return self.excess() <= 1.0
-
-
-def block_work(block: BlockPlan) -> float:
-    """Floating-point operations of the transforms and resamplings of a block's own steps."""
-    total = 0.0
-    for step in chain.from_iterable(stage.steps for stage in block.stages):
-        for operation in step.operations():
-            if isinstance(operation, Transform):
-                total += step.n_row * _fft_work(operation.period)
-            elif isinstance(operation, Blend):
-                total += operation.count * step.n_row * _fft_work(operation.transform.period)
-            elif isinstance(operation, Stretch | Resample):
-                total += step.n_row * 4 * step.source.size * operation.taps.shape[1]
-    return total
-
-
-def _fft_work(length: int) -> float:
-    return 5 * length * math.log2(length)
 
 
 def _even(n: int, most: int) -> int:
@@ -313,19 +290,34 @@ def plan_collection(
     region = plan_region(geometry, grid)
     grid = grid or default_grid(geometry, region)
     extent = grid_extent(geometry, region, grid, owned)
-    summed = geometry.unsteered() if beam_stays(geometry, region, extent) else geometry
-    recovery = plan_recovery(summed, region, method, stays=summed is not geometry)
-    edges = partial(
-        plan_edges, summed, region, fidelity=fidelity, weighting=weighting,
-        band=recovery.band[1] - recovery.band[0], keystone=Keystone in steps_of(method),
-    )  # fmt: skip
+    stays = beam_stays(geometry, region, extent)
+    gates = gated_beams(geometry, region, fidelity, weighting.azimuth)
+    if stays:
+        gates = [Gated(collection=geometry.collection.unsteered())]
 
     @cache
-    def planner(times: float) -> _Planner:
-        return _Planner(
-            geometry=geometry, summed=summed, region=region, recovery=recovery, grid=grid, extent=extent, method=method,
-            fidelity=fidelity, weighting=weighting, edges=edges(times=times),
+    def follow(gated: Gated) -> Callable[[float], _Planner]:
+        """Planners for edges of several lengths, of a gate that follows a beam."""
+        summed = gated.over(geometry)
+        recovery = plan_recovery(summed, region, method, stays=stays)
+        edges = partial(
+            plan_edges, summed, region, fidelity=fidelity, weighting=weighting,
+            band=recovery.band[1] - recovery.band[0], keystone=Keystone in steps_of(method),
         )  # fmt: skip
+        return cache(lambda times: _Planner(
+            geometry=geometry, gated=gated, stays=stays, region=region, recovery=recovery, grid=grid, extent=extent,
+            method=method, fidelity=fidelity, weighting=weighting,
+            edges=edges(times=max(times, 1.0) if gated.wobbles else times),
+        ))  # fmt: skip
+
+    def fits(gated: Gated) -> float:
+        try:
+            probe = follow(gated)(0.0).plan(PROBED, 1, True)
+        except InputError:  # no block of so many holds a point of the grid
+            return 0.0
+        return probe.excess() if probe.refusal is None else math.inf
+
+    planner = follow(first_that(gates, fits))
 
     def choose(times: float) -> Plan:
         if blocks == "auto":
@@ -381,14 +373,17 @@ class _Planner:
 
     Attributes
     ----------
-    summed : Geometry
-        `geometry`, or where its beam stays that of a beam that lights everything.
+    gated : Gated
+        The beam that the dwell gate follows; where it stays, one that lights everything.
+    stays : bool
+        From `planning.staying`.
     planned : dict
         The blocks by (blocks, sub-blocks, index): a plan after its probe plans the rest, and none is planned twice.
     """
 
     geometry: Geometry
-    summed: Geometry
+    gated: Gated
+    stays: bool
     region: Region
     recovery: Recovery
     grid: Grid
@@ -399,9 +394,10 @@ class _Planner:
     edges: Edges
     planned: dict[tuple[int, int, int], list[BlockPlan]] = field(default_factory=dict)
 
-    @property
-    def stays(self) -> bool:
-        return self.summed is not self.geometry
+    @cached_property
+    def summed(self) -> Geometry:
+        """Under the beam that gates follow."""
+        return self.gated.over(self.geometry)
 
     def plan(self, count: int, n_parts: int, probe: bool) -> Plan:
         """Plan all blocks that the grid touches; a probe plans only the outermost ones and the one in the middle."""
@@ -416,8 +412,8 @@ class _Planner:
         return Plan(
             geometry=self.geometry, grid=self.grid, region=self.region, recovery=self.recovery, seams=seams,
             parts=n_parts, blocks=tuple(planned), method=self.method, fidelity=self.fidelity,
-            weighting=self.weighting, fade=self.edges.fade, stays=self.stays,
-            refusal=find_refusal(planned, self.method),
+            weighting=self.weighting, fade=self.edges.fade, stays=self.stays, gated=self.gated,
+            refusal=find_refusal(planned, self.method, self.gated),
         )  # fmt: skip
 
     def exceeds(self, count: int, n_parts: int, limit: float) -> bool:
@@ -466,12 +462,15 @@ class _Planner:
         parts: list[BlockPlan] = []
         for part, (nearest, farthest) in enumerate(pairwise(edges.tolist())):
             relief = self._relief(low, high, nearest, farthest)
+            smooth = None if relief is None else relief.smooth
             sector = Sector(
-                geometry=self.summed if relief is None else self.summed.over(None, relief.smooth),
+                geometry=self.summed.over(None, smooth),
                 recovery=self.recovery, region=self.region, low=low, high=high, near=nearest, far=farthest,
                 weighting=self.weighting, fidelity=self.fidelity, tap_error=image_tap_error(self.fidelity),
                 relief=relief, fade=self.edges.fade, gate_parts=self.edges.parts,
                 staying=self.geometry if self.stays else None,
+                wobbling=self.geometry.over(None, smooth) if self.gated.wobbles else None,
+                taper_loss=self.gated.taper_loss,
             )  # fmt: skip
             like = parts[-1].choice if parts else neighbour
             number = part if n_parts > 1 else None

@@ -36,6 +36,12 @@ class Prediction(NamedTuple):
     track_loss: float
     ideal_pslr: float  # dB, in exact back-projection
 
+    def less(self, loss: float) -> Prediction:
+        """The same where dwells lose some more coherence."""
+        if not loss:
+            return self
+        return self._replace(coherence=max(self.coherence - loss, 0.0), dispersion_loss=self.dispersion_loss + loss)
+
     def excess(self, fidelity: float, *, migration: bool = True) -> float:
         """Loss of coherence and change of the side lobes over what `fidelity` allows: the worse of the two.
 

@@ -11,18 +11,19 @@ from blocksar.collection.beam import aperture, dwell_at
 from blocksar.focusing.method import Method
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.staying import MOST_DWELL, longest_stay
+from blocksar.planning.steadiness import Gated
 
 
-def find_refusal(blocks: Sequence[BlockPlan], method: Method) -> str | None:
+def find_refusal(blocks: Sequence[BlockPlan], method: Method, gated: Gated) -> str | None:
     """The reason why a plan cannot be carried out, or None. Rivals may blur: they are built to show it."""
     blur = None if method.rival else _find_blur(blocks)
-    return _find_lingering(blocks) or find_folding(blocks) or _find_uneven(blocks) or blur
+    return _find_lingering(blocks, gated) or find_folding(blocks) or _find_uneven(blocks) or blur
 
 
-def _find_lingering(blocks: Sequence[BlockPlan]) -> str | None:
+def _find_lingering(blocks: Sequence[BlockPlan], gated: Gated) -> str | None:
     """The reason why a beam about its axis stays too long on some of a block's ground for a dwell gate, or None."""
     for block in blocks:
-        geometry = block.ground.geometry
+        geometry = gated.over(block.ground.geometry)
         if block.ground.stays or not geometry.collection.has_axis:
             return None
         ranges = np.linspace(block.ground.near, block.ground.far, 9)[:, None]

@@ -34,7 +34,8 @@ class Sector:
     With the weighting of its image and the fidelity that it keeps, the error that the interpolation of the focused
     block may have, the `fade`, and the number of the gate's parts over the band. On a terrain the geometry is over the
     smooth part of it, and `relief` has the rest. Where the beam stays on its ground, the geometry is that of a beam
-    that lights everything, and `staying` has the beam (`planning.staying`).
+    that lights everything, and `staying` has the beam (`planning.staying`). Where gates follow a steadier beam, it has
+    that, `wobbling` the true one, and a taper loses `taper_loss` of coherence (`planning.steadiness`).
     """
 
     geometry: Geometry
@@ -51,11 +52,18 @@ class Sector:
     fade: int = 0
     gate_parts: int = 1
     staying: Geometry | None = None
+    wobbling: Geometry | None = None
+    taper_loss: float = 0.0
 
     @property
     def lighting(self) -> Geometry:
-        """The geometry with the beam as it is."""
+        """The geometry with the beam that gates follow, or that stays."""
         return self.geometry if self.staying is None else self.staying
+
+    @property
+    def lit(self) -> Geometry:
+        """The geometry with the beam as it is."""
+        return self.lighting if self.wobbling is None else self.wobbling
 
     @property
     def taper(self) -> Taper:

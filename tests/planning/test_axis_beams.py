@@ -69,8 +69,9 @@ def focus(plan: Plan, signal: ComplexArray) -> ComplexArray:
         if plan.fade:
             lit = block.ground.lit_at(*np.meshgrid(grid.x, grid.y))
             add_edges(
-                part, kept, plan.geometry, x=grid.x, y=grid.y, lit=lit, valid=np.ones(signal.shape[0]),
-                fade=plan.fade, weighting=plan.weighting, threads=2,
+                part, kept, plan.gated.over(plan.geometry), x=grid.x, y=grid.y, lit=lit,
+                valid=np.ones(signal.shape[0]), fade=plan.fade, weighting=plan.weighting, threads=2,
+                wobbling=plan.geometry if plan.gated.wobbles else None,
             )  # fmt: skip
         image[~np.isnan(part)] = part[~np.isnan(part)]
     return image

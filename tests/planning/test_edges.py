@@ -24,7 +24,8 @@ from blocksar.planning.dwell_ends import end_smear
 from blocksar.planning.edge_search import find_edges
 from blocksar.planning.edges import edge_loss
 from blocksar.planning.fidelity import faded_energy
-from blocksar.planning.plan import Plan, block_work
+from blocksar.planning.plan import Plan
+from blocksar.planning.work import block_work
 
 CANCELLING = """
 [radar]

@@ -1,0 +1,123 @@
+"""The beam that dwell gates follow: that of a collection, or a steadier one where it wobbles.
+
+Measured attitude and steering have waves and noise. The ends of dwells are then no smooth functions of range and
+Doppler, which a gate could follow. Chains gate the dwells of a steadier beam instead, and what the true dwells have
+besides, or lack, is back-projected (`focusing.dwell_edges`): exactly, but for the slopes of a taper, which lie where
+the steadier beam has them. With dv by which v = 2 offset / beam_width then errs, this loses
+
+    1 - coherence = mean of (w'(v) dv)^2 / (2 mean of w^2).
+
+The steadier the beam, the fewer blocks are needed, and the more pulses are back-projected. The first of several is
+taken of which a probe keeps the fidelity.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from blocksar import solvers
+from blocksar.arrays import FloatArray
+from blocksar.collection.beam import aperture, beam_offset, dwell_at
+from blocksar.collection.collection import Collection
+from blocksar.collection.geometry import Geometry
+from blocksar.collection.region import Region
+from blocksar.collection.weighting import Taper
+
+PER_DWELL = 1.0, 0.5, 0.25, 0.0  # intervals of splines that a beam may follow in a dwell; 0: a straight line
+SHARE = 0.1  # of what the fidelity allows to be lost that a beam may take which gates do not follow
+UNEVEN = 0.05  # of its width, by which a beam that does not wobble is off another that gates may follow
+PROBED = 8  # blocks with which it is seen whether gates follow a beam
+PLACES = 33  # yaws at which dwells are looked at
+TAPER_NODES = 64
+
+
+class Gated(NamedTuple):
+    """The beam that dwell gates follow.
+
+    Attributes
+    ----------
+    collection : Collection
+        With this beam.
+    wobbles : bool
+        Whether it is another one than there is.
+    pulses : float
+        That a dwell of either beam has and the other has not, on average.
+    away : float
+        Angle between the two beams, rad, on average over a dwell.
+    taper_loss : float
+        Of coherence, by a taper whose slopes follow the wrong beam.
+    """
+
+    collection: Collection
+    wobbles: bool = False
+    pulses: float = 0.0
+    away: float = 0.0
+    taper_loss: float = 0.0
+
+    def over(self, geometry: Geometry) -> Geometry:
+        """A geometry under this beam."""
+        return geometry if self.collection is geometry.collection else geometry.lit_by(self.collection)
+
+
+def gated_beams(geometry: Geometry, region: Region, fidelity: float, taper: Taper) -> list[Gated]:
+    """The beams that gates may follow, the true one first, then the steadier the later.
+
+    A share e of its width by which a beam is off on average changes 2 e pulses of every one of a dwell, and coherence
+    by some e / 2 if they are not back-projected. The true beam is left out where this is too much against the most
+    pliant of the others; otherwise these are there only where it turns unevenly.
+    """
+    collection = geometry.collection
+    gates = [Gated(collection)]
+    if collection.beam_width is None:
+        return gates
+    yaw = np.linspace(region.yaw[0], region.yaw[-1], PLACES)
+    near, far = region.at(yaw)
+    first, last = dwell_at(geometry, yaw, (near + far) / 2, uncut=True)
+    lit = np.flatnonzero(last > first)
+    if not lit.size:
+        return gates
+    start, end = aperture(collection)
+    dwell = min(float(np.median((last - first)[lit])), end - start)
+    middle, n = lit[lit.size // 2], max(round(dwell * collection.prf), 1)
+    x, y = geometry.ground_axes((near + far)[middle] / 2, yaw[middle])
+    offset = beam_offset(geometry, x, y, slice(None))
+    least = 2 * SHARE * (1 - fidelity)
+    for n_interval in sorted({math.ceil(each * (end - start) / dwell) for each in PER_DWELL}, reverse=True):
+        steady = collection.steadied(n_interval)
+        off = offset - beam_offset(geometry.lit_by(steady), x, y, slice(None))
+        away, squared = (float(_most_over_dwells(each, n)) for each in (np.abs(off), off**2))
+        share, wobbles = away / collection.beam_width, gates[0].wobbles
+        if len(gates) == 1 and not wobbles and share > least and n_interval >= (end - start) / dwell * PER_DWELL[0]:
+            gates, wobbles = [], True
+        if share > (least if wobbles else UNEVEN):
+            loss = 0.0 if taper.uniform else _taper_loss(taper, squared * (2 / collection.beam_width) ** 2)
+            gates.append(Gated(steady, True, 2 * n * share, away, loss))
+    return gates
+
+
+def first_that(gates: Sequence[Gated], excess: Callable[[Gated], float]) -> Gated:
+    """The first that keeps the fidelity, or else the one that exceeds it least."""
+    if len(gates) == 1:
+        return gates[0]
+    found: list[float] = []
+    for gated in gates:
+        found.append(excess(gated))
+        if found[-1] <= 1.0:
+            return gated
+    return gates[int(np.argmin(found))]
+
+
+def _most_over_dwells(values: FloatArray, n: int) -> float:
+    """The largest mean of n values that follow each other."""
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    return float((total[n:] - total[:-n]).max() / n) if n < values.size else float(values.mean())
+
+
+def _taper_loss(taper: Taper, squared: float) -> float:
+    """Loss of coherence by a place v in the beam whose error has the mean square `squared`."""
+    nodes, shares = solvers.gauss_legendre(TAPER_NODES)
+    return float(squared * (shares * taper.slope(nodes) ** 2).sum() / (shares * taper(nodes) ** 2).sum() / 2)
