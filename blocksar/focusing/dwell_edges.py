@@ -191,12 +191,14 @@ def add_edges(
             )  # fmt: skip
             total[band] += of_rows[0]
             whole[band] += of_rows[1]
+    dark = whole <= 0
     if weighting.azimuth.uniform and not geometry.collection.has_pattern:
-        whole = np.where(whole > 0, whole, np.inf)
+        whole = np.where(dark, lit, whole)
         image *= np.where(owned, lit / np.where(owned, whole, 1.0), 1.0).astype(np.float32)
         lit = whole
     image += total / np.where(owned, lit, 1.0).astype(np.float32)
-    image[owned & (whole <= 0)] = complex(np.nan, np.nan)
+    if wobbling is not None:
+        image[owned & dark] = complex(np.nan, np.nan)
 
 
 def _departures(
@@ -374,7 +376,8 @@ def edge_memory(n_pixels: int, collection: Collection, *, threads: int = 1) -> i
     """Upper bound of the memory to add edges to an image of n_pixels, bytes, without the image."""
     kept = max(8 * kept_pulses(collection, n) * profile_bins(collection, n) for n in (UPSAMPLING, EDGE_UPSAMPLING))
     forming = image_memory(n_pixels, collection, threads=threads, pulse_block=TOGETHER)
-    return forming + kept + 8 * 16 * n_pixels  # and what finds lit pulses
+    finding = 8 * 16 * n_pixels  # lit pulses; those of wobbling beams in bands
+    return forming + kept + finding
 
 
 def _edges(

@@ -19,6 +19,7 @@ from blocksar.collection.region import Extent, Region
 
 MOST_DWELL = 2.5  # durations of the collection for which a gate can hold ground in the beam, if it went on
 LEAST_LIT = 0.5  # of the pulses that light ground, on average, where all pulses are summed
+INTERVALS = 4  # of the splines that a beam which wobbles is taken to follow: where it goes on is seen at its ends
 PLACES = 17, 65  # ranges and yaws at which dwells are looked at
 
 
@@ -27,8 +28,11 @@ def beam_stays(geometry: Geometry, region: Region, extent: Extent) -> bool:
 
     Where it stays on some ground but passes over much more, most pulses would have to be taken out again.
     """
-    if not geometry.collection.has_axis:
+    collection = geometry.collection
+    if not collection.has_axis:
         return False
+    if collection.steady[0] is not collection:
+        geometry = geometry.lit_by(collection.steadied(INTERVALS))
     yaw = np.linspace(extent.low, extent.high, PLACES[1])
     near, far = region.at(yaw)
     near, far = np.maximum(near, extent.near), np.minimum(far, extent.far)

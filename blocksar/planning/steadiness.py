@@ -28,9 +28,13 @@ from blocksar.collection.region import Region
 from blocksar.collection.weighting import Taper
 
 PER_DWELL = 1.0, 0.5, 0.25, 0.0  # intervals of splines that a beam may follow in a dwell; 0: a straight line
-SHARE = 0.1  # of what the fidelity allows to be lost that a beam may take which gates do not follow
+PLIANT = 4.0, 2.0  # the same under tapers, before those: their slopes are not back-projected
+SHARE = 0.2  # of what the fidelity allows to be lost that a beam may take which gates do not follow
+LOSS = 0.3  # of coherence, over the share of its width by which a beam is off: measured
+LEAST = 2e-5  # of its width: a pulse in 25 000 at either end of a dwell
 UNEVEN = 0.05  # of its width, by which a beam that does not wobble is off another that gates may follow
 PROBED = 8  # blocks with which it is seen whether gates follow a beam
+ALIKE = 1.1  # over the least excess: no difference
 PLACES = 33  # yaws at which dwells are looked at
 TAPER_NODES = 64
 
@@ -66,12 +70,12 @@ class Gated(NamedTuple):
 def gated_beams(geometry: Geometry, region: Region, fidelity: float, taper: Taper) -> list[Gated]:
     """The beams that gates may follow, the true one first, then the steadier the later.
 
-    A share e of its width by which a beam is off on average changes 2 e pulses of every one of a dwell, and coherence
-    by some e / 2 if they are not back-projected. The true beam is left out where this is too much against the most
-    pliant of the others; otherwise these are there only where it turns unevenly.
+    A share e of its width by which a beam is off on average changes 2 e pulses of every one of a dwell. The true beam
+    is left out where this is too much against the most pliant of the others; otherwise these are there only where it
+    turns unevenly.
     """
     collection = geometry.collection
-    gates = [Gated(collection)]
+    gates, wobbles = [Gated(collection)], False
     if collection.beam_width is None:
         return gates
     yaw = np.linspace(region.yaw[0], region.yaw[-1], PLACES)
@@ -85,13 +89,14 @@ def gated_beams(geometry: Geometry, region: Region, fidelity: float, taper: Tape
     middle, n = lit[lit.size // 2], max(round(dwell * collection.prf), 1)
     x, y = geometry.ground_axes((near + far)[middle] / 2, yaw[middle])
     offset = beam_offset(geometry, x, y, slice(None))
-    least = 2 * SHARE * (1 - fidelity)
-    for n_interval in sorted({math.ceil(each * (end - start) / dwell) for each in PER_DWELL}, reverse=True):
+    least, splines = max(SHARE * (1 - fidelity) / LOSS, LEAST), PER_DWELL if taper.uniform else PLIANT + PER_DWELL
+    most_pliant = math.ceil(splines[0] * (end - start) / dwell)
+    for n_interval in sorted({math.ceil(each * (end - start) / dwell) for each in splines}, reverse=True):
         steady = collection.steadied(n_interval)
         off = offset - beam_offset(geometry.lit_by(steady), x, y, slice(None))
         away, squared = (float(_most_over_dwells(each, n)) for each in (np.abs(off), off**2))
-        share, wobbles = away / collection.beam_width, gates[0].wobbles
-        if len(gates) == 1 and not wobbles and share > least and n_interval >= (end - start) / dwell * PER_DWELL[0]:
+        share = away / collection.beam_width
+        if n_interval == most_pliant and share > least:
             gates, wobbles = [], True
         if share > (least if wobbles else UNEVEN):
             loss = 0.0 if taper.uniform else _taper_loss(taper, squared * (2 / collection.beam_width) ** 2)
@@ -100,7 +105,7 @@ def gated_beams(geometry: Geometry, region: Region, fidelity: float, taper: Tape
 
 
 def first_that(gates: Sequence[Gated], excess: Callable[[Gated], float]) -> Gated:
-    """The first that keeps the fidelity, or else the one that exceeds it least."""
+    """The first that keeps the fidelity, or else the steadiest of those that exceed it least."""
     if len(gates) == 1:
         return gates[0]
     found: list[float] = []
@@ -108,7 +113,7 @@ def first_that(gates: Sequence[Gated], excess: Callable[[Gated], float]) -> Gate
         found.append(excess(gated))
         if found[-1] <= 1.0:
             return gated
-    return gates[int(np.argmin(found))]
+    return next(gated for gated, each in zip(gates[::-1], found[::-1], strict=True) if each <= ALIKE * min(found))
 
 
 def _most_over_dwells(values: FloatArray, n: int) -> float:
