@@ -25,7 +25,7 @@ from blocksar.collection.collection import Collection
 
 NODES = 32  # parts of the collection at whose ends offsets are compared, to see whether they turn back
 TOGETHER = 4096  # points whose offsets there are computed at a time: they stay in the cache
-SCANNED = 1 << 22  # offsets computed at a time where every pulse is looked at
+SCANNED = 1 << 18  # offsets computed at a time where every pulse is looked at
 REACH = 64  # the part of the collection, 1 / REACH, whose slope continues an offset beyond the collection's ends
 LEAST_SLOPE = 1e-12  # rad/s
 Height = FloatArray | float

@@ -35,16 +35,21 @@ def lit_pulses(collection: Collection, yaw: FloatArray, valid: FloatArray) -> Fl
     return np.asarray(total[last] - total[first])
 
 
-def weighted_pulses(collection: Collection, yaw: FloatArray, valid: FloatArray, taper: Taper) -> FloatArray:
-    """Sum of `valid` (n_pulse,) times the taper over the pulses that light points at yaws (n,); see `lit_pulses`."""
+def weighted_pulses(
+    collection: Collection, yaw: FloatArray, valid: FloatArray, taper: Taper, *, centre: FloatArray | None = None
+) -> FloatArray:
+    """Sum of `valid` (n_pulse,) times the taper over the pulses that light points at yaws (n,); see `lit_pulses`.
+
+    The taper is about azimuths `centre` (n_pulse,), rad; by default those of the beam.
+    """
     if taper.uniform:
         return lit_pulses(collection, yaw, valid)
     if collection.beam_width is None:
         return np.full(yaw.shape, float((valid * taper.samples(collection.n_pulse)).sum()))
     first, last = yaw_interval(collection, yaw, tolerance=EDGE)
-    beam, half = collection.beam_azimuth, collection.beam_width / 2
-    centre = float(beam[0] + beam[-1]) / 2
-    point, along = wrapped(yaw - centre) / half, (beam - centre) / half
+    beam, half = collection.beam_azimuth if centre is None else centre, collection.beam_width / 2
+    middle = float(beam[0] + beam[-1]) / 2
+    point, along = wrapped(yaw - middle) / half, (beam - middle) / half
     # Each cosine of the difference is a product of two phasors, so that one running sum serves all points.
     total, (terms, frequency) = np.zeros(yaw.shape), taper.series
     for k, term in enumerate(terms):
@@ -70,10 +75,12 @@ def lit_total(
     taper: Taper = FLAT,
     *,
     stays: bool = False,
+    tapered: Geometry | None = None,
 ) -> FloatArray:
     """Sum of `valid` (n_pulse,) times taper and antenna's pattern over lit pulses: (n_range, n_yaw), at (n,) m and rad.
 
     Dwells begin and end between pulses here, so that the sum is continuous. Where the beam `stays`, over all pulses.
+    The taper is that of the beam of `tapered`, if given.
     """
     collection = geometry.collection
     shape = epoch_range.size, yaw.size
@@ -93,6 +100,10 @@ def lit_total(
         count = np.interp(high, pulse, before) - np.interp(low, pulse, before)
         if weighed:
             middle = np.clip((low + high) / 2, 0, valid.size - 1).astype(np.int64)
-            count = count * pulse_weights(geometry, x, y, middle, taper, z) * pattern_gain(geometry, x, y, middle, z)
+            count = (
+                count
+                * pulse_weights(tapered or geometry, x, y, middle, taper, z)
+                * pattern_gain(geometry, x, y, middle, z)
+            )
         total += count
     return np.asarray(np.where((last > first) & np.isfinite(x), np.maximum(total, 0.0), 0.0))

@@ -185,12 +185,12 @@ def add_edges(
     whole = before[last] - before[first]
     if wobbling is not None:
         for band in (slice(k, k + BAND) for k in range(0, owned.shape[0], BAND)):
-            of_rows = _departures(
+            of_band = _departures(
                 profiles, geometry, wobbling, mesh_x[band], mesh_y[band], None if z is None else z[band], owned[band],
                 weighting, gated=(first[band], last[band]), before=before, threads=threads,
             )  # fmt: skip
-            total[band] += of_rows[0]
-            whole[band] += of_rows[1]
+            total[band] += of_band[0]
+            whole[band] += of_band[1]
     dark = whole <= 0
     if weighting.azimuth.uniform and not geometry.collection.has_pattern:
         whole = np.where(dark, lit, whole)
@@ -322,7 +322,8 @@ def _sum_edges(
 ) -> ComplexArray:
     """Sum over the pulses from `first` to `last` of all edges of each pixel at x, y, z (n_y, n_x), m; not divided."""
     height = None if z is None else z - geometry.collection.ground_height
-    total, weight = np.zeros(x.shape, np.complex64), np.zeros(x.shape, np.float32)
+    total = np.zeros(x.shape, np.complex64)
+    weight = np.zeros(x.shape, np.float32)
     outside = np.zeros(x.shape, np.bool_)
     for first, last in edges:
         for profiles in kept.of(lit_pulses(first, last, geometry.collection.n_pulse)):

@@ -198,16 +198,20 @@ class GroundMap:
 
 
 def sum_lit(
-    geometry: Geometry, *, near: float, far: float, yaw: FloatArray, valid: FloatArray, taper: Taper, stays: bool
-) -> FloatArray:
+    geometry: Geometry, *, near: float, far: float, yaw: FloatArray, valid: FloatArray, taper: Taper, stays: bool,
+    tapered: Geometry | None = None,
+) -> FloatArray:  # fmt: skip
     """Number of lit pulses at yaws (n,), rad, missing ones left out: sum of `valid` (n_pulse,) times the taper, (n,).
 
     Where dwells depend on range, or the antenna has a pattern, which weighs the pulses besides: (LIT_RANGES, n), at
-    ranges from near to far, m. Where the beam `stays`, over all pulses.
+    ranges from near to far, m. Where the beam `stays`, over all pulses. `tapered` has the beam that the taper follows,
+    if that is a steadier one.
     """
     if not by_range(geometry):
-        return weighted_pulses(geometry.collection, yaw, valid, taper)
-    return lit_total(geometry, np.linspace(near, far, LIT_RANGES), yaw, valid, taper, stays=stays)
+        centre = None if tapered is None else tapered.collection.beam_azimuth
+        return weighted_pulses(geometry.collection, yaw, valid, taper, centre=centre)
+    ranges = np.linspace(near, far, LIT_RANGES)
+    return lit_total(geometry, ranges, yaw, valid, taper, stays=stays, tapered=tapered)
 
 
 def by_range(geometry: Geometry) -> bool:

@@ -277,7 +277,7 @@ def _submit_chain(
     ground = block.ground
     summed = sum_lit(
         ground.geometry, near=ground.near, far=ground.far, yaw=ground.yaw_axis, valid=lit, taper=ground.taper,
-        stays=ground.stays,
+        stays=ground.stays, tapered=plan.gated.over(ground.geometry) if plan.gated.wobbles else None,
     )  # fmt: skip
     ground = replace(ground, lit=summed)
     first, branches = block.first_stage, block.branches

@@ -310,14 +310,14 @@ def plan_collection(
             edges=edges(times=max(times, 1.0) if gated.wobbles else times),
         ))  # fmt: skip
 
-    def fits(gated: Gated) -> float:
+    def excess(gated: Gated) -> float:
         try:
             probe = follow(gated)(0.0).plan(PROBED, 1, True)
         except InputError:  # no block of so many holds a point of the grid
             return 0.0
         return probe.excess() if probe.refusal is None else math.inf
 
-    planner = follow(first_that(gates, fits))
+    planner = follow(first_that(gates, excess))
 
     def choose(times: float) -> Plan:
         if blocks == "auto":

@@ -28,7 +28,6 @@ from blocksar.collection.region import Region
 from blocksar.collection.weighting import Taper
 
 PER_DWELL = 1.0, 0.5, 0.25, 0.0  # intervals of splines that a beam may follow in a dwell; 0: a straight line
-PLIANT = 4.0, 2.0  # the same under tapers, before those: their slopes are not back-projected
 SHARE = 0.2  # of what the fidelity allows to be lost that a beam may take which gates do not follow
 LOSS = 0.3  # of coherence, over the share of its width by which a beam is off: measured
 LEAST = 2e-5  # of its width: a pulse in 25 000 at either end of a dwell
@@ -89,14 +88,14 @@ def gated_beams(geometry: Geometry, region: Region, fidelity: float, taper: Tape
     middle, n = lit[lit.size // 2], max(round(dwell * collection.prf), 1)
     x, y = geometry.ground_axes((near + far)[middle] / 2, yaw[middle])
     offset = beam_offset(geometry, x, y, slice(None))
-    least, splines = max(SHARE * (1 - fidelity) / LOSS, LEAST), PER_DWELL if taper.uniform else PLIANT + PER_DWELL
-    most_pliant = math.ceil(splines[0] * (end - start) / dwell)
-    for n_interval in sorted({math.ceil(each * (end - start) / dwell) for each in splines}, reverse=True):
+    least = max(SHARE * (1 - fidelity) / LOSS, LEAST)
+    intervals = sorted({math.ceil(each * (end - start) / dwell) for each in PER_DWELL}, reverse=True)
+    for n_interval in intervals:
         steady = collection.steadied(n_interval)
         off = offset - beam_offset(geometry.lit_by(steady), x, y, slice(None))
         away, squared = (float(_most_over_dwells(each, n)) for each in (np.abs(off), off**2))
         share = away / collection.beam_width
-        if n_interval == most_pliant and share > least:
+        if n_interval == intervals[0] and share > least:
             gates, wobbles = [], True
         if share > (least if wobbles else UNEVEN):
             loss = 0.0 if taper.uniform else _taper_loss(taper, squared * (2 / collection.beam_width) ** 2)
