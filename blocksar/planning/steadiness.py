@@ -43,8 +43,8 @@ class Gated(NamedTuple):
 
     Attributes
     ----------
-    collection : Collection
-        With this beam.
+    collection : Collection or None
+        With this beam; None: the beam that there is.
     wobbles : bool
         Whether it is another one than there is.
     pulses : float
@@ -55,7 +55,7 @@ class Gated(NamedTuple):
         Of coherence, by a taper whose slopes follow the wrong beam.
     """
 
-    collection: Collection
+    collection: Collection | None = None
     wobbles: bool = False
     pulses: float = 0.0
     away: float = 0.0
@@ -63,7 +63,7 @@ class Gated(NamedTuple):
 
     def over(self, geometry: Geometry) -> Geometry:
         """A geometry under this beam."""
-        return geometry if self.collection is geometry.collection else geometry.lit_by(self.collection)
+        return geometry if self.collection is None else geometry.lit_by(self.collection)
 
 
 def gated_beams(geometry: Geometry, region: Region, fidelity: float, taper: Taper) -> list[Gated]:
@@ -74,33 +74,35 @@ def gated_beams(geometry: Geometry, region: Region, fidelity: float, taper: Tape
     turns unevenly.
     """
     collection = geometry.collection
-    gates, wobbles = [Gated(collection)], False
     if collection.beam_width is None:
-        return gates
+        return [Gated()]
     yaw = np.linspace(region.yaw[0], region.yaw[-1], PLACES)
     near, far = region.at(yaw)
     first, last = dwell_at(geometry, yaw, (near + far) / 2, uncut=True)
     lit = np.flatnonzero(last > first)
     if not lit.size:
-        return gates
+        return [Gated()]
     start, end = aperture(collection)
     dwell = min(float(np.median((last - first)[lit])), end - start)
-    middle, n = lit[lit.size // 2], max(round(dwell * collection.prf), 1)
+    middle, n, width = lit[lit.size // 2], max(round(dwell * collection.prf), 1), collection.beam_width
     x, y = geometry.ground_axes((near + far)[middle] / 2, yaw[middle])
     offset = beam_offset(geometry, x, y, slice(None))
-    least = max(SHARE * (1 - fidelity) / LOSS, LEAST)
-    intervals = sorted({math.ceil(each * (end - start) / dwell) for each in PER_DWELL}, reverse=True)
-    for n_interval in intervals:
+
+    def follow(n_interval: int) -> Gated:
         steady = collection.steadied(n_interval)
         off = offset - beam_offset(geometry.lit_by(steady), x, y, slice(None))
-        away, squared = (float(_most_over_dwells(each, n)) for each in (np.abs(off), off**2))
-        share = away / collection.beam_width
-        if n_interval == intervals[0] and share > least:
-            gates, wobbles = [], True
-        if share > (least if wobbles else UNEVEN):
-            loss = 0.0 if taper.uniform else _taper_loss(taper, squared * (2 / collection.beam_width) ** 2)
-            gates.append(Gated(steady, True, 2 * n * share, away, loss))
-    return gates
+        away, squared = (_most_over_dwells(each, n) for each in (np.abs(off), off**2))
+        loss = 0.0 if taper.uniform else _taper_loss(taper, squared * (2 / width) ** 2)
+        return Gated(steady, True, 2 * n * away / width, away, loss)
+
+    intervals = sorted({math.ceil(each * (end - start) / dwell) for each in PER_DWELL})
+    pliant, straight = follow(intervals[-1]), follow(intervals[0])
+    least = width * max(SHARE * (1 - fidelity) / LOSS, LEAST)
+    wobbles = pliant.away > least
+    if not wobbles and straight.away <= UNEVEN * width:
+        return [Gated()]
+    others = [pliant, *(follow(n_interval) for n_interval in intervals[-2:0:-1]), straight]
+    return [Gated()] * (not wobbles) + [each for each in others if each.away > least]
 
 
 def first_that(gates: Sequence[Gated], excess: Callable[[Gated], float]) -> Gated:
