@@ -25,6 +25,7 @@ from blocksar.collection.beam import aperture, beam_offset, dwell_at
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import Region
+from blocksar.collection.spline import smoothed
 from blocksar.collection.weighting import Taper
 
 PER_DWELL = 1.0, 0.5, 0.25, 0.0  # intervals of splines that a beam may follow in a dwell; 0: a straight line
@@ -74,7 +75,7 @@ def gated_beams(geometry: Geometry, region: Region, fidelity: float, taper: Tape
     turns unevenly.
     """
     collection = geometry.collection
-    if collection.beam_width is None:
+    if collection.beam_width is None or _scans_evenly(collection, LEAST * collection.beam_width):
         return [Gated()]
     yaw = np.linspace(region.yaw[0], region.yaw[-1], PLACES)
     near, far = region.at(yaw)
@@ -103,6 +104,12 @@ def gated_beams(geometry: Geometry, region: Region, fidelity: float, taper: Tape
         return [Gated()]
     others = [pliant, *(follow(n_interval) for n_interval in intervals[-2:0:-1]), straight]
     return [Gated()] * (not wobbles) + [each for each in others if each.away > least]
+
+
+def _scans_evenly(collection: Collection, most: float) -> bool:
+    """Whether a beam that is described by its yaw departs from an even scan by at most so much, rad."""
+    azimuth = collection.beam_azimuth[:, None]
+    return not collection.has_axis and float(np.abs(azimuth - smoothed(collection.time, azimuth, 0)).max()) <= most
 
 
 def first_that(gates: Sequence[Gated], excess: Callable[[Gated], float]) -> Gated:
