@@ -114,7 +114,7 @@ def lit_passes(geometry: Geometry, x: FloatArray, y: FloatArray, z: Height | Non
     collection, shape = geometry.collection, np.shape(x)
     if collection.has_axis:
         passes = axis_passes(collection, *_raveled(x, y, _height(geometry, x, y, z)))
-        return passes[0].reshape(-1, *shape), passes[1].reshape(-1, *shape)
+        return passes[0].reshape(len(passes[0]), *shape), passes[1].reshape(len(passes[1]), *shape)
     yaw = np.asarray(geometry.yaw(np.asarray(x, np.float64), np.asarray(y, np.float64)))
     if collection.beam_width is not None:
         beam, width = collection.beam_azimuth, collection.beam_width

@@ -49,6 +49,7 @@ EDGE_UPSAMPLING = 3  # bins per range cell of edges that fade, few pulses of man
 TOGETHER = 32  # pulses whose profiles are formed together
 KEPT_BYTES = 64 * MIB  # of profiles that are kept: the pulses at both edges of a chunk of the image
 BAND = 128  # rows of pixels together whose dwells are compared with those of a wobbling beam
+SHORT = 0.25  # of the longest dwell: those below, of a wobbling beam, have no smooth sums of weights
 EDGE_STEP = 16  # pixels between those of which the length of an edge is found
 EDGE_ROOM = 2  # pulses by which edges may be longer between them
 
@@ -191,14 +192,36 @@ def add_edges(
             )  # fmt: skip
             total[band] += of_band[0]
             whole[band] += of_band[1]
-    dark = whole <= 0
+    dark, summed = whole <= 0, lit
     if weighting.azimuth.uniform and not geometry.collection.has_pattern:
-        whole = np.where(dark, lit, whole)
-        image *= np.where(owned, lit / np.where(owned, whole, 1.0), 1.0).astype(np.float32)
-        lit = whole
+        summed = np.where(dark, lit, whole)
+    elif wobbling is not None:
+        short = owned & ~dark & (whole < SHORT * float((last - first).max()))
+        summed = lit.copy()
+        of_short = None if z is None else z[short]
+        passes = lit_passes(wobbling, mesh_x[short], mesh_y[short], of_short)
+        summed[short] = _sum_weights(wobbling, mesh_x[short], mesh_y[short], of_short, passes, valid, weighting)
+        summed = np.where(summed > 0, summed, lit)
+    if summed is not lit:
+        image *= np.where(owned, lit / np.where(owned, summed, 1.0), 1.0).astype(np.float32)
+        lit = summed
     image += total / np.where(owned, lit, 1.0).astype(np.float32)
     if wobbling is not None:
         image[owned & dark] = complex(np.nan, np.nan)
+
+
+def _sum_weights(
+    geometry: Geometry, x: FloatArray, y: FloatArray, z: FloatArray | None, passes: tuple[IntArray, IntArray],
+    valid: FloatArray, weighting: Weighting,
+) -> FloatArray:  # fmt: skip
+    """Sum of weights times the antenna's pattern over the valid pulses of passes (n_pass, n), pulse by pulse."""
+    total, over = np.zeros((1, x.size)), None if z is None else (z - geometry.collection.ground_height)[None]
+    for first, last in zip(*passes, strict=True):
+        add_gains(
+            total, geometry, x[None], y[None], over, first=first[None], last=last[None],
+            pulses=slice(0, geometry.collection.n_pulse), valid=valid, taper=weighting.azimuth,
+        )  # fmt: skip
+    return total[0]
 
 
 def _departures(
@@ -242,7 +265,7 @@ def take_unlit(
     *,
     x: FloatArray,
     y: FloatArray,
-    total: Callable[[FloatArray, FloatArray], FloatArray],
+    total: Callable[[FloatArray, FloatArray, FloatArray | None], FloatArray],
     valid: FloatArray,
     weighting: Weighting,
     height: FloatArray | None = None,
@@ -264,7 +287,8 @@ def take_unlit(
     x, y : (n_x,), (n_y,) float
         m, scene frame.
     total : callable
-        Of points x, y (n,), m: sum of the weights w, times the antenna's pattern, over all valid pulses.
+        Of points x, y (n,), m, and their z or None: sum of the weights w, times the antenna's pattern, over all valid
+        pulses.
     valid : (n_pulse,) float
         The fraction of each pulse's samples that is there.
     weighting : Weighting
@@ -297,14 +321,9 @@ def take_unlit(
     others = np.append(0 * end, last, axis=0), np.append(first, end, axis=0)  # before, between and after the passes
     edges = list(zip(*(np.where(few, *ends) for ends in zip(own, others, strict=True)), strict=True))
     summed = _sum_edges(profiles, geometry, mesh_x, mesh_y, edges, weighting, z=z, threads=threads)
-    at_x, at_y, of_lit = mesh_x[cut], mesh_y[cut], np.zeros((1, int(cut.sum())))
-    over = None if z is None else (z[cut] - geometry.collection.ground_height)[None]
-    for begin, end in zip(first, last, strict=True):
-        add_gains(
-            of_lit, geometry, at_x[None], at_y[None], over, first=begin[cut][None], last=end[cut][None],
-            pulses=slice(0, n), valid=valid, taper=weighting.azimuth,
-        )  # fmt: skip
-    lit, kept = of_lit[0], np.where(few[cut], summed[cut], image[cut] * total(at_x, at_y) - summed[cut])
+    at_x, at_y, of_cut = mesh_x[cut], mesh_y[cut], None if z is None else z[cut]
+    lit = _sum_weights(geometry, at_x, at_y, of_cut, (first[:, cut], last[:, cut]), valid, weighting)
+    kept = np.where(few[cut], summed[cut], image[cut] * total(at_x, at_y, of_cut) - summed[cut])
     image[cut] = np.where(lit > 0, kept / np.where(lit > 0, lit, 1.0), complex(np.nan, np.nan))
 
 

@@ -141,14 +141,22 @@ class GroundMap:
         """Yaw less the block's middle, wrapped to +-pi."""
         return wrapped(self.geometry.yaw(x, y) - self.middle_yaw)
 
-    def lit_at(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """`lit` at ground points (...), m: at the nearest yaw, or linear between ranges and between yaws."""
+    def lit_at(self, x: FloatArray, y: FloatArray, z: FloatArray | None = None) -> FloatArray:
+        """`lit` at ground points (...), m: at the nearest yaw, or linear between ranges and between yaws.
+
+        On a terrain their heights z, m, which are finite, tell where on the smooth ground they have the same dwell.
+        """
         turn = self.relative_yaw(x, y) + (self.middle_yaw - self.yaw_axis[0])
+        epoch_range = np.zeros(1)
+        if self.lit.ndim > 1:
+            epoch_range = self.geometry.epoch_range(x, y, z)
+            if self.relief is not None and z is not None:
+                turn = turn + self.relief.turn(epoch_range, self.yaw_axis[0] + turn, z)
         place = np.clip(turn / (self.yaw_axis[1] - self.yaw_axis[0]), 0.0, self.yaw_axis.size - 1.0)
         if self.lit.ndim == 1:
             return np.asarray(self.lit[(place + 0.5).astype(np.intp)])
         n_range = self.lit.shape[0]
-        away = (self.geometry.epoch_range(x, y) - self.near) / (self.far - self.near)
+        away = (epoch_range - self.near) / (self.far - self.near)
         row = np.clip(away * (n_range - 1), 0.0, n_range - 1.0)
         i, j = np.minimum(row.astype(np.intp), n_range - 2), np.minimum(place.astype(np.intp), self.yaw_axis.size - 2)
         down, along = row - i, place - j

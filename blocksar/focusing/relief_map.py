@@ -96,6 +96,18 @@ class ReliefMap:
         known = [row.reshape(w.shape) for row in values]
         return known if self.turns else [*known, np.zeros_like(w)]
 
+    def turn(self, epoch_range: FloatArray, yaw: FloatArray, z: FloatArray) -> FloatArray:
+        """The turn alone of points (...), rad."""
+        if not self.turns:
+            return np.zeros(np.shape(z))
+        terms, first = np.array([[term.series for term in self.turns]]), self.turns[0]
+        w = (2 * (z - self.smooth(epoch_range, yaw)) - self.low - self.high) / (self.high - self.low)
+        u = (2 * epoch_range - first.near - first.far) / (first.far - first.near)
+        v = (2 * yaw - first.low - first.high) / (first.high - first.low)
+        values = np.empty((1, 1, w.size))
+        sum_layers(terms, u.reshape(1, -1), v.ravel(), w.reshape(1, -1), values)
+        return values.reshape(w.shape)
+
     @cached_property
     def _series(self) -> FloatArray:
         """All series (n_quantity, n_term, ..), which have the same domain."""

@@ -86,12 +86,13 @@ def gated_beams(geometry: Geometry, region: Region, fidelity: float, taper: Tape
     start, end = aperture(collection)
     dwell = min(float(np.median((last - first)[lit])), end - start)
     middle, n, width = lit[lit.size // 2], max(round(dwell * collection.prf), 1), collection.beam_width
-    x, y = geometry.ground_axes((near + far)[middle] / 2, yaw[middle])
-    offset = beam_offset(geometry, x, y, slice(None))
+    at = (near + far)[middle] / 2, yaw[middle]
+    place = *geometry.ground_axes(*at), slice(None), geometry.level(*at)  # a terrain may not reach as far
+    offset = beam_offset(geometry, *place)
 
     def follow(n_interval: int) -> Gated:
         steady = collection.steadied(n_interval)
-        off = offset - beam_offset(geometry.lit_by(steady), x, y, slice(None))
+        off = offset - beam_offset(geometry.lit_by(steady), *place)
         away, squared = (_most_over_dwells(each, n) for each in (np.abs(off), off**2))
         loss = 0.0 if taper.uniform else _taper_loss(taper, squared * (2 / width) ** 2)
         return Gated(steady, True, 2 * n * away / width, away, loss)

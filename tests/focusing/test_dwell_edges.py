@@ -109,7 +109,7 @@ def test_what_is_not_lit_is_taken_out(weighting: str) -> None:
     kept = edge_profiles(lambda pulses: signal[pulses], collection, tapers, fade=0, threads=2)
     take_unlit(
         image, kept, Geometry(collection=collection), x=x, y=y, valid=valid, threads=2,
-        total=lambda px, py: gains[np.searchsorted(y, py), np.searchsorted(x, px)], weighting=tapers,
+        total=lambda px, py, _: gains[np.searchsorted(y, py), np.searchsorted(x, px)], weighting=tapers,
     )  # fmt: skip
     wanted = back_projection(collection, signal, *mesh, in_range=tapers.range, in_azimuth=tapers.azimuth)
     wanted[0, 0] = np.nan
@@ -141,7 +141,9 @@ def test_edges_of_pixels_at_their_heights_are_those_on_planes_of_these_heights(k
             lit = np.full(image.shape, 4.0)
             add_edges(image, kept, Geometry(collection=ground), lit=lit, valid=valid, fade=fade, **where)
         else:
-            take_unlit(image, kept, Geometry(collection=ground), total=lambda a, _: total(a, 9.0), valid=valid, **where)
+            take_unlit(
+                image, kept, Geometry(collection=ground), total=lambda a, *_: total(a, 9.0), valid=valid, **where
+            )
         return image
 
     found = completed(collection, x, y, z)
