@@ -47,6 +47,7 @@ OWN = (
     "contours.png",
 )
 SCRATCH = "scratch"
+DASK = "dask-scratch-space"  # all that a run has there
 TRACK = "autofocus"  # the estimate of the track's error, which comes before all else
 TEMPORARY = ("receipts", "compressed.zarr", "gated", SCRATCH, TRACK)  # what a finished run does not need
 INTERMEDIATE = ("spectrum.zarr", "patches")  # those of OWN that nothing reads once a run is finished
@@ -111,6 +112,8 @@ def find_run(folder: Place, settings: Mapping[str, Any], fingerprint: str, *, ov
     refuse_links(folder)
     if RECORD not in names:
         foreign = [name for name in names if name not in (*LEFT_ALONE, LOCK, ASIDE) and not is_temporary(name)]
+        if SCRATCH in foreign and _is_of_workers(folder / SCRATCH):  # killed while it was planned
+            foreign.remove(SCRATCH)
         if "receipts" in foreign and set(foreign) <= set(OWN):
             if overwrite:
                 return None
@@ -168,6 +171,11 @@ def _read_record(folder: Place) -> RunRecord:
         raise FolderError(
             f"{folder / RECORD} cannot be read; use --overwrite, or choose another --out", replaceable=True
         ) from error
+
+
+def _is_of_workers(scratch: Place) -> bool:
+    """Whether a folder holds no more than temporary files of own workers."""
+    return isinstance(scratch, LocalPlace) and scratch.path.is_dir() and set(_names(scratch)) <= {DASK}
 
 
 def _names(folder: Place) -> list[str]:

@@ -21,7 +21,7 @@ import blocksar
 from blocksar import stores
 from blocksar.api import jobs
 from blocksar.collection.geometry import Geometry
-from blocksar.errors import InputError, ProcessingError
+from blocksar.errors import FolderError, InputError, ProcessingError
 from blocksar.focusing import step
 from blocksar.graph import stages, tasks
 from blocksar.places import place
@@ -371,3 +371,18 @@ def test_receipts_of_a_run_killed_at_its_very_end_are_removed(
         assert "nothing to do" in blocksar.focus(store, run, **settings).summary[0]  # type: ignore[arg-type]
         assert not (run / "receipts").exists()
         monkeypatch.undo()
+
+
+@pytest.mark.parametrize("left", [[], ["dask-scratch-space"]])
+def test_a_run_that_was_killed_while_it_was_planned_begins_again(tmp_path: Path, left: list[str]) -> None:
+    """Its workers, which start meanwhile, left their folder; what else lies in one of that name is foreign."""
+    run, file = tmp_path / "run", tmp_path / "file"
+    for path in (run / "scratch", file, *(run / "scratch" / name / "worker-1" for name in left)):
+        path.mkdir(parents=True)
+    (run / "run.lock").write_text("")
+    assert folder.find_run(place(run), {}, "", overwrite=False) is None
+    (run / "scratch" / "kept").write_text("")
+    (file / "scratch").write_text("")
+    for foreign in (run, file):
+        with pytest.raises(FolderError, match=r"holds no run of blocksar \(but scratch\)"):
+            folder.find_run(place(foreign), {}, "", overwrite=False)
