@@ -74,7 +74,7 @@ def axis_passes(
     again: (n_pass, n), in the order of time. Those that a point lacks are empty, at the end of the one before; so a
     point that is never lit has 0 and 0.
     """
-    points, half = Points.of(collection, x, y, z), (collection.beam_width or 0.0) / 2 if width is None else width / 2
+    points, half = Points.of(collection, x, y, z), _half(collection) if width is None else width / 2
     steady, apart = collection.steady
     if steady is collection:
         return _in_order(_steady_passes(collection, points, half))
@@ -82,10 +82,10 @@ def axis_passes(
     low, high = (_in_order(_steady_passes(steady, points, level)) for level in (max(half - apart, 0.0), half + apart))
     passes = _Passes(x.size)
     once = np.flatnonzero((high[0][1:] >= high[1][1:]).all(axis=0) & (low[0][1:] >= low[1][1:]).all(axis=0))
-    doubtful = np.maximum(low[0][0] - high[0][0], high[1][0] - low[1][0])[once]
-    by_length = once[np.argsort(doubtful, kind="stable")]
+    doubtful = np.maximum(low[0][0] - high[0][0], high[1][0] - low[1][0])
+    by_length = once[np.argsort(doubtful[once], kind="stable")]
     for group in np.split(by_length, range(TOGETHER, once.size, TOGETHER)):
-        longest = max(int(np.maximum(low[0][0] - high[0][0], high[1][0] - low[1][0])[group].max(initial=0)), 1)
+        longest = max(int(doubtful[group].max(initial=0)), 1)
         rows = max(SCANNED // (2 * longest), 1)
         for some in np.split(group, range(rows, group.size, rows)):
             ends = (each[0][some] for each in (*high, *low))

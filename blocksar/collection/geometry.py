@@ -220,8 +220,7 @@ class Geometry:
 
     def unsteered(self) -> Geometry:
         """The same under a beam that lights everything all the time; what is known of its track is kept."""
-        collection = self.collection.unsteered()
-        return self._keeping_track(Geometry(collection=collection, terrain=self.terrain, smooth=self.smooth))
+        return self.lit_by(self.collection.unsteered())
 
     def lit_by(self, collection: Collection) -> Geometry:
         """The same under the beam of another collection; what is known of its track is kept."""

@@ -100,10 +100,7 @@ def lit_total(
         count = np.interp(high, pulse, before) - np.interp(low, pulse, before)
         if weighed:
             middle = np.clip((low + high) / 2, 0, valid.size - 1).astype(np.int64)
-            count = (
-                count
-                * pulse_weights(tapered or geometry, x, y, middle, taper, z)
-                * pattern_gain(geometry, x, y, middle, z)
-            )
+            weight = pulse_weights(tapered or geometry, x, y, middle, taper, z)
+            count = count * weight * pattern_gain(geometry, x, y, middle, z)
         total += count
     return np.asarray(np.where((last > first) & np.isfinite(x), np.maximum(total, 0.0), 0.0))

@@ -47,6 +47,11 @@ def _on_smooth_ground(sector: Sector, sampling: Sampling, lines: FineLines) -> G
     # Of the sampling rate, what a target's response fills along Doppler without its own carrier.
     reach = np.abs(lines.line.time - _carrier_time(sector, lines, lines.spots)[..., None]).max()
     filled = float(min(2.2 * reach * sampling.image_doppler.step, 0.9))
+    tapered = None if sector.wobbling is None else sector.geometry
+    lit = sum_lit(
+        sector.lit, near=sector.near, far=sector.far, yaw=yaw_axis, valid=valid, taper=taper, stays=stays,
+        tapered=tapered,
+    )  # fmt: skip
     return GroundMap(
         geometry=sector.lit,
         low=sector.low,
@@ -67,16 +72,7 @@ def _on_smooth_ground(sector: Sector, sampling: Sampling, lines: FineLines) -> G
         far_limit=far_limit,
         taper=taper,
         stays=stays,
-        lit=sum_lit(
-            sector.lit,
-            near=sector.near,
-            far=sector.far,
-            yaw=yaw_axis,
-            valid=valid,
-            taper=taper,
-            stays=stays,
-            tapered=None if sector.wobbling is None else sector.geometry,
-        ),
+        lit=lit,
         scale=range_scale(collection, sampling.range_frequency, sampling.range_period, sector.weighting.range),
         range_taps=(taps_needed(sampling.range_occupancy, error=sector.tap_error), sampling.range_occupancy),
         doppler_taps=(taps_needed(filled, error=sector.tap_error), filled),

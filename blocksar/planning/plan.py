@@ -291,9 +291,10 @@ def plan_collection(
     grid = grid or default_grid(geometry, region)
     extent = grid_extent(geometry, region, grid, owned)
     stays = beam_stays(geometry, region, extent)
-    gates = gated_beams(geometry, region, fidelity, weighting.azimuth)
     if stays:
-        gates = [Gated(collection=geometry.collection.unsteered())]
+        gates = [Gated(geometry.collection.unsteered())]
+    else:
+        gates = gated_beams(geometry, region, fidelity, weighting.azimuth)
 
     @cache
     def follow(gated: Gated) -> Callable[[float], _Planner]:
@@ -462,15 +463,16 @@ class _Planner:
         parts: list[BlockPlan] = []
         for part, (nearest, farthest) in enumerate(pairwise(edges.tolist())):
             relief = self._relief(low, high, nearest, farthest)
-            smooth = None if relief is None else relief.smooth
+            summed, lit = self.summed, self.geometry
+            if relief is not None:
+                summed, lit = (each.over(None, relief.smooth) for each in (summed, lit))
             sector = Sector(
-                geometry=self.summed.over(None, smooth),
+                geometry=summed,
                 recovery=self.recovery, region=self.region, low=low, high=high, near=nearest, far=farthest,
                 weighting=self.weighting, fidelity=self.fidelity, tap_error=image_tap_error(self.fidelity),
                 relief=relief, fade=self.edges.fade, gate_parts=self.edges.parts,
                 staying=self.geometry if self.stays else None,
-                wobbling=self.geometry.over(None, smooth) if self.gated.wobbles else None,
-                taper_loss=self.gated.taper_loss,
+                wobbling=lit if self.gated.wobbles else None, taper_loss=self.gated.taper_loss,
             )  # fmt: skip
             like = parts[-1].choice if parts else neighbour
             number = part if n_parts > 1 else None
