@@ -86,10 +86,8 @@ class ReliefMap:
         Points that differ in the first axis only may share a yaw, whose shape then lacks this axis. Last the turn; 0
         where there is none.
         """
-        w = (2 * (z - self.smooth(epoch_range, yaw)) - self.low - self.high) / (self.high - self.low)
-        first, series = self.layers[0][0], self._series
-        u = (2 * epoch_range - first.near - first.far) / (first.far - first.near)
-        v = (2 * yaw - first.low - first.high) / (first.high - first.low)
+        u, v, w = self._coordinates(epoch_range, yaw, z)
+        series = self._series
         n_level = w.shape[0] if v.ndim < w.ndim else 1
         values = np.empty((series.shape[0], n_level, v.size))
         sum_layers(series, u.reshape(n_level, -1), v.ravel(), w.reshape(n_level, -1), values)
@@ -100,13 +98,20 @@ class ReliefMap:
         """The turn alone of points (...), rad."""
         if not self.turns:
             return np.zeros(np.shape(z))
-        terms, first = np.array([[term.series for term in self.turns]]), self.turns[0]
-        w = (2 * (z - self.smooth(epoch_range, yaw)) - self.low - self.high) / (self.high - self.low)
-        u = (2 * epoch_range - first.near - first.far) / (first.far - first.near)
-        v = (2 * yaw - first.low - first.high) / (first.high - first.low)
+        u, v, w = self._coordinates(epoch_range, yaw, z)
+        terms = np.array([[term.series for term in self.turns]])
         values = np.empty((1, 1, w.size))
         sum_layers(terms, u.reshape(1, -1), v.ravel(), w.reshape(1, -1), values)
         return values.reshape(w.shape)
+
+    def _coordinates(self, epoch_range: FloatArray, yaw: FloatArray, z: FloatArray) -> tuple[FloatArray, ...]:
+        """Range, yaw and height over the smooth ground, each from -1 to 1 over the domain of all surfaces."""
+        first = self.layers[0][0]
+        return (
+            (2 * epoch_range - first.near - first.far) / (first.far - first.near),
+            (2 * yaw - first.low - first.high) / (first.high - first.low),
+            (2 * (z - self.smooth(epoch_range, yaw)) - self.low - self.high) / (self.high - self.low),
+        )
 
     @cached_property
     def _series(self) -> FloatArray:

@@ -65,15 +65,15 @@ class Edges:
         `height` (n_y, n_x) has its pixels' z, m, on a terrain.
         """
         x, y = grid.x[window[1]], grid.y[window[0]]
-        known = (
-            None if height is None else np.where(np.isfinite(height), height, ground.geometry.collection.ground_height)
-        )
         if ground.stays:
             take_unlit(
                 pixels, kept, ground.geometry, x=x, y=y, total=ground.lit_at, valid=self.inspection.lit,
                 weighting=self.weighting, height=height, threads=threads,
             )  # fmt: skip
             return
+        known = None
+        if height is not None:
+            known = np.where(np.isfinite(height), height, ground.geometry.collection.ground_height)
         add_edges(
             pixels, kept, self.gated.over(ground.geometry), x=x, y=y, lit=ground.lit_at(*np.meshgrid(x, y), known),
             valid=self.inspection.lit, fade=self.fade, weighting=self.weighting, height=height, threads=threads,
