@@ -9,8 +9,10 @@ weights in vector registers.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numba import types
@@ -29,12 +31,14 @@ from blocksar.focusing.pixel_rows import (
     amplitude_of,
     divide_by_sums,
     evaluate_row,
+    find_addresses,
     find_limits,
     find_sector,
     phasors_of,
     place_windows,
     sum_windows,
     turn_windows,
+    write_row,
 )
 from blocksar.focusing.relief_correction import bent_taps_of, resample_on_relief
 from blocksar.kernels import interpolation
@@ -50,12 +54,31 @@ TILE_EXTENT = 150.0  # m: the largest tile over which its polynomials hold to a 
 TILE_GROUP = 16  # tiles per call of the compiled loop
 
 
+class Tiles(NamedTuple):
+    """The tiles of a window in which a block may own pixels.
+
+    Attributes
+    ----------
+    side : int
+        Pixels along a side of each.
+    places : (n, 3) int64
+        First row and column, and whether the block owns all pixels.
+    polynomials : (n, TILE_DEGREE + 1, 6 (TILE_DEGREE + 1)) float or None
+        Power coefficients in tile coordinates (y, x) in [-1, 1]; None on a terrain, where heights decide on them.
+    """
+
+    side: int
+    places: IntArray
+    polynomials: FloatArray | None
+
+
 def touched(ground: GroundMap, *, x: FloatArray, y: FloatArray, side: tuple[int, int]) -> IntArray:
     """First row and column of each tile of side[0] x side[1] pixels of which the block may own any, (n, 2).
 
     It owns none of the others; of those near its edge it may own none.
     """
-    return _tiles(ground, x, y, side)[:, :2].astype(np.int64)
+    places, _ = _owned(ground, [(x, y)], [side])
+    return places[:, :2]
 
 
 def correct(
@@ -65,6 +88,7 @@ def correct(
     x: FloatArray,
     y: FloatArray,
     z: FloatArray | None = None,
+    tiles: Tiles | None = None,
     threads: int = 1,
     out: ComplexArray | None = None,
 ) -> ComplexArray:
@@ -80,6 +104,8 @@ def correct(
         m, uniform.
     z : (n_y, n_x) float, optional
         Heights, m, which a ground map with relief needs; NaN where unknown.
+    tiles : Tiles, optional
+        Those of this window, from `tiles_of`, which finds them for many windows in less time. Default: found here.
     out : (n_y, n_x) complex64, C-contiguous, optional
         Array for the result; its contents are overwritten. Reusing one saves the slow allocation for each chunk.
 
@@ -97,15 +123,14 @@ def correct(
         out[...] = sum_waves(weigh_equally, replace(ground, waves=None), ground.waves, x=x, y=y)
         return out
     out[...] = np.nan + 1j * np.nan
-    tile = _tile_side(ground, x, y)
-    tiles = _tiles(ground, x, y, (tile, tile))
-    if tiles.shape[0] == 0:
+    side, places, polynomials = tiles or tiles_of(ground, [(x, y)])[0]
+    if places.shape[0] == 0:
         return out
     if ground.relief is not None:
         assert z is not None
-        _correct_on_relief(block, ground, out, tiles, tile, x=x, y=y, z=z, threads=threads)
+        _correct_on_relief(block, ground, out, places, side, x=x, y=y, z=z, threads=threads)
         return out
-    coefficients = _tile_polynomials(ground, x, y, tiles, tile)
+    assert polynomials is not None
     n_taps = ground.range_taps[0], ground.doppler_taps[0]
     range_taps, doppler_taps = _range_taps(*ground.range_taps), _doppler_taps(*ground.doppler_taps)
     widths = -(-n_taps[0] // RANGE_UNIT) * RANGE_UNIT, doppler_taps.shape[1] // 2
@@ -121,24 +146,38 @@ def correct(
     yaw_step = float(ground.yaw_axis[1] - ground.yaw_axis[0])
     weight = _weight(ground)
     if ground.lit.ndim > 1:
-        tiles[:, 2] = 0  # so that the range of every pixel is at hand
+        places = np.column_stack([places[:, :2], np.zeros(len(places), np.int64)])  # the range of each is needed
     x, y, near_limit, far_limit = (np.ascontiguousarray(v) for v in (x, y, ground.near_limit, ground.far_limit))
     floats = _with_room(block, *widths).view(np.float32)
 
     def resample(group: slice) -> None:
         _resample(
-            floats, out, tiles[group], coefficients[group], x, y, tile, range_taps, doppler_taps, carriers, n_taps,
+            floats, out, places[group], polynomials[group], x, y, side, range_taps, doppler_taps, carriers, n_taps,
             widths, (ground.rows.size, ground.doppler.size), rays, frame, yaw_start, yaw_step, near_limit, far_limit,
             weight,
         )  # fmt: skip
 
     # Python threads over groups of tiles, not numba's own: a dask worker may run several tasks in one process.
-    run_groups(resample, [slice(i, i + TILE_GROUP) for i in range(0, tiles.shape[0], TILE_GROUP)], threads)
+    run_groups(resample, [slice(i, i + TILE_GROUP) for i in range(0, places.shape[0], TILE_GROUP)], threads)
     return out
 
 
+def tiles_of(ground: GroundMap, windows: Sequence[tuple[FloatArray, FloatArray]]) -> list[Tiles]:
+    """The tiles of some windows, each given by its x (n_x,) and y (n_y,), m, uniform."""
+    sides = _tile_sides(ground, windows)
+    places, owner = _owned(ground, windows, [(side, side) for side in sides])
+    polynomials = None
+    if ground.relief is None:
+        polynomials = _tile_polynomials(ground, windows, np.array(sides)[owner], places, owner)
+    ends = np.searchsorted(owner, np.arange(len(windows) + 1))
+    return [
+        Tiles(side, places[first:end], None if polynomials is None else polynomials[first:end])
+        for side, first, end in zip(sides, ends[:-1], ends[1:], strict=True)
+    ]
+
+
 def _correct_on_relief(
-    block: ComplexArray, ground: GroundMap, out: ComplexArray, tiles: FloatArray, tile: int, *, x: FloatArray,
+    block: ComplexArray, ground: GroundMap, out: ComplexArray, tiles: IntArray, tile: int, *, x: FloatArray,
     y: FloatArray, z: FloatArray, threads: int,
 ) -> None:  # fmt: skip
     """Write the owned pixels to `out`, by a ground map with relief."""
@@ -163,29 +202,35 @@ def _weight(ground: GroundMap) -> FloatArray:
     return weight
 
 
-def _tile_side(ground: GroundMap, x: FloatArray, y: FloatArray) -> int:
-    """Pixels along a tile's side."""
-    step = max(abs(spacing(x)), abs(spacing(y)))
-    if step == 0:
-        return 1
+def _tile_sides(ground: GroundMap, windows: Sequence[tuple[FloatArray, FloatArray]]) -> list[int]:
+    """Pixels along the side of the tiles of each window."""
     # Tiles overlap the block's edges; a surface must not be evaluated far beyond its domain.
     narrow = ground.geometry.ground_point(
         np.array(max(ground.near, float(ground.near_limit.min()))), np.array(ground.middle_yaw)
     )
     across = (ground.high - ground.low) * float(np.hypot(*(narrow[:2] - ground.geometry.nadir)))
     reach = min(TILE_EXTENT, across / 8, (ground.far - ground.near) / 8)
-    return int(np.clip(reach / step, 1, TILE_PIXELS))
+    steps = [max(abs(spacing(x)), abs(spacing(y))) for x, y in windows]
+    return [int(np.clip(reach / step, 1, TILE_PIXELS)) if step else 1 for step in steps]
 
 
-def _tiles(ground: GroundMap, x: FloatArray, y: FloatArray, side: tuple[int, int]) -> FloatArray:
-    """Tiles with pixels that the block may own: first row, first column, whether it owns all; (n, 3) int64."""
-    corners = np.stack(
-        np.meshgrid(np.arange(0, y.size, side[0]), np.arange(0, x.size, side[1]), indexing="ij"), axis=-1
-    ).reshape(-1, 2)
-    last_y = np.minimum(corners[:, 0] + side[0], y.size) - 1
-    last_x = np.minimum(corners[:, 1] + side[1], x.size) - 1
-    cy, cx = (y[corners[:, 0]] + y[last_y]) / 2, (x[corners[:, 1]] + x[last_x]) / 2
-    radius = np.hypot(y[last_y] - y[corners[:, 0]], x[last_x] - x[corners[:, 1]]) / 2 + 1e-6
+def _owned(
+    ground: GroundMap, windows: Sequence[tuple[FloatArray, FloatArray]], sides: Sequence[tuple[int, int]]
+) -> tuple[IntArray, IntArray]:
+    """Tiles of some windows with pixels that the block may own, (n, 3) as in `Tiles`, and the window of each, (n,).
+
+    `sides` has the rows and columns of the tiles of each window.
+    """
+    corners, ends = [], []
+    for (x, y), side in zip(windows, sides, strict=True):
+        row, column = (part.ravel() for part in np.mgrid[0 : y.size : side[0], 0 : x.size : side[1]])
+        last_y, last_x = np.minimum(row + side[0], y.size) - 1, np.minimum(column + side[1], x.size) - 1
+        corners.append((row, column))
+        ends.append((y[row], y[last_y], x[column], x[last_x]))
+    owner = np.repeat(np.arange(len(windows)), [row.size for row, _ in corners])
+    first_y, last_y, first_x, last_x = (np.concatenate(part) for part in zip(*ends, strict=True))
+    cy, cx = (first_y + last_y) / 2, (first_x + last_x) / 2
+    radius = np.hypot(last_y - first_y, last_x - first_x) / 2 + 1e-6
     lowest, highest = ground.levels
     rng, nearest = (ground.geometry.epoch_range(cx, cy, level) for level in (lowest, highest))
     turn = ground.relative_yaw(cx, cy)
@@ -199,20 +244,26 @@ def _tiles(ground: GroundMap, x: FloatArray, y: FloatArray, side: tuple[int, int
 
     touched = between(float(ground.near_limit.min()), float(ground.far_limit.max()), 1.0, nearest, rng)
     # Twice the radius inside, so that rounding cannot matter.
-    all_owned = between(float(ground.near_limit.max()), float(ground.far_limit.min()), -2.0, rng, nearest)
-    return np.column_stack([corners, all_owned])[touched]
+    every = between(float(ground.near_limit.max()), float(ground.far_limit.min()), -2.0, rng, nearest)
+    rows, columns = (np.concatenate(part) for part in zip(*corners, strict=True))
+    places = np.column_stack([rows, columns, every]).astype(np.int64)
+    return np.ascontiguousarray(places[touched]), owner[touched]
 
 
-def _tile_polynomials(ground: GroundMap, x: FloatArray, y: FloatArray, tiles: FloatArray, tile: int) -> FloatArray:
-    """(n_tile, degree + 1, 6 (degree + 1)) power coefficients in tile coordinates (y, x) in [-1, 1]."""
+def _tile_polynomials(
+    ground: GroundMap, windows: Sequence[tuple[FloatArray, FloatArray]], side: IntArray, places: IntArray,
+    owner: IntArray,
+) -> FloatArray:  # fmt: skip
+    """Polynomials of tiles, as in `Tiles`: of sides `side` (n,), at `places` (n, 3) of the windows `owner` (n,)."""
     nodes, to_power = _tile_nodes()
-    dx, dy, half = spacing(x), spacing(y), (tile - 1) / 2
-    px = x[0] + dx * (tiles[:, 1, None, None] + half * (1 + nodes[None, None, :]))
-    py = y[0] + dy * (tiles[:, 0, None, None] + half * (1 + nodes[None, :, None]))
+    origin = np.array([(x[0], spacing(x), y[0], spacing(y)) for x, y in windows])[owner, :, None, None]
+    half = (side[:, None, None] - 1) / 2
+    px = origin[:, 0] + origin[:, 1] * (places[:, 1, None, None] + half * (1 + nodes[None, None, :]))
+    py = origin[:, 2] + origin[:, 3] * (places[:, 0, None, None] + half * (1 + nodes[None, :, None]))
     px, py = np.broadcast_arrays(px, py)
     values = np.stack(ground.locate(px, py), axis=1)
     coefficients = np.moveaxis(product(product(to_power, values), to_power.T), 1, 2)
-    return np.ascontiguousarray(coefficients).reshape(tiles.shape[0], nodes.size, -1)
+    return np.ascontiguousarray(coefficients).reshape(places.shape[0], nodes.size, values.shape[1] * nodes.size)
 
 
 @lru_cache(maxsize=1)
@@ -283,9 +334,10 @@ def _resample(  # type: ignore[no-untyped-def]
     values = np.empty((6, tile))
     row, doppler, cycles, loss, turn, middle = values[0], values[1], values[2], values[3], values[4], values[5]
     rng, owned = np.empty(tile), np.empty(tile)
-    first_row, range_row, at = np.empty(tile, np.int64), np.empty(tile, np.int64), np.empty(tile, np.int64)
-    first_doppler, doppler_row, carrier = np.empty(tile, np.int64), np.empty(tile, np.int64), np.empty(tile, np.int64)
-    parts = np.empty((8, tile), np.float32)
+    places = np.empty((6, tile), np.int64)
+    first_row, range_at, at = places[0], places[1], places[2]
+    first_doppler, doppler_at, carrier_at = places[3], places[4], places[5]
+    parts, numbers = np.zeros((8, tile), np.float32), out.view(np.float32).reshape(-1)
     range_part, doppler_part, own, own_real, own_imag = parts[0], parts[1], parts[2], parts[3], parts[4]
     amplitude, real, imag = parts[5], parts[6], parts[7]
     for t in range(tiles.shape[0]):
@@ -306,18 +358,16 @@ def _resample(  # type: ignore[no-untyped-def]
                 divide_by_sums(
                     turn, yaw_start, 1 / yaw_step, weight, frame[5], frame[6], rng, frame[7], loss, owned, amplitude
                 )
-            place_windows(row, n_taps[0], widths[0], sizes[0], n_row, first_row, range_row, range_part)
-            place_windows(doppler, n_taps[1], widths[1], sizes[1], n_doppler, first_doppler, doppler_row, doppler_part)
-            turn_windows(doppler, cycles, middle, first_doppler, carrier, own)
-            phasors_of(own, own_real, own_imag)
-            for k in range(tile):
-                outside = np.isnan(amplitude[k]) or first_row[k] < 0 or first_doppler[k] < 0
-                at[k] = -1 if outside else first_row[k] * floats.shape[1] + 2 * first_doppler[k]
-            sum_windows(
-                flat, stride, at, range_taps, range_step, widths[0], range_row, range_part, doppler_taps, doppler_step,
-                doppler_row, doppler_part, carriers, carrier, real, imag,
+            place_windows(row, n_taps[0], widths[0], sizes[0], n_row, range_step, first_row, range_at, range_part)
+            place_windows(
+                doppler, n_taps[1], widths[1], sizes[1], n_doppler, doppler_step, first_doppler, doppler_at,
+                doppler_part,
             )  # fmt: skip
-            for k in range(n):
-                if at[k] >= 0:
-                    c, s = amplitude[k] * own_real[k], amplitude[k] * own_imag[k]
-                    out[i, j0 + k] = complex(real[k] * c - imag[k] * s, real[k] * s + imag[k] * c)
+            turn_windows(doppler, cycles, middle, first_doppler, 2 * doppler_step, carrier_at, own)
+            phasors_of(own, own_real, own_imag)
+            find_addresses(first_row, first_doppler, stride, amplitude, at)
+            sum_windows(
+                flat, stride, at, range_taps, range_step, widths[0], range_at, range_part, doppler_taps, doppler_step,
+                doppler_at, doppler_part, carriers, carrier_at, real, imag,
+            )  # fmt: skip
+            write_row(numbers, 2 * (i * out.shape[1] + j0), n, amplitude, own_real, own_imag, real, imag)

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from blocksar.arrays import FloatArray, IntArray
-from blocksar.kernels.lanes import FEW, WEIGHED_ROWS, load_few, spread_few, total, weigh_rows
+from blocksar.kernels.lanes import FEW, WEIGHED_ROWS, load_few, spread_few, totals, weigh_rows
 from blocksar.kernels.phase import Float32Array
 from blocksar.kernels.signatures import COMPILED, PART, UNCHECKED, UNCONTRACTED
 from blocksar.kernels.trigonometry import cosine, sine
@@ -131,10 +131,11 @@ def evaluate_row(along: FloatArray, across: FloatArray, values: FloatArray) -> N
 
 @njit(**PART, **COMPILED)
 def place_windows(
-    position: FloatArray, n_tap: int, width: int, size: int, room: int, first: IntArray, row: IntArray,
+    position: FloatArray, n_tap: int, width: int, size: int, room: int, step: int, first: IntArray, taps: IntArray,
     part: Float32Array,
 ) -> None:  # fmt: skip
-    """First sample of each pixel's window, and its taps: row `row` of the table and the fraction `part` to the next.
+    """First sample of each pixel's window, and its taps: from entry `taps` of their table on, whose rows are `step`
+    entries long, and the fraction `part` to the next row.
 
     `first` is -1 where the n_tap taps are not within the `size` samples. The padding to `width` is in front of the taps
     where behind it would exceed `room`.
@@ -147,15 +148,18 @@ def place_windows(
         late = start + width > room
         inside = start >= 0 and start + n_tap <= size
         first[k] = (start - (width - n_tap) if late else start) if inside else -1
-        row[k] = i + (N_PHASE + 1 if late else 0)
+        taps[k] = step * (i + (N_PHASE + 1 if late else 0))
         part[k] = fine - i
 
 
 @njit(**PART, **COMPILED)
 def turn_windows(
-    doppler: FloatArray, cycles: FloatArray, middle: FloatArray, first: IntArray, carrier: IntArray, own: Float32Array
-) -> None:
+    doppler: FloatArray, cycles: FloatArray, middle: FloatArray, first: IntArray, step: int, carrier: IntArray,
+    own: Float32Array,
+) -> None:  # fmt: skip
     """The carrier of each pixel's response along its window, and the pixel's own phase, cycles without whole ones.
+
+    `carrier` is its first entry in a table with `step` entries for each.
 
     The response has the carrier of its dwell time, exp(2j pi middle (sample - doppler)). It is removed to the nearest
     step of 1 / N_CARRIER, which only shifts the band within that of the taps; whole cycles per sample do not matter.
@@ -163,7 +167,7 @@ def turn_windows(
     """
     for k in range(middle.size):
         steps = np.rint(middle[k] * N_CARRIER)
-        carrier[k] = int(steps) & (N_CARRIER - 1)
+        carrier[k] = step * (int(steps) & (N_CARRIER - 1))
         total = steps / N_CARRIER * (first[k] - doppler[k]) - cycles[k]
         own[k] = total - np.rint(total)
 
@@ -177,6 +181,17 @@ def phasors_of(cycles: Float32Array, real: Float32Array, imag: Float32Array) -> 
 
 
 @njit(**PART, **COMPILED)
+def find_addresses(
+    first_row: IntArray, first_doppler: IntArray, stride: int, amplitude: Float32Array, at: IntArray
+) -> None:
+    """Where each pixel's window begins among the numbers of the block; -1, and no amplitude, where there is none."""
+    for k in range(at.size):
+        outside = np.isnan(amplitude[k]) or first_row[k] < 0 or first_doppler[k] < 0
+        at[k] = -1 if outside else first_row[k] * stride + 2 * first_doppler[k]
+        amplitude[k] = np.nan if outside else amplitude[k]
+
+
+@njit(**PART, **COMPILED)
 def taps_between(taps: Float32Array, at: int, step: int, part: float) -> Any:
     """A register of taps, interpolated by the fraction `part` to the next row of its table, `step` entries further."""
     taps_here = load_few(taps, at)
@@ -185,49 +200,81 @@ def taps_between(taps: Float32Array, at: int, step: int, part: float) -> Any:
 
 @njit(**PART, **COMPILED)
 def sum_windows(  # type: ignore[no-untyped-def]
-    flat, stride, at, range_taps, range_step, range_width, range_row, range_part, doppler_taps, doppler_step,
-    doppler_row, doppler_part, carriers, carrier, real, imag,
+    flat, stride, at, range_taps, range_step, range_width, range_at, range_part, doppler_taps, doppler_step, doppler_at,
+    doppler_part, carriers, carrier_at, real, imag,
 ):  # fmt: skip
     """real + 1j imag: for each pixel the weighted sum over its window, with the carrier along Doppler removed.
 
     Real and imaginary parts alternate along a row of the block, eight samples in a register. The rows are summed
     first, with one weight each, then the registers are multiplied by the taps along Doppler and by the carrier.
     """
+    if range_width == RANGE_UNIT and doppler_step == FEW:  # most blocks: nothing but registers
+        for k in range(at.size):
+            if at[k] < 0:
+                continue
+            weights = taps_between(range_taps, range_at[k], range_step, range_part[k])
+            column = weigh_rows(flat, at[k], stride, weights)
+            column = column * taps_between(doppler_taps, doppler_at[k], FEW, doppler_part[k])
+            phasor = carrier_at[k]
+            re, im = totals(column * load_few(carriers, phasor), column * load_few(carriers, phasor + FEW))
+            real[k], imag[k] = re, im
+        return
     for k in range(at.size):
         if at[k] < 0:
             continue
-        re, im = spread_few(np.float32(0.0)), spread_few(np.float32(0.0))
+        below, above = spread_few(np.float32(0.0)), spread_few(np.float32(0.0))
         for m in range(0, doppler_step, FEW):
             column = spread_few(np.float32(0.0))
             for p in range(0, range_width, RANGE_UNIT):
-                weights = taps_between(range_taps, range_row[k] * range_step + p, range_step, range_part[k])
+                weights = taps_between(range_taps, range_at[k] + p, range_step, range_part[k])
                 column = column + weigh_rows(flat, at[k] + p * stride + m, stride, weights)
-            taps = taps_between(doppler_taps, doppler_row[k] * doppler_step + m, doppler_step, doppler_part[k])
-            column = column * taps
-            phasor = 2 * carrier[k] * doppler_step + m
-            re = re + column * load_few(carriers, phasor)
-            im = im + column * load_few(carriers, phasor + doppler_step)
-        real[k], imag[k] = total(re), total(im)
+            column = column * taps_between(doppler_taps, doppler_at[k] + m, doppler_step, doppler_part[k])
+            phasor = carrier_at[k] + m
+            below = below + column * load_few(carriers, phasor)
+            above = above + column * load_few(carriers, phasor + doppler_step)
+        re, im = totals(below, above)
+        real[k], imag[k] = re, im
 
 
 @njit(**PART, **COMPILED)
 def sum_windows_bent(  # type: ignore[no-untyped-def]
-    flat, stride, at, range_taps, range_step, range_width, range_row, range_part, real_taps, imag_taps, tap_at,
-    tap_step, doppler_part, carriers, carrier_step, carrier, real, imag,
+    flat, stride, at, range_taps, range_step, range_width, range_at, range_part, real_taps, imag_taps, tap_at,
+    tap_step, doppler_part, carriers, carrier_step, carrier_at, real, imag,
 ):  # fmt: skip
     """`sum_windows` with complex taps along Doppler: for each pixel a row of `tap_step` entries from `tap_at` on."""
     for k in range(at.size):
         if at[k] < 0:
             continue
-        re, im = spread_few(np.float32(0.0)), spread_few(np.float32(0.0))
+        below, above = spread_few(np.float32(0.0)), spread_few(np.float32(0.0))
         for m in range(0, tap_step[k], FEW):
             column = spread_few(np.float32(0.0))
             for p in range(0, range_width, RANGE_UNIT):
-                weights = taps_between(range_taps, range_row[k] * range_step + p, range_step, range_part[k])
+                weights = taps_between(range_taps, range_at[k] + p, range_step, range_part[k])
                 column = column + weigh_rows(flat, at[k] + p * stride + m, stride, weights)
-            taps, phasor = tap_at[k] + m, 2 * carrier[k] * carrier_step + m
+            taps, phasor = tap_at[k] + m, carrier_at[k] + m
             cos, sin = load_few(carriers, phasor), load_few(carriers, phasor + carrier_step)
             straight = column * taps_between(real_taps, taps, tap_step[k], doppler_part[k])
             bent = column * taps_between(imag_taps, taps, tap_step[k], doppler_part[k])
-            re, im = re + straight * cos - bent * sin, im + straight * sin + bent * cos
-        real[k], imag[k] = total(re), total(im)
+            below, above = below + straight * cos - bent * sin, above + straight * sin + bent * cos
+        re, im = totals(below, above)
+        real[k], imag[k] = re, im
+
+
+@njit(**PART, **COMPILED)
+def write_row(  # type: ignore[no-untyped-def]
+    numbers, first, n, amplitude, own_real, own_imag, real, imag
+):  # fmt: skip
+    """numbers[first : first + 2 n] = the first n sums times amplitude and own phase; NaN where there is no amplitude.
+
+    Real and imaginary parts alternate in `numbers`. `real` and `imag` are overwritten.
+    """
+    missing = np.float32(np.nan)
+    for k in range(amplitude.size):
+        c, s = amplitude[k] * own_real[k], amplitude[k] * own_imag[k]
+        re, im = real[k] * c - imag[k] * s, real[k] * s + imag[k] * c
+        outside = np.isnan(amplitude[k])
+        real[k] = missing if outside else re
+        imag[k] = missing if outside else im
+    for k in range(n):
+        numbers[np.uint64(first) + np.uint64(2 * k)] = real[k]
+        numbers[np.uint64(first) + np.uint64(2 * k + 1)] = imag[k]

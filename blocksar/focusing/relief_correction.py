@@ -26,12 +26,14 @@ from blocksar.focusing.pixel_rows import (
     N_PHASE,
     amplitude_of,
     divide_by_sums,
+    find_addresses,
     find_limits,
     left_of,
     phasors_of,
     place_windows,
     sum_windows_bent,
     turn_windows,
+    write_row,
 )
 from blocksar.kernels import interpolation
 from blocksar.kernels.groups import run_groups
@@ -163,7 +165,7 @@ def nodes_of(degree: int) -> tuple[FloatArray, FloatArray]:
 
 
 def tile_polynomials(
-    ground: GroundMap, x: FloatArray, y: FloatArray, z: FloatArray, tiles: FloatArray, tile: int
+    ground: GroundMap, x: FloatArray, y: FloatArray, z: FloatArray, tiles: IntArray, tile: int
 ) -> tuple[FloatArray, FloatArray]:
     """Coefficients (n_tile, 4, 3 * 7 * 4) in tile coordinates, and middle and half of the heights (n_tile, 2), m."""
     nodes, to_power = nodes_of(DEGREE)
@@ -238,7 +240,7 @@ def resample_on_relief(
     ground: GroundMap,
     block: Float32Array,
     out: ComplexArray,
-    tiles: FloatArray,
+    tiles: IntArray,
     *,
     x: FloatArray,
     y: FloatArray,
@@ -385,10 +387,10 @@ def _resample(  # type: ignore[no-untyped-def]
         values[0], values[1], values[2], values[3], values[4], values[5], values[6],
     )  # fmt: skip
     rng, owned, w, cubics = np.zeros(tile), np.empty(tile), np.zeros(tile), np.empty(coefficients.shape[2])
-    first_row, range_row, at = np.empty(tile, np.int64), np.empty(tile, np.int64), np.empty(tile, np.int64)
-    first_doppler, doppler_row, carrier = np.empty(tile, np.int64), np.empty(tile, np.int64), np.empty(tile, np.int64)
-    tap_at, tap_step = np.empty(tile, np.int64), np.empty(tile, np.int64)
-    parts = np.empty((8, tile), np.float32)
+    places = np.empty((8, tile), np.int64)
+    first_row, range_at, at, carrier_at = places[0], places[1], places[2], places[3]
+    first_doppler, doppler_row, tap_at, tap_step = places[4], places[5], places[6], places[7]
+    parts, numbers = np.zeros((8, tile), np.float32), out.view(np.float32).reshape(-1)
     range_part, doppler_part, own, own_real, own_imag = parts[0], parts[1], parts[2], parts[3], parts[4]
     amplitude, real, imag = parts[5], parts[6], parts[7]
     for t in range(tiles.shape[0]):
@@ -414,19 +416,16 @@ def _resample(  # type: ignore[no-untyped-def]
                 divide_by_sums(
                     turn, yaw_start, 1 / yaw_step, weight, frame[5], frame[6], rng, frame[7], loss, owned, amplitude
                 )
-            place_windows(row, n_taps[0], widths[0], sizes[0], n_row, first_row, range_row, range_part)
-            place_windows(doppler, n_taps[1], widths[1], sizes[1], n_doppler, first_doppler, doppler_row, doppler_part)
+            place_windows(row, n_taps[0], widths[0], sizes[0], n_row, range_step, first_row, range_at, range_part)
+            place_windows(
+                doppler, n_taps[1], widths[1], sizes[1], n_doppler, 1, first_doppler, doppler_row, doppler_part
+            )
             _choose_taps(bend, doppler, bends, n_taps, widths, n_doppler, doppler_row, first_doppler, tap_at, tap_step)
-            for k in range(tile):
-                outside = np.isnan(amplitude[k]) or first_row[k] < 0 or first_doppler[k] < 0
-                at[k] = -1 if outside else first_row[k] * floats.shape[1] + 2 * first_doppler[k]
-            turn_windows(doppler, cycles, middle, first_doppler, carrier, own)
+            find_addresses(first_row, first_doppler, stride, amplitude, at)
+            turn_windows(doppler, cycles, middle, first_doppler, 4 * widths[1], carrier_at, own)
             phasors_of(own, own_real, own_imag)
             sum_windows_bent(
-                flat, stride, at, range_taps, range_step, widths[0], range_row, range_part, real_taps, imag_taps,
-                tap_at, tap_step, doppler_part, carriers, 2 * widths[1], carrier, real, imag,
+                flat, stride, at, range_taps, range_step, widths[0], range_at, range_part, real_taps, imag_taps,
+                tap_at, tap_step, doppler_part, carriers, 2 * widths[1], carrier_at, real, imag,
             )  # fmt: skip
-            for k in range(n):
-                if at[k] >= 0:
-                    c, s = amplitude[k] * own_real[k], amplitude[k] * own_imag[k]
-                    out[i, j0 + k] = complex(real[k] * c - imag[k] * s, real[k] * s + imag[k] * c)
+            write_row(numbers, 2 * (i * out.shape[1] + j0), n, amplitude, own_real, own_imag, real, imag)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import wraps
@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 
 from blocksar import stores
 from blocksar.arrays import ComplexArray, FloatArray
-from blocksar.chunks import BACKPROJECTION_CHUNK, WRITES_AT_ONCE
+from blocksar.chunks import BACKPROJECTION_CHUNK, TILED_CHUNKS, WRITES_AT_ONCE
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.ownership import margins_over
 from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError, ProcessingError
 from blocksar.focusing.backprojection import form_image
-from blocksar.focusing.correction import correct
+from blocksar.focusing.correction import Tiles, correct, tiles_of
 from blocksar.focusing.ground_map import GroundMap
 from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.step import Stage
@@ -191,14 +191,14 @@ def write_patch(
     with WritesBehind(len(chunks)) as behind:
         cells = touched_chunks(ground, grid)
         kept = None if edges is None else edges.profiles(ground, threads=run.threads)
-        for cell in cells if edges is None else by_yaw(cells, ground, grid):
+        for cell, tiles in _tiled(cells if edges is None else by_yaw(cells, ground, grid), ground, grid):
             chunk, window = chunks[behind.turn()], chunk_window(cell, grid)
             shape = (window[0].stop - window[0].start, window[1].stop - window[1].start)
             out = chunk[: shape[0] * shape[1]].reshape(shape)
             x, y = grid.x[window[1]], grid.y[window[0]]
             merged = cell not in own
             z = heights.over(window) if sight is None or merged else layers.heights_of_covered(window)
-            pixels = correct(samples.values, ground, x=x, y=y, z=z, threads=run.threads, out=out)
+            pixels = correct(samples.values, ground, x=x, y=y, z=z, tiles=tiles, threads=run.threads, out=out)
             if edges is not None and kept is not None:
                 edges.add(pixels, kept, ground, window, grid, height=z, threads=run.threads)
             if (owner := _owner(pixels, block.index)) is None:
@@ -214,6 +214,14 @@ def write_patch(
         origin=(int(first_y), int(first_x)), steps=seconds,
     )  # fmt: skip
     return sign(run, receipt, started - sum(samples.seconds.values()))
+
+
+def _tiled(cells: Sequence[tuple[int, int]], ground: GroundMap, grid: Grid) -> Iterator[tuple[tuple[int, int], Tiles]]:
+    """Output chunks with their tiles, which are found for some chunks at once."""
+    for first in range(0, len(cells), TILED_CHUNKS):
+        group = cells[first : first + TILED_CHUNKS]
+        windows = [chunk_window(cell, grid) for cell in group]
+        yield from zip(group, tiles_of(ground, [(grid.x[x], grid.y[y]) for y, x in windows]), strict=True)
 
 
 def _owner(pixels: ComplexArray, block: int) -> NDArray[np.int16] | int | None:

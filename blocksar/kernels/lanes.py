@@ -128,19 +128,27 @@ def weigh_rows(typing_context: Any, array: Any, index: Any, stride: Any, weights
 
 
 @_numba.intrinsic
-def total(typing_context: Any, lanes: Any) -> Any:
-    """Sum over the lanes, a power of two of them: neighbouring halves are added until one number is left."""
+def totals(typing_context: Any, a: Any, b: Any) -> Any:
+    """Sums over the lanes of two vectors, (sum of a, sum of b): halves are added until one number of each is left.
+
+    From the first step on one vector holds the partial sums of both.
+    """
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        (part,) = values
-        count = lanes.count
-        while count > 1:
-            count //= 2
-            first = builder.shuffle_vector(part, part, _indices(range(count)))
-            part = builder.fadd(first, builder.shuffle_vector(part, part, _indices(range(count, 2 * count))))
-        return builder.extract_element(part, ir.Constant(ir.IntType(32), 0))
+        half = a.count // 2
+        lower, upper = (
+            builder.shuffle_vector(*values, _indices([*range(i, i + half), *range(i + a.count, i + a.count + half)]))
+            for i in (0, half)
+        )
+        part, width = builder.fadd(lower, upper), half
+        while width > 1:
+            width //= 2
+            other = builder.shuffle_vector(part, part, _indices(k ^ width for k in range(a.count)))
+            part = builder.fadd(part, other)
+        ends = [builder.extract_element(part, ir.Constant(ir.IntType(32), k)) for k in (0, half)]
+        return context.make_tuple(builder, signature.return_type, ends)
 
-    return lanes.element(lanes), generate
+    return _tuple(a.element, 2)(a, b), generate
 
 
 @_numba.intrinsic
