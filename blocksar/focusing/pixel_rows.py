@@ -245,6 +245,15 @@ def sum_windows_bent(  # type: ignore[no-untyped-def]
     for k in range(at.size):
         if at[k] < 0:
             continue
+        if range_width == RANGE_UNIT and tap_step[k] == FEW:
+            weights = taps_between(range_taps, range_at[k], range_step, range_part[k])
+            column, taps, phasor = weigh_rows(flat, at[k], stride, weights), tap_at[k], carrier_at[k]
+            cos, sin = load_few(carriers, phasor), load_few(carriers, phasor + carrier_step)
+            straight = column * taps_between(real_taps, taps, FEW, doppler_part[k])
+            bent = column * taps_between(imag_taps, taps, FEW, doppler_part[k])
+            re, im = totals(straight * cos - bent * sin, straight * sin + bent * cos)
+            real[k], imag[k] = re, im
+            continue
         below, above = spread_few(np.float32(0.0)), spread_few(np.float32(0.0))
         for m in range(0, tap_step[k], FEW):
             column = spread_few(np.float32(0.0))
