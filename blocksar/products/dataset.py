@@ -259,12 +259,16 @@ class SarAccessor:
         Raises
         ------
         InputError
-            If matplotlib is not installed.
+            If matplotlib is not installed, or `ax` is none of its axes.
         """
         try:
-            from blocksar.products.pictures import quicklook  # optional, and slow to load
+            from matplotlib.axes import Axes  # optional, and slow to load, as the next line
+
+            from blocksar.products.pictures import quicklook
         except ModuleNotFoundError as error:
             raise InputError(f"{error.name} is not installed, which pictures need; install blocksar[plots]") from None
+        if not isinstance(ax, Axes | None):
+            raise InputError(f"ax is {ax!r}, but must be matplotlib Axes; leave it out for a new figure")
         image = self._upright()
         frame = _frame(self._dataset.attrs)
         arrows = [] if frame is None else [quicklook.north_arrow(frame.rotation)]

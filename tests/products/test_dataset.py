@@ -162,6 +162,8 @@ def test_plot_draws_into_given_axes(made: Made) -> None:
     axes = Figure().add_subplot()
     with blocksar.open(made.folder) as opened:
         assert opened.sar.plot(ax=axes) is axes
+        with pytest.raises(InputError, match="ax is 'a', but must be matplotlib Axes"):
+            opened.sar.plot(ax="a")
         assert opened.sar.crop(x=(0.0, 10.0)).sar.plot().get_xlim() == pytest.approx((-0.2, 10.2), abs=0.4)
     assert axes.get_title() == "small scene, é"
     assert axes.images[0].get_clim()[1] > axes.images[0].get_clim()[0] + 20
