@@ -14,6 +14,7 @@ from blocksar.planning.plan import Plan
 from blocksar.planning.tiling import image_chunk, touched_chunks
 
 SAMPLE = 8  # bytes of a sample or pixel, complex64
+LAYER_SAMPLE = 4  # bytes of a height or an angle, float32, which hardly compress; visibility does
 NOISE_SAMPLE = 1  # bytes at most of the noise of a pixel, which is smooth: float32 of few bits, compressed
 POINTS = 40_000  # at about so many points of the grid, ownership is asked
 
@@ -39,8 +40,18 @@ def run_bytes(plan: Plan) -> dict[str, int]:
         **({"gated": gated} if gated else {}),
         "patches": SAMPLE * covered,
         "image": SAMPLE * min(merged, covered),
+        **_on_terrain(plan, touched=len(touching), covered=covered),
         **({"noise": NOISE_SAMPLE * covered} if plan.geometry.collection.noise_power else {}),
     }
+
+
+def _on_terrain(plan: Plan, *, touched: int, covered: int) -> dict[str, int]:
+    """Bytes of the terrain's samples and of the layers of an image on it; nothing on the plane."""
+    terrain = plan.geometry.terrain
+    if terrain is None:
+        return {}
+    heights = min(touched * math.prod(image_chunk(plan.grid)), math.prod(plan.grid.shape))
+    return {"terrain": terrain.heights.nbytes, "layers": LAYER_SAMPLE * (heights + covered)}
 
 
 def covered_pixels(grounds: Sequence[GroundMap], grid: Grid) -> int:

@@ -10,7 +10,7 @@ import pytest
 import slow_twins
 from axis_beams import axis_scene
 from distributed import Client
-from quality_bar import check_targets
+from quality_bar import check_targets, planned
 from scenes import write_store
 
 import blocksar
@@ -21,6 +21,7 @@ from blocksar.collection.terrain import Terrain
 from blocksar.errors import FolderError, InputError
 from blocksar.measurement.coherence import coherence
 from blocksar.places import place
+from blocksar.planning.disk import run_bytes
 from blocksar.simulation.scene import Scene
 
 MIDDLE = np.array([16105.0, 19193.0])  # m: the middle of Table 1's swath
@@ -136,6 +137,9 @@ def test_a_chain_puts_targets_where_they_stand(store: Path, terrain: Path, tmp_p
     ground = stores.read_terrain(place(terrain))
     assert np.abs(image.height.values - ground.on_grid(image.x.values, image.y.values)).max() < 1e-3
     check_layers(image, store, ground)
+    files = [path for name in stores.ON_TERRAIN for path in (run / "image.zarr" / name).rglob("c/*/*")]
+    layers = run_bytes(planned(store, blocks=2, grid=grid_about(300.0, 1.0), terrain=terrain))["layers"]
+    assert sum(path.stat().st_size for path in files) == pytest.approx(layers, rel=0.03)
 
 
 def test_clutter_on_hills_is_that_of_back_projection(tmp_path: Path, client: Client) -> None:
