@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import os
 import stat
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import dropwhile, product
 from math import prod
@@ -21,8 +20,10 @@ from blocksar.errors import InputError
 from blocksar.places import direct
 from blocksar.places.local import LocalPlace, file_version, replacing_file
 from blocksar.places.place import Place
+from blocksar.stores.layout import COMPRESSION, fill_value, layout_of
 
 if TYPE_CHECKING:
+    from numcodecs.vlen import VLenUTF8  # type: ignore[import-untyped]
     from numcodecs.zstd import Zstd  # type: ignore[import-untyped]
 
 Region = tuple[slice, ...]
@@ -31,23 +32,8 @@ MAX_METADATA = 1 << 24  # bytes of a metadata file: a larger one is damaged, and
 MAX_FRAME = 1 << 12  # bytes of a compressed chunk beyond those of its samples, and one in 64 of these
 SLAB = 1 << 19  # bytes copied at a time between a chunk's file and memory of another layout: they stay in the L2 cache
 TRANSPOSED_COLUMNS = 64  # columns copied at a time in a transposition: more would touch more pages than the TLB holds
-# Images: noise does not compress, and passes at the speed of memory; what is not covered takes no room. The checksum
-# lets every reader notice an altered chunk.
-COMPRESSION: dict[str, Any] = {"name": "zstd", "configuration": {"level": -5, "checksum": True}}
 FRAME_MAGIC, FRAME_BLOCK = b"\x28\xb5\x2f\xfd", 1 << 17  # of zstd; bytes of a block, at most
 DENSE_SAMPLE = 1 << 12  # numbers in the middle of a chunk that tell whether it compresses
-# Fill values by dtype, as in the metadata.
-FILLS = {"complex64": ["NaN", "NaN"], "float64": "NaN", "float32": "NaN", "int16": -1, "uint8": 255}
-
-
-def fill_value(dtype: str) -> Any:
-    """Return the value that stands for missing samples: NaN, -1 or the largest number for integers, or no text."""
-    kind = np.dtype(dtype).kind
-    if kind == "T":
-        return ""
-    if kind == "u":
-        return int(np.iinfo(dtype).max)
-    return complex(np.nan, np.nan) if kind == "c" else np.nan if kind == "f" else -1
 
 
 def refuse_odd_file(path: str | os.PathLike[str], largest: int = MAX_METADATA) -> None:
@@ -83,6 +69,10 @@ class ChunkFiles:
         In the machine's byte order.
     compressed : bool
         As COMPRESSION says; reading takes any level.
+    dims : tuple of str
+        Names of the dimensions.
+    attrs : dict
+        Attributes; not to be changed.
     """
 
     folder: str
@@ -90,6 +80,8 @@ class ChunkFiles:
     chunks: tuple[int, ...]
     dtype: np.dtype[Any]
     compressed: bool = False
+    dims: tuple[str, ...] = ()
+    attrs: Mapping[str, Any] = field(default_factory=dict, compare=False)
 
     @property
     def ndim(self) -> int:
@@ -99,6 +91,11 @@ class ChunkFiles:
     def row_bytes(self) -> int:
         """Bytes of one row of a chunk: the samples with the same first index."""
         return self.dtype.itemsize * prod(self.chunks[1:])
+
+    @property
+    def _encoded(self) -> bool:
+        """Whether a file holds something else than the samples as they are in memory."""
+        return self.compressed or self.dtype.kind == "T"
 
     def read(
         self,
@@ -132,7 +129,7 @@ class ChunkFiles:
                     self._read_chunk(stream, inside, values[outside], slab)
                     version = file_version(os.fstat(stream.fileno()))
             except FileNotFoundError:
-                values[outside], version = fill_value(self.dtype.name), ""
+                values[outside], version = fill_value(self.dtype), ""
             if seen is not None:
                 seen(os.path.relpath(file, self.folder), version)
         return values
@@ -194,8 +191,9 @@ class ChunkFiles:
 
     def _read_chunk(self, stream: BinaryIO | direct.Reader, inside: Region, values: Array, slab: Array) -> None:
         length = os.fstat(stream.fileno()).st_size
-        if self.compressed:
-            copy_values(self._decode(stream, length)[inside], values)
+        if self._encoded:
+            decode = self._decode_text if self.dtype.kind == "T" else self._decode
+            copy_values(decode(stream, length)[inside], values)
             return
         if length != self.row_bytes * self.chunks[0]:
             raise OSError(f"a chunk has {length} bytes instead of {self.row_bytes * self.chunks[0]}")
@@ -227,32 +225,52 @@ class ChunkFiles:
             # Not left to zarr, which would allocate so much.
             raise InputError(f"{self.folder} has a chunk of {declared} bytes instead of {size}; write it again")
         try:
-            decoded = _zstd().decode(data)
+            decoded = zstd().decode(data)
         except (RuntimeError, ValueError) as error:
             raise OSError(str(error)) from error
         if len(decoded) != size:
             raise OSError(f"a chunk has {len(decoded)} bytes instead of {size}")
         return np.frombuffer(decoded, self.dtype).reshape(self.chunks)
 
+    def _decode_text(self, stream: BinaryIO | direct.Reader, length: int) -> Array:
+        """Read a chunk of text as a whole: the number of texts, and each after its length in bytes.
+
+        Raises
+        ------
+        OSError
+            If it is damaged.
+        """
+        number = prod(self.chunks)
+        if not 4 * (1 + number) <= length <= MAX_METADATA:
+            raise OSError(f"a chunk of {number} texts has {length} bytes")
+        data = np.empty(length, np.uint8)
+        _read_into(stream, data)
+        if int.from_bytes(data[:4].tobytes(), "little") != number:
+            raise OSError(f"a chunk has another number of texts than {number}")
+        try:
+            return np.asarray(_vlen_utf8().decode(data), self.dtype).reshape(self.chunks)
+        except ValueError as error:
+            raise OSError(str(error)) from error
+
     def _write_chunk(self, stream: direct.Writer, values: Array, slab: Array) -> None:
         whole = values.flags.c_contiguous and values.shape == self.chunks and values.dtype == self.dtype
-        if self.compressed:
+        if self._encoded:
             chunk = values
             if not whole:
-                chunk = np.full(self.chunks, fill_value(self.dtype.name), self.dtype)
+                chunk = np.full(self.chunks, fill_value(self.dtype), self.dtype)
                 chunk[tuple(slice(n) for n in values.shape)] = values
-            for part in _frame(chunk) if _is_dense(chunk) else [_zstd().encode(chunk)]:
+            for part in encode(chunk, compressed=self.compressed):
                 stream.write(part)
             return
         if whole:
             stream.write(values.data)
             return
         if values.shape != self.chunks:
-            slab[...] = fill_value(self.dtype.name)
+            slab[...] = fill_value(self.dtype)
         for first in range(0, self.chunks[0], len(slab)):
             rows = values[first : first + len(slab)]
             copy_values(rows, slab[tuple(slice(n) for n in rows.shape)])
-            slab[len(rows) :] = fill_value(self.dtype.name)
+            slab[len(rows) :] = fill_value(self.dtype)
             stream.write(slab[: self.chunks[0] - first].data)
 
     def _slab(self) -> Array:
@@ -270,15 +288,40 @@ def chunk_files_of(path: Place, name: str) -> ChunkFiles | None:
     try:
         refuse_odd_file(metadata)
         with open(metadata, "rb") as file:
-            layout = _layout(file.read())
+            layout = layout_of(file.read())
     except (OSError, ValueError):
         return None
-    return None if layout is None else ChunkFiles(folder, *layout)
+    if layout is None:
+        return None
+    compressed = layout.compression is not None
+    return ChunkFiles(folder, layout.shape, layout.chunks, layout.dtype, compressed, layout.dims, layout.attrs)
+
+
+def chunk_name(cell: Sequence[int]) -> str:
+    """Name of a chunk's file relative to its variable, from its number along each dimension."""
+    return "/".join(("c", *map(str, cell)))
+
+
+def encode(chunk: Array, *, compressed: bool) -> Iterable[bytes | memoryview]:
+    """Return the content of a chunk's file, in parts, from the samples (contiguous)."""
+    if chunk.dtype.kind == "T":
+        return [_vlen_utf8().encode(chunk)]
+    if not compressed:
+        return [chunk.data]
+    return _frame(chunk) if _is_dense(chunk) else [zstd().encode(chunk)]
 
 
 @lru_cache(maxsize=1)
-def _zstd() -> Zstd:
-    from numcodecs.zstd import Zstd  # zarr's own, loaded on use
+def _vlen_utf8() -> VLenUTF8:
+    from numcodecs.vlen import VLenUTF8  # as `zstd`
+
+    return VLenUTF8()
+
+
+@lru_cache(maxsize=1)
+def zstd() -> Zstd:
+    """The codec of compressed chunks; the first call imports it."""
+    from numcodecs.zstd import Zstd  # zarr's own
 
     return Zstd(**COMPRESSION["configuration"])
 
@@ -291,7 +334,7 @@ def _is_dense(chunk: Array) -> bool:
     if chunk.dtype != np.float32 or chunk.size < 2 * DENSE_SAMPLE or np.isnan(chunk).any():
         return False
     part = chunk.reshape(-1)[chunk.size // 2 :][:DENSE_SAMPLE]
-    return bool(len(_zstd().encode(part)) > part.nbytes)
+    return bool(len(zstd().encode(part)) > part.nbytes)
 
 
 def _frame(chunk: Array) -> Iterator[bytes | memoryview]:
@@ -307,56 +350,14 @@ def _frame(chunk: Array) -> Iterator[bytes | memoryview]:
     yield (xxhash.xxh64(data).intdigest() & 0xFFFFFFFF).to_bytes(4, "little")
 
 
-@lru_cache(maxsize=256)
-def _layout(metadata: bytes) -> tuple[tuple[int, ...], tuple[int, ...], np.dtype[Any], bool] | None:
-    """Return shape, chunks, dtype and whether compressed, if the metadata is as `create` writes it, else None."""
-    try:
-        content = json.loads(metadata)
-    except (ValueError, RecursionError):
-        return None
-    match content:
-        case {
-            "shape": [*shape],
-            "data_type": str(dtype),
-            "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": [*chunks]}},
-            **rest,
-        } if len(shape) == len(chunks) > 0 and all(type(n) is int and n > 0 for n in (*shape, *chunks)):
-            for key in ("attributes", "dimension_names"):
-                rest.pop(key, None)
-            plain = {
-                "zarr_format": 3,
-                "node_type": "array",
-                "chunk_key_encoding": {"name": "default", "configuration": {"separator": "/"}},
-                "fill_value": FILLS.get(dtype),
-                "storage_transformers": [],
-            }
-            compressed = _compression(rest.pop("codecs", None), dtype)
-            if compressed is not None and dtype in FILLS and rest == plain:
-                return tuple(shape), tuple(chunks), np.dtype(dtype), compressed
-    return None
-
-
 def _declared_size(header: bytes) -> int:
-    """Bytes that a zstd frame says it holds (RFC 8878, 3.1.1.1); 0 if it does not say, or is too short."""
-    if len(header) < 18:
+    """Bytes that a zstd frame says it holds (RFC 8878, 3.1.1.1); 0 if it does not say, is too short, or is none."""
+    if len(header) < 18 or not header.startswith(FRAME_MAGIC):
         return 0
     single, width = header[4] >> 5 & 1, (0, 2, 4, 8)[header[4] >> 6]
     start = 6 - single + (0, 1, 2, 4)[header[4] & 3]
     width = width or single
     return int.from_bytes(header[start : start + width], "little") + 256 * (width == 2)
-
-
-def _compression(codecs: Any, dtype: str) -> bool | None:
-    """Tell whether chunks are compressed, from an array's codecs; None if these are others."""
-    plain: dict[str, Any] = {"name": "bytes"}
-    if dtype != "uint8":
-        plain["configuration"] = {"endian": sys.byteorder}
-    match codecs:
-        case [first] if first == plain:
-            return False
-        case [first, {"name": "zstd", "configuration": {"level": int(), "checksum": bool()}}] if first == plain:
-            return True
-    return None
 
 
 def _flat(lengths: Sequence[int]) -> tuple[int, ...]:

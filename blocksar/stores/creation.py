@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import secrets
 import shutil
@@ -12,9 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import zarr
-from zarr.codecs import ZstdCodec
-from zarr.storage import MemoryStore
 
 from blocksar.errors import InputError, ProcessingError
 from blocksar.places import Location
@@ -23,8 +19,9 @@ from blocksar.places.local import LocalPlace, temporary_name
 from blocksar.places.objects import ObjectPlace
 from blocksar.places.place import Place
 from blocksar.stores.arrays import metadata_file
-from blocksar.stores.chunk_files import COMPRESSION, Array, fill_value
+from blocksar.stores.chunk_files import Array, chunk_name, encode
 from blocksar.stores.faults import ENVIRONMENT
+from blocksar.stores.layout import COMPRESSION, Layout, array_metadata, group_metadata, metadata_bytes
 from blocksar.stores.records import nan_to_null, plain_value
 from blocksar.stores.schema import Variable
 
@@ -103,42 +100,26 @@ def _metadata(
     small = {**coords, **variables}
     lengths = _lengths(schema, sizes, small)
     attributes = {key: nan_to_null(plain_value(value, key)) for key, value in attrs.items()}
-    memory: dict[str, Any] = {}
-    group = zarr.create_group(store=MemoryStore(memory), zarr_format=3, attributes=attributes)
+    files: dict[str, bytes] = {}
+    metadata: dict[str, Any] = {}
     for name, variable in schema.items():
         shape = tuple(lengths[dim] for dim in variable.dims)
         whole = tuple(max(n, 1) for n in shape)
         tile = tuple(max(min(chunks.get(dim, n), n), 1) for dim, n in zip(variable.dims, shape, strict=True))
-        array = group.create_array(
-            name,
+        layout = Layout(
             shape=shape,
             chunks=whole if name in small else tile,
-            dtype=variable.dtype,
-            fill_value=fill_value(variable.dtype),
-            compressors=[ZstdCodec(**COMPRESSION["configuration"])] if variable.compressed else None,
-            filters=None,
-            dimension_names=variable.dims,
-            attributes=_variable_attrs(name, variable, schema, coords),
-            # Comparing every chunk with the fill value costs more than writing it; and a chunk then exists if and
-            # only if it was written.
-            config={"write_empty_chunks": True},
+            dtype=np.dtype(variable.dtype),
+            compression=COMPRESSION if variable.compressed else None,
+            dims=variable.dims,
+            attrs=_variable_attrs(name, variable, schema, coords),
         )
-        if name in small:
-            array[...] = np.asarray(small[name], dtype=variable.dtype)
-    files = {key: data.to_bytes() for key, data in memory.items() if key != "zarr.json"}
-    variable_metadata = {name: files[f"{name}/zarr.json"] for name in schema}
-    return files, _consolidate(memory["zarr.json"].to_bytes(), variable_metadata)
-
-
-def _consolidate(group: bytes, variables: Mapping[str, bytes]) -> bytes:
-    """Copy the variables' metadata into the group's, as zarr's own consolidation does, but without its warning.
-
-    Without the copy, xarray.open_zarr(path) warns. Metadata does not change after creation, so the copy stays valid.
-    """
-    metadata = json.loads(group)
-    inline = {name: json.loads(text) for name, text in variables.items()}
-    metadata["consolidated_metadata"] = {"kind": "inline", "must_understand": False, "metadata": inline}
-    return json.dumps(metadata, indent=2).encode()
+        metadata[name] = array_metadata(layout)
+        files[f"{name}/zarr.json"] = metadata_bytes(metadata[name])
+        if name in small and 0 not in shape:
+            values = np.ascontiguousarray(small[name], layout.dtype)
+            files[f"{name}/{chunk_name([0] * len(shape))}"] = b"".join(encode(values, compressed=variable.compressed))
+    return files, metadata_bytes(group_metadata(attributes, metadata))
 
 
 def put_file(place: LocalPlace, data: bytes) -> None:
