@@ -14,6 +14,7 @@ from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
+from scenes import write_store
 
 import blocksar
 
@@ -209,8 +210,21 @@ def test_a_plan_loads_neither_dask_nor_scipy_s_transforms_and_functions() -> Non
 
 def test_focus_loads_only_what_it_uses() -> None:
     """A run waits for its libraries before it plans."""
-    slow = ("pydantic", "scipy.ndimage", "scipy.special", "matplotlib", "xarray", "rasterio")
+    slow = ("pydantic", "scipy.ndimage", "scipy.special", "matplotlib", "xarray", "rasterio", "zarr")
     code = f"import blocksar.api.focusing, sys; print(*(name for name in {slow} if name in sys.modules))"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert run.stdout.split() == []
+
+
+def test_a_run_on_a_store_of_ours_does_without_zarr(tmp_path: Path) -> None:
+    """Nor does the process that workers are forked from; here the main process does their work."""
+    target = '[[targets]]\nname = "T"\nrange = 30000.0\nyaw_deg = 50.15\n'
+    store = write_store(tmp_path, pulses=64, steering=(50.0, 50.3), dwell=0.01, swath=[29900.0, 30100.0], more=target)
+    code = (
+        "import blocksar.graph.worker, blocksar.api.focusing, sys; "
+        f"blocksar.api.focusing.focus({str(store)!r}, {str(tmp_path / 'run')!r}, blocks=1, workers=0); "
+        "print(*(name for name in ('xarray', 'zarr') if name in sys.modules))"
+    )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
     assert run.stdout.split() == []
 

@@ -13,9 +13,11 @@ from blocksar.graph import reading, tasks  # noqa: E402, F401
 from blocksar.graph.compiling import compile_kernels  # noqa: E402
 from blocksar.kernels.fourier import fft_rows  # noqa: E402
 from blocksar.kernels.fresnel import fresnel_integral  # noqa: E402
+from blocksar.stores.chunk_files import zstd  # noqa: E402
 
 compile_kernels(apart=False)
 fft_rows(np.zeros((1, 2), np.complex64), inverse=False)  # imports, on the first call
 fresnel_integral(np.zeros(1))
+zstd()
 gc.freeze()  # a collection in a worker would write to the pages that it shares with the others
 gc.enable()

@@ -103,9 +103,9 @@ class LocalPlace(Place):
             os.close(descriptor)
 
     def zarr_path(self) -> StorePath:
-        from zarr.storage import LocalStore, StorePath
+        from blocksar.places.zarr_paths import of_folder
 
-        return StorePath(LocalStore(self.path))  # given as text, '://' and '::' would be taken for URLs
+        return of_folder(self.path)
 
     @contextmanager
     def lock(self) -> Iterator[None]:

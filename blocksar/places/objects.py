@@ -110,9 +110,9 @@ class ObjectPlace(Place):
         pass  # an object store keeps what it has acknowledged
 
     def zarr_path(self) -> StorePath:
-        from zarr.storage import ObjectStore, StorePath
+        from blocksar.places.zarr_paths import of_objects
 
-        return StorePath(ObjectStore(open_bucket(self.bucket)), self.key)
+        return of_objects(open_bucket(self.bucket), self.key)
 
     @contextmanager
     def lock(self) -> Iterator[None]:

@@ -8,11 +8,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from blocksar.errors import InputError, printable
 from blocksar.places.place import Place
-from blocksar.stores.arrays import dimension_names, metadata_file, open_array
+from blocksar.stores.arrays import dimension_names, metadata_file, open_variable
+from blocksar.stores.regions import read_array
 from blocksar.stores.schema import Variable
 
 NAMED = {
@@ -60,13 +59,14 @@ def read_channels(place: Place, count: int) -> tuple[str, ...]:
         raise InputError(f"variable channel (channel) is missing, and the samples have {count} channels; {REMEDY}")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # zarr's, about text of fixed length, which xarray writes
-        array = open_array(place, "channel")
+        array = open_variable(place, "channel")
         if dimension_names(array) != ("channel",) or array.shape != (count,):
             raise InputError(
                 f"channel has shape {array.shape} over {dimension_names(array)}, but the samples have {count} "
                 "channels; make them agree"
             )
-        return check_channels([text(value) for value in np.asarray(array[:])])
+        names = read_array(array, (slice(None),), place, "channel", label="channel")
+        return check_channels([text(name) for name in names])
 
 
 def text(value: Any) -> str:

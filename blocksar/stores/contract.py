@@ -4,19 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from math import prod
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import zarr
 
 from blocksar.arrays import FloatArray
 from blocksar.collection.collection import Collection
 from blocksar.errors import InputError
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
-from blocksar.stores.arrays import dimension_names, metadata_file, open_array, refuse_odd_chunks
+from blocksar.stores.arrays import (
+    dimension_names,
+    file_name,
+    file_shape,
+    metadata_file,
+    open_variable,
+    refuse_odd_chunks,
+)
+from blocksar.stores.chunk_files import ChunkFiles
 from blocksar.stores.regions import read_array
 from blocksar.stores.schema import OPTIONAL, PATTERNS, PHASE_HISTORY, RAW_ECHO, TRACK_AND_BEAM, UNITS, Variable
+
+if TYPE_CHECKING:
+    import zarr
 
 SAMPLES = ("signal", "echo")  # which may have a leading dimension `channel`
 MAX_AXIS = 1 << 22  # samples of an axis: metadata that states more is damaged, and could exhaust the memory
@@ -80,30 +90,32 @@ def check_units(name: str, variable: Variable, units: Any) -> None:
         raise InputError(f"{name} is in {units!r}, but must be in {variable.units}; convert it")
 
 
-def checked(place: Place, name: str) -> zarr.Array[Any]:
+def checked(place: Place, name: str) -> ChunkFiles | zarr.Array[Any]:
     """Open a variable of the contract, and check everything except its values."""
     variable = {**PHASE_HISTORY, **RAW_ECHO, **OPTIONAL}[name]
     if not metadata_file(place / name):
         raise missing(name, variable)
-    array = open_array(place, name)
+    array = open_variable(place, name)
     if isinstance(place, LocalPlace):
-        refuse_odd_chunks(place / name, len(array.metadata.encode_chunk_key((0,) * array.ndim).split("/")))
+        refuse_odd_chunks(place / name, len(file_name(array, [0] * array.ndim).split("/")))
     check_type(name, variable, dimension_names(array), array.dtype)
-    if max(array.shape) > MAX_AXIS or (name not in SAMPLES and array.size > 3 * MAX_AXIS):
+    size = prod(array.shape)
+    if max(array.shape) > MAX_AXIS or (name not in SAMPLES and size > 3 * MAX_AXIS):
         raise InputError(f"{name} claims the shape {array.shape}, beyond {MAX_AXIS} per axis; its metadata is damaged")
-    chunks = array.shards or array.chunks
+    chunks = file_shape(array)
     if not 0 < prod(chunks) * array.dtype.itemsize <= MAX_CHUNK:
         raise InputError(f"{name} claims chunks of {chunks}; its metadata is damaged, write it again")
-    if name not in SAMPLES and prod(chunks) * array.dtype.itemsize > max(MAX_PADDED, 2 * array.nbytes):
+    if name not in SAMPLES and prod(chunks) * array.dtype.itemsize > max(MAX_PADDED, 2 * size * array.dtype.itemsize):
         raise InputError(f"{name} has chunks of {chunks}, far larger than itself; write it again")
     count = prod(-(-n // chunk) for n, chunk in zip(array.shape, chunks, strict=True))
     if count > MAX_CHUNKS and name not in SAMPLES:
         raise InputError(f"{name} has {count} chunks, but is read as a whole; write it in at most {MAX_CHUNKS}")
-    attrs = array.attrs.asdict()
-    check_units(name, variable, attrs.get("units"))
-    packed = [key for key, idle in (("scale_factor", 1), ("add_offset", 0)) if attrs.get(key, idle) != idle]
+    check_units(name, variable, array.attrs.get("units"))
+    packed = [key for key, idle in (("scale_factor", 1), ("add_offset", 0)) if array.attrs.get(key, idle) != idle]
     if packed:
-        raise InputError(f"{name} is packed with {packed[0]} = {attrs[packed[0]]!r}; write its values as they are")
+        raise InputError(
+            f"{name} is packed with {packed[0]} = {array.attrs[packed[0]]!r}; write its values as they are"
+        )
     return array
 
 

@@ -16,9 +16,6 @@ from typing import Any
 
 import numpy as np
 import xxhash
-import zarr
-from zarr.core.buffer import default_buffer_prototype
-from zarr.storage import MemoryStore
 
 from blocksar.arrays import FloatArray
 from blocksar.errors import InputError, ProcessingError
@@ -129,6 +126,8 @@ def write_track(
     ProcessingError
         If the target cannot be written.
     """
+    from zarr.core.buffer import default_buffer_prototype
+
     memory: dict[str, Any] = {}
     prototype = default_buffer_prototype()
     try:
@@ -149,6 +148,9 @@ def _change(
     memory: dict[str, Any], positions: Mapping[str, FloatArray], attrs: Mapping[str, Any], *, consolidated: bool
 ) -> None:
     """Put positions and attributes into a store's metadata; consolidate it once more where it was."""
+    import zarr
+    from zarr.storage import MemoryStore
+
     version: Any = 3 if "zarr.json" in memory else 2
     store = MemoryStore(memory)
     with warnings.catch_warnings():

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xxhash
-import zarr
 
 from blocksar.arrays import ComplexArray, FloatArray, check_axis
 from blocksar.collection import sublooks
@@ -26,12 +25,13 @@ from blocksar.places import place as place_of
 from blocksar.places.local import LocalPlace
 from blocksar.places.objects import ObjectPlace, os_errors
 from blocksar.places.place import Place
-from blocksar.stores.arrays import metadata_file, open_array, refuse_codecs
+from blocksar.stores.arrays import metadata_file, open_variable, refuse_codecs
 from blocksar.stores.channels import attrs_of_channel, look_name, number_of, read_channels
-from blocksar.stores.chunk_files import chunk_files_of, refuse_odd_file
+from blocksar.stores.chunk_files import refuse_odd_file
 from blocksar.stores.contract import checked, number, read_real
 from blocksar.stores.creation import UNFINISHED
 from blocksar.stores.faults import cause_of, unreachable
+from blocksar.stores.layout import group_attrs
 from blocksar.stores.records import json_checksum
 from blocksar.stores.regions import chunk_names, read_array
 from blocksar.stores.schema import (
@@ -44,6 +44,7 @@ from blocksar.stores.schema import (
 
 if TYPE_CHECKING:
     import xarray as xr
+    import zarr
 
 GROUP_METADATA = (".zattrs", ".zgroup", ".zmetadata", "zarr.json")
 
@@ -98,7 +99,7 @@ class PhaseHistory:
     @property
     def chunks(self) -> tuple[int, int]:
         """Pulses and columns of one chunk."""
-        *_, pulse, column = open_array(self.path, self.variable).chunks
+        *_, pulse, column = open_variable(self.path, self.variable).chunks
         return int(pulse), int(column)
 
     def of_channel(self, name: str | None) -> PhaseHistory:
@@ -179,7 +180,7 @@ class PhaseHistory:
         """The same with the versions of those chunks only that hold these samples: its pickle is small."""
         if self.versions is None:
             return self
-        array = chunk_files_of(self.path, self.variable) or open_array(self.path, self.variable)
+        array = open_variable(self.path, self.variable)
         names = chunk_names(array, self._region(pulses, columns))
         return replace(self, versions={name: self.versions.get(name, "") for name in names})
 
@@ -196,7 +197,7 @@ class PhaseHistory:
         InputError
             If a chunk is damaged (the message names it), or the store has changed since it was opened or pinned.
         """
-        array = chunk_files_of(self.path, self.variable) or open_array(self.path, self.variable)
+        array = open_variable(self.path, self.variable)
         lead = (len(self.channels),) if self.channels else ()
         shape = (*lead, self.shape[0] if self.cut is None else self.cut[1], self.shape[1])
         if array.shape != shape:
@@ -256,7 +257,7 @@ class PhaseHistory:
 
     def _mine(self) -> set[str]:
         """The chunks that hold the channel."""
-        array = chunk_files_of(self.path, self.variable) or open_array(self.path, self.variable)
+        array = open_variable(self.path, self.variable)
         return set(chunk_names(array, self._region(slice(None), slice(None))))
 
 
@@ -269,11 +270,10 @@ def open_phase_history(path: Location) -> PhaseHistory:
         If there is no such store, it is damaged, or it departs from the contract; the message says where.
     """
     with _reading(path) as place:
-        group = _open_group(place)
+        attrs = _attrs(place)
         names = [name for name in ("signal", "echo") if metadata_file(place / name)]
         if len(names) != 1:
             raise not_one_of_two(names, (name for name in place.names() if metadata_file(place / name)))
-        attrs = _attrs(group)
         samples = checked(place, names[0])
         channels = read_channels(place, samples.shape[0]) if samples.ndim == 3 else ()
         for name, n in zip(
@@ -310,7 +310,7 @@ def read_collection(path: Location) -> tuple[Collection, dict[str, Any]]:
         As for `open_phase_history`.
     """
     with _reading(path) as place:
-        attrs = _attrs(_open_group(place))
+        attrs = _attrs(place)
         collection = _read_collection(place, attrs, None)
         return collection, {name: value for name, value in attrs.items() if name not in COLLECTION_ATTRS}
 
@@ -326,7 +326,8 @@ def open_dataset(path: Location) -> xr.Dataset:
     import xarray as xr  # takes half a second, and only this function needs it
 
     with _reading(path) as place:
-        group = _open_group(place)
+        with _group_metadata(place) as (name, _):
+            group = _open_group(place, name)
         for child in place.names() if isinstance(place, LocalPlace) else []:
             metadata_file(place / child)  # refuses pipes, at which zarr would hang
         with os_errors(place), warnings.catch_warnings():
@@ -359,7 +360,12 @@ def _reading(path: Location) -> Iterator[Place]:
         ) from error
 
 
-def _open_group(place: Place) -> zarr.Group:
+@contextmanager
+def _group_metadata(place: Place) -> Iterator[tuple[str, Any]]:
+    """Check that a place is a group; yield the name and the content of its metadata file.
+
+    An error in the block means that the file is damaged.
+    """
     if isinstance(place, LocalPlace) and place.exists():
         if not place.path.is_dir():
             raise InputError(
@@ -378,10 +384,7 @@ def _open_group(place: Place) -> zarr.Group:
         kind = json.loads((place / metadata).read_bytes())
         if metadata == ".zarray" or kind.get("node_type", "group") != "group":
             raise InputError(f"{place} is a single zarr array, not a group; give the path of the store that holds it")
-        # Consolidated metadata is a copy that may be out of date.
-        with os_errors(place):
-            version: Any = 3 if metadata == "zarr.json" else 2
-            return zarr.open_group(store=place.zarr_path(), mode="r", zarr_format=version, use_consolidated=False)
+        yield metadata, kind
     except (InputError, PermissionError):
         raise
     except Exception as error:
@@ -390,9 +393,22 @@ def _open_group(place: Place) -> zarr.Group:
         raise InputError(f"{place / metadata} is damaged ({cause_of(error)}); write the store again") from error
 
 
-def _attrs(group: zarr.Group) -> dict[str, Any]:
-    # xarray's list of variables, which is meaningless in another store.
-    return {name: value for name, value in group.attrs.asdict().items() if name != "coordinates"}
+def _open_group(place: Place, metadata: str) -> zarr.Group:
+    import zarr
+
+    # Consolidated metadata is a copy that may be out of date.
+    with os_errors(place):
+        version: Any = 3 if metadata == "zarr.json" else 2
+        return zarr.open_group(store=place.zarr_path(), mode="r", zarr_format=version, use_consolidated=False)
+
+
+def _attrs(place: Place) -> dict[str, Any]:
+    with _group_metadata(place) as (metadata, content):
+        attrs = group_attrs(content) if metadata == "zarr.json" else None
+        if attrs is None:
+            attrs = _open_group(place, metadata).attrs.asdict()
+    # xarray's list of variables is meaningless in another store.
+    return {name: value for name, value in attrs.items() if name != "coordinates"}
 
 
 def _read_collection(place: Place, attrs: Mapping[str, Any], range_frequency: FloatArray | None) -> Collection:

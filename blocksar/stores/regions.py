@@ -6,10 +6,9 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from itertools import product
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import zarr
 
 from blocksar.errors import InputError, ProcessingError
 from blocksar.places import Location
@@ -17,14 +16,14 @@ from blocksar.places import place as place_of
 from blocksar.places.local import LocalPlace
 from blocksar.places.objects import ObjectPlace, os_errors
 from blocksar.places.place import Place
-from blocksar.stores.arrays import dimension_names, open_array
+from blocksar.stores.arrays import dimension_names, file_name, file_shape, open_array, open_variable
 from blocksar.stores.chunk_files import Array, ChunkFiles, Region, check_out, chunk_files_of
 from blocksar.stores.faults import cause_of, unreachable
 
-OBJECTS_AT_ONCE = 16  # chunks in flight per call, to or from an object store: latency dominates
-FILES_AT_ONCE = 2  # chunks in flight per process: zarr's default of 10 is up to 1.7x slower, for copies of buffers
+if TYPE_CHECKING:
+    import zarr
 
-zarr.config.set({"async.concurrency": FILES_AT_ONCE})
+OBJECTS_AT_ONCE = 16  # chunks in flight per call, to or from an object store: latency dominates
 
 
 def write_region(path: Location, name: str, region: Sequence[slice], values: Array, *, cached: bool = False) -> None:
@@ -53,12 +52,12 @@ def write_region(path: Location, name: str, region: Sequence[slice], values: Arr
         If it cannot be written, for lack of space or permission for instance.
     """
     place = place_of(path)
-    array = chunk_files_of(place, name) or open_array(place, name, mode="r+")
+    array = open_variable(place, name, mode="r+")
     values = np.asarray(values)
     if len(region) != array.ndim:
         raise ValueError(f"{name} has {array.ndim} dimensions, but the region {region} has {len(region)}")
     bounds = [part.indices(n) for part, n in zip(region, array.shape, strict=True)]
-    chunks = array.chunks if isinstance(array, ChunkFiles) else array.shards or array.chunks
+    chunks = file_shape(array)
     for (start, stop, step), n, chunk in zip(bounds, array.shape, chunks, strict=True):
         if step != 1 or start % chunk or (stop % chunk and stop != n):
             raise ValueError(
@@ -115,8 +114,7 @@ def read_region(
         If there is no such store or variable, or a chunk is damaged; the message names the chunk.
     """
     place = place_of(path)
-    array = chunk_files_of(place, name) or open_array(place, name)
-    return read_array(array, tuple(region), place, name, out, cached=cached)
+    return read_array(open_variable(place, name), tuple(region), place, name, out, cached=cached)
 
 
 def chunk_shape(path: Location, name: str) -> tuple[int, ...]:
@@ -127,8 +125,7 @@ def chunk_shape(path: Location, name: str) -> tuple[int, ...]:
     InputError
         If there is no such store or variable.
     """
-    files = chunk_files_of(place_of(path), name)
-    return files.chunks if files is not None else tuple(open_array(place_of(path), name).chunks)
+    return tuple(open_variable(place_of(path), name).chunks)
 
 
 def share_region(path: Location, name: str, region: Region, *, source: Location, source_region: Region) -> bool:
@@ -239,16 +236,12 @@ def for_each_chunk(region: Region, chunks: Sequence[int], move: Callable[[Region
 
 def chunk_names(array: ChunkFiles | zarr.Array[Any], region: Region) -> Iterator[str]:
     """Iterate over the files that hold a region of step 1, by name relative to the variable."""
-    sides = array.chunks if isinstance(array, ChunkFiles) else array.shards or array.chunks
     cells = []
-    for part, n, side in zip(region, array.shape, sides, strict=True):
+    for part, n, side in zip(region, array.shape, file_shape(array), strict=True):
         start, stop, _ = part.indices(n)
         cells.append(range(start // side, -(-stop // side)))
     for cell in product(*cells):
-        if isinstance(array, ChunkFiles):
-            yield "/".join(("c", *map(str, cell)))
-        else:
-            yield array.metadata.encode_chunk_key(cell)
+        yield file_name(array, cell)
 
 
 def _cells(array: zarr.Array[Any], region: Region) -> Iterator[Region]:

@@ -1,9 +1,9 @@
-"""The layout of our stores: the same bytes as through zarr."""
+"""The layout of our stores: the same bytes as through zarr, and opened alike with and without it."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,10 @@ import zarr
 from zarr.codecs import ZstdCodec
 
 from blocksar import stores
-from blocksar.stores import schema
+from blocksar.collection.collection import Collection
+from blocksar.errors import InputError
+from blocksar.places import place
+from blocksar.stores import arrays, chunk_files, phase_history, schema
 from blocksar.stores.schema import Variable
 
 SCHEMAS: dict[str, dict[str, Variable]] = {
@@ -102,6 +105,109 @@ def test_a_store_has_the_bytes_that_zarr_writes(name: str, small: bool, tmp_path
         chunks=CHUNKS,
     )
     assert files_of(tmp_path / "own") == files_of(tmp_path / "zarr")
+
+
+def through_zarr(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave every array and group to zarr."""
+    monkeypatch.setattr(arrays, "chunk_files_of", lambda *_: None)
+    monkeypatch.setattr(phase_history, "group_attrs", lambda _: None)
+
+
+@pytest.fixture
+def own(small_collection: Collection, tmp_path: Path) -> Path:
+    stores.create_phase_history(tmp_path / "ph.zarr", small_collection, channels=("HH", "HV"), attrs={"scene": "s"})
+    return tmp_path / "ph.zarr"
+
+
+def test_a_store_is_opened_alike_through_zarr(own: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert all(
+        chunk_files.chunk_files_of(place(own), name)
+        for name in (*schema.PHASE_HISTORY, "channel")
+        if name != "beam_axis"
+    )
+    direct = stores.open_phase_history(own)
+    through_zarr(monkeypatch)
+    other = stores.open_phase_history(own)
+    assert direct.same(other) and direct.attrs == other.attrs and direct.channels == other.channels == ("HH", "HV")
+    assert direct.shape == other.shape and direct.chunks == other.chunks
+    assert list(direct.collection.as_dict()) == list(other.collection.as_dict())
+
+
+def variable(name: str, **changes: Any) -> Callable[[Path], None]:
+    """Change the metadata of a variable, or of the group."""
+
+    def change(store: Path) -> None:
+        file = store / name / "zarr.json"
+        file.write_text(json.dumps(json.loads(file.read_text()) | changes))
+
+    return change
+
+
+def chunk(name: str, content: bytes) -> Callable[[Path], None]:
+    def change(store: Path) -> None:
+        (store / name).write_bytes(content)
+
+    return change
+
+
+ZSTD = {"name": "zstd", "configuration": {"level": 3, "checksum": False}}
+BYTES = {"name": "bytes", "configuration": {"endian": "little"}}
+DEPARTURES: dict[str, Callable[[Path], None]] = {
+    "units": variable("time", attributes={"units": "ms"}),
+    "packed": variable("time", attributes={"scale_factor": 2}),
+    "attributes": variable("time", attributes=5),
+    "no names": variable("time", dimension_names=None),
+    "a text of names": variable("time", dimension_names="p"),
+    "other names": variable("time", dimension_names=["azimuth"]),
+    "too many names": variable("time", dimension_names=["pulse", "axis"]),
+    "transposed": variable("antenna_position", dimension_names=["axis", "pulse"]),
+    "integers": variable("signal", data_type="int16", fill_value=-1),
+    "too long": variable("time", shape=[1 << 25]),
+    "a huge chunk": variable(
+        "time", chunk_grid={"name": "regular", "configuration": {"chunk_shape": [1 << 40]}}
+    ),
+    "many chunks": variable("time", chunk_grid={"name": "regular", "configuration": {"chunk_shape": [1]}}),
+    "one pulse less": variable("time", shape=[255]),
+    "a level beyond zstd's": variable(
+        "time", codecs=[BYTES, {"name": "zstd", "configuration": {"level": 99, "checksum": False}}]
+    ),
+    "a word more of zstd": variable(
+        "time", codecs=[BYTES, {"name": "zstd", "configuration": {"level": 1, "checksum": False, "fast": True}}]
+    ),
+    "compressed, it says": variable("time", codecs=[BYTES, ZSTD]),
+    "a word more": variable("time", more={}),
+    "a short chunk": chunk("time/c/0", b"1234"),
+    "channels": variable("channel", shape=[3]),
+    "channels of another dimension": variable("channel", dimension_names=["look"]),
+    "a channel's name": chunk("channel/c/0", b"\2\0\0\0\2\0\0\0HH\2\0\0\0.."),
+    "no texts": chunk("channel/c/0", b""),
+    "too many texts": chunk("channel/c/0", b"\xff\xff\0\0\2\0\0\0HH\2\0\0\0HV"),
+    "a text without its end": chunk("channel/c/0", b"\2\0\0\0\2\0\0\0HH\x09\0\0\0HV"),
+    "a text that is none": chunk("channel/c/0", b"\2\0\0\0\2\0\0\0HH\2\0\0\0\xff\xff"),
+    "a group's attributes": variable("", attributes=[]),
+    "a group's version": variable("", zarr_format=4),
+    "a group's word more": variable("", more={}),
+    "a group that is none": variable("", node_type="array"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", DEPARTURES)
+def test_a_departure_is_refused_as_through_zarr(name: str, own: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    DEPARTURES[name](own)
+    with pytest.raises(InputError) as found:
+        stores.open_phase_history(own)
+    through_zarr(monkeypatch)
+    with pytest.raises(InputError) as expected:
+        stores.open_phase_history(own)
+    assert str(found.value) == str(expected.value)
+
+
+def test_no_group_without_consolidated_metadata_needs_zarr(own: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    metadata = json.loads((own / "zarr.json").read_text())
+    del metadata["consolidated_metadata"]
+    (own / "zarr.json").write_text(json.dumps(metadata))
+    monkeypatch.setattr(zarr, "open_group", None)
+    assert stores.open_phase_history(own).attrs["scene"] == "s"
 
 
 def test_text_is_written_and_read_by_region(tmp_path: Path) -> None:
