@@ -211,6 +211,7 @@ def test_a_plan_loads_neither_dask_nor_scipy_s_transforms_and_functions() -> Non
 def test_focus_loads_only_what_it_uses() -> None:
     """A run waits for its libraries before it plans."""
     slow = ("pydantic", "scipy.ndimage", "scipy.special", "matplotlib", "xarray", "rasterio", "zarr")
+    slow += ("blocksar.autofocusing",)
     code = f"import blocksar.api.focusing, sys; print(*(name for name in {slow} if name in sys.modules))"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
     assert run.stdout.split() == []

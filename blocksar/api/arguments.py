@@ -1,4 +1,4 @@
-"""Arguments that several commands share: the source and the grid."""
+"""Arguments that several commands share: the source, the grid and control points."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ from blocksar.places.place import Place
 if TYPE_CHECKING:
     import xarray as xr
 
+    from blocksar.measurement.targets import Target
     from blocksar.simulation.scene import Scene
 
 One: TypeAlias = "Location | xr.Dataset | stores.PhaseHistory"
@@ -219,6 +220,26 @@ def channels_of(source: Source) -> tuple[str, ...]:
     if not (place(first) / "channel").exists():  # sooner known than by opening the store
         return ()
     return history_of(first).channels
+
+
+def control_points(control: Location | Sequence[Target] | None, *, used: bool = True) -> tuple[Target, ...]:
+    """Read control points, as targets of `quality` are read; none by default.
+
+    Raises
+    ------
+    InputError
+        If there are none in the file, or they are not `used`.
+    """
+    if control is None:
+        return ()
+    if not used:
+        raise InputError("control is given without autofocus, which alone uses it; give both, or leave it out")
+    from blocksar.api.target_files import targets_of  # with SciPy, slow to load
+
+    found = tuple(targets_of(control, {}))
+    if not found:
+        raise InputError(f"control {control} names no points; give some, or leave it out")
+    return found
 
 
 def is_dataset(source: object) -> bool:

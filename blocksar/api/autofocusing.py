@@ -12,10 +12,10 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 from blocksar import stores
-from blocksar.api.arguments import GridLike, grid_of, history_of, memory_of
+from blocksar.api.arguments import GridLike, control_points, grid_of, history_of, memory_of
 from blocksar.api.ground import read_ground
 from blocksar.api.reports import Report
-from blocksar.api.tracks import TrackEstimate, control_points
+from blocksar.api.tracks import TrackEstimate
 from blocksar.autofocusing.finishing import Result
 from blocksar.collection.terrain import Surface
 from blocksar.errors import InputError, ProcessingError

@@ -13,14 +13,22 @@ from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from blocksar.api.arguments import GridLike, Source, blocks_of, fidelity_of, grid_of, in_this_process, memory_of
+from blocksar.api.arguments import (
+    GridLike,
+    Source,
+    blocks_of,
+    control_points,
+    fidelity_of,
+    grid_of,
+    in_this_process,
+    memory_of,
+)
 from blocksar.api.jobs import Job, Request
 from blocksar.api.joint import focus_members, members_of
 from blocksar.api.plan_lines import outside_window, short_dwells, undersampling, wobbling_beam
 from blocksar.api.rehearsing import rehearse
 from blocksar.api.run_stages import carry_out
 from blocksar.api.shown import RunReport, is_measurable
-from blocksar.api.tracks import control_points, track_corrected
 from blocksar.budget import FIDELITY
 from blocksar.collection.terrain import Surface
 from blocksar.collection.weighting import Weighting
@@ -233,8 +241,13 @@ def focus(
             return _report_finished(request.folder, record, discard=discard, claimed=True)
         if here:
             connected = cluster.open_here(listener)
-        with track_corrected(request, machine, connected, listener) as (corrected, said, connected):
-            report = _focus(corrected, record, machine, connected, listener, profile)
+        said: list[str] = []
+        if request.autofocus:
+            from blocksar.api.tracks import track_corrected  # with all of `autofocusing`, which takes 20 ms to load
+
+            corrected = track_corrected(request, machine, connected, listener)
+            request, said, connected = stack.enter_context(corrected)
+        report = _focus(request, record, machine, connected, listener, profile)
         return replace(report, summary=[*said, *report.summary])
 
 

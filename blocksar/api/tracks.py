@@ -26,7 +26,6 @@ from blocksar.graph.machine import Resources
 from blocksar.graph.track_stages import estimate_track
 from blocksar.ingestion.terrain.reading import Ground
 from blocksar.measurement.targets import Target
-from blocksar.places import Location
 from blocksar.places.place import Place
 from blocksar.planning.memory import checked_memory, compression_memory, track_memory
 from blocksar.progress import Listener
@@ -202,31 +201,11 @@ class TrackEstimate:
         ]
 
 
-def control_points(control: Location | Sequence[Target] | None, *, used: bool = True) -> tuple[Target, ...]:
-    """Read control points, as targets of `quality` are read; none by default.
-
-    Raises
-    ------
-    InputError
-        If there are none in the file, or they are not `used`.
-    """
-    if control is None:
-        return ()
-    if not used:
-        raise InputError("control is given without autofocus, which alone uses it; give both, or leave it out")
-    from blocksar.api.target_files import targets_of  # with SciPy, slow to load
-
-    found = tuple(targets_of(control, {}))
-    if not found:
-        raise InputError(f"control {control} names no points; give some, or leave it out")
-    return found
-
-
 @contextmanager
 def track_corrected(
     request: Request, machine: Resources, client: Client | None, listener: Listener
 ) -> Iterator[tuple[Request, list[str], Client | None]]:
-    """Correct the track of a run's input if asked to, in a folder of the run: the request, sentences and a client.
+    """Correct the track of a run's input, in a folder of the run: the request, sentences and a client.
 
     The client is that of the local cluster which the correction started, if it needed one: the run goes on with it. The
     folder stays until the run is finished, for runs that are resumed; an InputError removes it.
@@ -238,9 +217,6 @@ def track_corrected(
     ProcessingError
         If processing fails.
     """
-    if not request.autofocus:
-        yield request, [], client
-        return
     folder, local = request.folder / run_folder.TRACK, client is None
     try:
         with ExitStack() as stack:
