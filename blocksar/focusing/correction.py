@@ -62,7 +62,7 @@ class Tiles(NamedTuple):
     side : int
         Pixels along a side of each.
     places : (n, 3) int64
-        First row and column, and whether the block owns all pixels.
+        First row and column, and whether the block owns all pixels, and their ranges are not needed.
     polynomials : (n, TILE_DEGREE + 1, 6 (TILE_DEGREE + 1)) float or None
         Power coefficients in tile coordinates (y, x) in [-1, 1]; None on a terrain, where heights decide on them.
     """
@@ -145,8 +145,6 @@ def correct(
     yaw_start = float(ground.yaw_axis[0] - ground.middle_yaw)
     yaw_step = float(ground.yaw_axis[1] - ground.yaw_axis[0])
     weight = _weight(ground)
-    if ground.lit.ndim > 1:
-        places = np.column_stack([places[:, :2], np.zeros(len(places), np.int64)])  # the range of each is needed
     x, y, near_limit, far_limit = (np.ascontiguousarray(v) for v in (x, y, ground.near_limit, ground.far_limit))
     floats = _with_room(block, *widths).view(np.float32)
 
@@ -168,6 +166,8 @@ def tiles_of(ground: GroundMap, windows: Sequence[tuple[FloatArray, FloatArray]]
     places, owner = _owned(ground, windows, [(side, side) for side in sides])
     polynomials = None
     if ground.relief is None:
+        if ground.lit.ndim > 1:
+            places[:, 2] = 0  # so that the range of every pixel is at hand
         polynomials = _tile_polynomials(ground, windows, np.array(sides)[owner], places, owner)
     ends = np.searchsorted(owner, np.arange(len(windows) + 1))
     return [

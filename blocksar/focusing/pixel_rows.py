@@ -245,15 +245,6 @@ def sum_windows_bent(  # type: ignore[no-untyped-def]
     for k in range(at.size):
         if at[k] < 0:
             continue
-        if range_width == RANGE_UNIT and tap_step[k] == FEW:
-            weights = taps_between(range_taps, range_at[k], range_step, range_part[k])
-            column, taps, phasor = weigh_rows(flat, at[k], stride, weights), tap_at[k], carrier_at[k]
-            cos, sin = load_few(carriers, phasor), load_few(carriers, phasor + carrier_step)
-            straight = column * taps_between(real_taps, taps, FEW, doppler_part[k])
-            bent = column * taps_between(imag_taps, taps, FEW, doppler_part[k])
-            re, im = totals(straight * cos - bent * sin, straight * sin + bent * cos)
-            real[k], imag[k] = re, im
-            continue
         below, above = spread_few(np.float32(0.0)), spread_few(np.float32(0.0))
         for m in range(0, tap_step[k], FEW):
             column = spread_few(np.float32(0.0))
@@ -270,9 +261,7 @@ def sum_windows_bent(  # type: ignore[no-untyped-def]
 
 
 @njit(**PART, **COMPILED)
-def write_row(  # type: ignore[no-untyped-def]
-    numbers, first, n, amplitude, own_real, own_imag, real, imag
-):  # fmt: skip
+def write_row(numbers, first, n, amplitude, own_real, own_imag, real, imag) -> None:  # type: ignore[no-untyped-def]
     """numbers[first : first + 2 n] = the first n sums times amplitude and own phase; NaN where there is no amplitude.
 
     Real and imaginary parts alternate in `numbers`. `real` and `imag` are overwritten.
