@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -19,9 +20,9 @@ from blocksar.autofocusing.selection import Points
 from blocksar.autofocusing.work import FILTER_LENGTH
 
 HALVES_TO_WHOLE = 0.5  # each half has twice the variance of the whole, and their difference four times that
-# A random walk of the velocity, as navigation has it, has a displacement whose power falls with the fourth power of
-# frequency: of f/2 .. f it is 2^3 - 1 times that beyond f.
-OCTAVE_TO_BEYOND = 7.0
+# The power of an octave of the displacement over that of the next: of a random walk of the position, whose spectrum
+# falls with the square of frequency, and of one of the velocity, as navigation has it, with the fourth power.
+OCTAVE_RATIO = 2.0, 8.0
 # What points of a pattern, or of measured ground, do to each other is alike in both halves, in phase as in amplitude,
 # where it is seen: alike, if what is added to a point has any phase; in amplitude alone, if its neighbours lie
 # symmetrically. A fifth in phase serves patterns of 6 x 6 to 14 x 14 points, clutter and measured ground.
@@ -46,11 +47,12 @@ def predicted_error(chips: Chips, points: Points, correction: Correction, halves
     each = defocus(chips, chips.work.wavenumber * chips.los(halves[0] - halves[1]))
     # Of chips as most are: those at the very ends of a collection would count for all. Beside a gap they are to count.
     usual = float(np.median(each) if far_from_gaps(chips).all() else each.mean())
-    beyond = correction.fine_error or unfollowed(chips, correction, halves)
     # The last two loops are two estimates, too; half of what they differ by is how far each is from their mean.
     unsettled = 0.5 * last["step"] if last["step"] > settings.step else 0.0
     moved = correction.displacement - correction.previous
     sharp = chips.recentred(moved).corrected(moved)
+    # As a random walk goes on, but never more than the samples show.
+    beyond = correction.fine_error or min(unfollowed(chips, correction, halves), fine_samples(sharp, correction))
     patterns = AMPLITUDE_TO_PHASE * amplitude_in_common(sharp, correction)
     across = told_across_gaps(sharp, correction)
     alike = alike_nearby(sharp, points, correction)
@@ -155,15 +157,35 @@ def far_from_gaps(chips: Chips) -> BoolArray:
     return far
 
 
+def fine_samples(chips: Chips, correction: Correction) -> float:
+    """Phase of the samples that splines do not follow, rad rms, of the median chip: the error, noise and neighbours.
+
+    `chips` are corrected, about their brightest scatterers.
+    """
+    knots = Knots(work=chips.work, n_interval=intervals(chips.work), time=chips.time)
+    phase = shared_samples(chips, correction.weights)[:, 0]
+    fine = phase - knots.smooth(phase[:, None])[:, 0]
+    return float(np.median(defocus(chips, fine[chips.index])))
+
+
 def unfollowed(chips: Chips, correction: Correction, halves: Sequence[FloatArray]) -> float:
     """Error too fine for the splines, rad rms, of the median chip: what is left if nothing so fine is believed.
 
-    From what both halves share of the finest octave that splines follow.
+    From what both halves share of the two finest octaves that splines follow: power falls from octave to octave by the
+    same ratio q, and of all beyond there is 1 / (q - 1) of the last one's.
     """
-    finest, octaves = intervals(chips.work), []
-    fine, coarse = (Knots(work=chips.work, n_interval=n, time=chips.time) for n in (finest, finest // 2))
+    each: list[list[FloatArray]] = []
+    splines = [Knots(work=chips.work, n_interval=intervals(chips.work) // step, time=chips.time) for step in (1, 2, 4)]
     for half in halves:
-        smooth = fine.smooth(correction.previous + half)
-        octaves.append(chips.work.wavenumber * chips.los(smooth - coarse.smooth(smooth)))
-    shared = np.where(chips.told, octaves[0] * octaves[1], 0.0).sum(axis=1) / np.maximum(chips.told.sum(axis=1), 1)
-    return float(np.sqrt(max(float(np.median(shared[chips.count >= LEAST_COUNT])), 0.0) / OCTAVE_TO_BEYOND))
+        finest = splines[0].smooth(correction.previous + half)
+        curves = [finest, *(spline.smooth(finest) for spline in splines[1:])]
+        each.append([chips.work.wavenumber * chips.los(fine - coarse) for fine, coarse in pairwise(curves)])
+    usual = chips.count >= LEAST_COUNT
+
+    def power(one: FloatArray, other: FloatArray) -> float:
+        shared = np.where(chips.told, one * other, 0.0).sum(axis=1) / np.maximum(chips.told.sum(axis=1), 1)
+        return max(float(np.median(shared[usual])), 0.0)
+
+    last, before = map(power, *each)
+    ratio = float(np.clip(before / max(last, 1e-300), *OCTAVE_RATIO))
+    return math.sqrt(last / (ratio - 1))

@@ -20,7 +20,7 @@ from blocksar.autofocusing.information import factor, information, solve
 from blocksar.autofocusing.least_squares import by_least_squares, point_phases
 from blocksar.autofocusing.minimising import minimise
 from blocksar.autofocusing.phase_gradient import add_rows, line_of_sight, strongest_lines, sum_along
-from blocksar.autofocusing.prediction import alike_nearby, bends, far_from_gaps, unfollowed
+from blocksar.autofocusing.prediction import alike_nearby, bends, far_from_gaps, fine_samples, unfollowed
 from blocksar.autofocusing.range_lines import range_profiles, take_chips, take_lines, taps
 from blocksar.autofocusing.robust import own_errors
 from blocksar.autofocusing.selection import Points, find_candidates
@@ -230,15 +230,25 @@ def test_whole_turns_are_counted(work: Work) -> None:
 
 
 def test_what_splines_do_not_follow_is_told_by_what_both_halves_share(work: Work) -> None:
-    """Of a random walk of the velocity they share the finest octave, of a smooth error and of their noise nothing."""
+    """Of random walks they share the finest octaves, of a smooth error and of their noise nothing."""
     chips, random = synthetic_chips(work, np.zeros(work.n_sample)), np.random.default_rng(5)
     knots = Knots(work=work, n_interval=intervals(work), time=work.sample_times)
-    walk, sight = random.standard_normal(work.n_sample).cumsum().cumsum(), np.array([0.8, 0.0, -0.6])
-    for error in (4e-5 * walk, 0.02 * np.cos(9 * np.linspace(-1, 1, work.n_sample))):  # m
+    walk, sight = random.standard_normal(work.n_sample).cumsum(), np.array([0.8, 0.0, -0.6])  # of the position
+    for error in (4e-5 * walk.cumsum(), 1e-4 * walk, 0.02 * np.cos(9 * np.linspace(-1, 1, work.n_sample))):  # m
         halves = [error[:, None] * sight + 1e-5 * random.standard_normal((work.n_sample, 3)) for _ in range(2)]
         beyond = work.wavenumber * np.std(error - knots.smooth(error[:, None])[:, 0])
         assert (beyond > 5e-3) == (error[0] != error[-1])
         assert unfollowed(chips, Correction.none(work), halves) == pytest.approx(beyond, rel=0.5, abs=2e-3)
+
+
+def test_samples_show_what_splines_do_not_follow(work: Work) -> None:
+    """It limits the prediction, which supposes that a random walk goes on."""
+    random = np.random.default_rng(6)
+    for size in (0.05, 0.2):  # rad, rms
+        phase = size * random.standard_normal(work.n_sample)
+        chips = synthetic_chips(work, phase)
+        everybody = replace(Correction.none(work), weights=np.ones(chips.count.size))
+        assert fine_samples(chips, everybody) == pytest.approx(size, rel=0.35)
 
 
 def test_what_points_nearby_have_alike_is_told(work: Work) -> None:
