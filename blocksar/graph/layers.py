@@ -23,6 +23,7 @@ from blocksar.focusing.terrain_layers import (
     reach,
     visibility,
 )
+from blocksar.graph.alike import AlikeChunks
 from blocksar.graph.spectrum import Window
 from blocksar.kernels.occlusion import UNKNOWN
 from blocksar.runs.receipts import Run, write
@@ -132,9 +133,9 @@ class TerrainLayers:
         return _Surfaces(height, {number: angle for number, (_, angle) in found.items()}, around)
 
 
-def write_layers(run: Run, window: Window, layers: Mapping[str, NDArray[Any]]) -> list[Written]:
+def write_layers(alike: AlikeChunks, window: Window, layers: Mapping[str, NDArray[Any]]) -> list[Written]:
     """Write layers of a chunk of the image, given by name."""
-    return [write(run, run.image, name, window, values) for name, values in layers.items()]
+    return [alike.write(name, window, values) for name, values in layers.items()]
 
 
 def write_noise(

@@ -28,6 +28,7 @@ from blocksar.focusing.ground_map import GroundMap
 from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.step import Stage
 from blocksar.focusing.terrain_layers import Sight
+from blocksar.graph.alike import AlikeChunks
 from blocksar.graph.edges import Edges, by_yaw, read_valid
 from blocksar.graph.layers import GroundHeights, TerrainLayers, local_terrain, sights_of, write_layers, write_noise
 from blocksar.graph.segments import Margins, Merged
@@ -185,7 +186,7 @@ def write_patch(
     first_y, first_x, _, _ = patch_window(ground, grid)
     side = image_chunk(grid)
     layers = TerrainLayers(run, grid, {} if sight is None else {block.index: sight})
-    heights = GroundHeights(run, grid, on_terrain=ground.relief is not None)
+    heights, alike = GroundHeights(run, grid, on_terrain=ground.relief is not None), AlikeChunks(run)
     assert samples.values is not None
     chunks = [np.empty(side[0] * side[1], np.complex64) for _ in range(WRITES_AT_ONCE + 1)]
     with WritesBehind(len(chunks)) as behind:
@@ -203,10 +204,10 @@ def write_patch(
                 edges.add(pixels, kept, ground, window, grid, height=z, threads=run.threads)
             if (owner := _owner(pixels, block.index)) is None:
                 continue
-            origin = (first_y, first_x)
-            behind.submit(_write_pixels, run, block, pixels, owner, window, origin, grid, noise, z, merged=merged)
+            part = _shifted(window, (first_y, first_x))
+            behind.submit(_write_pixels, run, block, pixels, owner, window, part, grid, noise, z, alike, merged=merged)
             if sight is not None and not merged:
-                behind.submit(write_layers, run, window, layers.over(window, owner))
+                behind.submit(write_layers, alike, window, layers.over(window, owner))
     seconds = samples.seconds | {"geometric-correction": time.perf_counter() - started}
     # The receipt covers the whole block: the tasks before this one have no receipts.
     receipt = Receipt(
@@ -251,27 +252,28 @@ def _write_pixels(
     pixels: ComplexArray,
     owner: NDArray[np.int16] | int,
     window: Window,
-    origin: tuple[int, int],
+    part: Window,
     grid: Grid,
     noise: NoiseMap | None,
     height: FloatArray | None,
+    alike: AlikeChunks,
     *,
     merged: bool,
 ) -> list[Written]:
-    """Write a chunk of a patch, and of the image unless the mosaic merges it; `owner` as `_owner` has it."""
+    """Write a chunk of a patch, and of the image unless the mosaic merges it; `owner` as `_owner` has it.
+
+    It is `window` in the image and `part` in the patch.
+    """
     patch = run.patch(block.name)
-    part = _shifted(window, origin)
     written = write(run, patch, "image", part, pixels)
     if merged:
         return [written]
-    if isinstance(owner, int):
-        owner = np.full(pixels.shape, owner, np.int16)
     of = {} if run.collection is None else {block.index: run.collection}
     noises = {} if noise is None else {block.index: noise}
     return [
         written,
-        *_write_image(run, window, pixels, owner, of, (patch, part), written.checksum),
-        *write_noise(run, window, owner, grid, noises, height),
+        *_write_image(run, window, pixels, np.asarray(owner, np.int16), of, (patch, part), written.checksum, alike),
+        *write_noise(run, window, np.broadcast_to(np.int16(owner), pixels.shape), grid, noises, height),
     ]
 
 
@@ -283,8 +285,9 @@ def _write_image(
     collections: Mapping[int, int],
     patch: tuple[Place, Window] | None,
     checksum: str,
+    alike: AlikeChunks,
 ) -> list[Written]:
-    """Write a chunk of the image, and its owners.
+    """Write a chunk of the image, and its owners; `owner` may be the one of all pixels, of no dimension.
 
     A chunk that equals that of a patch, whose checksum is given, shares its storage where that is possible.
     """
@@ -293,17 +296,19 @@ def _write_image(
         image = Written(run.name_of(run.image), "image", span, checksum)
     else:
         image = write(run, run.image, "image", window, pixels)
-    return [image, *_write_owner(run, window, owner, collections)]
+    return [image, *_write_owner(alike, window, owner, collections)]
 
 
-def _write_owner(run: Run, window: Window, owner: NDArray[np.int16], collections: Mapping[int, int]) -> list[Written]:
+def _write_owner(
+    alike: AlikeChunks, window: Window, owner: NDArray[np.int16], collections: Mapping[int, int]
+) -> list[Written]:
     """Write the block that each pixel of a chunk comes from; also its collection, if blocks have one."""
-    written = [write(run, run.image, "block", window, owner)]
+    written = [alike.write("block", window, owner)]
     if collections:
         numbers = np.full(owner.shape, -1, np.int16)
         for block, collection in collections.items():
             numbers[owner == block] = collection
-        written.append(write(run, run.image, "collection", window, numbers))
+        written.append(alike.write("collection", window, numbers))
     return written
 
 
@@ -326,8 +331,9 @@ def merge_chunks(
     parts: list[Written] = []
     every = [part for patches in cells.values() for part in patches]
     layers = TerrainLayers(run, grid, {part.block: sights[part.segment] for part in every} if sights else {})
+    alike = AlikeChunks(run)
     for cell, patches in cells.items():
-        parts += _merge(run, cell, patches, grid, margins[cell], noises or {}, layers)
+        parts += _merge(run, cell, patches, grid, margins[cell], noises or {}, layers, alike)
     return sign(run, Receipt(unit=unit, stage="mosaic", written=tuple(parts)), started)
 
 
@@ -339,6 +345,7 @@ def _merge(
     margins: Margins,
     noises: Mapping[int, NoiseMap],
     layers: TerrainLayers,
+    alike: AlikeChunks,
 ) -> list[Written]:
     """Write the image of one output chunk, its layers, and the block that each pixel comes from."""
     window = chunk_window(cell, grid)
@@ -357,9 +364,9 @@ def _merge(
     collections = {part.block: part.collection for part in parts if part.collection is not None}
     of_blocks = {part.block: noises[part.segment] for part in parts if noises}
     return [
-        *_write_image(run, window, image, owner, collections, source, parts[0].checksum),
+        *_write_image(run, window, image, owner, collections, source, parts[0].checksum, alike),
         *write_noise(run, window, owner, grid, of_blocks, layers.heights.over(window) if of_blocks else None),
-        *write_layers(run, window, layers.over(window, owner)),
+        *write_layers(alike, window, layers.over(window, owner)),
     ]
 
 
@@ -391,13 +398,13 @@ def add_layers(
     other threads while the next ones are computed.
     """
     started = time.perf_counter()
-    layers = TerrainLayers(run, grid, sights)
+    layers, alike = TerrainLayers(run, grid, sights), AlikeChunks(run)
     with WritesBehind() as behind:
         for cell, block in cells.items():
             behind.turn()
             window = chunk_window(cell, grid)
             owner = stores.read_region(run.image, "block", window, cached=False) if block is None else block
-            behind.submit(write_layers, run, window, layers.over(window, owner))
+            behind.submit(write_layers, alike, window, layers.over(window, owner))
     return sign(run, Receipt(unit=unit, stage="mosaic", written=behind.written), started)
 
 
@@ -429,12 +436,12 @@ def back_project_chunk(
         collections = {source.number: source.collection for source in sources if source.collection is not None}
         noises = {source.number: source.noise for source in sources if source.noise is not None}
         seen = [(source.number, source.geometry) for source in sources if on_terrain]
-        layers = TerrainLayers(run, grid, sights_of(run, grid, seen))
+        layers, alike = TerrainLayers(run, grid, sights_of(run, grid, seen)), AlikeChunks(run)
         parts = [
             write(run, run.image, "image", window, image),
-            *_write_owner(run, window, owner, collections),
+            *_write_owner(alike, window, owner, collections),
             *write_noise(run, window, owner, grid, noises, layers.heights.over(window) if noises else None),
-            *write_layers(run, window, layers.over(window, owner)),
+            *write_layers(alike, window, layers.over(window, owner)),
         ]
     return sign(run, Receipt(unit=unit, stage="backprojection", written=tuple(parts)), started)
 
