@@ -40,7 +40,7 @@ from blocksar.focusing.pixel_rows import (
     turn_windows,
     write_row,
 )
-from blocksar.focusing.relief_correction import bent_taps_of, resample_on_relief
+from blocksar.focusing.relief_correction import bent_taps_of, resample_on_relief, tile_polynomials
 from blocksar.kernels import interpolation
 from blocksar.kernels.groups import run_groups
 from blocksar.kernels.lanes import FEW
@@ -63,13 +63,16 @@ class Tiles(NamedTuple):
         Pixels along a side of each.
     places : (n, 3) int64
         First row and column, and whether the block owns all pixels, and their ranges are not needed.
-    polynomials : (n, TILE_DEGREE + 1, 6 (TILE_DEGREE + 1)) float or None
-        Power coefficients in tile coordinates (y, x) in [-1, 1]; None on a terrain, where heights decide on them.
+    polynomials : (n, TILE_DEGREE + 1, 6 (TILE_DEGREE + 1)) float
+        Power coefficients in tile coordinates (y, x) in [-1, 1]; on a terrain as `relief_correction` has them.
+    heights : (n, 2) float or None
+        On a terrain, middle and half of the heights of each, m.
     """
 
     side: int
     places: IntArray
-    polynomials: FloatArray | None
+    polynomials: FloatArray
+    heights: FloatArray | None
 
 
 def touched(ground: GroundMap, *, x: FloatArray, y: FloatArray, side: tuple[int, int]) -> IntArray:
@@ -123,14 +126,14 @@ def correct(
         out[...] = sum_waves(weigh_equally, replace(ground, waves=None), ground.waves, x=x, y=y)
         return out
     out[...] = np.nan + 1j * np.nan
-    side, places, polynomials = tiles or tiles_of(ground, [(x, y)])[0]
+    tiles = tiles or tiles_of(ground, [(x, y)], [z])[0]
+    side, places, polynomials, _ = tiles
     if places.shape[0] == 0:
         return out
     if ground.relief is not None:
         assert z is not None
-        _correct_on_relief(block, ground, out, places, side, x=x, y=y, z=z, threads=threads)
+        _correct_on_relief(block, ground, out, tiles, x=x, y=y, z=z, threads=threads)
         return out
-    assert polynomials is not None
     n_taps = ground.range_taps[0], ground.doppler_taps[0]
     range_taps, doppler_taps = _range_taps(*ground.range_taps), _doppler_taps(*ground.doppler_taps)
     widths = -(-n_taps[0] // RANGE_UNIT) * RANGE_UNIT, doppler_taps.shape[1] // 2
@@ -160,34 +163,45 @@ def correct(
     return out
 
 
-def tiles_of(ground: GroundMap, windows: Sequence[tuple[FloatArray, FloatArray]]) -> list[Tiles]:
-    """The tiles of some windows, each given by its x (n_x,) and y (n_y,), m, uniform."""
+def tiles_of(
+    ground: GroundMap,
+    windows: Sequence[tuple[FloatArray, FloatArray]],
+    heights: Sequence[FloatArray | None],
+) -> list[Tiles]:
+    """The tiles of some windows, each given by its x (n_x,) and y (n_y,), m, uniform.
+
+    `heights`, each (n_y, n_x), m, are those of the windows, which a ground map with relief needs; None without.
+    """
     sides = _tile_sides(ground, windows)
     places, owner = _owned(ground, windows, [(side, side) for side in sides])
-    polynomials = None
-    if ground.relief is None:
+    side, spans = np.array(sides)[owner], None
+    if ground.relief is not None:
+        polynomials, spans = tile_polynomials(ground, windows, heights, side, places, owner)
+    else:
         if ground.lit.ndim > 1:
             places[:, 2] = 0  # so that the range of every pixel is at hand
-        polynomials = _tile_polynomials(ground, windows, np.array(sides)[owner], places, owner)
+        polynomials = _plane_polynomials(ground, windows, side, places, owner)
     ends = np.searchsorted(owner, np.arange(len(windows) + 1))
     return [
-        Tiles(side, places[first:end], None if polynomials is None else polynomials[first:end])
-        for side, first, end in zip(sides, ends[:-1], ends[1:], strict=True)
+        Tiles(one, places[first:end], polynomials[first:end], None if spans is None else spans[first:end])
+        for one, first, end in zip(sides, ends[:-1], ends[1:], strict=True)
     ]
 
 
 def _correct_on_relief(
-    block: ComplexArray, ground: GroundMap, out: ComplexArray, tiles: IntArray, tile: int, *, x: FloatArray,
-    y: FloatArray, z: FloatArray, threads: int,
+    block: ComplexArray, ground: GroundMap, out: ComplexArray, tiles: Tiles, *, x: FloatArray, y: FloatArray,
+    z: FloatArray, threads: int,
 ) -> None:  # fmt: skip
     """Write the owned pixels to `out`, by a ground map with relief."""
+    assert tiles.heights is not None
     doppler_taps, most_bend = bent_taps_of(ground)
     widths = -(-ground.range_taps[0] // RANGE_UNIT) * RANGE_UNIT, doppler_taps.width[0]
     floats = _with_room(block, *widths).view(np.float32)
     floats.flags.writeable = False
     near_limit, far_limit = np.array(ground.near_limit), np.array(ground.far_limit)
     resample_on_relief(
-        ground, floats, out, tiles, x=np.array(x), y=np.array(y), z=z, tile=tile, group=TILE_GROUP, threads=threads,
+        ground, floats, out, tiles.places, (tiles.polynomials, tiles.heights), x=np.array(x), y=np.array(y), z=z,
+        tile=tiles.side, group=TILE_GROUP, threads=threads,
         range_taps=(_range_taps(*ground.range_taps), ground.range_taps[0], widths[0]), doppler_taps=doppler_taps,
         most_bend=most_bend, carriers=_carriers(widths[1]), limits=(near_limit, far_limit), weight=_weight(ground),
     )  # fmt: skip
@@ -250,7 +264,7 @@ def _owned(
     return np.ascontiguousarray(places[touched]), owner[touched]
 
 
-def _tile_polynomials(
+def _plane_polynomials(
     ground: GroundMap, windows: Sequence[tuple[FloatArray, FloatArray]], side: IntArray, places: IntArray,
     owner: IntArray,
 ) -> FloatArray:  # fmt: skip

@@ -11,6 +11,7 @@ a sum over the dwell, takes it out: each pixel has the taps for its own bend.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -63,7 +64,6 @@ N_BEND = 96  # steps between the most negative bend and the most positive one
 LEAST_BEND = 1e-3  # cycles at the dwell's ends: less is left
 FLOAT_ROW, TRIPLE = types.Array(types.float32, 1, "C", readonly=True), TUPLE((types.int64,) * 3)
 NODE_VALUES = types.Array(types.float64, 5, "C", readonly=True)
-INDEX_ROWS = types.Array(types.int64, 2, "C", readonly=True)
 LEVEL = 1e-3  # m: half the relief of a tile at least
 
 
@@ -165,19 +165,42 @@ def nodes_of(degree: int) -> tuple[FloatArray, FloatArray]:
 
 
 def tile_polynomials(
-    ground: GroundMap, x: FloatArray, y: FloatArray, z: FloatArray, tiles: IntArray, tile: int
-) -> tuple[FloatArray, FloatArray]:
-    """Coefficients (n_tile, 4, 3 * 7 * 4) in tile coordinates, and middle and half of the heights (n_tile, 2), m."""
+    ground: GroundMap, windows: Sequence[tuple[FloatArray, FloatArray]], heights: Sequence[FloatArray | None],
+    side: IntArray, places: IntArray, owner: IntArray,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    """Polynomials and heights of tiles: of sides `side` (n,), at `places` (n, 3) of the windows `owner` (n,).
+
+    Parameters
+    ----------
+    windows : sequence of ((n_x,) float, (n_y,) float)
+        Their x and y, m.
+    heights : sequence of (n_y, n_x) float
+        Theirs, m.
+    owner : (n,) int
+        Ascending.
+
+    Returns
+    -------
+    (n, 4, 3 * 7 * 4) float
+        Coefficients in tile coordinates.
+    (n, 2) float
+        Middle and half of the heights, m.
+    """
     nodes, to_power = nodes_of(DEGREE)
     levels, to_level = nodes_of(HEIGHT_DEGREE)
-    dx, dy, half = spacing(x), spacing(y), (tile - 1) / 2
-    px = x[0] + dx * (tiles[:, 1, None, None] + half * (1 + nodes[None, None, :]))
-    py = y[0] + dy * (tiles[:, 0, None, None] + half * (1 + nodes[None, :, None]))
-    spans = np.empty((tiles.shape[0], 2))
-    _find_spans(np.ascontiguousarray(z), np.ascontiguousarray(tiles[:, :2], np.int64), tile, spans)
+    origin = np.array([(x[0], spacing(x), y[0], spacing(y)) for x, y in windows])[owner, :, None, None]
+    half = (side[:, None, None] - 1) / 2
+    px = origin[:, 0] + origin[:, 1] * (places[:, 1, None, None] + half * (1 + nodes[None, None, :]))
+    py = origin[:, 2] + origin[:, 3] * (places[:, 0, None, None] + half * (1 + nodes[None, :, None]))
+    spans = np.empty((places.shape[0], 2))
+    ends = np.searchsorted(owner, np.arange(len(windows) + 1))
+    for z, first, end in zip(heights, ends[:-1], ends[1:], strict=True):
+        if end > first:
+            assert z is not None
+            _find_spans(np.ascontiguousarray(z), places[first:end], int(side[first]), spans[first:end])
     pz = spans[:, 0, None, None] + spans[:, 1, None, None] * levels[:, None, None, None]  # (height, n_tile, 1, 1)
     values = np.stack(locate_on_relief(ground, px, py, pz))  # (quantity, height, n_tile, y, x)
-    coefficients = np.empty((tiles.shape[0], nodes.size, levels.size * QUANTITIES * nodes.size))
+    coefficients = np.empty((places.shape[0], nodes.size, levels.size * QUANTITIES * nodes.size))
     _to_powers(values, to_level, to_power, coefficients)
     return coefficients, spans
 
@@ -214,7 +237,7 @@ def _to_powers(values: FloatArray, to_level: FloatArray, to_power: FloatArray, c
                         coefficients[t, b, (h * QUANTITIES + q) * n + a] = total
 
 
-@loop(REAL_ROWS, INDEX_ROWS, types.int64, types.float64[:, ::1], nogil=True)
+@loop(REAL_ROWS, TILES, types.int64, types.float64[:, ::1], nogil=True)
 def _find_spans(z: FloatArray, tiles: IntArray, tile: int, spans: FloatArray) -> None:
     """Middle and half of the known heights of each tile, m; the half is at least LEVEL."""
     lows, highs = np.empty(tile), np.empty(tile)
@@ -241,6 +264,7 @@ def resample_on_relief(
     block: Float32Array,
     out: ComplexArray,
     tiles: IntArray,
+    polynomials: tuple[FloatArray, FloatArray],
     *,
     x: FloatArray,
     y: FloatArray,
@@ -255,9 +279,11 @@ def resample_on_relief(
     limits: tuple[FloatArray, FloatArray],
     weight: FloatArray,
 ) -> None:
-    """Write the owned pixels to `out`. `range_taps` has the table, the number of taps and their padded width."""
-    geometry = ground.geometry
-    coefficients, spans = tile_polynomials(ground, x, y, z, tiles, tile)
+    """Write the owned pixels to `out`.
+
+    `polynomials` are those of `tile_polynomials`; `range_taps` has the table, the number of taps and the padded width.
+    """
+    geometry, (coefficients, spans) = ground.geometry, polynomials
     rays = np.array([np.cos(ground.low), np.sin(ground.low), np.cos(ground.high), np.sin(ground.high)])
     frame = np.array([*geometry.nadir, *geometry.epoch_position, ground.near, ground.far, ground.least_lit])
     carrier = -2 * geometry.collection.carrier / SPEED_OF_LIGHT

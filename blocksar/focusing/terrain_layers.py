@@ -24,7 +24,7 @@ slopes along range only, it is tan theta / tan theta0.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -85,8 +85,8 @@ class Middles:
         return cls(x, y, z, np.stack(times))
 
     def at(self, x: FloatArray, y: FloatArray, z: FloatArray | None) -> FloatArray:
-        """Times of points (...), s; without z, m, at the middle height."""
-        height = np.full_like(x, self.z.mean()) if z is None else z
+        """Times of points (...), s; without z, m, and where that is NaN, at the middle height."""
+        height = np.full_like(x, self.z.mean()) if z is None else np.where(np.isnan(z), self.z.mean(), z)
         (i, u), (j, v), (_, w) = (_between(axis, at) for axis, at in ((self.x, x), (self.y, y), (self.z, height)))
         low, high = (
             (t[j, i] * (1 - u) + t[j, i + 1] * u) * (1 - v) + (t[j + 1, i] * (1 - u) + t[j + 1, i + 1] * u) * v
@@ -177,31 +177,53 @@ def heights_on_grid(terrain: Terrain, x: FloatArray, y: FloatArray) -> FloatArra
     return z
 
 
-def heights_and_angles(
-    terrain: Terrain, sight: Sight, x: FloatArray, y: FloatArray
-) -> tuple[FloatArray, NDArray[np.float32]]:
-    """Heights, m, to the bit those of `heights_on_grid`, and local incidence angles, rad, (n_y, n_x).
+class Strip(NamedTuple):
+    """Windows of an image beside each other: their rows, and the columns of each, ascending and without gaps."""
 
-    At columns x (n_x,) and rows y (n_y,), m.
+    rows: slice
+    columns: Sequence[slice]
+
+    @property
+    def whole(self) -> tuple[slice, slice]:
+        """The window that they make up."""
+        return self.rows, slice(self.columns[0].start, self.columns[-1].stop)
+
+
+def box_about(grid: Grid, window: tuple[slice, slice]) -> Box:
+    """The box of a window of an image, m, and of the places about it between which the antenna's is linear."""
+    nodes_x, nodes_y = (_positions(*axis) for axis in _axes(grid, window))
+    return box_of(nodes_x, nodes_y)
+
+
+def heights_and_angles(
+    terrain: Terrain, sight: Sight, grid: Grid, strip: Strip
+) -> list[tuple[FloatArray, NDArray[np.float32]]]:
+    """Heights, m, to the bit those of `heights_on_grid`, and local incidence angles, rad, of windows, (n_y, n_x) each.
+
+    They do not depend on which windows are asked for at once. The terrain is at least that of `box_about`.
     """
+    x, y = grid.x[strip.whole[1]], grid.y[strip.rows]
     in_x, in_y = terrain.taps_of(x, y)
     up_x, up_y = terrain.rates_of(x, y, (in_x, in_y))
-    strip, columns, along_x, rows, along_y = _sums(terrain, in_x, in_y)
-    (nodes_y, to_y), (nodes_x, to_x) = _nodes(y.size), _nodes(x.size)
-    at_x, at_y = x[nodes_x], y[nodes_y]
+    heights, columns, along_x, rows, along_y = _sums(terrain, in_x, in_y)
+    rate_x, rate_y = np.array(up_x[1]) / terrain.dx, np.array(up_y[1]) / terrain.dy
+    at_x, at_y = (_positions(*axis) for axis in _axes(grid, strip.whole))
     antenna = sight.antenna(*np.meshgrid(at_x, at_y), None if sight.middles is None else terrain.on_grid(at_x, at_y))
-    # One more row of nodes, for the pixels at the last one.
-    antenna = np.concatenate([antenna, antenna[-1:]]).transpose(2, 0, 1)
-    before = to_y.astype(np.int64)
-    height, angle = np.empty((y.size, x.size)), np.empty((y.size, x.size), np.float32)
-    find_surface(
-        strip, columns, along_x, np.array(up_x[1]) / terrain.dx, rows, along_y, np.array(up_y[1]) / terrain.dy,
-        np.array(x), np.array(y), _expand(antenna, to_x, -1), before, to_y - before, height, angle,
-    )  # fmt: skip
-    if not (in_x[2].all() and in_y[2].all()):
-        for layer in (height, angle):
-            layer[~in_y[2]] = layer[:, ~in_x[2]] = np.nan
-    return height, angle
+    antenna = _between_nodes(antenna.transpose(2, 0, 1), strip.whole[1])
+    (before, part), inside = _to_nodes(strip.rows), in_x[2].all() and in_y[2].all()
+    found = []
+    for window in strip.columns:
+        own = slice(window.start - strip.columns[0].start, window.stop - strip.columns[0].start)
+        height, angle = np.empty((y.size, x[own].size)), np.empty((y.size, x[own].size), np.float32)
+        find_surface(
+            heights, columns[own], np.ascontiguousarray(along_x[:, own]), np.ascontiguousarray(rate_x[:, own]), rows,
+            along_y, rate_y, x[own], y, np.ascontiguousarray(antenna[..., own]), before, part, height, angle,
+        )  # fmt: skip
+        if not inside:
+            for layer in (height, angle):
+                layer[~in_y[2]] = layer[:, ~in_x[2][own]] = np.nan
+        found.append((height, angle))
+    return found
 
 
 def gamma_factor(terrain: Terrain, sight: Sight, x: FloatArray, y: FloatArray) -> NDArray[np.float32]:
@@ -378,6 +400,30 @@ def _sight(sight: Sight, x: FloatArray, y: FloatArray, z: FloatArray) -> tuple[F
     antenna = sight.antenna(*np.meshgrid(x[columns], y[rows]), z[np.ix_(rows, columns)])
     px, py, pz = (_expand(_expand(part, to_column, 1), to_row, 0) for part in np.moveaxis(antenna, -1, 0))
     return px - x, py - y[:, None], pz - z
+
+
+def _axes(grid: Grid, window: tuple[slice, slice]) -> tuple[tuple[float, float, slice], tuple[float, float, slice]]:
+    """First place and step, m, and the window's part, of the x and the y of an image."""
+    return (grid.x0, grid.dx, window[1]), (grid.y0, grid.dy, window[0])
+
+
+def _positions(start: float, step: float, part: slice) -> FloatArray:
+    """Every NODE_PIXELS-th place of an axis about a part of it, m; the last may lie behind the axis."""
+    first, last = part.start // NODE_PIXELS, (part.stop - 1) // NODE_PIXELS + 1
+    return np.asarray(start + step * (NODE_PIXELS * np.arange(first, last + 1)))
+
+
+def _to_nodes(part: slice) -> tuple[IntArray, FloatArray]:
+    """For each index of a part of an axis the place of `_positions` before it, and the part of the way to the next."""
+    index = np.arange(part.start, part.stop)
+    return index // NODE_PIXELS - part.start // NODE_PIXELS, index % NODE_PIXELS / NODE_PIXELS
+
+
+def _between_nodes(values: FloatArray, part: slice) -> FloatArray:
+    """Values (..., n) at the places of `_positions`, at every index of the part of the axis: linear in between."""
+    before, way = _to_nodes(part)
+    low = values[..., before]
+    return np.asarray(low + way * (values[..., before + 1] - low))
 
 
 def _nodes(n: int) -> tuple[NDArray[np.intp], FloatArray]:

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from blocksar import stores
 from blocksar.arrays import FloatArray
+from blocksar.chunks import STRIP_CHUNKS
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.terrain_layers import (
     Sight,
+    Strip,
+    box_about,
     box_of,
     by_owner,
     heights_and_angles,
@@ -26,6 +29,7 @@ from blocksar.focusing.terrain_layers import (
 from blocksar.graph.alike import AlikeChunks
 from blocksar.graph.spectrum import Window
 from blocksar.kernels.occlusion import UNKNOWN
+from blocksar.planning.tiling import chunk_window
 from blocksar.runs.receipts import Run, write
 from blocksar.runs.record import Written
 
@@ -47,15 +51,14 @@ def sights_of(run: Run, grid: Grid, geometries: Sequence[tuple[int, Geometry]]) 
 class GroundHeights:
     """Heights of a run's pixels, by windows; it is not for several threads at once.
 
-    Parameters
+    Attributes
     ----------
-    run : Run
-    grid : Grid
     on_terrain : bool
         False: the image lies on the plane, and nothing is read.
     """
 
     def __init__(self, run: Run, grid: Grid, *, on_terrain: bool) -> None:
+        self.on_terrain = on_terrain
         self._grid, self._stored = grid, stores.StoredTerrain(run.terrain) if on_terrain else None
 
     def over(self, window: Window) -> FloatArray | None:
@@ -66,12 +69,44 @@ class GroundHeights:
         return heights_on_grid(self._stored.read(*box_of(x, y)), x, y)
 
 
-class _Surfaces(NamedTuple):
-    """Heights of a window's pixels, m, incidence angles by sight, rad, and the terrain within its reach."""
+def strips_of(cells: Sequence[tuple[int, int]], grid: Grid) -> Iterator[tuple[Sequence[tuple[int, int]], Strip]]:
+    """Divide chunks of an image, given by row and column, into runs that lie beside each other, of a few each."""
+    first = 0
+    for end in range(1, len(cells) + 1):
+        row, column = cells[end - 1]
+        if end == len(cells) or end - first == STRIP_CHUNKS or cells[end] != (row, column + 1):
+            windows = [chunk_window(cell, grid) for cell in cells[first:end]]
+            yield cells[first:end], Strip(windows[0][0], [columns for _, columns in windows])
+            first = end
 
-    height: FloatArray
-    angles: Mapping[int, NDArray[np.float32]]
-    around: Terrain
+
+class _Surfaces:
+    """Heights of the windows of a strip, m, incidence angles, rad, and visibility, each when it is first asked for."""
+
+    def __init__(self, strip: Strip, grid: Grid, terrain: Terrain, around: Terrain) -> None:
+        self.strip = strip
+        self._grid, self._terrain, self._around = grid, terrain, around
+        self._found: dict[int, list[tuple[FloatArray, NDArray[np.float32]]]] = {}
+        self._seen: dict[int, NDArray[np.uint8]] = {}
+
+    def _of(self, sight: Sight) -> list[tuple[FloatArray, NDArray[np.float32]]]:
+        if id(sight) not in self._found:
+            self._found[id(sight)] = heights_and_angles(self._terrain, sight, self._grid, self.strip)
+        return self._found[id(sight)]
+
+    def height(self, number: int, sight: Sight) -> FloatArray:
+        """Of window `number` of the strip, (n_y, n_x); `sight` is a free choice, as heights are those of all."""
+        found = next(iter(self._found.values()), None)
+        return (self._of(sight) if found is None else found)[number][0]
+
+    def angle(self, number: int, sight: Sight) -> NDArray[np.float32]:
+        return self._of(sight)[number][1]
+
+    def visibility(self, number: int, sight: Sight) -> NDArray[np.uint8]:
+        if id(sight) not in self._seen:
+            self._seen[id(sight)] = visibility(self._around, sight, self._grid, self.strip.whole)
+        columns, first = self.strip.columns[number], self.strip.columns[0].start
+        return self._seen[id(sight)][:, columns.start - first : columns.stop - first]
 
 
 class TerrainLayers:
@@ -81,56 +116,66 @@ class TerrainLayers:
     ----------
     run : Run
     grid : Grid
-    sights : dict
-        The antenna as seen from the pixels of each block. Without any the image lies on the plane, and there are no
-        layers.
 
     Attributes
     ----------
+    sights : dict
+        The antenna as seen from the pixels of each block. Without any the image lies on the plane, and there are no
+        layers.
     heights : GroundHeights
     """
 
     def __init__(self, run: Run, grid: Grid, sights: Mapping[int, Sight]) -> None:
-        self._grid, self._sights = grid, sights
+        self._grid, self.sights = grid, sights
         self.heights = GroundHeights(run, grid, on_terrain=bool(sights))
-        self._found: tuple[Window, _Surfaces] | None = None
+        self._surfaces: _Surfaces | None = None
         self._stored = self._around = stores.StoredTerrain(run.terrain) if sights else None
         if sights and (run.surroundings / "zarr.json").exists():
             self._around = stores.StoredTerrain(run.surroundings)
 
+    def begin(self, strip: Strip) -> None:
+        """Prepare for the windows of a strip, which are asked for next: much of the work is done for all at once."""
+        if self._stored is None or self._around is None:
+            return
+        y, x = self._grid.y[strip.rows], self._grid.x[strip.whole[1]]
+        boxes, seen_by = [box_about(self._grid, strip.whole)], {id(sight): sight for sight in self.sights.values()}
+        for sight in seen_by.values():
+            boxes.append(reach(sight, x, y, self._around.limits))
+        (x0, x1, y0, y1) = (np.array(boxes)[:, axis, end] for axis in (0, 1) for end in (0, 1))
+        around = self._around.read((float(x0.min()), float(x1.max())), (float(y0.min()), float(y1.max())))
+        terrain = around if self._around is self._stored else self._stored.read(*boxes[0])
+        self._surfaces = _Surfaces(strip, self._grid, terrain, around)
+
+    def heights_of(self, window: Window) -> FloatArray:
+        """Heights (n_y, n_x), m, of a window of the strip."""
+        surfaces, number = self._at(window)
+        return surfaces.height(number, next(iter(self.sights.values())))
+
     def over(self, window: Window, owner: NDArray[np.int16] | int) -> dict[str, NDArray[Any]]:
-        """The layers of some rows and columns of the image, by name.
+        """The layers of a window of the strip, or of any other, by name.
 
         `owner` has the block of each pixel, -1 where not covered, or is the block of all of them. Shadow and layover
         reach as far as the terrain about the image is known.
         """
         if self._stored is None:
             return {}
-        if self._found is None or self._found[0] != window:
-            self._found = window, self._surfaces(window)
-        height, angles, around = self._found[1]
-        incidence = by_owner(self._sights, owner, lambda sight: angles[id(sight)], np.nan)
-        seen = by_owner(self._sights, owner, lambda sight: visibility(around, sight, self._grid, window), UNKNOWN)
-        layers = {"height": height, "incidence_angle": incidence, "visibility": seen}
-        return {name: layers[name].astype(of.dtype, copy=False) for name, of in stores.ON_TERRAIN.items()}
+        of, number = self._at(window)
+        incidence = by_owner(self.sights, owner, lambda sight: of.angle(number, sight), np.nan)
+        seen = by_owner(self.sights, owner, lambda sight: of.visibility(number, sight), UNKNOWN)
+        layers = {"height": self.heights_of(window), "incidence_angle": incidence, "visibility": seen}
+        return {name: layers[name].astype(kind.dtype, copy=False) for name, kind in stores.ON_TERRAIN.items()}
 
-    def heights_of_covered(self, window: Window) -> FloatArray:
-        """Heights (n_y, n_x), m, of a window whose layers are asked for next: what both need is found once."""
-        self._found = window, self._surfaces(window)
-        return self._found[1].height
-
-    def _surfaces(self, window: Window) -> _Surfaces:
-        assert self._stored is not None and self._around is not None
-        y, x = self._grid.y[window[0]], self._grid.x[window[1]]
-        boxes, seen_by = [box_of(x, y)], {id(sight): sight for sight in self._sights.values()}
-        for sight in seen_by.values():
-            boxes.append(reach(sight, x, y, self._around.limits))
-        (x0, x1, y0, y1) = (np.array(boxes)[:, axis, end] for axis in (0, 1) for end in (0, 1))
-        around = self._around.read((float(x0.min()), float(x1.max())), (float(y0.min()), float(y1.max())))
-        terrain = around if self._around is self._stored else self._stored.read(*boxes[0])
-        found = {number: heights_and_angles(terrain, sight, x, y) for number, sight in seen_by.items()}
-        height = next(iter(found.values()))[0]
-        return _Surfaces(height, {number: angle for number, (_, angle) in found.items()}, around)
+    def _at(self, window: Window) -> tuple[_Surfaces, int]:
+        """The strip with a window, and the window's number in it."""
+        rows, columns = window
+        if (
+            self._surfaces is None
+            or self._surfaces.strip.rows != rows
+            or columns not in self._surfaces.strip.columns
+        ):  # fmt: skip
+            self.begin(Strip(rows, [columns]))
+        assert self._surfaces is not None
+        return self._surfaces, self._surfaces.strip.columns.index(columns)
 
 
 def write_layers(alike: AlikeChunks, window: Window, layers: Mapping[str, NDArray[Any]]) -> list[Written]:

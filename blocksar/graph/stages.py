@@ -42,7 +42,6 @@ from blocksar.graph.tasks import (
     PatchChunk,
     Projected,
     back_project_chunk,
-    chunk_window,
     merge_chunks,
     read_slab,
     run_stage,
@@ -55,7 +54,7 @@ from blocksar.places.place import Place
 from blocksar.planning.block import BlockPlan
 from blocksar.planning.effort import blocks_add_layers
 from blocksar.planning.plan import Plan
-from blocksar.planning.tiling import image_chunk, inspection_width, patch_window, touched_chunks
+from blocksar.planning.tiling import chunk_window, image_chunk, inspection_width, patch_window, touched_chunks
 from blocksar.progress import Listener
 from blocksar.runs.receipts import Run
 from blocksar.runs.record import Receipt, Written, block_unit

@@ -30,7 +30,15 @@ from blocksar.focusing.step import Stage
 from blocksar.focusing.terrain_layers import Sight
 from blocksar.graph.alike import AlikeChunks
 from blocksar.graph.edges import Edges, by_yaw, read_valid
-from blocksar.graph.layers import GroundHeights, TerrainLayers, local_terrain, sights_of, write_layers, write_noise
+from blocksar.graph.layers import (
+    GroundHeights,
+    TerrainLayers,
+    local_terrain,
+    sights_of,
+    strips_of,
+    write_layers,
+    write_noise,
+)
 from blocksar.graph.segments import Margins, Merged
 from blocksar.graph.spectrum import SpectrumChunks, Window, chunk_spans, read_ahead
 from blocksar.graph.writing import WritesBehind
@@ -39,7 +47,7 @@ from blocksar.kernels import buffers
 from blocksar.places.place import Place
 from blocksar.places.posix import resource
 from blocksar.planning.block import BlockPlan
-from blocksar.planning.tiling import image_chunk, patch_window, touched_chunks
+from blocksar.planning.tiling import chunk_window, image_chunk, patch_window, touched_chunks
 from blocksar.runs.receipts import Run, write
 from blocksar.runs.record import Receipt, Written
 
@@ -192,13 +200,13 @@ def write_patch(
     with WritesBehind(len(chunks)) as behind:
         cells = touched_chunks(ground, grid)
         kept = None if edges is None else edges.profiles(ground, threads=run.threads)
-        for cell, tiles in _tiled(cells if edges is None else by_yaw(cells, ground, grid), ground, grid):
+        batches = _batches(cells if edges is None else by_yaw(cells, ground, grid), grid, heights, layers, own)
+        for cell, z, tiles in _tiled(batches, ground, grid):
             chunk, window = chunks[behind.turn()], chunk_window(cell, grid)
             shape = (window[0].stop - window[0].start, window[1].stop - window[1].start)
             out = chunk[: shape[0] * shape[1]].reshape(shape)
             x, y = grid.x[window[1]], grid.y[window[0]]
             merged = cell not in own
-            z = heights.over(window) if sight is None or merged else layers.heights_of_covered(window)
             pixels = correct(samples.values, ground, x=x, y=y, z=z, tiles=tiles, threads=run.threads, out=out)
             if edges is not None and kept is not None:
                 edges.add(pixels, kept, ground, window, grid, height=z, threads=run.threads)
@@ -217,12 +225,43 @@ def write_patch(
     return sign(run, receipt, started - sum(samples.seconds.values()))
 
 
-def _tiled(cells: Sequence[tuple[int, int]], ground: GroundMap, grid: Grid) -> Iterator[tuple[tuple[int, int], Tiles]]:
-    """Output chunks with their tiles, which are found for some chunks at once."""
-    for first in range(0, len(cells), TILED_CHUNKS):
-        group = cells[first : first + TILED_CHUNKS]
-        windows = [chunk_window(cell, grid) for cell in group]
-        yield from zip(group, tiles_of(ground, [(grid.x[x], grid.y[y]) for y, x in windows]), strict=True)
+class Batch(NamedTuple):
+    """Output chunks of which much is found at once, and the heights of each, m; None on the plane."""
+
+    cells: Sequence[tuple[int, int]]
+    heights: Sequence[FloatArray | None]
+
+
+def _batches(
+    cells: Sequence[tuple[int, int]],
+    grid: Grid,
+    heights: GroundHeights,
+    layers: TerrainLayers,
+    own: frozenset[tuple[int, int]],
+) -> Iterator[Batch]:
+    """Divide the chunks of a patch: on the plane into some that are not too many, on a terrain into strips."""
+    if not heights.on_terrain:
+        for first in range(0, len(cells), TILED_CHUNKS):
+            some = cells[first : first + TILED_CHUNKS]
+            yield Batch(some, [None] * len(some))
+        return
+    for some, strip in strips_of(cells, grid):
+        # Chunks that get their layers at once need the same things of the terrain for these.
+        if own.isdisjoint(some) or not layers.sights:
+            yield Batch(some, [heights.over((strip.rows, columns)) for columns in strip.columns])
+        else:
+            layers.begin(strip)
+            yield Batch(some, [layers.heights_of((strip.rows, columns)) for columns in strip.columns])
+
+
+def _tiled(
+    batches: Iterator[Batch], ground: GroundMap, grid: Grid
+) -> Iterator[tuple[tuple[int, int], FloatArray | None, Tiles]]:
+    """Output chunks, heights and tiles, which are found for the chunks of a batch at once."""
+    for cells, heights in batches:
+        windows = [chunk_window(cell, grid) for cell in cells]
+        tiles = tiles_of(ground, [(grid.x[x], grid.y[y]) for y, x in windows], heights)
+        yield from zip(cells, heights, tiles, strict=True)
 
 
 def _owner(pixels: ComplexArray, block: int) -> NDArray[np.int16] | int | None:
@@ -231,13 +270,6 @@ def _owner(pixels: ComplexArray, block: int) -> NDArray[np.int16] | int | None:
     if covered.all():
         return block
     return np.where(covered, np.int16(block), np.int16(-1)) if covered.any() else None
-
-
-def chunk_window(cell: tuple[int, int], grid: Grid) -> Window:
-    """Rows and columns of an output chunk."""
-    side = image_chunk(grid)
-    y, x = cell[0] * side[0], cell[1] * side[1]
-    return slice(y, min(y + side[0], grid.shape[0])), slice(x, min(x + side[1], grid.shape[1]))
 
 
 def _shifted(window: Window, origin: Sequence[int]) -> Window:
@@ -400,11 +432,13 @@ def add_layers(
     started = time.perf_counter()
     layers, alike = TerrainLayers(run, grid, sights), AlikeChunks(run)
     with WritesBehind() as behind:
-        for cell, block in cells.items():
-            behind.turn()
-            window = chunk_window(cell, grid)
-            owner = stores.read_region(run.image, "block", window, cached=False) if block is None else block
-            behind.submit(write_layers, alike, window, layers.over(window, owner))
+        for some, strip in strips_of(list(cells), grid):
+            layers.begin(strip)
+            for cell, columns in zip(some, strip.columns, strict=True):
+                behind.turn()
+                window, block = (strip.rows, columns), cells[cell]
+                owner = stores.read_region(run.image, "block", window, cached=False) if block is None else block
+                behind.submit(write_layers, alike, window, layers.over(window, owner))
     return sign(run, Receipt(unit=unit, stage="mosaic", written=behind.written), started)
 
 

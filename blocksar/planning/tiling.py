@@ -17,6 +17,13 @@ def image_chunk(grid: Grid) -> tuple[int, int]:
     return min(IMAGE_CHUNK, grid.shape[0]), min(IMAGE_CHUNK, grid.shape[1])
 
 
+def chunk_window(cell: tuple[int, int], grid: Grid) -> tuple[slice, slice]:
+    """Rows and columns of an output chunk, given by its row and column."""
+    side = image_chunk(grid)
+    y, x = cell[0] * side[0], cell[1] * side[1]
+    return slice(y, min(y + side[0], grid.shape[0])), slice(x, min(x + side[1], grid.shape[1]))
+
+
 def patch_window(ground: GroundMap, grid: Grid) -> tuple[int, int, int, int]:
     """First row, first column, rows and columns of a block's patch: the whole image chunks around its sector."""
     yaw = np.linspace(ground.low, ground.high, 257)

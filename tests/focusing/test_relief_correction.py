@@ -160,8 +160,8 @@ def test_polynomials_of_a_tile_are_what_they_stand_for(swath: list[float]) -> No
     """To 1e-4 of a row, a Doppler sample and a cycle, on slopes of 30 degrees."""
     ground, terrain, x, y = on_hills(swath)
     z = terrain.on_grid(x, y)
-    tiles = np.array([[0.0, 0.0, 0.0]])
-    coefficients, spans = tile_polynomials(ground, x, y, z, tiles, 128)
+    tile = np.array([128]), np.zeros((1, 3), np.int64), np.zeros(1, np.int64)
+    coefficients, spans = tile_polynomials(ground, [(x, y)], [z], *tile)
     rows, columns = np.random.default_rng(2).integers(0, 128, (2, 300))
     u, v, w = columns / 63.5 - 1, rows / 63.5 - 1, (z[rows, columns] - spans[0, 0]) / spans[0, 1]
     assert np.abs(w).max() <= 1 + 1e-12
@@ -173,7 +173,7 @@ def test_polynomials_of_a_tile_are_what_they_stand_for(swath: list[float]) -> No
     exact = np.stack(locate_on_relief(ground, x[columns], y[rows], z[rows, columns]))
     error = np.abs(found - exact).max(axis=1)
     assert (error[:3] < 1e-4).all() and (error[3:] < 1e-6).all()
-    alone, _ = tile_polynomials(ground, x[:1], y, z[:, :1], tiles, 128)  # a single column extends nowhere
+    alone, _ = tile_polynomials(ground, [(x[:1], y)], [z[:, :1]], *tile)  # a single column extends nowhere
     assert np.abs(alone.reshape(powers.shape)[..., 1:]).max() < 1e-6
 
 

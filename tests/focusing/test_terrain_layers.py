@@ -12,7 +12,10 @@ from blocksar.arrays import FloatArray
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.focusing.terrain_layers import (
+    Middles,
     Sight,
+    Strip,
+    box_about,
     by_owner,
     gamma_factor,
     heights_and_angles,
@@ -106,9 +109,10 @@ def test_level_ground_is_visible_and_unknown_ground_is_neither() -> None:
 def test_incidence_and_area_are_those_of_small_facets(name: str) -> None:
     """The slant area of a facet is what range and Doppler change by over it, by differences."""
     terrain, sight = hills(), SIGHTS[name]
-    x, y = GRID.x[3::50], GRID.y[7::50]
+    part = slice(7, None, 50), slice(3, None, 50)
+    y, x = GRID.y[part[0]], GRID.x[part[1]]
     z = terrain.on_grid(x, y)
-    _, angle = heights_and_angles(terrain, sight, x, y)
+    angle = heights_and_angles(terrain, sight, GRID, Strip(WHOLE[0], [WHOLE[1]]))[0][1][part]
     factor = gamma_factor(terrain, sight, x, y)
     antenna, velocity, h = sight.position[0], sight.velocity[0], 0.01
 
@@ -151,26 +155,63 @@ def test_compiled_heights_and_angles_are_those_of_the_terrain() -> None:
     terrain, sight = hills(), SIGHTS["squinted"]
     terrain.heights[60, 70] = np.nan
     # Partly outside, and across the unknown sample.
-    x, y = np.linspace(-1700.0, 300.0, 133), np.linspace(-1700.0, -100.0, 71)
-    z = heights_on_grid(terrain, x, y)
-    np.testing.assert_array_equal(z, terrain.on_grid(x, y))
+    grid = Grid(-1700.0, 300.0, 15.0, -1700.0, -100.0, 23.0)
+    z = heights_on_grid(terrain, grid.x, grid.y)
+    np.testing.assert_array_equal(z, terrain.on_grid(grid.x, grid.y))
     assert 0.01 < np.isnan(z).mean() < 0.5
-    for part in (slice(None), slice(40, 41)):  # a single row has a single node
-        height, found = heights_and_angles(terrain, sight, x, y[part])
-        np.testing.assert_array_equal(height, z[part])
-        along_x, along_y = terrain.slopes_on_grid(x, y[part])
+    for rows in (slice(0, grid.y.size), slice(40, 41)):
+        strip = Strip(rows, [slice(0, 40), slice(40, grid.x.size)])
+        layers = heights_and_angles(terrain, sight, grid, strip)
+        height, found = (np.concatenate(parts, axis=1) for parts in zip(*layers, strict=True))
+        np.testing.assert_array_equal(height, z[rows])
+        along_x, along_y = terrain.slopes_on_grid(grid.x, grid.y[rows])
         normal = np.stack([-along_x, -along_y, np.ones_like(along_x)])
-        ray = sight.position[0][:, None, None] - np.stack([*np.meshgrid(x, y[part]), z[part]])
+        ray = sight.position[0][:, None, None] - np.stack([*np.meshgrid(grid.x, grid.y[rows]), z[rows]])
         length = np.linalg.norm(normal, axis=0) * np.linalg.norm(ray, axis=0)
         assert found == pytest.approx(np.arccos((normal * ray).sum(axis=0) / length), abs=1e-6, nan_ok=True)
+
+
+def _steered() -> Sight:
+    """An antenna whose place depends on the yaw of the point."""
+    turn = np.linspace(0.3, 1.3, 9)
+    position = np.stack([-6000.0 + 900 * turn**2, -3000.0 + 2000 * turn, 4000.0 - 300 * turn], axis=1)
+    return Sight(np.array([-6000.0, -2000.0]), turn - 0.8, position, np.gradient(position, axis=0))
+
+
+def _staying() -> Sight:
+    """One whose place depends on the height, too."""
+    middles = Middles(
+        np.linspace(-1500.0, 1500.0, 7), np.linspace(-1500.0, 1500.0, 5), np.array([-100.0, 200.0]),
+        np.random.default_rng(3).uniform(0, 1, (2, 5, 7)),
+    )  # fmt: skip
+    return replace(_steered(), along=np.linspace(0, 1, 9), middles=middles)
+
+
+@pytest.mark.parametrize("sight", [_steered(), _staying()])
+def test_layers_do_not_depend_on_what_is_found_at_once(sight: Sight) -> None:
+    """To the bit: blocks, and the tasks after them, divide an image differently."""
+    terrain, grid = hills(), Grid(-1403.0, 1209.0, 11.3, -1350.0, 1120.0, 13.1)
+    columns = [slice(64 * k, min(64 * (k + 1), grid.x.size)) for k in range(4)]
+    rows = slice(64, min(192, grid.y.size))
+    whole = Strip(slice(0, grid.y.size), [slice(0, grid.x.size)])
+    height, angle = heights_and_angles(terrain, sight, grid, whole)[0]
+    assert np.isfinite(angle).all()
+    for strip in (Strip(rows, columns), Strip(rows, columns[1:2]), Strip(rows, columns[2:])):
+        part = terrain.window(*box_about(grid, strip.whole))
+        for window, found in zip(strip.columns, heights_and_angles(part, sight, grid, strip), strict=True):
+            np.testing.assert_array_equal(found[0], height[rows, window])
+            np.testing.assert_array_equal(found[1], angle[rows, window])
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.3, 0.8, 1.5, 2.4])  # rad
 def test_angles_of_level_ground_are_those_to_the_antenna(angle: float) -> None:
     antenna = 1e4 * np.array([-np.sin(angle), 0.0, np.cos(angle)])  # below the ground beyond pi / 2
     sight = Sight(np.zeros(2), np.zeros(1), antenna[None], np.array([[0.0, 100.0, 0.0]]))
-    _, found = heights_and_angles(Terrain.flat(0.0, (-9.0, 9.0), (-9.0, 9.0)), sight, *np.zeros((2, 1)))
-    assert found[0, 0] == pytest.approx(angle, abs=3e-7)
+    grid = Grid(0.0, 0.5, 1.0, 0.0, 0.5, 1.0)
+    found = heights_and_angles(
+        Terrain.flat(0.0, (-9.0, 9.0), (-9.0, 9.0)), sight, grid, Strip(slice(0, 1), [slice(0, 1)])
+    )
+    assert found[0][1][0, 0] == pytest.approx(angle, abs=3e-7)
 
 
 def test_a_march_passes_no_place_that_crosses_its_curve() -> None:
@@ -191,7 +232,8 @@ def test_slopes_along_range_broadside_change_power_by_the_ratio_of_tangents() ->
     at = np.array([0.0, 100.0]), np.array([100.0])
     z = terrain.on_grid(*at)
     sight = SIGHTS["broadside"]
-    _, angle = heights_and_angles(terrain, sight, *at)
+    grid = Grid(0.0, 150.0, 100.0, 100.0, 150.0, 100.0)
+    _, angle = heights_and_angles(terrain, sight, grid, Strip(slice(0, 1), [slice(0, 2)]))[0]
     level = np.arctan2(np.abs(at[0] - sight.position[0, 0]), sight.position[0, 2] - z)
     assert angle == pytest.approx(level - np.arctan(0.2), abs=1e-6)
     assert gamma_factor(terrain, sight, *at) == pytest.approx(np.tan(angle) / np.tan(level), rel=1e-6)

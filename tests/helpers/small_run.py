@@ -19,7 +19,7 @@ from blocksar.collection.weighting import Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.backprojection import form_image
 from blocksar.focusing.noise import NoiseMap
-from blocksar.focusing.terrain_layers import Sight, box_of, heights_and_angles, visibility
+from blocksar.focusing.terrain_layers import Sight, Strip, box_of, heights_and_angles, visibility
 from blocksar.measurement.targets import Target
 from blocksar.runs import finished
 
@@ -188,7 +188,8 @@ def make(
             Grid(x[0], x[-1] + step / 2, step, y[0], y[-1] + step / 2, step),
             Sight.of(geometry, box_of(x, y), terrain.limits),
         )
-        variables["height"], variables["incidence_angle"] = heights_and_angles(terrain, sight, x, y)
+        layers = heights_and_angles(terrain, sight, grid, Strip(whole[0], [whole[1]]))
+        variables["height"], variables["incidence_angle"] = layers[0]
         variables["visibility"] = visibility(terrain, sight, grid, whole)
 
     def fill(place: Any) -> None:
