@@ -143,4 +143,8 @@ def json_checksum(obj: Any) -> str:
     ValueError
         If JSON cannot hold `obj`.
     """
-    return checksum_bytes(json.dumps(nan_to_null(plain_value(obj, "")), sort_keys=True, allow_nan=False).encode())
+    try:
+        plain = json.loads(json.dumps(obj, allow_nan=False))  # whose keys are texts
+    except (TypeError, ValueError):  # something is to be converted, or cannot be
+        plain = nan_to_null(plain_value(obj, ""))
+    return checksum_bytes(json.dumps(plain, sort_keys=True, allow_nan=False).encode())

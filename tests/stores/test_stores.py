@@ -910,6 +910,9 @@ def test_json_is_read_back_as_written(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="sigma"):
         stores.write_json(path, {"sigma": 1j})
     assert os.listdir(tmp_path) == ["run.json"]
+    for each in (record, {"counts": {2: 1, 10: 3}, "rows": [(0.5, None)]}):  # the checksum is that of what is read
+        stores.write_json(path, each)
+        assert stores.json_checksum(stores.read_json(path)) == stores.json_checksum(each)
 
 
 @pytest.mark.parametrize("content", [b"", b'{"a": 1', b"\xff\x00", b"[" * 200_000])
