@@ -28,7 +28,7 @@ MEMORY_SHARE = 0.8  # fraction of a worker's limit that a plan may fill
 PROCESS_MEMORY = 288 * MIB  # a worker's interpreter and libraries, without samples
 PROFILES = 3 * 2  # bytes of range profiles and their copies, for each of the samples, which are zero-padded twofold
 # On a terrain: heights, angles and layers of two strips of chunks, samples of the terrain that are kept, and bent taps.
-RELIEF_MEMORY = 48 * MIB
+RELIEF_MEMORY = 72 * MIB
 TRACK_MEMORY = 48 * MIB  # forms of splines, and what is read and written
 CHIP_COPIES = 8  # of the chips of all points while the track's error is estimated
 
