@@ -28,7 +28,8 @@ PACKAGE = ROOT / "blocksar"
 LAYERS = (
     {"errors", "constants", "budget", "garbage", "loop_cache", "version"},
     {"places", "progress", "arrays", "solvers", "chunks"},
-    {"collection", "kernels"},
+    {"kernels"},
+    {"collection"},
     {"stores", "measurement", "focusing"},
     {"ingestion", "runs", "planning", "inspection", "autofocusing"},
     {"simulation", "graph", "products"},

@@ -16,16 +16,19 @@ Points x, y lie at heights z, m; without, on the plane z = ground_height.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from blocksar.arrays import BoolArray, FloatArray, IntArray
 from blocksar.collection.collection import Collection
 
+if TYPE_CHECKING:
+    from blocksar.kernels.beam_passes import Limits
+
 NODES = 32  # parts of the collection at whose ends offsets are compared, to see whether they turn back
-TOGETHER = 4096  # points whose offsets there are computed at a time: they stay in the cache
-SCANNED = 1 << 18  # offsets computed at a time where every pulse is looked at
+FEW_PASSES = 2  # for which there is room where every pulse is looked at; more if there are more
 REACH = 64  # the part of the collection, 1 / REACH, whose slope continues an offset beyond the collection's ends
 LEAST_SLOPE = 1e-12  # rad/s
 Height = FloatArray | float
@@ -46,6 +49,11 @@ class Points(NamedTuple):
     def some(self, which: IntArray | BoolArray) -> Points:
         """The points at some indices."""
         return Points(self.x[which], self.y[which], self.z[which] if isinstance(self.z, np.ndarray) else self.z)
+
+    def each(self) -> Points:
+        """The same, contiguous, with a height for each point."""
+        z = np.broadcast_to(np.asarray(self.z, np.float64), self.x.shape)
+        return Points(*(np.ascontiguousarray(part, np.float64) for part in (self.x, self.y, z)))
 
     def offsets(self, collection: Collection, pulses: slice | IntArray) -> FloatArray:
         """Offsets (n, n_pulse) at some pulses, rad."""
@@ -74,112 +82,82 @@ def axis_passes(
     again: (n_pass, n), in the order of time. Those that a point lacks are empty, at the end of the one before; so a
     point that is never lit has 0 and 0.
     """
-    points, half = Points.of(collection, x, y, z), _half(collection) if width is None else width / 2
+    points, half = Points.of(collection, x, y, z).each(), _half(collection) if width is None else width / 2
     steady, apart = collection.steady
     if steady is collection:
-        return _in_order(_steady_passes(collection, points, half))
+        return _in_order(*_steady_passes(collection, points, [half])[0])
     # What the steady beam lights by more than the two lie apart is lit, and outside of that nothing is.
-    low, high = (_in_order(_steady_passes(steady, points, level)) for level in (max(half - apart, 0.0), half + apart))
-    passes = _Passes(x.size)
-    once = np.flatnonzero((high[0][1:] >= high[1][1:]).all(axis=0) & (low[0][1:] >= low[1][1:]).all(axis=0))
-    doubtful = np.maximum(low[0][0] - high[0][0], high[1][0] - low[1][0])
-    by_length = once[np.argsort(doubtful[once], kind="stable")]
-    for group in np.split(by_length, range(TOGETHER, once.size, TOGETHER)):
-        longest = max(int(doubtful[group].max(initial=0)), 1)
-        rows = max(SCANNED // (2 * longest), 1)
-        for some in np.split(group, range(rows, group.size, rows)):
-            ends = (each[0][some] for each in (*high, *low))
-            passes.add(some, *_look_near_ends(collection, points.some(some), half, *ends))
-    often = np.ones(x.size, np.bool_)
-    often[once] = False
-    _scan(collection, points, half, np.flatnonzero(often), passes)
-    return _in_order(passes)
+    inner, outer = _steady_passes(steady, points, [max(half - apart, 0.0), half + apart])
+    once = np.asarray((inner[0][1:] >= inner[1][1:]).all(axis=0) & (outer[0][1:] >= outer[1][1:]).all(axis=0))
+    start, end = np.where(once, outer[0][0], 0), np.where(once, outer[1][0], collection.n_pulse)
+    sure, unsure = (np.clip(np.where(once, ends[0], 0), start, end) for ends in inner)
+    return _in_order(*_look(collection, points, half, start, end, sure, unsure))
 
 
-class _Passes:
-    """Passes of n points that are found one after the other."""
-
-    def __init__(self, n: int) -> None:
-        self.ends = [(np.zeros(n, np.int64), np.zeros(n, np.int64))]
-
-    def __getitem__(self, number: int) -> tuple[IntArray, IntArray]:
-        while number >= len(self.ends):
-            self.ends.append((np.zeros_like(self.ends[0][0]), np.zeros_like(self.ends[0][0])))
-        return self.ends[number]
-
-    def add(self, some: IntArray, lit: BoolArray, pulses: IntArray) -> None:
-        """Those of some points (n,), lit from each of pulses (n, m) to the next, or not."""
-        none = np.zeros((some.size, 1), np.bool_)
-        changes = np.concatenate([none, lit], axis=1) != np.concatenate([lit, none], axis=1)
-        at, rows = np.concatenate([pulses, pulses[:, -1:] + 1], axis=1), np.arange(some.size)
-        for number in range(int(changes.sum(axis=1).max(initial=0)) // 2):
-            for of_pass in self[number]:
-                change = changes.argmax(axis=1)
-                of_pass[some] = np.where(changes[rows, change], at[rows, change], 0)
-                changes[rows, change] = False
-
-
-def _in_order(passes: _Passes) -> tuple[IntArray, IntArray]:
+def _in_order(firsts: IntArray, lasts: IntArray) -> tuple[IntArray, IntArray]:
     """Ends (n_pass, n) of passes: those that a point lacks at the end of the one before."""
-    found = list(passes.ends)
-    while len(found) > 1 and (found[-1][0] >= found[-1][1]).all():
-        found.pop()
-    firsts, lasts = (np.stack([of_pass[end] for of_pass in found]) for end in (0, 1))
     empty = firsts >= lasts
+    count = max(firsts.shape[0] - int(empty.all(axis=1)[::-1].argmin()), 1) if not empty.all() else 1
+    firsts, lasts, empty = firsts[:count], lasts[:count], empty[:count]
     lasts = np.maximum.accumulate(np.where(empty, 0, lasts))
     return np.where(empty, lasts, firsts), lasts
 
 
-def _steady_passes(collection: Collection, points: Points, half: float) -> _Passes:
-    """Passes of points of which |offset| <= half, rad, where offsets rise and fall but few times."""
-    n, passes = collection.n_pulse, _Passes(points.x.size)
-    turning, rising = _turning(collection, points)
-    once = np.flatnonzero(turning >= 0)
-    if once.size:
-        at, sign = points.some(once), np.where(rising[once], 1.0, -1.0)
-        middle = np.where(turning[once] > 0, turning[once], n)
-        before = _passage(collection, at, half, np.zeros_like(middle), middle, sign)
-        after = _passage(collection, at, half, middle, np.full_like(middle, n), -sign)
-        joined = (before[0] == before[1]) | (after[0] == after[1]) | (before[1] == after[0])
-        first = np.where(before[0] == before[1], after[0], before[0])
-        last = np.where(after[0] == after[1], before[1], after[1])
-        passes[0][0][once], passes[0][1][once] = first, np.where(joined, last, before[1])
-        passes[1][0][once], passes[1][1][once] = np.where(joined, 0, after)
-    _scan(collection, points, half, np.flatnonzero(turning < 0), passes)
-    return passes
+def _rows(collection: Collection) -> FloatArray:
+    """Position of the antenna, m, and axis of the beam, (6, n_pulse)."""
+    assert collection.beam_axis is not None
+    return np.ascontiguousarray(np.concatenate([collection.antenna_position.T, collection.beam_axis.T]))
 
 
-def _scan(collection: Collection, points: Points, half: float, some: IntArray, passes: _Passes) -> None:
-    """Look at every pulse of some of the points."""
-    n = collection.n_pulse
-    rows = max(SCANNED // n, 1)
-    for few in np.split(some, range(rows, some.size, rows)):
-        lit = np.abs(points.some(few).offsets(collection, slice(None))) <= half
-        passes.add(few, lit, np.broadcast_to(np.arange(n), lit.shape))
+def _limits(collection: Collection, half: float) -> Limits:
+    from blocksar.kernels.beam_passes import Limits  # loads numba, which other beams do without
+
+    assert collection.beam_steering is not None
+    return Limits.of(collection.beam_steering, half)
 
 
-def _look_near_ends(
-    collection: Collection, points: Points, half: float, first: IntArray, last: IntArray, low: IntArray, high: IntArray
-) -> tuple[BoolArray, IntArray]:
-    """Whether points (n,) are lit from each of pulses (n, m) to the next, both, looking at some of them only.
+def _steady_passes(collection: Collection, points: Points, halves: Sequence[float]) -> list[tuple[IntArray, IntArray]]:
+    """Ends (n_pass, n) of passes of which |offset| <= half, rad, for some half widths; offsets turn but rarely."""
+    from blocksar.kernels.beam_passes import find_passages
 
-    Points are lit at low <= p < high, and nowhere but at first <= p < last; where low == high, perhaps nowhere.
+    turning, rises = _turning(collection, points)
+    rows, often = _rows(collection), np.flatnonzero(turning < 0)
+    found = []
+    for half in halves:
+        firsts, lasts = np.zeros((2, 2, points.x.size), np.int64)
+        find_passages(rows, *_limits(collection, half), *points, turning, rises, firsts, lasts)
+        if often.size:
+            all_pulses = np.zeros(often.size, np.int64), np.full(often.size, collection.n_pulse)
+            none = np.zeros((2, often.size), np.int64)
+            more = _look(collection, points.some(often), half, *all_pulses, *none)
+            firsts, lasts = (_with_rows(each, more[0].shape[0]) for each in (firsts, lasts))
+            for each, of_more in ((firsts, more[0]), (lasts, more[1])):
+                each[: of_more.shape[0], often] = of_more
+        found.append((firsts, lasts))
+    return found
+
+
+def _with_rows(ends: IntArray, count: int) -> IntArray:
+    """Ends of passes (n_pass, n) with rows of zeros behind them, for `count` passes at least."""
+    return np.pad(ends, ((0, max(count - ends.shape[0], 0)), (0, 0)))
+
+
+def _look(
+    collection: Collection, points: Points, half: float, start: IntArray, end: IntArray, sure: IntArray,
+    unsure: IntArray,
+) -> tuple[IntArray, IntArray]:  # fmt: skip
+    """Ends (n_pass, n) of passes of which |offset| <= half, rad, looking at pulses start <= p < end of each point.
+
+    Without those at sure <= p < unsure, which are lit; at other pulses the point is dark.
     """
-    sure = low < high
-    low, high = np.where(sure, low, last), np.where(sure, high, last)
-    before, after = int((low - first).max(initial=0)), int((last - high).max(initial=0))
-    begin = low[:, None] + np.arange(-before, 0)
-    end = high[:, None] + np.arange(after + 1)
-    looked = np.concatenate([begin, end], axis=1)
-    at = np.clip(looked, 0, collection.n_pulse - 1)
-    z = points.z[:, None] if isinstance(points.z, np.ndarray) else points.z
-    lit = np.abs(axis_offset(collection, points.x[:, None], points.y[:, None], at, z)) <= half
-    lit &= (first[:, None] <= looked) & (looked < last[:, None])
-    inside = sure | (lit[:, before - 1] if before else False)  # where nothing is sure, as at the last pulse looked at
-    return (
-        np.concatenate([lit[:, :before], inside[:, None], lit[:, before:]], axis=1),
-        np.concatenate([begin, low[:, None], end], axis=1),
-    )
+    from blocksar.kernels.beam_passes import find_all_passes
+
+    rows, limits, most, m = _rows(collection), _limits(collection, half), FEW_PASSES, 0
+    while most > m:
+        m = most
+        firsts, lasts = np.empty((2, m, points.x.size), np.int64)
+        most = find_all_passes(rows, *limits, *points, start, end, sure, unsure, firsts, lasts)
+    return firsts, lasts
 
 
 def axis_dwell(
@@ -248,22 +226,13 @@ def _turning(collection: Collection, points: Points) -> tuple[IntArray, BoolArra
 
     The pulse is 0 where it never turns, -1 where it does so more than once.
     """
+    from blocksar.kernels.beam_passes import find_turning
+
+    assert collection.beam_steering is not None
     nodes = np.unique(np.linspace(0, collection.n_pulse - 1, NODES + 1).round().astype(np.int64))
-    groups = np.split(np.arange(points.x.size), range(TOGETHER, points.x.size, TOGETHER))
-    rising = np.concatenate([np.diff(points.some(group).offsets(collection, nodes)) > 0 for group in groups])
-    changes = rising[:, 1:] != rising[:, :-1]
-    count, where = changes.sum(axis=1), changes.argmax(axis=1)
-    turning = np.where(count > 1, -1, 0).astype(np.int64)
-    some = np.flatnonzero(count == 1)
-    once = points.some(some)
-    low, high = nodes[where[some]], nodes[where[some] + 2]
-    while (low < high).any():
-        middle = np.minimum((low + high) // 2, collection.n_pulse - 2)
-        step = _at(collection, once, middle + 1) > _at(collection, once, middle)
-        as_before = step == rising[some, 0]
-        low, high = np.where(as_before & (low < high), middle + 1, low), np.where(as_before, high, middle)
-    turning[some] = low
-    return turning, rising[:, 0]
+    turning, rises = np.empty(points.x.size, np.int64), np.empty(points.x.size, np.bool_)
+    find_turning(_rows(collection), np.array(collection.beam_steering), nodes, *points.each(), turning, rises)
+    return turning, rises
 
 
 def _at(collection: Collection, points: Points, pulses: IntArray) -> FloatArray:
@@ -271,43 +240,13 @@ def _at(collection: Collection, points: Points, pulses: IntArray) -> FloatArray:
     return axis_offset(collection, points.x, points.y, pulses, points.z)
 
 
-def _first_pulse(
-    collection: Collection,
-    points: Points,
-    low: IntArray,
-    high: IntArray,
-    sign: FloatArray,
-    level: float,
-    *,
-    beyond: bool,
-) -> IntArray:
-    """First of the pulses low <= p < high at which sign offset reaches the level, or is `beyond` it; high if none."""
-    while (low < high).any():
-        middle = np.minimum((low + high) // 2, collection.n_pulse - 1)
-        value = sign * _at(collection, points, middle)
-        reached = value > level if beyond else value >= level
-        low, high = np.where((low < high) & ~reached, middle + 1, low), np.where((low < high) & reached, middle, high)
-    return low
-
-
-def _passage(
-    collection: Collection,
-    points: Points,
-    half: float,
-    low: IntArray,
-    high: IntArray,
-    sign: FloatArray,
-) -> tuple[IntArray, IntArray]:
-    """The pulses with |offset| <= half among low <= p < high, over which sign offset rises."""
-    first = _first_pulse(collection, points, low, high, sign, -half, beyond=False)
-    return first, _first_pulse(collection, points, first, high, sign, half, beyond=True)
-
-
 def _edge_times(collection: Collection, points: Points, sign: FloatArray, level: float) -> FloatArray:
     """Times at which sign offset, which rises, passes the level, s."""
+    from blocksar.kernels.beam_passes import find_first
+
     n, time = collection.n_pulse, collection.time
-    zeros = np.zeros(sign.size, np.int64)
-    after = _first_pulse(collection, points, zeros, zeros + n, sign, level, beyond=False)
+    after, limits = np.empty(sign.size, np.int64), _limits(collection, level)
+    find_first(_rows(collection), *points.each(), sign > 0, limits.high, limits.low, after)
     reach = max(n // REACH, 1)
     # Two pulses whose chord is followed: neighbours inside the collection, further apart beyond its ends.
     left = np.where(after == 0, 0, np.where(after == n, n - 1 - reach, after - 1))
