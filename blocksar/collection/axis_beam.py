@@ -7,25 +7,21 @@ With u the unit vector from the antenna to a point, the point lies by
 off the beam's centre, and is lit while |offset| <= beam_width / 2. A fixed beam is stripmap, a slow turn sliding
 spotlight, a fast one TOPS. When a point is lit depends on its range as well as on its yaw.
 
-A point's offset mostly rises or falls throughout, so that its edges are found by bisection. Under a beam that stays on
-a spot it may turn back: once, which divides the pulses into two parts to be bisected; or more often, and then every
-pulse is looked at. The beam is taken to be smooth over a fraction 1 / NODES of the collection.
+Which pulses light a point is found exactly, however the beam turns and wobbles (`kernels.beam_passes`). Times of dwells
+are those of a beam that is smooth over a fraction 1 / NODES of the collection: an offset mostly rises or falls
+throughout, or turns back once.
 
 Points x, y lie at heights z, m; without, on the plane z = ground_height.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from blocksar.arrays import BoolArray, FloatArray, IntArray
 from blocksar.collection.collection import Collection
-
-if TYPE_CHECKING:
-    from blocksar.kernels.beam_passes import Limits
 
 NODES = 32  # parts of the collection at whose ends offsets are compared, to see whether they turn back
 FEW_PASSES = 2  # for which there is room where every pulse is looked at; more if there are more
@@ -82,82 +78,33 @@ def axis_passes(
     again: (n_pass, n), in the order of time. Those that a point lacks are empty, at the end of the one before; so a
     point that is never lit has 0 and 0.
     """
+    from blocksar.kernels.beam_passes import find_passes, largest_steps  # load numba, which other beams do without
+
     points, half = Points.of(collection, x, y, z).each(), _half(collection) if width is None else width / 2
-    steady, apart = collection.steady
-    if steady is collection:
-        return _in_order(*_steady_passes(collection, points, [half])[0])
-    # What the steady beam lights by more than the two lie apart is lit, and outside of that nothing is.
-    inner, outer = _steady_passes(steady, points, [max(half - apart, 0.0), half + apart])
-    once = np.asarray((inner[0][1:] >= inner[1][1:]).all(axis=0) & (outer[0][1:] >= outer[1][1:]).all(axis=0))
-    start, end = np.where(once, outer[0][0], 0), np.where(once, outer[1][0], collection.n_pulse)
-    sure, unsure = (np.clip(np.where(once, ends[0], 0), start, end) for ends in inner)
-    return _in_order(*_look(collection, points, half, start, end, sure, unsure))
+    table, most, m = _table(collection, half), FEW_PASSES, 0
+    steps = largest_steps(table)
+    while most > m:
+        m = most
+        firsts, lasts = np.empty((2, m, x.size), np.int64)
+        most = find_passes(table, *points, *steps, firsts, lasts)
+    return _in_order(firsts, lasts)
 
 
 def _in_order(firsts: IntArray, lasts: IntArray) -> tuple[IntArray, IntArray]:
     """Ends (n_pass, n) of passes: those that a point lacks at the end of the one before."""
     empty = firsts >= lasts
-    count = max(firsts.shape[0] - int(empty.all(axis=1)[::-1].argmin()), 1) if not empty.all() else 1
+    count = int(np.flatnonzero(~empty.all(axis=1)).max(initial=0)) + 1
     firsts, lasts, empty = firsts[:count], lasts[:count], empty[:count]
     lasts = np.maximum.accumulate(np.where(empty, 0, lasts))
     return np.where(empty, lasts, firsts), lasts
 
 
-def _rows(collection: Collection) -> FloatArray:
-    """Position of the antenna, m, and axis of the beam, (6, n_pulse)."""
-    assert collection.beam_axis is not None
-    return np.ascontiguousarray(np.concatenate([collection.antenna_position.T, collection.beam_axis.T]))
+def _table(collection: Collection, half: float) -> FloatArray:
+    """The beam's table for compiled loops, with limits `half` rad about its centre."""
+    from blocksar.kernels.beam_passes import beam_table
 
-
-def _limits(collection: Collection, half: float) -> Limits:
-    from blocksar.kernels.beam_passes import Limits  # loads numba, which other beams do without
-
-    assert collection.beam_steering is not None
-    return Limits.of(collection.beam_steering, half)
-
-
-def _steady_passes(collection: Collection, points: Points, halves: Sequence[float]) -> list[tuple[IntArray, IntArray]]:
-    """Ends (n_pass, n) of passes of which |offset| <= half, rad, for some half widths; offsets turn but rarely."""
-    from blocksar.kernels.beam_passes import find_passages
-
-    turning, rises = _turning(collection, points)
-    rows, often = _rows(collection), np.flatnonzero(turning < 0)
-    found = []
-    for half in halves:
-        firsts, lasts = np.zeros((2, 2, points.x.size), np.int64)
-        find_passages(rows, *_limits(collection, half), *points, turning, rises, firsts, lasts)
-        if often.size:
-            all_pulses = np.zeros(often.size, np.int64), np.full(often.size, collection.n_pulse)
-            none = np.zeros((2, often.size), np.int64)
-            more = _look(collection, points.some(often), half, *all_pulses, *none)
-            firsts, lasts = (_with_rows(each, more[0].shape[0]) for each in (firsts, lasts))
-            for each, of_more in ((firsts, more[0]), (lasts, more[1])):
-                each[: of_more.shape[0], often] = of_more
-        found.append((firsts, lasts))
-    return found
-
-
-def _with_rows(ends: IntArray, count: int) -> IntArray:
-    """Ends of passes (n_pass, n) with rows of zeros behind them, for `count` passes at least."""
-    return np.pad(ends, ((0, max(count - ends.shape[0], 0)), (0, 0)))
-
-
-def _look(
-    collection: Collection, points: Points, half: float, start: IntArray, end: IntArray, sure: IntArray,
-    unsure: IntArray,
-) -> tuple[IntArray, IntArray]:  # fmt: skip
-    """Ends (n_pass, n) of passes of which |offset| <= half, rad, looking at pulses start <= p < end of each point.
-
-    Without those at sure <= p < unsure, which are lit; at other pulses the point is dark.
-    """
-    from blocksar.kernels.beam_passes import find_all_passes
-
-    rows, limits, most, m = _rows(collection), _limits(collection, half), FEW_PASSES, 0
-    while most > m:
-        m = most
-        firsts, lasts = np.empty((2, m, points.x.size), np.int64)
-        most = find_all_passes(rows, *limits, *points, start, end, sure, unsure, firsts, lasts)
-    return firsts, lasts
+    assert collection.beam_axis is not None and collection.beam_steering is not None
+    return beam_table(collection.antenna_position, collection.beam_axis, collection.beam_steering, half)
 
 
 def axis_dwell(
@@ -231,7 +178,8 @@ def _turning(collection: Collection, points: Points) -> tuple[IntArray, BoolArra
     assert collection.beam_steering is not None
     nodes = np.unique(np.linspace(0, collection.n_pulse - 1, NODES + 1).round().astype(np.int64))
     turning, rises = np.empty(points.x.size, np.int64), np.empty(points.x.size, np.bool_)
-    find_turning(_rows(collection), np.array(collection.beam_steering), nodes, *points.each(), turning, rises)
+    table, steering = _table(collection, 0.0), np.array(collection.beam_steering)
+    find_turning(table, steering, nodes, *points.each(), turning, rises)
     return turning, rises
 
 
@@ -245,8 +193,8 @@ def _edge_times(collection: Collection, points: Points, sign: FloatArray, level:
     from blocksar.kernels.beam_passes import find_first
 
     n, time = collection.n_pulse, collection.time
-    after, limits = np.empty(sign.size, np.int64), _limits(collection, level)
-    find_first(_rows(collection), *points.each(), sign > 0, limits.high, limits.low, after)
+    after = np.empty(sign.size, np.int64)
+    find_first(_table(collection, level), *points.each(), sign > 0, after)
     reach = max(n // REACH, 1)
     # Two pulses whose chord is followed: neighbours inside the collection, further apart beyond its ends.
     left = np.where(after == 0, 0, np.where(after == n, n - 1 - reach, after - 1))
