@@ -51,11 +51,6 @@ class Points(NamedTuple):
         z = np.broadcast_to(np.asarray(self.z, np.float64), self.x.shape)
         return Points(*(np.ascontiguousarray(part, np.float64) for part in (self.x, self.y, z)))
 
-    def offsets(self, collection: Collection, pulses: slice | IntArray) -> FloatArray:
-        """Offsets (n, n_pulse) at some pulses, rad."""
-        z = self.z[:, None] if isinstance(self.z, np.ndarray) else self.z
-        return axis_offset(collection, self.x[:, None], self.y[:, None], pulses, z)
-
 
 def axis_offset(
     collection: Collection, x: FloatArray, y: FloatArray, pulses: slice | IntArray | int, z: Height | None = None
@@ -117,7 +112,7 @@ def axis_dwell(
     before the last where a point is never lit. Where offsets turn back, times are those of pulses. NaN where x, y or z
     is.
     """
-    collection = collection.steady[0]
+    collection = collection.steady
     points = Points.of(collection, x, y, z)
     known = np.isfinite(x) & np.isfinite(y) & np.isfinite(points.z)
     if not known.all():
@@ -148,7 +143,7 @@ def axis_passing(
     As `axis_dwell`, as if the collection did not cut dwells; in proportion where offsets turn back. From the nearer end
     of the dwell, a place is half as far as in proportion to half as far again; near the ends a third to three times.
     """
-    collection = collection.steady[0]
+    collection = collection.steady
     points = Points.of(collection, x, y, z)
     first, last = axis_dwell(collection, *points, uncut=True)
     middle, half = (first + last) / 2, (last - first) / 2

@@ -421,7 +421,7 @@ def has_full_dwell(
         full = np.asarray((whole & (last > first)) | ((first <= start) & (last >= end)))
         if full.any():
             some = (axis[full] for axis in np.broadcast_arrays(x, y, _height(geometry, x, y, z)))
-            passes = lit_passes(geometry.lit_by(collection.steady[0]), *some)
+            passes = lit_passes(geometry.lit_by(collection.steady), *some)
             full[full] = np.count_nonzero(passes[1] > passes[0], axis=0) < 2
         return full
     yaw = geometry.yaw(np.asarray(x), np.asarray(y))

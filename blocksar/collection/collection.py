@@ -437,10 +437,10 @@ class Collection:
         return Collection(**{**self.as_dict(), "beam_azimuth": azimuth})
 
     @cached_property
-    def steady(self) -> tuple[Collection, float]:
-        """For a beam about its axis, one that is smooth over a part 1 / STEADY_PARTS of the collection, rad.
+    def steady(self) -> Collection:
+        """For a beam about its axis, one that is smooth over a part 1 / STEADY_PARTS of the collection.
 
-        And the largest angle by which they lie apart, rad; itself and 0 where that is next to nothing.
+        The same collection where they lie next to nothing apart.
         """
         assert self.beam_axis is not None and self.beam_steering is not None and self.beam_width is not None
         steady = self.steadied(STEADY_PARTS)
@@ -448,7 +448,7 @@ class Collection:
         turned = np.sqrt(((self.beam_axis - steady.beam_axis) ** 2).sum(axis=1))
         leaning = np.maximum(np.abs(self.beam_steering), np.abs(steady.beam_steering)).max() + self.beam_width / 2
         apart = np.abs(self.beam_steering - steady.beam_steering) + 1.1 * turned / max(float(np.cos(leaning)), 1e-3)
-        return (steady, float(apart.max())) if apart.mean() > WOBBLES * self.beam_width else (self, 0.0)
+        return steady if apart.mean() > WOBBLES * self.beam_width else self
 
     def unsteered(self) -> Collection:
         """The same collection under a beam that lights everything all the time."""

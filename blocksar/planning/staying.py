@@ -31,7 +31,7 @@ def beam_stays(geometry: Geometry, region: Region, extent: Extent) -> bool:
     collection = geometry.collection
     if not collection.has_axis:
         return False
-    if collection.steady[0] is not collection:
+    if collection.steady is not collection:
         geometry = geometry.lit_by(collection.steadied(INTERVALS))
     yaw = np.linspace(extent.low, extent.high, PLACES[1])
     near, far = region.at(yaw)
