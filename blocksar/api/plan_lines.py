@@ -23,6 +23,7 @@ from blocksar.progress import Work
 
 TRACK_TOLD = 0.01  # rad: noise of the track that leaves less is not mentioned
 LOOKED_AT = 64  # points along a side of a grid at which lit pulses are counted
+PLANNING_TOLD = 1.0  # s to plan, which are counted in the time of a run
 SHORT_DWELL = 12  # pulses, below which a coherence of up to 0.002 less than is predicted was measured
 
 
@@ -83,12 +84,17 @@ def _disk_line(plan: Plan) -> str:
     return f"a run writes about {sum(stores.values()) / MIB:.0f} MiB ({parts})"
 
 
-def time_line(work: Work, assumed: Resources) -> str:
-    """How long a run would take on this machine, by stage; the only part of a plan that is measured."""
+def time_line(work: Work, assumed: Resources, planning: float = 0.0) -> str:
+    """How long a run would take on this machine, by stage; the only part of a plan that is measured.
+
+    `planning` is what the plan took, s, which a run makes again: told where it is long.
+    """
     workers = min(assumed.workers, machine()[0])  # more than there are cores gain nothing
     seconds = effort.seconds_of(work, workers=workers, threads=assumed.threads, pace=pace())
     if not assumed.workers:
         del seconds["start"]
+    if planning >= PLANNING_TOLD:
+        seconds = {"plan": planning, **seconds}
     return (
         f"a run takes about {time_text(sum(seconds.values()))} on this machine {workforce(assumed)} "
         f"({_shares(seconds)}), more where others use it, the disk is slow, or loops are not compiled"

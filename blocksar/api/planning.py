@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal
@@ -173,8 +174,9 @@ def plan(
         )  # fmt: skip
 
     if not automatic:
+        started = time.perf_counter()
         planned = plan_segments(plan_by, collections, grid=points, cut=blocks == "auto")
-        return _told_first(_report_segments(planned, assumed), of_each)
+        return _told_first(_report_segments(planned, assumed, time.perf_counter() - started), of_each)
     if len(collections) > 1:
         raise InputError("processor is auto, but several sources are given: compare processors for one of them")
     contenders = choice.contend(lambda method: plan_by(collections[0], grid=points, by=method))
@@ -192,7 +194,7 @@ def _told_first(report: PlanReport, lines: Sequence[str]) -> PlanReport:
     return replace(report, summary=[*lines, *report.summary])
 
 
-def _report_plan(plan: Plan, assumed: Resources) -> PlanReport:
+def _report_plan(plan: Plan, assumed: Resources, planning: float = 0.0) -> PlanReport:
     return PlanReport(
         tables=[block_table([plan])],
         details=plan_details([plan]),
@@ -200,7 +202,7 @@ def _report_plan(plan: Plan, assumed: Resources) -> PlanReport:
         summary=[
             *plan_lines(plan),
             *outside_window([plan]),
-            time_line(effort.of_plan(plan, workers=assumed.workers), assumed),
+            time_line(effort.of_plan(plan, workers=assumed.workers), assumed, planning),
         ],
         refusal=plan.refusal,
         result=plan,
@@ -208,11 +210,11 @@ def _report_plan(plan: Plan, assumed: Resources) -> PlanReport:
     )
 
 
-def _report_segments(segments: Sequence[PlannedSegment], assumed: Resources) -> PlanReport:
-    """Report the blocks of all segments together, then each segment."""
+def _report_segments(segments: Sequence[PlannedSegment], assumed: Resources, planning: float) -> PlanReport:
+    """Report the blocks of all segments together, then each segment; `planning` as for `time_line`."""
     plans = [segment.plan for segment in segments]
     if len(plans) == 1:
-        return _report_plan(plans[0], assumed)
+        return _report_plan(plans[0], assumed, planning)
     lines = []
     for number, segment in enumerate(segments):
         pulses = "" if segment.pulses is None else f", pulses {segment.pulses[0]} .. {segment.pulses[1] - 1}"
@@ -220,7 +222,8 @@ def _report_segments(segments: Sequence[PlannedSegment], assumed: Resources) -> 
         lines.append(f"segment {number} (collection {segment.collection}{pulses}, {blocks}):")
         lines += [f"  {line}" for line in plan_lines(segment.plan)]
     lines += outside_window(plans)
-    lines.append(time_line(effort.together([effort.of_plan(plan, workers=assumed.workers) for plan in plans]), assumed))
+    work = effort.together([effort.of_plan(plan, workers=assumed.workers) for plan in plans])
+    lines.append(time_line(work, assumed, planning))
     return PlanReport(
         tables=[block_table(plans)],
         details=plan_details(plans),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -91,11 +92,13 @@ def test_of_many_blocks_the_ten_worst_are_shown_and_all_are_at_hand() -> None:
 
 
 def test_a_plan_says_how_long_a_run_takes_and_all_else_repeats(monkeypatch: pytest.MonkeyPatch) -> None:
-    def summary(pace: float) -> list[str]:
+    def summary(pace: float, told: float = math.inf) -> list[str]:
         monkeypatch.setattr(plan_lines, "pace", lambda: pace)
+        monkeypatch.setattr(plan_lines, "PLANNING_TOLD", told)
         return blocksar.plan("table1", blocks=3, workers=1).summary
 
     first, second = summary(1.0), summary(100.0)
+    assert "with 1 worker (plan " in summary(1.0, 0.0)[first.index(next(line for line in first if "takes" in line))]
     (changed,) = [line for line, other in zip(first, second, strict=True) if line != other]
     assert "on this machine with 1 worker (start 3 s, recover " in changed and "focus " in changed
     work = effort.of_plan(planned("table1", blocks=3))  # type: ignore[arg-type]
