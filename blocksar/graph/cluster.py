@@ -360,6 +360,11 @@ def _local_settings(threads: int, scratch: str) -> dict[str, Any]:
         "distributed.scheduler.worker-ttl": WORKER_TTL,
         # A lost worker is given up for good after this time, even while it restarts.
         "distributed.deploy.lost-worker-timeout": "1h",
+        # Sampled stacks of tasks, a clock of the event loop and figures of the machine, 50 to 100 times a second in
+        # every process: a twentieth of all processor time. Receipts say what tasks take.
+        "distributed.worker.profile.enabled": False,
+        "distributed.admin.tick.interval": "1s",
+        "distributed.admin.system-monitor.interval": "2s",
         "temporary-directory": scratch,
         "distributed.worker.multiprocessing-method": "forkserver",
         # Workers would inherit the environment of the time at which the process that they are forked from began.
