@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from importlib import metadata
 from typing import Any, Literal
 
@@ -484,6 +485,7 @@ def grid_numbers(grid: Grid) -> tuple[float, ...]:
     return grid.x0, grid.x1, grid.dx, grid.y0, grid.y1, grid.dy
 
 
-def _versions() -> dict[str, str]:
+@lru_cache(maxsize=1)
+def _versions() -> Mapping[str, str]:
     names = ("numpy", "scipy", "numba", "dask", "zarr", "xarray")
     return {"blocksar": __version__} | {name: metadata.version(name) for name in names}

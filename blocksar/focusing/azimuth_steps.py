@@ -276,7 +276,7 @@ class DopplerTransform(_AzimuthStep):
 
 def _turn(phases: RowPolynomial, rows: Axis, *, sign: float = 1.0) -> Turn:
     """Multiplication of each range row by its phase polynomial."""
-    return Turn(Phase(sign * phases.coefficients(rows.values), phases.centre, phases.scale))
+    return Turn(lambda: Phase(sign * phases.coefficients(rows.values), phases.centre, phases.scale))
 
 
 def _windows(gate: DwellGate, end: Literal["begin", "end"], axes: Sampling) -> Window:

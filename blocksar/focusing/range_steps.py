@@ -178,7 +178,7 @@ class Compression(Step):
         gate = self.axes.gate
         share = None if gate is None else gate.share
         weights = [_weigh(taper, self.source, self.n_row) for taper in (self.taper, share) if taper is not None]
-        return [Turn(self.correction()), *weights, self._to_range]
+        return [Turn(self.correction), *weights, self._to_range]
 
     @property
     def _to_range(self) -> Transform:

@@ -15,9 +15,20 @@ from blocksar.kernels.phase import Float32Array, Phase
 
 @dataclass(frozen=True, eq=False)
 class Turn:
-    """Multiply by exp(2j pi phase)."""
+    """Multiply by exp(2j pi phase).
 
-    phase: Phase
+    Attributes
+    ----------
+    phases : Phase, or callable that returns it
+        With a callable it is computed when the operation is first run: a plan that only counts operations does
+        without.
+    """
+
+    phases: Phase | Callable[[], Phase]
+
+    @cached_property
+    def phase(self) -> Phase:
+        return self.phases() if callable(self.phases) else self.phases
 
 
 @dataclass(frozen=True, eq=False)
