@@ -145,14 +145,13 @@ def _solve(q: FloatArray, right: FloatArray) -> FloatArray:
     """
     n = q.shape[0]
     r, projected = np.zeros((n, n)), np.zeros((n, *right.shape[:-1]))
-    products, right = np.empty_like(q), right.copy()  # room for products, which would come from new memory each time
-    of_right = np.empty_like(right)
+    products = np.empty_like(q)  # room for them, which would come from new memory each time
     for i in range(n):
         row, rest, room = q[i], q[i + 1 :], products[i + 1 :]
         r[i, i] = np.sqrt(np.add.reduce(np.multiply(row, row, out=products[i])))
         row /= r[i, i]
-        projected[i] = np.add.reduce(np.multiply(row, right, out=of_right), axis=-1)
-        right -= np.multiply(projected[i, ..., None], row, out=of_right)
+        projected[i] = np.add.reduce(row * right, axis=-1)
+        right = right - projected[i, ..., None] * row
         r[i, i + 1 :] = np.add.reduce(np.multiply(row, rest, out=room), axis=1)
         rest -= np.multiply(r[i, i + 1 :, None], row, out=room)
     return back_substitute(r, projected)
