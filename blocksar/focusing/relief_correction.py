@@ -344,7 +344,8 @@ def _ranges(x, first, n, y, z, row, frame, rng, owned):  # type: ignore[no-untyp
 def _evaluate(c, t, v, across, spans, z, row, first, n, w, cubics, values) -> None:  # type: ignore[no-untyped-def]
     """All quantities of the pixels of a row of tile t, at one v and all u; w has their heights in the tile's span.
 
-    NaN heights become the middle one.
+    What the square of the height is multiplied by is linear in u: the rest is 1e-5 cycles at most. NaN heights become
+    the middle one.
     """
     middle, per_half = spans[t, 0], 1 / spans[t, 1]
     for k in range(n):
@@ -357,11 +358,11 @@ def _evaluate(c, t, v, across, spans, z, row, first, n, w, cubics, values) -> No
         a, b, d = q * side, (QUANTITIES + q) * side, (2 * QUANTITIES + q) * side
         a0, a1, a2, a3 = cubics[a], cubics[a + 1], cubics[a + 2], cubics[a + 3]
         b0, b1, b2, b3 = cubics[b], cubics[b + 1], cubics[b + 2], cubics[b + 3]
-        c0, c1, c2, c3 = cubics[d], cubics[d + 1], cubics[d + 2], cubics[d + 3]
+        c0, c1 = cubics[d], cubics[d + 1]
         for k in range(w.size):
             u = across[k]
             level, slope = a0 + u * (a1 + u * (a2 + u * a3)), b0 + u * (b1 + u * (b2 + u * b3))
-            values[q, k] = level + w[k] * (slope + w[k] * (c0 + u * (c1 + u * (c2 + u * c3))))
+            values[q, k] = level + w[k] * (slope + w[k] * (c0 + u * c1))
 
 
 @njit(**PART, **COMPILED)
