@@ -17,7 +17,7 @@ from blocksar.api.ground import read_ground
 from blocksar.api.reports import Report
 from blocksar.api.tracks import TrackEstimate
 from blocksar.autofocusing.finishing import Result
-from blocksar.collection.terrain import Surface
+from blocksar.collection.surface import Surface
 from blocksar.errors import InputError, ProcessingError
 from blocksar.graph import cluster
 from blocksar.graph.machine import resources

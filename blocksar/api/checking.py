@@ -15,7 +15,8 @@ from blocksar.api.reports import Report, Table
 from blocksar.arrays import ComplexArray
 from blocksar.chunks import TILE
 from blocksar.collection.grid import Grid
-from blocksar.collection.terrain import Surface, Terrain
+from blocksar.collection.surface import Surface
+from blocksar.collection.terrain import Terrain
 from blocksar.graph.machine import resources
 from blocksar.ingestion.terrain.reading import Ground
 from blocksar.inspection import check as samples_check

@@ -30,7 +30,7 @@ from blocksar.api.rehearsing import rehearse
 from blocksar.api.run_stages import carry_out
 from blocksar.api.shown import RunReport, is_measurable
 from blocksar.budget import FIDELITY
-from blocksar.collection.terrain import Surface
+from blocksar.collection.surface import Surface
 from blocksar.collection.weighting import Weighting
 from blocksar.constants import MIB
 from blocksar.errors import InputError, ProcessingError

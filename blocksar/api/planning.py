@@ -29,7 +29,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.region import Owned
-from blocksar.collection.terrain import Surface
+from blocksar.collection.surface import Surface
 from blocksar.collection.weighting import Weighting
 from blocksar.constants import MIB
 from blocksar.errors import InputError

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, TypedDict, get_args, get_type_hints
 import typer
 
 from blocksar.api.parsing import Axis, parse_blocks, parse_grid, parse_memory_limit
-from blocksar.collection.terrain import Surface
+from blocksar.collection.surface import Surface
 from blocksar.focusing.method import Coefficients, Method, Processor
 
 Channel = Annotated[str | None, typer.Option(metavar="NAME", help="Of several channels.", show_default="the first")]

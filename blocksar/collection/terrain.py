@@ -10,14 +10,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 
 from blocksar.arrays import BoolArray, FloatArray, IntArray
 from blocksar.errors import InputError
 
-Surface = Literal["plane", "ellipsoid"]  # the ground without heights
 MARGIN = 3  # samples that a window keeps beyond the points that it is for
 LEAST = 4  # samples along each axis
 

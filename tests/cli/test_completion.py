@@ -53,3 +53,10 @@ def test_every_command_has_short_help_and_can_be_quiet(names: tuple[str, ...]) -
     assert short.exit_code == 0 and short.stdout == long.stdout
     options = {option for parameter in dict(every_command())[names].params for option in parameter.opts}  # type: ignore[attr-defined]
     assert {"-q", "--quiet"} <= options
+
+
+def test_options_are_named_without_arrays() -> None:
+    """Help and completion wait for nothing that they do not need."""
+    code = "import sys; from blocksar.cli import app; print({'numpy', 'scipy', 'dask', 'zarr'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "set()"

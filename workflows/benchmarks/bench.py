@@ -22,6 +22,7 @@ from benchmarks import starts
 from benchmarks.back_projection import back_project, compare_chips, count_updates, place_chips, run_peer
 from benchmarks.figures import Measured, TimedRun, describe, over, spread
 from benchmarks.floors import fft_share, io_share, on_every_worker, traffic_of
+from benchmarks.folders import empty_folder
 from benchmarks.other_version import OtherVersion, other_version
 from benchmarks.scenes import Blocks, Case, Scale, plan_case
 from blocksar import stores
@@ -29,8 +30,6 @@ from blocksar.graph.cluster import open_client
 from blocksar.graph.machine import machine
 from blocksar.graph.tasks import peak_memory
 from blocksar.runs.record import RunRecord
-
-SETTLING = 5.0  # s
 
 
 @dataclass
@@ -155,24 +154,6 @@ class Bench:
             one = [self.focus(client, case, store)[1].timings["focus"] for _ in range(self.repeats)]
         result["seconds"]["block_stage_one_worker"] = spread(one)
         result["ratios"]["block_stage_speedup"] = spread(over(one, result["seconds"]["stages"]["focus"]["runs"]))
-
-
-def empty_folder(path: Path) -> Path:
-    """Make an empty folder in place of an old one and wait some seconds, so that all measurements start alike.
-
-    A virtual machine returns freed memory to its host after a while; to get it back costs more than to write it.
-    Whatever runs right after a deletion would be several times faster. The old files keep names elsewhere, without
-    contents: ext4 takes no inode that was freed within a minute, and looks at each of them for every new file.
-    """
-    if path.exists():
-        old = path.with_name(f"old-{time.monotonic_ns()}")
-        path.rename(old)
-        for file in old.rglob("*"):
-            if file.is_file():
-                os.truncate(file, 0)
-    path.mkdir(parents=True)
-    time.sleep(SETTLING)
-    return path
 
 
 def keep_to_cores(count: int) -> None:

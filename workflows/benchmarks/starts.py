@@ -13,6 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from benchmarks.folders import empty_folder
 from benchmarks.scenes import Case, Scale, plan_case
 from blocksar.errors import InputError
 from blocksar.planning.plan import plan_collection
@@ -51,11 +52,11 @@ def shell_seconds(store: Path, folder: Path, case: Case, *, workers: int, repeat
     bytecode = str(folder / "bytecode")
     for number in range(repeats + 1):
         for name, arguments in commands.items():
-            shutil.rmtree(run, ignore_errors=True)
+            if name == "blocksar focus":
+                empty_folder(run)
             taken = _timed((*COMMAND, *arguments), PYTHONDONTWRITEBYTECODE="", PYTHONPYCACHEPREFIX=bytecode)
             if number:  # the first one of each writes the bytecode
                 seconds[name].append(taken)
-    shutil.rmtree(run, ignore_errors=True)
     shutil.rmtree(bytecode)
     return seconds
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
-from blocksar.collection.terrain import Surface, Terrain
+from blocksar.collection.surface import Surface
+from blocksar.collection.terrain import Terrain
 from blocksar.errors import InputError
 from blocksar.ingestion.terrain.earth import ellipsoid, read_geotiff
 from blocksar.ingestion.terrain.frame_grid import read_frame_grid
