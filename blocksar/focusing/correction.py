@@ -125,9 +125,10 @@ def correct(
 
         out[...] = sum_waves(weigh_equally, replace(ground, waves=None), ground.waves, x=x, y=y)
         return out
-    out[...] = np.nan + 1j * np.nan
     tiles = tiles or tiles_of(ground, [(x, y)], [z])[0]
     side, places, polynomials, _ = tiles
+    if places.shape[0] < -(-y.size // side) * -(-x.size // side) or not places[:, 2].all():
+        out[...] = np.nan + 1j * np.nan  # where no tile writes
     if places.shape[0] == 0:
         return out
     if ground.relief is not None:
@@ -147,7 +148,7 @@ def correct(
     frame = np.array([nx, ny, px, py, height2, ground.near, ground.far, ground.least_lit])
     yaw_start = float(ground.yaw_axis[0] - ground.middle_yaw)
     yaw_step = float(ground.yaw_axis[1] - ground.yaw_axis[0])
-    weight = _weight(ground)
+    weight = ground.weight
     x, y, near_limit, far_limit = (np.ascontiguousarray(v) for v in (x, y, ground.near_limit, ground.far_limit))
     floats = _with_room(block, *widths).view(np.float32)
 
@@ -203,17 +204,8 @@ def _correct_on_relief(
         ground, floats, out, tiles.places, (tiles.polynomials, tiles.heights), x=np.array(x), y=np.array(y), z=z,
         tile=tiles.side, group=TILE_GROUP, threads=threads,
         range_taps=(_range_taps(*ground.range_taps), ground.range_taps[0], widths[0]), doppler_taps=doppler_taps,
-        most_bend=most_bend, carriers=_carriers(widths[1]), limits=(near_limit, far_limit), weight=_weight(ground),
+        most_bend=most_bend, carriers=_carriers(widths[1]), limits=(near_limit, far_limit), weight=ground.weight,
     )  # fmt: skip
-
-
-def _weight(ground: GroundMap) -> FloatArray:
-    """What a pixel's sum is divided by, as a table over range and yaw; or one over that, (1, n), over yaw alone."""
-    if ground.lit.ndim > 1:
-        return ground.lit * ground.scale
-    weight = (1.0 / np.maximum(ground.lit, 1e-9) / ground.scale)[None]
-    weight[:, ground.lit <= 0] = np.nan
-    return weight
 
 
 def _tile_sides(ground: GroundMap, windows: Sequence[tuple[FloatArray, FloatArray]]) -> list[int]:

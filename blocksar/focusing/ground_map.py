@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -132,6 +133,15 @@ class GroundMap:
     def least_lit(self) -> float:
         """The sum over lit pulses below which a pixel is not lit."""
         return LEAST_LIT * self.geometry.collection.peak_gain
+
+    @cached_property
+    def weight(self) -> FloatArray:
+        """What a pixel's sum is divided by, as a table over range and yaw; or one over that, (1, n), over yaw alone."""
+        if self.lit.ndim > 1:
+            return self.lit * self.scale
+        weight = (1.0 / np.maximum(self.lit, 1e-9) / self.scale)[None]
+        weight[:, self.lit <= 0] = np.nan
+        return weight
 
     @property
     def middle_yaw(self) -> float:
