@@ -16,6 +16,7 @@ Points x, y lie at heights z, m; without, on the plane z = ground_height.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -94,12 +95,15 @@ def _in_order(firsts: IntArray, lasts: IntArray) -> tuple[IntArray, IntArray]:
     return np.where(empty, lasts, firsts), lasts
 
 
+@lru_cache(maxsize=4)
 def _table(collection: Collection, half: float) -> FloatArray:
-    """The beam's table for compiled loops, with limits `half` rad about its centre."""
+    """The beam's table for compiled loops, with limits `half` rad about its centre; read-only."""
     from blocksar.kernels.beam_passes import beam_table
 
     assert collection.beam_axis is not None and collection.beam_steering is not None
-    return beam_table(collection.antenna_position, collection.beam_axis, collection.beam_steering, half)
+    table = beam_table(collection.antenna_position, collection.beam_axis, collection.beam_steering, half)
+    table.flags.writeable = False
+    return table
 
 
 def axis_dwell(

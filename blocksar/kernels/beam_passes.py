@@ -25,6 +25,8 @@ PLACES = (REAL_ROW, REAL_ROW, REAL_ROW)
 LOW, HIGH = 6, 7  # columns of a table with the limits of sines
 NO_SINE = 2.0  # a limit that no sine reaches
 NEARER, ROUNDING = 0.1, 1e-12
+GROUP = 16  # points that are looked at together
+MOST_SPANS, MOST_DOUBTFUL = 64, 2048  # spans, and pulses of all of them: with more, each point is looked at by itself
 
 
 def beam_table(position: FloatArray, axis: FloatArray, steering: FloatArray, half: float) -> FloatArray:
@@ -121,6 +123,143 @@ def find_turning(
             turning[k] = low
 
 
+@njit(**PART, **EXACT)
+def _note(firsts: IntArray, lasts: IntArray, k: int, count: int, p: int, lit: bool) -> int:
+    """Write that point k is lit, or no longer, from pulse p on, if there is room; return its number of ended passes."""
+    if count < firsts.shape[0]:
+        if lit:
+            firsts[count, k] = p
+        else:
+            lasts[count, k] = p
+    return count + (0 if lit else 1)
+
+
+@njit(**PART, **EXACT)
+def _is_lit(table: FloatArray, p: int, x: float, y: float, z: float) -> bool:
+    ahead, distance = _sides(table, p, x, y, z)
+    return ahead >= table[p, LOW] * distance and ahead <= table[p, HIGH] * distance
+
+
+@njit(**PART, **EXACT)
+def _march(
+    table: FloatArray, k: int, x: float, y: float, z: float, moved: float, turned: float, firsts: IntArray,
+    lasts: IntArray,
+) -> int:  # fmt: skip
+    """Write the passes of point k; return their number.
+
+    From pulse to pulse the line of sight turns by no more than what the antenna moves by over the range, and s by that
+    and what the axis turns by: all pulses before s can have reached a limit are as the one that was looked at.
+    """
+    n, count, p, before = table.shape[0], 0, 0, False
+    while p < n:
+        ahead, distance = _sides(table, p, x, y, z)
+        if np.isnan(ahead):
+            break
+        low, high = table[p, LOW], table[p, HIGH]
+        now = ahead >= low * distance and ahead <= high * distance
+        if now != before:
+            count = _note(firsts, lasts, k, count, p, now)
+        before = now
+        s = ahead / distance
+        spare = min(s - low, high - s) if now else max(low - s, s - high)
+        # Over pulses in which the range changes by a part NEARER at most.
+        rate = moved / ((1 - NEARER) * distance) + turned
+        steps = min((spare - ROUNDING) / max(rate, ROUNDING), NEARER * distance / max(moved, ROUNDING))
+        p += max(int(min(steps, n)), 1)
+    return _note(firsts, lasts, k, count, n, False) if before else count
+
+
+@njit(**PART, **EXACT)
+def _find_doubtful(
+    table: FloatArray, x: float, y: float, z: float, reach: float, moved: float, turned: float, low: FloatArray,
+    high: FloatArray, spans: IntArray,
+) -> int:  # fmt: skip
+    """Write the spans of pulses at which points up to `reach` from a place may differ; return their number, or -1.
+
+    Each span has its first pulse, its end, and whether all points are lit from there on: 1 or 0. They are dark before
+    the first span, and a span may be empty. -1 where there are too many. `low` and `high` are written at the pulses of
+    spans: the limits less s of the place.
+
+    By a way `reach` to a point the line of sight turns, and s changes, by no more than that over the shorter range.
+    """
+    n, count, doubtful, p, lit, inside_span = table.shape[0], 0, 0, 0, False, False
+    while p < n:
+        ahead, distance = _sides(table, p, x, y, z)
+        nearest = (1 - NEARER) * distance - reach  # over pulses in which the range changes by a part NEARER at most
+        if not nearest > 0 or count == spans.shape[0] or doubtful == MOST_DOUBTFUL:
+            return -1
+        s, margin = ahead / distance, reach / nearest + ROUNDING
+        low_limit, high_limit = table[p, LOW], table[p, HIGH]
+        now = s >= low_limit and s <= high_limit
+        spare = min(s - low_limit, high_limit - s) if now else max(low_limit - s, s - high_limit)
+        if spare > margin:
+            if inside_span or now != lit:
+                if not inside_span:
+                    spans[count, 0] = p
+                spans[count, 1], spans[count, 2] = p, 1 if now else 0
+                count, lit, inside_span = count + 1, now, False
+            rate = moved / nearest + turned
+            steps = min((spare - margin) / max(rate, ROUNDING), NEARER * distance / max(moved, ROUNDING))
+            p += max(int(min(steps, n)), 1)
+        else:
+            if not inside_span:
+                spans[count, 0] = p
+            low[p], high[p] = low_limit - s, high_limit - s
+            doubtful, inside_span, p = doubtful + 1, True, p + 1
+    if inside_span:
+        spans[count, 1] = n
+    return count + (1 if inside_span else 0)
+
+
+@njit(**PART, **EXACT)
+def _pass_spans(
+    table: FloatArray, k: int, x: float, y: float, z: float, reach: float, moved: float, turned: float,
+    low: FloatArray, high: FloatArray, spans: IntArray, n_span: int, firsts: IntArray, lasts: IntArray,
+) -> int:  # fmt: skip
+    """Write the passes of point k, from the spans of `_find_doubtful` for a place up to `reach` away; their number.
+
+    What s of the point has more than that of the place changes slowly: from pulse to pulse both lines of sight turn
+    alike but for 3 moved reach / range^2, and the axis turns what is between them by turned reach / range. So it is
+    computed once a span, and pulses are looked at where that leaves a doubt.
+    """
+    count, lit, n = 0, False, table.shape[0]
+    for m in range(n_span):
+        a, b = spans[m, 0], spans[m, 1]
+        if b > a:
+            middle = (a + b) // 2
+            ahead, distance = _sides(table, middle, x, y, z)
+            more, nearest = ahead / distance - (table[middle, LOW] - low[middle]), (1 - NEARER) * distance - reach
+            slack = np.inf
+            if moved * (b - a) <= NEARER * distance and nearest > 0:
+                slack = (b - a) * reach / nearest * (3 * moved / nearest + turned) + ROUNDING
+            doubts, inside, changes, last = 0, 0, 0, np.uint64(a)
+            for i in range(a, b):
+                p = np.uint64(i)
+                under, over = low[p] - more, high[p] - more
+                now, before = under <= 0 and over >= 0, low[last] - more <= 0 and high[last] - more >= 0
+                doubts += 1 if abs(under) <= slack or abs(over) <= slack else 0
+                inside, changes, last = inside + (1 if now else 0), changes + (1 if now != before else 0), p
+            if doubts == 0 and changes <= 1:
+                first = low[a] - more <= 0 and high[a] - more >= 0
+                if first != lit:
+                    count, lit = _note(firsts, lasts, k, count, a, first), first
+                if changes:
+                    count = _note(firsts, lasts, k, count, a + (inside if first else b - a - inside), not first)
+                    lit = not first
+            else:
+                for i in range(a, b):
+                    under, over = low[i] - more, high[i] - more
+                    now = under <= 0 and over >= 0
+                    if abs(under) <= slack or abs(over) <= slack:
+                        now = _is_lit(table, i, x, y, z)
+                    if now != lit:
+                        count, lit = _note(firsts, lasts, k, count, i, now), now
+        if b < n and (spans[m, 2] != 0) != lit:
+            lit = spans[m, 2] != 0
+            count = _note(firsts, lasts, k, count, b, lit)
+    return _note(firsts, lasts, k, count, n, False) if lit else count
+
+
 @loop(REAL_ROWS, *PLACES, types.float64, types.float64, PASSES, PASSES, **EXACT)
 def find_passes(
     table: FloatArray, x: FloatArray, y: FloatArray, z: FloatArray, moved: float, turned: float, firsts: IntArray,
@@ -128,8 +267,7 @@ def find_passes(
 ) -> int:  # fmt: skip
     """Write the passes (m, n) of points: pulses first <= p < last, in the order of time, of sines within the limits.
 
-    From pulse to pulse the line of sight turns by no more than what the antenna moves by over the range, and s by that
-    and what the axis turns by: all pulses before s can have reached a limit are as the one that was looked at.
+    Points that follow each other are looked at together where they lie close to each other.
 
     Parameters
     ----------
@@ -147,34 +285,28 @@ def find_passes(
     int
         The largest number of passes of a point: if that is above m, some are not written.
     """
-    most, n = 0, table.shape[0]
-    for k in range(x.size):
-        for m in range(firsts.shape[0]):
-            firsts[m, k] = lasts[m, k] = 0
-        count, p, before = 0, 0, False
-        while p < n:
-            ahead, distance = _sides(table, p, x[k], y[k], z[k])
-            if np.isnan(ahead):
-                break
-            low, high = table[p, LOW], table[p, HIGH]
-            now = ahead >= low * distance and ahead <= high * distance
-            if now != before:
-                if count < firsts.shape[0]:
-                    if now:
-                        firsts[count, k] = p
-                    else:
-                        lasts[count, k] = p
-                count += 0 if now else 1
-            before = now
-            s = ahead / distance
-            spare = min(s - low, high - s) if now else max(low - s, s - high)
-            # Over pulses in which the range changes by a part NEARER at most.
-            rate = moved / ((1 - NEARER) * distance) + turned
-            steps = min((spare - ROUNDING) / max(rate, ROUNDING), NEARER * distance / max(moved, ROUNDING))
-            p += max(int(min(steps, n)), 1)
-        if before:
-            if count < lasts.shape[0]:
-                lasts[count, k] = n
-            count += 1
-        most = max(most, count)
+    most, n_pulse, n_span = 0, table.shape[0], 0
+    low, high, spans = np.empty(n_pulse), np.empty(n_pulse), np.empty((MOST_SPANS, 3), np.int64)
+    firsts[:], lasts[:] = 0, 0
+    for begin in range(0, x.size, GROUP):
+        end = min(begin + GROUP, x.size)
+        mean_x, mean_y, mean_z = 0.0, 0.0, 0.0
+        for k in range(begin, end):
+            mean_x, mean_y, mean_z = mean_x + x[k], mean_y + y[k], mean_z + z[k]
+        mean_x, mean_y, mean_z = mean_x / (end - begin), mean_y / (end - begin), mean_z / (end - begin)
+        square = 0.0
+        for k in range(begin, end):
+            square = max(square, (x[k] - mean_x) ** 2 + (y[k] - mean_y) ** 2 + (z[k] - mean_z) ** 2)
+        reach = np.sqrt(square)
+        n_span = -1
+        if not np.isnan(mean_x + mean_y + mean_z):
+            n_span = _find_doubtful(table, mean_x, mean_y, mean_z, reach, moved, turned, low, high, spans)
+        for k in range(begin, end):
+            if n_span < 0:
+                count = _march(table, k, x[k], y[k], z[k], moved, turned, firsts, lasts)
+            else:
+                count = _pass_spans(
+                    table, k, x[k], y[k], z[k], reach, moved, turned, low, high, spans, n_span, firsts, lasts
+                )  # fmt: skip
+            most = max(most, count)
     return most

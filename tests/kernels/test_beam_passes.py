@@ -27,17 +27,22 @@ def _beam(kind: str) -> tuple[FloatArray, FloatArray, FloatArray]:
     return position, axis / np.linalg.norm(axis, axis=1, keepdims=True), steering
 
 
-def _places() -> tuple[FloatArray, FloatArray, FloatArray]:
+def _places(*, in_rows: bool = False) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Anywhere, or as the pixels of an image that follow each other; one is unknown."""
     rng = np.random.default_rng(5)
     x, y, z = rng.uniform(8500, 9500, 400), rng.uniform(-700, 700, 400), rng.uniform(-50, 300, 400)
+    if in_rows:
+        x, y = (part.ravel() for part in np.meshgrid(9000 + 0.5 * np.arange(40), np.linspace(-700, 700, 10)))
+        z = 20 * np.sin(x / 30)
     x[7] = np.nan
     return x, y, z
 
 
+@pytest.mark.parametrize("in_rows", [False, True])
 @pytest.mark.parametrize("kind", ["even", "staying", "wobbling", "noisy", "jumping", "behind"])
-def test_passes_are_those_of_every_pulse(kind: str) -> None:
+def test_passes_are_those_of_every_pulse(kind: str, in_rows: bool) -> None:
     position, axis, steering = _beam(kind)
-    x, y, z = _places()
+    x, y, z = _places(in_rows=in_rows)
     sight = np.stack([x, y, z], axis=1)[:, None] - position
     sine = (sight * axis).sum(axis=2) / np.linalg.norm(sight, axis=2)
     lit = np.abs(np.arcsin(sine) - steering) <= HALF
