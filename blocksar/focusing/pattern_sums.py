@@ -1,19 +1,81 @@
-"""Sums of the antenna's pattern, times weights, over the lit pulses of pixels: what back-projection divides by."""
+"""Sums of the antenna's pattern, times weights, over the lit pulses of pixels: what back-projection divides by.
+
+Pixels of a row are computed together, each pulse for all whose dwell may have it. Angles off a direction come from the
+sine of their difference, t = sin(a - b), as asin(t) = t P(t^2) with a polynomial for the width of the beam or of the
+elevation pattern; angles beyond are of pixels that are not lit, or have the pattern's value at its end.
+"""
 
 from __future__ import annotations
 
+from functools import lru_cache
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit, types
+from numpy.polynomial import Chebyshev, Polynomial
 
 from blocksar.arrays import FloatArray, IntArray
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import FLAT, Taper
 from blocksar.constants import TURN
 from blocksar.kernels.loops import loop
-from blocksar.kernels.signatures import REAL_ROW, REAL_ROWS
+from blocksar.kernels.signatures import COMPILED, PART, REAL_ROW, REAL_ROWS, UNCHECKED
 
-_NONE = np.zeros(1), np.ones(1)  # angles and amplitudes of no pattern
+TOGETHER = 32  # pixels of a row
+DEGREE = 12  # of P: 1e-10 rad for angles up to WIDEST
+WIDEST = 0.8  # rad off a direction: arc sines of larger ones are computed one by one
+EVEN = 1e-9  # of the spacing of a pattern's angles, by which they may differ from even ones
 _PULSES = types.Array(types.int64, 2, "C", readonly=True)
+_C0, _C1, _C2, _C3, _C4, _C5, _C6, _C7, _C8 = (
+    Chebyshev.interpolate(lambda square: np.cos(np.pi * np.sqrt(square)), 8, [0.0, 0.25])
+    .convert(kind=Polynomial, domain=[-1, 1], window=[-1, 1])
+    .coef.tolist()
+)  # of cos(pi x) for |x| <= 1/2, in x^2
+
+
+class _Cut(NamedTuple):
+    """A pattern along one angle, and what the angle off a direction needs.
+
+    Attributes
+    ----------
+    angles, values : (n,) float
+        rad, and amplitudes; one for none.
+    per_step : float
+        Samples a rad where the angles are even, else 0.
+    series : (DEGREE + 1,) float
+        P; empty where the angles are too large for it.
+    """
+
+    angles: FloatArray
+    values: FloatArray
+    per_step: float
+    series: FloatArray
+
+    @classmethod
+    def of(cls, angles: FloatArray | None, values: FloatArray | None, most: float) -> _Cut:
+        """That of angles off a direction of `most` at most, rad; `values` is None where there is no pattern."""
+        series = _arc_sine(float(most)) if most <= WIDEST else np.zeros(0)
+        if angles is None or values is None:
+            return cls(np.zeros(1), np.ones(1), 0.0, series)
+        step = (angles[-1] - angles[0]) / (angles.size - 1)
+        uneven = np.abs(angles - (angles[0] + step * np.arange(angles.size))).max() > EVEN * step
+        return cls(np.array(angles), np.array(values), 0.0 if uneven else 1 / step, series)
+
+
+@lru_cache(maxsize=8)
+def _arc_sine(most: float) -> FloatArray:
+    """P (DEGREE + 1,) with asin(t) = t P(t^2) for |asin(t)| <= most; read-only."""
+
+    def ratio(square: FloatArray) -> FloatArray:
+        t = np.sqrt(square)
+        return np.asarray(np.where(t > 1e-6, np.arcsin(t) / np.maximum(t, 1e-6), 1.0))
+
+    found = Chebyshev.interpolate(ratio, DEGREE, [0.0, max(np.sin(most), 1e-3) ** 2])
+    series = np.zeros(DEGREE + 1)
+    coefficients = found.convert(kind=Polynomial, domain=[-1, 1], window=[-1, 1]).coef
+    series[: coefficients.size] = coefficients
+    series.flags.writeable = False
+    return series
 
 
 def add_gains(
@@ -57,70 +119,138 @@ def add_gains(
         axis, steering = collection.beam_axis[pulses], collection.beam_steering[pulses]
     elif collection.beam_pattern is not None or not taper.uniform:
         yaw, azimuth = geometry.yaw(x, y), collection.beam_azimuth[pulses]
-    across = (collection.beam_offset, collection.beam_pattern)
-    down = (collection.elevation, collection.elevation_pattern)
-    tables = [np.array(values) for pair in (across, down) for values in (_NONE if pair[1] is None else pair)]
+    width = collection.beam_width or np.inf
+    across = _Cut.of(collection.beam_offset, collection.beam_pattern, width / 2)
+    lowest, highest = (0.0, 0.0) if collection.elevation is None else collection.elevation[[0, -1]].tolist()
+    middle = (lowest + highest) / 2
+    down = _Cut.of(collection.elevation, collection.elevation_pattern, highest - middle)
     antenna = collection.antenna_position[pulses] - np.array([0.0, 0.0, collection.ground_height])
     # Copies: the loop is compiled for one layout of its arrays.
     over = np.zeros(x.shape) if height is None else height
     places = [np.array(values, order="C") for values in (x, y, over, yaw)]
     lit = [np.array(values, np.int64, order="C") for values in (first, last)]
-    antenna, sums = np.array(antenna, order="C"), np.array(total, order="C")
-    beam = [np.array(values, order="C") for values in (axis, steering, azimuth)]
+    sums = np.array(total, order="C")
+    beam = np.column_stack([antenna, axis, np.cos(steering), np.sin(steering), azimuth, np.array(valid, np.float64)])
     terms, frequency = taper.series
-    pace = 2 * np.pi * frequency / (collection.beam_width or np.inf)  # of the cosines, per rad off the beam's centre
     _add_gains(
-        sums, *places, *lit, antenna, *beam, np.array(valid, np.float64), pulses.start, collection.has_axis,
-        *tables, np.array(terms), pace,
+        sums, *places, *lit, np.ascontiguousarray(beam), pulses.start, collection.has_axis, *across, *down, middle,
+        np.array(terms), frequency / width,
     )  # fmt: skip
     total[...] = sums
 
 
-@njit(inline="always")
-def _between(angle, angles, values):  # type: ignore[no-untyped-def]
-    """Linear interpolation, constant beyond the ends, as `np.interp`; fast where the angles are about uniform."""
-    n = angles.size
-    k = int(min(max((angle - angles[0]) / (angles[n - 1] - angles[0]), 0.0), 1.0) * (n - 1))
-    k = min(k, n - 2)
-    while k > 0 and angles[k] > angle:
-        k -= 1
-    while k < n - 2 and angles[k + 1] < angle:
-        k += 1
-    part = min(max((angle - angles[k]) / (angles[k + 1] - angles[k]), 0.0), 1.0)
-    return values[k] + part * (values[k + 1] - values[k])
+@njit(**PART, **COMPILED, **UNCHECKED)
+def _angles(sines: FloatArray, series: FloatArray, n: int) -> None:
+    """Arc sines of n sines, in their place."""
+    if series.size == 0:
+        for k in range(n):
+            sines[k] = np.arcsin(min(max(sines[k], -1.0), 1.0))
+        return
+    p0, p1, p2, p3, p4, p5, p6 = series[0], series[1], series[2], series[3], series[4], series[5], series[6]
+    p7, p8, p9, p10, p11, p12 = series[7], series[8], series[9], series[10], series[11], series[12]
+    for k in range(n):
+        t = sines[k]
+        w = t * t
+        high = p6 + w * (p7 + w * (p8 + w * (p9 + w * (p10 + w * (p11 + w * p12)))))
+        sines[k] = t * (p0 + w * (p1 + w * (p2 + w * (p3 + w * (p4 + w * (p5 + w * high))))))
+
+
+@njit(**PART, **COMPILED, **UNCHECKED)
+def _multiply(
+    gain: FloatArray, angle: FloatArray, n: int, angles: FloatArray, values: FloatArray, per_step: float
+) -> None:
+    """gain *= the pattern at n angles, linear between its samples and constant beyond the ends, as `np.interp`."""
+    last = values.size - 2
+    if per_step > 0:
+        for k in range(n):
+            place = min(max((angle[k] - angles[0]) * per_step, 0.0), last + 1.0)
+            i = np.uint64(min(int(place), last))
+            part = place - i
+            gain[k] *= values[i] + part * (values[i + np.uint64(1)] - values[i])
+        return
+    for k in range(n):
+        before = min(max(np.searchsorted(angles, angle[k]) - 1, 0), last)
+        part = min(max((angle[k] - angles[before]) / (angles[before + 1] - angles[before]), 0.0), 1.0)
+        gain[k] *= values[before] + part * (values[before + 1] - values[before])
+
+
+@njit(**PART, **COMPILED, **UNCHECKED)
+def _weigh(gain: FloatArray, angle: FloatArray, n: int, terms: FloatArray, per_rad: float, work: FloatArray) -> None:
+    """gain *= sum_k terms_k cos(2 pi k per_rad angle), by Clenshaw's recurrence; at most half a cycle from 0."""
+    cosine, weight, after = work[0], work[1], work[2]
+    for k in range(n):
+        turn = min(max(angle[k] * per_rad, -0.5), 0.5)
+        w = turn * turn
+        high = _C4 + w * (_C5 + w * (_C6 + w * (_C7 + w * _C8)))
+        half = _C0 + w * (_C1 + w * (_C2 + w * (_C3 + w * high)))
+        cosine[k], weight[k], after[k] = 2.0 * half * half - 1.0, 0.0, 0.0
+    for m in range(terms.size - 1):
+        term = terms[terms.size - 1 - m]
+        for k in range(n):
+            here = term + 2.0 * cosine[k] * weight[k] - after[k]
+            after[k], weight[k] = weight[k], here
+    for k in range(n):
+        gain[k] *= terms[0] + cosine[k] * weight[k] - after[k]
 
 
 @loop(
-    types.float64[:, ::1], *[REAL_ROWS] * 4, *[_PULSES] * 2, *[REAL_ROWS] * 2, *[REAL_ROW] * 3, types.int64,
-    types.boolean, *[REAL_ROW] * 5, types.float64, nogil=True,
+    types.float64[:, ::1], *[REAL_ROWS] * 4, *[_PULSES] * 2, REAL_ROWS, types.int64, types.boolean,
+    *[REAL_ROW, REAL_ROW, types.float64, REAL_ROW] * 2, types.float64, REAL_ROW, types.float64,
+    **COMPILED, **UNCHECKED,
 )  # fmt: skip
 def _add_gains(  # type: ignore[no-untyped-def]
-    total, x, y, over, yaw, first, last, antenna, axis, steering, azimuth, valid, start, has_axis, offsets, pattern,
-    elevations, elevation_pattern, terms, pace,
+    total, x, y, over, yaw, first, last, beam, start, has_axis, offsets, pattern, per_offset, of_offset, elevations,
+    elevation_pattern, per_elevation, of_elevation, middle, terms, per_rad,
 ):  # fmt: skip
-    """The sum of `add_gains`; the antenna's heights (n, 3) are above the ground."""
-    n = antenna.shape[0]
+    """The sum of `add_gains`.
+
+    Of each pulse `beam` has the antenna's place over the ground, the beam's axis, cosine and sine of its steering, its
+    azimuth, and the number of valid samples.
+    """
+    n_pulse, weighed = beam.shape[0], pattern.size > 1 or terms.size > 1
+    cos_middle, sin_middle = np.cos(middle), np.sin(middle)
+    angle, gain, work = np.empty(TOGETHER), np.empty(TOGETHER), np.empty((3, TOGETHER))
     for row in range(x.shape[0]):
-        for column in range(x.shape[1]):
-            for p in range(max(first[row, column] - start, 0), min(last[row, column] - start, n)):
-                dx, dy = x[row, column] - antenna[p, 0], y[row, column] - antenna[p, 1]
-                height = antenna[p, 2] - over[row, column]
-                gain = 1.0
-                if pattern.size > 1 or terms.size > 1:
-                    if has_axis:
-                        along = dx * axis[p, 0] + dy * axis[p, 1] - height * axis[p, 2]
-                        offset = np.arcsin(along / np.sqrt(dx * dx + dy * dy + height * height)) - steering[p]
-                    else:
-                        offset = yaw[row, column] - azimuth[p]
-                        offset -= TURN * np.rint(offset / TURN)
-                    if pattern.size > 1:
-                        gain *= _between(offset, offsets, pattern)
-                    cosine = np.cos(pace * offset)
-                    after, weight = 0.0, 0.0
-                    for k in range(terms.size - 1):  # Clenshaw's recurrence
-                        after, weight = weight, terms[terms.size - 1 - k] + 2.0 * cosine * weight - after
-                    gain *= terms[0] + cosine * weight - after
+        for begin in range(0, x.shape[1], TOGETHER):
+            n = min(TOGETHER, x.shape[1] - begin)
+            low, high = n_pulse, 0
+            for k in range(n):
+                if first[row, begin + k] < last[row, begin + k]:
+                    low, high = min(low, first[row, begin + k] - start), max(high, last[row, begin + k] - start)
+            for p in range(max(low, 0), min(high, n_pulse)):
+                px, py, pz = beam[p, 0], beam[p, 1], beam[p, 2]
+                for k in range(n):
+                    gain[k] = 1.0
+                if weighed and has_axis:
+                    ax, ay, az, cos, sin = beam[p, 3], beam[p, 4], beam[p, 5], beam[p, 6], beam[p, 7]
+                    for k in range(n):
+                        at = np.uint64(begin + k)
+                        dx, dy, height = x[row, at] - px, y[row, at] - py, pz - over[row, at]
+                        s = (dx * ax + dy * ay - height * az) / np.sqrt(dx * dx + dy * dy + height * height)
+                        angle[k] = s * cos - np.sqrt(max(1.0 - s * s, 0.0)) * sin
+                    _angles(angle, of_offset, n)
+                elif weighed:
+                    for k in range(n):
+                        offset = yaw[row, np.uint64(begin + k)] - beam[p, 8]
+                        angle[k] = offset - TURN * np.rint(offset / TURN)
+                if pattern.size > 1:
+                    _multiply(gain, angle, n, offsets, pattern, per_offset)
+                if terms.size > 1:
+                    _weigh(gain, angle, n, terms, per_rad, work)
                 if elevation_pattern.size > 1:
-                    down = np.arctan2(height, np.sqrt(dx * dx + dy * dy))
-                    gain *= _between(down, elevations, elevation_pattern)
-                total[row, column] += valid[p] * gain
+                    least, most = np.sin(elevations[0] - middle), np.sin(elevations[elevations.size - 1] - middle)
+                    for k in range(n):
+                        at = np.uint64(begin + k)
+                        dx, dy, height = x[row, at] - px, y[row, at] - py, pz - over[row, at]
+                        ground = dx * dx + dy * dy
+                        t = (height * cos_middle - np.sqrt(ground) * sin_middle) / np.sqrt(ground + height * height)
+                        angle[k] = min(max(t, least), most)
+                    _angles(angle, of_elevation, n)
+                    for k in range(n):
+                        angle[k] += middle
+                    _multiply(gain, angle, n, elevations, elevation_pattern, per_elevation)
+                valid, q = beam[p, 9], p + start
+                for k in range(n):
+                    at = np.uint64(begin + k)
+                    lit = first[row, at] <= q < last[row, at]
+                    total[row, at] += valid * gain[k] if lit else 0.0
