@@ -1,9 +1,11 @@
 """Predicted effort of a command: seconds for every unit of work of its stages, for `progress.Estimate`.
 
-Only ratios between stages matter, since the pace is measured while a command runs. The constants below are CPU seconds
-of one thread on one core of a virtual machine (Xeon with AVX-512). Those of recovery, steps, correction and mosaic were
-measured task by task with time.process_time on `table1`, in three and in eight blocks. Those of compression, inspection
-and back-projection are estimates; each matters only relative to the others of its own command.
+While a command runs only ratios between stages matter, since the pace is measured; `plan` multiplies by
+`graph.machine.pace`. The constants below are CPU seconds of one thread where that pace is 1, on a virtual machine of 2
+cores (EPYC with AVX-512) that are both busy. Those of recovery, steps, correction, layers and mosaic are from the
+receipts of `table1`, also over hills; those of edges and back-projection from a TOPS scene of 3000 pulses besides,
+whose beam wobbles. Those of compression and inspection are estimates; each matters only relative to the others of its own
+command.
 """
 
 from __future__ import annotations
@@ -25,16 +27,17 @@ from blocksar.progress import Work
 from blocksar.progress.estimate import finishing_times
 
 COMPRESS = 6e-8  # per sample of the echo
-RECOVER = 4.8e-8  # per written sample of the spectrum
-STEPS = 1.3e-10  # per operation of the blocks' transforms and resamplings, as Plan.work counts them
-EDGES = 1e-6  # per written pixel of a patch's chunks whose edges of dwells are back-projected
-CORRECT = 3.6e-8  # per written pixel of a patch's chunks
-ON_TERRAIN = 1.5e-8  # more on a terrain: heights, and their part of the correction
-LAYERS = 1.2e-8  # per pixel of a chunk whose layers are added, on a terrain
-MERGE = 1.13e-8  # per merged pixel of a patch's chunk
+RECOVER = 3.2e-8  # per written sample of the spectrum
+STEPS = 8.5e-11  # per operation of the blocks' transforms and resamplings, as Plan.work counts them
+EDGES = 7e-7  # per written pixel of a patch's chunks whose edges of dwells are back-projected
+CORRECT = 2.7e-8  # per written pixel of a patch's chunks
+ON_TERRAIN = 1.3e-8  # more on a terrain: heights, and their part of the correction
+LAYERS = 1.1e-8  # per pixel of a chunk whose layers are added, on a terrain
+MERGE = 1.3e-8  # per merged pixel of a patch's chunk
 INSPECT = 2e-8  # per sample
-BACK_PROJECT = 5e-9  # per lit pulse and pixel: 2e-9 for the sum, the rest for range profiles of a chunk's pulses
-FINISH = 0.8  # to end the cluster and flush files to the disk
+BACK_PROJECT = 2.4e-9  # per lit pulse and pixel: the sum, and range profiles of a chunk's pulses
+GAINS = 7e-9  # more under an antenna's pattern, whose sums it divides by
+FINISH = 0.4  # to end the cluster and flush files to the disk
 
 # `blocksar demo` predicts its stages before there is a plan: their seconds on two cores of that machine.
 DEMO = {
@@ -52,7 +55,7 @@ DEMO = {
     "responses": 5.4,
 }
 COMPILE = 9.0  # while no kernel is in numba's cache
-START = 3.0  # s to plan and to start workers
+START = 1.8  # s to start workers
 THREAD_GAIN = 0.5  # of a further thread of a worker, over the first; an estimate
 FOCUS: Work = dict.fromkeys(("plan", "compile", "start-workers", "recover", "focus", "mosaic", "finish"), ())
 
@@ -163,12 +166,12 @@ def _by_pulse_group(n_pulse: int, echo_samples: int) -> dict[str, list[float]]:
 def _by_chunk(geometry: Geometry, grid: Grid) -> list[float]:
     """Seconds of back-projection for each chunk, by the lit pulses of a few of its pixels."""
     side, interval = image_chunk(grid), geometry.collection.pulse_interval
-    costs = []
+    per_pulse, costs = BACK_PROJECT + (GAINS if geometry.collection.has_pattern else 0.0), []
     for row in range(0, grid.shape[0], side[0]):
         for column in range(0, grid.shape[1], side[1]):
             y, x = grid.y[row : row + side[0]], grid.x[column : column + side[1]]
             mesh = np.meshgrid(x[:: max(x.size // 8, 1)], y[:: max(y.size // 8, 1)])
             start, end = dwell(geometry, *mesh)
             lit = np.maximum(end - start, 0.0).mean() / interval
-            costs.append(BACK_PROJECT * x.size * y.size * max(float(lit), 1.0))
+            costs.append(per_pulse * x.size * y.size * max(float(lit), 1.0))
     return costs

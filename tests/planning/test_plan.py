@@ -100,7 +100,7 @@ def test_a_plan_says_how_long_a_run_takes_and_all_else_repeats(monkeypatch: pyte
     first, second = summary(1.0), summary(100.0)
     assert "with 1 worker (plan " in summary(1.0, 0.0)[first.index(next(line for line in first if "takes" in line))]
     (changed,) = [line for line, other in zip(first, second, strict=True) if line != other]
-    assert "on this machine with 1 worker (start 3 s, recover " in changed and "focus " in changed
+    assert "on this machine with 1 worker (start 2 s, recover " in changed and "focus " in changed
     work = effort.of_plan(planned("table1", blocks=3))  # type: ignore[arg-type]
     alone, two = (effort.seconds_of(work, workers=workers, threads=1, pace=1.0) for workers in (1, 2))
     assert two["recover"] == pytest.approx(alone["recover"] / 2, rel=0.1)  # many units, side by side
