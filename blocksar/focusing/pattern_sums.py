@@ -169,7 +169,10 @@ def _multiply(
             gain[k] *= values[i] + part * (values[i + np.uint64(1)] - values[i])
         return
     for k in range(n):
-        before = min(max(np.searchsorted(angles, angle[k]) - 1, 0), last)
+        before, after = 0, last + 1  # bisected by hand: to load `searchsorted` takes longer than a plan
+        while after - before > 1:
+            between = (before + after) // 2
+            before, after = (between, after) if angles[between] <= angle[k] else (before, between)
         part = min(max((angle[k] - angles[before]) / (angles[before + 1] - angles[before]), 0.0), 1.0)
         gain[k] *= values[before] + part * (values[before + 1] - values[before])
 

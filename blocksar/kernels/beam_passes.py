@@ -287,7 +287,9 @@ def find_passes(
     """
     most, n_pulse, n_span = 0, table.shape[0], 0
     low, high, spans = np.empty(n_pulse), np.empty(n_pulse), np.empty((MOST_SPANS, 3), np.int64)
-    firsts[:], lasts[:] = 0, 0
+    for m in range(firsts.shape[0]):
+        for k in range(x.size):
+            firsts[m, k] = lasts[m, k] = 0
     for begin in range(0, x.size, GROUP):
         end = min(begin + GROUP, x.size)
         mean_x, mean_y, mean_z = 0.0, 0.0, 0.0

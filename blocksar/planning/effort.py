@@ -148,7 +148,7 @@ def seconds_of(work: Work, *, workers: int, threads: int, pace: float) -> dict[s
     Examples
     --------
     >>> seconds_of({"focus": [2.0, 3.0, 2.0]}, workers=2, threads=1, pace=0.5)
-    {'start': 1.5, 'focus': 2.0}
+    {'start': 0.9, 'focus': 2.0}
     """
     rate = pace / (1 + THREAD_GAIN * (threads - 1))
     stages = {name: rate * finishing_times(costs, workers)[-1] for name, costs in work.items() if costs}
