@@ -17,7 +17,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.errors import InputError
 from blocksar.focusing.backprojection import form_chips
 from blocksar.graph.machine import machine
-from blocksar.measurement.coherence import ChipComparison, coherence
+from blocksar.measurement.coherence import ChipComparison, coherence, joint_coherence
 from blocksar.places import place
 from blocksar.runs.finished import FinishedRun
 from blocksar.runs.folder import INPUT
@@ -31,27 +31,37 @@ Compared = list[tuple[str, float, float, ChipComparison]]
 
 
 def compare_with_exact(run: FinishedRun, result: dict[str, Any]) -> tuple[Table, list[str]]:
-    """Put the chips' figures and the least coherence into `result`, and return a table of them with sentences.
+    """Put the chips' figures, the least coherence and that of all into `result`; return their table with sentences.
 
     Raises
     ------
     InputError
         If the input is unknown or gone, or the plan of the run is unknown.
     """
+    changed: list[str] = []
+    compared = _compare(run, changed)
     chips: list[dict[str, Any]] = [
         {
             "place": name, "x": x, "y": y, "full_dwell": bool(has_full_dwell(run.geometry_at(x, y), x, y)),
             "coherence": abs(c.coherence), "gain": c.gain, "phase": c.phase, "power": c.power,
         }
-        for name, x, y, c in _compare(run)
+        for name, x, y, c in compared
     ]  # fmt: skip
     result["reference"] = chips
     lines = ["reference: exact back-projection of the same samples; chips of 64 x 64 pixels"]
+    if changed:
+        lines[0] = f"{', '.join(changed)} has changed since the run: the reference is of other samples than the image"
+        result["changed_input"] = changed
     predicted = min((block.coherence for block in run.record.plan.predicted), default=math.nan)
     bright, dark = full_dwell_coherence(chips)
     if bright and not math.isnan(predicted):
+        full = [c for chip, (*_, c) in zip(chips, compared, strict=True) if chip["full_dwell"]]
         result["least_coherence"] = {"measured": min(bright), "predicted": predicted}
-        lines.append(f"least coherence at full dwells: {min(bright):.4f} measured, {predicted:.4f} predicted")
+        result["joint_coherence"] = joint_coherence(full)
+        lines.append(
+            f"least coherence at full dwells: {min(bright):.4f} measured, {predicted:.4f} predicted; "
+            f"all their chips as one, each by its power: {result['joint_coherence']:.4f}"
+        )
     if dark:
         lines.append(
             f"not judged, as side lobes of other places count there: {len(dark)} of {len(bright) + len(dark)} chips, "
@@ -72,10 +82,11 @@ def full_dwell_coherence(chips: list[dict[str, Any]]) -> tuple[list[float], list
     return [chip["coherence"] for chip in full if chip["power"] >= least], dark
 
 
-def _compare(run: FinishedRun) -> Compared:
+def _compare(run: FinishedRun, changed: list[str]) -> Compared:
     """Compare chips of the image with exact back-projection of the run's input.
 
-    Of chips around a place with full dwell, those pixels are compared that have it too.
+    Of chips around a place with full dwell, those pixels are compared that have it too. Inputs that are no longer what
+    the run was made from are appended to `changed`.
 
     Raises
     ------
@@ -90,7 +101,10 @@ def _compare(run: FinishedRun) -> Compared:
         moved = own / place(path).name if place(path).name != INPUT else own
         within = f"/{INPUT}" in path and moved.exists()
         history = stores.open_phase_history(moved if within else path)
-        history = history.of_channel(run.attrs.get("channel") if history.channels else None)
+        whole, history = history, history.of_channel(run.attrs.get("channel") if history.channels else None)
+        known = run.record.fingerprint_of(path)
+        if known and not within and known not in (history.fingerprint(), whole.fingerprint()):
+            changed.append(path)
         geometry = Geometry(collection=history.collection.centred()) if run.segments else run.geometry
         chips = _chips(run, path, geometry)
         read, axes = pulse_reader(history), [(run.x[columns], run.y[rows]) for *_, rows, columns in chips]

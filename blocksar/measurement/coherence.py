@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import cmath
+import math
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -45,3 +48,16 @@ def coherence(a: ComplexArray, b: ComplexArray) -> ChipComparison:
     normalised = inner / float(np.sqrt(energy_a) * np.sqrt(energy_b))
     pixels = int(both.sum())
     return ChipComparison(normalised, abs(inner) / energy_b, float(np.angle(inner)), pixels, energy_b / pixels)
+
+
+def joint_coherence(chips: Iterable[ChipComparison]) -> float:
+    """|<a, b>| / (|a| |b|) of several chips as one: each counts by its power; NaN without any."""
+    inner, energy_a, energy_b = 0j, 0.0, 0.0
+    for chip in chips:
+        if math.isnan(chip.gain):
+            continue
+        energy = chip.power * chip.pixels
+        inner += cmath.rect(chip.gain * energy, chip.phase)
+        energy_a += energy * (chip.gain / abs(chip.coherence)) ** 2
+        energy_b += energy
+    return abs(inner) / math.sqrt(energy_a * energy_b) if energy_b else math.nan

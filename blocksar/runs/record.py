@@ -380,6 +380,11 @@ class RunRecord:
         paths = tuple(dict.fromkeys(segment.path for segment in self.segments)) or (self.input.path,)
         return tuple(filter(None, paths))
 
+    def fingerprint_of(self, path: str) -> str:
+        """Fingerprint of one of `inputs` as the run began; empty if unknown."""
+        by_path = {segment.path: segment.fingerprint for segment in self.segments}
+        return by_path.get(path, self.input.fingerprint)
+
     @property
     def version(self) -> str:
         """Version of blocksar that wrote the record; empty if unknown."""
