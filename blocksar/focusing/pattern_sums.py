@@ -22,8 +22,8 @@ from blocksar.kernels.loops import loop
 from blocksar.kernels.signatures import COMPILED, PART, REAL_ROW, REAL_ROWS, UNCHECKED
 
 TOGETHER = 32  # pixels of a row
-DEGREE = 12  # of P: 1e-10 rad for angles up to WIDEST
-WIDEST = 0.8  # rad off a direction: arc sines of larger ones are computed one by one
+DEGREE = 12  # of P: 2e-12 rad for angles up to WIDEST
+LEAST, WIDEST = 0.3, 0.8  # rad off a direction that P serves at least; arc sines of larger ones are computed singly
 EVEN = 1e-9  # of the spacing of a pattern's angles, by which they may differ from even ones
 _PULSES = types.Array(types.int64, 2, "C", readonly=True)
 _C0, _C1, _C2, _C3, _C4, _C5, _C6, _C7, _C8 = (
@@ -44,22 +44,26 @@ class _Cut(NamedTuple):
         Samples a rad where the angles are even, else 0.
     series : (DEGREE + 1,) float
         P; empty where the angles are too large for it.
+    limit : float
+        Sine of the largest angle that P serves, or 1; sines beyond are taken for it.
     """
 
     angles: FloatArray
     values: FloatArray
     per_step: float
     series: FloatArray
+    limit: float
 
     @classmethod
     def of(cls, angles: FloatArray | None, values: FloatArray | None, most: float) -> _Cut:
         """That of angles off a direction of `most` at most, rad; `values` is None where there is no pattern."""
-        series = _arc_sine(float(most)) if most <= WIDEST else np.zeros(0)
+        most = max(float(most), LEAST)
+        series, limit = (_arc_sine(most), float(np.sin(most))) if most <= WIDEST else (np.zeros(0), 1.0)
         if angles is None or values is None:
-            return cls(np.zeros(1), np.ones(1), 0.0, series)
+            return cls(np.zeros(1), np.ones(1), 0.0, series, limit)
         step = (angles[-1] - angles[0]) / (angles.size - 1)
         uneven = np.abs(angles - (angles[0] + step * np.arange(angles.size))).max() > EVEN * step
-        return cls(np.array(angles), np.array(values), 0.0 if uneven else 1 / step, series)
+        return cls(np.array(angles), np.array(values), 0.0 if uneven else 1 / step, series, limit)
 
 
 @lru_cache(maxsize=8)
@@ -70,7 +74,7 @@ def _arc_sine(most: float) -> FloatArray:
         t = np.sqrt(square)
         return np.asarray(np.where(t > 1e-6, np.arcsin(t) / np.maximum(t, 1e-6), 1.0))
 
-    found = Chebyshev.interpolate(ratio, DEGREE, [0.0, max(np.sin(most), 1e-3) ** 2])
+    found = Chebyshev.interpolate(ratio, DEGREE, [0.0, np.sin(most) ** 2])
     series = np.zeros(DEGREE + 1)
     coefficients = found.convert(kind=Polynomial, domain=[-1, 1], window=[-1, 1]).coef
     series[: coefficients.size] = coefficients
@@ -140,11 +144,14 @@ def add_gains(
 
 
 @njit(**PART, **COMPILED, **UNCHECKED)
-def _angles(sines: FloatArray, series: FloatArray, n: int) -> None:
-    """Arc sines of n sines, in their place."""
+def _angles(sines: FloatArray, series: FloatArray, limit: float, n: int) -> None:
+    """Arc sines of n sines, in their place; those beyond the limit, and NaN, are taken for the limit."""
+    for k in range(n):
+        t = sines[k] if sines[k] < limit else limit
+        sines[k] = t if t > -limit else -limit
     if series.size == 0:
         for k in range(n):
-            sines[k] = np.arcsin(min(max(sines[k], -1.0), 1.0))
+            sines[k] = np.arcsin(sines[k])
         return
     p0, p1, p2, p3, p4, p5, p6 = series[0], series[1], series[2], series[3], series[4], series[5], series[6]
     p7, p8, p9, p10, p11, p12 = series[7], series[8], series[9], series[10], series[11], series[12]
@@ -198,12 +205,12 @@ def _weigh(gain: FloatArray, angle: FloatArray, n: int, terms: FloatArray, per_r
 
 @loop(
     types.float64[:, ::1], *[REAL_ROWS] * 4, *[_PULSES] * 2, REAL_ROWS, types.int64, types.boolean,
-    *[REAL_ROW, REAL_ROW, types.float64, REAL_ROW] * 2, types.float64, REAL_ROW, types.float64,
+    *[REAL_ROW, REAL_ROW, types.float64, REAL_ROW, types.float64] * 2, types.float64, REAL_ROW, types.float64,
     **COMPILED, **UNCHECKED,
 )  # fmt: skip
 def _add_gains(  # type: ignore[no-untyped-def]
-    total, x, y, over, yaw, first, last, beam, start, has_axis, offsets, pattern, per_offset, of_offset, elevations,
-    elevation_pattern, per_elevation, of_elevation, middle, terms, per_rad,
+    total, x, y, over, yaw, first, last, beam, start, has_axis, offsets, pattern, per_offset, of_offset, most_offset,
+    elevations, elevation_pattern, per_elevation, of_elevation, most_elevation, middle, terms, per_rad,
 ):  # fmt: skip
     """The sum of `add_gains`.
 
@@ -231,7 +238,7 @@ def _add_gains(  # type: ignore[no-untyped-def]
                         dx, dy, height = x[row, at] - px, y[row, at] - py, pz - over[row, at]
                         s = (dx * ax + dy * ay - height * az) / np.sqrt(dx * dx + dy * dy + height * height)
                         angle[k] = s * cos - np.sqrt(max(1.0 - s * s, 0.0)) * sin
-                    _angles(angle, of_offset, n)
+                    _angles(angle, of_offset, most_offset, n)
                 elif weighed:
                     for k in range(n):
                         offset = yaw[row, np.uint64(begin + k)] - beam[p, 8]
@@ -241,14 +248,13 @@ def _add_gains(  # type: ignore[no-untyped-def]
                 if terms.size > 1:
                     _weigh(gain, angle, n, terms, per_rad, work)
                 if elevation_pattern.size > 1:
-                    least, most = np.sin(elevations[0] - middle), np.sin(elevations[elevations.size - 1] - middle)
                     for k in range(n):
                         at = np.uint64(begin + k)
                         dx, dy, height = x[row, at] - px, y[row, at] - py, pz - over[row, at]
                         ground = dx * dx + dy * dy
-                        t = (height * cos_middle - np.sqrt(ground) * sin_middle) / np.sqrt(ground + height * height)
-                        angle[k] = min(max(t, least), most)
-                    _angles(angle, of_elevation, n)
+                        across = height * cos_middle - np.sqrt(ground) * sin_middle
+                        angle[k] = across / np.sqrt(ground + height * height)
+                    _angles(angle, of_elevation, most_elevation, n)
                     for k in range(n):
                         angle[k] += middle
                     _multiply(gain, angle, n, elevations, elevation_pattern, per_elevation)
