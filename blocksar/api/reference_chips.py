@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -38,8 +39,8 @@ def compare_with_exact(run: FinishedRun, result: dict[str, Any]) -> tuple[Table,
     InputError
         If the input is unknown or gone, or the plan of the run is unknown.
     """
-    changed: list[str] = []
-    compared = _compare(run, changed)
+    inputs = _open_inputs(run)
+    compared = _compare(run, inputs)
     chips: list[dict[str, Any]] = [
         {
             "place": name, "x": x, "y": y, "full_dwell": bool(has_full_dwell(run.geometry_at(x, y), x, y)),
@@ -49,7 +50,7 @@ def compare_with_exact(run: FinishedRun, result: dict[str, Any]) -> tuple[Table,
     ]  # fmt: skip
     result["reference"] = chips
     lines = ["reference: exact back-projection of the same samples; chips of 64 x 64 pixels"]
-    if changed:
+    if changed := [path for path, history in inputs.items() if _has_changed(run, path, history)]:
         lines[0] = f"{', '.join(changed)} has changed since the run: the reference is of other samples than the image"
         result["changed_input"] = changed
     predicted = min((block.coherence for block in run.record.plan.predicted), default=math.nan)
@@ -82,29 +83,48 @@ def full_dwell_coherence(chips: list[dict[str, Any]]) -> tuple[list[float], list
     return [chip["coherence"] for chip in full if chip["power"] >= least], dark
 
 
-def _compare(run: FinishedRun, changed: list[str]) -> Compared:
-    """Compare chips of the image with exact back-projection of the run's input.
-
-    Of chips around a place with full dwell, those pixels are compared that have it too. Inputs that are no longer what
-    the run was made from are appended to `changed`.
+def _open_inputs(run: FinishedRun) -> dict[str, stores.PhaseHistory]:
+    """Open the phase histories that a run was made from, of its channel, by the paths in its record.
 
     Raises
     ------
     InputError
-        If the input is unknown or gone, or the plan of the run is unknown.
+        If the input is unknown or gone.
     """
     if not run.record.inputs:
         raise InputError(f"run.json of {run.folder} does not name the input (input.path); focus again with --overwrite")
-    compared: Compared = []
-    own = run.folder / INPUT  # goes with the folder, where that is moved
+    inputs, own = {}, run.folder / INPUT  # goes with the folder, where that is moved
     for path in run.record.inputs:
         moved = own / place(path).name if place(path).name != INPUT else own
         within = f"/{INPUT}" in path and moved.exists()
         history = stores.open_phase_history(moved if within else path)
-        whole, history = history, history.of_channel(run.attrs.get("channel") if history.channels else None)
-        known = run.record.fingerprint_of(path)
-        if known and not within and known not in (history.fingerprint(), whole.fingerprint()):
-            changed.append(path)
+        inputs[path] = history.of_channel(run.attrs.get("channel") if history.channels else None)
+    return inputs
+
+
+def _has_changed(run: FinishedRun, path: str, history: stores.PhaseHistory) -> bool:
+    """Whether a phase history is no longer the one that a run began with.
+
+    Not told of what came from memory, nor of looks: their fingerprints cover more than the store.
+    """
+    known = run.record.fingerprint_of(path)
+    if not known or f"/{INPUT}" in path or "look" in run.attrs:
+        return False
+    return known != history.fingerprint()
+
+
+def _compare(run: FinishedRun, inputs: Mapping[str, stores.PhaseHistory]) -> Compared:
+    """Compare chips of the image with exact back-projection of the run's input.
+
+    Of chips around a place with full dwell, those pixels are compared that have it too.
+
+    Raises
+    ------
+    InputError
+        If the plan of the run is unknown.
+    """
+    compared: Compared = []
+    for path, history in inputs.items():
         geometry = Geometry(collection=history.collection.centred()) if run.segments else run.geometry
         chips = _chips(run, path, geometry)
         read, axes = pulse_reader(history), [(run.x[columns], run.y[rows]) for *_, rows, columns in chips]

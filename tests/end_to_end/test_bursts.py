@@ -156,6 +156,7 @@ def test_products_know_the_collections(run: Path, bursts: list[Path], tmp_path: 
     two = [Target(f"P{i}", *TARGETS[i]) for i in (3, 4)]
     result = blocksar.quality(run, reference=True, targets=two).result
     assert {chip["place"].split(",")[0] for chip in result["reference"]} == {f"segment {i}" for i in range(3)}
+    assert "changed_input" not in result
     blocksar.report(run)
     page = (run / "report.html").read_text()
     assert "<h1>burst 0 and 2 more</h1>" in page

@@ -72,6 +72,7 @@ def test_looks_of_a_steered_beam_sum_up_to_the_image(tmp_path: Path) -> None:
     assert min(look["within"] for look in found["each"]) > 0.9  # the rest leaks out of chips of 60 pixels
     assert found["mean_looks"] > 1.1 * max(look["looks"] for look in found["each"])
     assert report.summary[0] == "look-1 of look-1, look-2; --channel chooses another"
+    assert "changed_input" not in blocksar.quality(run, reference=True).result
     blocksar.report(run)
     page = (run / "looks" / "look-2" / "report.html").read_text()
     assert "of the power of a look lie in its own part" in page and "<h1>test, look-2</h1>" in page
