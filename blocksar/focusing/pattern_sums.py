@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit, types
-from numpy.polynomial import Chebyshev, Polynomial
 
 from blocksar.arrays import FloatArray, IntArray
 from blocksar.collection.geometry import Geometry
@@ -20,17 +19,14 @@ from blocksar.collection.weighting import FLAT, Taper
 from blocksar.constants import TURN
 from blocksar.kernels.loops import loop
 from blocksar.kernels.signatures import COMPILED, PART, REAL_ROW, REAL_ROWS, UNCHECKED
+from blocksar.kernels.trigonometry import fit_even
 
 TOGETHER = 32  # pixels of a row
 DEGREE = 12  # of P: 2e-12 rad for angles up to WIDEST
 LEAST, WIDEST = 0.3, 0.8  # rad off a direction that P serves at least; arc sines of larger ones are computed singly
 EVEN = 1e-9  # of the spacing of a pattern's angles, by which they may differ from even ones
 _PULSES = types.Array(types.int64, 2, "C", readonly=True)
-_C0, _C1, _C2, _C3, _C4, _C5, _C6, _C7, _C8 = (
-    Chebyshev.interpolate(lambda square: np.cos(np.pi * np.sqrt(square)), 8, [0.0, 0.25])
-    .convert(kind=Polynomial, domain=[-1, 1], window=[-1, 1])
-    .coef.tolist()
-)  # of cos(pi x) for |x| <= 1/2, in x^2
+_C0, _C1, _C2, _C3, _C4, _C5, _C6, _C7, _C8 = fit_even(lambda x: np.cos(np.pi * x), 8)
 
 
 class _Cut(NamedTuple):
@@ -69,15 +65,8 @@ class _Cut(NamedTuple):
 @lru_cache(maxsize=8)
 def _arc_sine(most: float) -> FloatArray:
     """P (DEGREE + 1,) with asin(t) = t P(t^2) for |asin(t)| <= most; read-only."""
-
-    def ratio(square: FloatArray) -> FloatArray:
-        t = np.sqrt(square)
-        return np.asarray(np.where(t > 1e-6, np.arcsin(t) / np.maximum(t, 1e-6), 1.0))
-
-    found = Chebyshev.interpolate(ratio, DEGREE, [0.0, np.sin(most) ** 2])
-    series = np.zeros(DEGREE + 1)
-    coefficients = found.convert(kind=Polynomial, domain=[-1, 1], window=[-1, 1]).coef
-    series[: coefficients.size] = coefficients
+    ratio = fit_even(lambda t: np.where(t > 1e-6, np.arcsin(t) / np.maximum(t, 1e-6), 1.0), DEGREE, np.sin(most))
+    series = np.array(ratio)
     series.flags.writeable = False
     return series
 
@@ -145,7 +134,7 @@ def add_gains(
 
 @njit(**PART, **COMPILED, **UNCHECKED)
 def _angles(sines: FloatArray, series: FloatArray, limit: float, n: int) -> None:
-    """Arc sines of n sines, in their place; those beyond the limit, and NaN, are taken for the limit."""
+    """Arc sines of n sines, in their place; those beyond the limit, and NaN, are taken for it."""
     for k in range(n):
         t = sines[k] if sines[k] < limit else limit
         sines[k] = t if t > -limit else -limit

@@ -285,7 +285,7 @@ def find_passes(
     int
         The largest number of passes of a point: if that is above m, some are not written.
     """
-    most, n_pulse, n_span = 0, table.shape[0], 0
+    most, n_pulse = 0, table.shape[0]
     low, high, spans = np.empty(n_pulse), np.empty(n_pulse), np.empty((MOST_SPANS, 3), np.int64)
     for m in range(firsts.shape[0]):
         for k in range(x.size):

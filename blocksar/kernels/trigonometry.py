@@ -12,14 +12,14 @@ from blocksar.kernels.lanes import spread
 from blocksar.kernels.signatures import COMPILED, PART
 
 
-def _fit_even(function: Any, degree: int) -> tuple[float, ...]:
-    """Power coefficients, in x^2, of an even function on |x| <= 1/2, by Chebyshev interpolation."""
-    series = chebyshev.Chebyshev.interpolate(lambda s: function(np.sqrt(s)), degree, domain=[0.0, 0.25])
+def fit_even(function: Any, degree: int, most: float = 0.5) -> tuple[float, ...]:
+    """Power coefficients, in x^2, of an even function on |x| <= most, by Chebyshev interpolation."""
+    series = chebyshev.Chebyshev.interpolate(lambda s: function(np.sqrt(s)), degree, domain=[0.0, most**2])
     return tuple(float(c) for c in series.convert(kind=np.polynomial.Polynomial, domain=[-1, 1], window=[-1, 1]).coef)
 
 
-_S = _fit_even(lambda x: np.where(x > 1e-9, np.sin(np.pi * x) / np.maximum(x, 1e-9), np.pi), 4)
-_C = _fit_even(lambda x: np.cos(np.pi * x), 5)
+_S = fit_even(lambda x: np.where(x > 1e-9, np.sin(np.pi * x) / np.maximum(x, 1e-9), np.pi), 4)
+_C = fit_even(lambda x: np.cos(np.pi * x), 5)
 _S0, _S1, _S2, _S3, _S4 = (np.float32(c) for c in _S)
 _C0, _C1, _C2, _C3, _C4, _C5 = (np.float32(c) for c in _C)
 

@@ -39,7 +39,8 @@ BACK_PROJECT = 2.4e-9  # per lit pulse and pixel: the sum, and range profiles of
 GAINS = 7e-9  # more under an antenna's pattern, whose sums it divides by
 FINISH = 0.4  # to end the cluster and flush files to the disk
 
-# `blocksar demo` predicts its stages before there is a plan: their seconds on two cores of that machine.
+# `blocksar demo` predicts its stages before there is a plan: seconds on two cores of an earlier machine, of which only
+# ratios matter.
 DEMO = {
     "simulate": 0.3,
     "plan": 0.2,

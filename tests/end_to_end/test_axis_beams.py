@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -59,20 +58,16 @@ def test_a_run_is_sharp_and_coherent_with_back_projection(mode: str, client: Cli
     full = [chip for chip in result["reference"] if chip["full_dwell"]]
     assert full and min(chip["coherence"] for chip in full) > 0.999
     assert 0.9995 < result["joint_coherence"] <= 1 and "changed_input" not in result
+    blocksar.focus(store, tmp_path / "exact", grid=GRID, processor="backprojection", client=client)
+    exact = blocksar.quality(tmp_path / "exact").result
+    for one, other in zip(result["targets"], exact["targets"], strict=True):
+        assert abs(complex(*one["value"]) - complex(*other["value"])) < 0.01
     if mode == "tops":
-        copy = tmp_path / "copy"
-        shutil.copytree(store, copy)
         chunk = next(file for file in sorted((store / "signal" / "c").rglob("*")) if file.is_file())
         chunk.write_bytes(chunk.read_bytes()[:-8] + bytes(8))
         changed = blocksar.quality(tmp_path / "run", reference=True)
         assert changed.result["changed_input"] == [str(store)]
         assert f"{store} has changed since the run" in "\n".join(changed.summary)
-        shutil.rmtree(store)
-        copy.rename(store)
-    blocksar.focus(store, tmp_path / "exact", grid=GRID, processor="backprojection", client=client)
-    exact = blocksar.quality(tmp_path / "exact").result
-    for one, other in zip(result["targets"], exact["targets"], strict=True):
-        assert abs(complex(*one["value"]) - complex(*other["value"])) < 0.01
 
 
 @pytest.mark.parametrize("mode", MODES)

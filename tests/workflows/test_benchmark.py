@@ -39,15 +39,10 @@ def benchmark() -> Any:
         import benchmark
         from benchmarks import back_projection, bench, floors, folders, guard, other_version, scenes, scheduling, tables
 
-        parts = {"back_projection": back_projection, "floors": floors, "folders": folders, "scenes": scenes}
-        parts |= {
-            "bench": bench,
-            "tables": tables,
-            "other_version": other_version,
-            "guard": guard,
-            "scheduling": scheduling,
-        }
-        yield SimpleNamespace(main=benchmark.main, **parts)
+        parts = (back_projection, bench, floors, folders, guard, other_version, scenes, scheduling, tables)
+        yield SimpleNamespace(
+            main=benchmark.main, **{part.__name__.removeprefix("benchmarks."): part for part in parts}
+        )
 
 
 @pytest.fixture(scope="module")
