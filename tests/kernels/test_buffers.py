@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import mmap
 import pickle
 import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 import pytest
 
 from blocksar.arrays import ComplexArray
 from blocksar.constants import MIB
-from blocksar.kernels.buffers import FIT, SMALLEST, Memory
+from blocksar.kernels import buffers
+from blocksar.kernels.buffers import GRAIN, SMALLEST, Memory
 
 
 def address(array: ComplexArray) -> int:
@@ -32,10 +36,65 @@ def test_memory_is_used_again_once_all_views_are_gone() -> None:
     del array
     assert memory.kept == 0
     del view
-    assert memory.kept == 16_000_000
-    again = memory.empty((1999, 1000))
+    assert 16_000_000 <= memory.kept < 16_000_000 + GRAIN
+    again = memory.empty((2000, 1000))
     assert address(again) == place
     assert memory.kept == 0
+
+
+def test_arrays_of_other_sizes_use_the_memory_that_was_written() -> None:
+    memory = Memory()
+    large = memory.empty(samples(173))
+    place = address(large)
+    del large
+    small = [memory.empty(samples(29)) for _ in range(2)]
+    assert [address(array) for array in small] == [place, place + 29 * MIB]
+    assert memory.kept + memory.used == 173 * MIB
+    del small
+    larger = memory.empty(samples(182))
+    assert address(larger) == place
+    assert memory.kept == 0
+
+
+def test_what_is_given_back_holds_no_numbers() -> None:
+    memory = Memory()
+    first, second = memory.empty(samples(8)), memory.empty(samples(8))
+    first[:], second[:] = 1, 2
+    gone = address(first)
+    del first
+    memory.release()
+    assert memory.kept == 0
+    assert (second == 2).all()
+    again = memory.empty(samples(8))
+    assert address(again) == gone
+    assert not again.any()
+
+
+def test_memory_that_is_lent_exactly_serves(monkeypatch: pytest.MonkeyPatch) -> None:
+    def only_exact(size: int, map_: Callable[[int], mmap.mmap] = buffers._map) -> mmap.mmap:
+        if size != 5 * MIB:
+            raise OSError("Cannot allocate memory")
+        return map_(size)
+
+    monkeypatch.setattr(buffers, "_map", only_exact)
+    memory = Memory()
+    array = memory.empty(samples(5))
+    array[:] = 1
+    assert memory.used == 5 * MIB
+
+
+def test_an_array_may_go_while_its_thread_takes_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    memory = Memory()
+    arrays = [memory.empty(samples(5))]
+    mark = buffers._Segment.mark
+
+    def collecting(*arguments: Any, **options: Any) -> None:
+        arrays.clear()
+        mark(*arguments, **options)
+
+    monkeypatch.setattr(buffers._Segment, "mark", collecting)
+    other = memory.empty(samples(6))
+    assert memory.used == other.nbytes
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -48,9 +107,10 @@ def test_kept_and_used_memory_never_exceed_what_was_in_use_at_once(seed: int) ->
             arrays.pop(rng.integers(len(arrays)))
         else:
             arrays.append(memory.empty(samples(rng.uniform(4.1, 40))))
-        most = max(most, sum(array.nbytes for array in arrays))
-        # A memory may be larger than its array.
-        assert memory.kept + memory.used <= FIT * most
+        used = sum(-(-array.nbytes // GRAIN) * GRAIN for array in arrays)
+        most = max(most, used)
+        assert memory.used == used
+        assert memory.kept + used <= most
 
 
 def test_arrays_do_not_share_memory() -> None:
