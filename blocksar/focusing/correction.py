@@ -29,6 +29,7 @@ from blocksar.focusing.pixel_rows import (
     TILE_DEGREE,
     along_row,
     amplitude_of,
+    blank_row,
     divide_by_sums,
     evaluate_row,
     find_addresses,
@@ -127,8 +128,7 @@ def correct(
         return out
     tiles = tiles or tiles_of(ground, [(x, y)], [z])[0]
     side, places, polynomials, _ = tiles
-    if places.shape[0] < -(-y.size // side) * -(-x.size // side) or not places[:, 2].all():
-        out[...] = np.nan + 1j * np.nan  # where no tile writes
+    _blank_others(out, places, side)
     if places.shape[0] == 0:
         return out
     if ground.relief is not None:
@@ -162,6 +162,17 @@ def correct(
     # Python threads over groups of tiles, not numba's own: a dask worker may run several tasks in one process.
     run_groups(resample, [slice(i, i + TILE_GROUP) for i in range(0, places.shape[0], TILE_GROUP)], threads)
     return out
+
+
+def _blank_others(out: ComplexArray, places: IntArray, side: int) -> None:
+    """Write NaN to the tiles that are not among `places`, (n, 3) as in `Tiles`."""
+    n_row, n_column = -(-out.shape[0] // side), -(-out.shape[1] // side)
+    if places.shape[0] == n_row * n_column:
+        return
+    absent = np.ones((n_row, n_column), np.bool_)
+    absent[places[:, 0] // side, places[:, 1] // side] = False
+    for row, column in np.argwhere(absent) * side:
+        out[row : row + side, column : column + side] = np.nan + 1j * np.nan
 
 
 def tiles_of(
@@ -352,7 +363,9 @@ def _resample(  # type: ignore[no-untyped-def]
         for i in range(i0, min(i0 + tile, out.shape[0])):
             for k in range(tile):
                 owned[k] = 1.0 if k < n else np.nan
+            start = 2 * (i * out.shape[1] + j0)
             if not every and not find_sector(x, j0, n, y[i], rays, frame, rng, owned):
+                blank_row(numbers, start, n)
                 continue
             along_row(coefficients, t, across[i - i0], along)
             evaluate_row(along, across, values)
@@ -376,4 +389,4 @@ def _resample(  # type: ignore[no-untyped-def]
                 flat, stride, at, range_taps, range_step, widths[0], range_at, range_part, doppler_taps, doppler_step,
                 doppler_at, doppler_part, carriers, carrier_at, real, imag,
             )  # fmt: skip
-            write_row(numbers, 2 * (i * out.shape[1] + j0), n, amplitude, own_real, own_imag, real, imag)
+            write_row(numbers, start, n, amplitude, own_real, own_imag, real, imag)

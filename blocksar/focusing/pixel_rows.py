@@ -276,3 +276,10 @@ def write_row(numbers, first, n, amplitude, own_real, own_imag, real, imag) -> N
     for k in range(n):
         numbers[np.uint64(first) + np.uint64(2 * k)] = real[k]
         numbers[np.uint64(first) + np.uint64(2 * k + 1)] = imag[k]
+
+
+@njit(**PART, **COMPILED)
+def blank_row(numbers: Float32Array, first: int, n: int) -> None:
+    """numbers[first : first + 2 n] = NaN: n pixels that are not owned."""
+    for k in range(2 * n):
+        numbers[np.uint64(first) + np.uint64(k)] = np.float32(np.nan)

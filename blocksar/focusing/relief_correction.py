@@ -26,6 +26,7 @@ from blocksar.focusing.pixel_rows import (
     DOPPLER_UNIT,
     N_PHASE,
     amplitude_of,
+    blank_row,
     divide_by_sums,
     find_addresses,
     find_limits,
@@ -424,11 +425,13 @@ def _resample(  # type: ignore[no-untyped-def]
         i0, j0, every = tiles[t, 0], tiles[t, 1], tiles[t, 2] != 0
         n = min(tile, out.shape[1] - j0)
         for i in range(i0, min(i0 + tile, out.shape[0])):
+            start = 2 * (i * out.shape[1] + j0)
             for k in range(tile):
                 owned[k] = 1.0 if k < n else np.nan
             if every:
                 _ranges(x, j0, n, y[i], z, i, frame, rng, owned)
             elif not _sector(x, j0, n, y[i], z, i, rays, frame, rng, owned):
+                blank_row(numbers, start, n)
                 continue
             _evaluate(coefficients, t, across[i - i0], across, spans, z, i, j0, n, w, cubics, values)
             for k in range(n):
@@ -455,4 +458,4 @@ def _resample(  # type: ignore[no-untyped-def]
                 flat, stride, at, range_taps, range_step, widths[0], range_at, range_part, real_taps, imag_taps,
                 tap_at, tap_step, doppler_part, carriers, 2 * widths[1], carrier_at, real, imag,
             )  # fmt: skip
-            write_row(numbers, 2 * (i * out.shape[1] + j0), n, amplitude, own_real, own_imag, real, imag)
+            write_row(numbers, start, n, amplitude, own_real, own_imag, real, imag)

@@ -195,12 +195,20 @@ def box_about(grid: Grid, window: tuple[slice, slice]) -> Box:
     return box_of(nodes_x, nodes_y)
 
 
+class SeenGround(NamedTuple):
+    """The ground of a window, (n_y, n_x) each: heights, m, the same in float32, and local incidence angles, rad."""
+
+    height: FloatArray
+    rounded: NDArray[np.float32]
+    angle: NDArray[np.float32]
+
+
 def heights_and_angles(
     terrain: Terrain, sight: Sight, grid: Grid, strip: Strip
-) -> list[tuple[FloatArray, NDArray[np.float32]]]:
-    """Heights, m, to the bit those of `heights_on_grid`, and local incidence angles, rad, of windows, (n_y, n_x) each.
+) -> list[SeenGround]:
+    """The surface of windows, whose heights are to the bit those of `heights_on_grid`.
 
-    They do not depend on which windows are asked for at once. The terrain is at least that of `box_about`.
+    It does not depend on which windows are asked for at once. The terrain is at least that of `box_about`.
     """
     x, y = grid.x[strip.whole[1]], grid.y[strip.rows]
     in_x, in_y = terrain.taps_of(x, y)
@@ -214,15 +222,16 @@ def heights_and_angles(
     found = []
     for window in strip.columns:
         own = slice(window.start - strip.columns[0].start, window.stop - strip.columns[0].start)
-        height, angle = np.empty((y.size, x[own].size)), np.empty((y.size, x[own].size), np.float32)
+        shape = y.size, x[own].size
+        surface = SeenGround(np.empty(shape), np.empty(shape, np.float32), np.empty(shape, np.float32))
         find_surface(
             heights, columns[own], np.ascontiguousarray(along_x[:, own]), np.ascontiguousarray(rate_x[:, own]), rows,
-            along_y, rate_y, x[own], y, np.ascontiguousarray(antenna[..., own]), before, part, height, angle,
+            along_y, rate_y, x[own], y, np.ascontiguousarray(antenna[..., own]), before, part, *surface,
         )  # fmt: skip
         if not inside:
-            for layer in (height, angle):
+            for layer in surface:
                 layer[~in_y[2]] = layer[:, ~in_x[2][own]] = np.nan
-        found.append((height, angle))
+        found.append(surface)
     return found
 
 
@@ -421,9 +430,10 @@ def _to_nodes(part: slice) -> tuple[IntArray, FloatArray]:
 
 def _between_nodes(values: FloatArray, part: slice) -> FloatArray:
     """Values (..., n) at the places of `_positions`, at every index of the part of the axis: linear in between."""
-    before, way = _to_nodes(part)
-    low = values[..., before]
-    return np.asarray(low + way * (values[..., before + 1] - low))
+    low, way = values[..., :-1, None], np.arange(NODE_PIXELS) / NODE_PIXELS
+    cells = low + way * (values[..., 1:, None] - low)
+    first = part.start % NODE_PIXELS
+    return np.asarray(cells.reshape(*values.shape[:-1], -1)[..., first : first + part.stop - part.start])
 
 
 def _nodes(n: int) -> tuple[NDArray[np.intp], FloatArray]:

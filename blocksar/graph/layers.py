@@ -16,6 +16,7 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.focusing.noise import NoiseMap
 from blocksar.focusing.terrain_layers import (
+    SeenGround,
     Sight,
     Strip,
     box_about,
@@ -81,26 +82,27 @@ def strips_of(cells: Sequence[tuple[int, int]], grid: Grid) -> Iterator[tuple[Se
 
 
 class _Surfaces:
-    """Heights of the windows of a strip, m, incidence angles, rad, and visibility, each when it is first asked for."""
+    """The ground of the windows of a strip, and its visibility, each when it is first asked for."""
 
     def __init__(self, strip: Strip, grid: Grid, terrain: Terrain, around: Terrain) -> None:
         self.strip = strip
         self._grid, self._terrain, self._around = grid, terrain, around
-        self._found: dict[int, list[tuple[FloatArray, NDArray[np.float32]]]] = {}
+        self._found: dict[int, list[SeenGround]] = {}
         self._seen: dict[int, NDArray[np.uint8]] = {}
 
-    def _of(self, sight: Sight) -> list[tuple[FloatArray, NDArray[np.float32]]]:
+    def _of(self, sight: Sight) -> list[SeenGround]:
         if id(sight) not in self._found:
             self._found[id(sight)] = heights_and_angles(self._terrain, sight, self._grid, self.strip)
         return self._found[id(sight)]
 
-    def height(self, number: int, sight: Sight) -> FloatArray:
-        """Of window `number` of the strip, (n_y, n_x); `sight` is a free choice, as heights are those of all."""
-        found = next(iter(self._found.values()), None)
-        return (self._of(sight) if found is None else found)[number][0]
+    def of(self, number: int, sight: Sight) -> SeenGround:
+        """That of window `number` of the strip."""
+        return self._of(sight)[number]
 
-    def angle(self, number: int, sight: Sight) -> NDArray[np.float32]:
-        return self._of(sight)[number][1]
+    def any_of(self, number: int, sight: Sight) -> SeenGround:
+        """The same; its heights are those of all sights, of which `sight` is a free choice, but not its angles."""
+        found = next(iter(self._found.values()), None)
+        return (self._of(sight) if found is None else found)[number]
 
     def visibility(self, number: int, sight: Sight) -> NDArray[np.uint8]:
         if id(sight) not in self._seen:
@@ -149,7 +151,7 @@ class TerrainLayers:
     def heights_of(self, window: Window) -> FloatArray:
         """Heights (n_y, n_x), m, of a window of the strip."""
         surfaces, number = self._at(window)
-        return surfaces.height(number, next(iter(self.sights.values())))
+        return surfaces.any_of(number, next(iter(self.sights.values()))).height
 
     def over(self, window: Window, owner: NDArray[np.int16] | int) -> dict[str, NDArray[Any]]:
         """The layers of a window of the strip, or of any other, by name.
@@ -160,9 +162,10 @@ class TerrainLayers:
         if self._stored is None:
             return {}
         of, number = self._at(window)
-        incidence = by_owner(self.sights, owner, lambda sight: of.angle(number, sight), np.nan)
+        incidence = by_owner(self.sights, owner, lambda sight: of.of(number, sight).angle, np.nan)
         seen = by_owner(self.sights, owner, lambda sight: of.visibility(number, sight), UNKNOWN)
-        layers = {"height": self.heights_of(window), "incidence_angle": incidence, "visibility": seen}
+        height = of.any_of(number, next(iter(self.sights.values()))).rounded
+        layers = {"height": height, "incidence_angle": incidence, "visibility": seen}
         return {name: layers[name].astype(kind.dtype, copy=False) for name, kind in stores.ON_TERRAIN.items()}
 
     def _at(self, window: Window) -> tuple[_Surfaces, int]:

@@ -86,12 +86,12 @@ def _arc_cosine(cosine: float) -> Any:
 
 @loop(
     REAL_ROWS, INDICES, REAL_ROWS, REAL_ROWS, INDICES, REAL_ROWS, REAL_ROWS, REAL_ROW, REAL_ROW, PLANES, INDICES,
-    REAL_ROW, types.float64[:, ::1], types.float32[:, ::1], **COMPILED, **UNCHECKED,
+    REAL_ROW, types.float64[:, ::1], types.float32[:, ::1], types.float32[:, ::1], **COMPILED, **UNCHECKED,
 )  # fmt: skip
 def find_surface(
     strip: FloatArray, columns: IntArray, along_x: FloatArray, rate_x: FloatArray, rows: IntArray, along_y: FloatArray,
     rate_y: FloatArray, x: FloatArray, y: FloatArray, antenna: FloatArray, node: IntArray, part: FloatArray,
-    height: FloatArray, angle: NDArray[np.float32],
+    height: FloatArray, rounded: NDArray[np.float32], angle: NDArray[np.float32],
 ) -> None:  # fmt: skip
     """Find the height of every pixel, and the angle between the terrain's upward normal and the line of sight there.
 
@@ -107,8 +107,8 @@ def find_surface(
         x, y and z of the antenna as the columns of m rows see it, m; at least two rows, linear in between.
     node, part : (n_y,)
         Which of the m rows is before each row, and the part of the way to the next.
-    height, angle : (n_y, n_x) float64 and float32
-        Written: m and rad; NaN where a sample is.
+    height, rounded, angle : (n_y, n_x) float64 and float32
+        Written: m, the same in float32, and rad; NaN where a sample is.
     """
     n = columns.size
     along, rate = np.empty((strip.shape[0], n)), np.empty((strip.shape[0], n))
@@ -127,5 +127,6 @@ def find_surface(
             uy = antenna[1, m, k] + v * (antenna[1, m + 1, k] - antenna[1, m, k]) - y[i]
             uz = antenna[2, m, k] + v * (antenna[2, m + 1, k] - antenna[2, m, k]) - z[k]
             normal = 1.0 + slope_x * slope_x + slope_y * slope_y
+            rounded[i, k] = z[k]
             cosine = uz - ux * slope_x - uy * slope_y
             angle[i, k] = _arc_cosine(cosine / np.sqrt(normal * (ux * ux + uy * uy + uz * uz)))

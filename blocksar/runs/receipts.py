@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 from blocksar import stores
 from blocksar.errors import InputError, ProcessingError
@@ -185,6 +186,12 @@ class Run:
         return "-".join(["store", *([] if inner and folder in ("patches", "gated") else [folder]), *inner])
 
 
+@lru_cache(maxsize=64)
+def _has(record: Place, version: str, identity: str) -> bool:
+    """Whether a version of a run's record has this identity."""
+    return identity.encode() in record.read_bytes()
+
+
 def write(
     run: Run, store: Place, variable: str, region: tuple[slice, ...], values: Array, *, cached: bool = False
 ) -> Written:
@@ -196,7 +203,7 @@ def write(
         If it cannot be written, or another run has taken the folder.
     """
     # A shared cluster may still run tasks of a process that was killed, whose run has been overwritten since.
-    if run.identity.encode() not in (run.folder / RECORD).read_bytes():
+    if not _has(record := run.folder / RECORD, record.version(), run.identity):
         raise ProcessingError(f"{run.folder} has been taken by another run")
     stores.write_region(store, variable, region, values, cached=cached)
     span = tuple((part.start, part.stop) for part in region)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import stat
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -16,11 +17,12 @@ import numpy as np
 import xxhash
 from numpy.typing import NDArray
 
+from blocksar.arrays import is_finite
 from blocksar.errors import InputError
 from blocksar.places import direct
 from blocksar.places.local import LocalPlace, file_version, replacing_file
 from blocksar.places.place import Place
-from blocksar.stores.layout import COMPRESSION, fill_value, layout_of
+from blocksar.stores.layout import COMPRESSION, Layout, fill_value, layout_of
 
 if TYPE_CHECKING:
     from numcodecs.vlen import VLenUTF8  # type: ignore[import-untyped]
@@ -32,8 +34,9 @@ MAX_METADATA = 1 << 24  # bytes of a metadata file: a larger one is damaged, and
 MAX_FRAME = 1 << 12  # bytes of a compressed chunk beyond those of its samples, and one in 64 of these
 SLAB = 1 << 19  # bytes copied at a time between a chunk's file and memory of another layout: they stay in the L2 cache
 TRANSPOSED_COLUMNS = 64  # columns copied at a time in a transposition: more would touch more pages than the TLB holds
+CLOCK, COARSE_CLOCK = 100_000_000, 2_500_000_000  # ns: steps of files' times, at most; and of those of whole seconds
 FRAME_MAGIC, FRAME_BLOCK = b"\x28\xb5\x2f\xfd", 1 << 17  # of zstd; bytes of a block, at most
-DENSE_SAMPLE = 1 << 12  # numbers in the middle of a chunk that tell whether it compresses
+DENSE_SAMPLE, DENSE_PARTS = 1 << 10, 4  # numbers of each of the parts of a chunk that tell whether it compresses
 
 
 def refuse_odd_file(path: str | os.PathLike[str], largest: int = MAX_METADATA) -> None:
@@ -287,14 +290,27 @@ def chunk_files_of(path: Place, name: str) -> ChunkFiles | None:
     metadata = os.path.join(folder, "zarr.json")
     try:
         refuse_odd_file(metadata)
-        with open(metadata, "rb") as file:
-            layout = layout_of(file.read())
+        status = os.stat(metadata)
+        layout = (_layout_in if _is_settled(status) else _layout_in.__wrapped__)(metadata, file_version(status))
     except (OSError, ValueError):
         return None
     if layout is None:
         return None
     compressed = layout.compression is not None
     return ChunkFiles(folder, layout.shape, layout.chunks, layout.dtype, compressed, layout.dims, layout.attrs)
+
+
+@lru_cache(maxsize=256)
+def _layout_in(metadata: str, version: str) -> Layout | None:
+    """What a metadata file of a version states."""
+    with open(metadata, "rb") as file:
+        return layout_of(file.read())
+
+
+def _is_settled(status: os.stat_result) -> bool:
+    """Whether a file that is changed once more will have another time of modification: clocks of files are coarse."""
+    step = CLOCK if status.st_mtime_ns % 1_000_000_000 else COARSE_CLOCK
+    return time.time_ns() - status.st_mtime_ns > step
 
 
 def chunk_name(cell: Sequence[int]) -> str:
@@ -308,7 +324,7 @@ def encode(chunk: Array, *, compressed: bool) -> Iterable[bytes | memoryview]:
         return [_vlen_utf8().encode(chunk)]
     if not compressed:
         return [chunk.data]
-    return _frame(chunk) if _is_dense(chunk) else [zstd().encode(chunk)]
+    return _frame(chunk) if _is_dense(chunk.reshape(-1)) else [zstd().encode(chunk)]
 
 
 @lru_cache(maxsize=1)
@@ -327,14 +343,14 @@ def zstd() -> Zstd:
 
 
 def _is_dense(chunk: Array) -> bool:
-    """Whether zstd would try in vain: float32 without a fill value, of which a part in the middle gets no smaller.
+    """Whether zstd would try in vain: float32 or complex64, all finite, of which some parts get no smaller.
 
-    Heights and angles, smooth numbers whose last bits are noise: it would take as long as to compute them.
+    Noise, and heights and angles, smooth numbers whose last bits are noise: it would take as long as to compute them.
     """
-    if chunk.dtype != np.float32 or chunk.size < 2 * DENSE_SAMPLE or np.isnan(chunk).any():
+    if chunk.dtype not in (np.float32, np.complex64) or chunk.size < 2 * DENSE_PARTS * DENSE_SAMPLE:
         return False
-    part = chunk.reshape(-1)[chunk.size // 2 :][:DENSE_SAMPLE]
-    return bool(len(zstd().encode(part)) > part.nbytes)
+    parts = chunk[: chunk.size // DENSE_PARTS * DENSE_PARTS].reshape(DENSE_PARTS, -1)[:, -DENSE_SAMPLE:].copy()
+    return len(zstd().encode(parts)) > parts.nbytes and is_finite(chunk)
 
 
 def _frame(chunk: Array) -> Iterator[bytes | memoryview]:

@@ -112,7 +112,7 @@ def test_incidence_and_area_are_those_of_small_facets(name: str) -> None:
     part = slice(7, None, 50), slice(3, None, 50)
     y, x = GRID.y[part[0]], GRID.x[part[1]]
     z = terrain.on_grid(x, y)
-    angle = heights_and_angles(terrain, sight, GRID, Strip(WHOLE[0], [WHOLE[1]]))[0][1][part]
+    angle = heights_and_angles(terrain, sight, GRID, Strip(WHOLE[0], [WHOLE[1]]))[0].angle[part]
     factor = gamma_factor(terrain, sight, x, y)
     antenna, velocity, h = sight.position[0], sight.velocity[0], 0.01
 
@@ -162,8 +162,9 @@ def test_compiled_heights_and_angles_are_those_of_the_terrain() -> None:
     for rows in (slice(0, grid.y.size), slice(40, 41)):
         strip = Strip(rows, [slice(0, 40), slice(40, grid.x.size)])
         layers = heights_and_angles(terrain, sight, grid, strip)
-        height, found = (np.concatenate(parts, axis=1) for parts in zip(*layers, strict=True))
+        height, rounded, found = (np.concatenate(parts, axis=1) for parts in zip(*layers, strict=True))
         np.testing.assert_array_equal(height, z[rows])
+        np.testing.assert_array_equal(rounded, z[rows].astype(np.float32))
         along_x, along_y = terrain.slopes_on_grid(grid.x, grid.y[rows])
         normal = np.stack([-along_x, -along_y, np.ones_like(along_x)])
         ray = sight.position[0][:, None, None] - np.stack([*np.meshgrid(grid.x, grid.y[rows]), z[rows]])
@@ -194,13 +195,13 @@ def test_layers_do_not_depend_on_what_is_found_at_once(sight: Sight) -> None:
     columns = [slice(64 * k, min(64 * (k + 1), grid.x.size)) for k in range(4)]
     rows = slice(64, min(192, grid.y.size))
     whole = Strip(slice(0, grid.y.size), [slice(0, grid.x.size)])
-    height, angle = heights_and_angles(terrain, sight, grid, whole)[0]
+    height, _, angle = heights_and_angles(terrain, sight, grid, whole)[0]
     assert np.isfinite(angle).all()
     for strip in (Strip(rows, columns), Strip(rows, columns[1:2]), Strip(rows, columns[2:])):
         part = terrain.window(*box_about(grid, strip.whole))
         for window, found in zip(strip.columns, heights_and_angles(part, sight, grid, strip), strict=True):
-            np.testing.assert_array_equal(found[0], height[rows, window])
-            np.testing.assert_array_equal(found[1], angle[rows, window])
+            np.testing.assert_array_equal(found.height, height[rows, window])
+            np.testing.assert_array_equal(found.angle, angle[rows, window])
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.3, 0.8, 1.5, 2.4])  # rad
@@ -211,7 +212,7 @@ def test_angles_of_level_ground_are_those_to_the_antenna(angle: float) -> None:
     found = heights_and_angles(
         Terrain.flat(0.0, (-9.0, 9.0), (-9.0, 9.0)), sight, grid, Strip(slice(0, 1), [slice(0, 1)])
     )
-    assert found[0][1][0, 0] == pytest.approx(angle, abs=3e-7)
+    assert found[0].angle[0, 0] == pytest.approx(angle, abs=3e-7)
 
 
 def test_a_march_passes_no_place_that_crosses_its_curve() -> None:
@@ -233,7 +234,7 @@ def test_slopes_along_range_broadside_change_power_by_the_ratio_of_tangents() ->
     z = terrain.on_grid(*at)
     sight = SIGHTS["broadside"]
     grid = Grid(0.0, 150.0, 100.0, 100.0, 150.0, 100.0)
-    _, angle = heights_and_angles(terrain, sight, grid, Strip(slice(0, 1), [slice(0, 2)]))[0]
+    angle = heights_and_angles(terrain, sight, grid, Strip(slice(0, 1), [slice(0, 2)]))[0].angle
     level = np.arctan2(np.abs(at[0] - sight.position[0, 0]), sight.position[0, 2] - z)
     assert angle == pytest.approx(level - np.arctan(0.2), abs=1e-6)
     assert gamma_factor(terrain, sight, *at) == pytest.approx(np.tan(angle) / np.tan(level), rel=1e-6)

@@ -188,8 +188,8 @@ def make(
             Grid(x[0], x[-1] + step / 2, step, y[0], y[-1] + step / 2, step),
             Sight.of(geometry, box_of(x, y), terrain.limits),
         )
-        layers = heights_and_angles(terrain, sight, grid, Strip(whole[0], [whole[1]]))
-        variables["height"], variables["incidence_angle"] = layers[0]
+        (ground,) = heights_and_angles(terrain, sight, grid, Strip(whole[0], [whole[1]]))
+        variables["height"], variables["incidence_angle"] = ground.height, ground.angle
         variables["visibility"] = visibility(terrain, sight, grid, whole)
 
     def fill(place: Any) -> None:
