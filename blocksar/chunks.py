@@ -18,6 +18,7 @@ IMAGE_CHUNK = 512  # pixels on a side of an image's chunk: 2 MiB
 COPY_BYTES = 256 * MIB  # bytes of files that one task copies, about
 TILED_CHUNKS = 32  # output chunks whose tiles are found at once: 1 MiB of polynomials
 STRIP_CHUNKS = 8  # output chunks, beside each other, whose heights and layers are found at once
+READS_AT_ONCE = 2  # patches that a task reads while it merges those before
 WRITES_AT_ONCE = 2  # chunks that a task writes while it computes the next
 IMAGE_PIXELS = IMAGE_CHUNK**2
 TILE = (512, 1024)  # pulses by columns in a chunk of a phase history: 4 MiB, efficient to read along both axes

@@ -203,9 +203,7 @@ class SeenGround(NamedTuple):
     angle: NDArray[np.float32]
 
 
-def heights_and_angles(
-    terrain: Terrain, sight: Sight, grid: Grid, strip: Strip
-) -> list[SeenGround]:
+def heights_and_angles(terrain: Terrain, sight: Sight, grid: Grid, strip: Strip) -> list[SeenGround]:
     """The surface of windows, whose heights are to the bit those of `heights_on_grid`.
 
     It does not depend on which windows are asked for at once. The terrain is at least that of `box_about`.

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import wraps
-from itertools import groupby
 from typing import NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
@@ -39,7 +38,7 @@ from blocksar.graph.layers import (
     write_layers,
     write_noise,
 )
-from blocksar.graph.segments import Margins, Merged
+from blocksar.graph.segments import Merged
 from blocksar.graph.spectrum import SpectrumChunks, Window, chunk_spans, read_ahead
 from blocksar.graph.writing import WritesBehind
 from blocksar.inspection.samples import Inspection
@@ -53,21 +52,6 @@ from blocksar.runs.record import Receipt, Written
 
 P = ParamSpec("P")
 R = TypeVar("R")
-
-
-class PatchChunk(NamedTuple):
-    """A block's part of an output chunk.
-
-    Block and its name, first row and column of its patch, checksum of the part; number of its segment, and of its
-    collection, None where there is one only.
-    """
-
-    block: int
-    name: str
-    origin: tuple[int, int]
-    checksum: str
-    segment: int
-    collection: int | None
 
 
 class Projected(NamedTuple):
@@ -212,7 +196,7 @@ def write_patch(
                 edges.add(pixels, kept, ground, window, grid, height=z, threads=run.threads)
             if (owner := _owner(pixels, block.index)) is None:
                 continue
-            part = _shifted(window, (first_y, first_x))
+            part = shifted(window, (first_y, first_x))
             behind.submit(_write_pixels, run, block, pixels, owner, window, part, grid, noise, z, alike, merged=merged)
             if sight is not None and not merged:
                 behind.submit(write_layers, alike, window, layers.over(window, owner))
@@ -272,7 +256,7 @@ def _owner(pixels: ComplexArray, block: int) -> NDArray[np.int16] | int | None:
     return np.where(covered, np.int16(block), np.int16(-1)) if covered.any() else None
 
 
-def _shifted(window: Window, origin: Sequence[int]) -> Window:
+def shifted(window: Window, origin: Sequence[int]) -> Window:
     """The same window, counted from another first row and column."""
     (rows, columns), (y, x) = window, origin
     return slice(rows.start - y, rows.stop - y), slice(columns.start - x, columns.stop - x)
@@ -304,12 +288,12 @@ def _write_pixels(
     noises = {} if noise is None else {block.index: noise}
     return [
         written,
-        *_write_image(run, window, pixels, np.asarray(owner, np.int16), of, (patch, part), written.checksum, alike),
+        *write_image(run, window, pixels, np.asarray(owner, np.int16), of, (patch, part), written.checksum, alike),
         *write_noise(run, window, np.broadcast_to(np.int16(owner), pixels.shape), grid, noises, height),
     ]
 
 
-def _write_image(
+def write_image(
     run: Run,
     window: Window,
     pixels: ComplexArray,
@@ -328,10 +312,10 @@ def _write_image(
         image = Written(run.name_of(run.image), "image", span, checksum)
     else:
         image = write(run, run.image, "image", window, pixels)
-    return [image, *_write_owner(alike, window, owner, collections)]
+    return [image, *write_owner(alike, window, owner, collections)]
 
 
-def _write_owner(
+def write_owner(
     alike: AlikeChunks, window: Window, owner: NDArray[np.int16], collections: Mapping[int, int]
 ) -> list[Written]:
     """Write the block that each pixel of a chunk comes from; also its collection, if blocks have one."""
@@ -342,82 +326,6 @@ def _write_owner(
             numbers[owner == block] = collection
         written.append(alike.write("collection", window, numbers))
     return written
-
-
-@naming_failures(lambda run, unit, *_: f"mosaic of {unit}")
-def merge_chunks(
-    run: Run,
-    unit: str,
-    cells: Mapping[tuple[int, int], Sequence[PatchChunk]],
-    grid: Grid,
-    margins: Mapping[tuple[int, int], Margins],
-    noises: Mapping[int, NoiseMap] | None = None,
-    sights: Mapping[int, Sight] | None = None,
-) -> Receipt:
-    """Merge patches into output chunks of the mosaic, given by row and column of the chunk.
-
-    Where several segments cover some of a chunk, `margins` has theirs; `noises` has those of segments, if known, and
-    `sights` those of segments on a terrain.
-    """
-    started = time.perf_counter()
-    parts: list[Written] = []
-    every = [part for patches in cells.values() for part in patches]
-    layers = TerrainLayers(run, grid, {part.block: sights[part.segment] for part in every} if sights else {})
-    alike = AlikeChunks(run)
-    for cell, patches in cells.items():
-        parts += _merge(run, cell, patches, grid, margins[cell], noises or {}, layers, alike)
-    return sign(run, Receipt(unit=unit, stage="mosaic", written=tuple(parts)), started)
-
-
-def _merge(
-    run: Run,
-    cell: tuple[int, int],
-    parts: Sequence[PatchChunk],
-    grid: Grid,
-    margins: Margins,
-    noises: Mapping[int, NoiseMap],
-    layers: TerrainLayers,
-    alike: AlikeChunks,
-) -> list[Written]:
-    """Write the image of one output chunk, its layers, and the block that each pixel comes from."""
-    window = chunk_window(cell, grid)
-    by_segment = [list(some) for _, some in groupby(parts, key=lambda part: part.segment)]
-    image, owner = _lay(run, window, by_segment[0])
-    if len(by_segment) > 1:
-        merged = Merged(owner.shape)
-        merged.choose(by_segment[0][0].segment, owner >= 0, margins[by_segment[0][0].segment])
-        for some in by_segment[1:]:
-            other, blocks = _lay(run, window, some)
-            better = merged.choose(some[0].segment, blocks >= 0, margins[some[0].segment])
-            np.copyto(image, other, where=better)
-            np.copyto(owner, blocks, where=better)
-    alone = parts[0] if len(parts) == 1 else None
-    source = None if alone is None else (run.patch(alone.name), _shifted(window, alone.origin))
-    collections = {part.block: part.collection for part in parts if part.collection is not None}
-    of_blocks = {part.block: noises[part.segment] for part in parts if noises}
-    return [
-        *_write_image(run, window, image, owner, collections, source, parts[0].checksum, alike),
-        *write_noise(run, window, owner, grid, of_blocks, layers.heights.over(window) if of_blocks else None),
-        *write_layers(alike, window, layers.over(window, owner)),
-    ]
-
-
-def _lay(run: Run, window: Window, parts: Sequence[PatchChunk]) -> tuple[ComplexArray, NDArray[np.int16]]:
-    """Lay the patches of a segment beside each other: pixels, and the block that each comes from; later ones win."""
-    image: ComplexArray | None = None
-    owner = np.full([w.stop - w.start for w in window], -1, np.int16)
-    for chunk in parts:
-        patch = stores.read_region(run.patch(chunk.name), "image", _shifted(window, chunk.origin), cached=False)
-        if stores.checksum(patch) != chunk.checksum:
-            raise ProcessingError(f"the patch of block {chunk.name} no longer has the checksum of its receipt")
-        covered = np.isfinite(patch.real)
-        np.copyto(owner, chunk.block, where=covered)
-        if image is None:
-            image = patch
-        else:
-            np.copyto(image, patch, where=covered)
-    assert image is not None
-    return image, owner
 
 
 @naming_failures(lambda run, unit, *_: f"layers of {unit}")
@@ -473,7 +381,7 @@ def back_project_chunk(
         layers, alike = TerrainLayers(run, grid, sights_of(run, grid, seen)), AlikeChunks(run)
         parts = [
             write(run, run.image, "image", window, image),
-            *_write_owner(alike, window, owner, collections),
+            *write_owner(alike, window, owner, collections),
             *write_noise(run, window, owner, grid, noises, layers.heights.over(window) if noises else None),
             *write_layers(alike, window, layers.over(window, owner)),
         ]

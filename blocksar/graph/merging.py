@@ -1,0 +1,150 @@
+"""The mosaic: output chunks that several blocks touch, merged from their patches."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import groupby
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from blocksar import stores
+from blocksar.arrays import ComplexArray
+from blocksar.chunks import READS_AT_ONCE
+from blocksar.collection.grid import Grid
+from blocksar.errors import ProcessingError
+from blocksar.focusing.noise import NoiseMap
+from blocksar.focusing.terrain_layers import Sight
+from blocksar.graph.alike import AlikeChunks
+from blocksar.graph.layers import TerrainLayers, write_layers, write_noise
+from blocksar.graph.segments import Margins, Merged
+from blocksar.graph.spectrum import Window
+from blocksar.graph.tasks import naming_failures, shifted, sign, write_image
+from blocksar.graph.writing import WritesBehind
+from blocksar.planning.tiling import chunk_window
+from blocksar.runs.receipts import Run
+from blocksar.runs.record import Receipt
+
+
+class PatchChunk(NamedTuple):
+    """A block's part of an output chunk.
+
+    Block and its name, first row and column of its patch, checksum of the part; number of its segment, and of its
+    collection, None where there is one only.
+    """
+
+    block: int
+    name: str
+    origin: tuple[int, int]
+    checksum: str
+    segment: int
+    collection: int | None
+
+
+@naming_failures(lambda run, unit, *_: f"mosaic of {unit}")
+def merge_chunks(
+    run: Run,
+    unit: str,
+    cells: Mapping[tuple[int, int], Sequence[PatchChunk]],
+    grid: Grid,
+    margins: Mapping[tuple[int, int], Margins],
+    noises: Mapping[int, NoiseMap] | None = None,
+    sights: Mapping[int, Sight] | None = None,
+) -> Receipt:
+    """Merge patches into output chunks of the mosaic, given by row and column of the chunk.
+
+    Where several segments cover some of a chunk, `margins` has theirs; `noises` has those of segments, if known, and
+    `sights` those of segments on a terrain.
+    """
+    started = time.perf_counter()
+    every = [part for patches in cells.values() for part in patches]
+    layers = TerrainLayers(run, grid, {part.block: sights[part.segment] for part in every} if sights else {})
+    alike = AlikeChunks(run)
+    with WritesBehind() as behind:
+        for cell, patches, pixels in _read_ahead(run, cells, grid):
+            behind.turn()
+            _merge(run, cell, patches, pixels, grid, margins[cell], noises or {}, layers, alike, behind)
+    return sign(run, Receipt(unit=unit, stage="mosaic", written=behind.written), started)
+
+
+def _read_ahead(
+    run: Run, cells: Mapping[tuple[int, int], Sequence[PatchChunk]], grid: Grid
+) -> Iterator[tuple[tuple[int, int], Sequence[PatchChunk], list[ComplexArray]]]:
+    """Output chunks, their parts, and the pixels of these; they are read while the chunk before is merged."""
+    with ThreadPoolExecutor(READS_AT_ONCE) as pool:
+
+        def begin(cell: tuple[int, int]) -> list[Future[ComplexArray]]:
+            return [pool.submit(_read, run, chunk_window(cell, grid), part) for part in cells[cell]]
+
+        coming = [begin(cell) for cell in list(cells)[:1]]
+        for cell, following in zip(cells, [*list(cells)[1:], None], strict=True):
+            pixels = [future.result() for future in coming.pop()]
+            if following is not None:
+                coming.append(begin(following))
+            yield cell, cells[cell], pixels
+            del pixels
+
+
+def _read(run: Run, window: Window, part: PatchChunk) -> ComplexArray:
+    """Read a block's part of an output chunk.
+
+    Raises
+    ------
+    ProcessingError
+        If it does not have its checksum.
+    """
+    pixels = stores.read_region(run.patch(part.name), "image", shifted(window, part.origin), cached=False)
+    if stores.checksum(pixels) != part.checksum:
+        raise ProcessingError(f"the patch of block {part.name} no longer has the checksum of its receipt")
+    return pixels
+
+
+def _merge(
+    run: Run,
+    cell: tuple[int, int],
+    parts: Sequence[PatchChunk],
+    pixels: Sequence[ComplexArray],
+    grid: Grid,
+    margins: Margins,
+    noises: Mapping[int, NoiseMap],
+    layers: TerrainLayers,
+    alike: AlikeChunks,
+    behind: WritesBehind,
+) -> None:
+    """Have the image of one output chunk written, its layers, and the block that each pixel comes from."""
+    window = chunk_window(cell, grid)
+    by_segment = [list(some) for _, some in groupby(zip(parts, pixels, strict=True), key=lambda of: of[0].segment)]
+    image, owner = _lay(by_segment[0])
+    if len(by_segment) > 1:
+        merged = Merged(owner.shape)
+        first = parts[0].segment
+        merged.choose(first, owner >= 0, margins[first])
+        for some in by_segment[1:]:
+            number = some[0][0].segment
+            other, blocks = _lay(some)
+            better = merged.choose(number, blocks >= 0, margins[number])
+            np.copyto(image, other, where=better)
+            np.copyto(owner, blocks, where=better)
+    alone = parts[0] if len(parts) == 1 else None
+    source = None if alone is None else (run.patch(alone.name), shifted(window, alone.origin))
+    collections = {part.block: part.collection for part in parts if part.collection is not None}
+    of_blocks = {part.block: noises[part.segment] for part in parts if noises}
+    height = layers.heights.over(window) if of_blocks else None
+    behind.submit(write_image, run, window, image, owner, collections, source, parts[0].checksum, alike)
+    behind.submit(write_noise, run, window, owner, grid, of_blocks, height)
+    behind.submit(write_layers, alike, window, layers.over(window, owner))
+
+
+def _lay(parts: Sequence[tuple[PatchChunk, ComplexArray]]) -> tuple[ComplexArray, NDArray[np.int16]]:
+    """Lay the patches of a segment beside each other: pixels, and the block that each comes from; later ones win."""
+    image = parts[0][1]
+    owner = np.full(image.shape, -1, np.int16)
+    for chunk, pixels in parts:
+        covered = np.isfinite(pixels.real)
+        np.copyto(owner, chunk.block, where=covered)
+        if pixels is not image:
+            np.copyto(image, pixels, where=covered)
+    return image, owner
