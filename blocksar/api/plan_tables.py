@@ -98,7 +98,7 @@ def _block_row(block: BlockPlan) -> list[str]:
 
 def contender_table(contenders: Sequence[Contender]) -> Table:
     """All processors side by side; work is over the least."""
-    least = min(c.plan.work() for c in contenders if c.plan is not None)
+    least = min(c.work for c in contenders if c.plan is not None)
     header = (
         "processor", "blocks", "residual phase (rad)", "quadratic (rad)", "PSLR (dB)", "width / limit",
         "migration (cells)", "coherence", "work", "memory (MiB)", "keeps the fidelity",
@@ -113,7 +113,7 @@ def _contender_row(contender: Contender, least: float) -> list[str]:
     p = contender.worst.prediction
     return [
         contender.processor, str(plan.n_blocks), f"{p.residual_phase:.4f}", f"{p.quadratic_phase:.4f}", f"{p.pslr:.2f}",
-        f"{p.width:.3f}", f"{p.migration:.3f}", digits(plan.coherence), f"{plan.work() / least:.2f}",
+        f"{p.width:.3f}", f"{p.migration:.3f}", digits(plan.coherence), f"{contender.work / least:.2f}",
         f"{plan.memory / MIB:.0f}", "yes" if contender.serves else "no",
     ]  # fmt: skip
 

@@ -1,19 +1,22 @@
 """Choice of the processor: the plans of all chains side by side, and the proposed one with the reason.
 
 All plans are of the same geometry. Comparable are therefore the residuals that their traced lines predict, and their
-work: the floating-point operations of transforms and resamplings.
+work: the floating-point operations of transforms and resamplings, and the like of pulses that are back-projected
+besides.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import get_args
 
 from blocksar.budget import side_lobe_budget
 from blocksar.errors import InputError
 from blocksar.focusing.method import Chain, Method
 from blocksar.planning.block import BlockPlan
+from blocksar.planning.effort import operations
 from blocksar.planning.plan import Plan
 
 ALIKE = 1.1  # times the least work: among processors within that, the sharpest is proposed
@@ -33,6 +36,12 @@ class Contender:
         plan = self.plan
         assert plan is not None
         return max(plan.blocks, key=lambda block: block.prediction.excess(plan.fidelity))
+
+    @cached_property
+    def work(self) -> float:
+        """Floating-point operations, as `effort.operations` counts them."""
+        assert self.plan is not None
+        return operations(self.plan)
 
     @property
     def serves(self) -> bool:
@@ -71,9 +80,9 @@ def propose(contenders: list[Contender]) -> tuple[Contender | None, str]:
     if not good:
         best = min(feasible, key=_excess)
         return best, f"no processor keeps the fidelity; {best.processor} comes closest: {_figures(best)}"
-    least = min(_work(c) for c in good)
-    best = min((c for c in good if _work(c) <= ALIKE * least), key=_excess)
-    others = [f"{c.processor} takes {_work(c) / _work(best):.2f} times its work" for c in good if c is not best]
+    least = min(c.work for c in good)
+    best = min((c for c in good if c.work <= ALIKE * least), key=_excess)
+    others = [f"{c.processor} takes {c.work / best.work:.2f} times its work" for c in good if c is not best]
     others += [f"{c.processor} does not ({_failing(c)})" for c in contenders if c not in good]
     return best, f"{best.processor} is proposed: it keeps the fidelity ({_figures(best)}); " + ", ".join(others)
 
@@ -81,11 +90,6 @@ def propose(contenders: list[Contender]) -> tuple[Contender | None, str]:
 def _excess(contender: Contender) -> float:
     assert contender.plan is not None
     return contender.plan.excess()
-
-
-def _work(contender: Contender) -> float:
-    assert contender.plan is not None
-    return contender.plan.work()
 
 
 def _figures(contender: Contender) -> str:

@@ -73,7 +73,7 @@ def blocks_add_layers(blocks: int, workers: int) -> bool:
 def of_plan(plan: Plan, *, echo_samples: int = 0, workers: int = 1) -> Work:
     """Work of focusing by a plan; `echo_samples` is the total if the phase history is a raw echo, otherwise 0."""
     collection, side = plan.geometry.collection, image_chunk(plan.grid)
-    written = CORRECT + (EDGES if plan.completed else 0.0) + BACK_PROJECT * plan.gated.pulses
+    written = CORRECT + _completing(plan)
     written += 0.0 if plan.geometry.terrain is None else ON_TERRAIN
     columns = np.diff([*range(0, collection.n_range_frequency, plan.column_group), collection.n_range_frequency])
     chunks = [touched_chunks(block.ground, plan.grid) for block in plan.blocks]
@@ -100,6 +100,20 @@ def of_plan(plan: Plan, *, echo_samples: int = 0, workers: int = 1) -> Work:
         ],
     }
     return _by_pulse_group(collection.n_pulse, echo_samples) | stages | {"finish": [FINISH]}
+
+
+def _completing(plan: Plan) -> float:
+    """Seconds per written pixel of a patch's chunks for the pulses that are back-projected besides."""
+    return (EDGES if plan.completed else 0.0) + BACK_PROJECT * plan.gated.pulses
+
+
+def operations(plan: Plan) -> float:
+    """Work of a plan's chains, as `Plan.work` counts it, and the like of the pulses that are back-projected besides."""
+    if not (each := _completing(plan)):
+        return plan.work()
+    side = image_chunk(plan.grid)
+    pixels = sum(len(touched_chunks(block.ground, plan.grid)) for block in plan.blocks) * side[0] * side[1]
+    return plan.work() + each * pixels / STEPS
 
 
 def together(works: Sequence[Work]) -> Work:
