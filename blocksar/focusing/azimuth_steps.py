@@ -8,10 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, Self
 
 import numpy as np
 from numpy.polynomial import chebyshev
+from numpy.polynomial import polynomial as power
 
 from blocksar.arrays import ComplexArray, FloatArray, IntArray
 from blocksar.budget import AZIMUTH_TAP_ERROR
@@ -26,7 +28,9 @@ from blocksar.kernels.phase import Phase
 from blocksar.solvers import through_nodes
 
 GATE_WINDOWS = 17  # windows of the dwell gate over the slopes of a swath
-INVERSE_ORDER = 9  # of the polynomial that inverts a Doppler resampling: to a thousandth of a bin, and far below
+INVERSE_ORDERS = 9, 13, 17, 21  # of the polynomial that inverts a Doppler resampling, of which the first that serves
+INVERSE_ERROR, MOST_INVERSE_ERROR = 1e-3, 5e-3  # bins: one that serves, and one that costs as much as interpolation
+INVERSE_ROWS = 64  # about, at which it is looked at
 PACE_PLACES = 129  # along a row at which the pace of a Doppler resampling is looked at
 LEAST_PACE, MOST_PACE = 0.51, 1.96  # samples per sample; `resample_rows` has 1/2 and 2
 NEWTON_STEPS = 6  # of the inverse of a Doppler resampling
@@ -173,30 +177,58 @@ class DopplerResampling(_AzimuthStep):
         back = Phase(np.array([[0.0, -self.middle]]), 0.0, 1.0)
         filled = self.axes.doppler_occupancy
         taps = tap_polynomials(taps_needed(filled, error=AZIMUTH_TAP_ERROR), occupancy=filled)
-        return [Turn(delay), Resample(self.positions(), taps), Turn(back)]
+        return [Turn(delay), Resample(self.positions, taps), Turn(back)]
 
+    @property
     def positions(self) -> FloatArray:
-        """Positions of each row's output bins in its input, in bins: (n_row, INVERSE_ORDER + 1), of `phase.unit`.
+        """Positions of each row's output bins in its input, in bins: (n_row, order + 1), of `phase.unit`.
 
-        This is the inverse of h, by Newton's method at Chebyshev nodes.
+        This is the inverse of h, by Newton's method at Chebyshev nodes. A phase of pi d at the end of a row is left
+        where it errs by d bins.
         """
-        nodes = chebyshev.chebpts1(INVERSE_ORDER + 1)
-        doppler, ranges = self.axes.doppler, self.axes.rows.values
-        target = doppler.start + doppler.step * (doppler.size // 2 + nodes * (doppler.size / 2))
+        return self._inverse[0]
+
+    @cached_property
+    def _inverse(self) -> tuple[FloatArray, float]:
+        """The positions, of the lowest order that serves, and their largest error, in bins."""
+        for order in INVERSE_ORDERS:
+            nodes = chebyshev.chebpts1(order + 1)
+            positions = through_nodes(self.axes.doppler.position(self._origins(nodes, self.axes.rows.values)).T).T
+            error = self._error(positions)
+            if error <= INVERSE_ERROR:
+                break
+        return positions, error
+
+    def _origins(self, u: FloatArray, ranges: FloatArray) -> FloatArray:
+        """Doppler (n_range, n), Hz, that comes to lie at the places u (n,), from -1 to 1 along a row."""
+        target = self._doppler(u)
         f = np.broadcast_to(target, (ranges.size, target.size)).copy()
         for _ in range(NEWTON_STEPS):
             offset, slope, _ = self.shift.evaluate(ranges, f)
             f -= (f + offset - target) / (1.0 + slope)
-        return through_nodes(doppler.position(f).T).T
+        return f
+
+    def _doppler(self, u: FloatArray) -> FloatArray:
+        doppler = self.axes.doppler
+        return doppler.start + doppler.step * (doppler.size // 2 + u * (doppler.size / 2))
+
+    def _error(self, positions: FloatArray) -> float:
+        """The largest distance, in bins, of h at positions from where it should be; of some rows."""
+        some = slice(None, None, max(self.n_row // INVERSE_ROWS, 1))
+        u, doppler = np.linspace(-1, 1, PACE_PLACES), self.axes.doppler
+        f = np.asarray(doppler.start + doppler.step * power.polyval(u, positions[some].T), np.float64)
+        offset, _, _ = self.shift.evaluate(self.axes.rows.values[some], f)
+        return float(np.abs(f + offset - self._doppler(u)).max() / doppler.step)
 
     @property
     def even(self) -> bool:
-        """Whether positions advance, all along the row, by as many samples per sample as can be interpolated."""
-        order = np.arange(1, INVERSE_ORDER + 1)
+        """Whether positions are those of the inverse, and advance, all along the row, as can be interpolated."""
+        positions, error = self._inverse
+        order = np.arange(1, positions.shape[1])
         u = np.linspace(-1, 1, PACE_PLACES)
         powers = order * u[:, None] ** (order - 1) * 2 / self.axes.doppler.size
-        pace = (self.positions()[:, None, 1:] * powers).sum(axis=-1)
-        return bool((pace >= LEAST_PACE).all() and (pace <= MOST_PACE).all())
+        pace = (positions[:, None, 1:] * powers).sum(axis=-1)
+        return bool(error <= MOST_INVERSE_ERROR and (pace >= LEAST_PACE).all() and (pace <= MOST_PACE).all())
 
     def trace(self, line: Line) -> Line:
         return line.resample_doppler(*self.shift.evaluate(_mean_range(line), line.doppler), middle=self.middle)

@@ -41,7 +41,7 @@ class ScaledTurn:
 
 @dataclass(frozen=True)
 class Transform:
-    """The transform of `fourier`, zero-padded to its period and cropped to the target's samples."""
+    """The transform of `fourier`, zero-padded to its period; the target's samples are fewer, or repeat themselves."""
 
     source: Axis
     target: Axis
@@ -54,7 +54,7 @@ class Transform:
     def __post_init__(self) -> None:
         source, target = self.source, self.target
         whole = abs(source.step * target.step * self.period - 1) < 1e-9 if self.period else False
-        if not whole or max(source.size, target.size) > self.period:
+        if not whole or source.size > self.period:
             raise ValueError(f"axes are no transform pair: {source=} {target=}")
 
     def phases(self) -> tuple[Phase, Phase]:

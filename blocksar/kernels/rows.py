@@ -106,7 +106,7 @@ class Program:
         self._add_phase(before)
         if blend is not None and operation.source.size != operation.period:
             raise ValueError(f"windows of {operation.source.size} samples are blended without padding only")
-        fft = _FftPass(operation.inverse) if blend is None else _BlendPass(blend)
+        fft = _FftPass(operation.inverse, operation.target.size) if blend is None else _BlendPass(blend)
         self._passes += [self._flush(operation.period), fft]
         self.target = operation.target
         self.transforms += [operation.period] * (1 if blend is None else blend.count)
@@ -208,9 +208,12 @@ class _CopyPass:
 @dataclass(frozen=True)
 class _FftPass:
     inverse: bool
+    size: int  # samples of the result that are needed
 
     def __call__(self, group: ComplexArray, rows: slice, out: ComplexArray | None = None) -> ComplexArray:
-        return fft_rows(group, inverse=self.inverse)
+        found = fft_rows(group, inverse=self.inverse)
+        beyond = self.size - found.shape[1]
+        return found if beyond <= 0 else np.pad(found, ((0, 0), (0, beyond)), mode="wrap")
 
 
 @dataclass(frozen=True, eq=False)

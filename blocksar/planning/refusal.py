@@ -68,8 +68,8 @@ def _find_uneven(blocks: Sequence[BlockPlan]) -> str | None:
     for block in blocks:
         if not block.even:
             return (
-                f"{_describe_block(block)} would resample Doppler by more than a factor of two beyond its targets; use "
-                "--coefficients fitted, --processor angular-division, or backprojection"
+                f"{_describe_block(block)} would resample Doppler by more than a factor of two, or too unevenly, "
+                "beyond its targets; use --coefficients fitted, --processor angular-division, or backprojection"
             )
     return None
 

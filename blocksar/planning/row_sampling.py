@@ -16,11 +16,12 @@ from blocksar.collection.weighting import Taper
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.focusing.lines import Focus
 from blocksar.kernels import fourier
-from blocksar.kernels.fourier import Axis
+from blocksar.kernels.fourier import Axis, centred
 from blocksar.kernels.interpolation import taps_needed
 
 # Oversampling of a focused block: twelve taps in range and eight in Doppler then err by less than IMAGE_TAP_ERROR.
 RANGE_ROOM = 1.42
+MOST_PERIODS = 3  # rows: a narrow range window, and as much on either side, into which the interpolation reaches
 LEAST_SPREAD = 0.08  # of the band: turns that move range frequencies by less need no room of their own
 
 
@@ -48,7 +49,10 @@ def plan_rows(spots: Focus, range_frequency: Axis, turns: FloatArray, tap_error:
     occupancy, step = filled / period, SPEED_OF_LIGHT / (2 * range_frequency.step * period)
     reach = (taps_needed(occupancy, error=tap_error) / 2 + 2) * step
     nearest, farthest = float(spots.range.min()) - reach, float(spots.range.max()) + reach
-    return Axis(nearest, step, min(int(np.ceil((farthest - nearest) / step)) + 1, period)), occupancy
+    size = int(np.ceil((farthest - nearest) / step)) + 1
+    if size <= MOST_PERIODS * period:
+        return Axis(nearest, step, size), occupancy
+    return centred((nearest + farthest) / 2, step, MOST_PERIODS * period), occupancy
 
 
 def range_scale(collection: Collection, range_frequency: Axis, period: int, taper: Taper) -> float:
