@@ -14,7 +14,7 @@ from blocksar.api.pulses import pulse_reader
 from blocksar.api.reports import Table
 from blocksar.arrays import ComplexArray
 from blocksar.collection.beam import full_dwell_yaw, has_full_dwell
-from blocksar.collection.geometry import Geometry
+from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.errors import InputError
 from blocksar.focusing.backprojection import form_chips
 from blocksar.graph.machine import machine
@@ -125,13 +125,21 @@ def _compare(run: FinishedRun, inputs: Mapping[str, stores.PhaseHistory]) -> Com
     """
     compared: Compared = []
     for path, history in inputs.items():
-        geometry = Geometry(collection=history.collection.centred()) if run.segments else run.geometry
+        geometry = _whole(run, history)
         chips = _chips(run, path, geometry)
         read, axes = pulse_reader(history), [(run.x[columns], run.y[rows]) for *_, rows, columns in chips]
         exact = form_chips(read, geometry, axes, threads=machine()[0], weighting=run.weighting)
         for (name, x, y, chip, *_), one in zip(chips, exact, strict=True):
             compared.append((name, x, y, coherence(chip, one)))
     return compared
+
+
+def _whole(run: FinishedRun, history: stores.PhaseHistory) -> Geometry:
+    """The geometry of a whole collection, of which a run may have segments."""
+    if not run.segments:
+        return run.geometry
+    collection, terrain = history.collection.centred(), run.segments[0].terrain
+    return Geometry(collection=collection) if terrain is None else over_terrain(collection, terrain)
 
 
 def _chips(

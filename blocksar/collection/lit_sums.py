@@ -63,7 +63,8 @@ def most_lit_pulses(geometry: Geometry, x: FloatArray, y: FloatArray) -> int:
     collection = geometry.collection
     if collection.has_axis:
         first, last = dwell(geometry, x, y)
-        return math.ceil(max(float((last - first).max()), 0.0) * collection.prf)
+        lasts = (last - first)[np.isfinite(last - first)]  # elsewhere the terrain has no height
+        return math.ceil(float(lasts.max(initial=0.0)) * collection.prf)
     return int(lit_pulses(collection, collection.beam_azimuth, np.ones(collection.n_pulse)).max())
 
 

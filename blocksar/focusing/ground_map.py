@@ -38,12 +38,15 @@ class ApertureWaves:
         a_0.
     pairs : tuple of (Surface, Surface)
         a_k and b_k for k = 1, 2, ..
+    error : float
+        What they leave of the weights of the target that they serve worst, root mean square.
     """
 
     step: float
     middle: float
     constant: Surface
     pairs: tuple[tuple[Surface, Surface], ...]
+    error: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

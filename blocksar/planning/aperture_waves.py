@@ -48,10 +48,11 @@ def plan_waves(
             fitted[at] = solvers.least_squares(terms[at] * counts[at], weights[at] * counts[at])
             left[at] = (fitted[at][:, None] * terms[at]).sum(axis=0) - weights[at]
         error = np.sqrt((left**2 * lit.weight).sum(axis=-1) / (weights**2 * lit.weight).sum(axis=-1))
-        if float(error[seen].max(initial=0.0)) <= WAVE_ERROR:
+        worst = float(error[seen].max(initial=0.0))
+        if worst <= WAVE_ERROR:
             break
     surfaces = [fit_surface(fitted[..., k], epoch_range=epoch_range, yaw=yaw, degree=(9, 16)) for k in range(2 * n + 1)]
     return ApertureWaves(
         step=step, middle=middle, constant=surfaces[0],
-        pairs=tuple(zip(surfaces[1 : n + 1], surfaces[n + 1 :], strict=True)),
+        pairs=tuple(zip(surfaces[1 : n + 1], surfaces[n + 1 :], strict=True)), error=worst,
     )  # fmt: skip

@@ -164,12 +164,12 @@ def _plan_block(
     sampling = _with_gate(sector, azimuth, sampling, lines)
     if sampling.gate is not None:
         lines = lines.levelled_by(sampling.gate)
-    steps = azimuth.sampled(sampling)
+    steps, ground = azimuth.sampled(sampling), plan_ground(sector, azimuth, sampling, lines)
     return BlockPlan(
         index=index, part=part, low=sector.low, high=sector.high, first_bin=slab.first_bin, n_bin=slab.doppler.size,
         chain=steps if range_gate is None else (range_gate, *steps), sampling=sampling,
-        ground=plan_ground(sector, azimuth, sampling, lines),
-        prediction=_predict(sector, azimuth, sampling, lines),
+        ground=ground,
+        prediction=_predict(sector, azimuth, sampling, lines, ground),
         memory=_plan_memory(sector, range_gate, range_part, sampling), choice=choice,
     )  # fmt: skip
 
@@ -237,8 +237,13 @@ def _with_gate(sector: Sector, azimuth: AzimuthPart, sampling: Sampling, lines: 
     return replace(sampling, gate=gate, over_band=over_band)
 
 
-def _predict(sector: Sector, azimuth: AzimuthPart, sampling: Sampling, lines: FineLines) -> Prediction:
-    """The prediction from the block's lines; on a terrain from those of targets at usual heights."""
+def _predict(
+    sector: Sector, azimuth: AzimuthPart, sampling: Sampling, lines: FineLines, ground: GroundMap
+) -> Prediction:
+    """The prediction from the block's lines; on a terrain from those of targets at usual heights.
+
+    Weights made of waves that err by e of themselves, root mean square, lose at most e^2 / 2.
+    """
     geometry, line, spots, rate, reached = sector.geometry, lines.line, lines.spots, lines.ends.rate, None
     if sector.relief is not None:
         layer, reached = usual_layer(sector, azimuth, lines)
@@ -248,7 +253,7 @@ def _predict(sector: Sector, azimuth: AzimuthPart, sampling: Sampling, lines: Fi
         scaled_about=lines.ends.scaled_about, moves=lines.ends.moves, weights=lines.weights, reached=reached,
         band=sector.weighting.range,
     )  # fmt: skip
-    return predicted.less(sector.taper_loss)
+    return predicted.less(sector.taper_loss + (0.0 if ground.waves is None else ground.waves.error**2 / 2))
 
 
 def _plan_memory(sector: Sector, range_gate: RangeGate | None, range_part: RangePart, sampling: Sampling) -> int:

@@ -25,10 +25,11 @@ from blocksar.collection.beam import (
     pattern_gain,
 )
 from blocksar.collection.collection import Collection
-from blocksar.collection.geometry import Geometry
+from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.grid import Grid, ground_resolution
 from blocksar.collection.lit_sums import lit_total, most_lit_pulses
 from blocksar.collection.region import default_grid, plan_region
+from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Taper
 from blocksar.errors import InputError
 
@@ -302,3 +303,12 @@ def test_a_pattern_needs_a_beam() -> None:
     assert axis_collection(
         **unsteered, elevation=np.array([down - 0.1, down + 0.1]), elevation_pattern=np.ones(2)
     ).has_pattern
+
+
+def test_points_without_a_height_are_lit_by_no_pulse() -> None:
+    """A grid may reach beyond its terrain."""
+    collection = axis_collection()
+    x, y = np.meshgrid(np.linspace(8900, 9100, 5), np.linspace(-50, 50, 5))
+    terrain = Terrain.flat(0.0, (8990.0, 9110.0), (-100.0, 100.0))
+    assert most_lit_pulses(over_terrain(collection, terrain), x, y) > 50
+    assert most_lit_pulses(over_terrain(collection, terrain), x - 900, y) == 0

@@ -282,6 +282,23 @@ def test_all_pulses_are_summed_where_the_beam_stays_on_a_spot(patterns: bool, te
     assert abs(coherence(np.where(full, image, np.nan), exact).coherence) == pytest.approx(plan.coherence, abs=1e-5)
 
 
+def test_waves_that_do_not_make_the_weights_of_a_wobbling_beam_are_told() -> None:
+    """Under a taper 0.9998 was predicted where 0.976 was measured: three waves do not follow a fast wobble."""
+    still, weighting = spotlight(n_pulse=600, beam_width=0.013), Weighting.parse("kaiser:2.5")
+    assert still.beam_steering is not None
+    grid, wobble = grid_of(still), 0.003 * np.sin(4 * np.pi * still.time)
+    for collection in (still, replace(still, beam_steering=still.beam_steering + wobble)):
+        signal, plan = clutter(collection, grid), plan_collection(collection, grid=grid, weighting=weighting, blocks=1)
+        assert plan.stays
+        exact = form_image(
+            lambda pulses, signal=signal: signal[pulses], plan.geometry, grid.x, grid.y, threads=2, weighting=weighting
+        )
+        full = has_full_dwell(plan.geometry, *np.meshgrid(grid.x, grid.y))
+        measured = abs(coherence(np.where(full, focus(plan, signal), np.nan), exact).coherence)
+        assert measured > plan.coherence - 1e-3
+        assert (plan.coherence > 0.999) == (collection is still)
+
+
 def test_a_beam_that_stays_on_little_of_what_it_lights_is_focused_by_a_steadier_gate() -> None:
     """After a scan it stays on the ground that it lights at the end, where its own dwells have no end."""
     scan = axis_collection("tops", beam_width=0.004)
