@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from itertools import groupby
 from typing import NamedTuple
 
@@ -63,29 +64,27 @@ def merge_chunks(
     every = [part for patches in cells.values() for part in patches]
     layers = TerrainLayers(run, grid, {part.block: sights[part.segment] for part in every} if sights else {})
     alike = AlikeChunks(run)
-    with WritesBehind() as behind:
-        for cell, patches, pixels in _read_ahead(run, cells, grid):
+    pool = ThreadPoolExecutor(READS_AT_ONCE)
+    with pool, WritesBehind() as behind:
+        coming = _read_ahead(pool, run, cells, grid)
+        for cell, patches in cells.items():
             behind.turn()
-            _merge(run, cell, patches, pixels, grid, margins[cell], noises or {}, layers, alike, behind)
+            _merge(run, cell, patches, coming, grid, margins[cell], noises or {}, layers, alike, behind)
     return sign(run, Receipt(unit=unit, stage="mosaic", written=behind.written), started)
 
 
 def _read_ahead(
-    run: Run, cells: Mapping[tuple[int, int], Sequence[PatchChunk]], grid: Grid
-) -> Iterator[tuple[tuple[int, int], Sequence[PatchChunk], list[ComplexArray]]]:
-    """Output chunks, their parts, and the pixels of these; they are read while the chunk before is merged."""
-    with ThreadPoolExecutor(READS_AT_ONCE) as pool:
-
-        def begin(cell: tuple[int, int]) -> list[Future[ComplexArray]]:
-            return [pool.submit(_read, run, chunk_window(cell, grid), part) for part in cells[cell]]
-
-        coming = [begin(cell) for cell in list(cells)[:1]]
-        for cell, following in zip(cells, [*list(cells)[1:], None], strict=True):
-            pixels = [future.result() for future in coming.pop()]
-            if following is not None:
-                coming.append(begin(following))
-            yield cell, cells[cell], pixels
-            del pixels
+    pool: Executor, run: Run, cells: Mapping[tuple[int, int], Sequence[PatchChunk]], grid: Grid
+) -> Iterator[ComplexArray]:
+    """The pixels of all parts of output chunks, in their order; a few are read while those before are merged."""
+    coming: deque[Future[ComplexArray]] = deque()
+    for cell, parts in cells.items():
+        for part in parts:
+            coming.append(pool.submit(_read, run, chunk_window(cell, grid), part))
+            if len(coming) > READS_AT_ONCE:
+                yield coming.popleft().result()
+    while coming:
+        yield coming.popleft().result()
 
 
 def _read(run: Run, window: Window, part: PatchChunk) -> ComplexArray:
@@ -106,7 +105,7 @@ def _merge(
     run: Run,
     cell: tuple[int, int],
     parts: Sequence[PatchChunk],
-    pixels: Sequence[ComplexArray],
+    coming: Iterator[ComplexArray],
     grid: Grid,
     margins: Margins,
     noises: Mapping[int, NoiseMap],
@@ -114,17 +113,20 @@ def _merge(
     alike: AlikeChunks,
     behind: WritesBehind,
 ) -> None:
-    """Have the image of one output chunk written, its layers, and the block that each pixel comes from."""
+    """Have the image of one output chunk written, its layers, and the block that each pixel comes from.
+
+    The pixels of its parts are the next that are `coming`.
+    """
     window = chunk_window(cell, grid)
-    by_segment = [list(some) for _, some in groupby(zip(parts, pixels, strict=True), key=lambda of: of[0].segment)]
-    image, owner = _lay(by_segment[0])
+    by_segment = [list(some) for _, some in groupby(parts, key=lambda part: part.segment)]
+    image, owner = _lay(by_segment[0], coming)
     if len(by_segment) > 1:
         merged = Merged(owner.shape)
         first = parts[0].segment
         merged.choose(first, owner >= 0, margins[first])
         for some in by_segment[1:]:
-            number = some[0][0].segment
-            other, blocks = _lay(some)
+            number = some[0].segment
+            other, blocks = _lay(some, coming)
             better = merged.choose(number, blocks >= 0, margins[number])
             np.copyto(image, other, where=better)
             np.copyto(owner, blocks, where=better)
@@ -138,13 +140,14 @@ def _merge(
     behind.submit(write_layers, alike, window, layers.over(window, owner))
 
 
-def _lay(parts: Sequence[tuple[PatchChunk, ComplexArray]]) -> tuple[ComplexArray, NDArray[np.int16]]:
+def _lay(parts: Sequence[PatchChunk], coming: Iterator[ComplexArray]) -> tuple[ComplexArray, NDArray[np.int16]]:
     """Lay the patches of a segment beside each other: pixels, and the block that each comes from; later ones win."""
-    image = parts[0][1]
+    image = next(coming)
     owner = np.full(image.shape, -1, np.int16)
-    for chunk, pixels in parts:
+    for number, part in enumerate(parts):
+        pixels = next(coming) if number else image
         covered = np.isfinite(pixels.real)
-        np.copyto(owner, chunk.block, where=covered)
-        if pixels is not image:
+        np.copyto(owner, part.block, where=covered)
+        if number:
             np.copyto(image, pixels, where=covered)
     return image, owner
