@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,6 +21,7 @@ from blocksar import stores
 from blocksar.api.arguments import GridLike, Source, grid_of, history_of, sources_of
 from blocksar.api.ground import image_grid
 from blocksar.api.shown import RunReport, is_measurable
+from blocksar.chunks import TILE
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.sublooks import checked_count, entering_side
 from blocksar.errors import FolderError, InputError
@@ -128,14 +129,24 @@ def focus_members(focus: Focus, members: Members, arguments: Mapping[str, Any]) 
         shared["grid"] = image_grid(first.collection.centred(), grid_of(arguments["grid"]))
 
     def focus_one(name: str) -> RunReport:
-        return focus(members.histories[name], members.folder(folder, name), **shared)
+        try:
+            return focus(members.histories[name], members.folder(folder, name), **shared)
+        except InputError as error:
+            if type(error) is not InputError:
+                raise
+            raise InputError(f"{members.dimension} {name}: {error}") from error
 
+    _refuse_empty(members)
     if arguments["dry_run"]:
         found = focus_one(names[0])
         return replace(found, summary=[f"{len(names)} {kinds} ({', '.join(names)}), each as follows", *found.summary])
+    there = folder.exists()
+    fresh = not (there and RECORD in folder.names())
     earlier = _earlier(folder, members.dimension, overwrite=bool(arguments["overwrite"]))
     listener = as_listener(arguments["progress"])
     with ExitStack() as stack:
+        if fresh:
+            stack.enter_context(_nothing_left(folder, there=there))
         stack.enter_context(run_folder.claim(folder))
         if earlier is None:
             unfinished = RunRecord(
@@ -163,6 +174,34 @@ def focus_members(focus: Focus, members: Members, arguments: Mapping[str, Any]) 
     whole = f"{folder / 'image.zarr'} has the images of {len(names)} {kinds} ({', '.join(names)})"
     summary = [*lines, *members.notes, whole]
     return RunReport(summary=summary, result=record.as_json(), folder=folder, measurable=is_measurable(record))
+
+
+def _refuse_empty(members: Members) -> None:
+    """Raise an InputError if a member has no sample: before others are focused, and an earlier run is replaced."""
+    for name, histories in members.histories.items():
+        for history in histories:
+            n_pulse, n_column = history.shape
+            starts = range(0, n_pulse, TILE[0])
+            parts = (history.read(slice(at, min(at + TILE[0], n_pulse)), slice(0, n_column)) for at in starts)
+            if not any((np.isfinite(part) & (part != 0)).any() for part in parts):
+                raise InputError(
+                    f"{members.dimension} {name}: {history.variable} in {history.path} holds no valid sample; is it "
+                    "the right store?"
+                )
+
+
+@contextmanager
+def _nothing_left(folder: Place, *, there: bool) -> Iterator[None]:
+    """Remove what a new run has written, if its input is found to be wrong; also the folder, if it was not there."""
+    try:
+        yield
+    except InputError:
+        if folder.exists():
+            with run_folder.claim(folder):
+                run_folder.clear(folder)
+            if not there and not folder.names():
+                folder.remove()
+        raise
 
 
 def _earlier(folder: Place, dimension: str, *, overwrite: bool) -> RunRecord | None:

@@ -459,7 +459,8 @@ class _Planner:
         # The nine ranges of the fit need some distance between them for meaningful polynomials.
         least = 64 * SPEED_OF_LIGHT / (2 * self.geometry.collection.bandwidth)
         room = max(least - (far - near), 0.0) / 2
-        edges = np.linspace(near - room, far + room, n_parts + 1)
+        above = self.geometry.epoch_position[2] - self.geometry.collection.ground_height
+        edges = np.linspace(max(near - room, (near + above) / 2), far + room, n_parts + 1)
         parts: list[BlockPlan] = []
         for part, (nearest, farthest) in enumerate(pairwise(edges.tolist())):
             relief = self._relief(low, high, nearest, farthest)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import zarr
 from faults import digests
 from matplotlib.image import imread
 from scenes import scene
@@ -68,6 +70,24 @@ def test_each_channel_is_as_it_would_be_alone(store: Path, run: Path, tmp_path: 
     assert images.sar.multilook("2x3").sizes["channel"] == 2
     with pytest.raises(InputError, match=r"2 channels; choose one, such as ds.sel\(channel='HH'\)"):
         images.sar.cut(0.0, 0.0)
+
+
+def test_a_channel_without_samples_is_named_and_costs_no_run(
+    store: Path, run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bad = tmp_path / "bad.zarr"
+    shutil.copytree(store, bad)
+    signal = zarr.open_group(bad, mode="r+")["signal"]
+    signal[1] = np.full(signal.shape[1:], np.nan, np.complex64)
+    before = digests(run)
+    with pytest.raises(InputError, match=r"^channel HV: signal in .* holds no valid sample"):
+        blocksar.focus(bad, run, overwrite=True, **SETTINGS)
+    assert digests(run) == before
+    # Found later, as other faults of samples are, it leaves nothing of the channel before.
+    monkeypatch.setattr(joint, "_refuse_empty", lambda members: None)
+    with pytest.raises(InputError, match=r"^channel HV: signal in .* holds no valid sample"):
+        blocksar.focus(bad, tmp_path / "new", **SETTINGS)
+    assert not (tmp_path / "new").exists()
 
 
 def test_every_channel_is_measured_shown_and_exported(run: Path, tmp_path: Path) -> None:
