@@ -122,6 +122,12 @@ def scene_of(source: One) -> Scene | None:
     return None
 
 
+def _path_of(source: str | os.PathLike[str] | Place) -> str:
+    """Where a store lies, however it is spelt."""
+    text = str(source)
+    return text if "://" in text else os.path.realpath(text)
+
+
 def sources_of(source: Source) -> list[One]:
     """Return the sources of a command that takes one or several.
 
@@ -134,7 +140,9 @@ def sources_of(source: Source) -> list[One]:
         return [source]  # type: ignore[list-item]
     if not source:
         raise InputError("source is empty: give at least one phase history")
-    paths = [str(each) if isinstance(each, str | os.PathLike | Place) else f"dataset {id(each)}" for each in source]
+    paths = [
+        _path_of(each) if isinstance(each, str | os.PathLike | Place) else f"dataset {id(each)}" for each in source
+    ]
     if twice := [path for number, path in enumerate(paths) if path in paths[:number]]:
         raise InputError(f"{twice[0]} is given twice; give each collection once")
     return list(source)

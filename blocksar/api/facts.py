@@ -159,7 +159,9 @@ def general_rows(attrs: Mapping[str, Any]) -> Rows:
             channel = f", channel {source['channel']}" if source.get("channel") else ""
             rows.append(("source", f"{source['format']}{channel}"))
         if start := source.get("collection_start"):
-            rows.append(("collection start", f"{start}, t = 0 is {source.get('time_zero', 0.0):.6g} s later"))
+            zero = source.get("time_zero", 0.0)
+            later = f"{zero:.6g}" if isinstance(zero, int | float) else repr(zero)
+            rows.append(("collection start", f"{start}, t = 0 is {later} s later"))
     # Of several channels, each has its own; the row of their names says which.
     if "polarizations" not in attrs and isinstance(polarization := attrs.get("polarization"), Mapping):
         rows.append(("polarization", f"{polarization.get('transmit', '?')}{polarization.get('receive', '?')}"))

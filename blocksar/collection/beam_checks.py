@@ -7,6 +7,7 @@ import numpy as np
 from blocksar.arrays import FloatArray
 from blocksar.errors import InputError
 
+MOST_ANGLE = 3.15  # rad: patterns may be known all round
 MOST_GAIN = 1e12  # of a pattern's peak, and one over the least
 
 UNIT = 1e-6  # by which the length of a unit vector may be off
@@ -77,6 +78,11 @@ def check_pattern(name: str, coordinate: str, angle: FloatArray, amplitude: Floa
     for which, values in ((coordinate, angle), (name, amplitude)):
         if not np.isfinite(values).all():
             raise InputError(f"{which} has {np.count_nonzero(~np.isfinite(values))} values that are not finite")
+    if np.abs(angle).max() > MOST_ANGLE:
+        raise InputError(
+            f"{coordinate} runs from {angle.min():.6g} to {angle.max():.6g} rad, more than half a turn away; "
+            "correct its unit (it looks like degrees)"
+        )
     if not (np.diff(angle) > 0).all():
         raise InputError(f"{coordinate} does not ascend at index {int(np.argmin(np.diff(angle) > 0)) + 1}; sort it")
     if amplitude.min() < 0 or not amplitude.any():

@@ -227,6 +227,8 @@ def _window(geometry: Geometry, yaw: FloatArray, within: tuple[float, float] | N
     rng, _ = geometry.range_history(point[:, :, None, :], time)
     held = rng - np.interp(time, collection.time, collection.reference_range)
     nearest, farthest = held.min(axis=2), held.max(axis=2)
+    if half <= 0 or not np.isfinite(nearest).any(axis=1).all():
+        raise OutsideSwath(_outside(collection, half, within, held, trial))
     near = np.array([np.interp(-half, row[np.isfinite(row)], trial[np.isfinite(row)]) for row in nearest])
     far = np.array([np.interp(half, row[np.isfinite(row)], trial[np.isfinite(row)]) for row in farthest])
     if within is not None:
@@ -250,6 +252,11 @@ def _outside(
     still = np.ptp(collection.reference_range) == 0
     swath = f"the range window of {collection.range_window:.6g} m about the reference range"
     where = "" if within is None else f" (the grid's ranges are {low:.6g} .. {high:.6g} m at the epoch)"
+    if half <= 0:
+        return (
+            f"grid lies outside the swath: {swath} has {collection.n_range_frequency} range cells, of which "
+            f"{WINDOW_GUARD} at either end are left free for side lobes; sample range frequency more densely"
+        )
     if 2 * half < moves < np.inf:
         remedy = (
             "re-reference the samples to a range that follows the scene, reference_range = distance to its centre"

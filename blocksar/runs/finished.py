@@ -18,11 +18,12 @@ from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.ownership import dwell_margin
 from blocksar.collection.weighting import Weighting
-from blocksar.errors import InputError
+from blocksar.errors import FolderError, InputError
 from blocksar.measurement.noise import NoiseFigures
 from blocksar.measurement.response import ReadChip
+from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
-from blocksar.runs.folder import member
+from blocksar.runs.folder import check_finished, member
 from blocksar.runs.record import RECORD, RunRecord
 from blocksar.runs.track import ATTRIBUTE, TrackCorrection
 from blocksar.stores.faults import unreachable
@@ -47,7 +48,13 @@ def finished_record(folder: Place) -> RunRecord:
         raise unreachable(folder, error) from error
     if not there:
         raise InputError(f"{folder} holds no run.json; give the folder that `blocksar focus --out` left")
-    record = RunRecord.read(folder)
+    try:
+        record = RunRecord.read(folder)
+    except FolderError:
+        raise
+    except InputError as error:  # not JSON; a folder without it is no run that `--overwrite` replaces
+        remedy = f"run `blocksar focus` with --out {folder} --overwrite to begin the run again"
+        raise InputError(str(error).replace("remove it, and create it again", remedy)) from error
     if not record.finished:
         raise InputError(f"{folder} is not finished; run `blocksar focus` again with the same settings")
     return record
@@ -150,6 +157,8 @@ class FinishedRun:
             If it is not finished or damaged, or its image has a single row or column.
         """
         record = finished_record(folder)
+        if record.receipts and isinstance(folder, LocalPlace):  # a bucket would be listed
+            check_finished(folder, record)
         described, attrs = _described(folder, record)
         x, y = (stores.read_region(folder / "image.zarr", name, (slice(None),)) for name in ("x", "y"))
         if x.size and y.size and min(x.size, y.size) < 2:

@@ -303,7 +303,7 @@ def is_tidy(folder: Place) -> bool:
 
 
 def check_finished(folder: Place, record: RunRecord) -> None:
-    """Check that all chunks of a finished run's image exist, without reading them.
+    """Check that all chunks of a finished run's image exist and are not empty, without reading them.
 
     Raises
     ------
@@ -313,7 +313,7 @@ def check_finished(folder: Place, record: RunRecord) -> None:
     image = folder / "image.zarr"
     if not record.receipts:
         raise FolderError(f"{folder} is damaged (no receipts); use --overwrite to focus it anew", replaceable=True)
-    names = {name for name, _, _ in image.files()}
+    names = {name for name, size, _ in image.files() if size}
     parts = [part for receipt in record.receipts for part in receipt.written if part.store == image.name]
     try:
         chunks = {_chunk(image, part) for part in parts}
@@ -323,7 +323,7 @@ def check_finished(folder: Place, record: RunRecord) -> None:
         ) from error
     if missing := sorted({"zarr.json", *chunks} - names):
         raise FolderError(
-            f"{folder} was finished, but {len(missing)} files of its image are gone (first: {missing[0]}); "
+            f"{folder} was finished, but {len(missing)} files of its image are gone or empty (first: {missing[0]}); "
             "use --overwrite to focus it anew",
             replaceable=True,
         )

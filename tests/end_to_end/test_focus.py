@@ -22,6 +22,7 @@ import blocksar
 from blocksar import api, stores
 from blocksar.api import jobs
 from blocksar.errors import InputError
+from blocksar.measurement.coherence import coherence
 from blocksar.planning.plan import plan_collection
 from blocksar.simulation.scene import Scene
 
@@ -133,6 +134,41 @@ def test_an_unsteered_beam_is_coherent_with_back_projection(client: Client, tmp_
     assert min(chip["coherence"] for chip in chips) >= 0.995
     with pytest.raises(InputError, match="grid is missing"):
         blocksar.focus(store, tmp_path / "other", client=client)
+
+
+NARROW = """
+targets = [{name = "T", ground_range_offset = 0.0, cross_range_offset = 0.0}]
+[radar]
+carrier = 10e9
+bandwidth = 100e6
+range_sampling = 120e6
+prf = 400.0
+[track]
+position = [0.0, 0.0, 5000.0]
+velocity = [0.0, 120.0, 0.0]
+[time]
+pulses = 160
+[scene]
+swath = [7980.0, 8020.0]
+centre_yaw_deg = 0.0
+reference_range = "constant"
+"""
+
+
+def test_a_range_window_as_narrow_as_the_interpolation_is_covered(tmp_path: Path) -> None:
+    """Rows were cut at the end of the window of 45 m: no pixel of this grid was covered, and 1.0 was predicted."""
+    (tmp_path / "scene.toml").write_text(NARROW)
+    store = blocksar.simulate(tmp_path / "scene.toml", tmp_path / "ph.zarr")
+    grid = ((6235.0, 6255.0, 0.5), (-10.0, 10.0, 0.5))
+    images = []
+    for name, processor in (("run", "angular-division"), ("exact", "backprojection")):
+        blocksar.focus(store, tmp_path / name, grid=grid, processor=processor, workers=0)
+        images.append(stores.read_region(tmp_path / name / "image.zarr", "image", (slice(None), slice(None))))
+    image, exact = images
+    assert np.isfinite(exact).mean() > 0.95
+    assert np.isfinite(image).mean() > 0.95 * np.isfinite(exact).mean()
+    assert abs(coherence(image, exact).coherence) > 0.999
+    assert abs(image[20, 20]) == pytest.approx(abs(exact[20, 20]), rel=0.01)
 
 
 def test_raw_echo_with_dropped_pulses_is_focused(client: Client, tmp_path: Path) -> None:

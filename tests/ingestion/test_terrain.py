@@ -20,7 +20,9 @@ from blocksar.errors import InputError
 from blocksar.ingestion.terrain import resampling
 from blocksar.ingestion.terrain.earth import ellipsoid, read_geotiff
 from blocksar.ingestion.terrain.frame_grid import read_frame_grid
+from blocksar.ingestion.terrain.nodata import refuse_untagged
 from blocksar.ingestion.terrain.reading import Ground, coverage_note
+from blocksar.places import place
 
 HERE = Georeference(latitude=47.0, longitude=11.0, height=600.0, rotation=25.0)
 X, Y = (-2000.0, 3000.0), (-1000.0, 4000.0)
@@ -230,3 +232,13 @@ def test_a_surface_on_the_earth_needs_a_georeference_and_gaps_are_told(tmp_path:
     assert "no height at 51" in (coverage_note(half, beyond) or "")
     empty = Terrain(x0=-3e3, dx=100.0, y0=-2e3, dy=100.0, heights=np.full((80, 80), np.nan))
     assert "100 %" in (coverage_note(empty, GRID) or "")
+
+
+@pytest.mark.parametrize(("value", "said"), [(-9999.0, "-9999"), (-32768.0, "-32768"), (1e30, r"1e\+30")])
+def test_a_number_that_stands_for_no_data_untagged_is_refused(value: float, said: str, tmp_path: Path) -> None:
+    """A cubic through it would spread it: heights of -9878 to +730 m were taken for the ground."""
+    heights = np.full((20, 20), value)
+    heights[5:, 5:] = 3.0
+    with pytest.raises(InputError, match=rf"t.zarr has a height of {said} m \(175 of the kind\).*: tag the number"):
+        refuse_untagged(heights, place(tmp_path / "t.zarr"))
+    refuse_untagged(np.where(heights == value, np.nan, heights), place(tmp_path / "t.zarr"))

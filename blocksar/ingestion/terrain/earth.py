@@ -14,6 +14,7 @@ from blocksar.errors import InputError
 from blocksar.ingestion.reading import reading
 from blocksar.ingestion.terrain.datum import datum_of
 from blocksar.ingestion.terrain.frame_grid import MOST_HEIGHTS
+from blocksar.ingestion.terrain.nodata import refuse_untagged
 from blocksar.ingestion.terrain.resampling import STEPS, lattice, resample
 from blocksar.places import Location, place
 
@@ -70,6 +71,7 @@ def read_geotiff(
         to_pixel = _pixels_of(file, crs)
         step = _spacing(georeference, to_pixel, x, y)
         posts = _window(file, georeference, to_pixel, x, y, margin=MARGIN * step, label=str(path))
+        refuse_untagged(np.asarray(posts.heights), path)
 
     def to_file(x: FloatArray, y: FloatArray, z: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         latitude, longitude, height = np.moveaxis(_geodetic(georeference, x, y, z), -1, 0)

@@ -13,6 +13,7 @@ from blocksar.arrays import FloatArray
 from blocksar.collection.terrain import LEAST, Terrain
 from blocksar.errors import InputError
 from blocksar.ingestion.reading import reading
+from blocksar.ingestion.terrain.nodata import refuse_untagged
 from blocksar.places import Location, place
 from blocksar.places.place import Place
 from blocksar.stores.schema import UNITS
@@ -33,12 +34,15 @@ def read_frame_grid(source: Location, x: tuple[float, float], y: tuple[float, fl
     Raises
     ------
     InputError
-        If the file cannot be read, has other variables, dimensions or units, uneven axes, or lies elsewhere.
+        If the file cannot be read, has other variables, dimensions or units, uneven axes or untagged numbers that
+        stand for no data, or lies elsewhere.
     """
     path = place(source)
     with reading(path, damaged="not a file of heights", remedy=REMEDY):
         terrain = _read_plain(path, x, y)
-        return _read_any(path, x, y) if terrain is None else terrain
+        terrain = _read_any(path, x, y) if terrain is None else terrain
+    refuse_untagged(np.asarray(terrain.heights), path)
+    return terrain
 
 
 def _read_plain(path: Place, x: tuple[float, float], y: tuple[float, float]) -> Terrain | None:
