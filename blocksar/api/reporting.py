@@ -17,6 +17,7 @@ from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
 from blocksar.products.look_spectra import measure_looks
+from blocksar.products.writing import refuse_parts
 from blocksar.progress import Wanted as Progress
 from blocksar.progress import as_listener
 from blocksar.runs.finished import FinishedRun, finished_record, folder_of
@@ -127,6 +128,8 @@ def _write(
         raise InputError(f"{target} exists; choose another name, or have it overwritten (--overwrite)")
     if isinstance(target, LocalPlace) and target.path.is_dir():
         raise InputError(f"{target} is a folder; give --out the name of a file")
+    if isinstance(target, LocalPlace):
+        refuse_parts(target)
     source = FinishedRun.open(folder)
     figures, reason = _read_or_measure(folder, source)
     history = str(stores.open_dataset(source.image).attrs.get("history", ""))

@@ -27,6 +27,8 @@ from blocksar.version import __version__
 if TYPE_CHECKING:
     from distributed import Client
 
+UNCOVERED = "no pixel of the image is covered: look where the swath lies (blocksar preview), and give that --grid"
+
 
 def carry_out(
     job: Job,
@@ -118,7 +120,16 @@ def _run_stages(course: _Course, record: RunRecord) -> RunRecord:
     segments, compressed = stages.compress_raw(course.client, job.segments, run, course.listener)
     form_image = _back_project if job.exact else _focus_blocks
     record, receipts = form_image(course, record, segments, compressed)
+    if not any_covered(receipts, run.name_of(run.image)):
+        course.listener.note(UNCOVERED, again=True)
+        record = replace(record, warnings=(*record.warnings, UNCOVERED))
     return replace(record, receipts=receipts, timings=course.timings)
+
+
+def any_covered(receipts: Sequence[Receipt], image: str) -> bool:
+    """Whether the image of that name has any chunk: those without a covered pixel are not written."""
+    written = (part for receipt in receipts for part in receipt.written)
+    return any(part.store == image and part.variable == "image" for part in written)
 
 
 def _back_project(

@@ -14,6 +14,16 @@ from contextlib import contextmanager
 from blocksar.errors import InputError, ProcessingError
 from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace, replacing_file
+from blocksar.runs.record import RECORD
+
+
+def refuse_parts(target: LocalPlace) -> None:
+    """Raise an InputError if a file would be part of a zarr store, or replace the record of a run."""
+    for parent in target.path.absolute().parents:
+        if (parent / "zarr.json").exists():
+            raise InputError(f"{target} would lie within the store {parent}; choose another name")
+    if target.name == RECORD:
+        raise InputError(f"{target} is the name of a run's record, and is not replaced; choose another name")
 
 
 @contextmanager
@@ -36,6 +46,7 @@ def replacing(out: Location, *, overwrite: bool) -> Iterator[str]:
         )
     if os.path.isdir(target.path):
         raise InputError(f"{target} is a folder; give --out the name of a file")
+    refuse_parts(target)
     if target.exists() and not os.path.isfile(target.path):
         raise InputError(f"{target} is no regular file, and is not replaced; choose another name")
     if target.exists() and not overwrite:

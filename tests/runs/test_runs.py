@@ -20,6 +20,7 @@ from scenes import one_target, scene
 import blocksar
 from blocksar import stores
 from blocksar.api import jobs
+from blocksar.api.run_stages import any_covered
 from blocksar.collection.geometry import Geometry
 from blocksar.errors import FolderError, InputError, ProcessingError
 from blocksar.focusing import step
@@ -28,7 +29,7 @@ from blocksar.places import place
 from blocksar.planning import memory
 from blocksar.runs import folder
 from blocksar.runs.receipts import Run, write
-from blocksar.runs.record import Receipt
+from blocksar.runs.record import Receipt, Written
 from blocksar.simulation.scene import Scene
 
 GRID = ((15900.0, 16300.0, 4.0), (19000.0, 19400.0, 4.0))
@@ -386,3 +387,13 @@ def test_a_run_that_was_killed_while_it_was_planned_begins_again(tmp_path: Path,
     for foreign in (run, file):
         with pytest.raises(FolderError, match=r"holds no run of blocksar \(but scratch\)"):
             folder.find_run(place(foreign), {}, "", overwrite=False)
+
+
+def test_an_image_without_a_covered_pixel_is_told_apart() -> None:
+    """All of its chunks are the fill value, and none is written; patches are another store."""
+    patch, pixels, block = (
+        Receipt(unit="u", stage="focus", written=(Written(store, name, ((0, 4), (0, 4)), ""),))
+        for store, name in (("patches/0.zarr", "image"), ("image.zarr", "image"), ("image.zarr", "block"))
+    )
+    assert any_covered([patch, pixels, block], "image.zarr")
+    assert not any_covered([patch, block], "image.zarr")
