@@ -125,7 +125,7 @@ def _compare(run: FinishedRun, inputs: Mapping[str, stores.PhaseHistory]) -> Com
     """
     compared: Compared = []
     for path, history in inputs.items():
-        geometry = _whole(run, history)
+        geometry = whole_geometry(run, history)
         chips = _chips(run, path, geometry)
         read, axes = pulse_reader(history), [(run.x[columns], run.y[rows]) for *_, rows, columns in chips]
         exact = form_chips(read, geometry, axes, threads=machine()[0], weighting=run.weighting)
@@ -134,7 +134,7 @@ def _compare(run: FinishedRun, inputs: Mapping[str, stores.PhaseHistory]) -> Com
     return compared
 
 
-def _whole(run: FinishedRun, history: stores.PhaseHistory) -> Geometry:
+def whole_geometry(run: FinishedRun, history: stores.PhaseHistory) -> Geometry:
     """The geometry of a whole collection, of which a run may have segments."""
     if not run.segments:
         return run.geometry

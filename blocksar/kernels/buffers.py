@@ -45,16 +45,16 @@ class _Span(NamedTuple):
         return self.last - self.first
 
 
-class _Segment:
+class Segment:
     """Some address space, divided into spans in ascending order; free spans that lie side by side differ."""
 
     def __init__(self, size: int) -> None:
         room = max(SEGMENT, 1 << (size - 1).bit_length())
         try:
-            self.memory = _map(room)
+            self.memory = map_pages(room)
         except OSError:  # a system that lends no more than it has
             room = size
-            self.memory = _map(room)
+            self.memory = map_pages(room)
         self.spans = [_Span(0, room, used=False, written=False)]
 
     @property
@@ -119,8 +119,8 @@ class Memory:
         self._idle, self._last_use, self._watch = idle, time.monotonic(), False
         self._lock = threading.Lock()
         # Spans of arrays that are gone: an array may go while its thread holds the lock.
-        self._gone: deque[tuple[_Segment, int, int]] = deque()
-        self._segments: list[_Segment] = []
+        self._gone: deque[tuple[Segment, int, int]] = deque()
+        self._segments: list[Segment] = []
         self._used = self._most_used = 0
 
     def empty(self, shape: tuple[int, ...]) -> ComplexArray:
@@ -173,12 +173,12 @@ class Memory:
             finally:
                 self._lock.release()
 
-    def _take(self, size: int) -> tuple[_Segment, int, int]:
+    def _take(self, size: int) -> tuple[Segment, int, int]:
         places = [(place, segment) for segment in self._segments if (place := segment.place(size)) is not None]
         if places:
             (_, first), segment = min(places, key=lambda found: (found[0], len(found[1].memory)))
         else:
-            first, segment = 0, _Segment(size)
+            first, segment = 0, Segment(size)
             self._segments.append(segment)
         segment.mark(first, first + size, used=True, written=True)
         self._used += size
@@ -187,7 +187,7 @@ class Memory:
         self._last_use = time.monotonic()
         return segment, first, first + size
 
-    def _keep(self, segment: _Segment, first: int, last: int) -> None:
+    def _keep(self, segment: Segment, first: int, last: int) -> None:
         self._gone.append((segment, first, last))
         self._settle()
 
@@ -225,7 +225,7 @@ class Memory:
         self._segments = [segment for segment in self._segments if segment.in_use or segment.kept]
 
 
-def _map(size: int) -> mmap.mmap:
+def map_pages(size: int) -> mmap.mmap:
     memory = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
     with suppress(AttributeError, OSError):  # in pages of 2 MiB, where the system has them
         memory.madvise(mmap.MADV_HUGEPAGE)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from axis_beams import axis_collection
 
-from blocksar.api.reference_chips import DARK, _whole, full_dwell_coherence
+from blocksar.api.reference_chips import DARK, full_dwell_coherence, whole_geometry
 from blocksar.collection.geometry import over_terrain
 from blocksar.collection.terrain import Terrain
 from blocksar.measurement.coherence import coherence
@@ -39,6 +39,6 @@ def test_segments_on_a_terrain_are_compared_there() -> None:
     collection = axis_collection()
     terrain = Terrain.flat(120.0, (8500.0, 9500.0), (-500.0, 500.0))
     run = SimpleNamespace(segments=(over_terrain(collection, terrain),))
-    found = _whole(run, SimpleNamespace(collection=collection))  # type: ignore[arg-type]
+    found = whole_geometry(run, SimpleNamespace(collection=collection))  # type: ignore[arg-type]
     assert found.terrain is terrain
     assert found.collection.ground_height == 120.0

@@ -71,12 +71,12 @@ def test_what_is_given_back_holds_no_numbers() -> None:
 
 
 def test_memory_that_is_lent_exactly_serves(monkeypatch: pytest.MonkeyPatch) -> None:
-    def only_exact(size: int, map_: Callable[[int], mmap.mmap] = buffers._map) -> mmap.mmap:
+    def only_exact(size: int, map_: Callable[[int], mmap.mmap] = buffers.map_pages) -> mmap.mmap:
         if size != 5 * MIB:
             raise OSError("Cannot allocate memory")
         return map_(size)
 
-    monkeypatch.setattr(buffers, "_map", only_exact)
+    monkeypatch.setattr(buffers, "map_pages", only_exact)
     memory = Memory()
     array = memory.empty(samples(5))
     array[:] = 1
@@ -86,13 +86,13 @@ def test_memory_that_is_lent_exactly_serves(monkeypatch: pytest.MonkeyPatch) -> 
 def test_an_array_may_go_while_its_thread_takes_another(monkeypatch: pytest.MonkeyPatch) -> None:
     memory = Memory()
     arrays = [memory.empty(samples(5))]
-    mark = buffers._Segment.mark
+    mark = buffers.Segment.mark
 
     def collecting(*arguments: Any, **options: Any) -> None:
         arrays.clear()
         mark(*arguments, **options)
 
-    monkeypatch.setattr(buffers._Segment, "mark", collecting)
+    monkeypatch.setattr(buffers.Segment, "mark", collecting)
     other = memory.empty(samples(6))
     assert memory.used == other.nbytes
 

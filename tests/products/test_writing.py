@@ -138,11 +138,11 @@ def test_invalid_destinations_are_refused(made: Made, tmp_path: Path) -> None:
 def test_no_product_becomes_part_of_a_store_or_a_record(made: Made, tmp_path: Path) -> None:
     (tmp_path / "s.zarr" / "signal" / "c").mkdir(parents=True)
     (tmp_path / "s.zarr" / "zarr.json").write_text("{}")
-    for out in (tmp_path / "s.zarr" / "zarr.json", tmp_path / "s.zarr" / "signal" / "c" / "0"):
+    for out in (tmp_path / "s.zarr" / "image.png", tmp_path / "s.zarr" / "signal" / "c" / "0"):
         with pytest.raises(InputError, match="would lie within the store"):
             blocksar.export("png", made.folder, out, overwrite=True)
     with pytest.raises(InputError, match="is the name of a run's record"):
-        blocksar.export("png", made.folder, tmp_path / "run.json", overwrite=True)
+        blocksar.report(made.folder, out=tmp_path / "run.json", overwrite=True)
 
 
 @pytest.mark.parametrize("kind", ["sicd", "geotiff", "png"])
