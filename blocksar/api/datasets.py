@@ -122,6 +122,8 @@ def collection(
         If an array has the wrong shape, kind or unit, something needed is missing, or no sample is finite.
     """
     _check_samples(signal, echo, range_frequency, fast_time)
+    if time is None:
+        raise InputError("time is None; give the times of the pulses, s")
     _check_reference(reference_range)
     if earth_centred:
         antenna_position, beam_axis = _into_frame(georeference, antenna_position, beam_axis)
@@ -140,6 +142,8 @@ def collection(
         "Conventions": stores.CONVENTIONS,
     }  # fmt: skip
     if targets is not None:
+        if not np.iterable(targets):
+            raise InputError(f"targets is {targets!r}; give a list of targets")
         attrs["targets"] = [_target_record(target) for target in targets]
     if georeference is not None:
         attrs["georeference"] = Georeference.from_attribute(georeference).as_attribute()

@@ -128,7 +128,7 @@ def export(
     ProcessingError
         If writing fails; what stood at `out` stays.
     """
-    if kind not in OPTIONS:
+    if kind not in tuple(OPTIONS):  # which need not be hashable
         raise InputError(f"kind is {kind!r}; it must be 'sicd', 'geotiff' or 'png'")
     given = {"content": content, "looks": looks, "scale": scale, "range": range, "crop": crop, "crs": crs,
              "colour_map": colour_map, "size": size, "composite": composite}  # fmt: skip

@@ -27,8 +27,8 @@ def find_points(run: FinishedRun, count: int) -> list[dict[str, Any]]:
     InputError
         If the count is not from 1 to 1000, or the pixels are too far apart to measure in.
     """
-    if not 1 <= count <= MOST_FOUND:
-        raise InputError(f"found = {count}: ask for 1 to {MOST_FOUND} points")
+    if count not in range(1, MOST_FOUND + 1):
+        raise InputError(f"found = {count!r}: ask for 1 to {MOST_FOUND} points")
     bright = scenery.find_bright(run.read, run.x, run.y, run.strips(0), run.geometry_at, run.weighting, count)
     return [_record(run, point, number) for number, point in enumerate(bright, 1)]
 

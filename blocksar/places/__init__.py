@@ -35,11 +35,12 @@ def place(path: Location) -> Place:
         return path
     try:
         text = os.fspath(path)
-    except TypeError:
+        zero = "\0" in text
+    except TypeError:  # no path, or one of bytes
         raise InputError(
             f"a path is needed, but a {type(path).__name__} was given; give a str or a pathlib.Path"
         ) from None
-    if "\0" in text:
+    if zero:
         raise InputError(f"{text} is not a valid name: it contains a zero byte; remove that")
     if (url := re.fullmatch(r"s3://([^/]*)/*(.*?)/*", text, re.DOTALL)) is None:
         if re.match(r"[A-Za-z][A-Za-z0-9+.-]*://", text):

@@ -112,6 +112,10 @@ def test_the_page_lists_no_other_mistakes() -> None:
         (lambda _: blocksar.simulate({"radar": 1}, "x.zarr"), r"^scene is a dict; give a file"),
         (blocksar.quality, r"^a path is needed, but a Dataset was given; give a str or a pathlib.Path$"),
         (lambda ds: blocksar.focus(ds, None), r"^a path is needed, but a NoneType was given"),
+        (lambda _: blocksar.info(b"ph.zarr"), r"^a path is needed, but a bytes was given"),
+        (lambda _: blocksar.export([], "run", "out"), r"^kind is \[\]; it must be"),
+        (lambda _: blocksar.collection(**{**arrays(), "time": None}), r"^time is None; give the times"),
+        (lambda _: blocksar.collection(**{**arrays(), "targets": 5}), r"^targets is 5; give a list"),
         (lambda ds: blocksar.write("ph.zarr", "out.zarr"), r"^source is a str; give a dataset"),
         (lambda ds: blocksar.focus(ds, "run", progress=print), r"^progress is <built-in function print>; give an obje"),
         (

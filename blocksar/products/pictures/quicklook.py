@@ -149,8 +149,10 @@ def checked_colour_map(name: str | None) -> str:
     InputError
         If matplotlib has none of this name.
     """
-    if name is None or name in colormaps:
-        return name or GREY
+    if name is None:
+        return GREY
+    if name in list(colormaps):
+        return name
     near = difflib.get_close_matches(str(name), colormaps, n=1)
     raise InputError(
         f"colour map {name!r} is none that matplotlib knows; did you mean {near[0] if near else 'viridis'!r}?"
