@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -46,14 +44,6 @@ def check_axis(axis: FloatArray, name: str, unit: str) -> None:
             f"{name} is not uniform: index {int(error.argmax())} lies {error.max():.3g} steps of "
             f"{step:.6g} {unit} from its place; resample it to a uniform axis"
         )
-
-
-def is_finite(values: NDArray[Any]) -> bool:
-    """Whether all real or complex numbers of a contiguous array are finite: their sum tells it in one pass."""
-    parts = values.reshape(-1).view(values.real.dtype)
-    with np.errstate(over="ignore", invalid="ignore"):
-        total = parts.sum()
-    return bool(np.isfinite(total)) or bool(np.isfinite(parts).all())
 
 
 def unrepeated(values: FloatArray) -> FloatArray:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from blocksar import stores
-from blocksar.arrays import ComplexArray, FloatArray, is_finite
+from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.chunks import BACKPROJECTION_CHUNK, TILED_CHUNKS, WRITES_AT_ONCE
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
@@ -250,9 +250,9 @@ def _tiled(
 
 def _owner(pixels: ComplexArray, block: int) -> NDArray[np.int16] | int | None:
     """The block that each pixel comes from, as layers take it; None if none is covered."""
-    if is_finite(pixels):
-        return block
     covered = np.isfinite(pixels.real)
+    if covered.all():
+        return block
     return np.where(covered, np.int16(block), np.int16(-1)) if covered.any() else None
 
 

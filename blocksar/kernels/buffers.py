@@ -1,9 +1,9 @@
 """Large arrays whose memory is kept and used again by the next ones of this process.
 
 The system clears every page of new memory, which takes a tenth of the time of a run, and more on a virtual machine that
-has returned the memory to its host. Kept memory never raises the peak: it is given back as soon as kept and used
-memory together would exceed the most that has been in use at once, and once nothing was allocated for a while: a worker
-may outlive the run.
+has returned the memory to its host. Kept and used memory together never exceed the most that has been in use at once,
+and what is kept is given back once nothing was allocated for a while: a worker may outlive the run. A stage that needs
+less of it than another holds on to the rest, so that on a cluster that is used again, recovery has what blocks had.
 
 Arrays of all sizes share segments of address space, which are larger than what is in use: the system backs only pages
 that were written. So a buffer of another size, or two small ones, take the pages of the one before.
